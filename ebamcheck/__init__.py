@@ -1,0 +1,57 @@
+"""Cross-checking validation harness for slicing parts for electron-beam additive manufacturing."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from ebamcheck.comparison import compare as compare
+    from ebamcheck.config import Config as Config
+    from ebamcheck.config import load_config as load_config
+    from ebamcheck.curves import Curves as Curves
+    from ebamcheck.curves import fit as fit
+    from ebamcheck.errors import EbamcheckError as EbamcheckError
+    from ebamcheck.heights import layer_heights as layer_heights
+    from ebamcheck.inspection import inspect as inspect
+    from ebamcheck.layers import Layers as Layers
+    from ebamcheck.part import Part as Part
+    from ebamcheck.part import load as load
+    from ebamcheck.program import read_program as read_program
+    from ebamcheck.scan import plan_scan as plan_scan
+    from ebamcheck.slicing import slice_part as slice
+
+_PUBLIC = {
+    "Config": "ebamcheck.config",
+    "Curves": "ebamcheck.curves",
+    "EbamcheckError": "ebamcheck.errors",
+    "Layers": "ebamcheck.layers",
+    "Part": "ebamcheck.part",
+    "compare": "ebamcheck.comparison",
+    "fit": "ebamcheck.curves",
+    "inspect": "ebamcheck.inspection",
+    "layer_heights": "ebamcheck.heights",
+    "load": "ebamcheck.part",
+    "load_config": "ebamcheck.config",
+    "plan_scan": "ebamcheck.scan",
+    "read_program": "ebamcheck.program",
+    "slice": "ebamcheck.slicing:slice_part",
+}
+"""Public names and where they live; they load when first used, so that ``import ebamcheck`` is instant."""
+
+__all__ = [*sorted(_PUBLIC), "__version__"]
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name from its module when it is first used."""
+    if name not in _PUBLIC:
+        raise AttributeError(f"module 'ebamcheck' has no attribute {name!r}")
+    module, _, attribute = _PUBLIC[name].partition(":")
+    return getattr(import_module(module), attribute or name)
+
+
+def __dir__() -> list[str]:
+    """List the public names."""
+    return __all__

@@ -1,0 +1,121 @@
+"""The protocol between the harness and a slicer.
+
+A slicer is a class found by the entry point group ``ebamcheck.backends``. It says what it is in class
+attributes, tells by :meth:`Slicer.probe` whether this machine can run it, and slices in two steps:
+:meth:`Slicer.prepare` pays once for a tree, an index or a graphics context, and the
+:class:`Prepared` it returns cuts any block of layers, as often as wanted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import ClassVar, Literal, Protocol, Self, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
+
+from ebamcheck.layers import Layers
+from ebamcheck.part import Part
+
+Progress = Callable[[int], None]
+"""Called with the number of layers finished since the last call."""
+
+CoplanarRule = Literal["half-open", "undefined"]
+"""What a slicer makes of a vertex or face in the plane z = h.
+
+``half-open``: the section is that of z = h + 0, exactly (an edge is cut where ``min <= h < max``).
+``undefined``: rounding decides; layers nearer to a vertex than the plane margin are not compared.
+"""
+
+
+class BackendSettings(BaseModel):
+    """Base of a slicer's own settings: unknown keys are refused, values do not change."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+@dataclass(frozen=True)
+class Probe:
+    """Whether a slicer can run on this machine, and what it would run on."""
+
+    available: bool
+    why: str = ""
+    """Why it is not available, in one line."""
+    hint: str = ""
+    """What to install or set, in one line."""
+    versions: Mapping[str, str] = field(default_factory=dict)
+    device: str = "CPU"
+    """What computes: the processor, or the renderer's name as OpenGL gives it."""
+
+
+class Prepared(Protocol):
+    """A part made ready for one slicer; a context manager that frees what it holds."""
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        ...
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Free the index, the tree or the graphics context."""
+        ...
+
+    def slice(self, heights: NDArray[np.float64], progress: Progress | None = None) -> Layers:
+        """Cut the part at strictly increasing heights (L,), mm, and return canonical layers.
+
+        The result of a layer does not depend on which other layers are asked for.
+        """
+        ...
+
+
+@runtime_checkable
+class Slicer(Protocol):
+    """One method of slicing.
+
+    Attributes
+    ----------
+    name
+        Key in the registry, as on the command line.
+    summary
+        One line for ``ebamcheck backends``.
+    exact
+        Whether contours are those of the mesh up to rounding (as against sampled on a grid).
+    priority
+        The available exact slicer of the highest priority is the default one.
+    coplanar_rule, inside_rule
+        What is done with a plane through vertices or faces, and which winding numbers are solid
+        (``"winding > 0"`` is the house rule).
+    Settings
+        The slicer's settings, a :class:`BackendSettings`.
+    """
+
+    name: ClassVar[str]
+    summary: ClassVar[str]
+    exact: ClassVar[bool]
+    priority: ClassVar[int]
+    coplanar_rule: ClassVar[CoplanarRule]
+    inside_rule: ClassVar[str]
+    Settings: ClassVar[type[BackendSettings]]
+
+    def probe(self) -> Probe:
+        """Whether this machine can run the slicer; cheap, and never raises."""
+        ...
+
+    def error_bound_mm(self, part: Part, settings: BackendSettings) -> float:
+        """Return the promised bound r, mm: the section eroded by r lies in the result, the result in it dilated by r."""
+        ...
+
+    def height_bound_mm(self, part: Part, settings: BackendSettings) -> float:
+        """Return the promised bound on the height at which a layer is really cut, mm."""
+        ...
+
+    def prepare(self, part: Part, settings: BackendSettings) -> Prepared:
+        """Make a part ready; raises :class:`ebamcheck.errors.BackendFailed` where the slicer refuses it."""
+        ...

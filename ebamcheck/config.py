@@ -1,0 +1,288 @@
+"""Settings of a run, read from ``ebamcheck.toml`` or from ``[tool.ebamcheck]`` of a ``pyproject.toml``.
+
+Every number that a stage uses stands here with its unit and its reason; unknown keys are refused. The
+machine, process and material sections together are the *machine profile*.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+
+from ebamcheck.errors import SettingsError
+from ebamcheck.heights import bead_height_mm
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class Section(BaseModel):
+    """Base of every section: unknown keys are refused, values do not change, defaults are checked."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
+
+
+class PartSettings(Section):
+    """How the part's file is read and placed."""
+
+    units: Literal["mm", "cm", "m", "um", "in", "ft"] = "mm"
+    direction: tuple[Finite, Finite, Finite] = (0.0, 0.0, 1.0)
+    """Slicing direction in the coordinates of the file; the part is turned so that it points up."""
+    fix_orientation: bool = False
+    """Turn closed bodies of negative volume and single flipped facets over, and say so in the report."""
+
+
+class LayerSettings(Section):
+    """Where the part is cut."""
+
+    layer_height_mm: Positive | None = None
+    """None: the height of one bead, from the mass balance of the process."""
+    heights_mm: tuple[Finite, ...] = ()
+    """Listed heights, absolute z; they take the place of uniform ones."""
+
+
+class SlicingSettings(Section):
+    """Which slicers run and how."""
+
+    backends: tuple[str, ...] = ()
+    """Empty: every backend that is available on this machine."""
+    required: tuple[str, ...] = ()
+    """A run ends with exit code 4 where one of these is not available."""
+    primary: str = ""
+    """Whose contours go on to fitting and the program; empty: the default exact backend."""
+    time_limit_s: Positive = 600.0
+    memory_limit_mb: Positive = 8192.0
+    """Resident memory of one backend's process, watched from outside."""
+    settings: dict[str, dict[str, Any]] = {}
+    """Settings of each backend, by its name."""
+
+
+class ComparisonSettings(Section):
+    """When two slicers agree."""
+
+    tolerance_mm: NotNegative = 0.001
+    """Added to the two declared error bounds: agreement within bound_A + bound_B + tolerance."""
+    plane_margin_mm: NotNegative | None = None
+    """A layer is generic if no vertex lies nearer to its plane; None: the largest height bound compared."""
+
+
+class CurveSettings(Section):
+    """Cleaning and fitting of contours."""
+
+    corner_angle_deg: Annotated[float, Field(gt=0, lt=180)] = 140.0
+    """A contour splits where the angle between its segments is under this (paper, section 3.2)."""
+    near_point_mm: NotNegative = 0.001
+    """Neighbouring points closer than this become one."""
+    collinear_mm: NotNegative = 0.001
+    """Inner points nearer than this to the chord of a straight run go."""
+    straight_run_mm: Positive = 5.0
+    """A segment at least this long between two kept points is a straight run, not part of a curve."""
+
+
+class ScanSettings(Section):
+    """Partition, filling and order."""
+
+    hexagon_side_mm: Positive | None = None
+    """Side of the hexagons; None: planned from layer area and bead width."""
+    rectangle: Literal["paper", "exact"] = "exact"
+    """Enclosing rectangle: rotations in steps of pi/10 (paper, equation 11), or the exact minimum."""
+    first_angle_deg: Finite = 0.0
+    layer_angle_deg: Finite = 15.0
+    """Turn of the hatch from layer to layer (paper, section 1, after Jia et al.)."""
+    island_angle_deg: Finite = 60.0
+    """Turn of the hatch from one hexagon to the next, by hexagon index modulo 3."""
+    order: Literal["nearest"] = "nearest"
+    seed: Annotated[int, Field(ge=0)] = 0
+    contour_offset_mm: NotNegative | None = None
+    """Inset of the contour bead's centre line from the contour; None: half a bead width."""
+
+
+class MachineSettings(Section):
+    """The machine: a SINUMERIK 840D sl with an electron-beam gun and a wire feeder."""
+
+    name: str = "wire electron-beam machine (default profile)"
+    control: Literal["sinumerik-840d-sl"] = "sinumerik-840d-sl"
+    poly_licensed: bool = True
+    """Polynomial interpolation (POLY) is an option of the control."""
+    bspline_licensed: bool = True
+    curve_form: Literal["poly", "bspline", "lines"] = "poly"
+    bspline_shift: Literal[2, 3] = 2
+    """Which knot interval a BSPLINE block's PL carries; see the header of the program."""
+    line_tolerance_mm: Positive = 0.01
+    """Chord error where curves are written as G1."""
+    decimals: Annotated[int, Field(ge=3, le=8)] = 6
+    travel_min_mm: tuple[Finite, Finite, Finite] = (-1000.0, -1000.0, 0.0)
+    travel_max_mm: tuple[Finite, Finite, Finite] = (1000.0, 1000.0, 1500.0)
+    """Software limits of X, Y and Z in the work offset."""
+    work_offset: Literal["G54", "G55", "G56", "G57"] = "G54"
+    safe_height_mm: Positive = 20.0
+    """Rise above the current layer for moves over more than one island gap, and at the end."""
+    rapid_mm_s: Positive = 100.0
+    feed_min_mm_s: Positive = 1.0
+    feed_max_mm_s: Positive = 50.0
+    smoothing: tuple[str, ...] = ("SOFT", "FFWON", "G642")
+    smoothing_tolerance_mm: Positive = 0.05
+    """Axis tolerance of G642 (CTOL): the path driven may leave the path programmed by this."""
+    workpiece_directory: str = "EBAMCHECK"
+    """Name of the WPD folder on the control."""
+    program_name: str = "MAIN"
+    """Base name of the main program; the part's name is not a legal NC name in general."""
+    # Templates: {power_w} {voltage_kv} {current_ma} {wire_mm_s} {feed_mm_min} {layer} {height_mm} are filled in.
+    beam_on: tuple[str, ...] = ("M60 ; beam on",)
+    beam_off: tuple[str, ...] = ("M61 ; beam off",)
+    set_beam: tuple[str, ...] = (
+        "H1={voltage_kv} ; accelerating voltage, kV",
+        "H2={current_ma} ; beam current, mA",
+    )
+    wire_start: tuple[str, ...] = ("H3={wire_mm_s} ; wire speed, mm/s", "M62 ; wire on")
+    wire_stop: tuple[str, ...] = ("M63 ; wire off",)
+    layer_begin: tuple[str, ...] = ()
+    layer_end: tuple[str, ...] = ()
+
+    @field_validator("program_name", "workpiece_directory")
+    @classmethod
+    def _legal_name(cls, value: str) -> str:
+        if not re.fullmatch(r"([A-Z]{2}|_[A-Z])[A-Z0-9_]{0,17}", value) or value in (
+            "CON",
+            "PRN",
+            "AUX",
+            "NUL",
+        ):
+            raise ValueError(
+                "an NC name has 2 to 19 of A-Z, 0-9 and _, and starts with two letters or an underscore and a letter"
+            )
+        return value
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if any(a >= b for a, b in zip(self.travel_min_mm, self.travel_max_mm, strict=True)):
+            raise ValueError("travel_min_mm must be under travel_max_mm on every axis")
+        if self.feed_min_mm_s >= self.feed_max_mm_s:
+            raise ValueError("feed_min_mm_s must be under feed_max_mm_s")
+        if (self.curve_form == "poly" and not self.poly_licensed) or (
+            self.curve_form == "bspline" and not self.bspline_licensed
+        ):
+            raise ValueError(
+                f"curve_form {self.curve_form!r} needs an option that the control is said not to have"
+            )
+        return self
+
+
+class ProcessSettings(Section):
+    """Wire electron-beam process (values: Pixner et al. 2020, Materials 13:3310, and common practice)."""
+
+    voltage_kv: Positive = 60.0
+    current_ma: Positive = 120.0
+    current_max_ma: Positive = 250.0
+    travel_speed_mm_s: Positive = 10.0
+    wire_diameter_mm: Positive = 1.6
+    wire_speed_mm_s: Positive = 2000.0 / 60.0
+    bead_width_mm: Positive = 6.0
+    bead_spacing: Annotated[float, Field(gt=0, le=1)] = 0.72
+    """Distance between parallel beads over the bead width."""
+
+    @property
+    def power_w(self) -> float:
+        """Beam power U I, W."""
+        return self.voltage_kv * self.current_ma
+
+    @property
+    def hatch_spacing_mm(self) -> float:
+        """Distance between parallel beads, mm."""
+        return self.bead_width_mm * self.bead_spacing
+
+    @property
+    def bead_height_mm(self) -> float:
+        """Height of one bead from the mass balance, mm."""
+        return bead_height_mm(
+            self.wire_diameter_mm, self.wire_speed_mm_s, self.travel_speed_mm_s, self.bead_width_mm
+        )
+
+    @model_validator(mode="after")
+    def _current_in_range(self) -> Self:
+        if self.current_ma > self.current_max_ma:
+            raise ValueError(f"current_ma {self.current_ma} is over current_max_ma {self.current_max_ma}")
+        return self
+
+
+class MaterialSettings(Section):
+    """The wire's material."""
+
+    name: str = "Ti-6Al-4V"
+    density_kg_m3: Positive = 4430.0
+
+
+class Config(Section):
+    """All settings of a run."""
+
+    part: PartSettings = PartSettings()
+    layers: LayerSettings = LayerSettings()
+    slicing: SlicingSettings = SlicingSettings()
+    comparison: ComparisonSettings = ComparisonSettings()
+    curves: CurveSettings = CurveSettings()
+    scan: ScanSettings = ScanSettings()
+    machine: MachineSettings = MachineSettings()
+    process: ProcessSettings = ProcessSettings()
+    material: MaterialSettings = MaterialSettings()
+
+    @property
+    def layer_height_mm(self) -> float:
+        """Layer height: the one set, else that of one bead."""
+        return self.layers.layer_height_mm or self.process.bead_height_mm
+
+    @property
+    def contour_offset_mm(self) -> float:
+        """Inset of the contour bead's centre line, mm."""
+        offset = self.scan.contour_offset_mm
+        return 0.5 * self.process.bead_width_mm if offset is None else offset
+
+    def changed(self, **sections: dict[str, Any]) -> Config:
+        """Return the settings with some values of some sections changed, checked anew."""
+        values = self.model_dump()
+        for section, changes in sections.items():
+            values[section] = {**values[section], **changes}
+        return validated(values, "settings")
+
+
+def load_config(path: str | Path | None = None) -> Config:
+    """Read settings from a TOML file; without one, the defaults.
+
+    Raises
+    ------
+    SettingsError
+        If the file is missing, is not TOML, or a key is unknown or a value out of range; the message
+        names the key and the value.
+    """
+    if path is None:
+        return Config()
+    path = Path(path)
+    try:
+        values = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SettingsError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise SettingsError(f"{path}: is not UTF-8 text, as TOML must be") from None
+    except tomllib.TOMLDecodeError as error:
+        raise SettingsError(f"{path}: is not TOML: {error}") from None
+    if path.name == "pyproject.toml":
+        values = values.get("tool", {}).get("ebamcheck", {})
+    return validated(values, str(path))
+
+
+def validated(values: dict[str, Any], where: str) -> Config:
+    """Check a mapping of sections against :class:`Config`."""
+    try:
+        return Config.model_validate(values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(k) for k in first["loc"]) or "settings"
+        given = first.get("input")
+        shown = "" if isinstance(given, dict | BaseModel) else f" (given {given!r})"
+        raise SettingsError(
+            f"{where}: {key}: {first['msg']}{shown}; `ebamcheck config` lists every key"
+        ) from None

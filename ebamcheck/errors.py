@@ -1,0 +1,62 @@
+"""The errors that ebamcheck raises, and the exit code that each one stands for."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+
+class ExitCode(IntEnum):
+    """Exit codes of the command line."""
+
+    PASS = 0
+    OUT_OF_TOLERANCE = 1
+    USAGE = 2
+    INTERNAL = 3
+    BACKEND_MISSING = 4
+    NOTHING_COMPARED = 5
+    INTERRUPTED = 130
+
+
+class EbamcheckError(Exception):
+    """Base of every error that a user can cause and mend.
+
+    The message is one line: what was wrong, where, with which value, and what to do.
+    """
+
+    exit_code: ExitCode = ExitCode.INTERNAL
+
+
+class InputError(EbamcheckError):
+    """A file that cannot be read as what it should be."""
+
+    exit_code = ExitCode.USAGE
+
+
+class SettingsError(EbamcheckError):
+    """A setting, an argument or a configuration file that makes no sense."""
+
+    exit_code = ExitCode.USAGE
+
+
+class BackendMissing(EbamcheckError):
+    """A backend that was asked for is unknown or not available on this machine."""
+
+    exit_code = ExitCode.BACKEND_MISSING
+
+
+class BackendFailed(EbamcheckError):
+    """A backend crashed, hung, ran out of memory or refused the part."""
+
+    exit_code = ExitCode.OUT_OF_TOLERANCE
+
+
+class NothingCompared(EbamcheckError):
+    """A run in which no layer was compared between two methods."""
+
+    exit_code = ExitCode.NOTHING_COMPARED
+
+
+class GeometryError(EbamcheckError):
+    """Geometry on which a stage cannot do its work (a ring too short to fit, say)."""
+
+    exit_code = ExitCode.OUT_OF_TOLERANCE

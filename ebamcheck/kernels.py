@@ -1,0 +1,45 @@
+"""The one way in which this project compiles its numeric kernels.
+
+Kernels are plain functions on numpy columns, compiled by numba, cached on disk and free of the
+interpreter lock, so that :func:`run_blocks` spreads them over threads.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, TypeVar, cast
+
+import numba
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+_Result = TypeVar("_Result")
+
+
+def kernel(function: _Function) -> _Function:
+    """Compile `function` with numba: cached on disk, without the interpreter lock, IEEE arithmetic."""
+    return cast(_Function, numba.njit(cache=True, nogil=True, fastmath=False)(function))
+
+
+def thread_count() -> int:
+    """Threads that kernels may use: ``EBAMCHECK_THREADS``, else the cores this process may run on."""
+    wanted = os.environ.get("EBAMCHECK_THREADS", "")
+    if wanted.isdigit() and int(wanted) > 0:
+        return int(wanted)
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def run_blocks(work: Callable[[int, int], _Result], count: int, smallest: int = 1) -> list[_Result]:
+    """Run ``work(start, stop)`` over consecutive blocks that cover ``range(count)``, on all threads.
+
+    Results come back in the order of the blocks, so that they do not depend on the number of threads
+    as long as a block's result does not depend on where its borders lie.
+    """
+    threads = thread_count()
+    blocks = max(1, min(threads * 4, count // max(smallest, 1)))
+    edges = [count * i // blocks for i in range(blocks + 1)]
+    if threads == 1 or blocks == 1:
+        return [work(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    with ThreadPoolExecutor(threads) as pool:
+        return list(pool.map(work, edges[:-1], edges[1:]))

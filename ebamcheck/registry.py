@@ -1,0 +1,120 @@
+"""Discovery of slicers, models, report writers and post-processors by entry point.
+
+A plugin that does not load warns and is left out; it never stops the others.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+from ebamcheck.backend import BackendSettings, Probe, Slicer
+from ebamcheck.errors import BackendMissing, SettingsError
+
+BACKENDS = "ebamcheck.backends"
+MODELS = "ebamcheck.models"
+REPORTS = "ebamcheck.reports"
+POSTS = "ebamcheck.posts"
+
+
+class BrokenPluginWarning(UserWarning):
+    """An installed plugin could not be loaded."""
+
+
+SLICER_ATTRIBUTES = (
+    "name", "summary", "exact", "priority", "coplanar_rule", "inside_rule", "Settings",
+    "probe", "error_bound_mm", "height_bound_mm", "prepare",
+)  # fmt: skip
+
+
+def load_plugins(group: str) -> dict[str, Any]:
+    """Load every entry point of a group, sorted by name; broken ones warn and are left out."""
+    found: dict[str, Any] = {}
+    for point in sorted(entry_points(group=group), key=lambda p: p.name):
+        try:
+            found[point.name] = point.load()
+        except Exception as error:
+            _warn_broken(point, f"{type(error).__name__}: {error}")
+    return found
+
+
+def _warn_broken(point: EntryPoint, why: str) -> None:
+    warnings.warn(
+        f"plugin {point.name!r} of {point.group} ({point.value}) was left out: {why}",
+        BrokenPluginWarning,
+        stacklevel=3,
+    )
+
+
+@cache
+def slicers() -> Mapping[str, Slicer]:
+    """Return all installed slicers by name."""
+    found: dict[str, Slicer] = {}
+    for point in sorted(entry_points(group=BACKENDS), key=lambda p: p.name):
+        try:
+            slicer = point.load()()
+            missing = [a for a in SLICER_ATTRIBUTES if not hasattr(slicer, a)]
+            if missing:
+                raise TypeError(f"it lacks {', '.join(missing)} of the Slicer protocol")
+            if slicer.name != point.name:
+                raise TypeError(f"it calls itself {slicer.name!r}, its entry point {point.name!r}")
+        except Exception as error:
+            _warn_broken(point, f"{type(error).__name__}: {error}")
+            continue
+        found[point.name] = slicer
+    return found
+
+
+def slicer(name: str) -> Slicer:
+    """Return the slicer of that name; raises :class:`BackendMissing` with the names there are."""
+    known = slicers()
+    if name not in known:
+        raise BackendMissing(f"unknown backend {name!r}: installed are {', '.join(known) or 'none'}")
+    return known[name]
+
+
+@cache
+def probe(name: str) -> Probe:
+    """Probe a slicer once per process; a probe that raises counts as unavailable."""
+    try:
+        return slicer(name).probe()
+    except BackendMissing:
+        raise
+    except Exception as error:
+        return Probe(False, why=f"its probe raised {type(error).__name__}: {error}")
+
+
+def available_slicer(name: str) -> Slicer:
+    """Return the slicer of that name; raises :class:`BackendMissing` where this machine cannot run it."""
+    found = probe(name)
+    if not found.available:
+        hint = f"; {found.hint}" if found.hint else ""
+        raise BackendMissing(f"backend {name!r} is not available: {found.why}{hint}")
+    return slicer(name)
+
+
+def default_backend() -> str:
+    """Name of the available exact slicer of the highest priority."""
+    usable = [s for s in slicers().values() if s.exact and probe(s.name).available]
+    if not usable:
+        raise BackendMissing("no exact backend is available: see `ebamcheck backends` for the reasons")
+    return max(usable, key=lambda s: (s.priority, s.name)).name
+
+
+def slicer_settings(name: str, values: Mapping[str, Any]) -> BackendSettings:
+    """Check settings of a slicer; raises :class:`SettingsError` naming the first that is wrong."""
+    from pydantic import ValidationError
+
+    kind = slicer(name).Settings
+    try:
+        return kind(**values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(k) for k in first["loc"])
+        known = ", ".join(kind.model_fields) or "none"
+        raise SettingsError(
+            f"backend {name!r}, setting {key!r}: {first['msg']} (given {first.get('input')!r}); it knows: {known}"
+        ) from None

@@ -1,0 +1,86 @@
+"""The canonical form of layers, their measures, and their polygons."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ebamcheck.layers import canonical, concatenate, from_polygons, from_rings
+
+SQUARE = np.array([(0, 0), (4, 0), (4, 4), (0, 4)], float)
+HOLE = np.array([(1, 1), (1, 2), (2, 2), (2, 1)], float)
+
+
+def test_canonical_form_does_not_depend_on_where_a_ring_starts():
+    expected = from_rings([1.0], [[SQUARE, HOLE]])
+    for shift in range(4):
+        turned = from_rings([1.0], [[np.roll(HOLE, shift, axis=0), np.roll(SQUARE, -shift, axis=0)]])
+        assert np.array_equal(turned.points, expected.points)
+        assert np.array_equal(turned.ring_starts, expected.ring_starts)
+    assert expected.points[0].tolist() == [0, 0]
+
+
+def test_repeated_points_go_and_rings_without_area_are_counted():
+    doubled = np.repeat(SQUARE, 3, axis=0)
+    closed_again = np.vstack([SQUARE, SQUARE[:1]])
+    spike = np.array([(0, 0), (1, 1), (2, 2), (1, 1)], float)
+    layers = from_rings([1.0], [[doubled, closed_again + 10, spike, spike[:1]]])
+    assert layers.ring_counts().tolist() == [2]
+    assert layers.dropped.tolist() == [2]
+    assert np.diff(layers.ring_starts).tolist() == [4, 4]
+    assert layers.areas().tolist() == [32.0]
+
+
+def test_measures_of_a_square_with_a_hole_and_an_open_path():
+    layers = from_rings([1.0, 2.0], [[SQUARE, HOLE], []], [[[(9, 9), (10, 9)]], []])
+    assert layers.areas().tolist() == [15.0, 0.0]
+    assert layers.perimeters().tolist() == [20.0, 0.0]
+    assert layers.ring_counts().tolist() == [2, 0]
+    assert layers.hole_counts().tolist() == [1, 0]
+    assert layers.open_counts().tolist() == [1, 0]
+    (polygon,) = layers.polygons(0)
+    assert polygon.area == 15.0
+    assert len(polygon.interiors) == 1
+    assert layers.polygons(1) == []
+
+
+def test_area_keeps_its_digits_far_from_the_origin():
+    far = from_rings([0.0], [[SQUARE + 2.0**30]])
+    assert far.areas().tolist() == [16.0]
+
+
+def test_nesting_finds_the_smallest_enclosing_ring():
+    island = HOLE[::-1] * 0.25 + 1.0
+    layers = from_rings([0.0], [[SQUARE, HOLE, island, SQUARE * 1.5 + 100]])
+    by_area = {round(float(a), 6): r for r, a in enumerate(layers.ring_areas)}
+    outer, hole, inner = by_area[16.0], by_area[-1.0], by_area[round(1 / 16, 6)]
+    assert layers.parents[hole] == outer
+    assert layers.parents[inner] == hole
+    assert layers.parents[outer] == -1
+    assert sorted(p.area for p in layers.polygons(0)) == pytest.approx([1 / 16, 15.0, 36.0])
+
+
+def test_take_block_and_concatenate_agree():
+    rng = np.random.default_rng(1)
+    stack = [[SQUARE * s + rng.normal(size=2) for s in rng.uniform(0.5, 2, n)] for n in (2, 0, 3, 1)]
+    layers = from_rings(np.arange(4.0), stack)
+    joined = concatenate([layers.block(0, 1), layers.block(1, 4)])
+    for column in ("heights", "points", "ring_starts", "layer_starts", "closed"):
+        assert np.array_equal(getattr(joined, column), getattr(layers, column))
+    taken = layers.take([2, 0, 2])
+    assert taken.areas().tolist() == layers.areas()[[2, 0, 2]].tolist()
+
+
+def test_polygons_round_trip():
+    layers = from_rings([0.0], [[SQUARE, HOLE]])
+    again = from_polygons([0.0], [layers.polygons(0)])
+    assert np.array_equal(again.points, layers.points)
+    assert np.array_equal(again.ring_starts, layers.ring_starts)
+
+
+def test_a_ring_that_touches_itself_starts_the_same_from_any_of_its_points():
+    bow = np.array([(0, 0), (1, -1), (2, 0), (0, 0), (2, 3), (1, 4)], float)
+    forms = {
+        canonical([0], np.roll(bow, s, axis=0), [0, 6], [0, 1], [True]).points.tobytes() for s in range(6)
+    }
+    assert len(forms) == 1
