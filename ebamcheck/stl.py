@@ -33,7 +33,7 @@ FOREIGN = (
 """First bytes of what people save under the name .stl, and what to tell them."""
 
 
-def read_triangles(data: bytes, name: str) -> tuple[NDArray[np.float32] | NDArray[np.float64], list[str]]:
+def read_triangles(data: bytes, name: str) -> tuple[NDArray[np.float32], list[str]]:
     """Read the corner points of every facet of an STL file.
 
     Parameters
@@ -46,8 +46,8 @@ def read_triangles(data: bytes, name: str) -> tuple[NDArray[np.float32] | NDArra
     Returns
     -------
     triangles
-        (F, 3, 3) corners in the file's unit: float32 as stored in a binary file, float64 as written in an
-        ASCII one.
+        (F, 3, 3) corners in the file's unit, float32: STL's numbers are 32 bits wide, and an ASCII file prints
+        such numbers, so rounding to them makes vertices meet that were printed with different digits.
     notes
         What was odd but harmless, one line each.
 
@@ -203,7 +203,7 @@ def _copy_tokens(
             table[row, j] = text[starts[row] + j]
 
 
-def _ascii(data: bytes, name: str) -> NDArray[np.float64]:
+def _ascii(data: bytes, name: str) -> NDArray[np.float32]:
     text = np.frombuffer(data.removeprefix(BYTE_ORDER_MARK), np.uint8)
     room = (text.size // _SHORTEST_FACET + 1) * _NUMBERS_PER_FACET
     starts, stops = np.zeros(room, np.int64), np.zeros(room, np.int64)
@@ -226,7 +226,7 @@ def _ascii(data: bytes, name: str) -> NDArray[np.float64]:
     too_large = np.flatnonzero(~(np.abs(values) <= LARGEST_FLOAT32))
     if too_large.size:
         _refuse_number(text, name, int(starts[too_large[0]]), "is beyond the range of STL's 32-bit numbers")
-    return values.reshape(-1, 3, 3)
+    return values.astype(np.float32).reshape(-1, 3, 3)
 
 
 def _is_number(token: bytes) -> bool:
