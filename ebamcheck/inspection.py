@@ -120,7 +120,10 @@ def _judge(found: Inspection, unpaired: int, enclosed_mm3: float) -> tuple[Verdi
             "turn them in the model, or use --fix-orientation"
         )
     if unpaired:
-        return "non-manifold", f"{unpaired} edges whose facets do not pair up in opposite directions: mend the model"
+        return (
+            "non-manifold",
+            f"{unpaired} edges whose facets do not pair up in opposite directions: mend the model",
+        )
     if enclosed_mm3 <= NO_VOLUME * max(found.size_mm) ** 3:
         return "flat", f"its facets enclose no volume ({found.volume_mm3:.3g} mm3): there is nothing to build"
     if found.inside_out_bodies:
@@ -179,7 +182,8 @@ def body_volumes(part: Part, body: NDArray[np.int32], bodies: int) -> NDArray[np
     np.minimum.at(first, body[used], np.flatnonzero(used))
     origin = part.vertices[part.faces[first, 0]]
     a, b, c = np.moveaxis(part.triangles[used] - origin[body[used], None, :], 1, 0)
-    return np.bincount(body[used], np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0, minlength=bodies)
+    sixfold = np.bincount(body[used], np.einsum("ij,ij->i", a, np.cross(b, c)), minlength=bodies)
+    return sixfold.astype(np.float64) / 6.0
 
 
 def inside_out_bodies(part: Part, body: NDArray[np.int32], volumes: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -6,6 +6,7 @@ interpreter lock, so that :func:`run_blocks` spreads them over threads.
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -40,6 +41,6 @@ def run_blocks(work: Callable[[int, int], _Result], count: int, smallest: int = 
     blocks = max(1, min(threads * 4, count // max(smallest, 1)))
     edges = [count * i // blocks for i in range(blocks + 1)]
     if threads == 1 or blocks == 1:
-        return [work(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        return [work(a, b) for a, b in itertools.pairwise(edges)]
     with ThreadPoolExecutor(threads) as pool:
         return list(pool.map(work, edges[:-1], edges[1:]))

@@ -25,8 +25,10 @@ def read(path: Path, units: str, millimetres: float) -> Part:
     """Read a mesh file and weld it; see :func:`ebamcheck.part.load`."""
     data = _bytes_of(path)
     suffix = path.suffix.lower()
+    triangles: NDArray[np.float32] | NDArray[np.float64]
+    notes: list[str] = []
     if suffix in TRIMESH_SUFFIXES:
-        triangles, notes = _through_trimesh(data, suffix[1:], path.name), []
+        triangles = _through_trimesh(data, suffix[1:], path.name)
     elif suffix in (".stl", ""):
         triangles, notes = read_triangles(data, path.name)
     else:
@@ -45,8 +47,7 @@ def read(path: Path, units: str, millimetres: float) -> Part:
     )
     largest = float(part.size.max())
     if not SMALLEST_EXTENT_MM <= largest <= LARGEST_EXTENT_MM:
-        notes = [
-            *notes,
+        notes.append(
             f"the part is {largest:.4g} mm in its largest extent: check the unit of the file (read as {units}; see --units)",
         ]
     for note in notes:

@@ -68,7 +68,9 @@ def read_triangles(data: bytes, name: str) -> tuple[NDArray[np.float32], list[st
         if data.removeprefix(BYTE_ORDER_MARK).lstrip().startswith(start):
             raise InputError(f"{name}: is {what}")
     if len(data) < HEADER_BYTES:
-        raise InputError(f"{name}: is no STL file: {len(data)} bytes, under the 84 of a binary header, and no ASCII 'solid'")
+        raise InputError(
+            f"{name}: is no STL file: {len(data)} bytes, under the 84 of a binary header, and no ASCII 'solid'"
+        )
     if len(data) < expected:
         whole = (len(data) - HEADER_BYTES) // FACET_BYTES
         raise InputError(
@@ -105,7 +107,9 @@ def _looks_like_ascii(data: bytes) -> bool:
     The word ``solid`` alone says nothing: many binary files carry it in their header.
     """
     text = data.removeprefix(BYTE_ORDER_MARK)
-    return bool(_ASCII_START.match(text)) or (len(data) < HEADER_BYTES and text.lstrip()[:5].lower() == b"solid")
+    return bool(_ASCII_START.match(text)) or (
+        len(data) < HEADER_BYTES and text.lstrip()[:5].lower() == b"solid"
+    )
 
 
 # -- ASCII: one compiled pass finds every number, one vectorised pass converts them ------------------
@@ -237,8 +241,12 @@ def _is_number(token: bytes) -> bool:
     return True
 
 
-def _refuse_ascii(text: NDArray[np.uint8], name: str, status: int, facets: int, at: int, step: int) -> NoReturn:
-    expected = {0: "'facet' or 'endsolid'"}.get(step, f"{_WORDS[step].decode()!r}" if _WORDS[step] else "a number")
+def _refuse_ascii(
+    text: NDArray[np.uint8], name: str, status: int, facets: int, at: int, step: int
+) -> NoReturn:
+    expected = {0: "'facet' or 'endsolid'"}.get(
+        step, f"{_WORDS[step].decode()!r}" if _WORDS[step] else "a number"
+    )
     if status == _CUT:
         raise InputError(
             f"{name}: line {_line(text, at)}: truncated: the file ends after {facets} facets where {expected} should follow"
@@ -246,7 +254,9 @@ def _refuse_ascii(text: NDArray[np.uint8], name: str, status: int, facets: int, 
     if status == _WANT_SOLID:
         expected = "'solid' or the end of the file"
     if status == _CONTROL:
-        raise InputError(f"{name}: line {_line(text, at)}: byte {int(text[at]):#04x} does not belong in an ASCII STL")
+        raise InputError(
+            f"{name}: line {_line(text, at)}: byte {int(text[at]):#04x} does not belong in an ASCII STL"
+        )
     if status == _BAD_NUMBER:
         _refuse_number(text, name, at, "is not a finite decimal number")
     raise InputError(f"{name}: line {_line(text, at)}: found {_token(text, at)!r}, expected {expected}")

@@ -93,7 +93,10 @@ def _group(faces: NDArray[np.int32], vertex_count: int) -> tuple[NDArray[np.int3
 
 @kernel
 def twins(
-    vertices: NDArray[np.float64], faces: NDArray[np.int32], half_edges: NDArray[np.int32], starts: NDArray[np.int32]
+    vertices: NDArray[np.float64],
+    faces: NDArray[np.int32],
+    half_edges: NDArray[np.int32],
+    starts: NDArray[np.int32],
 ) -> NDArray[np.int32]:
     """Half-edge across each half-edge (3 F,), :data:`NO_TWIN` at an open one.
 
@@ -163,4 +166,3 @@ def _pair_around(
             paired[i] = paired[k] = True
             result[fan[i]] = fan[k]
             result[fan[k]] = fan[i]
-
