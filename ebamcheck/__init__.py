@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from ebamcheck.heights import layer_heights as layer_heights
     from ebamcheck.inspection import inspect as inspect
     from ebamcheck.layers import Layers as Layers
+    from ebamcheck.mesh_files import load as load
     from ebamcheck.part import Part as Part
-    from ebamcheck.part import load as load
     from ebamcheck.program import read_program as read_program
     from ebamcheck.scan import plan_scan as plan_scan
     from ebamcheck.slicing import slice_part as slice
@@ -33,7 +33,7 @@ _PUBLIC = {
     "fit": "ebamcheck.curves",
     "inspect": "ebamcheck.inspection",
     "layer_heights": "ebamcheck.heights",
-    "load": "ebamcheck.part",
+    "load": "ebamcheck.mesh_files",
     "load_config": "ebamcheck.config",
     "plan_scan": "ebamcheck.scan",
     "read_program": "ebamcheck.program",

@@ -12,17 +12,43 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.errors import InputError
+from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.kernels import kernel
-from ebamcheck.part import LARGEST_EXTENT_MM, SMALLEST_EXTENT_MM, Part
+from ebamcheck.part import LARGEST_EXTENT_MM, SMALLEST_EXTENT_MM, UNITS_MM, Part
 from ebamcheck.stl import read_triangles
 
 TRIMESH_SUFFIXES = (".obj", ".ply", ".3mf")
 _log = logging.getLogger(__name__)
 
 
-def read(path: Path, units: str, millimetres: float) -> Part:
-    """Read a mesh file and weld it; see :func:`ebamcheck.part.load`."""
+def load(path: str | Path, units: str = "mm") -> Part:
+    """Read a part from an STL, OBJ, PLY or 3MF file.
+
+    Parameters
+    ----------
+    path
+        The file; its format is told by content for STL and by suffix for the others.
+    units
+        Unit of the file's numbers: mm, cm, m, um, in or ft. Never guessed.
+
+    Returns
+    -------
+    Part
+        Vertices equal in all bits welded, in mm.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, truncated, not what its name says, or holds NaN, inf or no facet.
+    SettingsError
+        If the unit is unknown.
+    """
+    if units not in UNITS_MM:
+        raise SettingsError(f"unknown unit {units!r}: use one of {', '.join(UNITS_MM)}")
+    return _read(Path(path), units, UNITS_MM[units])
+
+
+def _read(path: Path, units: str, millimetres: float) -> Part:
     data = _bytes_of(path)
     suffix = path.suffix.lower()
     triangles: NDArray[np.float32] | NDArray[np.float64]
@@ -48,8 +74,8 @@ def read(path: Path, units: str, millimetres: float) -> Part:
     largest = float(part.size.max())
     if not SMALLEST_EXTENT_MM <= largest <= LARGEST_EXTENT_MM:
         notes.append(
-            f"the part is {largest:.4g} mm in its largest extent: check the unit of the file (read as {units}; see --units)",
-        ]
+            f"the part is {largest:.4g} mm in its largest extent: check the unit of the file (read as {units}; see --units)"
+        )
     for note in notes:
         _log.warning("%s: %s", path.name, note)
     return replace(part, notes=tuple(notes))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -148,32 +147,3 @@ def from_arrays(vertices: ArrayLike, faces: ArrayLike, name: str = "part") -> Pa
             f"{name}: facet {row} is {index[row].tolist()}, but there are {len(points)} vertices"
         )
     return Part(points, index.astype(np.int32), name=name)
-
-
-def load(path: str | Path, units: str = "mm") -> Part:
-    """Read a part from an STL, OBJ, PLY or 3MF file.
-
-    Parameters
-    ----------
-    path
-        The file; its format is told by content for STL and by suffix for the others.
-    units
-        Unit of the file's numbers: mm, cm, m, um, in or ft. Never guessed.
-
-    Returns
-    -------
-    Part
-        Vertices equal in all bits welded, in mm.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, truncated, not what its name says, or holds NaN, inf or no facet.
-    SettingsError
-        If the unit is unknown.
-    """
-    from ebamcheck import mesh_files
-
-    if units not in UNITS_MM:
-        raise SettingsError(f"unknown unit {units!r}: use one of {', '.join(UNITS_MM)}")
-    return mesh_files.read(Path(path), units, UNITS_MM[units])

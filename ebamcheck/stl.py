@@ -92,7 +92,9 @@ def _binary(data: bytes, count: int, name: str) -> NDArray[np.float32]:
     facets = np.frombuffer(data, FACET, count, HEADER_BYTES)
     corners = np.ascontiguousarray(facets["corners"])
     # One multiplication by 0 per number finds NaN and inf (both give NaN) in a single pass.
-    if np.isnan(np.dot(corners.reshape(-1), np.zeros(corners.size, np.float32))):
+    with np.errstate(invalid="ignore"):
+        finite = not np.isnan(np.dot(corners.reshape(-1), np.zeros(corners.size, np.float32)))
+    if not finite:
         facet, corner, axis = np.argwhere(~np.isfinite(corners))[0]
         value = corners[facet, corner, axis]
         raise InputError(

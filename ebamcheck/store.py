@@ -136,7 +136,11 @@ def start_run(target: Path, fingerprint: str, resume: bool) -> RunInProgress:
         If something that is no run folder stands at `target`, or it cannot be written.
     """
     target = Path(os.path.abspath(target))
-    if target.exists() and not (target / MANIFEST).is_file() and (not target.is_dir() or any(target.iterdir())):
+    if (
+        target.exists()
+        and not (target / MANIFEST).is_file()
+        and (not target.is_dir() or any(target.iterdir()))
+    ):
         raise SettingsError(f"{target}: is there and is no run folder: give another place with -o")
     path = target.with_name(f".{target.name}.unfinished")
     mark = path / "fingerprint"

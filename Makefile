@@ -1,0 +1,49 @@
+# `make demo` and `make test` set up all they need: virtual environment, dependencies and, where apt and the right to
+# use it are there, the OpenGL libraries of the stencil backend.
+SHELL := /bin/bash
+.SHELLFLAGS := -eu -o pipefail -c
+.DELETE_ON_ERROR:
+
+VENV := .venv
+BIN := $(VENV)/bin
+PYTEST := $(BIN)/python -m pytest -q
+
+.PHONY: help setup demo test test-slow lint types format benchmark clean
+
+help: ## Show the targets
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
+
+$(VENV)/ready: pyproject.toml .ci/setup
+	@.ci/setup $(VENV)
+	@touch $@
+
+setup: $(VENV)/ready ## Make the virtual environment and install everything into it
+
+demo: setup ## Slice, cross-check, fit, partition and program the demo part; the report is demo/run/report.html
+	@$(BIN)/ebamcheck warm
+	@mkdir -p demo
+	@$(BIN)/python -m ebamcheck_models blade --tolerance 0.1 -o demo/blade.stl
+	@$(BIN)/python -m ebamcheck_models blade --tolerance 0.005 -o demo/blade-fine.stl
+	@$(BIN)/ebamcheck run demo/blade.stl --reference demo/blade-fine.stl -o demo/run
+	@echo "Open demo/run/report.html"
+
+test: setup lint types ## Lint, types, import contracts, doctests and all quick tests
+	@$(PYTEST) -m "not slow" --doctest-modules ebamcheck backends reference_models reports/ebamcheck_reports tests
+
+test-slow: setup ## The tests that take longer
+	@$(PYTEST) -m slow tests
+
+lint: setup
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+	@$(BIN)/lint-imports --no-cache
+
+types: setup
+	@$(BIN)/mypy
+
+format: setup ## Format the code
+	@$(BIN)/ruff check --fix .
+	@$(BIN)/ruff format .
+
+clean: ## Remove what the targets made
+	@rm -rf $(VENV) demo .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -1,0 +1,17 @@
+"""Fixtures of the whole suite."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def corpus() -> Path:
+    """Folder of the mesh corpus; tests that need it skip where there is none."""
+    folder = os.environ.get("EBAMCHECK_CORPUS", "")
+    if not folder:
+        pytest.skip("EBAMCHECK_CORPUS names no folder: the mesh corpus is not part of the project")
+    return Path(folder)

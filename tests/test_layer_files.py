@@ -1,0 +1,230 @@
+"""Layers in Parquet and Arrow streams: every bit comes back, and damaged files are refused by name."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ebamcheck import layer_files
+from ebamcheck.errors import InputError, SettingsError
+from ebamcheck.layers import Layers, canonical, concatenate
+
+COLUMNS = ("heights", "points", "ring_starts", "layer_starts", "closed", "edge", "edge_t", "dropped")
+
+
+def random_layers(seed: int = 0, count: int = 7, edges: bool = True, base: float = 0.0) -> Layers:
+    """Random rings and open paths, empty layers among them, with numbers of every magnitude."""
+    rng = np.random.default_rng(seed)
+    per_layer = rng.integers(0, 4, count)
+    sizes = rng.integers(3, 12, per_layer.sum())
+    points = rng.normal(size=(sizes.sum(), 2)) * 10.0 ** rng.uniform(-300, 12, (sizes.sum(), 1))
+    edge = rng.integers(-1, 1000, (len(points), 2)).astype(np.int32) if edges else None
+    return canonical(
+        base + np.cumsum(rng.uniform(0.1, 1, count)),
+        points,
+        np.concatenate([[0], np.cumsum(sizes)]),
+        np.concatenate([[0], np.cumsum(per_layer)]),
+        rng.random(sizes.size) < 0.8,
+        edge=edge,
+        edge_t=rng.random(len(points)) if edges else None,
+        part="f00d",
+        direction=(0.6, 0.0, 0.8),
+        backend="planecut",
+        settings={"pixel_mm": 0.1, "mode": "literal"},
+    )
+
+
+def assert_same(a: Layers, b: Layers) -> None:
+    for name in COLUMNS:
+        x, y = getattr(a, name), getattr(b, name)
+        assert (x is None) == (y is None), name
+        if x is not None:
+            assert x.dtype == y.dtype, name
+            assert x.shape == y.shape, name
+            assert x.tobytes() == y.tobytes(), name
+    assert a.labels_json() == b.labels_json()
+
+
+@pytest.mark.parametrize("edges", [True, False])
+@pytest.mark.parametrize("count", [0, 1, 40])
+def test_parquet_and_streams_give_every_bit_back(tmp_path, count, edges):
+    layers = random_layers(count, count, edges)
+    layer_files.write_layers(layers, tmp_path / "a.parquet")
+    assert_same(layer_files.read_layers(tmp_path / "a.parquet"), layers)
+    assert layer_files.write_ipc([layers], tmp_path / "a.arrows") == count
+    assert_same(layer_files.read_ipc(tmp_path / "a.arrows"), layers)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10**6), st.integers(0, 12), st.booleans())
+def test_record_batches_give_every_bit_back(seed, count, edges):
+    layers = random_layers(seed, count, edges)
+    assert_same(layer_files.from_arrow(layer_files.to_arrow(layers)), layers)
+
+
+def test_a_slice_of_a_batch_is_a_block_of_layers():
+    layers = random_layers(3, 20)
+    batch = layer_files.to_arrow(layers)
+    assert_same(layer_files.from_arrow(batch.slice(5, 9)), layers.block(5, 14))
+
+
+def test_negative_zero_and_subnormal_numbers_survive(tmp_path):
+    points = np.array([(-0.0, 5e-324), (1.0, -0.0), (0.0, 1.7976931348623157e308)])
+    layers = Layers(np.array([-0.0]), points, np.array([0, 3]), np.array([0, 1]), np.array([True]))
+    layer_files.write_parquet(layers, tmp_path / "a.parquet")
+    assert layer_files.read_parquet(tmp_path / "a.parquet").points.tobytes() == points.tobytes()
+
+
+def test_blocks_of_a_stream_join_to_the_stack(tmp_path):
+    layers = random_layers(5, 30)
+    blocks = [layers.block(a, a + 6) for a in range(0, 30, 6)]
+    assert layer_files.write_ipc(iter(blocks), tmp_path / "s") == 30
+    assert_same(layer_files.read_ipc(tmp_path / "s"), layers)
+    for found, given_block in zip(layer_files.iterate_ipc(tmp_path / "s"), blocks, strict=True):
+        assert_same(found, given_block)
+    assert_same(concatenate(list(layer_files.iterate_ipc(tmp_path / "s"))), layers)
+
+
+def test_same_layers_same_bytes(tmp_path):
+    layers = random_layers(9, 12)
+    for name in ("a.parquet", "b.parquet"):
+        layer_files.write_parquet(layers, tmp_path / name)
+    assert (tmp_path / "a.parquet").read_bytes() == (tmp_path / "b.parquet").read_bytes()
+
+
+def test_other_programs_read_the_table(tmp_path):
+    layers = random_layers(2, 6)
+    layer_files.write_parquet(layers, tmp_path / "a.parquet")
+    table = pq.read_table(tmp_path / "a.parquet")
+    row = table.to_pylist()[4]
+    rings = layers.rings_of(4)
+    assert row["height_mm"] == layers.heights[4]
+    assert [len(x) for x in row["x"]] == [len(layers.ring(r)) for r in rings]
+    assert [list(zip(x, y, strict=True)) for x, y in zip(row["x"], row["y"], strict=True)] == [
+        [tuple(p) for p in layers.ring(r).tolist()] for r in rings
+    ]
+    assert row["closed"] == layers.closed[list(rings)].tolist()
+
+
+def test_every_truncation_of_a_file_is_refused_and_named(tmp_path):
+    layer_files.write_parquet(random_layers(1, 4), tmp_path / "a.parquet")
+    layer_files.write_ipc([random_layers(1, 2), random_layers(2, 2)], tmp_path / "a.arrows")
+    for name, read in (("a.parquet", layer_files.read_parquet), ("a.arrows", layer_files.read_ipc)):
+        whole = (tmp_path / name).read_bytes()
+        for size in [*range(0, len(whole), max(1, len(whole) // 40)), len(whole) - 8, len(whole) - 1]:
+            (tmp_path / "cut").write_bytes(whole[:size])
+            with pytest.raises(InputError, match="cut"):
+                read(tmp_path / "cut")
+
+
+def test_a_stream_cut_between_two_batches_is_refused(tmp_path):
+    layer_files.write_ipc([random_layers(1, 3)], tmp_path / "one")
+    one = (tmp_path / "one").read_bytes()
+    (tmp_path / "cut").write_bytes(one[: -len(layer_files.END_OF_STREAM)])
+    with pytest.raises(InputError, match="did not finish"):
+        layer_files.read_ipc(tmp_path / "cut")
+
+
+def test_a_flipped_bit_in_the_points_is_found(tmp_path):
+    layers = random_layers(4, 30)
+    layer_files.write_parquet(layers, tmp_path / "a.parquet")
+    data = bytearray((tmp_path / "a.parquet").read_bytes())
+    data[len(data) // 3] ^= 4
+    (tmp_path / "b.parquet").write_bytes(bytes(data))
+    with pytest.raises(InputError, match=r"b\.parquet"):
+        layer_files.read_parquet(tmp_path / "b.parquet")
+
+
+def damaged(tmp_path, change):
+    batch = change(layer_files.to_arrow(random_layers(1, 5)))
+    pq.write_table(pa.Table.from_batches([batch]), tmp_path / "bad.parquet")
+    return tmp_path / "bad.parquet"
+
+
+def with_column(batch, name, column):
+    return batch.set_column(batch.schema.get_field_index(name), name, column)
+
+
+def with_nan(batch):
+    heights = batch.column("height_mm").to_pylist()
+    heights[2] = float("nan")
+    return with_column(batch, "height_mm", pa.array(heights))
+
+
+CASES = {
+    "version '2'": lambda b: b.replace_schema_metadata(
+        {**b.schema.metadata, b"ebamcheck.layers.version": b"2"}
+    ),
+    "no version": lambda b: b.replace_schema_metadata(None),
+    "labels": lambda b: b.replace_schema_metadata({layer_files.VERSION_KEY: b"1"}),
+    "'closed' is missing": lambda b: b.drop_columns(["closed"]),
+    "'edge_t' is missing": lambda b: b.drop_columns(["edge_t"]),
+    "'height_mm' is string": lambda b: with_column(b, "height_mm", pa.array(list("abcde"))),
+    "height of layer 2 is nan": with_nan,
+    "column 'y' does not have the rings": lambda b: with_column(b, "y", pa.array([[]] * 5, b["y"].type)),
+    "empty cells": lambda b: with_column(b, "x", pa.array([None] * 5, b["x"].type)),
+    "'closed' does not have one entry": lambda b: with_column(
+        b, "closed", pa.array([[]] * 5, b["closed"].type)
+    ),
+}
+
+
+@pytest.mark.parametrize("says", CASES)
+def test_a_wrong_table_is_refused_and_the_message_says_why(tmp_path, says):
+    with pytest.raises(InputError, match=says) as caught:
+        layer_files.read_parquet(damaged(tmp_path, CASES[says]))
+    assert "bad.parquet" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_and_foreign_files_are_refused(tmp_path):
+    (tmp_path / "text.parquet").write_text("not a table")
+    for name in ("none.parquet", "text.parquet"):
+        with pytest.raises(InputError, match=name):
+            layer_files.read_parquet(tmp_path / name)
+        with pytest.raises(InputError, match=name):
+            layer_files.read_ipc(tmp_path / name)
+
+
+def test_unknown_suffixes_and_folders_are_refused(tmp_path):
+    layers = random_layers(1, 2)
+    with pytest.raises(SettingsError, match=r"\.dxf"):
+        layer_files.write_layers(layers, tmp_path / "a.dxf")
+    with pytest.raises(SettingsError, match=r"\.svg"):
+        layer_files.read_layers(tmp_path / "a.svg")
+    with pytest.raises(SettingsError, match="cannot be written"):
+        layer_files.write_layers(layers, tmp_path / "nowhere" / "a.parquet")
+
+
+def test_blocks_that_do_not_fit_and_no_blocks_are_refused_and_leave_nothing(tmp_path):
+    with pytest.raises(SettingsError, match="at least one"):
+        layer_files.write_ipc([], tmp_path / "s")
+    with pytest.raises(SettingsError, match="layer 3 differs"):
+        layer_files.write_ipc([random_layers(1, 3), random_layers(1, 3, edges=False)], tmp_path / "s")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_write_that_fails_keeps_the_file_that_was_there(tmp_path):
+    layer_files.write_ipc([random_layers(1, 3)], tmp_path / "s")
+    before = (tmp_path / "s").read_bytes()
+
+    def broken():
+        yield random_layers(2, 3)
+        raise RuntimeError("the slicer died")
+
+    with pytest.raises(RuntimeError, match="died"):
+        layer_files.write_ipc(broken(), tmp_path / "s")
+    assert (tmp_path / "s").read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["s"]
+
+
+@pytest.mark.parametrize("suffix", [".parquet", ".cli", ".svg"])
+def test_every_suffix_writes_a_file(tmp_path, suffix):
+    layers = random_layers(1, 4)
+    sound = layers.take(np.flatnonzero(layers.ring_counts() == 0))
+    layer_files.write_layers(sound, tmp_path / f"A{suffix.upper()}")
+    assert (tmp_path / f"A{suffix.upper()}").stat().st_size > 100
