@@ -8,11 +8,13 @@ Version 2.0 of the format (Brite-EuRam project BE 2578), text and binary. What a
 
 The height of a layer is the height at which it was cut. (The format speaks of the top of a layer; other
 programs differ in which of the two they write.) Closed contours repeat their first point, as the format
-asks. Labels of :class:`~ebamcheck.layers.Layers` travel as user data and come back; cut edges do not.
+asks. Labels of :class:`~ebamcheck.layers.Layers` travel as user data and come back, with the number of
+polylines, by which a file cut off between two of them is known; cut edges do not travel.
 """
 
 from __future__ import annotations
 
+import json
 import math
 import struct
 from collections.abc import Iterator
@@ -92,7 +94,7 @@ def _header(layers: Layers, binary: bool, units_mm: float) -> bytes:
         x0, y0, x1, y1 = (v / units_mm for v in layers.bounds())
         z0, z1 = layers.heights[0] / units_mm, layers.heights[-1] / units_mm
         lines.append("$$DIMENSION/" + ",".join(repr(float(v)) for v in (x0, y0, z0, x1, y1, z1)))
-    labels = layers.labels_json()
+    labels = json.dumps({**json.loads(layers.labels_json()), "polylines": layers.closed.size})
     lines.append(f"$$USERDATA/{USER_DATA},{len(labels)},{labels}")
     lines.append("$$HEADEREND" if binary else "$$HEADEREND\n$$GEOMETRYSTART\n")
     return "\n".join(lines).encode("ascii")

@@ -84,6 +84,10 @@ def read_slice_file(path: str | Path) -> SliceFile:
         raise InputError(
             f"{path}: holds {gathered.commands} layers, its header says {header.layers}: it is cut off"
         )
+    if header.polylines is not None and gathered.polylines != header.polylines:
+        raise InputError(
+            f"{path}: holds {gathered.polylines} polylines, its header says {header.polylines}: it is cut off"
+        )
     return SliceFile(
         layers=gathered.layers(),
         hatches=np.asarray(gathered.hatches, dtype=np.int64),
@@ -107,6 +111,8 @@ class _Header:
     layers: int | None = None
     models: dict[int, str] = field(default_factory=dict)
     labels: dict[str, Any] = field(default_factory=dict)
+    polylines: int | None = None
+    """How many there are, where this program wrote the file: the format itself does not say."""
 
 
 class _Gathered:
@@ -153,6 +159,11 @@ class _Gathered:
         """Count hatch lines; coordinates are x, y of the start, x, y of the end .."""
         self._check("hatches", coordinates, offset)
         self.hatches[-1] += coordinates.size // 4
+
+    @property
+    def polylines(self) -> int:
+        """Polylines so far."""
+        return len(self._points)
 
     def layers(self) -> Layers:
         """Everything gathered, in canonical form."""
@@ -256,7 +267,9 @@ def _read_user_data(data: bytes, position: int, end: int, header: _Header) -> in
         raise ValueError
     after = match.end() + int(match[2])
     if match[1] == USER_DATA.encode():
-        values = json.loads(data[match.end() : after])
+        values = dict(json.loads(data[match.end() : after]))
+        if "polylines" in values:
+            header.polylines = int(values["polylines"])
         header.labels = {
             "part": str(values.get("part", "")),
             "direction": tuple(float(v) for v in values.get("direction", (0.0, 0.0, 1.0))),
@@ -326,6 +339,8 @@ def _numbers(gathered: _Gathered, value: bytes, position: int, least: int) -> Fl
     """Numbers between commas, at least so many."""
     fields = value.split(b",")
     try:
+        if b"_" in value:  # Python would read 1_0 as ten
+            raise ValueError
         numbers = np.array(list(map(float, fields)))
     except ValueError:
         wrong = next(f for f in fields if not _is_number(f))
@@ -340,7 +355,7 @@ def _is_number(text: bytes) -> bool:
         float(text)
     except ValueError:
         return False
-    return True
+    return b"_" not in text
 
 
 def _whole(number: float) -> int:

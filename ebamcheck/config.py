@@ -24,7 +24,9 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 class Section(BaseModel):
     """Base of every section: unknown keys are refused, values do not change, defaults are checked."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, validate_default=True, use_attribute_docstrings=True
+    )
 
 
 class PartSettings(Section):
@@ -82,6 +84,8 @@ class CurveSettings(Section):
     """Inner points nearer than this to the chord of a straight run go."""
     straight_run_mm: Positive = 5.0
     """A segment at least this long between two kept points is a straight run, not part of a curve."""
+    tolerance_mm: Positive = 0.2
+    """Gate of the fit: how far a curve may lie from its contour; a thirtieth of a bead's width."""
 
 
 class ScanSettings(Section):
@@ -98,6 +102,8 @@ class ScanSettings(Section):
     """Turn of the hatch from one hexagon to the next, by hexagon index modulo 3."""
     order: Literal["nearest"] = "nearest"
     seed: Annotated[int, Field(ge=0)] = 0
+    least_coverage: Annotated[float, Field(gt=0, le=1)] = 0.95
+    """Gate of the coverage: fraction of each layer's area that the beads must cover."""
     contour_offset_mm: NotNegative | None = None
     """Inset of the contour bead's centre line from the contour; None: half a bead width."""
 

@@ -53,7 +53,7 @@ class Outcome:
     failure: Failure = ""
     why: str = ""
     layers: Layers | None = None
-    probe: Probe = Probe(False)
+    probe: Probe = field(default_factory=lambda: Probe(False))
     error_bound_mm: float = 0.0
     height_bound_mm: float = 0.0
     prepare_s: float = 0.0

@@ -135,7 +135,8 @@ def read_parquet(path: str | Path) -> Layers:
         If the file is missing, truncated, not Parquet, of another version, or lacks a column.
     """
     try:
-        table = pq.read_table(path, page_checksum_verification=True, partitioning=None)
+        with pq.ParquetFile(path, page_checksum_verification=True) as file:
+            table = file.read()
     except (OSError, pa.ArrowException) as error:
         raise InputError(f"{path}: cannot be read as Parquet: {_first_line(error)}") from None
     return _joined(table.to_batches() or [_no_rows(table.schema)], str(path))

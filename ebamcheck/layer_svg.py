@@ -36,7 +36,7 @@ RING = "#1b4f82"
 OPEN = "#d1242f"
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 """Okabe and Ito's colours, which stay apart for colour-blind eyes."""
-DASHES = ("", "7 3", "2 3", "9 3 2 3", "1 4", "12 5", "4 4")
+DASHES = ("", "9 6", "3 7", "9 4 2 4", "1 5", "14 6", "5 5")
 """Lines that lie on each other stay visible by their dashes."""
 
 Box = tuple[float, float, float, float]
@@ -210,7 +210,7 @@ def _region(layers: Layers, k: int, view: _View) -> list[str]:
 
 def _outlines(layers: Layers, k: int, view: _View, colour: str, dash: str, rank: int) -> list[str]:
     """Rings and open paths of a layer as lines; later ones are thinner, so that none hides another."""
-    width = max(1.0, 3.0 - 0.6 * rank)
+    width = max(1.0, 4.0 - 0.8 * rank)
     pattern = f' stroke-dasharray="{dash}"' if dash else ""
     return [
         f'<path d="{view.path(layers.ring(r), bool(layers.closed[r]))}" fill="none" stroke="{colour}" '

@@ -1,1 +1,7 @@
-"""To be written."""
+"""Slicer by manifold3d: an exact plane cut in double precision of meshes that bound a solid."""
+
+from __future__ import annotations
+
+from ebamcheck_manifold.cut import ManifoldCut
+
+__all__ = ["ManifoldCut"]

@@ -23,7 +23,12 @@ CELLS_PER_SEGMENT = 1.0
 def classify_layers(layers: Layers) -> NDArray[np.int8]:
     """Tell clean layers from those with wrongly nested rings and those with touching or crossing ones, (L,)."""
     return _classify(
-        layers.points, layers.ring_starts, layers.layer_starts, layers.closed, layers.ring_areas, layers.ring_bounds
+        layers.points,
+        layers.ring_starts,
+        layers.layer_starts,
+        layers.closed,
+        layers.ring_areas,
+        layers.ring_bounds,
     )
 
 
@@ -75,7 +80,9 @@ def _touching(points: Floats, ring_starts: Ints, closed: Bools, a: int, b: int) 
     following = np.empty(count, np.int64)
     for r in range(a, b):
         for i in range(ring_starts[r], ring_starts[r + 1]):
-            following[i - first] = (i + 1 if i + 1 < ring_starts[r + 1] else ring_starts[r]) if closed[r] else i
+            following[i - first] = (
+                (i + 1 if i + 1 < ring_starts[r + 1] else ring_starts[r]) if closed[r] else i
+            )
     xmin, ymin = np.inf, np.inf
     xmax, ymax = -np.inf, -np.inf
     for i in range(first, last):
@@ -206,7 +213,8 @@ def _keep_rings(layer: Layers) -> Bools:
 def _arrangement(layer: Layers) -> NDArray[np.object_]:
     """Bounded faces of the arrangement of all closed rings of a layer, as shapely polygons."""
     lines = [
-        shapely.LineString(np.vstack([layer.ring(r), layer.ring(r)[:1]])) for r in np.flatnonzero(layer.closed)
+        shapely.LineString(np.vstack([layer.ring(r), layer.ring(r)[:1]]))
+        for r in np.flatnonzero(layer.closed)
     ]
     noded = shapely.union_all(np.array(lines, dtype=object))
     return np.asarray(shapely.get_parts(shapely.polygonize([*shapely.get_parts(noded)])), dtype=object)

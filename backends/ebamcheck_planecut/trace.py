@@ -164,7 +164,14 @@ def trace_layers(
 
 @kernel
 def _emit(
-    vertices: Floats, faces: Index, half_edge: int, h: float, points: Floats, edge: Index, edge_t: Floats, at: int
+    vertices: Floats,
+    faces: Index,
+    half_edge: int,
+    h: float,
+    points: Floats,
+    edge: Index,
+    edge_t: Floats,
+    at: int,
 ) -> int:
     """Write the point where plane `h` cuts the edge of a half-edge; returns the next free row."""
     f, i = half_edge // 3, half_edge % 3

@@ -1,1 +1,19 @@
-"""."""
+"""Comparison of stacks of layers: differences layer by layer, agreement, consensus, named outliers."""
+
+from __future__ import annotations
+
+from ebamcheck.comparison.classes import FACE_ON_PLANE, GENERIC, VERTEX_ON_PLANE, layer_classes
+from ebamcheck.comparison.consensus import Comparison, compare_all
+from ebamcheck.comparison.findings import Finding
+from ebamcheck.comparison.pairwise import compare
+
+__all__ = [
+    "FACE_ON_PLANE",
+    "GENERIC",
+    "VERTEX_ON_PLANE",
+    "Comparison",
+    "Finding",
+    "compare",
+    "compare_all",
+    "layer_classes",
+]

@@ -1,1 +1,25 @@
-"""."""
+"""Curves: contours without corners become splines, and the error of doing so is measured."""
+
+from __future__ import annotations
+
+from ebamcheck.curves.accuracy import contour_error, error_reduction
+from ebamcheck.curves.bezier import BezierSpans
+from ebamcheck.curves.columns import Curves, Piece
+from ebamcheck.curves.deviation import fit_deviation
+from ebamcheck.curves.fitting import METHODS, fit
+from ebamcheck.curves.polar import polar_radius
+from ebamcheck.curves.splitting import LINE, SPLINE
+
+__all__ = [
+    "LINE",
+    "METHODS",
+    "SPLINE",
+    "BezierSpans",
+    "Curves",
+    "Piece",
+    "contour_error",
+    "error_reduction",
+    "fit",
+    "fit_deviation",
+    "polar_radius",
+]

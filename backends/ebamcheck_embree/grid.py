@@ -1,0 +1,87 @@
+"""The grid of rays: where its lines lie, and how fine it is if nobody says."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ebamcheck.errors import SettingsError
+from ebamcheck.part import Part
+
+Mode = Literal["in-plane", "vertical"]
+
+COARSE_LINES = 1024
+"""Cells along the longer side of a small part: the paper's image is of this order."""
+
+FINE_LINES = 4096
+"""Cells along the longer side that an automatic grid does not exceed, to keep the cost of a layer bounded."""
+
+USUAL_CELL_MM = 0.1
+"""Cell of a part of usual size: the pixel of the paper (section 2.2)."""
+
+LARGEST_LINE_COUNT = 65_536
+LARGEST_NODE_COUNT = 1 << 26
+"""More lines, or in vertical mode more nodes, than this is a mistyped cell: it would not fit into memory."""
+
+OFFSET_X, OFFSET_Y = 0.381966, 0.276393
+"""Fractions of a cell by which lines miss the box of the part: faces and vertices of a drawing lie at round
+numbers, these (parts of the golden and the square root of five) do not."""
+
+NUDGE = 1e-3
+"""In cells: a vertical ray that does not pair is moved by this, to miss the edge that it grazed."""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Nodes ``(x0 + i cell, y0 + j cell)``, mm, about the centre of the part; the outermost lie outside it."""
+
+    x0_mm: float
+    y0_mm: float
+    cell_mm: float
+    columns: int
+    rows: int
+
+    @property
+    def column_x_mm(self) -> NDArray[np.float64]:
+        """Abscissa of each column of nodes, (columns,)."""
+        return self.x0_mm + self.cell_mm * np.arange(self.columns, dtype=np.float64)
+
+    @property
+    def row_y_mm(self) -> NDArray[np.float64]:
+        """Ordinate of each row of nodes, (rows,)."""
+        return self.y0_mm + self.cell_mm * np.arange(self.rows, dtype=np.float64)
+
+
+def automatic_cell_mm(part: Part, mode: Mode) -> float:
+    """Cell for a part: its longer side over 1024, in-plane at most 0.1 mm but at least that side over 4096."""
+    side = float(part.size[:2].max(initial=0.0))
+    if side == 0.0:
+        return USUAL_CELL_MM
+    cell = side / COARSE_LINES
+    return cell if mode == "vertical" else max(min(cell, USUAL_CELL_MM), side / FINE_LINES)
+
+
+def grid_over(part: Part, cell_mm: float, mode: Mode) -> Grid:
+    """Lay the grid over the box of a part.
+
+    Raises
+    ------
+    SettingsError
+        If the cell is so fine that the grid would not fit into memory.
+    """
+    (x0, y0, _), (x1, y1, _) = part.bounds - part.bounds.mean(axis=0)
+    cells = max(x1 - x0, y1 - y0) / cell_mm
+    nodes = ((x1 - x0) / cell_mm + 4.0) * ((y1 - y0) / cell_mm + 4.0)
+    if cells > LARGEST_LINE_COUNT - 4 or (mode == "vertical" and nodes > LARGEST_NODE_COUNT):
+        raise SettingsError(
+            f"backend 'embree', setting 'grid_mm': {cell_mm:g} mm gives {cells:.3g} cells along {part.name!r}; "
+            f"leave it out for {automatic_cell_mm(part, mode):.3g} mm, or give a larger one"
+        )
+    left, bottom = x0 - (1.0 + OFFSET_X) * cell_mm, y0 - (1.0 + OFFSET_Y) * cell_mm
+    columns = math.ceil((x1 - left) / cell_mm) + 2
+    rows = math.ceil((y1 - bottom) / cell_mm) + 2
+    return Grid(float(left), float(bottom), cell_mm, columns, rows)

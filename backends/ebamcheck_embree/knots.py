@@ -1,0 +1,228 @@
+"""Where the contour crosses the grid: the knots that marching squares joins.
+
+The rows of the grid say which nodes are inside; where two neighbouring rows differ, the contour crosses the
+grid edge between them. Every cell then has 0, 2 or 4 crossed edges whatever rounding did, so contours close.
+A crossing is one *knot* of a contour: on a row at its own place, on a column where that column's ray says.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ebamcheck.kernels import kernel
+from ebamcheck_embree.crossings import Bools
+from ebamcheck_embree.scene import Facets, Floats, Ints
+
+Lattice = tuple[float, float, float, int, int]
+"""First column's x and first row's y, mm, the cell, mm, and the numbers of columns and rows."""
+
+RayColumns = tuple[Ints, Floats, Facets, Bools]
+"""The columns `starts`, `along`, `facet` and `paired` of :class:`ebamcheck_embree.crossings.Borders`."""
+
+NO_FACET = -1
+"""Facet of a knot that lies at the middle or an end of a grid edge for want of a crossing."""
+
+
+class RowKnots(NamedTuple):
+    """Crossed grid edges of all rows: entering, leaving, entering, leaving along each row."""
+
+    starts: Ints
+    """(rows + 1,) first knot of each row."""
+    node: Ints
+    """(K,) column of the node at the right end of the crossed edge."""
+    along: Floats
+    """(K,) abscissa of the knot, mm."""
+    facet: Facets
+
+
+class ColumnKnots(NamedTuple):
+    """Crossed grid edges between each row and the next."""
+
+    starts: Ints
+    """(rows + 1,) first knot between row j and row j + 1."""
+    node: Ints
+    """(K,) column on which the knot lies, ascending from `starts` to `starts`."""
+    along: Floats
+    """(K,) ordinate of the knot, mm."""
+    facet: Facets
+    up: Bools
+    """(K,) whether the column enters the material there."""
+
+
+@kernel
+def node_after(place: float, first: float, cell: float, count: int) -> int:
+    """Index of the first node at or beyond `place`, at most `count`, by the nodes' own coordinates."""
+    k = min(max(int(np.ceil((place - first) / cell)), 0), count)
+    while k > 0 and first + cell * (k - 1) >= place:
+        k -= 1
+    while k < count and first + cell * k < place:
+        k += 1
+    return k
+
+
+@kernel
+def middle_border(
+    starts: Ints, along: Floats, facet: Facets, line: int, low: float, high: float
+) -> tuple[float, int]:
+    """Border of a ray on the grid edge (low, high]: the middle one of several, else the edge's middle.
+
+    A border within half an edge beyond an end counts as at that end: float64 put it on the other side.
+    """
+    a = starts[line] + np.searchsorted(along[starts[line] : starts[line + 1]], low, side="right")
+    b = starts[line] + np.searchsorted(along[starts[line] : starts[line + 1]], high, side="right")
+    if b > a:
+        k = (a + b) // 2
+        return along[k], facet[k]
+    reach = 0.5 * (high - low)
+    if a > starts[line] and low - along[a - 1] <= reach:
+        return low, NO_FACET
+    if b < starts[line + 1] and along[b] - high <= reach:
+        return high, NO_FACET
+    return 0.5 * (low + high), NO_FACET
+
+
+@kernel
+def _column_inside(starts: Ints, along: Floats, line: int, place: float) -> bool:
+    """Whether a paired ray is inside the material at `place`."""
+    ray = along[starts[line] : starts[line + 1]]
+    return bool(np.searchsorted(ray, place, side="right") % 2 == 1)
+
+
+@kernel
+def _mended_row(
+    y: float,
+    below: NDArray[np.bool_],
+    col_starts: Ints,
+    col_along: Floats,
+    col_paired: Bools,
+) -> NDArray[np.bool_]:
+    """Nodes of a row whose own ray does not pair: by the columns, and where those fail as the row below."""
+    inside = np.zeros(below.size, np.bool_)
+    for i in range(below.size):
+        inside[i] = _column_inside(col_starts, col_along, i, y) if col_paired[i] else below[i]
+    inside[0] = inside[-1] = False
+    return inside
+
+
+@kernel
+def row_knots(
+    grid: Lattice,
+    rows: RayColumns,
+    columns: RayColumns,
+) -> tuple[Ints, Ints, Floats, Facets]:
+    """Crossed edges along rows from the borders of row rays; columns of :class:`RowKnots`.
+
+    An edge with an even number of borders joins nodes of the same side and is not crossed: what lies
+    between is thinner than the cell. A row that does not pair is mended.
+    """
+    x0, y0, cell, column_count, row_count = grid
+    row_starts, row_along, row_facet, row_paired = rows
+    col_starts, col_along, _, col_paired = columns
+    starts = np.zeros(row_count + 1, np.int64)
+    room = row_along.size + column_count + 2
+    node = np.empty(room, np.int64)
+    along = np.empty(room)
+    facet = np.empty(room, np.int32)
+    inside = np.zeros(column_count, np.bool_)
+    last_mended = -2
+    out = 0
+    for j in range(row_count):
+        if out + column_count + row_starts[j + 1] - row_starts[j] + 2 > room:
+            room = 2 * room + column_count
+            node = _grown(node, out, room)
+            along = _grown(along, out, room)
+            facet = _grown(facet, out, room)
+        if row_paired[j]:
+            n = row_starts[j]
+            while n < row_starts[j + 1]:
+                k = node_after(row_along[n], x0, cell, column_count)
+                m = n + 1
+                while m < row_starts[j + 1] and row_along[m] <= x0 + cell * k:
+                    m += 1
+                if (m - n) % 2 == 1:
+                    pick = (n + m) // 2
+                    node[out], along[out], facet[out] = k, row_along[pick], row_facet[pick]
+                    out += 1
+                n = m
+        else:
+            if last_mended != j - 1:
+                inside = _nodes_of_row(node[starts[j - 1] : out], column_count) if j > 0 else inside
+            inside = _mended_row(y0 + cell * j, inside, col_starts, col_along, col_paired)
+            last_mended = j
+            for i in range(1, column_count):
+                if inside[i] != inside[i - 1]:
+                    node[out] = i
+                    along[out], facet[out] = middle_border(
+                        row_starts, row_along, row_facet, j, x0 + cell * (i - 1), x0 + cell * i
+                    )
+                    out += 1
+        starts[j + 1] = out
+    return starts, node[:out], along[:out], facet[:out]
+
+
+@kernel
+def _nodes_of_row(toggles: Ints, count: int) -> NDArray[np.bool_]:
+    inside = np.zeros(count, np.bool_)
+    for n in range(0, toggles.size - 1, 2):
+        inside[toggles[n] : toggles[n + 1]] = True
+    return inside
+
+
+@kernel
+def _grown(old: NDArray[Any], used: int, room: int) -> NDArray[Any]:
+    new = np.empty(room, old.dtype)
+    new[:used] = old[:used]
+    return new
+
+
+@kernel
+def column_knots(
+    grid: Lattice, row_starts: Ints, row_node: Ints, columns: RayColumns
+) -> tuple[Ints, Ints, Floats, Facets, Bools]:
+    """Crossed edges along columns: where the sides of a row's nodes differ from the next row's.
+
+    Columns are those of :class:`ColumnKnots`.
+    """
+    _, y0, cell, column_count, row_count = grid
+    col_starts, col_along, col_facet, _ = columns
+    starts = np.zeros(row_count + 1, np.int64)
+    room = col_along.size + column_count
+    node = np.empty(room, np.int64)
+    up = np.empty(room, np.bool_)
+    out = 0
+    for j in range(row_count - 1):
+        if out + column_count > room:
+            room = 2 * room
+            node, up = _grown(node, out, room), _grown(up, out, room)
+        p, p_end = row_starts[j], row_starts[j + 1]
+        q, q_end = row_starts[j + 1], row_starts[j + 2]
+        lower = upper = False
+        here = 0
+        while p < p_end or q < q_end:
+            a = row_node[p] if p < p_end else row_node[q]
+            b = row_node[q] if q < q_end else row_node[p]
+            following = min(a, b)
+            if lower != upper:
+                for i in range(here, following):
+                    node[out], up[out] = i, upper
+                    out += 1
+            if p < p_end and row_node[p] == following:
+                lower = not lower
+                p += 1
+            if q < q_end and row_node[q] == following:
+                upper = not upper
+                q += 1
+            here = following
+        starts[j + 1] = out
+    starts[row_count] = out
+    along = np.empty(out)
+    facet = np.empty(out, np.int32)
+    for j in range(row_count - 1):
+        for k in range(starts[j], starts[j + 1]):
+            along[k], facet[k] = middle_border(
+                col_starts, col_along, col_facet, node[k], y0 + cell * j, y0 + cell * (j + 1)
+            )
+    return starts, node[:out], along, facet, up[:out]

@@ -1,0 +1,199 @@
+"""Marching squares on the few cells that a contour passes.
+
+Source: the marching squares of the paper (section 3.1), with the measured crossing of each grid edge in the
+place of the interpolated one of its formula 4.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ebamcheck.kernels import kernel
+from ebamcheck_embree.crossings import Bools, edge_point
+from ebamcheck_embree.grid import Grid
+from ebamcheck_embree.knots import NO_FACET, ColumnKnots, Lattice, RayColumns, RowKnots, column_knots
+from ebamcheck_embree.scene import Facets, Floats, Ints
+
+SADDLE = -1
+"""Cell of a link where four knots meet: nothing is added to it."""
+
+
+@kernel
+def _link(
+    row_starts: Ints, row_node: Ints, col_starts: Ints, col_node: Ints, up: Bools, points: Floats
+) -> tuple[Ints, Ints]:
+    """Knot that follows each knot, material on the left; rows' knots come before columns'; and the cell between.
+
+    The second column, (K, 2), is the cell's column and row, :data:`SADDLE` where four knots meet. Cells are swept band by band between two rows, from left to right, by three pointers: into the lower
+    row, the upper row and the columns.
+    """
+    base = row_node.size
+    after = np.full(base + col_node.size, -1, np.int64)
+    cells = np.full((after.size, 2), SADDLE, np.int64)
+    into = np.empty(2, np.int64)
+    out_of = np.empty(2, np.int64)
+    far = np.iinfo(np.int64).max
+    for j in range(row_starts.size - 2):
+        p, q, c = row_starts[j], row_starts[j + 1], col_starts[j]
+        p_end, q_end, c_end = row_starts[j + 1], row_starts[j + 2], col_starts[j + 1]
+        least = -1  # cells left of this one are done
+        while True:
+            cell = far
+            if p < p_end:
+                cell = min(cell, row_node[p] - 1)
+            if q < q_end:
+                cell = min(cell, row_node[q] - 1)
+            if c < c_end:
+                cell = min(cell, max(col_node[c] - 1, least))
+            if cell == far:
+                break
+            ins = outs = 0
+            if p < p_end and row_node[p] - 1 == cell:  # leaving the material rightwards: the contour goes up
+                if (p - row_starts[j]) % 2 == 1:
+                    into[ins] = p
+                    ins += 1
+                else:
+                    out_of[outs] = p
+                    outs += 1
+                p += 1
+            if q < q_end and row_node[q] - 1 == cell:
+                if (q - row_starts[j + 1]) % 2 == 1:
+                    out_of[outs] = q
+                    outs += 1
+                else:
+                    into[ins] = q
+                    ins += 1
+                q += 1
+            if c < c_end and col_node[c] == cell:  # entering the material upwards: the contour goes right
+                if up[c]:
+                    into[ins] = base + c
+                    ins += 1
+                else:
+                    out_of[outs] = base + c
+                    outs += 1
+                c += 1
+            if c < c_end and col_node[c] == cell + 1:
+                if up[c]:
+                    out_of[outs] = base + c
+                    outs += 1
+                else:
+                    into[ins] = base + c
+                    ins += 1
+            straight = True
+            if ins == 2:
+                straight = _gap(points, into[0], out_of[0]) + _gap(points, into[1], out_of[1]) <= (
+                    _gap(points, into[0], out_of[1]) + _gap(points, into[1], out_of[0])
+                )
+            for n in range(ins):
+                after[into[n]] = out_of[n if straight else 1 - n]
+                if ins == 1:
+                    cells[into[n], 0], cells[into[n], 1] = cell, j
+            least = cell + 1
+    return after, cells
+
+
+@kernel
+def _gap(points: Floats, a: int, b: int) -> float:
+    return math.hypot(points[a, 0] - points[b, 0], points[a, 1] - points[b, 1])
+
+
+@kernel
+def knot_points(
+    grid: Lattice,
+    row_starts: Ints,
+    row_along: Floats,
+    col_starts: Ints,
+    col_node: Ints,
+    col_along: Floats,
+) -> Floats:
+    """Places of all knots (K, 2), mm, rows' before columns'."""
+    x0, y0, cell, _, row_count = grid
+    points = np.empty((row_along.size + col_along.size, 2))
+    for j in range(row_count):
+        for k in range(row_starts[j], row_starts[j + 1]):
+            points[k, 0], points[k, 1] = row_along[k], y0 + cell * j
+    for k in range(col_along.size):
+        points[row_along.size + k, 0] = x0 + cell * col_node[k]
+        points[row_along.size + k, 1] = col_along[k]
+    return points
+
+
+@kernel
+def _shared_corner(vertices: Floats, faces: Facets, f: int, g: int, z: float) -> tuple[bool, float, float]:
+    """Point at which the plane cuts the mesh edge that two facets share, if it cuts one."""
+    for m in range(3):
+        a, b = faces[f, m], faces[f, (m + 1) % 3]
+        if (vertices[a, 2] <= z) == (vertices[b, 2] <= z):
+            continue
+        for n in range(3):
+            if faces[g, n] == b and faces[g, (n + 1) % 3] == a:
+                low, high = (a, b) if vertices[a, 2] <= z else (b, a)
+                x, y = edge_point(vertices, low, high, z)
+                return True, x, y
+    return False, 0.0, 0.0
+
+
+@kernel
+def _chain(
+    grid: Lattice,
+    after: Ints,
+    cells: Ints,
+    points: Floats,
+    facet: Facets,
+    mesh: tuple[Floats, Facets],
+    z: float,
+    corners: bool,
+) -> tuple[Floats, Ints]:
+    """Rings along the links; with `corners`, the section's own vertex between two knots of a cell.
+
+    Where the facets of two linked knots share an edge, the contour between the knots turns exactly where
+    the plane cuts that edge; the turn is kept if it lies in the cell. Of knots in a row on one facet only
+    the first and the last are kept: the others lie on the line between.
+    """
+    x0, y0, size, _, _ = grid
+    vertices, faces = mesh
+    out_points = np.empty((2 * after.size, 2))
+    ring_starts = np.zeros(after.size + 1, np.int64)
+    seen = np.zeros(after.size, np.bool_)
+    out = rings = 0
+    for first in range(after.size):
+        if seen[first]:
+            continue
+        k = first
+        previous = NO_FACET
+        while not seen[k]:
+            seen[k] = True
+            f, g = facet[k], facet[after[k]]
+            if f == NO_FACET or f != previous or f != g:
+                out_points[out] = points[k]
+                out += 1
+            previous = f
+            if corners and f != g and f != NO_FACET and g != NO_FACET and cells[k, 0] != SADDLE:
+                found, x, y = _shared_corner(vertices, faces, f, g, z)
+                left, bottom = x0 + size * cells[k, 0], y0 + size * cells[k, 1]
+                if found and left < x < left + size and bottom < y < bottom + size:
+                    out_points[out, 0], out_points[out, 1] = x, y
+                    out += 1
+            k = after[k]
+        rings += 1
+        ring_starts[rings] = out
+    return out_points[:out], ring_starts[: rings + 1]
+
+
+def contours(
+    grid: Grid,
+    knots: RowKnots,
+    columns: RayColumns,
+    mesh: tuple[Floats, Facets],
+    z: float,
+    corners: bool,
+) -> tuple[Floats, Ints]:
+    """Rings of one layer: points (N, 2), mm about the centre of the part, and ring starts (R + 1,)."""
+    lattice = (grid.x0_mm, grid.y0_mm, grid.cell_mm, grid.columns, grid.rows)
+    across = ColumnKnots(*column_knots(lattice, knots.starts, knots.node, columns))
+    points = knot_points(lattice, knots.starts, knots.along, across.starts, across.node, across.along)
+    after, cells = _link(knots.starts, knots.node, across.starts, across.node, across.up, points)
+    facet = np.concatenate([knots.facet, across.facet])
+    return _chain(lattice, after, cells, points, facet, mesh, z, corners)

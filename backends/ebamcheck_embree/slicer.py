@@ -1,0 +1,106 @@
+"""The ray-casting slicer behind the protocol of a slicer."""
+
+from __future__ import annotations
+
+import math
+from importlib.metadata import PackageNotFoundError, version
+from typing import Annotated, ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from ebamcheck.backend import BackendSettings, CoplanarRule, Prepared, Probe
+from ebamcheck.errors import BackendFailed
+from ebamcheck.part import Part
+from ebamcheck_embree.grid import NUDGE, Mode, automatic_cell_mm, grid_over
+
+IN_PLANE_BOUND = math.sqrt(0.5)
+"""Bound over cell, in-plane. What a cell gives or takes wrongly is a union of triangles whose corners are
+nodes of the other side or points of the contour, all in one cell: no point of it is farther from a corner
+than the radius of the circle around the cell."""
+
+VERTICAL_BOUND = math.sqrt(10.0) / 4.0 + 2.0 * NUDGE
+"""Bound over cell, vertical. Knots in the middle of grid edges may lie off the contour, so only nodes
+count: the farthest is the middle of a cut corner, from the two nodes beside that corner;
+and a ray may have been moved."""
+
+SINGLE_EPS = 2.0**-24
+SINGLE_ROUNDINGS = 8.0
+"""Roundings of single precision between a facet and a ray that just misses it."""
+
+
+class EmbreeSettings(BackendSettings):
+    """Settings of the ray-casting slicer."""
+
+    grid_mm: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
+    """Distance between rays. None: the part's longer side in x and y over 1024; in-plane at most 0.1 mm, but
+    not under that side over 4096."""
+    mode: Mode = "in-plane"
+    """in-plane: rays along rows and columns of each layer, contours on the mesh's own section.
+    vertical: one cast for all layers, contours on the middles of grid edges."""
+    rays_per_call: Annotated[int, Field(ge=1024)] = 65_536
+    """Rays in one call of Embree: bounds memory, changes no result."""
+
+
+class Embree:
+    """Ray casting with Embree; float64 decides and places what its single precision finds."""
+
+    name: ClassVar[str] = "embree"
+    summary: ClassVar[str] = "ray casting by Embree, in-plane or vertical, and marching squares"
+    exact: ClassVar[bool] = False
+    priority: ClassVar[int] = 20
+    coplanar_rule: ClassVar[CoplanarRule] = "undefined"
+    inside_rule: ClassVar[str] = "winding > 0"
+    Settings: ClassVar[type[BackendSettings]] = EmbreeSettings
+
+    def probe(self) -> Probe:
+        """Whether embreex can be imported."""
+        try:
+            from embreex import rtcore_scene  # noqa: F401
+
+            found = version("embreex")
+        except (ImportError, OSError, PackageNotFoundError) as error:
+            return Probe(False, why=f"embreex cannot be imported: {error}", hint="pip install embreex")
+        return Probe(True, versions={"embreex": found})
+
+    def error_bound_mm(self, part: Part, settings: BackendSettings) -> float:
+        """Return what a cell may hide, and single and double rounding at the part's size, mm."""
+        checked = _own(settings)
+        cell = checked.grid_mm or automatic_cell_mm(part, checked.mode)
+        factor = IN_PLANE_BOUND if checked.mode == "in-plane" else VERTICAL_BOUND
+        single = SINGLE_ROUNDINGS * SINGLE_EPS * float(part.size.max(initial=0.0))
+        return factor * cell + single + 4.0 * np.finfo(np.float64).eps * float(np.abs(part.bounds).max())
+
+    def height_bound_mm(self, part: Part, settings: BackendSettings) -> float:
+        """Return single rounding of heights about the part's middle, and double rounding at its place, mm."""
+        single = 4.0 * SINGLE_EPS * 0.5 * float(part.size[2])
+        return single + 4.0 * np.finfo(np.float64).eps * float(np.abs(part.bounds[:, 2]).max())
+
+    def prepare(self, part: Part, settings: BackendSettings) -> Prepared:
+        """Build the tree, and in vertical mode cast all rays.
+
+        Raises
+        ------
+        SettingsError
+            If the grid would not fit into memory.
+        BackendFailed
+            If the part's size is beyond single precision.
+        """
+        checked = _own(settings)
+        if not math.isfinite(float(np.float32(part.size.max(initial=0.0)) ** 2)):
+            raise BackendFailed(
+                f"embree: part {part.name!r} is {part.size.max():.3g} mm large, beyond single precision"
+            )
+        grid = grid_over(part, checked.grid_mm or automatic_cell_mm(part, checked.mode), checked.mode)
+        labels = {**checked.model_dump(), "grid_mm": grid.cell_mm}
+        if checked.mode == "vertical":
+            from ebamcheck_embree.vertical import VerticalRays
+
+            return VerticalRays(part, grid, checked.rays_per_call, labels)
+        from ebamcheck_embree.in_plane import InPlaneRays
+
+        return InPlaneRays(part, grid, checked.rays_per_call, labels)
+
+
+def _own(settings: BackendSettings) -> EmbreeSettings:
+    return settings if isinstance(settings, EmbreeSettings) else EmbreeSettings(**settings.model_dump())

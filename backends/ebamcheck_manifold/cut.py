@@ -1,0 +1,161 @@
+"""The plane cut of manifold3d behind the protocol of a slicer."""
+
+from __future__ import annotations
+
+from importlib.metadata import PackageNotFoundError, version
+from types import TracebackType
+from typing import TYPE_CHECKING, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ebamcheck.backend import BackendSettings, CoplanarRule, Probe, Progress
+from ebamcheck.errors import BackendFailed
+from ebamcheck.layers import Layers, canonical
+from ebamcheck.part import Part
+from ebamcheck_manifold.placement import Floats, Placement, exact_placement
+
+if TYPE_CHECKING:
+    from manifold3d import Manifold
+
+CONTOUR_ROUNDING = 1e-8
+"""Grid of a cross-section's coordinates: manifold3d keeps eight decimals."""
+
+MERGE_TOLERANCE = 1e-12
+"""Relative to the largest coordinate: vertices nearer to each other than this are one to manifold3d."""
+
+
+class ManifoldSettings(BackendSettings):
+    """manifold3d has no settings: a cut is exact."""
+
+
+class ManifoldCut:
+    """Exact cut of manifold3d; it takes only meshes whose facets pair up at every edge.
+
+    A section is the union of the regions of positive winding, which manifold3d makes of every cut, so
+    overlapping shells unite and a body that is inside out has no section.
+    """
+
+    name: ClassVar[str] = "manifold"
+    summary: ClassVar[str] = "exact plane cut by manifold3d, double precision; refuses non-manifold meshes"
+    exact: ClassVar[bool] = True
+    priority: ClassVar[int] = 50
+    coplanar_rule: ClassVar[CoplanarRule] = "half-open"
+    inside_rule: ClassVar[str] = "winding > 0"
+    Settings: ClassVar[type[BackendSettings]] = ManifoldSettings
+
+    def probe(self) -> Probe:
+        """Whether manifold3d can be imported."""
+        try:
+            import manifold3d  # noqa: F401
+
+            found = version("manifold3d")
+        except (ImportError, OSError, PackageNotFoundError) as error:
+            return Probe(False, why=f"manifold3d cannot be imported: {error}", hint="pip install manifold3d")
+        return Probe(True, versions={"manifold3d": found})
+
+    def error_bound_mm(self, part: Part, settings: BackendSettings) -> float:
+        """Return the rounding of contours, of merged vertices and of the coordinates themselves, mm.
+
+        Twice each: a corner of a union is the rounded crossing of two rounded edges.
+        """
+        largest = float(np.abs(part.bounds).max())
+        rounding = CONTOUR_ROUNDING / exact_placement(part).scale
+        return 2.0 * (rounding + MERGE_TOLERANCE * _reach_mm(part) + np.finfo(np.float64).eps * largest)
+
+    def height_bound_mm(self, part: Part, settings: BackendSettings) -> float:
+        """Return how far manifold3d may move a vertex that it merges, mm; planes themselves are exact."""
+        return 2.0 * MERGE_TOLERANCE * _reach_mm(part)
+
+    def prepare(self, part: Part, settings: BackendSettings) -> PreparedManifold:
+        """Build the manifold.
+
+        Raises
+        ------
+        BackendFailed
+            If manifold3d refuses the mesh, with its status and the number of edges that do not pair.
+        """
+        return PreparedManifold(part, exact_placement(part), settings)
+
+
+class PreparedManifold:
+    """A manifold to be cut as often as wanted."""
+
+    def __init__(self, part: Part, placement: Placement, settings: BackendSettings) -> None:
+        self.part = part
+        self.placement = placement
+        self.settings = settings
+        self._manifold: Manifold | None = build(part, placement)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._manifold = None
+
+    def slice(self, heights: NDArray[np.float64], progress: Progress | None = None) -> Layers:
+        """Cut at strictly increasing heights (L,), mm; one thread, as manifold3d holds the interpreter lock."""
+        if self._manifold is None:
+            raise BackendFailed(f"manifold: part {self.part.name!r} was released: prepare it again")
+        least, greatest = self.part.bounds[:, 2]
+        found: list[Floats] = []
+        layer_starts = np.zeros(len(heights) + 1, np.int64)
+        for k, z_mm in enumerate(heights.tolist()):
+            if least <= z_mm < greatest:
+                section = self._manifold.slice(self.placement.height(z_mm))
+                found.extend(np.asarray(ring, np.float64) for ring in section.to_polygons())
+            layer_starts[k + 1] = len(found)
+            if progress is not None:
+                progress(1)
+        points = np.concatenate(found) if found else np.zeros((0, 2))
+        return canonical(
+            heights,
+            self.placement.undo(points),
+            np.concatenate([[0], np.cumsum([len(ring) for ring in found], dtype=np.int64)]),
+            layer_starts,
+            np.ones(len(found), np.bool_),
+            part=self.part.sha256,
+            direction=self.part.direction,
+            backend=ManifoldCut.name,
+            settings=self.settings.model_dump(),
+        )
+
+
+def build(part: Part, placement: Placement) -> Manifold:
+    """Build the manifold of a part; raises :class:`BackendFailed` where manifold3d refuses it."""
+    from manifold3d import Error, Manifold, Mesh64
+
+    faces = _facets_with_three_vertices(part.faces)
+    mesh = Mesh64(placement.apply(part.vertices), np.ascontiguousarray(faces, dtype=np.uint64))
+    manifold = Manifold(mesh)
+    status = manifold.status()
+    if status != Error.NoError:
+        unpaired = unpaired_edges(faces)
+        where = f": at {unpaired} edges the facets do not pair" if unpaired else ""
+        raise BackendFailed(
+            f"manifold: part {part.name!r} ({len(part.faces)} facets) is refused, status {status.name}{where}; "
+            "mend the mesh or slice it with another backend"
+        )
+    return manifold
+
+
+def unpaired_edges(faces: NDArray[np.int32]) -> int:
+    """Edges that facets run along more often one way than the other."""
+    start, end = faces.ravel().astype(np.int64), np.roll(faces, -1, axis=1).ravel().astype(np.int64)
+    low, high = np.minimum(start, end), np.maximum(start, end)
+    _, edge = np.unique(low * (int(high.max(initial=0)) + 1) + high, return_inverse=True)
+    return int(np.count_nonzero(np.bincount(edge, np.where(start < end, 1.0, -1.0))))
+
+
+def _facets_with_three_vertices(faces: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Leave out facets that name a vertex twice: no plane cuts them, and manifold3d would refuse them."""
+    a, b, c = faces.T
+    kept: NDArray[np.int32] = faces[(a != b) & (b != c) & (c != a)]
+    return kept
+
+
+def _reach_mm(part: Part) -> float:
+    """Largest coordinate as manifold3d gets it, in mm."""
+    return float(np.abs(part.bounds - exact_placement(part).shift_mm).max())

@@ -1,0 +1,190 @@
+"""Crossings: the heights at which the ray of each pixel, going up, enters and leaves the solid.
+
+A fragment says that the ray of a pixel meets a facet. Its height is interpolated in double precision
+from the very lattice triangle that was drawn, so it never leaves the facet, and the image of a closed
+surface stays closed: a pixel centre can be on the wrong side of a contour only if the lattice moved the
+contour over it. Overlapping bodies unite here, once for all heights: a crossing is where the winding number
+along the ray changes between 0 or less and 1 or more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ebamcheck.kernels import kernel, run_blocks
+from ebamcheck.part import Part
+from ebamcheck_stencil.field_of_view import SUBPIXELS
+
+SMALLEST_BLOCK = 65536
+"""Fragments or pixels under which a thread is not worth its start."""
+
+FEW_FRAGMENTS = 32
+"""Up to this many fragments of a pixel are sorted by insertion; most pixels have two."""
+
+
+@dataclass(frozen=True)
+class Crossings:
+    """Where rays enter and leave the solid, a pixel's crossings together and going up.
+
+    Parameters
+    ----------
+    pixels
+        (E,) uint32, ``row * stride + column`` in the field of view.
+    heights
+        (E,) float64, mm: the pixel changes from empty to solid or back above this height.
+    unbalanced
+        Rays that do not come out again as often as they went in: the surface is not closed.
+    """
+
+    pixels: NDArray[np.uint32]
+    heights: NDArray[np.float64]
+    unbalanced: int
+
+
+def join(parts: Sequence[Crossings]) -> Crossings:
+    """Join the crossings of several blocks of pixels."""
+    return Crossings(
+        np.concatenate([np.zeros(0, np.uint32), *(p.pixels for p in parts)]),
+        np.concatenate([np.zeros(0), *(p.heights for p in parts)]),
+        sum(p.unbalanced for p in parts),
+    )
+
+
+def crossings_of_fragments(
+    fragments: NDArray[np.uint32],
+    part: Part,
+    lattice: NDArray[np.int32],
+    stride: int,
+    first_row: int,
+    rows: int,
+) -> list[Crossings]:
+    """Resolve the fragments (n, 2: pixel, facet) of some rows of pixels into crossings, block by block."""
+    heights = np.empty(len(fragments))
+    signs = np.empty(len(fragments), np.int8)
+    z = np.ascontiguousarray(part.vertices[:, 2])
+
+    def measure(start: int, stop: int) -> None:
+        _measure(fragments, start, stop, part.faces, lattice, z, stride, heights, signs)
+
+    run_blocks(measure, len(fragments), SMALLEST_BLOCK)
+    first_pixel = first_row * stride
+    starts, heights, signs = _group(fragments, first_pixel, rows * stride, heights, signs)
+
+    def resolve(start: int, stop: int) -> Crossings:
+        return Crossings(*_resolve(starts, heights, signs, start, stop, first_pixel))
+
+    return run_blocks(resolve, rows * stride, SMALLEST_BLOCK)
+
+
+@kernel
+def _measure(
+    fragments: NDArray[np.uint32],
+    start: int,
+    stop: int,
+    faces: NDArray[np.int32],
+    lattice: NDArray[np.int32],
+    z: NDArray[np.float64],
+    stride: int,
+    heights: NDArray[np.float64],
+    signs: NDArray[np.int8],
+) -> None:
+    """Height and sign (+1 going in, -1 going out) of fragments ``start .. stop - 1``."""
+    for i in range(start, stop):
+        pixel = np.int64(fragments[i, 0])
+        facet = np.int64(fragments[i, 1])
+        a, b, c = faces[facet, 0], faces[facet, 1], faces[facet, 2]
+        ax, ay = np.int64(lattice[a, 0]), np.int64(lattice[a, 1])
+        ux, uy = np.int64(lattice[b, 0]) - ax, np.int64(lattice[b, 1]) - ay
+        vx, vy = np.int64(lattice[c, 0]) - ax, np.int64(lattice[c, 1]) - ay
+        row = pixel // stride
+        px = (pixel - row * stride) * SUBPIXELS + SUBPIXELS // 2 - ax
+        py = row * SUBPIXELS + SUBPIXELS // 2 - ay
+        doubled_area = ux * vy - uy * vx
+        rise = float(px * vy - py * vx) * (z[b] - z[a]) + float(ux * py - uy * px) * (z[c] - z[a])
+        height = z[a] + rise / doubled_area
+        lowest, highest = min(z[a], z[b], z[c]), max(z[a], z[b], z[c])
+        heights[i] = min(max(height, lowest), highest)
+        signs[i] = -1 if doubled_area > 0 else 1
+
+
+@kernel
+def _group(
+    fragments: NDArray[np.uint32],
+    first_pixel: int,
+    pixels: int,
+    heights: NDArray[np.float64],
+    signs: NDArray[np.int8],
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int8]]:
+    """Bring fragments into the order of their pixels (counting sort); also each pixel's first row."""
+    starts = np.zeros(pixels + 1, np.int64)
+    for i in range(fragments.shape[0]):
+        starts[np.int64(fragments[i, 0]) - first_pixel + 1] += 1
+    for p in range(pixels):
+        starts[p + 1] += starts[p]
+    place = starts[:-1].copy()
+    sorted_heights = np.empty(fragments.shape[0])
+    sorted_signs = np.empty(fragments.shape[0], np.int8)
+    for i in range(fragments.shape[0]):
+        pixel = np.int64(fragments[i, 0]) - first_pixel
+        sorted_heights[place[pixel]] = heights[i]
+        sorted_signs[place[pixel]] = signs[i]
+        place[pixel] += 1
+    return starts, sorted_heights, sorted_signs
+
+
+@kernel
+def _sort_ray(heights: NDArray[np.float64], signs: NDArray[np.int8]) -> None:
+    """Sort the fragments of one ray by height, in place."""
+    count = heights.size
+    if count > FEW_FRAGMENTS:
+        order = np.argsort(heights)
+        heights[:] = heights[order]
+        signs[:] = signs[order]
+        return
+    for i in range(1, count):
+        height, sign = heights[i], signs[i]
+        k = i
+        while k > 0 and heights[k - 1] > height:
+            heights[k], signs[k] = heights[k - 1], signs[k - 1]
+            k -= 1
+        heights[k], signs[k] = height, sign
+
+
+@kernel
+def _resolve(
+    starts: NDArray[np.int64],
+    heights: NDArray[np.float64],
+    signs: NDArray[np.int8],
+    start: int,
+    stop: int,
+    first_pixel: int,
+) -> tuple[NDArray[np.uint32], NDArray[np.float64], int]:
+    """Crossings of pixels ``start .. stop - 1`` and the number of rays that do not balance."""
+    most = starts[stop] - starts[start]
+    out_pixels = np.empty(most, np.uint32)
+    out_heights = np.empty(most)
+    n = 0
+    unbalanced = 0
+    for p in range(start, stop):
+        a, b = starts[p], starts[p + 1]
+        if a == b:
+            continue
+        _sort_ray(heights[a:b], signs[a:b])
+        winding = 0
+        solid = False
+        for i in range(a, b):
+            winding += signs[i]
+            # Facets at one height act together: only the sum of their signs counts.
+            if i + 1 < b and heights[i + 1] == heights[i]:
+                continue
+            if (winding > 0) != solid:
+                solid = not solid
+                out_pixels[n] = p + first_pixel
+                out_heights[n] = heights[i]
+                n += 1
+        unbalanced += winding != 0
+    return out_pixels[:n], out_heights[:n], unbalanced

@@ -1,0 +1,74 @@
+"""A part drawn once: any layer follows from the crossings of its rays."""
+
+from __future__ import annotations
+
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ebamcheck.backend import Progress
+from ebamcheck.kernels import run_blocks
+from ebamcheck.layers import Layers, canonical, concatenate
+from ebamcheck_stencil.bitmaps import empty_bitmap, flip, flips_by_layer
+from ebamcheck_stencil.crossings import Crossings
+from ebamcheck_stencil.field_of_view import WORD_BITS, FieldOfView
+from ebamcheck_stencil.marching_squares import contours_of_layers
+
+Walked = tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]
+"""Points in mm, points of each ring, and rings of each layer of a block of layers."""
+
+LAYERS_AT_ONCE = 256
+"""Layers between two reports of progress; also bounds the memory of contours on their way."""
+
+
+class DrawnOnce:
+    """A part drawn once: the crossings of all rays, from which any layer follows without OpenGL."""
+
+    def __init__(self, view: FieldOfView, crossings: Crossings, labels: dict[str, Any]) -> None:
+        self._view = view
+        self._crossings = crossings
+        self._labels = labels
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Nothing to free: the context went when the part was drawn."""
+
+    def slice(self, heights: NDArray[np.float64], progress: Progress | None = None) -> Layers:
+        """Cut at strictly increasing heights (L,), in any number of calls."""
+        heights = np.ascontiguousarray(heights, dtype=np.float64)
+        flips = flips_by_layer(self._crossings, heights)
+        bitmap = empty_bitmap(self._view)
+        row_words = self._view.stride_px // WORD_BITS
+        blocks: list[Layers] = []
+        for first in range(0, max(1, heights.size), LAYERS_AT_ONCE):
+            last = min(first + LAYERS_AT_ONCE, heights.size)
+
+            def walk(start: int, stop: int, first: int = first) -> Walked:
+                points, ring_starts, ring_counts = contours_of_layers(
+                    bitmap, flips, first, first + start, first + stop, row_words
+                )
+                return self._view.to_mm(points), np.diff(ring_starts), ring_counts
+
+            blocks.append(self._layers(heights[first:last], run_blocks(walk, last - first)))
+            flip(bitmap, flips.pixels[flips.starts[first] : flips.starts[last]])
+            if progress is not None:
+                progress(last - first)
+        return concatenate(blocks)
+
+    def _layers(self, heights: NDArray[np.float64], walked: list[Walked]) -> Layers:
+        """Join the points, ring sizes and ring counts that threads walked into canonical layers."""
+        points, ring_sizes, ring_counts = (np.concatenate(column) for column in zip(*walked, strict=True))
+        return canonical(
+            heights,
+            points,
+            np.concatenate([[0], np.cumsum(ring_sizes)]),
+            np.concatenate([[0], np.cumsum(ring_counts)]),
+            np.ones(len(ring_sizes), np.bool_),
+            **self._labels,
+        )

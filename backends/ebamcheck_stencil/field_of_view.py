@@ -1,0 +1,104 @@
+"""The field of view: the grid of pixels over a part, and the lattice on which facets are drawn.
+
+Rasterisers move every vertex to a lattice of 1/256 pixel before they decide which pixel centres a facet
+covers. Vertices are put on that lattice here, in double precision and about the part's own corner, and
+reach the rasteriser through a viewport whose side is a power of two, where every step is exact in
+float32. So which facet covers which pixel is known to the last bit, is the same on every driver, does not
+depend on how the field is tiled, and does not suffer from a part that lies far from the origin.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ebamcheck.part import Part
+
+SUBPIXELS = 256
+"""Lattice steps in a pixel: the 8 bits of GL_SUBPIXEL_BITS that every desktop driver offers."""
+
+MARGIN_PX = 2
+"""Empty pixels kept around the part, so that every contour closes inside the field of view."""
+
+GRID_SHIFT_PX = (0.381966, 0.236068)
+"""Where the part's low corner lies within its pixel (golden-section fractions, unlike in x and y).
+
+Parts are drawn in round numbers: without the shift pixel centres would lie on faces and 45 degree edges.
+"""
+
+WORD_BITS = 64
+"""Rows of bitmaps are padded to whole words of this size."""
+
+FINEST_AUTOMATIC_MM = 0.1
+"""The paper's pixel (section 2.2)."""
+FEWEST_AUTOMATIC_PX = 1024
+MOST_AUTOMATIC_PX = 4096
+"""An automatic pixel gives the larger side at least the one and at most the other number of pixels."""
+
+
+@dataclass(frozen=True)
+class FieldOfView:
+    """Grid of square pixels over a part, seen along z.
+
+    Parameters
+    ----------
+    pixel_mm
+        Side of a pixel.
+    low_mm
+        Least x and y of the part in build coordinates.
+    width_px, height_px
+        Pixels along x and y, margins included.
+    """
+
+    pixel_mm: float
+    low_mm: tuple[float, float]
+    width_px: int
+    height_px: int
+
+    @property
+    def stride_px(self) -> int:
+        """Pixels from a row to the next in pixel numbers and bitmaps: whole words."""
+        return -(-self.width_px // WORD_BITS) * WORD_BITS
+
+    @property
+    def viewport_px(self) -> int:
+        """Side of the square viewport that holds the field: the next power of two."""
+        return 1 << max(6, (max(self.width_px, self.height_px) - 1).bit_length())
+
+    def snapped(self, points: NDArray[np.float64]) -> NDArray[np.int32]:
+        """Put points (N, 2+) in mm on the lattice: (N, 2), in 1/256 pixel from the field's low corner."""
+        lattice = np.empty((len(points), 2), np.int32)
+        limit = 2 * self.viewport_px * SUBPIXELS
+        for axis in range(2):
+            pixels = (points[:, axis] - self.low_mm[axis]) / self.pixel_mm + (MARGIN_PX + GRID_SHIFT_PX[axis])
+            # Only vertices that no facet uses can lie outside of the field, as far as they like.
+            lattice[:, axis] = np.clip(np.rint(pixels * SUBPIXELS), -limit, limit)
+        return lattice
+
+    def to_mm(self, half_pixels: NDArray[np.integer]) -> NDArray[np.float64]:
+        """Build coordinates (N, 2) of points in half pixels from the centre of pixel (0, 0)."""
+        shift = 0.5 - MARGIN_PX - np.array(GRID_SHIFT_PX)
+        return np.array(self.low_mm) + (0.5 * half_pixels + shift) * self.pixel_mm
+
+
+def automatic_pixel_mm(part: Part) -> float:
+    """Pixel side for a part: 0.1 mm or 1/1024 of its larger side in x and y, whichever is finer.
+
+    Where that would give more than 4096 pixels, 1/4096 of the larger side.
+    """
+    extent = float(part.size[:2].max())
+    finest = min(FINEST_AUTOMATIC_MM, extent / FEWEST_AUTOMATIC_PX)
+    return max(finest, extent / MOST_AUTOMATIC_PX) or FINEST_AUTOMATIC_MM
+
+
+def field_of_view(part: Part, pixel_mm: float | None) -> FieldOfView:
+    """Lay a field of view over a part; it depends on the part and the pixel alone."""
+    side = pixel_mm or automatic_pixel_mm(part)
+    low, size = part.bounds[0], part.size
+    width, height = (
+        math.ceil(float(size[axis]) / side + GRID_SHIFT_PX[axis]) + 2 * MARGIN_PX for axis in range(2)
+    )
+    return FieldOfView(side, (float(low[0]), float(low[1])), width, height)

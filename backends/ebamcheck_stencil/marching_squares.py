@@ -1,0 +1,159 @@
+"""Marching squares on bitmaps: contours half way between solid and empty pixel centres.
+
+A contour is walked with a solid pixel on its left and an empty one on its right; each step looks at the two
+pixels ahead. Pixels that touch at a corner only stay apart (solid is 4-connected, empty 8-connected), as
+scikit-image's ``find_contours`` has it by default. Points inside straight runs are left out: a run ends
+where the direction, one of eight, changes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ebamcheck.kernels import kernel
+from ebamcheck_stencil.bitmaps import Flips, Words, flip
+
+FIRST_POINTS = 4096
+FIRST_RINGS = 64
+"""Sizes with which the output columns begin; they double as needed."""
+
+_ONE = np.uint64(1)
+_ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
+# Steps and right-hand sides of the four directions of travel +x, +y, -x, -y.
+_STEP_X = np.array([1, 0, -1, 0])
+_STEP_Y = np.array([0, 1, 0, -1])
+_RIGHT_X = np.array([0, 1, 0, -1])
+_RIGHT_Y = np.array([-1, 0, 1, 0])
+
+
+@kernel
+def contours_of_layers(
+    below: Words, flips: Flips, first: int, start: int, stop: int, row_words: int
+) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int64]]:
+    """Contours of layers ``start .. stop - 1``.
+
+    Parameters
+    ----------
+    below
+        Bitmap of layer ``first - 1``.
+    flips
+        Pixels that change at each layer.
+    first
+        Layer from which `below` is brought up to date.
+    row_words
+        Words in a row of a bitmap.
+
+    Returns
+    -------
+    points
+        (N, 2) int32, half pixels from the centre of pixel (0, 0).
+    ring_starts
+        (R + 1,) first point of each ring.
+    ring_counts
+        (stop - start,) rings of each layer.
+    """
+    bitmap = below.copy()
+    flip(bitmap, flips.pixels[flips.starts[first] : flips.starts[start]])
+    edges = np.empty_like(bitmap)
+    points = np.empty((FIRST_POINTS, 2), np.int32)
+    ring_ends = np.zeros(FIRST_RINGS, np.int64)
+    rings = 1
+    ring_counts = np.zeros(stop - start, np.int64)
+    for layer in range(start, stop):
+        flip(bitmap, flips.pixels[flips.starts[layer] : flips.starts[layer + 1]])
+        _mark_edges(bitmap, edges)
+        for word in range(edges.size):
+            while edges[word] != 0:
+                size, points = _walk(bitmap, edges, word, row_words, points, ring_ends[rings - 1])
+                if rings == ring_ends.size:
+                    ring_ends = np.concatenate((ring_ends, np.zeros_like(ring_ends)))
+                ring_ends[rings] = size
+                rings += 1
+                ring_counts[layer - start] += 1
+    return points[: ring_ends[rings - 1]].copy(), ring_ends[:rings].copy(), ring_counts
+
+
+@kernel
+def _mark_edges(bitmap: Words, edges: Words) -> None:
+    """Mark each pixel that differs from its right neighbour; the margin keeps rows apart."""
+    last = bitmap.size - 1
+    for i in range(last):
+        edges[i] = bitmap[i] ^ ((bitmap[i] >> _ONE) | (bitmap[i + 1] << np.uint64(63)))
+    edges[last] = bitmap[last] ^ (bitmap[last] >> _ONE)
+
+
+@kernel
+def _is_solid(bitmap: Words, x: int, y: int, row_words: int) -> bool:
+    """Whether pixel (x, y) is solid."""
+    return bool((bitmap[y * row_words + (x >> 6)] >> np.uint64(x & 63)) & _ONE)
+
+
+@kernel
+def _lowest_bit(word: np.uint64) -> int:
+    """Place of the lowest set bit of a word that is not 0."""
+    place = 0
+    for width in (32, 16, 8, 4, 2, 1):
+        if word & (_ALL >> np.uint64(64 - width)) == 0:
+            word >>= np.uint64(width)
+            place += width
+    return place
+
+
+@kernel
+def _walk(
+    bitmap: Words, edges: Words, word: int, row_words: int, points: NDArray[np.int32], size: int
+) -> tuple[int, NDArray[np.int32]]:
+    """Walk the ring through the first marked edge of a word, clear its marks and append its corners.
+
+    Returns the new number of points and their column, which may have grown.
+    """
+    y = word // row_words
+    x = (word - y * row_words) * 64 + _lowest_bit(edges[word])
+    direction = 1
+    if not _is_solid(bitmap, x, y, row_words):
+        x += 1
+        direction = 3
+    first_x, first_y, first_direction = x, y, direction
+    first_heading = heading = -1
+    while True:
+        if direction & 1:
+            left = x if direction == 1 else x - 1
+            edges[y * row_words + (left >> 6)] &= ~(_ONE << np.uint64(left & 63))
+        point_x = 2 * x + _RIGHT_X[direction]
+        point_y = 2 * y + _RIGHT_Y[direction]
+        ahead_x, ahead_y = x + _STEP_X[direction], y + _STEP_Y[direction]
+        # The eight headings count in steps of 45 degrees.
+        if not _is_solid(bitmap, ahead_x, ahead_y, row_words):
+            new_heading = (2 * direction + 1) & 7
+            direction = (direction + 1) & 3
+        else:
+            x, y = ahead_x, ahead_y
+            ahead_x += _RIGHT_X[direction]
+            ahead_y += _RIGHT_Y[direction]
+            if _is_solid(bitmap, ahead_x, ahead_y, row_words):
+                x, y = ahead_x, ahead_y
+                new_heading = (2 * direction - 1) & 7
+                direction = (direction - 1) & 3
+            else:
+                new_heading = 2 * direction
+        if heading < 0:
+            first_heading = new_heading
+        elif new_heading != heading:
+            size, points = _append(points, size, point_x, point_y)
+        heading = new_heading
+        if x == first_x and y == first_y and direction == first_direction:
+            break
+    if heading != first_heading:
+        size, points = _append(points, size, 2 * x + _RIGHT_X[direction], 2 * y + _RIGHT_Y[direction])
+    return size, points
+
+
+@kernel
+def _append(points: NDArray[np.int32], size: int, x: int, y: int) -> tuple[int, NDArray[np.int32]]:
+    """Append a point, doubling the column where it is full."""
+    if size == len(points):
+        points = np.concatenate((points, np.empty_like(points)))
+    points[size, 0] = x
+    points[size, 1] = y
+    return size + 1, points

@@ -1,0 +1,97 @@
+"""OpenGL without a window: opening a context, what it can do, and why it could not be opened."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
+
+from ebamcheck.errors import BackendMissing
+
+if TYPE_CHECKING:
+    import moderngl
+
+NEEDED_VERSION = 430
+"""OpenGL 4.3: shader storage buffers, which the draw-once form writes its fragments to."""
+
+NEEDED_SUBPIXEL_BITS = 8
+"""The lattice of field_of_view.SUBPIXELS must be one that the rasteriser keeps."""
+
+INSTALL_HINT = (
+    "on Debian or Ubuntu: apt-get install libegl1 libgl1 libgl1-mesa-dri "
+    "(Mesa's software renderer is enough, no GPU is needed)"
+)
+
+
+@dataclass(frozen=True)
+class Device:
+    """The renderer of a context and its limits."""
+
+    renderer: str
+    gl_version: str
+    buffer_bytes: int
+    """Largest shader storage buffer."""
+    texture_px: int
+    """Largest side of an image that can be drawn at once."""
+    viewport_px: int
+    """Largest side of a viewport, and so of the whole field of view."""
+    subpixel_bits: int
+
+
+def open_context() -> moderngl.Context:
+    """Open a context without a window: by EGL, else by the platform's default way.
+
+    Raises
+    ------
+    BackendMissing
+        If there is none, or only one that cannot do the work; the message gives every reason.
+    """
+    try:
+        import moderngl
+    except ImportError as error:
+        raise BackendMissing(f"moderngl does not load: {error}") from None
+    reasons: list[str] = []
+    for way in ("egl", None):
+        try:
+            options: dict[str, Any] = {"backend": way} if way else {}
+            context = moderngl.create_context(standalone=True, require=NEEDED_VERSION, **options)
+        except Exception as error:  # the bindings raise bare Exception
+            reasons.append(f"{way or 'the default way'}: {str(error) or type(error).__name__}")
+            continue
+        bits = device(context).subpixel_bits
+        if bits >= NEEDED_SUBPIXEL_BITS:
+            _match_pyopengl(way)
+            return context
+        context.release()
+        reasons.append(
+            f"{way or 'the default way'}: its rasteriser keeps {bits} of {NEEDED_SUBPIXEL_BITS} bits"
+        )
+    raise BackendMissing(f"no OpenGL {NEEDED_VERSION / 100:.1f} context: {'; '.join(reasons)}")
+
+
+def _match_pyopengl(way: str | None) -> None:
+    """Let PyOpenGL, which the literal mode loads later, look where the context was found."""
+    if way == "egl":
+        os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
+
+
+def device(context: moderngl.Context) -> Device:
+    """Read the renderer and the limits of a context."""
+    info = context.info
+    texture = min(
+        info["GL_MAX_RENDERBUFFER_SIZE"], info["GL_MAX_FRAMEBUFFER_WIDTH"], info["GL_MAX_FRAMEBUFFER_HEIGHT"]
+    )
+    return Device(
+        renderer=str(info["GL_RENDERER"]),
+        gl_version=str(info["GL_VERSION"]),
+        buffer_bytes=int(info["GL_MAX_SHADER_STORAGE_BLOCK_SIZE"]),
+        texture_px=int(texture),
+        viewport_px=int(min(info["GL_MAX_VIEWPORT_DIMS"])),
+        subpixel_bits=int(info["GL_SUBPIXEL_BITS"]),
+    )
+
+
+def versions(found: Device) -> dict[str, str]:
+    """Versions of the bindings and of the driver."""
+    return {"moderngl": version("moderngl"), "PyOpenGL": version("PyOpenGL"), "GL_VERSION": found.gl_version}

@@ -1,0 +1,65 @@
+"""Openings of a surface, and caps that close them.
+
+Where a ray passes an opening, it goes in without coming out, and every layer above would be wrong. A fan of
+facets from the middle of each opening's border balances every ray. A cap stays within the heights of its
+border, so a layer that does not cut an opening is exactly what the closed surface would give; one that does
+is closed along the cap. Facets that are turned over count as openings with a border of two, and their caps
+outweigh them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from ebamcheck.part import Part
+
+
+def border(faces: NDArray[np.int32]) -> NDArray[np.int64]:
+    """Directed edges (n, 2) that facets (F, 3) run along more often than against, as often as they do."""
+    ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
+    ends = ends[ends[:, 0] != ends[:, 1]]
+    low, high = ends.min(axis=1), ends.max(axis=1)
+    base = int(high.max(initial=0)) + 1
+    edges, edge_of = np.unique(low * base + high, return_inverse=True)
+    surplus = np.bincount(edge_of, np.where(ends[:, 0] < ends[:, 1], 1.0, -1.0)).astype(np.int64)
+    pairs = np.column_stack([edges // base, edges % base])
+    pairs[surplus < 0] = pairs[surplus < 0, ::-1]
+    return np.repeat(pairs, np.abs(surplus), axis=0)
+
+
+def capped(part: Part) -> Part:
+    """Close every opening of a part by a fan from the mean of the points of its border."""
+    # A part made from arrays need not be welded; without that every facet would be an opening.
+    vertices, welded = np.unique(part.vertices + 0.0, axis=0, return_inverse=True)
+    part = replace(part, vertices=vertices, faces=welded.reshape(-1)[part.faces].astype(np.int32))
+    edges = border(part.faces)
+    if not len(edges):
+        return part
+    used, local = np.unique(edges, return_inverse=True)
+    local = local.reshape(-1, 2)
+    graph = coo_array((np.ones(len(local)), (local[:, 0], local[:, 1])), shape=(len(used), len(used)))
+    count, opening = connected_components(graph, directed=False)
+    sizes = np.bincount(opening)
+    points = part.vertices[used]
+    reference = points[0]
+    middles = np.column_stack(
+        [np.bincount(opening, points[:, axis] - reference[axis]) / sizes for axis in range(3)]
+    )
+    # Rounding must not lift a middle out of the heights of its border.
+    lowest, highest = np.full(count, np.inf), np.full(count, -np.inf)
+    np.minimum.at(lowest, opening, points[:, 2])
+    np.maximum.at(highest, opening, points[:, 2])
+    middles += reference
+    middles[:, 2] = np.clip(middles[:, 2], lowest, highest)
+    apex = len(part.vertices) + opening[local[:, 0]]
+    caps = np.column_stack([edges[:, 1], edges[:, 0], apex])
+    return replace(
+        part,
+        vertices=np.vstack([part.vertices, middles]),
+        faces=np.vstack([part.faces, caps]).astype(np.int32),
+    )

@@ -1,0 +1,180 @@
+"""The backend ``stencil``: the paper's slicer as one draw for all layers, or one draw a layer."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from ebamcheck.backend import BackendSettings, CoplanarRule, Prepared, Probe
+from ebamcheck.errors import BackendMissing, SettingsError
+from ebamcheck.part import Part
+from ebamcheck_stencil import opengl
+from ebamcheck_stencil.draw_once import draw_crossings
+from ebamcheck_stencil.drawn_once import DrawnOnce
+from ebamcheck_stencil.field_of_view import SUBPIXELS, WORD_BITS, FieldOfView, field_of_view
+from ebamcheck_stencil.openings import capped
+
+CONTOUR_REACH_PX = math.sqrt(10.0) / 4.0
+"""Farthest that a point of a marching-squares cell lies from the nearest pixel centre of its own side.
+
+The worst is the middle of the cut in a cell with three solid corners and an empty one, or the reverse.
+"""
+
+LATTICE_MOVE_PX = math.sqrt(2.0) / (2.0 * SUBPIXELS)
+"""Farthest that a vertex, and with it a contour, moves onto the lattice."""
+
+CLIP_MOVE_PX = math.sqrt(2.0) / SUBPIXELS
+"""The same for points that the literal mode's near plane makes; drivers may round them down."""
+
+FLOAT32_STEP = 2.0**-23
+FLOAT64_STEP = 2.0**-52
+
+
+class Settings(BackendSettings):
+    """Settings of the backend ``stencil``."""
+
+    pixel_mm: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
+    """Side of a pixel; None: 0.1 mm or 1/1024 of the larger side of the part, whichever is finer, but at
+    least 1/4096 of it."""
+    mode: Literal["draw-once", "literal"] = "draw-once"
+    """One draw for all layers, or the paper's one draw of every facet for each layer."""
+    buffer_mb: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 512.0
+    """Limit of the buffer of fragments, as far as the driver has as large a one; the field of view is
+    drawn in parts where it does not suffice."""
+    max_texture_px: Annotated[int, Field(ge=1)] | None = None
+    """Limit of an image's side; None: what the driver offers."""
+
+
+def inside_rule(settings: Settings) -> str:
+    """Which winding numbers are solid under these settings; the literal mode has the paper's rule."""
+    return "1..2" if settings.mode == "literal" else Stencil.inside_rule
+
+
+class Stencil:
+    """Signed count of forward and reverse facets along the ray of each pixel, then marching squares."""
+
+    name: ClassVar[str] = "stencil"
+    summary: ClassVar[str] = "OpenGL: signed count of facets along the ray of each pixel, marching squares"
+    exact: ClassVar[bool] = False
+    priority: ClassVar[int] = 10
+    coplanar_rule: ClassVar[CoplanarRule] = "undefined"
+    inside_rule: ClassVar[str] = "winding > 0"
+    Settings: ClassVar[type[BackendSettings]] = Settings
+
+    def probe(self) -> Probe:
+        """Open a context and say on what it runs; never raises."""
+        try:
+            context = opengl.open_context()
+            try:
+                found = opengl.device(context)
+            finally:
+                context.release()
+            return Probe(True, versions=opengl.versions(found), device=found.renderer)
+        except BackendMissing as error:
+            return Probe(False, why=str(error), hint=opengl.INSTALL_HINT)
+        except Exception as error:  # a driver's or a binding's own fault is a reason like any other
+            return Probe(False, why=f"{type(error).__name__}: {error}", hint=opengl.INSTALL_HINT)
+
+    def error_bound_mm(self, part: Part, settings: BackendSettings) -> float:
+        """Return the promised bound r, mm: sqrt(10)/4 of a pixel and what the lattice moves a contour.
+
+        It holds in draw-once mode on every layer that cuts no opening of the surface; in literal mode on
+        closed surfaces with winding numbers up to 2. Between bodies that touch along faces of unlike
+        tessellation single pixel centres can fall into the gap that the lattice opens (at most 1/256
+        pixel wide).
+        """
+        checked = _checked(settings)
+        view = field_of_view(part, checked.pixel_mm)
+        move_px = LATTICE_MOVE_PX
+        if checked.mode == "literal":
+            move_px = CLIP_MOVE_PX + 4.0 * FLOAT32_STEP * view.viewport_px
+        largest_mm = float(np.abs(part.bounds[:, :2]).max())
+        return (CONTOUR_REACH_PX + move_px) * view.pixel_mm + 4.0 * FLOAT64_STEP * largest_mm
+
+    def height_bound_mm(self, part: Part, settings: BackendSettings) -> float:
+        """Return the promised bound on the height at which a layer is really cut, mm.
+
+        Heights are interpolated in double precision; in literal mode the device clips in float32, about
+        the middle of the part.
+        """
+        largest_mm = float(np.abs(part.bounds[:, 2]).max())
+        rounding = 8.0 * FLOAT64_STEP * largest_mm
+        if _checked(settings).mode == "literal":
+            rounding += 4.0 * FLOAT32_STEP * float(part.size[2])
+        return rounding
+
+    def prepare(self, part: Part, settings: BackendSettings) -> Prepared:
+        """Draw the part (draw-once), or load it onto the device (literal).
+
+        Where rays meet an open surface (``unbalanced_pixels`` in the settings of the layers), the draw-once
+        form caps its openings and draws again; the literal mode counts what is there, as the paper does.
+
+        Raises
+        ------
+        BackendMissing
+            If no OpenGL context can be had.
+        BackendFailed
+            If the driver refuses the buffers.
+        SettingsError
+            If the pixel is too small for the driver's largest viewport.
+        """
+        checked = _checked(settings)
+        view = field_of_view(part, checked.pixel_mm)
+        context = opengl.open_context()
+        try:
+            found = opengl.device(context)
+            _check_size(view, found)
+            largest_px = min(found.texture_px, checked.max_texture_px or found.texture_px)
+            labels = _labels(part, view, checked, found)
+            if checked.mode == "literal" and len(part.faces):
+                from ebamcheck_stencil.literal import LiteralSlices
+
+                return LiteralSlices(context, part, view, largest_px, labels)
+            buffer_bytes = min(found.buffer_bytes, int(checked.buffer_mb * 2**20))
+            crossings = draw_crossings(context, part, view, largest_px, buffer_bytes)
+            labels["settings"]["unbalanced_pixels"] = crossings.unbalanced
+            if crossings.unbalanced:
+                closed = capped(part)
+                crossings = draw_crossings(context, closed, view, largest_px, buffer_bytes)
+        except BaseException:
+            context.release()
+            raise
+        context.release()
+        return DrawnOnce(view, crossings, labels)
+
+
+def _checked(settings: BackendSettings) -> Settings:
+    """Take settings as this backend's own, or complain."""
+    if not isinstance(settings, Settings):
+        raise SettingsError(f"stencil: settings are {type(settings).__name__}: give Stencil.Settings")
+    return settings
+
+
+def _check_size(view: FieldOfView, found: opengl.Device) -> None:
+    """Refuse a field of view that no viewport of the driver holds."""
+    if view.viewport_px > found.viewport_px:
+        larger = max(view.width_px, view.height_px)
+        raise SettingsError(
+            f"stencil: pixel_mm {view.pixel_mm:g} makes a field of view of {larger} pixels, over the largest "
+            f"viewport of {found.renderer}, {found.viewport_px}: give at least "
+            f"{view.pixel_mm * larger / (found.viewport_px - WORD_BITS):.3g}"
+        )
+
+
+def _labels(part: Part, view: FieldOfView, settings: Settings, found: opengl.Device) -> dict[str, Any]:
+    """Labels of the layers: the settings in force and what drew them."""
+    return {
+        "part": part.sha256,
+        "direction": part.direction,
+        "backend": Stencil.name,
+        "settings": {
+            **settings.model_dump(),
+            "pixel_mm": view.pixel_mm,
+            "inside_rule": inside_rule(settings),
+            "GL_RENDERER": found.renderer,
+            "GL_VERSION": found.gl_version,
+        },
+    }

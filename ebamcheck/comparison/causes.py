@@ -1,0 +1,163 @@
+"""Likely causes of a disagreement, from the mesh and the layers around the place."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ebamcheck.part import Part
+from ebamcheck.rings import Floats, Ints
+
+COPLANAR_FACE = "coplanar face"
+VERTEX = "vertex on plane"
+OPEN_EDGE = "open edge"
+NON_MANIFOLD = "non-manifold edge"
+ORIENTATION = "inconsistent orientation"
+OVERLAP = "overlapping shells"
+OPEN_PATH = "open path"
+THIN = "thin feature"
+UNKNOWN_CAUSE = "unknown"
+
+NEAR_DEPTHS = 3.0
+"""A flaw of the mesh explains a disagreement if it lies within so many depths (and limits) of the place."""
+
+THIN_LIMITS = 4.0
+"""A feature no deeper than so many limits is thin for the methods compared."""
+
+PROBES = 16
+"""Points on a circle around the place at which the winding number is looked at."""
+
+
+class MeshFlaws:
+    """Edges of a part that are open, non-manifold or inconsistently oriented, and its facets by height."""
+
+    def __init__(self, part: Part) -> None:
+        self.part = part
+
+    @cached_property
+    def _edges(self) -> tuple[Ints, dict[str, NDArray[np.bool_]]]:
+        """Distinct edges (E, 2) and which of them are flawed, by cause."""
+        faces = self.part.faces.astype(np.int64)
+        directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+        directed = directed[directed[:, 0] != directed[:, 1]]
+        forward = directed[:, 0] < directed[:, 1]
+        key = directed.min(axis=1) * len(self.part.vertices) + directed.max(axis=1)
+        distinct, where = np.unique(key, return_inverse=True)
+        uses = np.bincount(where, minlength=distinct.size)
+        up = np.bincount(where, forward, minlength=distinct.size)
+        count = max(len(self.part.vertices), 1)
+        edges = np.stack([distinct // count, distinct % count], axis=1)
+        flaws = {OPEN_EDGE: uses == 1, NON_MANIFOLD: uses > 2, ORIENTATION: (uses == 2) & (up != 1)}
+        return edges, flaws
+
+    @cached_property
+    def _flawed(self) -> dict[str, NDArray[np.float64]]:
+        """End points of the flawed edges, (n, 2, 3) mm, by cause."""
+        edges, flaws = self._edges
+        return {cause: self.part.vertices[edges[which]] for cause, which in flaws.items()}
+
+    @cached_property
+    def _by_height(self) -> tuple[Ints, Floats, Floats, float]:
+        """Facets by lowest z, their lowest and highest z, and the tallest facet's height."""
+        z = self.part.vertices[:, 2][self.part.faces]
+        low, high = z.min(axis=1), z.max(axis=1)
+        order = np.argsort(low, kind="stable")
+        tallest = float((high - low).max()) if len(order) else 0.0
+        return order, low[order], high[order], tallest
+
+    def crossing(self, height_mm: float) -> Ints:
+        """Facets that a section at this height (+ 0) cuts."""
+        order, low, high, tallest = self._by_height
+        first = np.searchsorted(low, height_mm - tallest, side="left")
+        past = np.searchsorted(low, height_mm, side="right")
+        return order[first:past][high[first:past] > height_mm]
+
+    def section(self, height_mm: float) -> Floats:
+        """Oriented segments of the section, (n, 4) mm: x0, y0, x1, y1 with the solid on their left."""
+        corners = self.part.triangles[self.crossing(height_mm)]
+        above = corners[:, :, 2] > height_mm
+        # Turn each facet so that its odd corner, the one alone on its side of the plane, comes first.
+        alone = np.where(above.sum(axis=1) == 1, above.argmax(axis=1), (~above).argmax(axis=1))
+        turned = np.take_along_axis(corners, ((alone[:, None] + np.arange(3)) % 3)[:, :, None], axis=1)
+        t = (height_mm - turned[:, :1, 2]) / (turned[:, 1:, 2] - turned[:, :1, 2])
+        ends = turned[:, :1, :2] + t[:, :, None] * (turned[:, 1:, :2] - turned[:, :1, :2])
+        odd_above = turned[:, 0, 2] > height_mm
+        start = np.where(odd_above[:, None], ends[:, 0], ends[:, 1])
+        stop = np.where(odd_above[:, None], ends[:, 1], ends[:, 0])
+        return np.concatenate([start, stop], axis=1)
+
+    def edge_flaw(self, x_mm: float, y_mm: float, height_mm: float, reach_mm: float) -> str:
+        """Cause whose flawed edge passes nearest to a place on a layer, within reach; or nothing."""
+        best, cause = reach_mm, ""
+        for name, ends in self._flawed.items():
+            if not len(ends):
+                continue
+            low, high = ends[:, :, 2].min(axis=1), ends[:, :, 2].max(axis=1)
+            a, b = (ends[(low <= height_mm + reach_mm) & (high >= height_mm - reach_mm)]).swapaxes(0, 1)
+            if not len(a):
+                continue
+            u, p = b - a, np.array([x_mm, y_mm, height_mm]) - a
+            square = np.einsum("ij,ij->i", u, u)
+            t = np.clip(np.einsum("ij,ij->i", p, u) / np.where(square > 0.0, square, 1.0), 0.0, 1.0)
+            nearest = float(np.linalg.norm(p - t[:, None] * u, axis=1).min())
+            if nearest <= best:
+                best, cause = nearest, name
+        return cause
+
+    def winding_flaw(self, x_mm: float, y_mm: float, height_mm: float, reach_mm: float) -> str:
+        """``overlapping shells`` or ``inconsistent orientation`` by the winding numbers around a place."""
+        segments = self.section(height_mm)
+        if not len(segments):
+            return ""
+        angle = 2.0 * np.pi * (np.arange(PROBES) + 0.5) / PROBES
+        xs = np.append(x_mm + 0.5 * reach_mm * np.cos(angle), x_mm)[:, None]
+        ys = np.append(y_mm + 0.5 * reach_mm * np.sin(angle), y_mm)[:, None]
+        x0, y0, x1, y1 = segments.T
+        spans = (y0 > ys) != (y1 > ys)
+        rise = np.where(y1 == y0, 1.0, y1 - y0)
+        right = spans & (x0 + (ys - y0) * (x1 - x0) / rise > xs)
+        numbers = np.where(right, np.where(y1 > y0, 1, -1), 0).sum(axis=1)
+        if (numbers < 0).any():
+            return ORIENTATION
+        return OVERLAP if (numbers > 1).any() else ""
+
+    def place(self, height_mm: float) -> tuple[float, float]:
+        """Point of the part's surface on a layer: the middle of the first segment of its section."""
+        segments = self.section(height_mm)
+        if not len(segments):
+            return (np.nan, np.nan)
+        x, y = 0.5 * (segments[0, :2] + segments[0, 2:])
+        return float(x), float(y)
+
+
+def likely_cause(
+    flaws: MeshFlaws,
+    layer_class: str,
+    open_paths: bool,
+    x_mm: float,
+    y_mm: float,
+    height_mm: float,
+    depth_mm: float,
+    limit_mm: float,
+) -> str:
+    """Name the likeliest cause of a disagreement at a place.
+
+    What the mesh shows at the place goes first, then what the layers show, then size: a feature of few
+    limits is thin.
+    """
+    if layer_class == "face-on-plane":
+        return COPLANAR_FACE
+    if layer_class == "vertex-on-plane":
+        return VERTEX
+    if np.isfinite(x_mm) and np.isfinite(y_mm):
+        reach = NEAR_DEPTHS * (depth_mm + limit_mm) if np.isfinite(depth_mm) else limit_mm
+        flaw = flaws.edge_flaw(x_mm, y_mm, height_mm, reach) or flaws.winding_flaw(
+            x_mm, y_mm, height_mm, reach
+        )
+        if flaw:
+            return flaw
+    if open_paths:
+        return OPEN_PATH
+    return THIN if depth_mm <= THIN_LIMITS * limit_mm else UNKNOWN_CAUSE

@@ -1,0 +1,283 @@
+"""Which slicers agree on each layer, which are outliers, and why."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from ebamcheck.comparison.causes import MeshFlaws, likely_cause
+from ebamcheck.comparison.classes import GENERIC, crossing_counts, layer_classes
+from ebamcheck.comparison.findings import Finding
+from ebamcheck.comparison.pairwise import (
+    Pair,
+    check_comparable,
+    measure_stacks,
+    table,
+)
+from ebamcheck.config import ComparisonSettings
+from ebamcheck.layers import Layers
+from ebamcheck.part import Part
+
+AGREE, OUTLIER, UNDECIDED, NOT_COMPARED, EMPTY = "agree", "outlier", "undecided", "not-compared", "empty"
+"""Verdicts on a layer."""
+
+HALF_OPEN = "half-open"
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """What the comparison of all stacks found."""
+
+    pairs: pd.DataFrame
+    """One row a pair and layer: ``a``, ``b``, the columns of :func:`ebamcheck.comparison.compare`, ``gated``."""
+    layers: pd.DataFrame
+    """One row a layer: ``layer``, ``height_mm``, ``class``, ``consensus`` (names joined by commas), ``verdict``."""
+    findings: list[Finding]
+    passed: bool
+    """At least one layer was compared, and none has an outlier, is undecided, or is empty against the part."""
+    compared_layers: int
+    """Layers on which at least one gated pair had anything to compare."""
+
+
+def compare_all(
+    stacks: Mapping[str, Layers],
+    part: Part,
+    bounds: Mapping[str, tuple[float, float]],
+    exact: Mapping[str, bool],
+    rules: Mapping[str, str],
+    settings: ComparisonSettings | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> Comparison:
+    """Compare all stacks pairwise and find, on each layer, who agrees with whom.
+
+    Parameters
+    ----------
+    stacks
+        Layers of the same part at the same heights, by backend.
+    part
+        The part, for layer classes, empty layers and causes.
+    bounds
+        Error bound and height bound of each backend, mm.
+    exact
+        Whether each backend's contours are those of the mesh up to rounding.
+    rules
+        Coplanar rule of each backend; layers that are not generic are gated between ``half-open`` ones only.
+    settings
+        Tolerance and plane margin; the default margin is the larger height bound of a pair.
+    progress
+        Called with the number of layers measured since the last call.
+
+    Returns
+    -------
+    Comparison
+        The consensus of a layer is the largest set of backends of which every gated pair agrees and each
+        has a gated agreement with another. Backends outside are outliers. With two such sets of the same
+        size, or none, the layer is undecided. A layer that is empty in all although facets cross its plane
+        is ``empty``; one on which no pair is gated is ``not-compared``.
+
+    Raises
+    ------
+    SettingsError
+        If the stacks differ in heights or part.
+    """
+    settings = settings or ComparisonSettings()
+    names = list(stacks)
+    if names:
+        check_comparable(stacks)
+    heights = stacks[names[0]].heights if names else np.zeros(0)
+    margins = {n: _margin(settings, bounds[n][1]) for n in names}
+    classes = _classes(part, heights, {margins[n] for n in names} | {0.0})
+    overall = classes[max(margins.values(), default=0.0)]
+    tables = []
+    for (a, b), rows in _pair_tables(stacks, bounds, exact, settings, classes, margins, progress).items():
+        gated = np.asarray(rows["class"] == GENERIC) | (rules[a] == HALF_OPEN and rules[b] == HALF_OPEN)
+        rows.insert(0, "b", b)
+        rows.insert(0, "a", a)
+        rows["gated"] = gated
+        tables.append(rows)
+    pairs = pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
+    vanished = _vanished(stacks, part, heights)
+    consensus, verdicts = _verdicts(names, tables, vanished)
+    layers = pd.DataFrame(
+        {
+            "layer": np.arange(heights.size),
+            "height_mm": heights,
+            "class": overall.astype(object),
+            "consensus": [",".join(names[i] for i in members) for members in consensus],
+            "verdict": verdicts,
+        }
+    )
+    findings = list(_findings(part, names, tables, heights, consensus, verdicts))
+    compared = _compared(tables, heights.size)
+    passed = compared > 0 and not {OUTLIER, UNDECIDED, EMPTY} & set(verdicts)
+    return Comparison(pairs, layers, findings, passed, compared)
+
+
+def _margin(settings: ComparisonSettings, height_bound_mm: float) -> float:
+    return height_bound_mm if settings.plane_margin_mm is None else settings.plane_margin_mm
+
+
+def _classes(part: Part, heights: NDArray[np.float64], margins: set[float]) -> dict[float, NDArray[np.str_]]:
+    """Layer classes for each margin in use."""
+    return {margin: layer_classes(part, heights, margin) for margin in margins}
+
+
+def _pair_tables(
+    stacks: Mapping[str, Layers],
+    bounds: Mapping[str, tuple[float, float]],
+    exact: Mapping[str, bool],
+    settings: ComparisonSettings,
+    classes: Mapping[float, NDArray[np.str_]],
+    margins: Mapping[str, float],
+    progress: Callable[[int], None] | None,
+) -> dict[tuple[str, str], pd.DataFrame]:
+    """Table of each pair, all measured in one pass over the layers."""
+    names = list(stacks)
+    couples = list(combinations(range(len(names)), 2))
+    if not couples:
+        return {}
+    pairs = [
+        Pair(i, j, bounds[names[i]][0] + bounds[names[j]][0] + settings.tolerance_mm,
+             bool(exact[names[i]]), bool(exact[names[j]]))
+        for i, j in couples
+    ]  # fmt: skip
+    columns = list(stacks.values())
+    figures, origin = measure_stacks(columns, pairs, progress)
+    return {
+        (names[p.a], names[p.b]): table(
+            columns[p.a], columns[p.b], figures[k], p.limit_mm,
+            classes[max(margins[names[p.a]], margins[names[p.b]])], origin,
+        )
+        for k, p in enumerate(pairs)
+    }  # fmt: skip
+
+
+def _vanished(stacks: Mapping[str, Layers], part: Part, heights: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Layers that are empty in all stacks although facets cross their planes."""
+    empty = np.ones(heights.size, np.bool_)
+    for stack in stacks.values():
+        empty &= stack.outer_counts() == 0
+    return empty & (crossing_counts(part, heights) > 0)
+
+
+def _compared(tables: list[pd.DataFrame], count: int) -> int:
+    """Layers on which a gated pair had a region to compare."""
+    compared = np.zeros(count, np.bool_)
+    for rows in tables:
+        compared |= rows["gated"].to_numpy() & ((rows["rings_a"] + rows["rings_b"]).to_numpy() > 0)
+    return int(compared.sum())
+
+
+def _verdicts(
+    names: list[str], tables: list[pd.DataFrame], vanished: NDArray[np.bool_]
+) -> tuple[list[tuple[int, ...]], list[str]]:
+    """Consensus (places in `names`) and verdict of each layer."""
+    couples = list(combinations(range(len(names)), 2))
+    gated = np.array([rows["gated"].to_numpy() for rows in tables], np.bool_).reshape(len(couples), -1)
+    agrees = np.array([rows["agrees"].to_numpy() for rows in tables], np.bool_).reshape(len(couples), -1)
+    # Few patterns of agreement occur, so each is solved once.
+    solved: dict[bytes, tuple[tuple[int, ...], str]] = {}
+    consensus: list[tuple[int, ...]] = []
+    verdicts: list[str] = []
+    for layer, is_vanished in enumerate(vanished):
+        if is_vanished or not couples:
+            consensus.append(())
+            verdicts.append(EMPTY if is_vanished and couples else NOT_COMPARED)
+            continue
+        pattern = gated[:, layer].tobytes() + agrees[:, layer].tobytes()
+        if pattern not in solved:
+            solved[pattern] = agreement(len(names), couples, gated[:, layer], agrees[:, layer])
+        members, verdict = solved[pattern]
+        consensus.append(members)
+        verdicts.append(verdict)
+    return consensus, verdicts
+
+
+def agreement(
+    count: int, couples: list[tuple[int, int]], gated: NDArray[np.bool_], agrees: NDArray[np.bool_]
+) -> tuple[tuple[int, ...], str]:
+    """Largest consistent set of one layer and its verdict, by trying every set of backends."""
+    friends = {c for c, g, ok in zip(couples, gated, agrees, strict=True) if g and ok}
+    foes = {c for c, g, ok in zip(couples, gated, agrees, strict=True) if g and not ok}
+    candidates = sorted({i for couple in friends | foes for i in couple})
+    if not candidates:
+        return (), NOT_COMPARED
+    for size in range(len(candidates), 1, -1):
+        largest = [
+            members
+            for members in combinations(candidates, size)
+            if not foes & set(combinations(members, 2))
+            and all(any(tuple(sorted((i, j))) in friends for j in members if j != i) for i in members)
+        ]
+        if len(largest) == 1:
+            return largest[0], AGREE if size == len(candidates) else OUTLIER
+        if largest:
+            return (), UNDECIDED
+    return (), UNDECIDED
+
+
+def _findings(
+    part: Part,
+    names: list[str],
+    tables: list[pd.DataFrame],
+    heights: NDArray[np.float64],
+    consensus: list[tuple[int, ...]],
+    verdicts: list[str],
+) -> Iterator[Finding]:
+    """Every disagreement on the layers that did not come out clean, in the order of layers."""
+    flaws = MeshFlaws(part)
+    couples = list(combinations(range(len(names)), 2))
+    columns = [{name: rows[name].to_numpy() for name in rows.columns} for rows in tables]
+    for layer, verdict in enumerate(verdicts):
+        if verdict == EMPTY:
+            yield _empty_finding(flaws, names, layer, float(heights[layer]), columns)
+        if verdict not in (OUTLIER, UNDECIDED):
+            continue
+        members = consensus[layer]
+        for (i, j), column in zip(couples, columns, strict=True):
+            if not column["gated"][layer] or column["agrees"][layer]:
+                continue
+            if members and i not in members and j not in members:
+                continue  # two outliers: each is named against the consensus
+            backend, against = (j, i) if i in members else (i, j)
+            yield _finding(flaws, names[backend], names[against], layer, column)
+
+
+def _finding(
+    flaws: MeshFlaws, backend: str, against: str, layer: int, column: Mapping[str, NDArray[np.generic]]
+) -> Finding:
+    """Name one disagreement of a pair."""
+    row = {name: values[layer] for name, values in column.items()}
+    depth, limit = float(row["depth_mm"]), float(row["limit_mm"])
+    deep = depth > limit
+    rings = abs(int(row["rings_a"]) - int(row["rings_b"])) or abs(int(row["holes_a"]) - int(row["holes_b"]))
+    cause = likely_cause(
+        flaws, str(row["class"]), bool(row["open_a"] + row["open_b"] > 0),
+        float(row["depth_x_mm"]), float(row["depth_y_mm"]), float(row["height_mm"]), depth, limit,
+    )  # fmt: skip
+    return Finding(
+        layer, float(row["height_mm"]), backend, against,
+        "depth" if deep else "topology", depth if deep else float(rings), limit if deep else 0.0,
+        float(row["depth_x_mm"]), float(row["depth_y_mm"]), cause,
+    )  # fmt: skip
+
+
+def _empty_finding(
+    flaws: MeshFlaws,
+    names: list[str],
+    layer: int,
+    height_mm: float,
+    columns: list[dict[str, NDArray[np.generic]]],
+) -> Finding:
+    """Name a layer that is empty in all stacks although the part is there; the value is its area."""
+    x, y = flaws.place(height_mm)
+    column = columns[0]
+    open_paths = any(bool(c["open_a"][layer] + c["open_b"][layer] > 0) for c in columns)
+    extent = float(np.linalg.norm(flaws.part.size))
+    cause = likely_cause(flaws, str(column["class"][layer]), open_paths, x, y, height_mm, extent, 0.0)
+    return Finding(layer, height_mm, ",".join(names), "part", "empty", 0.0, 0.0, x, y, cause)

@@ -1,0 +1,188 @@
+"""How deep the symmetric difference of two regions goes: branch and bound over its trapezoids.
+
+The depth of a point is its distance from the contours that count; the greatest depth over a trapezoid is at
+most the least, over segments, of the greatest distance of its corners from that segment (a convex function
+is greatest at a corner), and at most the same for the mean distance from two segments. The second bound is
+exact where a trapezoid lies astride the middle line between two parallel sides, so that such ridges need no
+refining along their length.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ebamcheck.comparison.outline import Outline, nearest
+from ebamcheck.comparison.overlap import Deepest
+from ebamcheck.kernels import kernel
+from ebamcheck.rings import Floats, Ints
+
+MOST_NODES = 400_000
+"""Trapezoids looked at in one search; beyond it the upper bound is returned, which errs towards a finding."""
+
+STACK = 4096
+"""Trapezoids put aside at most in one search; a split adds few, so float64 runs out of halves before this."""
+
+MOST_PARTS = 16
+"""Parts into which a trapezoid is split at once."""
+
+RIDGE_SHARE = 0.75
+"""Corners are looked at where the middle is at least this deep, relative to the deepest point known: only
+near a ridge do they tighten the bound enough to pay."""
+
+
+@kernel
+def search(
+    a: Outline,
+    b: Outline,
+    from_a: bool,
+    from_b: bool,
+    suspects: Floats,
+    deepest: Deepest,
+    resolution_mm: float,
+) -> Deepest:
+    """Greatest depth over all suspects to within `resolution_mm`, starting from a depth already known."""
+    stack = np.empty((STACK, 7))
+    sides = np.empty((5, 4))
+    guess = np.full(2, -1, np.int64)
+    nodes = 0
+    for s in range(len(suspects)):
+        stack[0, :6] = suspects[s]
+        stack[0, 6] = np.inf
+        count = 1
+        while count > 0:
+            count -= 1
+            if stack[count, 6] <= deepest.depth_mm + resolution_mm:
+                continue
+            nodes += 1
+            if nodes > MOST_NODES or count + MOST_PARTS > STACK:
+                return Deepest(max(deepest.depth_mm, _highest(stack, count + 1)), deepest.x_mm, deepest.y_mm)
+            deepest, ceiling = _bound(
+                a, b, from_a, from_b, stack, count, sides, guess, deepest, resolution_mm
+            )
+            if ceiling > deepest.depth_mm + resolution_mm:
+                side = math.hypot(sides[0, 2] - sides[0, 0], sides[0, 3] - sides[0, 1])
+                count += _split(stack, count, min(ceiling, stack[count, 6]), side + deepest.depth_mm)
+    return deepest
+
+
+@kernel
+def _highest(stack: Floats, count: int) -> float:
+    """Greatest finite bound among the trapezoids still put aside (0 if there is none)."""
+    highest = 0.0
+    for k in range(count):
+        if stack[k, 6] < np.inf:
+            highest = max(highest, stack[k, 6])
+    return highest
+
+
+@kernel
+def _bound(
+    a: Outline, b: Outline, from_a: bool, from_b: bool, stack: Floats, at: int, sides: Floats, guess: Ints,
+    deepest: Deepest, resolution_mm: float,
+) -> tuple[Deepest, float]:  # fmt: skip
+    """Depth at the middle and corners of trapezoid `at` (a lower bound), and an upper bound over it."""
+    y0, y1, l0, l1 = stack[at, 0], stack[at, 1], stack[at, 2], stack[at, 3]
+    r0, r1 = stack[at, 4], stack[at, 5]
+    x, y = 0.25 * (l0 + l1 + r0 + r1), 0.5 * (y0 + y1)
+    depth = _look(a, b, from_a, from_b, x, y, sides, guess, 0)
+    if depth > deepest.depth_mm:
+        deepest = Deepest(depth, x, y)
+    ceiling = _mean_ceiling(stack, at, sides, 0, 0)
+    if ceiling <= deepest.depth_mm + resolution_mm or depth < RIDGE_SHARE * deepest.depth_mm:
+        return deepest, ceiling
+    for k in range(1, 5):
+        if k < 3:
+            x, y = (l0 if k == 1 else r0), y0
+        else:
+            x, y = (l1 if k == 3 else r1), y1
+        depth = _look(a, b, from_a, from_b, x, y, sides, guess, k)
+        if depth > deepest.depth_mm:
+            deepest = Deepest(depth, x, y)
+    for i in range(5):
+        for j in range(max(i, 1), 5):
+            ceiling = min(ceiling, _mean_ceiling(stack, at, sides, i, j))
+    return deepest, ceiling
+
+
+@kernel
+def _look(
+    a: Outline, b: Outline, from_a: bool, from_b: bool, x: float, y: float, sides: Floats, guess: Ints, k: int
+) -> float:
+    """Depth at a point; the segment that is nearest goes to row `k` of `sides`.
+
+    `guess` holds the segments found last, from which the next search starts.
+    """
+    depth = np.inf
+    if from_a:
+        depth, i = nearest(a, x, y, guess[0])
+        guess[0] = i
+        if i >= 0:
+            sides[k] = a.segments[i]
+    if from_b:
+        other, i = nearest(b, x, y, guess[1])
+        guess[1] = i
+        if other < depth:
+            depth = other
+            sides[k] = b.segments[i]
+    return float(depth)
+
+
+@kernel
+def _mean_ceiling(stack: Floats, at: int, sides: Floats, i: int, j: int) -> float:
+    """Greatest mean distance of a trapezoid's corners from two sides (or from one, given twice)."""
+    highest = 0.0
+    for k in range(4):
+        x, y = stack[at, 2 + k], stack[at, k % 2]
+        distance = _distance(x, y, sides, i)
+        if i != j:
+            distance = 0.5 * (distance + _distance(x, y, sides, j))
+        highest = max(highest, distance)
+    return highest
+
+
+@kernel
+def _distance(x: float, y: float, sides: Floats, i: int) -> float:
+    """Distance of a point from row `i` of `sides`."""
+    ax, ay = sides[i, 0], sides[i, 1]
+    ux, uy = sides[i, 2] - ax, sides[i, 3] - ay
+    square = ux * ux + uy * uy
+    t = 0.0
+    if square > 0.0:
+        t = min(1.0, max(0.0, ((x - ax) * ux + (y - ay) * uy) / square))
+    return math.hypot(x - ax - t * ux, y - ay - t * uy)
+
+
+@kernel
+def _split(stack: Floats, at: int, ceiling: float, stretch: float) -> int:
+    """Put the parts of trapezoid `at` in its row and those after it; their number.
+
+    It is cut across its longer extent: in two, or along thin slivers into as many parts as are about as
+    long as `stretch`, over which one side can settle the bound.
+    """
+    y0, y1, l0, l1 = stack[at, 0], stack[at, 1], stack[at, 2], stack[at, 3]
+    r0, r1 = stack[at, 4], stack[at, 5]
+    along = math.hypot(y1 - y0, max(abs(l1 - l0), abs(r1 - r0)))
+    if along <= max(r0 - l0, r1 - l1):
+        lower, upper = 0.5 * (l0 + r0), 0.5 * (l1 + r1)
+        _place(stack, at, y0, y1, l0, l1, lower, upper, ceiling)
+        _place(stack, at + 1, y0, y1, lower, upper, r0, r1, ceiling)
+        return 2
+    parts = int(min(max(math.ceil(along / stretch), 2.0), float(MOST_PARTS)))
+    for k in range(parts):
+        t, u = k / parts, (k + 1) / parts
+        _place(
+            stack, at + k, y0 + t * (y1 - y0), y0 + u * (y1 - y0), l0 + t * (l1 - l0), l0 + u * (l1 - l0),
+            r0 + t * (r1 - r0), r0 + u * (r1 - r0), ceiling,
+        )  # fmt: skip
+    return parts
+
+
+@kernel
+def _place(
+    stack: Floats, at: int, y0: float, y1: float, l0: float, l1: float, r0: float, r1: float, ceiling: float
+) -> None:
+    """Write a trapezoid and its bound into a row of the stack."""
+    stack[at, 0], stack[at, 1], stack[at, 2], stack[at, 3] = y0, y1, l0, l1
+    stack[at, 4], stack[at, 5], stack[at, 6] = r0, r1, ceiling

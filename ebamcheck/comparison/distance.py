@@ -1,0 +1,179 @@
+"""Distances between the contours of one layer: directed Hausdorff distance and 95th percentile.
+
+Both bounds used here follow from one fact: the distance from a fixed segment is a convex function, so over
+a piece of a contour it is greatest at an end of the piece.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ebamcheck.comparison.outline import Outline, distance_to_segment, nearest
+from ebamcheck.kernels import kernel
+from ebamcheck.rings import Floats, Ints
+
+RESOLUTION_MM = 1e-7
+"""Hausdorff distances are found to within this: ten thousand times finer than the default tolerance."""
+
+PIECES = 512
+"""A contour is cut into at least this many pieces of equal length; along each the distance is taken as
+linear, which is exact while the nearest segment stays the same."""
+
+PERCENTILE = 0.95
+
+MOST_PIECES = 200_000
+"""Pieces refined in one search at most; a count, so that results do not depend on the machine."""
+
+
+class Directed(NamedTuple):
+    """Distance of one outline's contours from another's."""
+
+    most_mm: float
+    """Directed Hausdorff distance: the greatest distance of a point of the first from the second."""
+    x_mm: float
+    y_mm: float
+    segment: int
+    """Segment of the first outline on which that point lies; -1 where there is none."""
+    p95_mm: float
+    """Distance that 95 % of the first outline's length does not exceed."""
+
+
+@kernel
+def directed(a: Outline, b: Outline) -> Directed:
+    """Distance of the contours of `a` from those of `b`; 0 if both are empty, infinite if one is."""
+    if len(a.segments) == 0 or len(b.segments) == 0:
+        apart = 0.0 if len(a.segments) == len(b.segments) else np.inf
+        return Directed(apart, np.nan, np.nan, -1, apart)
+    pieces, near, of_segment = _pieces(a, b)
+    start, stop = pieces[:, 4], pieces[:, 5]
+    k = int(np.argmax(stop))
+    most, x, y, segment = stop[k], pieces[k, 2], pieces[k, 3], of_segment[k]
+    if start.max() > most:
+        k = int(np.argmax(start))
+        most, x, y, segment = start[k], pieces[k, 0], pieces[k, 1], of_segment[k]
+    for k in range(len(pieces)):
+        if _ceiling(b, pieces[k], near[k]) > most + RESOLUTION_MM:
+            higher, hx, hy = _refine(b, pieces[k], near[k], most)
+            if higher > most:
+                most, x, y, segment = higher, hx, hy, of_segment[k]
+    return Directed(most, x, y, segment, _percentile(pieces))
+
+
+@kernel
+def _pieces(a: Outline, b: Outline) -> tuple[Floats, Ints, Ints]:
+    """Pieces of `a` (x0, y0, x1, y1, distance at each end, length), nearest segments of `b`, own segment."""
+    step = a.length / PIECES
+    count = 0
+    cuts = np.empty(len(a.segments), np.int64)
+    for s in range(len(a.segments)):
+        x0, y0, x1, y1 = a.segments[s]
+        cuts[s] = max(1, math.ceil(math.hypot(x1 - x0, y1 - y0) / step)) if step > 0.0 else 1
+        count += cuts[s]
+    pieces = np.empty((count, 7))
+    near = np.empty((count, 2), np.int64)
+    of_segment = np.empty(count, np.int64)
+    n = 0
+    px, py, p_distance, p_near = np.nan, np.nan, np.inf, -1
+    for s in range(len(a.segments)):
+        x0, y0, x1, y1 = a.segments[s]
+        length = math.hypot(x1 - x0, y1 - y0) / cuts[s]
+        if x0 != px or y0 != py:
+            p_distance, p_near = nearest(b, x0, y0, p_near)
+            px, py = x0, y0
+        for j in range(1, cuts[s] + 1):
+            t = j / cuts[s]
+            x, y = (x0 + t * (x1 - x0), y0 + t * (y1 - y0)) if j < cuts[s] else (x1, y1)
+            distance, found = nearest(b, x, y, p_near)
+            pieces[n, 0], pieces[n, 1], pieces[n, 2], pieces[n, 3] = px, py, x, y
+            pieces[n, 4], pieces[n, 5], pieces[n, 6] = p_distance, distance, length
+            near[n, 0], near[n, 1] = p_near, found
+            of_segment[n] = s
+            n += 1
+            px, py, p_distance, p_near = x, y, distance, found
+    return pieces, near, of_segment
+
+
+@kernel
+def _ceiling(b: Outline, piece: Floats, near: Ints) -> float:
+    """No point of a piece is farther from `b` than this (nearest segments at its two ends given)."""
+    if near[0] == near[1]:
+        return float(max(piece[4], piece[5]))
+    first_at_stop = distance_to_segment(piece[2], piece[3], b.segments, near[0])
+    last_at_start = distance_to_segment(piece[0], piece[1], b.segments, near[1])
+    mean = 0.5 * max(piece[4] + last_at_start, piece[5] + first_at_stop)
+    return float(min(max(piece[4], first_at_stop), max(piece[5], last_at_start), mean))
+
+
+@kernel
+def _refine(b: Outline, piece: Floats, near: Ints, most: float) -> tuple[float, float, float]:
+    """Greatest distance on a piece if it is over `most`, by halving, with its place."""
+    stack = np.empty((128, 7))
+    near_stack = np.empty((128, 2), np.int64)
+    stack[0], near_stack[0] = piece, near
+    count = 1
+    x, y = np.nan, np.nan
+    for _ in range(MOST_PIECES):
+        if count == 0:
+            break
+        count -= 1
+        if _ceiling(b, stack[count], near_stack[count]) <= most + RESOLUTION_MM or count + 2 > 128:
+            continue
+        x0, y0, x1, y1, start, stop, length = stack[count]
+        first, last = near_stack[count]
+        mx, my = 0.5 * (x0 + x1), 0.5 * (y0 + y1)
+        distance, middle = nearest(b, mx, my, first)
+        if distance > most:
+            most, x, y = distance, mx, my
+        for half in range(2):
+            at = count + half
+            if half == 0:
+                stack[at, 0], stack[at, 1], stack[at, 2], stack[at, 3] = x0, y0, mx, my
+                stack[at, 4], stack[at, 5] = start, distance
+                near_stack[at, 0], near_stack[at, 1] = first, middle
+            else:
+                stack[at, 0], stack[at, 1], stack[at, 2], stack[at, 3] = mx, my, x1, y1
+                stack[at, 4], stack[at, 5] = distance, stop
+                near_stack[at, 0], near_stack[at, 1] = middle, last
+            stack[at, 6] = 0.5 * length
+        count += 2
+    return most, x, y
+
+
+@kernel
+def _percentile(pieces: Floats) -> float:
+    """Distance below which the given share of the length lies, the distance being linear along a piece."""
+    count = len(pieces)
+    low = np.empty(count)
+    high = np.empty(count)
+    weight = pieces[:, 6].copy()
+    for k in range(count):
+        low[k], high[k] = min(pieces[k, 4], pieces[k, 5]), max(pieces[k, 4], pieces[k, 5])
+    wanted = PERCENTILE * weight.sum()
+    bottom, top = low.min(), high.max()
+    below = 0.0  # length known to lie under the bracket
+    for _ in range(64):
+        middle = 0.5 * (bottom + top)
+        if not bottom < middle < top:
+            break
+        under = below
+        for k in range(count):
+            if high[k] <= middle:
+                under += weight[k]
+            elif low[k] < middle:
+                under += weight[k] * (middle - low[k]) / (high[k] - low[k])
+        if under >= wanted:
+            top = middle
+        else:
+            bottom = middle
+        kept = 0
+        for k in range(count):
+            if high[k] <= bottom:
+                below += weight[k]
+            elif low[k] < top:
+                low[kept], high[kept], weight[kept] = low[k], high[k], weight[k]
+                kept += 1
+        count = kept
+    return float(top)

@@ -1,0 +1,249 @@
+"""Differences of two stacks, layer by layer, and whether they agree."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import pandas as pd
+import shapely
+from numpy.typing import NDArray
+
+from ebamcheck.comparison.classes import UNKNOWN, layer_classes
+from ebamcheck.comparison.measure import Figures, measure
+from ebamcheck.comparison.outline import outline
+from ebamcheck.comparison.topology import region, topologies_agree
+from ebamcheck.errors import SettingsError
+from ebamcheck.kernels import run_blocks
+from ebamcheck.layers import Layers
+from ebamcheck.part import Part
+from ebamcheck.rings import EPSILON, Floats
+
+SAME_HEIGHT_MM = 1e-6
+"""Heights closer than this are the same: finer than any slice file writes them."""
+
+SMALLEST_BLOCK = 16
+"""Layers to a task at least, so that starting it costs little beside it."""
+
+DepthFrom = Literal["auto", "a", "b", "nearer"]
+
+
+class Pair(NamedTuple):
+    """Two stacks to be measured against each other, by their places in a list."""
+
+    a: int
+    b: int
+    limit_mm: float
+    exact_a: bool
+    exact_b: bool
+
+
+def compare(
+    a: Layers,
+    b: Layers,
+    *,
+    tolerance_mm: float = 0.001,
+    bound_a_mm: float = 0.0,
+    bound_b_mm: float = 0.0,
+    exact_a: bool = False,
+    exact_b: bool = False,
+    depth_from: DepthFrom = "auto",
+    part: Part | None = None,
+    plane_margin_mm: float = 0.0,
+    check_part: bool = True,
+) -> pd.DataFrame:
+    """Compare two stacks of layers.
+
+    Parameters
+    ----------
+    a, b
+        Stacks of the same part at the same heights.
+    tolerance_mm, bound_a_mm, bound_b_mm
+        They agree where no point of the symmetric difference is deeper than the sum of the three.
+    exact_a, exact_b
+        Whether the contours are those of the mesh up to rounding.
+    depth_from
+        Contours from which depth is measured: ``"a"``, ``"b"``, the ``"nearer"`` of both at each point, or
+        ``"auto"``: the exact one's, the lesser of both depths if both are exact, the nearer if neither is.
+    part, plane_margin_mm
+        The part sliced, for the column `class` (``unknown`` without it), and the margin of the classes.
+    check_part
+        Refuse stacks that carry the hashes of two different parts.
+
+    Returns
+    -------
+    pandas.DataFrame
+        One row a layer: ``layer``, ``height_mm``, ``class``; ``area_a_mm2``, ``area_b_mm2`` (winding number
+        > 0), ``area_difference_mm2`` (a - b), ``symmetric_difference_mm2``, ``iou``; Hausdorff distances
+        ``hausdorff_ab_mm`` (from a to b), ``hausdorff_ba_mm``, ``hausdorff_mm`` and 95th percentiles
+        ``p95_ab_mm``, ``p95_ba_mm`` over the length of all contours, open paths included; ``depth_mm`` at
+        ``depth_x_mm``, ``depth_y_mm``; ``rings_a``, ``rings_b`` (outer and inner together), ``holes_a``,
+        ``holes_b``, ``open_a``, ``open_b``; ``topology_agrees``; ``limit_mm``; ``agrees``.
+
+        Two empty layers have an overlap of 1 and distances of 0; where one is empty the overlap is 0, the
+        distances are infinite and the depth is the inscribed radius of the other. Hausdorff distances are
+        right to 1e-7 mm, depths to 1e-6 mm or 1 % of the limit, whichever is more.
+
+    Raises
+    ------
+    SettingsError
+        If the heights or the parts differ, or a bound is negative or not finite.
+    """
+    check_comparable({"a": a, "b": b}, check_part)
+    limit = tolerance_mm + bound_a_mm + bound_b_mm
+    if not (np.isfinite(limit) and min(tolerance_mm, bound_a_mm, bound_b_mm) >= 0.0):
+        raise SettingsError(
+            f"tolerance {tolerance_mm} mm with bounds {bound_a_mm} and {bound_b_mm} mm: give numbers from 0 up"
+        )
+    if depth_from != "auto":
+        exact_a, exact_b = depth_from == "a", depth_from == "b"
+    classes = np.full(len(a), UNKNOWN) if part is None else layer_classes(part, a.heights, plane_margin_mm)
+    (figures,), origin = measure_stacks([a, b], [Pair(0, 1, limit, exact_a, exact_b)])
+    return table(a, b, figures, limit, classes, origin)
+
+
+def check_comparable(stacks: Mapping[str, Layers], check_part: bool = True) -> None:
+    """Refuse stacks of different heights or of different parts; an empty hash matches any."""
+    names = list(stacks)
+    first = stacks[names[0]]
+    for name in names[1:]:
+        other = stacks[name]
+        if len(first) != len(other):
+            raise SettingsError(
+                f"{names[0]!r} has {len(first)} layers and {name!r} has {len(other)}: compare the same heights"
+            )
+        apart = np.abs(first.heights - other.heights)
+        differ = np.flatnonzero(~(apart <= SAME_HEIGHT_MM + 4.0 * EPSILON * np.abs(first.heights)))
+        if differ.size:
+            k = int(differ[0])
+            raise SettingsError(
+                f"layer {k} is at z = {first.heights[k]} mm in {names[0]!r} and at {other.heights[k]} mm "
+                f"in {name!r}: compare the same heights"
+            )
+    known: dict[str, str] = {}
+    for name, stack in stacks.items():
+        if stack.part:
+            known.setdefault(stack.part, name)
+    if check_part and len(known) > 1:
+        (hash_a, name_a), (hash_b, name_b) = list(known.items())[:2]
+        raise SettingsError(
+            f"{name_a!r} is of part {hash_a[:12]} and {name_b!r} of part {hash_b[:12]}: compare the same part, "
+            "or pass check_part=False"
+        )
+
+
+def measure_stacks(
+    stacks: Sequence[Layers], pairs: Sequence[Pair], progress: Callable[[int], None] | None = None
+) -> tuple[NDArray[np.float64], tuple[float, float]]:
+    """Figures of all pairs on all layers, (P, L, F) in the order of :class:`Figures`, and their origin."""
+    origin = shared_origin(stacks)
+
+    def work(start: int, stop: int) -> NDArray[np.float64]:
+        figures = measure_block(stacks, pairs, origin, start, stop)
+        if progress is not None:
+            progress(stop - start)
+        return figures
+
+    return np.concatenate(run_blocks(work, len(stacks[0]), SMALLEST_BLOCK), axis=1), origin
+
+
+def measure_block(
+    stacks: Sequence[Layers], pairs: Sequence[Pair], origin_mm: tuple[float, float], start: int, stop: int
+) -> NDArray[np.float64]:
+    """Figures of all pairs on layers ``start .. stop - 1``, (P, stop - start, F).
+
+    A pure function of picklable arguments; each layer is made ready once for all its pairs.
+    """
+    figures = np.empty((len(pairs), stop - start, len(Figures._fields)))
+    for layer in range(start, stop):
+        outlines = [outline(stack, layer, origin_mm) for stack in stacks]
+        for p, pair in enumerate(pairs):
+            found = measure(outlines[pair.a], outlines[pair.b], pair.limit_mm, pair.exact_a, pair.exact_b)
+            if not found.sound:
+                found = _by_shapely(stacks[pair.a], stacks[pair.b], layer, found)
+            figures[p, layer - start] = found
+    return figures
+
+
+def shared_origin(stacks: Sequence[Layers]) -> tuple[float, float]:
+    """Middle of all points of all stacks, mm: coordinates from there lose no digits to a far origin."""
+    boxes = np.array([stack.bounds() for stack in stacks if len(stack.points)]).reshape(-1, 4)
+    if not len(boxes):
+        return (0.0, 0.0)
+    low, high = boxes[:, :2].min(axis=0), boxes[:, 2:].max(axis=0)
+    x, y = 0.5 * (low + high)
+    return float(x), float(y)
+
+
+def _by_shapely(a: Layers, b: Layers, layer: int, found: Figures) -> Figures:
+    """Areas and depth by shapely, where the sweep met too many crossings."""
+    region_a, region_b = region(a, layer), region(b, layer)
+    difference = shapely.symmetric_difference(region_a, region_b)
+    radius, x, y = 0.0, np.nan, np.nan
+    for polygon in shapely.get_parts(difference):
+        if polygon.geom_type == "Polygon" and not polygon.is_empty:
+            circle = shapely.maximum_inscribed_circle(polygon)
+            if circle.length > radius:
+                radius, (x, y) = float(circle.length), circle.coords[0]
+    return found._replace(
+        area_a=float(region_a.area), area_b=float(region_b.area),
+        symmetric_difference=float(difference.area), depth=radius, depth_x=x, depth_y=y,
+    )  # fmt: skip
+
+
+def table(
+    a: Layers,
+    b: Layers,
+    figures: Floats,
+    limit_mm: float,
+    classes: NDArray[np.str_],
+    origin_mm: tuple[float, float],
+) -> pd.DataFrame:
+    """Figures of one pair (L, F), measured from an origin, as a table with counts and verdicts."""
+    column = dict(zip(Figures._fields, figures.T, strict=True))
+    symmetric = column["symmetric_difference"]
+    union = 0.5 * (column["area_a"] + column["area_b"] + symmetric)
+    overlap = union - symmetric
+    empty = union <= 0.0
+    rings = {"a": a.ring_counts(), "b": b.ring_counts()}
+    holes = {"a": a.hole_counts(), "b": b.hole_counts()}
+    topology = _topologies(a, b, limit_mm, rings, holes)
+    columns: dict[str, Any] = {
+        "layer": np.arange(len(a)),
+        "height_mm": a.heights,
+        "class": classes.astype(object),
+        "area_a_mm2": column["area_a"],
+        "area_b_mm2": column["area_b"],
+        "area_difference_mm2": column["area_a"] - column["area_b"],
+        "symmetric_difference_mm2": symmetric,
+        "iou": np.where(empty, 1.0, np.clip(overlap, 0.0, None) / np.where(empty, 1.0, union)),
+        "hausdorff_ab_mm": column["hausdorff_ab"],
+        "hausdorff_ba_mm": column["hausdorff_ba"],
+        "hausdorff_mm": np.maximum(column["hausdorff_ab"], column["hausdorff_ba"]),
+        "p95_ab_mm": column["p95_ab"],
+        "p95_ba_mm": column["p95_ba"],
+        "depth_mm": column["depth"],
+        "depth_x_mm": column["depth_x"] + origin_mm[0],
+        "depth_y_mm": column["depth_y"] + origin_mm[1],
+        "rings_a": rings["a"],
+        "rings_b": rings["b"],
+        "holes_a": holes["a"],
+        "holes_b": holes["b"],
+        "open_a": a.open_counts(),
+        "open_b": b.open_counts(),
+        "topology_agrees": topology,
+        "limit_mm": np.full(len(a), limit_mm),
+        "agrees": topology & (column["depth"] <= limit_mm),
+    }
+    return pd.DataFrame(columns)
+
+
+def _topologies(
+    a: Layers, b: Layers, limit_mm: float, rings: Mapping[str, Any], holes: Mapping[str, Any]
+) -> NDArray[np.bool_]:
+    """Whether the topology agrees on each layer; looked into only where the plain counts differ."""
+    agree: NDArray[np.bool_] = (rings["a"] == rings["b"]) & (holes["a"] == holes["b"])
+    for layer in np.flatnonzero(~agree):
+        agree[layer] = topologies_agree(a, b, int(layer), limit_mm)
+    return agree

@@ -1,0 +1,59 @@
+"""Whether two regions have the same outer rings and holes once thin features are set aside.
+
+A feature thinner than twice the limit (a sliver, a neck, a slit, a pore) may rightly be in one region and
+not in the other. So each region is counted with its thin features and without: as it is, opened by the limit
+(thin solids gone), closed by it (thin gaps gone), and both in either order. The two agree if their ranges of
+the number of outer rings overlap, and their ranges of the number of holes too.
+"""
+
+from __future__ import annotations
+
+import shapely
+from shapely.geometry.base import BaseGeometry
+
+from ebamcheck.layers import Layers
+
+ARC_SEGMENTS = 4
+"""Segments a quarter circle in the offsets: their radius is right to 2 %."""
+
+Counts = tuple[range, range]
+"""Range of the number of outer rings, and of holes."""
+
+
+def region(layers: Layers, layer: int) -> BaseGeometry:
+    """Union of the solid regions of a layer."""
+    return shapely.union_all(layers.polygons(layer))
+
+
+def topologies_agree(a: Layers, b: Layers, layer: int, limit_mm: float) -> bool:
+    """Whether a layer's outer rings and holes agree once features thinner than ``2 limit_mm`` are set aside."""
+    outer_a, holes_a = thin_counts(region(a, layer), limit_mm)
+    outer_b, holes_b = thin_counts(region(b, layer), limit_mm)
+    return _overlap(outer_a, outer_b) and _overlap(holes_a, holes_b)
+
+
+def thin_counts(solid: BaseGeometry, limit_mm: float) -> Counts:
+    """Ranges of the number of outer rings and of holes, with thin features kept or set aside."""
+    variants = [solid]
+    if limit_mm > 0.0 and not solid.is_empty:
+        opened = _closed(solid, -limit_mm)
+        closed = _closed(solid, limit_mm)
+        variants += [opened, closed, _closed(opened, limit_mm), _closed(closed, -limit_mm)]
+    counts = [_counts(variant) for variant in variants]
+    outer, holes = [c[0] for c in counts], [c[1] for c in counts]
+    return range(min(outer), max(outer) + 1), range(min(holes), max(holes) + 1)
+
+
+def _closed(solid: BaseGeometry, by_mm: float) -> BaseGeometry:
+    """Region closed by a distance, or opened where it is negative."""
+    return solid.buffer(by_mm, quad_segs=ARC_SEGMENTS).buffer(-by_mm, quad_segs=ARC_SEGMENTS)
+
+
+def _counts(solid: BaseGeometry) -> tuple[int, int]:
+    """Polygons and holes of a region."""
+    polygons = [p for p in shapely.get_parts(solid) if p.geom_type == "Polygon" and not p.is_empty]
+    return len(polygons), sum(int(shapely.get_num_interior_rings(p)) for p in polygons)
+
+
+def _overlap(a: range, b: range) -> bool:
+    return a.start < b.stop and b.start < a.stop

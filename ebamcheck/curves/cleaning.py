@@ -1,0 +1,172 @@
+"""Cleaning of contours before a fit: near, repeated and collinear points go (paper, section 3.2)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ebamcheck.kernels import kernel, run_blocks
+from ebamcheck.rings import Bools, Floats, Ints
+
+RINGS_A_BLOCK = 64
+"""Fewest rings worth a thread of their own."""
+
+
+class CleanRings(NamedTuple):
+    """Contours without needless points."""
+
+    rows: Ints
+    """(K,) rows of the contour points that are kept, ring by ring."""
+    starts: Ints
+    """(R + 1,) first entry of each ring in `rows`."""
+    collapsed: Bools
+    """(R,) rings smaller than the tolerances; they keep all their points and are not fitted."""
+
+
+def clean(
+    points: Floats, ring_starts: Ints, closed: Bools, near_point_mm: float, collinear_mm: float
+) -> CleanRings:
+    """Leave out the points of rings that carry no shape.
+
+    A point goes if it repeats or lies nearer than `near_point_mm` to the last one kept. Of a run of
+    points, the inner ones go if every one of them lies within `collinear_mm` of the chord that takes
+    their place, so that the error does not grow along the run; points of a path that turns back on
+    itself stay. Closed rings are swept from the point farthest from their middle, which cannot lie
+    inside a straight run; open paths keep both ends.
+
+    Parameters
+    ----------
+    points, ring_starts, closed
+        Columns of :class:`~ebamcheck.layers.Layers`: (N, 2) mm, (R + 1,), (R,).
+    near_point_mm, collinear_mm
+        Tolerances; 0 leaves out only what repeats or is collinear to rounding.
+    """
+    count = ring_starts.size - 1
+    sweep = np.empty(len(points), dtype=np.int64)
+    sizes = np.zeros(count, dtype=np.int64)
+    collapsed = np.zeros(count, dtype=np.bool_)
+
+    def work(first: int, last: int) -> None:
+        _clean_rings(
+            points, ring_starts, closed, near_point_mm, collinear_mm, first, last, sweep, sizes, collapsed
+        )
+
+    run_blocks(work, count, RINGS_A_BLOCK)
+    starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+    places = np.arange(starts[-1]) + np.repeat(ring_starts[:-1] - starts[:-1], sizes)
+    return CleanRings(sweep[places], starts, collapsed)
+
+
+@kernel
+def _clean_rings(
+    points: Floats,
+    ring_starts: Ints,
+    closed: Bools,
+    near: float,
+    collinear: float,
+    first: int,
+    last: int,
+    sweep: Ints,
+    sizes: Ints,
+    collapsed: Bools,
+) -> None:
+    for r in range(first, last):
+        a, b = ring_starts[r], ring_starts[r + 1]
+        rows = sweep[a:b]
+        begin = _farthest(points, a, b) if closed[r] else a
+        for i in range(b - a):
+            rows[i] = begin + i if begin + i < b else begin + i - (b - a)
+        size = _drop_near(points, rows, b - a, closed[r], near)
+        size = _drop_collinear(points, rows, size, closed[r], collinear)
+        if size < (3 if closed[r] else 2):
+            collapsed[r] = True
+            size = b - a
+            for i in range(size):
+                rows[i] = a + i
+        sizes[r] = size
+
+
+@kernel
+def _farthest(points: Floats, a: int, b: int) -> int:
+    """Row of the first point of ``[a, b)`` that is farthest from the mean of all."""
+    x = y = 0.0
+    for i in range(a, b):
+        x += (points[i, 0] - points[a, 0]) / (b - a)
+        y += (points[i, 1] - points[a, 1]) / (b - a)
+    best, best_d = a, -1.0
+    for i in range(a, b):
+        d = np.hypot(points[i, 0] - points[a, 0] - x, points[i, 1] - points[a, 1] - y)
+        if d > best_d:
+            best, best_d = i, d
+    return best
+
+
+@kernel
+def _distance(points: Floats, i: int, j: int) -> float:
+    return float(np.hypot(points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]))
+
+
+@kernel
+def _drop_near(points: Floats, rows: Ints, size: int, closed: bool, near: float) -> int:
+    """Keep, in place, the points that lie `near` or farther from the last one kept; return how many."""
+    kept = min(size, 1)
+    for i in range(1, size):
+        d = _distance(points, rows[kept - 1], rows[i])
+        if d > 0.0 and d >= near:
+            rows[kept] = rows[i]
+            kept += 1
+        elif i == size - 1 and not closed and kept > 1:
+            rows[kept - 1] = rows[i]  # the end of an open path stays
+    while closed and kept > 1:
+        d = _distance(points, rows[kept - 1], rows[0])
+        if d > 0.0 and d >= near:
+            break
+        kept -= 1
+    return kept
+
+
+@kernel
+def _drop_collinear(points: Floats, rows: Ints, size: int, closed: bool, tolerance: float) -> int:
+    """Keep, in place, the ends of the longest chords that stay within `tolerance`; return how many.
+
+    From an anchor, each point passed narrows the wedge of directions in which a chord lies within the
+    tolerance of it; a chord may end at the next point while that lies in the wedge and no nearer to
+    the anchor than those passed.
+    """
+    if size < 3:
+        return size
+    kept = 1
+    anchor = rows[0]
+    final = rows[0] if closed else rows[size - 1]
+    open_wedge = True
+    base_x, base_y, low, high, reach = 1.0, 0.0, 0.0, 0.0, 0.0
+    i = 1
+    end = size if closed else size - 1
+    while i < end:
+        here = rows[i]
+        ahead = rows[i + 1] if i + 1 < size else final
+        x, y = points[here, 0] - points[anchor, 0], points[here, 1] - points[anchor, 1]
+        r = np.hypot(x, y)
+        if r > tolerance:
+            half = np.arcsin(tolerance / r)
+            if open_wedge:
+                open_wedge, base_x, base_y, low, high = False, x, y, -half, half
+            else:
+                turn = np.arctan2(base_x * y - base_y * x, base_x * x + base_y * y)
+                low, high = max(low, turn - half), min(high, turn + half)
+        reach = max(reach, r)
+        x, y = points[ahead, 0] - points[anchor, 0], points[ahead, 1] - points[anchor, 1]
+        passes = np.hypot(x, y) >= reach
+        if passes and not open_wedge:
+            turn = np.arctan2(base_x * y - base_y * x, base_x * x + base_y * y)
+            passes = low <= turn <= high
+        if not passes:
+            rows[kept] = here
+            kept += 1
+            anchor, open_wedge, reach = here, True, 0.0
+        i += 1
+    if not closed:
+        rows[kept] = final
+        kept += 1
+    return kept

@@ -1,0 +1,285 @@
+"""Curves: the fitted contours of a whole stack, as columns."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ebamcheck import layers as layer_columns
+from ebamcheck.curves import bezier
+from ebamcheck.curves.bezier import BezierSpans
+from ebamcheck.curves.splitting import LINE
+from ebamcheck.errors import SettingsError
+from ebamcheck.kernels import run_blocks
+from ebamcheck.layers import UP, Layers
+from ebamcheck.rings import Bools, Floats, Ints
+
+MOST_SAMPLES = 2**31
+"""More points than this are a mistyped step, not a sampling."""
+
+
+class Piece(NamedTuple):
+    """One piece of a contour."""
+
+    kind: int
+    """:data:`LINE` (the polyline of `control`) or :data:`SPLINE` (a cubic B-spline)."""
+    control: Floats
+    """(m, 2) control points, mm."""
+    knots: Floats
+    """(m + 4,) clamped knot vector, mm; empty for a line."""
+    ring: int
+    layer: int
+
+
+class SampledRings(NamedTuple):
+    """Points along curves, ring by ring as the curves have them."""
+
+    points: Floats
+    """(N, 2) mm."""
+    ring_starts: Ints
+    """(R + 1,) into `points`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Curves:
+    """The fitted contours of a stack of layers.
+
+    Rings are those of the layers that were fitted, in their order and direction. A ring is a chain of
+    pieces; each ends, bit for bit, where the next one starts, and a closed ring ends where it starts.
+
+    Parameters
+    ----------
+    heights
+        (L,) absolute z of each layer, mm.
+    layer_starts
+        (L + 1,) first ring of each layer.
+    ring_starts
+        (R + 1,) first piece of each ring.
+    closed
+        (R,) false for an open path.
+    kind
+        (P,) :data:`LINE` = 0, the polyline of the control points, or :data:`SPLINE` = 1, a cubic B-spline.
+    control_starts, control
+        (P + 1,) into the (M, 2) control points, mm.
+    knot_starts, knots
+        (P + 1,) into the (K,) knots: clamped (first and last four equal), from 0 to about the length
+        of the piece in mm. Dividing by the last knot gives the parameters 0 .. 1 of the paper.
+    method, settings
+        How the curves were fitted.
+    part, direction, backend
+        Labels of the layers that were fitted.
+    """
+
+    heights: Floats
+    layer_starts: Ints
+    ring_starts: Ints
+    closed: Bools
+    kind: NDArray[np.uint8]
+    control_starts: Ints
+    control: Floats
+    knot_starts: Ints
+    knots: Floats
+    method: str = ""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    part: str = ""
+    direction: tuple[float, float, float] = UP
+    backend: str = ""
+
+    def __len__(self) -> int:
+        """Return the number of layers."""
+        return int(self.heights.size)
+
+    @property
+    def ring_layer(self) -> Ints:
+        """Layer of each ring, (R,)."""
+        return np.repeat(np.arange(len(self)), np.diff(self.layer_starts))
+
+    @property
+    def piece_ring(self) -> Ints:
+        """Ring of each piece, (P,)."""
+        return np.repeat(np.arange(self.closed.size), np.diff(self.ring_starts))
+
+    def rings_of(self, layer: int) -> range:
+        """Indices of the rings of a layer."""
+        return range(int(self.layer_starts[layer]), int(self.layer_starts[layer + 1]))
+
+    def pieces_of(self, ring: int) -> range:
+        """Indices of the pieces of a ring."""
+        return range(int(self.ring_starts[ring]), int(self.ring_starts[ring + 1]))
+
+    def piece(self, i: int) -> Piece:
+        """One piece by its index."""
+        ring = int(np.searchsorted(self.ring_starts, i, side="right")) - 1
+        return Piece(
+            int(self.kind[i]),
+            self.control[self.control_starts[i] : self.control_starts[i + 1]],
+            self.knots[self.knot_starts[i] : self.knot_starts[i + 1]],
+            ring,
+            int(np.searchsorted(self.layer_starts, ring, side="right")) - 1,
+        )
+
+    def evaluate(self, i: int, parameters: ArrayLike) -> Floats:
+        """Points (n, 2) of piece `i` at parameters from 0 to its last knot (a line: to its length), mm."""
+        piece = self.piece(i)
+        at = np.ascontiguousarray(parameters, dtype=np.float64).reshape(-1)
+        if piece.kind == LINE:
+            travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(piece.control, axis=0).T))])
+            return np.column_stack([np.interp(at, travelled, column) for column in piece.control.T])
+        return bezier.evaluate_spline(piece.control, piece.knots, at)
+
+    def block(self, start: int, stop: int) -> Curves:
+        """Layers ``start .. stop - 1``, as views where possible."""
+        a, b = int(self.layer_starts[start]), int(self.layer_starts[stop])
+        p, q = int(self.ring_starts[a]), int(self.ring_starts[b])
+        c, d = int(self.control_starts[p]), int(self.control_starts[q])
+        k, m = int(self.knot_starts[p]), int(self.knot_starts[q])
+        return replace(
+            self,
+            heights=self.heights[start:stop],
+            layer_starts=self.layer_starts[start : stop + 1] - a,
+            ring_starts=self.ring_starts[a : b + 1] - p,
+            closed=self.closed[a:b],
+            kind=self.kind[p:q],
+            control_starts=self.control_starts[p : q + 1] - c,
+            control=self.control[c:d],
+            knot_starts=self.knot_starts[p : q + 1] - k,
+            knots=self.knots[k:m],
+        )
+
+    # -- measures ----------------------------------------------------------------------------------
+
+    def block_counts(self) -> Ints:
+        """NC blocks of each piece, (P,): knot spans of a spline, segments of a line."""
+        return bezier.span_counts(self.kind, self.control_starts, self.knots, self.knot_starts)
+
+    def block_count(self) -> int:
+        """NC blocks of all pieces together."""
+        return int(self.block_counts().sum())
+
+    def lengths(self) -> Floats:
+        """Arc length of each piece, (P,) mm."""
+        spans = self.bezier_spans()
+        arcs = bezier.arc_lengths(spans.points, bezier.QUADRATURE_NODES, bezier.QUADRATURE_WEIGHTS)
+        along = np.where(spans.kind == LINE, spans.interval_mm, arcs)
+        return np.bincount(spans.piece, along, minlength=self.kind.size).astype(np.float64)
+
+    # -- other forms -------------------------------------------------------------------------------
+
+    def bezier_spans(self) -> BezierSpans:
+        """Bezier form of every knot span and line segment, in the order of travel."""
+        counts = self.block_counts()
+        starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+        points = np.empty((int(starts[-1]), 4, 2))
+        intervals = np.empty(int(starts[-1]))
+        bezier.fill_spans(
+            self.kind,
+            self.control,
+            self.control_starts,
+            self.knots,
+            self.knot_starts,
+            starts,
+            points,
+            intervals,
+        )
+        piece = np.repeat(np.arange(self.kind.size), counts)
+        ring = self.piece_ring[piece]
+        return BezierSpans(points, intervals, self.kind[piece], piece, ring, self.ring_layer[ring])
+
+    def sample(self, step_mm: float) -> Layers:
+        """Points on the curves whose neighbours are at most `step_mm` apart, as layers.
+
+        Ends of pieces and of knot spans are always among the points.
+
+        Raises
+        ------
+        SettingsError
+            If the step is not positive, or would give more than :data:`MOST_SAMPLES` points.
+        """
+        return self._as_layers(self._sampled(_positive(step_mm, "step_mm"), math.inf))
+
+    def sample_tolerance(self, tolerance_mm: float) -> Layers:
+        """Polylines that leave the curves by at most `tolerance_mm`, as layers; lines stay as they are.
+
+        Raises
+        ------
+        SettingsError
+            If the tolerance is not positive, or would give more than :data:`MOST_SAMPLES` points.
+        """
+        return self._as_layers(self.sampled_rings(tolerance_mm))
+
+    def sampled_rings(self, tolerance_mm: float) -> SampledRings:
+        """Polylines within `tolerance_mm` of the curves, one a ring and in the order of the rings."""
+        return self._sampled(math.inf, _positive(tolerance_mm, "tolerance_mm"))
+
+    def _sampled(self, step_mm: float, tolerance_mm: float) -> SampledRings:
+        def work(start: int, stop: int) -> SampledRings:
+            return _sample(self.block(start, stop), step_mm, tolerance_mm)
+
+        parts = run_blocks(work, len(self))
+        sizes = np.concatenate([np.diff(part.ring_starts) for part in parts])
+        starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+        return SampledRings(np.concatenate([part.points for part in parts]), starts)
+
+    def _as_layers(self, sampled: SampledRings) -> Layers:
+        return layer_columns.canonical(
+            self.heights,
+            sampled.points,
+            sampled.ring_starts,
+            self.layer_starts,
+            self.closed,
+            part=self.part,
+            direction=self.direction,
+            backend=self.backend,
+            settings={"curves": self.method, **self.settings},
+        )
+
+    # -- files -------------------------------------------------------------------------------------
+
+    def to_parquet(self, path: str | Path) -> None:
+        """Write the curves, one row a layer; see :mod:`ebamcheck.curves.storage`."""
+        from ebamcheck.curves import storage
+
+        storage.write(self, Path(path))
+
+    @classmethod
+    def from_parquet(cls, path: str | Path) -> Curves:
+        """Read curves that :meth:`to_parquet` wrote."""
+        from ebamcheck.curves import storage
+
+        return storage.read(Path(path))
+
+
+def _positive(value: float, name: str) -> float:
+    if not (math.isfinite(value) and value > 0.0):
+        raise SettingsError(f"{name} {value}: give a positive number of millimetres")
+    return float(value)
+
+
+def _sample(curves: Curves, step_mm: float, tolerance_mm: float) -> SampledRings:
+    """Sample one block; an infinite step or tolerance asks for nothing."""
+    spans = curves.bezier_spans()
+    if math.isfinite(step_mm):
+        chords = bezier.chords_for_step(spans.points, spans.kind, step_mm)
+    else:
+        chords = bezier.chords_for_tolerance(spans.points, spans.kind, tolerance_mm)
+    total = int(chords.sum())
+    if total > MOST_SAMPLES:
+        raise SettingsError(
+            f"sampling would give {total} points (limit {MOST_SAMPLES}): give a larger step or tolerance"
+        )
+    last = np.flatnonzero(np.diff(spans.ring, append=-1) != 0)
+    ends = last[~curves.closed[spans.ring[last]]]  # an open path needs its end point too
+    sizes = chords.copy()
+    sizes[ends] += 1
+    places = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+    points = np.empty((int(places[-1]), 2))
+    bezier.sample_spans(spans.points, spans.kind, chords, places, points)
+    points[places[ends + 1] - 1] = spans.points[ends, 3]
+    per_ring = np.bincount(spans.ring, sizes, minlength=curves.closed.size)
+    return SampledRings(points, np.concatenate([[0], np.cumsum(per_ring)]).astype(np.int64))

@@ -1,0 +1,91 @@
+"""Polar radius of a contour about a centre, by the exact crossing of ray and segment (paper, 5.2)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ebamcheck.curves.nearest import closed_points
+from ebamcheck.errors import SettingsError
+from ebamcheck.kernels import kernel
+from ebamcheck.rings import Floats
+
+NEARLY_HALF_TURN_RAD = 3.1
+"""A segment that spans more than this passes so near to the centre that every ray is tried on it."""
+
+ANGLE_MARGIN_RAD = 1e-9
+"""Rays this far beyond the ends of a segment are tried too: angles are rounded, crossings are not."""
+
+
+def polar_radius(ring: ArrayLike, centre: ArrayLike, theta_rad: ArrayLike) -> Floats:
+    """Distance from `centre` at which a ray in each direction meets a closed ring.
+
+    Parameters
+    ----------
+    ring
+        (n, 2) points, mm, at least 3, without a repeated end point.
+    centre
+        (2,) mm.
+    theta_rad
+        (m,) directions, counter-clockwise from +x.
+
+    Returns
+    -------
+    (m,) mm; NaN where a ray meets the ring never or more than once, so that no radius is defined.
+    """
+    points = np.asarray(ring, dtype=np.float64).reshape(-1, 2)
+    middle = np.asarray(centre, dtype=np.float64).reshape(-1)
+    if len(points) < 3 or middle.size != 2:
+        raise SettingsError(
+            f"a polar radius needs a ring of at least 3 points and a centre (x, y); got {len(points)} points, {middle.size} coordinates"
+        )
+    theta = np.mod(np.asarray(theta_rad, dtype=np.float64).reshape(-1), 2.0 * math.pi)
+    order = np.argsort(theta, kind="stable")
+    radii = np.empty(theta.size)
+    radii[order] = ray_radii(closed_points(points, True), middle[0], middle[1], theta[order])
+    return radii
+
+
+@kernel
+def ray_radii(points: Floats, x: float, y: float, theta: Floats) -> Floats:
+    """As :func:`polar_radius`, of a closed polyline (n + 1, 2), with sorted directions in 0 .. 2 pi.
+
+    A ray crosses a segment whose ends lie on different sides of its line, a point on the line counting
+    as left: a ray through a vertex thus counts once.
+    """
+    turn = 2.0 * math.pi
+    radii = np.full(theta.size, np.nan)
+    crossings = np.zeros(theta.size, dtype=np.int64)
+    cosine, sine = np.cos(theta), np.sin(theta)
+    px, py = points[0, 0] - x, points[0, 1] - y
+    p_angle = math.atan2(py, px)
+    for i in range(1, len(points)):
+        qx, qy = points[i, 0] - x, points[i, 1] - y
+        q_angle = math.atan2(qy, qx)
+        low = min(p_angle, q_angle)
+        high = max(p_angle, q_angle)
+        if high - low > math.pi:
+            low, high = high, low + turn
+        if high - low > NEARLY_HALF_TURN_RAD:
+            low, high = 0.0, turn
+        for shift in (-turn, 0.0, turn):  # the directions run from 0 to 2 pi, low from -pi to pi
+            start = np.searchsorted(theta, low + shift - ANGLE_MARGIN_RAD)
+            stop = np.searchsorted(theta, high + shift + ANGLE_MARGIN_RAD, side="right")
+            if high - low == turn and shift != 0.0:
+                continue
+            for k in range(start, stop):
+                p_left = cosine[k] * py - sine[k] * px >= 0.0
+                q_left = cosine[k] * qy - sine[k] * qx >= 0.0
+                if p_left == q_left:
+                    continue
+                rho = (px * qy - py * qx) / (cosine[k] * (qy - py) - sine[k] * (qx - px))
+                if rho > 0.0:
+                    radii[k] = rho
+                    crossings[k] += 1
+        px, py, p_angle = qx, qy, q_angle
+    for k in range(theta.size):
+        if crossings[k] != 1:
+            radii[k] = np.nan
+    return radii

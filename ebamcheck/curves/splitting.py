@@ -1,0 +1,301 @@
+"""Splitting of clean contours into straight and curved runs (paper, section 3.2)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ebamcheck.curves.cleaning import RINGS_A_BLOCK, CleanRings
+from ebamcheck.kernels import kernel, run_blocks
+from ebamcheck.rings import Bools, Floats, Ints
+
+LINE, SPLINE = 0, 1
+"""Kinds of piece: a polyline of its control points, a cubic B-spline."""
+
+ANGLE_ROUNDING_DEG = 1e-9
+"""Angles this near to the corner angle count as equal to it, so that turning a part changes nothing."""
+
+STRAIGHT_RATIO = 3.0
+"""A straight run is this many times longer than any of the two segments on either side of it.
+
+Length alone does not tell: the chords of a large radius are long too, but so are their neighbours."""
+
+STRAIGHT_NEIGHBOURS = 2
+"""Segments on either side, up to a corner, with which a straight run is compared."""
+
+
+FLAT_RATIO = 4.0
+"""A segment is straight if a curve in its place would miss a point left out of it by this many tolerances.
+
+Points left out of the chord of a fine arc would be missed by at most two."""
+
+
+class Runs(NamedTuple):
+    """Straight and curved runs of contours, as columns over pieces (P) and their points (D)."""
+
+    points: Floats
+    """(D, 2) points of each run; neighbouring runs share, and repeat, the point between them."""
+    starts: Ints
+    """(P + 1,) first row of each run in `points`."""
+    ring_starts: Ints
+    """(R + 1,) first run of each ring."""
+    kind: NDArray[np.uint8]
+    """(P,) :data:`LINE` or :data:`SPLINE`."""
+    periodic: Bools
+    """(P,) a closed ring without a split."""
+    tangents: Floats
+    """(P, 2, 2) unit directions at the two ends of a run, NaN where they are free."""
+
+
+def split(
+    points: Floats,
+    point_starts: Ints,
+    cleaned: CleanRings,
+    closed: Bools,
+    corner_angle_deg: float,
+    straight_run_mm: float,
+    collinear_mm: float,
+) -> Runs:
+    """Split clean rings at their corners and at the ends of straight segments.
+
+    A corner is a point whose interior angle is under `corner_angle_deg`. A segment is straight if it
+
+    - stands alone between two corners, or
+    - was cleaned of inner points that a curve tangent to its neighbours would miss by more than
+      :data:`FLAT_RATIO` times `collinear_mm`, or
+    - is at least `straight_run_mm` long and :data:`STRAIGHT_RATIO` times longer than those beside it.
+
+    What lies between is a curved run; next to a straight segment (where there is no corner) it takes
+    that segment's direction as its tangent.
+    """
+    ring_count = closed.size
+    rows = cleaned.rows.copy()
+    corners = np.zeros(rows.size, dtype=np.bool_)
+    straight = np.zeros(rows.size, dtype=np.bool_)
+    largest_turn = np.deg2rad(180.0 - corner_angle_deg + ANGLE_ROUNDING_DEG)
+    pieces = np.zeros(ring_count, dtype=np.int64)
+    sizes = np.zeros(ring_count, dtype=np.int64)
+
+    def mark(first: int, last: int) -> None:
+        _mark(
+            points, point_starts, rows, cleaned.starts, closed, cleaned.collapsed, largest_turn,
+            straight_run_mm, FLAT_RATIO * collinear_mm, first, last, corners, straight, pieces, sizes,
+        )  # fmt: skip
+
+    run_blocks(mark, ring_count, RINGS_A_BLOCK)
+    ring_starts = np.concatenate([[0], np.cumsum(pieces)]).astype(np.int64)
+    piece_count = int(ring_starts[-1])
+    places = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+    runs = Runs(
+        points=np.empty((int(places[-1]), 2)),
+        starts=np.zeros(piece_count + 1, dtype=np.int64),
+        ring_starts=ring_starts,
+        kind=np.zeros(piece_count, dtype=np.uint8),
+        periodic=np.zeros(piece_count, dtype=np.bool_),
+        tangents=np.full((piece_count, 2, 2), np.nan),
+    )
+
+    def fill(first: int, last: int) -> None:
+        _fill(
+            points, rows, cleaned.starts, closed, cleaned.collapsed, corners, straight,
+            first, last, places, runs,
+        )  # fmt: skip
+
+    run_blocks(fill, ring_count, RINGS_A_BLOCK)
+    return runs
+
+
+@kernel
+def _turn(points: Floats, i: int, j: int, k: int) -> float:
+    """Angle from the segment i-j to the segment j-k, rad: left positive, 0 straight on, pi straight back."""
+    ax, ay = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
+    bx, by = points[k, 0] - points[j, 0], points[k, 1] - points[j, 1]
+    return float(np.arctan2(ax * by - ay * bx, ax * bx + ay * by))
+
+
+@kernel
+def _mark(
+    points: Floats,
+    point_starts: Ints,
+    rows: Ints,
+    starts: Ints,
+    closed: Bools,
+    collapsed: Bools,
+    largest_turn: float,
+    straight_run: float,
+    flat: float,
+    first_ring: int,
+    last_ring: int,
+    corners: Bools,
+    straight: Bools,
+    pieces: Ints,
+    sizes: Ints,
+) -> None:
+    """Mark corners and straight segments, turn closed rings to start at a split, count the pieces.
+
+    ``corners[k]`` belongs to the k-th kept point and ``straight[k]`` to the segment after it;
+    `sizes` counts the points of all pieces of a ring, shared ones twice.
+    """
+    for ring in range(first_ring, last_ring):
+        a, b = starts[ring], starts[ring + 1]
+        n = b - a
+        if n < 2:
+            continue
+        segments = n if closed[ring] else n - 1
+        if collapsed[ring]:
+            pieces[ring] = 1
+            sizes[ring] = segments + 1
+            continue
+        turns = np.zeros(n)  # no turn is counted at a corner: what is beyond it is another run
+        for i in range(n):
+            before, after = rows[a + (i - 1) % n], rows[a + (i + 1) % n]
+            end = not closed[ring] and (i == 0 or i == n - 1)
+            turn = _turn(points, before, rows[a + i], after)
+            corners[a + i] = end or abs(turn) > largest_turn
+            turns[i] = 0.0 if corners[a + i] else turn
+        _mark_long(points, rows[a:b], corners[a:b], segments, straight_run, straight[a:b])
+        _mark_flat(
+            points,
+            point_starts[ring],
+            point_starts[ring + 1],
+            rows[a:b],
+            turns,
+            segments,
+            flat,
+            straight[a:b],
+        )
+        splits = 0
+        first = -1
+        for i in range(n):
+            if corners[a + i] or straight[a + i] or straight[a + (i - 1) % n]:
+                splits += 1
+                if first < 0:
+                    first = i
+        if closed[ring]:
+            pieces[ring] = max(splits, 1)
+            if first > 0:
+                rows[a:b] = np.roll(rows[a:b], -first)
+                corners[a:b] = np.roll(corners[a:b], -first)
+                straight[a:b] = np.roll(straight[a:b], -first)
+        else:
+            pieces[ring] = splits - 1
+        sizes[ring] = segments + pieces[ring]
+
+
+@kernel
+def _mark_long(
+    points: Floats, rows: Ints, corners: Bools, segments: int, straight_run: float, straight: Bools
+) -> None:
+    """Mark the segments between two corners and those far longer than their neighbours."""
+    n = rows.size
+    lengths = np.empty(segments)
+    for i in range(segments):
+        p, q = rows[i], rows[(i + 1) % n]
+        lengths[i] = np.hypot(points[q, 0] - points[p, 0], points[q, 1] - points[p, 1])
+    for i in range(segments):
+        longest = 0.0
+        for step in range(1, STRAIGHT_NEIGHBOURS + 1):
+            if corners[(i + step) % n]:
+                break
+            longest = max(longest, lengths[(i + step) % n])
+        for step in range(1, STRAIGHT_NEIGHBOURS + 1):
+            if corners[(i - step + 1) % n]:
+                break
+            longest = max(longest, lengths[(i - step) % n])
+        alone = corners[i] and corners[(i + 1) % n]
+        straight[i] = alone or (lengths[i] >= straight_run and lengths[i] >= STRAIGHT_RATIO * longest)
+
+
+@kernel
+def _mark_flat(
+    points: Floats, a: int, b: int, rows: Ints, turns: Floats, segments: int, flat: float, straight: Bools
+) -> None:
+    """Mark the segments whose left-out points ``[a, b)`` a curve in their place would miss.
+
+    A curve that shares the turns at its two ends with its neighbours starts and ends at half of each
+    from the chord; the cubic with these slopes lies off the chord by the offset computed here.
+    """
+    n = rows.size
+    for i in range(segments):
+        first, last = rows[i], rows[(i + 1) % n]
+        x, y = points[first, 0], points[first, 1]
+        ux, uy = points[last, 0] - x, points[last, 1] - y
+        square = ux * ux + uy * uy
+        at_start, at_end = 0.5 * turns[i], 0.5 * turns[(i + 1) % n]
+        k = first + 1 if first + 1 < b else a
+        while k != last and not straight[i]:
+            f = ((points[k, 0] - x) * ux + (points[k, 1] - y) * uy) / square
+            offset = np.sqrt(square) * f * (1.0 - f) * (at_start * (1.0 - f) + at_end * f)
+            straight[i] = abs(offset) > flat
+            k = k + 1 if k + 1 < b else a
+
+
+@kernel
+def _fill(
+    points: Floats,
+    rows: Ints,
+    starts: Ints,
+    closed: Bools,
+    collapsed: Bools,
+    corners: Bools,
+    straight: Bools,
+    first_ring: int,
+    last_ring: int,
+    places: Ints,
+    runs: Runs,
+) -> None:
+    """Write the points, kinds and tangents of all runs, ring by ring."""
+    for ring in range(first_ring, last_ring):
+        place = places[ring]
+        a, n = starts[ring], starts[ring + 1] - starts[ring]
+        first, last = runs.ring_starts[ring], runs.ring_starts[ring + 1]
+        if last == first:
+            continue
+        segments = n if closed[ring] else n - 1
+        piece = first
+        for i in range(segments):
+            j = (i + 1) % n
+            runs.points[place] = points[rows[a + i]]
+            place += 1
+            splits = not collapsed[ring] and (corners[a + j] or straight[a + i] or straight[a + j])
+            if i < segments - 1 and not splits:
+                continue
+            runs.points[place] = points[rows[a + j]]
+            place += 1
+            runs.starts[piece + 1] = place
+            curved = not collapsed[ring] and not straight[a + i]
+            runs.kind[piece] = SPLINE if curved else LINE
+            runs.periodic[piece] = (
+                curved and closed[ring] and last - first == 1 and not corners[a] and not straight[a]
+            )
+            piece += 1
+        _set_tangents(runs, rows[a : a + n], corners[a : a + n], first, last)
+
+
+@kernel
+def _set_tangents(runs: Runs, rows: Ints, corners: Bools, first: int, last: int) -> None:
+    """Give curved runs of one ring the direction of the straight segment beside them."""
+    at = 0  # kept point at which the run starts
+    for p in range(first, last):
+        size = runs.starts[p + 1] - runs.starts[p]
+        end = (at + size - 1) % rows.size
+        if runs.kind[p] == SPLINE and last - first > 1:
+            before = p - 1 if p > first else last - 1
+            after = p + 1 if p + 1 < last else first
+            if not corners[at] and runs.kind[before] == LINE:
+                _direction(runs, before, p, 0)
+            if not corners[end] and runs.kind[after] == LINE:
+                _direction(runs, after, p, 1)
+        at = end
+
+
+@kernel
+def _direction(runs: Runs, line: int, p: int, end: int) -> None:
+    """Write the direction of the two-point run `line` as the tangent of run `p` at one end."""
+    i = runs.starts[line]
+    x, y = runs.points[i + 1, 0] - runs.points[i, 0], runs.points[i + 1, 1] - runs.points[i, 1]
+    length = np.hypot(x, y)
+    runs.tangents[p, end, 0] = x / length
+    runs.tangents[p, end, 1] = y / length

@@ -1,0 +1,106 @@
+"""The gates that a program must pass to be called validated."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from ebamcheck.comparison import Comparison
+from ebamcheck.config import Config
+from ebamcheck.errors import ExitCode
+from ebamcheck.inspection import Inspection
+from ebamcheck.isolate import Outcome
+from ebamcheck.program import Check
+
+
+@dataclass(frozen=True)
+class Gate:
+    """One gate: what was measured, against which limit, and what it says."""
+
+    name: str
+    passed: bool
+    figure: float
+    limit: float
+    unit: str
+    text: str
+
+
+def input_gate(inspection: Inspection) -> Gate:
+    """The part is closed, consistently oriented and the right way out."""
+    faults = float(not inspection.passed)
+    return Gate("input", inspection.passed, faults, 0.0, "faults", f"{inspection.verdict}: {inspection.why}")
+
+
+def agreement_gate(comparison: Comparison, outcomes: Mapping[str, Outcome], layers: int) -> Gate:
+    """At least two methods agree on every layer, and no method that was asked for failed."""
+    failed = [f"{o.name} {o.failure} ({o.why})" for o in outcomes.values() if o.layers is None]
+    lost = [o for o in outcomes.values() if o.layers is None and o.failure != "unavailable"]
+    methods = len(outcomes) - len(failed)
+    verdicts = comparison.layers["verdict"]
+    bad = int(verdicts.isin(["outlier", "undecided", "empty"]).sum())
+    good = int((verdicts == "agree").sum())
+    if methods < 2:
+        text = f"{methods} method left, two are needed" + (f": {'; '.join(failed)}" if failed else "")
+        return Gate("agreement", False, float(layers), 0.0, "layers", text)
+    skipped = layers - good - bad
+    text = f"{methods} methods agree on {good} of {layers} layers"
+    if bad:
+        text += f"; they disagree on {bad}: {comparison.findings[0].text() if comparison.findings else ''}"
+    if skipped:
+        text += f"; {skipped} lie in a vertex or face and are not compared between methods of other rules"
+    if lost:
+        text += f"; lost: {'; '.join(failed)}"
+    return Gate("agreement", comparison.passed and bad == 0 and good > 0, float(bad), 0.0, "layers", text)
+
+
+def fit_gate(deviation: pd.DataFrame, config: Config) -> Gate:
+    """The fitted curves stay near the contours that they were fitted to."""
+    limit = config.curves.tolerance_mm
+    if not len(deviation):
+        return Gate("fit", False, float("nan"), limit, "mm", "there is no contour to fit")
+    worst = deviation[["points_mm", "bulge_mm"]].max(axis=1)
+    k = int(worst.to_numpy().argmax())
+    figure = float(worst.iloc[k])
+    text = f"curves within {figure:.4f} mm of the contours (worst at layer {k}, z = {deviation['height_mm'].iloc[k]:.3f} mm)"
+    return Gate("fit", figure <= limit, figure, limit, "mm", text)
+
+
+def coverage_gate(metrics: pd.DataFrame, config: Config) -> Gate:
+    """The beads cover the section."""
+    limit = config.scan.least_coverage
+    solid = metrics[metrics["area_mm2"] > 0]
+    if not len(solid):
+        return Gate("coverage", False, 0.0, limit, "of the area", "there is no area to cover")
+    covered = solid["covered_fraction"].to_numpy()
+    k = int(np.argmin(covered))
+    mean = float(np.average(covered, weights=solid["area_mm2"]))
+    text = f"beads cover {100 * mean:.2f} % of the part's area, least {100 * covered[k]:.2f} % at layer {solid.index[k]}"
+    return Gate("coverage", bool(covered[k] >= limit), float(covered[k]), limit, "of the area", text)
+
+
+def program_gate(checks: Iterable[Check]) -> Gate:
+    """Every check of the program that was read back passed."""
+    made = list(checks)
+    failed = [c for c in made if not c.passed]
+    if not made:
+        return Gate("program", False, 0.0, 0.0, "faults", "no program was written: there is no contour")
+    text = f"{len(made)} checks passed"
+    if failed:
+        text = f"{len(failed)} of {len(made)} checks failed: {failed[0].name} at {failed[0].where}: {failed[0].text}"
+    return Gate("program", not failed, float(len(failed)), 0.0, "faults", text)
+
+
+def exit_code(gates: Iterable[Gate], compared_layers: int, outcomes: Mapping[str, Outcome]) -> ExitCode:
+    """Exit code of a run: 5 where nothing could be compared, 1 where a gate is shut, else 0.
+
+    Too few methods because one was lost, and a part that did not pass the input gate, are 1, not 5: something was
+    found, it is not that nothing was looked for.
+    """
+    shut = {gate.name for gate in gates if not gate.passed}
+    lost = any(o.layers is None for o in outcomes.values())
+    if compared_layers == 0 and not lost and "input" not in shut:
+        return ExitCode.NOTHING_COMPARED
+    return ExitCode.OUT_OF_TOLERANCE if shut else ExitCode.PASS

@@ -1,0 +1,123 @@
+"""Verification after the fact: of a finished run folder, and of a program against a part."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from ebamcheck import mesh_files
+from ebamcheck.config import Config, validated
+from ebamcheck.curves import Curves
+from ebamcheck.errors import InputError, SettingsError
+from ebamcheck.heights import layer_heights
+from ebamcheck.inspection import inspect
+from ebamcheck.program import Check, verify_file
+from ebamcheck.scan import ScanPlan
+from ebamcheck.slicing import slice_part
+from ebamcheck.store import RunFolder, sha256_of_file, sha256_of_json
+
+
+def verify_run(folder: Path, part: Path | None = None) -> list[Check]:
+    """Check that a run folder is what it says: hashes of settings, programs and part, and the programs anew.
+
+    Parameters
+    ----------
+    folder
+        A finished run folder.
+    part
+        The part's file; without it, the part's hash is not checked.
+
+    Raises
+    ------
+    InputError
+        If the folder is no run folder, or a file of it is missing.
+    """
+    run = RunFolder(folder)
+    manifest = run.manifest()
+    checks = [
+        _hash_check(
+            "settings unchanged",
+            sha256_of_json(manifest["settings"]),
+            manifest["settings_sha256"],
+            "run.json",
+        )
+    ]
+    if part is not None:
+        checks.append(_hash_check("part unchanged", _file_hash(part), manifest["part"]["sha256"], part.name))
+    checks += _recorded_gates(manifest)
+    record = manifest.get("program")
+    if record is None:
+        return [*checks, Check("program", False, 1.0, 0.0, "faults", "", "the run wrote no program")]
+    config = validated(manifest["settings"], "run.json: settings")
+    recorded = {file["name"]: file["sha256"] for file in record["files"]}
+    checks += verify_file(
+        run.program_folder / record["files"][0]["name"],
+        config=config,
+        curves=Curves.from_parquet(folder / "beads.parquet"),
+        plan=ScanPlan.from_parquet(folder / "scan.parquet"),
+        layers=run.read_layers(record["witness"]),
+        sha256=recorded,
+    )
+    return checks
+
+
+def _recorded_gates(manifest: dict[str, Any]) -> list[Check]:
+    """The gates as the run recorded them."""
+    return [
+        Check(
+            f"gate {g['name']}",
+            bool(g["passed"]),
+            float(g["figure"]),
+            float(g["limit"]),
+            g["unit"],
+            "run.json",
+            g["text"],
+        )
+        for g in manifest["gates"]
+    ]
+
+
+def verify_against_part(program: Path, part_path: Path, config: Config) -> list[Check]:
+    """Check a program from its text alone against the part that it should make.
+
+    The part is sliced anew at the layers of the settings by the default exact backend.
+
+    Raises
+    ------
+    InputError
+        If the part cannot be read, or there is no program at `program`.
+    """
+    if not program.exists():
+        raise InputError(f"{program}: there is no such program")
+    part = mesh_files.load(part_path, config.part.units).along(config.part.direction)
+    found = inspect(part)
+    sound = Check(
+        "part sound",
+        found.passed,
+        float(not found.passed),
+        0.0,
+        "faults",
+        part_path.name,
+        f"{found.verdict}: {found.why}",
+    )
+    heights = layer_heights(part, config.layer_height_mm)
+    if config.layers.heights_mm:
+        raise SettingsError("layers.heights_mm: give the layer height that the program was made with instead")
+    return [sound, *verify_file(program, config=config, layers=slice_part(part, heights), heights=heights)]
+
+
+def _file_hash(path: Path) -> str:
+    try:
+        return sha256_of_file(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+
+
+def _hash_check(name: str, found: str, recorded: str, where: str) -> Check:
+    same = found == recorded
+    text = (
+        f"SHA-256 {recorded[:16]}..."
+        if same
+        else f"SHA-256 is {found[:16]}..., recorded is {recorded[:16]}..."
+    )
+    return Check(name, same, float(not same), 0.0, "faults", where, text)

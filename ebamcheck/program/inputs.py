@@ -1,0 +1,111 @@
+"""What a post-processor needs to know of curves and scan plans: their columns, and nothing else."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ebamcheck.errors import SettingsError
+from ebamcheck.rings import Bools, Floats, Ints
+
+LINE, SPLINE = 0, 1
+"""Kinds of pieces: a polyline through its control points, a clamped cubic B-spline."""
+
+DEGREE = 3
+"""Degree of every spline piece."""
+
+
+class CurveColumns(Protocol):
+    """The fitted contours of a stack, as :class:`ebamcheck.curves.Curves` holds them."""
+
+    @property
+    def heights(self) -> Floats:
+        """(L,) height at which each layer was cut, mm."""
+
+    @property
+    def layer_starts(self) -> Ints:
+        """(L + 1,) first ring of each layer."""
+
+    @property
+    def ring_starts(self) -> Ints:
+        """(R + 1,) first piece of each ring."""
+
+    @property
+    def closed(self) -> Bools:
+        """(R,) false for an open path."""
+
+    @property
+    def kind(self) -> NDArray[np.uint8]:
+        """(P,) :data:`LINE` or :data:`SPLINE`."""
+
+    @property
+    def control_starts(self) -> Ints:
+        """(P + 1,) first control point of each piece."""
+
+    @property
+    def control(self) -> Floats:
+        """(M, 2) control points, mm."""
+
+    @property
+    def knot_starts(self) -> Ints:
+        """(P + 1,) first knot of each piece; lines have none."""
+
+    @property
+    def knots(self) -> Floats:
+        """(K,) knots, about arc length, mm."""
+
+
+class ScanColumns(Protocol):
+    """The islands and hatch vectors of a stack, as :class:`ebamcheck.scan.ScanPlan` holds them."""
+
+    @property
+    def heights(self) -> Floats:
+        """(L,) height at which each layer was cut, mm."""
+
+    @property
+    def island_layer(self) -> Ints:
+        """(I,) layer of each island."""
+
+    @property
+    def order(self) -> Ints:
+        """(I,) islands in the order in which they are scanned, layer by layer."""
+
+    @property
+    def vectors(self) -> Any:
+        """Columns `island`, `x0`, `y0`, `x1`, `y1` (V,) in the order in which they are scanned."""
+
+
+def hatch_columns(plan: ScanColumns) -> tuple[Ints, Floats]:
+    """Island (V,) and end points x0, y0, x1, y1 (V, 4) of the hatch vectors, in scan order."""
+    vectors = plan.vectors
+    island = np.asarray(vectors.island, dtype=np.int64)
+    ends = [np.asarray(getattr(vectors, name), dtype=np.float64) for name in ("x0", "y0", "x1", "y1")]
+    return island, np.column_stack(ends) if island.size else np.zeros((0, 4))
+
+
+def check_same_stack(curves: CurveColumns, plan: ScanColumns) -> None:
+    """Refuse curves and a plan of different layers."""
+    if len(curves.heights) != len(plan.heights) or not np.array_equal(curves.heights, plan.heights):
+        raise SettingsError(
+            f"curves of {len(curves.heights)} layers and a scan plan of {len(plan.heights)} layers differ in "
+            "their heights: make both from the same stack"
+        )
+
+
+def deposition_heights(heights: Floats, first_layer_mm: float) -> Floats:
+    """Z of each layer in the work offset, (L,) mm: the top of the layer, Z 0 under the part's lowest point.
+
+    `heights` are those of the cuts, in the middle of the layers, so that the steps of Z are theirs; the
+    first layer is as high as the step to the second, or `first_layer_mm` where there is no second.
+    """
+    if not len(heights):
+        return np.zeros(0)
+    first = float(heights[1] - heights[0]) if len(heights) > 1 else first_layer_mm
+    return np.asarray(heights - heights[0] + first, dtype=np.float64)
+
+
+def layer_thickness(deposition: Floats) -> Floats:
+    """Height of each layer, (L,) mm, from the tops of the layers over Z 0."""
+    return np.diff(deposition, prepend=0.0)

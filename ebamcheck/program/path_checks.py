@@ -1,0 +1,279 @@
+"""Checks of the path that a program's text commands against what it was made from.
+
+The fitted curves are evaluated by SciPy here, as the writer and the reader do it each in their own way.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+from shapely import STRtree, linestrings, points
+
+from ebamcheck.config import Config
+from ebamcheck.program.checks import Check, count_check, worst_check
+from ebamcheck.program.inputs import DEGREE, SPLINE, CurveColumns, ScanColumns, hatch_columns
+from ebamcheck.program.motions import POLYNOMIAL, SPLINE_SPAN, STRAIGHT, NCProgram
+from ebamcheck.rings import Bools, Floats, Ints
+
+SAMPLES = 9
+"""Places on each span where programmed and fitted curve are compared at the same parameter."""
+
+CHORD_SHARE = 0.05
+"""Where shapes are compared, the chords between samples of the fitted curve err by this share of the limit."""
+
+HEIGHT_TOLERANCE_MM = 1e-3
+"""Z of a layer: the decimals of the program, at their coarsest."""
+
+
+@dataclass(frozen=True, eq=False)
+class FittedSpans:
+    """Every straight segment and knot span of the fitted rings, sampled; one program block is expected for each."""
+
+    ring: Ints
+    """(E,)"""
+    curved: Bools
+    """(E,)"""
+    points: Floats
+    """(E, n, 2) at equal steps of the parameter."""
+
+
+def fitted_spans(curves: CurveColumns, decimals: int, samples: int) -> FittedSpans:
+    """Sample curves span by span; segments that vanish at the decimals of the program are left out."""
+    t = np.linspace(0.0, 1.0, samples)
+    ring_of = np.repeat(np.arange(len(curves.closed)), np.diff(curves.ring_starts))
+    rings, curved, found = [], [], []
+    for piece in range(len(curves.kind)):
+        control = curves.control[curves.control_starts[piece] : curves.control_starts[piece + 1]]
+        if curves.kind[piece] == SPLINE:
+            knots = curves.knots[curves.knot_starts[piece] : curves.knot_starts[piece + 1]]
+            breaks = np.unique(knots)
+            at = breaks[:-1, None] + t * np.diff(breaks)[:, None]
+            at[:, -1] = breaks[1:]
+            sampled = BSpline(knots, control, DEGREE)(at)
+        else:
+            rounded = np.round(control, decimals)
+            moves = (rounded[1:] != rounded[:-1]).any(axis=1)
+            a, b = control[:-1][moves][:, None], control[1:][moves][:, None]
+            sampled = a + t[:, None] * (b - a)
+        found.append(np.asarray(sampled))
+        rings.append(np.full(len(sampled), ring_of[piece]))
+        curved.append(np.full(len(sampled), curves.kind[piece] == SPLINE))
+    if not found:
+        return FittedSpans(np.zeros(0, np.int64), np.zeros(0, np.bool_), np.zeros((0, samples, 2)))
+    return FittedSpans(np.concatenate(rings), np.concatenate(curved), np.concatenate(found))
+
+
+# -- contours --------------------------------------------------------------------------------------
+
+
+def closure_check(nc: NCProgram, curves: CurveColumns | None, limit_mm: float) -> Check:
+    """Check that every contour ring ends where it starts; open paths are known from `curves` alone."""
+    rows = np.flatnonzero(nc.deposit & (nc.ring >= 0))
+    ring, first = np.unique(nc.ring[rows], return_index=True)
+    last = rows.size - 1 - np.unique(nc.ring[rows][::-1], return_index=True)[1] if rows.size else first
+    if curves is not None:
+        known = ring < len(curves.closed)
+        closed = known & np.asarray(curves.closed)[np.where(known, ring, 0)] if len(curves.closed) else known
+        first, last = first[closed], last[closed]
+    gap = np.linalg.norm(nc.start[rows[first], :2] - nc.end[rows[last], :2], axis=1)
+    return worst_check("contours close", nc, rows[last], gap, limit_mm, "mm", f"gap of {gap.size} rings")
+
+
+def contour_checks(
+    nc: NCProgram, curves: CurveColumns, config: Config, limit_mm: float, z_of: Floats
+) -> list[Check]:
+    """Compare the contour motions with the fitted curves, both ways.
+
+    Where the program has one block for each span, both are evaluated at the same parameters, which bounds
+    the distance of either from the other; other rings are compared as shapes. `z_of` (L,) is the Z expected.
+    """
+    rows = np.flatnonzero(nc.deposit & (nc.ring >= 0))
+    count = len(curves.closed)
+    faults = _ring_faults(nc, curves, rows, z_of)
+    rows = rows[nc.ring[rows] < count]
+    spans = fitted_spans(curves, config.machine.decimals, SAMPLES)
+    distance, alike = _same_parameters(nc, rows, spans, count)
+    limit = limit_mm + (config.machine.line_tolerance_mm if config.machine.curve_form == "lines" else 0.0)
+    others = np.flatnonzero(~alike & (np.bincount(nc.ring[rows], minlength=count) > 0))
+    if others.size:
+        dense = fitted_spans(curves, config.machine.decimals, _samples_for(spans, CHORD_SHARE * limit))
+        for ring in others:
+            mine = nc.ring[rows] == ring
+            distance[mine] = _shape_distance(nc, rows[mine], dense.points[dense.ring == ring])
+    return [
+        count_check("contour rings", faults, f"{count} rings, each once and in its layer"),
+        worst_check(
+            "contour path", nc, rows, distance, limit, "mm", "distance from the fitted curve, both ways"
+        ),
+    ]
+
+
+def _ring_faults(nc: NCProgram, curves: CurveColumns, rows: Ints, z_of: Floats) -> list[tuple[str, str]]:
+    layer = np.repeat(np.arange(len(curves.heights)), np.diff(curves.layer_starts))
+    filled = np.diff(curves.ring_starts) > 0
+    breaks = np.diff(rows, prepend=-2) > 1
+    return _group_faults(nc, rows, nc.ring, breaks, "contour ring", z_of[layer], np.flatnonzero(filled))
+
+
+def _group_faults(
+    nc: NCProgram, rows: Ints, group: Ints, breaks: Bools, what: str, z_of: Floats, wanted: Ints
+) -> list[tuple[str, str]]:
+    """Rings or islands that are missing, come twice, are unknown, or lie at another Z than expected.
+
+    `breaks` (n,) is true where a motion begins a new group even if the one before has the same number.
+    """
+    ids = group[rows]
+    begins = np.flatnonzero(breaks | (np.diff(ids, prepend=-1) != 0))
+    found = ids[begins]
+    faults = []
+    seen: set[int] = set()
+    for number, row in zip(found.tolist(), rows[begins], strict=True):
+        if number >= z_of.size:
+            faults.append((nc.where(row), f"{what} {number} is not known"))
+        elif number in seen:
+            faults.append((nc.where(row), f"{what} {number} comes a second time"))
+        elif not abs(nc.end[row, 2] - z_of[number]) <= HEIGHT_TOLERANCE_MM:
+            faults.append(
+                (nc.where(row), f"{what} {number} at Z {nc.end[row, 2]:g} in place of {z_of[number]:g}")
+            )
+        seen.add(number)
+    for number in sorted(set(wanted.tolist()) - seen):
+        after = rows[begins][found < number]
+        where = nc.where(int(after[-1])) if after.size else f"{nc.files[0].name}:1"
+        faults.append((where, f"{what} {number} is missing"))
+    return faults
+
+
+def _same_parameters(nc: NCProgram, rows: Ints, spans: FittedSpans, count: int) -> tuple[Floats, Bools]:
+    """Largest distance of each motion from its span (n,), and the rings (R,) where blocks answer to spans."""
+    curved = (nc.kind[rows] == POLYNOMIAL) | (nc.kind[rows] == SPLINE_SPAN)
+    usable = curved | (nc.kind[rows] == STRAIGHT)
+    order = np.argsort(nc.ring[rows], kind="stable")
+    row_count = np.bincount(nc.ring[rows], minlength=count)
+    span_count = np.bincount(spans.ring, minlength=count)
+    alike = row_count == span_count
+    pick, span_pick = order[alike[nc.ring[rows[order]]]], np.flatnonzero(alike[spans.ring])
+    same_kind = (curved[pick] == spans.curved[span_pick]) & usable[pick]
+    alike[spans.ring[span_pick][~same_kind]] = False
+    distance = np.full(rows.size, np.nan)
+    t = np.linspace(0.0, 1.0, spans.points.shape[1])
+    at = nc.evaluate(np.repeat(rows[pick], t.size), np.tile(t, pick.size)).reshape(-1, t.size, 2)
+    distance[pick] = np.linalg.norm(at - spans.points[span_pick], axis=2).max(axis=1, initial=0.0)
+    return distance, alike
+
+
+def _samples_for(spans: FittedSpans, tolerance_mm: float) -> int:
+    """Samples of each span whose chords err by at most `tolerance_mm`: the second difference over 8."""
+    bend = np.linalg.norm(np.diff(spans.points, n=2, axis=1), axis=2).max(initial=0.0) / 8.0
+    return 2 + int((SAMPLES - 1) * np.sqrt(bend / tolerance_mm))
+
+
+def _shape_distance(nc: NCProgram, rows: Ints, fitted: Floats) -> Floats:
+    """Largest distance between the motions of one ring and the fitted ring, both ways, for each motion."""
+    if not len(fitted):
+        return np.full(rows.size, np.inf)
+    t = np.tile(np.linspace(0.0, 1.0, SAMPLES), rows.size)
+    driven = nc.evaluate(np.repeat(rows, SAMPLES), t).reshape(-1, SAMPLES, 2)
+    result = np.zeros(rows.size)
+    tree, _ = _segments(fitted)
+    np.maximum.at(result, np.repeat(np.arange(rows.size), SAMPLES), _nearest(tree, driven.reshape(-1, 2))[1])
+    tree, owner = _segments(driven)
+    nearest, away = _nearest(tree, fitted.reshape(-1, 2))
+    np.maximum.at(result, owner[nearest], away)
+    return result
+
+
+def _segments(sampled: Floats) -> tuple[STRtree, Ints]:
+    """Search tree of the chords of sampled spans (E, n, 2), and the span of each chord."""
+    chords = np.stack([sampled[:, :-1], sampled[:, 1:]], axis=2).reshape(-1, 2, 2)
+    return STRtree(np.atleast_1d(np.asarray(linestrings(chords)))), np.repeat(
+        np.arange(len(sampled)), sampled.shape[1] - 1
+    )
+
+
+def _nearest(tree: STRtree, at: Floats) -> tuple[Ints, Floats]:
+    (_, found), distance = tree.query_nearest(points(at), return_distance=True, all_matches=False)
+    return found, distance
+
+
+# -- hatch -----------------------------------------------------------------------------------------
+
+
+def hatch_checks(
+    nc: NCProgram, plan: ScanColumns, config: Config, limit_mm: float, z_of: Floats
+) -> list[Check]:
+    """Compare islands, their order and their vectors with the plan."""
+    rows = np.flatnonzero(nc.deposit & (nc.island >= 0) & ~nc.turn)
+    island, ends = hatch_columns(plan)
+    rounded = np.round(ends, config.machine.decimals)
+    kept = (rounded[:, :2] != rounded[:, 2:]).any(axis=1)
+    island, ends = island[kept], ends[kept]
+    new_layer = np.diff(nc.layer[rows], prepend=-1) != 0
+    expected_z = z_of[np.asarray(plan.island_layer, dtype=np.int64)]
+    faults = _group_faults(nc, rows, nc.island, new_layer, "island", expected_z, np.unique(island))
+    order = np.asarray(plan.order, dtype=np.int64)
+    order = order[np.isin(order, island)]
+    found = nc.island[rows][np.flatnonzero(np.diff(nc.island[rows], prepend=-1))]
+    size = min(order.size, found.size)
+    wrong = np.flatnonzero(order[:size] != found[:size])
+    if not faults and wrong.size:
+        row = int(rows[nc.island[rows] == found[wrong[0]]][0])
+        faults.append((nc.where(row), f"island {found[wrong[0]]} comes in place of island {order[wrong[0]]}"))
+    return [
+        count_check("islands", faults, f"{np.unique(island).size} islands, each once, in the planned order"),
+        _vectors(nc, rows, island, ends, limit_mm),
+    ]
+
+
+def _vectors(nc: NCProgram, rows: Ints, island: Ints, ends: Floats, limit_mm: float) -> Check:
+    size = min(rows.size, len(ends))
+    driven = np.hstack([nc.start[rows, :2], nc.end[rows, :2]])[:size]
+    apart = np.abs(driven - ends[:size]).max(axis=1, initial=0.0)
+    apart[nc.island[rows[:size]] != island[:size]] = np.inf
+    over = np.flatnonzero(apart > limit_mm)
+    name = "hatch vectors"
+    if over.size:
+        row, value = int(rows[over[0]]), float(apart[over[0]])
+        text = f"vector of island {nc.island[row]} leaves the plan by {value:g} mm"
+        return Check(name, False, value, limit_mm, "mm", nc.where(row), text)
+    if rows.size != len(ends):
+        where = nc.where(int(rows[min(size, rows.size - 1)])) if rows.size else f"{nc.files[0].name}:1"
+        text = f"{rows.size} vectors in the program, {len(ends)} in the plan"
+        return Check(name, False, float(abs(rows.size - len(ends))), 0.0, "vectors", where, text)
+    return worst_check(name, nc, rows, apart, limit_mm, "mm", f"{rows.size} vectors as planned")
+
+
+# -- layers ----------------------------------------------------------------------------------------
+
+
+def layer_checks(nc: NCProgram, z_of: Floats, where_called: NDArray[np.object_]) -> list[Check]:
+    """Check the number of layers and their Z against the heights expected; empty layers have no Z to check."""
+    found = nc.layer_heights
+    flat_faults = _not_flat(nc)
+    size = min(found.size, z_of.size)
+    wrong = np.flatnonzero(np.abs(found[:size] - z_of[:size]) > HEIGHT_TOLERANCE_MM)
+    faults = [
+        (str(where_called[k]), f"layer {k + 1} at Z {found[k]:g} in place of {z_of[k]:g}") for k in wrong
+    ]
+    count = Check(
+        "layer count", found.size == z_of.size, float(found.size), float(z_of.size), "layers",
+        faults[0][0] if found.size != z_of.size and faults else str(where_called[-1]) if found.size else "",
+        f"{found.size} layers in the program, {z_of.size} expected",
+    )  # fmt: skip
+    return [
+        count,
+        count_check("layer heights", faults, "steps of Z are those of the layers"),
+        count_check("flat layers", flat_faults, "every deposit of a layer at its Z"),
+    ]
+
+
+def _not_flat(nc: NCProgram) -> list[tuple[str, str]]:
+    rows = np.flatnonzero(nc.deposit & (nc.layer >= 0))
+    z = nc.layer_heights[nc.layer[rows]]
+    off = (nc.end[rows, 2] != z) | (nc.start[rows, 2] != z)
+    return [
+        (nc.where(int(row)), f"deposit at Z {nc.end[row, 2]:g} in a layer at another Z") for row in rows[off]
+    ]

@@ -1,0 +1,80 @@
+"""Check of the contour path in a program against the sections that a slicer found."""
+
+from __future__ import annotations
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely.geometry.base import BaseGeometry
+
+from ebamcheck.layers import Layers
+from ebamcheck.program.checks import Check, worst_check
+from ebamcheck.program.motions import NCProgram
+from ebamcheck.rings import Floats, Ints
+from ebamcheck.scan.regions import inset, layer_section
+
+STEP_MM = 0.5
+"""Distance of the places compared along the path."""
+
+
+def section_check(nc: NCProgram, layers: Layers, z_of: Floats, offset_mm: float, limit_mm: float) -> Check:
+    """Compare the centre lines of the contour beads with the sections, layer by layer and both ways.
+
+    Each section is inset by `offset_mm`, as the scan plan does it; the path lies within `limit_mm` of the
+    border of that region, and the border within `limit_mm` of the path, so that no contour is missing.
+
+    Parameters
+    ----------
+    z_of
+        (L,) Z of each of the `layers` in the program.
+    """
+    rows = np.flatnonzero(nc.deposit & (nc.ring >= 0))
+    between = 0.5 * (z_of[1:] + z_of[:-1])
+    index = np.searchsorted(between, nc.end[rows, 2])
+    found = [_layer(nc, rows[index == k], layers, k, offset_mm) for k in range(len(layers))]
+    worst = np.array([row for row, _ in found], dtype=np.int64)
+    text = f"contour path against the section inset by {offset_mm:g} mm"
+    return worst_check("section", nc, worst, [away for _, away in found], limit_mm, "mm", text)
+
+
+def _layer(nc: NCProgram, rows: Ints, layers: Layers, k: int, offset_mm: float) -> tuple[int, float]:
+    """Worst motion of a layer and its deviation, mm; infinite where one has a contour and the other none."""
+    border = inset(layer_section(layers.polygons(k)), offset_mm).boundary
+    if not rows.size:
+        first = int(np.argmax(nc.layer == min(k, int(nc.layer.max(initial=0)))))
+        return first, 0.0 if border.is_empty else float("inf")
+    if border.is_empty:
+        return int(rows[0]), float("inf")
+    owner, at = nc.samples(rows, STEP_MM)
+    away = _distances(at, border)
+    wanted = shapely.get_coordinates(shapely.segmentize(border, STEP_MM))
+    missed = _distances(wanted, _path(nc, rows, owner, at))
+    worst, farthest = int(np.argmax(away)), int(np.argmax(missed))
+    if missed[farthest] <= away[worst]:
+        return int(owner[worst]), float(away[worst])
+    nearest = int(np.argmin(np.hypot(*(at - wanted[farthest]).T)))
+    return int(owner[nearest]), float(missed[farthest])
+
+
+def _distances(at: Floats, lines: BaseGeometry) -> Floats:
+    """Distance of points (n, 2) from lines, by a search tree of their segments."""
+    segments = _segments(lines)
+    tree = shapely.STRtree(segments)
+    _, away = tree.query_nearest(np.asarray(shapely.points(at)), return_distance=True, all_matches=False)
+    return np.asarray(away, dtype=np.float64)
+
+
+def _segments(lines: BaseGeometry) -> NDArray[np.object_]:
+    points, line = shapely.get_coordinates(shapely.get_parts(lines), return_index=True)
+    joined = np.flatnonzero(line[1:] == line[:-1])
+    pairs = np.stack([points[joined], points[joined + 1]], axis=1)
+    return np.atleast_1d(np.asarray(shapely.linestrings(pairs), dtype=np.object_))
+
+
+def _path(nc: NCProgram, rows: Ints, owner: Ints, at: Floats) -> BaseGeometry:
+    """Sampled path, one polyline for each ring."""
+    lines = []
+    for ring in np.unique(nc.ring[rows]):
+        first = rows[nc.ring[rows] == ring][0]
+        lines.append(shapely.LineString(np.vstack([nc.start[first, :2], at[nc.ring[owner] == ring]])))
+    return shapely.MultiLineString(lines)

@@ -1,0 +1,88 @@
+"""Filling the beam and wire templates of the machine profile."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from ebamcheck.config import Config
+from ebamcheck.errors import SettingsError
+
+LONGEST_BLOCK = 200
+"""Characters of a block that every software version of the control takes."""
+
+DECIMALS = 6
+"""Decimals of a process value, trailing zeros left out."""
+
+
+class _Value(float):
+    """A number that a bare placeholder prints without exponent and trailing zeros."""
+
+    def __format__(self, spec: str) -> str:
+        if spec:
+            return float(self).__format__(spec)
+        return plain(self)
+
+
+def plain(value: float) -> str:
+    """Print a process value: no exponent, no trailing zeros, no negative zero."""
+    text = f"{float(value):.{DECIMALS}f}".rstrip("0").rstrip(".")
+    return "0" if text == "-0" else text
+
+
+@dataclass(frozen=True)
+class ProcessValues:
+    """What the placeholders of the templates stand for in one layer."""
+
+    power_w: float
+    voltage_kv: float
+    current_ma: float
+    wire_mm_s: float
+    feed_mm_min: float
+    layer: int
+    height_mm: float
+
+    def fill(self, name: str, template: Iterable[str]) -> list[str]:
+        """Fill the lines of the template `name`; raises :class:`SettingsError` for what makes no block."""
+        values: Mapping[str, object] = {
+            key: value if isinstance(value, int) else _Value(value) for key, value in vars(self).items()
+        }
+        return [_filled(f"machine.{name}", line, values) for line in template]
+
+
+def _filled(where: str, line: str, values: Mapping[str, object]) -> str:
+    try:
+        text = line.format_map(values)
+    except KeyError as error:
+        raise SettingsError(
+            f"{where}: {line!r}: unknown placeholder {error}; known are {', '.join(values)}"
+        ) from None
+    except (ValueError, IndexError, AttributeError) as error:
+        raise SettingsError(f"{where}: {line!r} is not a template: {error}") from None
+    if not text.isascii() or not text.isprintable() or len(text) >= LONGEST_BLOCK - 10:
+        raise SettingsError(
+            f"{where}: {line!r} is not one line of under {LONGEST_BLOCK - 10} ASCII characters"
+        )
+    return text
+
+
+def wire_speed_mm_s(config: Config, thickness_mm: float) -> float:
+    """Wire speed that the mass balance asks for in a layer of this thickness.
+
+    The bead's section is ``2/3 w h`` (Pixner et al. 2020), so that the speed goes with the height; at the
+    height of the bead model it is ``process.wire_speed_mm_s``.
+    """
+    return config.process.wire_speed_mm_s * thickness_mm / config.process.bead_height_mm
+
+
+def process_values(config: Config, layer: int, height_mm: float, thickness_mm: float) -> ProcessValues:
+    """Values of the placeholders in a layer, counted from 1."""
+    return ProcessValues(
+        power_w=config.process.power_w,
+        voltage_kv=config.process.voltage_kv,
+        current_ma=config.process.current_ma,
+        wire_mm_s=wire_speed_mm_s(config, thickness_mm),
+        feed_mm_min=60.0 * config.process.travel_speed_mm_s,
+        layer=layer,
+        height_mm=height_mm,
+    )

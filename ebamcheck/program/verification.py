@@ -1,0 +1,112 @@
+"""Verification of a program: from its text alone, and against what it was made from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ebamcheck.config import Config
+from ebamcheck.errors import InputError
+from ebamcheck.layers import Layers
+from ebamcheck.program.checks import Check
+from ebamcheck.program.inputs import CurveColumns, ScanColumns, deposition_heights
+from ebamcheck.program.motions import NCProgram
+from ebamcheck.program.path_checks import closure_check, contour_checks, hatch_checks, layer_checks
+from ebamcheck.program.reader import read_program
+from ebamcheck.program.section_check import section_check
+from ebamcheck.program.sinumerik import TURN_SPACINGS
+from ebamcheck.program.state_checks import state_checks
+from ebamcheck.program.text_checks import text_checks
+
+PATH_TOLERANCE_MM = 1e-3
+"""Path read back against the fitted curve, after decimal rounding: a tenth of what a slicer agrees to."""
+
+SECTION_TOLERANCE_MM = 0.05
+"""Contour path against the section: the fit of the curves and the roundness of the inset's corners."""
+
+
+def verify_program(
+    nc: NCProgram,
+    *,
+    config: Config,
+    curves: CurveColumns | None = None,
+    plan: ScanColumns | None = None,
+    layers: Layers | None = None,
+    heights: ArrayLike | None = None,
+    sha256: Mapping[str, str] | None = None,
+    contour_offset_mm: float | None = None,
+    tolerance_mm: float = PATH_TOLERANCE_MM,
+    section_tolerance_mm: float = SECTION_TOLERANCE_MM,
+) -> list[Check]:
+    """Check a program that was read; every check is made that its inputs allow.
+
+    Parameters
+    ----------
+    config
+        Machine and process: limits, modes, power, templates.
+    curves, plan
+        What the program was made from: path, islands, vectors are compared with them.
+    layers
+        Sections by a slicer, best by one that did not make the program; compared with the contour path.
+    heights
+        (L,) heights of the cuts; None: those of `curves`, `plan` or `layers`.
+    sha256
+        Recorded hash of each file by name, as :class:`ProgramFiles` gives it.
+    contour_offset_mm
+        Inset of the contour path from the section; None: that of the settings.
+    tolerance_mm, section_tolerance_mm
+        Largest distance of the path from the fitted curve, and from the inset section.
+
+    Returns
+    -------
+    list of Check
+        In a fixed order; one that fails names the file and line of the first or worst place.
+    """
+    turn_limit_mm = TURN_SPACINGS * config.process.hatch_spacing_mm
+    checks = text_checks(nc, sha256) + state_checks(nc, config, turn_limit_mm)
+    checks.append(closure_check(nc, curves, tolerance_mm))
+    known = (
+        heights
+        if heights is not None
+        else next((x.heights for x in (curves, plan, layers) if x is not None), None)
+    )
+    if known is None:
+        return checks
+    z_of = deposition_heights(np.asarray(known, dtype=np.float64), config.layer_height_mm)
+    checks += layer_checks(nc, z_of, _where_called(nc))
+    if curves is not None:
+        checks += contour_checks(nc, curves, config, tolerance_mm, z_of)
+    if plan is not None:
+        checks += hatch_checks(nc, plan, config, tolerance_mm, z_of)
+    if layers is not None:
+        offset = config.contour_offset_mm if contour_offset_mm is None else contour_offset_mm
+        checks.append(section_check(nc, layers, z_of, offset, section_tolerance_mm))
+    return checks
+
+
+def verify_file(path: str | Path, *, config: Config, **given: object) -> list[Check]:
+    """Read and check a program; one that cannot be read is a failed check named ``readable``.
+
+    Takes what :func:`verify_program` takes, and the same `path` as :func:`read_program`.
+    """
+    try:
+        nc = read_program(path, config)
+    except InputError as error:
+        where, _, text = str(error).partition(": ")
+        return [Check("readable", False, 1.0, 0.0, "faults", where, text)]
+    readable = Check("readable", True, 0.0, 0.0, "faults", "", f"{len(nc)} motions in {len(nc.files)} files")
+    return [readable, *verify_program(nc, config=config, **given)]  # type: ignore[arg-type]
+
+
+def _where_called(nc: NCProgram) -> NDArray[np.object_]:
+    """Place of the call of each layer (L,); of its first deposit in a program without calls."""
+    calls = [
+        i for i, name in enumerate(nc.events.name) if name.startswith("call ") and nc.events.file[i] == 0
+    ]
+    if len(calls) == len(nc.layer_files):
+        return np.array([f"{nc.files[0].name}:{nc.events.line[i]}" for i in calls], dtype=np.object_)
+    first = [int(np.argmax(nc.layer == k)) for k in range(len(nc.layer_files))]
+    return np.array([nc.where(row) for row in first], dtype=np.object_)

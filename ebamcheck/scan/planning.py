@@ -1,0 +1,318 @@
+"""Plan layers: section -> regions -> islands -> lines -> order -> path."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from threading import Lock
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import shapely
+from numpy.typing import NDArray
+from shapely.geometry.base import BaseGeometry
+
+from ebamcheck.backend import Progress
+from ebamcheck.config import Config
+from ebamcheck.kernels import run_blocks
+from ebamcheck.layers import Layers
+from ebamcheck.rings import Bools, Floats, Ints
+from ebamcheck.scan import islands as cells
+from ebamcheck.scan.borders import shared_borders
+from ebamcheck.scan.coverage import covered_fraction, segments_of
+from ebamcheck.scan.hatch import Vectors, hatch
+from ebamcheck.scan.lattice import hexagon_lattice, planned_side_mm
+from ebamcheck.scan.order import LayerIslands, scan_order
+from ebamcheck.scan.path import enter_nearest
+from ebamcheck.scan.plan import METRICS, ScanPlan, empty_vectors
+from ebamcheck.scan.rectangle import minimum_rectangle
+from ebamcheck.scan.regions import Regions, layer_regions, layer_section
+from ebamcheck.scan.simulate import EARLY, neighbour_intervals_s, simulate_order
+from ebamcheck.scan.walls import wall_lines
+
+
+def plan_scan(
+    polygons: BaseGeometry | Iterable[BaseGeometry],
+    profile: Config | None = None,
+    order: str | None = None,
+    seed: int | None = None,
+    layer: int = 0,
+    height_mm: float = 0.0,
+) -> ScanPlan:
+    """Plan one layer: divide it into islands, fill them and put them in order.
+
+    Parameters
+    ----------
+    polygons
+        Solid regions of the layer as shapely geometries, mm; overlapping ones unite, invalid ones are
+        made valid. No polygon gives a plan without islands.
+    profile
+        Settings; the default ones if None.
+    order, seed
+        Name of the order (see :data:`ebamcheck.scan.ORDERS`) and seed of its random choices; those of
+        the profile if None.
+    layer
+        Index of the layer, which turns the hatch and seeds the start.
+    height_mm
+        Its height.
+
+    Raises
+    ------
+    SettingsError
+        If the order is unknown, or the hexagons are far too small for the layer.
+    GeometryError
+        If a coordinate is not finite.
+
+    Examples
+    --------
+    >>> plan = plan_scan(shapely.box(0, 0, 200, 80))
+    >>> sorted(plan.order.tolist()) == list(range(len(plan.islands)))
+    True
+    """
+    profile = profile or Config()
+    name, number = order or profile.scan.order, profile.scan.seed if seed is None else seed
+    planned = plan_layer(layer_section(polygons), profile, name, number, layer, float(height_mm))
+    return _stacked([planned], profile, name, number)
+
+
+def plan_stack(
+    layers: Layers,
+    profile: Config | None = None,
+    order: str | None = None,
+    seed: int | None = None,
+    progress: Progress | None = None,
+) -> ScanPlan:
+    """Plan a stack of layers, each as :func:`plan_scan` does, on all threads.
+
+    Parameters
+    ----------
+    layers
+        Contours; open paths bound no region and are not filled.
+    profile, order, seed
+        As for :func:`plan_scan`.
+    progress
+        Called with the number of layers done since the last call.
+    """
+    profile = profile or Config()
+    name, number = order or profile.scan.order, profile.scan.seed if seed is None else seed
+    sections = [layer_section(layers.polygons(k)) for k in range(len(layers))]
+    reporting = Lock()
+
+    def work(start: int, stop: int) -> list[LayerPlan]:
+        done = []
+        for k in range(start, stop):
+            done.append(plan_layer(sections[k], profile, name, number, k, float(layers.heights[k])))
+            if progress is not None:
+                with reporting:
+                    progress(1)
+        return done
+
+    blocks = run_blocks(work, len(layers)) if len(layers) else []
+    return _stacked([p for block in blocks for p in block], profile, name, number)
+
+
+@dataclass(frozen=True, eq=False)
+class LayerPlan:
+    """One layer of a :class:`ScanPlan`, its islands numbered from 0."""
+
+    layer: int
+    height_mm: float
+    side_mm: float
+    regions: Regions
+    islands: NDArray[np.object_]
+    kind: NDArray[np.str_]
+    centroid: Floats
+    neighbours: Ints
+    border_mm: Floats
+    order: Ints
+    vectors: Vectors
+    covered: float
+
+
+def plan_layer(
+    section: BaseGeometry, profile: Config, order: str, seed: int, layer: int, height_mm: float
+) -> LayerPlan:
+    """Plan one valid section."""
+    regions = layer_regions(section, profile)
+    side = _side_mm(regions, profile)
+    found = _partition(regions, side, profile)
+    walls = [*regions.narrow_fills, *regions.bare_walls]
+    islands = np.concatenate([found.polygons, _column(walls)])
+    vectors, chained = _fill(found, walls, profile, layer)
+    neighbours, border = shared_borders(islands)
+    centroid = cells.centroids(islands)
+    sequence = scan_order(order, LayerIslands(centroid, shapely.area(islands), neighbours, layer, seed))
+    driven = _driven(vectors, sequence, chained)
+    beads = np.vstack([segments_of(regions.contour), np.hstack([driven.start, driven.end])])
+    return LayerPlan(
+        layer=layer,
+        height_mm=height_mm,
+        side_mm=side,
+        regions=regions,
+        islands=islands,
+        kind=np.concatenate([found.kind, np.full(len(walls), cells.THIN_WALL)]).astype(np.str_),
+        centroid=centroid,
+        neighbours=neighbours,
+        border_mm=border,
+        order=sequence,
+        vectors=driven,
+        covered=covered_fraction(section, beads, profile.process.bead_width_mm),
+    )
+
+
+def _side_mm(regions: Regions, profile: Config) -> float:
+    """Side of the hexagons: the one set, else planned from the solids; NaN without a solid."""
+    if not regions.solids:
+        return math.nan
+    if profile.scan.hexagon_side_mm is not None:
+        return profile.scan.hexagon_side_mm
+    area, border = float(shapely.area(regions.solids).sum()), float(shapely.length(regions.solids).sum())
+    return planned_side_mm(area, border, profile.process.hatch_spacing_mm)
+
+
+def _partition(regions: Regions, side_mm: float, profile: Config) -> cells.Cells:
+    """Lay the hexagons over the section and clip them to its solids."""
+    if not regions.solids:
+        return cells.Cells(np.zeros(0, object), np.zeros(0, np.str_), np.zeros(0, np.int64))
+    around = minimum_rectangle(shapely.get_coordinates(regions.section), profile.scan.rectangle)
+    process = profile.process
+    return cells.partition(
+        regions.solids, hexagon_lattice(around, side_mm), process.bead_width_mm, process.hatch_spacing_mm
+    )
+
+
+def _fill(
+    found: cells.Cells, walls: Sequence[shapely.Polygon], profile: Config, layer: int
+) -> tuple[Vectors, Bools]:
+    """Lines of all islands, sorted by island, and which islands' lines follow each other."""
+    width, spacing = profile.process.bead_width_mm, profile.process.hatch_spacing_mm
+    turn = profile.scan.first_angle_deg + layer * profile.scan.layer_angle_deg
+    angle = np.radians(turn + found.colour * profile.scan.island_angle_deg)
+    hatched, _ = hatch(found.polygons, angle, width, spacing)
+    count = len(found.polygons)
+    owner, start, end = [hatched.island], [hatched.start], [hatched.end]
+    for number, wall in enumerate(walls, count):
+        lines = wall_lines(wall, width, spacing)
+        if lines:
+            along = Vectors(
+                np.full(sum(len(line) - 1 for line in lines), number, np.int64),
+                np.concatenate([line[:-1] for line in lines]),
+                np.concatenate([line[1:] for line in lines]),
+            )
+        else:  # too short or too crooked for a centre line
+            straight, _ = hatch(_column([wall]), 0.0, width, spacing)
+            along = Vectors(straight.island + number, straight.start, straight.end)
+        owner.append(along.island)
+        start.append(along.start)
+        end.append(along.end)
+    chained = np.arange(count + len(walls)) >= count
+    return Vectors(np.concatenate(owner), np.concatenate(start), np.concatenate(end)), chained
+
+
+def _driven(vectors: Vectors, order: Ints, chained: Bools) -> Vectors:
+    """Lines in scan order, every island entered from its nearest corner."""
+    first = np.concatenate([[0], np.cumsum(np.bincount(vectors.island, minlength=order.size))])
+    rows, turned = enter_nearest(vectors.start, vectors.end, first.astype(np.int64), order, chained)
+    a, b = vectors.start[rows], vectors.end[rows]
+    swap = turned[:, None]
+    return Vectors(vectors.island[rows], np.where(swap, b, a), np.where(swap, a, b))
+
+
+def _stacked(planned: Sequence[LayerPlan], profile: Config, order: str, seed: int) -> ScanPlan:
+    """Join layers into one plan and measure it."""
+    base = np.cumsum([0] + [len(p.islands) for p in planned])
+    islands = _joined([p.islands for p in planned], np.zeros(0, object))
+    by_layer = list(zip(planned, base[:-1], strict=True))
+    plan = ScanPlan(
+        heights=np.array([p.height_mm for p in planned], np.float64),
+        contours=_column([p.regions.contour for p in planned]),
+        islands=islands,
+        # A plan of one layer is layer 0 of its own stack, whatever its index in the part.
+        island_layer=np.repeat(np.arange(len(planned)), np.diff(base)).astype(np.int64),
+        island_kind=_joined([p.kind for p in planned], np.zeros(0, np.str_)),
+        island_area_mm2=np.asarray(shapely.area(islands), np.float64),
+        island_centroid=_joined([p.centroid for p in planned], np.zeros((0, 2))),
+        neighbours=_joined([p.neighbours + b for p, b in by_layer], np.zeros((0, 2), np.int64)),
+        border_mm=_joined([p.border_mm for p in planned], np.zeros(0)),
+        order=_joined([p.order + b for p, b in by_layer], np.zeros(0, np.int64)),
+        vectors=_vector_table(by_layer),
+        metrics=pd.DataFrame(columns=list(METRICS)),
+        settings=_settings(profile, order, seed),
+    )
+    return replace(plan, metrics=_measured(plan, planned, profile))
+
+
+def _joined(columns: Sequence[NDArray[Any]], empty: NDArray[Any]) -> NDArray[Any]:
+    return np.concatenate(columns) if columns else empty
+
+
+def _vector_table(by_layer: Sequence[tuple[LayerPlan, Any]]) -> pd.DataFrame:
+    if not by_layer:
+        return empty_vectors()
+    start = np.concatenate([p.vectors.start for p, _ in by_layer])
+    end = np.concatenate([p.vectors.end for p, _ in by_layer])
+    way = end - start
+    return pd.DataFrame(
+        {
+            "island": np.concatenate([p.vectors.island + b for p, b in by_layer]),
+            "x0": start[:, 0],
+            "y0": start[:, 1],
+            "x1": end[:, 0],
+            "y1": end[:, 1],
+            "angle_deg": np.degrees(np.arctan2(way[:, 1], way[:, 0])) % 360.0,
+        }
+    )
+
+
+def _settings(profile: Config, order: str, seed: int) -> dict[str, Any]:
+    """What shaped the plan."""
+    return {
+        "order": order,
+        "seed": seed,
+        "scan": profile.scan.model_dump(mode="json", exclude={"order", "seed"}),
+        "bead_width_mm": profile.process.bead_width_mm,
+        "bead_spacing": profile.process.bead_spacing,
+        "travel_speed_mm_s": profile.process.travel_speed_mm_s,
+        "rapid_mm_s": profile.machine.rapid_mm_s,
+    }
+
+
+def _measured(plan: ScanPlan, planned: Sequence[LayerPlan], profile: Config) -> pd.DataFrame:
+    """One row a layer, as :data:`METRICS` says."""
+    driven = simulate_order(plan, profile)
+    end = np.full(len(plan.islands), np.nan)
+    end[driven["island"]] = driven["end_s"]
+    interval = neighbour_intervals_s(end, plan.neighbours)
+    pair_layer = plan.island_layer[plan.neighbours[:, 0]]
+    of_layer = driven["layer"].to_numpy()
+
+    def total(values: pd.Series) -> Floats:
+        return np.bincount(of_layer, values.to_numpy(np.float64), minlength=len(planned)).astype(np.float64)
+
+    length, travel = total(driven["length_mm"]), total(driven["travel_mm"] + driven["inner_travel_mm"])
+    spread = [interval[pair_layer == k] for k in range(len(planned))]
+    spread = [values[np.isfinite(values)] for values in spread]
+    values: dict[str, Any] = {
+        "layer": [p.layer for p in planned],
+        "height_mm": plan.heights,
+        "side_mm": [p.side_mm for p in planned],
+        "islands": [len(p.islands) for p in planned],
+        "area_mm2": [p.regions.section.area for p in planned],
+        "covered_fraction": [p.covered for p in planned],
+        "contour_length_mm": [p.regions.contour.length for p in planned],
+        "hatch_length_mm": length,
+        "travel_mm": travel,
+        "starts": total(driven["starts"]).astype(np.int64),
+        "time_s": length / profile.process.travel_speed_mm_s + travel / profile.machine.rapid_mm_s,
+        "interval_p10_s": [float(np.quantile(v, EARLY)) if v.size else math.nan for v in spread],
+        "interval_min_s": [float(v.min()) if v.size else math.nan for v in spread],
+    }
+    return pd.DataFrame(values, columns=list(METRICS))
+
+
+def _column(polygons: Sequence[BaseGeometry]) -> NDArray[np.object_]:
+    column = np.empty(len(polygons), object)
+    column[:] = polygons
+    return column

@@ -1,0 +1,282 @@
+"""Measures of one pair of layers, against shapely, closed forms and laws."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import shapely
+
+from ebamcheck.comparison.measure import Figures, measure
+from ebamcheck.comparison.outline import nearest, outline, winding
+from ebamcheck.layers import Layers, from_polygons, from_rings
+
+SQUARE = np.array([(0, 0), (10, 0), (10, 10), (0, 10)], float)
+
+
+def layer(*rings):
+    return from_rings([0.0], [rings])
+
+
+def figures(a: Layers, b: Layers, limit=1e-3, exact_a=False, exact_b=False, origin=(0.0, 0.0)) -> Figures:
+    return Figures(*measure(outline(a, 0, origin), outline(b, 0, origin), limit, exact_a, exact_b))
+
+
+def circle(radius, points=720, centre=(0.0, 0.0), phase=0.0):
+    angle = np.linspace(0, 2 * np.pi, points, endpoint=False) + phase
+    return np.stack([centre[0] + radius * np.cos(angle), centre[1] + radius * np.sin(angle)], axis=1)
+
+
+def star(rng, centre=(0.0, 0.0)):
+    points = rng.integers(5, 60)
+    angle = np.sort(rng.uniform(0, 2 * np.pi, points))
+    radius = 10 * (1 + 0.4 * rng.uniform(-1, 1, points))
+    return np.stack([centre[0] + radius * np.cos(angle), centre[1] + radius * np.sin(angle)], axis=1)
+
+
+def random_pair(seed):
+    """Two overlapping star-shaped rings; every third pair on a coarse lattice, so that edges coincide."""
+    rng = np.random.default_rng(seed)
+    a, b = star(rng), star(rng, rng.normal(size=2) * 0.7)
+    if seed % 3 == 0:
+        a, b = np.round(a), np.round(b)
+    regions = [p for ring in (a, b) for p in [shapely.make_valid(shapely.Polygon(ring))]]
+    layers = [from_polygons([0.0], [[region]]) for region in regions]
+    return layers[0], layers[1], *(shapely.union_all(x.polygons(0)) for x in layers)
+
+
+def inscribed_radius(region):
+    polygons = [p for p in shapely.get_parts(region) if p.geom_type == "Polygon" and not p.is_empty]
+    return max((shapely.maximum_inscribed_circle(p, 1e-5).length for p in polygons), default=0.0)
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_areas_distances_and_depth_are_those_of_shapely(seed):
+    a, b, region_a, region_b = random_pair(seed)
+    found = figures(a, b)
+    difference = shapely.symmetric_difference(region_a, region_b)
+    assert found.sound
+    assert found.area_a == pytest.approx(region_a.area, abs=1e-11)
+    assert found.area_b == pytest.approx(region_b.area, abs=1e-11)
+    assert found.symmetric_difference == pytest.approx(difference.area, abs=1e-11)
+    hausdorff = max(found.hausdorff_ab, found.hausdorff_ba)
+    dense = shapely.hausdorff_distance(region_a.boundary, region_b.boundary, densify=0.01)
+    assert dense - 1e-9 <= hausdorff <= dense + 0.12
+    assert found.depth == pytest.approx(inscribed_radius(difference), abs=3e-5)
+
+
+@pytest.mark.parametrize("seed", range(0, 40, 2))
+def test_depth_from_an_exact_outline_is_the_greatest_distance_over_the_difference(seed):
+    a, b, region_a, region_b = random_pair(seed)
+    difference = shapely.symmetric_difference(region_a, region_b)
+    grid = np.arange(-16, 16, 0.15)
+    points = shapely.points(*(g.ravel() for g in np.meshgrid(grid, grid)))
+    inside = points[shapely.contains(shapely.prepare(difference) or difference, points)]
+    rim = shapely.points(shapely.get_coordinates(shapely.segmentize(difference.boundary, 0.05)))
+    sampled = shapely.distance(np.concatenate([inside, rim]), region_a.boundary).max()
+    found = figures(a, b, exact_a=True)
+    assert sampled - 2e-5 <= found.depth <= sampled + 0.11
+    place = shapely.Point(found.depth_x, found.depth_y)
+    assert place.distance(region_a.boundary) == pytest.approx(found.depth, abs=2e-5)
+    assert place.distance(difference) <= 1e-5
+    mirrored = figures(b, a, exact_b=True)
+    assert mirrored.depth == pytest.approx(found.depth, abs=2e-5)
+
+
+@pytest.mark.parametrize("shift", [1e-9, 0.003, 0.5, 4.0])
+def test_shifted_squares(shift):
+    found = figures(layer(SQUARE), layer(SQUARE + [shift, 0]))
+    assert found.symmetric_difference == pytest.approx(20 * shift, rel=1e-6)
+    assert found.hausdorff_ab == found.hausdorff_ba == pytest.approx(shift)
+    assert found.depth == pytest.approx(shift / 2, abs=1e-5)
+    assert figures(layer(SQUARE), layer(SQUARE + [shift, 0]), exact_a=True).depth == pytest.approx(shift)
+    assert found.p95_ab == pytest.approx(shift, abs=1e-9)
+
+
+def test_percentile_weighs_by_length_not_by_points():
+    # 4 % of the contour, crowded with points, is 1 mm off; the rest is not.
+    base = np.array([(0, 0), (100, 0), (100, 100), (0, 100)], float)
+    crowd = np.stack([np.linspace(60, 46, 500), np.full(500, 101.0)], axis=1)
+    bumped = np.concatenate([base[:3], [(60, 100)], crowd, [(46, 100)], base[3:]])
+    found = figures(layer(base), layer(bumped))
+    assert found.p95_ba == 0.0
+    assert found.hausdorff_ba == 1.0
+    longer = bumped.copy()
+    longer[[3, *range(4, 504)], 0] += np.where(longer[[3, *range(4, 504)], 0] > 50, 20, 0)
+    assert figures(layer(base), layer(longer)).p95_ba > 0.5
+
+
+def test_concentric_circles():
+    inner, outer = circle(9.0), circle(10.0)
+    found = figures(layer(inner), layer(outer), exact_b=True)
+    assert found.symmetric_difference == pytest.approx(np.pi * 19, rel=2e-5)
+    assert found.depth == pytest.approx(1.0, abs=2e-4)
+    assert found.hausdorff_ab == pytest.approx(1.0, abs=2e-4)
+    # Each ring point is level with the other's: the difference is a closed band of width 1.
+    assert figures(layer(inner), layer(outer)).depth == pytest.approx(0.5, abs=2e-4)
+
+
+def test_a_lost_wedge_tip_is_far_but_not_deep():
+    wedge = np.array([(0, -0.05), (20, 0), (0, 0.05)])
+    blunt = np.array([(0, -0.05), (10, -0.025), (10, 0.025), (0, 0.05)])
+    found = figures(layer(wedge), layer(blunt), exact_a=True)
+    assert max(found.hausdorff_ab, found.hausdorff_ba) == pytest.approx(10.0, abs=0.01)
+    assert found.depth == pytest.approx(0.025, abs=1e-4)
+
+
+def test_a_closed_slit_is_as_deep_as_half_its_width():
+    slit = np.array([(0, 0), (10, 0), (10, 4.99), (2, 4.99), (2, 5.01), (10, 5.01), (10, 10), (0, 10)], float)
+    assert figures(layer(slit), layer(SQUARE), exact_a=True).depth == pytest.approx(0.01, abs=1e-5)
+
+
+def test_a_missing_lobe_is_deep_although_the_contours_of_the_other_are_all_near():
+    # The second outline ends inside the thin neck: it lies on the first everywhere, yet a lobe is gone.
+    left, right = shapely.box(0, 0, 10, 10), shapely.box(20, 0, 30, 10)
+    whole = from_polygons([0.0], [[shapely.union_all([left, right, shapely.box(9, 4.99, 21, 5.01)])]])
+    lost = from_polygons([0.0], [[left.union(shapely.box(9, 4.99, 15, 5.01))]])
+    found = figures(whole, lost, exact_a=True)
+    assert found.hausdorff_ba <= 0.011
+    assert found.depth == pytest.approx(5.0, abs=1e-2)
+    assert found.depth_x == pytest.approx(25.0, abs=0.1)
+
+
+def test_a_broken_band_along_the_contour_does_not_hide_a_missing_disc():
+    # An open C along the circle: same number of rings, all contours near each other, and no disc.
+    disc = shapely.Point(0, 0).buffer(10, quad_segs=64)
+    c_shape = disc.difference(disc.buffer(-0.02)).difference(shapely.box(0, -0.001, 20, 0.001))
+    found = figures(from_polygons([0.0], [[disc]]), from_polygons([0.0], [[c_shape]]), exact_a=True)
+    assert max(found.hausdorff_ab, found.hausdorff_ba) < 0.03
+    assert found.depth == pytest.approx(10.0, abs=0.02)
+
+
+@pytest.mark.parametrize("exact", [False, True])
+def test_one_empty_layer_is_as_deep_as_the_other_is_thick(exact):
+    empty = from_rings([0.0], [[]])
+    for pair in ((layer(SQUARE), empty), (empty, layer(SQUARE))):
+        found = figures(*pair, exact_a=exact)
+        assert found.depth == pytest.approx(5.0, abs=1e-4)
+        assert np.isinf([found.hausdorff_ab, found.hausdorff_ba, found.p95_ab, found.p95_ba]).all()
+        assert found.symmetric_difference == 100.0
+    nothing = figures(empty, empty)
+    assert (nothing.hausdorff_ab, nothing.depth, nothing.symmetric_difference) == (0.0, 0.0, 0.0)
+
+
+def test_ridges_of_turned_rectangles_need_no_fine_search():
+    turn = np.array([[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]])
+    bar = np.array([(0, 0), (400, 0), (400, 3), (0, 3)], float) @ turn.T
+    assert figures(layer(bar), from_rings([0.0], [[]])).depth == pytest.approx(1.5, abs=2e-5)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_measures_are_symmetric_and_do_not_depend_on_the_frame(seed):
+    a, b, _, _ = random_pair(seed)
+    base = figures(a, b)
+    swapped = figures(b, a)
+    assert swapped.symmetric_difference == pytest.approx(base.symmetric_difference, abs=1e-11)
+    assert (swapped.hausdorff_ab, swapped.hausdorff_ba) == (base.hausdorff_ba, base.hausdorff_ab)
+    assert swapped.p95_ab == base.p95_ba
+    assert swapped.depth == pytest.approx(base.depth, abs=2e-5)
+    angle = 0.7 + seed
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    for scale, matrix in ((1.0, turn), (1.0, np.diag([-1.0, 1.0])), (0.01, np.eye(2)), (1500.0, turn)):
+        moved = [
+            from_rings(
+                [0.0],
+                [
+                    [
+                        (r @ matrix.T * scale)[:: int(np.sign(np.linalg.det(matrix)))]
+                        for r in map(x.ring, x.rings_of(0))
+                    ]
+                ],
+            )
+            for x in (a, b)
+        ]
+        found = figures(*moved, limit=1e-3 * scale)
+        assert found.symmetric_difference == pytest.approx(
+            base.symmetric_difference * scale**2, rel=1e-9, abs=1e-11
+        )
+        assert found.hausdorff_ab == pytest.approx(
+            base.hausdorff_ab * scale, rel=1e-6, abs=2e-7 + 1e-9 * scale
+        )
+        assert found.p95_ab == pytest.approx(base.p95_ab * scale, rel=0.01)
+        assert found.depth == pytest.approx(base.depth * scale, abs=2e-6 + 2e-5 * scale)
+
+
+def test_a_far_origin_costs_only_the_digits_of_the_coordinates():
+    rng = np.random.default_rng(5)
+    a, b = star(rng), star(rng)
+    near = figures(layer(a), layer(b))
+    far = figures(layer(a + 1e6), layer(b + 1e6), origin=(1e6, 1e6))
+    assert far.symmetric_difference == pytest.approx(near.symmetric_difference, abs=1e-7)
+    assert far.depth == pytest.approx(near.depth, abs=2e-5)
+
+
+def test_the_same_contour_from_two_exact_methods_differs_by_rounding_only():
+    rng = np.random.default_rng(3)
+    ring = circle(50.0, 2000)
+    found = figures(
+        layer(ring), layer(ring + rng.normal(size=ring.shape) * 1e-12), exact_a=True, exact_b=True
+    )
+    assert found.depth < 1e-11
+    assert found.symmetric_difference < 1e-8
+    same = figures(layer(ring), layer(np.roll(ring, 77, axis=0)), exact_a=True, exact_b=True)
+    assert (same.symmetric_difference, same.hausdorff_ab, same.depth) == (0.0, 0.0, 0.0)
+
+
+def test_touching_and_overlapping_rings_are_united():
+    halves = layer(SQUARE * [0.5, 1], SQUARE * [0.5, 1] + [5, 0])
+    found = figures(halves, layer(SQUARE))
+    assert (found.area_a, found.symmetric_difference, found.depth) == (100.0, 0.0, 0.0)
+    overlapping = layer(SQUARE * [0.7, 1], SQUARE * [0.7, 1] + [3, 0])
+    assert figures(overlapping, layer(SQUARE)).symmetric_difference == pytest.approx(0.0, abs=1e-12)
+    bow = np.array([(0, 0), (4, 4), (4, 0), (0, 0), (-4, 4), (-4, 0)], float)
+    assert figures(layer(bow), layer(bow)).symmetric_difference == 0.0
+
+
+def test_thousands_of_rings():
+    cells = [SQUARE * 0.05 + [i, j] for i in range(50) for j in range(50)]
+    moved = [cell + [0.1, 0.0] for cell in cells]
+    found = figures(layer(*cells), layer(*moved))
+    assert found.area_a == pytest.approx(2500 * 0.25)
+    assert found.symmetric_difference == pytest.approx(2500 * 0.1)
+    assert found.depth == pytest.approx(0.05, abs=1e-5)
+
+
+def test_many_crossings_in_one_slab():
+    teeth = np.arange(120.0)
+
+    def comb(slant):
+        low = np.stack([teeth, np.zeros(120)], axis=1)
+        high = np.stack([teeth + 0.5 + slant, np.full(120, 10.0)], axis=1)
+        return [np.array([a, a + [0.4, 0], b]) for a, b in zip(low, high, strict=True)]
+
+    a, b = layer(*comb(6.0)), layer(*comb(-6.0))
+    region = [shapely.union_all(x.polygons(0)) for x in (a, b)]
+    expected = shapely.symmetric_difference(*region).area
+    assert figures(a, b).symmetric_difference == pytest.approx(expected, abs=1e-9)
+
+
+def test_open_paths_count_for_distances_and_bound_no_area():
+    path = from_rings([0.0], [[]], [[[(0, 0), (10, 0), (10, 10)]]])
+    found = figures(path, path)
+    assert (found.area_a, found.depth, found.hausdorff_ab) == (0.0, 0.0, 0.0)
+    with_path = from_rings([0.0], [[SQUARE]], [[[(20, 5), (30, 5)]]])
+    found = figures(with_path, layer(SQUARE))
+    assert found.hausdorff_ab == 20.0
+    assert found.depth == 0.0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_nearest_and_winding_are_those_of_plain_search(seed):
+    rng = np.random.default_rng(seed)
+    a, _, region, _ = random_pair(3 * seed + 1)
+    prepared = outline(a, 0, (0.0, 0.0))
+    for x, y in rng.uniform(-40, 40, (200, 2)):
+        distance, segment = nearest(prepared, x, y, -1)
+        assert distance == pytest.approx(shapely.Point(x, y).distance(region.boundary), abs=1e-12)
+        assert segment >= 0
+        assert (winding(prepared, x, y) > 0) == region.contains(shapely.Point(x, y))
+
+
+def test_points_on_straight_runs_are_dropped():
+    dense = shapely.get_coordinates(shapely.segmentize(shapely.Polygon(SQUARE), 0.1))[:-1]
+    assert len(outline(layer(dense), 0, (0.0, 0.0)).segments) == 4

@@ -1,0 +1,356 @@
+"""The ray-casting backend: its promise attacked with shapes that hide between rays."""
+
+from __future__ import annotations
+
+import csv
+import logging
+from collections import defaultdict
+
+import numpy as np
+import pytest
+import shapely
+from parts import box, join, moved, sphere, tilted, torus, turn_z
+from section_oracle import depth_beyond, exact_section, prism, winding
+
+import ebamcheck
+from ebamcheck.errors import BackendFailed, SettingsError
+from ebamcheck.layers import concatenate
+from ebamcheck.part import from_arrays
+from ebamcheck_embree import Embree
+from ebamcheck_embree.crossings import borders
+from ebamcheck_embree.grid import automatic_cell_mm, grid_over
+
+SLICER = Embree()
+MODES = ("in-plane", "vertical")
+
+if not SLICER.probe().available:
+    pytest.skip(SLICER.probe().why, allow_module_level=True)
+
+
+def cut(part, heights, progress=None, **settings):
+    with SLICER.prepare(part, SLICER.Settings(**settings)) as prepared:
+        return prepared.slice(np.atleast_1d(np.asarray(heights, float)), progress)
+
+
+def heights_in(part, count=4):
+    low, high = part.bounds[:, 2]
+    return low + (high - low) * (np.arange(count) + 0.37) / count
+
+
+def region(layers, k=0):
+    return shapely.union_all(layers.polygons(k))
+
+
+def same(a, b):
+    return all(
+        np.array_equal(getattr(a, c), getattr(b, c))
+        for c in ("heights", "points", "ring_starts", "layer_starts", "closed", "dropped")
+    )
+
+
+WEDGE = shapely.Polygon([(0, 0), (30, 0.9), (0, 1.8)])
+COMB = shapely.union_all(
+    [shapely.box(0, 0, 20, 2)] + [shapely.box(x, 1, x + 0.55, 9) for x in np.arange(0, 20, 0.83)]
+)
+THIN = shapely.box(0, 0, 20, 20).difference(shapely.box(0.13, 0.13, 19.87, 19.87))
+GAP = shapely.box(0, 0, 20, 10).difference(shapely.box(-1, 5, 15, 5.07))
+PLATE = shapely.box(0, 0, 30, 20).difference(shapely.Point(12, 9).buffer(5))
+STAR = shapely.Polygon(
+    [
+        ((10 if k % 2 else 1.5) * np.cos(k * np.pi / 9), (10 if k % 2 else 1.5) * np.sin(k * np.pi / 9))
+        for k in range(18)
+    ]
+)
+
+PARTS = {
+    "box": box((0, 0, 0), (10, 7, 5)),
+    "tilted box": tilted(box((0, 0, 0), (30, 7, 4))),
+    "sphere": sphere(),
+    "torus": torus(),
+    "tilted torus": tilted(torus()),
+    "cylinder": prism(shapely.Point(3, 4).buffer(8, quad_segs=24), 0.0, 5.0),
+    "plate with hole": prism(PLATE, 0.0, 4.0),
+    "wedge": prism(WEDGE, 0.0, 4.0),
+    "turned wedge": moved(prism(WEDGE, 0.0, 4.0), turn_z(44.9)),
+    "comb": prism(COMB, 0.0, 3.0),
+    "turned comb": moved(prism(COMB, 0.0, 3.0), turn_z(31.0)),
+    "tilted comb": tilted(prism(COMB, 0.0, 3.0)),
+    "thin wall": prism(THIN, 0.0, 3.0),
+    "turned thin wall": moved(prism(THIN, 0.0, 3.0), turn_z(45.0)),
+    "gap": prism(GAP, 0.0, 3.0),
+    "turned gap": moved(prism(GAP, 0.0, 3.0), turn_z(13.0)),
+    "star": tilted(prism(STAR, 0.0, 3.0)),
+    "overlapping": tilted(join(box((0, 0, 0), (10, 10, 10)), box((5, 5, 2), (16, 14, 13)))),
+}
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("cell_mm", [0.1, 0.37, 1.3])
+@pytest.mark.parametrize("name", PARTS)
+def test_bound_is_kept(name, cell_mm, mode):
+    part = PARTS[name]
+    settings = SLICER.Settings(mode=mode, grid_mm=cell_mm)
+    bound = SLICER.error_bound_mm(part, settings)
+    layers = cut(part, heights_in(part), mode=mode, grid_mm=cell_mm)
+    for k, z in enumerate(layers.heights):
+        assert depth_beyond(region(layers, k), exact_section(part, z), bound * 1.0005) == 0.0
+
+
+def test_bound_is_not_idle():
+    """Thin walls do vanish between rays: the promise says how thick they may be, not that they stay."""
+    walls = [box((x, 0, 0), (x + 0.4, 20, 2)) for x in (0.0, 3.3, 6.7, 9.9, 13.2)]
+    part = join(*walls, box((20, 0, 0), (24, 20, 2)))
+    layers = cut(part, [1.0], grid_mm=1.0)
+    assert 1 <= layers.ring_counts()[0] < len(walls) + 1
+
+
+def test_corners_of_the_section_are_not_cut():
+    """In-plane contours turn where the mesh's section turns, where that is in a cell the contour passes."""
+    outline = shapely.Point(0.3, 0.4).buffer(8, quad_segs=6)
+    part = prism(outline, 0.0, 2.0)
+    cell_mm = 0.3
+    layers = cut(part, [1.0], grid_mm=cell_mm)
+    by_chords = cut(part, [1.0], grid_mm=cell_mm, mode="vertical")
+    difference = region(layers).symmetric_difference(outline).area
+    assert difference < 0.01 * region(by_chords).symmetric_difference(outline).area
+    corners = shapely.get_coordinates(outline.exterior)[:-1]
+    gaps = np.linalg.norm(corners[:, None] - layers.points[None], axis=2).min(axis=1)
+    assert (gaps < 1e-9).mean() > 0.8
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_in_plane_knots_lie_on_the_section(name):
+    part = PARTS[name]
+    layers = cut(part, heights_in(part), grid_mm=0.21)
+    for k, z in enumerate(layers.heights):
+        points = np.concatenate([layers.ring(r) for r in layers.rings_of(k)])
+        off = shapely.distance(shapely.points(points), exact_section(part, z).boundary)
+        assert off.max() < 1e-9
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_rings_are_simple_and_oriented(mode):
+    part = PARTS["plate with hole"]
+    layers = cut(part, [1.7], mode=mode, grid_mm=0.2)
+    assert layers.outer_counts().tolist() == [1]
+    assert layers.hole_counts().tolist() == [1]
+    assert all(shapely.Polygon(layers.ring(r)).is_valid for r in layers.rings_of(0))
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_vertices_and_faces_on_grid_lines(mode):
+    """An outline whose vertices are nodes and whose sides are rows and columns, to the last bit or one off."""
+    cell_mm = 0.25
+    frame = box((-8, -8, 0), (8, 8, 1))
+    grid = grid_over(frame, cell_mm, "in-plane")
+    x, y = grid.column_x_mm, grid.row_y_mm
+    notch = shapely.box(x[20], y[17], x[40], y[31])
+    slant = shapely.Polygon([(x[45], y[45]), (x[55], y[45]), (x[50], y[50])])
+    outline = shapely.box(-8, -8, 8, 8).difference(notch).difference(slant)
+    for nudge in (0.0, 1e-13, -1e-13, 1e-7, -1e-7):
+        part = prism(outline, 0.0, 1.0)
+        inner = (np.abs(part.vertices[:, :2]) < 8).all(axis=1)
+        part.vertices[inner, :2] += nudge
+        layers = cut(part, [0.5], mode=mode, grid_mm=cell_mm)
+        bound = SLICER.error_bound_mm(part, SLICER.Settings(mode=mode, grid_mm=cell_mm))
+        assert depth_beyond(region(layers), exact_section(part, 0.5), bound * 1.0005) == 0.0
+        assert layers.ring_counts().tolist() == [3]
+        if mode == "in-plane":
+            assert layers.areas()[0] == pytest.approx(outline.area, abs=4 * cell_mm**2)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_winding_rule(mode):
+    two = join(box(), moved(box(), shift=(1, 1, 0.5)))
+    assert cut(two, [0.2, 1.0, 2.2], mode=mode).areas() == pytest.approx([4.0, 7.0, 4.0], abs=0.02)
+    assert cut(two, [1.0], mode=mode).ring_counts().tolist() == [1]
+    cavity = join(box((0, 0, 0), (9, 9, 9)), box((2, 2, 2), (4, 4, 4)).reversed())
+    assert cut(cavity, [3.0], mode=mode).areas() == pytest.approx([77.0], abs=0.1)
+    inverted = cut(box().reversed(), [0.5, 1.5], mode=mode)
+    assert inverted.ring_counts().tolist() == [0, 0]
+    beside = join(box(), moved(box().reversed(), shift=(5, 0, 0)))
+    assert cut(beside, [1.0], mode=mode).areas() == pytest.approx([4.0], abs=0.03)
+
+
+def test_shells_that_touch_unite():
+    touching = join(box((0, 0, 0), (2, 2, 2)), box((2, 0, 0), (4, 2, 2)))
+    layers = cut(touching, [1.0])
+    assert layers.ring_counts().tolist() == [1]
+    assert layers.areas() == pytest.approx([8.0])
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_far_from_the_origin(mode):
+    part = PARTS["tilted torus"]
+    far = moved(part, shift=(1e6, -1e6, 1e6))
+    near, off = cut(part, heights_in(part), mode=mode), cut(far, heights_in(part) + 1e6, mode=mode)
+    assert off.areas() == pytest.approx(near.areas(), rel=1e-4)
+    assert off.ring_counts().tolist() == near.ring_counts().tolist()
+    for k, z in enumerate(heights_in(part)):
+        bound = SLICER.error_bound_mm(far, SLICER.Settings(mode=mode))
+        shifted = shapely.transform(region(off, k), lambda p: p - (1e6, -1e6))
+        assert depth_beyond(shifted, exact_section(part, z), bound * 1.0005) == 0.0
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_mirrored_part_gives_mirrored_area(mode):
+    part = PARTS["star"]
+    mirrored = moved(part, np.diag([-1, 1, 1]))
+    heights = heights_in(part)
+    assert cut(mirrored, heights, mode=mode).areas() == pytest.approx(
+        cut(part, heights, mode=mode).areas(), rel=2e-3
+    )
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_planes_through_faces_and_outside(mode):
+    layers = cut(box((0, 0, 0), (4, 4, 2)), [-1.0, 0.0, 1e-3, 1.0, 2.0, 5.0], mode=mode)
+    assert layers.ring_counts().tolist() == [0, 1, 1, 1, 0, 0]
+    assert layers.areas()[1:4] == pytest.approx([16.0] * 3, abs=0.05)
+
+
+def test_planes_through_vertices():
+    """The rule there is called undefined, but contours close and in-plane rays take z = h + 0 all the same."""
+    part = sphere()
+    heights = np.unique(part.vertices[:, 2])[1:-1]
+    layers = cut(part, heights, grid_mm=0.2)
+    assert layers.ring_counts().tolist() == [1] * len(heights)
+    bound = SLICER.error_bound_mm(part, SLICER.Settings(grid_mm=0.2))
+    for k, z in enumerate(heights):
+        assert depth_beyond(region(layers, k), exact_section(part, z), bound * 1.0005) == 0.0
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_layer_does_not_depend_on_the_others_nor_on_threads(mode, monkeypatch):
+    part = PARTS["tilted comb"]
+    rng = np.random.default_rng(5)
+    heights = np.unique(rng.uniform(*part.bounds[:, 2], 37))
+    monkeypatch.setenv("EBAMCHECK_THREADS", "1")
+    whole = cut(part, heights, mode=mode, grid_mm=0.2)
+    monkeypatch.setenv("EBAMCHECK_THREADS", "2")
+    assert same(whole, cut(part, heights, mode=mode, grid_mm=0.2))
+    assert same(whole, cut(part, heights, mode=mode, grid_mm=0.2, rays_per_call=1024))
+    pieces = [cut(part, heights[a:b], mode=mode, grid_mm=0.2) for a, b in ((0, 1), (1, 20), (20, 37))]
+    assert same(whole, concatenate(pieces))
+    done = []
+    cut(part, heights, done.append, mode=mode, grid_mm=0.2)
+    assert sum(done) == len(heights)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_open_part_is_mended_and_reported(mode, caplog):
+    whole = sphere(10.0)
+    low = whole.vertices[whole.faces].mean(axis=1)
+    hole = (low[:, 0] > 9.0) & (np.abs(low[:, 1]) < 3) & (np.abs(low[:, 2]) < 2)
+    assert hole.any()
+    part = from_arrays(whole.vertices, whole.faces[~hole], "holed")
+    with caplog.at_level(logging.WARNING, "ebamcheck_embree"):
+        layers = cut(part, [0.3, 7.1], mode=mode, grid_mm=0.1)
+    assert "'holed' is open" in caplog.text
+    assert layers.ring_counts().tolist() == [1, 1]
+    assert layers.areas() == pytest.approx(cut(whole, [0.3, 7.1], mode=mode, grid_mm=0.1).areas(), rel=0.02)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_facet_turned_over_is_reported_and_does_not_empty_the_part(mode, caplog):
+    whole = box((0, 0, 0), (4, 4, 4))
+    for turned in range(len(whole.faces)):
+        faces = whole.faces.copy()
+        faces[turned] = faces[turned, ::-1]
+        with caplog.at_level(logging.WARNING, "ebamcheck_embree"):
+            layers = cut(from_arrays(whole.vertices, faces), [1.1, 2.9], mode=mode, grid_mm=0.1)
+        assert layers.areas() == pytest.approx([16.0, 16.0], abs=0.2)
+    assert "do not pair" in caplog.text
+
+
+def test_soup_gives_closed_rings():
+    rng = np.random.default_rng(2)
+    part = from_arrays(rng.uniform(0, 10, (300, 3)), np.arange(300).reshape(-1, 3))
+    for mode in MODES:
+        layers = cut(part, np.linspace(1, 9, 9), mode=mode, grid_mm=0.2)
+        assert len(layers) == 9
+        assert layers.closed.all()
+        assert np.isfinite(layers.points).all()
+
+
+def test_parts_without_extent():
+    flat = from_arrays([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)])
+    upright = from_arrays([(0, 0, 0), (0, 0, 1), (0, 0, 2)], [(0, 1, 2)])
+    nothing = from_arrays(np.zeros((0, 3)), np.zeros((0, 3)))
+    for part in (flat, upright, nothing):
+        for mode in MODES:
+            assert cut(part, [0.0, 0.5], mode=mode).ring_counts().tolist() == [0, 0]
+            assert len(cut(part, [], mode=mode)) == 0
+
+
+def test_automatic_grid():
+    assert automatic_cell_mm(box((0, 0, 0), (200, 10, 5)), "in-plane") == 0.1
+    assert automatic_cell_mm(box((0, 0, 0), (20, 10, 5)), "in-plane") == pytest.approx(20 / 1024)
+    assert automatic_cell_mm(box((0, 0, 0), (10, 1000, 5)), "in-plane") == pytest.approx(1000 / 4096)
+    assert automatic_cell_mm(box((0, 0, 0), (200, 10, 5)), "vertical") == pytest.approx(200 / 1024)
+    layers = cut(box(), [1.0])
+    assert layers.settings == {"grid_mm": 2 / 1024, "mode": "in-plane", "rays_per_call": 65_536}
+
+
+def test_a_grid_that_does_not_fit_is_refused():
+    for mode, cell_mm in (("in-plane", 1e-6), ("vertical", 1e-4)):
+        with pytest.raises(SettingsError, match="grid_mm"):
+            SLICER.prepare(box(), SLICER.Settings(mode=mode, grid_mm=cell_mm))
+
+
+def test_released_part_is_not_sliced():
+    for mode in MODES:
+        with SLICER.prepare(box(), SLICER.Settings(mode=mode, grid_mm=0.1)) as prepared:
+            pass
+        with pytest.raises(BackendFailed, match="prepare it again"):
+            prepared.slice(np.array([1.0]))
+
+
+def test_borders_of_many_overlapping_shells_by_counting():
+    """Borders of random intervals are those of their union, however they come in."""
+    rng = np.random.default_rng(11)
+    for size in (1, 7, 200):
+        low = rng.integers(0, 400, size).astype(float)
+        high = low + rng.integers(1, 30, size)
+        along = np.concatenate([low, high])
+        sign = np.repeat([1, -1], size)
+        order = rng.permutation(2 * size)
+        found = borders(np.array([0, 2 * size]), along[order], sign[order], np.zeros(2 * size, np.int32))
+        inside = np.zeros(500, bool)
+        for a, b in zip(low.astype(int), high.astype(int), strict=True):
+            inside[a:b] = True
+        assert found[1].tolist() == (np.flatnonzero(np.diff(inside, prepend=False)) * 1.0).tolist()
+        assert found[3].all()
+        assert found[4].all()
+
+
+def test_winding_oracle_on_a_square():
+    square = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], float)
+    cut_of_square = np.stack([square, np.roll(square, -1, axis=0)], axis=1)
+    assert winding(cut_of_square, 0.5, 0.5) == 1
+    assert winding(cut_of_square[:, ::-1], 0.5, 0.5) == -1
+    assert winding(cut_of_square, 1.5, 0.5) == 0
+
+
+@pytest.mark.corpus
+@pytest.mark.slow
+def test_reference_areas_of_the_corpus(corpus):
+    by_file = defaultdict(list)
+    with (corpus / "REFERENCE.csv").open() as table:
+        for row in csv.DictReader(table):
+            if row["simple"] == "1" and (corpus / row["file"]).exists():
+                by_file[row["file"]].append(row)
+    compared = 0
+    for file, rows in by_file.items():
+        rows.sort(key=lambda row: float(row["z"]))
+        part = ebamcheck.load(corpus / file)
+        layers = cut(part, [float(row["z"]) for row in rows])
+        bound = SLICER.error_bound_mm(part, SLICER.Settings())
+        for k, row in enumerate(rows):
+            allowed = 0.05 * bound * float(row["perimeter"])
+            assert layers.areas()[k] == pytest.approx(float(row["signed_area"]), abs=allowed), (
+                file,
+                row["z"],
+            )
+        compared += len(rows)
+    assert compared > 100

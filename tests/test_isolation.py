@@ -1,0 +1,209 @@
+"""Backends in processes of their own: what they return, and what becomes of those that fail."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import time
+from importlib.metadata import EntryPoint
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from parts import box, tilted, torus
+
+import ebamcheck
+from ebamcheck import registry
+from ebamcheck.backend import BackendSettings, Probe
+from ebamcheck.errors import BackendFailed, BackendMissing, SettingsError
+from ebamcheck.isolate import Limits, slice_all
+from ebamcheck_planecut import PlaneCut
+
+HEIGHTS = np.linspace(0.1, 1.9, 40)
+
+
+class Troubled(PlaneCut):
+    """A real slicer that comes to grief the way its settings say."""
+
+    name: ClassVar[str] = "troubled"
+
+    class Settings(BackendSettings):
+        trouble: str = "none"
+
+    def prepare(self, part, settings):
+        match settings.trouble:
+            case "abort":
+                os.abort()
+            case "kill":
+                os.kill(os.getpid(), signal.SIGKILL)
+            case "hang":
+                time.sleep(600)
+            case "memory":
+                self.hoard = [np.ones(40_000_000) for _ in range(60) if time.sleep(0.02) is None]
+            case "raise":
+                raise RuntimeError("it broke\non two lines")
+            case "refuse":
+                raise BackendFailed("the mesh is not to its liking: 3 open edges")
+        return PlaneCut().prepare(part, PlaneCut.Settings())
+
+
+class Absent(PlaneCut):
+    name: ClassVar[str] = "absent"
+
+    def probe(self):
+        return Probe(False, why="no such device", hint="install one")
+
+
+class Raising(PlaneCut):
+    name: ClassVar[str] = "raising"
+
+    def probe(self):
+        raise OSError("driver not found")
+
+
+@pytest.fixture
+def plugins(tmp_path, monkeypatch):
+    """Install the slicers above as a distribution that worker processes find, too."""
+    (tmp_path / "troubled_plugin.py").write_text(
+        f"import sys; sys.path.insert(0, {os.path.dirname(__file__)!r})\n"
+        "from test_isolation import Absent, Raising, Troubled\n"
+    )
+    info = tmp_path / "troubled_plugin-1.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: troubled-plugin\nVersion: 1\n")
+    (info / "entry_points.txt").write_text(
+        "[ebamcheck.backends]\n"
+        "troubled = troubled_plugin:Troubled\nabsent = troubled_plugin:Absent\nraising = troubled_plugin:Raising\n"
+    )
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    registry.slicers.cache_clear()
+    registry.probe.cache_clear()
+    yield
+    registry.slicers.cache_clear()
+    registry.probe.cache_clear()
+
+
+def test_isolated_layers_are_those_of_this_process():
+    part = tilted(torus())
+    heights = ebamcheck.layer_heights(part, 0.2)
+    here = ebamcheck.slice(part, heights, backend="planecut")
+    there = ebamcheck.slice(part, heights, backend="planecut", isolate=True)
+    for column in ("heights", "points", "ring_starts", "layer_starts", "closed", "edge", "edge_t", "dropped"):
+        assert np.array_equal(getattr(here, column), getattr(there, column)), column
+    assert (there.backend, there.part, dict(there.settings)) == ("planecut", part.sha256, dict(here.settings))
+
+
+@pytest.mark.parametrize(
+    ("trouble", "failure", "why"),
+    [
+        ("abort", "crashed", "SIGABRT"),
+        ("kill", "killed", "SIGKILL"),
+        ("raise", "crashed", "RuntimeError: it broke|on two lines"),
+        ("refuse", "refused", "3 open edges"),
+        ("memory", "out of memory", "over the limit of 900 MB"),
+    ],
+)
+def test_a_failing_backend_is_a_finding_and_the_others_go_on(plugins, trouble, failure, why):
+    backends = {
+        "troubled": registry.slicer_settings("troubled", {"trouble": trouble}),
+        "planecut": registry.slicer_settings("planecut", {}),
+    }
+    limits = Limits(time_s=120.0, memory_mb=900.0)
+    seen = []
+    outcomes = slice_all(box(), HEIGHTS, backends, limits, finished=seen.append)
+    assert list(outcomes) == ["troubled", "planecut"]
+    assert {o.name for o in seen} == {"troubled", "planecut"}
+    bad, good = outcomes["troubled"], outcomes["planecut"]
+    assert bad.failure == failure
+    assert bad.layers is None
+    assert re.search(why, bad.why), bad.why
+    assert "\n" not in bad.why
+    assert good.failure == ""
+    assert good.layers.areas().tolist() == [4.0] * 40
+    assert good.peak_mb > 10
+
+
+def test_a_hanging_backend_is_ended(plugins):
+    settings = {"troubled": registry.slicer_settings("troubled", {"trouble": "hang"})}
+    outcome = slice_all(box(), HEIGHTS, settings, Limits(time_s=2.0))["troubled"]
+    assert (outcome.failure, outcome.layers) == ("timed out", None)
+    assert "took over 2 s" in outcome.why
+
+
+def test_killing_a_worker_from_outside_is_told(plugins):
+    import threading
+
+    import psutil
+
+    def kill_the_hanging():
+        for _ in range(600):
+            for child in psutil.Process().children():
+                if "troubled" in child.cmdline():
+                    time.sleep(0.3)
+                    child.kill()
+                    return
+            time.sleep(0.05)
+
+    killer = threading.Thread(target=kill_the_hanging)
+    killer.start()
+    outcome = slice_all(
+        box(), HEIGHTS, {"troubled": registry.slicer_settings("troubled", {"trouble": "hang"})}
+    )
+    killer.join()
+    assert (outcome["troubled"].failure, "SIGKILL" in outcome["troubled"].why) == ("killed", True)
+
+
+def test_no_worker_outlives_its_parent_call(plugins):
+    import psutil
+
+    before = {p.pid for p in psutil.Process().children(recursive=True)}
+
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    backends = {
+        "planecut": registry.slicer_settings("planecut", {}),
+        "troubled": registry.slicer_settings("troubled", {"trouble": "hang"}),
+    }
+    with pytest.raises(KeyboardInterrupt):
+        slice_all(box(), HEIGHTS, backends, finished=interrupt)
+    assert {p.pid for p in psutil.Process().children(recursive=True)} <= before
+
+
+def test_unavailable_unknown_and_broken_backends(plugins, monkeypatch):
+    with pytest.raises(BackendMissing, match=r"unknown backend 'nosuch': installed are .*planecut"):
+        ebamcheck.slice(box(), [1.0], backend="nosuch")
+    with pytest.raises(BackendMissing, match="'absent' is not available: no such device; install one"):
+        ebamcheck.slice(box(), [1.0], backend="absent")
+    with pytest.raises(BackendMissing, match="no such device"):
+        ebamcheck.slice(box(), [1.0], backend="absent", isolate=True)
+    assert registry.probe("raising") == Probe(False, why="its probe raised OSError: driver not found")
+    assert registry.default_backend() == "planecut"
+    with pytest.raises(SettingsError, match=r"'planecut', setting 'pixel'.*it knows: overlaps"):
+        ebamcheck.slice(box(), [1.0], backend="planecut", pixel=3)
+
+
+def test_a_broken_plugin_warns_and_is_left_out(monkeypatch):
+    real = registry.entry_points
+    broken = [
+        EntryPoint("gone", "no_such_module:Slicer", registry.BACKENDS),
+        EntryPoint("halfway", "ebamcheck.errors:InputError", registry.BACKENDS),
+        EntryPoint("misnamed", "ebamcheck_planecut:PlaneCut", registry.BACKENDS),
+    ]
+    monkeypatch.setattr(registry, "entry_points", lambda group: [*real(group=group), *broken])
+    registry.slicers.cache_clear()
+    with pytest.warns(registry.BrokenPluginWarning) as told:
+        found = registry.slicers()
+    registry.slicers.cache_clear()
+    assert "planecut" in found
+    assert not {"gone", "halfway", "misnamed"} & set(found)
+    messages = "\n".join(str(w.message) for w in told)
+    for name, why in (
+        ("gone", "ModuleNotFoundError"),
+        ("halfway", "lacks"),
+        ("misnamed", "calls itself 'planecut'"),
+    ):
+        assert f"plugin '{name}'" in messages
+        assert why in messages

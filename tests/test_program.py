@@ -1,0 +1,384 @@
+"""The post-processor: what it writes, and that the text is the curve."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from geomdl import BSpline
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from nc_stack import clamped_knots, hatch, make_curves, make_plan, stack
+
+from ebamcheck.config import Config
+from ebamcheck.errors import InputError, SettingsError
+from ebamcheck.layers import from_polygons
+from ebamcheck.program import (
+    mark_validated,
+    program_summary,
+    read_program,
+    verify_file,
+    verify_program,
+    write_program,
+)
+from ebamcheck.program.motions import POLYNOMIAL
+from ebamcheck.program.polynomials import chords, spans
+
+FORMS = {
+    "poly": {"curve_form": "poly"},
+    "bspline s=2": {"curve_form": "bspline", "bspline_shift": 2},
+    "bspline s=3": {"curve_form": "bspline", "bspline_shift": 3},
+    "lines": {"curve_form": "lines"},
+}
+
+SQUARE = np.array([(0, 0), (10, 0), (10, 10), (0, 10), (0, 0)], float)
+
+
+def failed(checks):
+    return [(c.name, c.where, c.text) for c in checks if not c.passed]
+
+
+def value(checks, name):
+    return next(c.value for c in checks if c.name == name)
+
+
+def geomdl_points(control, knots, u):
+    curve = BSpline.Curve(normalize_kv=False)
+    curve.degree = 3
+    curve.ctrlpts = np.asarray(control).tolist()
+    curve.knotvector = np.asarray(knots).tolist()
+    return np.array(curve.evaluate_list(list(u)))
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_program_passes_every_check_in_every_form(form, tmp_path):
+    config = Config().changed(machine=FORMS[form])
+    curves, plan = stack()
+    files = write_program(curves, plan, config, tmp_path / "program")
+    checks = verify_file(files.main, config=config, curves=curves, plan=plan, sha256=files.sha256)
+    assert failed(checks) == []
+    # Knots of 6 decimals cost 5e-7 times the speed of the parameter, here up to 30 mm to 1 mm of knots.
+    limit = {"poly": 2e-6, "lines": 0.0105}.get(form, 5e-5)
+    assert value(checks, "contour path") < limit
+
+
+@pytest.mark.parametrize("decimals", range(3, 9))
+def test_the_path_is_exact_up_to_the_printed_decimals(decimals, tmp_path):
+    config = Config().changed(machine={"decimals": decimals})
+    curves, plan = stack(seed=decimals)
+    files = write_program(curves, plan, config, tmp_path / "program")
+    checks = verify_file(files.main, config=config, curves=curves, plan=plan)
+    # Half a unit of the end point, plus max |t^2 - t| + max |t^3 - t| = 0.635 half units, in X and in Y.
+    assert value(checks, "contour path") <= 0.5 * 1.64 * np.sqrt(2) * 10.0**-decimals
+    assert value(checks, "hatch vectors") <= 0.51 * 10.0**-decimals
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(4, 30))
+@settings(max_examples=60, deadline=None)
+def test_spans_are_the_spline_by_geomdl(seed, controls):
+    rng = np.random.default_rng(seed)
+    control = rng.normal(size=(controls, 2)) * 50
+    knots = clamped_knots(rng, controls)
+    found = spans(make_curves([0.0], [[[(control, knots)]]], [False]))
+    breaks = np.unique(knots)
+    assert len(found.bezier) == breaks.size - 1
+    b = found.bezier
+    for t in (0.0, 0.3, 1.0):
+        powers = b[:, 0] + 3 * t * (b[:, 1] - b[:, 0]) + t**2 * found.quadratic + t**3 * found.cubic
+        expected = geomdl_points(control, knots, np.minimum(breaks[:-1] + t * np.diff(breaks), knots[-1]))
+        assert np.abs(powers - expected).max() < 1e-9
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(1e-3, 1.0))
+@settings(max_examples=30, deadline=None)
+def test_chords_keep_to_their_tolerance(seed, tolerance_mm):
+    rng = np.random.default_rng(seed)
+    control, knots = rng.normal(size=(6, 2)) * 20, clamped_knots(rng, 6)
+    found = spans(make_curves([0.0], [[[(control, knots)]]], [False]))
+    _, points = chords(found, tolerance_mm)
+    polyline = np.vstack([control[:1], points])
+    fine = geomdl_points(control, knots, np.linspace(0, knots[-1], 400))
+    a, d = polyline[:-1], np.diff(polyline, axis=0)
+    along = np.clip(((fine[:, None] - a) * d).sum(axis=2) / (d * d).sum(axis=1), 0, 1)
+    away = np.linalg.norm(fine[:, None] - a - along[..., None] * d, axis=2).min(axis=1)
+    assert away.max() <= tolerance_mm * (1 + 1e-9)
+
+
+def test_repeated_inner_knots_give_no_empty_blocks(tmp_path):
+    control = np.array([(0, 0), (5, 9), (12, -3), (20, 8), (26, 0), (30, 4), (40, 0)], float)
+    knots = np.array([0, 0, 0, 0, 10, 10, 25, 40, 40, 40, 40], float)
+    curves = make_curves([0.5], [[[(control, knots)]]], [False])
+    for form in FORMS:
+        config = Config().changed(machine=FORMS[form])
+        files = write_program(curves, make_plan([0.5], []), config, tmp_path / "program")
+        nc = read_program(files.main, config)
+        assert failed(verify_program(nc, config=config, curves=curves)) == []
+        if form != "lines":
+            assert nc.deposit.sum() == 3
+
+
+def test_the_worked_example_of_the_facts(tmp_path):
+    control = np.array([(0, 0), (5, 10), (15, 15), (28, 12), (34, 4), (40, 0)], float)
+    knots = np.array([0, 0, 0, 0, 2, 5, 9, 9, 9, 9], float)
+    curves = make_curves([0.5], [[[(control, knots)]]], [False])
+    files = write_program(curves, make_plan([0.5], []), Config(), tmp_path / "program")
+    nc = read_program(files.main)
+    rows = np.flatnonzero(nc.kind == POLYNOMIAL)
+    h = np.array([2.0, 3.0, 4.0])
+    assert nc.end[rows, 0] == pytest.approx([12.555556, 25.800454, 40], abs=5e-7)
+    assert nc.end[rows, 1] == pytest.approx([12.933333, 11.292517, 0], abs=5e-7)
+    assert nc.coefficients[rows, 0, 2] / h**2 == pytest.approx([-0.75, -0.333333, -0.251701], abs=1e-6)
+    assert nc.coefficients[rows, 1, 3] / h**3 == pytest.approx([0.866667, 0.050340, 0.037840], abs=1e-6)
+
+
+def test_each_span_is_the_bezier_that_linuxcnc_would_drive(tmp_path):
+    """G5 I J P Q: the tangents at both ends are three times the legs of the Bezier polygon."""
+    curves, plan = stack(seed=4, count=1)
+    files = write_program(curves, plan, Config(), tmp_path / "program")
+    nc = read_program(files.main)
+    rows = np.flatnonzero(nc.kind == POLYNOMIAL)
+    piece = curves.piece(0)
+    knots = np.unique(piece.knots)
+    curve = BSpline.Curve(normalize_kv=False)
+    curve.degree, curve.ctrlpts, curve.knotvector = 3, piece.control.tolist(), piece.knots.tolist()
+    for i, (a, b) in enumerate(pairwise(knots)):
+        (p0, d0), (p3, d3) = (np.array(curve.derivatives(u, order=1)) for u in (a, b))
+        leg_i, leg_p = d0 * (b - a) / 3, -d3 * (b - a) / 3
+        bezier = np.array([p0, p0 + leg_i, p3 + leg_p, p3])
+        for t in np.linspace(0, 1, 7):
+            weights = np.array([(1 - t) ** 3, 3 * t * (1 - t) ** 2, 3 * t**2 * (1 - t), t**3])
+            driven = nc.evaluate(rows[i : i + 1], np.array([t]))[0]
+            assert driven == pytest.approx(weights @ bezier, abs=1e-5)
+
+
+def test_moving_the_part_moves_the_program(tmp_path):
+    curves, plan = stack(seed=2)
+    shift = np.array([12.5, -3.25])
+    moved = replace(curves, control=curves.control + shift)
+    vectors = plan.vectors.copy()
+    vectors[["x0", "x1"]] += shift[0]
+    vectors[["y0", "y1"]] += shift[1]
+    there = write_program(moved, replace(plan, vectors=vectors), Config(), tmp_path / "there")
+    here = write_program(curves, plan, Config(), tmp_path / "here")
+    a, b = read_program(here.main), read_program(there.main)
+    # The closing rise of the main program has no X and Y of its own; it moves with the rest.
+    known = np.isfinite(a.end).all(axis=1)
+    assert np.abs(b.end[known] - a.end[known] - [*shift, 0]).max() <= 1e-6 + 1e-9
+
+
+def test_the_text_of_a_square_and_an_island(tmp_path):
+    curves = make_curves([0.8, 2.4], [[[(SQUARE, None)]], []], [True])
+    plan = make_plan([0.8, 2.4], [(0, [(2, 2, 8, 2), (8, 6.32, 2, 6.32)])])
+    config = Config().changed(machine={"decimals": 3})
+    files = write_program(curves, plan, config, tmp_path / "program")
+    assert files.names == ("MAIN.MPF", "MAIN_L0001.SPF", "MAIN_L0002.SPF")
+    text = (files.folder / "MAIN_L0001.SPF").read_text()
+    assert text.splitlines() == [
+        "%_N_MAIN_L0001_SPF",
+        ";$PATH=/_N_WKS_DIR/_N_EBAMCHECK_WPD",
+        "; NOT VALIDATED",
+        "; LAYER: 1 OF 2, CUT AT 0.800000, Z 1.600000",
+        "N10 G0 Z21.600",
+        "; RING 0",
+        "N20 G0 X0.000 Y0.000",
+        "N30 G0 Z1.600",
+        "N40 M60 ; beam on",
+        "N50 H3=31.830989 ; wire speed, mm/s",
+        "N60 M62 ; wire on",
+        "N70 G1 X10.000 Y0.000 F600",
+        "N80 G1 X10.000 Y10.000",
+        "N90 G1 X0.000 Y10.000",
+        "N100 G1 X0.000 Y0.000",
+        "N110 M63 ; wire off",
+        "N120 M61 ; beam off",
+        "; ISLAND 0",
+        "N130 G0 X2.000 Y2.000",
+        "N140 M60 ; beam on",
+        "N150 H3=31.830989 ; wire speed, mm/s",
+        "N160 M62 ; wire on",
+        "N170 G1 X8.000 Y2.000 F600",
+        "N180 G1 X8.000 Y6.320 ; TURN",
+        "N190 G1 X2.000 Y6.320",
+        "N200 M63 ; wire off",
+        "N210 M61 ; beam off",
+        "N220 G0 Z21.600",
+        "N230 M17",
+    ]
+    empty = (files.folder / "MAIN_L0002.SPF").read_text().splitlines()
+    assert empty[4:] == ["N10 G0 Z23.200", "N20 G0 Z23.200", "N30 M17"]
+    main = (files.folder / "MAIN.MPF").read_text().splitlines()
+    assert main[0] == "%_N_MAIN_MPF"
+    assert [line.split(" ", 1)[1] for line in main if line.startswith("N")] == [
+        "G17 G71 G90 G94",
+        "G54",
+        "SOFT FFWON G642",
+        "CTOL=0.05",
+        "H1=60 ; accelerating voltage, kV",
+        "H2=120 ; beam current, mA",
+        "MAIN_L0001",
+        "MAIN_L0002",
+        "G0 Z23.200",
+        "M30",
+    ]
+
+
+def test_hatch_lines_far_apart_are_not_joined(tmp_path):
+    plan = make_plan([0.5], [(0, [*hatch(0, 0, 2), *hatch(0, 40, 2)]), (0, hatch(0, 44.32, 1))])
+    curves = make_curves([0.5], [[]], [])
+    files = write_program(curves, plan, Config(), tmp_path / "program")
+    nc = read_program(files.main)
+    assert nc.events.name.count("beam_on") == 3
+    assert nc.turn.sum() == 2
+    assert failed(verify_program(nc, config=Config(), plan=plan)) == []
+    assert nc.vectors()[["x0", "y0", "x1", "y1"]].to_numpy() == pytest.approx(
+        plan.vectors[["x0", "y0", "x1", "y1"]].to_numpy()
+    )
+
+
+def test_same_input_same_bytes_and_hashes_of_what_is_on_disk(tmp_path):
+    curves, plan = stack()
+    one = write_program(curves, plan, Config(), tmp_path / "one", header={"PART SHA-256": "ab" * 32})
+    two = write_program(curves, plan, Config(), tmp_path / "two", header={"PART SHA-256": "ab" * 32})
+    assert one.sha256 == two.sha256
+    for name in one.names:
+        data = (one.folder / name).read_bytes()
+        assert hashlib.sha256(data).hexdigest() == one.sha256[name]
+        assert data == (two.folder / name).read_bytes()
+    assert read_program(one.main).header["PART SHA-256"] == "ab" * 32
+
+
+def test_the_stamp_changes_the_status_lines_and_no_other_byte(tmp_path):
+    curves, plan = stack()
+    files = write_program(curves, plan, Config(), tmp_path / "program")
+    before = {name: (files.folder / name).read_bytes().split(b"\n") for name in files.names}
+    stamped = mark_validated(files)
+    assert stamped.validated
+    for name in files.names:
+        after = (files.folder / name).read_bytes().split(b"\n")
+        assert before[name][2] == b"; NOT VALIDATED"
+        assert after[2] == b"; VALIDATED"
+        assert after[:2] + after[3:] == before[name][:2] + before[name][3:]
+    checks = verify_file(stamped.main, config=Config(), curves=curves, plan=plan, sha256=stamped.sha256)
+    assert failed(checks) == []
+    direct = write_program(curves, plan, Config(), tmp_path / "direct", validated=True)
+    assert direct.sha256 == stamped.sha256
+    assert mark_validated(stamped, False).sha256 == files.sha256
+    with (files.folder / files.names[1]).open("ab") as file:
+        file.write(b"; more\n")
+    with pytest.raises(InputError, match="has changed since"):
+        mark_validated(files)
+
+
+def test_a_program_replaces_an_earlier_one_whole(tmp_path):
+    write_program(*stack(count=3), Config(), tmp_path / "program")
+    files = write_program(*stack(count=1), Config(), tmp_path / "program")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["program"]
+    assert sorted(p.name for p in files.folder.iterdir()) == sorted(files.names)
+
+
+def test_a_folder_with_other_files_is_left_alone(tmp_path):
+    (tmp_path / "thesis.tex").write_text("precious")
+    with pytest.raises(SettingsError, match=r"thesis\.tex"):
+        write_program(*stack(), Config(), tmp_path)
+    assert [p.name for p in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_nothing_half_made_stays_where_writing_fails(tmp_path, monkeypatch):
+    whole = Path.write_bytes
+    written = []
+
+    def fail_on_second(path, data):
+        written.append(path)
+        if len(written) == 2:
+            raise OSError("disk full")
+        return whole(path, data)
+
+    monkeypatch.setattr(Path, "write_bytes", fail_on_second)
+    with pytest.raises(OSError, match="disk full"):
+        write_program(*stack(), Config(), tmp_path / "program")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_form_that_is_not_licensed_is_refused(tmp_path):
+    machine = Config().machine.model_copy(update={"poly_licensed": False})
+    config = Config().model_copy(update={"machine": machine})
+    with pytest.raises(SettingsError, match="does not have that option"):
+        write_program(*stack(), config, tmp_path / "program")
+    assert not (tmp_path / "program").exists()
+
+
+@pytest.mark.parametrize(
+    ("machine", "message"),
+    [
+        ({"beam_on": ["M60 P{power}"]}, "unknown placeholder 'power'"),
+        ({"beam_on": ["M60 {power_w"]}, "is not a template"),
+        ({"wire_start": ["M62\nM63"]}, "not one line"),
+        ({"layer_begin": ["; Schicht für Schicht"]}, "ASCII"),
+        ({"program_name": "A" * 19}, "over 24"),
+    ],
+)
+def test_settings_that_make_no_program_are_refused(machine, message, tmp_path):
+    with pytest.raises(SettingsError, match=message):
+        write_program(*stack(), Config().changed(machine=machine), tmp_path / "program")
+
+
+def test_curves_and_plan_of_different_stacks_are_refused(tmp_path):
+    curves, _ = stack(count=3)
+    _, plan = stack(count=2)
+    with pytest.raises(SettingsError, match="differ in their heights"):
+        write_program(curves, plan, Config(), tmp_path / "program")
+    falling = replace(curves, heights=curves.heights[::-1].copy())
+    with pytest.raises(SettingsError, match="must rise"):
+        write_program(falling, replace(stack(count=3)[1], heights=falling.heights), Config(), tmp_path / "p")
+
+
+def test_templates_carry_the_values_of_their_layer(tmp_path):
+    machine = {"layer_begin": ["H9={layer} H8={height_mm:.2f} ; layer"], "set_beam": ["H7={power_w}"]}
+    config = Config().changed(machine=machine)
+    curves, plan = stack(count=2)
+    files = write_program(curves, plan, config, tmp_path / "program")
+    assert "N10 H9=2 H8=3.00 ; layer" in (files.folder / "MAIN_L0002.SPF").read_text()
+    nc = read_program(files.main, config)
+    assert set(nc.power_w[nc.deposit]) == {7200.0}
+    assert failed(verify_program(nc, config=config, curves=curves, plan=plan)) == []
+
+
+def test_totals_of_a_square_are_those_of_arithmetic(tmp_path):
+    curves = make_curves([0.75], [[[(SQUARE, None)]]], [True])
+    plan = make_plan([0.75], [(0, [(2, 2, 8, 2)])])
+    config = Config().changed(layers={"layer_height_mm": 1.5})
+    nc = read_program(write_program(curves, plan, config, tmp_path / "program").main)
+    row = program_summary(nc, config).iloc[0]
+    assert row.contour_mm == pytest.approx(40)
+    assert row.hatch_mm == pytest.approx(6)
+    assert row.deposit_s == pytest.approx(4.6)
+    # Rise of the bead model: 2/3 w h v t of metal, whatever the wire.
+    assert row.wire_kg == pytest.approx(2 / 3 * 6 * 1.5 * 46 * 4430e-9, rel=1e-6)
+    assert row.travel_mm == pytest.approx(np.hypot(2, 2) + 40)
+
+
+def test_the_path_against_sections_of_the_part(tmp_path):
+    import shapely
+
+    section = shapely.box(-30, -20, 50, 40)
+    inset = np.array(shapely.get_coordinates(section.buffer(-3)), float)
+    heights = [0.8, 2.4]
+    curves = make_curves(heights, [[[(inset, None)]]] * 2, [True, True])
+    files = write_program(curves, make_plan(heights, []), Config(), tmp_path / "program")
+    layers = from_polygons(heights, [[section]] * 2)
+    checks = verify_file(files.main, config=Config(), layers=layers)
+    assert failed(checks) == []
+    assert value(checks, "section") < 1e-6
+    shifted = from_polygons(heights, [[section], [shapely.affinity.translate(section, 0.1)]])
+    checks = verify_file(files.main, config=Config(), layers=shifted)
+    ((name, where, _),) = failed(checks)
+    assert name == "section"
+    assert where.startswith("MAIN_L0002.SPF:")
+    assert value(checks, "section") == pytest.approx(0.1, abs=1e-6)
+    two = section.union(shapely.box(80, 0, 100, 20))
+    missing = verify_file(files.main, config=Config(), layers=from_polygons(heights, [[two]] * 2))
+    assert [c[0] for c in failed(missing)] == ["section"]

@@ -1,0 +1,397 @@
+"""Planted faults: each is found by the check that is meant for it, at the line where it was planted."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from nc_stack import stack
+
+from ebamcheck.config import Config
+from ebamcheck.program import verify_file, write_program
+
+MAIN, FIRST, SECOND = "MAIN.MPF", "MAIN_L0001.SPF", "MAIN_L0002.SPF"
+
+
+class Text:
+    """The lines of a program's files, to plant faults in."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        self.lines = {p.name: p.read_text().split("\n") for p in sorted(folder.iterdir())}
+
+    def find(self, name, pattern, nth=0):
+        """Index of the nth line that holds the pattern."""
+        return [i for i, line in enumerate(self.lines[name]) if re.search(pattern, line)][nth]
+
+    def edit(self, name, pattern, replacement, nth=0):
+        """Replace within one line; give its place."""
+        i = self.find(name, pattern, nth)
+        changed = re.sub(pattern, replacement, self.lines[name][i], count=1)
+        assert changed != self.lines[name][i]
+        self.lines[name][i] = changed
+        return f"{name}:{i + 1}"
+
+    def drop(self, name, pattern, nth=0):
+        """Delete one line; give its place."""
+        i = self.find(name, pattern, nth)
+        del self.lines[name][i]
+        return f"{name}:{i + 1}"
+
+    def save(self):
+        for path in self.folder.iterdir():
+            path.unlink()
+        for name, lines in self.lines.items():
+            (self.folder / name).write_text("\n".join(lines))
+
+
+def planted(tmp_path, plant, machine=None):
+    """Failed checks, by name, of a program with a fault; and where it was planted."""
+    config = Config().changed(machine=machine or {})
+    curves, plan = stack()
+    files = write_program(curves, plan, config, tmp_path / "program")
+    text = Text(files.folder)
+    where = plant(text)
+    text.save()
+    checks = verify_file(files.main, config=config, curves=curves, plan=plan)
+    return {c.name: c for c in checks if not c.passed}, where
+
+
+def dropped_layer(text):
+    del text.lines[SECOND]
+    return text.drop(MAIN, r" MAIN_L0002$")
+
+
+def dropped_call(text):
+    text.drop(MAIN, r" MAIN_L0002$")
+    return f"{MAIN}:{text.find(MAIN, 'MAIN_L0003') + 1}"
+
+
+def layer_twice(text):
+    i = text.find(MAIN, r" MAIN_L0002$")
+    text.lines[MAIN].insert(i + 1, "N85 MAIN_L0002")
+    return f"{MAIN}:{i + 2}"
+
+
+def missing_file(text):
+    del text.lines[SECOND]
+    return f"{MAIN}:{text.find(MAIN, 'MAIN_L0002') + 1}:5"
+
+
+def later_rapid(text):
+    text.drop(FIRST, r"M61 ; beam off")
+    return f"{FIRST}:{text.find(FIRST, 'G0 ', nth=3) + 1}"
+
+
+def cut_off(name, share):
+    def plant(text):
+        whole = "\n".join(text.lines[name])
+        text.lines[name] = whole[: int(len(whole) * share)].split("\n")
+        return f"{name}:{len(text.lines[name])}"
+
+    return plant
+
+
+def no_last_line_feed(text):
+    assert text.lines[SECOND].pop() == ""
+    return f"{SECOND}:{len(text.lines[SECOND])}"
+
+
+def swapped_lines(name, first, second):
+    def plant(text):
+        i, j = text.find(name, first), text.find(name, second)
+        a, b = (text.lines[name][k].split(" ", 1) for k in (i, j))
+        text.lines[name][i], text.lines[name][j] = f"{a[0]} {b[1]}", f"{b[0]} {a[1]}"
+        return f"{name}:{min(i, j) + 1}"
+
+    return plant
+
+
+def swapped_islands(text):
+    lines = text.lines[FIRST]
+    i, j, k = (text.find(FIRST, rf"; ISLAND {n}$") for n in (0, 1, 2))
+    lines[i:k] = lines[j:k] + lines[i:j]
+    for n, line in enumerate(lines[i:k], start=i):
+        lines[n] = re.sub(r"^N\d+", f"N{5000 + 10 * (n - i)}", line)
+    for n in range(k, len(lines)):
+        lines[n] = re.sub(r"^N\d+", f"N{9000 + 10 * (n - k)}", lines[n])
+    return f"{FIRST}:{text.find(FIRST, 'G1', nth=text_before(lines, i)) + 1}"
+
+
+def text_before(lines, i):
+    return sum("G1" in line for line in lines[:i])
+
+
+def dropped_island(text):
+    i, j = text.find(SECOND, "; ISLAND 4"), text.find(SECOND, "; ISLAND 5")
+    del text.lines[SECOND][i:j]
+    return f"{SECOND}:{text.find(SECOND, 'M60', nth=3) + 4}"
+
+
+def dropped_line(text):
+    i = text.find(FIRST, r"G1 X.*\d$", nth=9)
+    assert "TURN" in text.lines[FIRST][i + 1]
+    del text.lines[FIRST][i]
+    return f"{FIRST}:{i + 2}"
+
+
+def ring_again(text):
+    i = text.find(FIRST, "; RING 1")
+    text.lines[FIRST][i] = "; RING 0"
+    return f"{FIRST}:{text.find(FIRST, 'G1', nth=text_before(text.lines[FIRST], i)) + 1}"
+
+
+def shifted_layer(text):
+    lines = text.lines[SECOND]
+    for i, line in enumerate(lines):
+        lines[i] = re.sub(r"(X|PO\[X\]=\()(-?\d+\.\d+)", lambda m: f"{m[1]}{float(m[2]) + 0.1:.6f}", line)
+    return SECOND
+
+
+def long_block(text):
+    return text.edit(FIRST, "$", f" ; {'x' * 220}", nth=8)
+
+
+def other_layer_height(text):
+    i = text.find(SECOND, r"G0 Z3\.0")
+    for name_line in [n for n, line in enumerate(text.lines[SECOND]) if "G0 Z3.0" in line]:
+        text.lines[SECOND][name_line] = text.lines[SECOND][name_line].replace("Z3.0", "Z3.1")
+    assert i
+    return f"{MAIN}:{text.find(MAIN, ' MAIN_L0002') + 1}"
+
+
+def edit(name, pattern, replacement, nth=0):
+    return lambda text: text.edit(name, pattern, replacement, nth)
+
+
+def drop(name, pattern, nth=0):
+    return lambda text: text.drop(name, pattern, nth)
+
+
+def first_motion(plant):
+    """The fault is named at the first motion of the program."""
+
+    def planted_before(text):
+        plant(text)
+        return f"{FIRST}:{text.find(FIRST, 'G0 Z') + 1}"
+
+    return planted_before
+
+
+FAULTS = {
+    # -- structure
+    "dropped layer": (dropped_layer, "layer count"),
+    "dropped layer, its file left": (dropped_call, "layer heights"),
+    "uncalled subprogram": (dropped_call, "subprograms"),
+    "layer twice": (layer_twice, "subprograms"),
+    "missing file": (missing_file, "readable"),
+    "truncated subprogram": (cut_off(SECOND, 0.5), "end of program"),
+    "truncated main program": (cut_off(MAIN, 0.98), "end of program"),
+    "no last line feed": (no_last_line_feed, "end of program"),
+    "M30 in a subprogram": (edit(SECOND, "M17", "M30"), "end of program"),
+    "numbers fall": (edit(FIRST, r"^N200 ", "N20 "), "block numbers"),
+    "number twice": (edit(FIRST, r"^N200 ", "N190 "), "block numbers"),
+    "wrong name in the header": (edit(FIRST, "L0001", "L0007"), "names and headers"),
+    "no path": (edit(FIRST, r"^;\$PATH=", "; PATH "), "names and headers"),
+    "long block": (long_block, "block length"),
+    # -- words
+    "unknown word": (lambda text: text.edit(FIRST, r"(G1 X)", r"G5 X", nth=2) + ":6", "readable"),
+    "letter for a digit": (lambda text: text.edit(FIRST, r" Y(-?\d)\d", r" Y\1O", nth=4), "readable"),
+    # -- machine state
+    "missing beam-off": (later_rapid, "beam"),
+    "missing beam-on": (
+        lambda text: (text.drop(FIRST, "M60"), f"{FIRST}:{text.find(FIRST, 'POLY') + 1}")[1],
+        "beam",
+    ),
+    "G0 for G1": (edit(FIRST, r"G1 (X.* ; TURN)", r"G0 \1"), "beam"),
+    "missing wire stop": (
+        lambda text: (text.drop(FIRST, "M63"), f"{FIRST}:{text.find(FIRST, 'G0', nth=3) + 1}")[1],
+        "wire",
+    ),
+    "beam off before wire": (
+        lambda text: swapped_lines(FIRST, "M63", "M61")(text),
+        "wire",
+    ),
+    "missing wire start": (
+        lambda text: (text.drop(FIRST, "M62"), f"{FIRST}:{text.find(FIRST, 'POLY') + 1}")[1],
+        "wire",
+    ),
+    "feed 0": (edit(FIRST, "F600", "F0"), "feed"),
+    "feed too high": (edit(SECOND, "F600", "F6000", nth=2), "feed"),
+    "current over the limit": (
+        lambda text: (text.edit(MAIN, "H2=120", "H2=300"), f"{FIRST}:{text.find(FIRST, 'POLY') + 1}")[1],
+        "power",
+    ),
+    "half the wire": (
+        lambda text: (
+            text.edit(FIRST, r"H3=\d+", "H3=15"),
+            f"{FIRST}:{text.find(FIRST, 'POLY') + 1}",
+        )[1],
+        "mass balance",
+    ),
+    "no G90": (first_motion(edit(MAIN, " G90", "")), "modes"),
+    "no work offset": (first_motion(drop(MAIN, "G54")), "modes"),
+    "other work offset": (first_motion(edit(MAIN, "G54", "G55")), "modes"),
+    "wide smoothing": (edit(MAIN, "CTOL=0.05", "CTOL=0.5"), "smoothing"),
+    "other smoothing": (
+        lambda text: (text.edit(MAIN, "FFWON G642$", "FFWON G64"), f"{MAIN}:{text.find(MAIN, 'CTOL') + 1}")[1],
+        "smoothing",
+    ),
+    "beyond the travel": (edit(FIRST, r"G1 X-?\d+\.\d+ (Y.* ; TURN)", r"G1 X1000.5 \1"), "travel"),
+    "turn too long": (edit(FIRST, r"(G1 X-?\d+\.\d+ Y-?\d+\.\d+)$", r"\1 ; TURN", nth=8), "turns"),
+    # -- path
+    "flipped sign of a coefficient": (edit(FIRST, r"(PO\[X\]=\([^,]*,)-?", r"\1-9", nth=1), "contour path"),
+    "contour 0.1 mm off": (
+        edit(FIRST, r"G1 X(-?\d+)\.(\d)", lambda m: f"G1 X{m[1]}.{(int(m[2]) + 1) % 10}"),
+        "contour path",
+    ),
+    "hatch 0.1 mm off": (
+        edit(FIRST, r"Y(-?\d+)\.(\d)(.*)(?<! ; TURN)$", lambda m: f"Y{m[1]}.{(int(m[2]) + 1) % 10}{m[3]}", nth=20),
+        "hatch vectors",
+    ),
+    "ring left open": (
+        lambda text: (lambda i: text.edit(FIRST, r"Y(-?\d+)\.(\d)", lambda m: f"Y{m[1]}.{(int(m[2]) + 1) % 10}", i))(
+            sum(" Y" in line for line in text.lines[FIRST][: text.find(FIRST, "M63", nth=1)]) - 1
+        ),
+        "contours close",
+    ),
+    "dropped hatch line": (dropped_line, "hatch vectors"),
+    "islands in another order": (swapped_islands, "islands"),
+    "dropped island": (dropped_island, "islands"),
+    "ring twice": (ring_again, "contour rings"),
+    "layer at another height": (other_layer_height, "layer heights"),
+    "whole layer 0.1 mm off": (shifted_layer, "contour path"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_is_found_where_it_was_planted(name, tmp_path):
+    plant, check = FAULTS[name]
+    found, where = planted(tmp_path, plant)
+    assert check in found, f"only {sorted(found)} failed"
+    assert found[check].where.startswith(where)
+    assert found[check].text
+
+
+def test_flipped_sign_of_any_coordinate_is_found(tmp_path):
+    config = Config()
+    curves, plan = stack(count=1)
+    files = write_program(curves, plan, config, tmp_path / "program")
+    path = files.folder / FIRST
+    whole = path.read_text()
+    numbers = [m for m in re.finditer(r"-?\d+\.\d{6}", whole) if float(m[0])]
+    for match in numbers[3::5]:
+        flipped = match[0][1:] if match[0].startswith("-") else f"-{match[0]}"
+        path.write_text(whole[: match.start()] + flipped + whole[match.end() :])
+        line = whole.count("\n", 0, match.start()) + 1
+        failed = [c for c in verify_file(files.main, config=config, curves=curves, plan=plan) if not c.passed]
+        block = whole.split("\n")[line - 1]
+        if block.startswith(";") or (abs(2 * float(match[0])) < 1e-3):
+            continue
+        assert failed, block
+        places = [int(c.where.rsplit(":")[1]) for c in failed if c.where.startswith(FIRST)]
+        # The end of one block is the start of the next: a travel is named at the deposit that it leads to.
+        assert any(line <= place <= line + 5 for place in places), (block, failed)
+
+
+def swapped_intervals(text):
+    i = text.find(FIRST, r"PL=[1-9]")
+    j = text.find(FIRST, r"PL=[1-9]", nth=1)
+    lines = text.lines[FIRST]
+    a, b = (lines[k].rsplit("PL=", 1) for k in (i, j))
+    lines[i], lines[j] = f"{a[0]}PL={b[1]}", f"{b[0]}PL={a[1]}"
+    return i, j
+
+
+@pytest.mark.parametrize("shift", [2, 3])
+def test_swapped_intervals_of_a_spline_are_found(shift, tmp_path):
+    machine = {"curve_form": "bspline", "bspline_shift": shift}
+    found, (i, j) = planted(tmp_path, swapped_intervals, machine)
+    line = int(found["contour path"].where.removeprefix(f"{FIRST}:"))
+    # An interval shapes the spans of the control points around it.
+    assert i + 1 - 3 <= line <= j + 1 + 3
+
+
+def test_an_end_interval_moved_inwards_is_refused_with_its_line(tmp_path):
+    def plant(text):
+        i = text.find(FIRST, "BSPLINE") + 1
+        lines = text.lines[FIRST]
+        a, b = (lines[k].rsplit("PL=", 1) for k in (i, i + 1))
+        lines[i], lines[i + 1] = f"{a[0]}PL={b[1]}", f"{b[0]}PL={a[1]}"
+        return f"{FIRST}:{i + 1}"
+
+    found, where = planted(tmp_path, plant, {"curve_form": "bspline"})
+    assert found["readable"].where.startswith(where)
+    assert "convention s=2" in found["readable"].text
+
+
+@pytest.fixture
+def program(tmp_path):
+    config = Config()
+    curves, plan = stack()
+    files = write_program(curves, plan, config, tmp_path / "program")
+
+    def failures():
+        checks = verify_file(files.main, config=config, curves=curves, plan=plan, sha256=files.sha256)
+        return {c.name: c for c in checks if not c.passed}
+
+    assert failures() == {}
+    return files, failures
+
+
+def test_carriage_returns_are_found(program):
+    files, failures = program
+    path = files.folder / SECOND
+    path.write_bytes(path.read_bytes().replace(b"\n", b"\r\n"))
+    assert failures()["line ends"].where == f"{SECOND}:1"
+    path.write_bytes(path.read_bytes().replace(b"\r\n", b"\n").replace(b"N50 ", b"N50\r ", 1))
+    assert "line ends" in failures() or "readable" in failures()
+
+
+def test_a_letter_that_is_not_ascii_is_found(program):
+    files, failures = program
+    path = files.folder / SECOND
+    lines = path.read_bytes().split(b"\n")
+    lines[3] += " für".encode()
+    path.write_bytes(b"\n".join(lines))
+    assert failures()["encoding"].where == f"{SECOND}:4"
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-8-sig", "utf-16-le"])
+def test_a_wrong_encoding_is_found(program, encoding):
+    files, failures = program
+    path = files.folder / SECOND
+    path.write_bytes(path.read_text().encode(encoding))
+    found = failures()
+    assert found["readable"].where.startswith(f"{SECOND}:1")
+
+
+@pytest.mark.parametrize("name", [MAIN, SECOND])
+def test_any_changed_byte_is_found(program, name):
+    files, failures = program
+    path = files.folder / name
+    whole = path.read_bytes()
+    for place in range(40, len(whole), max(1, len(whole) // 12)):
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
+        found = failures()
+        assert "readable" in found or found["unchanged"].where == f"{name}:1"
+    path.write_bytes(whole)
+    assert failures() == {}
+
+
+def test_a_byte_that_moves_the_path_is_named_by_its_line(program):
+    files, failures = program
+    path = files.folder / SECOND
+    lines = path.read_text().split("\n")
+    i = next(n for n, line in enumerate(lines) if "PO[Y]" in line)
+    lines[i] = re.sub(r"(PO\[Y\]=\(-?\d+\.\d)(\d)", lambda m: f"{m[1]}{(int(m[2]) + 1) % 10}", lines[i])
+    path.write_text("\n".join(lines))
+    assert failures()["contour path"].where == f"{SECOND}:{i + 1}"
+
+
+def test_a_missing_status_or_extra_file_does_not_pass(program):
+    files, failures = program
+    (files.folder / "MAIN_L0099.SPF").write_text("M17\n")
+    found = failures()["subprograms"]
+    assert "MAIN_L0099.SPF is never called" in found.text
+    assert found.where.startswith(f"{MAIN}:")
