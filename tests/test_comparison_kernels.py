@@ -17,6 +17,10 @@ def layer(*rings):
     return from_rings([0.0], [rings])
 
 
+def shifted(points, x_mm, y_mm=0.0):
+    return points + np.array([x_mm, y_mm])
+
+
 def figures(a: Layers, b: Layers, limit=1e-3, exact_a=False, exact_b=False, origin=(0.0, 0.0)) -> Figures:
     return Figures(*measure(outline(a, 0, origin), outline(b, 0, origin), limit, exact_a, exact_b))
 
@@ -70,7 +74,8 @@ def test_depth_from_an_exact_outline_is_the_greatest_distance_over_the_differenc
     difference = shapely.symmetric_difference(region_a, region_b)
     grid = np.arange(-16, 16, 0.15)
     points = shapely.points(*(g.ravel() for g in np.meshgrid(grid, grid)))
-    inside = points[shapely.contains(shapely.prepare(difference) or difference, points)]
+    shapely.prepare(difference)
+    inside = points[shapely.contains(difference, points)]
     rim = shapely.points(shapely.get_coordinates(shapely.segmentize(difference.boundary, 0.05)))
     sampled = shapely.distance(np.concatenate([inside, rim]), region_a.boundary).max()
     found = figures(a, b, exact_a=True)
@@ -84,11 +89,11 @@ def test_depth_from_an_exact_outline_is_the_greatest_distance_over_the_differenc
 
 @pytest.mark.parametrize("shift", [1e-9, 0.003, 0.5, 4.0])
 def test_shifted_squares(shift):
-    found = figures(layer(SQUARE), layer(SQUARE + [shift, 0]))
+    found = figures(layer(SQUARE), layer(shifted(SQUARE, shift)))
     assert found.symmetric_difference == pytest.approx(20 * shift, rel=1e-6)
     assert found.hausdorff_ab == found.hausdorff_ba == pytest.approx(shift)
     assert found.depth == pytest.approx(shift / 2, abs=1e-5)
-    assert figures(layer(SQUARE), layer(SQUARE + [shift, 0]), exact_a=True).depth == pytest.approx(shift)
+    assert figures(layer(SQUARE), layer(shifted(SQUARE, shift)), exact_a=True).depth == pytest.approx(shift)
     assert found.p95_ab == pytest.approx(shift, abs=1e-9)
 
 
@@ -98,7 +103,7 @@ def test_percentile_weighs_by_length_not_by_points():
     crowd = np.stack([np.linspace(60, 46, 500), np.full(500, 101.0)], axis=1)
     bumped = np.concatenate([base[:3], [(60, 100)], crowd, [(46, 100)], base[3:]])
     found = figures(layer(base), layer(bumped))
-    assert found.p95_ba == 0.0
+    assert found.p95_ba == pytest.approx(0.0, abs=1e-12)
     assert found.hausdorff_ba == 1.0
     longer = bumped.copy()
     longer[[3, *range(4, 504)], 0] += np.where(longer[[3, *range(4, 504)], 0] > 50, 20, 0)
@@ -219,22 +224,23 @@ def test_the_same_contour_from_two_exact_methods_differs_by_rounding_only():
     assert found.depth < 1e-11
     assert found.symmetric_difference < 1e-8
     same = figures(layer(ring), layer(np.roll(ring, 77, axis=0)), exact_a=True, exact_b=True)
-    assert (same.symmetric_difference, same.hausdorff_ab, same.depth) == (0.0, 0.0, 0.0)
+    assert (same.symmetric_difference, same.depth) == (0.0, 0.0)
+    assert same.hausdorff_ab < 1e-13
 
 
 def test_touching_and_overlapping_rings_are_united():
-    halves = layer(SQUARE * [0.5, 1], SQUARE * [0.5, 1] + [5, 0])
+    halves = layer(SQUARE * [0.5, 1], shifted(SQUARE * [0.5, 1], 5))
     found = figures(halves, layer(SQUARE))
     assert (found.area_a, found.symmetric_difference, found.depth) == (100.0, 0.0, 0.0)
-    overlapping = layer(SQUARE * [0.7, 1], SQUARE * [0.7, 1] + [3, 0])
+    overlapping = layer(SQUARE * [0.7, 1], shifted(SQUARE * [0.7, 1], 3))
     assert figures(overlapping, layer(SQUARE)).symmetric_difference == pytest.approx(0.0, abs=1e-12)
     bow = np.array([(0, 0), (4, 4), (4, 0), (0, 0), (-4, 4), (-4, 0)], float)
     assert figures(layer(bow), layer(bow)).symmetric_difference == 0.0
 
 
 def test_thousands_of_rings():
-    cells = [SQUARE * 0.05 + [i, j] for i in range(50) for j in range(50)]
-    moved = [cell + [0.1, 0.0] for cell in cells]
+    cells = [shifted(SQUARE * 0.05, i, j) for i in range(50) for j in range(50)]
+    moved = [shifted(cell, 0.1) for cell in cells]
     found = figures(layer(*cells), layer(*moved))
     assert found.area_a == pytest.approx(2500 * 0.25)
     assert found.symmetric_difference == pytest.approx(2500 * 0.1)
@@ -247,7 +253,7 @@ def test_many_crossings_in_one_slab():
     def comb(slant):
         low = np.stack([teeth, np.zeros(120)], axis=1)
         high = np.stack([teeth + 0.5 + slant, np.full(120, 10.0)], axis=1)
-        return [np.array([a, a + [0.4, 0], b]) for a, b in zip(low, high, strict=True)]
+        return [np.array([a, shifted(a, 0.4), b]) for a, b in zip(low, high, strict=True)]
 
     a, b = layer(*comb(6.0)), layer(*comb(-6.0))
     region = [shapely.union_all(x.polygons(0)) for x in (a, b)]

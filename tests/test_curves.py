@@ -36,8 +36,9 @@ def stadium(arc: int = 24, side: float = 40.0, radius: float = 8.0, extra: int =
     """Two half circles and two straight sides, tangent to each other."""
     t = np.linspace(-np.pi / 2, np.pi / 2, arc + 1)
     cap = radius * np.column_stack([np.cos(t), np.sin(t)])
+    shift = np.array([side / 2, 0])
     along = np.linspace(0, 1, extra + 2)[1:-1, None]
-    right, left = cap + (side / 2, 0), -cap - (side / 2, 0)
+    right, left = cap + shift, -cap - shift
     return np.vstack(
         [right, right[-1] + along * (left[0] - right[-1]), left, left[-1] + along * (right[0] - left[-1])]
     )
@@ -74,7 +75,7 @@ def stack() -> Layers:
     return from_rings(
         [0.5, 1.0, 1.5, 2.0],
         [[wavy(), hole], [], [SQUARE, stadium() + 60.0], [half]],
-        [[], [], [], [wavy()[:20] + (100.0, 0.0)]],
+        [[], [], [], [wavy()[:20] + 100.0]],
         part="p" * 8,
         backend="b",
     )
@@ -263,7 +264,7 @@ def test_turning_the_data_turns_the_curve(ring: object, change: str) -> None:
     c, s = np.cos(0.7), np.sin(0.7)
     moves = {
         "turn": lambda p: p @ np.array([[c, s], [-s, c]]),
-        "shift": lambda p: p + (123.0, -45.0),
+        "shift": lambda p: p + np.array([123.0, -45.0]),
         "mirror": lambda p: p * [-1.0, 1.0],
         "reverse": lambda p: p[::-1],
         "roll": lambda p: np.roll(p, 11, axis=0),
@@ -410,11 +411,14 @@ def test_stairs_from_pixels_come_back_as_they_are_or_smooth_on_request() -> None
     assert np.abs(np.hypot(*smooth.sample(0.05).points.T) - 10.0).max() < 2 * pixel
 
 
-def test_a_flat_with_points_on_it_stays_flat_between_bends() -> None:
-    """Three collinear points on a short side say that it is straight; the fit must not bulge there."""
-    arc = stadium(arc=6, side=4.0, radius=3.0, extra=1)
-    curves = one(arc)
-    assert sorted(curves.kind.tolist()) == [LINE, LINE, SPLINE, SPLINE]
+def test_inner_points_of_the_flats_of_a_cylinder_do_not_make_it_straight() -> None:
+    """The section of a cylinder's mesh has a point on each chord, where it cuts a facet's diagonal."""
+    corners = circle(36)
+    inner = corners + 0.3 * (np.roll(corners, -1, axis=0) - corners)
+    curves = one(np.stack([corners, inner], axis=1).reshape(-1, 2))
+    assert curves.kind.tolist() == [SPLINE]
+    assert curves.block_count() == 36
+    assert np.abs(np.hypot(*curves.sample(0.1).points.T) - 20).max() < 1e-4
 
 
 # -- sampling and measures -------------------------------------------------------------------------

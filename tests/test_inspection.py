@@ -109,7 +109,7 @@ def test_counts_of_the_corpus(corpus: Path):
             int(row[k]) for k in ("facets", "open_edges", "nonmanifold_edges", "degenerate_facets")
         )
         assert counted == expected, row["file"]
-        if row["winding_consistent_trimesh"] == "True":
+        if row["winding_consistent_trimesh"] == "True" and not found.open_edges:
             assert found.volume_mm3 == pytest.approx(float(row["signed_volume"]), rel=1e-5, abs=1e-6), row[
                 "file"
             ]

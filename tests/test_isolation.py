@@ -27,6 +27,7 @@ class Troubled(PlaneCut):
     """A real slicer that comes to grief the way its settings say."""
 
     name: ClassVar[str] = "troubled"
+    priority: ClassVar[int] = 1
 
     class Settings(BackendSettings):
         trouble: str = "none"

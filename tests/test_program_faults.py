@@ -325,6 +325,18 @@ def test_an_end_interval_moved_inwards_is_refused_with_its_line(tmp_path):
     assert "convention s=2" in found["readable"].text
 
 
+def test_a_spline_of_too_few_blocks_is_found(tmp_path):
+    def plant(text):
+        lines = text.lines[FIRST]
+        i = text.find(FIRST, "BSPLINE", nth=1) + 1
+        assert "PL" in lines[i + 5]
+        del lines[i + 2 : i + 4]
+        return f"{FIRST}:{i + 1}"
+
+    found, where = planted(tmp_path, plant, {"curve_form": "bspline"})
+    assert found["spline blocks"].where == where
+
+
 @pytest.fixture
 def program(tmp_path):
     config = Config()

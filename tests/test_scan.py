@@ -20,7 +20,7 @@ from ebamcheck.scan.lattice import hexagon_lattice
 from ebamcheck.scan.order import LayerIslands, scan_order
 from ebamcheck.scan.plan import METRICS
 from ebamcheck.scan.rectangle import minimum_rectangle
-from ebamcheck.scan.regions import inset, layer_regions
+from ebamcheck.scan.regions import ARC_SEGMENTS, inset, layer_regions
 
 PROFILE = Config()
 WIDTH = PROFILE.process.bead_width_mm
@@ -405,15 +405,17 @@ def test_contour_paths_lie_one_offset_inside():
     paths = contour_paths(from_polygons([0.0], [[blade()]]), 3.0)
     points = shapely.points(paths.points)
     gap = shapely.distance(points, blade().boundary)
-    assert gap.min() == pytest.approx(3.0, abs=1e-6)
+    sagitta = 3.0 * (1 - math.cos(math.pi / 4 / ARC_SEGMENTS))
+    assert gap.min() >= 3.0 - sagitta - 1e-9
     assert gap.max() == pytest.approx(3.0, abs=1e-6)
+    assert np.median(gap) == pytest.approx(3.0, abs=1e-6)
 
 
 @pytest.mark.parametrize("distance", [3.0, 3.84, 5.16])
 def test_insets_do_not_lose_regions(distance):
     # Mitred offsets of GEOS 3.14.1 return nothing for shapes like these.
     rng = np.random.default_rng(7)
-    for _ in range(40):
+    for _ in range(12):
         corners = rng.uniform(-150, 150, (7, 2))
         shape = shapely.make_valid(shapely.Polygon(corners)).difference(disc(*rng.uniform(-90, 90, 2), 20))
         grid = shapely.points(

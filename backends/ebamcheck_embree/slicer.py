@@ -19,7 +19,7 @@ IN_PLANE_BOUND = math.sqrt(0.5)
 nodes of the other side or points of the contour, all in one cell: no point of it is farther from a corner
 than the radius of the circle around the cell."""
 
-VERTICAL_BOUND = math.sqrt(10.0) / 4.0 + 2.0 * NUDGE
+VERTICAL_BOUND = math.sqrt(10.0) / 4.0 + NUDGE
 """Bound over cell, vertical. Knots in the middle of grid edges may lie off the contour, so only nodes
 count: the farthest is the middle of a cut corner, from the two nodes beside that corner;
 and a ray may have been moved."""

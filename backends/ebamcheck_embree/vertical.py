@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -15,13 +16,21 @@ from ebamcheck_embree.crossings import Bools, borders
 from ebamcheck_embree.grid import NUDGE, Grid
 from ebamcheck_embree.knots import NO_FACET, RowKnots
 from ebamcheck_embree.marching import contours
-from ebamcheck_embree.scene import Facets, Floats, Ints
+from ebamcheck_embree.scene import Facets, Floats, Hits, Ints
 from ebamcheck_embree.stack import LayerRings, Rays
 
 Raster = NDArray[np.uint8]
 
-NUDGES = ((NUDGE, 0.618 * NUDGE), (-0.786 * NUDGE, 0.9 * NUDGE))
+GOLDEN_ANGLE_RAD = math.pi * (3.0 - math.sqrt(5.0))
+"""Successive multiples of it point everywhere and along no edge twice."""
+
+NUDGES = tuple(
+    (NUDGE * math.cos(k * GOLDEN_ANGLE_RAD), NUDGE * math.sin(k * GOLDEN_ANGLE_RAD)) for k in range(1, 6)
+)
 """Steps, in cells, by which a ray that does not pair is moved off whatever edge it grazed."""
+
+RAYS_IN_DOUBLE = 256
+"""Rays cast in float64 where single precision cannot part two facets; an open part has many more."""
 
 
 class Towers(NamedTuple):
@@ -38,7 +47,7 @@ class VerticalRays(Rays):
 
     def __init__(self, part: Part, grid: Grid, rays_per_call: int, labels: Mapping[str, Any]) -> None:
         super().__init__(part, grid, rays_per_call, labels)
-        towers = self._all_towers()
+        towers = self._checked(self._all_towers())
         self._unpaired = int(np.count_nonzero(~towers.sound))
         towers = _borrowed(towers, grid.columns)
         self._starts, self._along = towers.starts, towers.along
@@ -52,6 +61,18 @@ class VerticalRays(Rays):
         found = run_blocks(cast_block, self.grid.rows * self.grid.columns, smallest=4096)
         return _joined([towers for block in found for towers in block])
 
+    def _checked(self, towers: Towers) -> Towers:
+        """Cast the first few rays that still do not pair in float64 against every facet."""
+        wrong = np.flatnonzero(~towers.sound)[:RAYS_IN_DOUBLE]
+        if not wrong.size:
+            return towers
+        x, y = self._places(wrong)
+        hits = [
+            _facets_over(self.vertices, self.faces, float(a), float(b)) for a, b in zip(x, y, strict=True)
+        ]
+        starts = np.concatenate([[0], np.cumsum([len(facets) for facets in hits])]).astype(np.int64)
+        return _replaced(towers, wrong, self._measured(x, y, Hits(starts, np.concatenate(hits))))
+
     def _towers(self, nodes: Ints) -> Towers:
         """Cast the rays of some nodes; those that do not pair are moved a little and cast again."""
         towers = self._cast(nodes, 0.0, 0.0)
@@ -64,12 +85,19 @@ class VerticalRays(Rays):
         return towers
 
     def _cast(self, nodes: Ints, dx_mm: float, dy_mm: float) -> Towers:
-        x = self.grid.column_x_mm[nodes % self.grid.columns] + dx_mm
-        y = self.grid.row_y_mm[nodes // self.grid.columns] + dy_mm
+        x, y = self._places(nodes)
+        x, y = x + dx_mm, y + dy_mm
         origins = np.empty((len(nodes), 3), np.float32)
         origins[:, 0], origins[:, 1] = x, y
         origins[:, 2] = -0.51 * float(self.part.size[2]) - self.grid.cell_mm
-        hits = self.scene.facets_along(origins, axis=2)
+        return self._measured(x, y, self.scene.facets_along(origins, axis=2))
+
+    def _places(self, nodes: Ints) -> tuple[Floats, Floats]:
+        return self.grid.column_x_mm[nodes % self.grid.columns], self.grid.row_y_mm[
+            nodes // self.grid.columns
+        ]
+
+    def _measured(self, x: Floats, y: Floats, hits: Hits) -> Towers:
         along, sign = _heights_on_facets(self.vertices, self.faces, x, y, hits.starts, hits.facets)
         starts, along, _, paired, sound, _ = borders(hits.starts, along, sign, hits.facets)
         return Towers(starts, along, paired, sound)
@@ -101,6 +129,26 @@ class VerticalRays(Rays):
         )
         points, starts = contours(grid, knots, nothing, (self.vertices, self.faces), z, corners=False)
         return LayerRings(points, starts, self._unpaired)
+
+
+@kernel
+def _facets_over(vertices: Floats, faces: Facets, x: float, y: float) -> Facets:
+    """Facets whose projection holds (x, y), by edges crossed to the right of it: neighbours share each edge."""
+    found = np.empty(faces.shape[0], np.int32)
+    count = 0
+    for f in range(faces.shape[0]):
+        odd = False
+        for k in range(3):
+            a, b = faces[f, k], faces[f, (k + 1) % 3]
+            if (vertices[a, 1] <= y) == (vertices[b, 1] <= y):
+                continue
+            low, high = (a, b) if vertices[a, 1] <= y else (b, a)
+            t = (y - vertices[low, 1]) / (vertices[high, 1] - vertices[low, 1])
+            odd ^= vertices[low, 0] + t * (vertices[high, 0] - vertices[low, 0]) > x
+        if odd:
+            found[count] = f
+            count += 1
+    return found[:count].copy()
 
 
 @kernel

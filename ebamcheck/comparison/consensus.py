@@ -178,8 +178,12 @@ def _verdicts(
 ) -> tuple[list[tuple[int, ...]], list[str]]:
     """Consensus (places in `names`) and verdict of each layer."""
     couples = list(combinations(range(len(names)), 2))
-    gated = np.array([rows["gated"].to_numpy() for rows in tables], np.bool_).reshape(len(couples), -1)
-    agrees = np.array([rows["agrees"].to_numpy() for rows in tables], np.bool_).reshape(len(couples), -1)
+    gated = np.array([rows["gated"].to_numpy() for rows in tables], np.bool_).reshape(
+        len(couples), vanished.size
+    )
+    agrees = np.array([rows["agrees"].to_numpy() for rows in tables], np.bool_).reshape(
+        len(couples), vanished.size
+    )
     # Few patterns of agreement occur, so each is solved once.
     solved: dict[bytes, tuple[tuple[int, ...], str]] = {}
     consensus: list[tuple[int, ...]] = []

@@ -54,9 +54,10 @@ def directed(a: Outline, b: Outline) -> Directed:
     if start.max() > most:
         k = int(np.argmax(start))
         most, x, y, segment = start[k], pieces[k, 0], pieces[k, 1], of_segment[k]
+    segments = b.segments
     for k in range(len(pieces)):
-        if _ceiling(b, pieces[k], near[k]) > most + RESOLUTION_MM:
-            higher, hx, hy = _refine(b, pieces[k], near[k], most)
+        if _ceiling(segments, pieces, near, k) > most + RESOLUTION_MM:
+            higher, hx, hy = _refine(b, pieces, near, k, most)
             if higher > most:
                 most, x, y, segment = higher, hx, hy, of_segment[k]
     return Directed(most, x, y, segment, _percentile(pieces))
@@ -65,11 +66,11 @@ def directed(a: Outline, b: Outline) -> Directed:
 @kernel
 def _pieces(a: Outline, b: Outline) -> tuple[Floats, Ints, Ints]:
     """Pieces of `a` (x0, y0, x1, y1, distance at each end, length), nearest segments of `b`, own segment."""
-    step = a.length / PIECES
+    segments, step = a.segments, a.length / PIECES
     count = 0
-    cuts = np.empty(len(a.segments), np.int64)
-    for s in range(len(a.segments)):
-        x0, y0, x1, y1 = a.segments[s]
+    cuts = np.empty(len(segments), np.int64)
+    for s in range(len(segments)):
+        x0, y0, x1, y1 = segments[s, 0], segments[s, 1], segments[s, 2], segments[s, 3]
         cuts[s] = max(1, math.ceil(math.hypot(x1 - x0, y1 - y0) / step)) if step > 0.0 else 1
         count += cuts[s]
     pieces = np.empty((count, 7))
@@ -77,8 +78,8 @@ def _pieces(a: Outline, b: Outline) -> tuple[Floats, Ints, Ints]:
     of_segment = np.empty(count, np.int64)
     n = 0
     px, py, p_distance, p_near = np.nan, np.nan, np.inf, -1
-    for s in range(len(a.segments)):
-        x0, y0, x1, y1 = a.segments[s]
+    for s in range(len(segments)):
+        x0, y0, x1, y1 = segments[s, 0], segments[s, 1], segments[s, 2], segments[s, 3]
         length = math.hypot(x1 - x0, y1 - y0) / cuts[s]
         if x0 != px or y0 != py:
             p_distance, p_near = nearest(b, x0, y0, p_near)
@@ -97,29 +98,30 @@ def _pieces(a: Outline, b: Outline) -> tuple[Floats, Ints, Ints]:
 
 
 @kernel
-def _ceiling(b: Outline, piece: Floats, near: Ints) -> float:
-    """No point of a piece is farther from `b` than this (nearest segments at its two ends given)."""
-    if near[0] == near[1]:
-        return float(max(piece[4], piece[5]))
-    first_at_stop = distance_to_segment(piece[2], piece[3], b.segments, near[0])
-    last_at_start = distance_to_segment(piece[0], piece[1], b.segments, near[1])
-    mean = 0.5 * max(piece[4] + last_at_start, piece[5] + first_at_stop)
-    return float(min(max(piece[4], first_at_stop), max(piece[5], last_at_start), mean))
+def _ceiling(segments: Floats, pieces: Floats, near: Ints, k: int) -> float:
+    """No point of piece `k` is farther than this from the segments (nearest ones at its two ends given)."""
+    start, stop = pieces[k, 4], pieces[k, 5]
+    if near[k, 0] == near[k, 1]:
+        return float(max(start, stop))
+    first_at_stop = distance_to_segment(pieces[k, 2], pieces[k, 3], segments, near[k, 0])
+    last_at_start = distance_to_segment(pieces[k, 0], pieces[k, 1], segments, near[k, 1])
+    mean = 0.5 * max(start + last_at_start, stop + first_at_stop)
+    return float(min(max(start, first_at_stop), max(stop, last_at_start), mean))
 
 
 @kernel
-def _refine(b: Outline, piece: Floats, near: Ints, most: float) -> tuple[float, float, float]:
-    """Greatest distance on a piece if it is over `most`, by halving, with its place."""
+def _refine(b: Outline, pieces: Floats, near: Ints, k: int, most: float) -> tuple[float, float, float]:
+    """Greatest distance on piece `k` if it is over `most`, by halving, with its place."""
     stack = np.empty((128, 7))
     near_stack = np.empty((128, 2), np.int64)
-    stack[0], near_stack[0] = piece, near
+    stack[0], near_stack[0] = pieces[k], near[k]
     count = 1
     x, y = np.nan, np.nan
     for _ in range(MOST_PIECES):
         if count == 0:
             break
         count -= 1
-        if _ceiling(b, stack[count], near_stack[count]) <= most + RESOLUTION_MM or count + 2 > 128:
+        if _ceiling(b.segments, stack, near_stack, count) <= most + RESOLUTION_MM or count + 2 > 128:
             continue
         x0, y0, x1, y1, start, stop, length = stack[count]
         first, last = near_stack[count]

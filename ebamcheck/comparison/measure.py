@@ -9,7 +9,7 @@ import numpy as np
 
 from ebamcheck.comparison.depth import search
 from ebamcheck.comparison.distance import Directed, directed
-from ebamcheck.comparison.outline import Outline, winding
+from ebamcheck.comparison.outline import Outline, nearest, winding
 from ebamcheck.comparison.overlap import Deepest, overlap
 from ebamcheck.kernels import kernel
 
@@ -54,6 +54,8 @@ def measure(a: Outline, b: Outline, limit_mm: float, exact_a: bool, exact_b: boo
     known = Deepest(0.0, np.nan, np.nan)
     if from_a != from_b:
         known = _reached(b, ba, resolution) if from_a else _reached(a, ab, resolution)
+    else:
+        known = _halfway(a, b, ab, _halfway(b, a, ba, known))
     swept = overlap(a, b, from_a, from_b, known, resolution)
     deepest = search(a, b, from_a, from_b, swept.suspects, swept.deepest, resolution)
     both = exact_a and exact_b and len(a.edges) > 0 and len(b.edges) > 0
@@ -92,3 +94,21 @@ def _reached(o: Outline, farthest: Directed, resolution_mm: float) -> Deepest:
     left = winding(o, x - aside * uy, y + aside * ux) > 0
     right = winding(o, x + aside * uy, y - aside * ux) > 0
     return Deepest(farthest.most_mm, farthest.x_mm, farthest.y_mm) if left != right else nothing
+
+
+@kernel
+def _halfway(o: Outline, other: Outline, farthest: Directed, known: Deepest) -> Deepest:
+    """Depth that is proved halfway from the point of `o` farthest from the other contours to the nearest one."""
+    if farthest.segment < 0 or len(o.edges) == 0 or len(other.edges) == 0:
+        return known
+    i = nearest(other, farthest.x_mm, farthest.y_mm, -1)[1]
+    ax, ay = other.segments[i, 0], other.segments[i, 1]
+    ux, uy = other.segments[i, 2] - ax, other.segments[i, 3] - ay
+    square = ux * ux + uy * uy
+    t = ((farthest.x_mm - ax) * ux + (farthest.y_mm - ay) * uy) / square if square > 0.0 else 0.0
+    t = min(1.0, max(0.0, t))
+    x, y = 0.5 * (farthest.x_mm + ax + t * ux), 0.5 * (farthest.y_mm + ay + t * uy)
+    depth = min(nearest(o, x, y, -1)[0], nearest(other, x, y, -1)[0])
+    if depth > known.depth_mm and (winding(o, x, y) > 0) != (winding(other, x, y) > 0):
+        return Deepest(depth, x, y)
+    return known

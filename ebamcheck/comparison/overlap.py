@@ -72,8 +72,7 @@ def overlap(
     slopes = np.empty(count)
     for e in range(count):
         slopes[e] = (edges[e, 2] - edges[e, 0]) / (edges[e, 3] - edges[e, 1])
-    # Where both sides of a trapezoid may belong to contours that do not count, its width proves nothing.
-    wide = not (from_a and from_b)
+    counts = np.where(of_a, from_a, from_b)
     areas = np.zeros(3)
     suspects = np.empty((64, 6))
     found = 0
@@ -124,14 +123,13 @@ def overlap(
                         l0, l1 = _between(bottom[p], top[p], t0), _between(bottom[p], top[p], t1)
                         r0, r1 = _between(bottom[q], top[q], t0), _between(bottom[q], top[q], t1)
                         _add(areas, wa, wb, 0.5 * ((r0 - l0) + (r1 - l1)) * (zb - za))
-                        if (wa > 0) != (wb > 0) and (
-                            wide or max(r0 - l0, r1 - l1) > deepest.depth_mm + resolution_mm
-                        ):
-                            deepest, deep = _may_be_deep(
-                                a, b, from_a, from_b, za, zb, l0, l1, r0, r1,
-                                edges, of_a, active[p], active[q], deepest, resolution_mm,
-                            )  # fmt: skip
-                            if deep:
+                        if (wa > 0) != (wb > 0):
+                            e, f = active[p], active[q]
+                            enough = deepest.depth_mm + resolution_mm
+                            high = _ceiling(za, zb, l0, l1, r0, r1, edges, e, f, counts[e], counts[f], enough)
+                            if high > enough:
+                                x, y = 0.25 * (l0 + l1 + r0 + r1), 0.5 * (za + zb)
+                                deepest = _deeper(a, b, from_a, from_b, x, y, deepest)
                                 suspects = _kept(suspects, found, za, zb, l0, l1, r0, r1)
                                 found += 1
                 # The windings right of the block's last edge come from that edge itself, next.
@@ -153,12 +151,13 @@ def overlap(
                 if in_a or in_b:
                     l0, l1, r0, r1 = bottom[k], top[k], bottom[k + 1], top[k + 1]
                     _add(areas, winding_a, winding_b, 0.5 * ((r0 - l0) + (r1 - l1)) * (y1 - y0))
-                    if in_a != in_b and (wide or max(r0 - l0, r1 - l1) > deepest.depth_mm + resolution_mm):
-                        deepest, deep = _may_be_deep(
-                            a, b, from_a, from_b, y0, y1, l0, l1, r0, r1,
-                            edges, of_a, e, active[k + 1], deepest, resolution_mm,
-                        )  # fmt: skip
-                        if deep:
+                    if in_a != in_b:
+                        f = active[k + 1]
+                        enough = deepest.depth_mm + resolution_mm
+                        high = _ceiling(y0, y1, l0, l1, r0, r1, edges, e, f, counts[e], counts[f], enough)
+                        if high > enough:
+                            x, y = 0.25 * (l0 + l1 + r0 + r1), 0.5 * (y0 + y1)
+                            deepest = _deeper(a, b, from_a, from_b, x, y, deepest)
                             suspects = _kept(suspects, found, y0, y1, l0, l1, r0, r1)
                             found += 1
             k += 1
@@ -335,23 +334,22 @@ def _leave(edges: Floats, active: Ints, top: Floats, n: int, y: float) -> int:
 
 
 @kernel
-def _may_be_deep(
-    a: Outline, b: Outline, from_a: bool, from_b: bool,
+def _ceiling(
     y0: float, y1: float, l0: float, l1: float, r0: float, r1: float,
-    edges: Floats, of_a: Bools, left: int, right: int, deepest: Deepest, resolution_mm: float,
-) -> tuple[Deepest, bool]:  # fmt: skip
-    """Whether a trapezoid between edges `left` and `right` may be deeper than what is known.
+    edges: Floats, left: int, right: int, left_counts: bool, right_counts: bool, enough_mm: float,
+) -> float:  # fmt: skip
+    """No point of a trapezoid between edges `left` and `right` is deeper than this.
 
     The distance from a fixed segment is convex, so over a trapezoid it is greatest at a corner; and where
-    both sides count, the mean of the two distances bounds the lesser.
+    both sides count, the mean of the two distances bounds the lesser. A first answer within `enough_mm`
+    will do.
     """
-    limit = deepest.depth_mm + resolution_mm
-    left_counts = from_a if of_a[left] else from_b
-    right_counts = from_a if of_a[right] else from_b
-    width = max(r0 - l0, r1 - l1)
+    if not (left_counts or right_counts):
+        return np.inf
     share = 0.5 if left_counts and right_counts else 1.0
-    if (left_counts or right_counts) and share * width <= limit:
-        return deepest, False
+    ceiling = share * max(r0 - l0, r1 - l1)
+    if ceiling <= enough_mm:
+        return ceiling
     ceiling = 0.0
     if left_counts:
         ceiling = max(distance_to_segment(r0, y0, edges, left), distance_to_segment(r1, y1, edges, left))
@@ -359,17 +357,20 @@ def _may_be_deep(
         ceiling = max(
             ceiling, distance_to_segment(l0, y0, edges, right), distance_to_segment(l1, y1, edges, right)
         )
-    if (left_counts or right_counts) and share * ceiling <= limit:
-        return deepest, False
-    x, y = 0.25 * (l0 + l1 + r0 + r1), 0.5 * (y0 + y1)
+    return float(share * ceiling)
+
+
+@kernel
+def _deeper(
+    a: Outline, b: Outline, from_a: bool, from_b: bool, x: float, y: float, deepest: Deepest
+) -> Deepest:
+    """Deepest of what is known and a point of the symmetric difference."""
     depth = np.inf
     if from_a:
         depth = nearest(a, x, y, -1)[0]
     if from_b:
         depth = min(depth, nearest(b, x, y, -1)[0])
-    if depth > deepest.depth_mm:
-        deepest = Deepest(depth, x, y)
-    return deepest, True
+    return Deepest(depth, x, y) if depth > deepest.depth_mm else deepest
 
 
 @kernel

@@ -34,7 +34,7 @@ def fit_deviation(curves: Curves, layers: Layers) -> pd.DataFrame:
     -------
     DataFrame with the columns ``layer``, ``height_mm``, ``kept_points_mm`` (greatest distance of a point
     that the cleaning kept from the curve: rounding, for a fit that interpolates), ``points_mm`` (of any
-    point of the contour; the cleaning's tolerances come in), ``bulge_mm`` (greatest distance of the curve
+    point of the contour; the curve leaves the inner points of a chord as far as it bulges), ``bulge_mm`` (greatest distance of the curve
     from the contour's segments) and ``blocks`` (NC blocks). A layer without contours has zeros.
 
     Raises

@@ -78,12 +78,10 @@ def _fit_paper(layers: Layers, settings: CurveSettings) -> Curves:
     )
     runs = split(
         layers.points,
-        layers.ring_starts,
         cleaned,
         layers.closed,
         settings.corner_angle_deg,
         settings.straight_run_mm,
-        settings.collinear_mm,
     )
     control, control_starts, knots, knot_starts = interpolate(runs)
     return Curves(

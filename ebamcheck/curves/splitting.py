@@ -26,12 +26,6 @@ STRAIGHT_NEIGHBOURS = 2
 """Segments on either side, up to a corner, with which a straight run is compared."""
 
 
-FLAT_RATIO = 4.0
-"""A segment is straight if a curve in its place would miss a point left out of it by this many tolerances.
-
-Points left out of the chord of a fine arc would be missed by at most two."""
-
-
 class Runs(NamedTuple):
     """Straight and curved runs of contours, as columns over pieces (P) and their points (D)."""
 
@@ -51,24 +45,19 @@ class Runs(NamedTuple):
 
 def split(
     points: Floats,
-    point_starts: Ints,
     cleaned: CleanRings,
     closed: Bools,
     corner_angle_deg: float,
     straight_run_mm: float,
-    collinear_mm: float,
 ) -> Runs:
     """Split clean rings at their corners and at the ends of straight segments.
 
     A corner is a point whose interior angle is under `corner_angle_deg`. A segment is straight if it
-
-    - stands alone between two corners, or
-    - was cleaned of inner points that a curve tangent to its neighbours would miss by more than
-      :data:`FLAT_RATIO` times `collinear_mm`, or
-    - is at least `straight_run_mm` long and :data:`STRAIGHT_RATIO` times longer than those beside it.
-
-    What lies between is a curved run; next to a straight segment (where there is no corner) it takes
-    that segment's direction as its tangent.
+    stands alone between two corners, or is at least `straight_run_mm` long and :data:`STRAIGHT_RATIO`
+    times longer than those beside it. (That inner points were cleaned from it proves nothing: the
+    two facets of each flat strip of a cylinder's mesh leave one.) What lies between is a curved run;
+    next to a straight segment (where there is no corner) it takes that segment's direction as its
+    tangent.
     """
     ring_count = closed.size
     rows = cleaned.rows.copy()
@@ -80,8 +69,8 @@ def split(
 
     def mark(first: int, last: int) -> None:
         _mark(
-            points, point_starts, rows, cleaned.starts, closed, cleaned.collapsed, largest_turn,
-            straight_run_mm, FLAT_RATIO * collinear_mm, first, last, corners, straight, pieces, sizes,
+            points, rows, cleaned.starts, closed, cleaned.collapsed, largest_turn,
+            straight_run_mm, first, last, corners, straight, pieces, sizes,
         )  # fmt: skip
 
     run_blocks(mark, ring_count, RINGS_A_BLOCK)
@@ -109,23 +98,21 @@ def split(
 
 @kernel
 def _turn(points: Floats, i: int, j: int, k: int) -> float:
-    """Angle from the segment i-j to the segment j-k, rad: left positive, 0 straight on, pi straight back."""
+    """Angle between the segments i-j and j-k, rad, from 0 (straight on) to pi (straight back)."""
     ax, ay = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
     bx, by = points[k, 0] - points[j, 0], points[k, 1] - points[j, 1]
-    return float(np.arctan2(ax * by - ay * bx, ax * bx + ay * by))
+    return float(abs(np.arctan2(ax * by - ay * bx, ax * bx + ay * by)))
 
 
 @kernel
 def _mark(
     points: Floats,
-    point_starts: Ints,
     rows: Ints,
     starts: Ints,
     closed: Bools,
     collapsed: Bools,
     largest_turn: float,
     straight_run: float,
-    flat: float,
     first_ring: int,
     last_ring: int,
     corners: Bools,
@@ -148,24 +135,11 @@ def _mark(
             pieces[ring] = 1
             sizes[ring] = segments + 1
             continue
-        turns = np.zeros(n)  # no turn is counted at a corner: what is beyond it is another run
         for i in range(n):
             before, after = rows[a + (i - 1) % n], rows[a + (i + 1) % n]
             end = not closed[ring] and (i == 0 or i == n - 1)
-            turn = _turn(points, before, rows[a + i], after)
-            corners[a + i] = end or abs(turn) > largest_turn
-            turns[i] = 0.0 if corners[a + i] else turn
+            corners[a + i] = end or _turn(points, before, rows[a + i], after) > largest_turn
         _mark_long(points, rows[a:b], corners[a:b], segments, straight_run, straight[a:b])
-        _mark_flat(
-            points,
-            point_starts[ring],
-            point_starts[ring + 1],
-            rows[a:b],
-            turns,
-            segments,
-            flat,
-            straight[a:b],
-        )
         splits = 0
         first = -1
         for i in range(n):
@@ -209,30 +183,6 @@ def _mark_long(
 
 
 @kernel
-def _mark_flat(
-    points: Floats, a: int, b: int, rows: Ints, turns: Floats, segments: int, flat: float, straight: Bools
-) -> None:
-    """Mark the segments whose left-out points ``[a, b)`` a curve in their place would miss.
-
-    A curve that shares the turns at its two ends with its neighbours starts and ends at half of each
-    from the chord; the cubic with these slopes lies off the chord by the offset computed here.
-    """
-    n = rows.size
-    for i in range(segments):
-        first, last = rows[i], rows[(i + 1) % n]
-        x, y = points[first, 0], points[first, 1]
-        ux, uy = points[last, 0] - x, points[last, 1] - y
-        square = ux * ux + uy * uy
-        at_start, at_end = 0.5 * turns[i], 0.5 * turns[(i + 1) % n]
-        k = first + 1 if first + 1 < b else a
-        while k != last and not straight[i]:
-            f = ((points[k, 0] - x) * ux + (points[k, 1] - y) * uy) / square
-            offset = np.sqrt(square) * f * (1.0 - f) * (at_start * (1.0 - f) + at_end * f)
-            straight[i] = abs(offset) > flat
-            k = k + 1 if k + 1 < b else a
-
-
-@kernel
 def _fill(
     points: Floats,
     rows: Ints,
@@ -254,6 +204,7 @@ def _fill(
         if last == first:
             continue
         segments = n if closed[ring] else n - 1
+        runs.starts[first] = place  # the ring before may be another thread's, and not there yet
         piece = first
         for i in range(segments):
             j = (i + 1) % n

@@ -48,12 +48,23 @@ def agreement_gate(comparison: Comparison, outcomes: Mapping[str, Outcome], laye
     skipped = layers - good - bad
     text = f"{methods} methods agree on {good} of {layers} layers"
     if bad:
-        text += f"; they disagree on {bad}: {comparison.findings[0].text() if comparison.findings else ''}"
+        text += f"; they disagree on {bad}: {_first(comparison)}"
     if skipped:
         text += f"; {skipped} lie in a vertex or face and are not compared between methods of other rules"
     if lost:
         text += f"; lost: {'; '.join(failed)}"
     return Gate("agreement", comparison.passed and bad == 0 and good > 0, float(bad), 0.0, "layers", text)
+
+
+def _first(comparison: Comparison) -> str:
+    """The first finding in words."""
+    if not comparison.findings:
+        return "no cause was found"
+    f = comparison.findings[0]
+    return (
+        f"first {f.backend} against {f.against} at layer {f.layer}, z = {f.height_mm:.3f} mm, "
+        f"{f.metric} {f.value:.4g} over {f.limit:.4g} at ({f.x_mm:.3f}, {f.y_mm:.3f}): {f.cause}"
+    )
 
 
 def fit_gate(deviation: pd.DataFrame, config: Config) -> Gate:

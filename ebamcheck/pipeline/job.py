@@ -45,6 +45,10 @@ from ebamcheck.store import (
 )
 
 
+TOTALS = ("motions", "contour_mm", "hatch_mm", "travel_mm", "deposit_s", "travel_s", "wire_mm", "wire_kg")
+"""Columns of the program's summary that add up over the layers."""
+
+
 class Observer(Protocol):
     """Whoever watches a run."""
 
@@ -356,7 +360,9 @@ def _extreme(column: pd.Series[float], name: str) -> float:
 
 
 def _rms(errors: pd.DataFrame) -> dict[str, float]:
-    return {f: float(np.sqrt(np.nanmean(errors[f] ** 2))) for f in ("polar_rms_mm", "normal_rms_mm")}
+    """Root mean square over all layers of both errors; NaN where one is defined nowhere."""
+    known = {f: errors[f].dropna().to_numpy() for f in ("polar_rms_mm", "normal_rms_mm")}
+    return {f: float(np.sqrt((v**2).mean())) if v.size else float("nan") for f, v in known.items()}
 
 
 def _bead_paths(layers: Layers, plan: ScanPlan, config: Config) -> Curves:
@@ -395,9 +401,7 @@ def _write_and_verify(job: _Job, beads: Curves, plan: ScanPlan, witness: Layers)
     job.record["program"] = {
         "checks": [asdict(check) for check in checks],
         "witness": witness.backend,
-        "totals": {
-            c: float(summary[c].sum()) for c in summary.columns if c not in ("layer", "height_mm", "z_mm")
-        },
+        "totals": {c: float(summary[c].sum()) for c in TOTALS},
     }
     return checks
 
@@ -483,7 +487,9 @@ def _backend_record(outcome: Outcome) -> dict[str, Any]:
 
 def _pair_records(pairs: pd.DataFrame) -> list[dict[str, Any]]:
     """One record a pair of backends: the worst figures over its layers."""
-    records = []
+    records: list[dict[str, Any]] = []
+    if not len(pairs):
+        return records
     for (a, b), rows in pairs.groupby(["a", "b"], sort=True):
         gated = rows[rows["gated"]]
         records.append(

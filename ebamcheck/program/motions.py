@@ -40,9 +40,10 @@ class Events:
     row: Ints
     """Motions before the event."""
     name: tuple[str, ...]
-    """Template that ends here (``beam_on``), placeholder that is set (``current_ma``), modal word, or call."""
+    """Template that ends here (``beam_on``), placeholder that is set (``current_ma``), modal word, ``call NAME``,
+    or ``BSPLINE`` for each spline."""
     value: Floats
-    """Number that is set; NaN where there is none."""
+    """Number that is set, blocks of the spline; NaN where there is none."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,18 +10,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
-from shapely import STRtree, linestrings, points
 
 from ebamcheck.config import Config
 from ebamcheck.program.checks import Check, count_check, worst_check
 from ebamcheck.program.inputs import DEGREE, SPLINE, CurveColumns, ScanColumns, hatch_columns
 from ebamcheck.program.motions import POLYNOMIAL, SPLINE_SPAN, STRAIGHT, NCProgram
+from ebamcheck.program.shapes import shape_distance
 from ebamcheck.rings import Bools, Floats, Ints
 
 SAMPLES = 9
 """Places on each span where programmed and fitted curve are compared at the same parameter."""
 
-CHORD_SHARE = 0.05
+CHORD_SHARE = 0.1
 """Where shapes are compared, the chords between samples of the fitted curve err by this share of the limit."""
 
 HEIGHT_TOLERANCE_MM = 1e-3
@@ -40,12 +40,16 @@ class FittedSpans:
     """(E, n, 2) at equal steps of the parameter."""
 
 
-def fitted_spans(curves: CurveColumns, decimals: int, samples: int) -> FittedSpans:
-    """Sample curves span by span; segments that vanish at the decimals of the program are left out."""
+def fitted_spans(curves: CurveColumns, decimals: int, samples: int, ring: int | None = None) -> FittedSpans:
+    """Sample all curves, or those of one ring, span by span.
+
+    Segments that vanish at the decimals of the program are left out.
+    """
     t = np.linspace(0.0, 1.0, samples)
     ring_of = np.repeat(np.arange(len(curves.closed)), np.diff(curves.ring_starts))
     rings, curved, found = [], [], []
-    for piece in range(len(curves.kind)):
+    pieces = (0, len(curves.kind)) if ring is None else curves.ring_starts[ring : ring + 2]
+    for piece in range(int(pieces[0]), int(pieces[1])):
         control = curves.control[curves.control_starts[piece] : curves.control_starts[piece + 1]]
         if curves.kind[piece] == SPLINE:
             knots = curves.knots[curves.knot_starts[piece] : curves.knot_starts[piece + 1]]
@@ -97,12 +101,11 @@ def contour_checks(
     spans = fitted_spans(curves, config.machine.decimals, SAMPLES)
     distance, alike = _same_parameters(nc, rows, spans, count)
     limit = limit_mm + (config.machine.line_tolerance_mm if config.machine.curve_form == "lines" else 0.0)
-    others = np.flatnonzero(~alike & (np.bincount(nc.ring[rows], minlength=count) > 0))
-    if others.size:
-        dense = fitted_spans(curves, config.machine.decimals, _samples_for(spans, CHORD_SHARE * limit))
-        for ring in others:
-            mine = nc.ring[rows] == ring
-            distance[mine] = _shape_distance(nc, rows[mine], dense.points[dense.ring == ring])
+    for ring in np.flatnonzero(~alike & (np.bincount(nc.ring[rows], minlength=count) > 0)):
+        mine = nc.ring[rows] == ring
+        samples = _samples_for(spans.points[spans.ring == ring], CHORD_SHARE * limit)
+        dense = fitted_spans(curves, config.machine.decimals, samples, int(ring))
+        distance[mine] = _shape_distance(nc, rows[mine], dense.points)
     return [
         count_check("contour rings", faults, f"{count} rings, each once and in its layer"),
         worst_check(
@@ -165,9 +168,9 @@ def _same_parameters(nc: NCProgram, rows: Ints, spans: FittedSpans, count: int) 
     return distance, alike
 
 
-def _samples_for(spans: FittedSpans, tolerance_mm: float) -> int:
+def _samples_for(points: Floats, tolerance_mm: float) -> int:
     """Samples of each span whose chords err by at most `tolerance_mm`: the second difference over 8."""
-    bend = np.linalg.norm(np.diff(spans.points, n=2, axis=1), axis=2).max(initial=0.0) / 8.0
+    bend = np.linalg.norm(np.diff(points, n=2, axis=1), axis=2).max(initial=0.0) / 8.0
     return 2 + int((SAMPLES - 1) * np.sqrt(bend / tolerance_mm))
 
 
@@ -175,28 +178,9 @@ def _shape_distance(nc: NCProgram, rows: Ints, fitted: Floats) -> Floats:
     """Largest distance between the motions of one ring and the fitted ring, both ways, for each motion."""
     if not len(fitted):
         return np.full(rows.size, np.inf)
-    t = np.tile(np.linspace(0.0, 1.0, SAMPLES), rows.size)
-    driven = nc.evaluate(np.repeat(rows, SAMPLES), t).reshape(-1, SAMPLES, 2)
-    result = np.zeros(rows.size)
-    tree, _ = _segments(fitted)
-    np.maximum.at(result, np.repeat(np.arange(rows.size), SAMPLES), _nearest(tree, driven.reshape(-1, 2))[1])
-    tree, owner = _segments(driven)
-    nearest, away = _nearest(tree, fitted.reshape(-1, 2))
-    np.maximum.at(result, owner[nearest], away)
-    return result
-
-
-def _segments(sampled: Floats) -> tuple[STRtree, Ints]:
-    """Search tree of the chords of sampled spans (E, n, 2), and the span of each chord."""
-    chords = np.stack([sampled[:, :-1], sampled[:, 1:]], axis=2).reshape(-1, 2, 2)
-    return STRtree(np.atleast_1d(np.asarray(linestrings(chords)))), np.repeat(
-        np.arange(len(sampled)), sampled.shape[1] - 1
-    )
-
-
-def _nearest(tree: STRtree, at: Floats) -> tuple[Ints, Floats]:
-    (_, found), distance = tree.query_nearest(points(at), return_distance=True, all_matches=False)
-    return found, distance
+    samples = SAMPLES if (nc.kind[rows] == STRAIGHT).all() else fitted.shape[1]
+    t = np.tile(np.linspace(0.0, 1.0, samples), rows.size)
+    return shape_distance(nc.evaluate(np.repeat(rows, samples), t).reshape(-1, samples, 2), fitted)
 
 
 # -- hatch -----------------------------------------------------------------------------------------

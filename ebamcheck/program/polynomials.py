@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import BSpline
 
 from ebamcheck.program.inputs import DEGREE, SPLINE, CurveColumns
 from ebamcheck.rings import Floats, Ints
@@ -97,3 +98,15 @@ def chords(found: Spans, tolerance_mm: float) -> tuple[Ints, Floats]:
         + t**3 * b[:, 3]
     )
     return offset[found.starts], np.asarray(points)
+
+
+def refined(control: Floats, knots: Floats, blocks: int) -> tuple[Floats, Floats]:
+    """Return the same spline with at least `blocks` control points after its first (Boehm's knot insertion).
+
+    Knots go to the middle of the longest span; the curve does not change.
+    """
+    spline = BSpline(knots, control, DEGREE)
+    while len(spline.c) - 1 < blocks:
+        longest = int(np.argmax(np.diff(spline.t)))
+        spline = spline.insert_knot(0.5 * (spline.t[longest] + spline.t[longest + 1]))
+    return np.asarray(spline.c), np.asarray(spline.t)

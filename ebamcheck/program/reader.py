@@ -350,6 +350,7 @@ class _Interpreter:
         except ValueError as error:
             self._line = lines[1]
             raise WordError(str(error), 0) from None
+        self._events.append((self._file, lines[1], len(self._rows), "BSPLINE", float(len(points) - 1)))
         z = self._position["Z"]
         for i, end, curve in zip(index.tolist(), ends.tolist(), curves.tolist(), strict=True):
             self._append(SPLINE_SPAN, lines[i], [*end, z], (*curve, 1.0), (np.nan, np.nan, np.nan))

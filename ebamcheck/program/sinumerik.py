@@ -28,7 +28,7 @@ from ebamcheck.program.inputs import (
     hatch_columns,
     layer_thickness,
 )
-from ebamcheck.program.polynomials import Spans, chords, spans
+from ebamcheck.program.polynomials import Spans, chords, refined, spans
 from ebamcheck.program.templates import LONGEST_BLOCK, ProcessValues, plain, process_values
 from ebamcheck.rings import Bools, Floats, Ints
 
@@ -38,6 +38,9 @@ the turn is part of the melt pool. 1.5, because a border at 60 degrees makes the
 
 NEAR_SPACINGS = 2.0
 """A beam-off move of at most this many bead spacings stays at the layer's height; a longer one rises."""
+
+LEAST_SPLINE_BLOCKS = 6
+"""The control wants at least 6 spline blocks among any 10; shorter splines get further knots, exactly."""
 
 
 def write_program(
@@ -207,8 +210,9 @@ class _Stack:
             return self.form.lines(points[1:][moving(points[1:], points[0])])
         if self.config.machine.curve_form == "bspline":
             knots = np.asarray(curves.knots)[int(curves.knot_starts[p]) : int(curves.knot_starts[p + 1])]
+            control, knots = refined(self.control[a:b], knots, LEAST_SPLINE_BLOCKS)
             shift = self.config.machine.bspline_shift
-            return ["G1", "BSPLINE SD=3", *self.form.control_points(self.control[a:b], knots, shift)]
+            return ["G1", "BSPLINE SD=3", *self.form.control_points(control, knots, shift)]
         starts, blocks = self._curve_blocks
         return blocks[int(starts[p]) : int(starts[p + 1])]
 

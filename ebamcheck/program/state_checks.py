@@ -14,6 +14,9 @@ from ebamcheck.rings import Floats
 
 MODES = ("G17", "G71", "G90", "G94")
 
+LEAST_SPLINE_BLOCKS = 6
+"""Spline blocks that the control wants among any 10 (NC Programming manual, BSPLINE)."""
+
 POWER_TOLERANCE = 1e-3
 """Beam power in the program over that of the process: the decimals of voltage and current."""
 
@@ -31,6 +34,7 @@ def state_checks(nc: NCProgram, config: Config, turn_limit_mm: float) -> list[Ch
         _smoothing(nc, config),
         _feed(nc, config),
         _known_positions(nc),
+        _splines(nc),
         _travel(nc, config),
         _beam(nc),
         _wire(nc),
@@ -80,6 +84,18 @@ def _known_positions(nc: NCProgram) -> Check:
     return count_check(
         "start of path", row_faults(nc, unknown, "feed motion from a position that is not known"), "every feed motion starts where the one before ended"
     )  # fmt: skip
+
+
+def _splines(nc: NCProgram) -> Check:
+    faults = [
+        (
+            _event_place(nc, i),
+            f"a BSPLINE of {nc.events.value[i]:g} blocks: at least {LEAST_SPLINE_BLOCKS} are needed",
+        )
+        for i, name in enumerate(nc.events.name)
+        if name == "BSPLINE" and nc.events.value[i] < LEAST_SPLINE_BLOCKS
+    ]
+    return count_check("spline blocks", faults, f"every BSPLINE has at least {LEAST_SPLINE_BLOCKS} blocks")
 
 
 def extremes(nc: NCProgram) -> tuple[Floats, Floats]:
