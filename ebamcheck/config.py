@@ -83,9 +83,11 @@ class CurveSettings(Section):
     collinear_mm: NotNegative = 0.001
     """Inner points nearer than this to the chord of a straight run go."""
     straight_run_mm: Positive = 5.0
-    """A segment at least this long between two kept points is a straight run, not part of a curve."""
-    tolerance_mm: Positive = 0.2
-    """Gate of the fit: how far a curve may lie from its contour; a thirtieth of a bead's width."""
+    """A segment at least this long, and three times longer than those beside it, is a straight run, not part of a
+    curve."""
+    largest_bulge_mm: Positive = 0.2
+    """A curved run that leaves the chords of its contour by more than this stays a polyline: the mesh is too coarse
+    there to tell the curve that it stands for. It is the limit of the fit's gate, too."""
 
 
 class ScanSettings(Section):
@@ -99,8 +101,8 @@ class ScanSettings(Section):
     layer_angle_deg: Finite = 15.0
     """Turn of the hatch from layer to layer (paper, section 1, after Jia et al.)."""
     island_angle_deg: Finite = 60.0
-    """Turn of the hatch from one hexagon to the next, by hexagon index modulo 3."""
-    order: Literal["nearest"] = "nearest"
+    """Turn of the hatch from hexagon to hexagon, by one of three lattice colours, so that neighbours differ."""
+    order: Literal["nearest", "nearest-any", "nearest-last", "nearest-sum", "farthest", "raster"] = "nearest"
     seed: Annotated[int, Field(ge=0)] = 0
     least_coverage: Annotated[float, Field(gt=0, le=1)] = 0.95
     """Gate of the coverage: fraction of each layer's area that the beads must cover."""

@@ -41,6 +41,21 @@ def load_plugins(group: str) -> dict[str, Any]:
     return found
 
 
+def plugin(group: str, name: str) -> Any:
+    """Load one entry point; raises :class:`SettingsError` with the names there are, or why it does not load."""
+    points = {point.name: point for point in entry_points(group=group)}
+    if name not in points:
+        raise SettingsError(
+            f"unknown name {name!r} in {group}: installed are {', '.join(sorted(points)) or 'none'}"
+        )
+    try:
+        return points[name].load()
+    except Exception as error:
+        raise SettingsError(
+            f"plugin {name!r} of {group} does not load: {type(error).__name__}: {error}"
+        ) from None
+
+
 def _warn_broken(point: EntryPoint, why: str) -> None:
     warnings.warn(
         f"plugin {point.name!r} of {point.group} ({point.value}) was left out: {why}",

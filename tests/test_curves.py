@@ -229,8 +229,34 @@ def test_a_stadium_has_two_lines_and_two_tangent_arcs(extra: int) -> None:
 
 
 def test_long_chords_of_a_large_circle_are_no_straight_runs() -> None:
-    curves = one(circle(36, 300.0))
+    assert one(circle(36, 300.0), largest_bulge_mm=2.0).kind.tolist() == [SPLINE]
+
+
+def test_a_run_that_leaves_its_chords_too_far_stays_a_polyline() -> None:
+    ring = circle(36, 300.0)
+    sagitta = 300.0 * (1.0 - np.cos(np.pi / 36))
+    assert one(ring, largest_bulge_mm=0.98 * sagitta).kind.tolist() == [LINE]
+    curves = one(ring, largest_bulge_mm=1.02 * sagitta)
     assert curves.kind.tolist() == [SPLINE]
+    assert fit_deviation(curves, from_rings([0.0], [[ring]]))["bulge_mm"][0] == pytest.approx(
+        sagitta, rel=1e-2
+    )
+    polyline = one(ring, largest_bulge_mm=0.1)
+    assert same_set(polyline.piece(0).control[:-1], ring, 0.0)
+
+
+def test_no_curve_leaves_its_contour_by_more_than_the_largest_bulge() -> None:
+    rng = np.random.default_rng(7)
+    theta = np.linspace(0, 2 * np.pi, 40, endpoint=False)
+    rings = [
+        (20 + rng.normal(0, 1.0, 40).cumsum() * 0.3)[:, None]
+        * np.column_stack([np.cos(theta), np.sin(theta)])
+        for _ in range(50)
+    ]
+    layers = from_rings(np.arange(50.0), [[ring] for ring in rings])
+    curves = fit(layers, largest_bulge_mm=0.1, corner_angle_deg=140)
+    assert set(curves.kind.tolist()) == {LINE, SPLINE}
+    assert fit_deviation(curves, layers)["bulge_mm"].max() <= 0.1 + 1e-9
 
 
 @pytest.mark.parametrize("ring", [circle(24), wavy()], ids=["circle", "wavy"])
@@ -280,7 +306,12 @@ def test_turning_the_data_turns_the_curve(ring: object, change: str) -> None:
 
 
 def test_scaling_the_data_and_the_tolerances_scales_the_curve() -> None:
-    tolerances = {"near_point_mm": 0.001, "collinear_mm": 0.001, "straight_run_mm": 5.0}
+    tolerances = {
+        "near_point_mm": 0.001,
+        "collinear_mm": 0.001,
+        "straight_run_mm": 5.0,
+        "largest_bulge_mm": 0.2,
+    }
     for ring in (wavy(), stadium(arc=300)):
         a = one(ring, **tolerances)
         b = one(ring * 8.0, **{name: value * 8.0 for name, value in tolerances.items()})
@@ -310,7 +341,9 @@ def test_uneven_points_never_make_the_curve_leave_its_chords_far() -> None:
         chords = 10.0 ** rng.uniform(-3, 2, 30)
         heading = np.cumsum(turns)
         paths.append(np.cumsum(chords[:, None] * np.column_stack([np.cos(heading), np.sin(heading)]), axis=0))
-    spans = fit(from_rings([0.0], [[]], [paths]), near_point_mm=0.0, collinear_mm=0.0).bezier_spans()
+    spans = fit(
+        from_rings([0.0], [[]], [paths]), near_point_mm=0, collinear_mm=0, largest_bulge_mm=1e6
+    ).bezier_spans()
     B = spans.points[spans.kind == SPLINE]
     chord = B[:, 3] - B[:, 0]
     length = np.hypot(*chord.T)

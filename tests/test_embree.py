@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import shapely
 from parts import box, join, moved, sphere, tilted, torus, turn_z
+from scipy.spatial.transform import Rotation
 from section_oracle import depth_beyond, exact_section, prism, winding
 
 import ebamcheck
@@ -82,6 +83,31 @@ PARTS = {
     "star": tilted(prism(STAR, 0.0, 3.0)),
     "overlapping": tilted(join(box((0, 0, 0), (10, 10, 10)), box((5, 5, 2), (16, 14, 13)))),
 }
+
+
+def random_solid(rng):
+    """Prism of a random outline, turned anyhow, now and then with a second body through it."""
+    pieces = [shapely.Polygon(rng.uniform(-10, 10, (3, 2))) for _ in range(rng.integers(1, 7))]
+    outline = max(shapely.get_parts(shapely.union_all(pieces)), key=lambda piece: piece.area)
+    turn = Rotation.from_quat(rng.normal(size=4)).as_matrix()
+    bodies = [moved(prism(outline, 0.0, rng.uniform(0.5, 8)), turn)]
+    if rng.random() < 0.5:
+        bodies.append(moved(box(rng.uniform(-5, 0, 3), rng.uniform(1, 6, 3)), turn))
+    return join(*bodies)
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("seed", range(40))
+def test_bound_is_kept_by_random_solids(seed, mode, caplog):
+    rng = np.random.default_rng(seed)
+    part = random_solid(rng)
+    heights = np.sort(rng.uniform(*part.bounds[:, 2], 2))
+    settings = {"mode": mode, "grid_mm": float(rng.choice([0.1, 0.2, 0.5, 1.5]))}
+    bound = SLICER.error_bound_mm(part, SLICER.Settings(**settings))
+    layers = cut(part, heights, **settings)
+    for k, z in enumerate(heights):
+        assert depth_beyond(region(layers, k), exact_section(part, z), bound * 1.0005) < 1e-9
+    assert "do not pair" not in caplog.text
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -162,14 +188,16 @@ def test_vertices_and_faces_on_grid_lines(mode):
 @pytest.mark.parametrize("mode", MODES)
 def test_winding_rule(mode):
     two = join(box(), moved(box(), shift=(1, 1, 0.5)))
-    assert cut(two, [0.2, 1.0, 2.2], mode=mode).areas() == pytest.approx([4.0, 7.0, 4.0], abs=0.02)
-    assert cut(two, [1.0], mode=mode).ring_counts().tolist() == [1]
+    assert cut(two, [0.2, 1.0, 2.2], mode=mode, grid_mm=0.01).areas() == pytest.approx(
+        [4.0, 7.0, 4.0], abs=0.02
+    )
+    assert cut(two, [1.0], mode=mode, grid_mm=0.01).ring_counts().tolist() == [1]
     cavity = join(box((0, 0, 0), (9, 9, 9)), box((2, 2, 2), (4, 4, 4)).reversed())
-    assert cut(cavity, [3.0], mode=mode).areas() == pytest.approx([77.0], abs=0.1)
-    inverted = cut(box().reversed(), [0.5, 1.5], mode=mode)
+    assert cut(cavity, [3.0], mode=mode, grid_mm=0.01).areas() == pytest.approx([77.0], abs=0.1)
+    inverted = cut(box().reversed(), [0.5, 1.5], mode=mode, grid_mm=0.01)
     assert inverted.ring_counts().tolist() == [0, 0]
     beside = join(box(), moved(box().reversed(), shift=(5, 0, 0)))
-    assert cut(beside, [1.0], mode=mode).areas() == pytest.approx([4.0], abs=0.03)
+    assert cut(beside, [1.0], mode=mode, grid_mm=0.01).areas() == pytest.approx([4.0], abs=0.03)
 
 
 def test_shells_that_touch_unite():
@@ -279,8 +307,8 @@ def test_parts_without_extent():
     nothing = from_arrays(np.zeros((0, 3)), np.zeros((0, 3)))
     for part in (flat, upright, nothing):
         for mode in MODES:
-            assert cut(part, [0.0, 0.5], mode=mode).ring_counts().tolist() == [0, 0]
-            assert len(cut(part, [], mode=mode)) == 0
+            assert cut(part, [0.0, 0.5], mode=mode, grid_mm=0.01).ring_counts().tolist() == [0, 0]
+            assert len(cut(part, [], mode=mode, grid_mm=0.01)) == 0
 
 
 def test_automatic_grid():

@@ -394,3 +394,46 @@ def test_the_path_against_sections_of_the_part(tmp_path):
     two = section.union(shapely.box(80, 0, 100, 20))
     missing = verify_file(files.main, config=Config(), layers=from_polygons(heights, [[two]] * 2))
     assert [c[0] for c in failed(missing)] == ["section"]
+
+
+def test_layers_without_contours_and_islands_are_still_layers(tmp_path):
+    heights = [0.5, 1.5, 2.5]
+    curves, plan = make_curves(heights, [[], [[(SQUARE, None)]], []], [True]), make_plan(heights, [])
+    files = write_program(curves, plan, Config(), tmp_path / "program")
+    checks = verify_file(files.main, config=Config(), curves=curves, plan=plan)
+    assert failed(checks) == []
+    nc = read_program(files.main)
+    assert len(nc.layer_files) == 3
+    assert nc.layer_heights[1] == 2.0
+    assert nc.contours(1.0).areas()[1] == 100.0
+    assert program_summary(nc, Config()).contour_mm.tolist() == [0, 40, 0]
+
+
+def test_a_stack_without_layers_is_a_program_that_does_nothing(tmp_path):
+    curves, plan = make_curves([], [], []), make_plan([], [])
+    files = write_program(curves, plan, Config(), tmp_path / "program")
+    assert files.names == ("MAIN.MPF",)
+    nc = read_program(files.main)
+    assert not nc.deposit.any()
+    assert len(program_summary(nc, Config())) == 0
+    assert [c.name for c in verify_program(nc, config=Config(), heights=[0.5]) if not c.passed] == [
+        "layer count"
+    ]
+
+
+def test_hatch_and_contours_of_a_planned_part_pass(tmp_path):
+    import shapely
+
+    from ebamcheck.curves import fit
+    from ebamcheck.scan import contour_paths, plan_stack
+
+    disc = shapely.Point(3, -8).buffer(70, 64).difference(shapely.Point(0, 0).buffer(15, 32))
+    layers = from_polygons([0.9, 2.5], [[disc], [shapely.box(-40, 0, 40, 30), shapely.box(60, 0, 64, 50)]])
+    config = Config()
+    curves, plan = fit(contour_paths(layers, config.contour_offset_mm)), plan_stack(layers, config)
+    files = write_program(curves, plan, config, tmp_path / "program")
+    checks = verify_file(
+        files.main, config=config, curves=curves, plan=plan, layers=layers, sha256=files.sha256
+    )
+    assert failed(checks) == []
+    assert value(checks, "contour path") < 2e-6

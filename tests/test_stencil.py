@@ -257,6 +257,14 @@ class TestWithOpenGL:
         assert literal.areas()[0] == pytest.approx(union.area - 16.0, abs=2.5)
         assert cut(joined(*boxes[:2]), [2.0], pixel_mm=0.1, mode="literal").ring_counts().tolist() == [1]
 
+    def test_bodies_that_share_a_face_leave_no_slit(self):
+        low, high = (
+            prism([(0, 0), (9, 0), (9, 9), (0, 9)], 0, 5),
+            prism([(0, 0), (9, 0), (9, 9), (0, 9)], 5, 9),
+        )
+        mesh = turned(joined(low, high), (3, 1, 2), 1.1)
+        assert set(cut(mesh, np.linspace(0.5, 12, 60), pixel_mm=0.03).ring_counts()) == {1}
+
     def test_many_shells_do_not_overflow_the_count(self):
         shells = joined(*[box((0, 0, 0.001 * i), (3, 3, 5)) for i in range(300)])
         assert cut(shells, [2.0], pixel_mm=0.1).areas()[0] == pytest.approx(9.0, abs=1.2)

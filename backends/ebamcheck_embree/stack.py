@@ -54,6 +54,9 @@ class Rays(ABC):
     @property
     def scene(self) -> Scene:
         """The tree; raises :class:`BackendFailed` once it was released."""
+        return self._require_scene()
+
+    def _require_scene(self) -> Scene:
         if self._scene is None:
             raise BackendFailed(f"embree: part {self.part.name!r} was released: prepare it again")
         return self._scene
@@ -73,8 +76,7 @@ class Rays(ABC):
                 with lock:
                     progress(count)
 
-        if self._scene is None:
-            raise BackendFailed(f"embree: part {self.part.name!r} was released: prepare it again")
+        self._require_scene()
         blocks = run_blocks(lambda a, b: self.cut(z_mm[a:b], report), len(heights)) if len(heights) else []
         return self._stack(heights, [layer for block in blocks for layer in block])
 

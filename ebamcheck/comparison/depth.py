@@ -45,11 +45,14 @@ def search(
     """Greatest depth over all suspects to within `resolution_mm`, starting from a depth already known."""
     stack = np.empty((STACK, 7))
     sides = np.empty((5, 4))
+    corners = np.empty((5, 4))
     guess = np.full(2, -1, np.int64)
     nodes = 0
-    for s in range(len(suspects)):
-        stack[0, :6] = suspects[s]
-        stack[0, 6] = np.inf
+    # The most suspect first: what it proves rules out most of the others.
+    for s in np.argsort(-suspects[:, 6], kind="mergesort"):
+        if suspects[s, 6] <= deepest.depth_mm + resolution_mm:
+            break
+        stack[0] = suspects[s]
         count = 1
         while count > 0:
             count -= 1
@@ -57,9 +60,11 @@ def search(
                 continue
             nodes += 1
             if nodes > MOST_NODES or count + MOST_PARTS > STACK:
-                return Deepest(max(deepest.depth_mm, _highest(stack, count + 1)), deepest.x_mm, deepest.y_mm)
+                # All suspects still to come are bounded by this one.
+                rest = suspects[s, 6] if suspects[s, 6] < np.inf else _highest(stack, count + 1)
+                return Deepest(max(deepest.depth_mm, rest), deepest.x_mm, deepest.y_mm)
             deepest, ceiling = _bound(
-                a, b, from_a, from_b, stack, count, sides, guess, deepest, resolution_mm
+                a, b, from_a, from_b, stack, count, sides, corners, guess, deepest, resolution_mm
             )
             if ceiling > deepest.depth_mm + resolution_mm:
                 side = math.hypot(sides[0, 2] - sides[0, 0], sides[0, 3] - sides[0, 1])
@@ -79,8 +84,8 @@ def _highest(stack: Floats, count: int) -> float:
 
 @kernel
 def _bound(
-    a: Outline, b: Outline, from_a: bool, from_b: bool, stack: Floats, at: int, sides: Floats, guess: Ints,
-    deepest: Deepest, resolution_mm: float,
+    a: Outline, b: Outline, from_a: bool, from_b: bool, stack: Floats, at: int, sides: Floats, corners: Floats,
+    guess: Ints, deepest: Deepest, resolution_mm: float,
 ) -> tuple[Deepest, float]:  # fmt: skip
     """Depth at the middle and corners of trapezoid `at` (a lower bound), and an upper bound over it."""
     y0, y1, l0, l1 = stack[at, 0], stack[at, 1], stack[at, 2], stack[at, 3]
@@ -89,7 +94,7 @@ def _bound(
     depth = _look(a, b, from_a, from_b, x, y, sides, guess, 0)
     if depth > deepest.depth_mm:
         deepest = Deepest(depth, x, y)
-    ceiling = _mean_ceiling(stack, at, sides, 0, 0)
+    ceiling = _measure_corners(stack, at, sides, 0, corners)
     if ceiling <= deepest.depth_mm + resolution_mm or depth < RIDGE_SHARE * deepest.depth_mm:
         return deepest, ceiling
     for k in range(1, 5):
@@ -100,9 +105,14 @@ def _bound(
         depth = _look(a, b, from_a, from_b, x, y, sides, guess, k)
         if depth > deepest.depth_mm:
             deepest = Deepest(depth, x, y)
-    for i in range(5):
-        for j in range(max(i, 1), 5):
-            ceiling = min(ceiling, _mean_ceiling(stack, at, sides, i, j))
+    for k in range(1, 5):
+        ceiling = min(ceiling, _measure_corners(stack, at, sides, k, corners))
+    for i in range(4):
+        for j in range(i + 1, 5):
+            mean = 0.0
+            for c in range(4):
+                mean = max(mean, 0.5 * (corners[i, c] + corners[j, c]))
+            ceiling = min(ceiling, mean)
     return deepest, ceiling
 
 
@@ -130,28 +140,20 @@ def _look(
 
 
 @kernel
-def _mean_ceiling(stack: Floats, at: int, sides: Floats, i: int, j: int) -> float:
-    """Greatest mean distance of a trapezoid's corners from two sides (or from one, given twice)."""
-    highest = 0.0
-    for k in range(4):
-        x, y = stack[at, 2 + k], stack[at, k % 2]
-        distance = _distance(x, y, sides, i)
-        if i != j:
-            distance = 0.5 * (distance + _distance(x, y, sides, j))
-        highest = max(highest, distance)
-    return highest
-
-
-@kernel
-def _distance(x: float, y: float, sides: Floats, i: int) -> float:
-    """Distance of a point from row `i` of `sides`."""
-    ax, ay = sides[i, 0], sides[i, 1]
-    ux, uy = sides[i, 2] - ax, sides[i, 3] - ay
+def _measure_corners(stack: Floats, at: int, sides: Floats, k: int, corners: Floats) -> float:
+    """Distances of a trapezoid's four corners from row `k` of `sides`, to row `k` of `corners`; the greatest."""
+    ax, ay = sides[k, 0], sides[k, 1]
+    ux, uy = sides[k, 2] - ax, sides[k, 3] - ay
     square = ux * ux + uy * uy
-    t = 0.0
-    if square > 0.0:
-        t = min(1.0, max(0.0, ((x - ax) * ux + (y - ay) * uy) / square))
-    return math.hypot(x - ax - t * ux, y - ay - t * uy)
+    scale = 1.0 / square if square > 0.0 else 0.0
+    highest = 0.0
+    for c in range(4):
+        px, py = stack[at, 2 + c] - ax, stack[at, c % 2] - ay
+        t = min(1.0, max(0.0, (px * ux + py * uy) * scale))
+        px, py = px - t * ux, py - t * uy
+        corners[k, c] = math.sqrt(px * px + py * py)
+        highest = max(highest, corners[k, c])
+    return highest
 
 
 @kernel

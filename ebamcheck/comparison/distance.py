@@ -27,6 +27,9 @@ PERCENTILE = 0.95
 MOST_PIECES = 200_000
 """Pieces refined in one search at most; a count, so that results do not depend on the machine."""
 
+STACK = 128
+"""Pieces put aside in one search; each halving adds one, so float64 runs out of halves first."""
+
 
 class Directed(NamedTuple):
     """Distance of one outline's contours from another's."""
@@ -55,9 +58,13 @@ def directed(a: Outline, b: Outline) -> Directed:
         k = int(np.argmax(start))
         most, x, y, segment = start[k], pieces[k, 0], pieces[k, 1], of_segment[k]
     segments = b.segments
+    stack, near_stack = np.empty((STACK, 6)), np.empty((STACK, 2), np.int64)
     for k in range(len(pieces)):
         if _ceiling(segments, pieces, near, k) > most + RESOLUTION_MM:
-            higher, hx, hy = _refine(b, pieces, near, k, most)
+            for c in range(6):
+                stack[0, c] = pieces[k, c]
+            near_stack[0, 0], near_stack[0, 1] = near[k, 0], near[k, 1]
+            higher, hx, hy = _refine(b, stack, near_stack, most)
             if higher > most:
                 most, x, y, segment = higher, hx, hy, of_segment[k]
     return Directed(most, x, y, segment, _percentile(pieces))
@@ -110,36 +117,32 @@ def _ceiling(segments: Floats, pieces: Floats, near: Ints, k: int) -> float:
 
 
 @kernel
-def _refine(b: Outline, pieces: Floats, near: Ints, k: int, most: float) -> tuple[float, float, float]:
-    """Greatest distance on piece `k` if it is over `most`, by halving, with its place."""
-    stack = np.empty((128, 7))
-    near_stack = np.empty((128, 2), np.int64)
-    stack[0], near_stack[0] = pieces[k], near[k]
+def _refine(b: Outline, stack: Floats, near: Ints, most: float) -> tuple[float, float, float]:
+    """Greatest distance on the piece in row 0 of a stack if it is over `most`, by halving, with its place."""
+    segments = b.segments
     count = 1
     x, y = np.nan, np.nan
     for _ in range(MOST_PIECES):
         if count == 0:
             break
+        at = count - 1
         count -= 1
-        if _ceiling(b.segments, stack, near_stack, count) <= most + RESOLUTION_MM or count + 2 > 128:
+        if _ceiling(segments, stack, near, at) <= most + RESOLUTION_MM or count + 2 > len(stack):
             continue
-        x0, y0, x1, y1, start, stop, length = stack[count]
-        first, last = near_stack[count]
-        mx, my = 0.5 * (x0 + x1), 0.5 * (y0 + y1)
-        distance, middle = nearest(b, mx, my, first)
+        mx, my = 0.5 * (stack[at, 0] + stack[at, 2]), 0.5 * (stack[at, 1] + stack[at, 3])
+        distance, middle = nearest(b, mx, my, near[at, 0])
         if distance > most:
             most, x, y = distance, mx, my
-        for half in range(2):
-            at = count + half
-            if half == 0:
-                stack[at, 0], stack[at, 1], stack[at, 2], stack[at, 3] = x0, y0, mx, my
-                stack[at, 4], stack[at, 5] = start, distance
-                near_stack[at, 0], near_stack[at, 1] = first, middle
-            else:
-                stack[at, 0], stack[at, 1], stack[at, 2], stack[at, 3] = mx, my, x1, y1
-                stack[at, 4], stack[at, 5] = distance, stop
-                near_stack[at, 0], near_stack[at, 1] = middle, last
-            stack[at, 6] = 0.5 * length
+        stack[at + 1, 0], stack[at + 1, 1], stack[at + 1, 2], stack[at + 1, 3] = (
+            mx,
+            my,
+            stack[at, 2],
+            stack[at, 3],
+        )
+        stack[at + 1, 4], stack[at + 1, 5] = distance, stack[at, 5]
+        stack[at, 2], stack[at, 3], stack[at, 5] = mx, my, distance
+        near[at + 1, 0], near[at + 1, 1] = middle, near[at, 1]
+        near[at, 1] = middle
         count += 2
     return most, x, y
 

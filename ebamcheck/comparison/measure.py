@@ -56,12 +56,13 @@ def measure(a: Outline, b: Outline, limit_mm: float, exact_a: bool, exact_b: boo
         known = _reached(b, ba, resolution) if from_a else _reached(a, ab, resolution)
     else:
         known = _halfway(a, b, ab, _halfway(b, a, ba, known))
-    swept = overlap(a, b, from_a, from_b, known, resolution)
-    deepest = search(a, b, from_a, from_b, swept.suspects, swept.deepest, resolution)
+    swept = overlap(a, b, from_a, from_b, known.depth_mm + resolution)
+    deepest = search(a, b, from_a, from_b, swept.suspects, known, resolution)
     both = exact_a and exact_b and len(a.edges) > 0 and len(b.edges) > 0
     if both and deepest.depth_mm > resolution:
-        again = overlap(a, b, False, True, _reached(a, ab, resolution), resolution)
-        other = search(a, b, False, True, again.suspects, again.deepest, resolution)
+        known = _reached(a, ab, resolution)
+        again = overlap(a, b, False, True, known.depth_mm + resolution)
+        other = search(a, b, False, True, again.suspects, known, resolution)
         if other.depth_mm < deepest.depth_mm:
             deepest = other
     return Figures(

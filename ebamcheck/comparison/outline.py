@@ -240,19 +240,24 @@ def _grid_cells(
 
 
 @kernel
-def distance_to_segment(x: float, y: float, segments: Floats, i: int) -> float:
-    """Distance of (x, y) from segment `i`."""
-    ax, ay = segments[i, 0], segments[i, 1]
-    ux, uy = segments[i, 2] - ax, segments[i, 3] - ay
-    px, py = x - ax, y - ay
+def _square_distance(x: float, y: float, segments: Floats, i: int) -> float:
+    """Square of the distance of (x, y) from segment `i`."""
+    ux, uy = segments[i, 2] - segments[i, 0], segments[i, 3] - segments[i, 1]
+    px, py = x - segments[i, 0], y - segments[i, 1]
     along = px * ux + py * uy
     if along > 0.0:
         square = ux * ux + uy * uy
-        if along >= square:
-            px, py = px - ux, py - uy
-        else:
-            return float(abs(px * uy - py * ux) / math.sqrt(square))
-    return float(math.sqrt(px * px + py * py))
+        if along < square:
+            across = px * uy - py * ux
+            return float(across * across / square)
+        px, py = px - ux, py - uy
+    return float(px * px + py * py)
+
+
+@kernel
+def distance_to_segment(x: float, y: float, segments: Floats, i: int) -> float:
+    """Distance of (x, y) from segment `i`."""
+    return math.sqrt(_square_distance(x, y, segments, i))
 
 
 @kernel
@@ -267,27 +272,29 @@ def nearest(o: Outline, x: float, y: float, guess: int) -> tuple[float, int]:
     best = np.inf
     found = guess
     if guess >= 0:
-        best = distance_to_segment(x, y, segments, guess)
+        best = _square_distance(x, y, segments, guess)
     column = _cell(x, x0, cell, columns)
     row = _cell(y, y0, cell, rows)
     reach = 0
     while True:
         for r in range(max(row - reach, 0), min(row + reach, rows - 1) + 1):
             below = y0 + r * cell
-            if max(below - y, y - below - cell) >= best:
+            aside = max(below - y, y - below - cell, 0.0)
+            if aside * aside >= best:
                 continue
             stride = 1 if abs(r - row) == reach else 2 * reach
             for c in range(column - reach, column + reach + 1, max(stride, 1)):
                 if c < 0 or c >= columns:
                     continue
                 before = x0 + c * cell
-                if max(before - x, x - before - cell) >= best:
+                aside = max(before - x, x - before - cell, 0.0)
+                if aside * aside >= best:
                     continue
                 at = r * columns + c
                 for k in range(starts[at], starts[at + 1]):
-                    d = distance_to_segment(x, y, segments, items[k])
-                    if d < best:
-                        best, found = d, items[k]
+                    square = _square_distance(x, y, segments, items[k])
+                    if square < best:
+                        best, found = square, items[k]
         beyond = np.inf
         if column - reach > 0:
             beyond = min(beyond, x - (x0 + (column - reach) * cell))
@@ -297,8 +304,8 @@ def nearest(o: Outline, x: float, y: float, guess: int) -> tuple[float, int]:
             beyond = min(beyond, y - (y0 + (row - reach) * cell))
         if row + reach < rows - 1:
             beyond = min(beyond, y0 + (row + reach + 1) * cell - y)
-        if beyond == np.inf or beyond >= best:
-            return best, found
+        if beyond == np.inf or beyond * beyond >= best:
+            return math.sqrt(best), found
         reach += 1
 
 

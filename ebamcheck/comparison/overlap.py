@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.comparison.outline import Outline, distance_to_segment, nearest
+from ebamcheck.comparison.outline import Outline, distance_to_segment
 from ebamcheck.kernels import kernel
 from ebamcheck.rings import Bools, Floats, Ints
 
@@ -37,26 +37,23 @@ class Overlap(NamedTuple):
     area_a_mm2: float
     area_b_mm2: float
     symmetric_difference_mm2: float
-    deepest: Deepest
     suspects: Floats
-    """(T, 6) trapezoids of the symmetric difference that may be deeper than `deepest`: y of the lower and of
-    the upper side, x of the left side at both, x of the right side at both."""
+    """(T, 7) trapezoids of the symmetric difference that may be deeper than what is known: y of the lower and
+    of the upper side, x of the left side at both, x of the right side at both, upper bound of the depth."""
     sound: bool
     """False where the crossings were too many to be split."""
 
 
 @kernel
-def overlap(
-    a: Outline, b: Outline, from_a: bool, from_b: bool, deepest: Deepest, resolution_mm: float
-) -> Overlap:
+def overlap(a: Outline, b: Outline, from_a: bool, from_b: bool, enough: float) -> Overlap:
     """Sweep over two outlines.
 
     Parameters
     ----------
     from_a, from_b
         Contours from which depth is measured; with both, depth is the distance from the nearer one.
-    deepest
-        A depth known to be reached; only trapezoids that may be deeper by `resolution_mm` are handed on.
+    enough
+        Only trapezoids that may be deeper than this, mm, are handed on.
     """
     edges, steps, of_a = _merged_edges(a, b)
     levels = np.union1d(a.levels, b.levels)
@@ -74,7 +71,7 @@ def overlap(
         slopes[e] = (edges[e, 2] - edges[e, 0]) / (edges[e, 3] - edges[e, 1])
     counts = np.where(of_a, from_a, from_b)
     areas = np.zeros(3)
-    suspects = np.empty((64, 6))
+    suspects = np.empty((64, 7))
     found = 0
     splits = 0
     n = 0
@@ -104,7 +101,7 @@ def overlap(
                 cuts, cut_count = _cuts(bottom, top, k, stop, cuts)
                 splits += size * cut_count
                 if splits > MOST_SPLITS:
-                    return Overlap(0.0, 0.0, 0.0, deepest, suspects[:0], False)
+                    return Overlap(0.0, 0.0, 0.0, suspects[:0], False)
                 for m in range(size):
                     order[m] = k + m
                 for c in range(cut_count - 1):
@@ -125,12 +122,9 @@ def overlap(
                         _add(areas, wa, wb, 0.5 * ((r0 - l0) + (r1 - l1)) * (zb - za))
                         if (wa > 0) != (wb > 0):
                             e, f = active[p], active[q]
-                            enough = deepest.depth_mm + resolution_mm
                             high = _ceiling(za, zb, l0, l1, r0, r1, edges, e, f, counts[e], counts[f], enough)
                             if high > enough:
-                                x, y = 0.25 * (l0 + l1 + r0 + r1), 0.5 * (za + zb)
-                                deepest = _deeper(a, b, from_a, from_b, x, y, deepest)
-                                suspects = _kept(suspects, found, za, zb, l0, l1, r0, r1)
+                                suspects = _kept(suspects, found, za, zb, l0, l1, r0, r1, high)
                                 found += 1
                 # The windings right of the block's last edge come from that edge itself, next.
                 for m in range(k, stop):
@@ -153,18 +147,15 @@ def overlap(
                     _add(areas, winding_a, winding_b, 0.5 * ((r0 - l0) + (r1 - l1)) * (y1 - y0))
                     if in_a != in_b:
                         f = active[k + 1]
-                        enough = deepest.depth_mm + resolution_mm
                         high = _ceiling(y0, y1, l0, l1, r0, r1, edges, e, f, counts[e], counts[f], enough)
                         if high > enough:
-                            x, y = 0.25 * (l0 + l1 + r0 + r1), 0.5 * (y0 + y1)
-                            deepest = _deeper(a, b, from_a, from_b, x, y, deepest)
-                            suspects = _kept(suspects, found, y0, y1, l0, l1, r0, r1)
+                            suspects = _kept(suspects, found, y0, y1, l0, l1, r0, r1, high)
                             found += 1
             k += 1
         if winding_a != 0 or winding_b != 0:
-            return Overlap(0.0, 0.0, 0.0, deepest, suspects[:0], False)
+            return Overlap(0.0, 0.0, 0.0, suspects[:0], False)
         n = _leave(edges, active, top, n, y1)
-    return Overlap(areas[0], areas[1], areas[2], deepest, suspects[:found].copy(), True)
+    return Overlap(areas[0], areas[1], areas[2], suspects[:found].copy(), True)
 
 
 @kernel
@@ -361,28 +352,24 @@ def _ceiling(
 
 
 @kernel
-def _deeper(
-    a: Outline, b: Outline, from_a: bool, from_b: bool, x: float, y: float, deepest: Deepest
-) -> Deepest:
-    """Deepest of what is known and a point of the symmetric difference."""
-    depth = np.inf
-    if from_a:
-        depth = nearest(a, x, y, -1)[0]
-    if from_b:
-        depth = min(depth, nearest(b, x, y, -1)[0])
-    return Deepest(depth, x, y) if depth > deepest.depth_mm else deepest
-
-
-@kernel
 def _kept(
-    suspects: Floats, found: int, y0: float, y1: float, l0: float, l1: float, r0: float, r1: float
+    suspects: Floats,
+    found: int,
+    y0: float,
+    y1: float,
+    l0: float,
+    l1: float,
+    r0: float,
+    r1: float,
+    high: float,
 ) -> Floats:
     """Add a trapezoid to the suspects, which grow as needed."""
     if found == len(suspects):
-        larger = np.empty((2 * found, 6))
+        larger = np.empty((2 * found, 7))
         larger[:found] = suspects
         suspects = larger
     suspects[found, 0], suspects[found, 1] = y0, y1
     suspects[found, 2], suspects[found, 3] = l0, l1
     suspects[found, 4], suspects[found, 5] = r0, r1
+    suspects[found, 6] = high
     return suspects

@@ -9,10 +9,11 @@ import numpy as np
 
 from ebamcheck.backend import Progress
 from ebamcheck.config import Config, CurveSettings
+from ebamcheck.curves.bulge import bulges
 from ebamcheck.curves.cleaning import clean
 from ebamcheck.curves.columns import Curves
 from ebamcheck.curves.interpolation import interpolate
-from ebamcheck.curves.splitting import split
+from ebamcheck.curves.splitting import LINE, split
 from ebamcheck.errors import GeometryError, SettingsError
 from ebamcheck.layers import Layers
 
@@ -84,6 +85,10 @@ def _fit_paper(layers: Layers, settings: CurveSettings) -> Curves:
         settings.straight_run_mm,
     )
     control, control_starts, knots, knot_starts = interpolate(runs)
+    bulging = bulges(control, control_starts, knots, knot_starts, runs.kind) > settings.largest_bulge_mm
+    if bulging.any():
+        runs = runs._replace(kind=np.where(bulging, np.uint8(LINE), runs.kind))
+        control, control_starts, knots, knot_starts = interpolate(runs)
     return Curves(
         heights=layers.heights,
         layer_starts=layers.layer_starts,

@@ -1,8 +1,8 @@
 """The main job: part in, validated program and report out."""
 
 from ebamcheck.pipeline.gates import Gate as Gate
-from ebamcheck.pipeline.job import Observer as Observer
 from ebamcheck.pipeline.job import RunResult as RunResult
 from ebamcheck.pipeline.job import run_job as run_job
+from ebamcheck.pipeline.work import Observer as Observer
 
 __all__ = ["Gate", "Observer", "RunResult", "run_job"]

@@ -14,6 +14,7 @@ from ebamcheck.errors import ExitCode
 from ebamcheck.inspection import Inspection
 from ebamcheck.isolate import Outcome
 from ebamcheck.program import Check
+from ebamcheck.program.verification import SECTION_TOLERANCE_MM
 
 
 @dataclass(frozen=True)
@@ -67,9 +68,19 @@ def _first(comparison: Comparison) -> str:
     )
 
 
+def fit_tolerance_mm(config: Config) -> float:
+    """Distance that a curve may keep from its contour: the largest bulge, and what the cleaning may move."""
+    return config.curves.largest_bulge_mm + config.curves.near_point_mm + config.curves.collinear_mm
+
+
+def section_tolerance_mm(config: Config) -> float:
+    """Distance that the contour path may keep from the inset section: that of the fit, and of the inset's arcs."""
+    return fit_tolerance_mm(config) + SECTION_TOLERANCE_MM
+
+
 def fit_gate(deviation: pd.DataFrame, config: Config) -> Gate:
     """The fitted curves stay near the contours that they were fitted to."""
-    limit = config.curves.tolerance_mm
+    limit = fit_tolerance_mm(config)
     if not len(deviation):
         return Gate("fit", False, float("nan"), limit, "mm", "there is no contour to fit")
     worst = deviation[["points_mm", "bulge_mm"]].max(axis=1)

@@ -8,9 +8,10 @@ from typing import Any
 from ebamcheck import mesh_files
 from ebamcheck.config import Config, validated
 from ebamcheck.curves import Curves
-from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.heights import layer_heights
+from ebamcheck.errors import InputError
+from ebamcheck.heights import checked_heights, layer_heights
 from ebamcheck.inspection import inspect
+from ebamcheck.pipeline.gates import section_tolerance_mm
 from ebamcheck.program import Check, verify_file
 from ebamcheck.scan import ScanPlan
 from ebamcheck.slicing import slice_part
@@ -57,6 +58,7 @@ def verify_run(folder: Path, part: Path | None = None) -> list[Check]:
         plan=ScanPlan.from_parquet(folder / "scan.parquet"),
         layers=run.read_layers(record["witness"]),
         sha256=recorded,
+        section_tolerance_mm=section_tolerance_mm(config),
     )
     return checks
 
@@ -100,10 +102,19 @@ def verify_against_part(program: Path, part_path: Path, config: Config) -> list[
         part_path.name,
         f"{found.verdict}: {found.why}",
     )
-    heights = layer_heights(part, config.layer_height_mm)
-    if config.layers.heights_mm:
-        raise SettingsError("layers.heights_mm: give the layer height that the program was made with instead")
-    return [sound, *verify_file(program, config=config, layers=slice_part(part, heights), heights=heights)]
+    heights = checked_heights(
+        layer_heights(part, config.layer_height_mm)
+        if not config.layers.heights_mm
+        else config.layers.heights_mm
+    )
+    made = verify_file(
+        program,
+        config=config,
+        layers=slice_part(part, heights),
+        heights=heights,
+        section_tolerance_mm=section_tolerance_mm(config),
+    )
+    return [sound, *made]
 
 
 def _file_hash(path: Path) -> str:

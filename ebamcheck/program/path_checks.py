@@ -21,7 +21,7 @@ from ebamcheck.rings import Bools, Floats, Ints
 SAMPLES = 9
 """Places on each span where programmed and fitted curve are compared at the same parameter."""
 
-CHORD_SHARE = 0.1
+CHORD_SHARE = 0.02
 """Where shapes are compared, the chords between samples of the fitted curve err by this share of the limit."""
 
 HEIGHT_TOLERANCE_MM = 1e-3

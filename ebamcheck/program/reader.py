@@ -13,6 +13,7 @@ import numpy as np
 
 from ebamcheck.config import Config
 from ebamcheck.errors import InputError
+from ebamcheck.program.arcs import arc
 from ebamcheck.program.motions import (
     ARC,
     POLYNOMIAL,
@@ -30,9 +31,6 @@ from ebamcheck.rings import Bools, Floats, Ints
 
 DEEPEST_CALL = 8
 """Levels of subprograms; deeper ones are taken for a program that calls itself."""
-
-RADIUS_TOLERANCE_MM = 0.01
-"""Radii at start and end of an arc may differ by this (the control's default, MD 21000)."""
 
 _NUMBER = re.compile(r"\s*N(\d+)(?!\w)\s*", re.IGNORECASE)
 _HEADER = re.compile(r"%[A-Z0-9_ ]*", re.IGNORECASE)
@@ -270,7 +268,11 @@ class _Interpreter:
         elif "PL" in values:
             raise WordError(f"PL under {mode}: it belongs to POLY and BSPLINE", 0)
         if mode in ("G2", "G3"):
-            centre = self._arc(end, values, 1.0 if mode == "G3" else -1.0)
+            start = self._position["X"], self._position["Y"]
+            try:
+                centre = arc(start, (end[0], end[1]), values, counter_clockwise=mode == "G3")
+            except ValueError as error:
+                raise WordError(str(error), 0) from None
         elif "I" in values or "J" in values or "CR" in values:
             raise WordError(f"I, J or CR under {mode}: they belong to G2 and G3", 0)
         self._append(_KINDS[mode], self._line, end, curve, centre, comment.strip() == "TURN")
@@ -303,26 +305,6 @@ class _Interpreter:
             raise WordError("PO[Z] with coefficients: layers are flat", 0)
         x, y = (block.lists.get(f"PO[{axis}]", ())[1:] for axis in "XY")
         return (*x, *(0.0,) * (2 - len(x)), *y, *(0.0,) * (2 - len(y)), length)
-
-    def _arc(self, end: list[float], values: dict[str, float], sense: float) -> tuple[float, float, float]:
-        """Centre and signed sweep of an arc from the position to `end`."""
-        x, y = self._position["X"], self._position["Y"]
-        if "CR" in values:
-            chord = np.hypot(end[0] - x, end[1] - y)
-            radius = abs(values["CR"])
-            if not 0.0 < chord <= 2.0 * radius * (1.0 + 1e-9):
-                raise WordError(f"CR={values['CR']:g}: no circle of that radius joins start and end", 0)
-            rise = sense * np.sqrt(max(radius**2 - 0.25 * chord**2, 0.0)) * np.sign(values["CR"])
-            cx = 0.5 * (x + end[0]) - rise * (end[1] - y) / chord
-            cy = 0.5 * (y + end[1]) + rise * (end[0] - x) / chord
-        else:
-            cx, cy = x + values.get("I", 0.0), y + values.get("J", 0.0)
-        first, last = np.hypot(x - cx, y - cy), np.hypot(end[0] - cx, end[1] - cy)
-        if not (first > 0.0 and abs(first - last) <= RADIUS_TOLERANCE_MM):
-            raise WordError(f"radius {first:.6g} mm at the start of the arc and {last:.6g} mm at its end", 0)
-        sweep = np.arctan2(end[1] - cy, end[0] - cx) - np.arctan2(y - cy, x - cx)
-        sweep = sense * ((sense * sweep) % (2.0 * np.pi) or 2.0 * np.pi)
-        return float(cx), float(cy), float(sweep)
 
     # -- splines -----------------------------------------------------------------------------------
 

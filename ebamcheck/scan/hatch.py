@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from ebamcheck.kernels import kernel
 from ebamcheck.rings import Floats, Ints
 from ebamcheck.scan.rectangle import minimum_rectangle
+from ebamcheck.scan.regions import equivalent_rectangles_mm
 
 WIDEST_PITCH = 0.9
 """Largest distance of neighbouring beads over their width: a bead's edge must lie on the next bead."""
@@ -76,7 +77,8 @@ def hatch(
     """
     geometries = np.asarray(islands, object).reshape(-1)
     angles = np.array(np.broadcast_to(np.asarray(angle_rad, np.float64), geometries.shape))
-    for i in _narrow(geometries, spacing_mm):
+    width, _ = equivalent_rectangles_mm(geometries)
+    for i in np.flatnonzero(width < spacing_mm):
         angles[i] = _long_direction(geometries[i])
     vectors = _scan(geometries, angles, bead_width_mm, spacing_mm, SHORTEST_LINE * bead_width_mm)
     missed = np.setdiff1d(np.arange(geometries.size), vectors.island)
@@ -86,13 +88,6 @@ def hatch(
         rest = _scan(geometries[missed], angles[missed], bead_width_mm, spacing_mm, 0.0)
         vectors = _joined(vectors, Vectors(missed[rest.island], rest.start, rest.end))
     return vectors, angles
-
-
-def _narrow(islands: NDArray[np.object_], spacing_mm: float) -> Ints:
-    """Islands whose area and border are those of a strip narrower than the spacing."""
-    quarter, area = 0.25 * shapely.length(islands), shapely.area(islands)
-    length = quarter + np.sqrt(np.maximum(quarter**2 - area, 0.0))
-    return np.flatnonzero(area < spacing_mm * length)
 
 
 def _long_direction(island: shapely.Polygon) -> float:

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 from numpy.typing import NDArray
+from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.layers import valid_polygons
 from ebamcheck.rings import Floats, Ints
 from ebamcheck.scan.borders import shared_borders
 from ebamcheck.scan.lattice import SQRT3, Lattice
-from ebamcheck.scan.regions import mean_width_mm
+from ebamcheck.scan.regions import equivalent_rectangles_mm
 
 HEXAGON, WHOLE, THIN_WALL = "hexagon", "whole", "thin wall"
 """Kinds of islands: a clipped hexagon, a solid too small to divide, a thin wall."""
@@ -70,7 +71,7 @@ def partition(
     )
     merged, first = _united(clipped, groups)
     return Cells(
-        polygons=_column([*merged, *whole]),
+        polygons=column([*merged, *whole]),
         kind=np.array([HEXAGON] * len(merged) + [WHOLE] * len(whole), dtype=np.str_),
         colour=np.concatenate([lattice.colour[hexagon[first]], np.zeros(len(whole), np.int64)]),
     )
@@ -122,7 +123,8 @@ def sliver_groups(islands: NDArray[np.object_], area_mm2: float, width_mm: float
     largest island.
     """
     area = shapely.area(islands)
-    slivers = [i for i, p in enumerate(islands) if area[i] < area_mm2 or mean_width_mm(p) < width_mm]
+    width, _ = equivalent_rectangles_mm(islands)
+    slivers = np.flatnonzero((area < area_mm2) | (width < width_mm)).tolist()
     root = np.arange(islands.size)
     if not slivers:
         return root
@@ -162,10 +164,11 @@ def _united(islands: NDArray[np.object_], groups: Ints) -> tuple[list[shapely.Po
     return merged, np.array(first, np.int64)
 
 
-def _column(polygons: Sequence[shapely.Polygon]) -> NDArray[np.object_]:
-    column = np.empty(len(polygons), object)
-    column[:] = polygons
-    return column
+def column(polygons: Sequence[BaseGeometry]) -> NDArray[np.object_]:
+    """Polygons as an object array (I,), also where there are none or one."""
+    found = np.empty(len(polygons), object)
+    found[:] = polygons
+    return found
 
 
 def centroids(islands: NDArray[np.object_]) -> Floats:

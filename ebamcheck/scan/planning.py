@@ -80,9 +80,9 @@ def plan_scan(
 def plan_stack(
     layers: Layers,
     profile: Config | None = None,
+    progress: Progress | None = None,
     order: str | None = None,
     seed: int | None = None,
-    progress: Progress | None = None,
 ) -> ScanPlan:
     """Plan a stack of layers, each as :func:`plan_scan` does, on all threads.
 
@@ -90,10 +90,10 @@ def plan_stack(
     ----------
     layers
         Contours; open paths bound no region and are not filled.
-    profile, order, seed
-        As for :func:`plan_scan`.
     progress
         Called with the number of layers done since the last call.
+    profile, order, seed
+        As for :func:`plan_scan`.
     """
     profile = profile or Config()
     name, number = order or profile.scan.order, profile.scan.seed if seed is None else seed
@@ -139,7 +139,7 @@ def plan_layer(
     side = _side_mm(regions, profile)
     found = _partition(regions, side, profile)
     walls = [*regions.narrow_fills, *regions.bare_walls]
-    islands = np.concatenate([found.polygons, _column(walls)])
+    islands = np.concatenate([found.polygons, cells.column(walls)])
     vectors, chained = _fill(found, walls, profile, layer)
     neighbours, border = shared_borders(islands)
     centroid = cells.centroids(islands)
@@ -202,7 +202,7 @@ def _fill(
                 np.concatenate([line[1:] for line in lines]),
             )
         else:  # too short or too crooked for a centre line
-            straight, _ = hatch(_column([wall]), 0.0, width, spacing)
+            straight, _ = hatch(cells.column([wall]), 0.0, width, spacing)
             along = Vectors(straight.island + number, straight.start, straight.end)
         owner.append(along.island)
         start.append(along.start)
@@ -227,7 +227,7 @@ def _stacked(planned: Sequence[LayerPlan], profile: Config, order: str, seed: in
     by_layer = list(zip(planned, base[:-1], strict=True))
     plan = ScanPlan(
         heights=np.array([p.height_mm for p in planned], np.float64),
-        contours=_column([p.regions.contour for p in planned]),
+        contours=cells.column([p.regions.contour for p in planned]),
         islands=islands,
         # A plan of one layer is layer 0 of its own stack, whatever its index in the part.
         island_layer=np.repeat(np.arange(len(planned)), np.diff(base)).astype(np.int64),
@@ -310,9 +310,3 @@ def _measured(plan: ScanPlan, planned: Sequence[LayerPlan], profile: Config) -> 
         "interval_min_s": [float(v.min()) if v.size else math.nan for v in spread],
     }
     return pd.DataFrame(values, columns=list(METRICS))
-
-
-def _column(polygons: Sequence[BaseGeometry]) -> NDArray[np.object_]:
-    column = np.empty(len(polygons), object)
-    column[:] = polygons
-    return column

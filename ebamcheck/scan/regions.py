@@ -14,16 +14,18 @@ unless set):
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.config import Config
 from ebamcheck.errors import GeometryError
 from ebamcheck.layers import Layers, from_polygons, valid_polygons
+from ebamcheck.rings import Floats
 
 ARC_SEGMENTS = 16
 """Chords in a quarter turn around an inward corner. Arcs, not mitres: they keep the distance exactly, the
@@ -187,27 +189,31 @@ def contour_paths(layers: Layers, offset_mm: float) -> Layers:
     )
 
 
-def equivalent_rectangle_mm(polygon: BaseGeometry) -> tuple[float, float]:
-    """Width and length of the rectangle with the same area and the same border length as a polygon.
+def equivalent_rectangles_mm(
+    polygons: Sequence[BaseGeometry] | NDArray[np.object_],
+) -> tuple[Floats, Floats]:
+    """Width and length (I,) of the rectangle with the same area and the same border length as a polygon.
 
     A wall that is bent, or closed to a ring, has the width and length of the straight one; anything
-    rounder than a square counts as a square.
+    rounder than a square counts as a square of its border length.
     """
-    quarter = 0.25 * polygon.length
-    root = math.sqrt(max(quarter**2 - polygon.area, 0.0))
-    length = quarter + root
-    return (polygon.area / length if length > 0 else 0.0), length
+    geometries = np.asarray(polygons, object).reshape(-1)
+    quarter, area = 0.25 * shapely.length(geometries), shapely.area(geometries)
+    length = quarter + np.sqrt(np.maximum(quarter**2 - area, 0.0))
+    width = np.divide(area, length, out=np.zeros_like(length), where=length > 0)
+    return width, length
 
 
 def mean_width_mm(polygon: BaseGeometry) -> float:
-    """Width of a polygon as of a wall, see :func:`equivalent_rectangle_mm`."""
-    return equivalent_rectangle_mm(polygon)[0]
+    """Width of a polygon as of a wall, see :func:`equivalent_rectangles_mm`."""
+    width, _ = equivalent_rectangles_mm([polygon])
+    return float(width[0])
 
 
 def aspect(polygon: BaseGeometry) -> float:
     """Length over width of a polygon as of a wall; infinite without width."""
-    width, length = equivalent_rectangle_mm(polygon)
-    return length / width if width > 0 else math.inf
+    width, length = equivalent_rectangles_mm([polygon])
+    return float(length[0] / width[0]) if width[0] > 0 else math.inf
 
 
 def _offset(region: BaseGeometry, distance_mm: float) -> BaseGeometry:

@@ -1,0 +1,123 @@
+"""The record of a run, as ``run.json`` holds it."""
+
+from __future__ import annotations
+
+import platform
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from ebamcheck import __version__, registry
+from ebamcheck.comparison import Comparison
+from ebamcheck.errors import ExitCode
+from ebamcheck.isolate import Outcome
+from ebamcheck.pipeline.gates import Gate
+from ebamcheck.pipeline.work import Job
+from ebamcheck.store import FORMAT_VERSION, sha256_of_json
+
+
+def manifest(
+    job: Job,
+    outcomes: Mapping[str, Outcome],
+    comparison: Comparison,
+    passed: Sequence[Gate],
+    primary: str,
+    code: ExitCode,
+) -> dict[str, Any]:
+    """Everything that is known of a run; only what stands under ``timings`` differs from one run to the next."""
+    config = job.config.model_dump()
+    return {
+        "format": FORMAT_VERSION,
+        "ebamcheck": __version__,
+        "python": platform.python_version(),
+        "part": {
+            "name": job.part.name,
+            "source": Path(job.part.source).name,
+            "sha256": job.part.source_sha256,
+            "mesh_sha256": job.part.sha256,
+            "units": job.part.units,
+            "direction": list(job.part.direction),
+            "inspection": job.found.as_dict(),
+        },
+        "settings": config,
+        "settings_sha256": sha256_of_json(config),
+        "heights": {
+            "count": len(job.heights),
+            "first_mm": float(job.heights[0]),
+            "last_mm": float(job.heights[-1]),
+            "layer_height_mm": job.config.layer_height_mm,
+        },
+        "primary": primary,
+        "backends": {name: _backend_record(outcome) for name, outcome in outcomes.items()},
+        "comparison": {
+            "compared_layers": comparison.compared_layers,
+            "passed": comparison.passed,
+            "verdicts": comparison.layers["verdict"].value_counts().sort_index().to_dict(),
+            "classes": comparison.layers["class"].value_counts().sort_index().to_dict(),
+            "pairs": _pair_records(comparison.pairs),
+            "findings": [asdict(finding) for finding in comparison.findings],
+        },
+        **job.record,
+        "gates": [asdict(gate) for gate in passed],
+        "exit_code": int(code),
+        "timings": {
+            "finished": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+            "machine": platform.machine(),
+            "stages_s": job.timings,
+            "backends": {
+                name: {"prepare_s": o.prepare_s, "slice_s": o.slice_s, "peak_mb": o.peak_mb}
+                for name, o in outcomes.items()
+            },
+        },
+    }
+
+
+def _backend_record(outcome: Outcome) -> dict[str, Any]:
+    slicer, layers = registry.slicer(outcome.name), outcome.layers
+    return {
+        "status": outcome.failure or "done",
+        "why": outcome.why,
+        "summary": slicer.summary,
+        "exact": slicer.exact,
+        "coplanar_rule": slicer.coplanar_rule,
+        "inside_rule": slicer.inside_rule,
+        "device": outcome.probe.device,
+        "versions": dict(outcome.probe.versions),
+        "error_bound_mm": outcome.error_bound_mm,
+        "height_bound_mm": outcome.height_bound_mm,
+        "settings": dict(layers.settings) if layers is not None else {},
+        "rings": int(layers.ring_counts().sum()) if layers is not None else 0,
+        "open_paths": int(layers.open_counts().sum()) if layers is not None else 0,
+        "points": len(layers.points) if layers is not None else 0,
+        "file": f"layers/{outcome.name}.parquet" if layers is not None else "",
+    }
+
+
+def _pair_records(pairs: pd.DataFrame) -> list[dict[str, Any]]:
+    """One record a pair of backends: the worst figures over its layers."""
+    records: list[dict[str, Any]] = []
+    if not len(pairs):
+        return records
+    for (a, b), rows in pairs.groupby(["a", "b"], sort=True):
+        gated = rows[rows["gated"]]
+        records.append(
+            {
+                "a": a,
+                "b": b,
+                "layers": len(rows),
+                "gated": len(gated),
+                "agree": int(gated["agrees"].sum()),
+                "limit_mm": float(rows["limit_mm"].max()),
+                "max_depth_mm": float(gated["depth_mm"].max()),
+                "max_hausdorff_mm": float(gated["hausdorff_mm"].max()),
+                "max_p95_mm": float(np.nanmax(gated[["p95_ab_mm", "p95_ba_mm"]].to_numpy(), initial=0.0)),
+                "max_area_difference_mm2": float(gated["area_difference_mm2"].abs().max()),
+                "min_iou": float(gated["iou"].min()),
+            }
+        )
+    return records

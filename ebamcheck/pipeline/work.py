@@ -1,0 +1,63 @@
+"""A run in progress, and who watches it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from ebamcheck.config import Config
+from ebamcheck.inspection import Inspection
+from ebamcheck.part import Part
+from ebamcheck.rings import Floats
+from ebamcheck.store import RunInProgress
+
+
+class Observer(Protocol):
+    """Whoever watches a run."""
+
+    def stage(self, name: str, total: int) -> None:
+        """Tell that a stage of `total` steps begins."""
+
+    def advance(self, steps: int) -> None:
+        """Tell that steps of the stage are done."""
+
+    def note(self, text: str) -> None:
+        """Tell something worth a line."""
+
+
+class Silent:
+    """Watches without a word."""
+
+    def stage(self, name: str, total: int) -> None:
+        """Ignore it."""
+
+    def advance(self, steps: int) -> None:
+        """Ignore it."""
+
+    def note(self, text: str) -> None:
+        """Ignore it."""
+
+
+@dataclass
+class Job:
+    """A run in progress: its parts as they come to be."""
+
+    config: Config
+    observer: Observer
+    part: Part
+    found: Inspection
+    heights: Floats
+    folder: RunInProgress
+    timings: dict[str, float] = field(default_factory=dict)
+    record: dict[str, Any] = field(default_factory=dict)
+
+    @contextmanager
+    def stage(self, name: str, total: int) -> Iterator[None]:
+        """Time a stage and tell the observer of it."""
+        self.observer.stage(name, total)
+        start = time.perf_counter()
+        yield
+        self.timings[name] = time.perf_counter() - start

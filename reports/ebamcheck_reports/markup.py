@@ -1,0 +1,143 @@
+"""Markup in which every text is escaped unless it is markup already; what comes out is HTML and XML at once."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from html import escape
+from typing import Any
+
+from ebamcheck_reports.figures import number, shown
+
+_NOT_IN_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+
+EMPTY_ELEMENTS = frozenset({"meta", "br", "input", "hr", "path", "rect", "circle", "line"})
+
+
+class Markup(str):
+    """Text that is markup already and is not escaped again."""
+
+    __slots__ = ()
+
+
+def clean(text: str) -> str:
+    """Text without the characters that XML cannot hold (control characters, halves of surrogates).
+
+    Examples
+    --------
+    >>> clean("a\\x00b")
+    'a\ufffdb'
+    """
+    return _NOT_IN_XML.sub("\ufffd", text)
+
+
+def markup(value: Any) -> Markup:
+    """Escape a text, or write a number; markup stays as it is, and nothing is nothing.
+
+    Examples
+    --------
+    >>> markup("<a&b>")
+    '&lt;a&amp;b&gt;'
+    """
+    if isinstance(value, Markup):
+        return value
+    if value is None:
+        return Markup("")
+    if isinstance(value, bool):
+        return Markup("yes" if value else "no")
+    if isinstance(value, float):
+        return figure(value)
+    return Markup(escape(clean(str(value))))
+
+
+def join(parts: Iterable[Any], between: str = "") -> Markup:
+    """Markup of several things one after the other."""
+    return Markup(markup(between).join(markup(part) for part in parts))
+
+
+def element(tag: str, *children: Any, **attributes: Any) -> Markup:
+    """One element; an underscore at the end of an attribute goes, others become hyphens.
+
+    Examples
+    --------
+    >>> element("td", "a < b", class_="num", stroke_width=None)
+    '<td class="num">a &lt; b</td>'
+    """
+    given = "".join(
+        f' {name.rstrip("_").replace("_", "-")}="{escape(clean(str(value)))}"'
+        for name, value in attributes.items()
+        if value is not None
+    )
+    if tag in EMPTY_ELEMENTS:
+        return Markup(f"<{tag}{given}/>")
+    return Markup(f"<{tag}{given}>{join(children)}</{tag}>")
+
+
+def figure(value: Any, unit: str = "", text: str = "") -> Markup:
+    """Write a number with few digits, its exact value in the markup; `text` takes the place of the digits."""
+    return element("data", text or shown(value, unit), value=repr(number(value)))
+
+
+def table(columns: Sequence[str], rows: Iterable[Sequence[Any]], class_: str | None = None) -> Markup:
+    """Build a table; numbers are set to the right, and a row that is an element already stays as it is."""
+    head = element("tr", *(element("th", column, scope="col") for column in columns))
+    body = [row if isinstance(row, Markup) else element("tr", *(cell(value) for value in row)) for row in rows]
+    whole = element("table", element("thead", head), element("tbody", *body), class_=class_)
+    return element("div", whole, class_="scroll")
+
+
+def cell(value: Any) -> Markup:
+    """One cell of a table."""
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    is_figure = isinstance(value, Markup) and value.startswith("<data")
+    return element("td", value, class_="number" if is_number or is_figure else None)
+
+
+def facts(pairs: Iterable[tuple[str, Any]]) -> Markup:
+    """Build a list of names and values."""
+    return element("dl", *(element("div", element("dt", k), element("dd", v)) for k, v in pairs))
+
+
+def paragraph(*children: Any, class_: str | None = None) -> Markup:
+    """Build a paragraph."""
+    return element("p", *children, class_=class_)
+
+
+def mark(passed: bool) -> Markup:
+    """Say pass or fail by sign, word and colour."""
+    return element("span", "✔ pass" if passed else "✘ FAIL", class_="pass" if passed else "fail")
+
+
+def section(anchor: str, title: str, what: str, *children: Any) -> Markup:
+    """One section: what is checked and what good looks like comes first."""
+    return element("section", element("h2", title), paragraph(what, class_="what"), *children, id=anchor)
+
+
+def picture(svg: Markup, caption: Any, class_: str | None = None, name: str | None = None) -> Markup:
+    """Build a figure with its caption."""
+    return element("figure", svg, element("figcaption", caption), class_=class_, data_name=name)
+
+
+def legend(entries: Iterable[tuple[str, str, str]]) -> Markup:
+    """Explain lines: name, colour, dashes."""
+    items = [
+        element(
+            "span",
+            element(
+                "svg",
+                element("path", d="M0,5h28", stroke=colour, stroke_width=3, stroke_dasharray=dashes or None),
+                width=28,
+                height=10,
+            ),
+            " ",
+            name,
+            class_="key",
+        )
+        for name, colour, dashes in entries
+    ]
+    return element("div", *items, class_="legend")
+
+
+def collapsed(title: str, *children: Any) -> Markup:
+    """Build a block that opens on a click, without scripts."""
+    return element("details", element("summary", title), *children)

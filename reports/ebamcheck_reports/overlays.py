@@ -1,0 +1,134 @@
+"""Pictures of chosen layers: the contours of all methods over each other, and the worst place enlarged."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+
+from ebamcheck.layer_svg import overlay_svg
+from ebamcheck.layers import Layers, from_rings
+from ebamcheck_reports.canvas import Box, around
+from ebamcheck_reports.markup import Markup, element, join, picture
+from ebamcheck_reports.run_data import RunData, layer_name
+
+MOST_LAYERS = 8
+WIDTH_PX, INSET_PX = 720, 300
+
+INSET_LIMITS = 5.0
+"""Half the side of the inset over the depth or the limit, whichever is more: both are seen well."""
+
+MOST_BYTES = 300_000
+"""A picture larger than this is drawn at half its scale, where fewer points are seen."""
+
+NAMESPACE = ' xmlns="http://www.w3.org/2000/svg"'
+"""Needed in a file of its own; in HTML it only looks like a link."""
+
+
+class Place(NamedTuple):
+    """Where two methods lie farthest apart on a layer, in terms of their limit."""
+
+    x_mm: float
+    y_mm: float
+    depth_mm: float
+    limit_mm: float
+    pair: str
+
+
+def render(run: RunData) -> Markup:
+    """Draw the layers worth seeing."""
+    chosen = chosen_layers(run)
+    if not chosen:
+        return Markup("")
+    worst = worst_places(run)
+    frames = [_frame(run, layer, why, worst.get(layer)) for layer, why in chosen.items()]
+    return join([element("h3", "Chosen layers"), element("div", *frames, class_="frames", data_label="layer")])
+
+
+def chosen_layers(run: RunData) -> dict[int, str]:
+    """Layers to draw and why, from the bottom up: first, middle, last, worst and those with findings."""
+    filled = run.filled_layers
+    if not filled:
+        return {}
+    chosen = {filled[0]: "first layer"}
+    chosen.setdefault(filled[len(filled) // 2], "middle layer")
+    chosen.setdefault(filled[-1], "last layer")
+    worst = worst_places(run)
+    if worst:
+        layer = max(worst, key=lambda k: (worst[k].depth_mm / worst[k].limit_mm, -k))
+        chosen[layer] = f"{chosen[layer]}, worst agreement" if layer in chosen else "worst agreement"
+    for finding in run.findings:
+        layer = int(finding["layer"])
+        if layer in chosen and "disagreement" not in chosen[layer]:
+            chosen[layer] += ", disagreement"
+        elif layer not in chosen and len(chosen) < MOST_LAYERS:
+            chosen[layer] = "disagreement"
+    return dict(sorted(chosen.items()))
+
+
+def worst_places(run: RunData) -> dict[int, Place]:
+    """Worst place of each layer on which a pair was compared."""
+    rows = run.pair_table
+    if not len(rows):
+        return {}
+    rows = rows[rows["gated"] & (rows["limit_mm"] > 0)]
+    ratio = (rows["depth_mm"] / rows["limit_mm"]).fillna(0.0).to_numpy()
+    order = np.lexsort((-ratio, rows["layer"].to_numpy()))
+    first = rows.iloc[order].drop_duplicates("layer")
+    return {
+        int(r.layer): Place(r.depth_x_mm, r.depth_y_mm, r.depth_mm, r.limit_mm, f"{r.a} and {r.b}")
+        for r in first.itertuples()
+    }
+
+
+def _frame(run: RunData, layer: int, why: str, worst: Place | None) -> Markup:
+    height = next(iter(run.stacks.values())).heights[layer]
+    name = layer_name(layer, float(height))
+    pictures = [_overlay(run.stacks, layer, name)]
+    caption = f"{name} ({why})."
+    if worst is not None and np.isfinite([worst.x_mm, worst.y_mm]).all():
+        pictures.append(_inset(run.stacks, layer, worst))
+        caption += (
+            f" Right: the place where {worst.pair} differ most, ({worst.x_mm:.3f}, {worst.y_mm:.3f}) mm: "
+            f"depth {worst.depth_mm:.4g} mm, limit {worst.limit_mm:.4g} mm."
+        )
+    return picture(element("div", *pictures, class_="beside"), caption, class_="frame", name=name)
+
+
+def _overlay(stacks: Mapping[str, Layers], layer: int, title: str) -> Markup:
+    svg = overlay_svg(stacks, layer, width_px=WIDTH_PX, title=title)
+    if len(svg) > MOST_BYTES:
+        svg = overlay_svg(stacks, layer, width_px=WIDTH_PX // 2, title=title)
+    return inline(svg)
+
+
+def _inset(stacks: Mapping[str, Layers], layer: int, worst: Place) -> Markup:
+    reach = worst.depth_mm if np.isfinite(worst.depth_mm) else 0.0
+    box = around(worst.x_mm, worst.y_mm, INSET_LIMITS * max(reach, worst.limit_mm))
+    cut = {name: clipped(layers, layer, box) for name, layers in stacks.items()}
+    return inline(overlay_svg(cut, 0, width_px=INSET_PX, box=box, title="enlarged"))
+
+
+def clipped(layers: Layers, layer: int, box: Box) -> Layers:
+    """What of one layer's lines lies in a box, as a stack of that layer alone."""
+    lines = []
+    for r in layers.rings_of(layer):
+        points = layers.ring(r)
+        ring = np.concatenate([points, points[:1]]) if layers.closed[r] else points
+        if len(ring) > 1:
+            lines.append(shapely.LineString(ring))
+    inside = shapely.clip_by_rect(np.array(lines, object), *box) if lines else []
+    paths = [
+        shapely.get_coordinates(part)
+        for whole in inside
+        for part in shapely.get_parts(whole)
+        if part.geom_type == "LineString" and not part.is_empty
+    ]
+    return from_rings(layers.heights[layer : layer + 1], [[]], [paths])
+
+
+def inline(svg: str) -> Markup:
+    """SVG as it stands inside of HTML."""
+    return Markup(svg.replace(NAMESPACE, ""))

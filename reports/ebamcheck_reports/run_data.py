@@ -1,0 +1,155 @@
+"""A run folder as the reports read it: what is missing in a run that ended early is None or empty."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from ebamcheck import layer_files
+from ebamcheck.config import Config, validated
+from ebamcheck.curves import Curves
+from ebamcheck.layers import Layers
+from ebamcheck.scan import ScanPlan
+from ebamcheck.store import RunFolder
+
+GATES = ("input", "agreement", "fit", "coverage", "program")
+"""Gates of a run in the order in which it comes to them; a run without contours ends after the second."""
+
+REFERENCE = "reference.parquet"
+"""Sections of the finer tessellation, where the run kept them."""
+
+
+class RunData:
+    """Record, tables and columns of one run, each read when it is first asked for."""
+
+    def __init__(self, folder: RunFolder) -> None:
+        self.folder = folder
+
+    @cached_property
+    def manifest(self) -> dict[str, Any]:
+        """``run.json``, the truth."""
+        return self.folder.manifest()
+
+    def part_of(self, name: str) -> Mapping[str, Any]:
+        """One part of ``run.json``, empty where the run did not come so far."""
+        found = self.manifest.get(name)
+        return found if isinstance(found, dict) else {}
+
+    @cached_property
+    def config(self) -> Config:
+        """Settings of the run."""
+        return validated(self.manifest["settings"], "run.json")
+
+    @property
+    def backends(self) -> Mapping[str, Mapping[str, Any]]:
+        """Record of each backend."""
+        return self.part_of("backends")
+
+    @property
+    def gates(self) -> list[Mapping[str, Any]]:
+        """Gates that the run came to."""
+        return list(self.manifest.get("gates", []))
+
+    @property
+    def missing_gates(self) -> list[str]:
+        """Gates that the run did not come to."""
+        reached = {gate["name"] for gate in self.gates}
+        return [name for name in GATES if name not in reached]
+
+    @property
+    def pairs(self) -> list[Mapping[str, Any]]:
+        """Worst figures of each pair of backends."""
+        return list(self.part_of("comparison").get("pairs", []))
+
+    @property
+    def findings(self) -> list[Mapping[str, Any]]:
+        """Disagreements."""
+        return list(self.part_of("comparison").get("findings", []))
+
+    @property
+    def checks(self) -> list[Mapping[str, Any]]:
+        """Checks of the program."""
+        return list(self.part_of("program").get("checks", []))
+
+    @property
+    def validated(self) -> bool:
+        """Whether the program may be used: it says so itself, and the run ended well."""
+        return bool(self.part_of("program").get("validated")) and self.manifest["exit_code"] == 0
+
+    # -- tables ------------------------------------------------------------------------------------
+
+    def table(self, name: str) -> pd.DataFrame:
+        """Read a table of the run; empty where there is none."""
+        path = self.folder.path / name
+        if not path.is_file() or not path.read_bytes()[:64].strip():
+            return pd.DataFrame()
+        return pd.read_csv(path, float_precision="round_trip")
+
+    @cached_property
+    def pair_table(self) -> pd.DataFrame:
+        """One row a pair of backends and layer."""
+        path = self.folder.path / "compare.parquet"
+        return pd.read_parquet(path) if path.is_file() else pd.DataFrame()
+
+    @cached_property
+    def layer_table(self) -> pd.DataFrame:
+        """One row a layer: verdict, areas and counts of each backend."""
+        return self.table("layers.csv")
+
+    # -- columns -----------------------------------------------------------------------------------
+
+    @cached_property
+    def stacks(self) -> dict[str, Layers]:
+        """Layers of every backend that came through."""
+        return {n: self.folder.read_layers(n) for n in self.backends if self.folder.layers_file(n).is_file()}
+
+    @property
+    def primary(self) -> Layers | None:
+        """Layers that the program was made from."""
+        return self.stacks.get(self.manifest.get("primary", ""))
+
+    @cached_property
+    def curves(self) -> Curves | None:
+        """Fitted contours."""
+        path = self._existing("curves.parquet")
+        return Curves.from_parquet(path) if path else None
+
+    @cached_property
+    def plan(self) -> ScanPlan | None:
+        """How the layers are scanned."""
+        path = self._existing("scan.parquet")
+        return ScanPlan.from_parquet(path) if path else None
+
+    @cached_property
+    def reference(self) -> Layers | None:
+        """Sections of the finer tessellation."""
+        path = self._existing(REFERENCE)
+        return layer_files.read_parquet(path) if path else None
+
+    def _existing(self, name: str) -> Path | None:
+        path = self.folder.path / name
+        return path if path.is_file() else None
+
+    @cached_property
+    def filled_layers(self) -> list[int]:
+        """Layers on which some backend found a contour or an open path."""
+        found: set[int] = set()
+        for layers in self.stacks.values():
+            found.update(np.flatnonzero(np.diff(layers.layer_starts) > 0).tolist())
+        return sorted(found)
+
+    @property
+    def middle_layer(self) -> int | None:
+        """The middle one of the layers that hold something."""
+        filled = self.filled_layers
+        return filled[len(filled) // 2] if filled else None
+
+
+def layer_name(layer: int, height_mm: float) -> str:
+    """Name a layer as every section does."""
+    return f"layer {layer}, z = {height_mm:.3f} mm"

@@ -1,0 +1,94 @@
+"""Slicers: which methods cut the part, on what, with which promise, and what became of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from ebamcheck_reports import words
+from ebamcheck_reports.figures import duration, shown
+from ebamcheck_reports.markup import Markup, element, figure, join, paragraph, section, table
+from ebamcheck_reports.run_data import RunData
+
+
+def render(run: RunData) -> Markup:
+    """One row a method, failures before the table."""
+    primary = run.manifest.get("primary", "")
+    times = run.part_of("timings").get("backends", {})
+    return section(
+        "slicers",
+        "Slicers",
+        "The part is cut into layers by several methods that share no code, so that a fault of one is seen against the others. "
+        "Good is at least two methods that ran to their end, each with a small promised error.",
+        *[_failure(name, record) for name, record in run.backends.items() if record["status"] != "done"],
+        paragraph("The program is made from the contours of ", element("b", primary), ".")
+        if primary
+        else paragraph(element("b", "No method found a contour, so no program was made."), class_="note bad"),
+        table(
+            ("slicer", "status", "method", "runs on", "kind", "error bound", "rings", "points", "time", "peak memory"),
+            [_row(name, record, times.get(name, {})) for name, record in run.backends.items()],
+            class_="slicers",
+        ),
+        paragraph(
+            "Error bound: the promise of the method, how far its contour may lie from the section of the mesh. Exact methods cut "
+            "every facet by arithmetic; sampled ones look at the part along a grid. Peak memory is that of the method's own process.",
+            class_="small",
+        ),
+        table(
+            ("slicer", "height bound", "plane through a vertex or face", "what counts as solid", "settings", "versions"),
+            [_rules(name, record) for name, record in run.backends.items()],
+        ),
+    )
+
+
+def _failure(name: str, record: Mapping[str, Any]) -> Markup:
+    status = record["status"]
+    said = join([element("b", f"{name} {words.meaning(words.STATUS, status)}"), ": ", record["why"] or "no reason was given"])
+    return element("div", said, class_=f"note {'bad' if status in words.LOST else 'warn'}", data_backend=name)
+
+
+def _row(name: str, record: Mapping[str, Any], times: Mapping[str, Any]) -> Markup:
+    done = record["status"] == "done"
+    took = float(times.get("prepare_s", 0.0)) + float(times.get("slice_s", 0.0))
+    cells: list[Any] = [
+        element("b", name),
+        element("span", "✔ done" if done else f"✘ {record['status']}", class_="pass" if done else "fail"),
+        record["summary"],
+        record["device"],
+        "exact" if record["exact"] else "sampled",
+    ]
+    figures: list[Any] = (
+        [
+            figure(record["error_bound_mm"], "mm"),
+            figure(record["rings"]),
+            figure(record["points"]),
+            figure(took, text=duration(took)) if took else "kept from a former run",
+        ]
+        if done
+        else ["", "", "", ""]
+    )
+    memory = times.get("peak_mb", 0.0)
+    figures.append(figure(memory, text=f"{memory:.0f} MB") if memory else "")
+    body = [element("td", c) for c in cells] + [element("td", f, class_="number") for f in figures]
+    return element("tr", *body, class_=None if done else "bad")
+
+
+def _rules(name: str, record: Mapping[str, Any]) -> tuple[Any, ...]:
+    rule = {
+        "half-open": "belongs to the layer above the plane, exactly",
+        "undefined": "left to rounding; such layers are not compared",
+    }
+    return (
+        element("b", name),
+        figure(record["height_bound_mm"], "mm"),
+        words.meaning(rule, record["coplanar_rule"]),
+        record["inside_rule"],
+        _listed(record["settings"]),
+        _listed(record["versions"]),
+    )
+
+
+def _listed(values: Mapping[str, Any]) -> Markup:
+    if not values:
+        return join(["–"])
+    return join((f"{k} = {shown(v) if isinstance(v, float) else v}" for k, v in sorted(values.items())), element("br"))

@@ -1,0 +1,81 @@
+"""Verdict: may this program be used, and if not, why."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from ebamcheck_reports import words
+from ebamcheck_reports.figures import percent, shown
+from ebamcheck_reports.markup import Markup, element, figure, join, mark, paragraph, table
+from ebamcheck_reports.run_data import RunData
+
+FRACTION = "of the area"
+"""Unit of a gate that is a share and must be reached, not kept under."""
+
+
+def render(run: RunData) -> Markup:
+    """Draw the banner and the table of gates."""
+    return element(
+        "section",
+        _banner(run),
+        paragraph(
+            "Five gates stand between the part and the machine. Every one must pass; a gate compares one figure with one limit.",
+            class_="what",
+        ),
+        _gates(run),
+        id="verdict",
+    )
+
+
+def _banner(run: RunData) -> Markup:
+    code = int(run.manifest["exit_code"])
+    return element(
+        "div",
+        element("strong", "✔ VALIDATED" if run.validated else "✘ NOT VALIDATED"),
+        paragraph(*_why(run)),
+        paragraph(
+            f"Exit code {code}: {words.EXIT_CODES.get(code, 'see the documentation of exit codes')}.", class_="small"
+        ),
+        class_=f"banner {'good' if run.validated else 'bad'}",
+        role="status",
+    )
+
+
+def _why(run: RunData) -> list[Markup]:
+    if run.validated:
+        return [join(["The program in the folder ", element("code", "program/"), " passed every check and may be used."])]
+    shut = [gate for gate in run.gates if not gate["passed"]]
+    reasons = [join([element("b", gate["name"]), ": ", gate["text"]]) for gate in shut]
+    if run.missing_gates:
+        reasons.append(join(["not reached: ", ", ".join(run.missing_gates)]))
+    if not reasons:
+        reasons.append(join(["nothing failed, but no program was marked as validated"]))
+    return [join(["Do not use this program on a machine. "]), element("ul", *(element("li", r) for r in reasons))]
+
+
+def _gates(run: RunData) -> Markup:
+    rows: list[Markup] = [_gate(gate) for gate in run.gates]
+    for name in run.missing_gates:
+        cells = (name, words.GATE_QUESTIONS[name], "", "", "– not reached", "There was no contour to go on with.")
+        rows.append(element("tr", *(element("td", c) for c in cells), class_="missing"))
+    return table(("gate", "question", "measured", "limit", "result", "in words"), rows, class_="gates")
+
+
+def _gate(gate: Mapping[str, Any]) -> Markup:
+    unit = gate["unit"]
+    if unit == FRACTION:
+        measured, limit = percent(gate["figure"]), f"at least {percent(gate['limit'])}"
+    else:
+        measured, limit = shown(gate["figure"], unit), f"at most {shown(gate['limit'], unit)}"
+    return element(
+        "tr",
+        element("td", element("b", gate["name"])),
+        element("td", words.meaning(words.GATE_QUESTIONS, gate["name"])),
+        element("td", figure(gate["figure"], text=measured), class_="number"),
+        element("td", figure(gate["limit"], text=limit), class_="number"),
+        element("td", mark(gate["passed"]), class_="result"),
+        element("td", gate["text"]),
+        class_=None if gate["passed"] else "bad",
+        data_gate=gate["name"],
+    )

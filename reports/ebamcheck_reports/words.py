@@ -1,0 +1,81 @@
+"""What the short words of a run mean, in sentences for someone who has never seen the tool."""
+
+from __future__ import annotations
+
+GATE_QUESTIONS = {
+    "input": "Is the part a closed solid with an inside and an outside?",
+    "agreement": "Do independent slicing methods find the same contours on every layer?",
+    "fit": "Do the fitted curves stay near the contours?",
+    "coverage": "Do the beads fill the section of every layer?",
+    "program": "Is the NC program, read back from its text, still the part?",
+}
+
+EXIT_CODES = {
+    0: "every gate passed",
+    1: "at least one gate did not pass",
+    5: "nothing could be compared",
+}
+
+FAULTS = {
+    "sound": "The mesh encloses its volume completely.",
+    "open": "The surface has holes: some edges belong to one facet only, so that inside and outside are not separated. "
+    "Close the holes in the CAD system or with a mesh repair tool and export the part again.",
+    "inconsistent": "Neighbouring facets face opposite ways, so that the mesh does not say on which side the metal is. "
+    "Make the facet normals consistent, or run again with --fix-orientation.",
+    "non-manifold": "At some edges an odd number of facets meet, or facets that do not pair up: there is no telling inside from "
+    "outside there. Separate or unite the bodies in the CAD system and export the part again.",
+    "flat": "The mesh has no volume: there is nothing to build.",
+    "inside-out": "The mesh is closed but its facets face inwards, so that the metal would lie outside of it. "
+    "Turn the facet normals over, or run again with --fix-orientation.",
+}
+
+STATUS = {
+    "done": "ran to its end",
+    "unavailable": "not available on this machine",
+    "refused": "refused this part",
+    "crashed": "CRASHED",
+    "timed out": "TIMED OUT: stopped at its time limit",
+    "out of memory": "OUT OF MEMORY: stopped at its memory limit",
+    "killed": "KILLED",
+}
+
+LOST = frozenset({"crashed", "timed out", "out of memory", "killed"})
+"""What must not happen to a method; the others (a part it cannot take, a missing driver) are its declared limits."""
+
+METRICS = {
+    "depth": "contours differ in depth",
+    "topology": "numbers of rings or holes differ",
+    "empty": "no contour although the part is there",
+}
+
+CAUSES = {
+    "coplanar face": "a face of the part lies in the plane of the layer, where a section is a matter of convention",
+    "vertex on plane": "a vertex of the mesh lies in the plane of the layer",
+    "open edge": "the mesh has a hole at this place",
+    "non-manifold edge": "more than two facets meet at an edge at this place",
+    "inconsistent orientation": "facets at this place face opposite ways",
+    "overlapping shells": "bodies of the mesh overlap at this place",
+    "open path": "a contour at this place does not close",
+    "thin feature": "the part is thinner here than the methods can tell apart",
+    "unknown": "no flaw of the mesh is near; the fault is likely in the method named",
+}
+
+CLASSES = {
+    "generic": "ordinary layers",
+    "vertex-on-plane": "layers through a vertex of the mesh",
+    "face-on-plane": "layers through a face of the mesh",
+    "unknown": "layers of unknown kind",
+}
+
+VERDICTS = {
+    "agree": "all methods agree",
+    "outlier": "one or more methods differ from the others",
+    "undecided": "methods differ and none is in the majority",
+    "not-compared": "not compared",
+    "empty": "empty although the part is there",
+}
+
+
+def meaning(words: dict[str, str], key: str) -> str:
+    """Sentence of a word, or the word itself where a plugin brought a new one."""
+    return words.get(key, key)
