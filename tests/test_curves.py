@@ -238,25 +238,25 @@ def test_a_run_that_leaves_its_chords_too_far_stays_a_polyline() -> None:
     assert one(ring, largest_bulge_mm=0.98 * sagitta).kind.tolist() == [LINE]
     curves = one(ring, largest_bulge_mm=1.02 * sagitta)
     assert curves.kind.tolist() == [SPLINE]
-    assert fit_deviation(curves, from_rings([0.0], [[ring]]))["bulge_mm"][0] == pytest.approx(
+    assert fit_deviation(curves, from_rings([1.0], [[ring]]))["bulge_mm"][0] == pytest.approx(
         sagitta, rel=1e-2
     )
     polyline = one(ring, largest_bulge_mm=0.1)
-    assert same_set(polyline.piece(0).control[:-1], ring, 0.0)
+    assert sorted(polyline.piece(0).control[:-1].tolist()) == sorted(ring.tolist())
 
 
 def test_no_curve_leaves_its_contour_by_more_than_the_largest_bulge() -> None:
     rng = np.random.default_rng(7)
     theta = np.linspace(0, 2 * np.pi, 40, endpoint=False)
     rings = [
-        (20 + rng.normal(0, 1.0, 40).cumsum() * 0.3)[:, None]
+        (20 + sum(rng.normal(0, 1.0 / k**2) * np.cos(k * theta + k) for k in range(2, 7)))[:, None]
         * np.column_stack([np.cos(theta), np.sin(theta)])
         for _ in range(50)
     ]
     layers = from_rings(np.arange(50.0), [[ring] for ring in rings])
-    curves = fit(layers, largest_bulge_mm=0.1, corner_angle_deg=140)
+    curves = fit(layers, largest_bulge_mm=0.07)
     assert set(curves.kind.tolist()) == {LINE, SPLINE}
-    assert fit_deviation(curves, layers)["bulge_mm"].max() <= 0.1 + 1e-9
+    assert fit_deviation(curves, layers)["bulge_mm"].max() <= 0.07 + 1e-9
 
 
 @pytest.mark.parametrize("ring", [circle(24), wavy()], ids=["circle", "wavy"])

@@ -20,7 +20,6 @@ from ebamcheck.pipeline.work import Job
 from ebamcheck.program import Check, mark_validated, program_summary, read_program, verify_program
 from ebamcheck.scan import ScanPlan, plan_stack
 from ebamcheck.slicing import slice_part
-from ebamcheck.store import sha256_of_json
 
 TOTALS = ("motions", "contour_mm", "hatch_mm", "travel_mm", "deposit_s", "travel_s", "wire_mm", "wire_kg")
 """Columns of the program's summary that add up over the layers."""
@@ -133,10 +132,7 @@ def _witness(primary: str, stacks: Mapping[str, Layers]) -> Layers:
 
 def _write_and_verify(job: Job, beads: Curves, plan: ScanPlan, witness: Layers) -> list[Check]:
     """Write the program, read its text back and check it against what it was made from."""
-    header = {
-        "PART": job.part.source_sha256 or job.part.sha256,
-        "SETTINGS": sha256_of_json(job.config.model_dump()),
-    }
+    header = {"PART SHA-256": job.part.source_sha256 or job.part.sha256}
     write_program = registry.plugin(registry.POSTS, job.config.machine.control)
     files = write_program(beads, plan, job.config, job.folder.program_folder, header=header)
     program = read_program(files.main, job.config)

@@ -7,7 +7,6 @@ the tool works at the top of the layer.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
@@ -31,6 +30,7 @@ from ebamcheck.program.inputs import (
 from ebamcheck.program.polynomials import Spans, chords, refined, spans
 from ebamcheck.program.templates import LONGEST_BLOCK, ProcessValues, plain, process_values
 from ebamcheck.rings import Bools, Floats, Ints
+from ebamcheck.store import sha256_of_json
 
 TURN_SPACINGS = 1.5
 """Hatch lines of one island whose ends are at most this many bead spacings apart are joined with the beam on:
@@ -134,12 +134,11 @@ def _main_program(
 def _header(config: Config, layers: int, header: Mapping[str, str]) -> dict[str, str]:
     """Comment block of the main program: what made it, from what, and how to read it."""
     machine, process, material = config.machine, config.process, config.material
-    settings = hashlib.sha256(config.model_dump_json().encode()).hexdigest()
     values = {
         "SOFTWARE": f"ebamcheck {__version__}",
         "CONTROL": "SINUMERIK 840D sl",
         "MACHINE": machine.name,
-        "SETTINGS SHA-256": settings,
+        "SETTINGS SHA-256": sha256_of_json(config.model_dump()),
         "LAYERS": str(layers),
         "COORDINATES": "X Y of the part, Z 0 under its lowest point, Z at the top of the layer",
         "CURVES": machine.curve_form,

@@ -10,6 +10,7 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
+from ebamcheck.layers import Layers
 from ebamcheck.rings import Floats
 from ebamcheck_reports.markup import Markup, element
 
@@ -104,7 +105,13 @@ class Canvas:
         x, y = self.pixels(np.array([x_mm, y_mm])).tolist()
         self.body.append(
             element(
-                "circle", cx=f"{x:.1f}", cy=f"{y:.1f}", r=radius_px, fill="none", stroke=colour, stroke_width=2
+                "circle",
+                cx=f"{x:.1f}",
+                cy=f"{y:.1f}",
+                r=radius_px,
+                fill="none",
+                stroke=colour,
+                stroke_width=2,
             )
         )
 
@@ -115,11 +122,14 @@ class Canvas:
         at = self.pixels(places)
         leg = np.diff(at, axis=0)
         length = np.hypot(*leg.T)
-        at, leg, length = at, leg / np.where(length > 0, length, 1.0)[:, None], length
+        leg /= np.where(length > 0, length, 1.0)[:, None]
         middle = 0.5 * (at[:-1] + at[1:]) + 4.0 * leg
         across = np.column_stack([-leg[:, 1], leg[:, 0]])
         left, right = middle - 7.0 * leg + 3.5 * across, middle - 7.0 * leg - 3.5 * across
-        self._path("M" + "L".join(f"{x:.1f},{y:.1f}" for x, y in at.tolist()), {"stroke": colour, "stroke_width": 1.2})
+        self._path(
+            "M" + "L".join(f"{x:.1f},{y:.1f}" for x, y in at.tolist()),
+            {"stroke": colour, "stroke_width": 1.2},
+        )
         heads = np.concatenate([left, middle, right], axis=1)[length > 14.0].tolist()
         data = "".join(f"M{a:.1f},{b:.1f}L{c:.1f},{d:.1f}L{e:.1f},{f:.1f}Z" for a, b, c, d, e, f in heads)
         self._path(data, {"fill": colour})
@@ -157,13 +167,15 @@ class Canvas:
         return (x0 - wider, y0 - wider, x1 + wider, y1 + wider)
 
     def _data(self, part: BaseGeometry) -> str:
-        if part.geom_type == "Polygon":
+        if isinstance(part, shapely.Polygon):
             return "".join(self._data(ring) for ring in (part.exterior, *part.interiors))
         coordinates = shapely.get_coordinates(part)
         if len(coordinates) < 2:
             return ""
-        pairs = " ".join(f"{x:.2f},{y:.2f}" for x, y in self.pixels(coordinates).tolist())
-        return f"M{pairs}"
+        closed = len(coordinates) > 3 and bool((coordinates[0] == coordinates[-1]).all())
+        at = self.pixels(coordinates[:-1] if closed else coordinates)
+        pairs = " ".join(f"{x:.2f},{y:.2f}" for x, y in at.tolist())
+        return f"M{pairs}Z" if closed else f"M{pairs}"
 
     def _path(self, data: str, style: dict[str, Any]) -> None:
         if data:
@@ -178,7 +190,17 @@ class Canvas:
         back = element("rect", x=0, y=self.height_px - FOOT_PX + 2, width=f"{self.width_px:g}", height=FOOT_PX - 2, fill="#fff")  # fmt: skip
         data = f"M{x0:.1f},{y - 4:.1f}v8M{x0:.1f},{y:.1f}H{x1:.1f}M{x1:.1f},{y - 4:.1f}v8"
         bar = element("path", d=data, fill="none", stroke="#333", stroke_width=1.5)
-        return [back, bar, element("text", f"{length_mm:g} mm", x=f"{x1 + 6:.1f}", y=f"{y + 4:.1f}", font_size=12)]
+        return [
+            back,
+            bar,
+            element("text", f"{length_mm:g} mm", x=f"{x1 + 6:.1f}", y=f"{y + 4:.1f}", font_size=12),
+        ]
+
+
+def outline(layers: Layers, ring: int) -> Floats:
+    """Points of a ring, its first one again at the end, or of an open path, (n, 2) mm."""
+    points = layers.ring(ring)
+    return np.concatenate([points, points[:1]]) if layers.closed[ring] else points
 
 
 def around(x_mm: float, y_mm: float, half_mm: float) -> Box:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -96,7 +97,7 @@ def thinned(x: Floats, y: Floats, most: int = MOST_POINTS) -> tuple[Floats, Floa
     filled = np.isfinite(y)
     low, high = np.where(filled, y, np.inf), np.where(filled | np.isposinf(y), y, -np.inf)
     kept = []
-    for a, b in zip(edges[:-1], edges[1:], strict=True):
+    for a, b in itertools.pairwise(edges):
         kept += sorted({a + int(low[a:b].argmin()), a + int(high[a:b].argmax())})
     return x[kept], y[kept]
 
@@ -140,11 +141,15 @@ def _grid(x_axis: _Axis, y_axis: _Axis) -> Markup:
         element("path", d=f"M{LEFT_PX:g},{bottom:g}H{right:g}{up}", stroke="#777", fill="none"),
     ]
     parts += [
-        element("text", f"{t:.6g}", x=f"{LEFT_PX - 8:g}", y=f"{float(_y(y_axis, t)) + 4:.1f}", text_anchor="end")
+        element(
+            "text", f"{t:.6g}", x=f"{LEFT_PX - 8:g}", y=f"{float(_y(y_axis, t)) + 4:.1f}", text_anchor="end"
+        )
         for t in y_axis.ticks
     ]
     parts += [
-        element("text", f"{t:.6g}", x=f"{float(_x(x_axis, t)):.1f}", y=f"{bottom + 19:g}", text_anchor="middle")
+        element(
+            "text", f"{t:.6g}", x=f"{float(_x(x_axis, t)):.1f}", y=f"{bottom + 19:g}", text_anchor="middle"
+        )
         for t in x_axis.ticks
     ]
     return join(parts)
@@ -156,7 +161,12 @@ def _names(x_label: str, y_label: str) -> Markup:
         [
             element("text", x_label, x=f"{middle_x:g}", y=f"{HEIGHT_PX - 6:g}", text_anchor="middle"),
             element(
-                "text", y_label, x=14, y=f"{middle_y:g}", text_anchor="middle", transform=f"rotate(-90 14 {middle_y:g})"
+                "text",
+                y_label,
+                x=14,
+                y=f"{middle_y:g}",
+                text_anchor="middle",
+                transform=f"rotate(-90 14 {middle_y:g})",
             ),
         ]
     )
@@ -165,7 +175,11 @@ def _names(x_label: str, y_label: str) -> Markup:
 def _limit(axis: _Axis, value: float) -> Markup:
     y = float(_y(axis, value))
     return element(
-        "path", d=f"M{LEFT_PX:g},{y:.1f}H{WIDTH_PX - RIGHT_PX:g}", stroke=LIMIT, stroke_width=1.5, stroke_dasharray="2 3"
+        "path",
+        d=f"M{LEFT_PX:g},{y:.1f}H{WIDTH_PX - RIGHT_PX:g}",
+        stroke=LIMIT,
+        stroke_width=1.5,
+        stroke_dasharray="2 3",
     )
 
 
@@ -188,4 +202,11 @@ def _line(x: Floats, y: Floats, x_axis: _Axis, y_axis: _Axis, rank: int) -> Mark
     )  # fmt: skip
     if len(dots) > FEW_POINTS or not dots:
         return line
-    return join([line, element("path", d="".join(dots), stroke=colour, stroke_width=f"{width + 2:g}", stroke_linecap="round")])
+    return join(
+        [
+            line,
+            element(
+                "path", d="".join(dots), stroke=colour, stroke_width=f"{width + 2:g}", stroke_linecap="round"
+            ),
+        ]
+    )

@@ -78,11 +78,21 @@ def figure(value: Any, unit: str = "", text: str = "") -> Markup:
     return element("data", text or shown(value, unit), value=repr(number(value)))
 
 
-def table(columns: Sequence[str], rows: Iterable[Sequence[Any]], class_: str | None = None) -> Markup:
-    """Build a table; numbers are set to the right, and a row that is an element already stays as it is."""
-    head = element("tr", *(element("th", column, scope="col") for column in columns))
-    body = [row if isinstance(row, Markup) else element("tr", *(cell(value) for value in row)) for row in rows]
-    whole = element("table", element("thead", head), element("tbody", *body), class_=class_)
+def table(
+    columns: Sequence[str],
+    rows: Iterable[Sequence[Any]],
+    class_: str | None = None,
+    numbers: Sequence[str] = (),
+) -> Markup:
+    """Build a table; a row that is an element already stays as it is.
+
+    Numbers are set to the right, and so are the heads of the columns named in `numbers`.
+    """
+    heads = (element("th", c, scope="col", class_="number" if c in numbers else None) for c in columns)
+    body = [
+        row if isinstance(row, Markup) else element("tr", *(cell(value) for value in row)) for row in rows
+    ]
+    whole = element("table", element("thead", element("tr", *heads)), element("tbody", *body), class_=class_)
     return element("div", whole, class_="scroll")
 
 
@@ -94,8 +104,13 @@ def cell(value: Any) -> Markup:
 
 
 def facts(pairs: Iterable[tuple[str, Any]]) -> Markup:
-    """Build a list of names and values."""
-    return element("dl", *(element("div", element("dt", k), element("dd", v)) for k, v in pairs))
+    """Build a list of names and values; code (a hash) takes a whole row."""
+    rows = []
+    for name, value in pairs:
+        is_code = isinstance(value, Markup) and value.startswith("<code")
+        pair = (element("dt", name), element("dd", value))
+        rows.append(element("div", *pair, class_="wide" if is_code else None))
+    return element("dl", *rows)
 
 
 def paragraph(*children: Any, class_: str | None = None) -> Markup:
@@ -118,24 +133,24 @@ def picture(svg: Markup, caption: Any, class_: str | None = None, name: str | No
     return element("figure", svg, element("figcaption", caption), class_=class_, data_name=name)
 
 
+DOTS = "dots"
+"""In place of dashes: the entry of a legend stands for dots."""
+
+
 def legend(entries: Iterable[tuple[str, str, str]]) -> Markup:
     """Explain lines: name, colour, dashes."""
     items = [
-        element(
-            "span",
-            element(
-                "svg",
-                element("path", d="M0,5h28", stroke=colour, stroke_width=3, stroke_dasharray=dashes or None),
-                width=28,
-                height=10,
-            ),
-            " ",
-            name,
-            class_="key",
-        )
-        for name, colour, dashes in entries
+        element("span", _sample(colour, dashes), " ", name, class_="key") for name, colour, dashes in entries
     ]
     return element("div", *items, class_="legend")
+
+
+def _sample(colour: str, dashes: str) -> Markup:
+    if dashes == DOTS:
+        path = element("path", d="M7,5h0M21,5h0", stroke=colour, stroke_width=7, stroke_linecap="round")
+    else:
+        path = element("path", d="M0,5h28", stroke=colour, stroke_width=3, stroke_dasharray=dashes or None)
+    return element("svg", path, width=28, height=10)
 
 
 def collapsed(title: str, *children: Any) -> Markup:

@@ -8,14 +8,14 @@ from typing import NamedTuple
 import numpy as np
 import shapely
 
-from ebamcheck.layer_svg import overlay_svg
-from ebamcheck.layers import Layers, from_rings
-from ebamcheck_reports.canvas import Box, around
+from ebamcheck.layer_svg import COLOURS, DASHES, overlay_svg
+from ebamcheck.layers import Layers
+from ebamcheck_reports.canvas import Canvas, around, outline
 from ebamcheck_reports.markup import Markup, element, join, picture
 from ebamcheck_reports.run_data import RunData, layer_name
 
 MOST_LAYERS = 8
-WIDTH_PX, INSET_PX = 720, 300
+WIDTH_PX, INSET_PX = 720, 320
 
 INSET_LIMITS = 5.0
 """Half the side of the inset over the depth or the limit, whichever is more: both are seen well."""
@@ -44,7 +44,9 @@ def render(run: RunData) -> Markup:
         return Markup("")
     worst = worst_places(run)
     frames = [_frame(run, layer, why, worst.get(layer)) for layer, why in chosen.items()]
-    return join([element("h3", "Chosen layers"), element("div", *frames, class_="frames", data_label="layer")])
+    return join(
+        [element("h3", "Chosen layers"), element("div", *frames, class_="frames", data_label="layer")]
+    )
 
 
 def chosen_layers(run: RunData) -> dict[int, str]:
@@ -77,10 +79,10 @@ def worst_places(run: RunData) -> dict[int, Place]:
     ratio = (rows["depth_mm"] / rows["limit_mm"]).fillna(0.0).to_numpy()
     order = np.lexsort((-ratio, rows["layer"].to_numpy()))
     first = rows.iloc[order].drop_duplicates("layer")
-    return {
-        int(r.layer): Place(r.depth_x_mm, r.depth_y_mm, r.depth_mm, r.limit_mm, f"{r.a} and {r.b}")
-        for r in first.itertuples()
-    }
+    figures = first[["depth_x_mm", "depth_y_mm", "depth_mm", "limit_mm"]].to_numpy(np.float64).tolist()
+    names = [f"{a} and {b}" for a, b in zip(first["a"], first["b"], strict=True)]
+    places = (Place(*row, name) for row, name in zip(figures, names, strict=True))
+    return dict(zip(first["layer"].astype(int).tolist(), places, strict=True))
 
 
 def _frame(run: RunData, layer: int, why: str, worst: Place | None) -> Markup:
@@ -105,28 +107,23 @@ def _overlay(stacks: Mapping[str, Layers], layer: int, title: str) -> Markup:
 
 
 def _inset(stacks: Mapping[str, Layers], layer: int, worst: Place) -> Markup:
+    """Enlarge the worst place, in the colours and dashes of the whole picture."""
     reach = worst.depth_mm if np.isfinite(worst.depth_mm) else 0.0
-    box = around(worst.x_mm, worst.y_mm, INSET_LIMITS * max(reach, worst.limit_mm))
-    cut = {name: clipped(layers, layer, box) for name, layers in stacks.items()}
-    return inline(overlay_svg(cut, 0, width_px=INSET_PX, box=box, title="enlarged"))
-
-
-def clipped(layers: Layers, layer: int, box: Box) -> Layers:
-    """What of one layer's lines lies in a box, as a stack of that layer alone."""
-    lines = []
-    for r in layers.rings_of(layer):
-        points = layers.ring(r)
-        ring = np.concatenate([points, points[:1]]) if layers.closed[r] else points
-        if len(ring) > 1:
-            lines.append(shapely.LineString(ring))
-    inside = shapely.clip_by_rect(np.array(lines, object), *box) if lines else []
-    paths = [
-        shapely.get_coordinates(part)
-        for whole in inside
-        for part in shapely.get_parts(whole)
-        if part.geom_type == "LineString" and not part.is_empty
-    ]
-    return from_rings(layers.heights[layer : layer + 1], [[]], [paths])
+    canvas = Canvas(around(worst.x_mm, worst.y_mm, INSET_LIMITS * max(reach, worst.limit_mm)), INSET_PX)
+    for n, layers in enumerate(stacks.values()):
+        colour, dashes = COLOURS[n % len(COLOURS)], DASHES[n % len(DASHES)]
+        for r in layers.rings_of(layer):
+            ring = outline(layers, r)
+            if len(ring) > 1:
+                width = max(1.0, 4.0 - 0.8 * n)
+                canvas.lines(
+                    shapely.LineString(ring),
+                    stroke=colour,
+                    stroke_width=f"{width:g}",
+                    stroke_dasharray=dashes or None,
+                )
+    canvas.circle(worst.x_mm, worst.y_mm, 9.0, "#b3261e")
+    return canvas.svg("worst place enlarged")
 
 
 def inline(svg: str) -> Markup:

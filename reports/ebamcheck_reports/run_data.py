@@ -16,6 +16,7 @@ from ebamcheck.curves import Curves
 from ebamcheck.layers import Layers
 from ebamcheck.scan import ScanPlan
 from ebamcheck.store import RunFolder
+from ebamcheck_reports.figures import number
 
 GATES = ("input", "agreement", "fit", "coverage", "program")
 """Gates of a run in the order in which it comes to them; a run without contours ends after the second."""
@@ -45,6 +46,10 @@ class RunData:
         """Settings of the run."""
         return validated(self.manifest["settings"], "run.json")
 
+    def setting(self, section: str, name: str, default: float) -> float:
+        """One number of the settings, also of a run by another version that may not have it."""
+        return number(self.part_of("settings").get(section, {}).get(name, default))
+
     @property
     def backends(self) -> Mapping[str, Mapping[str, Any]]:
         """Record of each backend."""
@@ -54,6 +59,10 @@ class RunData:
     def gates(self) -> list[Mapping[str, Any]]:
         """Gates that the run came to."""
         return list(self.manifest.get("gates", []))
+
+    def gate_limit(self, name: str) -> float | None:
+        """Limit of a gate; None where the run did not come to it."""
+        return next((number(gate["limit"]) for gate in self.gates if gate["name"] == name), None)
 
     @property
     def missing_gates(self) -> list[str]:

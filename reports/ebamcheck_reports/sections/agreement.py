@@ -26,7 +26,8 @@ def render(run: RunData) -> Markup:
     """Matrix of pairs, charts over the layers, findings and pictures."""
     if not run.pairs:
         none = paragraph(
-            f"{counted(len(run.stacks), 'method')} came to an end; two are needed to compare anything.", class_="note bad"
+            f"{counted(len(run.stacks), 'method')} came to an end; two are needed to compare anything.",
+            class_="note bad",
         )
         return section("agreement", "Agreement", WHAT, none, _areas(run), overlays.render(run))
     return section(
@@ -50,7 +51,8 @@ def render(run: RunData) -> Markup:
 def _counts(run: RunData) -> Markup:
     comparison = run.part_of("comparison")
     verdicts = [
-        f"{counted(int(n), 'layer')}: {words.meaning(words.VERDICTS, v)}" for v, n in comparison["verdicts"].items()
+        f"{counted(int(n), 'layer')}: {words.meaning(words.VERDICTS, v)}"
+        for v, n in comparison["verdicts"].items()
     ]
     classes = [f"{n} {words.meaning(words.CLASSES, c)}" for c, n in comparison["classes"].items()]
     return paragraph("; ".join(verdicts), ". Of all, ", ", ".join(classes), ".")
@@ -64,7 +66,9 @@ def _matrix(run: RunData) -> Markup:
         cells = [element("th", a, scope="row")]
         for b in names:
             pair = known.get(frozenset((a, b)))
-            cells.append(_matrix_cell(pair) if a != b and pair else element("td", "–" if a != b else "", class_="void"))
+            cells.append(
+                _matrix_cell(pair) if a != b and pair else element("td", "–" if a != b else "", class_="void")
+            )
         rows.append(element("tr", *cells))
     return table(("", *names), rows, class_="matrix")
 
@@ -110,18 +114,22 @@ def _pairs(run: RunData) -> Markup:
         "which makes the Hausdorff distance (the farthest that any point of one contour lies from the other) large although next to no area is lost.",
         class_="small",
     )
-    return join([table(columns, rows, class_="pairs"), note])
+    return join([table(columns, rows, class_="pairs", numbers=(*columns[2:4], *columns[5:])), note])
 
 
 def _areas(run: RunData) -> Markup:
     layers = run.layer_table
     series = [
-        Series(name, layers["layer"], layers[f"area_mm2_{name}"]) for name in run.stacks if f"area_mm2_{name}" in layers
+        Series(name, layers["layer"], layers[f"area_mm2_{name}"])
+        for name in run.stacks
+        if f"area_mm2_{name}" in layers
     ]
     if not series:
         return paragraph("There are no layers to draw.")
     caption = "Area of every layer as each method found it; the lines should lie on each other."
-    return element("figure", line_chart(series, "layer", "area, mm²", from_zero=True), element("figcaption", caption))
+    return element(
+        "figure", line_chart(series, "layer", "area, mm²", from_zero=True), element("figcaption", caption)
+    )
 
 
 def _ratios(run: RunData) -> Markup:
@@ -154,8 +162,18 @@ def _findings(run: RunData) -> list[Markup]:
         )
         for f in found[:MOST_FINDINGS]
     ]
-    columns = ("layer", "z", "method", "against", "what", "value", "limit", "place (x, y), mm", "likely cause")
-    parts = [table(columns, rows, class_="findings")]
+    columns = (
+        "layer",
+        "z",
+        "method",
+        "against",
+        "what",
+        "value",
+        "limit",
+        "place (x, y), mm",
+        "likely cause",
+    )
+    parts = [table(columns, rows, class_="findings", numbers=("layer", "z", "value", "limit"))]
     if len(found) > MOST_FINDINGS:
         parts.append(paragraph(f"… and {len(found) - MOST_FINDINGS} more, all of them in run.json."))
     causes = sorted({f["cause"] for f in found})

@@ -41,13 +41,20 @@ def render(run: RunData) -> Markup:
                 ("facets, vertices, bodies", f"{found['facets']}, {found['vertices']}, {found['bodies']}"),
                 (
                     "layers",
-                    f"{counted(heights['count'], 'layer')} from z = {shown(heights['first_mm'])} to "
-                    f"{shown(heights['last_mm'])} mm, layer height {shown(heights['layer_height_mm'])} mm",
+                    (
+                        f"{counted(heights['count'], 'layer')} from z = {shown(heights['first_mm'])} to "
+                        f"{shown(heights['last_mm'])} mm, layer height {shown(heights['layer_height_mm'])} mm"
+                    ),
                 ),
             ]
         ),
         _verdict(found),
-        table(("defect", "count"), [(what, int(found[key])) for key, what in DEFECTS], class_="narrow"),
+        table(
+            ("defect", "count"),
+            [(what, int(found[key])) for key, what in DEFECTS],
+            class_="narrow",
+            numbers=("count",),
+        ),
         *[paragraph("Note: ", note) for note in found["notes"]],
         paragraph(
             "Layers are counted from 0 at the bottom here and in the tables of the run; the subprogram of layer 0 is the first one.",

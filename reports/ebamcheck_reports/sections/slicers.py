@@ -25,9 +25,21 @@ def render(run: RunData) -> Markup:
         if primary
         else paragraph(element("b", "No method found a contour, so no program was made."), class_="note bad"),
         table(
-            ("slicer", "status", "method", "runs on", "kind", "error bound", "rings", "points", "time", "peak memory"),
+            (
+                "slicer",
+                "status",
+                "method",
+                "runs on",
+                "kind",
+                "error bound",
+                "rings",
+                "points",
+                "time",
+                "peak memory",
+            ),
             [_row(name, record, times.get(name, {})) for name, record in run.backends.items()],
             class_="slicers",
+            numbers=("error bound", "rings", "points", "time", "peak memory"),
         ),
         paragraph(
             "Error bound: the promise of the method, how far its contour may lie from the section of the mesh. Exact methods cut "
@@ -35,15 +47,29 @@ def render(run: RunData) -> Markup:
             class_="small",
         ),
         table(
-            ("slicer", "height bound", "plane through a vertex or face", "what counts as solid", "settings", "versions"),
+            (
+                "slicer",
+                "height bound",
+                "plane through a vertex or face",
+                "what counts as solid",
+                "settings",
+                "versions",
+            ),
             [_rules(name, record) for name, record in run.backends.items()],
+            numbers=("height bound",),
         ),
     )
 
 
 def _failure(name: str, record: Mapping[str, Any]) -> Markup:
     status = record["status"]
-    said = join([element("b", f"{name} {words.meaning(words.STATUS, status)}"), ": ", record["why"] or "no reason was given"])
+    said = join(
+        [
+            element("b", f"{name} {words.meaning(words.STATUS, status)}"),
+            ": ",
+            record["why"] or "no reason was given",
+        ]
+    )
     return element("div", said, class_=f"note {'bad' if status in words.LOST else 'warn'}", data_backend=name)
 
 
@@ -91,4 +117,6 @@ def _rules(name: str, record: Mapping[str, Any]) -> tuple[Any, ...]:
 def _listed(values: Mapping[str, Any]) -> Markup:
     if not values:
         return join(["–"])
-    return join((f"{k} = {shown(v) if isinstance(v, float) else v}" for k, v in sorted(values.items())), element("br"))
+    return join(
+        (f"{k} = {shown(v) if isinstance(v, float) else v}" for k, v in sorted(values.items())), element("br")
+    )

@@ -35,7 +35,8 @@ def _banner(run: RunData) -> Markup:
         element("strong", "✔ VALIDATED" if run.validated else "✘ NOT VALIDATED"),
         paragraph(*_why(run)),
         paragraph(
-            f"Exit code {code}: {words.EXIT_CODES.get(code, 'see the documentation of exit codes')}.", class_="small"
+            f"Exit code {code}: {words.EXIT_CODES.get(code, 'see the documentation of exit codes')}.",
+            class_="small",
         ),
         class_=f"banner {'good' if run.validated else 'bad'}",
         role="status",
@@ -44,22 +45,45 @@ def _banner(run: RunData) -> Markup:
 
 def _why(run: RunData) -> list[Markup]:
     if run.validated:
-        return [join(["The program in the folder ", element("code", "program/"), " passed every check and may be used."])]
+        return [
+            join(
+                [
+                    "The program in the folder ",
+                    element("code", "program/"),
+                    " passed every check and may be used.",
+                ]
+            )
+        ]
     shut = [gate for gate in run.gates if not gate["passed"]]
     reasons = [join([element("b", gate["name"]), ": ", gate["text"]]) for gate in shut]
     if run.missing_gates:
         reasons.append(join(["not reached: ", ", ".join(run.missing_gates)]))
     if not reasons:
         reasons.append(join(["nothing failed, but no program was marked as validated"]))
-    return [join(["Do not use this program on a machine. "]), element("ul", *(element("li", r) for r in reasons))]
+    return [
+        join(["Do not use this program on a machine. "]),
+        element("ul", *(element("li", r) for r in reasons)),
+    ]
 
 
 def _gates(run: RunData) -> Markup:
     rows: list[Markup] = [_gate(gate) for gate in run.gates]
     for name in run.missing_gates:
-        cells = (name, words.GATE_QUESTIONS[name], "", "", "– not reached", "There was no contour to go on with.")
+        cells = (
+            name,
+            words.GATE_QUESTIONS[name],
+            "",
+            "",
+            "– not reached",
+            "There was no contour to go on with.",
+        )
         rows.append(element("tr", *(element("td", c) for c in cells), class_="missing"))
-    return table(("gate", "question", "measured", "limit", "result", "in words"), rows, class_="gates")
+    return table(
+        ("gate", "question", "measured", "limit", "result", "in words"),
+        rows,
+        class_="gates",
+        numbers=("measured", "limit"),
+    )
 
 
 def _gate(gate: Mapping[str, Any]) -> Markup:

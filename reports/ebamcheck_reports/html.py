@@ -1,0 +1,94 @@
+"""``report.html``: one file that explains a run to someone who has never seen the tool; it needs no network and no scripts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib.resources import files
+
+from ebamcheck.atomic_file import replacing
+from ebamcheck.errors import EbamcheckError
+from ebamcheck.store import RunFolder
+from ebamcheck_reports.markup import Markup, element, join, paragraph, section
+from ebamcheck_reports.run_data import RunData
+from ebamcheck_reports.sections import agreement, fit, part, program, reproduce, scan, slicers, verdict
+
+NAME = "report.html"
+
+SECTIONS: tuple[tuple[str, str, Callable[[RunData], Markup]], ...] = (
+    ("verdict", "Verdict", verdict.render),
+    ("part", "Part", part.render),
+    ("slicers", "Slicers", slicers.render),
+    ("agreement", "Agreement", agreement.render),
+    ("fit", "Fit", fit.render),
+    ("scan", "Partition and order", scan.render),
+    ("program", "Program", program.render),
+    ("reproduce", "Reproduce", reproduce.render),
+)
+
+
+def write(run: RunFolder) -> list[str]:
+    """Write the report into the run folder and return its name."""
+    page = document(RunData(run))
+    with replacing(run.path / NAME) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+    return [NAME]
+
+
+def document(run: RunData) -> str:
+    """Build the whole page."""
+    name = run.part_of("part")["name"]
+    head = element(
+        "head",
+        element("meta", charset="utf-8"),
+        element("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        element("title", f"ebamcheck: {name}"),
+        element("style", _resource("report.css")),
+    )
+    body = element(
+        "body", _header(run), element("main", *_sections(run)), _footer(run), element("script", _script())
+    )
+    return "<!DOCTYPE html>\n" + element("html", head, body, lang="en") + "\n"
+
+
+def _header(run: RunData) -> Markup:
+    links = [element("a", title, href=f"#{anchor}") for anchor, title, _ in SECTIONS]
+    record = run.part_of("part")
+    return element(
+        "header",
+        element("h1", f"Slicing report: {record['name']}"),
+        paragraph(
+            f"{record['source']}, checked by ebamcheck {run.manifest['ebamcheck']}. "
+            "The part was cut by several methods, the results were compared, and the program made from them was read back and checked."
+        ),
+        element("nav", *links),
+    )
+
+
+def _sections(run: RunData) -> list[Markup]:
+    made = []
+    for anchor, title, render in SECTIONS:
+        try:
+            made.append(render(run))
+        except EbamcheckError as error:
+            # A file of the run that is missing or damaged costs its section, not the report.
+            made.append(
+                section(
+                    anchor, title, "This section cannot be shown.", paragraph(str(error), class_="note bad")
+                )
+            )
+    return made
+
+
+def _footer(run: RunData) -> Markup:
+    return element(
+        "footer",
+        paragraph("Every figure is from ", element("code", "run.json"), " in the folder of this report."),
+    )
+
+
+def _resource(name: str) -> Markup:
+    return Markup(files("ebamcheck_reports").joinpath(name).read_text(encoding="utf-8"))
+
+
+def _script() -> Markup:
+    return join([Markup("//<![CDATA[\n"), _resource("report.js"), Markup("//]]>")])

@@ -1,0 +1,178 @@
+"""``junit.xml`` (xunit2) for build servers: one test case a gate, a pair of backends, a check of the program, a backend.
+
+A method that crashed, hung or was killed is an error. One that is not available or refused the part is skipped,
+as the run is too: whether enough methods are left is what the agreement gate says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+from xml.etree import ElementTree
+
+from ebamcheck.atomic_file import replacing
+from ebamcheck.store import RunFolder
+from ebamcheck_reports import words
+from ebamcheck_reports.figures import counted, number, place
+from ebamcheck_reports.markup import clean
+from ebamcheck_reports.run_data import RunData
+
+NAME = "junit.xml"
+
+
+@dataclass(frozen=True)
+class Case:
+    """One test case: no outcome means that it passed."""
+
+    classname: str
+    name: str
+    outcome: Literal["", "failure", "error", "skipped"] = ""
+    message: str = ""
+    type: str = ""
+    details: str = ""
+    time_s: float = 0.0
+
+
+def write(run: RunFolder) -> list[str]:
+    """Write the file into the run folder and return its name."""
+    root = document(RunData(run))
+    ElementTree.indent(root)
+    with replacing(run.path / NAME) as temporary:
+        ElementTree.ElementTree(root).write(temporary, encoding="utf-8", xml_declaration=True)
+        temporary.write_bytes(temporary.read_bytes() + b"\n")
+    return [NAME]
+
+
+def document(run: RunData) -> ElementTree.Element:
+    """Build the tree of suites and cases."""
+    suites = {
+        "gates": list(_gates(run)),
+        "backends": list(_backends(run)),
+        "agreement": list(_pairs(run)),
+        "program": list(_checks(run)),
+    }
+    every = [case for cases in suites.values() for case in cases]
+    root = ElementTree.Element("testsuites", {"name": "ebamcheck", **_counts(every)})
+    stamp = run.part_of("timings").get("finished", "").rstrip("Z")
+    for name, cases in suites.items():
+        if not cases:
+            continue
+        suite = ElementTree.SubElement(
+            root,
+            "testsuite",
+            {"name": f"ebamcheck.{name}", **_counts(cases), "skipped": _count(cases, "skipped")},
+        )
+        if stamp:
+            suite.set("timestamp", stamp)
+        _properties(suite, run)
+        for case in cases:
+            _add(suite, case)
+    return root
+
+
+def _properties(suite: ElementTree.Element, run: RunData) -> None:
+    part = run.part_of("part")
+    values = {
+        "part": part["name"],
+        "part sha256": part["sha256"] or part["mesh_sha256"],
+        "settings sha256": run.manifest["settings_sha256"],
+        "ebamcheck": run.manifest["ebamcheck"],
+        "exit code": run.manifest["exit_code"],
+    }
+    parent = ElementTree.SubElement(suite, "properties")
+    for name, value in values.items():
+        ElementTree.SubElement(parent, "property", {"name": name, "value": clean(str(value))})
+
+
+def _add(suite: ElementTree.Element, case: Case) -> None:
+    names = {"classname": clean(case.classname), "name": clean(case.name), "time": f"{case.time_s:.3f}"}
+    node = ElementTree.SubElement(suite, "testcase", names)
+    if case.outcome:
+        said = ElementTree.SubElement(node, case.outcome, {"message": clean(case.message)})
+        if case.outcome != "skipped":
+            said.set("type", case.type)
+        said.text = clean(case.details or case.message)
+
+
+def _counts(cases: list[Case]) -> dict[str, str]:
+    return {
+        "tests": str(len(cases)),
+        "failures": _count(cases, "failure"),
+        "errors": _count(cases, "error"),
+        "time": f"{sum(case.time_s for case in cases):.3f}",
+    }
+
+
+def _count(cases: list[Case], outcome: str) -> str:
+    return str(sum(case.outcome == outcome for case in cases))
+
+
+# -- cases -----------------------------------------------------------------------------------------
+
+
+def _gates(run: RunData) -> Iterator[Case]:
+    for gate in run.gates:
+        text = f"{gate['text']} (figure {gate['figure']}, limit {gate['limit']} {gate['unit']})"
+        outcome: Literal["", "failure"] = "" if gate["passed"] else "failure"
+        yield Case("ebamcheck.gate", gate["name"], outcome, text, "gate")
+    for name in run.missing_gates:
+        yield Case("ebamcheck.gate", name, "skipped", "not reached: there was no contour to go on with")
+
+
+def _backends(run: RunData) -> Iterator[Case]:
+    times = run.part_of("timings").get("backends", {})
+    for name, record in run.backends.items():
+        took = times.get(name, {})
+        time_s = number(took.get("prepare_s", 0.0)) + number(took.get("slice_s", 0.0))
+        status = record["status"]
+        if status == "done":
+            yield Case(_class(name), "slice", time_s=time_s)
+        else:
+            message = f"{status}: {record['why'] or 'no reason was given'}"
+            yield Case(
+                _class(name),
+                "slice",
+                "error" if status in words.LOST else "skipped",
+                message,
+                status,
+                time_s=time_s,
+            )
+
+
+def _class(backend: str) -> str:
+    return f"ebamcheck.backend.{backend}"
+
+
+def _pairs(run: RunData) -> Iterator[Case]:
+    for pair in run.pairs:
+        classname, name = _class(pair["a"]), f"agrees with {pair['b']}"
+        if not pair["gated"]:
+            yield Case(classname, name, "skipped", "no layer on which both can be compared")
+        elif pair["agree"] == pair["gated"]:
+            yield Case(classname, name)
+        else:
+            message = (
+                f"{counted(pair['gated'] - pair['agree'], 'layer')} of {pair['gated']} disagree: depth at most "
+                f"{pair['max_depth_mm']} mm, limit {pair['limit_mm']} mm"
+            )
+            found = [
+                _finding(f) for f in run.findings if {f["backend"], f["against"]} == {pair["a"], pair["b"]}
+            ]
+            yield Case(classname, name, "failure", message, "disagreement", "\n".join([message, *found]))
+
+
+def _finding(finding: Mapping[str, Any]) -> str:
+    return (
+        f"layer {finding['layer']}, z = {finding['height_mm']:.3f} mm: {finding['backend']} against {finding['against']}, "
+        f"{finding['metric']} {finding['value']}, limit {finding['limit']}, at {place(finding['x_mm'], finding['y_mm'])} mm, "
+        f"likely cause: {finding['cause']}"
+    )
+
+
+def _checks(run: RunData) -> Iterator[Case]:
+    for check in run.checks:
+        where = f" at {check['where']}" if check["where"] else ""
+        text = f"{check['text']}{where} (value {check['value']}, limit {check['limit']} {check['unit']})"
+        outcome: Literal["", "failure"] = "" if check["passed"] else "failure"
+        yield Case("ebamcheck.program", check["name"], outcome, text, "check")

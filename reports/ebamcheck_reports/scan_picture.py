@@ -1,0 +1,75 @@
+"""Picture of one layer's partition: islands in the colour of their rank, lines, contour bead and order."""
+
+from __future__ import annotations
+
+import numpy as np
+import shapely
+
+from ebamcheck.scan import ScanPlan
+from ebamcheck_reports.canvas import Canvas, ramp
+from ebamcheck_reports.markup import Markup, legend
+
+WIDTH_PX = 880.0
+
+MOST_NUMBERS = 150
+"""Of more islands the numbers would cover the picture; colour and way remain."""
+
+MOST_ARROWS = 600
+BEAD, LINE, WAY, THIN = "#0072b2", "#333333", "#d81b60", "#d55e00"
+LEGEND = (
+    ("first island", ramp(0.0), ""),
+    ("last island", ramp(1.0), ""),
+    ("way from island to island", WAY, ""),
+    ("hatch line (one bead)", LINE, ""),
+    ("contour bead", BEAD, ""),
+    ("border of a thin wall", THIN, "5 3"),
+)
+
+
+def draw(plan: ScanPlan, layer: int, bead_width_mm: float, title: str) -> Markup:
+    """Draw a layer's islands, lines, contour beads and the order in which they come."""
+    islands = plan.islands_of(layer)
+    canvas = Canvas(_box(plan, layer, bead_width_mm), WIDTH_PX)
+    region = plan.contours[layer]
+    bead_px = bead_width_mm * canvas.px_per_mm
+    canvas.lines(
+        region.boundary,
+        stroke=BEAD,
+        stroke_width=f"{bead_px:.1f}",
+        stroke_opacity=0.18,
+        stroke_linejoin="round",
+    )
+    for rank, island in enumerate(islands.tolist()):
+        colour = ramp(rank / max(len(islands) - 1, 1))
+        thin = plan.island_kind[island] == "thin wall"
+        canvas.lines(
+            plan.islands[island], fill=colour, fill_opacity=0.55, stroke=THIN if thin else "#fff",
+            stroke_width=1.8 if thin else 1.0, stroke_dasharray="5 3" if thin else None,
+        )  # fmt: skip
+    vectors = plan.vectors_of(layer)
+    canvas.segments(
+        vectors[["x0", "y0"]].to_numpy(), vectors[["x1", "y1"]].to_numpy(), stroke=LINE, stroke_width=0.7
+    )
+    canvas.lines(region.boundary, stroke=BEAD, stroke_width=1.6)
+    centres = plan.island_centroid[islands]
+    if len(islands) <= MOST_ARROWS:
+        canvas.arrows(centres, WAY)
+    if len(islands) <= MOST_NUMBERS:
+        for rank, (x, y) in enumerate(centres.tolist()):
+            canvas.label(x, y, str(rank + 1))
+    return canvas.svg(title)
+
+
+def key() -> Markup:
+    """Explain colours and lines."""
+    return legend(LEGEND)
+
+
+def _box(plan: ScanPlan, layer: int, bead_width_mm: float) -> tuple[float, float, float, float]:
+    shapes = [plan.contours[layer], *plan.islands[plan.islands_of(layer)]]
+    bounds = np.array([shapely.bounds(s) for s in shapes if not s.is_empty]).reshape(-1, 4)
+    if not len(bounds):
+        return (-0.5, -0.5, 0.5, 0.5)
+    pad = 0.5 * bead_width_mm
+    low, high = bounds[:, :2].min(axis=0) - pad, bounds[:, 2:].max(axis=0) + pad
+    return (float(low[0]), float(low[1]), float(high[0]), float(high[1]))

@@ -1,0 +1,128 @@
+"""Partition and order: how the section is filled, and in which order."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ebamcheck.scan import ScanPlan
+from ebamcheck_reports import scan_picture
+from ebamcheck_reports.charts import Series, line_chart
+from ebamcheck_reports.figures import duration, percent
+from ebamcheck_reports.markup import Markup, element, facts, figure, join, paragraph, picture, section
+from ebamcheck_reports.run_data import RunData, layer_name
+
+BEAD_WIDTH_MM = 6.0
+"""Width at which beads are drawn where the settings name none."""
+
+WHAT = (
+    "Each section is divided into islands (hexagons, or whole walls where it is thin), which are filled with parallel beads one after the "
+    "other so that heat spreads. Good is a section that the beads cover, with few starts of the wire and short jumps."
+)
+
+
+def render(run: RunData) -> Markup:
+    """Metrics, pictures of layers, and the time of each."""
+    plan = run.plan
+    if plan is None:
+        return section(
+            "scan", "Partition and order", WHAT, paragraph("There was no contour to fill.", class_="note bad")
+        )
+    return section(
+        "scan", "Partition and order", WHAT, _metrics(run, plan), scan_picture.key(), *_pictures(run, plan), _coverage(run, plan), _times(run)
+    )  # fmt: skip
+
+
+def _metrics(run: RunData, plan: ScanPlan) -> Markup:
+    record, metrics = run.part_of("scan"), plan.metrics
+    solid = metrics[metrics["area_mm2"] > 0]
+    covered = solid["covered_fraction"]
+    kinds = {str(k): int((plan.island_kind == k).sum()) for k in np.unique(plan.island_kind)}
+    mean = float(np.average(covered, weights=solid["area_mm2"])) if len(solid) else float("nan")
+    sides = metrics["side_mm"].dropna()
+    return facts(
+        [
+            ("order of islands", f"{record['order']} (seed {record['seed']})"),
+            (
+                "islands",
+                join([figure(record["islands"]), " (", ", ".join(f"{n} {k}" for k, n in kinds.items()), ")"]),
+            ),
+            ("side of the hexagons", _extent(sides.min(), sides.max()) if len(sides) else "no hexagons"),
+            ("covered by beads, all layers", figure(mean, text=percent(mean))),
+            ("covered by beads, least layer", figure(covered.min(), text=percent(covered.min()))),
+            ("hatch lines", figure(record["hatch_mm"], "mm")),
+            ("jumps between lines", figure(record["travel_mm"], "mm")),
+            ("starts of the wire", figure(record["starts"])),
+            ("time of hatching and jumps", figure(record["time_s"], text=duration(record["time_s"]))),
+            ("least time between neighbours", _least(metrics["interval_min_s"])),
+        ]
+    )
+
+
+def _extent(low: float, high: float) -> Markup:
+    return figure(low, "mm") if low == high else join([figure(low), " to ", figure(high, "mm")])
+
+
+def _least(column: object) -> Markup:
+    known = np.asarray(column, np.float64)
+    known = known[np.isfinite(known)]
+    return figure(known.min(), text=duration(known.min())) if known.size else join(["no neighbours"])
+
+
+def _pictures(run: RunData, plan: ScanPlan) -> list[Markup]:
+    chosen: dict[int, str] = {}
+    if run.middle_layer is not None:
+        chosen[run.middle_layer] = "middle layer"
+    solid = np.flatnonzero(plan.metrics["area_mm2"].to_numpy() > 0)
+    if solid.size:
+        worst = int(solid[plan.metrics["covered_fraction"].to_numpy()[solid].argmin()])
+        chosen[worst] = f"{chosen[worst]}, least covered" if worst in chosen else "least covered layer"
+        busiest = int(plan.metrics["islands"].to_numpy().argmax())
+        if len(chosen) < 2:
+            chosen.setdefault(busiest, "layer of the most islands")
+    return [_picture(run, plan, layer, why) for layer, why in chosen.items()]
+
+
+def _picture(run: RunData, plan: ScanPlan, layer: int, why: str) -> Markup:
+    name = layer_name(layer, float(plan.heights[layer]))
+    row = plan.metrics.iloc[layer]
+    svg = scan_picture.draw(
+        plan, layer, run.setting("process", "bead_width_mm", BEAD_WIDTH_MM), f"partition of {name}"
+    )
+    caption = (
+        f"{name} ({why}): {int(row['islands'])} islands, {percent(row['covered_fraction'])} covered, "
+        f"{int(row['starts'])} starts of the wire. Numbers and colours give the order."
+    )
+    return picture(svg, caption)
+
+
+def _coverage(run: RunData, plan: ScanPlan) -> Markup:
+    metrics = plan.metrics
+    solid = np.where(metrics["area_mm2"] > 0, 100.0 * metrics["covered_fraction"], np.nan)
+    limit = run.gate_limit("coverage")
+    chart = line_chart(
+        [Series("covered", metrics["layer"], solid)],
+        "layer",
+        "covered, %",
+        limit=None if limit is None else 100.0 * limit,
+        limit_name="least",
+    )
+    return element(
+        "figure",
+        chart,
+        element("figcaption", "Share of each section that the beads cover; it must stay over the limit."),
+    )
+
+
+def _times(run: RunData) -> Markup:
+    program, metrics = run.table("program.csv"), run.table("scan.csv")
+    if {"deposit_s", "travel_s"} <= set(program.columns):
+        series = [
+            Series("whole layer", program["layer"], program["deposit_s"] + program["travel_s"]),
+            Series("beam on", program["layer"], program["deposit_s"]),
+        ]
+    else:
+        series = [Series("hatching and jumps", metrics["layer"], metrics["time_s"])]
+    caption = "Time of each layer at constant feed; ramps of the axes come on top."
+    return element(
+        "figure", line_chart(series, "layer", "time, s", from_zero=True), element("figcaption", caption)
+    )

@@ -1,0 +1,420 @@
+"""Report writers: what they show is what run.json says, whole and broken runs alike, without scripts or network."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import shutil
+import struct
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from parts import box, join, moved, sphere
+
+from ebamcheck import layer_files
+from ebamcheck.config import Config
+from ebamcheck.curves import Curves, contour_error
+from ebamcheck.part import Part
+from ebamcheck.pipeline import run_job
+from ebamcheck.program import read_program
+from ebamcheck.slicing import slice_part
+from ebamcheck.store import RunFolder, write_json
+from ebamcheck_reports import charts, html, junit, overlays, program_picture, summary
+from ebamcheck_reports.canvas import Canvas
+from ebamcheck_reports.markup import element, table
+from ebamcheck_reports.run_data import RunData
+from ebamcheck_reports.sections.fit import polar_errors
+
+STRETCHED = ((1.0, 0.0, 0.0), (0.0, 1.3, 0.0), (0.0, 0.0, 1.0))
+
+
+def write_stl(part: Part, path: Path) -> Path:
+    corners = part.triangles.astype("<f4")
+    rows = np.zeros(len(corners), np.dtype([("n", "<f4", 3), ("v", "<f4", (3, 3)), ("a", "<u2")]))
+    rows["v"] = corners
+    path.write_bytes(bytes(80) + struct.pack("<I", len(corners)) + rows.tobytes())
+    return path
+
+
+def inside_out(part: Part) -> Part:
+    return Part(part.vertices, np.ascontiguousarray(part.faces[:, ::-1]), part.name)
+
+
+def run(part: Part, folder: Path, height_mm: float, fine: Part | None = None, **sections: dict) -> RunFolder:
+    source = write_stl(part, folder / "part & <co>.stl")
+    reference = write_stl(fine, folder / "fine.stl") if fine is not None else None
+    config = Config().changed(layers={"layer_height_mm": height_mm}, **sections)
+    return run_job(source, folder / "run", config, reference).folder
+
+
+def render(folder: RunFolder) -> tuple[str, ElementTree.Element, ElementTree.Element]:
+    """Text and tree of the page, and the tree of the test cases."""
+    assert [*html.write(folder), *junit.write(folder), *summary.write(folder)] == [
+        "report.html", "junit.xml", "summary.csv",
+    ]  # fmt: skip
+    text = (folder.path / "report.html").read_text(encoding="utf-8")
+    assert text.startswith("<!DOCTYPE html>\n")
+    assert "This section cannot be shown" not in text
+    page = ElementTree.fromstring(text.removeprefix("<!DOCTYPE html>\n"))
+    return text, page, ElementTree.parse(folder.path / "junit.xml").getroot()
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
+    """A run that comes to its end: a body with a hole beside an ellipsoid, against a finer tessellation."""
+    folder = tmp_path_factory.mktemp("whole")
+
+    def parts(rings: int) -> Part:
+        body = moved(sphere(20.0, rings, 2 * rings), STRETCHED, (0, 0, 20.3))
+        return join(body, box((25, -20, 0), (60, 20, 40)), inside_out(box((35, -8, 5.1), (48, 8, 35.1))))
+
+    return run(parts(12), folder, 8.0, parts(48))
+
+
+@pytest.fixture
+def copy(whole: RunFolder, tmp_path: Path) -> RunFolder:
+    shutil.copytree(whole.path, tmp_path / "run")
+    return RunFolder(tmp_path / "run")
+
+
+def changed(folder: RunFolder, **parts: object) -> None:
+    write_json({**folder.manifest(), **parts}, folder.path / "run.json")
+
+
+def data(node: ElementTree.Element) -> list[float]:
+    return [float(d.get("value", "")) for d in node.iter("data")]
+
+
+def words(node: ElementTree.Element) -> str:
+    return " ".join("".join(node.itertext()).split())
+
+
+def section(page: ElementTree.Element, name: str) -> ElementTree.Element:
+    return next(s for s in page.iter("section") if s.get("id") == name)
+
+
+def rows(node: ElementTree.Element, class_: str) -> list[ElementTree.Element]:
+    found = next(t for t in node.iter("table") if t.get("class") == class_)
+    return list(found.find("tbody") or [])
+
+
+# -- a whole run -----------------------------------------------------------------------------------
+
+
+def test_every_section_says_what_is_checked_first(whole: RunFolder) -> None:
+    _, page, _ = render(whole)
+    names = [s.get("id") for s in page.iter("section")]
+    assert names == [anchor for anchor, _, _ in html.SECTIONS]
+    for part in page.iter("section"):
+        sentence = next(p for p in part.iter("p") if p.get("class") == "what")
+        assert re.search(r"\bGood is\b|must pass", words(sentence)), part.get("id")
+
+
+def test_page_needs_nothing_from_outside(whole: RunFolder) -> None:
+    text, page, _ = render(whole)
+    assert "http" not in text
+    assert not re.search(r"\bsrc\s*=|@import|url\(|<link\b|<iframe\b", text)
+    links = [a.get("href", "") for a in page.iter("a")]
+    assert links
+    ids = {node.get("id") for node in page.iter()}
+    assert all(link[0] == "#" and link[1:] in ids for link in links)
+    assert not any(name.startswith("on") for node in page.iter() for name in node.attrib)
+
+
+def test_names_from_files_are_escaped(whole: RunFolder) -> None:
+    text, page, cases = render(whole)
+    assert "part & <co>" in words(page)
+    assert "<co>" not in text
+    assert any(p.get("value") == "part & <co>" for p in cases.iter("property"))
+
+
+def test_figures_are_those_of_the_record(whole: RunFolder) -> None:
+    _, page, _ = render(whole)
+    record = whole.manifest()
+    shown = {row.get("data-gate"): data(row) for row in rows(page, "gates")}
+    assert shown == {g["name"]: [g["figure"], g["limit"]] for g in record["gates"]}
+    pairs = [data(row) for row in rows(section(page, "agreement"), "pairs")]
+    keys = (
+        "max_depth_mm",
+        "limit_mm",
+        "max_hausdorff_mm",
+        "max_p95_mm",
+        "max_area_difference_mm2",
+        "min_iou",
+    )
+    assert pairs == [[p[k] for k in keys] for p in record["comparison"]["pairs"]]
+    checks = {words(row[0]): data(row) for row in rows(section(page, "program"), "checks")}
+    assert checks == {c["name"]: [c["value"], c["limit"]] for c in record["program"]["checks"]}
+    totals = data(section(page, "program"))
+    assert all(value in totals for value in record["program"]["totals"].values())
+    errors = data(section(page, "fit"))
+    assert {
+        record["reference"][of][f"normal_{end}_mm"] for of in ("contour", "curve") for end in ("min", "max")
+    } <= set(errors)
+    assert all(record["reference"]["reduction"][f"normal_{f}"] in errors for f in ("range", "max", "rms"))
+
+
+def test_verdict_is_that_of_the_record(whole: RunFolder) -> None:
+    _, page, cases = render(whole)
+    record = whole.manifest()
+    passed = record["exit_code"] == 0 and record["program"]["validated"]
+    assert words(section(page, "verdict")).startswith("✔ VALIDATED" if passed else "✘ NOT VALIDATED")
+    failed = {
+        c.get("name")
+        for c in cases.iter("testcase")
+        if c.find("failure") is not None and c.get("classname") == "ebamcheck.gate"
+    }
+    assert failed == {g["name"] for g in record["gates"] if not g["passed"]}
+
+
+def test_pictures_show_every_backend_and_a_place_enlarged(whole: RunFolder) -> None:
+    _, page, _ = render(whole)
+    frames = [f for f in page.iter("figure") if f.get("class") == "frame"]
+    assert 3 <= len(frames) <= overlays.MOST_LAYERS
+    for frame in frames:
+        drawn = [g.get("data-name") for g in frame.iter("g") if g.get("class") == "slicer"]
+        assert drawn == sorted(whole.manifest()["backends"])
+        assert len(list(frame.iter("svg"))) == 2
+    for anchor in ("agreement", "fit", "scan", "program"):
+        assert (
+            any("chart" in (s.get("class") or "") for s in section(page, anchor).iter("svg"))
+            or anchor == "program"
+        )
+
+
+def test_junit_has_one_case_a_gate_backend_pair_and_check(whole: RunFolder) -> None:
+    _, _, root = render(whole)
+    record = whole.manifest()
+    names = [(c.get("classname"), c.get("name")) for c in root.iter("testcase")]
+    expected = [("ebamcheck.gate", g["name"]) for g in record["gates"]]
+    expected += [(f"ebamcheck.backend.{b}", "slice") for b in record["backends"]]
+    expected += [
+        (f"ebamcheck.backend.{p['a']}", f"agrees with {p['b']}") for p in record["comparison"]["pairs"]
+    ]
+    expected += [("ebamcheck.program", c["name"]) for c in record["program"]["checks"]]
+    assert sorted(names) == sorted(expected)
+    assert len(set(names)) == len(names)
+    assert (
+        int(root.get("tests", "0"))
+        == len(names)
+        == sum(int(s.get("tests", "0")) for s in root.iter("testsuite"))
+    )
+
+
+def test_summary_has_the_figures_of_the_record(whole: RunFolder) -> None:
+    render(whole)
+    record = whole.manifest()
+    with (whole.path / "summary.csv").open(encoding="utf-8", newline="") as file:
+        found = list(csv.DictReader(file))
+    assert [float(r["figure"]) for r in found if r["kind"] == "gate"] == [
+        g["figure"] for g in record["gates"]
+    ]
+    pairs = [r for r in found if r["kind"] == "pair"]
+    assert [(r["backend"], r["against"]) for r in pairs] == [
+        (p["a"], p["b"]) for p in record["comparison"]["pairs"]
+    ]
+    assert [float(r["min_iou"]) for r in pairs] == [p["min_iou"] for p in record["comparison"]["pairs"]]
+    assert {r["part_sha256"] for r in found} == {record["part"]["sha256"]}
+
+
+def test_same_run_same_bytes(copy: RunFolder) -> None:
+    names = ("report.html", "junit.xml", "summary.csv")
+    render(copy)
+    before = [(copy.path / name).read_bytes() for name in names]
+    render(copy)
+    assert [(copy.path / name).read_bytes() for name in names] == before
+
+
+def test_polar_chart_has_the_errors_that_the_run_measures(whole: RunFolder) -> None:
+    # The extremes over the rays are those of contour_error, which measures the same ring pair by ring.
+    layers = whole.read_layers(whole.manifest()["primary"])
+    curves = Curves.from_parquet(whole.path / "curves.parquet")
+    from ebamcheck import load
+
+    truth = slice_part(load(whole.path.parent / "fine.stl"), layers.heights)
+    k = len(layers) // 2
+    rays = 720
+    theta = (np.arange(rays) + 0.5) * (2 * np.pi / rays)
+    drawn = polar_errors(layers, curves, truth, k, theta)
+    assert drawn is not None
+    largest = max(layers.rings_of(k), key=lambda r: layers.ring_areas[r])
+    for error, measured in zip(drawn, (layers, curves), strict=True):
+        table_ = contour_error(measured, truth, rays=rays, by="ring")
+        row = table_[table_["ring"] == largest].iloc[0]
+        assert error.min() == pytest.approx(row["polar_min_mm"], abs=1e-9)
+        assert error.max() == pytest.approx(row["polar_max_mm"], abs=1e-9)
+
+
+def test_polar_chart_appears_with_a_kept_reference(copy: RunFolder) -> None:
+    from ebamcheck import load
+
+    layers = copy.read_layers(copy.manifest()["primary"])
+    (source,) = [p for p in Path(copy.path).parents if p.exists()][:1]
+    assert source.exists()
+    truth = layers.labelled(backend="reference")
+    layer_files.write_parquet(truth, copy.path / "reference.parquet")
+    _, page, _ = render(copy)
+    assert "Polar error of the largest outer contour" in words(section(page, "fit"))
+    assert callable(load)
+
+
+def test_program_picture_is_the_path_of_the_text(whole: RunFolder) -> None:
+    config = RunData(whole).config
+    name = whole.manifest()["program"]["files"][3]["name"]
+    program = read_program(whole.program_folder / name, config)
+    motions = np.flatnonzero(program.deposit)
+    spans = program_picture.bezier_form(program, motions)
+    assert len(spans) >= len(motions)
+    np.testing.assert_allclose(spans[0, 0], program.start[motions[0], :2], atol=1e-5)
+    np.testing.assert_allclose(spans[-1, 3], program.end[motions[-1], :2], atol=1e-5)
+    curved = motions[program.kind[motions] == program_picture.POLYNOMIAL]
+    assert curved.size
+    t = np.linspace(0, 1, 7)
+    for row in curved[:20].tolist():
+        (b,) = program_picture.bezier_form(program, np.array([row]))
+        powers = np.stack([(1 - t) ** 3, 3 * (1 - t) ** 2 * t, 3 * (1 - t) * t**2, t**3], 1)
+        np.testing.assert_allclose(powers @ b, program.evaluate(np.full(7, row), t), atol=1e-9)
+
+
+# -- broken and partial runs -----------------------------------------------------------------------
+
+
+def test_failed_backend_and_gate_show_everywhere(copy: RunFolder) -> None:
+    record = copy.manifest()
+    backends = record["backends"]
+    backends["stencil"] |= {
+        "status": "timed out",
+        "why": "no answer after 600 s <deadlock>",
+        "file": "",
+        "rings": 0,
+    }
+    copy.layers_file("stencil").unlink()
+    gates = [
+        g | {"passed": False, "text": "worst & wide", "figure": "NaN"} if g["name"] == "fit" else g
+        for g in record["gates"]
+    ]
+    pairs = [p for p in record["comparison"]["pairs"] if "stencil" not in (p["a"], p["b"])]
+    pairs[0] |= {"agree": pairs[0]["gated"] - 1, "max_depth_mm": 0.5, "max_hausdorff_mm": "Infinity"}
+    finding = {
+        "layer": 1, "height_mm": 12.0, "backend": pairs[0]["a"], "against": pairs[0]["b"], "metric": "depth", "value": 0.5,
+        "limit": 0.001, "x_mm": 7.25, "y_mm": "NaN", "cause": "thin feature",
+    }  # fmt: skip
+    comparison = record["comparison"] | {"pairs": pairs, "findings": [finding] * 25}
+    changed(
+        copy,
+        backends=backends,
+        gates=gates,
+        comparison=comparison,
+        exit_code=1,
+        program=record["program"] | {"validated": False},
+    )
+    text, page, root = render(copy)
+    assert "TIMED OUT" in text
+    assert "no answer after 600 s <deadlock>" in words(section(page, "slicers"))
+    assert "worst & wide" in words(section(page, "verdict"))
+    assert "infinite" in words(section(page, "agreement"))
+    assert "… and 5 more" in words(section(page, "agreement"))
+    assert words(section(page, "verdict")).startswith("✘ NOT VALIDATED")
+    cases = {(c.get("classname"), c.get("name")): c for c in root.iter("testcase")}
+    error = cases["ebamcheck.backend.stencil", "slice"].find("error")
+    assert error is not None
+    assert "600 s" in error.get("message", "")
+    failure = cases["ebamcheck.gate", "fit"].find("failure")
+    assert failure is not None
+    assert "worst & wide" in failure.get("message", "")
+    pair = cases[f"ebamcheck.backend.{pairs[0]['a']}", f"agrees with {pairs[0]['b']}"].find("failure")
+    assert pair is not None
+    assert "0.5" in pair.get("message", "")
+    assert "thin feature" in (pair.text or "")
+    assert (root.get("errors"), int(root.get("failures", "0"))) == ("1", 2)
+
+
+def test_inside_out_part_without_contours(tmp_path: Path) -> None:
+    folder = run(
+        inside_out(box((0, 0, 0), (20, 20, 9))), tmp_path, 3.0, slicing={"backends": ("planecut", "manifold")}
+    )
+    _, page, root = render(folder)
+    assert "inside-out" in words(section(page, "verdict"))
+    assert "facets face inwards" in words(section(page, "part"))
+    missing = [words(row) for row in rows(page, "gates") if row.get("class") == "missing"]
+    assert len(missing) == 3
+    assert all("not reached" in text for text in missing)
+    skipped = {c.get("name") for c in root.iter("testcase") if c.find("skipped") is not None}
+    assert {"fit", "coverage", "program"} <= skipped
+
+
+def test_one_backend_alone(tmp_path: Path) -> None:
+    folder = run(box((0, 0, 0), (30, 20, 9)), tmp_path, 3.0, slicing={"backends": ("planecut",)})
+    _, page, root = render(folder)
+    assert "two are needed" in words(section(page, "agreement"))
+    assert "No reference was given" in words(section(page, "fit"))
+    assert words(section(page, "verdict")).startswith("✘ NOT VALIDATED")
+    assert not [s for s in root.iter("testsuite") if s.get("name") == "ebamcheck.agreement"]
+
+
+def test_damaged_file_costs_its_section_only(copy: RunFolder) -> None:
+    (copy.path / "scan.parquet").write_bytes(b"not parquet")
+    html.write(copy)
+    text = (copy.path / "report.html").read_text(encoding="utf-8")
+    assert text.count("This section cannot be shown") == 1
+    assert "scan.parquet" in text
+
+
+# -- pieces ----------------------------------------------------------------------------------------
+
+
+def test_text_that_xml_cannot_hold_is_replaced() -> None:
+    made = element("p", "a\x00\udc80<b>&", title='"\x01"')
+    node = ElementTree.fromstring(made)
+    assert node.text == "a\ufffd\ufffd<b>&"
+    made.encode("utf-8")
+
+
+@pytest.mark.parametrize("values", [[np.nan], [np.inf], [], [5.0], [1.0, np.nan, np.inf, 2.0], [0.0] * 5000])
+def test_charts_of_odd_series(values: list[float]) -> None:
+    chart = charts.line_chart([charts.Series("a", range(len(values)), values)], "x", "y", limit=1.0)
+    assert "nan" not in chart
+    ElementTree.fromstring(f"<div>{chart}</div>")
+
+
+def test_long_charts_stay_small_and_keep_peaks() -> None:
+    y = np.zeros(200_000)
+    y[123_456] = 7.0
+    chart = charts.line_chart([charts.Series("a", np.arange(y.size), y)], "x", "y")
+    assert len(chart) < 20_000
+    _, kept = charts.thinned(np.arange(y.size, dtype=float), y)
+    assert kept.max() == 7.0
+
+
+def test_canvas_cuts_what_lies_outside() -> None:
+    import shapely
+
+    far = shapely.LineString([(-1e6, 0.5), (1e6, 0.5)])
+    canvas = Canvas((0.0, 0.0, 1.0, 1.0), 200.0)
+    canvas.lines(far, stroke="#000")
+    (x0, x1) = (float(v) for v in re.findall(r"[ML ]?(-?[\d.]+),", canvas.body[0])[:2])
+    assert abs(x0) < 1000
+    assert abs(x1) < 1000
+    ElementTree.fromstring(canvas.svg("a < b"))
+
+
+def test_table_escapes_and_sets_numbers_right() -> None:
+    node = ElementTree.fromstring(table(("a", "b"), [("<x>", 1.5), ("y", 2)]))
+    cells = [(c.text, c.get("class")) for c in node.iter("td")]
+    assert cells[0] == ("<x>", None)
+    assert all(c.get("class") == "number" for c in list(node.iter("td"))[1::2])
+
+
+def test_record_is_read_with_numbers_that_json_has_not(copy: RunFolder) -> None:
+    record = json.loads((copy.path / "run.json").read_text())
+    reference = record["reference"]
+    for of in ("contour", "curve"):
+        reference[of] = dict.fromkeys(reference[of], "NaN")
+    reference["reduction"] = dict.fromkeys(reference["reduction"], "NaN")
+    changed(copy, reference=reference | {"unmatched_rings": 44})
+    _, page, _ = render(copy)
+    assert "not defined" in words(section(page, "fit"))
+    assert "44 contours" in words(section(page, "fit"))
