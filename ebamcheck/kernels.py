@@ -14,13 +14,17 @@ from typing import Any, TypeVar, cast
 
 import numba
 
+from ebamcheck.kernel_cache import kernel_cache
+
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _Result = TypeVar("_Result")
 
 
 def kernel(function: _Function) -> _Function:
     """Compile `function` with numba: cached on disk, without the interpreter lock, IEEE arithmetic."""
-    return cast(_Function, numba.njit(cache=True, nogil=True, fastmath=False)(function))
+    compiled = numba.njit(nogil=True, fastmath=False)(function)
+    compiled._cache = kernel_cache(function)
+    return cast(_Function, compiled)
 
 
 def thread_count() -> int:

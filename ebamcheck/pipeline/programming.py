@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from ebamcheck import registry
+from ebamcheck import layer_files, registry
 from ebamcheck.config import Config
 from ebamcheck.curves import Curves, contour_error, error_reduction, fit, fit_deviation
 from ebamcheck.layers import Layers, from_polygons
@@ -87,13 +88,14 @@ def _fit(job: Job, layers: Layers, fine: Part | None) -> pd.DataFrame:
 def _against_reference(job: Job, layers: Layers, curves: Curves, fine: Part) -> dict[str, Any]:
     """Errors of contour and curve against the finer tessellation (paper, section 5.2)."""
     truth = slice_part(fine, layers.heights)
+    layer_files.write_parquet(truth, job.folder.path / "reference.parquet")
     before, after = contour_error(layers, truth), contour_error(curves, truth)
     pd.concat([before.assign(of="contour"), after.assign(of="curve")]).to_csv(
         job.folder.path / "reference.csv", index=False
     )
     figures = ("polar_min_mm", "polar_max_mm", "normal_min_mm", "normal_max_mm")
     return {
-        "part": {"source": fine.source, "sha256": fine.source_sha256, "facets": len(fine.faces)},
+        "part": {"source": Path(fine.source).name, "sha256": fine.source_sha256, "facets": len(fine.faces)},
         "contour": {f: _extreme(before[f], f) for f in figures} | _rms(before),
         "curve": {f: _extreme(after[f], f) for f in figures} | _rms(after),
         "reduction": error_reduction(before, after).to_dict(),

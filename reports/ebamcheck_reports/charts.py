@@ -66,7 +66,8 @@ def line_chart(
     if not ys.size:
         return element("p", "There is nothing to draw.", class_="none")
     extra = [v for v in (limit, 0.0 if from_zero else None) if v is not None]
-    x_axis, y_axis = _axis(xs.min(), xs.max()), _axis(min([ys.min(), *extra]), max([ys.max(), *extra]))
+    x_axis = _tight(_axis(xs.min(), xs.max()), xs.min(), xs.max())
+    y_axis = _axis(min([ys.min(), *extra]), max([ys.max(), *extra]))
     body = [_grid(x_axis, y_axis), _names(x_label, y_label)]
     if limit is not None:
         body.append(_limit(y_axis, limit))
@@ -120,6 +121,13 @@ def _axis(low: float, high: float) -> _Axis:
     first, last = math.floor(low / step + 1e-9), math.ceil(high / step - 1e-9)
     ticks = tuple(k * step for k in range(first, last + 1))
     return _Axis(ticks[0], ticks[-1], ticks)
+
+
+def _tight(axis: _Axis, low: float, high: float) -> _Axis:
+    """Let an axis end where its data do, with the ticks between."""
+    if high <= low:
+        return axis
+    return _Axis(low, high, tuple(t for t in axis.ticks if low <= t <= high))
 
 
 def _x(axis: _Axis, value: Floats | float) -> Floats:

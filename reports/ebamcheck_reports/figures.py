@@ -8,6 +8,9 @@ from typing import Any
 DIGITS = 4
 """Significant digits shown; the exact value stands beside it in the markup and in ``run.json``."""
 
+PLURALS = ("faults", "layers", "characters")
+"""Units that are counted."""
+
 UNDEFINED = "not defined"
 
 
@@ -40,6 +43,8 @@ def shown(value: Any, unit: str = "") -> str:
         return UNDEFINED
     if math.isinf(x):
         return "infinite" if x > 0 else "minus infinite"
+    if x == 1.0 and unit in PLURALS:
+        return f"1 {unit[:-1]}"
     if x == int(x) and abs(x) < 1e9:
         text = str(int(x))
     elif 1000.0 <= abs(x) < 1e9:

@@ -10,7 +10,7 @@ import shapely
 
 from ebamcheck.layer_svg import COLOURS, DASHES, overlay_svg
 from ebamcheck.layers import Layers
-from ebamcheck_reports.canvas import Canvas, around, outline
+from ebamcheck_reports.canvas import HEIGHT_LIMIT, LEAST_EXTENT_MM, Box, Canvas, around, outline
 from ebamcheck_reports.markup import Markup, element, join, picture
 from ebamcheck_reports.run_data import RunData, layer_name
 
@@ -19,6 +19,9 @@ WIDTH_PX, INSET_PX = 720, 320
 
 INSET_LIMITS = 5.0
 """Half the side of the inset over the depth or the limit, whichever is more: both are seen well."""
+
+LARGEST_INSET = 0.15
+"""Half the side of the inset over the size of the layer, at most: it enlarges a little even where the layer is tiny."""
 
 MOST_BYTES = 300_000
 """A picture larger than this is drawn at half its scale, where fewer points are seen."""
@@ -81,7 +84,9 @@ def worst_places(run: RunData) -> dict[int, Place]:
     first = rows.iloc[order].drop_duplicates("layer")
     figures = first[["depth_x_mm", "depth_y_mm", "depth_mm", "limit_mm"]].to_numpy(np.float64).tolist()
     names = [f"{a} and {b}" for a, b in zip(first["a"], first["b"], strict=True)]
-    places = (Place(*row, name) for row, name in zip(figures, names, strict=True))
+    places = (
+        Place(x, y, depth, limit, pair) for (x, y, depth, limit), pair in zip(figures, names, strict=True)
+    )
     return dict(zip(first["layer"].astype(int).tolist(), places, strict=True))
 
 
@@ -100,16 +105,30 @@ def _frame(run: RunData, layer: int, why: str, worst: Place | None) -> Markup:
 
 
 def _overlay(stacks: Mapping[str, Layers], layer: int, title: str) -> Markup:
-    svg = overlay_svg(stacks, layer, width_px=WIDTH_PX, title=title)
+    box = _box(stacks, layer)
+    svg = overlay_svg(stacks, layer, width_px=WIDTH_PX, title=title, box=box)
     if len(svg) > MOST_BYTES:
-        svg = overlay_svg(stacks, layer, width_px=WIDTH_PX // 2, title=title)
+        svg = overlay_svg(stacks, layer, width_px=WIDTH_PX // 2, title=title, box=box)
     return inline(svg)
+
+
+def _box(stacks: Mapping[str, Layers], layer: int) -> Box:
+    """Box of a layer in all stacks, widened so that a narrow one is not drawn taller than the page."""
+    bounds = np.array([layers.block(layer, layer + 1).bounds() for layers in stacks.values()])
+    x0, y0 = np.nanmin(bounds[:, :2], axis=0)
+    x1, y1 = np.nanmax(bounds[:, 2:], axis=0)
+    least = max(LEAST_EXTENT_MM, 0.02 * max(x1 - x0, y1 - y0))
+    wider = 0.5 * max(0.0, max(least, (y1 - y0) / HEIGHT_LIMIT) - (x1 - x0))
+    taller = 0.5 * max(0.0, least - (y1 - y0))
+    return (float(x0 - wider), float(y0 - taller), float(x1 + wider), float(y1 + taller))
 
 
 def _inset(stacks: Mapping[str, Layers], layer: int, worst: Place) -> Markup:
     """Enlarge the worst place, in the colours and dashes of the whole picture."""
     reach = worst.depth_mm if np.isfinite(worst.depth_mm) else 0.0
-    canvas = Canvas(around(worst.x_mm, worst.y_mm, INSET_LIMITS * max(reach, worst.limit_mm)), INSET_PX)
+    x0, y0, x1, y1 = _box(stacks, layer)
+    half_mm = min(INSET_LIMITS * max(reach, worst.limit_mm), LARGEST_INSET * max(x1 - x0, y1 - y0))
+    canvas = Canvas(around(worst.x_mm, worst.y_mm, half_mm), INSET_PX)
     for n, layers in enumerate(stacks.values()):
         colour, dashes = COLOURS[n % len(COLOURS)], DASHES[n % len(DASHES)]
         for r in layers.rings_of(layer):

@@ -13,6 +13,7 @@ import pandas as pd
 from ebamcheck import layer_files
 from ebamcheck.config import Config, validated
 from ebamcheck.curves import Curves
+from ebamcheck.errors import InputError
 from ebamcheck.layers import Layers
 from ebamcheck.scan import ScanPlan
 from ebamcheck.store import RunFolder
@@ -81,6 +82,11 @@ class RunData:
         return list(self.part_of("comparison").get("findings", []))
 
     @property
+    def compared(self) -> bool:
+        """Whether there was anything on any layer that two methods could be compared on."""
+        return bool(self.part_of("comparison").get("compared_layers"))
+
+    @property
     def checks(self) -> list[Mapping[str, Any]]:
         """Checks of the program."""
         return list(self.part_of("program").get("checks", []))
@@ -93,17 +99,27 @@ class RunData:
     # -- tables ------------------------------------------------------------------------------------
 
     def table(self, name: str) -> pd.DataFrame:
-        """Read a table of the run; empty where there is none."""
+        """Read a table of the run.
+
+        Raises
+        ------
+        InputError
+            If it is missing or damaged.
+        """
         path = self.folder.path / name
-        if not path.is_file() or not path.read_bytes()[:64].strip():
-            return pd.DataFrame()
-        return pd.read_csv(path, float_precision="round_trip")
+        try:
+            found = pd.read_parquet(path) if path.suffix == ".parquet" else pd.read_csv(path)
+        except (OSError, ValueError) as error:
+            why = str(error).partition("\n")[0]
+            raise InputError(f"{name}: cannot be read as a table of the run: {why}") from None
+        if len(found.columns) and "layer" not in found:
+            raise InputError(f"{name}: is no table of a run: it has no column 'layer'")
+        return found
 
     @cached_property
     def pair_table(self) -> pd.DataFrame:
         """One row a pair of backends and layer."""
-        path = self.folder.path / "compare.parquet"
-        return pd.read_parquet(path) if path.is_file() else pd.DataFrame()
+        return self.table("compare.parquet")
 
     @cached_property
     def layer_table(self) -> pd.DataFrame:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import shapely
 
+from ebamcheck.layers import Layers
+from ebamcheck.rings import Floats
 from ebamcheck.scan import ScanPlan
-from ebamcheck_reports.canvas import Canvas, ramp
+from ebamcheck_reports.canvas import Box, Canvas, outline, ramp
 from ebamcheck_reports.markup import Markup, legend
 
 WIDTH_PX = 880.0
@@ -15,21 +17,23 @@ MOST_NUMBERS = 150
 """Of more islands the numbers would cover the picture; colour and way remain."""
 
 MOST_ARROWS = 600
-BEAD, LINE, WAY, THIN = "#0072b2", "#333333", "#d81b60", "#d55e00"
+BEAD, LINE, WAY, THIN, SECTION = "#0072b2", "#555555", "#d81b60", "#d55e00", "#000000"
 LEGEND = (
     ("first island", ramp(0.0), ""),
     ("last island", ramp(1.0), ""),
     ("way from island to island", WAY, ""),
     ("hatch line (one bead)", LINE, ""),
-    ("contour bead", BEAD, ""),
+    ("contour of the part", SECTION, ""),
+    ("contour bead: centre line, and its width lightly", BEAD, ""),
     ("border of a thin wall", THIN, "5 3"),
 )
 
 
-def draw(plan: ScanPlan, layer: int, bead_width_mm: float, title: str) -> Markup:
-    """Draw a layer's islands, lines, contour beads and the order in which they come."""
+def draw(plan: ScanPlan, section: Layers | None, layer: int, bead_width_mm: float, title: str) -> Markup:
+    """Draw a layer's islands, lines, contour beads and the order in which they come, and the section to be filled."""
     islands = plan.islands_of(layer)
-    canvas = Canvas(_box(plan, layer, bead_width_mm), WIDTH_PX)
+    outlines = [] if section is None else [outline(section, r) for r in section.rings_of(layer)]
+    canvas = Canvas(_box(plan, layer, bead_width_mm, outlines), WIDTH_PX)
     region = plan.contours[layer]
     bead_px = bead_width_mm * canvas.px_per_mm
     canvas.lines(
@@ -51,6 +55,8 @@ def draw(plan: ScanPlan, layer: int, bead_width_mm: float, title: str) -> Markup
         vectors[["x0", "y0"]].to_numpy(), vectors[["x1", "y1"]].to_numpy(), stroke=LINE, stroke_width=0.7
     )
     canvas.lines(region.boundary, stroke=BEAD, stroke_width=1.6)
+    for points in outlines:
+        canvas.lines(shapely.LineString(points), stroke=SECTION, stroke_width=1.0)
     centres = plan.island_centroid[islands]
     if len(islands) <= MOST_ARROWS:
         canvas.arrows(centres, WAY)
@@ -65,11 +71,13 @@ def key() -> Markup:
     return legend(LEGEND)
 
 
-def _box(plan: ScanPlan, layer: int, bead_width_mm: float) -> tuple[float, float, float, float]:
+def _box(plan: ScanPlan, layer: int, bead_width_mm: float, outlines: list[Floats]) -> Box:
+    """Box of beads and section together."""
     shapes = [plan.contours[layer], *plan.islands[plan.islands_of(layer)]]
-    bounds = np.array([shapely.bounds(s) for s in shapes if not s.is_empty]).reshape(-1, 4)
-    if not len(bounds):
-        return (-0.5, -0.5, 0.5, 0.5)
     pad = 0.5 * bead_width_mm
-    low, high = bounds[:, :2].min(axis=0) - pad, bounds[:, 2:].max(axis=0) + pad
+    bounds = [np.add(shapely.bounds(s), (-pad, -pad, pad, pad)) for s in shapes if not s.is_empty]
+    bounds += [np.concatenate([points.min(axis=0), points.max(axis=0)]) for points in outlines]
+    if not bounds:
+        return (-0.5, -0.5, 0.5, 0.5)
+    low, high = np.min(bounds, axis=0)[:2], np.max(bounds, axis=0)[2:]
     return (float(low[0]), float(low[1]), float(high[0]), float(high[1]))

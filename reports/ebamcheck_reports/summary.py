@@ -60,7 +60,7 @@ def rows(run: RunData) -> Iterator[dict[str, Any]]:
             "name": f"{pair['a']} - {pair['b']}",
             "backend": pair["a"],
             "against": pair["b"],
-            "passed": pair["agree"] == pair["gated"] if pair["gated"] else "",
+            "passed": pair["agree"] == pair["gated"] if pair["gated"] and run.compared else "",
             "figure": pair["max_depth_mm"],
             "limit": pair["limit_mm"],
             "unit": "mm depth",

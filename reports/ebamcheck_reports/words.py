@@ -25,8 +25,7 @@ FAULTS = {
     "non-manifold": "At some edges an odd number of facets meet, or facets that do not pair up: there is no telling inside from "
     "outside there. Separate or unite the bodies in the CAD system and export the part again.",
     "flat": "The mesh has no volume: there is nothing to build.",
-    "inside-out": "The mesh is closed but its facets face inwards, so that the metal would lie outside of it. "
-    "Turn the facet normals over, or run again with --fix-orientation.",
+    "inside-out": "The mesh is closed but its facets face inwards, so that the metal would lie outside of it.",
 }
 
 STATUS = {

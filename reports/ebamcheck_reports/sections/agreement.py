@@ -35,10 +35,7 @@ def render(run: RunData) -> Markup:
         "Agreement",
         WHAT,
         _counts(run),
-        element("h3", "Worst depth of each pair"),
-        _matrix(run),
-        element("h3", "All figures of each pair"),
-        _pairs(run),
+        *_figures(run),
         element("h3", "Over the layers"),
         _areas(run),
         _ratios(run),
@@ -46,6 +43,23 @@ def render(run: RunData) -> Markup:
         *_findings(run),
         overlays.render(run),
     )
+
+
+def _figures(run: RunData) -> list[Markup]:
+    """Matrix and table of the pairs; where every layer is empty they would say that all is well."""
+    if not run.compared:
+        return [
+            paragraph(
+                "There was nothing to compare: that the methods agree on nothing says nothing.",
+                class_="note bad",
+            )
+        ]
+    return [
+        element("h3", "Worst depth of each pair"),
+        _matrix(run),
+        element("h3", "All figures of each pair"),
+        _pairs(run),
+    ]
 
 
 def _counts(run: RunData) -> Markup:
@@ -152,7 +166,7 @@ def _findings(run: RunData) -> list[Markup]:
         (
             figure(f["layer"]),
             figure(f["height_mm"], text=f"{f['height_mm']:.3f} mm"),
-            f["backend"],
+            f["backend"].replace(",", ", "),
             f["against"],
             words.meaning(words.METRICS, f["metric"]),
             figure(f["value"], "mm" if f["metric"] == "depth" else ""),

@@ -78,6 +78,7 @@ def _totals(record: Mapping[str, Any]) -> Markup:
                 figure(time, text=duration(time)),
             ),
             ("of that with beam on", figure(total["deposit_s"], text=duration(total["deposit_s"]))),
+            ("of that with beam off", figure(total["travel_s"], text=duration(total["travel_s"]))),
             ("motions", figure(total["motions"])),
             ("contour path", figure(total["contour_mm"], "mm")),
             ("hatch path", figure(total["hatch_mm"], "mm")),

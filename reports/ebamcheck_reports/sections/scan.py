@@ -86,7 +86,11 @@ def _picture(run: RunData, plan: ScanPlan, layer: int, why: str) -> Markup:
     name = layer_name(layer, float(plan.heights[layer]))
     row = plan.metrics.iloc[layer]
     svg = scan_picture.draw(
-        plan, layer, run.setting("process", "bead_width_mm", BEAD_WIDTH_MM), f"partition of {name}"
+        plan,
+        run.primary,
+        layer,
+        run.setting("process", "bead_width_mm", BEAD_WIDTH_MM),
+        f"partition of {name}",
     )
     caption = (
         f"{name} ({why}): {int(row['islands'])} islands, {percent(row['covered_fraction'])} covered, "

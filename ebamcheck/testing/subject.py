@@ -1,0 +1,115 @@
+"""What is under test: one slicer under one choice of settings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ebamcheck.backend import BackendSettings, Slicer
+from ebamcheck.comparison import compare
+from ebamcheck.comparison.measure import FINEST_DEPTH_MM
+from ebamcheck.layers import Layers
+from ebamcheck.part import Part
+from ebamcheck.rings import EPSILON
+from ebamcheck.testing.sections import HOUSE_RULE
+
+ROUNDING_STEPS = 64.0
+"""Units in the last place of the largest coordinate by which the kit's own maps and sections may be off."""
+
+LEVEL_SLOPE = 1e-9
+"""Facets whose normal has less than this share in the plane count as level: no layer cuts them."""
+
+
+class Subject:
+    """A slicer, its settings, and the parts that it has cut already.
+
+    Parameters
+    ----------
+    slicer
+        The slicer, or its class.
+    settings
+        Its settings; the defaults where none are given.
+    """
+
+    def __init__(self, slicer: Slicer | type[Slicer], settings: Mapping[str, Any] | None = None) -> None:
+        self.slicer: Slicer = slicer() if isinstance(slicer, type) else slicer
+        self.given = dict(settings or {})
+        self._layers: dict[tuple[str, bytes], Layers] = {}
+
+    def __str__(self) -> str:
+        chosen = ", ".join(f"{key}={value}" for key, value in self.given.items())
+        return f"{self.slicer.name} ({chosen})" if chosen else self.slicer.name
+
+    @property
+    def settings(self) -> BackendSettings:
+        """The settings, checked."""
+        return self.slicer.Settings(**self.given)
+
+    @property
+    def half_open(self) -> bool:
+        """Whether planes through vertices and faces are promised to follow z = h + 0."""
+        return self.slicer.coplanar_rule == "half-open"
+
+    def cut(self, part: Part, heights: ArrayLike) -> Layers:
+        """Layers of a part at strictly increasing heights; the same question is asked once."""
+        planes = np.asarray(heights, dtype=np.float64).reshape(-1)
+        key = (part.sha256, planes.tobytes())
+        if key not in self._layers:
+            with self.slicer.prepare(part, self.settings) as prepared:
+                self._layers[key] = prepared.slice(planes)
+        return self._layers[key]
+
+    def bound_mm(self, part: Part) -> float:
+        """The declared bound for a part."""
+        return float(self.slicer.error_bound_mm(part, self.settings))
+
+    def limit_mm(self, part: Part) -> float:
+        """What a section may be off: the bound, the height bound over the flattest slope, and our rounding."""
+        height = float(self.slicer.height_bound_mm(part, self.settings))
+        return self.bound_mm(part) + height * flattest_reach(part) + rounding_mm(part) + 2.0 * FINEST_DEPTH_MM
+
+    def inside_rule(self, layers: Layers) -> str:
+        """The rule in force: settings may change what the class declares, and then say so in their layers."""
+        return str(layers.settings.get("inside_rule", self.slicer.inside_rule or HOUSE_RULE))
+
+
+def rounding_mm(part: Part) -> float:
+    """What our own arithmetic may be off at the part's coordinates, mm."""
+    return ROUNDING_STEPS * EPSILON * float(np.abs(part.bounds).max())
+
+
+def flattest_reach(part: Part) -> float:
+    """Farthest that a contour moves where a plane moves by one: cotangent of the flattest slope that is cut."""
+    a, b, c = np.moveaxis(part.triangles, 1, 0)
+    normal = np.cross(b - a, c - a)
+    flat = np.hypot(normal[:, 0], normal[:, 1])
+    sloped = flat > LEVEL_SLOPE * np.linalg.norm(normal, axis=1)
+    return float((np.abs(normal[sloped, 2]) / flat[sloped]).max(initial=0.0))
+
+
+def generic_heights(part: Part, count: int) -> NDArray[np.float64]:
+    """Spread heights over a part, each well between two levels at which it has vertices."""
+    levels = np.unique(part.vertices[:, 2])
+    low, high = levels[0], levels[-1]
+    wanted = low + (high - low) * (np.arange(count) + 0.381966) / count
+    at = np.clip(np.searchsorted(levels, wanted, side="right"), 1, len(levels) - 1)
+    below, above = levels[at - 1], levels[at]
+    margin = 0.15 * (above - below)
+    return np.unique(np.clip(wanted, below + margin, above - margin))
+
+
+def depths(reference: Layers, found: Layers, limit_mm: float) -> tuple[NDArray[np.float64], list[str]]:
+    """Deepest point of the difference on each layer, (L,) mm, measured from the reference, and where it is."""
+    table = compare(
+        reference, found, tolerance_mm=limit_mm, depth_from="a", exact_a=True, check_part=False
+    )
+    places = [
+        f"z = {z:.6g} mm, x = {x:.6g}, y = {y:.6g}" if depth > 0.0 else f"z = {z:.6g} mm"
+        for z, x, y, depth in zip(
+            table["height_mm"], table["depth_x_mm"], table["depth_y_mm"], table["depth_mm"], strict=True
+        )
+    ]
+    return table["depth_mm"].to_numpy(dtype=np.float64), places

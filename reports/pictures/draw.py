@@ -1,0 +1,58 @@
+"""Draw the pictures of README.md from a finished run of the demo part: ``python reports/pictures/draw.py demo/run``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ebamcheck.layer_svg import overlay_svg, sheet_svg
+from ebamcheck.program import read_program
+from ebamcheck.scan import ScanPlan
+from ebamcheck.store import RunFolder
+from ebamcheck_reports import overlays, program_picture, scan_picture
+from ebamcheck_reports.canvas import around
+from ebamcheck_reports.run_data import RunData, layer_name
+
+ROOT_LAYER, BLADE_LAYER = 20, 57
+"""A layer of the root, which is partitioned into hexagons, and one through the hollow blade."""
+
+WORST_LIMITS = 2.0
+"""Half the side of the enlarged place over the limit of the pair."""
+
+NAMESPACE = ' xmlns="http://www.w3.org/2000/svg"'
+
+
+def draw(folder: Path, target: Path) -> None:
+    """Write every picture of the README into `target`."""
+    run = RunData(RunFolder(folder))
+    exact = run.stacks[run.manifest["primary"]]
+    worst = overlays.worst_places(run)[BLADE_LAYER]
+    plan = ScanPlan.from_parquet(folder / "scan.parquet")
+    program = read_program(folder / "program", run.config)
+    bead_mm = run.config.process.bead_width_mm
+    root, blade = (layer_name(k, float(exact.heights[k])) for k in (ROOT_LAYER, BLADE_LAYER))
+    pictures = {
+        "layers": sheet_svg(exact, width_px=1200, columns=4, most=8),
+        "overlay": overlay_svg(run.stacks, BLADE_LAYER, width_px=720),
+        "overlay-worst": overlay_svg(
+            run.stacks,
+            BLADE_LAYER,
+            width_px=520,
+            box=around(worst.x_mm, worst.y_mm, WORST_LIMITS * worst.limit_mm),
+            title=f"worst place of layer {BLADE_LAYER}: {worst.pair}, {worst.depth_mm:.3f} mm deep (limit {worst.limit_mm:.3f} mm)",
+        ),
+        "partition-root": scan_picture.draw(plan, exact, ROOT_LAYER, bead_mm, root),
+        "partition-blade": scan_picture.draw(plan, exact, BLADE_LAYER, bead_mm, blade),
+        "program-blade": program_picture.draw(program, f"{blade}, read back from the program", BLADE_LAYER),
+    }
+    for name, picture in pictures.items():
+        text = str(picture)
+        if NAMESPACE not in text:
+            text = text.replace("<svg ", f"<svg{NAMESPACE} ", 1)
+        (target / f"{name}.svg").write_text(text + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("run", type=Path, help="run folder of the demo part")
+    draw(parser.parse_args().run, Path(__file__).parent)
