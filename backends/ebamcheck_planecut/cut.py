@@ -14,7 +14,14 @@ from ebamcheck.layers import Layers, canonical, concatenate
 from ebamcheck.part import Part
 from ebamcheck.topology import edge_groups, twins
 from ebamcheck_planecut import overlaps
-from ebamcheck_planecut.trace import facet_spans, facets_by_layer, trace_layers
+from ebamcheck_planecut.trace import (
+    Floats,
+    Index,
+    facet_spans,
+    facets_by_layer,
+    mixed_directions,
+    trace_layers,
+)
 
 SMALLEST_BLOCK = 16
 """Layers that a thread takes at least: fewer do not pay for passing over the facets once a block."""
@@ -26,9 +33,11 @@ class PreparedCut:
     def __init__(self, part: Part, settings: BackendSettings) -> None:
         self._part = part
         self._settings = settings.model_dump()
-        groups = edge_groups(part.faces, len(part.vertices))
-        self._twin = twins(part.vertices, part.faces, groups.half_edges, groups.starts)
+        self._vertices, self._faces, self._original = _sorted_by_height(part)
+        groups = edge_groups(self._faces, len(self._vertices))
+        self._twin = twins(self._vertices, self._faces, groups.half_edges, groups.starts)
         paired = int(np.count_nonzero(self._twin >= 0))
+        self._mixed = mixed_directions(self._faces, self._twin)
         self._open = paired != groups.half_edges.size
 
     def __enter__(self) -> Self:
@@ -45,12 +54,8 @@ class PreparedCut:
 
     def slice(self, heights: NDArray[np.float64], progress: Progress | None = None) -> Layers:
         """Cut at strictly increasing heights (L,), mm."""
-        part = self._part
-        # A degenerate facet has no neighbours and is never cut: all its corners get one level.
-        levels = np.searchsorted(heights, part.vertices[:, 2], side="left").astype(np.int32)
-        first, last = facet_spans(levels, part.faces)
-        repeated = _repeats_a_vertex(part.faces)
-        last[repeated] = first[repeated]
+        levels = np.searchsorted(heights, self._vertices[:, 2], side="left").astype(np.int32)
+        first, last = facet_spans(levels, self._faces)
 
         def block(start: int, stop: int) -> Layers:
             layers = self._cut_block(heights, levels, first, last, start, stop)
@@ -72,7 +77,16 @@ class PreparedCut:
         part = self._part
         layer_starts, facets = facets_by_layer(first, last, start, stop)
         points, edge, edge_t, ring_starts, rings_of_layer, closed = trace_layers(
-            part.vertices, part.faces, levels, self._twin, heights, start, layer_starts, facets, self._open
+            self._vertices,
+            self._faces,
+            levels,
+            self._twin,
+            heights,
+            start,
+            layer_starts,
+            facets,
+            self._open,
+            self._mixed,
         )
         layers = canonical(
             heights[start:stop],
@@ -80,7 +94,7 @@ class PreparedCut:
             ring_starts,
             rings_of_layer,
             closed,
-            edge=edge,
+            edge=self._original[edge],
             edge_t=edge_t,
             part=part.sha256,
             direction=part.direction,
@@ -128,6 +142,16 @@ def _united(layers: Layers) -> Layers:
     return concatenate([*blocks, layers.block(done, len(layers))]) if blocks else layers
 
 
-def _repeats_a_vertex(faces: NDArray[np.int32]) -> NDArray[np.bool_]:
-    a, b, c = faces.T
-    return np.asarray((a == b) | (b == c) | (c == a))
+def _sorted_by_height(part: Part) -> tuple[Floats, Index, Index]:
+    """Vertices by height and facets by their lowest vertex, and the part's number of each vertex.
+
+    What a layer needs then lies together in memory, in whatever order the file had it. Facets with a repeated vertex
+    have no section and are left out.
+    """
+    original = np.argsort(part.vertices[:, 2], kind="stable").astype(np.int32)
+    rank = np.empty_like(original)
+    rank[original] = np.arange(original.size, dtype=np.int32)
+    a, b, c = part.faces.T
+    faces = rank[part.faces[(a != b) & (b != c) & (c != a)]]
+    order = np.argsort(faces.min(axis=1), kind="stable")
+    return part.vertices[original], faces[order], original

@@ -56,6 +56,16 @@ def facets_by_layer(first: Index, last: Index, start: int, stop: int) -> tuple[I
 
 
 @kernel
+def mixed_directions(faces: Index, twin: Index) -> bool:
+    """Whether two neighbours run the same way along their edge, as they do where one of them is flipped."""
+    for h in range(twin.size):
+        g = twin[h]
+        if g > h and faces[h // 3, h % 3] == faces[g // 3, g % 3]:
+            return True
+    return False
+
+
+@kernel
 def _cut_edges(levels: Index, faces: Index, f: int, k: int) -> tuple[int, int]:
     """Corners of facet `f` whose half-edges the section enters (running down) and leaves by (running up).
 
@@ -80,6 +90,7 @@ def trace_layers(
     layer_starts: Ints,
     layer_facets: Index,
     open_mesh: bool,
+    mixed: bool,
 ) -> tuple[Floats, Index, Floats, Ints, Ints, NDArray[np.bool_]]:
     """Trace the rings and open paths of layers ``start .. start + n - 1``.
 
@@ -130,9 +141,10 @@ def trace_layers(
                 while True:
                     seen[f] = k
                     filled = _emit(vertices, faces, 3 * f + leave, h, points, edge, edge_t, filled)
-                    if filled - first > 1:
-                        length = abs(points[filled - 1, 0] - points[filled - 2, 0]) + abs(
-                            points[filled - 1, 1] - points[filled - 2, 1]
+                    if mixed and filled - first > 1:
+                        length = np.hypot(
+                            points[filled - 1, 0] - points[filled - 2, 0],
+                            points[filled - 1, 1] - points[filled - 2, 1],
                         )
                         if leave == up:
                             with_facets += length
@@ -145,7 +157,8 @@ def trace_layers(
                     enter = across % 3
                     down, up = _cut_edges(levels, faces, f, k)
                     leave = up if enter == down else down
-                # A ring through flipped facets runs the way that the greater length of its facets says.
+                # A ring through flipped facets runs the way that the greater length of its facets says: one flipped
+                # facet never outweighs the rest, as a side of a polygon is shorter than all others together.
                 if against > with_facets:
                     _reverse(points, edge, edge_t, first, filled)
                 closed[rings] = is_closed
