@@ -173,11 +173,11 @@ class Layers:
         return replace(
             self,
             heights=self.heights[wanted],
-            points=self.points[rows],
+            points=self.points.take(rows, axis=0),  # many times faster than fancy indexing of rows
             ring_starts=ring_starts,
             layer_starts=layer_starts,
             closed=self.closed[ring_index],
-            edge=None if self.edge is None else self.edge[rows],
+            edge=None if self.edge is None else self.edge.take(rows, axis=0),
             edge_t=None if self.edge_t is None else self.edge_t[rows],
             dropped=self.dropped[wanted],
         )
@@ -256,11 +256,11 @@ def canonical(
     per_layer = np.bincount(layer_of[kept], minlength=heights.size)
     return Layers(
         heights=heights,
-        points=points[rows],
+        points=points.take(rows, axis=0),
         ring_starts=new_ring_starts,
         layer_starts=np.concatenate([[0], np.cumsum(per_layer)]).astype(np.int64),
         closed=closed[kept],
-        edge=None if edge is None else edge[rows],
+        edge=None if edge is None else edge.take(rows, axis=0),
         edge_t=None if edge_t is None else edge_t[rows],
         dropped=(np.diff(layer_starts) - per_layer).astype(np.int64),
         **labels,
