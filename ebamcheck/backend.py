@@ -71,6 +71,10 @@ class Prepared(Protocol):
         """Cut the part at strictly increasing heights (L,), mm, and return canonical layers.
 
         The result of a layer does not depend on which other layers are asked for.
+
+        A slicer that knows where its answer cannot be trusted on this part declares it in the settings of
+        the layers as ``doubtful_regions``: a list of ``{"box_mm": [xmin, ymin, zmin, xmax, ymax, zmax],
+        "why": one line}``. A disagreement in such a box is still one, and has that line as its likely cause.
         """
         ...
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import functools
+import io
 import json
 import logging
 import os
+import signal
 import sys
 import traceback
 import warnings
@@ -16,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import typer
 
 from ebamcheck import __version__
-from ebamcheck.errors import EbamcheckError, ExitCode, NothingCompared, SettingsError
+from ebamcheck.errors import EbamcheckError, ExitCode, InputError, NothingCompared, SettingsError
 
 if TYPE_CHECKING:
     from ebamcheck.config import Config
@@ -70,31 +72,39 @@ def command(name: str | None = None, **options: Any) -> Callable[[_Command], _Co
 def _run_guarded(function: Callable[..., Any], *args: Any, **kwargs: Any) -> ExitCode:
     """Run a command; turn what it raises into a message and an exit code."""
     debug = bool(os.environ.get("EBAMCHECK_DEBUG"))
+    code = ExitCode.INTERNAL
     try:
-        return ExitCode(function(*args, **kwargs) or ExitCode.PASS)
+        code = ExitCode(function(*args, **kwargs) or ExitCode.PASS)
+        sys.stdout.flush()
     except EbamcheckError as error:
-        if debug:
-            traceback.print_exc()
-        print(f"ebamcheck: error: {error}", file=sys.stderr)
-        return error.exit_code
+        code = error.exit_code
+        _tell(f"error: {error}", debug)
     except KeyboardInterrupt:
-        print("ebamcheck: interrupted; what was finished is kept (see --resume)", file=sys.stderr)
-        return ExitCode.INTERRUPTED
+        code = ExitCode.INTERRUPTED
+        kept = "; what was finished is kept for --resume" if function.__name__ == "run" else ""
+        _tell(f"interrupted{kept}", debug)
     except BrokenPipeError:
         # The reader of our output has gone; there is nobody left to tell.
-        sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
-        return ExitCode.PASS
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except OSError as error:
+        # What the system refuses (a full disk, a folder without permission) is for the user to mend.
+        code = ExitCode.USAGE
+        where = f"{error.filename}: " if error.filename else ""
+        _tell(f"error: {where}{error.strerror or error}", debug)
     except (typer.Exit, typer.Abort):
         raise
     except Exception as error:
-        if debug:
-            traceback.print_exc()
-        print(
-            f"ebamcheck: internal error: {type(error).__name__}: {' '.join(str(error).split())} "
-            "(run again with --debug for a traceback)",
-            file=sys.stderr,
+        _tell(
+            f"internal error: {type(error).__name__}: {error} (run again with --debug for a traceback)", debug
         )
-        return ExitCode.INTERNAL
+    return code
+
+
+def _tell(message: str, debug: bool = False) -> None:
+    """Print a message as one line on standard error, after the traceback where one is wanted."""
+    if debug:
+        traceback.print_exc()
+    print(f"ebamcheck: {' '.join(message.split())}", file=sys.stderr)
 
 
 def _show_version(asked: bool) -> None:
@@ -223,6 +233,7 @@ def slice_command(
     """Slice a part with one backend and write its layers."""
     from ebamcheck import registry
     from ebamcheck.heights import layer_heights
+    from ebamcheck.isolate import Limits
     from ebamcheck.layer_files import write_layers
     from ebamcheck.slicing import slice_part
 
@@ -236,7 +247,8 @@ def slice_command(
     registry.slicer_settings(name, values)
     placed = _load(part, settings)
     wanted = _numbers(heights, "--heights") if heights else layer_heights(placed, settings.layer_height_mm)
-    layers = slice_part(placed, wanted, name, isolate=True, **values)
+    limits = Limits(settings.slicing.time_limit_s, settings.slicing.memory_limit_mb)
+    layers = slice_part(placed, wanted, name, isolate=True, limits=limits, **values)
     write_layers(layers, output)
     print(
         f"{len(layers)} layers, {int(layers.ring_counts().sum())} rings, {int(layers.open_counts().sum())} open paths, "
@@ -350,6 +362,8 @@ def verify(
 
     if (target / MANIFEST).is_file():
         checks = verify_run(target, part)
+    elif not target.exists():
+        raise InputError(f"{target}: there is no such run folder or program")
     elif part is None:
         raise SettingsError(f"{target}: is no run folder: to verify a program, name its part with --part")
     else:
@@ -491,7 +505,8 @@ def _run_summary(manifest: Any) -> str:
 def _print_json(value: Any) -> None:
     from ebamcheck.store import plain
 
-    print(json.dumps(plain(value), indent=2, sort_keys=True, allow_nan=False, ensure_ascii=False))
+    # ASCII alone, so that it is valid JSON under every encoding of the terminal.
+    print(json.dumps(plain(value), indent=2, sort_keys=True, allow_nan=False))
 
 
 def _add_plugin_commands() -> None:
@@ -510,5 +525,32 @@ def main() -> None:
     if "--debug" in sys.argv:
         sys.argv.remove("--debug")
         sys.argv.insert(1, "--debug")
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            # A name that the terminal's encoding cannot show is no reason to fail.
+            stream.reconfigure(errors="backslashreplace")
+    signal.signal(signal.SIGTERM, _terminate)
     _add_plugin_commands()
-    app()
+    try:
+        sys.exit(app(standalone_mode=False))
+    except (typer.Abort, KeyboardInterrupt):
+        sys.exit(ExitCode.INTERRUPTED)
+    except Exception as error:
+        # Wrong usage, told by the parser of the command line.
+        if not hasattr(error, "format_message"):
+            raise
+        if len(sys.argv) == 1:
+            print(error.format_message(), file=sys.stderr)
+        else:
+            _tell(f"error: {error.format_message()} (see `{_command_path(error)} --help`)")
+        sys.exit(ExitCode.USAGE)
+
+
+def _command_path(error: Exception) -> str:
+    context = getattr(error, "ctx", None)
+    return context.command_path if context is not None else "ebamcheck"
+
+
+def _terminate(*_: object) -> None:
+    """End on SIGTERM as on Ctrl-C: workers are ended and temporary files go."""
+    raise KeyboardInterrupt

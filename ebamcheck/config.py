@@ -6,6 +6,7 @@ machine, process and material sections together are the *machine profile*.
 
 from __future__ import annotations
 
+import difflib
 import re
 import tomllib
 from pathlib import Path
@@ -291,6 +292,14 @@ def validated(values: dict[str, Any], where: str) -> Config:
         key = ".".join(str(k) for k in first["loc"]) or "settings"
         given = first.get("input")
         shown = "" if isinstance(given, dict | BaseModel) else f" (given {given!r})"
-        raise SettingsError(
-            f"{where}: {key}: {first['msg']}{shown}; `ebamcheck config` lists every key"
-        ) from None
+        what = _unknown_key(first["loc"]) if first["type"] == "extra_forbidden" else first["msg"] + shown
+        raise SettingsError(f"{where}: {key}: {what}; `ebamcheck config` lists every key") from None
+
+
+def _unknown_key(place: tuple[int | str, ...]) -> str:
+    """Say that a key is unknown, and which known one of its section is most like it."""
+    section = Config.model_fields.get(str(place[0])) if len(place) > 1 else None
+    kind = section.annotation if section else Config
+    known = list(kind.model_fields) if isinstance(kind, type) and issubclass(kind, BaseModel) else []
+    near = difflib.get_close_matches(str(place[-1]), known, n=1)
+    return "unknown key" + (f" (did you mean {near[0]!r}?)" if near else "")

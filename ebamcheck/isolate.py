@@ -7,6 +7,7 @@ backend, and watches its resident memory and its time. The worker answers with A
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import json
 import os
 import selectors
@@ -33,6 +34,11 @@ from ebamcheck.part import Part
 
 POLL_S = 0.05
 """How often memory and time of the workers are looked at."""
+PR_SET_PDEATHSIG = 1
+"""Number of Linux's request, from <linux/prctl.h>."""
+
+CHILDREN_S = 1.0
+"""How often processes that a worker has started are looked for."""
 
 Failure = Literal["", "unavailable", "refused", "crashed", "timed out", "out of memory", "killed"]
 
@@ -75,6 +81,8 @@ class _Worker:
     failure: Failure = ""
     why: str = ""
     peak_mb: float = 0.0
+    children: list[psutil.Process] = field(default_factory=list)
+    children_seen: float = 0.0
 
 
 def slice_isolated(
@@ -82,12 +90,12 @@ def slice_isolated(
     part: Part,
     heights: NDArray[np.float64],
     settings: BackendSettings,
-    limits: Limits = Limits(),
+    limits: Limits | None = None,
     progress: Progress | None = None,
 ) -> Layers:
     """Slice with one backend in a process of its own; raises what its outcome says."""
     told = None if progress is None else (lambda _, done: progress(done))
-    outcome = slice_all(part, heights, {name: settings}, limits, told)[name]
+    outcome = slice_all(part, heights, {name: settings}, limits or Limits(), told)[name]
     if outcome.layers is None:
         kind = BackendMissing if outcome.failure == "unavailable" else BackendFailed
         raise kind(f"backend {name!r} {outcome.failure}: {outcome.why}")
@@ -181,7 +189,7 @@ def _start(name: str, settings: BackendSettings, shared: Path) -> _Worker:
     read, write = os.pipe()
     with (folder / "stderr").open("wb") as errors:
         process = subprocess.Popen(
-            [sys.executable, "-m", "ebamcheck.isolate", name, str(folder), str(write)],
+            [sys.executable, "-m", "ebamcheck.isolate", name, str(folder), str(write), str(os.getpid())],
             stdin=subprocess.DEVNULL,
             stdout=errors,
             stderr=errors,
@@ -226,8 +234,7 @@ def _take_in(worker: _Worker, progress: Callable[[str, int], None] | None) -> bo
 def _enforce(worker: _Worker, limits: Limits) -> None:
     """Kill a worker that has used up its time or its memory, and note which."""
     try:
-        used = psutil.Process(worker.process.pid)
-        resident = sum(p.memory_info().rss for p in (used, *used.children(recursive=True))) / 1e6
+        resident = _resident_mb(worker)
     except psutil.Error:
         return
     worker.peak_mb = max(worker.peak_mb, resident)
@@ -241,6 +248,19 @@ def _enforce(worker: _Worker, limits: Limits) -> None:
         worker.why = f"took over {limits.time_s:g} s (slicing.time_limit_s)"
     if worker.failure:
         _kill(worker.process)
+
+
+def _resident_mb(worker: _Worker) -> float:
+    """Resident memory of a worker and of what it started, MB."""
+    used = psutil.Process(worker.process.pid)
+    if time.monotonic() - worker.children_seen > CHILDREN_S:
+        # A look at every process of the machine: dear, and hardly any backend starts one.
+        worker.children, worker.children_seen = used.children(recursive=True), time.monotonic()
+    total = used.memory_info().rss
+    for child in worker.children:
+        with contextlib.suppress(psutil.Error):
+            total += child.memory_info().rss
+    return float(total) / 1e6
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:
@@ -325,9 +345,12 @@ def _work(name: str, folder: Path, tell: Callable[..., None]) -> None:
 
 
 def _peak_mb() -> float:
-    import resource
-
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+    """Largest resident memory of this process, MB (what ``getrusage`` tells includes the parent before the exec)."""
+    with contextlib.suppress(OSError), open("/proc/self/status", encoding="ascii") as status:
+        for line in status:
+            if line.startswith("VmHWM:"):
+                return int(line.split()[1]) * 1024 / 1e6
+    return 0.0
 
 
 @contextlib.contextmanager
@@ -352,9 +375,19 @@ def _teller(pipe: int) -> Iterator[Callable[..., None]]:
         yield tell
 
 
+def _die_with(parent: int) -> None:
+    """Have the kernel end this process when its parent ends, however that ends."""
+    libc = ctypes.CDLL(None)
+    if hasattr(libc, "prctl"):
+        libc.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+        if os.getppid() != parent:
+            sys.exit("the parent has ended")
+
+
 def main(arguments: Sequence[str]) -> int:
-    """Entry point of a worker: backend name, its folder, file descriptor of the event pipe."""
-    name, folder, pipe = arguments
+    """Entry point of a worker: backend name, its folder, file descriptor of the event pipe, its parent's id."""
+    name, folder, pipe, parent = arguments
+    _die_with(int(parent))
     # A worker whose parent is gone gets no answer any more and must not run on.
     with _teller(int(pipe)) as tell, contextlib.suppress(BrokenPipeError):
         _work(name, Path(folder), tell)

@@ -22,7 +22,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from numba.core import config
+from numba.core import config as numba_config
 from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
 
 _IMPORT = re.compile(rb"^(?:from|import)\s+([\w.]+)(?:\s+import\s+(\([^)]*\)|[^\n]*))?", re.MULTILINE)
@@ -31,21 +31,21 @@ OUR_PACKAGES = "ebamcheck"
 """Packages whose name begins so, and the kernel's own package, may hold kernels and constants that it sees."""
 
 
-class KernelCache(FunctionCache):  # type: ignore[misc] # numba carries no types
+class KernelCache(FunctionCache):
     """Numba's cache of one function, stamped by all the sources it depends on; a full disk does not stop the work."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
-        super().__init__(function)
+        super().__init__(function)  # type: ignore[no-untyped-call]
         stamp = sources_stamp(function.__module__, inspect.getfile(function))
-        self._cache_file = _SharedFile(self._cache_path, self._impl.filename_base, stamp)
+        self._cache_file = _SharedFile(self._cache_path, self._impl.filename_base, stamp)  # type: ignore[no-untyped-call]
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
         """Keep a compiled version; where there is no room for it, the next process compiles again."""
         with contextlib.suppress(OSError):
-            super().save_overload(signature, compiled)
+            super().save_overload(signature, compiled)  # type: ignore[no-untyped-call]
 
 
-class _SharedFile(IndexDataCacheFile):  # type: ignore[misc]
+class _SharedFile(IndexDataCacheFile):
     """Index and data of one kernel, for one process at a time.
 
     Without the lock, two processes that compile different signatures at once write them to the same data file, and
@@ -54,12 +54,12 @@ class _SharedFile(IndexDataCacheFile):  # type: ignore[misc]
 
     def save(self, key: Any, data: Any) -> None:
         with self._locked(fcntl.LOCK_EX):
-            super().save(key, data)
+            super().save(key, data)  # type: ignore[no-untyped-call]
 
     def load(self, key: Any) -> Any:
         # A file that cannot be read counts as absent: the kernel is compiled, and written over it.
         with contextlib.suppress(OSError, EOFError, pickle.UnpicklingError), self._locked(fcntl.LOCK_SH):
-            return super().load(key)
+            return super().load(key)  # type: ignore[no-untyped-call]
         return None
 
     @contextlib.contextmanager
@@ -72,7 +72,7 @@ class _SharedFile(IndexDataCacheFile):  # type: ignore[misc]
             os.close(descriptor)
 
 
-def kernel_cache(function: Callable[..., Any]) -> FunctionCache:
+def kernel_cache(function: Callable[..., Any]) -> FunctionCache | NullCache:
     """Cache of a kernel: beside its source, else in the user's cache folder, else in a temporary one, else none."""
     try:
         return KernelCache(function)
@@ -80,6 +80,7 @@ def kernel_cache(function: Callable[..., Any]) -> FunctionCache:
         folder = _private_folder()
     if folder is None:
         return NullCache()
+    config: Any = numba_config
     before, config.CACHE_DIR = config.CACHE_DIR, str(folder)
     try:
         return KernelCache(function)
@@ -89,6 +90,7 @@ def kernel_cache(function: Callable[..., Any]) -> FunctionCache:
         config.CACHE_DIR = before
 
 
+@cache
 def sources_stamp(module: str, path: str | Path) -> str:
     """SHA-256 over a module and all modules of this project and of its own package that it imports, at any depth."""
     packages = (OUR_PACKAGES, module.partition(".")[0])

@@ -14,6 +14,7 @@ from typing import Any, TypeVar, cast
 
 import numba
 
+from ebamcheck.errors import SettingsError
 from ebamcheck.kernel_cache import kernel_cache
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -22,15 +23,16 @@ _Result = TypeVar("_Result")
 
 def kernel(function: _Function) -> _Function:
     """Compile `function` with numba: cached on disk, without the interpreter lock, IEEE arithmetic."""
-    compiled = numba.njit(nogil=True, fastmath=False)(function)
+    compiled: Any = numba.njit(nogil=True, fastmath=False)(function)
     compiled._cache = kernel_cache(function)
     return cast(_Function, compiled)
 
 
 def thread_count() -> int:
     """Threads that kernels may use: ``EBAMCHECK_THREADS``, else the cores this process may run on."""
-    wanted = os.environ.get("EBAMCHECK_THREADS", "")
-    if wanted.isdigit() and int(wanted) > 0:
+    if wanted := os.environ.get("EBAMCHECK_THREADS", ""):
+        if not (wanted.isdecimal() and int(wanted) > 0):
+            raise SettingsError(f"EBAMCHECK_THREADS={wanted!r}: give a positive whole number, or unset it")
         return int(wanted)
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from ebamcheck import registry
 from ebamcheck.backend import Progress
 from ebamcheck.heights import checked_heights
+from ebamcheck.isolate import Limits, slice_isolated
 from ebamcheck.layers import Layers
 from ebamcheck.part import Part
 
@@ -20,6 +21,7 @@ def slice_part(
     backend: str = "",
     isolate: bool = False,
     progress: Progress | None = None,
+    limits: Limits | None = None,
     **settings: Any,
 ) -> Layers:
     """Cut a part at the given heights.
@@ -37,6 +39,8 @@ def slice_part(
         this process.
     progress
         Called with the number of layers done since the last call.
+    limits
+        Time and memory that the backend may use where it runs isolated.
     **settings
         The backend's own settings.
 
@@ -59,9 +63,7 @@ def slice_part(
     increasing, where = np.unique(wanted, return_inverse=True)
     checked = registry.slicer_settings(name, settings)
     if isolate:
-        from ebamcheck.isolate import slice_isolated
-
-        layers = slice_isolated(name, part, increasing, checked, progress=progress)
+        layers = slice_isolated(name, part, increasing, checked, limits, progress)
     else:
         with registry.available_slicer(name).prepare(part, checked) as prepared:
             layers = prepared.slice(increasing, progress)

@@ -208,6 +208,39 @@ def test_shells_that_touch_unite():
 
 
 @pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_walls_in_one_place_hide_no_shell(mode, axis):
+    """Of facets in one place Embree names one: here it would lose an exit at 5 and an entry at 10."""
+    row = join(*(box(np.roll([k * 5.0, 0, 0], axis), np.roll([k * 5.0 + 5.0, 6, 7], axis)) for k in range(3)))
+    widths = np.roll([15.0, 6.0, 7.0], axis)
+    for z in (0.3 * widths[2], 0.5 * widths[2], 0.9 * widths[2]):
+        layers = cut(row, [z], mode=mode, grid_mm=0.05)
+        assert layers.ring_counts().tolist() == [1]
+        assert layers.areas() == pytest.approx(widths[0] * widths[1], abs=0.05 * 2 * widths[:2].sum())
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("seed", range(12))
+def test_shells_that_abut_and_overlap_on_a_lattice(seed, mode, caplog):
+    """Boxes with whole-numbered corners: walls coincide in twos and threes, facing alike and opposite."""
+    rng = np.random.default_rng(seed)
+    low = rng.integers(0, 5, (14, 3))
+    high = low + rng.integers(1, 4, (14, 3))
+    shells = join(*(box(a, b) for a, b in zip(low, high, strict=True)))
+    cell_mm = 0.05
+    bound_mm = SLICER.error_bound_mm(shells, SLICER.Settings(mode=mode, grid_mm=cell_mm))
+    heights = np.arange(8) + 0.5
+    layers = cut(shells, heights, mode=mode, grid_mm=cell_mm)
+    assert not caplog.records
+    for k, z in enumerate(heights):
+        inside = (low[:, 2] < z) & (z < high[:, 2])
+        exact = shapely.union_all(
+            [shapely.box(*a[:2], *b[:2]) for a, b in zip(low[inside], high[inside], strict=True)]
+        )
+        assert depth_beyond(region(layers, k), exact, bound_mm * 1.0005) < 1e-9
+
+
+@pytest.mark.parametrize("mode", MODES)
 def test_far_from_the_origin(mode):
     part = PARTS["tilted torus"]
     far = moved(part, shift=(1e6, -1e6, 1e6))

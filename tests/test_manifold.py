@@ -14,7 +14,9 @@ from section_oracle import depth_beyond, exact_section, prism, rational_area
 import ebamcheck
 from ebamcheck.errors import BackendFailed
 from ebamcheck.layers import concatenate
+from ebamcheck.part import from_arrays
 from ebamcheck_manifold import ManifoldCut
+from ebamcheck_manifold.changes import MOST_REGIONS, _boxes
 from ebamcheck_manifold.cut import unpaired_edges
 
 SLICER = ManifoldCut()
@@ -127,6 +129,38 @@ def test_open_mesh_is_refused_in_one_line_that_says_why():
         SLICER.prepare(part, SETTINGS)
     assert "\n" not in str(caught.value)
     assert unpaired_edges(whole.faces) == 0
+
+
+def test_facets_that_manifold3d_changes_are_declared_with_their_place():
+    """A vertex in the middle of an edge, and a facet without area beside it: manifold3d mends that."""
+    part = box((0, 0, 0), (4, 4, 4))
+    (edge,) = [k for k, face in enumerate(part.faces.tolist()) if face == [0, 1, 5]]
+    vertices = np.vstack([part.vertices, [(2, 0, 0)]])
+    halves = [(0, 8, 5), (8, 1, 5), (0, 1, 8)]
+    mended = from_arrays(vertices, np.vstack([np.delete(part.faces, edge, axis=0), halves]))
+    both = join(mended, box((10, 0, 0), (14, 4, 4)))
+    (region,) = cut(both, [1.0]).settings["doubtful_regions"]
+    low, high = np.reshape(region["box_mm"], (2, 3))
+    assert (low <= (2, 0, 0)).all()
+    assert (high >= (2, 0, 0)).all()
+    assert high[0] <= 4.0
+    assert "changed" in region["why"]
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_nothing_is_declared_where_the_facets_are_those_given(name):
+    assert "doubtful_regions" not in cut(moved(PARTS[name], shift=(1e3, -7.0, 0.1)), [0.1]).settings
+
+
+def test_declared_boxes_are_few_and_hold_all_changed_facets():
+    triangles = np.random.default_rng(3).random((100, 3, 3)) + np.arange(100)[:, None, None]
+    found = _boxes(triangles, np.arange(100) < 50)
+    boxes = np.array([region["box_mm"] for region in found])
+    assert len(found) == MOST_REGIONS
+    held = (
+        (boxes[:, None, :3] <= triangles.min(axis=1)) & (triangles.max(axis=1) <= boxes[:, None, 3:])
+    ).all(axis=2)
+    assert held.any(axis=0).all()
 
 
 def test_facets_without_area_do_not_make_a_part_refused():

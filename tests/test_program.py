@@ -394,6 +394,10 @@ def test_the_path_against_sections_of_the_part(tmp_path):
     two = section.union(shapely.box(80, 0, 100, 20))
     missing = verify_file(files.main, config=Config(), layers=from_polygons(heights, [[two]] * 2))
     assert [c[0] for c in failed(missing)] == ["section"]
+    for width, found in ((1e-6, []), (0.5, ["section"])):  # a slit of no width asks for no contour
+        slit = section.difference(shapely.box(10, 0, 10 + width, 20))
+        checks = verify_file(files.main, config=Config(), layers=from_polygons(heights, [[slit]] * 2))
+        assert [c[0] for c in failed(checks)] == found
 
 
 def test_layers_without_contours_and_islands_are_still_layers(tmp_path):

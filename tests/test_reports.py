@@ -12,9 +12,10 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+import shapely
 from parts import box, join, moved, sphere
 
-from ebamcheck import layer_files
+from ebamcheck import layer_files, load
 from ebamcheck.config import Config
 from ebamcheck.curves import Curves, contour_error
 from ebamcheck.part import Part
@@ -232,8 +233,6 @@ def test_polar_chart_has_the_errors_that_the_run_measures(whole: RunFolder) -> N
     # The extremes over the rays are those of contour_error, which measures the same ring pair by ring.
     layers = whole.read_layers(whole.manifest()["primary"])
     curves = Curves.from_parquet(whole.path / "curves.parquet")
-    from ebamcheck import load
-
     truth = slice_part(load(whole.path.parent / "fine.stl"), layers.heights)
     k = len(layers) // 2
     rays = 720
@@ -248,17 +247,12 @@ def test_polar_chart_has_the_errors_that_the_run_measures(whole: RunFolder) -> N
         assert error.max() == pytest.approx(row["polar_max_mm"], abs=1e-9)
 
 
-def test_polar_chart_appears_with_a_kept_reference(copy: RunFolder) -> None:
-    from ebamcheck import load
-
-    layers = copy.read_layers(copy.manifest()["primary"])
-    (source,) = [p for p in Path(copy.path).parents if p.exists()][:1]
-    assert source.exists()
-    truth = layers.labelled(backend="reference")
+def test_polar_chart_appears_with_a_kept_reference(copy: RunFolder, whole: RunFolder) -> None:
+    heights = copy.read_layers(copy.manifest()["primary"]).heights
+    truth = slice_part(load(whole.path.parent / "fine.stl"), heights)
     layer_files.write_parquet(truth, copy.path / "reference.parquet")
     _, page, _ = render(copy)
     assert "Polar error of the largest outer contour" in words(section(page, "fit"))
-    assert callable(load)
 
 
 def test_program_picture_is_the_path_of_the_text(whole: RunFolder) -> None:
@@ -343,7 +337,9 @@ def test_inside_out_part_without_contours(tmp_path: Path) -> None:
     assert len(missing) == 3
     assert all("not reached" in text for text in missing)
     skipped = {c.get("name") for c in root.iter("testcase") if c.find("skipped") is not None}
-    assert {"fit", "coverage", "program"} <= skipped
+    assert {"fit", "coverage", "program", "agrees with manifold"} <= skipped
+    assert "nothing to compare" in words(section(page, "agreement"))
+    assert "✔" not in words(section(page, "agreement"))
 
 
 def test_one_backend_alone(tmp_path: Path) -> None:
@@ -355,12 +351,23 @@ def test_one_backend_alone(tmp_path: Path) -> None:
     assert not [s for s in root.iter("testsuite") if s.get("name") == "ebamcheck.agreement"]
 
 
-def test_damaged_file_costs_its_section_only(copy: RunFolder) -> None:
-    (copy.path / "scan.parquet").write_bytes(b"not parquet")
+@pytest.mark.parametrize(
+    "name", ["scan.parquet", "curves.parquet", "compare.parquet", "fit.csv", "layers/planecut.parquet"]
+)
+@pytest.mark.parametrize("content", [b"neither one nor the other", b"", None])
+def test_damaged_file_costs_its_sections_only(copy: RunFolder, name: str, content: bytes | None) -> None:
+    if content is None:
+        (copy.path / name).unlink()
+    else:
+        (copy.path / name).write_bytes(content)
     html.write(copy)
     text = (copy.path / "report.html").read_text(encoding="utf-8")
-    assert text.count("This section cannot be shown") == 1
-    assert "scan.parquet" in text
+    page = ElementTree.fromstring(text.removeprefix("<!DOCTYPE html>\n"))
+    assert [s.get("id") for s in page.iter("section")] == [anchor for anchor, _, _ in html.SECTIONS]
+    assert {words(row[0]) for row in rows(page, "gates")} == {g["name"] for g in copy.manifest()["gates"]}
+    if content is not None:
+        assert "This section cannot be shown" in text
+        assert name.partition("/")[2] in text
 
 
 # -- pieces ----------------------------------------------------------------------------------------
@@ -390,8 +397,6 @@ def test_long_charts_stay_small_and_keep_peaks() -> None:
 
 
 def test_canvas_cuts_what_lies_outside() -> None:
-    import shapely
-
     far = shapely.LineString([(-1e6, 0.5), (1e6, 0.5)])
     canvas = Canvas((0.0, 0.0, 1.0, 1.0), 200.0)
     canvas.lines(far, stroke="#000")

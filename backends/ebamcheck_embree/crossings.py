@@ -3,6 +3,10 @@
 A plane cuts each facet in a directed segment, material on its left. A ray crosses a segment whose ends lie
 on both sides of it, ends on the ray counting as below. Both decisions compare float64 numbers that
 neighbouring facets share bit for bit, so a closed mesh gives closed answers whatever Embree rounds.
+
+Embree gives the first hit of a ray only, so of facets that lie in one place (walls of shells that touch or
+overlap) it names one. The crossings that a ray must have are therefore counted from the segments; a ray on
+which Embree did not name just so many is measured against the segments themselves.
 """
 
 from __future__ import annotations
@@ -14,6 +18,7 @@ from numpy.typing import NDArray
 
 from ebamcheck.kernels import kernel
 from ebamcheck_embree.scene import Facets, Floats, Hits, Ints
+from ebamcheck_embree.section import Slabs, section_segments, segment_of
 
 Bools = NDArray[np.bool_]
 
@@ -22,17 +27,6 @@ RECENT_HITS = 16
 
 SORT_BY_INSERTION = 48
 """Hits come nearly in order; beyond this many a ray is sorted by a general method first."""
-
-
-class Crossings(NamedTuple):
-    """Crossings of rays with section segments, grouped by ray."""
-
-    starts: Ints
-    along: Floats
-    """(C,) place along the ray, mm."""
-    sign: Ints
-    """(C,) +1 where the ray enters, -1 where it leaves."""
-    facet: Facets
 
 
 class Borders(NamedTuple):
@@ -50,34 +44,6 @@ class Borders(NamedTuple):
 
 
 @kernel
-def segment_of(
-    vertices: Floats, faces: Facets, facet: int, z: float
-) -> tuple[bool, float, float, float, float]:
-    """Segment in which the plane z = h + 0 cuts a facet: whether it does, and start and end."""
-    x0 = y0 = x1 = y1 = 0.0
-    cut = False
-    for k in range(3):
-        a, b = faces[facet, k], faces[facet, (k + 1) % 3]
-        below_a, below_b = vertices[a, 2] <= z, vertices[b, 2] <= z
-        if below_a and not below_b:
-            x1, y1 = edge_point(vertices, a, b, z)
-            cut = True
-        elif below_b and not below_a:
-            x0, y0 = edge_point(vertices, b, a, z)
-    return cut, x0, y0, x1, y1
-
-
-@kernel
-def edge_point(vertices: Floats, low: int, high: int, z: float) -> tuple[float, float]:
-    """Point at height z on the edge from its lower to its upper vertex."""
-    t = (z - vertices[low, 2]) / (vertices[high, 2] - vertices[low, 2])
-    return (
-        vertices[low, 0] + t * (vertices[high, 0] - vertices[low, 0]),
-        vertices[low, 1] + t * (vertices[high, 1] - vertices[low, 1]),
-    )
-
-
-@kernel
 def _crossing(u0: float, w0: float, u1: float, w1: float, line: float) -> tuple[int, float]:
     """Where the line w = `line` crosses a segment: 1 up, -1 down, 0 not at all; and the u of it."""
     if w0 <= line < w1:
@@ -88,88 +54,111 @@ def _crossing(u0: float, w0: float, u1: float, w1: float, line: float) -> tuple[
 
 
 @kernel
-def _measure(
-    vertices: Floats, faces: Facets, z: float, axis: int, lines: Floats, starts: Ints, facets: Facets
-) -> tuple[Floats, Ints, Bools]:
-    """Place the hits of rays along `axis` and tell which rays are in doubt.
-
-    In doubt is a ray with a hit that float64 does not confirm, or whose signs do not sum to 0.
-    """
-    along = np.zeros(facets.size)
-    sign = np.zeros(facets.size, np.int64)
-    doubtful = np.zeros(lines.size, np.bool_)
-    turn = -1 if axis == 0 else 1  # a segment that rises across a row is an exit, across a column an entry
-    for r in range(lines.size):
-        winding = 0
-        for n in range(starts[r], starts[r + 1]):
-            repeated = False
-            for m in range(max(starts[r], n - RECENT_HITS), n):
-                repeated = repeated or facets[m] == facets[n]
-            if repeated:
-                continue
-            cut, x0, y0, x1, y1 = segment_of(vertices, faces, facets[n], z)
-            if axis == 0:
-                way, place = _crossing(x0, y0, x1, y1, lines[r])
-            else:
-                way, place = _crossing(y0, x0, y1, x1, lines[r])
-            if not cut or way == 0:
-                doubtful[r] = True
-                continue
-            along[n], sign[n] = place, turn * way
-            winding += sign[n]
-        doubtful[r] = doubtful[r] or winding != 0
-    return along, sign, doubtful
+def _crossing_turn(axis: int) -> int:
+    """Sign of a segment that rises across a ray: an exit from a row's ray, an entry to a column's."""
+    return -1 if axis == 0 else 1
 
 
 @kernel
-def _recast(
+def _lines_across(segments: Floats, axis: int, n: int, lines: Floats) -> tuple[int, int]:
+    """First ray that crosses segment `n`, and the first beyond it that does not."""
+    w0, w1 = segments[n, 1 - axis], segments[n, 3 - axis]
+    return np.searchsorted(lines, min(w0, w1)), np.searchsorted(lines, max(w0, w1))
+
+
+@kernel
+def _crossing_counts(segments: Floats, axis: int, lines: Floats) -> Ints:
+    """Segments that each ray crosses, (R,)."""
+    change = np.zeros(lines.size + 1, np.int64)
+    for n in range(len(segments)):
+        first, past = _lines_across(segments, axis, n, lines)
+        change[first] += 1
+        change[past] -= 1
+    return np.cumsum(change)[:-1]
+
+
+@kernel
+def repeated_hit(facets: Facets, n: int, first: int) -> bool:
+    """Whether hit `n` names a facet that the same ray, whose hits begin at `first`, was given just before."""
+    repeated = False
+    for m in range(max(first, n - RECENT_HITS), n):
+        repeated = repeated or facets[m] == facets[n]
+    return repeated
+
+
+@kernel
+def _measure(
     vertices: Floats,
     faces: Facets,
     z: float,
     axis: int,
     lines: Floats,
+    starts: Ints,
+    facets: Facets,
+    wanted: Ints,
+) -> tuple[Floats, Ints, Bools]:
+    """Place the hits of rays along `axis`, and tell on which rays they are not the `wanted` number.
+
+    A hit that float64 does not confirm has the sign 0.
+    """
+    along = np.zeros(facets.size)
+    sign = np.zeros(facets.size, np.int64)
+    doubtful = np.zeros(lines.size, np.bool_)
+    turn = _crossing_turn(axis)
+    for r in range(lines.size):
+        confirmed = 0
+        for n in range(starts[r], starts[r + 1]):
+            if repeated_hit(facets, n, starts[r]):
+                continue
+            cut, x0, y0, x1, y1 = segment_of(vertices, faces, facets[n], z)
+            if not cut:
+                continue
+            if axis == 0:
+                way, place = _crossing(x0, y0, x1, y1, lines[r])
+            else:
+                way, place = _crossing(y0, x0, y1, x1, lines[r])
+            along[n], sign[n] = place, turn * way
+            confirmed += abs(way)
+        doubtful[r] = confirmed != wanted[r]
+    return along, sign, doubtful
+
+
+@kernel
+def _recast(
+    segments: Floats,
+    owner: Facets,
+    axis: int,
+    lines: Floats,
     doubtful: Bools,
-    nearby: Facets,
+    wanted: Ints,
     hits: tuple[Ints, Floats, Ints, Facets],
 ) -> tuple[Ints, Floats, Ints, Facets]:
-    """Cast doubtful rays again in float64, against every facet of `nearby` that the plane cuts."""
+    """Replace the hits of doubtful rays by their crossings with the segments."""
     old_starts, old_along, old_sign, old_facet = hits
-    segments = np.empty((nearby.size, 4))
-    owner = np.empty(nearby.size, np.int32)
-    count = 0
-    for n in range(nearby.size):
-        cut, x0, y0, x1, y1 = segment_of(vertices, faces, nearby[n], z)
-        if cut:
-            segments[count, 0], segments[count, 2] = (x0, x1) if axis == 0 else (y0, y1)
-            segments[count, 1], segments[count, 3] = (y0, y1) if axis == 0 else (x0, x1)
-            owner[count] = nearby[n]
-            count += 1
-    turn = -1 if axis == 0 else 1
     starts = np.zeros(lines.size + 1, np.int64)
     for r in range(lines.size):
-        total = old_starts[r + 1] - old_starts[r]
-        if doubtful[r]:
-            total = 0
-            for n in range(count):
-                total += (segments[n, 1] <= lines[r]) != (segments[n, 3] <= lines[r])
-        starts[r + 1] = starts[r] + total
+        size = wanted[r] if doubtful[r] else old_starts[r + 1] - old_starts[r]
+        starts[r + 1] = starts[r] + size
     along = np.empty(starts[-1])
     sign = np.empty(starts[-1], np.int64)
     facet = np.empty(starts[-1], np.int32)
     for r in range(lines.size):
-        out = starts[r]
         if not doubtful[r]:
-            size = starts[r + 1] - out
-            first = old_starts[r]
-            along[out : out + size] = old_along[first : first + size]
-            sign[out : out + size] = old_sign[first : first + size]
-            facet[out : out + size] = old_facet[first : first + size]
-            continue
-        for n in range(count):
-            way, place = _crossing(segments[n, 0], segments[n, 1], segments[n, 2], segments[n, 3], lines[r])
-            if way != 0:
-                along[out], sign[out], facet[out] = place, turn * way, owner[n]
-                out += 1
+            a, b, first, past = starts[r], starts[r + 1], old_starts[r], old_starts[r + 1]
+            along[a:b], sign[a:b] = old_along[first:past], old_sign[first:past]
+            facet[a:b] = old_facet[first:past]
+    fill = starts[:-1].copy()
+    turn = _crossing_turn(axis)
+    for n in range(len(segments)):
+        first, past = _lines_across(segments, axis, n, lines)
+        for r in range(first, past):
+            if doubtful[r]:
+                way, place = _crossing(
+                    segments[n, axis], segments[n, 1 - axis], segments[n, 2 + axis], segments[n, 3 - axis],
+                    lines[r],
+                )  # fmt: skip
+                along[fill[r]], sign[fill[r]], facet[fill[r]] = place, turn * way, owner[n]
+                fill[r] += 1
     return starts, along, sign, facet
 
 
@@ -243,56 +232,21 @@ class RayBorders:
     """Turns the hits of a layer's rays into borders, with what it needs to check them."""
 
     def __init__(self, vertices: Floats, faces: Facets) -> None:
-        self.vertices = vertices
-        self.faces = faces
+        self._mesh = (vertices, faces)
         self._slabs = Slabs(vertices, faces)
 
-    def along(self, axis: int, lines: Floats, z: float, hits: Hits) -> Borders:
-        """Borders on rays along x (axis 0) or y (axis 1) at height z, mm."""
-        mesh = (self.vertices, self.faces, z, axis, lines)
-        along, sign, doubtful = _measure(*mesh, hits.starts, hits.facets)
-        found = (hits.starts, along, sign, hits.facets)
-        if doubtful.any():
-            found = _recast(*mesh, doubtful, self._slabs.near(z), found)
-        return Borders(*borders(*found))
+    def of_layer(
+        self, z: float, rows: Floats, along_x: Hits, columns: Floats, along_y: Hits
+    ) -> tuple[Borders, Borders]:
+        """Borders on the rays along x at the ordinates `rows` and along y at the abscissas `columns`, mm."""
+        segments, owner = section_segments(*self._mesh, self._slabs.near(z), z)
 
+        def borders_along(axis: int, lines: Floats, hits: Hits) -> Borders:
+            wanted = _crossing_counts(segments, axis, lines)
+            along, sign, doubtful = _measure(*self._mesh, z, axis, lines, hits.starts, hits.facets, wanted)
+            found = (hits.starts, along, sign, hits.facets)
+            if doubtful.any():
+                found = _recast(segments, owner, axis, lines, doubtful, wanted, found)
+            return Borders(*borders(*found))
 
-class Slabs:
-    """Facets by height: which ones reach into which of equally thick slabs."""
-
-    def __init__(self, vertices: Floats, faces: Facets) -> None:
-        z0, z1, z2 = (vertices[faces[:, k], 2] for k in range(3))
-        low, high = np.minimum(np.minimum(z0, z1), z2), np.maximum(np.maximum(z0, z1), z2)
-        self._bottom = float(low.min(initial=0.0)) if low.size else 0.0
-        height = (float(high.max()) if high.size else 0.0) - self._bottom
-        mean = float(np.mean(high - low)) if low.size else 0.0
-        # As many slabs as keep each facet in about two of them.
-        self.count = int(min(4096.0, max(1.0, height / mean))) if mean > 0.0 else 1
-        self._per_mm = self.count / height if height > 0.0 else 0.0
-        first, last = self._slab(low), self._slab(high)
-        self._starts, self._facets = _fill_slabs(first, last, self.count)
-
-    def _slab(self, z: Floats) -> Ints:
-        return np.clip((z - self._bottom) * self._per_mm, 0, self.count - 1).astype(np.int64)
-
-    def near(self, z: float) -> Facets:
-        """Facets of the slab that holds height z, those cut at z among them."""
-        k = int(self._slab(np.array([z]))[0])
-        return self._facets[self._starts[k] : self._starts[k + 1]]
-
-
-@kernel
-def _fill_slabs(first: Ints, last: Ints, count: int) -> tuple[Ints, Facets]:
-    starts = np.zeros(count + 1, np.int64)
-    for f in range(first.size):
-        for k in range(first[f], last[f] + 1):
-            starts[k + 1] += 1
-    for k in range(count):
-        starts[k + 1] += starts[k]
-    fill = starts[:-1].copy()
-    facets = np.empty(starts[-1], np.int32)
-    for f in range(first.size):
-        for k in range(first[f], last[f] + 1):
-            facets[fill[k]] = f
-            fill[k] += 1
-    return starts, facets
+        return borders_along(0, rows, along_x), borders_along(1, columns, along_y)

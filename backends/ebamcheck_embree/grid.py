@@ -31,9 +31,6 @@ OFFSET_X, OFFSET_Y = 0.381966, 0.276393
 """Fractions of a cell by which lines miss the box of the part: faces and vertices of a drawing lie at round
 numbers, these (parts of the golden and the square root of five) do not."""
 
-NUDGE = 1e-3
-"""In cells: a vertical ray that does not pair is moved by this, to miss the edge that it grazed."""
-
 
 @dataclass(frozen=True)
 class Grid:

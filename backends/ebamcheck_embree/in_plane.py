@@ -49,8 +49,7 @@ class InPlaneRays(Rays):
 
     def _layer(self, z: float, along_x: Hits, along_y: Hits) -> LayerRings:
         grid = self.grid
-        rows = self._borders.along(0, grid.row_y_mm, z, along_x)
-        columns = self._borders.along(1, grid.column_x_mm, z, along_y)
+        rows, columns = self._borders.of_layer(z, grid.row_y_mm, along_x, grid.column_x_mm, along_y)
         lattice: Lattice = (grid.x0_mm, grid.y0_mm, grid.cell_mm, grid.columns, grid.rows)
         knots = RowKnots(*row_knots(lattice, rows[:4], columns[:4]))
         corners = rows.simple and columns.simple

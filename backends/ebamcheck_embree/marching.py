@@ -11,10 +11,11 @@ import math
 import numpy as np
 
 from ebamcheck.kernels import kernel
-from ebamcheck_embree.crossings import Bools, edge_point
+from ebamcheck_embree.crossings import Bools
 from ebamcheck_embree.grid import Grid
 from ebamcheck_embree.knots import NO_FACET, ColumnKnots, Lattice, RayColumns, RowKnots, column_knots
 from ebamcheck_embree.scene import Facets, Floats, Ints
+from ebamcheck_embree.section import edge_point
 
 SADDLE = -1
 """Cell of a link where four knots meet: nothing is added to it."""

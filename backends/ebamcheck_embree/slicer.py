@@ -12,17 +12,16 @@ from pydantic import Field
 from ebamcheck.backend import BackendSettings, CoplanarRule, Prepared, Probe
 from ebamcheck.errors import BackendFailed
 from ebamcheck.part import Part
-from ebamcheck_embree.grid import NUDGE, Mode, automatic_cell_mm, grid_over
+from ebamcheck_embree.grid import Mode, automatic_cell_mm, grid_over
 
 IN_PLANE_BOUND = math.sqrt(0.5)
 """Bound over cell, in-plane. What a cell gives or takes wrongly is a union of triangles whose corners are
 nodes of the other side or points of the contour, all in one cell: no point of it is farther from a corner
 than the radius of the circle around the cell."""
 
-VERTICAL_BOUND = math.sqrt(10.0) / 4.0 + NUDGE
+VERTICAL_BOUND = math.sqrt(10.0) / 4.0
 """Bound over cell, vertical. Knots in the middle of grid edges may lie off the contour, so only nodes
-count: the farthest is the middle of a cut corner, from the two nodes beside that corner;
-and a ray may have been moved."""
+count: the farthest is the middle of a cut corner, from the two nodes beside that corner."""
 
 SINGLE_EPS = 2.0**-24
 SINGLE_ROUNDINGS = 8.0

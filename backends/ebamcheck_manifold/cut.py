@@ -13,6 +13,7 @@ from ebamcheck.backend import BackendSettings, CoplanarRule, Probe, Progress
 from ebamcheck.errors import BackendFailed
 from ebamcheck.layers import Layers, canonical
 from ebamcheck.part import Part
+from ebamcheck_manifold.changes import doubtful_regions
 from ebamcheck_manifold.placement import Floats, Placement, exact_placement
 
 if TYPE_CHECKING:
@@ -79,13 +80,15 @@ class ManifoldCut:
 
 
 class PreparedManifold:
-    """A manifold to be cut as often as wanted."""
+    """A manifold to be cut as often as wanted; its layers declare where it is not the mesh given."""
 
     def __init__(self, part: Part, placement: Placement, settings: BackendSettings) -> None:
         self.part = part
         self.placement = placement
-        self.settings = settings
         self._manifold: Manifold | None = build(part, placement)
+        triangles_mm = part.vertices[_facets_with_three_vertices(part.faces)]
+        changed = doubtful_regions(triangles_mm, placement, self._manifold)
+        self._labels = {**settings.model_dump(), **({"doubtful_regions": changed} if changed else {})}
 
     def __enter__(self) -> Self:
         return self
@@ -119,7 +122,7 @@ class PreparedManifold:
             part=self.part.sha256,
             direction=self.part.direction,
             backend=ManifoldCut.name,
-            settings=self.settings.model_dump(),
+            settings=dict(self._labels),
         )
 
 

@@ -1,14 +1,22 @@
-"""Likely causes of a disagreement, from the mesh and the layers around the place."""
+"""Likely causes of a disagreement, from the mesh, the layers and what the slicers declare about the place.
+
+A cause is a likely one: it names what is found at the place and known to divide slicers, not a proof.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ebamcheck.comparison.surroundings import ROUNDING_SHARE, Surroundings, surroundings
+from ebamcheck.inspection import body_labels
 from ebamcheck.part import Part
 from ebamcheck.rings import Floats, Ints
+from ebamcheck.topology import edge_groups
 
 COPLANAR_FACE = "coplanar face"
 VERTEX = "vertex on plane"
@@ -16,15 +24,23 @@ OPEN_EDGE = "open edge"
 NON_MANIFOLD = "non-manifold edge"
 ORIENTATION = "inconsistent orientation"
 OVERLAP = "overlapping shells"
+SELF_INTERSECTION = "self-intersection"
+TOUCHING = "touching shells"
 OPEN_PATH = "open path"
+OPEN_SURFACE = "open surface"
 THIN = "thin feature"
+THIN_GAP = "thin gap"
+SHALLOW = "shallow slope"
 UNKNOWN_CAUSE = "unknown"
 
 NEAR_DEPTHS = 3.0
 """A flaw of the mesh explains a disagreement if it lies within so many depths (and limits) of the place."""
 
 THIN_LIMITS = 4.0
-"""A feature no deeper than so many limits is thin for the methods compared."""
+"""A feature no deeper than so many limits is thin for the methods compared; a wall or gap has two sides."""
+
+TOUCHING_SHARE = 1e-7
+"""Shells nearer to each other than this share of the part's size touch: single precision cannot part them."""
 
 PROBES = 16
 """Points on a circle around the place at which the winding number is looked at."""
@@ -123,6 +139,23 @@ class MeshFlaws:
             return ORIENTATION
         return OVERLAP if (numbers > 1).any() else ""
 
+    @cached_property
+    def _body(self) -> Ints:
+        """Body of each facet, (F,)."""
+        labels = body_labels(self.part, edge_groups(self.part.faces, len(self.part.vertices)))
+        return labels.astype(np.int64)
+
+    @cached_property
+    def is_open(self) -> bool:
+        """Whether the part has an edge with one facet."""
+        return bool(self._edges[1][OPEN_EDGE].any())
+
+    def around(self, x_mm: float, y_mm: float, height_mm: float, reach_mm: float) -> Surroundings:
+        """Return the mesh's section around a place on a layer."""
+        facets = self.crossing(height_mm)
+        segments = self.section(height_mm)
+        return surroundings(segments, self._body[facets], self.part.triangles[facets], x_mm, y_mm, reach_mm)
+
     def place(self, height_mm: float) -> tuple[float, float]:
         """Point of the part's surface on a layer: the middle of the first segment of its section."""
         segments = self.section(height_mm)
@@ -132,32 +165,91 @@ class MeshFlaws:
         return float(x), float(y)
 
 
-def likely_cause(
-    flaws: MeshFlaws,
-    layer_class: str,
-    open_paths: bool,
-    x_mm: float,
-    y_mm: float,
-    height_mm: float,
-    depth_mm: float,
-    limit_mm: float,
-) -> str:
+class Place(NamedTuple):
+    """Where a disagreement is, and how large."""
+
+    x_mm: float
+    y_mm: float
+    height_mm: float
+    depth_mm: float
+    limit_mm: float
+    layer_class: str
+    open_paths: bool
+
+    @property
+    def known(self) -> bool:
+        """Whether there is a place in the layer."""
+        return bool(np.isfinite(self.x_mm) and np.isfinite(self.y_mm))
+
+    @property
+    def reach_mm(self) -> float:
+        """Within this distance a flaw of the mesh explains the disagreement."""
+        return NEAR_DEPTHS * (self.depth_mm + self.limit_mm) if np.isfinite(self.depth_mm) else self.limit_mm
+
+
+def likely_cause(flaws: MeshFlaws, place: Place, declared: Sequence[Mapping[str, Any]] = ()) -> str:
     """Name the likeliest cause of a disagreement at a place.
 
-    What the mesh shows at the place goes first, then what the layers show, then size: a feature of few
-    limits is thin.
+    What the layer's class says goes first, then what the slicers themselves declare, then flaws of the mesh
+    at the place, then open paths and surfaces, then its shape: a near-level face, a wall or gap of few limits.
+
+    Parameters
+    ----------
+    declared
+        Settings of the layers of the two slicers, with their ``doubtful_regions`` (see
+        :meth:`ebamcheck.backend.Prepared.slice`) and ``unbalanced_pixels``.
     """
-    if layer_class == "face-on-plane":
+    if place.layer_class == "face-on-plane":
         return COPLANAR_FACE
-    if layer_class == "vertex-on-plane":
+    if place.layer_class == "vertex-on-plane":
         return VERTEX
-    if np.isfinite(x_mm) and np.isfinite(y_mm):
-        reach = NEAR_DEPTHS * (depth_mm + limit_mm) if np.isfinite(depth_mm) else limit_mm
-        flaw = flaws.edge_flaw(x_mm, y_mm, height_mm, reach) or flaws.winding_flaw(
-            x_mm, y_mm, height_mm, reach
+    around = None
+    if place.known:
+        around = flaws.around(place.x_mm, place.y_mm, place.height_mm, place.reach_mm)
+        at_place = (
+            _declared_doubt(place, declared)
+            or flaws.edge_flaw(place.x_mm, place.y_mm, place.height_mm, place.reach_mm)
+            or _shell_flaw(flaws, place, around)
         )
-        if flaw:
-            return flaw
-    if open_paths:
+        if at_place:
+            return at_place
+    if place.open_paths:
         return OPEN_PATH
-    return THIN if depth_mm <= THIN_LIMITS * limit_mm else UNKNOWN_CAUSE
+    if flaws.is_open and any(settings.get("unbalanced_pixels", 0) for settings in declared):
+        return OPEN_SURFACE
+    return _shape(flaws, place, around) if around is not None else UNKNOWN_CAUSE
+
+
+def _declared_doubt(place: Place, declared: Sequence[Mapping[str, Any]]) -> str:
+    """Why one of the slicers does not trust itself within a limit of the place."""
+    at = np.array([place.x_mm, place.y_mm, place.height_mm])
+    for settings in declared:
+        for region in settings.get("doubtful_regions", ()):
+            low, high = np.asarray(region["box_mm"], dtype=np.float64).reshape(2, 3)
+            if ((low - place.limit_mm <= at) & (at <= high + place.limit_mm)).all():
+                return str(region["why"])
+    return ""
+
+
+def _shell_flaw(flaws: MeshFlaws, place: Place, around: Surroundings) -> str:
+    """Surfaces that cross or touch, or a winding number other than 0 or 1, around the place."""
+    first, second = around.crossing()
+    if first.size:
+        same = around.body[first] == around.body[second]
+        return SELF_INTERSECTION if same.any() else OVERLAP
+    flaw = flaws.winding_flaw(place.x_mm, place.y_mm, place.height_mm, place.reach_mm)
+    if flaw:
+        return flaw
+    touching = around.touching_bodies(TOUCHING_SHARE * float(flaws.part.size.max(initial=0.0)))
+    return TOUCHING if touching else ""
+
+
+def _shape(flaws: MeshFlaws, place: Place, around: Surroundings) -> str:
+    """Shape of the part at the place that magnifies small errors, or hides between samples."""
+    height_error_mm = ROUNDING_SHARE * float(flaws.part.size.max(initial=0.0))
+    if around.travel_per_mm() * height_error_mm >= 0.5 * place.depth_mm > 0.0:
+        return SHALLOW
+    width_mm, is_wall = around.width()
+    if width_mm <= 2.0 * THIN_LIMITS * place.limit_mm:
+        return THIN if is_wall else THIN_GAP
+    return THIN if place.depth_mm <= THIN_LIMITS * place.limit_mm else UNKNOWN_CAUSE

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from ebamcheck.comparison.causes import MeshFlaws, likely_cause
+from ebamcheck.comparison.causes import MeshFlaws, Place, likely_cause
 from ebamcheck.comparison.classes import GENERIC, crossing_counts, layer_classes
 from ebamcheck.comparison.findings import Finding
 from ebamcheck.comparison.pairwise import (
@@ -112,7 +113,8 @@ def compare_all(
             "verdict": verdicts,
         }
     )
-    findings = list(_findings(part, names, tables, heights, consensus, verdicts))
+    declared = {name: stack.settings for name, stack in stacks.items()}
+    findings = list(_findings(part, names, declared, tables, heights, consensus, verdicts))
     compared = _compared(tables, heights.size)
     passed = compared > 0 and not {OUTLIER, UNDECIDED, EMPTY} & set(verdicts)
     return Comparison(pairs, layers, findings, passed, compared)
@@ -228,6 +230,7 @@ def agreement(
 def _findings(
     part: Part,
     names: list[str],
+    declared: Mapping[str, Mapping[str, Any]],
     tables: list[pd.DataFrame],
     heights: NDArray[np.float64],
     consensus: list[tuple[int, ...]],
@@ -249,21 +252,27 @@ def _findings(
             if members and i not in members and j not in members:
                 continue  # two outliers: each is named against the consensus
             backend, against = (j, i) if i in members else (i, j)
-            yield _finding(flaws, names[backend], names[against], layer, column)
+            yield _finding(flaws, declared, names[backend], names[against], layer, column)
 
 
 def _finding(
-    flaws: MeshFlaws, backend: str, against: str, layer: int, column: Mapping[str, NDArray[np.generic]]
+    flaws: MeshFlaws,
+    declared: Mapping[str, Mapping[str, Any]],
+    backend: str,
+    against: str,
+    layer: int,
+    column: Mapping[str, NDArray[np.generic]],
 ) -> Finding:
     """Name one disagreement of a pair."""
     row = {name: values[layer] for name, values in column.items()}
     depth, limit = float(row["depth_mm"]), float(row["limit_mm"])
     deep = depth > limit
     rings = abs(int(row["rings_a"]) - int(row["rings_b"])) or abs(int(row["holes_a"]) - int(row["holes_b"]))
-    cause = likely_cause(
-        flaws, str(row["class"]), bool(row["open_a"] + row["open_b"] > 0),
+    place = Place(
         float(row["depth_x_mm"]), float(row["depth_y_mm"]), float(row["height_mm"]), depth, limit,
+        str(row["class"]), bool(row["open_a"] + row["open_b"] > 0),
     )  # fmt: skip
+    cause = likely_cause(flaws, place, [declared[backend], declared[against]])
     return Finding(
         layer, float(row["height_mm"]), backend, against,
         "depth" if deep else "topology", depth if deep else float(rings), limit if deep else 0.0,
@@ -283,5 +292,6 @@ def _empty_finding(
     column = columns[0]
     open_paths = any(bool(c["open_a"][layer] + c["open_b"][layer] > 0) for c in columns)
     extent = float(np.linalg.norm(flaws.part.size))
-    cause = likely_cause(flaws, str(column["class"][layer]), open_paths, x, y, height_mm, extent, 0.0)
+    place = Place(x, y, height_mm, extent, 0.0, str(column["class"][layer]), open_paths)
+    cause = likely_cause(flaws, place)
     return Finding(layer, height_mm, ",".join(names), "part", "empty", 0.0, 0.0, x, y, cause)

@@ -18,6 +18,13 @@ from ebamcheck.comparison.overlap import Deepest
 from ebamcheck.kernels import kernel
 from ebamcheck.rings import Floats, Ints
 
+FINEST_DEPTH_MM = 1e-6
+FINE_SHARE = 0.01
+"""Depth about the limit is found to within this share of the limit, at least to the finest depth: it decides."""
+
+COARSE_SHARE = 0.05
+"""Depth that stays under the limit is found to within this share of the limit: it only informs."""
+
 MOST_NODES = 400_000
 """Trapezoids looked at in one search; beyond it the upper bound is returned, which errs towards a finding."""
 
@@ -33,6 +40,16 @@ near a ridge do they tighten the bound enough to pay."""
 
 
 @kernel
+def enough_mm(depth_mm: float, limit_mm: float) -> float:
+    """Upper bound of a depth that need not be looked into, where a depth is known already.
+
+    What cannot pass the limit is resolved coarsely, what might finely.
+    """
+    finest = depth_mm + max(FINEST_DEPTH_MM, FINE_SHARE * limit_mm)
+    return max(finest, min(depth_mm + COARSE_SHARE * limit_mm, limit_mm))
+
+
+@kernel
 def search(
     a: Outline,
     b: Outline,
@@ -40,9 +57,9 @@ def search(
     from_b: bool,
     suspects: Floats,
     deepest: Deepest,
-    resolution_mm: float,
+    limit_mm: float,
 ) -> Deepest:
-    """Greatest depth over all suspects to within `resolution_mm`, starting from a depth already known."""
+    """Greatest depth over all suspects to within what :func:`enough_mm` says, from a depth already known."""
     stack = np.empty((STACK, 7))
     sides = np.empty((5, 4))
     corners = np.empty((5, 4))
@@ -50,13 +67,13 @@ def search(
     nodes = 0
     # The most suspect first: what it proves rules out most of the others.
     for s in np.argsort(-suspects[:, 6], kind="mergesort"):
-        if suspects[s, 6] <= deepest.depth_mm + resolution_mm:
+        if suspects[s, 6] <= enough_mm(deepest.depth_mm, limit_mm):
             break
         stack[0] = suspects[s]
         count = 1
         while count > 0:
             count -= 1
-            if stack[count, 6] <= deepest.depth_mm + resolution_mm:
+            if stack[count, 6] <= enough_mm(deepest.depth_mm, limit_mm):
                 continue
             nodes += 1
             if nodes > MOST_NODES or count + MOST_PARTS > STACK:
@@ -64,9 +81,9 @@ def search(
                 rest = suspects[s, 6] if suspects[s, 6] < np.inf else _highest(stack, count + 1)
                 return Deepest(max(deepest.depth_mm, rest), deepest.x_mm, deepest.y_mm)
             deepest, ceiling = _bound(
-                a, b, from_a, from_b, stack, count, sides, corners, guess, deepest, resolution_mm
+                a, b, from_a, from_b, stack, count, sides, corners, guess, deepest, limit_mm
             )
-            if ceiling > deepest.depth_mm + resolution_mm:
+            if ceiling > enough_mm(deepest.depth_mm, limit_mm):
                 side = math.hypot(sides[0, 2] - sides[0, 0], sides[0, 3] - sides[0, 1])
                 count += _split(stack, count, min(ceiling, stack[count, 6]), side + deepest.depth_mm)
     return deepest
@@ -85,7 +102,7 @@ def _highest(stack: Floats, count: int) -> float:
 @kernel
 def _bound(
     a: Outline, b: Outline, from_a: bool, from_b: bool, stack: Floats, at: int, sides: Floats, corners: Floats,
-    guess: Ints, deepest: Deepest, resolution_mm: float,
+    guess: Ints, deepest: Deepest, limit_mm: float,
 ) -> tuple[Deepest, float]:  # fmt: skip
     """Depth at the middle and corners of trapezoid `at` (a lower bound), and an upper bound over it."""
     y0, y1, l0, l1 = stack[at, 0], stack[at, 1], stack[at, 2], stack[at, 3]
@@ -95,7 +112,7 @@ def _bound(
     if depth > deepest.depth_mm:
         deepest = Deepest(depth, x, y)
     ceiling = _measure_corners(stack, at, sides, 0, corners)
-    if ceiling <= deepest.depth_mm + resolution_mm or depth < RIDGE_SHARE * deepest.depth_mm:
+    if ceiling <= enough_mm(deepest.depth_mm, limit_mm) or depth < RIDGE_SHARE * deepest.depth_mm:
         return deepest, ceiling
     for k in range(1, 5):
         if k < 3:

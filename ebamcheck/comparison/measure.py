@@ -7,15 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.comparison.depth import search
+from ebamcheck.comparison.depth import FINE_SHARE, FINEST_DEPTH_MM, enough_mm, search
 from ebamcheck.comparison.distance import Directed, directed
 from ebamcheck.comparison.outline import Outline, nearest, winding
 from ebamcheck.comparison.overlap import Deepest, overlap
 from ebamcheck.kernels import kernel
-
-FINEST_DEPTH_MM = 1e-6
-DEPTH_SHARE = 0.01
-"""Depth is found to within this share of the limit that it is compared with, at least to the finest depth."""
 
 
 class Figures(NamedTuple):
@@ -43,7 +39,7 @@ def measure(a: Outline, b: Outline, limit_mm: float, exact_a: bool, exact_b: boo
     of the two; from those of the one that has any where the other is empty; from the nearer contour where
     neither is exact; and the lesser of both depths where both are exact.
     """
-    resolution = max(FINEST_DEPTH_MM, DEPTH_SHARE * limit_mm)
+    resolution = max(FINEST_DEPTH_MM, FINE_SHARE * limit_mm)
     ab, ba = directed(a, b), directed(b, a)
     if len(a.edges) == 0 or len(b.edges) == 0:
         from_a, from_b = len(a.edges) > 0, len(b.edges) > 0
@@ -56,13 +52,13 @@ def measure(a: Outline, b: Outline, limit_mm: float, exact_a: bool, exact_b: boo
         known = _reached(b, ba, resolution) if from_a else _reached(a, ab, resolution)
     else:
         known = _halfway(a, b, ab, _halfway(b, a, ba, known))
-    swept = overlap(a, b, from_a, from_b, known.depth_mm + resolution)
-    deepest = search(a, b, from_a, from_b, swept.suspects, known, resolution)
+    swept = overlap(a, b, from_a, from_b, enough_mm(known.depth_mm, limit_mm))
+    deepest = search(a, b, from_a, from_b, swept.suspects, known, limit_mm)
     both = exact_a and exact_b and len(a.edges) > 0 and len(b.edges) > 0
     if both and deepest.depth_mm > resolution:
         known = _reached(a, ab, resolution)
-        again = overlap(a, b, False, True, known.depth_mm + resolution)
-        other = search(a, b, False, True, again.suspects, known, resolution)
+        again = overlap(a, b, False, True, enough_mm(known.depth_mm, limit_mm))
+        other = search(a, b, False, True, again.suspects, known, limit_mm)
         if other.depth_mm < deepest.depth_mm:
             deepest = other
     return Figures(

@@ -151,7 +151,6 @@ def _sweep_edges(segments: Floats) -> tuple[Floats, Ints, Floats]:
         count += segments[i, 1] != segments[i, 3]
     edges = np.empty((count, 4))
     steps = np.empty(count, np.int64)
-    ends = np.empty(2 * count)
     n = 0
     for i in range(len(segments)):
         x0, y0, x1, y1 = segments[i]
@@ -161,7 +160,6 @@ def _sweep_edges(segments: Floats) -> tuple[Floats, Ints, Floats]:
         if y1 < y0:
             x0, y0, x1, y1 = x1, y1, x0, y0
         edges[n, 0], edges[n, 1], edges[n, 2], edges[n, 3] = x0, y0, x1, y1
-        ends[2 * n], ends[2 * n + 1] = y0, y1
         n += 1
     order = np.argsort(edges[:, 1])
     i = 0
@@ -173,8 +171,8 @@ def _sweep_edges(segments: Floats) -> tuple[Floats, Ints, Floats]:
             level = order[i:j].copy()
             order[i:j] = level[np.argsort(edges[level, 0], kind="mergesort")]
         i = j
-    levels = np.unique(ends)
-    return edges[order], steps[order], levels
+    # Where rings close, every end of a segment is the start of one.
+    return edges[order], steps[order], np.unique(segments[:, 1])
 
 
 @kernel

@@ -56,7 +56,7 @@ def overlap(a: Outline, b: Outline, from_a: bool, from_b: bool, enough: float) -
         Only trapezoids that may be deeper than this, mm, are handed on.
     """
     edges, steps, of_a = _merged_edges(a, b)
-    levels = np.union1d(a.levels, b.levels)
+    levels = _merged_levels(a.levels, b.levels)
     count = len(edges)
     active = np.empty(count, np.int64)
     waiting = np.empty(count, np.int64)
@@ -180,6 +180,26 @@ def _merged_edges(a: Outline, b: Outline) -> tuple[Floats, Ints, Bools]:
             edges[n], steps[n] = b.edges[j], b.steps[j]
             j += 1
     return edges, steps, of_a
+
+
+@kernel
+def _merged_levels(a: Floats, b: Floats) -> Floats:
+    """All levels of two outlines, each once, strictly increasing like those of each."""
+    levels = np.empty(a.size + b.size)
+    i = 0
+    j = 0
+    count = 0
+    while i < a.size or j < b.size:
+        if j == b.size or (i < a.size and a[i] <= b[j]):
+            y = a[i]
+            i += 1
+        else:
+            y = b[j]
+            j += 1
+        if count == 0 or y != levels[count - 1]:
+            levels[count] = y
+            count += 1
+    return levels[:count]
 
 
 @kernel

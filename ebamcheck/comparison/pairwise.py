@@ -83,7 +83,8 @@ def compare(
 
         Two empty layers have an overlap of 1 and distances of 0; where one is empty the overlap is 0, the
         distances are infinite and the depth is the inscribed radius of the other. Hausdorff distances are
-        right to 1e-7 mm, depths to 1e-6 mm or 1 % of the limit, whichever is more.
+        right to 1e-7 mm. Depths are right to 1e-6 mm or 1 % of the limit, whichever is more, and to 5 % of
+        the limit where they stay under it.
 
     Raises
     ------

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from ebamcheck import __version__, inspection, layer_files, mesh_files, registry
+from ebamcheck.backend import BackendSettings
 from ebamcheck.comparison import Comparison, compare_all
 from ebamcheck.config import Config
 from ebamcheck.errors import BackendMissing, ExitCode, SettingsError
@@ -24,7 +25,7 @@ from ebamcheck.pipeline.programming import make_program
 from ebamcheck.pipeline.record import manifest as make_manifest
 from ebamcheck.pipeline.work import Job, Observer, Silent
 from ebamcheck.rings import Floats
-from ebamcheck.store import MANIFEST, RunFolder, sha256_of_json, start_run, write_json
+from ebamcheck.store import FINGERPRINT, MANIFEST, RunFolder, sha256_of_json, start_run, write_json
 
 
 @dataclass(frozen=True)
@@ -79,29 +80,35 @@ def run_job(
         [part.sha256, config.model_dump(), heights, names, __version__, fine.sha256 if fine else ""]
     )
     job = Job(config, observer, part, found, heights, start_run(Path(target), fingerprint, resume))
+    try:
+        return _run(job, backends, fine, resume)
+    finally:
+        job.folder.release()
+
+
+# -- stages ------------------------------------------------------------------------------------------
+
+
+def _run(job: Job, backends: Mapping[str, BackendSettings], fine: Part | None, resume: bool) -> RunResult:
+    """All stages from slicing to the finished folder."""
     outcomes = _slice(job, backends, resume)
     stacks = {n: o.layers for n, o in outcomes.items() if o.layers is not None}
     comparison = _compare(job, stacks, outcomes)
-    shut = [gates.input_gate(found), gates.agreement_gate(comparison, outcomes, len(heights))]
-    primary = _primary(config, stacks)
+    shut = [gates.input_gate(job.found), gates.agreement_gate(comparison, outcomes, len(job.heights))]
+    primary = _primary(job.config, stacks)
     if primary:
         shut += make_program(job, primary, stacks, fine, validated_so_far=all(g.passed for g in shut))
     code = gates.exit_code(shut, comparison.compared_layers, outcomes)
     manifest = make_manifest(job, outcomes, comparison, shut, primary, code)
     write_json(manifest, job.folder.path / MANIFEST)
     _write_reports(job)
-    (job.folder.path / "fingerprint").unlink()
+    (job.folder.path / FINGERPRINT).unlink()
     return RunResult(job.folder.finish(), tuple(shut), code, manifest)
-
-
-# -- stages ------------------------------------------------------------------------------------------
 
 
 def _placed_part(path: str | Path, config: Config, observer: Observer) -> tuple[Part, inspection.Inspection]:
     """Read, mend if asked to, turn and inspect the part."""
     part = mesh_files.load(path, config.part.units)
-    for note in part.notes:
-        observer.note(note)
     if config.part.fix_orientation:
         part, turned = inspection.fix_orientation(part)
         if turned:
@@ -128,6 +135,16 @@ def _backends(config: Config, observer: Observer) -> list[str]:
     if config.slicing.primary:
         registry.available_slicer(config.slicing.primary)
     if config.slicing.backends:
+        left_out = [
+            n
+            for n in (config.slicing.primary, *config.slicing.required)
+            if n and n not in config.slicing.backends
+        ]
+        if left_out:
+            raise SettingsError(
+                f"slicing.backends {', '.join(config.slicing.backends)} leaves out {left_out[0]!r}, "
+                "which slicing.primary or slicing.required names"
+            )
         return [registry.slicer(name).name for name in dict.fromkeys(config.slicing.backends)]
     usable = []
     for name in registry.slicers():
@@ -143,7 +160,7 @@ def _backends(config: Config, observer: Observer) -> list[str]:
     return usable
 
 
-def _slice(job: Job, backends: Mapping[str, Any], resume: bool) -> dict[str, Outcome]:
+def _slice(job: Job, backends: Mapping[str, BackendSettings], resume: bool) -> dict[str, Outcome]:
     """Slice with every backend, each in its own process; results are on disk as they come in."""
     limits = Limits(job.config.slicing.time_limit_s, job.config.slicing.memory_limit_mb)
     kept: dict[str, Outcome] = {}

@@ -18,7 +18,7 @@ from ebamcheck.errors import ExitCode
 from ebamcheck.isolate import Outcome
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.work import Job
-from ebamcheck.store import FORMAT_VERSION, sha256_of_json
+from ebamcheck.store import FINGERPRINT, FORMAT_VERSION, MANIFEST, sha256_of_file, sha256_of_json
 
 
 def manifest(
@@ -65,6 +65,7 @@ def manifest(
         **job.record,
         "gates": [asdict(gate) for gate in passed],
         "exit_code": int(code),
+        "files": _file_hashes(job.folder.path),
         "timings": {
             "finished": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
             "machine": platform.machine(),
@@ -75,6 +76,14 @@ def manifest(
             },
         },
     }
+
+
+def _file_hashes(folder: Path) -> dict[str, str]:
+    """SHA-256 of every file that the stages wrote; the reports that follow are renderings of these."""
+    written = (
+        file for file in folder.rglob("*") if file.is_file() and file.name not in (MANIFEST, FINGERPRINT)
+    )
+    return {file.relative_to(folder).as_posix(): sha256_of_file(file) for file in sorted(written)}
 
 
 def _backend_record(outcome: Outcome) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from ebamcheck.pipeline.gates import section_tolerance_mm
 from ebamcheck.program import Check, verify_file
 from ebamcheck.scan import ScanPlan
 from ebamcheck.slicing import slice_part
-from ebamcheck.store import RunFolder, sha256_of_file, sha256_of_json
+from ebamcheck.store import MANIFEST, RunFolder, sha256_of_file, sha256_of_json
 
 
 def verify_run(folder: Path, part: Path | None = None) -> list[Check]:
@@ -31,10 +31,17 @@ def verify_run(folder: Path, part: Path | None = None) -> list[Check]:
     Raises
     ------
     InputError
-        If the folder is no run folder, or a file of it is missing.
+        If the folder is no run folder, or its record lacks something.
     """
     run = RunFolder(folder)
     manifest = run.manifest()
+    try:
+        return _verify(run, manifest, part)
+    except (KeyError, TypeError, IndexError) as error:
+        raise InputError(f"{folder / MANIFEST}: is not whole: {type(error).__name__} at {error}") from None
+
+
+def _verify(run: RunFolder, manifest: dict[str, Any], part: Path | None) -> list[Check]:
     checks = [
         _hash_check(
             "settings unchanged",
@@ -43,9 +50,14 @@ def verify_run(folder: Path, part: Path | None = None) -> list[Check]:
             "run.json",
         )
     ]
+    checks += [_file_check(run.path / name, name, sha256) for name, sha256 in manifest["files"].items()]
+    untouched = all(check.passed for check in checks)
     if part is not None:
         checks.append(_hash_check("part unchanged", _file_hash(part), manifest["part"]["sha256"], part.name))
     checks += _recorded_gates(manifest)
+    if not untouched:
+        # Checked by other settings or against other layers, the program would say nothing about this run.
+        return checks
     record = manifest.get("program")
     if record is None:
         return [*checks, Check("program", False, 1.0, 0.0, "faults", "", "the run wrote no program")]
@@ -54,8 +66,8 @@ def verify_run(folder: Path, part: Path | None = None) -> list[Check]:
     checks += verify_file(
         run.program_folder / record["files"][0]["name"],
         config=config,
-        curves=Curves.from_parquet(folder / "beads.parquet"),
-        plan=ScanPlan.from_parquet(folder / "scan.parquet"),
+        curves=Curves.from_parquet(run.path / "beads.parquet"),
+        plan=ScanPlan.from_parquet(run.path / "scan.parquet"),
         layers=run.read_layers(record["witness"]),
         sha256=recorded,
         section_tolerance_mm=section_tolerance_mm(config),
@@ -115,6 +127,13 @@ def verify_against_part(program: Path, part_path: Path, config: Config) -> list[
         section_tolerance_mm=section_tolerance_mm(config),
     )
     return [sound, *made]
+
+
+def _file_check(path: Path, name: str, recorded: str) -> Check:
+    """Check that a file of a run is there and is as the run wrote it."""
+    if not path.is_file():
+        return Check("file unchanged", False, 1.0, 0.0, "faults", name, "the file is missing")
+    return _hash_check("file unchanged", _file_hash(path), recorded, name)
 
 
 def _file_hash(path: Path) -> str:

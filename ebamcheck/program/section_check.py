@@ -22,6 +22,9 @@ def section_check(nc: NCProgram, layers: Layers, z_of: Floats, offset_mm: float,
 
     Each section is inset by `offset_mm`, as the scan plan does it; the path lies within `limit_mm` of the
     border of that region, and the border within `limit_mm` of the path, so that no contour is missing.
+    A ring of the section narrower than `limit_mm` asks for no contour of its own: it is within the limit of
+    not being there, and unions leave slits of no width where shells touch, which an inset would widen to
+    holes. A path around one is not faulted either.
 
     Parameters
     ----------
@@ -31,29 +34,53 @@ def section_check(nc: NCProgram, layers: Layers, z_of: Floats, offset_mm: float,
     rows = np.flatnonzero(nc.deposit & (nc.ring >= 0))
     between = 0.5 * (z_of[1:] + z_of[:-1])
     index = np.searchsorted(between, nc.end[rows, 2])
-    found = [_layer(nc, rows[index == k], layers, k, offset_mm) for k in range(len(layers))]
+    found = [_layer(nc, rows[index == k], layers, k, offset_mm, limit_mm) for k in range(len(layers))]
     worst = np.array([row for row, _ in found], dtype=np.int64)
     text = f"contour path against the section inset by {offset_mm:g} mm"
     return worst_check("section", nc, worst, [away for _, away in found], limit_mm, "mm", text)
 
 
-def _layer(nc: NCProgram, rows: Ints, layers: Layers, k: int, offset_mm: float) -> tuple[int, float]:
+def _layer(
+    nc: NCProgram, rows: Ints, layers: Layers, k: int, offset_mm: float, limit_mm: float
+) -> tuple[int, float]:
     """Worst motion of a layer and its deviation, mm; infinite where one has a contour and the other none."""
-    border = inset(layer_section(layers.polygons(k)), offset_mm).boundary
+    border, required = _borders(layers.polygons(k), offset_mm, limit_mm)
     if not rows.size:
         first = int(np.argmax(nc.layer == min(k, int(nc.layer.max(initial=0)))))
-        return first, 0.0 if border.is_empty else float("inf")
+        return first, 0.0 if required.is_empty else float("inf")
     if border.is_empty:
         return int(rows[0]), float("inf")
     owner, at = nc.samples(rows, STEP_MM)
     away = _distances(at, border)
-    wanted = shapely.get_coordinates(shapely.segmentize(border, STEP_MM))
+    wanted = shapely.get_coordinates(shapely.segmentize(required, STEP_MM))
     missed = _distances(wanted, _path(nc, rows, owner, at))
-    worst, farthest = int(np.argmax(away)), int(np.argmax(missed))
-    if missed[farthest] <= away[worst]:
+    worst, farthest = int(np.argmax(away)), int(np.argmax(missed)) if missed.size else -1
+    if farthest < 0 or missed[farthest] <= away[worst]:
         return int(owner[worst]), float(away[worst])
     nearest = int(np.argmin(np.hypot(*(at - wanted[farthest]).T)))
     return int(owner[nearest]), float(missed[farthest])
+
+
+def _borders(
+    polygons: list[shapely.Polygon], offset_mm: float, narrow_mm: float
+) -> tuple[BaseGeometry, BaseGeometry]:
+    """Borders on which the path may lie, and those of them that it must follow: no narrow ring's."""
+    wide = [_without_narrow_holes(p, narrow_mm) for p in polygons if _width_mm(p.exterior) >= narrow_mm]
+    required = inset(layer_section(wide), offset_mm).boundary
+    if len(wide) == len(polygons) and all(
+        len(p.interiors) == len(q.interiors) for p, q in zip(polygons, wide, strict=True)
+    ):
+        return required, required
+    return shapely.union(inset(layer_section(polygons), offset_mm).boundary, required), required
+
+
+def _without_narrow_holes(polygon: shapely.Polygon, narrow_mm: float) -> shapely.Polygon:
+    return shapely.Polygon(polygon.exterior, [h for h in polygon.interiors if _width_mm(h) >= narrow_mm])
+
+
+def _width_mm(ring: shapely.LinearRing) -> float:
+    """Mean width of a long ring: twice its area over its perimeter."""
+    return float(2.0 * shapely.Polygon(ring).area / ring.length) if ring.length > 0.0 else 0.0
 
 
 def _distances(at: Floats, lines: BaseGeometry) -> Floats:

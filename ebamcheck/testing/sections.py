@@ -32,7 +32,7 @@ def winding_rule(text: str) -> WindingRule | None:
     [1, 2]
     """
     if text == HOUSE_RULE:
-        return lambda count: count > 0
+        return house_rule
     if text == "winding != 0":
         return lambda count: count != 0
     if text == "odd":
@@ -42,6 +42,11 @@ def winding_rule(text: str) -> WindingRule | None:
         return None
     low, high = int(span[1]), int(span[2])
     return lambda count: low <= count <= high
+
+
+def house_rule(winding: int) -> bool:
+    """Overlapping shells unite; what is inside out is empty."""
+    return winding > 0
 
 
 def segments(part: Part, height: float) -> NDArray[np.float64]:

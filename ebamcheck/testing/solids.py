@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from typing import NamedTuple
 
 import numpy as np
 import shapely
@@ -22,11 +21,13 @@ FRAME_MM = 40.0
 
 Matrix = NDArray[np.float64]
 
+IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
 
 # -- maps ----------------------------------------------------------------------------------------------
 
 
-def mapped(part: Part, matrix: ArrayLike = np.eye(3), shift: ArrayLike = (0.0, 0.0, 0.0)) -> Part:
+def mapped(part: Part, matrix: ArrayLike = IDENTITY, shift: ArrayLike = (0.0, 0.0, 0.0)) -> Part:
     """Apply a linear map and a shift to a part; a map that mirrors turns the facets over, so the solid stays solid."""
     linear = np.asarray(matrix, dtype=np.float64)
     faces = part.faces if np.linalg.det(linear) > 0.0 else part.faces[:, ::-1]
@@ -97,10 +98,7 @@ def regular(sides: int, radius_mm: float, x_mm: float = 0.0, y_mm: float = 0.0) 
 def revolved(profile: Sequence[tuple[float, float]], around: int, closed: bool) -> Part:
     """Turn a profile (radius, z) around z; its ends lie on the axis, or it closes on itself (a ring's)."""
     angle = 2.0 * math.pi * np.arange(around) / around
-    if closed:
-        rows = np.asarray(profile, dtype=np.float64)
-    else:
-        rows = np.asarray(profile[1:-1], dtype=np.float64)
+    rows = np.asarray(profile if closed else profile[1:-1], dtype=np.float64)
     r, z = rows.T
     grid = np.stack(
         [np.outer(r, np.cos(angle)), np.outer(r, np.sin(angle)), np.repeat(z[:, None], around, 1)], -1
@@ -230,7 +228,7 @@ def _framed(pieces: Iterable[BaseGeometry]) -> BaseGeometry:
 def _strips(bound_mm: float) -> list[BaseGeometry]:
     """Strips of all widths that lie at places that never repeat modulo a sample."""
     pitch = (FRAME_MM - 6.0) / (len(WIDTHS) * REPEATS)
-    strips = []
+    strips: list[BaseGeometry] = []
     for k in range(len(WIDTHS) * REPEATS):
         width = WIDTHS[k % len(WIDTHS)] * bound_mm
         x = 2.0 + k * pitch + (k * GOLDEN % 1.0) * min(2.0 * bound_mm, 0.2 * pitch)
@@ -249,7 +247,7 @@ def _turned(pieces: Sequence[BaseGeometry], degrees: float) -> list[BaseGeometry
 
 def _posts(bound_mm: float) -> list[BaseGeometry]:
     """Small posts, three- to eight-sided, of all widths and at all places."""
-    posts = []
+    posts: list[BaseGeometry] = []
     for k in range(len(WIDTHS) * REPEATS):
         row, column = divmod(k, 11)
         x = 3.0 + 3.2 * column + (k * GOLDEN % 1.0) * 2.0 * bound_mm
@@ -260,12 +258,14 @@ def _posts(bound_mm: float) -> list[BaseGeometry]:
 
 def _wedges() -> list[BaseGeometry]:
     """Wedges of 1 to 80 degrees in all directions."""
-    wedges = []
+    wedges: list[BaseGeometry] = []
     for k, angle in enumerate((1.0, 2.0, 4.0, 8.0, 15.0, 30.0, 60.0, 80.0)):
         row, column = divmod(k, 4)
         x, y, direction = 7.0 + 8.7 * column, 12.0 + 15.0 * row, math.radians(23.7 + 47.0 * k)
         half = math.radians(0.5 * angle)
-        corners = [(x + 3.7 * math.cos(direction + t), y + 3.7 * math.sin(direction + t)) for t in (-half, half)]
+        corners = [
+            (x + 3.7 * math.cos(direction + t), y + 3.7 * math.sin(direction + t)) for t in (-half, half)
+        ]
         wedges.append(shapely.Polygon([(x, y), *corners]))
     return wedges
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,9 +12,10 @@ from ebamcheck.backend import BackendSettings, Slicer
 from ebamcheck.comparison import compare
 from ebamcheck.comparison.measure import FINEST_DEPTH_MM
 from ebamcheck.layers import Layers
+from ebamcheck.model import Model
 from ebamcheck.part import Part
 from ebamcheck.rings import EPSILON
-from ebamcheck.testing.sections import HOUSE_RULE
+from ebamcheck.testing.sections import HOUSE_RULE, house_rule, sections, winding_rule
 
 ROUNDING_STEPS = 64.0
 """Units in the last place of the largest coordinate by which the kit's own maps and sections may be off."""
@@ -32,12 +33,21 @@ class Subject:
         The slicer, or its class.
     settings
         Its settings; the defaults where none are given.
+    models
+        Reference models that it is to cut, by name.
     """
 
-    def __init__(self, slicer: Slicer | type[Slicer], settings: Mapping[str, Any] | None = None) -> None:
+    def __init__(
+        self,
+        slicer: Slicer | type[Slicer],
+        settings: Mapping[str, Any] | None = None,
+        models: Mapping[str, Model] | None = None,
+    ) -> None:
         self.slicer: Slicer = slicer() if isinstance(slicer, type) else slicer
         self.given = dict(settings or {})
+        self.models = dict(models or {})
         self._layers: dict[tuple[str, bytes], Layers] = {}
+        self._differences: dict[tuple[str, bytes], Differences] = {}
 
     def __str__(self) -> str:
         chosen = ", ".join(f"{key}={value}" for key, value in self.given.items())
@@ -66,10 +76,24 @@ class Subject:
         """The declared bound for a part."""
         return float(self.slicer.error_bound_mm(part, self.settings))
 
-    def limit_mm(self, part: Part) -> float:
+    def promise_mm(self, part: Part) -> float:
         """What a section may be off: the bound, the height bound over the flattest slope, and our rounding."""
-        height = float(self.slicer.height_bound_mm(part, self.settings))
-        return self.bound_mm(part) + height * flattest_reach(part) + rounding_mm(part) + 2.0 * FINEST_DEPTH_MM
+        height_mm = float(self.slicer.height_bound_mm(part, self.settings))
+        return self.bound_mm(part) + height_mm * flattest_reach(part) + rounding_mm(part)
+
+    def limit_mm(self, part: Part) -> float:
+        """The promise, and how finely depths are measured."""
+        return self.promise_mm(part) + FINEST_DEPTH_MM
+
+    def differences(self, part: Part, heights: ArrayLike) -> Differences:
+        """Differences of a part's layers from its exact sections; each is measured once."""
+        planes = np.asarray(heights, dtype=np.float64).reshape(-1)
+        key = (part.sha256, planes.tobytes())
+        if key not in self._differences:
+            found = self.cut(part, planes)
+            rule = winding_rule(self.inside_rule(found)) or house_rule
+            self._differences[key] = differences(sections(part, planes, rule), found, self.promise_mm(part))
+        return self._differences[key]
 
     def inside_rule(self, layers: Layers) -> str:
         """The rule in force: settings may change what the class declares, and then say so in their layers."""
@@ -101,15 +125,34 @@ def generic_heights(part: Part, count: int) -> NDArray[np.float64]:
     return np.unique(np.clip(wanted, below + margin, above - margin))
 
 
-def depths(reference: Layers, found: Layers, limit_mm: float) -> tuple[NDArray[np.float64], list[str]]:
-    """Deepest point of the difference on each layer, (L,) mm, measured from the reference, and where it is."""
+class Differences(NamedTuple):
+    """How layers differ from exact sections; one entry a layer."""
+
+    depth_mm: NDArray[np.float64]
+    """Deepest point of the symmetric difference, measured from the exact contours."""
+    topology_agrees: NDArray[np.bool_]
+    """Whether rings and holes agree once features thinner than twice the limit are set aside."""
+    places: list[str]
+    """Height of the layer, and where its deepest point lies."""
+
+
+def differences(
+    reference: Layers, found: Layers, limit_mm: float, reference_exact: bool = True, found_exact: bool = False
+) -> Differences:
+    """Differences of layers from others at the same heights, whichever part they are of."""
     table = compare(
-        reference, found, tolerance_mm=limit_mm, depth_from="a", exact_a=True, check_part=False
+        reference,
+        found,
+        tolerance_mm=limit_mm,
+        exact_a=reference_exact,
+        exact_b=found_exact,
+        check_part=False,
     )
+    depth = table["depth_mm"].to_numpy(dtype=np.float64)
     places = [
-        f"z = {z:.6g} mm, x = {x:.6g}, y = {y:.6g}" if depth > 0.0 else f"z = {z:.6g} mm"
-        for z, x, y, depth in zip(
-            table["height_mm"], table["depth_x_mm"], table["depth_y_mm"], table["depth_mm"], strict=True
+        f"z = {z:.9g} mm" + (f", x = {x:.6g}, y = {y:.6g}" if deep > 0.0 else "")
+        for z, x, y, deep in zip(
+            table["height_mm"], table["depth_x_mm"], table["depth_y_mm"], depth, strict=True
         )
     ]
-    return table["depth_mm"].to_numpy(dtype=np.float64), places
+    return Differences(depth, table["topology_agrees"].to_numpy(dtype=np.bool_), places)

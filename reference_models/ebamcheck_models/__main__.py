@@ -1,4 +1,7 @@
-"""Write a reference model as STL: ``python -m ebamcheck_models NAME --tolerance MM -o FILE.stl``."""
+"""Write a reference model as STL, or list them.
+
+``python -m ebamcheck_models NAME --tolerance MM -o FILE.stl``; ``python -m ebamcheck_models --list``.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +20,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="python -m ebamcheck_models",
         description="Write a reference model as binary STL.",
-        epilog="models: " + "; ".join(f"{m.name}: {m.summary}" for m in MODELS.values()),
+        epilog="--list tells the models and what they are",
     )
-    parser.add_argument("name", choices=sorted(MODELS), metavar="NAME", help=", ".join(MODELS))
+    parser.add_argument("name", nargs="?", choices=sorted(MODELS), metavar="NAME", help=", ".join(MODELS))
+    parser.add_argument("--list", action="store_true", help="print names and summaries of all models")
     parser.add_argument(
         "--tolerance",
         type=float,
@@ -29,6 +33,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("-o", "--output", metavar="FILE.stl", help="default NAME.stl")
     given = parser.parse_args(arguments)
+    if given.list:
+        width = max(map(len, MODELS))
+        sys.stdout.write("".join(f"{name:{width}}  {model.summary}\n" for name, model in MODELS.items()))
+        return 0
+    if given.name is None:
+        parser.error("give the NAME of a model, or --list")
     output = given.output or f"{given.name}.stl"
     try:
         part = MODELS[given.name].tessellate(given.tolerance)

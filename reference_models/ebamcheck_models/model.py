@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ebamcheck.errors import SettingsError
-from ebamcheck.part import Part, from_arrays
+from ebamcheck.part import Part, from_arrays, rotation_to_z, unit_vector
 
 LEAST_TOLERANCE_MM = 1e-4
 """Finest tessellation: vertices are 32-bit floats, whose steps at 500 mm are 0.00003 mm."""
 
 COARSEST_TOLERANCE_MM = 2.0
-"""Walls of the models are at least 6 mm apart; up to this tolerance no two of their meshes can meet."""
+"""Up to this tolerance no two curved walls of a model can meet; thinner walls and gaps have flat sides."""
 
 SECTION_TOLERANCE_MM = 1e-4
 """Chord error of the dense rings that stand for an exact section."""
@@ -68,6 +69,21 @@ class Model(Protocol):
         """Exact volume, mm3."""
         ...
 
+    @property
+    def mesh_volume(self) -> float:
+        """Signed volume that meshes go to, mm3: `volume`, and what overlapping shells share once more."""
+        ...
+
+    @property
+    def shells(self) -> int:
+        """Closed surfaces that share no vertex: bodies and closed voids."""
+        ...
+
+    @property
+    def two_manifold(self) -> bool:
+        """Whether every edge of a mesh has two facets; four where solids touch along an edge."""
+        ...
+
     def tessellate(self, tolerance_mm: float) -> Part:
         """Return a closed, outward mesh whose vertices lie on the surface and no point of which is farther from it.
 
@@ -79,12 +95,58 @@ class Model(Protocol):
         ...
 
 
+@runtime_checkable
+class TurnableModel(Model, Protocol):
+    """A model whose sections are known in every direction."""
+
+    def turned(self, direction: ArrayLike) -> TurnableModel:
+        """Return the solid turned so that `direction` points up, as :meth:`ebamcheck.part.Part.along` turns.
+
+        ``model.turned(d).section(h)`` is the section of the upright model by the plane ``d . p = h``.
+
+        Raises
+        ------
+        SettingsError
+            If the direction is zero or not finite.
+        """
+        ...
+
+
+class Solid(ABC):
+    """What holds for most models: one closed surface, nothing shared, nothing touching."""
+
+    @property
+    @abstractmethod
+    def volume(self) -> float:
+        """Exact volume, mm3."""
+
+    @property
+    def shells(self) -> int:
+        """Closed surfaces that share no vertex."""
+        return 1
+
+    @property
+    def two_manifold(self) -> bool:
+        """Whether every edge of a mesh has two facets."""
+        return True
+
+    @property
+    def mesh_volume(self) -> float:
+        """Signed volume that meshes go to, mm3."""
+        return self.volume
+
+
+def rotation(direction: ArrayLike) -> Floats:
+    """Rotation (3, 3) that :meth:`ebamcheck.part.Part.along` turns by."""
+    return rotation_to_z(unit_vector(direction))
+
+
 def checked_tolerance(tolerance_mm: float) -> float:
     """Return the tolerance, refused where a mesh could not keep it or would cut itself."""
     if not LEAST_TOLERANCE_MM <= tolerance_mm <= COARSEST_TOLERANCE_MM:
         raise SettingsError(
             f"tolerance {tolerance_mm} mm: give {LEAST_TOLERANCE_MM:g} .. {COARSEST_TOLERANCE_MM:g} mm, "
-            "which 32-bit vertices can keep and walls of 6 mm allow"
+            "which 32-bit vertices can keep and the models' walls allow"
         )
     return tolerance_mm
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -101,6 +102,32 @@ def polygon(corners: list[tuple[float, float]]) -> Outline:
     """Polygon with straight sides, corners counter-clockwise."""
     points = [fixed(x, y) for x, y in corners]
     return Outline(tuple(line(a, b) for a, b in zip(points, points[1:] + points[:1], strict=True)))
+
+
+def rounded_polygon(corners: list[tuple[float, float, float]]) -> Outline:
+    """Polygon whose corners (x, y, radius; counter-clockwise) are rounded off, or filleted where they turn in."""
+    points = np.array([corner[:2] for corner in corners])
+    pieces: list[Piece] = []
+    ends: list[tuple[Piece, Piece]] = []
+    arcs: list[Piece | None] = []
+    for n, (x, y, radius) in enumerate(corners):
+        before = points[n] - points[n - 1]
+        after = points[(n + 1) % len(points)] - points[n]
+        before, after = before / np.hypot(*before), after / np.hypot(*after)
+        turn = math.atan2(before[0] * after[1] - before[1] * after[0], float(before @ after))
+        reach = radius * math.tan(0.5 * abs(turn))
+        start, stop = (x, y) - reach * before, (x, y) + reach * after
+        ends.append((fixed(float(start[0]), float(start[1])), fixed(float(stop[0]), float(stop[1]))))
+        inward = math.copysign(radius, turn) * np.array([-before[1], before[0]])
+        angle = math.degrees(math.atan2(-inward[1], -inward[0]))
+        at_x, at_y = (start + inward).tolist()
+        rounded = arc(at_x, at_y, radius, radius, angle, angle + math.degrees(turn)) if radius > 0 else None
+        arcs.append(rounded)
+    for n, rounded in enumerate(arcs):
+        if rounded is not None:
+            pieces.append(rounded)
+        pieces.append(line(ends[n][1], ends[(n + 1) % len(ends)][0]))
+    return Outline(tuple(pieces))
 
 
 def rounded_rectangle(half_x: float, half_y: float, radius: float) -> Outline:

@@ -7,14 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 import shapely
+from numpy.typing import ArrayLike
 
 from ebamcheck.part import Part
 from ebamcheck_models.model import (
     SECTION_TOLERANCE_MM,
     Floats,
+    Solid,
     checked_tolerance,
     grid_faces,
     make_part,
+    rotation,
     single,
 )
 
@@ -36,7 +39,7 @@ def circle_points(radius_mm: float, count: int) -> Floats:
 
 
 @dataclass(frozen=True)
-class Sphere:
+class Sphere(Solid):
     """Sphere about the origin; see :class:`ebamcheck_models.Model`."""
 
     name: str
@@ -65,6 +68,11 @@ class Sphere:
         """Volume, mm3: 4/3 pi r^3."""
         return 4.0 / 3.0 * math.pi * self.radius_mm**3
 
+    def turned(self, direction: ArrayLike) -> Sphere:
+        """Return itself: a sphere about the origin is the same in every direction."""
+        rotation(direction)
+        return self
+
     def tessellate(self, tolerance_mm: float) -> Part:
         """Meridians and parallels; each of the two directions gets half of the tolerance."""
         checked_tolerance(tolerance_mm)
@@ -85,7 +93,7 @@ class Sphere:
 
 
 @dataclass(frozen=True)
-class Torus:
+class Torus(Solid):
     """Torus about z, its circle in the plane z = 0; see :class:`ebamcheck_models.Model`."""
 
     name: str

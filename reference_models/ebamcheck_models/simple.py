@@ -1,21 +1,9 @@
-"""Simple solids: a cube, a cylinder, and a plate with holes."""
+"""Simple prisms: a cube, and a plate with holes."""
 
 from __future__ import annotations
 
-from ebamcheck_models.outlines import Outline, circle, polygon, rounded_rectangle
-from ebamcheck_models.walls import Face, Wall, WalledModel
-
-
-def prism(
-    name: str, summary: str, outline: Outline, height_mm: float, holes: tuple[Outline, ...] = ()
-) -> WalledModel:
-    """Upright prism over an outline, with holes from bottom to top."""
-    levels = (0.0, height_mm)
-    walls = (Wall(outline, levels), *(Wall(hole, levels, hole=True) for hole in holes))
-    through = tuple(range(1, len(walls)))
-    faces = (Face(0, through, 0.0, up=False), Face(0, through, height_mm, up=True))
-    return WalledModel(name, summary, walls, faces, euler_number=2 - 2 * len(holes))
-
+from ebamcheck_models.outlines import circle, polygon, rounded_rectangle
+from ebamcheck_models.prisms import prism
 
 CUBE = prism(
     "cube",
@@ -23,8 +11,6 @@ CUBE = prism(
     polygon([(0.0, 0.0), (20.0, 0.0), (20.0, 20.0), (0.0, 20.0)]),
     20.0,
 )
-
-CYLINDER = prism("cylinder", "upright cylinder, radius 25 mm, height 60 mm", circle(0.0, 0.0, 25.0), 60.0)
 
 PRISM = prism(
     "prism",

@@ -14,6 +14,7 @@ from ebamcheck.part import Part
 from ebamcheck_models.model import (
     SECTION_TOLERANCE_MM,
     Floats,
+    Solid,
     checked_tolerance,
     grid_faces,
     make_part,
@@ -75,7 +76,7 @@ class Face:
 
 
 @dataclass(frozen=True)
-class WalledModel:
+class WalledModel(Solid):
     """A solid bounded by walls and level faces; see :class:`ebamcheck_models.Model`."""
 
     name: str
@@ -83,6 +84,7 @@ class WalledModel:
     walls: tuple[Wall, ...]
     faces: tuple[Face, ...]
     euler_number: int
+    shells: int = 1
 
     @cached_property
     def bounds(self) -> Floats:

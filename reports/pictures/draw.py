@@ -10,14 +10,13 @@ from ebamcheck.program import read_program
 from ebamcheck.scan import ScanPlan
 from ebamcheck.store import RunFolder
 from ebamcheck_reports import overlays, program_picture, scan_picture
-from ebamcheck_reports.canvas import around
 from ebamcheck_reports.run_data import RunData, layer_name
 
 ROOT_LAYER, BLADE_LAYER = 20, 57
 """A layer of the root, which is partitioned into hexagons, and one through the hollow blade."""
 
-WORST_LIMITS = 2.0
-"""Half the side of the enlarged place over the limit of the pair."""
+WORST_LIMITS = 1.0
+"""Half the height of the enlarged place, which is three times as wide, over the limit of the pair."""
 
 NAMESPACE = ' xmlns="http://www.w3.org/2000/svg"'
 
@@ -27,6 +26,7 @@ def draw(folder: Path, target: Path) -> None:
     run = RunData(RunFolder(folder))
     exact = run.stacks[run.manifest["primary"]]
     worst = overlays.worst_places(run)[BLADE_LAYER]
+    reach = WORST_LIMITS * worst.limit_mm
     plan = ScanPlan.from_parquet(folder / "scan.parquet")
     program = read_program(folder / "program", run.config)
     bead_mm = run.config.process.bead_width_mm
@@ -37,9 +37,9 @@ def draw(folder: Path, target: Path) -> None:
         "overlay-worst": overlay_svg(
             run.stacks,
             BLADE_LAYER,
-            width_px=520,
-            box=around(worst.x_mm, worst.y_mm, WORST_LIMITS * worst.limit_mm),
-            title=f"worst place of layer {BLADE_LAYER}: {worst.pair}, {worst.depth_mm:.3f} mm deep (limit {worst.limit_mm:.3f} mm)",
+            width_px=720,
+            box=(worst.x_mm - 3 * reach, worst.y_mm - reach, worst.x_mm + 3 * reach, worst.y_mm + reach),
+            title=f"layer {BLADE_LAYER}, enlarged: {worst.pair}, {worst.depth_mm:.3f} mm deep",
         ),
         "partition-root": scan_picture.draw(plan, exact, ROOT_LAYER, bead_mm, root),
         "partition-blade": scan_picture.draw(plan, exact, BLADE_LAYER, bead_mm, blade),

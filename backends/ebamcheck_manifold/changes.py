@@ -1,0 +1,94 @@
+"""Where the solid that manifold3d holds is not the mesh that it was given.
+
+manifold3d mends what it takes for degenerate when it builds a solid: it turns the common edge of two facets,
+and leaves out facets without area or in pairs back to back. It says nothing of it and has no switch for it.
+Sections there may be off by far more than rounding, so the places are declared.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from ebamcheck_manifold.placement import Floats, Placement
+
+if TYPE_CHECKING:
+    from manifold3d import Manifold
+
+MOST_REGIONS = 16
+"""Boxes declared at most; more are merged with their neighbours in height."""
+
+Keys = NDArray[np.uint64]
+
+
+def doubtful_regions(triangles_mm: Floats, placement: Placement, manifold: Manifold) -> list[dict[str, Any]]:
+    """Boxes around the facets that manifold3d changed.
+
+    Parameters
+    ----------
+    triangles_mm
+        Corners of the facets (F, 3, 3) that manifold3d was given, as placed in the part.
+
+    Returns
+    -------
+    list of dict
+        ``box_mm``: xmin, ymin, zmin, xmax, ymax, zmax; ``why``: one line. Empty where nothing was changed.
+    """
+    mesh = manifold.to_mesh64()
+    held = np.asarray(mesh.vert_properties)[:, :3][np.asarray(mesh.tri_verts, dtype=np.int64)]
+    given_keys, held_keys = _facet_keys(placement.apply(triangles_mm)), _facet_keys(held)
+    lost, gained = ~np.isin(given_keys, held_keys), ~np.isin(held_keys, given_keys)
+    if not (lost.any() or gained.any()):
+        return []
+    new_mm = held[gained] / placement.scale + placement.shift_mm
+    old = np.arange(lost.sum() + gained.sum()) < lost.sum()
+    return _boxes(np.concatenate([triangles_mm[lost], new_mm]), old)
+
+
+def _facet_keys(triangles: Floats) -> Keys:
+    """Key of each facet (F,): the bits of its corners in their order, whichever comes first."""
+    bits = np.ascontiguousarray(triangles + 0.0).view(np.uint64)  # -0.0 and 0.0 are one number
+    x, y, z = np.moveaxis(_mixed(bits), 2, 0)
+    corner = _mixed(x + np.uint64(3) * y + np.uint64(5) * z)
+    following = np.roll(corner, -1, axis=1)
+    keys: Keys = _mixed(corner + np.uint64(3) * following).sum(axis=1, dtype=np.uint64)
+    return keys
+
+
+def _mixed(bits: Keys) -> Keys:
+    """Spread the bits of 64-bit numbers (finalizer of MurmurHash3, public domain)."""
+    bits = (bits ^ (bits >> np.uint64(33))) * np.uint64(0xFF51AFD7ED558CCD)
+    bits = (bits ^ (bits >> np.uint64(33))) * np.uint64(0xC4CEB9FE1A85EC53)
+    return bits ^ (bits >> np.uint64(33))
+
+
+def _boxes(triangles: Floats, old: NDArray[np.bool_]) -> list[dict[str, Any]]:
+    """Boxes around facets that share corners, from low to high; `old` are those that were given."""
+    count = len(triangles)
+    _, corner = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
+    facet = np.repeat(np.arange(count), 3)
+    nodes = count + int(corner.max()) + 1
+    links = coo_array((np.ones(3 * count), (facet, count + corner.ravel())), shape=(nodes, nodes))
+    group = connected_components(links, directed=False)[1][:count]
+    lowest = np.full(nodes, np.inf)
+    np.minimum.at(lowest, group, triangles[:, :, 2].min(axis=1))
+    order = np.unique(np.stack([lowest[group], group], axis=1), axis=0)[:, 1].astype(np.int64)
+    place = np.empty(nodes, np.int64)
+    place[order] = np.arange(len(order)) * min(len(order), MOST_REGIONS) // len(order)
+    region = place[group]
+    found = []
+    for k in np.unique(region):
+        here = region == k
+        corners = triangles[here].reshape(-1, 3)
+        changed = int(max(np.count_nonzero(here & old), np.count_nonzero(here & ~old)))
+        found.append(
+            {
+                "box_mm": [*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist()],
+                "why": f"manifold3d changed {changed} facet{'s' * (changed > 1)} here when it built the solid",
+            }
+        )
+    return found

@@ -1,0 +1,258 @@
+"""What got worse, by how much, and where."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from ebamcheck.regression.baselines import STORED, Entry, Key
+from ebamcheck.regression.measurement import MEASURED
+from ebamcheck.regression.metrics import LAYER_COLUMNS, METRICS, NAMES
+from ebamcheck.regression.settings import Tolerance, Tolerances
+
+FIRST_PLACES = 3
+"""Places that a difference names."""
+
+SAME_HEIGHT_MM = 1e-6
+
+Verdict = Literal["same", "worse", "better", "new", "vanished", "failed", "not run"]
+
+FAILING: tuple[Verdict, ...] = ("worse", "failed", "vanished")
+"""Verdicts that make exit code 1."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """One layer on which a value grew."""
+
+    layer: int
+    z_mm: float
+    x_mm: float | None
+    y_mm: float | None
+    old: float
+    new: float
+
+    def __str__(self) -> str:
+        at = "" if self.x_mm is None or self.y_mm is None else f", at ({self.x_mm:g}, {self.y_mm:g}) mm"
+        return f"layer {self.layer}, z = {self.z_mm:g} mm{at}: {self.old:g} -> {self.new:g}"
+
+
+@dataclass(frozen=True)
+class Growth:
+    """How a column of the layers grew beyond its tolerance."""
+
+    column: str
+    count: int
+    compared: int
+    largest: float
+    mean: float
+    places: tuple[Place, ...]
+
+    def __str__(self) -> str:
+        return (
+            f"{self.column}: {self.count} of {self.compared} layers worse, at most by {self.largest:g}, "
+            f"on average by {self.mean:g}"
+        )
+
+
+@dataclass(frozen=True)
+class Change:
+    """One metric that changed by more than its tolerance."""
+
+    metric: str
+    old: float
+    new: float
+    allowed: float
+    growth: Growth | None = None
+    """The layers behind it; None where no column explains it, or the layers cannot be matched."""
+
+    @property
+    def worse(self) -> bool:
+        """Whether it grew."""
+        return self.new > self.old or self.growth is not None
+
+    def lines(self) -> list[str]:
+        """The change in words: the figure, the layers behind it, the first places."""
+        text = f"{self.metric} {self.old:g} -> {self.new:g} ({self.new - self.old:+g}, tolerance {self.allowed:g})"
+        if self.growth is None:
+            return [text]
+        more = self.growth.count - len(self.growth.places)
+        return [
+            text,
+            f"  {self.growth}",
+            *(f"    {place}" for place in self.growth.places),
+            *([f"    and {more} more"] if more > 0 else []),
+        ]
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One entry against its baseline."""
+
+    key: Key
+    title: str
+    verdict: Verdict
+    why: str = ""
+    changes: tuple[Change, ...] = ()
+
+    @property
+    def fails(self) -> bool:
+        """Whether it makes the report fail."""
+        return self.verdict in FAILING
+
+    def lines(self) -> list[str]:
+        """The difference in words."""
+        head = f"{self.verdict.upper()}  {self.title}" + (f": {self.why}" if self.why else "")
+        shown = [change for change in self.changes if change.worse == (self.verdict == "worse")]
+        return [head, *(f"  {line}" for change in shown for line in change.lines())]
+
+    def record(self) -> dict[str, Any]:
+        """The difference as strict JSON holds it."""
+        return {
+            "model": self.key.model,
+            "backend": self.key.backend,
+            "settings_hash": self.key.settings_hash,
+            "title": self.title,
+            "verdict": self.verdict,
+            "why": self.why,
+            "changes": [_change_record(change) for change in self.changes],
+        }
+
+
+def _change_record(change: Change) -> dict[str, Any]:
+    growth = change.growth
+    grown = None if growth is None else {**vars(growth), "places": [vars(place) for place in growth.places]}
+    return {**vars(change), "growth": grown}
+
+
+def differences(
+    entries: Mapping[Key, Entry],
+    baselines: Mapping[Key, Entry],
+    not_run: Mapping[str, str],
+    tolerances: Tolerances,
+) -> list[Difference]:
+    """Hold every entry against its baseline.
+
+    Parameters
+    ----------
+    entries
+        What was measured now.
+    baselines
+        What was accepted, of the same models and backends.
+    not_run
+        Backends that are not available here, and why: their baselines are neither met nor missed.
+    tolerances
+        What each metric may grow by.
+
+    Returns
+    -------
+    list of Difference
+        One for each key of either, in their order.
+    """
+    found = []
+    for key in sorted({*entries, *baselines}):
+        new, old = entries.get(key), baselines.get(key)
+        if new is None and old is not None:
+            found.append(_missing(old, not_run))
+        elif new is not None and (new.measured.status not in STORED or old is None):
+            found.append(_alone(new))
+        elif new is not None and old is not None:
+            found.append(_held(new, old, tolerances))
+    return found
+
+
+def _missing(old: Entry, not_run: Mapping[str, str]) -> Difference:
+    if old.key.backend in not_run:
+        return Difference(old.key, old.title, "not run", not_run[old.key.backend])
+    why = "it is in the baselines, but nothing measures it any more; --update-baseline=failed takes it out"
+    return Difference(old.key, old.title, "vanished", why)
+
+
+def _alone(new: Entry) -> Difference:
+    status, why = new.measured.status, new.measured.why
+    if status not in STORED:
+        return Difference(new.key, new.title, "failed", f"{status}: {why}")
+    return Difference(new.key, new.title, "new", "" if status == MEASURED else f"{status}: {why}")
+
+
+def _held(new: Entry, old: Entry, tolerances: Tolerances) -> Difference:
+    now, before = new.measured, old.measured
+    if now.status != before.status:
+        verdict: Verdict = "better" if now.status == MEASURED else "worse"
+        return Difference(
+            new.key, new.title, verdict, f"was {before.status}, is {now.status}: {now.why or 'measured'}"
+        )
+    changes = tuple(_changes(new, old, tolerances))
+    if any(change.worse for change in changes):
+        return Difference(new.key, new.title, "worse", _circumstances(new, old), changes)
+    return Difference(new.key, new.title, "better" if changes else "same", "", changes)
+
+
+def _circumstances(new: Entry, old: Entry) -> str:
+    """What else changed since the baseline: the mesh, the versions, the renderer."""
+    changed = [
+        f"{name} {old.metadata[name]} -> {new.metadata.get(name)}"
+        for name in ("mesh_sha256", "versions", "renderer")
+        if name in old.metadata and old.metadata[name] != new.metadata.get(name)
+    ]
+    return f"changed with it: {'; '.join(changed)}" if changed else ""
+
+
+def _changes(new: Entry, old: Entry, tolerances: Tolerances) -> list[Change]:
+    """Metrics, then columns whose loss on single layers no metric shows."""
+    backend = new.key.backend
+    now, before = new.measured.metrics, old.measured.metrics
+    column_of = {metric.name: metric.column for metric in METRICS}
+    changes: list[Change] = []
+    explained = set()
+    for name in NAMES:
+        if name not in now or name not in before:
+            continue
+        allowed = tolerances.of(backend, name).allowed(before[name])
+        if abs(now[name] - before[name]) <= allowed:
+            continue
+        growth = None
+        if now[name] > before[name] and name in column_of:
+            column = column_of[name]
+            growth = _growth(new, old, column, tolerances.of(backend, column))
+            explained.add(column)
+        changes.append(Change(name, before[name], now[name], allowed, growth))
+    for column in LAYER_COLUMNS:
+        growth = None if column in explained else _growth(new, old, column, tolerances.of(backend, column))
+        if growth is not None:
+            place = growth.places[0]
+            allowed = tolerances.of(backend, column).allowed(place.old)
+            changes.append(Change(column, place.old, place.new, allowed, growth))
+    return changes
+
+
+def _growth(new: Entry, old: Entry, column: str, tolerance: Tolerance) -> Growth | None:
+    """Layers on which the absolute value of a column grew by more than its tolerance; None where there is none."""
+    now, before = new.measured.columns, old.measured.columns
+    if column not in before or not _same_heights(now["z_mm"], before["z_mm"]):
+        return None
+    grown = []
+    for k, (a, b) in enumerate(zip(before[column], now[column], strict=True)):
+        if abs(b) > abs(a) + tolerance.allowed(a):
+            grown.append(k)
+    if not grown:
+        return None
+    by = [abs(now[column][k]) - abs(before[column][k]) for k in grown]
+    places = tuple(
+        Place(
+            int(now["layer"][k]),
+            now["z_mm"][k],
+            now["x_mm"][k],
+            now["y_mm"][k],
+            before[column][k],
+            now[column][k],
+        )
+        for k in grown[:FIRST_PLACES]
+    )
+    return Growth(column, len(grown), len(now[column]), max(by), math.fsum(by) / len(by), places)
+
+
+def _same_heights(a: Any, b: Any) -> bool:
+    return len(a) == len(b) and all(abs(x - y) <= SAME_HEIGHT_MM for x, y in zip(a, b, strict=True))

@@ -1,0 +1,117 @@
+"""What is measured: models, their meshes and layers, and the settings of each backend.
+
+The table is data, ``matrix.toml`` beside the baselines, so that the harness knows no model and no slicer by name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from ebamcheck import registry
+from ebamcheck.backend import BackendSettings
+from ebamcheck.config import Positive, Section
+from ebamcheck.errors import SettingsError
+from ebamcheck.model import Model, models
+from ebamcheck.regression.settings import checked, read_toml
+from ebamcheck.store import sha256_of_json
+
+MATRIX = "matrix.toml"
+
+ALL = "all"
+"""In place of the names of models: every one that is installed."""
+
+HASH_DIGITS = 12
+"""Digits of a settings hash that a key keeps: enough for any matrix."""
+
+
+class Case(Section):
+    """How a model is tessellated and layered."""
+
+    tolerance_mm: Positive = 0.05
+    """Distance that the mesh may have from the surface."""
+    layers: Annotated[int, Field(ge=1, le=100_000)] = 24
+    """Uniform layers, cut at their middles; planes through level faces come on top."""
+
+
+class Matrix(Section):
+    """Models x settings; backends are those of the machine."""
+
+    default: Case = Case()
+    models: dict[str, Case] = Field(default_factory=dict)
+    """Models that need a case of their own."""
+    every_day: tuple[str, ...] = ()
+    """Models measured where ``--models`` names none; empty: all that are installed."""
+    variant_models: tuple[str, ...] = ()
+    """Models on which the variants are measured, too; empty: all."""
+    variants: dict[str, dict[str, dict[str, Any]]] = Field(default_factory=dict)
+    """Settings measured on top of the default ones: backend, name of the variant, settings."""
+
+    def case(self, model: str) -> Case:
+        """How a model is measured."""
+        return self.models.get(model, self.default)
+
+
+@dataclass(frozen=True)
+class Subject:
+    """One backend under one choice of settings."""
+
+    backend: str
+    settings: BackendSettings
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """Settings that are not the defaults.
+
+        Only they make the key: a new setting whose default changes nothing leaves the baseline valid, and a
+        default that is changed is held against it.
+        """
+        return self.settings.model_dump(mode="json", exclude_defaults=True)
+
+    def __str__(self) -> str:
+        given = ", ".join(f"{key}={value}" for key, value in self.given.items())
+        return f"{self.backend} ({given})" if given else self.backend
+
+    def settings_hash(self, case: Case) -> str:
+        """Hash of the settings and of the case: what must be the same for two figures to be comparable."""
+        return sha256_of_json({"settings": self.given, "case": case.model_dump()})[:HASH_DIGITS]
+
+
+def read_matrix(folder: Path) -> Matrix:
+    """Read the matrix beside the baselines; without one, every model under default settings."""
+    path = folder / MATRIX
+    return checked(Matrix, read_toml(path), path) if path.is_file() else Matrix()
+
+
+def chosen_models(matrix: Matrix, names: Sequence[str]) -> dict[str, Model]:
+    """Models named, all for :data:`ALL`, or without a name those of every day."""
+    if names and names != (ALL,):
+        return models(names)
+    daily = () if names else matrix.every_day
+    return {name: model for name, model in models().items() if name in daily or not daily}
+
+
+def rounds(matrix: Matrix, model: str, backends: Sequence[str]) -> list[dict[str, Subject]]:
+    """Subjects of one model in rounds of one a backend, so that a round runs its processes side by side.
+
+    Raises
+    ------
+    SettingsError
+        If a variant has a setting that its backend does not know.
+    """
+    varied = not matrix.variant_models or model in matrix.variant_models
+    found: list[dict[str, Subject]] = []
+    for name in backends:
+        given: list[Mapping[str, Any]] = [{}, *(matrix.variants.get(name, {}).values() if varied else ())]
+        subjects = [Subject(name, registry.slicer_settings(name, values)) for values in given]
+        if len({str(subject) for subject in subjects}) < len(subjects):
+            raise SettingsError(f"{MATRIX}: two variants of {name!r} are the same settings: drop one")
+        for k, subject in enumerate(subjects):
+            if k == len(found):
+                found.append({})
+            found[k][name] = subject
+    return found

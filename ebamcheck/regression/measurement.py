@@ -1,0 +1,199 @@
+"""The distance of a slicer's layers from the truth: a model's exact sections."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ebamcheck import registry
+from ebamcheck.comparison import GENERIC, layer_classes
+from ebamcheck.comparison.measure import FINEST_DEPTH_MM, Figures
+from ebamcheck.comparison.pairwise import Pair, measure_stacks
+from ebamcheck.isolate import Outcome
+from ebamcheck.layers import Layers, from_polygons
+from ebamcheck.model import Model
+from ebamcheck.part import Part
+from ebamcheck.regression.metrics import rounded, summarised
+from ebamcheck.rings import Bools, Floats
+
+SECTION_TOLERANCE_MM = 1e-4
+"""Chord error of the dense rings that stand for an exact section."""
+
+MOST_PLANES = 12
+"""Planes through level faces that are cut on top of the uniform layers: enough to meet every kind of face."""
+
+STEP_SHARE = 1e-3
+"""Share of the area that may change over the rounding of a height; more is a step that rounding has moved."""
+
+HEIGHT_DIGITS = 9
+
+MEASURED, REFUSED = "measured", "refused"
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """A model made ready: its mesh, the heights, and what is exact there.
+
+    Parameters
+    ----------
+    part
+        Mesh that the slicers cut.
+    heights
+        (L,) mm, strictly increasing: middles of uniform layers, and planes through level faces.
+    uniform
+        (L,) which of them are middles of uniform layers.
+    layer_height_mm
+        Height of those layers.
+    layers
+        Exact sections of the model.
+    allowance_mm
+        (L,) depth that a section of the mesh may have against the exact one.
+    """
+
+    part: Part
+    heights: Floats
+    uniform: Bools
+    layer_height_mm: float
+    layers: Layers
+    allowance_mm: Floats
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What one backend's layers came to on one model."""
+
+    status: str
+    """``measured``, or how the backend failed."""
+    why: str = ""
+    metrics: Mapping[str, float] = field(default_factory=dict)
+    columns: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    """One entry for each layer compared: ``layer``, ``z_mm``, ``x_mm``, ``y_mm`` of the deepest point (None where
+    there is none), and the columns of the metrics."""
+
+
+def truth_of(model: Model, tolerance_mm: float, layers: int) -> Truth:
+    """Tessellate a model and cut it exactly.
+
+    Parameters
+    ----------
+    tolerance_mm
+        Of the tessellation.
+    layers
+        Number of uniform layers.
+    """
+    part = model.tessellate(tolerance_mm)
+    low, high = model.bounds[:, 2].tolist()
+    step = (high - low) / layers
+    middles = low + (np.arange(layers) + 0.5) * step
+    heights = np.union1d(middles, _level_planes(model, part))
+    exact = _sections(model, heights)
+    return Truth(
+        part, heights, np.isin(heights, middles), step, exact, _allowance(model, exact, tolerance_mm)
+    )
+
+
+def _level_planes(model: Model, part: Part) -> Floats:
+    """Heights of level faces, at most :data:`MOST_PLANES`, on which mesh and model mean the same side of a step.
+
+    Vertices are rounded to single precision; where that moves a step down, the model's section at the mesh's
+    height is still the lower one, and the plane is left out.
+    """
+    z = part.vertices[:, 2][part.faces]
+    levels = np.unique(z[(z == z[:, :1]).all(axis=1), 0])
+    kept = []
+    for level in levels.tolist():
+        above = level + 2.0 * float(np.spacing(np.float32(np.abs(part.bounds[:, 2]).max())))
+        here, there = model.area(level), model.area(above)
+        if abs(here - there) <= STEP_SHARE * max(here, there):
+            kept.append(level)
+    spread = np.unique(np.linspace(0, len(kept) - 1, min(len(kept), MOST_PLANES)).round().astype(int))
+    return np.array(kept)[spread] if kept else np.zeros(0)
+
+
+def _sections(model: Model, heights: Floats) -> Layers:
+    cut = [model.section(z, SECTION_TOLERANCE_MM) for z in heights.tolist()]
+    return from_polygons(heights, cut, backend="truth")
+
+
+def _allowance(model: Model, exact: Layers, tolerance_mm: float) -> Floats:
+    """Depth that the mesh may have against the exact sections, (L,) mm.
+
+    No point of the mesh is farther than t from the surface, so its section at z lies about those of the model
+    between z - t and z + t, dilated by t: on a slope the contours move by more than t, near a step by all of it.
+    """
+    moved = [
+        measure_stacks(
+            [exact, _sections(model, exact.heights + side * tolerance_mm).labelled(part="")],
+            [Pair(0, 1, tolerance_mm, True, False)],
+        )[0][0][:, Figures._fields.index("depth")]
+        for side in (-1.0, 1.0)
+    ]
+    return np.asarray(np.maximum(*moved) + tolerance_mm + SECTION_TOLERANCE_MM + FINEST_DEPTH_MM)
+
+
+def measure_outcome(truth: Truth, outcome: Outcome) -> Measured:
+    """Measure what a backend made of the truth's part at the truth's heights.
+
+    Layers in a vertex or face of the mesh are left out where the backend declares no rule for them.
+    """
+    if outcome.layers is None:
+        return Measured(outcome.failure, outcome.why)
+    compared = _comparable(truth, outcome)
+    columns = _columns(truth, outcome, outcome.layers, compared)
+    error = outcome.layers.areas() - truth.layers.areas()
+    whole = {
+        "volume_error_mm3": rounded(
+            abs(float(error[truth.uniform & compared].sum())) * truth.layer_height_mm
+        ),
+        "bound_mm": rounded(outcome.error_bound_mm, decimals=None),
+        "not_compared_layers": float((~compared).sum()),
+    }
+    return Measured(MEASURED, "", {**summarised(columns), **whole}, columns)
+
+
+def _comparable(truth: Truth, outcome: Outcome) -> Bools:
+    if registry.slicer(outcome.name).coplanar_rule == "half-open":
+        return np.ones(truth.heights.size, np.bool_)
+    return np.asarray(layer_classes(truth.part, truth.heights, outcome.height_bound_mm) == GENERIC)
+
+
+def _columns(truth: Truth, outcome: Outcome, layers: Layers, compared: Bools) -> dict[str, list[Any]]:
+    """Columns of the layers compared, rounded as baselines keep them."""
+    # A limit of zero asks for the finest depth: a loss of a hundredth of a bound must show.
+    figures, (x0, y0) = measure_stacks([truth.layers, layers], [Pair(0, 1, 0.0, True, False)])
+    depth, x, y, ab, ba = (
+        figures[0][:, Figures._fields.index(name)]
+        for name in ("depth", "depth_x", "depth_y", "hausdorff_ab", "hausdorff_ba")
+    )
+    hausdorff = np.maximum(ab, ba)
+    beyond = np.maximum(depth - truth.allowance_mm - outcome.error_bound_mm, 0.0)
+    columns: dict[str, NDArray[Any]] = {
+        "depth_mm": depth,
+        "hausdorff_mm": np.where(np.isfinite(hausdorff), hausdorff, 0.0),
+        "area_error_mm2": layers.areas() - truth.layers.areas(),
+        "ring_mismatch": layers.ring_counts() - truth.layers.ring_counts(),
+        "hole_mismatch": layers.hole_counts() - truth.layers.hole_counts(),
+        "empty_mismatch": (layers.ring_counts() > 0) ^ (truth.layers.ring_counts() > 0),
+        "open_paths": layers.open_counts(),
+        "beyond_bound_mm": beyond,
+    }
+    found: dict[str, list[Any]] = {
+        "layer": np.flatnonzero(compared).tolist(),
+        "z_mm": [rounded(z, HEIGHT_DIGITS, None) for z in truth.heights[compared].tolist()],
+        "x_mm": [_place(v) for v in (x + x0)[compared].tolist()],
+        "y_mm": [_place(v) for v in (y + y0)[compared].tolist()],
+    }
+    for name, column in columns.items():
+        kept = column[compared]
+        found[name] = (
+            kept.astype(int).tolist() if kept.dtype.kind in "biu" else [rounded(v) for v in kept.tolist()]
+        )
+    return found
+
+
+def _place(value: float) -> float | None:
+    return rounded(value) if np.isfinite(value) else None

@@ -1,0 +1,250 @@
+"""Checks of the promise: sections lie within the declared bound, and the bound is not idle."""
+
+from __future__ import annotations
+
+import numpy as np
+import shapely
+
+from ebamcheck.errors import BackendFailed
+from ebamcheck.model import Model
+from ebamcheck.part import Part
+from ebamcheck.testing.figures import NO_LAYER, Figure, truth
+from ebamcheck.testing.sections import house_rule, region, sections, winding_rule
+from ebamcheck.testing.solids import (
+    FRAME_MM,
+    SIMPLE,
+    attackers,
+    box,
+    frame,
+    joined,
+    mapped,
+    named,
+    simple,
+    steps,
+    turn,
+)
+from ebamcheck.testing.subject import Subject, generic_heights, rounding_mm
+
+LOOSEST = 3.0
+"""A bound more than this many times the worst case that the kit finds is idle."""
+
+SHIFT_SHARE = 0.2
+"""Share of the bound by which the centroid of a round section may be off."""
+
+ROUND = ("sphere", "torus", "upright torus")
+
+FINE_FEATURES_MM = 1e-3
+"""What the features of attacking solids are scaled by where a bound is mere rounding."""
+
+MODEL_TOLERANCE = 0.003
+"""Tessellation of reference models, over their size; within .01 .. .5 mm."""
+
+SECTION_SHARE = 0.05
+"""Chord error of a model's exact section, over the tessellation's tolerance."""
+
+BUFFER_SHARE = 0.003
+"""What a buffer's polygonal arcs take off its radius (16 segments a quarter), and a margin."""
+
+
+def bound_held(subject: Subject) -> list[Figure]:
+    """On every solid and layer, the exact section eroded by the bound lies in the result, and the reverse."""
+    found = []
+    for name in SIMPLE:
+        part = simple(name)
+        found += _depth_figures("bound held", subject, part, 3)
+    return found
+
+
+def bound_attacked(subject: Subject) -> list[Figure]:
+    """The same on walls, slits, posts, pores and wedges about as thin as the bound."""
+    found = []
+    for part in _attackers(subject).values():
+        found += _depth_figures("bound attacked", subject, part, 1)
+    return found
+
+
+def bound_not_idle(subject: Subject) -> list[Figure]:
+    """The worst case that the attack finds is more than a third of the bound; exact slicers' is rounding."""
+    if subject.slicer.exact:
+        return []
+    shares = []
+    for part in _attackers(subject).values():
+        deepest = float(subject.differences(part, generic_heights(part, 1)).depth_mm.max())
+        shares.append(deepest / subject.bound_mm(part))
+    value = 1.0 / max(*shares, 1e-300)
+    text = f"the bound is {value:.3g} times the worst case; its share in each attack: {np.round(shares, 2)}"
+    return [Figure("bound not idle", "worst case", NO_LAYER, value, LOOSEST, text)]
+
+
+def no_shift(subject: Subject) -> list[Figure]:
+    """On round bodies errors average out: sections do not lie to one side of the exact ones."""
+    found = []
+    for name in ROUND:
+        part = simple(name)
+        heights = generic_heights(part, 3)
+        layers, exact = subject.cut(part, heights), sections(part, heights, house_rule)
+        limit = SHIFT_SHARE * subject.promise_mm(part) + rounding_mm(part)
+        for k in range(len(heights)):
+            cut, true = region(layers, k), region(exact, k)
+            shift = true.centroid.distance(cut.centroid) if not cut.is_empty else np.inf
+            found.append(Figure("no shift", name, k, float(shift), limit, "distance of the centroids, mm"))
+    return found
+
+
+def topology(subject: Subject) -> list[Figure]:
+    """Rings and holes are those of the exact section; if sampled, those thicker than twice the limit."""
+    found = []
+    for name in SIMPLE:
+        part = simple(name)
+        heights = generic_heights(part, 3)
+        if subject.slicer.exact:
+            layers, exact = subject.cut(part, heights), sections(part, heights, house_rule)
+            agree = (layers.outer_counts() == exact.outer_counts()) & (
+                layers.hole_counts() == exact.hole_counts()
+            )
+        else:
+            agree = subject.differences(part, heights).topology_agrees
+        places = subject.differences(part, heights).places
+        found += [
+            truth("topology", name, bool(agree[k]), f"other rings or holes at {places[k]}", k)
+            for k in range(len(heights))
+        ]
+    return found
+
+
+def points_on_contours(subject: Subject) -> list[Figure]:
+    """Points of an exact slicer lie on the exact contours to within rounding, and so do its areas."""
+    if not subject.slicer.exact:
+        return []
+    found = []
+    for name in SIMPLE:
+        part = simple(name)
+        heights = generic_heights(part, 3)
+        layers, exact = subject.cut(part, heights), sections(part, heights, house_rule)
+        limit = subject.promise_mm(part)
+        for k in range(len(heights)):
+            rings = [layers.ring(r) for r in layers.rings_of(k)]
+            points = shapely.points(np.concatenate([np.zeros((0, 2)), *rings]))
+            off = shapely.distance(points, region(exact, k).boundary).max(initial=0.0)
+            found.append(Figure("points on contours", name, k, float(off), limit, "farthest point, mm"))
+            error = float(abs(layers.areas()[k] - exact.areas()[k]))
+            allowed = limit * float(exact.perimeters()[k])
+            found.append(Figure("points on contours", name, k, error, allowed, "area, mm2"))
+    return found
+
+
+def coplanar_planes(subject: Subject) -> list[Figure]:
+    """Planes through vertices and faces give the section of z = h + 0, if that is the declared rule."""
+    parts = {
+        "steps": steps(),
+        "turned steps": mapped(steps(), turn(29.0)),
+        "pyramid": simple("pyramid"),
+        "sphere": simple("sphere"),
+        "upside-down steps": mapped(steps(), turn(180.0, "x")),
+    }
+    found = []
+    for name, made in parts.items():
+        part = named(name, made)
+        levels = np.unique(part.vertices[:, 2])
+        if not subject.half_open:
+            layers = subject.cut(part, levels)
+            found.append(truth("coplanar planes", name, len(layers) == levels.size, "layers are missing"))
+            continue
+        differences = subject.differences(part, levels)
+        limit = subject.limit_mm(part)
+        found += [
+            Figure("coplanar planes", name, k, float(depth), limit, f"depth, mm, at {differences.places[k]}")
+            for k, depth in enumerate(differences.depth_mm)
+        ]
+    return found
+
+
+def inside_rule(subject: Subject) -> list[Figure]:
+    """Where shells overlap, nest or are inside out, the solid is what the declared rule makes of it."""
+    first, second = box((0, 0, 0), (9, 8, 5)), box((4, 3, 1), (14, 12, 6))
+    third = mapped(box((2, 2, 0.5), (7, 6, 4.5)), turn(11.0))
+    parts = {
+        "two shells": joined(first, second),
+        "three shells": joined(first, second, third),
+        "shell in a shell": joined(first, box((2, 2, 1), (5, 5, 4))),
+        "inside out": joined(mapped(first, shift=(20, 0, 0)), second.reversed()),
+    }
+    found = []
+    for name, made in parts.items():
+        part = named(name, made)
+        heights = generic_heights(part, 4)
+        try:
+            layers = subject.cut(part, heights)
+        except BackendFailed as refusal:
+            found.append(truth("inside rule", name, True, f"refused: {refusal}"))
+            continue
+        rule = subject.inside_rule(layers)
+        if winding_rule(rule) is None:
+            found.append(truth("inside rule", name, False, f"unknown rule {rule!r}"))
+            continue
+        differences = subject.differences(part, heights)
+        limit = subject.limit_mm(part)
+        for k, depth in enumerate(differences.depth_mm):
+            found.append(Figure("inside rule", name, k, float(depth), limit, differences.places[k]))
+            twice = abs(float(layers.areas()[k]) - region(layers, k).area)
+            rounding_mm2 = rounding_mm(part) * float(layers.perimeters()[k])
+            found.append(Figure("inside rule", name, k, twice, rounding_mm2, "area under two rings, mm2"))
+    return found
+
+
+def reference_models(subject: Subject) -> list[Figure]:
+    """Sections of tessellated reference models lie about their closed forms, within bound and tolerance."""
+    found: list[Figure] = []
+    refused = []
+    for name, model in subject.models.items():
+        try:
+            found += _model_figures(subject, name, model)
+        except BackendFailed as refusal:
+            refused.append(f"{name}: {refusal}")
+    if subject.models and not found:
+        found.append(truth("reference models", "all", False, f"every model was refused: {refused[0]}"))
+    return found
+
+
+def _model_figures(subject: Subject, name: str, model: Model) -> list[Figure]:
+    """Area by which layers of one model break their promise.
+
+    No point of the mesh is farther than `t` from the surface, so its section at z lies within the union of
+    the exact sections at z - t .. z + t dilated by t, and contains their intersection eroded by t.
+    """
+    size_mm = float((model.bounds[1] - model.bounds[0]).max())
+    t = min(max(MODEL_TOLERANCE * size_mm, 0.01), 0.5)
+    part = model.tessellate(t)
+    low, high = model.bounds[:, 2].tolist()
+    heights = low + (high - low) * np.array([0.137, 0.431, 0.683, 0.859])
+    layers = subject.cut(part, heights)
+    reach_mm = (subject.promise_mm(part) + t * (1.0 + SECTION_SHARE)) * (1.0 + BUFFER_SHARE)
+    found = []
+    for k, z in enumerate(heights.tolist()):
+        near = [
+            shapely.union_all(model.section(z + share * t, SECTION_SHARE * t))
+            for share in (-1.0, -0.5, 0.0, 0.5, 1.0)
+        ]
+        most = shapely.union_all(near).buffer(reach_mm, quad_segs=16)
+        least = shapely.intersection_all(near).buffer(-reach_mm, quad_segs=16)
+        cut = region(layers, k)
+        beyond = float(cut.difference(most).area + least.difference(cut).area)
+        rounding_mm2 = rounding_mm(part) * max(float(most.length), 1.0)
+        found.append(
+            Figure("reference models", name, k, beyond, rounding_mm2, f"area beyond, mm2, at z = {z:.9g} mm")
+        )
+    return found
+
+
+def _attackers(subject: Subject) -> dict[str, Part]:
+    return attackers(min(max(subject.bound_mm(frame()), FINE_FEATURES_MM), 0.02 * FRAME_MM))
+
+
+def _depth_figures(check: str, subject: Subject, part: Part, layers: int) -> list[Figure]:
+    heights = generic_heights(part, layers)
+    differences = subject.differences(part, heights)
+    limit = subject.limit_mm(part)
+    return [
+        Figure(check, part.name, k, float(depth), limit, f"depth, mm, at {differences.places[k]}")
+        for k, depth in enumerate(differences.depth_mm)
+    ]

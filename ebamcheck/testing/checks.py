@@ -1,0 +1,77 @@
+"""All checks of the kit, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from ebamcheck.testing import accuracy, laws, protocol
+from ebamcheck.testing.figures import NO_LAYER, Figure
+from ebamcheck.testing.subject import Subject
+
+
+@dataclass(frozen=True)
+class Check:
+    """One check: a function from a subject to figures; those over their limit are violations."""
+
+    name: str
+    summary: str
+    find: Callable[[Subject], list[Figure]]
+
+    def __str__(self) -> str:
+        return self.name.replace(" ", "-")
+
+    def run(self, subject: Subject) -> list[Figure]:
+        """Figures of a subject; whatever the slicer raises is a violation like any other."""
+        try:
+            return self.find(subject)
+        except Exception as error:
+            text = f"it raised {type(error).__name__}: {' '.join(str(error).split())}"
+            return [Figure(self.name, "error", NO_LAYER, 1.0, 0.0, text)]
+
+
+def _check(function: Callable[[Subject], list[Figure]]) -> Check:
+    summary = (function.__doc__ or "").strip().splitlines()[0]
+    return Check(function.__name__.replace("_", " "), summary, function)
+
+
+CHECKS: tuple[Check, ...] = tuple(
+    _check(function)
+    for function in (
+        protocol.attributes,
+        protocol.signatures,
+        protocol.settings,
+        protocol.probe,
+        protocol.context,
+        protocol.blocks,
+        protocol.canonical_form,
+        protocol.orientation,
+        protocol.out_of_range,
+        protocol.labels,
+        protocol.progress,
+        protocol.declared_bound,
+        protocol.open_surfaces,
+        accuracy.bound_held,
+        accuracy.bound_attacked,
+        accuracy.bound_not_idle,
+        accuracy.no_shift,
+        accuracy.topology,
+        accuracy.points_on_contours,
+        accuracy.coplanar_planes,
+        accuracy.inside_rule,
+        accuracy.reference_models,
+        laws.translation,
+        laws.rotation,
+        laws.mirror,
+        laws.scale,
+        laws.upside_down,
+        laws.large_offset,
+        laws.facet_order,
+        laws.vertex_order,
+        laws.subdivision,
+        laws.union_of_parts,
+        laws.volume,
+        laws.ring_parity,
+    )
+)
+"""Every check, in the order in which they are run and shown."""

@@ -1,0 +1,169 @@
+"""Run the whole kit against one slicer, and tell the outcome."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ebamcheck import registry
+from ebamcheck.backend import Slicer
+from ebamcheck.model import models as installed_models
+from ebamcheck.tables import text_table
+from ebamcheck.testing.checks import CHECKS, Check
+from ebamcheck.testing.figures import Figure, violations
+from ebamcheck.testing.subject import Subject
+
+SHOWN_SHARE = 0.005
+"""Shares of a limit under this are mere rounding and shown as a plain pass."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one check found."""
+
+    check: str
+    summary: str
+    figures: tuple[Figure, ...]
+
+    @property
+    def violations(self) -> list[Figure]:
+        """Figures over their limit."""
+        return violations(self.figures)
+
+    @property
+    def worst(self) -> Figure | None:
+        """The figure that is the largest share of its limit, or further over it; None without figures."""
+        return max(self.figures, key=_share, default=None)
+
+    @property
+    def verdict(self) -> str:
+        """``pass``, ``FAIL``, or ``-`` where the check does not concern the slicer."""
+        if not self.figures:
+            return "-"
+        return "FAIL" if self.violations else "pass"
+
+    def cell(self) -> str:
+        """The verdict, with the number of violations or the largest share of a limit."""
+        if self.violations:
+            return f"FAIL ({len(self.violations)} of {len(self.figures)})"
+        share = 0.0 if self.worst is None else _share(self.worst)
+        return f"{self.verdict} ({share:.2f})" if share >= SHOWN_SHARE else self.verdict
+
+
+@dataclass(frozen=True)
+class Conformance:
+    """What the kit found out about one slicer under one choice of settings."""
+
+    subject: str
+    outcomes: tuple[Outcome, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether no figure is over its limit."""
+        return not any(outcome.violations for outcome in self.outcomes)
+
+    @property
+    def violations(self) -> list[Figure]:
+        """All figures over their limit."""
+        return [figure for outcome in self.outcomes for figure in outcome.violations]
+
+    def table(self) -> str:
+        """Text for a terminal: one line a check, then every violation."""
+        rows = [
+            [o.check, o.cell(), len(o.figures), "" if o.worst is None else _place(o.worst), o.summary]
+            for o in self.outcomes
+        ]
+        told = [f"  {figure}" for figure in self.violations]
+        return "\n".join(
+            [
+                f"{self.subject}: {'conforms' if self.passed else f'{len(told)} violations'}",
+                text_table(["check", "verdict", "figures", "nearest its limit", ""], rows),
+                *told,
+            ]
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the same as plain values."""
+        return {
+            "subject": self.subject,
+            "passed": self.passed,
+            "checks": [
+                {
+                    "check": o.check,
+                    "summary": o.summary,
+                    "verdict": o.verdict,
+                    "figures": len(o.figures),
+                    "worst": None if o.worst is None else vars(o.worst),
+                    "violations": [vars(figure) for figure in o.violations],
+                }
+                for o in self.outcomes
+            ],
+        }
+
+
+def conform(
+    name: str,
+    models: Sequence[str] | None = None,
+    settings: Mapping[str, Any] | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> Conformance:
+    """Run every check against an installed slicer.
+
+    Parameters
+    ----------
+    name
+        Name in the registry.
+    models
+        Reference models to cut; default: all that are installed.
+    settings
+        The slicer's settings; default: its own defaults.
+    progress
+        Called with 1 after each check; there are ``len(CHECKS)``.
+
+    Raises
+    ------
+    BackendMissing
+        If the slicer is unknown or cannot run on this machine.
+    SettingsError
+        If a model is unknown or a setting is wrong.
+    """
+    slicer = registry.available_slicer(name)
+    registry.slicer_settings(name, settings or {})
+    return examine(Subject(slicer, settings, installed_models(models)), progress=progress)
+
+
+def examine(
+    subject: Subject | Slicer | type[Slicer],
+    checks: Iterable[Check] = CHECKS,
+    progress: Callable[[int], None] | None = None,
+) -> Conformance:
+    """Run checks against a subject, or a slicer that need not be installed."""
+    examined = subject if isinstance(subject, Subject) else Subject(subject)
+    outcomes = []
+    for check in checks:
+        outcomes.append(Outcome(check.name, check.summary, tuple(check.run(examined))))
+        if progress is not None:
+            progress(1)
+    return Conformance(str(examined), tuple(outcomes))
+
+
+def markdown_table(found: Sequence[Conformance]) -> str:
+    """Checks as rows and slicers as columns; in brackets the largest share of a limit that was needed."""
+    head = ["check", *(c.subject for c in found)]
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    lines.extend(
+        "| " + " | ".join([row[0].check, *(outcome.cell() for outcome in row)]) + " |"
+        for row in zip(*(c.outcomes for c in found), strict=True)
+    )
+    return "\n".join(lines)
+
+
+def _share(figure: Figure) -> float:
+    if figure.limit > 0.0:
+        return figure.value / figure.limit
+    return float("inf") if figure.violated else 0.0
+
+
+def _place(figure: Figure) -> str:
+    return f"{figure.value:.3g} of {figure.limit:.3g}, {figure.model}" if figure.limit > 0.0 else ""

@@ -1,0 +1,276 @@
+"""Laws that hold for every slicer, whatever the part: maps carry sections along, order does not matter.
+
+Each law takes its numbers as arguments, so that a property test can choose them; the checks of the kit
+at the end of this module apply each with fixed ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ebamcheck.layers import Layers, from_rings
+from ebamcheck.part import Part, from_arrays
+from ebamcheck.rings import Floats
+from ebamcheck.testing.figures import NO_LAYER, Figure, truth
+from ebamcheck.testing.sections import house_rule, sections
+from ebamcheck.testing.solids import joined, mapped, named, simple, turn
+from ebamcheck.testing.subject import Subject, differences, generic_heights
+
+LARGE_OFFSET_MM = (2.0**17, -(2.0**18), 2.0**16)
+"""A part placed 0.1 .. 0.3 km from the origin, as in plant coordinates."""
+
+COORDINATE_STEP_MM = 2.0**-16
+"""Grid on which vertices are placed where a large shift must not round them."""
+
+THICK = ("box", "plate with holes", "tilted plate", "sphere", "torus", "upright torus", "cavity")
+"""Solids without features thinner than any sensible bound."""
+
+FEW_LEVELS = ("box", "plate with holes", "sphere", "torus", "pyramid", "comb", "pillars")
+"""Solids whose vertices lie at few heights, between which the area is a polynomial."""
+
+LEAST_INTERVAL_MM = 1e-9
+"""Levels nearer to each other than this are one, by rounding."""
+
+
+# -- maps ----------------------------------------------------------------------------------------------
+
+
+def carried_layers(layers: Layers, matrix: ArrayLike, shift: ArrayLike, heights: Floats) -> Layers:
+    """Map the rings of a stack in the plane, turned round where the map mirrors them; layers keep their order."""
+    flat, move = np.asarray(matrix, float)[:2, :2], np.asarray(shift, float)[:2]
+    step = 1 if np.linalg.det(flat) > 0.0 else -1
+    stack: list[list[Floats]] = [
+        [(layers.ring(r) @ flat.T + move)[::step] for r in layers.rings_of(k) if layers.closed[r]]
+        for k in range(len(layers))
+    ]
+    return from_rings(heights, stack)
+
+
+def carried_by_map(
+    subject: Subject, law: str, part: Part, heights: Floats, matrix: ArrayLike, shift: ArrayLike = (0, 0, 0)
+) -> list[Figure]:
+    """Sections of the mapped part are the mapped sections; the map keeps level planes level."""
+    linear, move = np.asarray(matrix, dtype=np.float64), np.asarray(shift, dtype=np.float64)
+    image = named(part.name, mapped(part, linear, move))
+    order = slice(None, None, 1 if linear[2, 2] > 0.0 else -1)
+    planes = linear[2, 2] * heights + move[2]
+    found = subject.cut(image, np.ascontiguousarray(planes[order]))
+    wanted = carried_layers(
+        subject.cut(part, heights).take(np.arange(len(heights))[order]), linear, move, found.heights
+    )
+    scale = float(np.sqrt(abs(np.linalg.det(linear[:2, :2]))))
+    return _alike(
+        subject, law, image, found, wanted, scale * subject.limit_mm(part) + subject.limit_mm(image)
+    )
+
+
+def same_sections(subject: Subject, law: str, part: Part, other: Part, heights: Floats) -> list[Figure]:
+    """Two meshes of one solid have the same sections."""
+    limit = subject.limit_mm(part) + subject.limit_mm(other)
+    return _alike(subject, law, part, subject.cut(other, heights), subject.cut(part, heights), limit)
+
+
+def _alike(
+    subject: Subject, law: str, part: Part, found: Layers, wanted: Layers, limit_mm: float
+) -> list[Figure]:
+    exact = subject.slicer.exact
+    seen = differences(wanted, found, limit_mm, reference_exact=exact, found_exact=exact)
+    figures = [
+        Figure(law, part.name, k, float(depth), limit_mm, f"depth, mm, at {seen.places[k]}")
+        for k, depth in enumerate(seen.depth_mm)
+    ]
+    figures += [
+        truth(law, part.name, bool(agrees), f"other rings or holes at {seen.places[k]}", k)
+        for k, agrees in enumerate(seen.topology_agrees)
+    ]
+    return figures
+
+
+# -- meshes of the same solid --------------------------------------------------------------------------
+
+
+def shuffled_facets(part: Part, seed: int) -> Part:
+    """The same facets in another order, each starting at another corner."""
+    rng = np.random.default_rng(seed)
+    faces = part.faces[rng.permutation(len(part.faces))]
+    first = rng.integers(3, size=len(faces))
+    columns = (first[:, None] + np.arange(3)) % 3
+    return from_arrays(part.vertices, np.take_along_axis(faces, columns, axis=1), part.name)
+
+
+def shuffled_vertices(part: Part, seed: int) -> Part:
+    """The same facets with the vertices numbered another way."""
+    order = np.random.default_rng(seed).permutation(len(part.vertices))
+    number = np.empty_like(order)
+    number[order] = np.arange(len(order))
+    return from_arrays(part.vertices[order], number[part.faces], part.name)
+
+
+def subdivided(part: Part) -> Part:
+    """Every facet cut into four at the middles of its edges."""
+    edges = np.sort(part.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    unique, index = np.unique(edges, axis=0, return_inverse=True)
+    middles = 0.5 * (part.vertices[unique[:, 0]] + part.vertices[unique[:, 1]])
+    ab, bc, ca = len(part.vertices) + index.reshape(-1, 3).T
+    a, b, c = part.faces.T
+    faces = np.concatenate([np.stack(f, 1) for f in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
+    return from_arrays(np.concatenate([part.vertices, middles]), faces, part.name)
+
+
+# -- measures ------------------------------------------------------------------------------------------
+
+
+def disjoint_union(subject: Subject, part: Part, other: Part, heights: Floats) -> list[Figure]:
+    """Two parts beside each other have the sections of both."""
+    gap = float(part.size[0]) + 3.7
+    moved = mapped(other, shift=(gap + float(part.bounds[0, 0] - other.bounds[0, 0]), 1.3, 0.0))
+    both = joined(part, moved)
+    alone = [subject.cut(p, heights) for p in (part, moved)]
+    rings = [
+        [layers.ring(r) for layers in alone for r in layers.rings_of(k) if layers.closed[r]]
+        for k in range(len(heights))
+    ]
+    limit = max(subject.limit_mm(part), subject.limit_mm(moved)) + subject.limit_mm(both)
+    return _alike(
+        subject, "union of parts", both, subject.cut(both, heights), from_rings(heights, rings), limit
+    )
+
+
+def volume_from_areas(subject: Subject, part: Part) -> list[Figure]:
+    """The integral of the areas is the volume.
+
+    Between two levels at which there are vertices the area is a quadratic polynomial of the height, so the
+    two points of Gauss integrate it without error. A section within r of the true one misses its area by
+    r times its perimeter and pi r squared a ring at most.
+    """
+    levels = np.unique(part.vertices[:, 2])
+    levels = levels[np.append(True, np.diff(levels) > LEAST_INTERVAL_MM)]
+    middle, half = 0.5 * (levels[1:] + levels[:-1]), 0.5 * np.diff(levels)
+    planes = np.stack([middle - half / np.sqrt(3.0), middle + half / np.sqrt(3.0)], axis=1).ravel()
+    weight = np.repeat(half, 2)
+    volume = float((subject.cut(part, planes).areas() * weight).sum())
+    exact = sections(part, planes, house_rule)
+    r = subject.promise_mm(part)
+    reach = r * exact.perimeters() + np.pi * r * r * exact.ring_counts()
+    limit = float((reach * weight).sum()) + LEAST_INTERVAL_MM * float(exact.areas().max())
+    error = abs(volume - part.volume)
+    text = f"mm3: integral {volume:.9g}, volume of the mesh {part.volume:.9g}"
+    return [Figure("volume", part.name, NO_LAYER, error, limit, text)]
+
+
+def parity_of_rings(subject: Subject, part: Part, heights: Floats) -> list[Figure]:
+    """The number of rings is odd or even as the Euler number of the surface below the plane.
+
+    The surface below z = h + 0 is a set of sheets with ``2 - 2 handles - rings`` each, and contracts onto
+    the facets that lie wholly below, so that its Euler number is counted without any tracing.
+    """
+    layers = subject.cut(part, heights)
+    edges = np.unique(np.sort(part.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
+    z = part.vertices[:, 2]
+    top_of_edge, top_of_facet = z[edges].max(axis=1), z[part.faces].max(axis=1)
+    figures = []
+    for k, h in enumerate(heights.tolist()):
+        below = [int(np.count_nonzero(top <= h)) for top in (z, top_of_edge, top_of_facet)]
+        euler, rings = below[0] - below[1] + below[2], int(layers.ring_counts()[k])
+        text = f"{rings} rings over a surface of Euler number {euler}, at z = {h:.9g} mm"
+        figures.append(truth("ring parity", part.name, (euler - rings) % 2 == 0, text, k))
+    return figures
+
+
+# -- the laws with fixed numbers -----------------------------------------------------------------------
+
+
+def _over(names: tuple[str, ...], layers: int, law: Callable[[Part, Floats], list[Figure]]) -> list[Figure]:
+    parts = [simple(name) for name in names]
+    return [figure for part in parts for figure in law(part, generic_heights(part, layers))]
+
+
+def _maps(
+    subject: Subject, law: str, layers: int, *matrices: ArrayLike, shift: ArrayLike = (0, 0, 0)
+) -> list[Figure]:
+    return [
+        figure
+        for name in THICK
+        for matrix in matrices
+        for figure in carried_by_map(
+            subject, law, simple(name), generic_heights(simple(name), layers), matrix, shift
+        )
+    ]
+
+
+def translation(subject: Subject) -> list[Figure]:
+    """Moving the part moves its sections."""
+    return _maps(subject, "translation", 2, np.eye(3), shift=(3.1415, -7.77, 11.3))
+
+
+def rotation(subject: Subject) -> list[Figure]:
+    """Turning the part about z turns its sections, by any angle."""
+    return _maps(subject, "rotation", 1, turn(45.0), turn(163.7))
+
+
+def mirror(subject: Subject) -> list[Figure]:
+    """Mirroring the part mirrors its sections."""
+    return _maps(subject, "mirror", 2, np.diag([-1.0, 1.0, 1.0]))
+
+
+def scale(subject: Subject) -> list[Figure]:
+    """A part twice or a quarter as large has sections twice or a quarter as large."""
+    return _maps(subject, "scale", 1, 0.25 * np.eye(3), 2.0 * np.eye(3))
+
+
+def upside_down(subject: Subject) -> list[Figure]:
+    """The part turned upside down has mirrored sections, in the opposite order."""
+    return _maps(subject, "upside down", 2, np.diag([1.0, -1.0, -1.0]))
+
+
+def large_offset(subject: Subject) -> list[Figure]:
+    """Far from the origin sections are as good as near it."""
+
+    def law(part: Part, z: Floats) -> list[Figure]:
+        placed = from_arrays(on_grid(part.vertices), part.faces, part.name)
+        return carried_by_map(subject, "large offset", placed, on_grid(z), np.eye(3), LARGE_OFFSET_MM)
+
+    return _over(("tilted plate", "sphere", "upright torus"), 2, law)
+
+
+def facet_order(subject: Subject) -> list[Figure]:
+    """The order of facets and of their corners does not matter."""
+    return _over(
+        THICK, 2, lambda part, z: same_sections(subject, "facet order", part, shuffled_facets(part, 5), z)
+    )
+
+
+def vertex_order(subject: Subject) -> list[Figure]:
+    """How vertices are numbered does not matter."""
+    return _over(
+        THICK, 2, lambda part, z: same_sections(subject, "vertex order", part, shuffled_vertices(part, 6), z)
+    )
+
+
+def subdivision(subject: Subject) -> list[Figure]:
+    """Cutting every facet into four does not change the solid."""
+    return _over(THICK, 2, lambda part, z: same_sections(subject, "subdivision", part, subdivided(part), z))
+
+
+def union_of_parts(subject: Subject) -> list[Figure]:
+    """Two parts beside each other have the sections of both."""
+    other = simple("torus")
+    return _over(("plate with holes", "sphere"), 3, lambda part, z: disjoint_union(subject, part, other, z))
+
+
+def volume(subject: Subject) -> list[Figure]:
+    """The integral of areas along z is the volume."""
+    return [figure for name in FEW_LEVELS for figure in volume_from_areas(subject, simple(name))]
+
+
+def ring_parity(subject: Subject) -> list[Figure]:
+    """Rings come and go with the handles and pieces of the surface below the plane."""
+    return _over(THICK, 5, lambda part, z: parity_of_rings(subject, part, z))
+
+
+def on_grid(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Round to the grid that a large shift keeps."""
+    return np.round(values / COORDINATE_STEP_MM) * COORDINATE_STEP_MM

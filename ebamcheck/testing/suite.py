@@ -1,0 +1,50 @@
+"""The kit as a pytest class; the only module of the kit that imports pytest."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import pytest
+
+from ebamcheck.backend import Slicer
+from ebamcheck.model import models as installed_models
+from ebamcheck.testing.checks import CHECKS, Check
+from ebamcheck.testing.figures import violations
+from ebamcheck.testing.subject import Subject
+
+
+class SlicerSuite:
+    """Derive a class whose name begins with ``Test``, name the slicer, and pytest runs the whole kit on it.
+
+    Attributes
+    ----------
+    slicer
+        The slicer under test, its class or an instance.
+    settings
+        Choices of settings that are tested, one after another; default: the slicer's defaults.
+    models
+        Names of the reference models it cuts; None for all that are installed.
+    """
+
+    slicer: ClassVar[Slicer | type[Slicer]]
+    settings: ClassVar[Sequence[Mapping[str, Any]]] = ({},)
+    models: ClassVar[Sequence[str] | None] = None
+
+    @pytest.fixture(scope="class")
+    @classmethod
+    def subjects(cls) -> list[Subject]:
+        """One subject for each choice of settings; skips where this machine cannot run the slicer."""
+        models = installed_models(cls.models)
+        found = [Subject(cls.slicer, chosen, models) for chosen in cls.settings]
+        probe = found[0].slicer.probe()
+        if not probe.available:
+            pytest.skip(f"{found[0].slicer.name} is not available: {probe.why}")
+        return found
+
+    @pytest.mark.parametrize("check", CHECKS, ids=str)
+    def test_conformance(self, subjects: list[Subject], check: Check) -> None:
+        """Fail with every figure that is over its limit."""
+        broken = [f"{subject}: {figure}" for subject in subjects for figure in violations(check.run(subject))]
+        if broken:
+            pytest.fail(f"{check.name}: {check.summary}\n" + "\n".join(broken), pytrace=False)

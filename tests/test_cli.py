@@ -1,0 +1,314 @@
+"""Every command and every exit code, as a user meets them."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+
+import numpy as np
+import psutil
+import pytest
+from command_line import FAST, command, ebamcheck, frame, write_stl
+from parts import box
+
+from ebamcheck.config import Config, load_config
+from ebamcheck.layer_files import read_layers
+
+AREA_MM2 = 40.0 * 40.0 - 14.0 * 16.0
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """A folder with parts and one finished run of the command line."""
+    folder = tmp_path_factory.mktemp("place")
+    plate = frame()
+    write_stl(plate, folder / "frame.stl")
+    write_stl(box((0, 0, 0), (30, 30, 12)), folder / "box.stl")
+    (folder / "ebamcheck.toml").write_text(
+        f"slicing.backends = {FAST.split(',')}\nlayers.layer_height_mm = 6.0\n"
+    )
+    done = ebamcheck("run", "frame.stl", "-o", "frame.run", "--reference", "frame.stl", cwd=folder)
+    assert (done.returncode, done.stderr) == (0, "")
+    return folder
+
+
+def strict(text):
+    def refuse(constant):
+        raise ValueError(f"{constant} is not JSON")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+def one_line(done, code, *parts):
+    assert done.returncode == code, done.stderr
+    lines = done.stderr.splitlines()
+    assert len(lines) == 1, done.stderr
+    assert lines[0].startswith("ebamcheck: ")
+    for part in parts:
+        assert part in lines[0]
+
+
+def test_the_run_took_up_the_settings_of_its_folder(place):
+    manifest = strict((place / "frame.run" / "run.json").read_text())
+    assert sorted(manifest["backends"]) == sorted(FAST.split(","))
+    assert manifest["heights"] == {"count": 2, "first_mm": 3.0, "last_mm": 9.0, "layer_height_mm": 6.0}
+    assert manifest["reference"]["contour"]["normal_max_mm"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_version_help_and_start_are_there(place):
+    assert re.fullmatch(r"ebamcheck \d+\.\d+\.\d+\n", ebamcheck("--version", cwd=place).stdout)
+    text = ebamcheck("--help", cwd=place).stdout
+    for name in ("run", "inspect", "slice", "compare", "backends", "warm", "verify", "config"):
+        assert f"  {name} " in text
+        told = ebamcheck(name, "--help", cwd=place)
+        assert told.returncode == 0
+        assert "Example" in told.stdout or name == "warm"
+    for code in ("0 pass", "1 out of tolerance", "5 nothing compared", "130 interrupted"):
+        assert code in " ".join(text.split())
+    bare = ebamcheck(cwd=place)
+    assert (bare.returncode, bare.stdout) == (2, "")
+    assert bare.stderr.startswith("Usage")
+
+
+def test_the_version_needs_no_numerics(place):
+    loaded = subprocess.run(
+        [*command("--version")[:2], command("--version")[2].replace("main()", "main") +
+         "; print(sorted({'numpy', 'numba', 'pandas', 'pydantic'} & set(sys.modules)))"],
+        cwd=place, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert loaded.stdout == "[]\n"
+
+
+def test_inspect(place):
+    told = ebamcheck("inspect", "frame.stl", "--json", cwd=place)
+    figures = strict(told.stdout)
+    assert (told.returncode, figures["verdict"], figures["facets"]) == (0, "sound", 32)
+    assert figures["volume_mm3"] == pytest.approx(12 * AREA_MM2)
+    text = ebamcheck("inspect", "frame.stl", "--units", "cm", cwd=place).stdout
+    assert re.search(r"^size mm +400 x 400 x 120$", text, re.MULTILINE)
+    data = (place / "box.stl").read_bytes()
+    (place / "open.stl").write_bytes(data[:80] + np.uint32(11).tobytes() + data[84:-50])
+    told = ebamcheck("inspect", "open.stl", cwd=place)
+    assert told.returncode == 1
+    assert re.search(r"^verdict +open: 3 open edges", told.stdout, re.MULTILINE)
+
+
+@pytest.mark.parametrize("suffix", ["parquet", "cli"])
+def test_slice_writes_layers_that_read_back(place, suffix):
+    file = place / f"sliced.{suffix}"
+    told = ebamcheck(
+        "slice", "frame.stl", "--backend", "planecut", "--layer-height", "4", "-o", file, cwd=place
+    )
+    assert (told.returncode, told.stderr) == (0, "")
+    assert told.stdout.startswith("3 layers, 6 rings, 0 open paths")
+    layers = read_layers(file)
+    assert layers.heights == pytest.approx([2, 6, 10])
+    assert layers.areas() == pytest.approx([AREA_MM2] * 3)
+
+
+def test_slice_takes_heights_direction_and_backend_settings(place):
+    told = ebamcheck(
+        "slice", "frame.stl", "--backend", "planecut", "--heights", "7,3", "--direction", "1,0,0",
+        "--set", "overlaps=keep", "-o", "turned.parquet", cwd=place,
+    )  # fmt: skip
+    assert told.returncode == 0, told.stderr
+    layers = read_layers(place / "turned.parquet")
+    assert layers.heights.tolist() == [7.0, 3.0]
+    assert layers.areas() == pytest.approx([40.0 * 12.0] * 2)
+    assert layers.settings["overlaps"] == "keep"
+
+
+def test_slice_draws_svg(place):
+    assert ebamcheck("slice", "frame.stl", "-o", "frame.svg", cwd=place).returncode == 0
+    assert "<svg" in (place / "frame.svg").read_text()[:300]
+
+
+def test_compare(place):
+    layers = place / "frame.run" / "layers"
+    a, b = layers / "planecut.parquet", layers / "manifold.parquet"
+    told = ebamcheck("compare", a, b, "--json", "-o", "table.csv", cwd=place)
+    rows = strict(told.stdout)
+    assert told.returncode == 0
+    assert [row["agrees"] for row in rows] == [True, True]
+    assert (place / "table.csv").read_text().startswith("layer,")
+    ebamcheck("slice", "box.stl", "-o", "box.parquet", cwd=place)
+    told = ebamcheck("compare", a, "box.parquet", cwd=place)
+    assert told.returncode == 1
+    assert "0 of 2 layers agree within 0.001 mm" in told.stdout
+    ebamcheck("slice", "box.stl", "--heights", "100,200", "-o", "nothing.parquet", cwd=place)
+
+
+def test_backends(place):
+    told = ebamcheck("backends", "--json", cwd=place)
+    found = {backend["name"]: backend for backend in strict(told.stdout)}
+    assert {"planecut", "stencil", "embree", "manifold"} <= set(found)
+    for backend in found.values():
+        assert backend["available"] or backend["why"]
+        assert backend["error_bound_mm"] > 0
+    text = ebamcheck("backends", cwd=place).stdout
+    for name in found:
+        assert re.search(rf"^{name} +(yes|no) ", text, re.MULTILINE)
+
+
+def test_config_prints_what_is_in_force(place, tmp_path):
+    printed = tmp_path / "printed.toml"
+    printed.write_text(ebamcheck("config", cwd=place).stdout)
+    assert load_config(printed) == load_config(place / "ebamcheck.toml")
+    assert ebamcheck("config", "-c", printed, cwd=tmp_path).stdout == printed.read_text()
+    assert strict(ebamcheck("config", "--schema", cwd=place).stdout) == Config.model_json_schema()
+
+
+def test_verify_a_run_and_a_program(place):
+    told = ebamcheck("verify", "frame.run", "--part", "frame.stl", "--json", cwd=place)
+    assert told.returncode == 0, told.stdout
+    assert all(check["passed"] for check in strict(told.stdout))
+    program = place / "frame.run" / "program" / "MAIN.MPF"
+    told = ebamcheck("verify", program, "--part", "frame.stl", cwd=place)
+    assert told.returncode == 0, told.stdout
+    told = ebamcheck("verify", program, "--part", "box.stl", cwd=place)
+    assert told.returncode == 1
+    assert "FAIL" in told.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "parts"),
+    [
+        (["run"], 2, ["Missing argument", "ebamcheck run --help"]),
+        (["nosuch"], 2, ["No such command 'nosuch'"]),
+        (["run", "frame.stl", "--layer-height", "high"], 2, ["--layer-height"]),
+        (["run", "frame.stl", "--layer-height", "0"], 2, ["layers.layer_height_mm", "given 0.0"]),
+        (["run", "frame.stl", "--layer-height", "nan"], 2, ["layers.layer_height_mm", "given nan"]),
+        (["run", "frame.stl", "--layer-height", "1e-9"], 2, ["12000000000 layers", "limit of 1000000"]),
+        (["run", "nosuch.stl"], 2, ["nosuch.stl: there is no such file"]),
+        (["run", "."], 2, ["is a folder"]),
+        (["run", "frame.stl", "-o", "box.stl"], 2, ["box.stl: is there and is no run folder"]),
+        (["run", "frame.stl", "-c", "nosuch.toml"], 2, ["nosuch.toml: cannot be read"]),
+        (["run", "frame.stl", "--direction", "0,0,0"], 2, ["slicing direction"]),
+        (["run", "frame.stl", "--backends", "planecut,nosuch"], 4, ["unknown backend 'nosuch'", "planecut"]),
+        (["slice", "frame.stl", "-o", "x.foo"], 2, ["unknown slice format '.foo'"]),
+        (["slice", "frame.stl", "-o", "nosuch/x.cli"], 2, ["nosuch/x.cli: cannot be written"]),
+        (["slice", "frame.stl", "-o", "x.cli", "--set", "pixel=1"], 2, ["setting 'pixel'", "it knows: overlaps"]),
+        (["slice", "frame.stl", "-o", "x.cli", "--heights", "1,nan"], 2, ["height 1 is nan"]),
+        (["compare", "frame.stl", "frame.stl"], 2, ["cannot read layers"]),
+        (["verify", "nosuch"], 2, ["nosuch: there is no such"]),
+        (["verify", "frame.stl"], 2, ["name its part with --part"]),
+    ],
+)  # fmt: skip
+def test_errors_are_one_line(place, arguments, code, parts):
+    one_line(ebamcheck(*arguments, cwd=place), code, *parts)
+
+
+def test_debug_shows_where_an_error_came_from(place):
+    for arguments in (["--debug", "inspect", "nosuch.stl"], ["inspect", "nosuch.stl", "--debug"]):
+        told = ebamcheck(*arguments, cwd=place)
+        assert told.returncode == 2
+        assert "Traceback" in told.stderr
+        assert told.stderr.splitlines()[-1].startswith("ebamcheck: error: nosuch.stl")
+
+
+def test_wrong_environment_is_told(place):
+    told = ebamcheck("slice", "frame.stl", "-o", "x.cli", cwd=place, EBAMCHECK_THREADS="many")
+    one_line(told, 2, "EBAMCHECK_THREADS='many'")
+
+
+def test_one_method_compares_nothing(place):
+    told = ebamcheck("run", "frame.stl", "--backends", "planecut,planecut", "-o", "one.run", cwd=place)
+    assert told.returncode == 5
+    assert "1 method left, two are needed" in told.stdout
+    assert "NOT VALIDATED" in (place / "one.run" / "program" / "MAIN.MPF").read_text()
+
+
+def test_a_required_backend_that_is_missing(place, tmp_path):
+    (tmp_path / "c.toml").write_text("slicing.required = ['nosuch']")
+    told = ebamcheck("run", place / "frame.stl", "-c", "c.toml", cwd=tmp_path)
+    one_line(told, 4, "unknown backend 'nosuch'")
+    assert [entry.name for entry in tmp_path.iterdir()] == ["c.toml"]
+
+
+def test_a_primary_that_does_not_run_is_refused(place):
+    (place / "primary.toml").write_text("slicing.primary = 'manifold'")
+    told = ebamcheck("run", "frame.stl", "-c", "primary.toml", "--backends", "planecut", cwd=place)
+    one_line(told, 2, "leaves out 'manifold'")
+
+
+def test_internal_errors_are_one_line_with_code_3(place, tmp_path):
+    """A plugin's command that raises what it should not."""
+    (tmp_path / "loose_plugin.py").write_text("def loose() -> None:\n    raise ValueError('two\\nlines')\n")
+    info = tmp_path / "loose_plugin-1.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: loose-plugin\nVersion: 1\n")
+    (info / "entry_points.txt").write_text(
+        "[ebamcheck.commands]\nloose = loose_plugin:loose\ngone = nosuch:gone\n"
+    )
+    told = ebamcheck("loose", cwd=place, PYTHONPATH=str(tmp_path))
+    assert told.returncode == 3
+    warning, error = told.stderr.splitlines()
+    assert "command 'gone' was left out" in warning
+    assert error.startswith("ebamcheck: internal error: ValueError: two lines")
+
+
+def test_output_that_nobody_reads_is_no_error(place):
+    run = subprocess.Popen(command("backends"), cwd=place, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    run.stdout.close()
+    assert run.stderr.read() == b""
+    run.stderr.close()
+    assert run.wait() == 0
+
+
+@pytest.mark.parametrize("name", [b"two words'\".stl", b"line\nbreak.stl", b"gro\xdf.stl"])
+def test_names_of_any_kind(place, name):
+    path = os.fsencode(place) + b"/" + name
+    with open(path, "wb") as file:
+        file.write((place / "frame.stl").read_bytes())
+    told = ebamcheck("inspect", os.fsdecode(name), "--json", cwd=place, PYTHONIOENCODING="ascii")
+    assert (told.returncode, strict(told.stdout)["verdict"]) == (0, "sound")
+    one_line(ebamcheck("inspect", os.fsdecode(b"no-" + name), cwd=place), 2, "there is no such file")
+
+
+def workers(process):
+    return [p for p in psutil.Process(process.pid).children() if "ebamcheck.isolate" in p.cmdline()]
+
+
+@pytest.mark.parametrize(
+    ("number", "leaves"), [(signal.SIGINT, 130), (signal.SIGTERM, 130), (signal.SIGKILL, -9)]
+)
+def test_an_interrupted_run_leaves_no_worker_and_no_half_run(place, number, leaves):
+    run = subprocess.Popen(
+        command("run", "frame.stl", "-o", "cut.run"),
+        cwd=place,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    started = []
+    while not started:
+        assert run.poll() is None
+        started = workers(run)
+    run.send_signal(number)
+    told = run.communicate()[1]
+    assert run.returncode == leaves
+    assert psutil.wait_procs(started, timeout=20)[1] == []
+    assert not (place / "cut.run").exists()
+    if leaves == 130:
+        assert told == "ebamcheck: interrupted; what was finished is kept for --resume\n"
+
+
+def test_a_full_disk_is_told(place):
+    limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000)); "
+    start = command("run", "frame.stl", "-o", "full.run")
+    start[2] = "import signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); " + limit + start[2]
+    told = subprocess.run(start, cwd=place, capture_output=True, text=True, check=False)
+    assert told.returncode in (1, 2)
+    assert "File too large" in told.stderr
+    assert "Traceback" not in told.stderr
+    assert not (place / "full.run").exists()
+
+
+@pytest.mark.slow
+def test_warm(place):
+    told = ebamcheck("warm", cwd=place)
+    assert (told.returncode, told.stderr) == (0, "")
+    assert told.stdout.startswith("kernels are compiled")

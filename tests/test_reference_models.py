@@ -1,0 +1,477 @@
+"""Reference models beyond the first six: closed forms, meshes, turned solids, named cases and the ladder."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import shapely
+import trimesh
+from scipy import special
+
+import ebamcheck
+from ebamcheck.errors import SettingsError
+from ebamcheck.heights import layer_heights
+from ebamcheck.layers import from_polygons
+from ebamcheck_models import (
+    BRACKET,
+    CASES,
+    COMB,
+    CONE,
+    CUBE,
+    CYLINDER,
+    HELICAL_CHANNEL,
+    IMPELLER,
+    LADDER,
+    LADDER_TOLERANCES_MM,
+    MODELS,
+    PRISM,
+    PYRAMID,
+    SPHERE,
+    THIN_WALLS,
+    TILTED_PLATE,
+    TWO_SPHERES,
+    TurnableModel,
+)
+from ebamcheck_models import impeller as impeller_shape
+from ebamcheck_models.__main__ import main
+from ebamcheck_models.narrow import WIDTHS_MM
+from ebamcheck_models.polyhedra import Polyhedron
+from ebamcheck_models.ring_wall import RingWall
+from ebamcheck_models.two_spheres import lens_area
+
+ALL = pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
+TURNABLE = [m for m in MODELS.values() if isinstance(m, TurnableModel) and m.name != "menger-3"]
+ROUND = ["cone", "cylinder", "two-spheres", "helical-channel", "impeller", "bracket", "ladder"]
+DIRECTIONS = [
+    (1.0, 0.0, 0.0),
+    (0.0, 0.0, -1.0),
+    (0.3, -0.5, 0.8),
+    (-0.7, 0.6, -0.2),
+    (0.0, 1.0, 1e-3),
+    (1e-4, 0.0, 1.0),
+]
+
+
+def heights_of(model, count, seed=0):
+    """Heights all over the model, away from its steps by chance."""
+    low, high = model.bounds[:, 2]
+    return np.sort(low + (high - low) * np.random.default_rng(seed).uniform(0.001, 0.999, count))
+
+
+def difference(polygons, layers, layer):
+    return shapely.union_all(polygons).symmetric_difference(shapely.union_all(layers.polygons(layer))).area
+
+
+# -- meshes ----------------------------------------------------------------------------------------
+
+
+@ALL
+@pytest.mark.parametrize("tolerance_mm", [2.0, 0.1])
+def test_meshes_are_closed_and_of_the_designed_topology(model, tolerance_mm):
+    part = model.tessellate(tolerance_mm)
+    faces = part.faces.astype(np.int64)
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    forward, back = (edges @ [len(part.vertices), 1]), (edges @ [1, len(part.vertices)])
+    # Every edge is run through as often one way as the other; once each where nothing touches.
+    assert np.array_equal(np.sort(forward), np.sort(back))
+    assert (len(np.unique(forward)) == len(forward)) == model.two_manifold
+    assert len(np.unique(part.vertices, axis=0)) == len(part.vertices)
+    assert np.array_equal(np.unique(faces), np.arange(len(part.vertices)))
+    mesh = trimesh.Trimesh(part.vertices, part.faces, process=False)
+    assert mesh.euler_number == model.euler_number
+    assert len(trimesh.graph.connected_components(edges, nodes=np.arange(len(part.vertices)))) == model.shells
+    corners = part.triangles
+    doubled = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    assert doubled.min() > 0
+
+
+@ALL
+def test_meshes_go_to_the_volume_that_is_claimed(model):
+    for tolerance_mm in (1.0, 0.05):
+        part = model.tessellate(tolerance_mm)
+        corners = part.triangles - part.vertices.mean(axis=0)
+        surface = (
+            0.5
+            * np.linalg.norm(
+                np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+            ).sum()
+        )
+        volume = np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
+        assert abs(volume - model.mesh_volume) <= tolerance_mm * surface + 1e-6 * model.volume
+
+
+@ALL
+def test_volume_is_the_integral_of_the_area(model):
+    low, high = model.bounds[:, 2]
+    if isinstance(model, Polyhedron):
+        # Quadratic between the heights of corners, where two Gauss nodes give it exactly.
+        edges = np.unique(model.corners[np.unique(model.facets), 2])
+        middle, half = 0.5 * (edges[1:] + edges[:-1]), 0.5 * np.diff(edges)
+        areas = [
+            [model.area(m + h * s / math.sqrt(3)) for s in (-1, 1)] for m, h in zip(middle, half, strict=True)
+        ]
+        assert half @ np.sum(areas, axis=1) == pytest.approx(model.volume, rel=1e-9)
+    else:
+        z = low + (high - low) * (np.arange(810) + 0.5) / 810
+        integral = np.mean([model.area(h) for h in z.tolist()]) * (high - low)
+        # A jump of the area lies anywhere in its cell of the midpoint rule.
+        assert integral == pytest.approx(model.volume, rel=2e-3)
+
+
+@ALL
+def test_sections_are_valid_have_the_claimed_area_and_end_at_the_top(model):
+    for z in heights_of(model, 6, seed=1):
+        polygons = model.section(z)
+        assert all(p.is_valid for p in polygons)
+        within = 2e-4 * sum(p.length for p in polygons) + 1e-9 * model.area(z)
+        assert sum(p.area for p in polygons) == pytest.approx(model.area(z), abs=within)
+    low, high = model.bounds[:, 2]
+    for z in (low - 0.1, high, high + 0.1):
+        assert model.section(float(z)) == []
+        assert model.area(float(z)) == pytest.approx(0.0, abs=1e-9)
+
+
+@ALL
+def test_sections_of_meshes_go_to_the_exact_section(model):
+    heights = heights_of(model, 5, seed=4)
+    exact = [model.section(z, 1e-4) for z in heights]
+    worst = []
+    for tolerance_mm in (0.5, 0.05):
+        cut = ebamcheck.slice(model.tessellate(tolerance_mm), heights, backend="planecut")
+        errors = [difference(e, cut, k) / sum(p.length for p in e) for k, e in enumerate(exact)]
+        worst.append(max(errors))
+        if model.two_manifold:
+            assert np.array_equal(cut.ring_counts(), from_polygons(heights, exact).ring_counts())
+        assert open_rings(cut) == 0
+    # Steep walls show the tolerance itself; where a wall leans to the level the section moves farther.
+    assert worst[1] <= 0.2
+    assert worst[1] <= 0.3 * worst[0] + 2e-4
+
+
+def open_rings(layers):
+    return int(layers.open_counts().sum())
+
+
+@pytest.mark.parametrize("tolerance_mm", [2.0, 0.2, 0.02])
+def test_no_point_of_a_cone_or_a_sphere_is_farther_than_the_tolerance(tolerance_mm):
+    weights = np.random.default_rng(0).dirichlet([1.0, 1.0, 1.0], 30)
+    points = np.einsum("wj,fjk->fwk", weights, CONE.tessellate(tolerance_mm).triangles).reshape(-1, 3)
+    side = np.hypot(points[:, 0], points[:, 1]) - CONE.bottom_mm * (1.0 - points[:, 2] / CONE.height_mm)
+    assert side.max() < 1e-5
+    assert (np.minimum(-side, points[:, 2])).max() <= tolerance_mm
+    points = np.einsum("wj,fjk->fwk", weights, TWO_SPHERES.tessellate(tolerance_mm).triangles).reshape(-1, 3)
+    reach = np.linalg.norm(points[:, None] - TWO_SPHERES.centres, axis=2) - TWO_SPHERES.radii_mm
+    assert np.abs(reach).min(axis=1).max() <= tolerance_mm
+
+
+# -- closed forms ----------------------------------------------------------------------------------
+
+
+def test_closed_forms():
+    assert CONE.area(0.0) == pytest.approx(math.pi * 625.0)
+    assert CONE.area(25.0) == pytest.approx(math.pi * 12.5**2)
+    assert CONE.volume == pytest.approx(math.pi * 625.0 * 50.0 / 3.0)
+    assert CYLINDER.volume == pytest.approx(math.pi * 625.0 * 60.0)
+    assert PYRAMID.area(10.0) == pytest.approx(32.0**2)
+    assert PYRAMID.volume == pytest.approx(1600.0 * 50.0 / 3.0)
+    assert HELICAL_CHANNEL.area(33.3) == pytest.approx(6400.0 - (4 - math.pi) * 100.0 - math.pi * 64.0)
+
+
+@pytest.mark.parametrize("level", [1, 2, 3])
+def test_the_area_of_a_menger_sponge_is_a_product_over_the_digits_of_its_layer(level):
+    sponge = MODELS[f"menger-{level}"]
+    for layer in range(3**level):
+        digits = [layer // 3**k % 3 for k in range(level)]
+        # 4 of the 9 squares stay where the digit is 1, and 8 where it is 0 or 2.
+        share = math.prod((4 if digit == 1 else 8) / 9 for digit in digits)
+        assert sponge.area((layer + 0.5) * 27.0 / 3**level) == pytest.approx(share * 729.0)
+    assert sponge.volume == pytest.approx(27.0**3 * (20 / 27) ** level)
+
+
+def test_the_impeller_has_the_area_that_bessel_functions_give():
+    k = impeller_shape.SHARPNESS
+    for z in (8.0, 30.0, 77.0):
+        hub, blade = float(impeller_shape.hub_mm(z)), float(impeller_shape.blade_mm(z))
+        means = special.ive(0, k), special.ive(0, 2 * k)
+        ring = hub**2 + 2 * hub * blade * means[0] + blade**2 * means[1]
+        wanted = math.pi * (ring - impeller_shape.BORE_RADIUS_MM**2)
+        assert IMPELLER.area(z) == pytest.approx(wanted, rel=1e-10)
+
+
+def test_the_lens_of_two_discs():
+    assert lens_area(3.0, 1.0, 1.0) == 0.0
+    assert lens_area(0.1, 1.0, 3.0) == pytest.approx(math.pi)
+    assert lens_area(1.0, 1.0, 1.0) == pytest.approx(2 * math.pi / 3 - math.sqrt(3) / 2)
+    # The centre of the smaller disc on the far side of the chord.
+    one, other = shapely.Point(0, 0).buffer(5, 4096), shapely.Point(4.5, 0).buffer(2, 4096)
+    assert lens_area(4.5, 5.0, 2.0) == pytest.approx(one.intersection(other).area, rel=1e-6)
+
+
+def test_the_two_spheres_overlap_and_their_union_is_less_than_their_meshes():
+    part = TWO_SPHERES.tessellate(0.05)
+    assert part.volume == pytest.approx(TWO_SPHERES.mesh_volume, rel=1e-2)
+    assert TWO_SPHERES.volume < 0.95 * TWO_SPHERES.mesh_volume
+    assert sum(SPHERE.volume * (r / 30.0) ** 3 for r in TWO_SPHERES.radii_mm) == pytest.approx(
+        TWO_SPHERES.mesh_volume
+    )
+
+
+def test_every_gap_of_the_comb_and_every_thin_wall_is_there():
+    (plate,), (comb,) = COMB.section(2.0), COMB.section(10.0)
+    teeth = comb.intersection(shapely.box(-1, 20, 60, 21))
+    bounds = sorted(t.bounds for t in teeth.geoms)
+    gaps = [b[0] - a[2] for a, b in pairwise(bounds)]
+    assert gaps == pytest.approx(WIDTHS_MM, abs=4e-6)  # 32-bit steps at 40 mm
+    assert plate.area - comb.area == pytest.approx(24.0 * sum(WIDTHS_MM), abs=1e-3)
+    (frame,) = THIN_WALLS.section(5.0)
+    walls = sorted(w.bounds for w in frame.intersection(shapely.box(-1, 14, 60, 15)).geoms)
+    assert [w[2] - w[0] for w in walls] == pytest.approx(WIDTHS_MM, abs=4e-6)
+    assert len(frame.interiors) == len(WIDTHS_MM) - 1
+
+
+def test_planecut_keeps_every_gap_and_wall():
+    for model in (COMB, THIN_WALLS, *(m for m in CASES if "prusa" in m.name)):
+        low, high = model.bounds[:, 2]
+        heights = low + (high - low) * np.array([0.1, 0.6, 0.95])
+        cut = ebamcheck.slice(model.tessellate(1.0), heights, backend="planecut")
+        assert cut.areas() == pytest.approx([model.area(z) for z in heights.tolist()], rel=1e-12)
+
+
+def test_the_bracket_has_a_brace_as_thin_as_it_says():
+    (region,) = BRACKET.section(10.0)
+    hole = max((shapely.Polygon(r) for r in region.interiors), key=lambda p: p.area)
+    assert hole.distance(region.exterior) == pytest.approx(0.8, abs=1e-3)
+    assert region.buffer(-0.41).geom_type == "Polygon"
+    assert len(region.buffer(-0.41).interiors) < len(region.interiors)
+
+
+def test_the_tilted_plate_is_a_millimetre_thick():
+    normal = np.array([0.35, -0.2, 0.5]) / np.linalg.norm([0.35, -0.2, 0.5])
+    (region,) = TILTED_PLATE.section(0.0)
+    width = region.minimum_rotated_rectangle
+    sides = np.linalg.norm(np.diff(shapely.get_coordinates(width)[:3], axis=0), axis=1)
+    assert sides.min() == pytest.approx(1.0 / math.hypot(normal[0], normal[1]), rel=1e-4)
+
+
+# -- turned solids ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("model", TURNABLE, ids=lambda m: m.name)
+@pytest.mark.parametrize("direction", DIRECTIONS[:4], ids=str)
+def test_a_turned_model_is_the_part_turned_along_the_direction(model, direction):
+    turned = model.turned(direction)
+    part = model.tessellate(0.02).along(direction)
+    assert turned.volume == pytest.approx(model.volume, rel=1e-9)
+    assert np.abs(turned.bounds - part.bounds).max() <= 0.021
+    if model not in (SPHERE, TWO_SPHERES):  # their meshes keep their poles
+        assert np.abs(turned.tessellate(0.02).vertices - part.vertices).max() < 1e-3
+    heights = heights_of(turned, 4, seed=6)
+    cut = ebamcheck.slice(part, heights, backend="planecut")
+    for k, z in enumerate(heights.tolist()):
+        polygons = turned.section(z)
+        length = sum(p.length for p in polygons)
+        assert sum(p.area for p in polygons) == pytest.approx(turned.area(z), abs=2e-3 * length)
+        # 20 times the tolerance: a plane nearly along a wall shows its chords stretched.
+        assert difference(polygons, cut, k) <= 20 * 0.02 * length
+
+
+@pytest.mark.parametrize(
+    "model", [CUBE, PRISM, BRACKET, CONE, CYLINDER, TWO_SPHERES, PYRAMID], ids=lambda m: m.name
+)
+@pytest.mark.parametrize("direction", DIRECTIONS, ids=str)
+def test_the_area_of_a_turned_model_integrates_to_its_volume(model, direction):
+    turned = model.turned(direction)
+    low, high = turned.bounds[:, 2]
+    nodes, weights = np.polynomial.legendre.leggauss(8)
+    edges = np.linspace(low, high, 21)
+    total = 0.0
+    for a, b in pairwise(edges):
+        z = a + 0.5 * (nodes + 1.0) * (b - a)
+        total += 0.5 * (b - a) * float(weights @ [turned.area(h) for h in z.tolist()])
+    assert total == pytest.approx(model.volume, rel=1e-2)
+
+
+def test_turned_sections_in_closed_form():
+    diagonal = CUBE.turned((1.0, 1.0, 1.0))
+    assert diagonal.area(math.sqrt(3) * 10.0) == pytest.approx(3 * math.sqrt(3) / 4 * 400.0)
+    assert CYLINDER.turned((1.0, 0.0, 0.0)).area(7.0) == pytest.approx(60.0 * 2 * math.sqrt(625.0 - 49.0))
+    slope = np.array([math.sin(0.3), 0.0, math.cos(0.3)])
+    assert CYLINDER.turned(slope).area(30.0 * slope[2]) == pytest.approx(math.pi * 625.0 / math.cos(0.3))
+    # A parabola: the plane is parallel to a side of the cone, half a base radius beyond the axis.
+    side = np.array([50.0, 0.0, 25.0]) / math.hypot(50.0, 25.0)
+    half_chord, depth = 25.0 * math.sqrt(0.75), math.hypot(50.0, 25.0) * 0.25
+    height = float(side @ [-12.5, 0.0, 0.0])
+    assert CONE.turned(side).area(height) == pytest.approx(4 / 3 * half_chord * depth, rel=1e-9)
+    assert CONE.turned((0.0, 0.0, -1.0)).area(-10.0) == pytest.approx(CONE.area(10.0))
+
+
+def test_turning_twice_is_turning_by_the_product():
+    once = PRISM.turned((0.3, -0.5, 0.8))
+    again = once.turned((0.1, 0.9, 0.2))
+    assert again.volume == pytest.approx(PRISM.volume)
+    z = float(again.bounds.mean(axis=0)[2])
+    upright = CUBE.turned((1.0, 0.0, 0.0)).turned((-0.0, 0.0, 1.0))
+    assert sum(p.area for p in again.section(z)) == pytest.approx(again.area(z), rel=1e-5)
+    assert upright.area(5.0) == pytest.approx(400.0)
+
+
+def test_a_direction_of_no_length_is_refused():
+    for model in TURNABLE:
+        with pytest.raises(SettingsError, match="direction"):
+            model.turned((0.0, 0.0, 0.0))
+
+
+# -- named cases -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("model", CASES, ids=lambda m: m.name)
+def test_a_named_case_cites_its_report_and_is_cut_right_at_every_layer(model):
+    assert model.name.startswith("case-")
+    assert "#" in model.summary or "touch" in model.summary
+    part = model.tessellate(0.1)
+    low, high = part.bounds[:, 2]
+    # Mid-layer planes and planes through the layers' borders, faces and vertices among them.
+    count = round((high - low) / 0.2)
+    heights = low + 0.1 * np.arange(2 * count) if high - low < 50 else low + 0.2 * np.arange(1, count)
+    cut = ebamcheck.slice(part, heights, backend="planecut")
+    chosen = np.unique(np.linspace(0, len(heights) - 1, 40).astype(int))
+    wanted = [model.area(z) for z in heights[chosen].tolist()]
+    assert cut.areas()[chosen] == pytest.approx(wanted, rel=1e-9, abs=1e-4)
+    assert open_rings(cut) == 0
+    assert (cut.areas()[1:] > 0).all()
+
+
+def test_the_cube_that_cura_lost_a_layer_of():
+    cube = MODELS["case-cura-1473"]
+    part = cube.tessellate(1.0)
+    for heights in (layer_heights(part, 0.2), [14.0, 14.2, 14.4]):
+        assert ebamcheck.slice(part, heights, backend="planecut").areas() == pytest.approx(10_000.0)
+
+
+def test_touching_cubes_are_two_rings_and_two_regions():
+    touching = MODELS["case-touching-edge"]
+    assert len(touching.section(5.0)) == 2
+    cut = ebamcheck.slice(touching.tessellate(1.0), [5.0], backend="planecut")
+    assert cut.areas() == pytest.approx([200.0])
+
+
+# -- the ladder ------------------------------------------------------------------------------------
+
+
+def test_the_ladder_has_the_papers_layers_and_size():
+    low, high = LADDER.bounds
+    assert (high - low) == pytest.approx([245.0, 207.0, 897.6], rel=2e-3)
+    assert len(layer_heights(LADDER.tessellate(1.0), 0.2)) == 4488
+    assert LADDER_TOLERANCES_MM == (1.0, 0.8, 0.4, 0.08, 0.06, 0.04, 0.01, 0.006, 0.004, 0.002, 0.001)
+
+
+def test_the_ladders_meshes_grow_as_the_papers_files():
+    # Its binary STL files, MB; 50 bytes a facet. The 0.4 and 0.8 mm are swapped in the printed list.
+    sizes = (0.23, 0.30, 0.46, 0.91, 1.14, 1.80, 5.88, 9.04)
+    counts = [len(LADDER.tessellate(t).faces) for t in LADDER_TOLERANCES_MM[: len(sizes)]]
+    assert counts == sorted(counts)
+    for count, megabytes in zip(counts, sizes, strict=True):
+        assert 0.6 < count * 50e-6 / megabytes < 1.6
+
+
+@pytest.mark.parametrize("tolerance_mm", [1.0, 0.1, 0.01])
+def test_no_point_of_the_ladder_is_farther_from_its_surface_than_the_tolerance(tolerance_mm):
+    assert farthest_from_ladder(tolerance_mm, 20_000) <= tolerance_mm
+
+
+@pytest.mark.slow
+def test_the_top_of_the_ladder():
+    part = LADDER.tessellate(0.001)
+    assert 1_440_000 < len(part.faces) < 1_520_000
+    assert np.array_equal(part.vertices, part.vertices.astype(np.float32))
+    assert farthest_from_ladder(0.001, 100_000) <= 0.001
+    heights = layer_heights(part, 0.2)
+    cut = ebamcheck.slice(part, heights, backend="planecut")
+    assert open_rings(cut) == 0
+    wanted = np.array([LADDER.area(z) for z in heights.tolist()])
+    # A third of the deepest lack of a chord, all along the walls; lips lean and show more of it.
+    assert np.abs(cut.areas() - wanted)[60:-60].max() <= 0.001 * 1400.0
+    assert np.abs(cut.areas() - wanted).sum() * 0.2 <= 0.001 * 1400.0 * 897.6
+
+
+def farthest_from_ladder(tolerance_mm, count):
+    """Greatest distance of random points of facets from the surface, by its implicit forms."""
+    rng = np.random.default_rng(2)
+    triangles = LADDER.tessellate(tolerance_mm).triangles
+    chosen = triangles[rng.integers(0, len(triangles), count)]
+    weights = rng.dirichlet([1.0, 1.0, 1.0], count)
+    weights[::3] = [0.5, 0.0, 0.5]
+    points = np.einsum("ij,ijk->ik", weights, chosen)
+    step = 1e-4
+    forms = [ring_form, *(channel_form(c) for c in LADDER.channels)]
+    found = np.full(count, np.inf)
+    for form in forms:
+        value = form(points)
+        slope = [(form(points + step * e) - form(points - step * e)) / (2 * step) for e in np.eye(3)]
+        # First order; forms are squared distances in units of the half axes, hence (1 + |value|).
+        found = np.minimum(found, np.abs(value) / np.linalg.norm(slope, axis=0))
+    return found.max()
+
+
+def ring_form(points):
+    """Distance, in half widths and lips, from the middle of the wall less one: 0 on the surface."""
+    x, y, z = points.T
+    angle = np.arctan2(y, x)
+    turned = angle - math.radians(LADDER.twist_deg) * z / LADDER.height_mm
+    middle = LADDER.radius_mm * (1 + LADDER.bulge * np.sin(math.pi * z / LADDER.height_mm))
+    middle = middle + LADDER.oval_mm * np.cos(2 * turned) + LADDER.lobes_mm * np.cos(3 * turned)
+    half = LADDER.half_mm + LADDER.half_oval_mm * np.cos(2 * turned)
+    off = (np.hypot(x, y) - middle) / half
+    return np.hypot(off, beyond(z, 0.0, LADDER.height_mm, LADDER.lip_mm)) - 1.0
+
+
+def channel_form(channel):
+    def form(points):
+        x, y, z = points.T
+        place = math.radians(channel.angle_deg) + math.radians(LADDER.twist_deg) * z / LADDER.height_mm
+        turned = place - math.radians(LADDER.twist_deg) * z / LADDER.height_mm
+        middle = LADDER.radius_mm * (1 + LADDER.bulge * np.sin(math.pi * z / LADDER.height_mm))
+        middle = middle + LADDER.oval_mm * np.cos(2 * turned) + LADDER.lobes_mm * np.cos(3 * turned)
+        out = (x * np.cos(place) + y * np.sin(place) - middle) / channel.through_mm
+        along = (-x * np.sin(place) + y * np.cos(place)) / channel.along_mm
+        ends = channel.ends
+        return np.sqrt(out**2 + along**2 + beyond(z, ends.low_mm, ends.high_mm, ends.cap_mm) ** 2) - 1.0
+
+    return form
+
+
+def beyond(z, low, high, cap):
+    return np.maximum(0.0, np.maximum(low + cap - z, z - high + cap)) / cap
+
+
+def test_the_ladders_channels_are_closed_and_lie_in_the_wall():
+    assert isinstance(LADDER, RingWall)
+    for z in (0.1, 20.0, 100.0, 500.0, 855.0, 890.0, 897.5):
+        (region,) = LADDER.section(z)
+        open_here = sum(c.ends.low_mm < z < c.ends.high_mm for c in LADDER.channels)
+        assert len(region.interiors) == 1 + open_here
+        rings = [region.exterior, *region.interiors]
+        assert min(a.distance(b) for i, a in enumerate(rings) for b in rings[:i]) > (
+            2.0 if open_here else 0.5
+        )
+
+
+# -- the command -----------------------------------------------------------------------------------
+
+
+def test_the_command_lists_every_model_with_its_summary(capsys):
+    assert main(["--list"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == list(MODELS)
+    for line, model in zip(lines, MODELS.values(), strict=True):
+        assert line.endswith(f"  {model.summary}")
+
+
+def test_the_command_wants_a_name_or_the_list(capsys):
+    with pytest.raises(SystemExit) as stopped:
+        main([])
+    assert stopped.value.code == 2
+    assert "--list" in capsys.readouterr().err
