@@ -34,6 +34,7 @@ class PartSettings(Section):
     """How the part's file is read and placed."""
 
     units: Literal["mm", "cm", "m", "um", "in", "ft"] = "mm"
+    """Unit of the numbers in the file; converted to mm once, at reading."""
     direction: tuple[Finite, Finite, Finite] = (0.0, 0.0, 1.0)
     """Slicing direction in the coordinates of the file; the part is turned so that it points up."""
     fix_orientation: bool = False
@@ -59,6 +60,7 @@ class SlicingSettings(Section):
     primary: str = ""
     """Whose contours go on to fitting and the program; empty: the default exact backend."""
     time_limit_s: Positive = 600.0
+    """Time of one backend's process for the whole stack; beyond it the process is ended and reported."""
     memory_limit_mb: Positive = 8192.0
     """Resident memory of one backend's process, watched from outside."""
     settings: dict[str, dict[str, Any]] = {}
@@ -99,12 +101,15 @@ class ScanSettings(Section):
     rectangle: Literal["paper", "exact"] = "exact"
     """Enclosing rectangle: rotations in steps of pi/10 (paper, equation 11), or the exact minimum."""
     first_angle_deg: Finite = 0.0
+    """Direction of the hatch in the lowest layer, counter-clockwise from +X."""
     layer_angle_deg: Finite = 15.0
     """Turn of the hatch from layer to layer (paper, section 1, after Jia et al.)."""
     island_angle_deg: Finite = 60.0
     """Turn of the hatch from hexagon to hexagon, by one of three lattice colours, so that neighbours differ."""
     order: Literal["nearest", "nearest-any", "nearest-last", "nearest-sum", "farthest", "raster"] = "nearest"
+    """Scan order of the islands of a layer; `nearest` is the paper's rule (section 4.2), `nearest-any` by its full name."""
     seed: Annotated[int, Field(ge=0)] = 0
+    """Seed of the random choice of each layer's first island."""
     least_coverage: Annotated[float, Field(gt=0, le=1)] = 0.95
     """Gate of the coverage: fraction of each layer's area that the beads must cover."""
     contour_offset_mm: NotNegative | None = None
@@ -115,26 +120,37 @@ class MachineSettings(Section):
     """The machine: a SINUMERIK 840D sl with an electron-beam gun and a wire feeder."""
 
     name: str = "wire electron-beam machine (default profile)"
-    control: Literal["sinumerik-840d-sl"] = "sinumerik-840d-sl"
+    """Name of the machine, as it stands in the header of the program."""
+    control: str = "sinumerik-840d-sl"
+    """Control that the program is for: the name of a post-processor."""
     poly_licensed: bool = True
     """Polynomial interpolation (POLY) is an option of the control."""
     bspline_licensed: bool = True
+    """Spline interpolation (BSPLINE) is an option of the control."""
     curve_form: Literal["poly", "bspline", "lines"] = "poly"
+    """How curves are written: polynomials, B-splines, or chords (G1) within line_tolerance_mm."""
     bspline_shift: Literal[2, 3] = 2
     """Which knot interval a BSPLINE block's PL carries; see the header of the program."""
     line_tolerance_mm: Positive = 0.01
     """Chord error where curves are written as G1."""
     decimals: Annotated[int, Field(ge=3, le=8)] = 6
+    """Decimals of coordinates and coefficients in the program."""
     travel_min_mm: tuple[Finite, Finite, Finite] = (-1000.0, -1000.0, 0.0)
+    """Software limits of X, Y and Z in the work offset: least positions."""
     travel_max_mm: tuple[Finite, Finite, Finite] = (1000.0, 1000.0, 1500.0)
     """Software limits of X, Y and Z in the work offset."""
     work_offset: Literal["G54", "G55", "G56", "G57"] = "G54"
+    """Settable work offset in which the program runs."""
     safe_height_mm: Positive = 20.0
     """Rise above the current layer for moves over more than one island gap, and at the end."""
     rapid_mm_s: Positive = 100.0
+    """Speed of rapid moves, for times only; G0 itself carries no feed."""
     feed_min_mm_s: Positive = 1.0
+    """Least feed that a program may command."""
     feed_max_mm_s: Positive = 50.0
+    """Greatest feed that a program may command."""
     smoothing: tuple[str, ...] = ("SOFT", "FFWON", "G642")
+    """Words of the block that sets acceleration, feed-forward and corner rounding."""
     smoothing_tolerance_mm: Positive = 0.05
     """Axis tolerance of G642 (CTOL): the path driven may leave the path programmed by this."""
     workpiece_directory: str = "EBAMCHECK"
@@ -143,15 +159,22 @@ class MachineSettings(Section):
     """Base name of the main program; the part's name is not a legal NC name in general."""
     # Templates: {power_w} {voltage_kv} {current_ma} {wire_mm_s} {feed_mm_min} {layer} {height_mm} are filled in.
     beam_on: tuple[str, ...] = ("M60 ; beam on",)
+    """Blocks that switch the beam on; the codes are the machine maker's."""
     beam_off: tuple[str, ...] = ("M61 ; beam off",)
+    """Blocks that switch the beam off."""
     set_beam: tuple[str, ...] = (
         "H1={voltage_kv} ; accelerating voltage, kV",
         "H2={current_ma} ; beam current, mA",
     )
+    """Blocks that set voltage and current, before the first layer."""
     wire_start: tuple[str, ...] = ("H3={wire_mm_s} ; wire speed, mm/s", "M62 ; wire on")
+    """Blocks that start the wire at the speed of the layer."""
     wire_stop: tuple[str, ...] = ("M63 ; wire off",)
+    """Blocks that stop the wire."""
     layer_begin: tuple[str, ...] = ()
+    """Blocks before the first motion of a layer."""
     layer_end: tuple[str, ...] = ()
+    """Blocks after the last motion of a layer."""
 
     @field_validator("program_name", "workpiece_directory")
     @classmethod
@@ -186,12 +209,19 @@ class ProcessSettings(Section):
     """Wire electron-beam process (values: Pixner et al. 2020, Materials 13:3310, and common practice)."""
 
     voltage_kv: Positive = 60.0
+    """Accelerating voltage."""
     current_ma: Positive = 120.0
+    """Beam current; with the voltage it gives the beam power."""
     current_max_ma: Positive = 250.0
+    """Greatest beam current of the gun."""
     travel_speed_mm_s: Positive = 10.0
+    """Speed of the beam along a bead."""
     wire_diameter_mm: Positive = 1.6
+    """Diameter of the wire."""
     wire_speed_mm_s: Positive = 2000.0 / 60.0
+    """Wire speed at the height of one bead; in a layer of another height it follows the mass balance."""
     bead_width_mm: Positive = 6.0
+    """Width of one bead."""
     bead_spacing: Annotated[float, Field(gt=0, le=1)] = 0.72
     """Distance between parallel beads over the bead width."""
 
@@ -223,7 +253,9 @@ class MaterialSettings(Section):
     """The wire's material."""
 
     name: str = "Ti-6Al-4V"
+    """Name of the material, as it stands in the header of the program."""
     density_kg_m3: Positive = 4430.0
+    """Density of the wire, for its mass."""
 
 
 class Config(Section):

@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.comparison.depth import FINE_SHARE, FINEST_DEPTH_MM, enough_mm, search
+from ebamcheck.comparison.depth import FINE_SHARE, enough_mm, search
+from ebamcheck.comparison.depth import FINEST_DEPTH_MM as FINEST_DEPTH_MM
 from ebamcheck.comparison.distance import Directed, directed
 from ebamcheck.comparison.outline import Outline, nearest, winding
 from ebamcheck.comparison.overlap import Deepest, overlap

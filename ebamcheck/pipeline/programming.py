@@ -108,9 +108,15 @@ def _extreme(column: pd.Series[float], name: str) -> float:
 
 
 def _rms(errors: pd.DataFrame) -> dict[str, float]:
-    """Root mean square over all layers of both errors; NaN where one is defined nowhere."""
-    known = {f: errors[f].dropna().to_numpy() for f in ("polar_rms_mm", "normal_rms_mm")}
-    return {f: float(np.sqrt((v**2).mean())) if v.size else float("nan") for f, v in known.items()}
+    """Root mean square of both errors over all rings of the stack; NaN where one is defined nowhere."""
+    result = {}
+    for figure, rings in (("polar_rms_mm", "polar_rings"), ("normal_rms_mm", "rings")):
+        known = errors[errors[figure].notna()]
+        weight = known[rings].sum()
+        result[figure] = (
+            float(np.sqrt((known[figure] ** 2 * known[rings]).sum() / weight)) if weight else float("nan")
+        )
+    return result
 
 
 def _bead_paths(layers: Layers, plan: ScanPlan, config: Config) -> Curves:

@@ -1,0 +1,489 @@
+"""Regression reports: every planted fault is found against an honest baseline, and nothing else is."""
+
+from __future__ import annotations
+
+import json
+import os
+import sqlite3
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from broken_backends import FAULTS, broken, rebuilt
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ebamcheck import registry
+from ebamcheck.errors import BackendMissing, ExitCode, InputError, SettingsError
+from ebamcheck.model import models
+from ebamcheck.regression import Measured, Tolerance, Tolerances, measure_outcome, run_regression, truth_of
+from ebamcheck.regression.baselines import Entry, Key, read_baselines, write_baselines
+from ebamcheck.regression.command import regress
+from ebamcheck.regression.difference import differences
+from ebamcheck.regression.history import record, trends
+from ebamcheck.regression.job import accepted, updated
+from ebamcheck.regression.matrix import MATRIX, Matrix, read_matrix, rounds
+from ebamcheck.regression.measurement import REFUSED
+from ebamcheck.regression.metrics import LAYER_COLUMNS, METRICS, NAMES, TOLERANCE_NAMES, rounded, summarised
+from ebamcheck.regression.settings import LENGTH, default_tolerance, read_tolerances
+from ebamcheck_embree import Embree
+from ebamcheck_models.polyhedra import cells
+from ebamcheck_planecut import PlaneCut
+from ebamcheck_stencil import Stencil
+
+BOUND_MM = 0.1
+"""Bound that the rough slicers below declare."""
+ROUGH_MM = 0.05
+"""What they really are off, before a loss is planted."""
+
+
+def _block():
+    """A stepped block with a hole, a pore of 0.02 mm and a slit of 0.05 mm; no symmetry, every coordinate exact."""
+    x = (0.0, 6.0, 8.0, 10.0, 10.02, 13.0, 13.05, 20.0)
+    y = (0.0, 4.0, 6.0, 6.02, 9.0, 12.0)
+    filled = np.ones((len(x) - 1, len(y) - 1, 2), dtype=bool)
+    filled[1, 1] = False
+    filled[3, 2] = False
+    filled[5, 3:] = False
+    filled[0, 3:, 1] = False
+    return cells(
+        "trial-block", "stepped block with hole, pore and slit", (x, y, (0.0, 5.0, 10.0)), filled, -2
+    )
+
+
+BLOCK = _block()
+
+
+def _rough(name: str, off_mm: float) -> type:
+    """The exact cut, moved along x by a known distance under a declared bound."""
+    return broken(
+        PlaneCut,
+        name,
+        lambda part, cut, heights: rebuilt(cut(heights), change=lambda p: p + np.array([off_mm, 0.0])),
+        error_bound_mm=lambda self, part, settings: BOUND_MM,
+    )
+
+
+ALLOWED_MM = LENGTH.allowed(ROUGH_MM)
+PLANTED = {
+    "rough": _rough("rough", ROUGH_MM),
+    "rough-within": _rough("rough-within", ROUGH_MM + 0.5 * ALLOWED_MM),
+    "rough-beyond": _rough("rough-beyond", ROUGH_MM + ALLOWED_MM + 0.01 * BOUND_MM),
+    "rough-better": _rough("rough-better", 0.5 * ROUGH_MM),
+}
+
+
+class Aborting(PlaneCut):
+    name = "aborting"
+
+    def prepare(self, part, settings):
+        os.abort()
+
+
+def _fault(name: str, base: type, metric: str):
+    marks = [pytest.mark.gl] if base is Stencil else []
+    return pytest.param(name, base.name, metric, marks=marks, id=name)
+
+
+CAUGHT = [
+    _fault("off-by-one-layer", PlaneCut, "depth_max_mm"),
+    _fault("mirrored-axis", PlaneCut, "depth_max_mm"),
+    _fault("lost-hole", PlaneCut, "hole_mismatch_layers"),
+    _fault("dropped-tiny-loop", PlaneCut, "ring_mismatch_layers"),
+    _fault("closed-plane-rule", PlaneCut, "depth_max_mm"),
+    _fault("other-half-open-rule", PlaneCut, "depth_max_mm"),
+    _fault("closed-gap", PlaneCut, "area_error_max_mm2"),
+    _fault("vanishing-layer", PlaneCut, "empty_mismatch_layers"),
+    _fault("half-cell-shift", Embree, "depth_mean_mm"),
+    _fault("half-pixel-shift", Stencil, "depth_mean_mm"),
+]
+"""Broken slicer, the honest one that it is made from, and a metric that must tell."""
+
+
+@pytest.fixture(scope="module")
+def plugins(tmp_path_factory):
+    """Install the block and the slicers above as a distribution that worker processes find, too."""
+    folder = tmp_path_factory.mktemp("plugins")
+    (folder / "regression_plugin.py").write_text(
+        f"import sys; sys.path.insert(0, {os.path.dirname(__file__)!r})\n"
+        "from broken_backends import FAULTS\n"
+        "from test_regression import BLOCK, PLANTED, Aborting\n"
+        "for made in [*(fault.slicer for fault in FAULTS.values()), *PLANTED.values(), Aborting]:\n"
+        "    globals()[made.name.replace('-', '_')] = made\n"
+    )
+    names = [*FAULTS, *PLANTED, "aborting"]
+    lines = [f"{name} = regression_plugin:{name.replace('-', '_')}" for name in names]
+    info = folder / "regression_plugin-1.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: regression-plugin\nVersion: 1\n")
+    (info / "entry_points.txt").write_text(
+        "[ebamcheck.models]\ntrial-block = regression_plugin:BLOCK\n[ebamcheck.backends]\n" + "\n".join(lines)
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", str(folder))
+        patch.syspath_prepend(str(folder))
+        registry.slicers.cache_clear()
+        registry.probe.cache_clear()
+        yield
+    registry.slicers.cache_clear()
+    registry.probe.cache_clear()
+
+
+@pytest.fixture(scope="module")
+def honest(plugins, tmp_path_factory):
+    """What the honest slicers come to on the block, by backend; the default settings of each."""
+    usable = [n for n in ("planecut", "embree", "stencil") if registry.probe(n).available]
+    found = run_regression(tmp_path_factory.mktemp("none"), ["trial-block"], [*usable, "rough"])
+    assert found.exit_code is ExitCode.NOTHING_COMPARED
+    return {key.backend: entry for key, entry in found.entries.items()}
+
+
+def as_baseline_of(backend: str, entry: Entry) -> Entry:
+    return replace(entry, key=replace(entry.key, backend=backend))
+
+
+@pytest.fixture(scope="module")
+def report(honest, tmp_path_factory):
+    """All broken slicers in one report, each against the baseline of the honest one it is made from."""
+    folder = tmp_path_factory.mktemp("baselines")
+    pairs = [(p.values[0], p.values[1]) for p in CAUGHT] + [(name, "rough") for name in PLANTED]
+    pairs = [(name, base) for name, base in pairs if base in honest] + [("aborting", "planecut")]
+    write_baselines(folder, [as_baseline_of(name, honest[base]) for name, base in pairs], ["trial-block"])
+    return run_regression(folder, ["trial-block"], [name for name, _ in pairs])
+
+
+def difference_of(report, backend):
+    return next(d for d in report.differences if d.key.backend == backend)
+
+
+# -- what is caught --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("name", "base", "metric"), CAUGHT)
+def test_a_broken_slicer_is_caught_against_the_honest_baseline(report, honest, name, base, metric):
+    if base not in honest:
+        pytest.skip(f"{base} is not available: {registry.probe(base).why}")
+    found = difference_of(report, name)
+    assert found.verdict == "worse"
+    assert metric in {change.metric for change in found.changes if change.worse}
+    assert report.exit_code is ExitCode.OUT_OF_TOLERANCE
+
+
+def test_a_loss_of_a_hundredth_of_the_bound_over_the_tolerance_is_found_and_explained(report):
+    found = difference_of(report, "rough-beyond")
+    assert found.verdict == "worse"
+    change = next(c for c in found.changes if c.metric == "depth_max_mm")
+    assert change.old == pytest.approx(ROUGH_MM, abs=1e-6)
+    assert change.new - change.old == pytest.approx(ALLOWED_MM + 0.01 * BOUND_MM, abs=2e-6)
+    growth = change.growth
+    solid = len(report.entries[found.key].measured.columns["layer"]) - 1  # the plane of the top face is empty
+    assert (growth.column, growth.count) == ("depth_mm", solid)
+    assert growth.largest == pytest.approx(change.new - change.old, abs=2e-6)
+    first = growth.places[0]
+    assert (first.layer, first.z_mm, first.old) == (0, 0.0, pytest.approx(ROUGH_MM, abs=1e-6))
+    assert -0.1 <= first.x_mm <= 20.1
+    assert -0.1 <= first.y_mm <= 12.1
+    text = "\n".join(found.lines())
+    for part in (
+        "rough-beyond",
+        "depth_max_mm 0.05 -> 0.05106",
+        "layers worse, at most by 0.00106",
+        "layer 0, z = 0 mm",
+    ):
+        assert part in text
+
+
+def test_a_loss_within_the_tolerance_is_none_and_a_gain_is_told(report):
+    assert difference_of(report, "rough").verdict == "same"
+    assert difference_of(report, "rough-within").verdict == "same"
+    assert difference_of(report, "rough-better").verdict == "better"
+
+
+def test_a_crash_is_a_finding_that_no_update_accepts(report, tmp_path):
+    found = difference_of(report, "aborting")
+    assert (found.verdict, found.fails) == ("failed", True)
+    assert "SIGABRT" in found.why
+    copied = replace(report, baselines=tmp_path)
+    updated(copied, "all")
+    assert "aborting" not in {key.backend for key in read_baselines(tmp_path, ["trial-block"])}
+    assert accepted(report).exit_code is ExitCode.OUT_OF_TOLERANCE
+
+
+def test_junit_names_the_backend_in_the_class_and_counts_what_failed(report, tmp_path):
+    from ebamcheck.regression.junit import write_junit
+
+    suite = ElementTree.parse(write_junit(report, tmp_path)).getroot()[0]
+    cases = {case.get("classname"): case for case in suite}
+    assert set(cases) == {f"ebamcheck.regress.{d.key.backend}" for d in report.differences}
+    assert cases["ebamcheck.regress.mirrored-axis"].find("failure").get("type") == "worse"
+    assert cases["ebamcheck.regress.aborting"].find("error") is not None
+    assert len(cases["ebamcheck.regress.rough"]) == 0
+    failed = sum(d.verdict == "worse" for d in report.differences)
+    assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == (
+        str(len(report.differences)),
+        str(failed),
+        "1",
+    )
+
+
+# -- the command -----------------------------------------------------------------------------------------
+
+
+def _regress(baselines: Path, output: Path, **options):
+    given = {"models": "trial-block", "backends": "planecut", **options}
+    return regress(baselines=baselines, output=output, **given)
+
+
+@pytest.fixture(scope="module")
+def accepted_once(plugins, tmp_path_factory):
+    """Baselines made by the command, and two reports against them that share nothing."""
+    base = tmp_path_factory.mktemp("command")
+    codes = [
+        _regress(base / "baselines", base / "made", update_baseline="all"),
+        _regress(base / "baselines", base / "one"),
+        _regress(base / "baselines", base / "two", history=base / "one" / "history.sqlite"),
+    ]
+    return base, codes
+
+
+def test_two_reports_on_an_unchanged_tree_are_the_same_bytes_but_for_timings(accepted_once):
+    base, codes = accepted_once
+    assert codes == [ExitCode.PASS] * 3
+    for name in ("results.json", "junit.xml", "regress.html"):
+        assert (base / "one" / name).read_bytes() == (base / "two" / name).read_bytes(), name
+    timed = json.loads((base / "one" / "timings.json").read_text())
+    assert all(set(seconds) == {"prepare_s", "slice_s", "measure_s"} for seconds in timed.values())
+
+
+def test_the_history_counts_a_result_that_is_seen_again(accepted_once):
+    base, _ = accepted_once
+    with sqlite3.connect(base / "one" / "history.sqlite") as database:
+        assert database.execute("SELECT result, times_seen FROM results").fetchall() == [(1, 2)]
+    database.close()
+    (trend,) = trends(base / "one" / "history.sqlite", "depth_max_mm")
+    assert (trend.key.backend, trend.results) == ("planecut", (1,))
+
+
+def test_the_page_needs_no_network_and_no_script(accepted_once):
+    page = (accepted_once[0] / "one" / "regress.html").read_text()
+    assert "<script" not in page
+    assert "http" not in page
+    assert "<svg" in page
+
+
+def test_an_update_shows_the_difference_first_and_rewrites_only_what_failed(accepted_once, tmp_path, capsys):
+    source, _ = accepted_once
+    folder = tmp_path / "baselines"
+    key, entry = next(iter(read_baselines(source / "baselines", ["trial-block"]).items()))
+    better = {**entry.measured.metrics, "volume_error_mm3": -1.0}  # no slicer is that good: now it is worse
+    stale = replace(entry, key=replace(key, settings_hash="0" * 12))
+    spoiled = replace(entry, measured=replace(entry.measured, metrics=better))
+    write_baselines(folder, [spoiled, stale, as_baseline_of("absent", entry)], ["trial-block"])
+    assert _regress(folder, tmp_path / "out") is ExitCode.OUT_OF_TOLERANCE
+    capsys.readouterr()
+    assert _regress(folder, tmp_path / "out", update_baseline="failed") is ExitCode.PASS
+    text = capsys.readouterr().out
+    assert text.index("volume_error_mm3 -1 ->") < text.index("baselines written")
+    assert "VANISHED" in text
+    held = read_baselines(folder, ["trial-block"])
+    assert held[key] == entry
+    assert {k.backend for k in held} == {"planecut", "absent"}  # what was not asked for is not touched
+    assert stale.key not in held
+
+
+def test_without_a_baseline_nothing_is_compared(plugins, tmp_path, capsys):
+    assert _regress(tmp_path / "none", tmp_path / "out") is ExitCode.NOTHING_COMPARED
+    assert "make the baselines with --update-baseline=all" in capsys.readouterr().out
+    assert not (tmp_path / "none").exists()
+
+
+def test_what_is_unknown_is_refused_with_the_right_code(plugins, tmp_path):
+    with pytest.raises(BackendMissing, match="unknown backend 'nosuch'"):
+        _regress(tmp_path, tmp_path / "out", backends="nosuch")
+    with pytest.raises(SettingsError, match="unknown model 'nosuch'"):
+        _regress(tmp_path, tmp_path / "out", models="nosuch")
+    with pytest.raises(SettingsError, match="give failed or all"):
+        _regress(tmp_path, tmp_path / "out", update_baseline="some")
+
+
+# -- rules, without a slicer -----------------------------------------------------------------------------
+
+COLUMN = [0.01, 0.02, 0.03]
+
+
+def entry_of(depths, backend="b", metadata=None, status="measured") -> Entry:
+    columns = {name: [0] * len(depths) for name in LAYER_COLUMNS} | {
+        "layer": list(range(len(depths))),
+        "z_mm": [float(k) for k in range(len(depths))],
+        "x_mm": [None] * len(depths),
+        "y_mm": [None] * len(depths),
+        "depth_mm": list(depths),
+    }
+    whole = {"volume_error_mm3": 0.0, "bound_mm": 0.1, "not_compared_layers": 0.0}
+    measured = Measured(status, "", {**summarised(columns), **whole}, columns)
+    return Entry(Key("m", backend, "h"), {}, measured, metadata or {})
+
+
+def held(new: Entry, old: Entry, **tolerances):
+    (found,) = differences({new.key: new}, {old.key: old}, {}, Tolerances(**tolerances))
+    return found
+
+
+@given(
+    st.lists(st.floats(0.0, 1.0), min_size=1, max_size=6),
+    st.floats(0.0, 0.1),
+    st.integers(0, 5),
+)
+def test_an_entry_is_worse_exactly_if_a_layer_grew_beyond_its_tolerance(depths, growth, at):
+    old = [rounded(d) for d in depths]
+    k = at % len(old)
+    new = [rounded(d + growth) if i == k else d for i, d in enumerate(old)]
+    grown = new[k] > old[k] + LENGTH.allowed(old[k])
+    found = held(entry_of(new), entry_of(old))
+    assert (found.verdict == "worse") == grown
+    if grown:
+        places = [p for c in found.changes if c.growth for p in c.growth.places]
+        assert {p.layer for p in places} == {k}
+        assert {(p.old, p.new) for p in places} == {(old[k], new[k])}
+
+
+def test_a_loss_on_one_layer_does_not_hide_behind_a_worse_one():
+    found = held(entry_of([0.5, 0.2, 0.0]), entry_of([0.5, 0.1, 0.1]))
+    assert found.verdict == "worse"
+    (change,) = [c for c in found.changes if c.worse]
+    assert (change.metric, change.growth.places[0].layer) == ("depth_mm", 1)
+
+
+def test_machine_renderer_and_versions_are_told_and_never_compared():
+    old = entry_of(COLUMN, metadata={"machine": "a", "renderer": "x", "versions": {"n": "1"}})
+    new = entry_of(COLUMN, metadata={"machine": "b", "renderer": "y", "versions": {"n": "2"}})
+    assert held(new, old).verdict == "same"
+    worse = held(replace(entry_of([1.0, 1.0, 1.0]), metadata=new.metadata), old)
+    assert "renderer x -> y" in worse.why
+
+
+def test_a_tolerance_of_a_backend_goes_before_that_of_the_metric():
+    wide = {name: Tolerance(absolute=9.0) for name in TOLERANCE_NAMES}
+    new, old = entry_of([0.04, 0.02, 0.03]), entry_of(COLUMN)
+    assert held(new, old).verdict == "worse"
+    assert held(new, old, metrics=wide).verdict == "same"
+    tight = {"b": {"depth_max_mm": Tolerance()}}
+    assert held(new, old, metrics=wide, backends=tight).verdict == "worse"
+
+
+def test_a_backend_that_cannot_run_here_is_neither_met_nor_missed():
+    old = entry_of(COLUMN)
+    (absent,) = differences({}, {old.key: old}, {"b": "no display"}, Tolerances())
+    assert (absent.verdict, absent.fails, absent.why) == ("not run", False, "no display")
+    (gone,) = differences({}, {old.key: old}, {}, Tolerances())
+    assert (gone.verdict, gone.fails) == ("vanished", True)
+
+
+def test_a_refusal_is_an_answer_that_is_held_too():
+    refused = replace(entry_of(COLUMN), measured=Measured(REFUSED, "open edges"))
+    assert held(refused, refused).verdict == "same"
+    assert held(refused, entry_of(COLUMN)).verdict == "worse"
+    assert held(entry_of(COLUMN), refused).verdict == "better"
+
+
+def test_baselines_come_back_as_written_and_unchanged_ones_are_left_alone(tmp_path):
+    entries = [entry_of(COLUMN), entry_of([0.1 + 0.2, 1e-7, 3.0], backend="c")]
+    assert write_baselines(tmp_path, entries, ["m"]) == [tmp_path / "m.json"]
+    assert read_baselines(tmp_path, ["m", "other"]) == {e.key: e for e in entries}
+    assert write_baselines(tmp_path, entries, ["m"]) == []
+    assert write_baselines(tmp_path, [], ["m"]) == [tmp_path / "m.json"]
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "text", ["{", "[]", '{"format": 99, "entries": {}}', '{"format": 1, "entries": {"a b": {}}}']
+)
+def test_what_is_no_baseline_is_said_to_be_none(tmp_path, text):
+    (tmp_path / "m.json").write_text(text)
+    with pytest.raises(InputError, match=r"m\.json"):
+        read_baselines(tmp_path, ["m"])
+
+
+def test_a_tolerance_file_is_read_and_unknown_metrics_are_refused(tmp_path):
+    path = tmp_path / "tolerances.toml"
+    path.write_text("[metrics.depth_max_mm]\nabsolute = 0.5\n[backends.b.bound_mm]\nrelative = 1.0\n")
+    table = read_tolerances(path)
+    assert table.of("b", "depth_max_mm").allowed(9.0) == 0.5
+    assert table.of("b", "bound_mm").allowed(0.25) == 0.25
+    assert table.of("c", "depth_mean_mm") == default_tolerance("depth_mean_mm")
+    path.write_text("[metrics.depth_max]\nabsolute = 0.5\n")
+    with pytest.raises(SettingsError, match="unknown metric 'depth_max'"):
+        read_tolerances(path)
+
+
+def test_a_file_that_is_no_history_is_said_to_be_none(tmp_path, report):
+    path = tmp_path / "history.sqlite"
+    path.write_text("certainly not a database " * 50)
+    with pytest.raises(InputError, match="--history"):
+        record(path, report)
+
+
+def test_every_metric_has_a_tolerance_and_a_column_that_is_measured():
+    assert len(set(NAMES)) == len(NAMES)
+    assert {metric.column for metric in METRICS} == set(LAYER_COLUMNS)
+    assert default_tolerance("ring_mismatch_layers").allowed(7.0) == 0.0
+    assert default_tolerance("depth_max_mm") == LENGTH
+
+
+# -- the truth -------------------------------------------------------------------------------------------
+
+
+def test_planes_through_level_faces_are_among_the_heights_and_are_cut_as_the_plane_just_above():
+    truth = truth_of(BLOCK, 0.05, 24)
+    assert {0.0, 5.0, 10.0} <= set(truth.heights.tolist())
+    areas = dict(zip(truth.heights.tolist(), truth.layers.areas().tolist(), strict=True))
+    assert areas[10.0] == 0.0
+    assert areas[5.0] == pytest.approx(BLOCK.area(6.0))
+    assert areas[0.0] == pytest.approx(BLOCK.area(1.0))
+    assert truth.uniform.sum() == 24
+
+
+@pytest.mark.parametrize("name", ["sphere", "torus", "cylinder"])
+def test_an_exact_cut_of_a_curved_model_stays_within_what_its_mesh_allows(name):
+    from ebamcheck.isolate import Outcome
+
+    truth = truth_of(models([name])[name], 0.2, 12)
+    slicer = PlaneCut()
+    with slicer.prepare(truth.part, slicer.Settings()) as prepared:
+        layers = prepared.slice(truth.heights)
+    found = measure_outcome(truth, Outcome("planecut", layers=layers))
+    assert found.metrics["beyond_bound_layers"] == 0
+    assert 0.0 < found.metrics["depth_max_mm"] <= float(truth.allowance_mm.max())
+    moved = layers.labelled()
+    moved = replace(moved, points=moved.points + np.array([2.0 * float(truth.allowance_mm.max()), 0.0]))
+    assert measure_outcome(truth, Outcome("planecut", layers=moved)).metrics["beyond_bound_layers"] > 0
+
+
+# -- what is committed -----------------------------------------------------------------------------------
+
+COMMITTED = Path(__file__).parents[1] / "reports" / "baselines"
+
+
+def test_the_committed_matrix_is_valid_for_the_installed_backends():
+    matrix = read_matrix(COMMITTED)
+    assert matrix == Matrix.model_validate(tomllib.loads((COMMITTED / MATRIX).read_text()))
+    for name in matrix.every_day:
+        subjects = [s for round_ in rounds(matrix, name, list(matrix.variants)) for s in round_.values()]
+        assert len({(s.backend, s.settings_hash(matrix.case(name))) for s in subjects}) == len(subjects)
+
+
+def test_the_committed_baselines_are_those_of_the_matrix():
+    matrix = read_matrix(COMMITTED)
+    held = read_baselines(COMMITTED, matrix.every_day)
+    backends = ["embree", "manifold", "planecut", "stencil"]
+    expected = {
+        (name, subject.backend, subject.settings_hash(matrix.case(name)))
+        for name in matrix.every_day
+        for round_ in rounds(matrix, name, backends)
+        for subject in round_.values()
+    }
+    assert {(k.model, k.backend, k.settings_hash) for k in held} == expected
+    assert all(e.measured.metrics["beyond_bound_layers"] == 0 for e in held.values() if e.measured.metrics)
