@@ -214,6 +214,11 @@ def test_the_two_spheres_overlap_and_their_union_is_less_than_their_meshes():
     part = TWO_SPHERES.tessellate(0.05)
     assert part.volume == pytest.approx(TWO_SPHERES.mesh_volume, rel=1e-2)
     assert TWO_SPHERES.volume < 0.95 * TWO_SPHERES.mesh_volume
+    # The area is smooth but where a sphere, or the lens, begins and ends: midpoints on a fine grid do.
+    low, high = TWO_SPHERES.bounds[:, 2]
+    z = low + (high - low) * (np.arange(4000) + 0.5) / 4000
+    integral = np.mean([TWO_SPHERES.area(h) for h in z.tolist()]) * (high - low)
+    assert integral == pytest.approx(TWO_SPHERES.volume, rel=1e-5)
     assert sum(SPHERE.volume * (r / 30.0) ** 3 for r in TWO_SPHERES.radii_mm) == pytest.approx(
         TWO_SPHERES.mesh_volume
     )

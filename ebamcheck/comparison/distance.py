@@ -60,9 +60,6 @@ def directed(a: Outline, b: Outline) -> Directed:
     segments = b.segments
     stack, near_stack = np.empty((STACK, 6)), np.empty((STACK, 2), np.int64)
     for k in range(len(pieces)):
-        # Distance grows no faster than one goes: most pieces are ruled out by their length alone.
-        if 0.5 * (start[k] + stop[k] + pieces[k, 6]) <= most + RESOLUTION_MM:
-            continue
         if _ceiling(segments, pieces, near, k) > most + RESOLUTION_MM:
             for c in range(6):
                 stack[0, c] = pieces[k, c]

@@ -139,49 +139,57 @@ def _peak() -> Polyhedron:
     )
 
 
-CASES: tuple[Polyhedron | Prism, ...] = (
-    block(
-        "case-cura-1473",
-        "cube of 100 mm; CuraEngine #1473: at 0.2 mm layers all but a diagonal is missing at z = 14.2",
-        box_corners((0.0, 0.0, 0.0), (100.0, 100.0, 100.0)),
-    ),
-    block(
-        "case-cura-19894",
-        "cube of 20 mm on the plate; Cura #19894: 99 layers of 0.2 mm instead of 100, the first is lost",
-        box_corners((-10.0, -10.0, 0.0), (10.0, 10.0, 20.0)),
-    ),
-    _window(),
-    _gap_plug(),
-    _gap_slit(
-        "case-prusa-520", "block with a slit of 0.042 mm; PrusaSlicer #520, #4805: the slit is filled", 0.042
-    ),
-    _gap_slit(
-        "case-prusa-9028",
-        "block with a slit of 0.1 mm; PrusaSlicer #9028: new perimeters replace the slit",
-        0.1,
-    ),
-    _lattice(),
-    _spiral(),
-    block(
-        "case-trimesh-1766",
-        "slab whose facets' diagonal passes through the origin; trimesh #1766, embree #188: rays slip between facets",
-        box_corners((-16.0, -16.0, -2.0), (16.0, 16.0, 2.0)),
-    ),
-    _peak(),
-    _far(),
-    _two_by_two(
-        "case-touching-edge",
-        "two cubes that share one upright edge; touching contours, wrongly joined or split (as in trimesh #2224)",
-        [[1, 0], [0, 1]],
-        euler_number=3,
-        shells=1,
-    ),
-    _two_by_two(
-        "case-touching-board",
-        "chess board of 5 x 5 cubes that touch along upright edges: contours meet in every corner",
-        (np.indices((5, 5)).sum(axis=0) % 2 == 0).astype(int).tolist(),
-        euler_number=13 * 2 - 16,
-        shells=1,
-    ),
+CURA_1473 = block(
+    "case-cura-1473",
+    "cube of 100 mm; CuraEngine #1473: at 0.2 mm layers all but a diagonal is missing at z = 14.2",
+    box_corners((0.0, 0.0, 0.0), (100.0, 100.0, 100.0)),
 )
-"""All named cases, in the order of their names' sources."""
+PRUSA_1260 = _window()
+PRUSA_4245 = _gap_plug()
+PRUSA_520 = _gap_slit(
+    "case-prusa-520", "block with a slit of 0.042 mm; PrusaSlicer #520: the slit is filled", 0.042
+)
+PRUSA_9028 = _gap_slit(
+    "case-prusa-9028",
+    "block with a slit of 0.1 mm; PrusaSlicer #9028: new perimeters replace the slit",
+    0.1,
+)
+PYSLM_21 = _lattice()
+TRIMESH_1944 = _spiral()
+TRIMESH_1766 = block(
+    "case-trimesh-1766",
+    "slab whose facets' diagonal passes through the origin; trimesh #1766, embree #188: rays slip between facets",
+    box_corners((-16.0, -16.0, -2.0), (16.0, 16.0, 2.0)),
+)
+TRIMESH_2317 = _peak()
+TRIMESH_48 = _far()
+TOUCHING_EDGE = _two_by_two(
+    "case-touching-edge",
+    "two cubes that share one upright edge; touching contours, wrongly joined or split",
+    [[1, 0], [0, 1]],
+    euler_number=3,
+    shells=1,
+)
+TOUCHING_BOARD = _two_by_two(
+    "case-touching-board",
+    "chess board of 5 x 5 cubes that touch along upright edges: contours meet in every corner",
+    (np.indices((5, 5)).sum(axis=0) % 2 == 0).astype(int).tolist(),
+    euler_number=13 * 2 - 16,
+    shells=1,
+)
+
+CASES: tuple[Polyhedron | Prism, ...] = (
+    CURA_1473,
+    PRUSA_1260,
+    PRUSA_4245,
+    PRUSA_520,
+    PRUSA_9028,
+    PYSLM_21,
+    TRIMESH_1944,
+    TRIMESH_1766,
+    TRIMESH_2317,
+    TRIMESH_48,
+    TOUCHING_EDGE,
+    TOUCHING_BOARD,
+)
+"""All named cases, in the order of their names."""

@@ -1,0 +1,229 @@
+"""Laws of sections as property tests, for every backend: random solids, random maps, random planes.
+
+The laws are those of the conformance kit; here hypothesis chooses the numbers. What it once found is kept
+as a named case at the end.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scipy.spatial import ConvexHull
+
+from ebamcheck import registry
+from ebamcheck.part import from_arrays
+from ebamcheck.testing import Subject, laws, solids, violations
+from ebamcheck.testing.subject import generic_heights
+
+BACKENDS = ("planecut", "manifold", "embree", "stencil")
+CHOSEN = {"stencil": {"pixel_mm": 0.11}}
+QUICK, THOROUGH = 5, 80
+"""Examples of each law: in every test run, and in the slow one."""
+
+COUNTS = [QUICK, pytest.param(THOROUGH, marks=pytest.mark.slow)]
+
+lengths = st.floats(-40.0, 40.0).map(lambda x: round(x, 3))
+angles = st.floats(-180.0, 180.0)
+seeds = st.integers(0, 2**16)
+
+
+@st.composite
+def hulls(draw):
+    """Convex hull of points on a grid."""
+    rng = np.random.default_rng(draw(seeds))
+    points = rng.integers(-40, 41, (draw(st.integers(5, 16)), 3)) / 4.0
+    points = np.vstack([points, np.diag([8.0, 9.0, 10.0]), [[-8.0, -7.0, -9.0]]])
+    found = ConvexHull(points)
+    a, b, c = points[found.simplices].transpose(1, 0, 2)
+    inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), found.equations[:, :3]) < 0
+    faces = np.where(inward[:, None], found.simplices[:, ::-1], found.simplices)
+    used, index = np.unique(faces, return_inverse=True)
+    return from_arrays(points[used], index.reshape(-1, 3), "hull")
+
+
+@st.composite
+def stars(draw):
+    """A star drawn out along z, with a hole where there is room, turned anyhow."""
+    rng = np.random.default_rng(draw(seeds))
+    corners = draw(st.integers(3, 12))
+    angle = 2.0 * math.pi * (np.arange(corners) + rng.uniform(-0.3, 0.3, corners)) / corners
+    radius = rng.uniform(5.0, 12.0, corners)
+    outline = shapely.Polygon(np.column_stack([radius * np.cos(angle), radius * np.sin(angle)]))
+    hole = solids.regular(5, 1.5)
+    if outline.buffer(-1.0).contains(hole):
+        outline = outline.difference(hole)
+    part = solids.prism(outline, 0.0, float(rng.uniform(4.0, 9.0)))
+    turned = solids.turn(float(rng.uniform(5, 85)), "x") @ solids.turn(float(rng.uniform(5, 85)), "y")
+    return solids.named("star", solids.mapped(part, turned))
+
+
+@st.composite
+def rings_of_facets(draw):
+    """A torus of few facets, flat or upright."""
+    part = solids.torus(10.0, 4.0, draw(st.integers(5, 20)), draw(st.integers(3, 9)))
+    tilt = draw(st.sampled_from([0.0, 17.0, 90.0]))
+    return solids.named("torus", solids.mapped(part, solids.turn(tilt, "x") @ solids.turn(11.0)))
+
+
+bodies = st.one_of(hulls(), stars(), rings_of_facets(), st.sampled_from(laws.THICK).map(solids.simple))
+
+
+@pytest.fixture(params=BACKENDS)
+def subject(request):
+    if not registry.probe(request.param).available:
+        pytest.skip(registry.probe(request.param).why)
+    return Subject(registry.slicer(request.param), CHOSEN.get(request.param))
+
+
+def hold(law, count, **strategies):
+    """Let hypothesis try a law, the same examples every time."""
+
+    @settings(
+        max_examples=count, derandomize=True, deadline=None, database=None,
+        suppress_health_check=list(HealthCheck),
+    )  # fmt: skip
+    @given(**strategies)
+    def tried(**drawn):
+        broken = violations(law(**drawn))
+        assert not broken, "\n".join(map(str, broken))
+
+    tried()
+
+
+@pytest.mark.parametrize("count", COUNTS)
+def test_translation(subject, count):
+    def law(part, x, y, z):
+        heights = generic_heights(part, 2)
+        return laws.carried_by_map(subject, "translation", part, heights, np.eye(3), (x, y, z))
+
+    hold(law, count, part=bodies, x=lengths, y=lengths, z=lengths)
+
+
+@pytest.mark.parametrize("count", COUNTS)
+def test_rotation_by_any_angle_about_z(subject, count):
+    def law(part, degrees):
+        return laws.carried_by_map(
+            subject, "rotation", part, generic_heights(part, 2), solids.turn(degrees), (3.0, -4.0, 0.5)
+        )
+
+    hold(law, count, part=bodies, degrees=angles)
+
+
+@pytest.mark.parametrize("count", COUNTS)
+def test_mirror_in_any_upright_plane(subject, count):
+    def law(part, degrees):
+        mirror = solids.turn(degrees) @ np.diag([-1.0, 1.0, 1.0]) @ solids.turn(-degrees)
+        return laws.carried_by_map(subject, "mirror", part, generic_heights(part, 2), mirror)
+
+    hold(law, count, part=bodies, degrees=angles)
+
+
+@pytest.mark.parametrize("count", COUNTS)
+def test_scale(subject, count):
+    def law(part, factor):
+        return laws.carried_by_map(subject, "scale", part, generic_heights(part, 2), factor * np.eye(3))
+
+    hold(law, count, part=bodies, factor=st.floats(0.3, 5.0))
+
+
+@pytest.mark.parametrize("count", COUNTS)
+def test_stretch_of_each_axis(subject, count):
+    def law(part, x, y, z):
+        return laws.carried_by_map(subject, "stretch", part, generic_heights(part, 2), np.diag([x, y, z]))
+
+    factors = st.floats(0.6, 1.6)
+    subject_is_exact = subject.slicer.exact
+    if not subject_is_exact:
+        pytest.skip("a stretched error is not a disc: the law is for exact slicers")
+    hold(law, count, part=bodies, x=factors, y=factors, z=factors)
+
+
+@pytest.mark.parametrize("count", COUNTS)
+def test_upside_down(subject, count):
+    """The part turned over about the x axis: at -h its section is the mirror image."""
+
+    def law(part, degrees):
+        over = np.diag([1.0, -1.0, -1.0]) @ solids.turn(degrees)
+        return laws.carried_by_map(subject, "upside down", part, generic_heights(part, 3), over)
+
+    hold(law, count, part=bodies, degrees=angles)
+
+
+@pytest.mark.parametrize("count", COUNTS)
+def test_large_offsets(subject, count):
+    steps = st.integers(-(2**4), 2**4).map(lambda k: k * 2.0**15)
+
+    def law(part, x, y, z):
+        placed = from_arrays(laws.on_grid(part.vertices), part.faces, part.name)
+        heights = laws.on_grid(generic_heights(placed, 2))
+        return laws.carried_by_map(subject, "large offset", placed, heights, np.eye(3), (x, y, z))
+
+    hold(law, count, part=bodies, x=steps, y=steps, z=steps)
+
+
+@pytest.mark.parametrize("count", COUNTS)
+def test_order_of_facets_and_numbers_of_vertices(subject, count):
+    def law(part, seed):
+        other = laws.shuffled_vertices(laws.shuffled_facets(part, seed), seed + 1)
+        return laws.same_sections(subject, "order", part, other, generic_heights(part, 2))
+
+    hold(law, count, part=bodies, seed=seeds)
+
+
+@pytest.mark.parametrize("count", COUNTS)
+def test_subdivision(subject, count):
+    def law(part):
+        return laws.same_sections(
+            subject, "subdivision", part, laws.subdivided(part), generic_heights(part, 2)
+        )
+
+    hold(law, count, part=bodies)
+
+
+@pytest.mark.parametrize("count", COUNTS)
+def test_union_of_disjoint_parts(subject, count):
+    def law(part, other):
+        heights = np.unique(np.concatenate([generic_heights(part, 2), generic_heights(other, 2)]))
+        return laws.disjoint_union(subject, part, other, heights)
+
+    hold(law, count, part=bodies, other=bodies)
+
+
+@pytest.mark.parametrize("count", COUNTS)
+def test_integral_of_areas_is_the_volume(subject, count):
+    simple = st.sampled_from(laws.FEW_LEVELS).map(solids.simple)
+    few = st.one_of(simple, hulls(), stars()) if subject.slicer.exact else st.one_of(simple, hulls())
+    hold(lambda part: laws.volume_from_areas(subject, part), count, part=few)
+
+
+@pytest.mark.parametrize("count", COUNTS)
+def test_rings_follow_the_euler_number(subject, count):
+    thick = bodies if subject.slicer.exact else st.sampled_from(laws.THICK).map(solids.simple)
+    hold(lambda part: laws.parity_of_rings(subject, part, generic_heights(part, 7)), count, part=thick)
+
+
+@pytest.mark.parametrize(
+    ("name", "shares", "chi"),
+    [
+        ("upright torus", (0.05, 0.3, 0.5, 0.7, 0.95), (1, 2, 2, 2, 1)),
+        ("torus", (0.1, 0.5, 0.9), (0, 0, 0)),
+        ("sphere", (0.1, 0.5, 0.9), (1, 1, 1)),
+        ("cavity", (0.02, 0.5, 0.97), (1, 0, 1)),
+        ("plate with holes", (0.5,), (-1,)),
+        ("two bodies", (0.3, 0.9), (2, 1)),
+    ],
+)
+def test_euler_number_of_sections_along_z(subject, name, shares, chi):
+    """Outer rings less holes: what handles, cavities and pieces of the solid make of it."""
+    part = solids.simple(name)
+    low, high = part.bounds[:, 2]
+    layers = subject.cut(part, low + (high - low) * np.array(shares))
+    assert tuple(layers.outer_counts() - layers.hole_counts()) == chi
+
+
+# -- what was found ------------------------------------------------------------------------------------
