@@ -72,7 +72,6 @@ def command(name: str | None = None, **options: Any) -> Callable[[_Command], _Co
 def _run_guarded(function: Callable[..., Any], *args: Any, **kwargs: Any) -> ExitCode:
     """Run a command; turn what it raises into a message and an exit code."""
     debug = bool(os.environ.get("EBAMCHECK_DEBUG"))
-    code = ExitCode.INTERNAL
     try:
         code = ExitCode(function(*args, **kwargs) or ExitCode.PASS)
         sys.stdout.flush()
@@ -85,6 +84,7 @@ def _run_guarded(function: Callable[..., Any], *args: Any, **kwargs: Any) -> Exi
         _tell(f"interrupted{kept}", debug)
     except BrokenPipeError:
         # The reader of our output has gone; there is nobody left to tell.
+        code = ExitCode.PASS
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except OSError as error:
         # What the system refuses (a full disk, a folder without permission) is for the user to mend.
@@ -94,6 +94,7 @@ def _run_guarded(function: Callable[..., Any], *args: Any, **kwargs: Any) -> Exi
     except (typer.Exit, typer.Abort):
         raise
     except Exception as error:
+        code = ExitCode.INTERNAL
         _tell(
             f"internal error: {type(error).__name__}: {error} (run again with --debug for a traceback)", debug
         )
@@ -263,6 +264,9 @@ def compare(
     b: Annotated[Path, typer.Argument(help="Layers of another, at the same heights.")],
     tolerance: Annotated[float, typer.Option(help="Depth of the symmetric difference allowed, mm.")] = 0.001,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Write the table as CSV.")] = None,
+    any_part: Annotated[
+        bool, typer.Option("--any-part", help="Compare slices of different parts, too.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> ExitCode:
     """Compare two slice files layer by layer; exit code 1 where they differ by more than the tolerance."""
@@ -273,7 +277,10 @@ def compare(
 
     if not tolerance >= 0.0:
         raise SettingsError(f"--tolerance {tolerance}: give 0 or a positive number of millimetres")
-    table = compare_layers(read_layers(a), read_layers(b), tolerance_mm=tolerance)
+    one, other = read_layers(a), read_layers(b)
+    if one.part and other.part and one.part != other.part and not any_part:
+        raise SettingsError(f"{a} and {b} are of different parts: give slices of one part, or --any-part")
+    table = compare_layers(one, other, tolerance_mm=tolerance, check_part=False)
     if not len(table):
         raise NothingCompared(f"{a} and {b} hold no layers: nothing was compared")
     if output is not None:

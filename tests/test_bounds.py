@@ -26,7 +26,7 @@ METHODS = {
     "embree": ("embree", {}, "grid_mm"),
     "embree, vertical": ("embree", {"mode": "vertical"}, "grid_mm"),
 }
-SAMPLES_MM = (0.09, 0.31, 1.3)
+SAMPLES_MM = (0.31, 1.3, pytest.param(0.09, marks=pytest.mark.slow))
 """Pixels and grid cells."""
 
 

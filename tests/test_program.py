@@ -400,6 +400,25 @@ def test_the_path_against_sections_of_the_part(tmp_path):
         assert [c[0] for c in failed(checks)] == found
 
 
+def test_a_path_may_go_around_a_narrow_hole_or_pass_it_by(tmp_path):
+    import shapely
+
+    section = shapely.box(-30, -20, 50, 40)
+    holed = section.difference(shapely.box(-26, 0, -20, 0.1))  # its inset swallows part of the outer one
+    heights = [0.8, 2.4]
+    layers = from_polygons(heights, [[holed]] * 2)
+    for made_of, k in ((section, 0), (holed, 1)):
+        inset = [
+            (np.array(ring.coords), None)
+            for piece in shapely.get_parts(made_of.buffer(-3, quad_segs=16))
+            for ring in (piece.exterior, *piece.interiors)
+        ]
+        curves = make_curves(heights, [[inset]] * 2, [True, True])
+        files = write_program(curves, make_plan(heights, []), Config(), tmp_path / f"program{k}")
+        checks = verify_file(files.main, config=Config(), layers=layers, section_tolerance_mm=0.25)
+        assert failed(checks) == []
+
+
 def test_layers_without_contours_and_islands_are_still_layers(tmp_path):
     heights = [0.5, 1.5, 2.5]
     curves, plan = make_curves(heights, [[], [[(SQUARE, None)]], []], [True]), make_plan(heights, [])

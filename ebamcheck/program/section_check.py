@@ -44,15 +44,14 @@ def _layer(
     nc: NCProgram, rows: Ints, layers: Layers, k: int, offset_mm: float, limit_mm: float
 ) -> tuple[int, float]:
     """Worst motion of a layer and its deviation, mm; infinite where one has a contour and the other none."""
-    border, required = _borders(layers.polygons(k), offset_mm, limit_mm)
+    allowed, wanted = _borders(layers.polygons(k), offset_mm, limit_mm)
     if not rows.size:
         first = int(np.argmax(nc.layer == min(k, int(nc.layer.max(initial=0)))))
-        return first, 0.0 if required.is_empty else float("inf")
-    if border.is_empty:
+        return first, 0.0 if not len(wanted) else float("inf")
+    if allowed.is_empty:
         return int(rows[0]), float("inf")
     owner, at = nc.samples(rows, STEP_MM)
-    away = _distances(at, border)
-    wanted = shapely.get_coordinates(shapely.segmentize(required, STEP_MM))
+    away = _distances(at, allowed)
     missed = _distances(wanted, _path(nc, rows, owner, at))
     worst, farthest = int(np.argmax(away)), int(np.argmax(missed)) if missed.size else -1
     if farthest < 0 or missed[farthest] <= away[worst]:
@@ -63,15 +62,22 @@ def _layer(
 
 def _borders(
     polygons: list[shapely.Polygon], offset_mm: float, narrow_mm: float
-) -> tuple[BaseGeometry, BaseGeometry]:
-    """Borders on which the path may lie, and those of them that it must follow: no narrow ring's."""
+) -> tuple[BaseGeometry, Floats]:
+    """Borders on which the path may lie, and the places (n, 2) where it must pass.
+
+    It may keep the narrow rings or leave them out, and must pass where the border is there either way.
+    """
+    border = inset(layer_section(polygons), offset_mm).boundary
+    places = shapely.get_coordinates(shapely.segmentize(border, STEP_MM))
     wide = [_without_narrow_holes(p, narrow_mm) for p in polygons if _width_mm(p.exterior) >= narrow_mm]
-    required = inset(layer_section(wide), offset_mm).boundary
     if len(wide) == len(polygons) and all(
         len(p.interiors) == len(q.interiors) for p, q in zip(polygons, wide, strict=True)
     ):
-        return required, required
-    return shapely.union(inset(layer_section(polygons), offset_mm).boundary, required), required
+        return border, places
+    plain = inset(layer_section(wide), offset_mm).boundary
+    if plain.is_empty or not len(places):
+        return shapely.union(border, plain), places[:0]
+    return shapely.union(border, plain), places[_distances(places, plain) <= narrow_mm]
 
 
 def _without_narrow_holes(polygon: shapely.Polygon, narrow_mm: float) -> shapely.Polygon:

@@ -29,7 +29,11 @@ MOST_PLANES = 12
 STEP_SHARE = 1e-3
 """Share of the area that may change over the rounding of a height; more is a step that rounding has moved."""
 
+DEPTH_SHARE = 0.02
+"""Depth is found to a hundredth of this share of the bound: a loss of a hundredth of the bound must show."""
+
 HEIGHT_DIGITS = 9
+"""Significant digits of the heights that baselines keep."""
 
 MEASURED, REFUSED = "measured", "refused"
 
@@ -142,15 +146,14 @@ def measure_outcome(truth: Truth, outcome: Outcome) -> Measured:
     """
     if outcome.layers is None:
         return Measured(outcome.failure, outcome.why)
-    compared = _comparable(truth, outcome)
-    columns = _columns(truth, outcome, outcome.layers, compared)
-    error = outcome.layers.areas() - truth.layers.areas()
+    compared = np.flatnonzero(_comparable(truth, outcome))
+    layers, exact = outcome.layers.take(compared), truth.layers.take(compared)
+    columns = {"layer": compared.tolist(), **_columns(exact, truth.allowance_mm[compared], outcome, layers)}
+    error = (layers.areas() - exact.areas())[truth.uniform[compared]]
     whole = {
-        "volume_error_mm3": rounded(
-            abs(float(error[truth.uniform & compared].sum())) * truth.layer_height_mm
-        ),
+        "volume_error_mm3": rounded(abs(float(error.sum())) * truth.layer_height_mm),
         "bound_mm": rounded(outcome.error_bound_mm, decimals=None),
-        "not_compared_layers": float((~compared).sum()),
+        "not_compared_layers": float(len(truth.heights) - len(compared)),
     }
     return Measured(MEASURED, "", {**summarised(columns), **whole}, columns)
 
@@ -161,37 +164,33 @@ def _comparable(truth: Truth, outcome: Outcome) -> Bools:
     return np.asarray(layer_classes(truth.part, truth.heights, outcome.height_bound_mm) == GENERIC)
 
 
-def _columns(truth: Truth, outcome: Outcome, layers: Layers, compared: Bools) -> dict[str, list[Any]]:
+def _columns(exact: Layers, allowance_mm: Floats, outcome: Outcome, layers: Layers) -> dict[str, list[Any]]:
     """Columns of the layers compared, rounded as baselines keep them."""
-    # A limit of zero asks for the finest depth: a loss of a hundredth of a bound must show.
-    figures, (x0, y0) = measure_stacks([truth.layers, layers], [Pair(0, 1, 0.0, True, False)])
+    pair = Pair(0, 1, DEPTH_SHARE * outcome.error_bound_mm, True, False)
+    figures, (x0, y0) = measure_stacks([exact, layers], [pair])
     depth, x, y, ab, ba = (
         figures[0][:, Figures._fields.index(name)]
         for name in ("depth", "depth_x", "depth_y", "hausdorff_ab", "hausdorff_ba")
     )
     hausdorff = np.maximum(ab, ba)
-    beyond = np.maximum(depth - truth.allowance_mm - outcome.error_bound_mm, 0.0)
     columns: dict[str, NDArray[Any]] = {
         "depth_mm": depth,
         "hausdorff_mm": np.where(np.isfinite(hausdorff), hausdorff, 0.0),
-        "area_error_mm2": layers.areas() - truth.layers.areas(),
-        "ring_mismatch": layers.ring_counts() - truth.layers.ring_counts(),
-        "hole_mismatch": layers.hole_counts() - truth.layers.hole_counts(),
-        "empty_mismatch": (layers.ring_counts() > 0) ^ (truth.layers.ring_counts() > 0),
+        "area_error_mm2": layers.areas() - exact.areas(),
+        "ring_mismatch": layers.ring_counts() - exact.ring_counts(),
+        "hole_mismatch": layers.hole_counts() - exact.hole_counts(),
+        "empty_mismatch": (layers.ring_counts() > 0) ^ (exact.ring_counts() > 0),
         "open_paths": layers.open_counts(),
-        "beyond_bound_mm": beyond,
+        "beyond_bound_mm": np.maximum(depth - allowance_mm - outcome.error_bound_mm, 0.0),
     }
     found: dict[str, list[Any]] = {
-        "layer": np.flatnonzero(compared).tolist(),
-        "z_mm": [rounded(z, HEIGHT_DIGITS, None) for z in truth.heights[compared].tolist()],
-        "x_mm": [_place(v) for v in (x + x0)[compared].tolist()],
-        "y_mm": [_place(v) for v in (y + y0)[compared].tolist()],
+        "z_mm": [rounded(z, HEIGHT_DIGITS, None) for z in exact.heights.tolist()],
+        "x_mm": [_place(v) for v in (x + x0).tolist()],
+        "y_mm": [_place(v) for v in (y + y0).tolist()],
     }
     for name, column in columns.items():
-        kept = column[compared]
-        found[name] = (
-            kept.astype(int).tolist() if kept.dtype.kind in "biu" else [rounded(v) for v in kept.tolist()]
-        )
+        whole = column.dtype.kind in "biu"
+        found[name] = column.astype(int).tolist() if whole else [rounded(v) for v in column.tolist()]
     return found
 
 

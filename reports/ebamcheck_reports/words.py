@@ -54,8 +54,13 @@ CAUSES = {
     "non-manifold edge": "more than two facets meet at an edge at this place",
     "inconsistent orientation": "facets at this place face opposite ways",
     "overlapping shells": "bodies of the mesh overlap at this place",
+    "self-intersection": "the surface of the part crosses itself at this place",
+    "touching shells": "bodies of the mesh touch at this place",
+    "open surface": "the mesh is open, so that inside and outside are not certain here",
     "open path": "a contour at this place does not close",
     "thin feature": "the part is thinner here than the methods can tell apart",
+    "thin gap": "a gap is narrower here than the methods can tell apart",
+    "shallow slope": "the surface is nearly level here, so that a small error in height moves the contour far",
     "unknown": "no flaw of the mesh is near; the fault is likely in the method named",
 }
 

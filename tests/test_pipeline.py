@@ -1,0 +1,357 @@
+"""The main job from part to validated program: what it makes, and what becomes of it when something goes wrong."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+
+import numpy as np
+import psutil
+import pytest
+from command_line import FAST, command, ebamcheck, frame, write_stl
+from parts import box, join, moved, sphere
+
+from ebamcheck.config import Config
+from ebamcheck.errors import ExitCode, InputError, SettingsError
+from ebamcheck.part import from_arrays
+from ebamcheck.pipeline import run_job
+from ebamcheck.pipeline.verify import verify_against_part, verify_run
+from ebamcheck.store import RunFolder, sha256_of_file
+
+SETTINGS = Config().changed(layers={"layer_height_mm": 6.0}, slicing={"backends": tuple(FAST.split(","))})
+
+
+class Listener:
+    """Keeps what a run says."""
+
+    def __init__(self):
+        self.notes, self.stages = [], []
+
+    def stage(self, name, total):
+        self.stages.append(name)
+
+    def advance(self, steps):
+        pass
+
+    def note(self, text):
+        self.notes.append(text)
+
+
+def gates(result):
+    return {gate.name: gate.passed for gate in result.gates}
+
+
+def untimed(folder):
+    manifest = json.loads((folder / "run.json").read_text())
+    manifest.pop("timings")
+    return manifest
+
+
+def contents(folder):
+    """Bytes of every file that is a function of part and settings alone."""
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.suffix in (".parquet", ".csv", ".MPF", ".SPF") and path.name != "summary.csv"
+    }
+
+
+@pytest.fixture(scope="module")
+def plate(tmp_path_factory):
+    """A finished run with every backend there is, of a plate with a hole."""
+    folder = tmp_path_factory.mktemp("plate")
+    path = write_stl(frame(), folder / "frame.stl")
+    settings = Config().changed(layers={"layer_height_mm": 6.0})
+    return run_job(path, folder / "frame.run", settings), path
+
+
+@pytest.fixture
+def copy(plate, tmp_path):
+    """A copy of the finished run, to spoil."""
+    return shutil.copytree(plate[0].folder.path, tmp_path / "copy.run")
+
+
+def test_a_plate_with_a_hole_is_validated(plate):
+    result, path = plate
+    assert result.exit_code is ExitCode.PASS
+    assert set(gates(result)) == {"input", "agreement", "fit", "coverage", "program"}
+    assert all(gates(result).values())
+    manifest = result.folder.manifest()
+    assert manifest["part"]["sha256"] == sha256_of_file(path)
+    assert manifest["program"]["validated"] is True
+    for name, backend in manifest["backends"].items():
+        assert backend["status"] == "done", (name, backend["why"])
+        assert result.folder.read_layers(name).areas() == pytest.approx([1376.0] * 2, abs=1.5)
+        assert backend["rings"] == 4
+    assert all(pair["agree"] == pair["gated"] == 2 for pair in manifest["comparison"]["pairs"])
+
+
+def test_the_record_names_every_file_and_its_hash(plate):
+    folder = plate[0].folder.path
+    files = plate[0].folder.manifest()["files"]
+    assert set(contents(folder)) == set(files)
+    for name, recorded in files.items():
+        assert sha256_of_file(folder / name) == recorded, name
+    assert {f"program/{f['name']}" for f in plate[0].manifest["program"]["files"]} < set(files)
+    assert not list(folder.parent.glob(".*"))
+
+
+def test_a_sphere_is_validated(tmp_path):
+    result = run_job(write_stl(sphere(20.0), tmp_path / "ball.stl"), tmp_path / "ball.run", SETTINGS)
+    assert result.exit_code is ExitCode.PASS, gates(result)
+    heights = result.folder.read_layers("planecut").heights
+    circles = np.pi * (400.0 - heights**2)
+    assert result.folder.read_layers("planecut").areas() == pytest.approx(circles, rel=0.01)
+
+
+def test_runs_differ_in_timings_alone(tmp_path):
+    write_stl(sphere(12.0, 12, 24), tmp_path / "ball.stl")
+    (tmp_path / "ebamcheck.toml").write_text(f"slicing.backends = {FAST.split(',')}")
+    for threads in ("1", "2"):
+        done = ebamcheck("run", "ball.stl", "-o", threads, cwd=tmp_path, EBAMCHECK_THREADS=threads)
+        assert done.returncode == 0, done.stdout + done.stderr
+    assert contents(tmp_path / "1") == contents(tmp_path / "2")
+    assert untimed(tmp_path / "1") == untimed(tmp_path / "2")
+
+
+@pytest.mark.slow
+def test_all_backends_give_the_same_bytes_again(tmp_path):
+    write_stl(sphere(12.0, 12, 24), tmp_path / "ball.stl")
+    for threads in ("1", "2"):
+        done = ebamcheck("run", "ball.stl", "-o", threads, cwd=tmp_path, EBAMCHECK_THREADS=threads)
+        assert done.returncode == 0, done.stdout + done.stderr
+    assert contents(tmp_path / "1") == contents(tmp_path / "2")
+    assert untimed(tmp_path / "1") == untimed(tmp_path / "2")
+
+
+def test_a_killed_run_goes_on_to_the_same_result(tmp_path):
+    write_stl(frame(), tmp_path / "frame.stl")
+    (tmp_path / "ebamcheck.toml").write_text(
+        f"slicing.backends = {FAST.split(',')}\nlayers.layer_height_mm = 6.0"
+    )
+    first = subprocess.Popen(command("run", "frame.stl", "-o", "a.run"), cwd=tmp_path)
+    unfinished = tmp_path / ".a.run.unfinished" / "layers"
+    while not list(unfinished.glob("*.parquet")):
+        assert first.poll() is None
+    first.kill()
+    first.wait()
+    assert not (tmp_path / "a.run").exists()
+    second = ebamcheck("run", "frame.stl", "-o", "a.run", "--resume", cwd=tmp_path)
+    assert second.returncode == 0, second.stderr
+    assert "layers of the former run are kept" in second.stderr
+    run_job(tmp_path / "frame.stl", tmp_path / "b.run", SETTINGS)
+    assert contents(tmp_path / "a.run") == contents(tmp_path / "b.run")
+    assert untimed(tmp_path / "a.run") == untimed(tmp_path / "b.run")
+    assert not unfinished.exists()
+
+
+def test_a_killed_backend_is_told_and_the_others_are_whole(plate, tmp_path):
+    path = plate[1]
+    run = subprocess.Popen(
+        command("run", path, "--layer-height", 6, "-o", "k.run"),
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    victims = []
+    while not victims:
+        assert run.poll() is None
+        victims = [
+            p
+            for p in psutil.Process(run.pid).children()
+            if p.cmdline()[1:4] == ["-m", "ebamcheck.isolate", "embree"]
+        ]
+    victims[0].kill()
+    text = run.communicate()[0]
+    assert run.returncode == 0
+    assert "3 methods agree on 2 of 2 layers; lost: embree killed" in text
+    manifest = untimed(tmp_path / "k.run")
+    assert manifest["backends"]["embree"]["status"] == "killed"
+    assert "SIGKILL" in manifest["backends"]["embree"]["why"]
+    whole = contents(plate[0].folder.path)
+    for name in ("planecut", "stencil", "manifold"):
+        if manifest["backends"][name]["status"] == "done":
+            assert (tmp_path / "k.run" / "layers" / f"{name}.parquet").read_bytes() == whole[
+                f"layers/{name}.parquet"
+            ]
+    assert {n: b for n, b in contents(tmp_path / "k.run").items() if n.startswith("program/")} == {
+        n: b for n, b in whole.items() if n.startswith("program/")
+    }
+
+
+def test_of_two_methods_one_fails(tmp_path):
+    path = write_stl(from_arrays(frame().vertices, frame().faces[:-1], "open"), tmp_path / "open.stl")
+    listener = Listener()
+    result = run_job(path, tmp_path / "open.run", SETTINGS, observer=listener)
+    assert result.exit_code is ExitCode.OUT_OF_TOLERANCE
+    assert (gates(result)["input"], gates(result)["agreement"]) == (False, False)
+    manifest = result.folder.manifest()
+    assert manifest["backends"]["manifold"]["status"] == "refused"
+    assert manifest["backends"]["planecut"]["open_paths"] > 0
+    assert "open" in manifest["gates"][0]["text"]
+    assert any("manifold refused" in note for note in listener.notes)
+    assert "NOT VALIDATED" in (result.folder.program_folder / "MAIN.MPF").read_text()
+
+
+def test_inside_out_is_named_and_turned_over_when_asked(tmp_path):
+    path = write_stl(from_arrays(frame().vertices, frame().faces[:, ::-1], "in"), tmp_path / "in.stl")
+    result = run_job(path, tmp_path / "in.run", SETTINGS)
+    assert result.exit_code is ExitCode.OUT_OF_TOLERANCE
+    assert "inside-out" in result.manifest["gates"][0]["text"]
+    assert result.manifest["comparison"]["verdicts"] == {"empty": 2}
+    listener = Listener()
+    mended = run_job(
+        path, tmp_path / "in.run", SETTINGS.changed(part={"fix_orientation": True}), observer=listener
+    )
+    assert mended.exit_code is ExitCode.PASS
+    assert listener.notes == ["32 of 32 facets were turned over (fix_orientation)"]
+
+
+@pytest.mark.parametrize(
+    ("part", "layers", "areas"),
+    [
+        (box((0, 0, 0), (30, 2, 8)), {"layer_height_mm": 6.0}, [60.0]),  # thinner than a bead
+        (box((0, 0, 0), (30, 30, 1)), {"layer_height_mm": 6.0}, [900.0]),  # one layer
+        (box((0, 0, 0), (30, 30, 9)), {"heights_mm": (1.0, 2.5, 8.9)}, [900.0] * 3),  # listed heights
+        (moved(frame(), shift=(1e6, 1e6, 0)), {"layer_height_mm": 6.0}, [1376.0] * 2),  # far away
+        (moved(frame(), np.eye(3) * 0.05 / 40), {"layer_height_mm": 0.01}, [1376.0 * 0.05**2 / 1600] * 2),  # tiny
+        (join(box((0, 0, 0), (20, 20, 5)), box((0, 0, 13), (20, 20, 18))), {"layer_height_mm": 6.0}, [400, 0, 400]),
+    ],
+    ids=["thin", "one-layer", "listed", "far", "tiny", "gap"],
+)  # fmt: skip
+@pytest.mark.filterwarnings("ignore:.*check the unit")
+def test_parts_at_the_edge(tmp_path, part, layers, areas):
+    path = write_stl(part, tmp_path / "part.stl")
+    wide = {"travel_max_mm": (2e6, 2e6, 1500.0)}
+    result = run_job(
+        path,
+        tmp_path / "part.run",
+        SETTINGS.changed(layers=layers | {"layer_height_mm": layers.get("layer_height_mm")}, machine=wide),
+    )
+    assert result.folder.read_layers("planecut").areas() == pytest.approx(areas, rel=1e-4)
+    assert result.exit_code is ExitCode.PASS, [gate.text for gate in result.gates]
+
+
+def test_units_and_direction(tmp_path):
+    path = write_stl(moved(frame(), np.eye(3) * 1e-3), tmp_path / "metres.stl")
+    for direction, areas in (
+        ((0, 0, -1), [1376.0] * 2),
+        ((1, 0, 0), [480.0, 480.0, 12.0 * 24, 12.0 * 24, 480, 480, 480]),
+    ):
+        settings = SETTINGS.changed(part={"units": "m", "direction": direction})
+        result = run_job(path, tmp_path / "m.run", settings)
+        assert result.folder.read_layers("planecut").areas() == pytest.approx(areas, rel=1e-4)
+        assert gates(result)["agreement"]
+        assert result.manifest["part"]["direction"] == list(direction)
+
+
+def test_heights_beside_the_part_compare_nothing(tmp_path):
+    path = write_stl(frame(), tmp_path / "frame.stl")
+    result = run_job(path, tmp_path / "a.run", SETTINGS.changed(layers={"heights_mm": (100.0, 200.0)}))
+    assert result.exit_code is ExitCode.NOTHING_COMPARED
+    with pytest.raises(SettingsError, match="must rise"):
+        run_job(path, tmp_path / "a.run", SETTINGS.changed(layers={"heights_mm": (2.0, 1.0)}))
+
+
+def test_a_report_writer_that_raises_is_a_note(tmp_path, monkeypatch):
+    (tmp_path / "raising_writer.py").write_text("def write(run):\n    raise OSError('no ink')\n")
+    info = tmp_path / "raising_writer-1.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: raising-writer\nVersion: 1\n")
+    (info / "entry_points.txt").write_text("[ebamcheck.reports]\nraising = raising_writer:write\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    listener = Listener()
+    result = run_job(write_stl(frame(), tmp_path / "f.stl"), tmp_path / "f.run", SETTINGS, observer=listener)
+    assert result.exit_code is ExitCode.PASS
+    assert listener.notes == ["report writer 'raising' failed: OSError: no ink"]
+
+
+def test_an_untouched_run_verifies(plate):
+    checks = verify_run(plate[0].folder.path, plate[1])
+    assert all(check.passed for check in checks)
+    assert {"settings unchanged", "part unchanged", "file unchanged", "gate program"} <= {
+        c.name for c in checks
+    }
+
+
+@pytest.mark.parametrize(
+    "name", ["program/MAIN.MPF", "program/MAIN_L0002.SPF", "layers/planecut.parquet", "scan.csv"]
+)
+def test_verify_finds_one_changed_byte(copy, name):
+    data = bytearray((copy / name).read_bytes())
+    data[len(data) // 2] ^= 1
+    (copy / name).write_bytes(data)
+    assert [c.where for c in verify_run(copy) if not c.passed] == [name]
+
+
+def test_verify_finds_other_settings_a_lost_file_and_another_part(copy, plate):
+    write_stl(box(), copy / "other.stl")
+    assert [c.name for c in verify_run(copy, copy / "other.stl") if not c.passed] == ["part unchanged"]
+    os.remove(copy / "beads.parquet")
+    assert [(c.where, c.text) for c in verify_run(copy) if not c.passed] == [
+        ("beads.parquet", "the file is missing")
+    ]
+    record = json.loads((copy / "run.json").read_text())
+    record["settings"]["process"]["bead_width_mm"] = 7.0
+    (copy / "run.json").write_text(json.dumps(record))
+    assert "settings unchanged" in [c.name for c in verify_run(copy) if not c.passed]
+    del record["files"]
+    (copy / "run.json").write_text(json.dumps(record))
+    with pytest.raises(InputError, match=r"run\.json: is not whole: KeyError at 'files'"):
+        verify_run(copy)
+
+
+def test_verify_a_program_against_a_part_finds_a_moved_hole(plate, tmp_path):
+    settings = Config().changed(layers={"layer_height_mm": 6.0})
+    program = plate[0].folder.program_folder / "MAIN.MPF"
+    assert all(check.passed for check in verify_against_part(program, plate[1], settings))
+    shifted = frame().vertices.copy()
+    inner = (shifted[:, 0] > 1) & (shifted[:, 0] < 39)
+    shifted[inner, 0] += 1.0
+    other = write_stl(from_arrays(shifted, frame().faces, "moved"), tmp_path / "moved.stl")
+    assert not all(check.passed for check in verify_against_part(program, other, settings))
+
+
+def test_settings_and_part_change_the_fingerprint(tmp_path, monkeypatch):
+    """What a killed run left is not taken up by a run of something else."""
+    from ebamcheck.pipeline import job
+
+    seen = []
+
+    class Enough(Exception):
+        pass
+
+    def stop(target, fingerprint, resume):
+        seen.append(fingerprint)
+        raise Enough
+
+    monkeypatch.setattr(job, "start_run", stop)
+    one, other = write_stl(frame(), tmp_path / "a.stl"), write_stl(box(), tmp_path / "b.stl")
+    for path, settings, reference in [
+        (one, SETTINGS, None),
+        (one, SETTINGS, None),
+        (one, SETTINGS.changed(scan={"seed": 1}), None),
+        (one, SETTINGS.changed(slicing={"settings": {"planecut": {"overlaps": "keep"}}}), None),
+        (one, SETTINGS, one),
+        (other, SETTINGS, None),
+    ]:
+        with pytest.raises(Enough):
+            run_job(path, tmp_path / "x.run", settings, reference)
+    assert seen[0] == seen[1]
+    assert len(set(seen)) == 5
+
+
+def test_the_folder_is_free_again_after_a_failure(tmp_path, monkeypatch):
+    from ebamcheck.pipeline import job
+
+    def fail(*_):
+        raise RuntimeError("on the way")
+
+    path = write_stl(frame(), tmp_path / "a.stl")
+    with monkeypatch.context() as patch:
+        patch.setattr(job, "slice_all", fail)
+        with pytest.raises(RuntimeError, match="on the way"):
+            run_job(path, tmp_path / "a.run", SETTINGS)
+    assert run_job(path, tmp_path / "a.run", SETTINGS, resume=True).folder == RunFolder(tmp_path / "a.run")
