@@ -163,10 +163,11 @@ def run(
     as_json: JsonOption = False,
 ) -> ExitCode:
     """Slice, cross-check, fit, partition, order, write the NC program, verify it and report."""
+    from ebamcheck.machines import for_this_machine
     from ebamcheck.pipeline import run_job
     from ebamcheck.progress import watched
 
-    settings = _settings(config, units, direction, layer_height)
+    settings = for_this_machine(_settings(config, units, direction, layer_height))
     if backends:
         settings = settings.changed(slicing={"backends": _names(backends)})
     if fix_orientation:

@@ -258,6 +258,39 @@ class MaterialSettings(Section):
     """Density of the wire, for its mass."""
 
 
+class RegressionSettings(Section):
+    """Regression reports (`ebamcheck regress`)."""
+
+    baselines: str = ""
+    """Folder of the baselines; empty: reports/baselines of the checkout in which the command runs."""
+    history: str = ""
+    """SQLite file of the history; empty: history.sqlite in the output folder."""
+    tolerances: dict[str, dict[str, Any]] = {}
+    """What may grow by how much: metrics.NAME and backends.BACKEND.NAME, each with absolute and relative."""
+
+
+class MachineChoice(Section):
+    """The slicers of one machine, as `ebamcheck select --write` chose them."""
+
+    primary: str = ""
+    """Whose contours go on to fitting and the program."""
+    required: tuple[str, ...] = ()
+    """A run on this machine ends with exit code 4 where one of these is not available."""
+    provenance: dict[str, Any] = {}
+    """What the choice rests on: part, settings, versions and figures of every backend."""
+
+
+class MachineSections(Section):
+    """Slicers by machine, [machines.NAME]; a run takes those of its own machine (EBAMCHECK_MACHINE, else the host)."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, MachineChoice] = Field(init=False)
+
+    def of(self, machine: str) -> MachineChoice | None:
+        """Return the choice of a machine, or None."""
+        return (self.model_extra or {}).get(machine)
+
+
 class Config(Section):
     """All settings of a run."""
 
@@ -270,6 +303,8 @@ class Config(Section):
     machine: MachineSettings = MachineSettings()
     process: ProcessSettings = ProcessSettings()
     material: MaterialSettings = MaterialSettings()
+    regression: RegressionSettings = RegressionSettings()
+    machines: MachineSections = MachineSections()
 
     @property
     def layer_height_mm(self) -> float:

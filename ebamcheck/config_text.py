@@ -33,6 +33,9 @@ def as_toml(config: Config) -> str:
                 lines.append(f"# {key} =")
             else:
                 lines.append(f"{key} = {_value(value)}")
+        if section.model_extra:
+            named = {key: table.model_dump(mode="json") for key, table in section.model_extra.items()}
+            tables += tomlkit.dumps({name: named}).removeprefix(f"[{name}]\n").splitlines()
         lines += ["", *tables]
     return "\n".join(lines)
 

@@ -27,6 +27,9 @@ from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
 
 _IMPORT = re.compile(rb"^(?:from|import)\s+([\w.]+)(?:\s+import\s+(\([^)]*\)|[^\n]*))?", re.MULTILINE)
 _NAME = re.compile(rb"\w+")
+UNREADABLE = (OSError, EOFError, ValueError, pickle.UnpicklingError)
+"""A file that raises one of these counts as absent: the kernel is compiled, and written over it."""
+
 OUR_PACKAGES = "ebamcheck"
 """Packages whose name begins so, and the kernel's own package, may hold kernels and constants that it sees."""
 
@@ -57,10 +60,14 @@ class _SharedFile(IndexDataCacheFile):
             super().save(key, data)  # type: ignore[no-untyped-call]
 
     def load(self, key: Any) -> Any:
-        # A file that cannot be read counts as absent: the kernel is compiled, and written over it.
-        with contextlib.suppress(OSError, EOFError, pickle.UnpicklingError), self._locked(fcntl.LOCK_SH):
+        with contextlib.suppress(*UNREADABLE), self._locked(fcntl.LOCK_SH):
             return super().load(key)  # type: ignore[no-untyped-call]
         return None
+
+    def _load_index(self) -> dict[Any, str]:
+        with contextlib.suppress(*UNREADABLE):
+            return dict(super()._load_index())  # type: ignore[no-untyped-call]
+        return {}
 
     @contextlib.contextmanager
     def _locked(self, kind: int) -> Iterator[None]:

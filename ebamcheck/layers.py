@@ -153,7 +153,11 @@ class Layers:
         return range(int(self.layer_starts[layer]), int(self.layer_starts[layer + 1]))
 
     def polygons(self, layer: int) -> list[shapely.Polygon]:
-        """Solid regions of a layer as valid shapely polygons, holes included; open paths bound none."""
+        """Solid regions of a layer as valid shapely polygons, holes included; open paths bound none.
+
+        An outer ring is solid inside if it and the rings around it wind more than 0 times: where rounding has put an
+        outer ring into a hole with the same outline, there is nothing.
+        """
         holes: dict[int, list[Floats]] = {}
         for r in self.rings_of(layer):
             if self.ring_areas[r] < 0 and self.parents[r] >= 0:
@@ -161,9 +165,17 @@ class Layers:
         found = [
             shapely.Polygon(self.ring(r), holes.get(r, []))
             for r in self.rings_of(layer)
-            if self.ring_areas[r] > 0
+            if self.ring_areas[r] > 0 and self._winding_inside(r) > 0
         ]
         return [part for polygon in found for part in valid_polygons(polygon)]
+
+    def _winding_inside(self, r: int) -> int:
+        """Winding number just inside ring `r`, by the directions of the rings around it."""
+        winding = 0
+        while r >= 0:
+            winding += 1 if self.ring_areas[r] > 0 else -1
+            r = int(self.parents[r])
+        return winding
 
     def take(self, layers: ArrayLike) -> Layers:
         """Select layers by index, in the order given (repeats allowed)."""

@@ -166,3 +166,39 @@ def _pair_around(
             paired[i] = paired[k] = True
             result[fan[i]] = fan[k]
             result[fan[k]] = fan[i]
+
+
+@kernel
+def split_corners(faces: NDArray[np.int32], twin: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Number the corners of facets (F, 3) so that two share a number only where neighbours by `twin` do.
+
+    Bodies that touch along an edge or at a vertex come apart: each gets vertices of its own at the same places.
+    Neighbours that run the same way along their edge are left apart.
+    """
+    count = 3 * faces.shape[0]
+    root = np.arange(count)
+    for h in range(count):
+        g = twin[h]
+        if g < h or faces[h // 3, h % 3] == faces[g // 3, g % 3]:
+            continue
+        after_h, after_g = 3 * (h // 3) + (h % 3 + 1) % 3, 3 * (g // 3) + (g % 3 + 1) % 3
+        for side in range(2):
+            a, b = (h, after_g) if side == 0 else (after_h, g)
+            while root[a] != a:
+                root[a] = root[root[a]]
+                a = root[a]
+            while root[b] != b:
+                root[b] = root[root[b]]
+                b = root[b]
+            root[max(a, b)] = min(a, b)
+    label = np.full(count, -1, np.int32)
+    corners = 0
+    for c in range(count):
+        r = c
+        while root[r] != r:
+            r = root[r]
+        if label[r] < 0:
+            label[r] = corners
+            corners += 1
+        label[c] = label[r]
+    return label.reshape(-1, 3)

@@ -255,7 +255,6 @@ def test_the_oracle_keeps_the_laws(name):
     assert total == six / 6
 
 
-@pytest.mark.xfail(reason="Layers.polygons loses a hole whose outline is that of its outer ring", strict=True)
 def test_polygons_of_an_outline_and_the_same_hole():
     """Torus with an 8-gon for a circle, cut at its lowest vertices, z = -1.7798653643474056: area 0, one disc."""
     part = SOLIDS["torus"]

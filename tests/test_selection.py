@@ -9,11 +9,11 @@ import tomlkit
 from hypothesis import given
 from hypothesis import strategies as st
 from parts import box
-from pydantic import Field
 
-from ebamcheck.config import Config, Section, load_config
+from ebamcheck.config import Config, MachineChoice, load_config
+from ebamcheck.config_text import as_toml
 from ebamcheck.errors import BackendMissing, ExitCode, SettingsError
-from ebamcheck.machines import MACHINE_VARIABLE, MachineChoice, for_this_machine, machine_name
+from ebamcheck.machines import MACHINE_VARIABLE, for_this_machine, machine_name
 from ebamcheck.model import models
 from ebamcheck.pipeline import run_job
 from ebamcheck.selection import (
@@ -207,12 +207,8 @@ def test_a_file_that_cannot_take_the_section_is_left_as_it_is(tmp_path, text):
 # -- the run that obeys ----------------------------------------------------------------------------------
 
 
-class WithMachines(Config):
-    machines: dict[str, MachineChoice] = Field(default_factory=dict)
-
-
 def settings_of(machines: dict) -> Config:
-    return WithMachines.model_validate({"machines": machines, "slicing": {"required": ["manifold"]}})
+    return Config.model_validate({"machines": machines, "slicing": {"required": ["manifold"]}})
 
 
 def test_the_section_of_this_machine_is_in_force_and_no_other(monkeypatch):
@@ -221,8 +217,9 @@ def test_the_section_of_this_machine_is_in_force_and_no_other(monkeypatch):
     obeyed = for_this_machine(settings_of({"bench-7": choice, "other": {"primary": "stencil"}}))
     assert obeyed.slicing.primary == "planecut"
     assert obeyed.slicing.required == ("manifold", "planecut")
-    untouched = settings_of({"other": choice})
-    assert for_this_machine(untouched) is untouched
+    untouched = for_this_machine(settings_of({"other": choice}))
+    assert untouched == for_this_machine(settings_of({}))  # what others use does not show in a run's settings
+    assert untouched.slicing.required == ("manifold",)
     assert for_this_machine(Config()) == Config()
 
 
@@ -244,6 +241,15 @@ def test_a_run_ends_with_code_4_where_this_machine_lacks_what_it_requires(tmp_pa
     assert not (tmp_path / "run").exists()
 
 
-def test_the_choice_is_a_section_of_settings():
-    assert issubclass(MachineChoice, Section)
-    assert load_config().slicing == Config().slicing
+def test_what_is_written_is_what_a_run_reads_and_config_shows(tmp_path, monkeypatch):
+    monkeypatch.setenv(MACHINE_VARIABLE, "bench-7")
+    path = tmp_path / "ebamcheck.toml"
+    path.write_text(USER_FILE)
+    write(path)
+    assert for_this_machine(load_config(path)).slicing.primary == "sound"
+    shown = tmp_path / "shown.toml"
+    shown.write_text(as_toml(load_config(path)))
+    assert load_config(shown) == load_config(path)
+    path.write_text(path.read_text().replace("required = [", "requird = ["))
+    with pytest.raises(SettingsError, match="requird"):
+        load_config(path)

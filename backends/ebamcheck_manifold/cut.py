@@ -13,6 +13,7 @@ from ebamcheck.backend import BackendSettings, CoplanarRule, Probe, Progress
 from ebamcheck.errors import BackendFailed
 from ebamcheck.layers import Layers, canonical
 from ebamcheck.part import Part
+from ebamcheck.topology import edge_groups, split_corners, twins
 from ebamcheck_manifold.changes import doubtful_regions
 from ebamcheck_manifold.placement import Floats, Placement, exact_placement
 
@@ -130,8 +131,8 @@ def build(part: Part, placement: Placement) -> Manifold:
     """Build the manifold of a part; raises :class:`BackendFailed` where manifold3d refuses it."""
     from manifold3d import Error, Manifold, Mesh64
 
-    faces = _facets_with_three_vertices(part.faces)
-    mesh = Mesh64(placement.apply(part.vertices), np.ascontiguousarray(faces, dtype=np.uint64))
+    vertices, faces = _with_bodies_apart(part.vertices, _facets_with_three_vertices(part.faces))
+    mesh = Mesh64(placement.apply(vertices), np.ascontiguousarray(faces, dtype=np.uint64))
     manifold = Manifold(mesh)
     status = manifold.status()
     if status != Error.NoError:
@@ -142,6 +143,23 @@ def build(part: Part, placement: Placement) -> Manifold:
             "mend the mesh or slice it with another backend"
         )
     return manifold
+
+
+def _with_bodies_apart(
+    vertices: NDArray[np.float64], faces: NDArray[np.int32]
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Give bodies that touch along an edge vertices of their own; a mesh without such edges stays as it is.
+
+    manifold3d would pair the four facets at such an edge in its own way, and cut another body than the one given.
+    """
+    groups = edge_groups(faces, len(vertices))
+    sizes = np.diff(groups.starts)
+    if not (sizes > 2).any() or (sizes % 2).any():
+        return vertices, faces
+    corners = split_corners(faces, twins(vertices, faces, groups.half_edges, groups.starts))
+    source = np.empty(int(corners.max()) + 1, np.int32)
+    source[corners.ravel()] = faces.ravel()
+    return vertices[source], corners
 
 
 def unpaired_edges(faces: NDArray[np.int32]) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -15,7 +16,9 @@ from ebamcheck_stencil import opengl
 from ebamcheck_stencil.draw_once import draw_crossings
 from ebamcheck_stencil.drawn_once import DrawnOnce
 from ebamcheck_stencil.field_of_view import SUBPIXELS, WORD_BITS, FieldOfView, field_of_view
-from ebamcheck_stencil.openings import capped
+from ebamcheck_stencil.openings import border, capped
+
+log = logging.getLogger(__name__)
 
 CONTOUR_REACH_PX = math.sqrt(10.0) / 4.0
 """Farthest that a point of a marching-squares cell lies from the nearest pixel centre of its own side.
@@ -132,6 +135,7 @@ class Stencil:
             if checked.mode == "literal" and len(part.faces):
                 from ebamcheck_stencil.literal import LiteralSlices
 
+                _warn_of_openings(part)
                 return LiteralSlices(context, part, view, largest_px, labels)
             buffer_bytes = min(found.buffer_bytes, int(checked.buffer_mb * 2**20))
             crossings = draw_crossings(context, part, view, largest_px, buffer_bytes)
@@ -144,6 +148,20 @@ class Stencil:
             raise
         context.release()
         return DrawnOnce(view, crossings, labels)
+
+
+def _warn_of_openings(part: Part) -> None:
+    """Say that the literal mode counts wrong where a ray leaves through a hole: it caps none, as the paper does not."""
+    edges = len(
+        border(np.unique(part.vertices + 0.0, axis=0, return_inverse=True)[1].reshape(-1)[part.faces])
+    )
+    if edges:
+        log.warning(
+            "stencil: part %r has %d open or turned edges: in literal mode rays through them are counted as they are, "
+            "and contours may be missing or false",
+            part.name,
+            edges,
+        )
 
 
 def _checked(settings: BackendSettings) -> Settings:

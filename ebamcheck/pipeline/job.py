@@ -82,6 +82,8 @@ def run_job(
     job = Job(config, observer, part, found, heights, start_run(Path(target), fingerprint, resume))
     try:
         return _run(job, backends, fine, resume)
+    except OSError as error:
+        raise SettingsError(f"{job.folder.path}: cannot be written: {error.strerror or error}") from error
     finally:
         job.folder.release()
 
@@ -91,7 +93,7 @@ def run_job(
 
 def _run(job: Job, backends: Mapping[str, BackendSettings], fine: Part | None, resume: bool) -> RunResult:
     """All stages from slicing to the finished folder."""
-    outcomes = _slice(job, backends, resume)
+    outcomes = _slice(job, backends, resume) | _unavailable(job.config)
     stacks = {n: o.layers for n, o in outcomes.items() if o.layers is not None}
     comparison = _compare(job, stacks, outcomes)
     shut = [gates.input_gate(job.found), gates.agreement_gate(comparison, outcomes, len(job.heights))]
@@ -158,6 +160,20 @@ def _backends(config: Config, observer: Observer) -> list[str]:
     if not usable:
         raise BackendMissing("no backend is available: see `ebamcheck backends` for the reasons")
     return usable
+
+
+def _unavailable(config: Config) -> dict[str, Outcome]:
+    """The backends that would have run if this machine had what they need."""
+    if config.slicing.backends:
+        return {}
+    probes = {name: registry.probe(name) for name in registry.slicers()}
+    return {
+        name: Outcome(
+            name, "unavailable", f"{probe.why}{f'; {probe.hint}' if probe.hint else ''}", probe=probe
+        )
+        for name, probe in probes.items()
+        if not probe.available
+    }
 
 
 def _slice(job: Job, backends: Mapping[str, BackendSettings], resume: bool) -> dict[str, Outcome]:

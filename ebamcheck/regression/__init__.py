@@ -5,12 +5,11 @@ from __future__ import annotations
 from ebamcheck.regression.baselines import UpdateMode
 from ebamcheck.regression.job import Regression, run_regression
 from ebamcheck.regression.measurement import Measured, Truth, measure_outcome, truth_of
-from ebamcheck.regression.settings import RegressionSettings, Tolerance, Tolerances
+from ebamcheck.regression.settings import Tolerance, Tolerances
 
 __all__ = [
     "Measured",
     "Regression",
-    "RegressionSettings",
     "Tolerance",
     "Tolerances",
     "Truth",

@@ -8,13 +8,14 @@ from typing import Annotated
 import typer
 
 from ebamcheck.atomic_file import replacing
+from ebamcheck.config import load_config
 from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.regression.baselines import UpdateMode, strict_json
 from ebamcheck.regression.history import HISTORY, record
 from ebamcheck.regression.job import Regression, accepted, default_baselines, run_regression, updated
 from ebamcheck.regression.junit import write_junit
 from ebamcheck.regression.page import write_page
-from ebamcheck.regression.settings import RegressionSettings, checked, read_tolerances, read_toml
+from ebamcheck.regression.settings import Tolerances, checked, read_tolerances
 
 RESULTS, TIMINGS = "results.json", "timings.json"
 
@@ -54,10 +55,15 @@ def regress(
     Writes results.json, junit.xml and regress.html, the same bytes for the same figures; timings.json holds all
     timings, history.sqlite the results over time.
     """
-    settings = read_settings(config)
+    path = config or (DEFAULT_CONFIG if DEFAULT_CONFIG.is_file() else None)
+    settings = load_config(path).regression
     if update_baseline not in ("", "failed", "all"):
         raise SettingsError(f"--update-baseline {update_baseline!r}: give failed or all")
-    table = settings.tolerances if tolerances is None else read_tolerances(tolerances)
+    table = (
+        checked(Tolerances, settings.tolerances, f"{path}: regression.tolerances")
+        if tolerances is None
+        else read_tolerances(tolerances)
+    )
     found = run_regression(
         default_baselines(baselines, settings.baselines),
         _names(models),
@@ -74,17 +80,6 @@ def regress(
     if not as_json:
         typer.echo(f"\nbaselines written: {', '.join(map(str, changed)) or 'none, nothing changed'}")
     return accepted(found).exit_code
-
-
-def read_settings(config: Path | None) -> RegressionSettings:
-    """Table ``[regression]`` of a settings file, or of ``ebamcheck.toml`` where there is one."""
-    path = config or (DEFAULT_CONFIG if DEFAULT_CONFIG.is_file() else None)
-    if path is None:
-        return RegressionSettings()
-    values = read_toml(path)
-    if path.name == "pyproject.toml":
-        values = values.get("tool", {}).get("ebamcheck", {})
-    return checked(RegressionSettings, values.get("regression", {}), path)
 
 
 def summary(found: Regression) -> list[str]:

@@ -1,4 +1,4 @@
-"""Settings of the regression reports: where baselines and history lie, and what change each metric may take."""
+"""What change each metric may take."""
 
 from __future__ import annotations
 
@@ -77,16 +77,6 @@ class Tolerances(Section):
         return own.get(metric) or self.metrics.get(metric) or default_tolerance(metric)
 
 
-class RegressionSettings(Section):
-    """Regression reports (`ebamcheck regress`)."""
-
-    baselines: str = ""
-    """Folder of the baselines; empty: reports/baselines of the checkout in which the command runs."""
-    history: str = ""
-    """SQLite file of the history; empty: history.sqlite in the output folder."""
-    tolerances: Tolerances = Tolerances()
-
-
 def read_tolerances(path: Path) -> Tolerances:
     """Read a tolerance table, TOML with ``[metrics.NAME]`` and ``[backends.BACKEND.NAME]``.
 
@@ -108,7 +98,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise SettingsError(f"{path}: is not TOML: {error}") from None
 
 
-def checked(kind: type[_Kind], values: Mapping[str, Any], where: Path) -> _Kind:
+def checked(kind: type[_Kind], values: Mapping[str, Any], where: Path | str) -> _Kind:
     """Check a table against its model, naming the first key that is wrong."""
     try:
         return kind.model_validate(values)

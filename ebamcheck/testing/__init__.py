@@ -21,7 +21,8 @@ protocol
 promise
     With r = ``error_bound_mm``: the exact section eroded by r lies in the result, and the result in the
     section dilated by r, on solids, on walls, slits, posts, pores and wedges about as thin as r, and on the
-    reference models. A bound more than three times the worst case found is idle, and fails as well.
+    reference models. A bound more than three times the worst case found is idle, and fails as well. Round
+    sections lie to no side, topology is right, and an exact slicer's points lie on the exact contours.
 rules
     Planes through vertices and faces, overlapping shells and open surfaces, as the class declares them.
 laws

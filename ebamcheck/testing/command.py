@@ -17,7 +17,7 @@ from ebamcheck.testing.conformance import conform, markdown_table
 def conform_command(
     names: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[NAME]...", help="Backends; default: all that this machine can run."),
+        typer.Argument(metavar="NAME", help="Backends; default: all that this machine can run."),
     ] = None,
     models: Annotated[
         str | None, typer.Option(help="Reference models, as a,b; default: all installed; none for none.")

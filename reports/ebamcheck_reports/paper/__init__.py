@@ -1,0 +1,8 @@
+"""``ebamcheck paper``: the paper's figures and numbers, made again on stand-in parts and set beside its own.
+
+The paper: "Slicing Algorithm and Partition Scanning Strategy for 3D Printing Based on GPU Parallel Computing".
+"""
+
+from ebamcheck_reports.paper.command import paper
+
+__all__ = ["paper"]

@@ -1,0 +1,340 @@
+"""The sections of the page, each from its part of the record."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ebamcheck_reports.charts import Series
+from ebamcheck_reports.figures import duration, number, percent
+from ebamcheck_reports.markup import (
+    Markup,
+    cell,
+    element,
+    facts,
+    figure,
+    join,
+    paragraph,
+    picture,
+    section,
+    table,
+)
+from ebamcheck_reports.paper import published
+from ebamcheck_reports.paper.log_chart import log_chart
+
+Record = Mapping[str, Any]
+
+REDUCTIONS = (("range", "range"), ("max", "maximum"), ("rms", "RMS"), ("mean_abs", "mean absolute"))
+"""Figures whose reductions are told, each by its name."""
+
+
+# -- Figure 9 --------------------------------------------------------------------------------------
+
+
+def timing(title: str, record: Record) -> Markup:
+    """Times over the sizes, drawn and as a table, and what differs from the paper."""
+    given, sizes = record["paper"], record["sizes"]
+    names = list(sizes[0]["times"])
+    done = [n for n in names if any(s["times"][n]["status"] == "done" for s in sizes)]
+    facets = [s["facets"] for s in sizes]
+    chart = log_chart(
+        [Series(n, facets, [number(s["times"][n]["total_s"]) for s in sizes]) for n in done],
+        Series("the paper's last model, on its machine", [given["facets"]], [given["seconds_in_text"]]),
+        "facets",
+        "seconds for all layers",
+    )
+    layers = sizes[0]["layers"]
+    return section(
+        "timing",
+        title,
+        f"One part, {record['summary']}, tessellated at the paper's tolerances and cut into {layers} layers of 0.2 mm. Times are of "
+        "preparing the mesh in memory and slicing it, without reading the file.",
+        picture(
+            chart, "Both axes are logarithmic. The cross is the one time that the paper gives in figures."
+        ),
+        _times(names, sizes),
+        _how_timed(record, sizes),
+        _differences(record),
+    )
+
+
+def _times(names: Sequence[str], sizes: Sequence[Record]) -> Markup:
+    columns = ("tolerance, mm", "facets", "MB", *(f"{n}, s" for n in names))
+    rows = []
+    for size in sizes:
+        times = [_time(size["times"][name]) for name in names]
+        rows.append([figure(size["tolerance_mm"]), figure(size["facets"]), figure(size["size_mb"], text=f"{size['size_mb']:.2f}"), *times])  # fmt: skip
+    return table(columns, rows, numbers=columns)
+
+
+def _time(found: Record) -> Markup:
+    if found["status"] != "done":
+        return join([found["status"]])
+    return figure(found["total_s"], text=duration(found["total_s"]).removesuffix(" s"))
+
+
+def _how_timed(record: Record, sizes: Sequence[Record]) -> Markup:
+    """Say how many layers each time rests on, and on what it ran."""
+    last = sizes[-1]
+    rows = []
+    for name, device in record["devices"].items():
+        found = last["times"][name]
+        if found["status"] != "done":
+            rows.append([name, device, join([found["status"], ": ", found["why"]]), "", ""])
+            continue
+        scaled = f"{found['layers']} of {last['layers']} layers"
+        scaled += ", scaled to all" if found["layers"] < last["layers"] else ", nothing scaled"
+        rows.append([name, device, scaled, figure(found["prepare_s"], "s"), figure(found["slice_s"], "s")])
+    return join(
+        [
+            element("h3", f"How the times of the largest file ({last['facets']} facets) were taken"),
+            table(
+                ("method", "runs on", "measured", "preparing", "slicing what was measured"),
+                rows,
+                numbers=("preparing", "slicing what was measured"),
+            ),
+            paragraph(
+                "“stencil, literal” is the paper's method: every facet is drawn for each layer, at 0.1 mm a pixel. It is always measured on "
+                "a sample of layers, evenly spread. One run each, after a warm-up."
+            ),
+        ]
+    )
+
+
+def _differences(record: Record) -> Markup:
+    given = record["paper"]
+    tolerances = ", ".join(f"{t:g}" for t in given["tolerances_mm"])
+    items = (
+        join(
+            [
+                "The paper's ", figure(given["seconds"], "s"), " (abstract; ", figure(given["seconds_in_text"], "s"), " in section 5.1) are for ",
+                figure(given["facets"]), " facets and ", figure(given["layers"]), f" layers on an {given['device']}.",
+            ]
+        ),
+        "That part is not published; this one has the same layers and about the same file sizes, but another section.",
+        join(
+            [
+                f"Its tolerances are printed as {tolerances} mm for files of ", figure(given["sizes_mb"][0], "MB"), " to ",
+                figure(given["sizes_mb"][-1], "MB"),
+                ": 0.4 and 0.8 stand in swapped places, since the sizes rise all the way. Here 0.8 comes before 0.4.",
+            ]
+        ),
+        "Whether the paper's time holds the reading of the file, or the contours, is not said.",
+    )  # fmt: skip
+    return join(
+        [element("h3", "Why the times are not comparable"), element("ul", *(element("li", i) for i in items))]
+    )
+
+
+# -- Figures 3 to 8 --------------------------------------------------------------------------------
+
+
+def bitmap(title: str, record: Record, pictures: Sequence[Markup]) -> Markup:
+    """Image and contours of one layer."""
+    found = record["bitmap"]
+    what = (
+        "One layer drawn by the paper's stencil method at its pixel (0.1 mm), and the contours that marching squares finds in the image. "
+        "Good is a contour within the declared bound of the exact section."
+    )
+    if found["status"] != "done":
+        why = paragraph(f"The image could not be drawn: {found['why']}", class_="note warn")
+        return section("bitmap", title, what, why)
+    return section(
+        "bitmap",
+        title,
+        what,
+        facts(
+            [
+                ("layer", _layer(found)),
+                ("image", join([figure(found["width_px"]), " × ", figure(found["height_px"]), " pixels"])),
+                ("black pixels", figure(found["black_px"])),
+                ("area of the black pixels", figure(found["black_area_mm2"], "mm²")),
+                ("area within the contours", figure(found["contour_area_mm2"], "mm²")),
+                ("exact area of the mesh's section", figure(found["exact_area_mm2"], "mm²")),
+                ("contours", figure(found["rings"])),
+                ("points of contours / exact section", join([figure(found["points"]), " / ", figure(found["exact_points"])])),
+                ("depth of the difference", figure(found["depth_mm"], "mm")),
+                ("declared bound", figure(found["bound_mm"], "mm")),
+            ]
+        ),
+        picture(
+            element("div", *pictures, class_="beside"),
+            "Left: the binary image, black where the ray of the pixel is in the part (Figure 3), with its contours in orange (Figure 5). "
+            "Right: its leftmost place enlarged, pixel centres as dots and the contour between them (Figure 4).",
+        ),
+    )  # fmt: skip
+
+
+def corners(title: str, record: Record, pictures: Sequence[Markup]) -> Markup:
+    """Parts of the contours of one layer."""
+    found = record["corners"]
+    return section(
+        "corners",
+        title,
+        "A contour splits where the angle between two segments is under 140°, and at the ends of straight runs; what is curved becomes "
+        "one spline. (That straight runs end a curve is ebamcheck's reading of the paper's “straight-line part and curved part”.)",
+        facts(
+            [
+                ("layer", _layer(found)),
+                ("curve parts here", figure(found["curve_parts"])),
+                (f"curve parts in the paper (layer {published.CURVE_LAYER})", published.CURVE_PARTS),
+                ("straight parts", figure(found["straight_parts"])),
+                ("places where two parts meet", figure(found["splits"])),
+                ("points of the contours", figure(found["points"])),
+                ("blocks of NC program", figure(found["blocks"])),
+                ("greatest distance of curve and contour", figure(found["deviation_mm"], "mm")),
+            ]
+        ),
+        picture(
+            pictures[0], "Straight and curved parts of the layer. A closed curve without a split is one part."
+        ),
+        *pictures[1:],
+    )
+
+
+def partition(title: str, record: Record, pictures: Sequence[Markup]) -> Markup:
+    """Hexagons of the largest layer."""
+    found = record["partition"]
+    case = {
+        "odd": "odd: as many hexagons along L1",
+        "even": "even: one more, so that n is odd",
+        "none": "no solid that can be divided",
+    }[found["case"]]
+    count = join([figure(found["n"]), " × ", figure(found["rows"])])
+    return section(
+        "partition",
+        title,
+        "The layer of the greatest area, divided by the paper's rule: enclosing rectangle among ten rotations (equation 11), n hexagons of "
+        "side d along its short side L1, √3 d apart, and rows of them along L2.",
+        facts(
+            [
+                ("layer", _layer(found)),
+                ("short side L1", figure(found["L1_mm"], "mm")),
+                ("long side L2", figure(found["L2_mm"], "mm")),
+                ("direction of L1", figure(found["angle_deg"], "°")),
+                ("side d (planned from area and bead)", figure(found["d_mm"], "mm")),
+                ("round(L1 / d) + 1", join([figure(found["rounded"]), ", ", case])),
+                ("n × rows laid over the rectangle", count),
+                ("hexagons that hold metal, slivers merged", figure(found["hexagons"])),
+                ("islands, thin walls included", figure(found["islands"])),
+                ("order", f"{found['order']}: nearest to any processed centroid (section 4.2)"),
+                ("covered by beads", figure(found["covered_fraction"], text=percent(found["covered_fraction"]))),
+            ]
+        ),
+        *pictures[:1],
+        picture(pictures[1], "Islands in the colour and number of their order, from a random (seeded) first one."),
+        paragraph(
+            "The rule of the text contradicts the aim of the paper's conclusion: the island nearest to those processed is a neighbour that "
+            "is still hot, while the conclusion wants a long time between neighbours.",
+            class_="note warn",
+        ),
+    )  # fmt: skip
+
+
+def _layer(found: Record) -> Markup:
+    return join([figure(found["layer"]), " (counted from 0), z = ", figure(found["height_mm"], "mm")])
+
+
+# -- Figures 10 and 11 -----------------------------------------------------------------------------
+
+
+def polar(title: str, record: Record, pictures: Sequence[Markup]) -> Markup:
+    """Error ranges and reductions: the paper's, and those of each model."""
+    return section(
+        "polar",
+        title,
+        "How far the contour of a medium mesh lies from that of a fine one, measured along rays from the centre of the enveloping rectangle, "
+        "and how far the fitted curve does. Good is a fit with less error than the polyline that it was made from.",
+        element("h3", "The paper's own figures"),
+        _published(record["paper"]),
+        element("h3", f"Here: tolerance {record['medium_mm']:g} mm against {record['fine_mm']:g} mm"),
+        _errors(record["models"]),
+        element("h3", "Reduction of the error by the fit, each figure named"),
+        _reductions(record),
+        _finding(record["models"]),
+        *([picture(pictures[0], "As Figure 10: the place of the greatest polar error on the middle layer of the first model, enlarged."),
+           picture(pictures[1], "As Figure 11: polar errors of the outer contour of that layer, fit as written in the paper.")] if pictures else []),
+    )  # fmt: skip
+
+
+def _published(given: Record) -> Markup:
+    rows = [
+        ["sliced polyline", *map(figure, given["polyline_mm"]), figure(given["range_mm"][0]), figure(given["max_mm"][0])],
+        ["fitted curve", *map(figure, given["fit_mm"]), figure(given["range_mm"][1]), figure(given["max_mm"][1])],
+        ["reduction", *(_percent(given["reductions"][key]) for key in ("low_end", "high_end", "range", "max"))],
+    ]  # fmt: skip
+    columns = ("", "least, mm", "greatest, mm", "range, mm", "maximum, mm")
+    claimed = given["claimed_reduction"]
+    return join(
+        [
+            table(columns, rows, class_="narrow", numbers=columns),
+            paragraph(
+                "The paper calls the reduction ", figure(claimed, text=f"{100 * claimed:.1f} %"), " without saying of what. Its ranges do not "
+                "by themselves give that: none of these four does, and it publishes neither RMS nor mean.",
+                class_="note warn",
+            ),
+        ]
+    )  # fmt: skip
+
+
+def _errors(models: Sequence[Record]) -> Markup:
+    columns = ("model", "facets", "measured", "polar least, mm", "polar greatest, mm", "polar RMS, mm",
+               "polar mean abs., mm", "normal RMS, mm")  # fmt: skip
+    rows = []
+    for row in models:
+        stages = [("sliced polyline", row["polyline"]), *((f"fit {n}", f) for n, f in row["fits"].items())]
+        for k, (stage, found) in enumerate(stages):
+            polar_error = [
+                figure(found["polar"][key]) for key in ("low_mm", "high_mm", "rms_mm", "mean_abs_mm")
+            ]
+            first = (row["model"], figure(row["facets"])) if k == 0 else ("", "")
+            cells = [*first, stage, *polar_error, figure(found["normal"]["rms_mm"])]
+            rows.append(element("tr", *(cell(value) for value in cells)))
+    return table(columns, rows, numbers=(columns[1], *columns[3:]))
+
+
+def _reductions(record: Record) -> Markup:
+    columns = ("", "fit", "error", *(name for _, name in REDUCTIONS))
+    given = record["paper"]["reductions"]
+    rows: list[list[Any]] = [
+        ["the paper's bunny", "as written in the paper", "polar", _percent(given["range"]), _percent(given["max"]), "not given", "not given"]
+    ]  # fmt: skip
+    for row in record["models"]:
+        for name, found in row["fits"].items():
+            for kind, values in found["reductions"].items():
+                rows.append([row["model"], name, kind, *(_percent(values[key]) for key, _ in REDUCTIONS)])
+    rings = ", ".join(f"{r['polar_rings']} of {r['layers']} layers of {r['model']}" for r in record["models"])
+    return join(
+        [
+            table(columns, rows, numbers=columns[3:]),
+            paragraph(
+                f"Negative: the fit has more error. The polar error is defined where every ray meets a contour once: {rings} (outer rings). "
+                "The normal distance is defined everywhere, holes included.",
+                class_="small",
+            ),
+        ]
+    )
+
+
+def _finding(models: Sequence[Record]) -> Markup:
+    """What was found, in one sentence that holds for the figures above it."""
+    rms, most = (_extent(models, key) for key in ("rms", "max"))
+    return paragraph(
+        f"Found: on these models the paper's fit changes the RMS normal error by {rms} and the greatest one by {most} (a reduction is "
+        "positive). Nearly all points that it goes through are crossings of the plane with edges of the mesh: they lie on chords of the true "
+        "surface, not on it. A curve through points that are in error keeps their error, and removes only the chords between them; how much "
+        "that is worth depends on the mesh more than on the fit.",
+        class_="note warn",
+    )
+
+
+def _extent(models: Sequence[Record], key: str) -> str:
+    """Least and greatest reduction of the normal error by the fit as written, over all models."""
+    found = [number(next(iter(row["fits"].values()))["reductions"]["normal"][key]) for row in models]
+    known = [value for value in found if math.isfinite(value)]
+    return f"{percent(min(known))} to {percent(max(known))}" if known else "an undefined amount"
+
+
+def _percent(value: Any) -> Markup:
+    return figure(value, text=percent(value))

@@ -1,0 +1,102 @@
+"""The part on which Figures 3 to 8 are shown, cut as the paper cuts its bunny."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ebamcheck.errors import GeometryError
+from ebamcheck.heights import layer_heights
+from ebamcheck.layers import Layers
+from ebamcheck.mesh_files import load
+from ebamcheck.model import models
+from ebamcheck.part import Part
+from ebamcheck.slicing import slice_part
+from ebamcheck_reports.paper.published import CURVE_LAYER, LAYER_HEIGHT_MM
+
+STAND_IN, STAND_IN_TOLERANCE_MM = "blade", 0.05
+"""Model shown where no mesh is given, and how near its mesh comes to it."""
+
+AREA_STEP = 8
+"""Every how manieth layer is looked at for the greatest section."""
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """A part and two of its layers.
+
+    Parameters
+    ----------
+    part
+        The part.
+    about
+        What it is, in a sentence.
+    count
+        Layers of 0.2 mm that it has.
+    layer, section
+        Layer shown in Figures 3 to 7, counted from 0, and its exact contours.
+    largest_layer, largest_section
+        Layer of the greatest area, for the partition, and its exact contours.
+    """
+
+    part: Part
+    about: str
+    count: int
+    layer: int
+    section: Layers
+    largest_layer: int
+    largest_section: Layers
+
+    @property
+    def height_mm(self) -> float:
+        """Height of the layer shown."""
+        return float(self.section.heights[0])
+
+
+def find_subject(path: Path | None, units: str) -> Subject:
+    """Load the mesh given, or make the stand-in, and choose its layers.
+
+    Raises
+    ------
+    InputError
+        If the mesh cannot be read.
+    GeometryError
+        If the layers hold no closed contour.
+    """
+    if path is None:
+        part = models([STAND_IN])[STAND_IN].tessellate(STAND_IN_TOLERANCE_MM)
+        about = f"The reference model {STAND_IN!r} stands in for the Stanford bunny, which is not shipped; its middle layer is shown."
+        return _cut(part, about, None)
+    part = load(path, units)
+    return _cut(part, f"The mesh given: {path.name}.", CURVE_LAYER)
+
+
+def _cut(part: Part, about: str, wanted: int | None) -> Subject:
+    """Cut the layer wanted, the middle one where there are not so many, and the largest of a sample."""
+    heights = layer_heights(part, LAYER_HEIGHT_MM)
+    middle = len(heights) // 2
+    layer = wanted if wanted is not None and wanted < len(heights) else middle
+    if wanted is not None and layer != wanted:
+        about += f" It has {len(heights)} layers, no layer {wanted}: the middle one is shown."
+    sampled = np.unique([layer, *range(0, len(heights), AREA_STEP)])
+    stack = slice_part(part, heights[sampled])
+    largest = int(np.argmax(stack.areas()))
+    if not stack.areas()[largest] > 0.0:
+        raise GeometryError(
+            f"{part.name}: none of {len(sampled)} layers has a closed contour: check its unit and `ebamcheck inspect`"
+        )
+    shown = int(np.searchsorted(sampled, layer))
+    if not stack.areas()[shown] > 0.0:
+        about += f" Layer {layer} is empty: that of the greatest area is shown."
+        shown = largest
+    return Subject(
+        part,
+        about,
+        len(heights),
+        int(sampled[shown]),
+        stack.take(np.array([shown])),
+        int(sampled[largest]),
+        stack.take(np.array([largest])),
+    )

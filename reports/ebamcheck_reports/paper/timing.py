@@ -1,0 +1,144 @@
+"""Figure 9: time of slicing over the eleven sizes of one part."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ebamcheck import registry
+from ebamcheck.errors import EbamcheckError
+from ebamcheck.heights import layer_heights
+from ebamcheck.model import models
+from ebamcheck.part import Part
+from ebamcheck.rings import Floats
+from ebamcheck_reports.paper import published
+from ebamcheck_reports.paper.effort import Effort, Note
+
+LADDER = "ladder"
+"""The model that stands in for the paper's part: the same layers and about the same file sizes."""
+
+STENCIL = "stencil"
+LITERAL = "stencil, literal"
+"""The paper's own method: every facet is drawn for each layer."""
+
+STL_HEADER_BYTES, STL_FACET_BYTES = 84, 50
+"""Binary STL: header and count, and each facet."""
+
+WARM_LAYERS = 3
+"""Layers cut before the clock starts, so that no time holds the compiling of a kernel or the start of a driver."""
+
+
+class Method(NamedTuple):
+    """One row of the table of times."""
+
+    name: str
+    backend: str
+    settings: Mapping[str, Any]
+
+
+def methods() -> list[Method]:
+    """Every installed backend, the paper's own method first."""
+    found = [Method(name, name, {}) for name in registry.slicers()]
+    if STENCIL in registry.slicers():
+        literal = {"mode": "literal", "pixel_mm": published.PIXEL_MM}
+        found = [m if m.backend != STENCIL else Method("stencil, draw-once", STENCIL, {}) for m in found]
+        found.insert(0, Method(LITERAL, STENCIL, literal))
+    return found
+
+
+def measure(effort: Effort, note: Note) -> dict[str, Any]:
+    """Tessellate the stand-in at each tolerance and time every available backend on it."""
+    model = models([LADDER])[LADDER]
+    tried = methods()
+    sizes = []
+    _warm(model.tessellate(published.TOLERANCES_MM[0]), tried)
+    for tolerance_mm in effort.tolerances_mm:
+        part = model.tessellate(tolerance_mm)
+        heights = layer_heights(part, published.LAYER_HEIGHT_MM)
+        note(f"slicing times: tolerance {tolerance_mm:g} mm, {len(part.faces)} facets")
+        sizes.append(
+            {
+                "tolerance_mm": tolerance_mm,
+                "facets": len(part.faces),
+                "size_mb": (STL_HEADER_BYTES + STL_FACET_BYTES * len(part.faces)) / 2**20,
+                "layers": len(heights),
+                "times": {m.name: timed(part, heights, m, effort) for m in tried},
+            }
+        )
+    return {
+        "model": model.name,
+        "summary": model.summary,
+        "layer_step": effort.layer_step,
+        "devices": {m.name: _device(m) for m in tried},
+        "sizes": sizes,
+        "paper": {
+            "seconds": published.SLICING_S,
+            "seconds_in_text": published.SLICING_TEXT_S,
+            "facets": published.FACETS,
+            "layers": published.LAYERS,
+            "device": published.DEVICE,
+            "tolerances_mm": list(published.TOLERANCES_MM),
+            "sizes_mb": list(published.SIZES_MB),
+        },
+    }
+
+
+def timed(part: Part, heights: Floats, method: Method, effort: Effort) -> dict[str, Any]:
+    """Time one method on one part; a time of fewer layers is scaled to all of them, preparing apart.
+
+    Returns
+    -------
+    ``status`` ("done", "unavailable" or "failed"), ``why``, ``prepare_s``, ``slice_s``, ``layers`` cut, and
+    ``total_s``: ``prepare_s`` and ``slice_s`` times all layers over those cut.
+    """
+    if method.name == LITERAL:
+        places = np.linspace(0, len(heights) - 1, min(effort.literal_layers, len(heights)))
+        chosen = heights[np.unique(places.astype(np.int64))]
+    else:
+        chosen = heights[effort.layer_step // 2 :: effort.layer_step]
+    if not registry.probe(method.backend).available:
+        return _untimed("unavailable", registry.probe(method.backend).why)
+    try:
+        prepare_s, slice_s = _clocked(part, chosen, method)
+    except EbamcheckError as error:
+        return _untimed("failed", str(error))
+    return {
+        "status": "done",
+        "why": "",
+        "prepare_s": prepare_s,
+        "slice_s": slice_s,
+        "layers": len(chosen),
+        "total_s": prepare_s + slice_s * (len(heights) / len(chosen)),
+    }
+
+
+def _clocked(part: Part, heights: Floats, method: Method) -> tuple[float, float]:
+    """Seconds of preparing and of slicing."""
+    settings = registry.slicer_settings(method.backend, method.settings)
+    start = time.perf_counter()
+    with registry.available_slicer(method.backend).prepare(part, settings) as prepared:
+        ready = time.perf_counter()
+        prepared.slice(heights)
+        return ready - start, time.perf_counter() - ready
+
+
+def _untimed(status: str, why: str) -> dict[str, Any]:
+    return {"status": status, "why": why, "prepare_s": None, "slice_s": None, "layers": 0, "total_s": None}
+
+
+def _warm(part: Part, tried: Sequence[Method]) -> None:
+    few = np.linspace(part.bounds[0, 2], part.bounds[1, 2], WARM_LAYERS + 2)[1:-1]
+    for method in tried:
+        if registry.probe(method.backend).available:
+            try:
+                _clocked(part, few, method)
+            except EbamcheckError:
+                continue  # told where it is timed
+
+
+def _device(method: Method) -> str:
+    found = registry.probe(method.backend)
+    return found.device if found.available else found.why

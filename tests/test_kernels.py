@@ -1,0 +1,101 @@
+"""Kernels on disk: compiled once, followed by their sources, and never in the way."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from ebamcheck import kernels
+from ebamcheck.errors import SettingsError
+
+CALLER = """
+from ebamcheck.kernels import kernel
+from stamped.callee import step
+from stamped.constants import SCALE
+
+@kernel
+def scaled(x: float) -> float:
+    return SCALE * step(x)
+"""
+CALLEE = """
+from ebamcheck.kernels import kernel
+
+@kernel
+def step(x: float) -> float:
+    return x + {step}
+"""
+ASK = "from stamped.caller import scaled as f; print(f(1.0), sum(f.stats.cache_hits.values()), f._cache.cache_path)"
+
+
+@pytest.fixture
+def package(tmp_path):
+    folder = tmp_path / "stamped"
+    folder.mkdir()
+    (folder / "__init__.py").write_text("")
+    (folder / "caller.py").write_text(CALLER)
+    (folder / "callee.py").write_text(CALLEE.format(step=1))
+    (folder / "constants.py").write_text("SCALE = 10.0\n")
+    return folder
+
+
+def ask(package, **environment):
+    """Value, whether it was compiled before, and the cache's folder, as a new process finds them."""
+    done = subprocess.run(
+        [sys.executable, "-c", ASK],
+        env={**os.environ, "PYTHONPATH": str(package.parent), "PYTHONDONTWRITEBYTECODE": "1", **environment},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    value, hits, folder = done.stdout.split()
+    return float(value), int(hits) > 0, folder
+
+
+def test_a_change_anywhere_below_compiles_anew(package):
+    assert ask(package)[:2] == (20.0, False)
+    assert ask(package)[:2] == (20.0, True)
+    (package / "callee.py").write_text(CALLEE.format(step=2))
+    assert ask(package)[:2] == (30.0, False)
+    (package / "constants.py").write_text("SCALE = 20.0\n")
+    assert ask(package)[:2] == (60.0, False)
+    (package / "unrelated.py").write_text("SCALE = 30.0\n")
+    assert ask(package)[:2] == (60.0, True)
+
+
+def test_a_spoilt_file_is_compiled_anew(package):
+    folder = ask(package)[2]
+    for name in os.listdir(folder):
+        if name.startswith("caller.scaled"):
+            with open(os.path.join(folder, name), "wb"):
+                pass
+    assert ask(package)[:2] == (20.0, False)
+    assert ask(package)[:2] == (20.0, True)
+
+
+def test_kernels_find_a_place_where_neither_code_nor_home_can_be_written(package, tmp_path):
+    (tmp_path / "temporary").mkdir()
+    (package / "__pycache__").write_text("a file where the folder would be")
+    blocked = {"HOME": os.devnull, "XDG_CACHE_HOME": os.devnull, "TMPDIR": str(tmp_path / "temporary")}
+    value, _, folder = ask(package, **blocked)
+    assert (value, folder.startswith(str(tmp_path / "temporary" / "ebamcheck-kernels-"))) == (20.0, True)
+    assert ask(package, **blocked)[1]
+    (tmp_path / "temporary" / f"ebamcheck-kernels-{os.getuid()}").chmod(0o777)
+    assert ask(package, **blocked)[1:] == (False, "None")
+
+
+@pytest.mark.parametrize("text", ["0", "-1", "many", "1.5"])
+def test_a_wrong_number_of_threads_is_told(monkeypatch, text):
+    monkeypatch.setenv("EBAMCHECK_THREADS", text)
+    with pytest.raises(SettingsError, match=f"EBAMCHECK_THREADS='{text}'"):
+        kernels.thread_count()
+
+
+@pytest.mark.parametrize("threads", ["1", "3"])
+def test_blocks_cover_the_range_in_order(monkeypatch, threads):
+    monkeypatch.setenv("EBAMCHECK_THREADS", threads)
+    for count in (0, 1, 7, 1000):
+        blocks = kernels.run_blocks(lambda a, b: list(range(a, b)), count)
+        assert [i for block in blocks for i in block] == list(range(count))
