@@ -7,6 +7,8 @@ import io
 import json
 import math
 import re
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -127,7 +129,8 @@ def test_the_table_at_the_top_says_what_the_record_says(made: Reproduction) -> N
     assert rows["Figure 9"]["comparable"] == "no"
     assert "89 s" in rows["Figure 9"]["paper"]
     assert "89.99 s" in rows["Figure 9"]["paper"]
-    assert f"{made.record['corners']['curve_parts']} curve parts" in rows["Figure 7"]["ours"]
+    for found in made.record["corners"]["layers"]:
+        assert f"layer {found['layer']}: {found['curve_parts']} curve parts" in rows["Figure 7"]["ours"]
     assert f"n = {made.record['partition']['n']}" in rows["Figure 8"]["ours"]
     assert "swapped" in rows["Section 5.1"]["why"]
 
@@ -344,3 +347,8 @@ def test_decades_are_equally_wide_on_logarithmic_axes() -> None:
     assert float(ticks["100"].get("x", "")) == pytest.approx(places[1][0], abs=0.1)
     assert places[1][1] > places[0][1]
     assert "There is nothing to draw" in log_chart([], Series("b", [0.0], [1.0]), "x", "y")
+
+
+def test_the_command_line_does_not_pay_for_this_command_until_it_runs() -> None:
+    code = "import sys, ebamcheck_reports.paper; sys.exit('numpy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

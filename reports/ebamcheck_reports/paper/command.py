@@ -25,7 +25,7 @@ def paper(
         str, typer.Option(help="Unit of that file: mm, cm, m, um, in, ft. Never guessed.")
     ] = "mm",
     full: Annotated[
-        bool, typer.Option("--full", help="All eleven sizes and all 4488 layers; many minutes and gigabytes.")
+        bool, typer.Option("--full", help="All eleven sizes and all 4488 layers: some ten minutes, 7 GB.")
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print paper.json instead of a table.")] = False,
 ) -> ExitCode:
@@ -45,8 +45,8 @@ def paper(
 
 def summary(record: Mapping[str, Any], folder: Path) -> str:
     """The table at the top of the page, for the terminal."""
-    from ebamcheck.tables import text_table
-
-    rows = [[r["figure"], r["paper"], r["ours"], r["comparable"]] for r in record["comparison"]]
-    table = text_table(["paper", "its value", "ours", "comparable"], rows)
-    return f"{table}\n\npage: {folder / 'paper.html'}"
+    blocks = [
+        f"{row['figure']}\n  the paper    {row['paper']}\n  ours         {row['ours']}\n  comparable   {row['comparable']}: {row['why']}"
+        for row in record["comparison"]
+    ]
+    return "\n\n".join([*blocks, f"page: {folder / 'paper.html'}"])

@@ -7,6 +7,7 @@ from typing import Any
 
 from ebamcheck_reports.figures import counted, duration, percent, shown
 from ebamcheck_reports.paper import published
+from ebamcheck_reports.paper.timing import LITERAL
 
 YES, PARTLY, NO = "yes", "partly", "no"
 
@@ -34,19 +35,20 @@ def _bitmap(record: Mapping[str, Any]) -> tuple[str, ...]:
         "pixel 0.1 mm, layer 0.2 mm; pictures only",
         ours,
         PARTLY,
-        "Method, pixel and layer are the paper's; the part is not, and the paper gives no accuracy to compare with.",
+        "Method, pixel and layer height are the paper's; its mesh is not published, and it gives no accuracy to compare with.",
     )
 
 
 def _corners(record: Mapping[str, Any]) -> tuple[str, ...]:
-    found = record["corners"]
+    layers = record["corners"]["layers"]
+    ours = "; ".join(
+        f"layer {f['layer']}: {counted(f['curve_parts'], 'curve part')}, {counted(f['straight_parts'], 'straight part')}"
+        for f in layers
+    )
     return (
         "Figure 7: split at 140°",
         f"{published.CURVE_PARTS} curve parts in layer {published.CURVE_LAYER} of the bunny",
-        (
-            f"{counted(found['curve_parts'], 'curve part')}, {counted(found['straight_parts'], 'straight part')} in layer "
-            f"{found['layer']} of {record['subject']['part']}"
-        ),
+        f"{record['subject']['part']}, {ours}",
         PARTLY,
         (
             "The rule is the paper's. The count is a property of the part, and of size, pose and mesh of the bunny, which the paper does "
@@ -65,12 +67,13 @@ def _partition(record: Mapping[str, Any]) -> tuple[str, ...]:
             f"n = {found['n']}: {counted(found['hexagons'], 'hexagon')}"
         ),
         PARTLY,
-        "Rectangle, rule and order are the paper's; part and side d are not.",
+        "Rectangle, rule and order are the paper's; its mesh and side d are not published.",
     )
 
 
 def _slicing(record: Mapping[str, Any]) -> tuple[str, ...]:
     largest = record["timing"]["sizes"][-1]
+    renderer = record["timing"]["devices"].get(LITERAL)
     times = {name: t["total_s"] for name, t in largest["times"].items() if t["status"] == "done"}
     ours = ", ".join(f"{name} {duration(s)}" for name, s in times.items()) or "no backend is available"
     reached = (
@@ -83,7 +86,7 @@ def _slicing(record: Mapping[str, Any]) -> tuple[str, ...]:
         f"{published.SLICING_S:g} s (abstract; {published.SLICING_TEXT_S} s in the text), {published.FACETS:,} facets",
         f"{largest['facets']:,} facets: {ours}",
         NO,
-        f"Another part and another machine: the paper's was an {published.DEVICE}.{reached}",
+        f"Another part and another machine: an {published.DEVICE} there, {renderer or 'no renderer'} for the stencil here.{reached}",
     )
 
 
@@ -91,7 +94,7 @@ def _claim(record: Mapping[str, Any]) -> tuple[str, ...]:
     given = record["polar"]["paper"]["reductions"]
     return (
         "Section 5.2: arithmetic of the error",
-        f"{percent(published.CLAIMED_REDUCTION)} less error",
+        f"{100 * published.CLAIMED_REDUCTION:.1f} % less error",
         f"from the paper's own ranges: range {percent(given['range'])}, maximum {percent(given['max'])}",
         YES,
         f"The two ranges do not by themselves give {100 * published.CLAIMED_REDUCTION:.1f} %; RMS and mean are not published.",
@@ -106,7 +109,7 @@ def _polar(record: Mapping[str, Any]) -> tuple[str, ...]:
         after = fitted["polar"]
         parts.append(
             f"{row['model']} ({low:.4f}, {high:.4f}) → ({after['low_mm']:.4f}, {after['high_mm']:.4f}) mm, "
-            f"RMS {percent(fitted['reductions']['polar']['rms'])} less"
+            f"RMS {percent(fitted['reductions']['polar']['rms'])} less (on {row['polar_rings']} of {row['layers']} layers)"
         )
     polyline, fit = published.POLYLINE_ERROR, published.FIT_ERROR
     return (

@@ -8,6 +8,7 @@ import numpy as np
 
 from ebamcheck.curves import SPLINE, Curves, fit, fit_deviation
 from ebamcheck.layer_svg import COLOURS
+from ebamcheck.layers import Layers
 from ebamcheck_reports.canvas import Canvas
 from ebamcheck_reports.markup import DOTS, Markup, legend
 from ebamcheck_reports.paper import published
@@ -15,20 +16,29 @@ from ebamcheck_reports.paper.subject import Subject
 
 STRAIGHT, SPLIT = "#1c2126", "#b3261e"
 CURVED = tuple(colour for colour in COLOURS if colour != "#000000")
-WIDTH_PX = 880.0
+WIDTH_PX = 720.0
 
 
 def measure(subject: Subject) -> tuple[dict[str, Any], list[Markup]]:
-    """Split and fit the exact contours of the layer, count the parts, and picture them."""
-    section = subject.section
+    """Split the layer shown, and the largest one where that is another, and picture both."""
+    chosen = {subject.layer: subject.section, subject.largest_layer: subject.largest_section}
+    found = [_measured(layer, section) for layer, section in chosen.items()]
+    record = {
+        "corner_angle_deg": published.CORNER_ANGLE_DEG,
+        "layers_of_part": subject.count,
+        "layers": [values for values, _ in found],
+    }
+    return record, [key(), *(picture for _, picture in found)]
+
+
+def _measured(layer: int, section: Layers) -> tuple[dict[str, Any], Markup]:
+    """Fit the exact contours of one layer and count the parts."""
     curves = fit(section, corner_angle_deg=published.CORNER_ANGLE_DEG)
     curved = int((curves.kind == SPLINE).sum())
     splits = split_places(curves)
     record = {
-        "layer": subject.layer,
-        "height_mm": subject.height_mm,
-        "layers": subject.count,
-        "corner_angle_deg": published.CORNER_ANGLE_DEG,
+        "layer": layer,
+        "height_mm": float(section.heights[0]),
         "curve_parts": curved,
         "straight_parts": int(curves.kind.size) - curved,
         "splits": len(splits),
@@ -36,7 +46,7 @@ def measure(subject: Subject) -> tuple[dict[str, Any], list[Markup]]:
         "blocks": curves.block_count(),
         "deviation_mm": float(fit_deviation(curves, section)["bulge_mm"].max()),
     }
-    return record, [_picture(section.bounds(), curves, splits), key()]
+    return record, _picture(section.bounds(), curves, splits)
 
 
 def split_places(curves: Curves) -> np.ndarray[Any, np.dtype[np.float64]]:

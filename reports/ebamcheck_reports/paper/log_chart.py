@@ -13,8 +13,8 @@ from ebamcheck_reports.charts import BOTTOM_PX, LEFT_PX, RIGHT_PX, TOP_PX, WIDTH
 from ebamcheck_reports.markup import DOTS, Markup, element, join, legend
 
 HEIGHT_PX = 420.0
-STAR = "#b3261e"
-STAR_PX = 14.0
+LONE = "#b3261e"
+LONE_PX = 14.0
 MINOR = (2, 5)
 """Ticks between powers of ten."""
 
@@ -38,13 +38,13 @@ class _LogAxis:
         return [v for v in values if self.low - 1e-9 <= math.log10(v) <= self.high + 1e-9]
 
 
-def log_chart(series: Sequence[Series], star: Series, x_label: str, y_label: str) -> Markup:
-    """Draw series over two logarithmic axes, and one point apart from them as a cross.
+def log_chart(series: Sequence[Series], alone: Series, x_label: str, y_label: str) -> Markup:
+    """Draw series over two logarithmic axes, and one value apart from them as a large dot.
 
     Values that are not positive, or no numbers, are left out.
     """
     lines = [(s.name, _drawable(s)) for s in series]
-    lone = _drawable(star)
+    lone = _drawable(alone)
     everything = np.concatenate([*(places for _, places in lines), lone])
     if not len(everything):
         return element("p", "There is nothing to draw.", class_="none")
@@ -53,13 +53,13 @@ def log_chart(series: Sequence[Series], star: Series, x_label: str, y_label: str
     y_axis = _LogAxis(float(low[1]), float(high[1]), HEIGHT_PX - BOTTOM_PX, TOP_PX)
     body = [_grid(x_axis, y_axis), _names(x_label, y_label)]
     body += [_line(places, x_axis, y_axis, n) for n, (_, places) in enumerate(lines)]
-    body += [_cross(x_axis.px(x), y_axis.px(y)) for x, y in lone.tolist()]
+    body += [_dot(x_axis.px(x), y_axis.px(y)) for x, y in lone.tolist()]
     svg = element(
         "svg", element("title", f"{y_label} over {x_label}"), *body,
         viewBox=f"0 0 {WIDTH_PX:g} {HEIGHT_PX:g}", class_="chart", role="img",
     )  # fmt: skip
     keys = [(name, COLOURS[n % len(COLOURS)], DASHES[n % len(DASHES)]) for n, (name, _) in enumerate(lines)]
-    return join([svg, legend([*keys, (star.name, STAR, DOTS)])])
+    return join([svg, legend([*keys, (alone.name, LONE, DOTS)])])
 
 
 def _drawable(series: Series) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
@@ -120,9 +120,7 @@ def _line(
     )
 
 
-def _cross(x: float, y: float) -> Markup:
-    h = 0.5 * STAR_PX
-    data = (
-        f"M{x - h:.1f},{y - h:.1f}l{STAR_PX:g},{STAR_PX:g}M{x - h:.1f},{y + h:.1f}l{STAR_PX:g},-{STAR_PX:g}"
+def _dot(x: float, y: float) -> Markup:
+    return element(
+        "path", d=f"M{x:.1f},{y:.1f}h0", stroke=LONE, stroke_width=f"{LONE_PX:g}", stroke_linecap="round"
     )
-    return element("path", d=data, stroke=STAR, stroke_width=4, fill="none")

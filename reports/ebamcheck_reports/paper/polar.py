@@ -15,7 +15,7 @@ from ebamcheck.layers import Layers
 from ebamcheck.model import models
 from ebamcheck.rings import Floats
 from ebamcheck.slicing import slice_part
-from ebamcheck_reports.canvas import Canvas, around
+from ebamcheck_reports.canvas import Canvas
 from ebamcheck_reports.charts import Series, line_chart
 from ebamcheck_reports.markup import Markup, join, legend
 from ebamcheck_reports.paper import published
@@ -44,9 +44,9 @@ REFERENCE, POLYLINE, FITTED = "#0072b2", "#d55e00", "#009e73"
 DRAWN_RAYS = 1440
 CURVE_TOLERANCE_MM = 1e-4
 """Curves are drawn as polylines this near to them."""
-ENLARGED_MM = 14.0
-"""Half the side of the piece enlarged."""
-WIDTH_PX = 720.0
+ENLARGED_MM = (30.0, 15.0)
+"""Half the sides of the piece enlarged."""
+WIDTH_PX = 960.0
 
 
 def measure(effort: Effort, note: Note) -> tuple[dict[str, Any], list[Markup]]:
@@ -153,7 +153,8 @@ def _outer(stack: Layers) -> Floats:
 
 def _contours(rings: Sequence[Floats], place: Floats, name: str) -> Markup:
     styles = ((REFERENCE, "", 5.0), (POLYLINE, "", 2.2), (FITTED, "7 4", 2.2))
-    canvas = Canvas(around(float(place[0]), float(place[1]), ENLARGED_MM), WIDTH_PX)
+    low, high = place - ENLARGED_MM, place + ENLARGED_MM
+    canvas = Canvas((float(low[0]), float(low[1]), float(high[0]), float(high[1])), WIDTH_PX)
     for ring, (colour, dashes, width) in zip(rings, styles, strict=True):
         closed = shapely.LineString(np.concatenate([ring, ring[:1]]))
         canvas.lines(closed, stroke=colour, stroke_width=width, stroke_dasharray=dashes or None)

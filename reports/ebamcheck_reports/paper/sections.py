@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ebamcheck_reports.charts import Series
-from ebamcheck_reports.figures import duration, number, percent
+from ebamcheck_reports.figures import number, percent
 from ebamcheck_reports.markup import (
     Markup,
     cell,
@@ -22,6 +22,7 @@ from ebamcheck_reports.markup import (
 )
 from ebamcheck_reports.paper import published
 from ebamcheck_reports.paper.log_chart import log_chart
+from ebamcheck_reports.paper.timing import REPEAT_UNDER_S
 
 Record = Mapping[str, Any]
 
@@ -51,7 +52,7 @@ def timing(title: str, record: Record) -> Markup:
         f"One part, {record['summary']}, tessellated at the paper's tolerances and cut into {layers} layers of 0.2 mm. Times are of "
         "preparing the mesh in memory and slicing it, without reading the file.",
         picture(
-            chart, "Both axes are logarithmic. The cross is the one time that the paper gives in figures."
+            chart, "Both axes are logarithmic. The red dot is the one time that the paper gives in figures."
         ),
         _times(names, sizes),
         _how_timed(record, sizes),
@@ -71,7 +72,10 @@ def _times(names: Sequence[str], sizes: Sequence[Record]) -> Markup:
 def _time(found: Record) -> Markup:
     if found["status"] != "done":
         return join([found["status"]])
-    return figure(found["total_s"], text=duration(found["total_s"]).removesuffix(" s"))
+    return figure(
+        found["total_s"],
+        text=f"{found['total_s']:,.3g}" if found["total_s"] < 1000.0 else f"{found['total_s']:,.0f}",
+    )
 
 
 def _how_timed(record: Record, sizes: Sequence[Record]) -> Markup:
@@ -96,7 +100,8 @@ def _how_timed(record: Record, sizes: Sequence[Record]) -> Markup:
             ),
             paragraph(
                 "“stencil, literal” is the paper's method: every facet is drawn for each layer, at 0.1 mm a pixel. It is always measured on "
-                "a sample of layers, evenly spread. One run each, after a warm-up."
+                "a sample of layers, evenly spread. One run each after a warm-up, the better of two where it took "
+                f"less than {REPEAT_UNDER_S:g} s."
             ),
         ]
     )
@@ -167,29 +172,41 @@ def bitmap(title: str, record: Record, pictures: Sequence[Markup]) -> Markup:
 
 
 def corners(title: str, record: Record, pictures: Sequence[Markup]) -> Markup:
-    """Parts of the contours of one layer."""
-    found = record["corners"]
+    """Parts of the contours of the layer shown, and of the largest one where that is another."""
+    layers = record["corners"]["layers"]
+    shown = [
+        join(
+            [
+                _parts(found),
+                picture(svg, f"Parts of layer {found['layer']}. A closed curve without a split is one part."),
+            ]
+        )
+        for found, svg in zip(layers, pictures[1:], strict=True)
+    ]
     return section(
         "corners",
         title,
         "A contour splits where the angle between two segments is under 140°, and at the ends of straight runs; what is curved becomes "
         "one spline. (That straight runs end a curve is ebamcheck's reading of the paper's “straight-line part and curved part”.)",
-        facts(
-            [
-                ("layer", _layer(found)),
-                ("curve parts here", figure(found["curve_parts"])),
-                (f"curve parts in the paper (layer {published.CURVE_LAYER})", published.CURVE_PARTS),
-                ("straight parts", figure(found["straight_parts"])),
-                ("places where two parts meet", figure(found["splits"])),
-                ("points of the contours", figure(found["points"])),
-                ("blocks of NC program", figure(found["blocks"])),
-                ("greatest distance of curve and contour", figure(found["deviation_mm"], "mm")),
-            ]
+        paragraph(
+            f"The paper finds {published.CURVE_PARTS} curve parts in layer {published.CURVE_LAYER} of the bunny, and no sharp point in it."
         ),
-        picture(
-            pictures[0], "Straight and curved parts of the layer. A closed curve without a split is one part."
-        ),
-        *pictures[1:],
+        pictures[0],
+        *shown,
+    )
+
+
+def _parts(found: Record) -> Markup:
+    return facts(
+        [
+            ("layer", _layer(found)),
+            ("curve parts", figure(found["curve_parts"])),
+            ("straight parts", figure(found["straight_parts"])),
+            ("places where two parts meet", figure(found["splits"])),
+            ("points of the contours", figure(found["points"])),
+            ("blocks of NC program", figure(found["blocks"])),
+            ("greatest distance of curve and contour", figure(found["deviation_mm"], "mm")),
+        ]
     )
 
 
@@ -298,7 +315,7 @@ def _reductions(record: Record) -> Markup:
     columns = ("", "fit", "error", *(name for _, name in REDUCTIONS))
     given = record["paper"]["reductions"]
     rows: list[list[Any]] = [
-        ["the paper's bunny", "as written in the paper", "polar", _percent(given["range"]), _percent(given["max"]), "not given", "not given"]
+        ["the paper's bunny", "as written in the paper", "polar", _percent(given["range"]), _percent(given["max"]), figure(None, text="not given"), figure(None, text="not given")]
     ]  # fmt: skip
     for row in record["models"]:
         for name, found in row["fits"].items():
@@ -324,7 +341,8 @@ def _finding(models: Sequence[Record]) -> Markup:
         f"Found: on these models the paper's fit changes the RMS normal error by {rms} and the greatest one by {most} (a reduction is "
         "positive). Nearly all points that it goes through are crossings of the plane with edges of the mesh: they lie on chords of the true "
         "surface, not on it. A curve through points that are in error keeps their error, and removes only the chords between them; how much "
-        "that is worth depends on the mesh more than on the fit.",
+        "that is worth depends on the mesh more than on the fit. Where edges run along the wall (the impeller's round plate, the only part of it "
+        "with a polar error) the points are exact, and the fit removes nearly all of the error.",
         class_="note warn",
     )
 
@@ -337,4 +355,5 @@ def _extent(models: Sequence[Record], key: str) -> str:
 
 
 def _percent(value: Any) -> Markup:
-    return figure(value, text=percent(value))
+    text = percent(value)
+    return figure(value, text="0.00 %" if text == "-0.00 %" else text)
