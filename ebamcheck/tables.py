@@ -12,9 +12,9 @@ def text_table(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
     Examples
     --------
     >>> print(text_table(["name", "mm"], [["a", 1.5], ["bcd", 12]]))
-    name    mm
-    a      1.5
-    bcd     12
+    name   mm
+    a     1.5
+    bcd    12
     """
     body = [list(row) for row in rows]
     cells = [[_cell(value) for value in row] for row in body]

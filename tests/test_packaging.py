@@ -27,7 +27,14 @@ PACKAGES = {
 }
 """Names that an installation puts into site-packages, and where they come from."""
 
-GROUPS = {"console_scripts", "ebamcheck.backends", "ebamcheck.models", "ebamcheck.posts", "ebamcheck.reports"}
+GROUPS = {
+    "console_scripts",
+    "ebamcheck.backends",
+    "ebamcheck.commands",
+    "ebamcheck.models",
+    "ebamcheck.posts",
+    "ebamcheck.reports",
+}
 
 LOAD_ALL = """
 import sys
