@@ -358,6 +358,15 @@ class TestWithOpenGL:
             results.append(cut(mesh, np.linspace(-6, 6, 40), pixel_mm=0.02))
         assert same(*results)
 
+    def test_a_bitmap_after_other_drawing_is_the_same(self):
+        settings = Stencil.Settings(pixel_mm=0.05, mode="literal")
+        with Stencil().prepare(box(), settings) as first, Stencil().prepare(box(), settings) as second:
+            before = first.bitmap(0.5)
+            second.slice(np.array([0.25]))
+            first.slice(np.array([0.75]))
+            assert before.any()
+            assert np.array_equal(first.bitmap(0.5), before)
+
     def test_the_two_modes_agree_but_for_the_lattice(self):
         mesh = turned(torus(9, 3), (1, 2, 3), 0.9)
         heights = np.linspace(-7, 7, 12)

@@ -93,12 +93,11 @@ class LiteralSlices:
         """Cut at strictly increasing heights (L,), one draw of the whole part for each."""
         rings: list[NDArray[np.float64]] = []
         layer_starts = [0]
-        with self._context:
-            for height in heights:
-                rings.extend(_contours(self.bitmap(float(height))))
-                layer_starts.append(len(rings))
-                if progress is not None:
-                    progress(1)
+        for height in heights:
+            rings.extend(_contours(self.bitmap(float(height))))
+            layer_starts.append(len(rings))
+            if progress is not None:
+                progress(1)
         half_pixels = np.concatenate(rings) if rings else np.zeros((0, 2))
         return canonical(
             heights,
@@ -115,13 +114,16 @@ class LiteralSlices:
         depth_mm = self._top_mm - height_mm
         if depth_mm < 0.0 or not self._height_mm > 0.0:
             return image
-        self._program["slice_height"] = height_mm - self._middle_mm
-        self._program["depth_per_mm"] = 2.0 / (depth_mm + DEPTH_SLACK * self._height_mm)
-        for window in self._windows:
-            counts = self._target.count(window, self._facets)
-            rows = slice(window.y, window.y + window.height)
-            columns = slice(window.x, window.x + window.width)
-            image[rows, columns] = (counts >= INSIDE_COUNTS[0]) & (counts <= INSIDE_COUNTS[1])
+        # Whoever drew last may have left another context current, and reading from that one gives noise. (Contexts
+        # do not nest: leaving an inner one leaves none.)
+        with self._context:
+            self._program["slice_height"] = height_mm - self._middle_mm
+            self._program["depth_per_mm"] = 2.0 / (depth_mm + DEPTH_SLACK * self._height_mm)
+            for window in self._windows:
+                counts = self._target.count(window, self._facets)
+                rows = slice(window.y, window.y + window.height)
+                columns = slice(window.x, window.x + window.width)
+                image[rows, columns] = (counts >= INSIDE_COUNTS[0]) & (counts <= INSIDE_COUNTS[1])
         return image
 
 
