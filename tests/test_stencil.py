@@ -359,8 +359,8 @@ class TestWithOpenGL:
         assert same(*results)
 
     def test_a_bitmap_after_other_drawing_is_the_same(self):
-        settings = Stencil.Settings(pixel_mm=0.05, mode="literal")
-        with Stencil().prepare(box(), settings) as first, Stencil().prepare(box(), settings) as second:
+        part, settings = from_arrays(*box()), Stencil.Settings(pixel_mm=0.05, mode="literal")
+        with Stencil().prepare(part, settings) as first, Stencil().prepare(part, settings) as second:
             before = first.bitmap(0.5)
             second.slice(np.array([0.25]))
             first.slice(np.array([0.75]))
