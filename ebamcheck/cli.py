@@ -166,6 +166,7 @@ def run(
     from ebamcheck.machines import for_this_machine
     from ebamcheck.pipeline import run_job
     from ebamcheck.progress import watched
+    from ebamcheck.summaries import run_summary
 
     settings = for_this_machine(_settings(config, units, direction, layer_height))
     if backends:
@@ -178,7 +179,7 @@ def run(
     if as_json:
         _print_json(result.manifest)
     else:
-        print(_run_summary(result.manifest))
+        print(run_summary(result.manifest))
         report = result.folder.path / "report.html"
         print(f"\nrun folder: {result.folder.path}" + (f"\nreport:     {report}" if report.is_file() else ""))
     return result.exit_code
@@ -310,35 +311,13 @@ def compare(
 def backends(as_json: JsonOption = False) -> ExitCode:
     """List the slicers: availability, versions, device, rules and error bound."""
     from ebamcheck import registry
-    from ebamcheck.tables import text_table
+    from ebamcheck.summaries import backend_record, backends_text
 
-    records = [_backend_record(name, registry) for name in registry.slicers()]
+    records = [backend_record(name) for name in registry.slicers()]
     if as_json:
         _print_json(records)
         return ExitCode.PASS
-    columns = [
-        "name",
-        "available",
-        "exact",
-        "device",
-        "plane rule",
-        "inside rule",
-        "bound mm",
-        "versions",
-        "summary",
-    ]
-    rows = [
-        [
-            r["name"], r["available"], r["exact"], r["device"], r["coplanar_rule"], r["inside_rule"],
-            r["error_bound_mm"], " ".join(f"{k} {v}" for k, v in r["versions"].items()), r["summary"],
-        ]
-        for r in records
-    ]  # fmt: skip
-    print(text_table(columns, rows))
-    for r in records:
-        if not r["available"]:
-            print(f"\n{r['name']}: {r['why']}" + (f"\n  {r['hint']}" if r["hint"] else ""))
-    print("\nThe bound is that of a cube of 100 mm under default settings.")
+    print(backends_text(records))
     return ExitCode.PASS
 
 
@@ -452,62 +431,6 @@ def _pairs(assignments: list[str]) -> dict[str, Any]:
         except json.JSONDecodeError:
             values[name.strip()] = value
     return values
-
-
-def _backend_record(name: str, registry: Any) -> dict[str, Any]:
-    from ebamcheck.part import from_arrays
-
-    cube = from_arrays(
-        [(x, y, z) for x in (0, 100) for y in (0, 100) for z in (0, 100)], [(0, 1, 3), (0, 6, 4), (7, 5, 2)]
-    )
-    slicer, probe = registry.slicer(name), registry.probe(name)
-    return {
-        "name": name,
-        "summary": slicer.summary,
-        "available": probe.available,
-        "why": probe.why,
-        "hint": probe.hint,
-        "versions": dict(probe.versions),
-        "device": probe.device,
-        "exact": slicer.exact,
-        "priority": slicer.priority,
-        "coplanar_rule": slicer.coplanar_rule,
-        "inside_rule": slicer.inside_rule,
-        "error_bound_mm": slicer.error_bound_mm(cube, slicer.Settings()),
-        "height_bound_mm": slicer.height_bound_mm(cube, slicer.Settings()),
-    }
-
-
-def _run_summary(manifest: Any) -> str:
-    """What a run came to, for the terminal."""
-    from ebamcheck.tables import text_table
-
-    slicers = [
-        [name, b["status"], b["rings"], b["open_paths"], b["points"], float(b["error_bound_mm"]),
-         float(manifest["timings"]["backends"][name]["slice_s"]), b["why"] or b["device"]]
-        for name, b in manifest["backends"].items()
-    ]  # fmt: skip
-    pairs = [
-        [
-            f"{p['a']} / {p['b']}",
-            f"{p['agree']} of {p['gated']}",
-            p["max_depth_mm"],
-            p["limit_mm"],
-            p["max_hausdorff_mm"],
-            p["min_iou"],
-        ]
-        for p in manifest["comparison"]["pairs"]
-    ]
-    passed = [["pass" if g["passed"] else "FAIL", g["name"], g["text"]] for g in manifest["gates"]]
-    blocks = [
-        text_table(["slicer", "status", "rings", "open", "points", "bound mm", "seconds", ""], slicers),
-        text_table(["pair", "layers agree", "depth mm", "limit mm", "Hausdorff mm", "least IoU"], pairs)
-        if pairs
-        else "",
-        text_table(["", "gate", ""], passed),
-        "VALIDATED" if manifest["exit_code"] == 0 else f"NOT VALIDATED (exit code {manifest['exit_code']})",
-    ]
-    return "\n\n".join(block for block in blocks if block)
 
 
 def _print_json(value: Any) -> None:
