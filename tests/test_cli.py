@@ -335,4 +335,4 @@ def test_a_full_disk_is_told(place):
 def test_warm(place):
     told = ebamcheck("warm", cwd=place)
     assert (told.returncode, told.stderr) == (0, "")
-    assert told.stdout.startswith("kernels are compiled")
+    assert "kernels are compiled" in told.stdout
