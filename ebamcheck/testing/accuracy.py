@@ -31,6 +31,9 @@ LOOSEST = 3.0
 SHIFT_SHARE = 0.2
 """Share of the bound by which the centroids of round sections may be off, on the mean of a body's layers."""
 
+LAYER_SHIFT_SHARE = 1.0 / 3.0
+"""The same for one layer alone, where chance does not average out; half a pixel is twice as much."""
+
 SHIFT_LAYERS = 9
 """Layers of a body over which chance averages out."""
 
@@ -97,7 +100,13 @@ def no_shift(subject: Subject) -> list[Figure]:
         # A small section lies off by chance; what is wrong lies off the same way in all.
         shift = float(np.hypot(*np.mean(shifts, axis=0)))
         text = f"mean distance of the centroids of {len(heights)} layers, mm"
-        found.append(Figure("no shift", name, 0, shift, limit, text))
+        found.append(Figure("no shift", name, NO_LAYER, shift, limit, text))
+        # The mean would hide a layer that lies off alone.
+        one_limit = LAYER_SHIFT_SHARE * subject.promise_mm(part) + rounding_mm(part)
+        for k, one in enumerate(shifts):
+            found.append(
+                Figure("no shift", name, k, float(np.hypot(*one)), one_limit, "distance of the centroids, mm")
+            )
     return found
 
 
