@@ -31,8 +31,12 @@ LOOSEST = 3.0
 SHIFT_SHARE = 0.2
 """Share of the bound by which the centroids of round sections may be off, on the mean of a body's layers."""
 
-LAYER_SHIFT_SHARE = 1.0 / 3.0
-"""The same for one layer alone, where chance does not average out; half a pixel is twice as much."""
+LAYER_SHIFT_SHARE = 0.5
+"""The same for one layer alone, where chance does not average out.
+
+Half a pixel off is 0.63 of a raster's bound and half a row all of it. By chance alone rows as coarse as the thin
+ring near a torus's top put its centroid 0.37 of their bound off, pixels and grids at most 0.23.
+"""
 
 SHIFT_LAYERS = 9
 """Layers of a body over which chance averages out."""
