@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from ebamcheck.part import Part as Part
     from ebamcheck.program import read_program as read_program
     from ebamcheck.scan import plan_scan as plan_scan
+    from ebamcheck.slicing import Slicing as Slicing
     from ebamcheck.slicing import slice_part as slice
 
 _PUBLIC = {
@@ -29,6 +30,7 @@ _PUBLIC = {
     "EbamcheckError": "ebamcheck.errors",
     "Layers": "ebamcheck.layers",
     "Part": "ebamcheck.part",
+    "Slicing": "ebamcheck.slicing",
     "compare": "ebamcheck.comparison",
     "fit": "ebamcheck.curves",
     "inspect": "ebamcheck.inspection",

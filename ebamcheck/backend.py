@@ -92,7 +92,8 @@ class Slicer(Protocol):
     exact
         Whether contours are those of the mesh up to rounding (as against sampled on a grid).
     priority
-        The available exact slicer of the highest priority is the default one.
+        The available exact slicer of the highest priority is the default one. One of negative priority is a
+        witness: it takes part only where it is asked for by name.
     coplanar_rule, inside_rule
         What is done with a plane through vertices or faces, and which winding numbers are solid
         (``"winding > 0"`` is the house rule).

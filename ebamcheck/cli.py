@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import functools
 import io
-import json
 import logging
 import os
 import signal
 import sys
-import traceback
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -18,14 +15,34 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import typer
 
 from ebamcheck import __version__
-from ebamcheck.errors import EbamcheckError, ExitCode, InputError, NothingCompared, SettingsError
+from ebamcheck.command_group import CommandGroup, guarded, tell
+from ebamcheck.errors import ExitCode, InputError, NothingCompared, SettingsError
+from ebamcheck.options import (
+    BackendsOption,
+    ConfigOption,
+    DirectionOption,
+    FixOption,
+    JsonOption,
+    LayerHeightOption,
+    PartArgument,
+    ResumeOption,
+    RunFolderOption,
+    UnitsOption,
+    WitnessesOption,
+    assignments,
+    job_settings,
+    loaded,
+    numbers,
+    print_json,
+    settings_of,
+)
 
 if TYPE_CHECKING:
-    from ebamcheck.config import Config
-    from ebamcheck.part import Part
+    from ebamcheck.pipeline import RunResult
 
 app = typer.Typer(
     name="ebamcheck",
+    cls=CommandGroup,
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -40,72 +57,15 @@ SLICE_SUFFIXES = (".parquet", ".cli", ".svg")
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
-ConfigOption = Annotated[
-    Path | None,
-    typer.Option("-c", "--config", help="Settings (TOML); default: ./ebamcheck.toml where there is one."),
-]
-UnitsOption = Annotated[
-    str, typer.Option(help="Unit of the part's file: mm, cm, m, um, in, ft. Never guessed.")
-]
-DirectionOption = Annotated[str, typer.Option(help="Slicing direction in the file's coordinates, as X,Y,Z.")]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
-PartArgument = Annotated[Path, typer.Argument(help="Mesh file: .stl, .obj, .ply or .3mf.")]
-LayerHeightOption = Annotated[
-    float | None, typer.Option(help="Layer height, mm; default: that of one bead of the process.")
-]
-
 
 def command(name: str | None = None, **options: Any) -> Callable[[_Command], _Command]:
     """Register a command whose errors become one line and an exit code."""
 
     def register(function: _Command) -> _Command:
-        @app.command(name, **options)
-        @functools.wraps(function)
-        def guarded(*args: Any, **kwargs: Any) -> None:
-            raise typer.Exit(int(_run_guarded(function, *args, **kwargs)))
-
+        app.command(name, **options)(guarded(function))
         return function
 
     return register
-
-
-def _run_guarded(function: Callable[..., Any], *args: Any, **kwargs: Any) -> ExitCode:
-    """Run a command; turn what it raises into a message and an exit code."""
-    debug = bool(os.environ.get("EBAMCHECK_DEBUG"))
-    try:
-        code = ExitCode(function(*args, **kwargs) or ExitCode.PASS)
-        sys.stdout.flush()
-    except EbamcheckError as error:
-        code = error.exit_code
-        _tell(f"error: {error}", debug)
-    except KeyboardInterrupt:
-        code = ExitCode.INTERRUPTED
-        kept = "; what was finished is kept for --resume" if function.__name__ == "run" else ""
-        _tell(f"interrupted{kept}", debug)
-    except BrokenPipeError:
-        # The reader of our output has gone; there is nobody left to tell.
-        code = ExitCode.PASS
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except OSError as error:
-        # What the system refuses (a full disk, a folder without permission) is for the user to mend.
-        code = ExitCode.USAGE
-        where = f"{error.filename}: " if error.filename else ""
-        _tell(f"error: {where}{error.strerror or error}", debug)
-    except (typer.Exit, typer.Abort):
-        raise
-    except Exception as error:
-        code = ExitCode.INTERNAL
-        _tell(
-            f"internal error: {type(error).__name__}: {error} (run again with --debug for a traceback)", debug
-        )
-    return code
-
-
-def _tell(message: str, debug: bool = False) -> None:
-    """Print a message as one line on standard error, after the traceback where one is wanted."""
-    if debug:
-        traceback.print_exc()
-    print(f"ebamcheck: {' '.join(message.split())}", file=sys.stderr)
 
 
 def _show_version(asked: bool) -> None:
@@ -144,40 +104,57 @@ def _global(
 def run(
     part: PartArgument,
     config: ConfigOption = None,
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Run folder; default: NAME.run.")
-    ] = None,
+    output: RunFolderOption = None,
     layer_height: LayerHeightOption = None,
-    backends: Annotated[
-        str, typer.Option(help="Backends to run, comma-separated; default: all available.")
-    ] = "",
+    backends: BackendsOption = "",
+    witnesses: WitnessesOption = "",
     reference: Annotated[Path | None, typer.Option(help="A finer tessellation of the same part.")] = None,
     units: UnitsOption = "",
     direction: DirectionOption = "",
-    fix_orientation: Annotated[
-        bool, typer.Option("--fix-orientation", help="Turn flipped facets and inside-out bodies over.")
-    ] = False,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Go on with a killed run of the same input.")
-    ] = False,
+    fix_orientation: FixOption = False,
+    resume: ResumeOption = False,
     as_json: JsonOption = False,
 ) -> ExitCode:
     """Slice, cross-check, fit, partition, order, write the NC program, verify it and report."""
-    from ebamcheck.machines import for_this_machine
     from ebamcheck.pipeline import run_job
     from ebamcheck.progress import watched
+
+    settings = job_settings(config, units, direction, layer_height, backends, witnesses, fix_orientation)
+    with watched() as observer:
+        result = run_job(part, output or Path(f"{part.stem}.run"), settings, reference, resume, observer)
+    return _told(result, as_json)
+
+
+@command(epilog="Example: ebamcheck check blade.stl --layer-height 0.2 --witnesses all -o blade.run")
+def check(
+    part: PartArgument,
+    config: ConfigOption = None,
+    output: RunFolderOption = None,
+    layer_height: LayerHeightOption = None,
+    backends: BackendsOption = "",
+    witnesses: WitnessesOption = "",
+    units: UnitsOption = "",
+    direction: DirectionOption = "",
+    fix_orientation: FixOption = False,
+    resume: ResumeOption = False,
+    as_json: JsonOption = False,
+) -> ExitCode:
+    """Slice with every backend and compare all pairs on every layer; as `run`, without a program."""
+    from ebamcheck.pipeline import check_job
+    from ebamcheck.progress import watched
+
+    settings = job_settings(config, units, direction, layer_height, backends, witnesses, fix_orientation)
+    with watched() as observer:
+        result = check_job(part, output or Path(f"{part.stem}.run"), settings, resume, observer)
+    return _told(result, as_json)
+
+
+def _told(result: RunResult, as_json: bool) -> ExitCode:
+    """Tell what a job came to."""
     from ebamcheck.summaries import run_summary
 
-    settings = for_this_machine(_settings(config, units, direction, layer_height))
-    if backends:
-        settings = settings.changed(slicing={"backends": _names(backends)})
-    if fix_orientation:
-        settings = settings.changed(part={"fix_orientation": True})
-    target = output or Path(f"{part.stem}.run")
-    with watched() as observer:
-        result = run_job(part, target, settings, reference, resume, observer)
     if as_json:
-        _print_json(result.manifest)
+        print_json(result.manifest)
     else:
         print(run_summary(result.manifest))
         report = result.folder.path / "report.html"
@@ -193,7 +170,7 @@ def inspect(part: PartArgument, units: UnitsOption = "mm", as_json: JsonOption =
 
     found = inspect_part(load(part, units))
     if as_json:
-        _print_json(found.as_dict())
+        print_json(found.as_dict())
     else:
         figures = found.as_dict()
         for key in ("name", "verdict", "why", "notes", "passed"):
@@ -244,12 +221,12 @@ def slice_command(
         raise SettingsError(
             f"{output}: unknown slice format {output.suffix!r}: use {', '.join(SLICE_SUFFIXES)}"
         )
-    settings = _settings(config, units, direction, layer_height)
+    settings = settings_of(config, units, direction, layer_height)
     name = backend or settings.slicing.primary or registry.default_backend()
-    values = {**settings.slicing.settings.get(name, {}), **_pairs(setting or [])}
+    values = {**settings.slicing.settings.get(name, {}), **assignments(setting or [])}
     registry.slicer_settings(name, values)
-    placed = _load(part, settings)
-    wanted = _numbers(heights, "--heights") if heights else layer_heights(placed, settings.layer_height_mm)
+    placed = loaded(part, settings)
+    wanted = numbers(heights, "--heights") if heights else layer_heights(placed, settings.layer_height_mm)
     limits = Limits(settings.slicing.time_limit_s, settings.slicing.memory_limit_mb)
     layers = slice_part(placed, wanted, name, isolate=True, limits=limits, **values)
     write_layers(layers, output)
@@ -299,7 +276,7 @@ def compare(
         "agrees",
     ]
     if as_json:
-        _print_json(table.to_dict(orient="records"))
+        print_json(table.to_dict(orient="records"))
     else:
         rows = table[~table["agrees"]] if not table["agrees"].all() else table.nlargest(10, "depth_mm")
         print(text_table(shown, rows[shown].head(20).itertuples(index=False)))
@@ -315,7 +292,7 @@ def backends(as_json: JsonOption = False) -> ExitCode:
 
     records = [backend_record(name) for name in registry.slicers()]
     if as_json:
-        _print_json(records)
+        print_json(records)
         return ExitCode.PASS
     print(backends_text(records))
     return ExitCode.PASS
@@ -355,9 +332,9 @@ def verify(
     elif part is None:
         raise SettingsError(f"{target}: is no run folder: to verify a program, name its part with --part")
     else:
-        checks = verify_against_part(target, part, _settings(config, units, "", layer_height))
+        checks = verify_against_part(target, part, settings_of(config, units, "", layer_height))
     if as_json:
-        _print_json([vars(check) for check in checks])
+        print_json([vars(check) for check in checks])
     else:
         rows = [
             ["pass" if c.passed else "FAIL", c.name, c.value, c.limit, c.unit, c.where, c.text]
@@ -379,77 +356,10 @@ def config_command(
     from ebamcheck.config_text import as_toml
 
     if schema:
-        _print_json(Config.model_json_schema())
+        print_json(Config.model_json_schema())
     else:
-        print(as_toml(_settings(config, "", "", None)), end="")
+        print(as_toml(settings_of(config, "", "", None)), end="")
     return ExitCode.PASS
-
-
-# -- what the commands share ---------------------------------------------------------------------------
-
-
-def _settings(config: Path | None, units: str, direction: str, layer_height: float | None) -> Config:
-    """Settings of the file, with what the command line says on top."""
-    from ebamcheck.config import load_config
-
-    default = Path("ebamcheck.toml")
-    settings = load_config(config or (default if default.is_file() else None))
-    if units:
-        settings = settings.changed(part={"units": units})
-    if direction:
-        settings = settings.changed(part={"direction": _numbers(direction, "--direction")})
-    if layer_height is not None:
-        settings = settings.changed(layers={"layer_height_mm": layer_height, "heights_mm": ()})
-    return settings
-
-
-def _load(path: Path, settings: Config) -> Part:
-    from ebamcheck.mesh_files import load
-
-    return load(path, settings.part.units).along(settings.part.direction)
-
-
-def _names(text: str) -> tuple[str, ...]:
-    return tuple(name.strip() for name in text.split(",") if name.strip())
-
-
-def _numbers(text: str, option: str) -> tuple[float, ...]:
-    try:
-        return tuple(float(number) for number in text.split(","))
-    except ValueError:
-        raise SettingsError(f"{option} {text!r}: give numbers, separated by commas") from None
-
-
-def _pairs(assignments: list[str]) -> dict[str, Any]:
-    """Settings given as NAME=VALUE; values are JSON where they can be, else text."""
-    values: dict[str, Any] = {}
-    for assignment in assignments:
-        name, equals, value = assignment.partition("=")
-        if not equals:
-            raise SettingsError(f"--set {assignment!r}: write it as NAME=VALUE")
-        try:
-            values[name.strip()] = json.loads(value)
-        except json.JSONDecodeError:
-            values[name.strip()] = value
-    return values
-
-
-def _print_json(value: Any) -> None:
-    from ebamcheck.store import plain
-
-    # ASCII alone, so that it is valid JSON under every encoding of the terminal.
-    print(json.dumps(plain(value), indent=2, sort_keys=True, allow_nan=False))
-
-
-def _add_plugin_commands() -> None:
-    """Add the commands of installed wings (entry point group ``ebamcheck.commands``)."""
-    from importlib.metadata import entry_points
-
-    for point in entry_points(group="ebamcheck.commands"):
-        try:
-            command(point.name)(point.load())
-        except Exception as error:
-            print(f"ebamcheck: warning: command {point.name!r} was left out: {error}", file=sys.stderr)
 
 
 def main() -> None:
@@ -462,7 +372,6 @@ def main() -> None:
             # A name that the terminal's encoding cannot show is no reason to fail.
             stream.reconfigure(errors="backslashreplace")
     signal.signal(signal.SIGTERM, _terminate)
-    _add_plugin_commands()
     try:
         sys.exit(app(standalone_mode=False))
     except (typer.Abort, KeyboardInterrupt):
@@ -474,7 +383,7 @@ def main() -> None:
         if len(sys.argv) == 1:
             print(error.format_message(), file=sys.stderr)
         else:
-            _tell(f"error: {error.format_message()} (see `{_command_path(error)} --help`)")
+            tell(f"error: {error.format_message()} (see `{_command_path(error)} --help`)")
         sys.exit(ExitCode.USAGE)
 
 

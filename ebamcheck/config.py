@@ -59,6 +59,11 @@ class SlicingSettings(Section):
     """A run ends with exit code 4 where one of these is not available."""
     primary: str = ""
     """Whose contours go on to fitting and the program; empty: the default exact backend."""
+    witnesses: tuple[str, ...] = ()
+    """Outside programs that slice, too: names, or `all` for those that are installed on this machine."""
+    block_points: Annotated[int, Field(ge=1000)] = 4_000_000
+    """Points of an exact contour that are worked on at once: layers are cut, compared and written in blocks of about
+    so many, which bounds the memory of a job (about 100 bytes a point and method)."""
     time_limit_s: Positive = 600.0
     """Time of one backend's process for the whole stack; beyond it the process is ended and reported."""
     memory_limit_mb: Positive = 8192.0

@@ -1,4 +1,4 @@
-"""Heights at which a part is cut."""
+"""Heights at which a part is cut, and blocks of them that fit in memory."""
 
 from __future__ import annotations
 
@@ -12,6 +12,9 @@ from ebamcheck.part import Part
 
 LARGEST_STACK = 1_000_000
 """Layers beyond this count are a mistyped layer height, not a build."""
+
+LARGEST_BLOCK = 1024
+"""Layers of a block at most, however little the part has on them: rasters take memory for empty layers, too."""
 
 PARABOLA = 2.0 / 3.0
 """Area of a parabolic bead over its width times its height (Pixner et al. 2020, Materials 13:3310)."""
@@ -63,3 +66,44 @@ def checked_heights(heights: ArrayLike) -> NDArray[np.float64]:
         k = int(np.flatnonzero(~np.isfinite(column))[0])
         raise SettingsError(f"height {k} is {column[k]}: heights must be finite numbers of millimetres")
     return column
+
+
+def crossing_counts(part: Part, heights: ArrayLike) -> NDArray[np.int64]:
+    """Facets with ``min z <= h < max z`` at each height, (L,): those that a section at h + 0 cuts."""
+    planes = np.asarray(heights, dtype=np.float64).reshape(-1)
+    if not len(part.faces):
+        return np.zeros(planes.size, np.int64)
+    z = part.vertices[:, 2][part.faces]
+    started = np.searchsorted(np.sort(z.min(axis=1)), planes, side="right")
+    ended = np.searchsorted(np.sort(z.max(axis=1)), planes, side="right")
+    return (started - ended).astype(np.int64)
+
+
+def layer_blocks(part: Part, heights: ArrayLike, most_points: int) -> NDArray[np.int64]:
+    """Borders (B + 1,) of consecutive blocks of layers, each small enough to be worked on at once.
+
+    An exact contour has one point a facet that is cut, so the cut facets tell the memory of a block
+    before anything is sliced.
+
+    Parameters
+    ----------
+    part
+        The part as placed.
+    heights
+        (L,) heights, mm.
+    most_points
+        Points of a block at most; a single layer with more is a block of its own.
+
+    Returns
+    -------
+    numpy.ndarray
+        From 0 to L; ``[0, 0]`` where there is no layer.
+    """
+    ends = np.cumsum(crossing_counts(part, heights))
+    borders = [0]
+    while borders[-1] < ends.size:
+        start = borders[-1]
+        before = ends[start - 1] if start else 0
+        fitting = int(np.searchsorted(ends, before + most_points, side="right"))
+        borders.append(min(max(fitting, start + 1), start + LARGEST_BLOCK, ends.size))
+    return np.array(borders if ends.size else [0, 0], dtype=np.int64)

@@ -1,13 +1,15 @@
 """One process per backend, with limits: a crash, a hang or a kill of one is a finding, not the end of a run.
 
 The parent writes the part once as memory-mapped columns, starts ``python -m ebamcheck.isolate NAME FOLDER`` for each
-backend, and watches its resident memory and its time. The worker answers with Arrow IPC and one JSON line an event.
+backend, and watches its resident memory and its time. The worker writes its layers to a file, block by block, and tells
+one JSON line an event.
 """
 
 from __future__ import annotations
 
 import contextlib
 import ctypes
+import itertools
 import json
 import os
 import selectors
@@ -26,8 +28,8 @@ import psutil
 from numpy.typing import NDArray
 
 from ebamcheck import layer_files, registry
-from ebamcheck.backend import BackendSettings, Probe, Progress
-from ebamcheck.errors import BackendFailed, BackendMissing, EbamcheckError
+from ebamcheck.backend import BackendSettings, Prepared, Probe, Progress
+from ebamcheck.errors import BackendFailed, BackendMissing, EbamcheckError, SettingsError
 from ebamcheck.kernels import thread_count
 from ebamcheck.layers import Layers
 from ebamcheck.part import Part
@@ -58,13 +60,21 @@ class Outcome:
     name: str
     failure: Failure = ""
     why: str = ""
-    layers: Layers | None = None
+    file: Path | None = None
+    """Where its layers lie; None where it failed."""
     probe: Probe = field(default_factory=lambda: Probe(False))
     error_bound_mm: float = 0.0
     height_bound_mm: float = 0.0
     prepare_s: float = 0.0
     slice_s: float = 0.0
     peak_mb: float = 0.0
+
+    def read(self) -> Layers:
+        """Read all its layers; raises what it failed of."""
+        if self.file is None:
+            kind = BackendMissing if self.failure == "unavailable" else BackendFailed
+            raise kind(f"backend {self.name!r} {self.failure}: {self.why}")
+        return layer_files.read_parquet(self.file)
 
 
 @dataclass
@@ -75,6 +85,7 @@ class _Worker:
     process: subprocess.Popen[bytes]
     events: IO[bytes]
     folder: Path
+    file: Path
     started: float
     told: dict[str, Any] = field(default_factory=dict)
     unread: bytes = b""
@@ -95,20 +106,19 @@ def slice_isolated(
 ) -> Layers:
     """Slice with one backend in a process of its own; raises what its outcome says."""
     told = None if progress is None else (lambda _, done: progress(done))
-    outcome = slice_all(part, heights, {name: settings}, limits or Limits(), told)[name]
-    if outcome.layers is None:
-        kind = BackendMissing if outcome.failure == "unavailable" else BackendFailed
-        raise kind(f"backend {name!r} {outcome.failure}: {outcome.why}")
-    return outcome.layers
+    with tempfile.TemporaryDirectory(prefix="ebamcheck-") as folder:
+        return slice_all(part, heights, {name: settings}, Path(folder), limits or Limits(), told)[name].read()
 
 
 def slice_all(
     part: Part,
     heights: NDArray[np.float64],
     backends: Mapping[str, BackendSettings],
+    target: Path,
     limits: Limits = Limits(),
     progress: Callable[[str, int], None] | None = None,
     finished: Callable[[Outcome], None] | None = None,
+    borders: NDArray[np.int64] | None = None,
 ) -> dict[str, Outcome]:
     """Slice with several backends, each in its own process, as many at a time as there are cores.
 
@@ -118,29 +128,40 @@ def slice_all(
         The part as placed and strictly increasing heights (L,), mm.
     backends
         Settings of each backend to run, by name.
+    target
+        Folder for the layers, one file ``NAME.parquet`` a backend that comes to an end.
     limits
         Time and resident memory of each process.
     progress
         Called with a backend's name and the layers done since the last call.
     finished
         Called with each outcome as it comes in.
+    borders
+        Blocks of layers (:func:`~ebamcheck.heights.layer_blocks`) that a backend cuts and writes one after the
+        other; all at once if None.
 
     Returns
     -------
     dict
         One outcome for every name, in the order given; none of them raises.
+
+    Raises
+    ------
+    SettingsError
+        If layers cannot be written to `target` (no permission, disk full).
     """
     outcomes: dict[str, Outcome] = {}
     with tempfile.TemporaryDirectory(prefix="ebamcheck-") as base:
         shared = Path(base)
         _write_part(shared, part, heights)
+        np.save(shared / "borders.npy", np.array([0, heights.size]) if borders is None else borders)
         waiting = list(backends)
         running: list[_Worker] = []
         try:
             while waiting or running:
                 while waiting and len(running) < max(1, thread_count()):
                     name = waiting.pop(0)
-                    running.append(_start(name, backends[name], shared))
+                    running.append(_start(name, backends[name], shared, target))
                 _listen(running, progress)
                 for worker in list(running):
                     _enforce(worker, limits)
@@ -154,6 +175,7 @@ def slice_all(
             for worker in running:
                 _kill(worker.process)
                 worker.events.close()
+                _discard(worker)
     return {name: outcomes[name] for name in backends}
 
 
@@ -182,14 +204,24 @@ def _read_part(folder: Path) -> Part:
     return part
 
 
-def _start(name: str, settings: BackendSettings, shared: Path) -> _Worker:
+def _start(name: str, settings: BackendSettings, shared: Path, target: Path) -> _Worker:
     folder = shared / name
     folder.mkdir()
     (folder / "settings.json").write_text(settings.model_dump_json(), encoding="utf-8")
+    file = target.absolute() / f"{name}.parquet"
     read, write = os.pipe()
     with (folder / "stderr").open("wb") as errors:
         process = subprocess.Popen(
-            [sys.executable, "-m", "ebamcheck.isolate", name, str(folder), str(write), str(os.getpid())],
+            [
+                sys.executable,
+                "-m",
+                "ebamcheck.isolate",
+                name,
+                str(folder),
+                str(file),
+                str(write),
+                str(os.getpid()),
+            ],
             stdin=subprocess.DEVNULL,
             stdout=errors,
             stderr=errors,
@@ -198,7 +230,7 @@ def _start(name: str, settings: BackendSettings, shared: Path) -> _Worker:
         )
     os.close(write)
     os.set_blocking(read, False)
-    return _Worker(name, process, os.fdopen(read, "rb", buffering=0), folder, time.monotonic())
+    return _Worker(name, process, os.fdopen(read, "rb", buffering=0), folder, file, time.monotonic())
 
 
 def _listen(running: Sequence[_Worker], progress: Callable[[str, int], None] | None) -> None:
@@ -285,6 +317,10 @@ def _collect(worker: _Worker) -> Outcome:
         peak_mb=max(worker.peak_mb, told.get("peak_mb", 0.0)),
     )
     code = worker.process.returncode
+    if code or worker.failure:
+        _discard(worker)
+    if "unwritable" in told:
+        raise SettingsError(told["unwritable"])
     if worker.failure:
         return replace(outcome, failure=worker.failure, why=worker.why)
     if "failure" in told:
@@ -301,7 +337,13 @@ def _collect(worker: _Worker) -> Outcome:
         return replace(
             outcome, failure="crashed", why=f"its process ended with code {code}{_last_words(worker.folder)}"
         )
-    return replace(outcome, layers=layer_files.read_ipc(worker.folder / "layers.arrow"))
+    return replace(outcome, file=worker.file)
+
+
+def _discard(worker: _Worker) -> None:
+    """Remove what a worker that was ended had begun to write."""
+    for part in worker.file.parent.glob(f".{worker.file.name}.*.part"):
+        part.unlink(missing_ok=True)
 
 
 def _last_words(folder: Path) -> str:
@@ -313,7 +355,7 @@ def _last_words(folder: Path) -> str:
 # -- the worker's side ---------------------------------------------------------------------------------
 
 
-def _work(name: str, folder: Path, tell: Callable[..., None]) -> None:
+def _work(name: str, folder: Path, file: Path, tell: Callable[..., None]) -> None:
     """Slice in this process and tell the parent how it goes."""
     probe = registry.probe(name)
     tell(probe={**asdict(probe), "versions": dict(probe.versions)})
@@ -328,20 +370,46 @@ def _work(name: str, folder: Path, tell: Callable[..., None]) -> None:
         error_bound_mm=float(slicer.error_bound_mm(part, settings)),
         height_bound_mm=float(slicer.height_bound_mm(part, settings)),
     )
+    borders = np.load(folder.parent / "borders.npy")
     start = time.perf_counter()
     try:
         with slicer.prepare(part, settings) as prepared:
-            ready = time.perf_counter()
-            layers = prepared.slice(heights, lambda done: tell(done=done))
-            done = time.perf_counter()
+            tell(prepare_s=time.perf_counter() - start)
+            _write(_blocks(prepared, heights, borders, tell), file, tell)
     except EbamcheckError as error:
         tell(failure="refused", why=str(error))
         return
     except MemoryError:
         tell(failure="out of memory", why="an allocation failed")
         return
-    layer_files.write_ipc([layers], folder / "layers.arrow")
-    tell(prepare_s=ready - start, slice_s=done - ready, peak_mb=_peak_mb(), written=True)
+    tell(peak_mb=_peak_mb())
+
+
+def _write(blocks: Iterator[Layers], file: Path, tell: Callable[..., None]) -> None:
+    """Write what the slicer gives, and tell a file that cannot be written from a slicer that refuses."""
+    try:
+        layer_files.write_blocks(blocks, file)
+    except SettingsError as error:
+        tell(unwritable=str(error))
+    else:
+        tell(written=True)
+
+
+def _blocks(
+    prepared: Prepared, heights: NDArray[np.float64], borders: NDArray[np.int64], tell: Callable[..., None]
+) -> Iterator[Layers]:
+    """Cut one block of layers after the other; the time that is told is that of the slicer alone."""
+    seconds = 0.0
+    for first, past in itertools.pairwise(borders.tolist()):
+        start = time.perf_counter()
+        try:
+            layers = prepared.slice(heights[first:past], lambda done: tell(done=done))
+        except (EbamcheckError, OSError) as error:
+            raise BackendFailed(str(error)) from error
+        seconds += time.perf_counter() - start
+        tell(slice_s=seconds)
+        yield layers
+        del layers  # so that there are never two blocks in memory
 
 
 def _peak_mb() -> float:
@@ -385,12 +453,12 @@ def _die_with(parent: int) -> None:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Entry point of a worker: backend name, its folder, file descriptor of the event pipe, its parent's id."""
-    name, folder, pipe, parent = arguments
+    """Entry point of a worker: backend name, its folder, the file to write, descriptor of the event pipe, its parent's id."""
+    name, folder, file, pipe, parent = arguments
     _die_with(int(parent))
     # A worker whose parent is gone gets no answer any more and must not run on.
     with _teller(int(pipe)) as tell, contextlib.suppress(BrokenPipeError):
-        _work(name, Path(folder), tell)
+        _work(name, Path(folder), Path(file), tell)
     return 0
 
 

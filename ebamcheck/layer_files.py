@@ -1,31 +1,17 @@
-"""Layers in files and between processes: Parquet, Arrow IPC, and the choice of a format by suffix.
+"""Layers in files: the choice of a format by suffix, and Parquet written and read in blocks of layers.
 
-The table has one row a layer:
-
-====================  ======================  ======================================================
-column                type                    meaning
-====================  ======================  ======================================================
-``height_mm``         double                  absolute z of the layer
-``dropped``           int64                   rings without area that were left out
-``x``, ``y``          list<list<double>>      points of each ring, mm
-``closed``            list<bool>              false for an open path
-``edge_low``          list<list<int32>>       lower mesh vertex of the edge cut at each point (optional)
-``edge_high``         list<list<int32>>       upper mesh vertex (optional)
-``edge_t``            list<list<double>>      place of the point on that edge (optional)
-====================  ======================  ======================================================
-
-The schema's metadata hold ``ebamcheck.layers.version`` and ``ebamcheck.layers.labels`` (JSON: part,
-direction, backend, settings). Rings stand in the canonical form of :class:`~ebamcheck.layers.Layers`;
-every number comes back in the same bits.
+A Parquet file has the columns of :mod:`ebamcheck.layer_batches`, one row a layer, and one row group for each block
+of layers that was written at once. What does not fit in memory is written block by block and read in the same way.
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Iterator
-from itertools import chain
+from contextlib import ExitStack, contextmanager
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 
 import numpy as np
 import pyarrow as pa
@@ -35,31 +21,9 @@ from numpy.typing import NDArray
 from ebamcheck import common_layer_interface, layer_svg
 from ebamcheck.atomic_file import replacing
 from ebamcheck.errors import InputError, SettingsError
+from ebamcheck.layer_batches import CONTOUR_COLUMNS, column_of, from_arrow, labels_of, to_arrow
 from ebamcheck.layers import Layers, concatenate
 from ebamcheck.rings import Ints
-
-VERSION = "1"
-"""Version of the table; a reader refuses any other."""
-
-VERSION_KEY = b"ebamcheck.layers.version"
-LABELS_KEY = b"ebamcheck.layers.labels"
-
-LARGEST_LIST = 2**31 - 1
-"""Arrow's lists count their items in 32 bits; a longer stack is written as several blocks."""
-
-END_OF_STREAM = b"\xff\xff\xff\xff\x00\x00\x00\x00"
-"""What a whole Arrow IPC stream ends with (Arrow columnar format, "IPC Streaming Format")."""
-
-_NUMBERS = pa.list_(pa.list_(pa.float64()))
-_VERTICES = pa.list_(pa.list_(pa.int32()))
-_REQUIRED = {
-    "height_mm": pa.float64(),
-    "dropped": pa.int64(),
-    "x": _NUMBERS,
-    "y": _NUMBERS,
-    "closed": pa.list_(pa.bool_()),
-}
-_EDGES = {"edge_low": _VERTICES, "edge_high": _VERTICES, "edge_t": _NUMBERS}
 
 # -- by suffix -------------------------------------------------------------------------------------
 
@@ -113,17 +77,58 @@ def write_parquet(layers: Layers, path: str | Path) -> None:
     SettingsError
         If the file cannot be written.
     """
-    batch = to_arrow(layers)
-    with replacing(path) as temporary:
-        # Coordinates hardly repeat, so a dictionary would only cost time; checksums find flipped bits.
-        pq.write_table(
-            pa.Table.from_batches([batch]),
-            temporary,
-            compression="lz4",
-            use_dictionary=False,
-            write_statistics=False,
-            write_page_checksum=True,
-        )
+    write_blocks([layers], path)
+
+
+def write_blocks(blocks: Iterable[Layers], path: str | Path) -> int:
+    """Write consecutive blocks of one stack to a Parquet file; it appears when the last one is written.
+
+    Parameters
+    ----------
+    blocks
+        At least one; all of one slicer, all with cut edges or all without. One at a time is held.
+    path
+        The file.
+
+    Returns
+    -------
+    int
+        Layers written.
+
+    Raises
+    ------
+    SettingsError
+        If there is no block, the blocks differ in labels or columns, or the file cannot be written.
+    """
+    count = 0
+    with replacing(path) as temporary, ExitStack() as opened:
+        file: pq.ParquetWriter | None = None
+        for block in blocks:
+            batch = to_arrow(block)
+            if file is None:
+                file = opened.enter_context(_writer(temporary, batch.schema))
+            elif not batch.schema.equals(file.schema, check_metadata=True):
+                raise SettingsError(
+                    f"{path}: block at layer {count} differs from the first in labels or columns"
+                )
+            file.write_batch(batch, row_group_size=max(1, len(block)))
+            count += len(block)
+            del block, batch  # so that there are never two blocks in memory
+        if file is None:
+            raise SettingsError(f"{path}: no layers to write: give at least one block")
+    return count
+
+
+def _writer(path: Path, schema: pa.Schema) -> pq.ParquetWriter:
+    # Coordinates hardly repeat, so a dictionary would only cost time; checksums find flipped bits.
+    return pq.ParquetWriter(
+        path,
+        schema,
+        compression="lz4",
+        use_dictionary=False,
+        write_statistics=False,
+        write_page_checksum=True,
+    )
 
 
 def read_parquet(path: str | Path) -> Layers:
@@ -134,264 +139,105 @@ def read_parquet(path: str | Path) -> Layers:
     InputError
         If the file is missing, truncated, not Parquet, of another version, or lacks a column.
     """
-    try:
-        with pq.ParquetFile(path, page_checksum_verification=True) as file:
-            table = file.read()
-    except (OSError, pa.ArrowException) as error:
-        raise InputError(f"{path}: cannot be read as Parquet: {_first_line(error)}") from None
-    return _joined(table.to_batches() or [_no_rows(table.schema)], str(path))
+    with LayerFile(path) as file:
+        return file.read()
 
 
-# -- Arrow IPC -------------------------------------------------------------------------------------
-
-
-def write_ipc(blocks: Iterable[Layers], path: str | Path) -> int:
-    """Write consecutive blocks of one stack as an Arrow IPC stream, one record batch a block.
+class LayerFile:
+    """A stack of layers in a Parquet file, of which only the blocks that are asked for are read.
 
     Parameters
     ----------
-    blocks
-        At least one; all of one slicer, all with cut edges or all without.
     path
-        The file; it appears when the stream is whole.
-
-    Returns
-    -------
-    int
-        Layers written.
-
-    Raises
-    ------
-    SettingsError
-        If there is no block, the blocks differ in columns, or the file cannot be written.
-    """
-    remaining = iter(blocks)
-    first = next(remaining, None)
-    if first is None:
-        raise SettingsError(f"{path}: no layers to write: give at least one block")
-    count = 0
-    schema = to_arrow(first.block(0, 0)).schema
-    with replacing(path) as temporary, pa.ipc.new_stream(str(temporary), schema) as stream:
-        for block in chain([first], remaining):
-            if (block.edge is None) != (first.edge is None):
-                raise SettingsError(f"{path}: block at layer {count} differs from the first in its columns")
-            stream.write_batch(to_arrow(block).replace_schema_metadata(schema.metadata))
-            count += len(block)
-    return count
-
-
-def read_ipc(path: str | Path) -> Layers:
-    """Read a whole Arrow IPC stream as one stack; raises :class:`InputError` as :func:`iterate_ipc` does."""
-    blocks = list(iterate_ipc(path))
-    if not blocks:
-        raise InputError(f"{path}: an Arrow stream without layers")
-    return blocks[0] if len(blocks) == 1 else concatenate(blocks)
-
-
-def iterate_ipc(path: str | Path) -> Iterator[Layers]:
-    """Yield the blocks of an Arrow IPC stream one after the other.
+        The file; held open until :meth:`close`.
+    edges
+        Whether to read the cut edges; contours alone are half the work.
 
     Raises
     ------
     InputError
-        If the file is missing, not an Arrow stream, cut off, of another version, or lacks a column.
+        If the file is missing, truncated, not Parquet or of another version; from every method, too, where
+        a column is missing or its pages are damaged.
     """
-    try:
-        with pa.memory_map(str(path)) as source:
-            _check_end(source, path)
-            with pa.ipc.open_stream(source) as stream:
-                for batch in stream:
-                    yield from_arrow(batch, str(path))
-    except (OSError, pa.ArrowException) as error:
-        raise InputError(f"{path}: cannot be read as an Arrow stream: {_first_line(error)}") from None
 
+    def __init__(self, path: str | Path, edges: bool = True) -> None:
+        self.path = Path(path)
+        self._columns = None if edges else CONTOUR_COLUMNS
+        with self._readable():
+            self._file = pq.ParquetFile(self.path, page_checksum_verification=True)
+        self._labels = labels_of(self._file.schema_arrow, str(self.path))
+        groups = self._file.metadata
+        sizes = [groups.row_group(i).num_rows for i in range(groups.num_row_groups)]
+        self._starts: Ints = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
 
-def _check_end(source: Any, path: str | Path) -> None:
-    """Refuse a stream without its end mark: Arrow itself takes one cut between batches for whole."""
-    size = source.size()
-    source.seek(max(0, size - len(END_OF_STREAM)))
-    if source.read() != END_OF_STREAM:
-        raise InputError(f"{path}: an Arrow stream cut off after {size} bytes: its writer did not finish")
-    source.seek(0)
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
 
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close the file."""
+        self.close()
 
-# -- record batches --------------------------------------------------------------------------------
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
 
+    def __len__(self) -> int:
+        """Return the number of layers."""
+        return int(self._starts[-1])
 
-def to_arrow(layers: Layers) -> pa.RecordBatch:
-    """Layers as a record batch, one row a layer; offsets and edge parameters are not copied twice.
+    @property
+    def row_groups(self) -> int:
+        """Blocks in which the layers were written."""
+        return self._starts.size - 1
 
-    Raises
-    ------
-    SettingsError
-        If the stack has more than :data:`LARGEST_LIST` points: write it as blocks.
-    """
-    if len(layers.points) > LARGEST_LIST:
-        raise SettingsError(
-            f"{len(layers.points)} points are too many for one Arrow batch (limit {LARGEST_LIST}): "
-            "write the stack in blocks of layers"
-        )
-    ring_offsets = _flat(layers.ring_starts.astype(np.int32))
-    layer_offsets = _flat(layers.layer_starts.astype(np.int32))
+    @property
+    def part(self) -> str:
+        """Hash of the part."""
+        return str(self._labels["part"])
 
-    def nested(column: NDArray[Any]) -> pa.ListArray:
-        return pa.ListArray.from_arrays(layer_offsets, pa.ListArray.from_arrays(ring_offsets, _flat(column)))
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Settings of the slicer, and what it declared of this part."""
+        return dict(self._labels["settings"])
 
-    columns = {
-        "height_mm": _flat(layers.heights),
-        "dropped": _flat(layers.dropped),
-        "x": nested(layers.points[:, 0]),
-        "y": nested(layers.points[:, 1]),
-        "closed": pa.ListArray.from_arrays(layer_offsets, _flat(layers.closed)),
-    }
-    if layers.edge is not None and layers.edge_t is not None:
-        columns["edge_low"] = nested(layers.edge[:, 0])
-        columns["edge_high"] = nested(layers.edge[:, 1])
-        columns["edge_t"] = nested(layers.edge_t)
-    metadata = {VERSION_KEY: VERSION, LABELS_KEY: layers.labels_json()}
-    return pa.record_batch(columns).replace_schema_metadata(metadata)
+    @cached_property
+    def heights(self) -> NDArray[np.float64]:
+        """Heights of all layers, (L,) mm."""
+        name = "height_mm"
+        with self._readable():
+            table = self._file.read(columns=[name])
+        columns = [column_of(batch, name, str(self.path)) for batch in table.to_batches()]
+        return np.concatenate([np.zeros(0), *columns])
 
+    def read(self) -> Layers:
+        """Read the whole stack."""
+        return self.block(0, len(self))
 
-def from_arrow(batch: pa.RecordBatch, where: str = "record batch") -> Layers:
-    """Layers from a record batch as :func:`to_arrow` makes it.
+    def block(self, start: int, stop: int) -> Layers:
+        """Read layers ``start .. stop - 1``."""
+        first = max(0, int(np.searchsorted(self._starts, start, side="right")) - 1)
+        past = int(np.searchsorted(self._starts, stop, side="left"))
+        with self._readable():
+            table = self._file.read_row_groups(list(range(first, past)), columns=self._columns)
+        blocks = [from_arrow(batch, str(self.path)) for batch in table.to_batches()]
+        if not blocks:
+            empty = pa.RecordBatch.from_pylist([], schema=table.schema)
+            return from_arrow(empty, str(self.path))
+        joined = blocks[0] if len(blocks) == 1 else concatenate(blocks)
+        begin = int(self._starts[first])
+        return joined if len(joined) == stop - start else joined.block(start - begin, stop - begin)
 
-    Parameters
-    ----------
-    batch
-        Rows are layers; it may be a slice of a longer one.
-    where
-        What to call the source in error messages.
-
-    Raises
-    ------
-    InputError
-        If the version is another one, a column is missing or of another type, the columns do not match
-        each other, or a number is not finite.
-    """
-    labels = _labels(batch.schema, where)
-    layer_starts, ring_starts, x = _nested(batch, "x", where)
-    points = np.empty((x.size, 2))
-    points[:, 0] = x
-    points[:, 1] = _matching(batch, "y", where, layer_starts, ring_starts)
-    closed_list = _column(batch, "closed", _REQUIRED["closed"], where)
-    if not np.array_equal(_offsets(closed_list), layer_starts):
-        raise InputError(f"{where}: column 'closed' does not have one entry for each ring of 'x'")
-    heights = _own(_column(batch, "height_mm", pa.float64(), where))
-    _check_finite(heights, points, where)
-    edge = edge_t = None
-    if any(name in batch.schema.names for name in _EDGES):
-        low, high = (
-            _matching(batch, name, where, layer_starts, ring_starts) for name in ("edge_low", "edge_high")
-        )
-        edge = np.stack([low, high], axis=1).astype(np.int32, copy=False)
-        edge_t = _matching(batch, "edge_t", where, layer_starts, ring_starts).copy()
-    return Layers(
-        heights=heights,
-        points=points,
-        ring_starts=ring_starts,
-        layer_starts=layer_starts,
-        closed=_own(closed_list.flatten().cast(pa.uint8())).astype(np.bool_),
-        edge=edge,
-        edge_t=edge_t,
-        dropped=_own(_column(batch, "dropped", pa.int64(), where)),
-        **labels,
-    )
-
-
-def _flat(column: NDArray[Any]) -> pa.Array:
-    """An Arrow array over a column's own memory (``pa.array`` would import pandas first, for a second)."""
-    if column.dtype == np.bool_:
-        bits = np.packbits(column, bitorder="little")
-        return pa.Array.from_buffers(pa.bool_(), column.size, [None, pa.py_buffer(bits)])
-    column = np.ascontiguousarray(column)
-    return pa.Array.from_buffers(pa.from_numpy_dtype(column.dtype), column.size, [None, pa.py_buffer(column)])
-
-
-def _own(column: pa.Array) -> NDArray[Any]:
-    """A column as a numpy array of its own: numba compiles anew for one that is read-only.
-
-    (By DLPack, because pyarrow's ``to_numpy`` would import pandas first, too.)
-    """
-    return np.from_dlpack(column).copy()
-
-
-def _labels(schema: pa.Schema, where: str) -> dict[str, Any]:
-    """Labels in the metadata, once their version is known to be ours."""
-    metadata = schema.metadata or {}
-    version = metadata.get(VERSION_KEY, b"").decode("utf-8", "replace")
-    if version != VERSION:
-        said = f"version {version!r}" if version else "no version"
-        raise InputError(
-            f"{where}: has {said} under {VERSION_KEY.decode()!r}: this program reads layers of version {VERSION!r}"
-        )
-    try:
-        values = json.loads(metadata[LABELS_KEY])
-        return {
-            "part": str(values["part"]),
-            "direction": tuple(float(v) for v in values["direction"]),
-            "backend": str(values["backend"]),
-            "settings": dict(values["settings"]),
-        }
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{where}: its labels cannot be read: {type(error).__name__}: {error}") from None
-
-
-def _column(batch: pa.RecordBatch, name: str, kind: pa.DataType, where: str) -> Any:
-    """A column of the type it should have, without nulls."""
-    if name not in batch.schema.names:
-        raise InputError(f"{where}: column {name!r} is missing; there are {', '.join(batch.schema.names)}")
-    column = batch.column(name)
-    if column.type != kind:
-        raise InputError(f"{where}: column {name!r} is {column.type}, it should be {kind}")
-    if column.null_count:
-        raise InputError(f"{where}: column {name!r} has {column.null_count} empty cells")
-    return column
-
-
-def _offsets(column: pa.ListArray) -> Ints:
-    """Where each list starts, from 0, and where the last one ends."""
-    offsets = np.from_dlpack(column.offsets).astype(np.int64)
-    starts: Ints = offsets - offsets[0]
-    return starts
-
-
-def _nested(batch: pa.RecordBatch, name: str, where: str) -> tuple[Ints, Ints, NDArray[Any]]:
-    """Starts of layers in rings, of rings in points, and the items of a nested column."""
-    column = _column(batch, name, _EDGES.get(name, _NUMBERS), where)
-    inner = column.flatten()
-    items = inner.flatten()
-    if inner.null_count or items.null_count:
-        raise InputError(f"{where}: column {name!r} has {inner.null_count + items.null_count} empty items")
-    return _offsets(column), _offsets(inner), np.from_dlpack(items)
-
-
-def _matching(
-    batch: pa.RecordBatch, name: str, where: str, layer_starts: Ints, ring_starts: Ints
-) -> NDArray[Any]:
-    """Items of a nested column that has the same rings as column x."""
-    layers, rings, items = _nested(batch, name, where)
-    if not (np.array_equal(layers, layer_starts) and np.array_equal(rings, ring_starts)):
-        raise InputError(f"{where}: column {name!r} does not have the rings and points of column 'x'")
-    return items
-
-
-def _check_finite(heights: NDArray[np.float64], points: NDArray[np.float64], where: str) -> None:
-    if not np.isfinite(heights).all():
-        layer = int(np.flatnonzero(~np.isfinite(heights))[0])
-        raise InputError(f"{where}: height of layer {layer} is {heights[layer]}: it must be finite")
-    if not np.isfinite(points).all():
-        row = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
-        raise InputError(f"{where}: point {row} is {points[row].tolist()}: coordinates must be finite")
-
-
-def _joined(batches: list[pa.RecordBatch], where: str) -> Layers:
-    blocks = [from_arrow(batch, where) for batch in batches]
-    return blocks[0] if len(blocks) == 1 else concatenate(blocks)
-
-
-def _no_rows(schema: pa.Schema) -> pa.RecordBatch:
-    return pa.RecordBatch.from_pylist([], schema=schema)
-
-
-def _first_line(error: BaseException) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0]
+    @contextmanager
+    def _readable(self) -> Iterator[None]:
+        """Say which file it is that cannot be read."""
+        try:
+            yield
+        except (OSError, pa.ArrowException) as error:
+            line = (str(error).splitlines() or [type(error).__name__])[0]
+            raise InputError(f"{self.path}: cannot be read as Parquet: {line}") from None

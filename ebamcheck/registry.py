@@ -83,6 +83,16 @@ def slicers() -> Mapping[str, Slicer]:
     return found
 
 
+def house_slicers() -> list[str]:
+    """Names of the slicers that take part in a job unless it names others: those of priority 0 and more."""
+    return [name for name, slicer in slicers().items() if slicer.priority >= 0]
+
+
+def witnesses() -> list[str]:
+    """Names of the slicers that take part only where they are asked for: outside programs, of negative priority."""
+    return [name for name, slicer in slicers().items() if slicer.priority < 0]
+
+
 def slicer(name: str) -> Slicer:
     """Return the slicer of that name; raises :class:`BackendMissing` with the names there are."""
     known = slicers()
@@ -113,7 +123,7 @@ def available_slicer(name: str) -> Slicer:
 
 def default_backend() -> str:
     """Name of the available exact slicer of the highest priority."""
-    usable = [s for s in slicers().values() if s.exact and probe(s.name).available]
+    usable = [slicer(name) for name in house_slicers() if slicer(name).exact and probe(name).available]
     if not usable:
         raise BackendMissing("no exact backend is available: see `ebamcheck backends` for the reasons")
     return max(usable, key=lambda s: (s.priority, s.name)).name

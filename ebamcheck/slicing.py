@@ -1,18 +1,26 @@
-"""Slice a part with one backend, in this process or in one of its own."""
+"""Slice a part with one backend, in this process or in one of its own, once or again and again."""
 
 from __future__ import annotations
 
-from typing import Any
+import weakref
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from types import TracebackType
+from typing import Any, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ebamcheck import registry
-from ebamcheck.backend import Progress
+from ebamcheck.backend import Prepared, Progress
+from ebamcheck.errors import SettingsError
 from ebamcheck.heights import checked_heights
 from ebamcheck.isolate import Limits, slice_isolated
 from ebamcheck.layers import Layers
 from ebamcheck.part import Part
+
+_Result = TypeVar("_Result")
 
 
 def slice_part(
@@ -68,3 +76,135 @@ def slice_part(
         with registry.available_slicer(name).prepare(part, checked) as prepared:
             layers = prepared.slice(increasing, progress)
     return layers if np.array_equal(increasing, wanted) else layers.take(where)
+
+
+class Slicing:
+    """A part made ready for one slicer, to be cut again at any height while a build goes on.
+
+    What the slicer needs of the part (an index, a tree, a graphics context) is made once, here. Calls may come from
+    any thread: they are served one after the other by a thread of the object's own, which also is where
+    graphics contexts live.
+
+    Parameters
+    ----------
+    part
+        The part as placed.
+    backend
+        Name in the registry; the default is the available exact slicer of the highest priority.
+    **settings
+        The backend's own settings.
+
+    Raises
+    ------
+    BackendMissing
+        If the backend is unknown or cannot run on this machine.
+    BackendFailed
+        If it refuses the part.
+    SettingsError
+        If a setting is wrong; from every method once the object is closed.
+
+    Examples
+    --------
+    >>> from ebamcheck_models import CUBE
+    >>> with Slicing(CUBE.tessellate(0.1)) as slicing:
+    ...     float(slicing.at(4.37).areas()[0])
+    400.0
+    """
+
+    def __init__(self, part: Part, backend: str = "", **settings: Any) -> None:
+        self.part = part
+        self.backend = backend or registry.default_backend()
+        self.settings = registry.slicer_settings(self.backend, settings)
+        slicer = registry.available_slicer(self.backend)
+        self._unturned = part
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix=f"ebamcheck-{self.backend}")
+        self._open = True
+        try:
+            self._prepared: Prepared = self._in_thread(_entered, slicer, part, self.settings)
+        except BaseException:
+            self._thread.shutdown()
+            raise
+        self._release = weakref.finalize(self, _leave, self._thread, self._prepared)
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Free what the slicer holds."""
+        self.close()
+
+    def close(self) -> None:
+        """Free what the slicer holds; may be called twice."""
+        self._open = False
+        self._release()
+
+    def at(self, height: float) -> Layers:
+        """Cut one layer.
+
+        Parameters
+        ----------
+        height
+            Absolute height, mm.
+
+        Returns
+        -------
+        Layers
+            A stack of one layer, the same in every bit as in a stack of many.
+        """
+        return self.layers([height])
+
+    def layers(self, heights: ArrayLike, progress: Progress | None = None) -> Layers:
+        """Cut at (L,) heights, mm, in any order; one layer a height, in the order given."""
+        wanted = checked_heights(heights)
+        increasing, where = np.unique(wanted, return_inverse=True)
+        layers: Layers = self._in_thread(self._prepared.slice, increasing, progress)
+        return layers if np.array_equal(increasing, wanted) else layers.take(where)
+
+    def along(self, direction: ArrayLike) -> Slicing:
+        """Make the same part ready along another direction.
+
+        Parameters
+        ----------
+        direction
+            (3,) in the coordinates of the file; it will point up.
+
+        Returns
+        -------
+        Slicing
+            Another object; this one stays as it is.
+
+        Raises
+        ------
+        SettingsError
+            If the direction is zero or not finite, or the part was turned before it came here.
+        """
+        turned = Slicing(self._unturned.along(direction), self.backend, **self.settings.model_dump())
+        turned._unturned = self._unturned
+        return turned
+
+    def _in_thread(self, call: Callable[..., _Result], *arguments: Any) -> _Result:
+        """Run a call in the thread of the slicer and wait for it."""
+        if not self._open:
+            raise SettingsError(
+                f"the slicing of {self.part.name!r} by {self.backend!r} is closed: make another"
+            )
+        return self._thread.submit(call, *arguments).result()
+
+
+def _entered(slicer: Any, part: Part, settings: Any) -> Prepared:
+    prepared: Prepared = slicer.prepare(part, settings)
+    return prepared.__enter__()
+
+
+def _leave(thread: ThreadPoolExecutor, prepared: Prepared) -> None:
+    """Free a prepared part in the thread where it was made, and end that thread."""
+    # At the end of the process the thread may be gone already, and what it held with it.
+    with suppress(RuntimeError):
+        thread.submit(prepared.__exit__, None, None, None).result()
+    thread.shutdown()

@@ -87,6 +87,12 @@ def run_summary(manifest: Mapping[str, Any]) -> str:
         if pairs
         else "",
         text_table(["", "gate", ""], passed),
-        "VALIDATED" if manifest["exit_code"] == 0 else f"NOT VALIDATED (exit code {manifest['exit_code']})",
+        _verdict(manifest),
     ]
     return "\n\n".join(block for block in blocks if block)
+
+
+def _verdict(manifest: Mapping[str, Any]) -> str:
+    """The last word on a job: of a program it is another than of a cross-check alone."""
+    good, bad = ("AGREED", "NOT AGREED") if manifest.get("job") == "check" else ("VALIDATED", "NOT VALIDATED")
+    return good if manifest["exit_code"] == 0 else f"{bad} (exit code {manifest['exit_code']})"

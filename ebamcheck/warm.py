@@ -37,7 +37,7 @@ def warm_kernels() -> float:
         from ebamcheck.mesh_files import load
 
         part = load(path)
-        for name in registry.slicers():
+        for name in registry.house_slicers():
             if registry.probe(name).available:
                 slice_part(part, [1.0, 2.0, 3.0], name)
         level = logging.getLogger("ebamcheck").level

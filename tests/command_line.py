@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import subprocess
 import sys
 from pathlib import Path
@@ -16,8 +17,10 @@ FAST = "planecut,manifold"
 """Two exact backends that start quickly."""
 
 
-def ebamcheck(*arguments: object, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
-    """Run the program to its end."""
+def ebamcheck(
+    *arguments: object, cwd: Path, limit_bytes: int = 0, **environment: str
+) -> subprocess.CompletedProcess[str]:
+    """Run the program to its end; with a limit, no file of it can grow beyond that."""
     return subprocess.run(
         command(*arguments),
         cwd=cwd,
@@ -25,6 +28,9 @@ def ebamcheck(*arguments: object, cwd: Path, **environment: str) -> subprocess.C
         capture_output=True,
         text=True,
         check=False,
+        preexec_fn=(lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit_bytes,) * 2))
+        if limit_bytes
+        else None,
     )
 
 

@@ -269,9 +269,12 @@ def test_internal_errors_are_one_line_with_code_3(place, tmp_path):
     )
     told = ebamcheck("loose", cwd=place, PYTHONPATH=str(tmp_path))
     assert told.returncode == 3
-    warning, error = told.stderr.splitlines()
-    assert "command 'gone' was left out" in warning
+    (error,) = told.stderr.splitlines()
     assert error.startswith("ebamcheck: internal error: ValueError: two lines")
+    told = ebamcheck("--help", cwd=place, PYTHONPATH=str(tmp_path))
+    assert told.returncode == 0
+    assert "command 'gone' was left out" in told.stderr
+    assert "loose" in told.stdout
 
 
 def test_output_that_nobody_reads_is_no_error(place):

@@ -46,7 +46,28 @@ class Troubled(PlaneCut):
                 raise RuntimeError("it broke\non two lines")
             case "refuse":
                 raise BackendFailed("the mesh is not to its liking: 3 open edges")
+            case "stop":
+                return StopsHalfWay(PlaneCut().prepare(part, PlaneCut.Settings()))
         return PlaneCut().prepare(part, PlaneCut.Settings())
+
+
+class StopsHalfWay:
+    """Cuts its first block and hangs in the second."""
+
+    def __init__(self, prepared):
+        self.prepared, self.calls = prepared, 0
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, kind, error, trace):
+        pass
+
+    def slice(self, heights, progress=None):
+        self.calls += 1
+        if self.calls > 1:
+            time.sleep(600)
+        return self.prepared.slice(heights, progress)
 
 
 class Absent(PlaneCut):
@@ -106,34 +127,64 @@ def test_isolated_layers_are_those_of_this_process():
         ("memory", "out of memory", "over the limit of 900 MB"),
     ],
 )
-def test_a_failing_backend_is_a_finding_and_the_others_go_on(plugins, trouble, failure, why):
+def test_a_failing_backend_is_a_finding_and_the_others_go_on(plugins, trouble, failure, why, tmp_path):
     backends = {
         "troubled": registry.slicer_settings("troubled", {"trouble": trouble}),
         "planecut": registry.slicer_settings("planecut", {}),
     }
     limits = Limits(time_s=120.0, memory_mb=900.0)
     seen = []
-    outcomes = slice_all(box(), HEIGHTS, backends, limits, finished=seen.append)
+    target = tmp_path / "layers"
+    target.mkdir()
+    outcomes = slice_all(box(), HEIGHTS, backends, target, limits, finished=seen.append)
     assert list(outcomes) == ["troubled", "planecut"]
     assert {o.name for o in seen} == {"troubled", "planecut"}
     bad, good = outcomes["troubled"], outcomes["planecut"]
     assert bad.failure == failure
-    assert bad.layers is None
+    assert bad.file is None
     assert re.search(why, bad.why), bad.why
     assert "\n" not in bad.why
     assert good.failure == ""
-    assert good.layers.areas().tolist() == [4.0] * 40
+    assert good.read().areas().tolist() == [4.0] * 40
     assert good.peak_mb > 10
+    assert [file.name for file in target.iterdir()] == ["planecut.parquet"]
 
 
-def test_a_hanging_backend_is_ended(plugins):
+@pytest.mark.parametrize("borders", [[0, 40], [0, 1, 17, 17, 39, 40], list(range(41))])
+@pytest.mark.parametrize("name", ["planecut", "manifold", "embree", "stencil"])
+def test_layers_do_not_depend_on_the_blocks_they_are_cut_in(tmp_path, name, borders):
+    if not registry.probe(name).available:
+        pytest.skip(registry.probe(name).why)
+    part = tilted(torus())
+    heights = ebamcheck.layer_heights(part, part.size[2] / 40)
+    settings = registry.slicer_settings(name, {})
+    outcome = slice_all(part, heights, {name: settings}, tmp_path, borders=np.array(borders))[name]
+    there, here = outcome.read(), ebamcheck.slice(part, heights, backend=name)
+    assert len(there) == 40
+    for column in ("heights", "points", "ring_starts", "layer_starts", "closed", "edge", "edge_t", "dropped"):
+        assert np.array_equal(getattr(here, column), getattr(there, column)), column
+
+
+def test_a_failing_backend_leaves_nothing_half_written(plugins, tmp_path):
+    """Its time is over when the first of two blocks is written."""
+    target = tmp_path / "layers"
+    target.mkdir()
+    settings = {"troubled": registry.slicer_settings("troubled", {"trouble": "stop"})}
+    outcome = slice_all(box(), HEIGHTS, settings, target, Limits(time_s=4.0), borders=np.array([0, 20, 40]))[
+        "troubled"
+    ]
+    assert (outcome.failure, outcome.file) == ("timed out", None)
+    assert list(target.iterdir()) == []
+
+
+def test_a_hanging_backend_is_ended(plugins, tmp_path):
     settings = {"troubled": registry.slicer_settings("troubled", {"trouble": "hang"})}
-    outcome = slice_all(box(), HEIGHTS, settings, Limits(time_s=2.0))["troubled"]
-    assert (outcome.failure, outcome.layers) == ("timed out", None)
+    outcome = slice_all(box(), HEIGHTS, settings, tmp_path, Limits(time_s=2.0))["troubled"]
+    assert (outcome.failure, outcome.file) == ("timed out", None)
     assert "took over 2 s" in outcome.why
 
 
-def test_killing_a_worker_from_outside_is_told(plugins):
+def test_killing_a_worker_from_outside_is_told(plugins, tmp_path):
     import threading
 
     import psutil
@@ -150,13 +201,13 @@ def test_killing_a_worker_from_outside_is_told(plugins):
     killer = threading.Thread(target=kill_the_hanging)
     killer.start()
     outcome = slice_all(
-        box(), HEIGHTS, {"troubled": registry.slicer_settings("troubled", {"trouble": "hang"})}
+        box(), HEIGHTS, {"troubled": registry.slicer_settings("troubled", {"trouble": "hang"})}, tmp_path
     )
     killer.join()
     assert (outcome["troubled"].failure, "SIGKILL" in outcome["troubled"].why) == ("killed", True)
 
 
-def test_no_worker_outlives_its_parent_call(plugins):
+def test_no_worker_outlives_its_parent_call(plugins, tmp_path):
     import psutil
 
     before = {p.pid for p in psutil.Process().children(recursive=True)}
@@ -169,7 +220,7 @@ def test_no_worker_outlives_its_parent_call(plugins):
         "troubled": registry.slicer_settings("troubled", {"trouble": "hang"}),
     }
     with pytest.raises(KeyboardInterrupt):
-        slice_all(box(), HEIGHTS, backends, finished=interrupt)
+        slice_all(box(), HEIGHTS, backends, tmp_path, finished=interrupt)
     assert {p.pid for p in psutil.Process().children(recursive=True)} <= before
 
 

@@ -1,6 +1,9 @@
-"""Layers in Parquet and Arrow streams: every bit comes back, and damaged files are refused by name."""
+"""Layers in Parquet, whole and in blocks: every bit comes back, and damaged files are refused by name."""
 
 from __future__ import annotations
+
+import itertools
+from dataclasses import replace
 
 import numpy as np
 import pyarrow as pa
@@ -9,9 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ebamcheck import layer_files
+from ebamcheck import layer_batches, layer_files
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.layers import Layers, canonical, concatenate
+from ebamcheck.layers import Layers, canonical
 
 COLUMNS = ("heights", "points", "ring_starts", "layer_starts", "closed", "edge", "edge_t", "dropped")
 
@@ -52,25 +55,23 @@ def assert_same(a: Layers, b: Layers) -> None:
 
 @pytest.mark.parametrize("edges", [True, False])
 @pytest.mark.parametrize("count", [0, 1, 40])
-def test_parquet_and_streams_give_every_bit_back(tmp_path, count, edges):
+def test_parquet_gives_every_bit_back(tmp_path, count, edges):
     layers = random_layers(count, count, edges)
     layer_files.write_layers(layers, tmp_path / "a.parquet")
     assert_same(layer_files.read_layers(tmp_path / "a.parquet"), layers)
-    assert layer_files.write_ipc([layers], tmp_path / "a.arrows") == count
-    assert_same(layer_files.read_ipc(tmp_path / "a.arrows"), layers)
 
 
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10**6), st.integers(0, 12), st.booleans())
 def test_record_batches_give_every_bit_back(seed, count, edges):
     layers = random_layers(seed, count, edges)
-    assert_same(layer_files.from_arrow(layer_files.to_arrow(layers)), layers)
+    assert_same(layer_batches.from_arrow(layer_batches.to_arrow(layers)), layers)
 
 
 def test_a_slice_of_a_batch_is_a_block_of_layers():
     layers = random_layers(3, 20)
-    batch = layer_files.to_arrow(layers)
-    assert_same(layer_files.from_arrow(batch.slice(5, 9)), layers.block(5, 14))
+    batch = layer_batches.to_arrow(layers)
+    assert_same(layer_batches.from_arrow(batch.slice(5, 9)), layers.block(5, 14))
 
 
 def test_negative_zero_and_subnormal_numbers_survive(tmp_path):
@@ -80,14 +81,21 @@ def test_negative_zero_and_subnormal_numbers_survive(tmp_path):
     assert layer_files.read_parquet(tmp_path / "a.parquet").points.tobytes() == points.tobytes()
 
 
-def test_blocks_of_a_stream_join_to_the_stack(tmp_path):
+@pytest.mark.parametrize("edges", [True, False])
+def test_blocks_of_a_file_join_to_the_stack(tmp_path, edges):
     layers = random_layers(5, 30)
-    blocks = [layers.block(a, a + 6) for a in range(0, 30, 6)]
-    assert layer_files.write_ipc(iter(blocks), tmp_path / "s") == 30
-    assert_same(layer_files.read_ipc(tmp_path / "s"), layers)
-    for found, given_block in zip(layer_files.iterate_ipc(tmp_path / "s"), blocks, strict=True):
-        assert_same(found, given_block)
-    assert_same(concatenate(list(layer_files.iterate_ipc(tmp_path / "s"))), layers)
+    borders = [0, 6, 7, 7, 19, 30]
+    blocks = (layers.block(a, b) for a, b in itertools.pairwise(borders))
+    assert layer_files.write_blocks(blocks, tmp_path / "a.parquet") == 30
+    assert_same(layer_files.read_parquet(tmp_path / "a.parquet"), layers)
+    wanted = layers if edges else replace(layers, edge=None, edge_t=None)
+    with layer_files.LayerFile(tmp_path / "a.parquet", edges=edges) as file:
+        assert (len(file), file.part, file.settings) == (30, layers.part, layers.settings)
+        assert file.heights.tobytes() == layers.heights.tobytes()
+        for a, b in itertools.combinations(range(31), 2):
+            assert_same(file.block(a, b), wanted.block(a, b))
+        for k in (0, 7, 30):
+            assert_same(file.block(k, k), wanted.block(k, k))
 
 
 def test_same_layers_same_bytes(tmp_path):
@@ -113,21 +121,11 @@ def test_other_programs_read_the_table(tmp_path):
 
 def test_every_truncation_of_a_file_is_refused_and_named(tmp_path):
     layer_files.write_parquet(random_layers(1, 4), tmp_path / "a.parquet")
-    layer_files.write_ipc([random_layers(1, 2), random_layers(2, 2)], tmp_path / "a.arrows")
-    for name, read in (("a.parquet", layer_files.read_parquet), ("a.arrows", layer_files.read_ipc)):
-        whole = (tmp_path / name).read_bytes()
-        for size in [*range(0, len(whole), max(1, len(whole) // 40)), len(whole) - 8, len(whole) - 1]:
-            (tmp_path / "cut").write_bytes(whole[:size])
-            with pytest.raises(InputError, match="cut"):
-                read(tmp_path / "cut")
-
-
-def test_a_stream_cut_between_two_batches_is_refused(tmp_path):
-    layer_files.write_ipc([random_layers(1, 3)], tmp_path / "one")
-    one = (tmp_path / "one").read_bytes()
-    (tmp_path / "cut").write_bytes(one[: -len(layer_files.END_OF_STREAM)])
-    with pytest.raises(InputError, match="did not finish"):
-        layer_files.read_ipc(tmp_path / "cut")
+    whole = (tmp_path / "a.parquet").read_bytes()
+    for size in [*range(0, len(whole), max(1, len(whole) // 40)), len(whole) - 8, len(whole) - 1]:
+        (tmp_path / "cut").write_bytes(whole[:size])
+        with pytest.raises(InputError, match="cut"):
+            layer_files.read_parquet(tmp_path / "cut")
 
 
 def test_a_flipped_bit_in_the_points_is_found(tmp_path):
@@ -141,7 +139,7 @@ def test_a_flipped_bit_in_the_points_is_found(tmp_path):
 
 
 def damaged(tmp_path, change):
-    batch = change(layer_files.to_arrow(random_layers(1, 5)))
+    batch = change(layer_batches.to_arrow(random_layers(1, 5)))
     pq.write_table(pa.Table.from_batches([batch]), tmp_path / "bad.parquet")
     return tmp_path / "bad.parquet"
 
@@ -161,7 +159,7 @@ CASES = {
         {**b.schema.metadata, b"ebamcheck.layers.version": b"2"}
     ),
     "no version": lambda b: b.replace_schema_metadata(None),
-    "labels": lambda b: b.replace_schema_metadata({layer_files.VERSION_KEY: b"1"}),
+    "labels": lambda b: b.replace_schema_metadata({layer_batches.VERSION_KEY: b"1"}),
     "'closed' is missing": lambda b: b.drop_columns(["closed"]),
     "'edge_t' is missing": lambda b: b.drop_columns(["edge_t"]),
     "'height_mm' is string": lambda b: with_column(b, "height_mm", pa.array(list("abcde"))),
@@ -187,8 +185,6 @@ def test_missing_and_foreign_files_are_refused(tmp_path):
     for name in ("none.parquet", "text.parquet"):
         with pytest.raises(InputError, match=name):
             layer_files.read_parquet(tmp_path / name)
-        with pytest.raises(InputError, match=name):
-            layer_files.read_ipc(tmp_path / name)
 
 
 def test_unknown_suffixes_and_folders_are_refused(tmp_path):
@@ -203,14 +199,16 @@ def test_unknown_suffixes_and_folders_are_refused(tmp_path):
 
 def test_blocks_that_do_not_fit_and_no_blocks_are_refused_and_leave_nothing(tmp_path):
     with pytest.raises(SettingsError, match="at least one"):
-        layer_files.write_ipc([], tmp_path / "s")
-    with pytest.raises(SettingsError, match="layer 3 differs"):
-        layer_files.write_ipc([random_layers(1, 3), random_layers(1, 3, edges=False)], tmp_path / "s")
+        layer_files.write_blocks([], tmp_path / "s")
+    whole = random_layers(1, 3)
+    for other in (random_layers(1, 3, edges=False), whole.labelled(backend="another")):
+        with pytest.raises(SettingsError, match="layer 3 differs"):
+            layer_files.write_blocks([whole, other], tmp_path / "s")
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_write_that_fails_keeps_the_file_that_was_there(tmp_path):
-    layer_files.write_ipc([random_layers(1, 3)], tmp_path / "s")
+    layer_files.write_blocks([random_layers(1, 3)], tmp_path / "s")
     before = (tmp_path / "s").read_bytes()
 
     def broken():
@@ -218,7 +216,7 @@ def test_a_write_that_fails_keeps_the_file_that_was_there(tmp_path):
         raise RuntimeError("the slicer died")
 
     with pytest.raises(RuntimeError, match="died"):
-        layer_files.write_ipc(broken(), tmp_path / "s")
+        layer_files.write_blocks(broken(), tmp_path / "s")
     assert (tmp_path / "s").read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["s"]
 

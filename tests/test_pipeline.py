@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import shutil
 import subprocess
 
@@ -16,8 +17,9 @@ from parts import box, join, moved, sphere
 
 from ebamcheck.config import Config
 from ebamcheck.errors import ExitCode, InputError, SettingsError
+from ebamcheck.layer_files import LayerFile
 from ebamcheck.part import from_arrays
-from ebamcheck.pipeline import run_job
+from ebamcheck.pipeline import check_job, run_job
 from ebamcheck.pipeline.verify import verify_against_part, verify_run
 from ebamcheck.store import RunFolder, sha256_of_file
 
@@ -351,14 +353,14 @@ def test_settings_and_part_change_the_fingerprint(tmp_path, monkeypatch):
 
 
 def test_the_folder_is_free_again_after_a_failure(tmp_path, monkeypatch):
-    from ebamcheck.pipeline import job
+    from ebamcheck.pipeline import cross_check
 
     def fail(*_):
         raise RuntimeError("on the way")
 
     path = write_stl(frame(), tmp_path / "a.stl")
     with monkeypatch.context() as patch:
-        patch.setattr(job, "slice_all", fail)
+        patch.setattr(cross_check, "slice_all", fail)
         with pytest.raises(RuntimeError, match="on the way"):
             run_job(path, tmp_path / "a.run", SETTINGS)
     assert run_job(path, tmp_path / "a.run", SETTINGS, resume=True).folder == RunFolder(tmp_path / "a.run")
@@ -379,14 +381,83 @@ def test_a_machine_without_opengl_goes_on_with_the_others(tmp_path):
 
 
 def test_a_full_disk_is_told_with_its_place(tmp_path, monkeypatch):
-    from ebamcheck.pipeline import job
+    from ebamcheck.pipeline import cross_check
 
-    def fail(*_):
+    def fail(*_, **__):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(job.layer_files, "write_parquet", fail)
+    monkeypatch.setattr(cross_check, "compare_all", fail)
     with pytest.raises(
         SettingsError, match=r"\.a\.run\.unfinished: cannot be written: No space left on device"
     ):
         run_job(write_stl(frame(), tmp_path / "a.stl"), tmp_path / "a.run", SETTINGS)
     assert not (tmp_path / "a.run").exists()
+
+
+def test_layers_that_cannot_be_written_end_the_job_and_name_the_file(tmp_path):
+    """Files of this command may not grow to what the layers take."""
+    write_stl(frame(), tmp_path / "frame.stl")
+    done = ebamcheck(
+        "check", "frame.stl", "--layer-height", 0.001, "--backends", FAST, "-o", "a.run",
+        cwd=tmp_path, limit_bytes=300_000,
+    )  # fmt: skip
+    assert done.returncode == 2, done.stdout + done.stderr
+    (line,) = [line for line in done.stderr.splitlines() if line.startswith("ebamcheck: error")]
+    assert re.search(r"layers/\w+\.parquet: cannot be written: .*File too large", line), line
+    assert not (tmp_path / "a.run").exists()
+    assert not [f for f in (tmp_path / ".a.run.unfinished" / "layers").iterdir() if f.suffix == ".part"]
+
+
+def test_a_check_slices_and_compares_and_makes_no_program(tmp_path):
+    path = write_stl(frame(), tmp_path / "a.stl")
+    checked = check_job(path, tmp_path / "check.run", SETTINGS)
+    run_job(path, tmp_path / "whole.run", SETTINGS)
+    assert checked.exit_code == ExitCode.PASS
+    assert gates(checked) == {"input": True, "agreement": True}
+    for name in ("layers.csv", "compare.csv", "compare.parquet", "layers/planecut.parquet"):
+        assert sha256_of_file(tmp_path / "check.run" / name) == sha256_of_file(tmp_path / "whole.run" / name)
+    assert not (tmp_path / "check.run" / "program").exists()
+    page = (tmp_path / "check.run" / "report.html").read_text()
+    assert "✔ AGREED" in page
+    assert "program/" not in page
+    assert all(check.passed for check in verify_run(tmp_path / "check.run", path))
+
+
+def test_a_check_of_methods_that_differ_ends_with_code_1_and_names_them(tmp_path):
+    write_stl(frame(), tmp_path / "frame.stl")
+    done = ebamcheck(
+        "check", "frame.stl", "--layer-height", 6, "--backends", "planecut", "-o", "a.run", cwd=tmp_path
+    )
+    assert done.returncode in (1, 5), done.stdout
+    assert "NOT AGREED" in done.stdout
+    assert "1 method left, two are needed" in done.stdout
+
+
+def test_the_size_of_blocks_changes_nothing(tmp_path):
+    """1000 points a block, the least there is, are some forty layers of this part."""
+    path = write_stl(sphere(10.0, 24), tmp_path / "a.stl")
+    settings = SETTINGS.changed(layers={"layer_height_mm": 0.1})
+    folders = []
+    for points in (1_000, 4_000_000):
+        result = check_job(
+            path, tmp_path / f"{points}.run", settings.changed(slicing={"block_points": points})
+        )
+        folders.append(result.folder.path)
+    with LayerFile(folders[0] / "layers" / "planecut.parquet") as file:
+        assert len(file) == 200
+        assert file.row_groups > 4
+    for name in ("layers.csv", "compare.csv"):
+        assert (folders[0] / name).read_bytes() == (folders[1] / name).read_bytes()
+    small, large = (untimed(folder) for folder in folders)
+    assert small["comparison"] == large["comparison"]
+    assert small["backends"] == large["backends"]
+
+
+def test_witnesses_join_where_they_are_asked_for(tmp_path):
+    path = write_stl(frame(), tmp_path / "a.stl")
+    alone = check_job(path, tmp_path / "a.run", SETTINGS)
+    both = check_job(path, tmp_path / "b.run", SETTINGS.changed(slicing={"witnesses": ("trimesh",)}))
+    assert set(alone.manifest["backends"]) == {"planecut", "manifold"}
+    assert set(both.manifest["backends"]) == {"planecut", "manifold", "trimesh"}
+    assert both.exit_code == ExitCode.PASS
+    assert len(both.manifest["comparison"]["pairs"]) == 3

@@ -393,19 +393,24 @@ def test_planes_through_level_faces_are_among_the_heights_and_are_cut_as_the_pla
 
 
 @pytest.mark.parametrize("name", ["sphere", "torus", "cylinder"])
-def test_an_exact_cut_of_a_curved_model_stays_within_what_its_mesh_allows(name):
+def test_an_exact_cut_of_a_curved_model_stays_within_what_its_mesh_allows(tmp_path, name):
     from ebamcheck.isolate import Outcome
+    from ebamcheck.layer_files import write_parquet
+
+    def measured(layers):
+        write_parquet(layers, tmp_path / "layers.parquet")
+        return measure_outcome(truth, Outcome("planecut", file=tmp_path / "layers.parquet"))
 
     truth = truth_of(models([name])[name], 0.2, 12)
     slicer = PlaneCut()
     with slicer.prepare(truth.part, slicer.Settings()) as prepared:
         layers = prepared.slice(truth.heights)
-    found = measure_outcome(truth, Outcome("planecut", layers=layers))
+    found = measured(layers)
     assert found.metrics["beyond_bound_layers"] == 0
     assert 0.0 < found.metrics["depth_max_mm"] <= float(truth.allowance_mm.max())
     moved = layers.labelled()
     moved = replace(moved, points=moved.points + np.array([2.0 * float(truth.allowance_mm.max()), 0.0]))
-    assert measure_outcome(truth, Outcome("planecut", layers=moved)).metrics["beyond_bound_layers"] > 0
+    assert measured(moved).metrics["beyond_bound_layers"] > 0
 
 
 # -- what is committed -----------------------------------------------------------------------------------

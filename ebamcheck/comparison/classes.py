@@ -54,14 +54,3 @@ def layer_classes(part: Part, heights: ArrayLike, margin_mm: float) -> NDArray[n
         FACE_ON_PLANE
     )
     return classes
-
-
-def crossing_counts(part: Part, heights: ArrayLike) -> NDArray[np.int64]:
-    """Facets with ``min z <= h < max z`` at each height, (L,): those that a section at h + 0 cuts."""
-    planes = np.asarray(heights, dtype=np.float64).reshape(-1)
-    if not len(part.faces):
-        return np.zeros(planes.size, np.int64)
-    z = part.vertices[:, 2][part.faces]
-    started = np.searchsorted(np.sort(z.min(axis=1)), planes, side="right")
-    ended = np.searchsorted(np.sort(z.max(axis=1)), planes, side="right")
-    return (started - ended).astype(np.int64)

@@ -12,7 +12,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from ebamcheck.comparison.causes import MeshFlaws, Place, likely_cause
-from ebamcheck.comparison.classes import GENERIC, crossing_counts, layer_classes
+from ebamcheck.comparison.classes import GENERIC, layer_classes
 from ebamcheck.comparison.findings import Finding
 from ebamcheck.comparison.pairwise import (
     Pair,
@@ -20,8 +20,9 @@ from ebamcheck.comparison.pairwise import (
     measure_stacks,
     table,
 )
+from ebamcheck.comparison.sources import LayerSource, blocks_of, contour_figures
 from ebamcheck.config import ComparisonSettings
-from ebamcheck.layers import Layers
+from ebamcheck.heights import crossing_counts
 from ebamcheck.part import Part
 
 AGREE, OUTLIER, UNDECIDED, NOT_COMPARED, EMPTY = "agree", "outlier", "undecided", "not-compared", "empty"
@@ -38,6 +39,8 @@ class Comparison:
     """One row a pair and layer: ``a``, ``b``, the columns of :func:`ebamcheck.comparison.compare`, ``gated``."""
     layers: pd.DataFrame
     """One row a layer: ``layer``, ``height_mm``, ``class``, ``consensus`` (names joined by commas), ``verdict``."""
+    stacks: Mapping[str, pd.DataFrame]
+    """By backend, one row a layer: ``area_mm2``, ``rings``, ``outer_rings``, ``open_paths``, ``points``."""
     findings: list[Finding]
     passed: bool
     """At least one layer was compared, and none has an outlier, is undecided, or is empty against the part."""
@@ -46,20 +49,21 @@ class Comparison:
 
 
 def compare_all(
-    stacks: Mapping[str, Layers],
+    stacks: Mapping[str, LayerSource],
     part: Part,
     bounds: Mapping[str, tuple[float, float]],
     exact: Mapping[str, bool],
     rules: Mapping[str, str],
     settings: ComparisonSettings | None = None,
     progress: Callable[[int], None] | None = None,
+    borders: NDArray[np.int64] | None = None,
 ) -> Comparison:
     """Compare all stacks pairwise and find, on each layer, who agrees with whom.
 
     Parameters
     ----------
     stacks
-        Layers of the same part at the same heights, by backend.
+        Layers of the same part at the same heights, by backend: in memory, or files of them.
     part
         The part, for layer classes, empty layers and causes.
     bounds
@@ -72,6 +76,9 @@ def compare_all(
         Tolerance and plane margin; the default margin is the larger height bound of a pair.
     progress
         Called with the number of layers measured since the last call.
+    borders
+        Blocks of layers (:func:`~ebamcheck.heights.layer_blocks`) of which one at a time is in memory; None: all
+        layers at once. The result does not depend on it.
 
     Returns
     -------
@@ -94,15 +101,17 @@ def compare_all(
     margins = {n: _margin(settings, bounds[n][1]) for n in names}
     classes = _classes(part, heights, {margins[n] for n in names} | {0.0})
     overall = classes[max(margins.values(), default=0.0)]
-    tables = []
-    for (a, b), rows in _pair_tables(stacks, bounds, exact, settings, classes, margins, progress).items():
+    couples = _couples(names, bounds, exact, settings)
+    margin = [max(margins[names[pair.a]], margins[names[pair.b]]) for pair in couples]
+    tables, figures = _measured(stacks, couples, [classes[m] for m in margin], part, progress, borders)
+    for pair, rows in zip(couples, tables, strict=True):
+        a, b = names[pair.a], names[pair.b]
         gated = np.asarray(rows["class"] == GENERIC) | (rules[a] == HALF_OPEN and rules[b] == HALF_OPEN)
         rows.insert(0, "b", b)
         rows.insert(0, "a", a)
         rows["gated"] = gated
-        tables.append(rows)
     pairs = pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
-    vanished = _vanished(stacks, part, heights)
+    vanished = _vanished(figures, part, heights)
     consensus, verdicts = _verdicts(names, tables, vanished)
     layers = pd.DataFrame(
         {
@@ -117,7 +126,7 @@ def compare_all(
     findings = list(_findings(part, names, declared, tables, heights, consensus, verdicts))
     compared = _compared(tables, heights.size)
     passed = compared > 0 and not {OUTLIER, UNDECIDED, EMPTY} & set(verdicts)
-    return Comparison(pairs, layers, findings, passed, compared)
+    return Comparison(pairs, layers, dict(zip(names, figures, strict=True)), findings, passed, compared)
 
 
 def _margin(settings: ComparisonSettings, height_bound_mm: float) -> float:
@@ -129,41 +138,51 @@ def _classes(part: Part, heights: NDArray[np.float64], margins: set[float]) -> d
     return {margin: layer_classes(part, heights, margin) for margin in margins}
 
 
-def _pair_tables(
-    stacks: Mapping[str, Layers],
+def _couples(
+    names: list[str],
     bounds: Mapping[str, tuple[float, float]],
     exact: Mapping[str, bool],
     settings: ComparisonSettings,
-    classes: Mapping[float, NDArray[np.str_]],
-    margins: Mapping[str, float],
-    progress: Callable[[int], None] | None,
-) -> dict[tuple[str, str], pd.DataFrame]:
-    """Table of each pair, all measured in one pass over the layers."""
-    names = list(stacks)
-    couples = list(combinations(range(len(names)), 2))
-    if not couples:
-        return {}
-    pairs = [
+) -> list[Pair]:
+    """Every pair of stacks with its limit."""
+    return [
         Pair(i, j, bounds[names[i]][0] + bounds[names[j]][0] + settings.tolerance_mm,
              bool(exact[names[i]]), bool(exact[names[j]]))
-        for i, j in couples
+        for i, j in combinations(range(len(names)), 2)
     ]  # fmt: skip
-    columns = list(stacks.values())
-    figures, origin = measure_stacks(columns, pairs, progress)
-    return {
-        (names[p.a], names[p.b]): table(
-            columns[p.a], columns[p.b], figures[k], p.limit_mm,
-            classes[max(margins[names[p.a]], margins[names[p.b]])], origin,
-        )
-        for k, p in enumerate(pairs)
-    }  # fmt: skip
 
 
-def _vanished(stacks: Mapping[str, Layers], part: Part, heights: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _measured(
+    stacks: Mapping[str, LayerSource],
+    couples: list[Pair],
+    classes: list[NDArray[np.str_]],
+    part: Part,
+    progress: Callable[[int], None] | None,
+    borders: NDArray[np.int64] | None,
+) -> tuple[list[pd.DataFrame], list[pd.DataFrame]]:
+    """Table of each pair, and figures of each stack, in one pass over the layers."""
+    # Seen from the middle of the part coordinates lose no digits to a far origin, and every block has the same one.
+    x, y, _ = part.bounds.mean(axis=0).tolist()
+    tables: list[list[pd.DataFrame]] = [[] for _ in couples]
+    figures: list[list[pd.DataFrame]] = [[] for _ in stacks]
+    for first, block in blocks_of(list(stacks.values()), borders):
+        found = measure_stacks(block, couples, (x, y), progress)
+        for p, pair in enumerate(couples):
+            a, b = block[pair.a], block[pair.b]
+            rows = table(a, b, found[p], pair.limit_mm, classes[p][first : first + len(a)], (x, y))
+            tables[p].append(rows.assign(layer=rows["layer"] + first))
+        for column, layers in zip(figures, block, strict=True):
+            column.append(contour_figures(layers))
+    return [pd.concat(rows, ignore_index=True) for rows in tables], [
+        pd.concat(rows, ignore_index=True) for rows in figures
+    ]
+
+
+def _vanished(figures: list[pd.DataFrame], part: Part, heights: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Layers that are empty in all stacks although facets cross their planes."""
     empty = np.ones(heights.size, np.bool_)
-    for stack in stacks.values():
-        empty &= stack.outer_counts() == 0
+    for stack in figures:
+        empty &= stack["outer_rings"].to_numpy() == 0
     return empty & (crossing_counts(part, heights) > 0)
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ebamcheck.comparison.classes import UNKNOWN, layer_classes
 from ebamcheck.comparison.measure import Figures, measure
 from ebamcheck.comparison.outline import outline
+from ebamcheck.comparison.sources import LayerSource
 from ebamcheck.comparison.topology import region, topologies_agree
 from ebamcheck.errors import SettingsError
 from ebamcheck.kernels import run_blocks
@@ -100,11 +101,12 @@ def compare(
     if depth_from != "auto":
         exact_a, exact_b = depth_from == "a", depth_from == "b"
     classes = np.full(len(a), UNKNOWN) if part is None else layer_classes(part, a.heights, plane_margin_mm)
-    (figures,), origin = measure_stacks([a, b], [Pair(0, 1, limit, exact_a, exact_b)])
+    origin = shared_origin([a, b])
+    (figures,) = measure_stacks([a, b], [Pair(0, 1, limit, exact_a, exact_b)], origin)
     return table(a, b, figures, limit, classes, origin)
 
 
-def check_comparable(stacks: Mapping[str, Layers], check_part: bool = True) -> None:
+def check_comparable(stacks: Mapping[str, LayerSource], check_part: bool = True) -> None:
     """Refuse stacks of different heights or of different parts; an empty hash matches any."""
     names = list(stacks)
     first = stacks[names[0]]
@@ -135,18 +137,20 @@ def check_comparable(stacks: Mapping[str, Layers], check_part: bool = True) -> N
 
 
 def measure_stacks(
-    stacks: Sequence[Layers], pairs: Sequence[Pair], progress: Callable[[int], None] | None = None
-) -> tuple[NDArray[np.float64], tuple[float, float]]:
-    """Figures of all pairs on all layers, (P, L, F) in the order of :class:`Figures`, and their origin."""
-    origin = shared_origin(stacks)
+    stacks: Sequence[Layers],
+    pairs: Sequence[Pair],
+    origin_mm: tuple[float, float],
+    progress: Callable[[int], None] | None = None,
+) -> NDArray[np.float64]:
+    """Figures of all pairs on all layers, (P, L, F) in the order of :class:`Figures`, seen from an origin."""
 
     def work(start: int, stop: int) -> NDArray[np.float64]:
-        figures = measure_block(stacks, pairs, origin, start, stop)
+        figures = measure_block(stacks, pairs, origin_mm, start, stop)
         if progress is not None:
             progress(stop - start)
         return figures
 
-    return np.concatenate(run_blocks(work, len(stacks[0]), SMALLEST_BLOCK), axis=1), origin
+    return np.concatenate(run_blocks(work, len(stacks[0]), SMALLEST_BLOCK), axis=1)
 
 
 def measure_block(

@@ -2,7 +2,8 @@
 
 from ebamcheck.pipeline.gates import Gate as Gate
 from ebamcheck.pipeline.job import RunResult as RunResult
+from ebamcheck.pipeline.job import check_job as check_job
 from ebamcheck.pipeline.job import run_job as run_job
 from ebamcheck.pipeline.work import Observer as Observer
 
-__all__ = ["Gate", "Observer", "RunResult", "run_job"]
+__all__ = ["Gate", "Observer", "RunResult", "check_job", "run_job"]

@@ -37,8 +37,8 @@ def input_gate(inspection: Inspection) -> Gate:
 
 def agreement_gate(comparison: Comparison, outcomes: Mapping[str, Outcome], layers: int) -> Gate:
     """At least two methods agree on every layer, and no method that was asked for failed."""
-    failed = [f"{o.name} {o.failure} ({o.why})" for o in outcomes.values() if o.layers is None]
-    lost = [o for o in outcomes.values() if o.layers is None and o.failure != "unavailable"]
+    failed = [f"{o.name} {o.failure} ({o.why})" for o in outcomes.values() if o.file is None]
+    lost = [o for o in outcomes.values() if o.file is None and o.failure != "unavailable"]
     methods = len(outcomes) - len(failed)
     verdicts = comparison.layers["verdict"]
     bad = int(verdicts.isin(["outlier", "undecided", "empty"]).sum())
@@ -128,7 +128,7 @@ def exit_code(gates: Iterable[Gate], compared_layers: int, outcomes: Mapping[str
     found, it is not that nothing was looked for.
     """
     shut = {gate.name for gate in gates if not gate.passed}
-    lost = any(o.layers is None and o.failure != "unavailable" for o in outcomes.values())
+    lost = any(o.file is None and o.failure != "unavailable" for o in outcomes.values())
     if compared_layers == 0 and not lost and "input" not in shut:
         return ExitCode.NOTHING_COMPARED
     return ExitCode.OUT_OF_TOLERANCE if shut else ExitCode.PASS

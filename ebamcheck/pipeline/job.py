@@ -1,25 +1,23 @@
-"""One run from part to program."""
+"""One job from part to report: the cross-check alone, or all the way to the program."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
-from ebamcheck import __version__, inspection, layer_files, mesh_files, registry
+from ebamcheck import __version__, inspection, mesh_files, registry
 from ebamcheck.backend import BackendSettings
-from ebamcheck.comparison import Comparison, compare_all
 from ebamcheck.config import Config
-from ebamcheck.errors import BackendMissing, ExitCode, SettingsError
+from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.heights import checked_heights, layer_heights
-from ebamcheck.isolate import Limits, Outcome, slice_all
-from ebamcheck.layers import Layers
 from ebamcheck.part import Part
 from ebamcheck.pipeline import gates
+from ebamcheck.pipeline.choice import chosen_backends, primary_backend, unavailable_backends
+from ebamcheck.pipeline.cross_check import CrossCheck, cross_check
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.programming import make_program
 from ebamcheck.pipeline.record import manifest as make_manifest
@@ -70,42 +68,80 @@ def run_job(
     BackendMissing
         If a required or named backend is unknown, or a required one is not available.
     """
-    config, observer = config or Config(), observer or Silent()
-    part, found = _placed_part(part_path, config, observer)
+    config = config or Config()
     fine = mesh_files.load(reference, config.part.units).along(config.part.direction) if reference else None
+
+    def program(job: Job, checked: CrossCheck, sound: bool) -> list[Gate]:
+        return make_program(job, _primary(job, checked), checked.done, fine, sound)
+
+    return _job("run", part_path, target, config, [fine.sha256 if fine else ""], resume, observer, program)
+
+
+def check_job(
+    part_path: str | Path,
+    target: str | Path,
+    config: Config | None = None,
+    resume: bool = False,
+    observer: Observer | None = None,
+) -> RunResult:
+    """Slice a part with every backend and compare them, no more; parameters and errors as in :func:`run_job`."""
+    return _job("check", part_path, target, config or Config(), [], resume, observer, None)
+
+
+# -- stages ------------------------------------------------------------------------------------------
+
+
+def _job(
+    kind: str,
+    part_path: str | Path,
+    target: str | Path,
+    config: Config,
+    inputs: list[str],
+    resume: bool,
+    observer: Observer | None,
+    program: Callable[[Job, CrossCheck, bool], list[Gate]] | None,
+) -> RunResult:
+    """Cross-check a part in a run folder, and make the program where one is wanted."""
+    observer = observer or Silent()
+    part, found = _placed_part(part_path, config, observer)
     heights = _heights(part, config)
-    names = _backends(config, observer)
-    backends = {n: registry.slicer_settings(n, config.slicing.settings.get(n, {})) for n in names}
+    backends = chosen_backends(config, observer)
     fingerprint = sha256_of_json(
-        [part.sha256, config.model_dump(), heights, names, __version__, fine.sha256 if fine else ""]
+        [kind, part.sha256, config.model_dump(), heights, list(backends), __version__, *inputs]
     )
-    job = Job(config, observer, part, found, heights, start_run(Path(target), fingerprint, resume))
+    job = Job(kind, config, observer, part, found, heights, start_run(Path(target), fingerprint, resume))
     try:
-        return _run(job, backends, fine, resume)
+        return _finished(job, backends, resume, program)
     except OSError as error:
         raise SettingsError(f"{job.folder.path}: cannot be written: {error.strerror or error}") from error
     finally:
         job.folder.release()
 
 
-# -- stages ------------------------------------------------------------------------------------------
-
-
-def _run(job: Job, backends: Mapping[str, BackendSettings], fine: Part | None, resume: bool) -> RunResult:
+def _finished(
+    job: Job,
+    backends: Mapping[str, BackendSettings],
+    resume: bool,
+    program: Callable[[Job, CrossCheck, bool], list[Gate]] | None,
+) -> RunResult:
     """All stages from slicing to the finished folder."""
-    outcomes = _slice(job, backends, resume) | _unavailable(job.config)
-    stacks = {n: o.layers for n, o in outcomes.items() if o.layers is not None}
-    comparison = _compare(job, stacks, outcomes)
-    shut = [gates.input_gate(job.found), gates.agreement_gate(comparison, outcomes, len(job.heights))]
-    primary = _primary(job.config, stacks)
-    if primary:
-        shut += make_program(job, primary, stacks, fine, validated_so_far=all(g.passed for g in shut))
-    code = gates.exit_code(shut, comparison.compared_layers, outcomes)
-    manifest = make_manifest(job, outcomes, comparison, shut, primary, code)
+    checked = cross_check(job, backends, resume)
+    outcomes = {**checked.outcomes, **unavailable_backends(job.config)}
+    shut = [gates.input_gate(job.found), gates.agreement_gate(checked.comparison, outcomes, len(job.heights))]
+    if program is not None and _primary(job, checked):
+        shut += program(job, checked, all(gate.passed for gate in shut))
+    code = gates.exit_code(shut, checked.comparison.compared_layers, outcomes)
+    manifest = make_manifest(job, outcomes, checked.comparison, shut, _primary(job, checked), code)
     write_json(manifest, job.folder.path / MANIFEST)
     _write_reports(job)
     (job.folder.path / FINGERPRINT).unlink()
     return RunResult(job.folder.finish(), tuple(shut), code, manifest)
+
+
+def _primary(job: Job, checked: CrossCheck) -> str:
+    """Backend whose contours go on; none where it has found no contour."""
+    name = primary_backend(job.config, checked.done)
+    return name if name and checked.comparison.stacks[name]["rings"].any() else ""
 
 
 def _placed_part(path: str | Path, config: Config, observer: Observer) -> tuple[Part, inspection.Inspection]:
@@ -126,120 +162,6 @@ def _heights(part: Part, config: Config) -> Floats:
             raise SettingsError("layers.heights_mm must rise from layer to layer: sort them and drop repeats")
         return heights
     return layer_heights(part, config.layer_height_mm)
-
-
-def _backends(config: Config, observer: Observer) -> list[str]:
-    """Names of the backends to run: those asked for, or all that are available."""
-    for name in config.slicing.required:
-        registry.available_slicer(name)
-    for name in config.slicing.settings:
-        registry.slicer(name)
-    if config.slicing.primary:
-        registry.available_slicer(config.slicing.primary)
-    if config.slicing.backends:
-        left_out = [
-            n
-            for n in (config.slicing.primary, *config.slicing.required)
-            if n and n not in config.slicing.backends
-        ]
-        if left_out:
-            raise SettingsError(
-                f"slicing.backends {', '.join(config.slicing.backends)} leaves out {left_out[0]!r}, "
-                "which slicing.primary or slicing.required names"
-            )
-        return [registry.slicer(name).name for name in dict.fromkeys(config.slicing.backends)]
-    usable = []
-    for name in registry.slicers():
-        probe = registry.probe(name)
-        if probe.available:
-            usable.append(name)
-        else:
-            observer.note(
-                f"backend {name} is not available: {probe.why}{f'; {probe.hint}' if probe.hint else ''}"
-            )
-    if not usable:
-        raise BackendMissing("no backend is available: see `ebamcheck backends` for the reasons")
-    return usable
-
-
-def _unavailable(config: Config) -> dict[str, Outcome]:
-    """The backends that would have run if this machine had what they need."""
-    if config.slicing.backends:
-        return {}
-    probes = {name: registry.probe(name) for name in registry.slicers()}
-    return {
-        name: Outcome(
-            name, "unavailable", f"{probe.why}{f'; {probe.hint}' if probe.hint else ''}", probe=probe
-        )
-        for name, probe in probes.items()
-        if not probe.available
-    }
-
-
-def _slice(job: Job, backends: Mapping[str, BackendSettings], resume: bool) -> dict[str, Outcome]:
-    """Slice with every backend, each in its own process; results are on disk as they come in."""
-    limits = Limits(job.config.slicing.time_limit_s, job.config.slicing.memory_limit_mb)
-    kept: dict[str, Outcome] = {}
-    for name, settings in backends.items():
-        if resume and job.folder.layers_file(name).is_file():
-            slicer = registry.slicer(name)
-            kept[name] = Outcome(
-                name,
-                layers=job.folder.read_layers(name),
-                probe=registry.probe(name),
-                error_bound_mm=slicer.error_bound_mm(job.part, settings),
-                height_bound_mm=slicer.height_bound_mm(job.part, settings),
-            )
-            job.observer.note(f"{name}: layers of the former run are kept")
-
-    def finished(outcome: Outcome) -> None:
-        if outcome.layers is not None:
-            layer_files.write_parquet(outcome.layers, job.folder.layers_file(outcome.name))
-        else:
-            job.observer.note(f"backend {outcome.name} {outcome.failure}: {outcome.why}")
-
-    waiting = {n: s for n, s in backends.items() if n not in kept}
-    with job.stage("slice", len(waiting) * len(job.heights)):
-        made = slice_all(
-            job.part, job.heights, waiting, limits, lambda _, done: job.observer.advance(done), finished
-        )
-    return {name: kept[name] if name in kept else made[name] for name in backends}
-
-
-def _compare(job: Job, stacks: Mapping[str, Layers], outcomes: Mapping[str, Outcome]) -> Comparison:
-    pairs = len(stacks) * (len(stacks) - 1) // 2
-    with job.stage("compare", pairs * len(job.heights)):
-        comparison = compare_all(
-            stacks,
-            job.part,
-            bounds={n: (outcomes[n].error_bound_mm, outcomes[n].height_bound_mm) for n in stacks},
-            exact={n: registry.slicer(n).exact for n in stacks},
-            rules={n: registry.slicer(n).coplanar_rule for n in stacks},
-            settings=job.config.comparison,
-            progress=job.observer.advance,
-        )
-        comparison.pairs.to_parquet(job.folder.path / "compare.parquet", index=False)
-        comparison.pairs.to_csv(job.folder.path / "compare.csv", index=False)
-        _layer_table(stacks, comparison).to_csv(job.folder.path / "layers.csv", index=False)
-    return comparison
-
-
-def _layer_table(stacks: Mapping[str, Layers], comparison: Comparison) -> pd.DataFrame:
-    """One row a layer: class, verdict, and area and rings of every backend."""
-    table = comparison.layers.copy()
-    for name, layers in stacks.items():
-        table[f"area_mm2_{name}"] = layers.areas()
-        table[f"rings_{name}"] = layers.ring_counts()
-        table[f"open_paths_{name}"] = layers.open_counts()
-    return table
-
-
-def _primary(config: Config, stacks: Mapping[str, Layers]) -> str:
-    """Backend whose contours go on: the one set, else the exact one of the highest priority that has some."""
-    if config.slicing.primary in stacks:
-        return config.slicing.primary if stacks[config.slicing.primary].closed.any() else ""
-    ranked = sorted(stacks, key=lambda n: (registry.slicer(n).exact, registry.slicer(n).priority, n))
-    return ranked[-1] if ranked and stacks[ranked[-1]].closed.any() else ""
 
 
 def _write_reports(job: Job) -> None:

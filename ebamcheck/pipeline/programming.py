@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -27,10 +27,10 @@ TOTALS = ("motions", "contour_mm", "hatch_mm", "travel_mm", "deposit_s", "travel
 
 
 def make_program(
-    job: Job, primary: str, stacks: Mapping[str, Layers], fine: Part | None, validated_so_far: bool
+    job: Job, primary: str, done: Sequence[str], fine: Part | None, validated_so_far: bool
 ) -> list[Gate]:
     """Fit, partition, order, write, read back and verify."""
-    config, layers = job.config, stacks[primary]
+    config, layers = job.config, job.folder.read_layers(primary)
     deviation = _fit(job, layers, fine)
     with job.stage("partition and order", len(layers)):
         plan = plan_stack(layers, config, progress=job.observer.advance)
@@ -39,7 +39,7 @@ def make_program(
     with job.stage("program", 1):
         beads = _bead_paths(layers, plan, config)
         beads.to_parquet(job.folder.path / "beads.parquet")
-        checks = _write_and_verify(job, beads, plan, _witness(primary, stacks))
+        checks = _write_and_verify(job, beads, plan, _witness(job, layers, done))
     made = [
         gates.fit_gate(deviation, config),
         gates.coverage_gate(plan.metrics, config),
@@ -132,10 +132,11 @@ def _bead_paths(layers: Layers, plan: ScanPlan, config: Config) -> Curves:
     return fit(lines, settings=config.curves)
 
 
-def _witness(primary: str, stacks: Mapping[str, Layers]) -> Layers:
+def _witness(job: Job, layers: Layers, done: Sequence[str]) -> Layers:
     """Contours by another exact method than the one that made the program, where there is one."""
-    others = [n for n in stacks if n != primary and registry.slicer(n).exact]
-    return stacks[max(others, key=lambda n: registry.slicer(n).priority)] if others else stacks[primary]
+    others = [n for n in done if n != layers.backend and registry.slicer(n).exact]
+    best = max(others, key=lambda n: registry.slicer(n).priority, default="")
+    return job.folder.read_layers(best) if best else layers
 
 
 def _write_and_verify(job: Job, beads: Curves, plan: ScanPlan, witness: Layers) -> list[Check]:

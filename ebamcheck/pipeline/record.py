@@ -16,6 +16,7 @@ from ebamcheck import __version__, registry
 from ebamcheck.comparison import Comparison
 from ebamcheck.errors import ExitCode
 from ebamcheck.isolate import Outcome
+from ebamcheck.layer_files import LayerFile
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.work import Job
 from ebamcheck.store import FINGERPRINT, FORMAT_VERSION, MANIFEST, sha256_of_file, sha256_of_json
@@ -33,6 +34,7 @@ def manifest(
     config = job.config.model_dump()
     return {
         "format": FORMAT_VERSION,
+        "job": job.kind,
         "ebamcheck": __version__,
         "python": platform.python_version(),
         "part": {
@@ -53,7 +55,10 @@ def manifest(
             "layer_height_mm": job.config.layer_height_mm,
         },
         "primary": primary,
-        "backends": {name: _backend_record(outcome) for name, outcome in outcomes.items()},
+        "backends": {
+            name: _backend_record(job, outcome, comparison.stacks.get(name))
+            for name, outcome in outcomes.items()
+        },
         "comparison": {
             "compared_layers": comparison.compared_layers,
             "passed": comparison.passed,
@@ -86,8 +91,12 @@ def _file_hashes(folder: Path) -> dict[str, str]:
     return {file.relative_to(folder).as_posix(): sha256_of_file(file) for file in sorted(written)}
 
 
-def _backend_record(outcome: Outcome) -> dict[str, Any]:
-    slicer, layers = registry.slicer(outcome.name), outcome.layers
+def _backend_record(job: Job, outcome: Outcome, figures: pd.DataFrame | None) -> dict[str, Any]:
+    """What a backend is and what it found; `figures` are those of its layers, where it has some."""
+    slicer = registry.slicer(outcome.name)
+    totals = {"rings": 0, "open_paths": 0, "points": 0}
+    if figures is not None:
+        totals = {name: int(figures[name].sum()) for name in totals}
     return {
         "status": outcome.failure or "done",
         "why": outcome.why,
@@ -99,12 +108,18 @@ def _backend_record(outcome: Outcome) -> dict[str, Any]:
         "versions": dict(outcome.probe.versions),
         "error_bound_mm": outcome.error_bound_mm,
         "height_bound_mm": outcome.height_bound_mm,
-        "settings": dict(layers.settings) if layers is not None else {},
-        "rings": int(layers.ring_counts().sum()) if layers is not None else 0,
-        "open_paths": int(layers.open_counts().sum()) if layers is not None else 0,
-        "points": len(layers.points) if layers is not None else 0,
-        "file": f"layers/{outcome.name}.parquet" if layers is not None else "",
+        "settings": _settings_used(job, outcome),
+        **totals,
+        "file": f"layers/{outcome.name}.parquet" if outcome.file is not None else "",
     }
+
+
+def _settings_used(job: Job, outcome: Outcome) -> dict[str, Any]:
+    """Settings as the slicer has filled them in, with what it declared of this part."""
+    if outcome.file is None:
+        return {}
+    with LayerFile(job.folder.layers_file(outcome.name)) as file:
+        return file.settings
 
 
 def _pair_records(pairs: pd.DataFrame) -> list[dict[str, Any]]:

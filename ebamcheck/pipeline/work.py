@@ -45,6 +45,8 @@ class Silent:
 class Job:
     """A run in progress: its parts as they come to be."""
 
+    kind: str
+    """What is asked for: ``run``, or ``check`` without a program."""
     config: Config
     observer: Observer
     part: Part

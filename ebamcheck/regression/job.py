@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -133,7 +134,7 @@ def _usable(names: Sequence[str]) -> tuple[list[str], dict[str, str]]:
     if names:
         return [registry.available_slicer(name).name for name in dict.fromkeys(names)], {}
     usable, not_run = [], {}
-    for name in registry.slicers():
+    for name in registry.house_slicers():
         probe = registry.probe(name)
         if probe.available:
             usable.append(name)
@@ -160,16 +161,17 @@ def _measure(
     found: list[tuple[Entry, Mapping[str, float]]] = []
     for subjects in rounds(matrix, model, backends):
         settings = {name: subject.settings for name, subject in subjects.items()}
-        outcomes = slice_all(truth.part, truth.heights, settings, limits)
-        for name, subject in subjects.items():
-            start = time.perf_counter()
-            entry = _entry(model, truth, case, subject, outcomes[name])
-            seconds = {
-                "prepare_s": outcomes[name].prepare_s,
-                "slice_s": outcomes[name].slice_s,
-                "measure_s": time.perf_counter() - start,
-            }
-            found.append((entry, seconds))
+        with tempfile.TemporaryDirectory(prefix="ebamcheck-") as folder:
+            outcomes = slice_all(truth.part, truth.heights, settings, Path(folder), limits)
+            for name, subject in subjects.items():
+                start = time.perf_counter()
+                entry = _entry(model, truth, case, subject, outcomes[name])
+                seconds = {
+                    "prepare_s": outcomes[name].prepare_s,
+                    "slice_s": outcomes[name].slice_s,
+                    "measure_s": time.perf_counter() - start,
+                }
+                found.append((entry, seconds))
     return found
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ebamcheck import registry
 from ebamcheck.comparison import GENERIC, layer_classes
 from ebamcheck.comparison.measure import FINEST_DEPTH_MM, Figures
-from ebamcheck.comparison.pairwise import Pair, measure_stacks
+from ebamcheck.comparison.pairwise import Pair, measure_stacks, shared_origin
 from ebamcheck.isolate import Outcome
 from ebamcheck.layers import Layers, from_polygons
 from ebamcheck.model import Model
@@ -129,13 +129,11 @@ def _allowance(model: Model, exact: Layers, tolerance_mm: float) -> Floats:
     No point of the mesh is farther than t from the surface, so its section at z lies about those of the model
     between z - t and z + t, dilated by t: on a slope the contours move by more than t, near a step by all of it.
     """
-    moved = [
-        measure_stacks(
-            [exact, _sections(model, exact.heights + side * tolerance_mm).labelled(part="")],
-            [Pair(0, 1, tolerance_mm, True, False)],
-        )[0][0][:, Figures._fields.index("depth")]
-        for side in (-1.0, 1.0)
-    ]
+    pair, depth = Pair(0, 1, tolerance_mm, True, False), Figures._fields.index("depth")
+    moved = []
+    for side in (-1.0, 1.0):
+        stacks = [exact, _sections(model, exact.heights + side * tolerance_mm).labelled(part="")]
+        moved.append(measure_stacks(stacks, [pair], shared_origin(stacks))[0][:, depth])
     return np.asarray(np.maximum(*moved) + tolerance_mm + SECTION_TOLERANCE_MM + FINEST_DEPTH_MM)
 
 
@@ -144,10 +142,10 @@ def measure_outcome(truth: Truth, outcome: Outcome) -> Measured:
 
     Layers in a vertex or face of the mesh are left out where the backend declares no rule for them.
     """
-    if outcome.layers is None:
+    if outcome.file is None:
         return Measured(outcome.failure, outcome.why)
     compared = np.flatnonzero(_comparable(truth, outcome))
-    layers, exact = outcome.layers.take(compared), truth.layers.take(compared)
+    layers, exact = outcome.read().take(compared), truth.layers.take(compared)
     columns = {"layer": compared.tolist(), **_columns(exact, truth.allowance_mm[compared], outcome, layers)}
     error = (layers.areas() - exact.areas())[truth.uniform[compared]]
     whole = {
@@ -167,7 +165,8 @@ def _comparable(truth: Truth, outcome: Outcome) -> Bools:
 def _columns(exact: Layers, allowance_mm: Floats, outcome: Outcome, layers: Layers) -> dict[str, list[Any]]:
     """Columns of the layers compared, rounded as baselines keep them."""
     pair = Pair(0, 1, DEPTH_SHARE * outcome.error_bound_mm, True, False)
-    figures, (x0, y0) = measure_stacks([exact, layers], [pair])
+    x0, y0 = shared_origin([exact, layers])
+    figures = measure_stacks([exact, layers], [pair], (x0, y0))
     depth, x, y, ab, ba = (
         figures[0][:, Figures._fields.index(name)]
         for name in ("depth", "depth_x", "depth_y", "hausdorff_ab", "hausdorff_ba")

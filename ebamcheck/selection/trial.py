@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from statistics import median
 from typing import Any
 
@@ -116,7 +118,7 @@ def try_backends(
     limits = Limits(config.slicing.time_limit_s, config.slicing.memory_limit_mb)
     trials: dict[str, Trial] = {}
     settings: dict[str, BackendSettings] = {}
-    for name in config.slicing.backends or registry.slicers():
+    for name in config.slicing.backends or registry.house_slicers():
         slicer = registry.slicer(name)
         probe = registry.probe(name)
         why = "" if probe.available else f"{probe.why}{f'; {probe.hint}' if probe.hint else ''}"
@@ -127,22 +129,23 @@ def try_backends(
         if probe.available:
             settings[name] = registry.slicer_settings(name, config.slicing.settings.get(name, {}))
     note(f"accuracy of {', '.join(settings)}")
-    outcomes = slice_all(workpiece.part, workpiece.judged, settings, limits)
-    comparison = _comparison(workpiece, config, outcomes)
-    for name, outcome in outcomes.items():
-        if outcome.layers is None:
-            trials[name] = replace(trials[name], why=f"{outcome.failure}: {outcome.why}")
-            continue
-        note(f"speed of {name}")
-        seconds, failure = _seconds(workpiece, name, settings[name], limits, repeats)
-        trials[name] = replace(
-            trials[name],
-            why=failure or _fault(workpiece, outcome, comparison),
-            bound_mm=outcome.error_bound_mm,
-            measured_mm=_measured_mm(name, outcomes, comparison),
-            seconds=seconds,
-            device=outcome.probe.device,
-        )
+    with tempfile.TemporaryDirectory(prefix="ebamcheck-") as folder:
+        outcomes = slice_all(workpiece.part, workpiece.judged, settings, Path(folder), limits)
+        comparison = _comparison(workpiece, config, outcomes)
+        for name, outcome in outcomes.items():
+            if outcome.file is None:
+                trials[name] = replace(trials[name], why=f"{outcome.failure}: {outcome.why}")
+                continue
+            note(f"speed of {name}")
+            seconds, failure = _seconds(workpiece, name, settings[name], limits, repeats)
+            trials[name] = replace(
+                trials[name],
+                why=failure or _fault(workpiece, outcome, comparison),
+                bound_mm=outcome.error_bound_mm,
+                measured_mm=_measured_mm(name, outcomes, comparison),
+                seconds=seconds,
+                device=outcome.probe.device,
+            )
     return [trials[name] for name in sorted(trials)]
 
 
@@ -152,17 +155,18 @@ def _seconds(
     """Median time of a backend on the whole stack, alone on the machine, and why there is none."""
     times = []
     for _ in range(repeats):
-        outcome = slice_all(workpiece.part, workpiece.timed, {name: settings}, limits)[name]
-        if outcome.layers is None:
+        with tempfile.TemporaryDirectory(prefix="ebamcheck-") as folder:
+            outcome = slice_all(workpiece.part, workpiece.timed, {name: settings}, Path(folder), limits)[name]
+        if outcome.file is None:
             return float("nan"), f"{outcome.failure}: {outcome.why}"
         times.append(outcome.prepare_s + outcome.slice_s)
     return median(times), ""
 
 
 def _comparison(workpiece: Workpiece, config: Config, outcomes: Mapping[str, Outcome]) -> Comparison:
-    done = {name: o for name, o in outcomes.items() if o.layers is not None}
+    done = {name: o for name, o in outcomes.items() if o.file is not None}
     return compare_all(
-        {name: o.layers for name, o in done.items() if o.layers is not None},
+        {name: o.read() for name, o in done.items()},
         workpiece.part,
         {name: (o.error_bound_mm, o.height_bound_mm) for name, o in done.items()},
         {name: registry.slicer(name).exact for name in done},
@@ -173,7 +177,7 @@ def _comparison(workpiece: Workpiece, config: Config, outcomes: Mapping[str, Out
 
 def _reference(outcomes: Mapping[str, Outcome]) -> str:
     """The exact backend of the highest priority that sliced the part."""
-    exact = [n for n, o in outcomes.items() if o.layers is not None and registry.slicer(n).exact]
+    exact = [n for n, o in outcomes.items() if o.file is not None and registry.slicer(n).exact]
     return max(exact, key=lambda n: (registry.slicer(n).priority, n), default="")
 
 

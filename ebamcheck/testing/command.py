@@ -34,7 +34,7 @@ def conform_command(
 
     Exit code 1 if a backend breaks a check, 4 if it is not available.
     """
-    wanted = list(names or [name for name in registry.slicers() if registry.probe(name).available])
+    wanted = list(names or [name for name in registry.house_slicers() if registry.probe(name).available])
     chosen = None if models is None else [m for m in models.split(",") if m and m != "none"]
     values = dict(_setting(text) for text in setting or ())
     found = [conform(name, chosen, values) for name in wanted]

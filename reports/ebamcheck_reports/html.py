@@ -25,6 +25,9 @@ SECTIONS: tuple[tuple[str, str, Callable[[RunData], Markup]], ...] = (
     ("reproduce", "Reproduce", reproduce.render),
 )
 
+OF_THE_PROGRAM = ("fit", "scan", "program")
+"""Sections that a cross-check alone has nothing for."""
+
 
 def write(run: RunFolder) -> list[str]:
     """Write the report into the run folder and return its name."""
@@ -50,15 +53,21 @@ def document(run: RunData) -> str:
     return "<!DOCTYPE html>\n" + element("html", head, body, lang="en") + "\n"
 
 
+def _chapters(run: RunData) -> list[tuple[str, str, Callable[[RunData], Markup]]]:
+    """Sections that the job has something for."""
+    return [chapter for chapter in SECTIONS if not (run.is_check and chapter[0] in OF_THE_PROGRAM)]
+
+
 def _header(run: RunData) -> Markup:
-    links = [element("a", title, href=f"#{anchor}") for anchor, title, _ in SECTIONS]
+    links = [element("a", title, href=f"#{anchor}") for anchor, title, _ in _chapters(run)]
     record = run.part_of("part")
     return element(
         "header",
         element("h1", f"Slicing report: {record['name']}"),
         paragraph(
             f"{record['source']}, checked by ebamcheck {run.manifest['ebamcheck']}. "
-            "The part was cut by several methods, the results were compared, and the program made from them was read back and checked."
+            "The part was cut by several methods and the results were compared"
+            + ("." if run.is_check else ", and the program made from them was read back and checked.")
         ),
         element("nav", *links),
     )
@@ -66,7 +75,7 @@ def _header(run: RunData) -> Markup:
 
 def _sections(run: RunData) -> list[Markup]:
     made = []
-    for anchor, title, render in SECTIONS:
+    for anchor, title, render in _chapters(run):
         try:
             made.append(render(run))
         except EbamcheckError as error:

@@ -91,12 +91,13 @@ def worst_places(run: RunData) -> dict[int, Place]:
 
 
 def _frame(run: RunData, layer: int, why: str, worst: Place | None) -> Markup:
-    height = next(iter(run.stacks.values())).heights[layer]
+    stacks = run.layer(layer)
+    height = next(iter(stacks.values())).heights[0]
     name = layer_name(layer, float(height))
-    pictures = [_overlay(run.stacks, layer, name)]
+    pictures = [_overlay(stacks, name)]
     caption = f"{name} ({why})."
     if worst is not None and np.isfinite([worst.x_mm, worst.y_mm]).all():
-        pictures.append(_inset(run.stacks, layer, worst))
+        pictures.append(_inset(stacks, worst))
         caption += (
             f" Right: the place where {worst.pair} differ most, ({worst.x_mm:.3f}, {worst.y_mm:.3f}) mm: "
             f"depth {worst.depth_mm:.4g} mm, limit {worst.limit_mm:.4g} mm."
@@ -104,17 +105,18 @@ def _frame(run: RunData, layer: int, why: str, worst: Place | None) -> Markup:
     return picture(element("div", *pictures, class_="beside"), caption, class_="frame", name=name)
 
 
-def _overlay(stacks: Mapping[str, Layers], layer: int, title: str) -> Markup:
-    box = _box(stacks, layer)
-    svg = overlay_svg(stacks, layer, width_px=WIDTH_PX, title=title, box=box)
+def _overlay(stacks: Mapping[str, Layers], title: str) -> Markup:
+    """Draw stacks of one layer over each other."""
+    box = _box(stacks)
+    svg = overlay_svg(stacks, 0, width_px=WIDTH_PX, title=title, box=box)
     if len(svg) > MOST_BYTES:
-        svg = overlay_svg(stacks, layer, width_px=WIDTH_PX // 2, title=title, box=box)
+        svg = overlay_svg(stacks, 0, width_px=WIDTH_PX // 2, title=title, box=box)
     return inline(svg)
 
 
-def _box(stacks: Mapping[str, Layers], layer: int) -> Box:
+def _box(stacks: Mapping[str, Layers]) -> Box:
     """Box of a layer in all stacks, widened so that a narrow one is not drawn taller than the page."""
-    bounds = np.array([layers.block(layer, layer + 1).bounds() for layers in stacks.values()])
+    bounds = np.array([layers.bounds() for layers in stacks.values()])
     x0, y0 = np.nanmin(bounds[:, :2], axis=0)
     x1, y1 = np.nanmax(bounds[:, 2:], axis=0)
     least = max(LEAST_EXTENT_MM, 0.02 * max(x1 - x0, y1 - y0))
@@ -123,15 +125,15 @@ def _box(stacks: Mapping[str, Layers], layer: int) -> Box:
     return (float(x0 - wider), float(y0 - taller), float(x1 + wider), float(y1 + taller))
 
 
-def _inset(stacks: Mapping[str, Layers], layer: int, worst: Place) -> Markup:
+def _inset(stacks: Mapping[str, Layers], worst: Place) -> Markup:
     """Enlarge the worst place, in the colours and dashes of the whole picture."""
     reach = worst.depth_mm if np.isfinite(worst.depth_mm) else 0.0
-    x0, y0, x1, y1 = _box(stacks, layer)
+    x0, y0, x1, y1 = _box(stacks)
     half_mm = min(INSET_LIMITS * max(reach, worst.limit_mm), LARGEST_INSET * max(x1 - x0, y1 - y0))
     canvas = Canvas(around(worst.x_mm, worst.y_mm, half_mm), INSET_PX)
     for n, layers in enumerate(stacks.values()):
         colour, dashes = COLOURS[n % len(COLOURS)], DASHES[n % len(DASHES)]
-        for r in layers.rings_of(layer):
+        for r in layers.rings_of(0):
             ring = outline(layers, r)
             if len(ring) > 1:
                 width = max(1.0, 4.0 - 0.8 * n)

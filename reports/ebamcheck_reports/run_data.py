@@ -14,6 +14,7 @@ from ebamcheck import layer_files
 from ebamcheck.config import Config, validated
 from ebamcheck.curves import Curves
 from ebamcheck.errors import InputError
+from ebamcheck.layer_files import LayerFile
 from ebamcheck.layers import Layers
 from ebamcheck.scan import ScanPlan
 from ebamcheck.store import RunFolder
@@ -21,6 +22,9 @@ from ebamcheck_reports.figures import number
 
 GATES = ("input", "agreement", "fit", "coverage", "program")
 """Gates of a run in the order in which it comes to them; a run without contours ends after the second."""
+
+CHECK_GATES = GATES[:2]
+"""Gates of a cross-check alone."""
 
 REFERENCE = "reference.parquet"
 """Sections of the finer tessellation, where the run kept them."""
@@ -69,7 +73,12 @@ class RunData:
     def missing_gates(self) -> list[str]:
         """Gates that the run did not come to."""
         reached = {gate["name"] for gate in self.gates}
-        return [name for name in GATES if name not in reached]
+        return [name for name in (CHECK_GATES if self.is_check else GATES) if name not in reached]
+
+    @property
+    def is_check(self) -> bool:
+        """Whether only a cross-check was asked for, without a program."""
+        return bool(self.manifest.get("job") == "check")
 
     @property
     def pairs(self) -> list[Mapping[str, Any]]:
@@ -90,6 +99,11 @@ class RunData:
     def checks(self) -> list[Mapping[str, Any]]:
         """Checks of the program."""
         return list(self.part_of("program").get("checks", []))
+
+    @property
+    def passed(self) -> bool:
+        """Whether what was asked for came out well: the methods agree, or the program may be used."""
+        return self.manifest["exit_code"] == 0 if self.is_check else self.validated
 
     @property
     def validated(self) -> bool:
@@ -129,14 +143,23 @@ class RunData:
     # -- columns -----------------------------------------------------------------------------------
 
     @cached_property
-    def stacks(self) -> dict[str, Layers]:
-        """Layers of every backend that came through."""
-        return {n: self.folder.read_layers(n) for n in self.backends if self.folder.layers_file(n).is_file()}
+    def methods(self) -> list[str]:
+        """Backends that came through."""
+        return [name for name in self.backends if self.folder.layers_file(name).is_file()]
 
-    @property
+    def layer(self, layer: int) -> dict[str, Layers]:
+        """One layer of every backend that came through, each as a stack of its own."""
+        found = {}
+        for name in self.methods:
+            with LayerFile(self.folder.layers_file(name), edges=False) as file:
+                found[name] = file.block(layer, layer + 1)
+        return found
+
+    @cached_property
     def primary(self) -> Layers | None:
         """Layers that the program was made from."""
-        return self.stacks.get(self.manifest.get("primary", ""))
+        name = self.manifest.get("primary", "")
+        return self.folder.read_layers(name) if name in self.methods else None
 
     @cached_property
     def curves(self) -> Curves | None:
@@ -163,10 +186,10 @@ class RunData:
     @cached_property
     def filled_layers(self) -> list[int]:
         """Layers on which some backend found a contour or an open path."""
-        found: set[int] = set()
-        for layers in self.stacks.values():
-            found.update(np.flatnonzero(np.diff(layers.layer_starts) > 0).tolist())
-        return sorted(found)
+        table, found = self.layer_table, np.zeros(len(self.layer_table), np.bool_)
+        for name in self.methods:
+            found |= (table[f"rings_{name}"] + table[f"open_paths_{name}"]).to_numpy() > 0
+        return [int(layer) for layer in np.flatnonzero(found)]
 
     @property
     def middle_layer(self) -> int | None:

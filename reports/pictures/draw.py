@@ -24,7 +24,8 @@ NAMESPACE = ' xmlns="http://www.w3.org/2000/svg"'
 def draw(folder: Path, target: Path) -> None:
     """Write every picture of the README into `target`."""
     run = RunData(RunFolder(folder))
-    exact = run.stacks[run.manifest["primary"]]
+    exact = RunFolder(folder).read_layers(run.manifest["primary"])
+    stacks = run.layer(BLADE_LAYER)
     worst = overlays.worst_places(run)[BLADE_LAYER]
     reach = WORST_LIMITS * worst.limit_mm
     plan = ScanPlan.from_parquet(folder / "scan.parquet")
@@ -33,10 +34,10 @@ def draw(folder: Path, target: Path) -> None:
     root, blade = (layer_name(k, float(exact.heights[k])) for k in (ROOT_LAYER, BLADE_LAYER))
     pictures = {
         "layers": sheet_svg(exact, width_px=1200, columns=4, most=8),
-        "overlay": overlay_svg(run.stacks, BLADE_LAYER, width_px=720),
+        "overlay": overlay_svg(stacks, 0, width_px=720, title=f"layer {BLADE_LAYER}, z = {exact.heights[BLADE_LAYER]:.3f} mm"),
         "overlay-worst": overlay_svg(
-            run.stacks,
-            BLADE_LAYER,
+            stacks,
+            0,
             width_px=720,
             box=(worst.x_mm - 3 * reach, worst.y_mm - reach, worst.x_mm + 3 * reach, worst.y_mm + reach),
             title=f"layer {BLADE_LAYER}, enlarged: {worst.pair}, {worst.depth_mm:.3f} mm deep",

@@ -42,7 +42,7 @@ class Method(NamedTuple):
 
 def methods() -> list[Method]:
     """Every installed backend, the paper's own method first."""
-    found = [Method(name, name, {}) for name in registry.slicers()]
+    found = [Method(name, name, {}) for name in registry.house_slicers()]
     if STENCIL in registry.slicers():
         literal = {"mode": "literal", "pixel_mm": published.PIXEL_MM}
         found = [m if m.backend != STENCIL else Method("stencil, draw-once", STENCIL, {}) for m in found]

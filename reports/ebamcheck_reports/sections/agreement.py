@@ -26,7 +26,7 @@ def render(run: RunData) -> Markup:
     """Matrix of pairs, charts over the layers, findings and pictures."""
     if not run.pairs:
         none = paragraph(
-            f"{counted(len(run.stacks), 'method')} came to an end; two are needed to compare anything.",
+            f"{counted(len(run.methods), 'method')} came to an end; two are needed to compare anything.",
             class_="note bad",
         )
         return section("agreement", "Agreement", WHAT, none, _areas(run), overlays.render(run))
@@ -135,7 +135,7 @@ def _areas(run: RunData) -> Markup:
     layers = run.layer_table
     series = [
         Series(name, layers["layer"], layers[f"area_mm2_{name}"])
-        for name in run.stacks
+        for name in run.methods
         if f"area_mm2_{name}" in layers
     ]
     if not series:
@@ -149,7 +149,7 @@ def _areas(run: RunData) -> Markup:
 def _ratios(run: RunData) -> Markup:
     table_ = run.pair_table
     series = []
-    for a, b in combinations(run.stacks, 2):
+    for a, b in combinations(run.methods, 2):
         rows = table_[(table_["a"] == a) & (table_["b"] == b)]
         ratio = np.where(rows["gated"], rows["depth_mm"] / rows["limit_mm"], np.nan)
         series.append(Series(f"{a} – {b}", rows["layer"], ratio))

@@ -13,16 +13,16 @@ from ebamcheck_reports.run_data import RunData
 FRACTION = "of the area"
 """Unit of a gate that is a share and must be reached, not kept under."""
 
+WHAT = "Five gates stand between the part and the machine. Every one must pass; a gate compares one figure with one limit."
+CHECK_WHAT = "Two gates stand before the contours; a gate compares one figure with one limit."
+
 
 def render(run: RunData) -> Markup:
     """Draw the banner and the table of gates."""
     return element(
         "section",
         _banner(run),
-        paragraph(
-            "Five gates stand between the part and the machine. Every one must pass; a gate compares one figure with one limit.",
-            class_="what",
-        ),
+        paragraph(CHECK_WHAT if run.is_check else WHAT, class_="what"),
         _gates(run),
         id="verdict",
     )
@@ -32,18 +32,25 @@ def _banner(run: RunData) -> Markup:
     code = int(run.manifest["exit_code"])
     return element(
         "div",
-        element("strong", "✔ VALIDATED" if run.validated else "✘ NOT VALIDATED"),
+        element("strong", _verdict(run)),
         paragraph(*_why(run)),
         paragraph(
             f"Exit code {code}: {words.EXIT_CODES.get(code, 'see the documentation of exit codes')}.",
             class_="small",
         ),
-        class_=f"banner {'good' if run.validated else 'bad'}",
+        class_=f"banner {'good' if run.passed else 'bad'}",
         role="status",
     )
 
 
+def _verdict(run: RunData) -> str:
+    word = "AGREED" if run.is_check else "VALIDATED"
+    return f"✔ {word}" if run.passed else f"✘ NOT {word}"
+
+
 def _why(run: RunData) -> list[Markup]:
+    if run.is_check and run.passed:
+        return [join(["The methods agree on every layer. No program was asked for."])]
     if run.validated:
         return [
             join(
@@ -58,10 +65,16 @@ def _why(run: RunData) -> list[Markup]:
     reasons = [join([element("b", gate["name"]), ": ", gate["text"]]) for gate in shut]
     if run.missing_gates:
         reasons.append(join(["not reached: ", ", ".join(run.missing_gates)]))
-    if not reasons:
+    if not reasons and not run.is_check:
         reasons.append(join(["nothing failed, but no program was marked as validated"]))
     return [
-        join(["Do not use this program on a machine. "]),
+        join(
+            [
+                "Do not build from these contours. "
+                if run.is_check
+                else "Do not use this program on a machine. "
+            ]
+        ),
         element("ul", *(element("li", r) for r in reasons)),
     ]
 

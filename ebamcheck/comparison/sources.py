@@ -1,0 +1,65 @@
+"""Stacks of layers as the comparison takes them: in memory, or in files of which one block is read at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
+from typing import Any, Protocol
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from ebamcheck.layers import Layers
+
+
+class LayerSource(Protocol):
+    """Anything that gives blocks of one stack: :class:`~ebamcheck.layers.Layers`, or a file of them."""
+
+    def __len__(self) -> int:
+        """Return the number of layers."""
+        ...
+
+    @property
+    def part(self) -> str:
+        """Hash of the part."""
+        ...
+
+    @property
+    def heights(self) -> NDArray[np.float64]:
+        """Heights of all layers, (L,) mm."""
+        ...
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """Settings of the slicer, and what it declared of the part."""
+        ...
+
+    def block(self, start: int, stop: int) -> Layers:
+        """Layers ``start .. stop - 1``."""
+        ...
+
+
+def blocks_of(
+    sources: Sequence[LayerSource], borders: NDArray[np.int64] | None
+) -> Iterator[tuple[int, list[Layers]]]:
+    """First layer and stacks of one block after the other; everything at once where there are no borders."""
+    if not sources:
+        return
+    ends = [0, len(sources[0])] if borders is None else borders.tolist()
+    for start, stop in pairwise(ends):
+        yield start, [source.block(start, stop) for source in sources]
+
+
+def contour_figures(layers: Layers) -> pd.DataFrame:
+    """Figures of each layer of one stack: area, closed rings, outer ones of them, open paths and points."""
+    points = np.diff(layers.ring_starts[layers.layer_starts])
+    return pd.DataFrame(
+        {
+            "area_mm2": layers.areas(),
+            "rings": layers.ring_counts(),
+            "outer_rings": layers.outer_counts(),
+            "open_paths": layers.open_counts(),
+            "points": points,
+        }
+    )

@@ -1,0 +1,105 @@
+"""Which slicers a job runs, and whose contours go on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from ebamcheck import registry
+from ebamcheck.backend import BackendSettings, Probe
+from ebamcheck.config import Config
+from ebamcheck.errors import BackendMissing, SettingsError
+from ebamcheck.isolate import Outcome
+from ebamcheck.pipeline.work import Observer
+
+ALL = "all"
+"""Word for every installed witness."""
+
+
+def chosen_backends(config: Config, observer: Observer) -> dict[str, BackendSettings]:
+    """Settings of the backends to run, by name: those asked for or all that are available, and the witnesses.
+
+    Raises
+    ------
+    SettingsError
+        If the choice contradicts itself or a setting is wrong.
+    BackendMissing
+        If a name is unknown, a required backend is not available, or none is.
+    """
+    chosen = config.slicing
+    for name in chosen.required:
+        registry.available_slicer(name)
+    for name in chosen.settings:
+        registry.slicer(name)
+    if chosen.primary:
+        registry.available_slicer(chosen.primary)
+    names = _named(config) if chosen.backends else _available(observer)
+    names = list(dict.fromkeys([*names, *_witnesses(config, observer)]))
+    return {name: registry.slicer_settings(name, chosen.settings.get(name, {})) for name in names}
+
+
+def unavailable_backends(config: Config) -> dict[str, Outcome]:
+    """Outcomes of the backends that would have run if this machine had what they need."""
+    asked = [] if config.slicing.backends else registry.house_slicers()
+    if ALL in config.slicing.witnesses:
+        asked += registry.witnesses()
+    probes = {name: registry.probe(name) for name in asked}
+    return {
+        name: Outcome(name, "unavailable", _reason(probe), probe=probe)
+        for name, probe in probes.items()
+        if not probe.available
+    }
+
+
+def primary_backend(config: Config, names: Iterable[str]) -> str:
+    """Backend whose contours go on, of those that came to an end: the one set, else the best exact one; or none."""
+    done = list(names)
+    return config.slicing.primary if config.slicing.primary in done else max(done, key=_rank, default="")
+
+
+def _rank(name: str) -> tuple[bool, bool, int, str]:
+    slicer = registry.slicer(name)
+    return slicer.priority >= 0, slicer.exact, slicer.priority, name
+
+
+def _named(config: Config) -> list[str]:
+    """Backends that the settings name, once they hold what else the settings ask for."""
+    chosen = config.slicing
+    for name in (chosen.primary, *chosen.required):
+        if name and name not in chosen.backends:
+            raise SettingsError(
+                f"slicing.backends {', '.join(chosen.backends)} leaves out {name!r}, "
+                "which slicing.primary or slicing.required names"
+            )
+    return [registry.slicer(name).name for name in chosen.backends]
+
+
+def _available(observer: Observer) -> list[str]:
+    """House slicers that this machine can run."""
+    usable = []
+    for name in registry.house_slicers():
+        probe = registry.probe(name)
+        if probe.available:
+            usable.append(name)
+        else:
+            observer.note(f"backend {name} is not available: {_reason(probe)}")
+    if not usable:
+        raise BackendMissing("no backend is available: see `ebamcheck backends` for the reasons")
+    return usable
+
+
+def _witnesses(config: Config, observer: Observer) -> list[str]:
+    """Witnesses asked for; of `all`, those that this machine can run."""
+    if ALL not in config.slicing.witnesses:
+        return [registry.slicer(name).name for name in config.slicing.witnesses]
+    usable = []
+    for name in registry.witnesses():
+        probe = registry.probe(name)
+        if probe.available:
+            usable.append(name)
+        else:
+            observer.note(f"witness {name} is not available: {_reason(probe)}")
+    return usable
+
+
+def _reason(probe: Probe) -> str:
+    return f"{probe.why}; {probe.hint}" if probe.hint else probe.why

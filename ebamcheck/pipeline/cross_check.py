@@ -1,0 +1,115 @@
+"""Slice with every backend and compare all of them, block of layers by block of layers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from ebamcheck import registry
+from ebamcheck.backend import BackendSettings
+from ebamcheck.comparison import Comparison, compare_all
+from ebamcheck.heights import layer_blocks
+from ebamcheck.isolate import Limits, Outcome, slice_all
+from ebamcheck.layer_files import LayerFile
+from ebamcheck.pipeline.work import Job
+
+
+@dataclass(frozen=True)
+class CrossCheck:
+    """What every backend came to, and how they compare."""
+
+    outcomes: Mapping[str, Outcome]
+    comparison: Comparison
+
+    @property
+    def done(self) -> list[str]:
+        """Names of the backends that came to an end."""
+        return [name for name, outcome in self.outcomes.items() if outcome.file is not None]
+
+
+def cross_check(job: Job, backends: Mapping[str, BackendSettings], resume: bool) -> CrossCheck:
+    """Slice and compare; layers, pairs and figures of every layer are on disk afterwards.
+
+    No more than one block of layers of every backend is in memory at a time (``slicing.block_points``).
+    """
+    borders = layer_blocks(job.part, job.heights, job.config.slicing.block_points)
+    outcomes = _slice(job, backends, borders, resume)
+    return CrossCheck(outcomes, _compare(job, outcomes, borders))
+
+
+def _slice(
+    job: Job, backends: Mapping[str, BackendSettings], borders: NDArray[np.int64], resume: bool
+) -> dict[str, Outcome]:
+    """Slice with every backend, each in its own process; results are on disk as they come in."""
+    limits = Limits(job.config.slicing.time_limit_s, job.config.slicing.memory_limit_mb)
+    kept = _kept(job, backends) if resume else {}
+
+    def finished(outcome: Outcome) -> None:
+        if outcome.file is None:
+            job.observer.note(f"backend {outcome.name} {outcome.failure}: {outcome.why}")
+
+    waiting = {n: s for n, s in backends.items() if n not in kept}
+    with job.stage("slice", len(waiting) * len(job.heights)):
+        made = slice_all(
+            job.part,
+            job.heights,
+            waiting,
+            job.folder.layers_folder,
+            limits,
+            lambda _, done: job.observer.advance(done),
+            finished,
+            borders,
+        )
+    return {name: kept[name] if name in kept else made[name] for name in backends}
+
+
+def _kept(job: Job, backends: Mapping[str, BackendSettings]) -> dict[str, Outcome]:
+    """Outcomes of the backends whose layers a killed run has left behind."""
+    kept = {}
+    for name, settings in backends.items():
+        file = job.folder.layers_file(name)
+        if file.is_file():
+            slicer = registry.slicer(name)
+            kept[name] = Outcome(
+                name,
+                file=file,
+                probe=registry.probe(name),
+                error_bound_mm=slicer.error_bound_mm(job.part, settings),
+                height_bound_mm=slicer.height_bound_mm(job.part, settings),
+            )
+            job.observer.note(f"{name}: layers of the former run are kept")
+    return kept
+
+
+def _compare(job: Job, outcomes: Mapping[str, Outcome], borders: NDArray[np.int64]) -> Comparison:
+    done = {name: outcome for name, outcome in outcomes.items() if outcome.file is not None}
+    with job.stage("compare", len(job.heights)), ExitStack() as opened:
+        comparison = compare_all(
+            {n: opened.enter_context(LayerFile(job.folder.layers_file(n), edges=False)) for n in done},
+            job.part,
+            bounds={n: (o.error_bound_mm, o.height_bound_mm) for n, o in done.items()},
+            exact={n: registry.slicer(n).exact for n in done},
+            rules={n: registry.slicer(n).coplanar_rule for n in done},
+            settings=job.config.comparison,
+            progress=job.observer.advance,
+            borders=borders,
+        )
+        comparison.pairs.to_parquet(job.folder.path / "compare.parquet", index=False)
+        comparison.pairs.to_csv(job.folder.path / "compare.csv", index=False)
+        _layer_table(comparison).to_csv(job.folder.path / "layers.csv", index=False)
+    return comparison
+
+
+def _layer_table(comparison: Comparison) -> pd.DataFrame:
+    """One row a layer: class, verdict, and area, rings and open paths of every backend."""
+    table = comparison.layers.copy()
+    for name, figures in comparison.stacks.items():
+        table[f"area_mm2_{name}"] = figures["area_mm2"]
+        table[f"rings_{name}"] = figures["rings"]
+        table[f"open_paths_{name}"] = figures["open_paths"]
+    return table
