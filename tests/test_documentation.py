@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 import ebamcheck
 from ebamcheck import registry
-from ebamcheck.cli import _add_plugin_commands, app
+from ebamcheck.cli import app
 from ebamcheck.config import Config
 from ebamcheck.errors import ExitCode
 
@@ -37,11 +37,13 @@ WITHOUT_UNIT = {
     "seed",
     "decimals",
     "rays_per_call",
+    "block_points",
     "bspline_shift",
 }
 
-_add_plugin_commands()  # those of the wings belong to the program as a user sees it
-COMMANDS = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+GROUP = typer.main.get_group(app)
+CONTEXT = GROUP.make_context("ebamcheck", [], resilient_parsing=True)
+COMMANDS = {name: GROUP.get_command(CONTEXT, name) for name in GROUP.list_commands(CONTEXT)}
 
 
 def text(path: Path) -> str:
