@@ -68,6 +68,8 @@ class SlicingSettings(Section):
     """Time of one backend's process for the whole stack; beyond it the process is ended and reported."""
     memory_limit_mb: Positive = 8192.0
     """Resident memory of one backend's process, watched from outside."""
+    processes: Annotated[int, Field(ge=1)] | None = None
+    """Backends that slice side by side; None: as many as there are cores. With 1 a job needs the least memory."""
     settings: dict[str, dict[str, Any]] = {}
     """Settings of each backend, by its name."""
 

@@ -47,10 +47,12 @@ Failure = Literal["", "unavailable", "refused", "crashed", "timed out", "out of 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a backend's process may use."""
+    """What a backend's process may use, and how many there are at a time."""
 
     time_s: float = 600.0
     memory_mb: float = 8192.0
+    processes: int | None = None
+    """Processes side by side; None: as many as there are cores."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +122,7 @@ def slice_all(
     finished: Callable[[Outcome], None] | None = None,
     borders: NDArray[np.int64] | None = None,
 ) -> dict[str, Outcome]:
-    """Slice with several backends, each in its own process, as many at a time as there are cores.
+    """Slice with several backends, each in its own process.
 
     Parameters
     ----------
@@ -131,7 +133,7 @@ def slice_all(
     target
         Folder for the layers, one file ``NAME.parquet`` a backend that comes to an end.
     limits
-        Time and resident memory of each process.
+        Time and resident memory of each process, and how many run side by side.
     progress
         Called with a backend's name and the layers done since the last call.
     finished
@@ -157,9 +159,10 @@ def slice_all(
         np.save(shared / "borders.npy", np.array([0, heights.size]) if borders is None else borders)
         waiting = list(backends)
         running: list[_Worker] = []
+        most = limits.processes or max(1, thread_count())
         try:
             while waiting or running:
-                while waiting and len(running) < max(1, thread_count()):
+                while waiting and len(running) < most:
                     name = waiting.pop(0)
                     running.append(_start(name, backends[name], shared, target))
                 _listen(running, progress)

@@ -38,6 +38,7 @@ WITHOUT_UNIT = {
     "decimals",
     "rays_per_call",
     "block_points",
+    "processes",
     "bspline_shift",
 }
 

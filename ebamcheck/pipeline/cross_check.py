@@ -46,7 +46,8 @@ def _slice(
     job: Job, backends: Mapping[str, BackendSettings], borders: NDArray[np.int64], resume: bool
 ) -> dict[str, Outcome]:
     """Slice with every backend, each in its own process; results are on disk as they come in."""
-    limits = Limits(job.config.slicing.time_limit_s, job.config.slicing.memory_limit_mb)
+    chosen = job.config.slicing
+    limits = Limits(chosen.time_limit_s, chosen.memory_limit_mb, chosen.processes)
     kept = _kept(job, backends) if resume else {}
 
     def finished(outcome: Outcome) -> None:
