@@ -9,7 +9,7 @@ BIN := $(VENV)/bin
 # Two at a time: the suite is made for two cores. Tests of one file stay together and share its fixtures.
 PYTEST := $(BIN)/python -m pytest -q -n 2 --dist loadfile
 
-.PHONY: help setup demo test test-slow lint types format benchmark clean
+.PHONY: help setup demo test test-slow lint types format benchmark benchmark-gpu benchmark-scale clean
 
 help: ## Show the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -29,7 +29,7 @@ demo: setup ## Slice, cross-check, fit, partition and program the demo part; the
 	@echo "Open demo/run/report.html"
 
 test: setup lint types ## Lint, types, import contracts, doctests and all quick tests
-	@$(PYTEST) -m "not slow" --doctest-modules ebamcheck backends reference_models reports/ebamcheck_reports tests
+	@$(PYTEST) -m "not slow" --doctest-modules ebamcheck backends reference_models reports/ebamcheck_reports benchmarks tests
 
 test-slow: setup ## The tests that take longer
 	@$(PYTEST) -m slow tests
@@ -41,10 +41,23 @@ lint: setup
 
 types: setup
 	@$(BIN)/mypy
+	@MYPYPATH=.:backends:reference_models:reports $(BIN)/mypy --explicit-package-bases -p benchmarks
 
 format: setup ## Format the code
 	@$(BIN)/ruff check --fix .
 	@$(BIN)/ruff format .
+
+benchmark: setup ## Time every slicer on the ladder; tables and plots in reports/benchmarks (an hour or two)
+	@$(BIN)/ebamcheck warm
+	@$(BIN)/python -m benchmarks
+
+benchmark-gpu: setup ## The stencil alone, under the name of its renderer
+	@$(BIN)/ebamcheck warm
+	@$(BIN)/python -m benchmarks --gpu
+
+benchmark-scale: setup ## Ten million facets, ten thousand layers, under a watch of memory
+	@$(BIN)/ebamcheck warm
+	@$(BIN)/python -m benchmarks --scale
 
 clean: ## Remove what the targets made
 	@rm -rf $(VENV) demo .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -155,7 +155,7 @@ class RingWall(Solid):
         z, factor = self.ends.straight(v)
 
         def outermost(axis: int, sign: float) -> Callable[[Floats], Floats]:
-            return lambda u: sign * self._wall(u, z, factor, 1.0)[axis]
+            return lambda u: sign * self.wall_point(u, z, factor, 1.0)[axis]
 
         box = np.zeros((2, 3))
         for row, sign in enumerate((-1.0, 1.0)):
@@ -171,10 +171,10 @@ class RingWall(Solid):
         height, lip = np.array(z), self.ends.factor(z)
 
         def wall(side: float) -> Callable[[Floats], Floats]:
-            return lambda u: self._wall(u, height, lip, side)
+            return lambda u: self.wall_point(u, height, lip, side)
 
         def tube(channel: Channel) -> Callable[[Floats], Floats]:
-            return lambda u: self._tube(channel, u, height, channel.ends.factor(z))
+            return lambda u: self.tube_point(channel, u, height, channel.ends.factor(z))
 
         outer, inner = (_ring(wall(side), tolerance_mm) for side in (1.0, -1.0))
         cut = [c for c in self.channels if c.ends.low_mm < z < c.ends.high_mm]
@@ -235,15 +235,15 @@ class RingWall(Solid):
         turned = angle - self._twist(z)
         return self._radius(z) + self.oval_mm * np.cos(2.0 * turned) + self.lobes_mm * np.cos(3.0 * turned)
 
-    def _wall(self, u: Floats, z: Floats, lip: Floats, side: float) -> Floats:
-        """Point of the outer (side 1) or inner (side -1) surface."""
+    def wall_point(self, u: Floats, z: Floats, lip: Floats, side: float) -> Floats:
+        """Points (3, ...) of the outer (side 1) or inner (side -1) surface; `u` runs once about the axis, 0 .. 1."""
         angle = 2.0 * np.pi * u
         half = self.half_mm + self.half_oval_mm * np.cos(2.0 * (angle - self._twist(z)))
         radius = self._middle(angle, z) + side * half * lip
         return np.stack(np.broadcast_arrays(radius * np.cos(angle), radius * np.sin(angle), z))
 
-    def _tube(self, channel: Channel, u: Floats, z: Floats, cap: Floats) -> Floats:
-        """Point of a channel's surface; u runs about it."""
+    def tube_point(self, channel: Channel, u: Floats, z: Floats, cap: Floats) -> Floats:
+        """Points (3, ...) of a channel's surface; `u` runs once about the channel, 0 .. 1."""
         place = math.radians(channel.angle_deg) + self._twist(z)
         out = self._middle(place, z) + channel.through_mm * cap * np.cos(2.0 * np.pi * u)
         along = channel.along_mm * cap * np.sin(2.0 * np.pi * u)
@@ -257,10 +257,10 @@ class RingWall(Solid):
         columns, rows = grid_counts(bent, TURNS_DEG * 2, tolerance_mm)
         # Both sides have the same heights, so that the lips have rows in common.
         counts = [max(pair) for pair in zip(rows[:3], rows[3:], strict=True)]
-        z, lip = _levels(self.ends, counts)
+        z, lip = levels(self.ends, counts)
         u = (np.arange(columns) / columns)[None, :]
-        outside = self._wall(u, z[:, None], lip[:, None], 1.0)
-        inside = self._wall(u, z[-2:0:-1, None], lip[-2:0:-1, None], -1.0)
+        outside = self.wall_point(u, z[:, None], lip[:, None], 1.0)
+        inside = self.wall_point(u, z[-2:0:-1, None], lip[-2:0:-1, None], -1.0)
         points = single(np.concatenate([outside, inside], axis=1).reshape(3, -1).T)
         faces = grid_faces(0, len(points) // columns + 1, columns) % len(points)
         return points, faces
@@ -268,10 +268,10 @@ class RingWall(Solid):
     def _channel_mesh(self, channel: Channel, tolerance_mm: float) -> tuple[Floats, Ints]:
         """Vertices and facets of a closed tube between two poles, looking into it."""
         columns, rows = grid_counts(self._channel_bends[channel], TURNS_DEG, tolerance_mm)
-        z, cap = _levels(channel.ends, rows)
+        z, cap = levels(channel.ends, rows)
         u = (np.arange(columns) / columns)[None, :]
-        rings = self._tube(channel, u, z[1:-1, None], cap[1:-1, None]).reshape(3, -1).T
-        poles = self._tube(channel, np.zeros(2), z[[0, -1]], np.zeros(2)).T
+        rings = self.tube_point(channel, u, z[1:-1, None], cap[1:-1, None]).reshape(3, -1).T
+        poles = self.tube_point(channel, np.zeros(2), z[[0, -1]], np.zeros(2)).T
         points = single(np.concatenate([poles, rings]))
         ring = np.arange(columns)
         bottom, top = 2 + ring, len(points) - columns + ring
@@ -285,20 +285,20 @@ class RingWall(Solid):
     @cached_property
     def _wall_bends(self) -> list[Bends]:
         def patch(law: Law, side: float) -> Surface:
-            return lambda u, v: self._wall(u, *law(v), side)
+            return lambda u, v: self.wall_point(u, *law(v), side)
 
         return [bends(patch(law, side)) for side in (1.0, -1.0) for law in self.ends.steps]
 
     @cached_property
     def _channel_bends(self) -> dict[Channel, list[Bends]]:
         def patch(channel: Channel, law: Law) -> Surface:
-            return lambda u, v: self._tube(channel, u, *law(v))
+            return lambda u, v: self.tube_point(channel, u, *law(v))
 
         return {c: [bends(patch(c, law)) for law in c.ends.steps] for c in self.channels}
 
 
-def _levels(ends: Rounding, counts: list[int]) -> tuple[Floats, Floats]:
-    """Heights and factors of the rows, both ends included."""
+def levels(ends: Rounding, counts: list[int]) -> tuple[Floats, Floats]:
+    """Heights and factors of the rows, both ends included; `counts` are the steps of each of the three laws."""
     found = [law(np.arange(count) / count) for law, count in zip(ends.steps, counts, strict=True)]
     z = np.concatenate([*(z for z, _ in found), [ends.high_mm]])
     factor = np.concatenate([*(f for _, f in found), [0.0]])

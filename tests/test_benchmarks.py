@@ -1,0 +1,373 @@
+"""The benchmarks: what becomes of figures, the parts that they are taken on, and one of them from end to end."""
+
+from __future__ import annotations
+
+import json
+import sys
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+
+import ebamcheck
+from benchmarks import __main__ as command
+from benchmarks import methods, parts, plot, tables, target_rows, yardsticks
+from benchmarks.bitmaps import exact_image
+from benchmarks.crossings import farthest_mm
+from benchmarks.even_mesh import even_mesh
+from benchmarks.figures import cell_times, is_scaled, ratio, total_s
+from benchmarks.ladder import Effort, measure_ladder
+from benchmarks.methods import Method
+from benchmarks.spread import Spread, quantity, spread, spread_text
+from benchmarks.targets import Figures
+from benchmarks.timing import some_of
+from benchmarks.watch import run_task, watch
+from ebamcheck.errors import BackendFailed
+from ebamcheck.inspection import inspect
+from ebamcheck.layers import from_rings
+from ebamcheck.mesh_files import load
+from ebamcheck.slicing import slice_part
+from ebamcheck_models import LADDER, MODELS, write_stl
+from ebamcheck_stencil.field_of_view import field_of_view
+
+# -- figures -------------------------------------------------------------------------------------------
+
+
+def one_round(
+    seconds: float, layers_cut: int = 100, layers: int = 100, points: int = 1000
+) -> dict[str, object]:
+    return {
+        "load_s": 0.25 * seconds, "prepare_s": 0.25 * seconds, "slice_s": 0.5 * seconds,
+        "layers": layers, "layers_cut": layers_cut, "points": points, "rings": 10, "output_bytes": 16 * points,
+    }  # fmt: skip
+
+
+def cell(part: str, method: str, *seconds: float, **round_: int) -> dict[str, object]:
+    runs = [{"rounds": [one_round(s, **round_)], "peak_mb": 300.0, "resident_mb": 100.0} for s in seconds]
+    return {"part": part, "method": method, "status": "done", "why": "", "limit_s": 60.0, "runs": runs}
+
+
+def over(part: str, method: str) -> dict[str, object]:
+    return {**cell(part, method), "status": "over", "why": "ended after 60 s"}
+
+
+def raw_figures() -> dict[str, object]:
+    facets = {1: 4_000, 6: 38_000, 11: 1_480_000}
+    return {
+        "format": 1, "command": "python -m benchmarks", "quick": False, "renderer": "llvmpipe (made up)",
+        "machine": {
+            "cpu": "made up", "cores": 2, "memory_gb": 24.0, "load_at_start": [0.1, 0.1, 0.1], "started": "now",
+            "ebamcheck": "0", "commit": "", "python": "3", "packages": {"numpy": "2"}, "backends": {},
+        },
+        "methods": ["planecut", "stencil literal", "slic3r", "cura"],
+        "parts": {
+            f"ladder-{size}": {"series": "ladder", "size": size, "facets": n, "bytes": 50 * n, "layer_mm": 0.2}
+            for size, n in facets.items()
+        },
+        "cells": [
+            cell("ladder-1", "planecut", 0.01), cell("ladder-6", "planecut", 0.02, points=38_000),
+            cell("ladder-11", "planecut", 0.40, 0.42, 0.38, points=8_000_000),
+            cell("ladder-11", "stencil literal", 10.0, layers_cut=25), over("ladder-11", "slic3r"),
+            {**cell("ladder-11", "cura"), "status": "missing", "why": "the program | is not installed"},
+        ],
+        "targets": {"ladder": {}}, "demo": [], "scale": [],
+    }  # fmt: skip
+
+
+def test_the_spread_is_that_of_the_figures():
+    assert spread([5.0, 1.0, 2.0, 4.0]) == Spread(3.0, 1.0, 5.0, 1.5, 4)
+    with pytest.raises(ValueError, match="no figures"):
+        spread([])
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "text"),
+    [
+        (0.0, "s", "0 ms"), (0.00512, "s", "5.12 ms"), (0.9996, "s", "1000 ms"), (89.99, "s", "90.0 s"), (600.4, "s", "600 s"),
+        (2.5e-7, "mm", "2.5e-07 mm"), (0.25, "", "0.25"), (8192.0, "MB", "8.19 GB"),
+    ],
+)  # fmt: skip
+def test_quantities_are_written_with_three_digits(value: float, unit: str, text: str):
+    assert quantity(value, unit) == text
+
+
+def test_one_figure_has_no_spread():
+    assert spread_text(spread([1.5])) == "1.50 s"
+
+
+def test_a_time_of_some_layers_is_scaled_in_its_slicing_alone():
+    some = cell("p", "m", 4.0, layers_cut=10)
+    assert is_scaled(some)
+    assert cell_times(some).median == pytest.approx(1.0 + 1.0 + 20.0)
+    assert not is_scaled(cell("p", "m", 4.0))
+
+
+def test_the_first_round_of_a_process_is_not_its_warm_time():
+    assert total_s({"rounds": [one_round(9.0), one_round(2.0), one_round(4.0)]}) == pytest.approx(3.0)
+    assert total_s({"rounds": [one_round(9.0)]}) == pytest.approx(9.0)
+
+
+def test_a_ratio_has_the_ends_that_both_spreads_allow():
+    found = ratio(spread([1.0, 2.0, 3.0]), spread([10.0, 20.0, 40.0]))
+    assert (found.least, found.median, found.greatest) == (1.0 / 40.0, 0.1, 0.3)
+    assert ratio(None, spread([1.0])) is None
+
+
+def test_heights_are_chosen_over_the_whole_part_and_all_where_there_are_few():
+    heights = np.arange(100.0)
+    chosen = some_of(heights, 9)
+    assert np.array_equal(chosen, [10.0, 20.0, 30.0, 40.0, 50.0, 59.0, 69.0, 79.0, 89.0])
+    assert np.array_equal(some_of(heights, 100), heights)
+
+
+# -- targets -------------------------------------------------------------------------------------------
+
+
+def results(**tasks: list[dict[str, object]]) -> dict[str, object]:
+    raw = raw_figures()
+    found = target_rows.evaluate(Figures(raw["cells"], tasks, raw["parts"], "ladder", 11))
+    return {result.target.key: result for result in found}
+
+
+def test_a_target_is_met_missed_or_says_why_it_was_not_measured():
+    told = results(
+        crossings=[{"status": "done", "why": "", "farthest_mm": 1e-6, "broken_layers": 3}],
+        cold=[{"status": "failed", "why": "it crashed"}],
+    )
+    assert told["planecut-seconds"].met
+    assert told["planecut-seconds"].verdict == "met"
+    assert told["embree-crossings"].met
+    assert told["embree-broken"].met is False
+    assert told["embree-broken"].verdict == "**missed** by 3"
+    assert told["cold"].verdict == "not measured (failed: it crashed)"
+    assert told["bitmaps"].verdict == "not measured (not measured)"
+    assert told["literal"].verdict == "no target"
+    assert told["literal"].measured.median == pytest.approx(2.5 + 20.0)
+
+
+def test_growth_is_per_facet_and_point_over_the_base_size():
+    base, small = 0.02 / (38_000 + 38_000), 0.01 / (4_000 + 1_000)
+    growth = results()["growth"]
+    assert growth.measured.median == pytest.approx(small / base)
+    assert growth.met is False
+    assert growth.verdict.startswith("**missed**: 2.53 times")
+
+
+def test_memory_is_related_to_file_and_layers():
+    memory = results()["planecut-memory"]
+    assert memory.measured.median == pytest.approx(300e6 / (50 * 1_480_000 + 16 * 8_000_000))
+
+
+def test_one_failed_turn_spoils_a_task():
+    done = {"status": "done", "why": "", "wall_s": 1.0}
+    assert results(cold=[done, done])["cold"].met
+    assert results(cold=[done, {"status": "over", "why": "ended"}])["cold"].measured is None
+
+
+def test_every_remark_belongs_to_a_target():
+    import tomllib
+
+    keys = {t.key for t in (*target_rows.TARGETS, target_rows.DEMO, *target_rows.SCALE)}
+    assert len(keys) == len(target_rows.TARGETS) + 1 + len(target_rows.SCALE)
+    assert set(tomllib.loads(tables.REMARKS.read_text(encoding="utf-8"))) <= keys
+
+
+# -- tables and plot -----------------------------------------------------------------------------------
+
+
+def test_tables_mark_what_was_scaled_cut_short_or_missing():
+    text = tables.ladder_text(raw_figures())
+    row = next(line for line in text.splitlines() if line.startswith("| 1,480,000"))
+    assert [c.strip() for c in row.strip("|").split("|")] == ["1,480,000", "400 ms", "~25.0 s", "> 60.0 s"]
+    assert "- cura, missing: the program | is not installed" in text
+    assert "| ~25.0 s |" in tables.readme_text(raw_figures())
+
+
+def test_the_table_of_targets_has_a_row_for_each():
+    raw = raw_figures()
+    raw["targets"] = {"ladder": {"cold": [{"status": "done", "why": "", "wall_s": 5.0}]}}
+    raw["demo"] = [{"status": "done", "why": "", "wall_s": 12.0}]
+    text = tables.targets_text(raw)
+    for target in (*target_rows.TARGETS, target_rows.DEMO):
+        assert f"| {target.what} |" in text
+    assert "**missed**: 2.00 times the target" in text
+
+
+def test_the_plot_is_one_picture_that_says_what_is_not_measured():
+    lines = plot.lines_of(raw_figures(), "ladder")
+    assert [[p.kind for p in line.points] for line in lines] == [["measured"] * 3, ["scaled"], ["over"]]
+    root = ElementTree.fromstring(plot.time_chart(lines, "Times", "<a & b>"))
+    space = "{http://www.w3.org/2000/svg}"
+    assert root.tag == f"{space}svg"
+    words = [text.text for text in root.iter(f"{space}text")]
+    assert any("89 s" in w and "1,483,132" in w for w in words)
+    assert "stencil literal: ~25.0 s" in words
+    assert "slic3r: > 60.0 s" in words
+    fills = [circle.get("fill") for circle in root.iter(f"{space}circle")]
+    assert fills.count("white") == 1
+    assert len(fills) == 4
+    labels = sorted(
+        float(t.get("y"))
+        for t in root.iter(f"{space}text")
+        if t.text.startswith(("plane", "stencil l", "slic3r:"))
+    )
+    assert min(np.diff(labels)) >= plot.LABEL_STEP_PX - 0.1
+
+
+# -- parts ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("facets", [4822, 37747])
+def test_the_even_mesh_is_closed_near_equilateral_and_of_the_size_asked_for(facets: int, tmp_path: Path):
+    part = even_mesh(LADDER, facets)
+    assert abs(len(part.faces) - facets) < 0.02 * facets
+    assert inspect(part).passed
+    assert part.volume == pytest.approx(LADDER.volume, rel=0.02)
+    assert np.array_equal(part.vertices, part.vertices.astype(np.float32))
+    edges = np.linalg.norm(part.triangles - np.roll(part.triangles, 1, axis=1), axis=2)
+    assert np.median(edges.max(axis=1) / edges.min(axis=1)) < 1.1
+    write_stl(part, tmp_path / "even.stl")
+    assert len(load(tmp_path / "even.stl").vertices) == len(part.vertices)
+
+
+def test_a_bar_overlaps_the_share_of_the_layers_that_was_asked_for():
+    part = even_mesh(LADDER, 4822)
+    barred = parts.with_bar(part, 0.25)
+    assert inspect(barred).passed
+    heights = np.linspace(10.0, 890.0, 45)
+    united = slice_part(barred, heights, "planecut", overlaps="unite")
+    kept = slice_part(barred, heights, "planecut", overlaps="keep")
+    overlapping = np.abs(kept.areas() - united.areas()) > 1.0
+    assert np.array_equal(overlapping, heights < 0.25 * LADDER.height_mm)
+
+
+def test_shuffled_facets_are_the_same_facets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(parts, "FOLDER", tmp_path / "parts")
+    given = parts.benchmark_part("even", 1)
+    mixed = parts.shuffled(given)
+    one, other = (
+        sorted(np.frombuffer(p.path.read_bytes(), "V50", offset=84).tolist()) for p in (given, mixed)
+    )
+    assert one == other
+    assert given.path.read_bytes() != mixed.path.read_bytes()
+    assert parts.shuffled(given).path.stat().st_mtime_ns == mixed.path.stat().st_mtime_ns
+    assert given.facets == len(one)
+
+
+@pytest.mark.parametrize("text", ["0", "12", "a", "3-", "5-4"])
+def test_sizes_that_are_none_are_refused(text: str):
+    with pytest.raises(ValueError, match=r"sizes|invalid literal"):
+        parts.sizes_of(text if text != "3-" else "x-3")
+
+
+# -- measurements --------------------------------------------------------------------------------------
+
+
+def test_the_slice_stage_is_read_from_the_log():
+    log = [
+        "[2026-01-01 00:00:01.000000] [0x1] [debug]   TriangleMesh::repair() finished\n",
+        "10 => Processing triangulated mesh\n",
+        "[2026-01-01 00:00:02.250000] [0x1] [debug]   slice_mesh to polygons\n",
+        "[2026-01-01 00:00:03.500000] [0x1] [debug]   Slicing volumes - removing top empty layers\n",
+        "[2026-01-01 00:00:09.000000] [0x1] [debug]   never read\n",
+    ]
+    assert yardsticks.stage_seconds(log) == 1.25
+    with pytest.raises(BackendFailed, match="Objects could not fit"):
+        yardsticks.stage_seconds([*log[:3], "Objects could not fit on the bed\n"])
+
+
+def test_a_process_that_outlives_its_limit_is_ended():
+    found = watch([sys.executable, "-c", "while True: pass"], limit_s=0.2)
+    assert found.ended == "time"
+    assert found.code != 0
+
+
+def test_memory_of_children_counts_and_can_end_a_process():
+    child = "import subprocess, sys; subprocess.run([sys.executable, '-c', 'x = bytearray(400_000_000)\\nwhile True: pass'])"
+    found = watch([sys.executable, "-c", child], limit_s=60.0, memory_mb=300.0)
+    assert found.ended == "memory"
+    assert found.peak_mb > 300.0
+
+
+def test_last_words_name_no_folder_of_this_machine():
+    here = str(Path(__file__).resolve())
+    found = watch([sys.executable, "-c", f"import sys; sys.exit({here!r})"], limit_s=60.0)
+    assert (found.code, found.ended) == (1, "")
+    assert found.last_words == "tests/test_benchmarks.py"
+
+
+def test_a_task_that_fails_says_why():
+    method = Method("none", backend="no-such-slicer").as_dict()
+    found = run_task("time", {"stl": "none.stl", "layer_mm": 1.0, "method": method}, 60.0)
+    assert found["status"] == "failed"
+    assert "no-such-slicer" in found["why"]
+
+
+def test_what_ran_over_the_limit_is_not_tried_on_larger_parts(monkeypatch: pytest.MonkeyPatch):
+    asked = []
+
+    def measured(task: str, request: dict[str, object], limit_s: float) -> dict[str, object]:
+        asked.append(request["stl"])
+        return {"status": "over", "why": "ended after 1 s"}
+
+    monkeypatch.setattr("benchmarks.ladder.run_task", measured)
+    sizes = [parts.BenchmarkPart("ladder", n, Path(f"{n}.stl"), 1000 * n, 0.2) for n in (1, 2)]
+    planecut = Method("planecut", backend="planecut")
+    cells = measure_ladder(sizes, [planecut], Effort(repeats=3, limit_s=1.0), lambda _: None, lambda _: None)
+    assert asked == ["1.stl"]
+    assert [c["status"] for c in cells] == ["over", "over"]
+    assert cells[1]["why"] == "not tried: over the limit at 1,000 facets"
+
+
+def test_methods_hold_every_backend_and_the_yardsticks():
+    found = {m.name: m for m in methods.all_methods()}
+    assert set(ebamcheck.registry.slicers()) <= set(found)
+    assert {methods.LITERAL, methods.VERTICAL, methods.MANIFOLD_ALONE, methods.PRUSA_STAGE} <= set(found)
+    assert found[methods.LITERAL].by_layer
+    assert [m.name for m in methods.gpu_methods()] == ["stencil", methods.LITERAL]
+
+
+def test_the_exact_image_holds_the_pixel_centres_in_the_section():
+    part = MODELS["comb"].tessellate(0.1)
+    view = field_of_view(part, float(part.size[:2].max()) / 90.0)
+    layers = slice_part(part, [float(part.bounds[:, 2].mean())])
+    image = exact_image(layers, 0, view)
+    rows, columns = np.indices(image.shape)
+    centres = view.to_mm(2 * np.column_stack([columns.ravel(), rows.ravel()]))
+    inside = shapely.contains_xy(shapely.union_all(layers.polygons(0)), centres)
+    assert 0 < np.count_nonzero(image) < image.size
+    assert np.array_equal(image.ravel(), inside)
+
+
+def test_the_farthest_point_of_one_stack_from_another():
+    square = [(0, 0), (2, 0), (2, 2), (0, 2)]
+    grown = [(0, 0), (2, 0), (2.5, 2), (0, 2)]
+    one, other = from_rings([0.5, 1.5], [[square], []]), from_rings([0.5, 1.5], [[grown], [square]])
+    assert farthest_mm(other, one, 0) == 0.5
+    assert farthest_mm(one, one, 0) == 0.0
+    assert farthest_mm(other, one, 1) == float("inf")
+
+
+def test_one_command_measures_and_writes_figures_tables_and_a_plot(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    chosen = [Method("planecut", backend="planecut"), Method(methods.MANIFOLD_ALONE, "manifold3d")]
+    monkeypatch.setattr(methods, "all_methods", lambda: chosen)
+    monkeypatch.setattr(parts, "FOLDER", tmp_path / "parts")
+    arguments = ["--quick", "--part", "even", "--sizes", "1", "--no-targets", "-o", str(tmp_path / "out")]
+    assert command.main(arguments) == 0
+    raw = json.loads((tmp_path / "out" / "benchmark.json").read_text(encoding="utf-8"))
+    planecut, alone = raw["cells"]
+    assert (planecut["status"], alone["status"]) == ("done", "done")
+    for measured in (planecut, alone):
+        (run,) = measured["runs"]
+        assert 0 < run["rounds"][0]["points"] == planecut["runs"][0]["rounds"][0]["points"]
+        assert run["peak_mb"] > run["resident_mb"] > 10.0
+    assert "planecut" in (tmp_path / "out" / "ladder.md").read_text(encoding="utf-8")
+    ElementTree.parse(tmp_path / "out" / "even.svg")
+    before = (tmp_path / "out" / "ladder.md").read_bytes()
+    assert command.main([*arguments[:-2], "--render", "-o", str(tmp_path / "out")]) == 0
+    assert (tmp_path / "out" / "ladder.md").read_bytes() == before
+    assert "turn 1" in capsys.readouterr().err
