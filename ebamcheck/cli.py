@@ -211,28 +211,34 @@ def slice_command(
     direction: DirectionOption = "",
 ) -> ExitCode:
     """Slice a part with one backend and write its layers."""
-    from ebamcheck import registry
-    from ebamcheck.heights import layer_heights
-    from ebamcheck.isolate import Limits
-    from ebamcheck.layer_files import write_layers
-    from ebamcheck.slicing import slice_part
+    from ebamcheck.crew import Crew
 
     if output.suffix.lower() not in SLICE_SUFFIXES:
         raise SettingsError(
             f"{output}: unknown slice format {output.suffix!r}: use {', '.join(SLICE_SUFFIXES)}"
         )
-    settings = settings_of(config, units, direction, layer_height)
-    name = backend or settings.slicing.primary or registry.default_backend()
-    values = {**settings.slicing.settings.get(name, {}), **assignments(setting or [])}
-    registry.slicer_settings(name, values)
-    placed = loaded(part, settings)
-    wanted = numbers(heights, "--heights") if heights else layer_heights(placed, settings.layer_height_mm)
-    limits = Limits(settings.slicing.time_limit_s, settings.slicing.memory_limit_mb)
-    layers = slice_part(placed, wanted, name, isolate=True, limits=limits, **values)
-    write_layers(layers, output)
+    # The worker's interpreter comes up while this one does, and while the part is read.
+    with Crew(ahead=1) as crew:
+        from ebamcheck import registry
+        from ebamcheck.heights import checked_heights, layer_heights
+        from ebamcheck.isolate import Limits
+        from ebamcheck.slicing import slice_to_file
+
+        settings = settings_of(config, units, direction, layer_height)
+        name = backend or settings.slicing.primary or registry.default_backend()
+        values = {**settings.slicing.settings.get(name, {}), **assignments(setting or [])}
+        registry.slicer_settings(name, values)
+        placed = loaded(part, settings)
+        wanted = (
+            checked_heights(numbers(heights, "--heights"))
+            if heights
+            else layer_heights(placed, settings.layer_height_mm)
+        )
+        limits = Limits(settings.slicing.time_limit_s, settings.slicing.memory_limit_mb)
+        points = settings.slicing.block_points
+        made = slice_to_file(placed, wanted, output, name, limits, points, crew, **values)
     print(
-        f"{len(layers)} layers, {int(layers.ring_counts().sum())} rings, {int(layers.open_counts().sum())} open paths, "
-        f"{len(layers.points)} points: {output}"
+        f"{len(wanted)} layers, {made.rings} rings, {made.open_paths} open paths, {made.points} points: {output}"
     )
     return ExitCode.PASS
 

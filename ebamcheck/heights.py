@@ -68,15 +68,24 @@ def checked_heights(heights: ArrayLike) -> NDArray[np.float64]:
     return column
 
 
+def is_rising(heights: NDArray[np.float64]) -> bool:
+    """Whether each height is above the one before it."""
+    return bool((np.diff(heights) > 0.0).all())
+
+
 def crossing_counts(part: Part, heights: ArrayLike) -> NDArray[np.int64]:
     """Facets with ``min z <= h < max z`` at each height, (L,): those that a section at h + 0 cuts."""
     planes = np.asarray(heights, dtype=np.float64).reshape(-1)
-    if not len(part.faces):
-        return np.zeros(planes.size, np.int64)
-    z = part.vertices[:, 2][part.faces]
-    started = np.searchsorted(np.sort(z.min(axis=1)), planes, side="right")
-    ended = np.searchsorted(np.sort(z.max(axis=1)), planes, side="right")
-    return (started - ended).astype(np.int64)
+    order = np.argsort(planes, kind="stable")
+    # The level of a vertex is the number of planes under it; a facet is cut by those between its levels.
+    levels = np.searchsorted(planes[order], part.vertices[:, 2], side="left")
+    a, b, c = levels[part.faces.T]
+    lowest, highest = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+    size = planes.size + 1
+    cut = np.cumsum(np.bincount(lowest, minlength=size) - np.bincount(highest, minlength=size))
+    counts = np.empty(planes.size, np.int64)
+    counts[order] = cut[: planes.size]
+    return counts
 
 
 def layer_blocks(part: Part, heights: ArrayLike, most_points: int) -> NDArray[np.int64]:

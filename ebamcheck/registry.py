@@ -65,22 +65,39 @@ def _warn_broken(point: EntryPoint, why: str) -> None:
 
 
 @cache
+def _slicer_points() -> Mapping[str, EntryPoint]:
+    """Entry points of slicers, sorted by name."""
+    return {point.name: point for point in sorted(entry_points(group=BACKENDS), key=lambda p: p.name)}
+
+
+@cache
+def _loaded_slicer(name: str) -> Slicer | None:
+    """Load one slicer; a broken one warns, once, and is None."""
+    point = _slicer_points()[name]
+    try:
+        slicer: Slicer = point.load()()
+        missing = [a for a in SLICER_ATTRIBUTES if not hasattr(slicer, a)]
+        if missing:
+            raise TypeError(f"it lacks {', '.join(missing)} of the Slicer protocol")
+        if slicer.name != point.name:
+            raise TypeError(f"it calls itself {slicer.name!r}, its entry point {point.name!r}")
+    except Exception as error:
+        _warn_broken(point, f"{type(error).__name__}: {error}")
+        return None
+    return slicer
+
+
+def forget() -> None:
+    """Forget what was found, so that slicers installed since are found, too."""
+    _slicer_points.cache_clear()
+    _loaded_slicer.cache_clear()
+    probe.cache_clear()
+
+
 def slicers() -> Mapping[str, Slicer]:
     """Return all installed slicers by name."""
-    found: dict[str, Slicer] = {}
-    for point in sorted(entry_points(group=BACKENDS), key=lambda p: p.name):
-        try:
-            slicer = point.load()()
-            missing = [a for a in SLICER_ATTRIBUTES if not hasattr(slicer, a)]
-            if missing:
-                raise TypeError(f"it lacks {', '.join(missing)} of the Slicer protocol")
-            if slicer.name != point.name:
-                raise TypeError(f"it calls itself {slicer.name!r}, its entry point {point.name!r}")
-        except Exception as error:
-            _warn_broken(point, f"{type(error).__name__}: {error}")
-            continue
-        found[point.name] = slicer
-    return found
+    loaded = {name: _loaded_slicer(name) for name in _slicer_points()}
+    return {name: slicer for name, slicer in loaded.items() if slicer is not None}
 
 
 def house_slicers() -> list[str]:
@@ -94,11 +111,11 @@ def witnesses() -> list[str]:
 
 
 def slicer(name: str) -> Slicer:
-    """Return the slicer of that name; raises :class:`BackendMissing` with the names there are."""
-    known = slicers()
-    if name not in known:
-        raise BackendMissing(f"unknown backend {name!r}: installed are {', '.join(known) or 'none'}")
-    return known[name]
+    """Return the slicer of that name, without a look at the others; :class:`BackendMissing` where there is none."""
+    found = _loaded_slicer(name) if name in _slicer_points() else None
+    if found is None:
+        raise BackendMissing(f"unknown backend {name!r}: installed are {', '.join(slicers()) or 'none'}")
+    return found
 
 
 @cache

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import os
 import weakref
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ebamcheck import registry
+from ebamcheck import layer_files, registry
 from ebamcheck.backend import Prepared, Progress
+from ebamcheck.config import SlicingSettings
+from ebamcheck.crew import Crew
 from ebamcheck.errors import SettingsError
-from ebamcheck.heights import checked_heights
-from ebamcheck.isolate import Limits, slice_isolated
+from ebamcheck.heights import checked_heights, is_rising, layer_blocks
+from ebamcheck.isolate import Limits, Outcome, slice_all, slice_isolated
 from ebamcheck.layers import Layers
 from ebamcheck.part import Part
 
@@ -76,6 +82,75 @@ def slice_part(
         with registry.available_slicer(name).prepare(part, checked) as prepared:
             layers = prepared.slice(increasing, progress)
     return layers if np.array_equal(increasing, wanted) else layers.take(where)
+
+
+def slice_to_file(
+    part: Part,
+    heights: ArrayLike,
+    path: str | Path,
+    backend: str = "",
+    limits: Limits | None = None,
+    block_points: int = SlicingSettings().block_points,
+    crew: Crew | None = None,
+    **settings: Any,
+) -> Outcome:
+    """Cut a part into a file of layers, in a process of the backend's own.
+
+    Parameters
+    ----------
+    part
+        The part as placed.
+    heights
+        (L,) heights, mm. Rising ones into Parquet are cut and written block by block.
+    path
+        The file, ``.parquet``, ``.cli`` or ``.svg``; it appears when it is whole.
+    backend
+        Name in the registry; the default is the available exact slicer of the highest priority.
+    limits
+        Time and memory that the backend may use.
+    block_points
+        Points of an exact contour that are in memory at a time.
+    crew
+        Workers that were started ahead.
+    **settings
+        The backend's own settings.
+
+    Returns
+    -------
+    Outcome
+        With the counts of rings, open paths and points, and the times.
+
+    Raises
+    ------
+    BackendMissing, BackendFailed, SettingsError
+        As :func:`slice_part`; and if the file cannot be written.
+    """
+    name, path = backend or registry.default_backend(), Path(path)
+    wanted = checked_heights(heights)
+    increasing, where = np.unique(wanted, return_inverse=True)
+    chosen = {name: registry.slicer_settings(name, settings)}
+    borders = layer_blocks(part, increasing, block_points)
+    try:
+        # Beside the file, so that what is whole is moved and not copied.
+        with TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
+            outcome = slice_all(
+                part, increasing, chosen, Path(folder), limits or Limits(), borders=borders, crew=crew
+            )[name]
+            if path.suffix.lower() == ".parquet" and is_rising(wanted):
+                os.replace(outcome.made(), path)
+                return replace(outcome, file=path)
+            layers = outcome.read().take(where)
+    except OSError as error:
+        raise SettingsError(f"{path}: cannot be written: {error.strerror or error}") from None
+    layer_files.write_layers(layers, path)
+    closed = int(np.count_nonzero(layers.closed))
+    return replace(
+        outcome,
+        file=path,
+        rings=closed,
+        open_paths=layers.closed.size - closed,
+        points=len(layers.points),
+    )
 
 
 class Slicing:

@@ -296,7 +296,7 @@ def test_names_of_any_kind(place, name):
 
 
 def workers(process):
-    return [p for p in psutil.Process(process.pid).children() if "ebamcheck.isolate" in p.cmdline()]
+    return [p for p in psutil.Process(process.pid).children() if "ebamcheck.worker" in p.cmdline()]
 
 
 @pytest.mark.parametrize(

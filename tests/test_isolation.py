@@ -100,11 +100,9 @@ def plugins(tmp_path, monkeypatch):
     )
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     monkeypatch.syspath_prepend(str(tmp_path))
-    registry.slicers.cache_clear()
-    registry.probe.cache_clear()
+    registry.forget()
     yield
-    registry.slicers.cache_clear()
-    registry.probe.cache_clear()
+    registry.forget()
 
 
 def test_isolated_layers_are_those_of_this_process():
@@ -245,10 +243,10 @@ def test_a_broken_plugin_warns_and_is_left_out(monkeypatch):
         EntryPoint("misnamed", "ebamcheck_planecut:PlaneCut", registry.BACKENDS),
     ]
     monkeypatch.setattr(registry, "entry_points", lambda group: [*real(group=group), *broken])
-    registry.slicers.cache_clear()
+    registry.forget()
     with pytest.warns(registry.BrokenPluginWarning) as told:
         found = registry.slicers()
-    registry.slicers.cache_clear()
+    registry.forget()
     assert "planecut" in found
     assert not {"gone", "halfway", "misnamed"} & set(found)
     messages = "\n".join(str(w.message) for w in told)

@@ -66,11 +66,9 @@ def plugins(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PYTHONPATH", os.pathsep.join([str(folder), os.path.dirname(__file__)]))
         patch.syspath_prepend(str(folder))
-        registry.slicers.cache_clear()
-        registry.probe.cache_clear()
+        registry.forget()
         yield
-    registry.slicers.cache_clear()
-    registry.probe.cache_clear()
+    registry.forget()
 
 
 @pytest.fixture(scope="module")

@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ebamcheck import __version__, inspection, mesh_files, registry
 from ebamcheck.backend import BackendSettings
 from ebamcheck.config import Config
 from ebamcheck.errors import ExitCode, SettingsError
-from ebamcheck.heights import checked_heights, layer_heights
+from ebamcheck.heights import checked_heights, is_rising, layer_heights
 from ebamcheck.part import Part
 from ebamcheck.pipeline import gates
 from ebamcheck.pipeline.choice import chosen_backends, primary_backend, unavailable_backends
@@ -158,7 +156,7 @@ def _placed_part(path: str | Path, config: Config, observer: Observer) -> tuple[
 def _heights(part: Part, config: Config) -> Floats:
     if config.layers.heights_mm:
         heights = checked_heights(config.layers.heights_mm)
-        if (np.diff(heights) <= 0).any():
+        if not is_rising(heights):
             raise SettingsError("layers.heights_mm must rise from layer to layer: sort them and drop repeats")
         return heights
     return layer_heights(part, config.layer_height_mm)
