@@ -80,6 +80,15 @@ class Prepared(Protocol):
 
 
 @runtime_checkable
+class Turnable(Protocol):
+    """What a :class:`Prepared` may offer, too: the same part along another direction, for less than from anew."""
+
+    def turned(self, part: Part) -> Prepared:
+        """Make ready a part that has the same `faces` under turned vertices; this object stays as it is."""
+        ...
+
+
+@runtime_checkable
 class Slicer(Protocol):
     """One method of slicing.
 

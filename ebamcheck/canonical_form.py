@@ -186,13 +186,8 @@ def write_pairs(
 ) -> None:
     """Copy the (N, 2) `column` of ring ``[a, b)`` to rows ``at .. at + size - 1`` of `out`, in canonical form."""
     if size == b - a:
-        for i in range(first, b):
-            out[at + i - first, 0] = column[i, 0]
-            out[at + i - first, 1] = column[i, 1]
-        at += b - first
-        for i in range(a, first):
-            out[at + i - a, 0] = column[i, 0]
-            out[at + i - a, 1] = column[i, 1]
+        _copy_pairs(column[first:b], out[at : at + b - first])
+        _copy_pairs(column[a:first], out[at + b - first : at + size])
         return
     i = first
     for k in range(size):
@@ -207,16 +202,27 @@ def write_numbers(
 ) -> None:
     """Copy the (N,) `column` of ring ``[a, b)`` to rows ``at .. at + size - 1`` of `out`, in canonical form."""
     if size == b - a:
-        for i in range(first, b):
-            out[at + i - first] = column[i]
-        at += b - first
-        for i in range(a, first):
-            out[at + i - a] = column[i]
+        _copy_numbers(column[first:b], out[at : at + b - first])
+        _copy_numbers(column[a:first], out[at + b - first : at + size])
         return
     i = first
     for k in range(size):
         out[at + k] = column[i]
         i = next_distinct(points, i, a, b)
+
+
+@kernel
+def _copy_pairs(column: NDArray[Any], out: NDArray[Any]) -> None:
+    # From row 0 of a view: the compiler then knows that no index is negative, and copies many rows at a time.
+    for k in range(column.shape[0]):
+        out[k, 0] = column[k, 0]
+        out[k, 1] = column[k, 1]
+
+
+@kernel
+def _copy_numbers(column: NDArray[Any], out: NDArray[Any]) -> None:
+    for k in range(column.size):
+        out[k] = column[k]
 
 
 # -- whole stacks ------------------------------------------------------------------------------------

@@ -13,12 +13,16 @@ import shapely
 from numpy.typing import ArrayLike, NDArray
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck import rings
+from ebamcheck import canonical_form, rings
 from ebamcheck.errors import SettingsError
+from ebamcheck.kernels import run_blocks
 from ebamcheck.rings import Bools, Floats, Ints
 
 UP = (0.0, 0.0, 1.0)
 """The slicing direction of a part that is not turned."""
+
+RINGS_A_BLOCK = 256
+"""Rings that a thread brings into canonical form at least: fewer do not pay for handing them over."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,26 +259,34 @@ def canonical(
     ring_starts = np.ascontiguousarray(ring_starts, dtype=np.int64)
     layer_starts = np.ascontiguousarray(layer_starts, dtype=np.int64)
     closed = np.ascontiguousarray(closed, dtype=np.bool_)
-    first, size, following = rings.canonical_order(points, ring_starts, closed)
-    layer_of = np.repeat(np.arange(heights.size), np.diff(layer_starts))
-    kept = np.flatnonzero(first >= 0)
-    start = points[first[kept]]
-    order = np.lexsort(
-        (size[kept], following[kept, 1], following[kept, 0], start[:, 1], start[:, 0], layer_of[kept])
-    )
-    kept = kept[order]
-    new_ring_starts = np.concatenate([[0], np.cumsum(size[kept])]).astype(np.int64)
-    rows = rings.gather_rows(points, ring_starts, closed, kept, first, new_ring_starts)
-    per_layer = np.bincount(layer_of[kept], minlength=heights.size)
+    first, size, after = (np.empty(closed.size, np.int64) for _ in range(3))
+
+    def form(start: int, stop: int) -> None:
+        canonical_form.ring_forms(points, ring_starts, closed, start, stop, first, size, after)
+
+    run_blocks(form, closed.size, RINGS_A_BLOCK)
+    order, new_layer_starts = canonical_form.ring_order(points, layer_starts, first, size, after)
+    new_ring_starts = np.concatenate([[0], np.cumsum(size[order])]).astype(np.int64)
+
+    def gathered(column: NDArray[Any]) -> NDArray[Any]:
+        out = np.empty((int(new_ring_starts[-1]), *column.shape[1:]), column.dtype)
+        gather = canonical_form.gather_pairs if column.ndim == 2 else canonical_form.gather_numbers
+
+        def fill(start: int, stop: int) -> None:
+            gather(points, ring_starts, first, order, new_ring_starts, column, out, start, stop)
+
+        run_blocks(fill, order.size, RINGS_A_BLOCK)
+        return out
+
     return Layers(
         heights=heights,
-        points=points.take(rows, axis=0),
+        points=gathered(points),
         ring_starts=new_ring_starts,
-        layer_starts=np.concatenate([[0], np.cumsum(per_layer)]).astype(np.int64),
-        closed=closed[kept],
-        edge=None if edge is None else edge.take(rows, axis=0),
-        edge_t=None if edge_t is None else edge_t[rows],
-        dropped=(np.diff(layer_starts) - per_layer).astype(np.int64),
+        layer_starts=new_layer_starts,
+        closed=closed[order],
+        edge=None if edge is None else gathered(np.ascontiguousarray(edge)),
+        edge_t=None if edge_t is None else gathered(np.ascontiguousarray(edge_t)),
+        dropped=np.diff(layer_starts) - np.diff(new_layer_starts),
         **labels,
     )
 

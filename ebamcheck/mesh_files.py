@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import logging
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.kernels import kernel
 from ebamcheck.part import LARGEST_EXTENT_MM, SMALLEST_EXTENT_MM, UNITS_MM, Part
 from ebamcheck.stl import read_triangles
+from ebamcheck.welding import weld
 
 TRIMESH_SUFFIXES = (".obj", ".ply", ".3mf")
 _log = logging.getLogger(__name__)
@@ -50,6 +51,13 @@ def load(path: str | Path, units: str = "mm") -> Part:
 
 def _read(path: Path, units: str, millimetres: float) -> Part:
     data = _bytes_of(path)
+    with ThreadPoolExecutor(1) as aside:  # hashing takes as long as reading does, and needs nothing of it
+        digest = aside.submit(hashlib.sha256, data)
+        part = _part_of(data, path, units, millimetres)
+        return replace(part, source_sha256=digest.result().hexdigest())
+
+
+def _part_of(data: bytes, path: Path, units: str, millimetres: float) -> Part:
     suffix = path.suffix.lower()
     triangles: NDArray[np.float32] | NDArray[np.float64]
     notes: list[str] = []
@@ -68,7 +76,6 @@ def _read(path: Path, units: str, millimetres: float) -> Part:
         faces,
         name=path.stem,
         source=str(path),
-        source_sha256=hashlib.sha256(data).hexdigest(),
         units=units,
     )
     largest = float(part.size.max())
@@ -113,57 +120,3 @@ def _through_trimesh(data: bytes, kind: str, name: str) -> NDArray[np.float64]:
             "coordinates must be finite"
         )
     return corners
-
-
-def weld(
-    triangles: NDArray[np.float32] | NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Merge vertices that are equal in all bits (0 and -0 are equal).
-
-    Parameters
-    ----------
-    triangles
-        (F, 3, 3) corner points, finite.
-
-    Returns
-    -------
-    vertices
-        (V, 3) float64, in order of first appearance.
-    faces
-        (F, 3) int32 rows of `vertices`.
-    """
-    corners = triangles.reshape(-1, 3) + triangles.dtype.type(0)
-    keys = corners.view(np.uint32 if corners.dtype == np.float32 else np.uint64)
-    size = 1 << max(4, int(2 * len(corners) // 3 * 2 - 1).bit_length())
-    first, index = _weld(keys, np.full(size, -1, np.int32))
-    return corners[first].astype(np.float64), index.reshape(-1, 3)
-
-
-@kernel
-def _weld(keys: NDArray[Any], table: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Open-addressing hash over the bits of three numbers: first row of each vertex, vertex of each row."""
-    count = keys.shape[0]
-    mask = np.uint64(table.size - 1)
-    first = np.empty(count, np.int32)
-    index = np.empty(count, np.int32)
-    found = 0
-    for i in range(count):
-        x, y, z = np.uint64(keys[i, 0]), np.uint64(keys[i, 1]), np.uint64(keys[i, 2])
-        mixed = (x * np.uint64(0x9E3779B97F4A7C15)) ^ (y * np.uint64(0xC2B2AE3D27D4EB4F))
-        mixed = (mixed ^ (mixed >> np.uint64(29))) * np.uint64(0xBF58476D1CE4E5B9)
-        mixed = (mixed ^ (z * np.uint64(0x94D049BB133111EB))) * np.uint64(0xFF51AFD7ED558CCD)
-        slot = (mixed ^ (mixed >> np.uint64(32))) & mask
-        while True:
-            v = table[slot]
-            if v < 0:
-                table[slot] = found
-                first[found] = i
-                index[i] = found
-                found += 1
-                break
-            j = first[v]
-            if keys[j, 0] == keys[i, 0] and keys[j, 1] == keys[i, 1] and keys[j, 2] == keys[i, 2]:
-                index[i] = v
-                break
-            slot = (slot + np.uint64(1)) & mask
-    return first[:found].copy(), index

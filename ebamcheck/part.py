@@ -65,7 +65,9 @@ class Part:
         used = (
             self.vertices if len(self.vertices) <= 3 * len(self.faces) else self.vertices[self.faces.ravel()]
         )
-        return np.stack([used.min(axis=0), used.max(axis=0)])
+        # Column by column: many times faster than numpy's reduction along the first axis of three columns.
+        columns = [used[:, c] for c in range(3)]
+        return np.array([[column.min() for column in columns], [column.max() for column in columns]])
 
     @property
     def size(self) -> NDArray[np.float64]:

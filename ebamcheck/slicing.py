@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ebamcheck import layer_files, registry
-from ebamcheck.backend import Prepared, Progress
+from ebamcheck.backend import BackendSettings, Prepared, Progress, Turnable
 from ebamcheck.config import SlicingSettings
 from ebamcheck.crew import Crew
 from ebamcheck.errors import SettingsError
@@ -187,15 +187,26 @@ class Slicing:
     """
 
     def __init__(self, part: Part, backend: str = "", **settings: Any) -> None:
-        self.part = part
-        self.backend = backend or registry.default_backend()
-        self.settings = registry.slicer_settings(self.backend, settings)
-        slicer = registry.available_slicer(self.backend)
-        self._unturned = part
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix=f"ebamcheck-{self.backend}")
+        name = backend or registry.default_backend()
+        checked = registry.slicer_settings(name, settings)
+        slicer = registry.available_slicer(name)
+        self._begin(part, part, name, checked, lambda: slicer.prepare(part, checked))
+
+    def _begin(
+        self,
+        part: Part,
+        unturned: Part,
+        backend: str,
+        settings: BackendSettings,
+        prepare: Callable[[], Prepared],
+    ) -> None:
+        """Make the part ready in a thread of the object's own."""
+        self.part, self.backend, self.settings = part, backend, settings
+        self._unturned = unturned
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix=f"ebamcheck-{backend}")
         self._open = True
         try:
-            self._prepared: Prepared = self._in_thread(_entered, slicer, part, self.settings)
+            self._prepared: Prepared = self._in_thread(lambda: prepare().__enter__())
         except BaseException:
             self._thread.shutdown()
             raise
@@ -259,9 +270,15 @@ class Slicing:
         SettingsError
             If the direction is zero or not finite, or the part was turned before it came here.
         """
-        turned = Slicing(self._unturned.along(direction), self.backend, **self.settings.model_dump())
-        turned._unturned = self._unturned
-        return turned
+        part = self._unturned.along(direction)
+        if isinstance(self._prepared, Turnable):
+            turned = self._in_thread(self._prepared.turned, part)
+            made = Slicing.__new__(Slicing)
+            made._begin(part, self._unturned, self.backend, self.settings, lambda: turned)
+            return made
+        made = Slicing(part, self.backend, **self.settings.model_dump())
+        made._unturned = self._unturned
+        return made
 
     def _in_thread(self, call: Callable[..., _Result], *arguments: Any) -> _Result:
         """Run a call in the thread of the slicer and wait for it."""
@@ -270,11 +287,6 @@ class Slicing:
                 f"the slicing of {self.part.name!r} by {self.backend!r} is closed: make another"
             )
         return self._thread.submit(call, *arguments).result()
-
-
-def _entered(slicer: Any, part: Part, settings: Any) -> Prepared:
-    prepared: Prepared = slicer.prepare(part, settings)
-    return prepared.__enter__()
 
 
 def _leave(thread: ThreadPoolExecutor, prepared: Prepared) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ebamcheck import registry
 from ebamcheck.config import Config
-from ebamcheck.slicing import slice_part
+from ebamcheck.slicing import Slicing
 
 _SIDE_MM = 40.0
 
@@ -39,7 +39,9 @@ def warm_kernels() -> float:
         part = load(path)
         for name in registry.house_slicers():
             if registry.probe(name).available:
-                slice_part(part, [1.0, 2.0, 3.0], name)
+                with Slicing(part, name) as slicing, slicing.along((0.0, 0.6, 0.8)) as turned:
+                    slicing.layers([1.0, 2.0, 3.0])
+                    turned.at(1.0)
         level = logging.getLogger("ebamcheck").level
         logging.getLogger("ebamcheck").setLevel(logging.ERROR)
         run_job(path, Path(folder, "run"), Config().changed(layers={"layer_height_mm": 20.0}), reference=path)

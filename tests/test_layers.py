@@ -84,3 +84,39 @@ def test_a_ring_that_touches_itself_starts_the_same_from_any_of_its_points():
         canonical([0], np.roll(bow, s, axis=0), [0, 6], [0, 1], [True]).points.tobytes() for s in range(6)
     }
     assert len(forms) == 1
+
+
+def test_rings_of_a_crowded_layer_stand_as_a_plain_sort_would_have_them():
+    rng = np.random.default_rng(6)
+    # Many start at the same point, and many of those go on to the same one.
+    rings = [
+        np.array([(0, 0), (1, 0), (1, 1), (0, 1)][: rng.integers(3, 5)], float) * rng.integers(1, 4)
+        + rng.integers(0, 4, 2)
+        for _ in range(500)
+    ]
+    layers = from_rings([1.0, 2.0], [rings[:490], rings[490:]])
+    for k, members in ((0, rings[:490]), (1, rings[490:])):
+        expected = sorted(members, key=lambda ring: (*ring[0], *ring[1], len(ring)))
+        assert [layers.ring(r).tolist() for r in layers.rings_of(k)] == [r.tolist() for r in expected]
+
+
+@pytest.mark.parametrize("threads", ["1", "3"])
+def test_columns_follow_their_points_into_canonical_form(threads, monkeypatch):
+    monkeypatch.setenv("EBAMCHECK_THREADS", threads)
+    rng = np.random.default_rng(8)
+    count = 400
+    angle = (np.arange(12) * 2 * np.pi / 12).repeat(2)  # every point twice
+    rings = [
+        np.roll(np.stack([np.cos(angle), np.sin(angle)], 1).round(2), rng.integers(24), axis=0) + 3.0 * i
+        for i in rng.permutation(count)
+    ]
+    points = np.concatenate(rings)
+    rows = np.arange(len(points), dtype=np.int32)
+    layers = canonical(
+        [1.0], points, np.arange(count + 1) * 24, [0, count], np.ones(count, bool),
+        edge=np.stack([rows, -rows], 1), edge_t=rows * 0.5,
+    )  # fmt: skip
+    assert len(layers.points) == 12 * count
+    assert np.array_equal(points[layers.edge[:, 0]], layers.points)
+    assert np.array_equal(layers.edge[:, 1], -layers.edge[:, 0])
+    assert np.array_equal(layers.edge_t, layers.edge[:, 0] * 0.5)

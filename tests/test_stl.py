@@ -13,8 +13,8 @@ from parts import box, sphere
 
 import ebamcheck
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.mesh_files import weld
 from ebamcheck.stl import read_triangles
+from ebamcheck.welding import weld
 
 
 def binary(triangles, header=b"", count=None, trailing=b""):
@@ -181,3 +181,27 @@ def _facets_or_refusal(path: Path) -> int | str:
         return len(ebamcheck.load(path).faces)
     except InputError as error:
         return str(error)
+
+
+@pytest.mark.parametrize("threads", ["1", "3"])
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+@pytest.mark.parametrize("facets", [1, 2, 50, 30_000])
+def test_welded_vertices_are_numbered_by_first_appearance(facets, kind, threads, monkeypatch):
+    monkeypatch.setenv("EBAMCHECK_THREADS", threads)
+    rng = np.random.default_rng(facets)
+    triangles = (rng.integers(-20, 21, (facets, 3, 3)) * 0.125).astype(kind)
+    triangles[triangles == 0] *= rng.choice([-1, 1], (triangles == 0).sum()).astype(kind)
+    vertices, faces = weld(triangles)
+    numbers: dict[tuple[float, ...], int] = {}
+    expected = [
+        numbers.setdefault(tuple(corner), len(numbers)) for corner in triangles.reshape(-1, 3).tolist()
+    ]
+    assert faces.ravel().tolist() == expected
+    assert vertices.tolist() == [list(corner) for corner in numbers]
+    assert not np.signbit(vertices[vertices == 0]).any()
+
+
+def test_numbers_that_differ_in_the_last_bit_stay_apart():
+    corner = np.array([0.1, 0.2, 0.3])
+    triangles = np.stack([corner, np.nextafter(corner, 1), [0.1, 0.2, np.nextafter(0.3, 0)]])[None]
+    assert weld(np.concatenate([triangles, triangles]))[1].tolist() == [[0, 1, 2], [0, 1, 2]]

@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from ebamcheck_manifold.placement import Floats, Placement
 
@@ -68,6 +66,10 @@ def _mixed(bits: Keys) -> Keys:
 
 def _boxes(triangles: Floats, old: NDArray[np.bool_]) -> list[dict[str, Any]]:
     """Boxes around facets that share corners, from low to high; `old` are those that were given."""
+    # Only parts that the library has changed get here, and the import takes longer than most of them.
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     count = len(triangles)
     _, corner = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
     facet = np.repeat(np.arange(count), 3)

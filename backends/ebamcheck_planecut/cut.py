@@ -12,33 +12,21 @@ from ebamcheck.backend import BackendSettings, Progress
 from ebamcheck.kernels import run_blocks
 from ebamcheck.layers import Layers, canonical, concatenate
 from ebamcheck.part import Part
-from ebamcheck.topology import edge_groups, twins
 from ebamcheck_planecut import overlaps
-from ebamcheck_planecut.trace import (
-    Floats,
-    Index,
-    facet_spans,
-    facets_by_layer,
-    mixed_directions,
-    trace_layers,
-)
+from ebamcheck_planecut.sorted_mesh import SortedMesh, points_at_most, sorted_mesh, turned_mesh
+from ebamcheck_planecut.sweep import Block, Columns, cut_block
 
 SMALLEST_BLOCK = 16
-"""Layers that a thread takes at least: fewer do not pay for passing over the facets once a block."""
+"""Layers that a thread takes at least: fewer do not pay for handing them over."""
 
 
 class PreparedCut:
-    """Neighbours of every facet, found once; cuts any block of layers."""
+    """The part's mesh in the order of its heights, with the neighbours of every facet; cuts any block of layers."""
 
-    def __init__(self, part: Part, settings: BackendSettings) -> None:
+    def __init__(self, part: Part, settings: BackendSettings, mesh: SortedMesh | None = None) -> None:
         self._part = part
-        self._settings = settings.model_dump()
-        self._vertices, self._faces, self._original = _sorted_by_height(part)
-        groups = edge_groups(self._faces, len(self._vertices))
-        self._twin = twins(self._vertices, self._faces, groups.half_edges, groups.starts)
-        paired = int(np.count_nonzero(self._twin >= 0))
-        self._mixed = mixed_directions(self._faces, self._twin)
-        self._open = paired != groups.half_edges.size
+        self._settings = settings
+        self._mesh = sorted_mesh(part) if mesh is None else mesh
 
     def __enter__(self) -> Self:
         """Return itself."""
@@ -52,106 +40,97 @@ class PreparedCut:
     ) -> None:
         """Hold nothing that needs freeing."""
 
+    def turned(self, part: Part) -> PreparedCut:
+        """Make the same part ready along another direction; which facets are neighbours is not looked for again.
+
+        Parameters
+        ----------
+        part
+            A part with the same `faces`, under vertices in other places.
+        """
+        return PreparedCut(part, self._settings, turned_mesh(part, self._mesh))
+
     def slice(self, heights: NDArray[np.float64], progress: Progress | None = None) -> Layers:
         """Cut at strictly increasing heights (L,), mm."""
-        levels = np.searchsorted(heights, self._vertices[:, 2], side="left").astype(np.int32)
-        first, last = facet_spans(levels, self._faces)
+        heights = np.ascontiguousarray(heights, dtype=np.float64)
+        room = points_at_most(self._mesh, heights)
+        rows = np.concatenate([[0], np.cumsum(room)])
+        columns = Columns(
+            np.empty((int(rows[-1]), 2)), np.empty((int(rows[-1]), 2), np.int32), np.empty(int(rows[-1]))
+        )
+        unite = self._settings.model_dump()["overlaps"] == "unite"
 
-        def block(start: int, stop: int) -> Layers:
-            layers = self._cut_block(heights, levels, first, last, start, stop)
+        def block(start: int, stop: int) -> Block:
+            # Zeros that nobody has touched cost nothing, and a block touches those of its own facets alone.
+            seen = np.zeros(len(self._mesh.faces), np.int32)
+            at = int(rows[start])
+            cut = cut_block(self._mesh, heights[start:stop], room[start:stop], seen, columns, at, unite)
             if progress is not None:
                 progress(stop - start)
-            return layers
+            return cut
 
-        return concatenate(run_blocks(block, heights.size, SMALLEST_BLOCK)) if heights.size else self._empty()
+        blocks = run_blocks(block, heights.size, SMALLEST_BLOCK) if heights.size else []
+        layers = self._joined(heights, columns, blocks)
+        kinds = np.concatenate([np.zeros(0, np.int8), *(cut.kinds for cut in blocks)])
+        return _united(layers, kinds)
 
-    def _cut_block(
-        self,
-        heights: NDArray[np.float64],
-        levels: NDArray[np.int32],
-        first: NDArray[np.int32],
-        last: NDArray[np.int32],
-        start: int,
-        stop: int,
-    ) -> Layers:
-        part = self._part
-        layer_starts, facets = facets_by_layer(first, last, start, stop)
-        points, edge, edge_t, ring_starts, rings_of_layer, closed = trace_layers(
-            self._vertices,
-            self._faces,
-            levels,
-            self._twin,
-            heights,
-            start,
-            layer_starts,
-            facets,
-            self._open,
-            self._mixed,
-        )
-        layers = canonical(
-            heights[start:stop],
-            points,
-            ring_starts,
-            rings_of_layer,
-            closed,
-            edge=self._original[edge],
-            edge_t=edge_t,
-            part=part.sha256,
-            direction=part.direction,
-            backend="planecut",
-            settings=self._settings,
-        )
-        return _united(layers) if self._settings["overlaps"] == "unite" else layers
-
-    def _empty(self) -> Layers:
-        return canonical(
-            np.zeros(0),
-            np.zeros((0, 2)),
-            [0],
-            [0],
-            np.zeros(0, np.bool_),
-            edge=np.zeros((0, 2), np.int32),
-            edge_t=np.zeros(0),
+    def _joined(self, heights: NDArray[np.float64], columns: Columns, blocks: list[Block]) -> Layers:
+        """Make one stack of blocks that stand in the same columns, in their order."""
+        filled = rings = 0
+        ring_starts, layer_starts = [np.zeros(1, np.int64)], [np.zeros(1, np.int64)]
+        for cut in blocks:
+            first, stop = int(cut.ring_starts[0]), int(cut.ring_starts[-1])
+            if filled < first:
+                # Rings without area, or points that fell together, have left a gap.
+                for column in columns:
+                    column[filled : filled + stop - first] = column[first:stop]
+            ring_starts.append(cut.ring_starts[1:] - (first - filled))
+            layer_starts.append(cut.layer_starts[1:] + rings)
+            filled += stop - first
+            rings += cut.closed.size
+        return Layers(
+            heights=heights,
+            points=columns.points[:filled],
+            ring_starts=np.concatenate(ring_starts),
+            layer_starts=np.concatenate(layer_starts),
+            closed=np.concatenate([np.zeros(0, np.bool_), *(cut.closed for cut in blocks)]),
+            edge=columns.edge[:filled],
+            edge_t=columns.edge_t[:filled],
             part=self._part.sha256,
             direction=self._part.direction,
             backend="planecut",
-            settings=self._settings,
+            settings=self._settings.model_dump(),
+            dropped=np.concatenate([np.zeros(0, np.int64), *(cut.dropped for cut in blocks)]),
         )
 
 
-def _united(layers: Layers) -> Layers:
+def _united(layers: Layers, kinds: NDArray[np.int8]) -> Layers:
     """Resolve the layers whose shells overlap; the others stay as they are."""
-    kinds = overlaps.classify_layers(layers)
-    doubtful = np.flatnonzero(kinds != overlaps.CLEAN)
-    if not doubtful.size:
+    doubtful = np.flatnonzero(kinds != overlaps.CLEAN).tolist()
+    if not doubtful:
         return layers
+
+    def resolve(start: int, stop: int) -> list[Layers | None]:
+        return [_resolved(layers.block(k, k + 1), int(kinds[k])) for k in doubtful[start:stop]]
+
+    found = [one for block in run_blocks(resolve, len(doubtful)) for one in block]
     blocks: list[Layers] = []
     done = 0
-    for k in doubtful.tolist():
-        one = layers.block(k, k + 1)
-        resolved = overlaps.unite(one, int(kinds[k]))
-        if resolved is None:
-            continue
-        points, ring_starts, closed, edge, edge_t = resolved
-        again = canonical(
-            one.heights, points, ring_starts, [0, closed.size], closed, edge=edge, edge_t=edge_t,
-            part=one.part, direction=one.direction, backend=one.backend, settings=one.settings,
-        )  # fmt: skip
-        blocks += [layers.block(done, k), again.labelled(dropped=again.dropped + one.dropped)]
-        done = k + 1
+    for k, one in zip(doubtful, found, strict=True):
+        if one is not None:
+            blocks += [layers.block(done, k), one]
+            done = k + 1
     return concatenate([*blocks, layers.block(done, len(layers))]) if blocks else layers
 
 
-def _sorted_by_height(part: Part) -> tuple[Floats, Index, Index]:
-    """Vertices by height and facets by their lowest vertex, and the part's number of each vertex.
-
-    What a layer needs then lies together in memory, in whatever order the file had it. Facets with a repeated vertex
-    have no section and are left out.
-    """
-    original = np.argsort(part.vertices[:, 2], kind="stable").astype(np.int32)
-    rank = np.empty_like(original)
-    rank[original] = np.arange(original.size, dtype=np.int32)
-    a, b, c = part.faces.T
-    faces = rank[part.faces[(a != b) & (b != c) & (c != a)]]
-    order = np.argsort(faces.min(axis=1), kind="stable")
-    return part.vertices[original], faces[order], original
+def _resolved(one: Layers, kind: int) -> Layers | None:
+    """Unite the shells of a single layer; None where nothing changes."""
+    resolved = overlaps.unite(one, kind)
+    if resolved is None:
+        return None
+    points, ring_starts, closed, edge, edge_t = resolved
+    again = canonical(
+        one.heights, points, ring_starts, [0, closed.size], closed, edge=edge, edge_t=edge_t,
+        part=one.part, direction=one.direction, backend=one.backend, settings=one.settings,
+    )  # fmt: skip
+    return again.labelled(dropped=again.dropped + one.dropped)

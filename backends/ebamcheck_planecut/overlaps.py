@@ -6,158 +6,136 @@ nearly every part. Where rings touch or cross, the arrangement of the layer deci
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 
 from ebamcheck.kernels import kernel
 from ebamcheck.layers import Layers
-from ebamcheck.rings import INSIDE, Bools, Floats, Ints, locate
+from ebamcheck.rings import Bools, Floats, Ints, signed_area
+from ebamcheck_planecut.box_tree import SEGMENTS_A_LEAF, BoxTree, box_tree, encloses, grow, touching
 
 CLEAN, NESTED_WRONG, TOUCHING = 0, 1, 2
 
-CELLS_PER_SEGMENT = 1.0
-"""Cells of the search grid per segment of a layer: about one segment a cell is the cheapest."""
+
+class OverlapSearch(NamedTuple):
+    """Room to look at the rings of one layer."""
+
+    tree: BoxTree
+    outward: Ints
+    """(R,) +1 for an outer ring, -1 for a hole."""
+    first_leaf: Ints
+    """(R,) first leaf of each ring."""
+    greatest_x: Floats
+    """(R,) right end of each ring."""
+    around: Ints
+    """(R,) rings that may lie around the one looked at."""
+    keep: Bools
+    """(R,) whether a ring separates solid from void."""
 
 
-def classify_layers(layers: Layers) -> NDArray[np.int8]:
-    """Tell clean layers from those with wrongly nested rings and those with touching or crossing ones, (L,)."""
-    return _classify(
-        layers.points,
-        layers.ring_starts,
-        layers.layer_starts,
-        layers.closed,
-        layers.ring_areas,
-        layers.ring_bounds,
+@kernel
+def overlap_search(points: int) -> OverlapSearch:
+    """Room for layers of so many points."""
+    return OverlapSearch(
+        box_tree(points),
+        np.empty(points, np.int64),
+        np.empty(points, np.int64),
+        np.empty(points),
+        np.empty(points, np.int64),
+        np.empty(points, np.bool_),
     )
 
 
 @kernel
-def _classify(
-    points: Floats, ring_starts: Ints, layer_starts: Ints, closed: Bools, areas: Floats, boxes: Floats
-) -> NDArray[np.int8]:
-    count = layer_starts.size - 1
-    result = np.zeros(count, np.int8)
-    for layer in range(count):
-        a, b = layer_starts[layer], layer_starts[layer + 1]
-        if a == b:
+def classify_layer(
+    points: Floats, ring_starts: Ints, closed: Bools, a: int, b: int, search: OverlapSearch
+) -> int:
+    """Tell a clean layer from one with wrongly nested rings and from one with touching or crossing ones.
+
+    Parameters
+    ----------
+    points, ring_starts, closed
+        Of a stack of layers in canonical form.
+    a, b
+        Rings of the layer.
+    search
+        Room for a layer of so many points; `keep` is written for its rings, unless they touch.
+    """
+    if a == b:
+        return CLEAN
+    leaves = grow(search.tree, points, ring_starts, closed, a, b)
+    if touching(search.tree, leaves, points, ring_starts):
+        return TOUCHING
+    _measure(points, ring_starts, closed, a, b, search, leaves)
+    return CLEAN if _all_kept(points, ring_starts, closed, a, b, search, leaves) else NESTED_WRONG
+
+
+@kernel
+def _measure(
+    points: Floats, ring_starts: Ints, closed: Bools, a: int, b: int, search: OverlapSearch, leaves: int
+) -> None:
+    """Direction, leaves and right end of the closed rings ``[a, b)``."""
+    leaf = 0
+    for r in range(a, b):
+        if not closed[r]:
             continue
-        if _touching(points, ring_starts, closed, a, b):
-            result[layer] = TOUCHING
-        else:
-            for r in range(a, b):
-                if closed[r] and _kept(points, ring_starts, closed, areas, boxes, a, b, r) == 0:
-                    result[layer] = NESTED_WRONG
-                    break
+        first, stop = ring_starts[r], ring_starts[r + 1]
+        search.outward[r - a] = 1 if signed_area(points, first, stop) > 0.0 else -1
+        search.first_leaf[r - a] = leaf
+        greatest = -np.inf
+        for _ in range(first, stop, SEGMENTS_A_LEAF):
+            greatest = max(greatest, search.tree.boxes[leaves + leaf, 2])
+            leaf += 1
+        search.greatest_x[r - a] = greatest
+
+
+@kernel
+def _all_kept(
+    points: Floats, ring_starts: Ints, closed: Bools, a: int, b: int, search: OverlapSearch, leaves: int
+) -> bool:
+    """Find which of the rings ``[a, b)``, which do not touch, separate solid from void under winding > 0.
+
+    A ring starts at its left end, and rings are sorted by their starts; so those around one begin before it.
+    """
+    result = True
+    count, following = 0, a
+    for r in range(a, b):
+        search.keep[r - a] = True
+        if not closed[r]:
+            continue
+        x, y = points[ring_starts[r], 0], points[ring_starts[r], 1]
+        while following < b and points[ring_starts[following], 0] <= x:
+            if closed[following]:
+                search.around[count] = following
+                count += 1
+            following += 1
+        kept, outside = 0, 0
+        for n in range(count):
+            s = search.around[n]
+            if search.greatest_x[s - a] < x:
+                continue
+            search.around[kept] = s
+            kept += 1
+            if s != r and encloses(
+                search.tree, leaves, search.first_leaf[s - a], points, ring_starts, s, x, y
+            ):
+                outside += search.outward[s - a]
+        count = kept
+        if (outside > 0) == (outside + search.outward[r - a] > 0):
+            search.keep[r - a] = False
+            result = False
     return result
 
 
 @kernel
-def _kept(
-    points: Floats, ring_starts: Ints, closed: Bools, areas: Floats, boxes: Floats, a: int, b: int, r: int
-) -> int:
-    """1 where ring `r` separates solid from void under winding > 0, among rings ``[a, b)`` that do not touch."""
-    x, y = points[ring_starts[r], 0], points[ring_starts[r], 1]
-    outside = 0
-    for s in range(a, b):
-        if s == r or not closed[s]:
-            continue
-        if (
-            boxes[s, 0] <= x <= boxes[s, 2]
-            and boxes[s, 1] <= y <= boxes[s, 3]
-            and locate(x, y, points, ring_starts[s], ring_starts[s + 1]) == INSIDE
-        ):
-            outside += 1 if areas[s] > 0.0 else -1
-    inside = outside + (1 if areas[r] > 0.0 else -1)
-    return 1 if (outside > 0) != (inside > 0) else 0
-
-
-@kernel
-def _touching(points: Floats, ring_starts: Ints, closed: Bools, a: int, b: int) -> bool:
-    """Whether two segments of the closed rings ``[a, b)`` meet elsewhere than where one follows the other."""
-    first, last = ring_starts[a], ring_starts[b]
-    count = last - first
-    following = np.empty(count, np.int64)
-    for r in range(a, b):
-        for i in range(ring_starts[r], ring_starts[r + 1]):
-            following[i - first] = (
-                (i + 1 if i + 1 < ring_starts[r + 1] else ring_starts[r]) if closed[r] else i
-            )
-    xmin, ymin = np.inf, np.inf
-    xmax, ymax = -np.inf, -np.inf
-    for i in range(first, last):
-        xmin, xmax = min(xmin, points[i, 0]), max(xmax, points[i, 0])
-        ymin, ymax = min(ymin, points[i, 1]), max(ymax, points[i, 1])
-    side = np.sqrt(max((xmax - xmin) * (ymax - ymin), 1e-300) / (CELLS_PER_SEGMENT * count))
-    side = max(side, max(xmax - xmin, ymax - ymin) / (4.0 * count), 1e-300)
-    nx, ny = int((xmax - xmin) / side) + 1, int((ymax - ymin) / side) + 1
-    # Count, then fill: each segment is listed in every cell of its box.
-    starts = np.zeros(nx * ny + 1, np.int64)
-    for i in range(first, last):
-        j = following[i - first]
-        if j == i:
-            continue
-        c0, c1, r0, r1 = _cells(points, i, j, xmin, ymin, side, nx, ny)
-        for row in range(r0, r1 + 1):
-            for column in range(c0, c1 + 1):
-                starts[row * nx + column + 1] += 1
-    for c in range(nx * ny):
-        starts[c + 1] += starts[c]
-    listed = np.empty(starts[-1], np.int64)
-    fill = starts[:-1].copy()
-    for i in range(first, last):
-        j = following[i - first]
-        if j == i:
-            continue
-        c0, c1, r0, r1 = _cells(points, i, j, xmin, ymin, side, nx, ny)
-        for row in range(r0, r1 + 1):
-            for column in range(c0, c1 + 1):
-                cell = row * nx + column
-                for s in range(starts[cell], fill[cell]):
-                    other = listed[s]
-                    if following[other - first] == i or j == other:
-                        continue
-                    if _meet(points, i, j, other, following[other - first]):
-                        return True
-                listed[fill[cell]] = i
-                fill[cell] += 1
-    return False
-
-
-@kernel
-def _cells(
-    points: Floats, i: int, j: int, xmin: float, ymin: float, side: float, nx: int, ny: int
-) -> tuple[int, int, int, int]:
-    c0 = int((min(points[i, 0], points[j, 0]) - xmin) / side)
-    c1 = int((max(points[i, 0], points[j, 0]) - xmin) / side)
-    r0 = int((min(points[i, 1], points[j, 1]) - ymin) / side)
-    r1 = int((max(points[i, 1], points[j, 1]) - ymin) / side)
-    return min(c0, nx - 1), min(c1, nx - 1), min(r0, ny - 1), min(r1, ny - 1)
-
-
-@kernel
-def _side(points: Floats, i: int, j: int, k: int) -> float:
-    """Twice the signed area of the triangle of points i, j, k."""
-    return (points[j, 0] - points[i, 0]) * (points[k, 1] - points[i, 1]) - (points[k, 0] - points[i, 0]) * (
-        points[j, 1] - points[i, 1]
-    )
-
-
-@kernel
-def _meet(points: Floats, a: int, b: int, c: int, d: int) -> bool:
-    """Whether segments ab and cd share a point."""
-    if (
-        max(points[a, 0], points[b, 0]) < min(points[c, 0], points[d, 0])
-        or max(points[c, 0], points[d, 0]) < min(points[a, 0], points[b, 0])
-        or max(points[a, 1], points[b, 1]) < min(points[c, 1], points[d, 1])
-        or max(points[c, 1], points[d, 1]) < min(points[a, 1], points[b, 1])
-    ):
-        return False
-    p, q = _side(points, a, b, c), _side(points, a, b, d)
-    if (p > 0.0 and q > 0.0) or (p < 0.0 and q < 0.0):
-        return False
-    p, q = _side(points, c, d, a), _side(points, c, d, b)
-    return not ((p > 0.0 and q > 0.0) or (p < 0.0 and q < 0.0))
+def kept_rings(points: Floats, ring_starts: Ints, closed: Bools) -> Bools:
+    """Tell which rings of one layer, which do not touch, separate solid from void (R,); open paths are kept."""
+    search = overlap_search(points.shape[0])
+    classify_layer(points, ring_starts, closed, 0, closed.size, search)
+    return search.keep[: closed.size].copy()
 
 
 def unite(layer: Layers, kind: int) -> tuple[Floats, Ints, Bools, NDArray[np.int32], Floats] | None:
@@ -172,7 +150,7 @@ def unite(layer: Layers, kind: int) -> tuple[Floats, Ints, Bools, NDArray[np.int
     assert layer.edge is not None
     assert layer.edge_t is not None
     if kind == NESTED_WRONG:
-        keep = _keep_rings(layer)
+        keep = kept_rings(layer.points, layer.ring_starts, layer.closed)
         rows = np.repeat(keep, np.diff(layer.ring_starts))
         sizes = np.diff(layer.ring_starts)[keep]
         starts = np.concatenate([[0], np.cumsum(sizes)])
@@ -188,7 +166,7 @@ def unite(layer: Layers, kind: int) -> tuple[Floats, Ints, Bools, NDArray[np.int
         for polygon in shapely.get_parts(united)
         for ring in (polygon.exterior, *polygon.interiors)
     ]
-    open_paths = [layer.ring(r) for r in np.flatnonzero(~layer.closed)]
+    open_paths = [layer.ring(r) for r in np.flatnonzero(~layer.closed).tolist()]
     paths = [*rings, *open_paths]
     points = np.concatenate(paths) if paths else np.zeros((0, 2))
     starts = np.concatenate([[0], np.cumsum([len(path) for path in paths])]).astype(np.int64)
@@ -197,24 +175,11 @@ def unite(layer: Layers, kind: int) -> tuple[Floats, Ints, Bools, NDArray[np.int
     return points, starts, closed, edge, edge_t
 
 
-def _keep_rings(layer: Layers) -> Bools:
-    areas, boxes = layer.ring_areas, layer.ring_bounds
-    count = layer.closed.size
-    return np.array(
-        [
-            not layer.closed[r]
-            or bool(_kept(layer.points, layer.ring_starts, layer.closed, areas, boxes, 0, count, r))
-            for r in range(count)
-        ],
-        dtype=np.bool_,
-    )
-
-
 def _arrangement(layer: Layers) -> NDArray[np.object_]:
     """Bounded faces of the arrangement of all closed rings of a layer, as shapely polygons."""
     lines = [
         shapely.LineString(np.vstack([layer.ring(r), layer.ring(r)[:1]]))
-        for r in np.flatnonzero(layer.closed)
+        for r in np.flatnonzero(layer.closed).tolist()
     ]
     noded = shapely.union_all(np.array(lines, dtype=object))
     return np.asarray(shapely.get_parts(shapely.polygonize([*shapely.get_parts(noded)])), dtype=object)
