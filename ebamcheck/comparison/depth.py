@@ -34,6 +34,9 @@ STACK = 4096
 MOST_PARTS = 16
 """Parts into which a trapezoid is split at once."""
 
+OTHER = 5
+"""Row of the segment of the farther contours, after those of the middle and of four corners."""
+
 RIDGE_SHARE = 0.75
 """Corners are looked at where the middle is at least this deep, relative to the deepest point known: only
 near a ridge do they tighten the bound enough to pay."""
@@ -61,8 +64,8 @@ def search(
 ) -> Deepest:
     """Greatest depth over all suspects to within what :func:`enough_mm` says, from a depth already known."""
     stack = np.empty((STACK, 7))
-    sides = np.empty((5, 4))
-    corners = np.empty((5, 4))
+    sides = np.empty((OTHER + 1, 4))
+    corners = np.empty((OTHER + 1, 4))
     guess = np.full(2, -1, np.int64)
     nodes = 0
     # The most suspect first: what it proves rules out most of the others.
@@ -112,6 +115,8 @@ def _bound(
     if depth > deepest.depth_mm:
         deepest = Deepest(depth, x, y)
     ceiling = _measure_corners(stack, at, sides, 0, corners)
+    if from_a and from_b:
+        ceiling = min(ceiling, _measure_corners(stack, at, sides, OTHER, corners), _mean(corners, 0, OTHER))
     if ceiling <= enough_mm(deepest.depth_mm, limit_mm) or depth < RIDGE_SHARE * deepest.depth_mm:
         return deepest, ceiling
     for k in range(1, 5):
@@ -126,18 +131,24 @@ def _bound(
         ceiling = min(ceiling, _measure_corners(stack, at, sides, k, corners))
     for i in range(4):
         for j in range(i + 1, 5):
-            mean = 0.0
-            for c in range(4):
-                mean = max(mean, 0.5 * (corners[i, c] + corners[j, c]))
-            ceiling = min(ceiling, mean)
+            ceiling = min(ceiling, _mean(corners, i, j))
     return deepest, ceiling
+
+
+@kernel
+def _mean(corners: Floats, i: int, j: int) -> float:
+    """Mean distance from two segments, greatest over the corners: no lesser of the two distances is more."""
+    mean = 0.0
+    for c in range(4):
+        mean = max(mean, 0.5 * (corners[i, c] + corners[j, c]))
+    return mean
 
 
 @kernel
 def _look(
     a: Outline, b: Outline, from_a: bool, from_b: bool, x: float, y: float, sides: Floats, guess: Ints, k: int
 ) -> float:
-    """Depth at a point; the segment that is nearest goes to row `k` of `sides`.
+    """Depth at a point; the segment that is nearest goes to row `k` of `sides`, that of the other contours after all.
 
     `guess` holds the segments found last, from which the next search starts.
     """
@@ -152,7 +163,10 @@ def _look(
         guess[1] = i
         if other < depth:
             depth = other
+            sides[OTHER] = sides[k]
             sides[k] = b.segments[i]
+        elif i >= 0:
+            sides[OTHER] = b.segments[i]
     return float(depth)
 
 

@@ -1,7 +1,7 @@
 """Distances between the contours of one layer: directed Hausdorff distance and 95th percentile.
 
-Both bounds used here follow from one fact: the distance from a fixed segment is a convex function, so over
-a piece of a contour it is greatest at an end of the piece.
+The bounds used here follow from two facts: the distance from a fixed segment is a convex function, so over a piece of a
+contour it is greatest at an end of the piece; and a chain of segments passes every place between its two ends.
 """
 
 from __future__ import annotations
@@ -26,6 +26,9 @@ PERCENTILE = 0.95
 
 MOST_PIECES = 200_000
 """Pieces refined in one search at most; a count, so that results do not depend on the machine."""
+
+LONGEST_CHAIN = 64
+"""Segments between the nearest ones of a piece's two ends that are looked at at most: more is dearer than halving."""
 
 STACK = 128
 """Pieces put aside in one search; each halving adds one, so float64 runs out of halves first."""
@@ -110,6 +113,34 @@ def _ceiling(segments: Floats, pieces: Floats, near: Ints, k: int) -> float:
     start, stop = pieces[k, 4], pieces[k, 5]
     if near[k, 0] == near[k, 1]:
         return float(max(start, stop))
+    return min(_ceiling_of_two(segments, pieces, near, k), _ceiling_of_chain(segments, pieces, near, k))
+
+
+@kernel
+def _ceiling_of_chain(segments: Floats, pieces: Floats, near: Ints, k: int) -> float:
+    """Bound by the segments from one nearest one to the other, where they follow each other.
+
+    Seen square to the piece, that chain passes every place between the points nearest to the two ends, at most as
+    far off as its farthest corner; and what lies before or behind it is no farther from those points than the ends.
+    """
+    first, last = min(near[k, 0], near[k, 1]), max(near[k, 0], near[k, 1])
+    ux, uy = pieces[k, 2] - pieces[k, 0], pieces[k, 3] - pieces[k, 1]
+    length = math.hypot(ux, uy)
+    if last - first > LONGEST_CHAIN or not length > 0.0:
+        return np.inf
+    across = 0.0
+    for i in range(first, last):
+        x, y = segments[i, 2], segments[i, 3]
+        if segments[i + 1, 0] != x or segments[i + 1, 1] != y:
+            return np.inf
+        across = max(across, abs(ux * (y - pieces[k, 1]) - uy * (x - pieces[k, 0])))
+    return float(max(pieces[k, 4], pieces[k, 5], across / length))
+
+
+@kernel
+def _ceiling_of_two(segments: Floats, pieces: Floats, near: Ints, k: int) -> float:
+    """Bound by the two nearest segments alone: on each the distance is convex."""
+    start, stop = pieces[k, 4], pieces[k, 5]
     first_at_stop = distance_to_segment(pieces[k, 2], pieces[k, 3], segments, near[k, 0])
     last_at_start = distance_to_segment(pieces[k, 0], pieces[k, 1], segments, near[k, 1])
     mean = 0.5 * max(start + last_at_start, stop + first_at_stop)

@@ -15,7 +15,7 @@ from ebamcheck.kernels import kernel
 from ebamcheck.layers import Layers
 from ebamcheck.rings import EPSILON, Bools, Floats, Ints
 
-CELLS_PER_SEGMENT = 24
+CELLS_PER_SEGMENT = 6
 """Grid cells per segment: few segments in a cell, and a grid that is small to build."""
 
 MOST_ENTRIES_PER_SEGMENT = 64
