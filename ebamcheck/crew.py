@@ -127,6 +127,8 @@ class Crew:
                 stderr=told,
                 pass_fds=(write,),
                 start_new_session=True,
+                # What a worker that is killed leaves behind goes with the crew's own folder.
+                env={**os.environ, "TMPDIR": self._folder.name},
             )
         os.close(write)
         os.set_blocking(read, False)

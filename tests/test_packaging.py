@@ -19,6 +19,10 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = {
     "ebamcheck": "ebamcheck",
     "ebamcheck_planecut": "backends/ebamcheck_planecut",
+    "ebamcheck_slic3r": "backends/ebamcheck_slic3r",
+    "ebamcheck_cura": "backends/ebamcheck_cura",
+    "ebamcheck_prusa": "backends/ebamcheck_prusa",
+    "ebamcheck_trimesh": "backends/ebamcheck_trimesh",
     "ebamcheck_stencil": "backends/ebamcheck_stencil",
     "ebamcheck_embree": "backends/ebamcheck_embree",
     "ebamcheck_manifold": "backends/ebamcheck_manifold",

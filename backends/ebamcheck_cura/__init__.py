@@ -1,0 +1,7 @@
+"""Slicer by the program CuraEngine: an outside witness, read from the G-code of its surface mode."""
+
+from __future__ import annotations
+
+from ebamcheck_cura.slicer import Cura
+
+__all__ = ["Cura"]

@@ -1,0 +1,193 @@
+"""The program CuraEngine behind the protocol of a slicer.
+
+In surface mode CuraEngine drives along the contours of a layer. It works in whole micrometres and takes vertices within
+30 of them for one, so it gets the part magnified, as far as its 64-bit products allow.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+from ebamcheck.backend import BackendSettings, CoplanarRule, Probe
+from ebamcheck.errors import BackendMissing, SettingsError
+from ebamcheck.even_odd import INSIDE_RULE, directed_by_nesting
+from ebamcheck.lattices import Lattice, LatticeStack
+from ebamcheck.layers import Layers
+from ebamcheck.outside_program import Program, ProgramSettings, working_folder
+from ebamcheck.part import Part
+from ebamcheck.program_placement import Placement, coordinate_rounding_mm, height_rounding_mm, scale_to
+from ebamcheck.stl_writer import write_triangles
+from ebamcheck_cura.gcode import read_paths
+
+PROGRAM = Program(
+    name="CuraEngine",
+    command="CuraEngine",
+    variable="EBAMCHECK_CURAENGINE",
+    package="cura-engine cura",
+    version_arguments=("help",),
+    version_pattern=r"version (\d+\.\d+\S*)",
+)
+
+DEFINITIONS = "EBAMCHECK_CURA_DEFINITIONS"
+"""Environment variable that names the folder of Cura's definitions where it is none of the usual ones."""
+
+USUAL_DEFINITIONS = ("/usr/share/cura/resources/definitions", "/usr/local/share/cura/resources/definitions")
+
+PRINTER = "fdmprinter.def.json"
+EXTRUDER = "fdmextruder.def.json"
+
+UNIT = 1e-3
+"""CuraEngine's unit of length, a micrometre, mm."""
+
+WORKING_SIZE = 2.0**20 * UNIT
+"""Larger side of the part as CuraEngine gets it, mm; at least half of it. From about 1.5 million units on, products of
+three lengths overflow where it drops points that are nearly collinear, and it drops corners."""
+
+TALLEST = 2**28
+"""Largest height of the part as CuraEngine gets it, in its units: the product with a side stays within 64 bits."""
+
+MERGE_UNITS = 30.0
+"""Distance within which vertices are one to CuraEngine (``vertex_meld_distance`` in its source), in units."""
+
+OTHER_UNITS = 6.0
+"""Roundings to whole units, and the distance of 5 within which points of a path are one or collinear."""
+
+
+class Cura:
+    """Contours of the program CuraEngine, as the G-code of its surface mode follows them.
+
+    The paths have no direction, so that solid is what lies within an odd number of rings; a part whose
+    shells cross is refused. Paths of open surfaces stay open.
+    """
+
+    name: ClassVar[str] = "cura"
+    summary: ClassVar[str] = "witness: the program CuraEngine (surface mode); no crossing shells"
+    exact: ClassVar[bool] = False
+    priority: ClassVar[int] = -30
+    coplanar_rule: ClassVar[CoplanarRule] = "undefined"
+    inside_rule: ClassVar[str] = INSIDE_RULE
+    Settings: ClassVar[type[BackendSettings]] = ProgramSettings
+
+    def probe(self) -> Probe:
+        """Whether CuraEngine and Cura's definitions are installed, and the version."""
+        answer = PROGRAM.probe()
+        if not answer.available:
+            return answer
+        try:
+            definitions()
+        except BackendMissing as missing:
+            return Probe(
+                False, why=str(missing), hint=f"apt install cura, or name the folder in {DEFINITIONS}"
+            )
+        return answer
+
+    def error_bound_mm(self, part: Part, settings: BackendSettings) -> float:
+        """Return the rounding of coordinates to 32 bits and to whole units, and the merging of vertices, mm."""
+        units = MERGE_UNITS + OTHER_UNITS
+        return 2.0 * coordinate_rounding_mm(part) + units * UNIT / scale_to(part, WORKING_SIZE)
+
+    def height_bound_mm(self, part: Part, settings: BackendSettings) -> float:
+        """Return the rounding of heights to 32 bits and to whole units, and the merging of vertices, mm."""
+        units = MERGE_UNITS + OTHER_UNITS
+        return height_rounding_mm(part) + units * 8.0 * float(part.size[2]) / TALLEST
+
+    def prepare(self, part: Part, settings: BackendSettings) -> LatticeStack:
+        """Look for the program; it runs when heights are known.
+
+        Raises
+        ------
+        BackendMissing
+            If CuraEngine or Cura's definitions are not installed.
+        """
+        if not isinstance(settings, ProgramSettings):
+            raise SettingsError(f"cura: settings are {type(settings).__name__}: give Cura.Settings")
+        PROGRAM.path()
+        cut = _Cut(part, settings, definitions())
+        return LatticeStack(part, cut.labels, cut)
+
+
+def definitions() -> Path:
+    """Folder of Cura's definitions; raises :class:`BackendMissing` where there is none."""
+    named = os.environ.get(DEFINITIONS)
+    for folder in map(Path, (named,) if named else USUAL_DEFINITIONS):
+        if (folder / PRINTER).is_file() and (folder / EXTRUDER).is_file():
+            return folder
+    raise BackendMissing(
+        f"Cura's definitions ({PRINTER}, {EXTRUDER}) are not in {named or USUAL_DEFINITIONS[0]}"
+    )
+
+
+@dataclass(frozen=True)
+class _Cut:
+    """Runs CuraEngine on a part for one lattice of planes."""
+
+    part: Part
+    settings: ProgramSettings
+    definitions: Path
+
+    @property
+    def labels(self) -> dict[str, Any]:
+        return {
+            "part": self.part.sha256,
+            "direction": self.part.direction,
+            "backend": Cura.name,
+            "settings": self.settings.model_dump(),
+        }
+
+    def __call__(self, lattice: Lattice) -> Layers:
+        """Cut at the planes of a lattice."""
+        placement = Placement(self.part, lattice, scale_to(self.part, WORKING_SIZE), 1.0)
+        layer_units = 2 ** max(1, (TALLEST // placement.layer_count).bit_length() - 1)
+        placement = replace(placement, layer=layer_units * UNIT)
+        with working_folder() as folder:
+            write_triangles(placement.triangles(), folder / "part.stl")
+            said = PROGRAM.run(
+                _arguments(placement.layer, self.definitions), folder, self.settings.time_limit_s
+            )
+            file = folder / "part.gcode"
+            if not file.exists():
+                raise PROGRAM.failed(f"wrote no G-code for part {self.part.name!r}", said)
+            paths = read_paths(file.read_bytes())
+        bound_mm = Cura().error_bound_mm(self.part, self.settings)
+        return directed_by_nesting(placement.layers(paths, **self.labels), bound_mm, Cura.name)
+
+
+def _arguments(layer: float, folder: Path) -> list[str]:
+    """Command line: one path along every contour, nothing else, nothing simplified, closed or left out."""
+    settings: dict[str, object] = {
+        "layer_height": layer,
+        "layer_height_0": layer,
+        "slicing_tolerance": "middle",
+        "magic_mesh_surface_mode": "surface",
+        "machine_center_is_zero": "true",
+        "center_object": "false",
+        "remove_empty_first_layers": "false",
+        "meshfix_union_all": "false",
+        "meshfix_union_all_remove_holes": "false",
+        "meshfix_extensive_stitching": "false",
+        "meshfix_keep_open_polygons": "false",
+        "meshfix_maximum_resolution": UNIT,
+        "meshfix_maximum_deviation": UNIT,
+        "meshfix_maximum_travel_resolution": UNIT,
+        "minimum_polygon_circumference": 0,
+        "xy_offset": 0,
+        "xy_offset_layer_0": 0,
+        "hole_xy_offset": 0,
+        "wall_line_count": 1,
+        "wall_0_inset": 0,
+        "wall_0_wipe_dist": 0,
+        "top_layers": 0,
+        "bottom_layers": 0,
+        "infill_line_distance": 0,
+        "adhesion_type": "none",
+        "support_enable": "false",
+        "prime_blob_enable": "false",
+        "retraction_enable": "false",
+        "retraction_combing": "off",
+        "machine_end_gcode": ";End of Gcode",
+    }
+    chosen = [word for key, value in settings.items() for word in ("-s", f"{key}={value}")]
+    return ["slice", "-j", str(folder / PRINTER), *chosen, "-l", "part.stl", "-o", "part.gcode"]

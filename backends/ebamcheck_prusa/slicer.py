@@ -1,0 +1,235 @@
+"""The program PrusaSlicer behind the protocol of a slicer.
+
+PrusaSlicer has no output of exact contours: its G-code follows paths that are drawn in. For printers that cure a whole
+layer at a time it writes images, of which a pixel is white where material covers half of it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from ebamcheck.backend import BackendSettings, CoplanarRule, Probe
+from ebamcheck.errors import BackendFailed, SettingsError
+from ebamcheck.lattices import Lattice, LatticeStack
+from ebamcheck.layers import Layers
+from ebamcheck.outside_program import Program, ProgramSettings, working_folder
+from ebamcheck.part import Part
+from ebamcheck.program_placement import (
+    Placement,
+    coordinate_rounding_mm,
+    height_rounding_mm,
+    refuse_what_is_mended,
+    scale_to,
+)
+from ebamcheck.stl_writer import write_triangles
+from ebamcheck_prusa.images import archived_images, contours
+
+PROGRAM = Program(
+    name="PrusaSlicer",
+    command="prusa-slicer",
+    variable="EBAMCHECK_PRUSA_SLICER",
+    package="prusa-slicer",
+    version_arguments=("--help",),
+    version_pattern=r"PrusaSlicer-(\d+\.\d+\.\d\S*)",
+)
+
+WORKING_SIZE = 128.0
+"""Larger side of the part as PrusaSlicer gets it, mm; at least half of it. Its integers of 1e-6 mm have 32 bits."""
+
+TALLEST = 1024.0
+"""Largest height of the part as PrusaSlicer gets it, mm, for the same reason."""
+
+LENGTH_UNIT = 2.0**-20
+"""Layer heights are powers of two times this, mm; those of many layers add up without rounding in steps of 1e-6 mm."""
+
+DEFAULT_PIXELS = 1024
+"""Default pixels along the larger side of the part: images of the paper's size."""
+
+LARGEST_IMAGE = 16384
+"""Pixels along a side of an image: memory of the program goes with the square."""
+
+MARGIN_PIXELS = 4
+"""Empty pixels around the part."""
+
+CONTOUR_REACH = 0.87
+"""Farthest, in pixels, that a point lies from the nearest point of the other kind if the contour is wrong about it.
+
+A point of a cell of marching squares lies within sqrt(10)/4 of the nearest pixel centre of its side, and a disc about it
+that covers half of that pixel has a radius of 0.850; coverage is counted in steps of 1/256."""
+
+
+class PrusaSettings(ProgramSettings):
+    """Settings of the backend ``prusa``."""
+
+    pixel_mm: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
+    """Side of a pixel; None: 1/1024 of the larger side of the part."""
+
+
+class Prusa:
+    """Contours of the images that PrusaSlicer writes for printers that cure a layer at a time.
+
+    It closes open meshes and turns parts of negative volume without a word, so those are refused.
+    """
+
+    name: ClassVar[str] = "prusa"
+    summary: ClassVar[str] = (
+        "witness: the program PrusaSlicer (images of an SL1 archive); refuses open meshes"
+    )
+    exact: ClassVar[bool] = False
+    priority: ClassVar[int] = -40
+    coplanar_rule: ClassVar[CoplanarRule] = "undefined"
+    inside_rule: ClassVar[str] = "winding > 0"
+    Settings: ClassVar[type[BackendSettings]] = PrusaSettings
+
+    def probe(self) -> Probe:
+        """Whether PrusaSlicer is installed, and its version."""
+        return PROGRAM.probe()
+
+    def error_bound_mm(self, part: Part, settings: BackendSettings) -> float:
+        """Return 0.87 pixels and the rounding of coordinates to 32 bits, mm."""
+        return CONTOUR_REACH * pixel_mm(part, _checked(settings)) + 4.0 * coordinate_rounding_mm(part)
+
+    def height_bound_mm(self, part: Part, settings: BackendSettings) -> float:
+        """Return the rounding of heights to 32 bits and to steps of 1e-6 of PrusaSlicer's mm."""
+        return 3.0 * height_rounding_mm(part) + 8.0e-6 * float(part.size[2]) / TALLEST
+
+    def prepare(self, part: Part, settings: BackendSettings) -> LatticeStack:
+        """Look for the program; it runs when heights are known.
+
+        Raises
+        ------
+        BackendMissing
+            If PrusaSlicer is not installed.
+        BackendFailed
+            If the part is open or inside out, which PrusaSlicer would change in silence.
+        SettingsError
+            If the pixel is so small that an image would be too large.
+        """
+        PROGRAM.path()
+        refuse_what_is_mended(part, PROGRAM.name)
+        cut = _Cut(part, _checked(settings))
+        if max(cut.pixels) > LARGEST_IMAGE:
+            raise SettingsError(
+                f"prusa: pixel_mm {pixel_mm(part, cut.settings):g} makes images of {max(cut.pixels)} pixels, over the limit "
+                f"of {LARGEST_IMAGE}: give a larger one"
+            )
+        return LatticeStack(part, cut.labels, cut)
+
+
+def pixel_mm(part: Part, settings: PrusaSettings) -> float:
+    """Side of a pixel in force for a part."""
+    if settings.pixel_mm is not None:
+        return settings.pixel_mm
+    return (float(part.size[:2].max()) or 1.0) / DEFAULT_PIXELS
+
+
+def _checked(settings: BackendSettings) -> PrusaSettings:
+    if not isinstance(settings, PrusaSettings):
+        raise SettingsError(f"prusa: settings are {type(settings).__name__}: give Prusa.Settings")
+    return settings
+
+
+@dataclass(frozen=True)
+class _Cut:
+    """Runs PrusaSlicer on a part for one lattice of planes."""
+
+    part: Part
+    settings: PrusaSettings
+
+    @property
+    def labels(self) -> dict[str, Any]:
+        chosen = {**self.settings.model_dump(), "pixel_mm": pixel_mm(self.part, self.settings)}
+        return {
+            "part": self.part.sha256,
+            "direction": self.part.direction,
+            "backend": Prusa.name,
+            "settings": chosen,
+        }
+
+    @property
+    def pixels(self) -> tuple[int, int]:
+        """Columns and rows of an image: even numbers that hold the part and a margin."""
+        pixel = pixel_mm(self.part, self.settings)
+        width, height = (
+            2 * (math.ceil(0.5 * s / pixel) + MARGIN_PIXELS) for s in self.part.size[:2].tolist()
+        )
+        return width, height
+
+    def __call__(self, lattice: Lattice) -> Layers:
+        """Cut at the planes of a lattice."""
+        scale = scale_to(self.part, WORKING_SIZE)
+        placement = Placement(self.part, lattice, scale, LENGTH_UNIT)
+        layer = math.ldexp(1.0, math.floor(math.log2(TALLEST / placement.layer_count)))
+        placement = Placement(self.part, lattice, scale, layer)
+        pixel = pixel_mm(self.part, self.settings) * scale
+        # The middle of the part's box goes to the middle of the images.
+        shift = 0.5 * (self.part.size[:2] * scale - pixel * np.array(self.pixels))
+        with working_folder() as folder:
+            write_triangles(placement.triangles() - (*shift.tolist(), 0.0), folder / "part.stl")
+            (folder / "printer.ini").write_text(_printer(layer, pixel, self.pixels), encoding="ascii")
+            said = PROGRAM.run(ARGUMENTS, folder, self.settings.time_limit_s)
+            archive = folder / "part.sl1"
+            if not archive.exists():
+                raise PROGRAM.failed(f"wrote no images of part {self.part.name!r}", said)
+            found = {
+                number: [ring * pixel + shift for ring in contours(solid)]
+                for number, solid in archived_images(archive)
+                if 0 <= number - placement.first_layer < lattice.count
+            }
+        if len(found) < lattice.count:
+            raise BackendFailed(
+                f"PrusaSlicer wrote {len(found)} of {lattice.count} layers of part {self.part.name!r}"
+            )
+        return placement.layers(found, **self.labels)
+
+
+ARGUMENTS = (
+    "--datadir=.",
+    "--loglevel=0",
+    "--export-sla",
+    "--load=printer.ini",
+    "--dont-arrange",
+    "--output=part.sl1",
+    "part.stl",
+)
+"""Command line; the part stays where the file puts it."""
+
+
+def _printer(layer: float, pixel: float, pixels: tuple[int, int]) -> str:
+    """Settings of a printer whose display holds the part: no support, no compensation, no grey pixel."""
+    width, height = (pixel * count for count in pixels)
+    settings: dict[str, object] = {
+        "printer_technology": "SLA",
+        "layer_height": f"{layer:.20f}",
+        "initial_layer_height": f"{layer:.20f}",
+        "max_print_height": 4.0 * TALLEST,
+        "bed_shape": f"0x0,{width!r}x0,{width!r}x{height!r},0x{height!r}",
+        "display_width": repr(width),
+        "display_height": repr(height),
+        "display_pixels_x": pixels[0],
+        "display_pixels_y": pixels[1],
+        "display_orientation": "landscape",
+        "display_mirror_x": 0,
+        "display_mirror_y": 0,
+        "gamma_correction": 0,
+        "slice_closing_radius": 0,
+        "slicing_mode": "regular",
+        "absolute_correction": 0,
+        "elefant_foot_compensation": 0,
+        "relative_correction": "1,1",
+        "relative_correction_x": 1,
+        "relative_correction_y": 1,
+        "relative_correction_z": 1,
+        "material_correction": "1,1,1",
+        "supports_enable": 0,
+        "support_object_elevation": 0,
+        "pad_enable": 0,
+        "hollowing_enable": 0,
+        "thumbnails": "",
+    }
+    return "".join(f"{key} = {value}\n" for key, value in settings.items())

@@ -1,0 +1,156 @@
+"""The program Slic3r behind the protocol of a slicer.
+
+Slic3r closes gaps under 0.1 mm, cuts no layer over 1 mm, reads layer heights to six digits and coordinates to 32 bits.
+So it gets the part at another scale: magnified across the plane, so that what it closes is nothing, and along z with
+layers of 1 mm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from ebamcheck.backend import BackendSettings, CoplanarRule, Probe
+from ebamcheck.errors import SettingsError
+from ebamcheck.kernels import thread_count
+from ebamcheck.lattices import Lattice, LatticeStack
+from ebamcheck.layers import Layers
+from ebamcheck.outside_program import Program, ProgramSettings, working_folder
+from ebamcheck.part import Part
+from ebamcheck.program_placement import (
+    Placement,
+    coordinate_rounding_mm,
+    height_rounding_mm,
+    refuse_what_is_mended,
+    scale_to,
+)
+from ebamcheck.rings import Floats
+from ebamcheck.stl_writer import write_triangles
+from ebamcheck_slic3r.svg import slices
+
+PROGRAM = Program(
+    name="Slic3r",
+    command="slic3r",
+    variable="EBAMCHECK_SLIC3R",
+    package="slic3r",
+    version_arguments=("--version",),
+    version_pattern=r"(\d+\.\d+\.\d\S*)",
+)
+
+WORKING_SIZE = 2.0**20
+"""Larger side of the part as Slic3r gets it, mm; at least half of it. Far from the limits of its 64-bit integers of
+1e-6 mm, which its offsets multiply by 1e5."""
+
+LAYER = 1.0
+"""Height of a layer as Slic3r gets it, mm; the highest that it cuts."""
+
+CLOSING = 0.0499
+"""Radius of the closing that Slic3r applies to every slice, mm in its coordinates (``safety_offset`` in its source)."""
+
+PLANE_ROUNDINGS = 10.0
+"""Roundings to 32 bits that a crossing goes through: file, scale, difference of two ends, place along the edge (three),
+sum; times the square root of two for both coordinates."""
+
+HEIGHT_ROUNDINGS = 3.0
+"""The same for heights: file, scale of the vertex, scale of the plane."""
+
+TROUBLE = ("overlapping or self-intersecting facets", "Unable to close this loop")
+"""What Slic3r says where it leaves loops out or makes a layer up from its neighbours."""
+
+
+class Slic3r:
+    """Slices of the program Slic3r, as it exports them.
+
+    Loops are united; a hole is taken from every larger loop, also of another shell. It mends open meshes
+    and turns parts of negative volume without a word, so those are refused.
+    """
+
+    name: ClassVar[str] = "slic3r"
+    summary: ClassVar[str] = "witness: the program Slic3r (SVG export); refuses open meshes"
+    exact: ClassVar[bool] = True
+    priority: ClassVar[int] = -20
+    coplanar_rule: ClassVar[CoplanarRule] = "undefined"
+    inside_rule: ClassVar[str] = "winding > 0"
+    Settings: ClassVar[type[BackendSettings]] = ProgramSettings
+
+    def probe(self) -> Probe:
+        """Whether Slic3r is installed, and its version."""
+        return PROGRAM.probe()
+
+    def error_bound_mm(self, part: Part, settings: BackendSettings) -> float:
+        """Return the roundings to 32-bit floats on the way, and what the closing may fill, mm."""
+        return PLANE_ROUNDINGS * coordinate_rounding_mm(part) + 2.0 * CLOSING / scale_to(part, WORKING_SIZE)
+
+    def height_bound_mm(self, part: Part, settings: BackendSettings) -> float:
+        """Return the roundings of vertices and planes to 32-bit floats, mm."""
+        return HEIGHT_ROUNDINGS * height_rounding_mm(part)
+
+    def prepare(self, part: Part, settings: BackendSettings) -> LatticeStack:
+        """Look at the part; Slic3r itself runs when heights are known.
+
+        Raises
+        ------
+        BackendMissing
+            If Slic3r is not installed.
+        BackendFailed
+            If the part is open or inside out, which Slic3r would change in silence.
+        """
+        if not isinstance(settings, ProgramSettings):
+            raise SettingsError(f"slic3r: settings are {type(settings).__name__}: give Slic3r.Settings")
+        PROGRAM.path()
+        refuse_what_is_mended(part, PROGRAM.name)
+        cut = _Cut(part, settings)
+        return LatticeStack(part, cut.labels, cut)
+
+
+@dataclass(frozen=True)
+class _Cut:
+    """Runs Slic3r on a part for one lattice of planes."""
+
+    part: Part
+    settings: ProgramSettings
+
+    @property
+    def labels(self) -> dict[str, Any]:
+        return {
+            "part": self.part.sha256,
+            "direction": self.part.direction,
+            "backend": Slic3r.name,
+            "settings": self.settings.model_dump(),
+        }
+
+    def __call__(self, lattice: Lattice) -> Layers:
+        """Cut at the planes of a lattice."""
+        placement = Placement(self.part, lattice, scale_to(self.part, WORKING_SIZE), LAYER)
+        with working_folder() as folder:
+            write_triangles(placement.triangles(), folder / "part.stl")
+            said = PROGRAM.run(_arguments(), folder, self.settings.time_limit_s)
+            if any(words in said for words in TROUBLE):
+                raise PROGRAM.failed(
+                    f"leaves loops of part {self.part.name!r} open or makes layers up from others"
+                )
+            file = folder / "part.svg"
+            if not file.exists():
+                raise PROGRAM.failed(f"wrote no slices of part {self.part.name!r}", said)
+            found: dict[int, list[Floats]] = {}
+            with file.open("rb") as lines:
+                for height, rings in slices(lines):
+                    found[round(height / LAYER - 0.5)] = rings
+        return placement.layers(found, **self.labels)
+
+
+def _arguments() -> list[str]:
+    """Command line; the nozzle only has to be wider than a layer is high."""
+    return [
+        "--no-gui",
+        "--datadir=.",
+        "--export-svg",
+        f"--first-layer-height={LAYER}",
+        f"--layer-height={LAYER}",
+        f"--nozzle-diameter={2.0 * LAYER}",
+        "--resolution=0",
+        "--print-center=0,0",
+        f"--threads={thread_count()}",
+        "--output=part.svg",
+        "part.stl",
+    ]

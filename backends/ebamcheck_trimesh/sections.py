@@ -1,0 +1,158 @@
+"""``section_multiplane`` of trimesh behind the protocol of a slicer."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from types import TracebackType
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ebamcheck.backend import BackendSettings, CoplanarRule, Probe, Progress
+from ebamcheck.errors import BackendFailed
+from ebamcheck.even_odd import INSIDE_RULE, directed_by_nesting
+from ebamcheck.layers import Layers, canonical
+from ebamcheck.part import Part
+from ebamcheck.rings import EPSILON, Floats
+
+MERGE = 1e-8
+"""Distance within which trimesh takes vertices for one, and a vertex for one on the plane (``tol.merge``)."""
+
+WORKING_SIZE_EXPONENT = 10
+"""Parts are scaled to lie between 2**9 and 2**10, so that this distance is nothing beside them."""
+
+BLOCK = 64
+"""Layers that trimesh cuts at a time, so that progress is told and memory stays bounded."""
+
+
+class TrimeshSettings(BackendSettings):
+    """trimesh has no settings: a cut is exact."""
+
+
+class TrimeshSections:
+    """Exact cut by trimesh: segments of the facets, joined to closed paths where their ends are equal.
+
+    Its paths have no direction, so that solid is what lies within an odd number of them; a part whose shells
+    cross is refused. Facets are cut as trimesh does it, with a vertex within 1e-8 of the plane on it.
+    """
+
+    name: ClassVar[str] = "trimesh"
+    summary: ClassVar[str] = (
+        "witness: exact plane cut by trimesh (section_multiplane), slow; no crossing shells"
+    )
+    exact: ClassVar[bool] = True
+    priority: ClassVar[int] = -10
+    coplanar_rule: ClassVar[CoplanarRule] = "undefined"
+    inside_rule: ClassVar[str] = INSIDE_RULE
+    Settings: ClassVar[type[BackendSettings]] = TrimeshSettings
+
+    def probe(self) -> Probe:
+        """Whether trimesh can be imported."""
+        try:
+            import trimesh  # noqa: F401
+
+            found = version("trimesh")
+        except (ImportError, PackageNotFoundError) as error:
+            return Probe(False, why=f"trimesh cannot be imported: {error}", hint="pip install trimesh")
+        return Probe(True, versions={"trimesh": found})
+
+    def error_bound_mm(self, part: Part, settings: BackendSettings) -> float:
+        """Return the merging of points and the rounding of coordinates, mm."""
+        largest = float(np.abs(part.bounds).max())
+        return 2.0 * MERGE / _placement(part).scale + 4.0 * EPSILON * largest
+
+    def height_bound_mm(self, part: Part, settings: BackendSettings) -> float:
+        """Return how far from a plane trimesh takes a vertex for one on it, and the rounding, mm."""
+        largest = float(np.abs(part.bounds).max())
+        return MERGE / _placement(part).scale + 4.0 * EPSILON * largest
+
+    def prepare(self, part: Part, settings: BackendSettings) -> PreparedSections:
+        """Place the part at the origin, at a size at which trimesh loses no digits."""
+        return PreparedSections(part, _placement(part), settings)
+
+
+@dataclass(frozen=True)
+class _Placement:
+    """Coordinates as trimesh gets them: ``(x - shift_mm) * scale``, the scale a power of two."""
+
+    shift_mm: Floats
+    scale: float
+
+
+def _placement(part: Part) -> _Placement:
+    size = float(part.size.max())
+    exponent = WORKING_SIZE_EXPONENT - math.frexp(size)[1] if size > 0.0 else 0
+    return _Placement(part.bounds[0], math.ldexp(1.0, max(-200, min(200, exponent))))
+
+
+class PreparedSections:
+    """A part as a trimesh mesh."""
+
+    def __init__(self, part: Part, placement: _Placement, settings: BackendSettings) -> None:
+        import trimesh
+
+        self.part = part
+        self._placement = placement
+        self._settings = settings
+        vertices = (part.vertices - placement.shift_mm) * placement.scale
+        self._mesh: Any = trimesh.Trimesh(vertices, part.faces, process=False, validate=False)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._mesh = None
+
+    def slice(self, heights: NDArray[np.float64], progress: Progress | None = None) -> Layers:
+        """Cut at strictly increasing heights (L,), mm; one thread."""
+        if self._mesh is None:
+            raise BackendFailed(f"trimesh: part {self.part.name!r} was released: prepare it again")
+        least, greatest = self.part.bounds[:, 2]
+        within = (least < heights) & (heights < greatest)
+        rings: list[Floats] = []
+        closed: list[bool] = []
+        starts = np.zeros(heights.size + 1, np.int64)
+        for first in range(0, heights.size, BLOCK):
+            block = np.arange(first, min(first + BLOCK, heights.size))
+            for k, path in zip(block, self._paths(heights[block], within[block]), strict=True):
+                for points in path:
+                    closed.append(bool((points[0] == points[-1]).all()))
+                    rings.append(points)
+                starts[k + 1] = len(rings)
+            if progress is not None:
+                progress(block.size)
+        raw = canonical(
+            heights,
+            np.concatenate(rings) if rings else np.zeros((0, 2)),
+            np.concatenate([[0], np.cumsum([len(ring) for ring in rings], dtype=np.int64)]),
+            starts,
+            np.array(closed, np.bool_),
+            part=self.part.sha256,
+            direction=self.part.direction,
+            backend=TrimeshSections.name,
+            settings=self._settings.model_dump(),
+        )
+        bound_mm = TrimeshSections().error_bound_mm(self.part, self._settings)
+        return directed_by_nesting(raw, bound_mm, TrimeshSections.name)
+
+    def _paths(self, heights: Floats, within: NDArray[np.bool_]) -> list[list[Floats]]:
+        """Paths of each layer, mm; one that is closed ends where it begins."""
+        found: list[list[Floats]] = [[] for _ in range(heights.size)]
+        if not within.any():
+            return found
+        planes = (heights[within] - self._placement.shift_mm[2]) * self._placement.scale
+        sections = self._mesh.section_multiplane([0.0, 0.0, 0.0], [0.0, 0.0, 1.0], planes)
+        for k, section in zip(np.flatnonzero(within), sections, strict=True):
+            if section is None:
+                continue
+            matrix = np.asarray(section.metadata["to_3D"])
+            loose = [section.entities[e].discrete(section.vertices) for e in section.dangling]
+            for points in [*section.discrete, *loose]:
+                placed = np.asarray(points, np.float64) @ matrix[:2, :2].T + matrix[:2, 3]
+                found[k].append(placed / self._placement.scale + self._placement.shift_mm[:2])
+        return found
