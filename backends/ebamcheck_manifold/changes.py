@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ebamcheck.kernels import kernel
 from ebamcheck_manifold.placement import Floats, Placement
 
 if TYPE_CHECKING:
@@ -23,13 +24,15 @@ MOST_REGIONS = 16
 Keys = NDArray[np.uint64]
 
 
-def doubtful_regions(triangles_mm: Floats, placement: Placement, manifold: Manifold) -> list[dict[str, Any]]:
+def doubtful_regions(
+    vertices_mm: Floats, faces: NDArray[np.int32], placement: Placement, manifold: Manifold
+) -> list[dict[str, Any]]:
     """Boxes around the facets that manifold3d changed.
 
     Parameters
     ----------
-    triangles_mm
-        Corners of the facets (F, 3, 3) that manifold3d was given, as placed in the part.
+    vertices_mm, faces
+        Vertices (V, 3) and facets (F, 3) that manifold3d was given, as placed in the part.
 
     Returns
     -------
@@ -37,28 +40,54 @@ def doubtful_regions(triangles_mm: Floats, placement: Placement, manifold: Manif
         ``box_mm``: xmin, ymin, zmin, xmax, ymax, zmax; ``why``: one line. Empty where nothing was changed.
     """
     mesh = manifold.to_mesh64()
-    held = np.asarray(mesh.vert_properties)[:, :3][np.asarray(mesh.tri_verts, dtype=np.int64)]
-    given_keys, held_keys = _facet_keys(placement.apply(triangles_mm)), _facet_keys(held)
+    held, held_faces = np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts)
+    given_keys = _facet_keys(_vertex_keys(placement.apply(vertices_mm)), faces)
+    held_keys = _facet_keys(_vertex_keys(held), held_faces)
+    if _totals(given_keys) == _totals(held_keys):
+        return []
     lost, gained = ~np.isin(given_keys, held_keys), ~np.isin(held_keys, given_keys)
     if not (lost.any() or gained.any()):
         return []
-    new_mm = held[gained] / placement.scale + placement.shift_mm
-    old = np.arange(lost.sum() + gained.sum()) < lost.sum()
-    return _boxes(np.concatenate([triangles_mm[lost], new_mm]), old)
+    lost_mm = vertices_mm[faces[lost]]
+    gained_mm = held[held_faces[gained].astype(np.int64)] / placement.scale + placement.shift_mm
+    old = np.arange(len(lost_mm) + len(gained_mm)) < len(lost_mm)
+    return _boxes(np.concatenate([lost_mm, gained_mm]), old)
 
 
-def _facet_keys(triangles: Floats) -> Keys:
-    """Key of each facet (F,): the bits of its corners in their order, whichever comes first."""
-    bits = np.ascontiguousarray(triangles + 0.0).view(np.uint64)  # -0.0 and 0.0 are one number
-    x, y, z = np.moveaxis(_mixed(bits), 2, 0)
-    corner = _mixed(x + np.uint64(3) * y + np.uint64(5) * z)
-    following = np.roll(corner, -1, axis=1)
-    keys: Keys = _mixed(corner + np.uint64(3) * following).sum(axis=1, dtype=np.uint64)
+def _totals(keys: Keys) -> tuple[int, int, int]:
+    """Count, sum and parity of keys: equal for equal sets in whatever order, and for hardly any others."""
+    return keys.size, int(keys.sum(dtype=np.uint64)), int(np.bitwise_xor.reduce(keys))
+
+
+def _vertex_keys(vertices: Floats) -> Keys:
+    """Key of each vertex (V,): the bits of its coordinates."""
+    bits = np.ascontiguousarray(vertices + 0.0).view(np.uint64)  # -0.0 and 0.0 are one number
+    return _mixed_rows(bits)
+
+
+@kernel
+def _mixed_rows(bits: Keys) -> Keys:
+    keys = np.empty(bits.shape[0], np.uint64)
+    for v in range(bits.shape[0]):
+        x, y, z = _mixed(bits[v, 0]), _mixed(bits[v, 1]), _mixed(bits[v, 2])
+        keys[v] = _mixed(x + np.uint64(3) * y + np.uint64(5) * z)
     return keys
 
 
-def _mixed(bits: Keys) -> Keys:
-    """Spread the bits of 64-bit numbers (finalizer of MurmurHash3, public domain)."""
+@kernel
+def _facet_keys(vertex_keys: Keys, faces: NDArray[Any]) -> Keys:
+    """Key of each facet (F,): its corners in their order, whichever comes first."""
+    keys = np.empty(faces.shape[0], np.uint64)
+    for f in range(faces.shape[0]):
+        a, b, c = vertex_keys[faces[f, 0]], vertex_keys[faces[f, 1]], vertex_keys[faces[f, 2]]
+        three = np.uint64(3)
+        keys[f] = _mixed(a + three * b) + _mixed(b + three * c) + _mixed(c + three * a)
+    return keys
+
+
+@kernel
+def _mixed(bits: np.uint64) -> np.uint64:
+    """Spread the bits of a 64-bit number (finalizer of MurmurHash3, public domain)."""
     bits = (bits ^ (bits >> np.uint64(33))) * np.uint64(0xFF51AFD7ED558CCD)
     bits = (bits ^ (bits >> np.uint64(33))) * np.uint64(0xC4CEB9FE1A85EC53)
     return bits ^ (bits >> np.uint64(33))

@@ -87,8 +87,8 @@ class PreparedManifold:
         self.part = part
         self.placement = placement
         self._manifold: Manifold | None = build(part, placement)
-        triangles_mm = part.vertices[_facets_with_three_vertices(part.faces)]
-        changed = doubtful_regions(triangles_mm, placement, self._manifold)
+        faces = _facets_with_three_vertices(part.faces)
+        changed = doubtful_regions(part.vertices, faces, placement, self._manifold)
         self._labels = {**settings.model_dump(), **({"doubtful_regions": changed} if changed else {})}
 
     def __enter__(self) -> Self:
