@@ -7,6 +7,7 @@ import pickle
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import shapely
 
@@ -327,6 +328,29 @@ def test_progress_adds_up_to_the_layers():
         dict.fromkeys(stacks, "half-open"), progress=done.append,
     )  # fmt: skip
     assert sum(done) == 3
+
+
+def test_blocks_and_threads_change_no_bit(monkeypatch):
+    rng = np.random.default_rng(2)
+    rings = [SQUARE + rng.normal(size=SQUARE.shape) * 0.1 for _ in range(40)]
+    heights = np.linspace(0.1, 3.9, 40)
+    a = from_rings(heights, [[r] for r in rings])
+    b = from_rings(heights, [[r + rng.normal(size=r.shape) * 1e-3] for r in rings])
+    c = from_rings(heights, [[np.round(r, 1)] for r in rings])
+    stacks = {"a": a, "b": b, "c": c}
+    results = []
+    for threads, borders in (("1", None), ("2", [0, 40]), ("2", [0, 1, 17, 40]), ("1", list(range(41)))):
+        monkeypatch.setenv("EBAMCHECK_THREADS", threads)
+        results.append(
+            compare_all(
+                stacks, box(), dict.fromkeys(stacks, (0.05, 0.0)), dict.fromkeys(stacks, False),
+                dict.fromkeys(stacks, "half-open"), borders=None if borders is None else np.array(borders),
+            )
+        )  # fmt: skip
+    for other in results[1:]:
+        pd.testing.assert_frame_equal(results[0].pairs, other.pairs, check_exact=True)
+        pd.testing.assert_frame_equal(results[0].layers, other.layers, check_exact=True)
+        assert results[0].findings == other.findings
 
 
 # -- causes --------------------------------------------------------------------------------------------

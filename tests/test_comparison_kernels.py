@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 import shapely
 
+from ebamcheck.comparison.chains import rising_order
+from ebamcheck.comparison.depth import Deepest, search
+from ebamcheck.comparison.distance import directed
+from ebamcheck.comparison.grid import nearest
+from ebamcheck.comparison.links import linked_within
 from ebamcheck.comparison.measure import Figures, measure
-from ebamcheck.comparison.outline import nearest, outline, winding
+from ebamcheck.comparison.outline import outline, winding
+from ebamcheck.comparison.overlap import overlap
 from ebamcheck.layers import Layers, from_polygons, from_rings
 
 SQUARE = np.array([(0, 0), (10, 0), (10, 10), (0, 10)], float)
@@ -277,7 +283,7 @@ def test_nearest_and_winding_are_those_of_plain_search(seed):
     a, _, region, _ = random_pair(3 * seed + 1)
     prepared = outline(a, 0, (0.0, 0.0))
     for x, y in rng.uniform(-40, 40, (200, 2)):
-        distance, segment = nearest(prepared, x, y, -1)
+        distance, segment = nearest(prepared.segments, prepared.grid, x, y, -1)
         assert distance == pytest.approx(shapely.Point(x, y).distance(region.boundary), abs=1e-12)
         assert segment >= 0
         assert (winding(prepared, x, y) > 0) == region.contains(shapely.Point(x, y))
@@ -286,3 +292,94 @@ def test_nearest_and_winding_are_those_of_plain_search(seed):
 def test_points_on_straight_runs_are_dropped():
     dense = shapely.get_coordinates(shapely.segmentize(shapely.Polygon(SQUARE), 0.1))[:-1]
     assert len(outline(layer(dense), 0, (0.0, 0.0)).segments) == 4
+
+
+def lattice_rings(rng):
+    """Rings of integer points that run over themselves and each other: every degenerate case at once."""
+    return [rng.integers(0, 6, (rng.integers(3, 30), 2)).astype(float) for _ in range(rng.integers(1, 7))]
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_the_deepest_place_of_overlapping_rings_lies_in_the_difference(seed):
+    # Rounding puts coincident edges in one order or the other; what lies between them is no place.
+    rng = np.random.default_rng(seed)
+    a, b = layer(*lattice_rings(rng)), layer(*lattice_rings(rng))
+    found = figures(a, b, limit=1e-3, exact_a=True)
+    o, p = outline(a, 0, (0.0, 0.0)), outline(b, 0, (0.0, 0.0))
+    around = np.array([found.depth_x, found.depth_y]) + rng.normal(size=(2000, 2)) * 1e-4
+    assert any((winding(o, x, y) > 0) != (winding(p, x, y) > 0) for x, y in around)
+    measured = o if len(o.segments) else p
+    depth, _ = nearest(measured.segments, measured.grid, found.depth_x, found.depth_y, -1)
+    assert depth == pytest.approx(found.depth, abs=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_areas_of_overlapping_rings_are_those_by_winding_number(seed):
+    rng = np.random.default_rng(seed)
+    a, b = layer(*lattice_rings(rng)), layer(*lattice_rings(rng))
+    outlines = [outline(x, 0, (0.0, 0.0)) for x in (a, b)]
+    # Lines of all segments cut the plane into cells of one winding number each: cells by shapely, numbers by ours.
+    lines = [shapely.linestrings(s.reshape(2, 2)) for o in outlines for s in o.segments]
+    cells = shapely.get_parts(shapely.polygonize([shapely.union_all(lines)]))
+    inside = [
+        np.array([winding(o, p.x, p.y) > 0 for p in shapely.point_on_surface(cells)], bool) for o in outlines
+    ]
+    found = figures(a, b)
+    size = shapely.area(cells)
+    assert found.area_a == pytest.approx(size[inside[0]].sum(), abs=1e-10)
+    assert found.area_b == pytest.approx(size[inside[1]].sum(), abs=1e-10)
+    assert found.symmetric_difference == pytest.approx(size[inside[0] != inside[1]].sum(), abs=1e-10)
+
+
+def linked(a, b, reach):
+    o, p = outline(a, 0, (0.0, 0.0)), outline(b, 0, (0.0, 0.0))
+    far = directed(p, o)
+    return far.most_mm <= reach and linked_within(o, p, far.near, reach)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_links_never_promise_less_than_the_depth_found_by_search(seed):
+    rng = np.random.default_rng(seed)
+    a = layer(star(rng), *([star(rng, (9.0, 0.0)) * 0.5] if seed % 2 else []))
+    noise = 10.0 ** rng.uniform(-6, 0)
+    b = from_rings([0.0], [[a.ring(r) + rng.normal(size=a.ring(r).shape) * noise for r in a.rings_of(0)]])
+    o, p = outline(a, 0, (0.0, 0.0)), outline(b, 0, (0.0, 0.0))
+    nothing = Deepest(0.0, np.nan, np.nan)
+    found = search(o, p, True, False, overlap(o, p, True).difference, nothing, 1e-6)
+    for reach in (0.5, 0.9, 0.99) * np.array(found.depth_mm):
+        assert not linked(a, b, reach)
+
+
+def test_links_need_every_ring_once_and_the_same_way_around():
+    ring, hole = circle(9.0), circle(4.0, 360)[::-1]
+    near = [ring + 1e-4, hole - 1e-4]
+    assert linked(layer(ring, hole), layer(*near), 2e-4)
+    assert not linked(layer(ring, hole), layer(*near), 1e-5)
+    assert not linked(layer(ring, hole), layer(ring), 100.0)
+    assert not linked(layer(ring), layer(ring, hole), 100.0)
+    # Two rings near one: each would have to be the partner of the other's.
+    assert not linked(layer(circle(9.0), circle(4.0)), layer(circle(8.9), circle(8.8)), 100.0)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_percentile_is_that_of_dense_samples(seed):
+    a, b, region_a, region_b = random_pair(seed)
+    rings = shapely.get_parts(region_a.boundary)
+    places = np.concatenate(
+        [shapely.line_interpolate_point(ring, np.arange(0.0, ring.length, 0.005)) for ring in rings]
+    )
+    dense = np.percentile(shapely.distance(places, region_b.boundary), 95)
+    assert figures(a, b).p95_ab == pytest.approx(dense, abs=0.02)
+
+
+def test_rising_order_is_the_stable_one():
+    rng = np.random.default_rng(0)
+    for values in (
+        np.zeros(0),
+        np.ones(5),
+        rng.integers(0, 9, 200),
+        np.arange(50)[::-1],
+        rng.normal(size=999),
+    ):
+        column = values.astype(float)
+        assert rising_order(column).tolist() == np.argsort(column, kind="stable").tolist()

@@ -10,11 +10,13 @@ refining along their length.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.comparison.outline import Outline, nearest
-from ebamcheck.comparison.overlap import Deepest
+from ebamcheck.comparison.front import L0, L1, LEFT_SEGMENT, R0, R1, RIGHT_SEGMENT, Y0, Y1
+from ebamcheck.comparison.grid import distance_to_segment, farthest_coordinate, nearest
+from ebamcheck.comparison.outline import Outline
 from ebamcheck.kernels import kernel
 from ebamcheck.rings import Floats, Ints
 
@@ -37,9 +39,27 @@ MOST_PARTS = 16
 OTHER = 5
 """Row of the segment of the farther contours, after those of the middle and of four corners."""
 
+THINNEST_SHARE = 2.0**-42
+"""Trapezoids thinner than this share of the largest coordinate (1000 roundings) are none: there edges coincide,
+and rounding put them in one order or the other."""
+
 RIDGE_SHARE = 0.75
 """Corners are looked at where the middle is at least this deep, relative to the deepest point known: only
 near a ridge do they tighten the bound enough to pay."""
+
+
+class Deepest(NamedTuple):
+    """Greatest depth found so far, and where."""
+
+    depth_mm: float
+    x_mm: float
+    y_mm: float
+
+
+@kernel
+def resolution_mm(limit_mm: float) -> float:
+    """How finely depth about the limit is resolved."""
+    return max(FINEST_DEPTH_MM, FINE_SHARE * limit_mm)
 
 
 @kernel
@@ -48,21 +68,26 @@ def enough_mm(depth_mm: float, limit_mm: float) -> float:
 
     What cannot pass the limit is resolved coarsely, what might finely.
     """
-    finest = depth_mm + max(FINEST_DEPTH_MM, FINE_SHARE * limit_mm)
+    finest = depth_mm + resolution_mm(limit_mm)
     return max(finest, min(depth_mm + COARSE_SHARE * limit_mm, limit_mm))
 
 
 @kernel
 def search(
-    a: Outline,
-    b: Outline,
-    from_a: bool,
-    from_b: bool,
-    suspects: Floats,
-    deepest: Deepest,
-    limit_mm: float,
+    a: Outline, b: Outline, from_a: bool, from_b: bool, difference: Floats, deepest: Deepest, limit_mm: float
 ) -> Deepest:
-    """Greatest depth over all suspects to within what :func:`enough_mm` says, from a depth already known."""
+    """Greatest depth over all trapezoids of the symmetric difference to within what :func:`enough_mm` says.
+
+    Parameters
+    ----------
+    from_a, from_b
+        Contours from which depth is measured; with both, depth is the distance from the nearer one.
+    difference
+        (T, 8) trapezoids, see :class:`ebamcheck.comparison.overlap.Overlap`.
+    deepest
+        Depth that is known already.
+    """
+    suspects = _suspects(a, b, from_a, from_b, difference, enough_mm(deepest.depth_mm, limit_mm))
     stack = np.empty((STACK, 7))
     sides = np.empty((OTHER + 1, 4))
     corners = np.empty((OTHER + 1, 4))
@@ -90,6 +115,63 @@ def search(
                 side = math.hypot(sides[0, 2] - sides[0, 0], sides[0, 3] - sides[0, 1])
                 count += _split(stack, count, min(ceiling, stack[count, 6]), side + deepest.depth_mm)
     return deepest
+
+
+@kernel
+def _suspects(
+    a: Outline, b: Outline, from_a: bool, from_b: bool, difference: Floats, enough: float
+) -> Floats:
+    """Trapezoids (S, 7) that may be deeper than enough: levels, x of both sides at each, bound of the depth."""
+    suspects = np.empty((len(difference), 7))
+    count = 0
+    thinnest_mm = THINNEST_SHARE * max(farthest_coordinate(a.grid), farthest_coordinate(b.grid))
+    for t in range(len(difference)):
+        width = max(difference[t, R0] - difference[t, L0], difference[t, R1] - difference[t, L1])
+        if min(width, difference[t, Y1] - difference[t, Y0]) <= thinnest_mm:
+            continue
+        ceiling = _between_sides(a, b, from_a, from_b, difference, t, enough)
+        if ceiling > enough:
+            suspects[count, :6] = difference[t, :6]
+            suspects[count, 6] = ceiling
+            count += 1
+    return suspects[:count]
+
+
+@kernel
+def _between_sides(
+    a: Outline, b: Outline, from_a: bool, from_b: bool, difference: Floats, t: int, enough: float
+) -> float:
+    """No point of trapezoid `t` is deeper than this, by its two sides; a first answer within `enough` will do.
+
+    The distance from a fixed segment is convex, so over a trapezoid it is greatest at a corner; and where
+    both sides count, the mean of the two distances bounds the lesser.
+    """
+    left, right = int(difference[t, LEFT_SEGMENT]), int(difference[t, RIGHT_SEGMENT])
+    numbered = len(a.segments)
+    left_counts, right_counts = from_a if left < numbered else from_b, from_a if right < numbered else from_b
+    if not (left_counts or right_counts):
+        return np.inf
+    share = 0.5 if left_counts and right_counts else 1.0
+    y0, y1, l0, l1 = difference[t, Y0], difference[t, Y1], difference[t, L0], difference[t, L1]
+    r0, r1 = difference[t, R0], difference[t, R1]
+    ceiling = share * max(r0 - l0, r1 - l1)
+    if ceiling <= enough:
+        return float(ceiling)
+    ceiling = 0.0
+    if left_counts:
+        ceiling = _farther(a, b, left, r0, y0, r1, y1)
+    if right_counts:
+        ceiling = max(ceiling, _farther(a, b, right, l0, y0, l1, y1))
+    return float(share * ceiling)
+
+
+@kernel
+def _farther(a: Outline, b: Outline, segment: int, x0: float, y0: float, x1: float, y1: float) -> float:
+    """Greater distance of two points from a segment, those of `b` being numbered after those of `a`."""
+    segments, s = (
+        (a.segments, segment) if segment < len(a.segments) else (b.segments, segment - len(a.segments))
+    )
+    return max(distance_to_segment(x0, y0, segments, s), distance_to_segment(x1, y1, segments, s))
 
 
 @kernel
@@ -154,12 +236,12 @@ def _look(
     """
     depth = np.inf
     if from_a:
-        depth, i = nearest(a, x, y, guess[0])
+        depth, i = nearest(a.segments, a.grid, x, y, guess[0])
         guess[0] = i
         if i >= 0:
             sides[k] = a.segments[i]
     if from_b:
-        other, i = nearest(b, x, y, guess[1])
+        other, i = nearest(b.segments, b.grid, x, y, guess[1])
         guess[1] = i
         if other < depth:
             depth = other

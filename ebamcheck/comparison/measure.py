@@ -7,11 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.comparison.depth import FINE_SHARE, enough_mm, search
 from ebamcheck.comparison.depth import FINEST_DEPTH_MM as FINEST_DEPTH_MM
+from ebamcheck.comparison.depth import Deepest, enough_mm, resolution_mm, search
 from ebamcheck.comparison.distance import Directed, directed
-from ebamcheck.comparison.outline import Outline, nearest, winding
-from ebamcheck.comparison.overlap import Deepest, overlap
+from ebamcheck.comparison.grid import nearest
+from ebamcheck.comparison.links import linked_within
+from ebamcheck.comparison.outline import Outline, encloses, winding
+from ebamcheck.comparison.overlap import Overlap, overlap
 from ebamcheck.kernels import kernel
 
 
@@ -40,26 +42,14 @@ def measure(a: Outline, b: Outline, limit_mm: float, exact_a: bool, exact_b: boo
     of the two; from those of the one that has any where the other is empty; from the nearer contour where
     neither is exact; and the lesser of both depths where both are exact.
     """
-    resolution = max(FINEST_DEPTH_MM, FINE_SHARE * limit_mm)
     ab, ba = directed(a, b), directed(b, a)
-    if len(a.edges) == 0 or len(b.edges) == 0:
-        from_a, from_b = len(a.edges) > 0, len(b.edges) > 0
-    elif exact_a or exact_b:
-        from_a, from_b = exact_a, not exact_a
-    else:
-        from_a, from_b = True, True
-    known = Deepest(0.0, np.nan, np.nan)
-    if from_a != from_b:
-        known = _reached(b, ba, resolution) if from_a else _reached(a, ab, resolution)
-    else:
-        known = _halfway(a, b, ab, _halfway(b, a, ba, known))
-    swept = overlap(a, b, from_a, from_b, enough_mm(known.depth_mm, limit_mm))
-    deepest = search(a, b, from_a, from_b, swept.suspects, known, limit_mm)
-    both = exact_a and exact_b and len(a.edges) > 0 and len(b.edges) > 0
-    if both and deepest.depth_mm > resolution:
-        known = _reached(a, ab, resolution)
-        again = overlap(a, b, False, True, enough_mm(known.depth_mm, limit_mm))
-        other = search(a, b, False, True, again.suspects, known, limit_mm)
+    from_a, from_b = _depth_from(a, b, exact_a, exact_b)
+    known = _known(a, b, ab, ba, from_a, from_b, limit_mm)
+    swept, deepest = _swept(a, b, ab, ba, from_a, from_b, known, limit_mm)
+    both = exact_a and exact_b and encloses(a) and encloses(b)
+    if both and swept.sound and deepest.depth_mm > resolution_mm(limit_mm):
+        known = _known(a, b, ab, ba, False, True, limit_mm)
+        _, other = _swept(a, b, ab, ba, False, True, known, limit_mm)
         if other.depth_mm < deepest.depth_mm:
             deepest = other
     return Figures(
@@ -67,6 +57,55 @@ def measure(a: Outline, b: Outline, limit_mm: float, exact_a: bool, exact_b: boo
         ab.most_mm, ba.most_mm, ab.p95_mm, ba.p95_mm,
         deepest.depth_mm, deepest.x_mm, deepest.y_mm, 1.0 if swept.sound else 0.0,
     )  # fmt: skip
+
+
+@kernel
+def _depth_from(a: Outline, b: Outline, exact_a: bool, exact_b: bool) -> tuple[bool, bool]:
+    """Whether depth is measured from the contours of each."""
+    if not (encloses(a) and encloses(b)):
+        return encloses(a), encloses(b)
+    if exact_a or exact_b:
+        return exact_a, not exact_a
+    return True, True
+
+
+@kernel
+def _known(
+    a: Outline, b: Outline, ab: Directed, ba: Directed, from_a: bool, from_b: bool, limit_mm: float
+) -> Deepest:
+    """Depth that the farthest points of the contours prove."""
+    if from_a != from_b:
+        resolution = resolution_mm(limit_mm)
+        return _reached(b, ba, resolution) if from_a else _reached(a, ab, resolution)
+    return _halfway(a, b, ab, _halfway(b, a, ba, Deepest(0.0, np.nan, np.nan)))
+
+
+@kernel
+def _swept(
+    a: Outline, b: Outline, ab: Directed, ba: Directed, from_a: bool, from_b: bool, known: Deepest, limit_mm: float
+) -> tuple[Overlap, Deepest]:  # fmt: skip
+    """Areas, and the greatest depth, from a depth already known."""
+    enough = enough_mm(known.depth_mm, limit_mm)
+    if _is_enough(a, b, ab, ba, from_a, from_b, enough):
+        return overlap(a, b, False), known
+    swept = overlap(a, b, True)
+    return swept, search(a, b, from_a, from_b, swept.difference, known, limit_mm)
+
+
+@kernel
+def _is_enough(
+    a: Outline, b: Outline, ab: Directed, ba: Directed, from_a: bool, from_b: bool, enough: float
+) -> bool:
+    """Whether links between the contours prove that nothing is deeper than `enough`."""
+    if from_a and from_b:
+        # Of a link, no point is farther from its nearer end than half of it.
+        reach = 2.0 * enough
+        return (ba.most_mm <= reach and linked_within(a, b, ba.near, reach)) or (
+            ab.most_mm <= reach and linked_within(b, a, ab.near, reach)
+        )
+    if from_a:
+        return bool(ba.most_mm <= enough and linked_within(a, b, ba.near, enough))
+    return bool(ab.most_mm <= enough and linked_within(b, a, ab.near, enough))
 
 
 @kernel
@@ -78,7 +117,7 @@ def _reached(o: Outline, farthest: Directed, resolution_mm: float) -> Deepest:
     """
     nothing = Deepest(0.0, np.nan, np.nan)
     s = farthest.segment
-    if s < 0 or s >= o.enclosing or not 0.0 < farthest.most_mm < np.inf:
+    if s < 0 or s >= o.paths[o.rings] or not 0.0 < farthest.most_mm < np.inf:
         return nothing
     ux, uy = o.segments[s, 2] - o.segments[s, 0], o.segments[s, 3] - o.segments[s, 1]
     length = math.hypot(ux, uy)
@@ -97,16 +136,16 @@ def _reached(o: Outline, farthest: Directed, resolution_mm: float) -> Deepest:
 @kernel
 def _halfway(o: Outline, other: Outline, farthest: Directed, known: Deepest) -> Deepest:
     """Depth that is proved halfway from the point of `o` farthest from the other contours to the nearest one."""
-    if farthest.segment < 0 or len(o.edges) == 0 or len(other.edges) == 0:
+    if farthest.segment < 0 or not (encloses(o) and encloses(other)):
         return known
-    i = nearest(other, farthest.x_mm, farthest.y_mm, -1)[1]
+    i = nearest(other.segments, other.grid, farthest.x_mm, farthest.y_mm, -1)[1]
     ax, ay = other.segments[i, 0], other.segments[i, 1]
     ux, uy = other.segments[i, 2] - ax, other.segments[i, 3] - ay
     square = ux * ux + uy * uy
     t = ((farthest.x_mm - ax) * ux + (farthest.y_mm - ay) * uy) / square if square > 0.0 else 0.0
     t = min(1.0, max(0.0, t))
     x, y = 0.5 * (farthest.x_mm + ax + t * ux), 0.5 * (farthest.y_mm + ay + t * uy)
-    depth = min(nearest(o, x, y, -1)[0], nearest(other, x, y, -1)[0])
+    depth = min(nearest(o.segments, o.grid, x, y, -1)[0], nearest(other.segments, other.grid, x, y, -1)[0])
     if depth > known.depth_mm and (winding(o, x, y) > 0) != (winding(other, x, y) > 0):
         return Deepest(depth, x, y)
     return known
