@@ -27,8 +27,11 @@ from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
 
 _IMPORT = re.compile(rb"^(?:from|import)\s+([\w.]+)(?:\s+import\s+(\([^)]*\)|[^\n]*))?", re.MULTILINE)
 _NAME = re.compile(rb"\w+")
-UNREADABLE = (OSError, EOFError, ValueError, pickle.UnpicklingError)
-"""A file that raises one of these counts as absent: the kernel is compiled, and written over it."""
+UNREADABLE = (OSError, EOFError, ValueError, pickle.UnpicklingError, AttributeError, ImportError)
+"""A file that raises one of these counts as absent: the kernel is compiled, and written over it.
+
+The last two are those of an older version whose kernels took a type that is no longer there.
+"""
 
 OUR_PACKAGES = "ebamcheck"
 """Packages whose name begins so, and the kernel's own package, may hold kernels and constants that it sees."""

@@ -75,6 +75,33 @@ def test_a_spoilt_file_is_compiled_anew(package):
     assert ask(package)[:2] == (20.0, True)
 
 
+TYPED = """
+from typing import NamedTuple
+from ebamcheck.kernels import kernel
+
+class {name}(NamedTuple):
+    x: float
+
+@kernel
+def doubled(pair):
+    return 2.0 * pair.x
+
+def scaled(x):
+    return doubled({name}(x))
+scaled.stats, scaled._cache = doubled.stats, doubled._cache
+"""
+
+
+def test_a_type_that_an_older_version_had_is_no_obstacle(package):
+    """The index of the cache names the types that a kernel was compiled for."""
+    (package / "caller.py").write_text(TYPED.format(name="Pair"))
+    ask(package)
+    assert ask(package)[:2] == (2.0, True)
+    (package / "caller.py").write_text(TYPED.format(name="Couple"))
+    assert ask(package)[:2] == (2.0, False)
+    assert ask(package)[:2] == (2.0, True)
+
+
 def test_kernels_find_a_place_where_neither_code_nor_home_can_be_written(package, tmp_path):
     (tmp_path / "temporary").mkdir()
     (package / "__pycache__").write_text("a file where the folder would be")

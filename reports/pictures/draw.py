@@ -34,7 +34,9 @@ def draw(folder: Path, target: Path) -> None:
     root, blade = (layer_name(k, float(exact.heights[k])) for k in (ROOT_LAYER, BLADE_LAYER))
     pictures = {
         "layers": sheet_svg(exact, width_px=1200, columns=4, most=8),
-        "overlay": overlay_svg(stacks, 0, width_px=720, title=f"layer {BLADE_LAYER}, z = {exact.heights[BLADE_LAYER]:.3f} mm"),
+        "overlay": overlay_svg(
+            stacks, 0, width_px=720, title=f"layer {BLADE_LAYER}, z = {exact.heights[BLADE_LAYER]:.3f} mm"
+        ),
         "overlay-worst": overlay_svg(
             stacks,
             0,
