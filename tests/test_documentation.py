@@ -244,9 +244,9 @@ def test_links_and_pictures_are_there(document: Path):
 
 
 def test_every_picture_is_small_and_shown():
-    folder = ROOT / "reports" / "pictures"
+    folders = [ROOT / "reports" / name for name in ("pictures", "benchmarks")]
     shown = set(re.findall(r"!\[[^\]]+\]\(([^)]+)\)", text(README)))
-    pictures = {path for path in folder.iterdir() if path.suffix in (".svg", ".png")}
+    pictures = {path for folder in folders for path in folder.iterdir() if path.suffix in (".svg", ".png")}
     assert {path.relative_to(ROOT).as_posix() for path in pictures} == shown
     assert [path.name for path in pictures if path.stat().st_size > LARGEST_PICTURE_BYTES] == []
 
