@@ -10,6 +10,7 @@ outweigh them.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from scipy.sparse.csgraph import connected_components
 from ebamcheck.part import Part
 
 
-def border(faces: NDArray[np.int32]) -> NDArray[np.int64]:
+def border(faces: NDArray[np.integer[Any]]) -> NDArray[np.int64]:
     """Directed edges (n, 2) that facets (F, 3) run along more often than against, as often as they do."""
     ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
     ends = ends[ends[:, 0] != ends[:, 1]]
