@@ -121,7 +121,7 @@ class Crew:
         errors = self.folder / f"stderr-{self._count}"
         with errors.open("wb") as told:
             process = subprocess.Popen(
-                [sys.executable, "-m", "ebamcheck.worker", label, str(write), str(os.getpid())],
+                [sys.executable, "-P", "-m", "ebamcheck.worker", label, str(write), str(os.getpid())],
                 stdin=subprocess.PIPE,
                 stdout=told,
                 stderr=told,

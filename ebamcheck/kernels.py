@@ -28,6 +28,16 @@ def kernel(function: _Function) -> _Function:
     return cast(_Function, compiled)
 
 
+@kernel
+def _nothing() -> None:
+    """Do nothing; the first kernel of a process has numba set itself up."""
+
+
+def bring_up() -> None:
+    """Have numba set itself up now: it takes a quarter of a second, which else the first kernel waits for."""
+    _nothing()
+
+
 def thread_count() -> int:
     """Threads that kernels may use: ``EBAMCHECK_THREADS``, else the cores this process may run on."""
     if wanted := os.environ.get("EBAMCHECK_THREADS", ""):

@@ -12,19 +12,21 @@ from numpy.typing import NDArray
 
 from ebamcheck.kernels import kernel
 
+Index = NDArray[np.int32]
+
 NO_TWIN = -1
 
 
 class EdgeGroups(NamedTuple):
     """Half-edges grouped by the undirected edge that they lie on."""
 
-    half_edges: NDArray[np.int32]
+    half_edges: Index
     """(H,) half-edges, those of one edge next to each other; facets with a repeated corner have none."""
-    starts: NDArray[np.int32]
+    starts: Index
     """(E + 1,) first place of each edge's group in `half_edges`."""
 
 
-def edge_groups(faces: NDArray[np.int32], vertex_count: int) -> EdgeGroups:
+def edge_groups(faces: Index, vertex_count: int) -> EdgeGroups:
     """Group the half-edges of all non-degenerate facets by edge; O(F), without sorting or hashing.
 
     Examples
@@ -38,7 +40,7 @@ def edge_groups(faces: NDArray[np.int32], vertex_count: int) -> EdgeGroups:
 
 
 @kernel
-def _group(faces: NDArray[np.int32], vertex_count: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def _group(faces: Index, vertex_count: int) -> tuple[Index, Index]:
     count = faces.shape[0]
     # Bucket half-edges by their lesser vertex: there are six in a bucket on average.
     bucket = np.zeros(vertex_count + 1, np.int32)
@@ -94,10 +96,10 @@ def _group(faces: NDArray[np.int32], vertex_count: int) -> tuple[NDArray[np.int3
 @kernel
 def twins(
     vertices: NDArray[np.float64],
-    faces: NDArray[np.int32],
-    half_edges: NDArray[np.int32],
-    starts: NDArray[np.int32],
-) -> NDArray[np.int32]:
+    faces: Index,
+    half_edges: Index,
+    starts: Index,
+) -> Index:
     """Half-edge across each half-edge (3 F,), :data:`NO_TWIN` at an open one.
 
     Two facets at an edge are each other's neighbours, whatever way they are turned. More are paired
@@ -116,9 +118,7 @@ def twins(
 
 
 @kernel
-def _pair_around(
-    vertices: NDArray[np.float64], faces: NDArray[np.int32], fan: NDArray[np.int32], result: NDArray[np.int32]
-) -> None:
+def _pair_around(vertices: NDArray[np.float64], faces: Index, fan: Index, result: Index) -> None:
     """Pair the half-edges of one edge by the angle of their facets around it."""
     h = fan[0]
     tail, head = faces[h // 3, h % 3], faces[h // 3, (h % 3 + 1) % 3]
@@ -169,7 +169,7 @@ def _pair_around(
 
 
 @kernel
-def split_corners(faces: NDArray[np.int32], twin: NDArray[np.int32]) -> NDArray[np.int32]:
+def split_corners(faces: Index, twin: Index) -> Index:
     """Number the corners of facets (F, 3) so that two share a number only where neighbours by `twin` do.
 
     Bodies that touch along an edge or at a vertex come apart: each gets vertices of its own at the same places.

@@ -42,6 +42,7 @@ def warm_kernels() -> float:
                 with Slicing(part, name) as slicing, slicing.along((0.0, 0.6, 0.8)) as turned:
                     slicing.layers([1.0, 2.0, 3.0])
                     turned.at(1.0)
+                    turned.layers(np.arange(20.0))
         level = logging.getLogger("ebamcheck").level
         logging.getLogger("ebamcheck").setLevel(logging.ERROR)
         run_job(path, Path(folder, "run"), Config().changed(layers={"layer_height_mm": 20.0}), reference=path)

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from ebamcheck import layer_files, registry
 from ebamcheck.backend import Prepared
 from ebamcheck.errors import BackendFailed, EbamcheckError, SettingsError
+from ebamcheck.kernels import bring_up
 from ebamcheck.layers import Layers
 from ebamcheck.part import Part
 
@@ -179,6 +180,8 @@ def main(arguments: Sequence[str]) -> int:
     """Entry point: a label, descriptor of the event pipe, the parent's id; one order comes on standard input."""
     _, pipe, parent = arguments
     _die_with(int(parent))
+    # Whoever starts this process ahead is still reading the part.
+    bring_up()
     line = sys.stdin.readline()
     # A worker whose parent is gone, or has no order for it, gets no answer any more and must not run on.
     if line:

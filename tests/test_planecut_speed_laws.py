@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -12,8 +13,11 @@ from parts import box, join, moved, sphere, tilted, torus, turn_z
 import ebamcheck
 from ebamcheck.layers import concatenate, from_rings
 from ebamcheck.part import Part
+from ebamcheck.topology import edge_groups
 from ebamcheck_planecut import PlaneCut
 from ebamcheck_planecut.box_tree import box_tree, grow, touching
+from ebamcheck_planecut.crossed_facets import crossed_mesh
+from ebamcheck_planecut.cut import LONE_LAYERS
 from ebamcheck_planecut.overlaps import (
     CLEAN,
     NESTED_WRONG,
@@ -98,6 +102,69 @@ def test_a_part_that_is_turned_again_is_cut_as_if_it_were_new(name):
         same(back.slice(planes(part)[::5]), first.slice(planes(part)[::5]))
 
 
+def soup(seed, facets=120, points=40):
+    """Facets between points of a coarse lattice: open, flipped, doubled, in each other, many on one edge, some flat."""
+    draw = np.random.default_rng(seed)
+    return Part(
+        draw.integers(-3, 4, (points, 3)).astype(float),
+        draw.integers(0, points, (facets, 3)).astype(np.int32),
+    )
+
+
+LONE_PARTS = {
+    **PARTS,
+    "boxes on each other": join(box(), box((0, 0, 2), (2, 2, 3)), box((1, 1, -1), (3, 3, 2))),
+    **{f"soup {seed}": soup(seed) for seed in range(4)},
+}
+DIRECTIONS = [(0, 0, -1), (1, 0, 0), (1, 1, 0), *np.random.default_rng(8).normal(size=(4, 3)).tolist()]
+
+
+@pytest.mark.parametrize("name", LONE_PARTS)
+@pytest.mark.parametrize("overlaps", ["unite", "keep"])
+def test_a_few_layers_along_a_new_direction_are_those_of_the_whole_sorted_mesh(name, overlaps):
+    part = LONE_PARTS[name]
+    first = prepared(part, overlaps=overlaps)
+    for direction in DIRECTIONS:
+        turned = part.along(direction)
+        heights = planes(turned)
+        heights = heights[np.unique(np.linspace(0, heights.size - 1, 2 * LONE_LAYERS).astype(int))]
+        whole = prepared(turned, overlaps=overlaps).slice(heights)
+        again = first.turned(turned)
+        for k in range(heights.size):
+            # A new one each time, and one that has its mesh sorted on the way.
+            same(first.turned(turned).slice(heights[k : k + 1]), whole.block(k, k + 1))
+            same(again.slice(heights[k : k + 1]), whole.block(k, k + 1))
+        same(first.turned(turned).slice(heights[:LONE_LAYERS]), whole.block(0, LONE_LAYERS))
+
+
+@pytest.mark.parametrize("name", ["torus", "pages", "soup 0"])
+@pytest.mark.parametrize("threads", ["1", "3"])
+def test_layers_along_a_new_direction_may_be_asked_for_by_many_threads(name, threads, monkeypatch):
+    monkeypatch.setenv("EBAMCHECK_THREADS", threads)
+    part = LONE_PARTS[name]
+    turned = part.along((2, -1, 3))
+    heights = planes(turned)[:64]
+    whole = prepared(turned).slice(heights)
+    again = prepared(part).turned(turned)
+    with ThreadPoolExecutor(8) as pool:
+        found = pool.map(lambda k: again.slice(heights[k : k + 1]), range(heights.size))
+        for k, one in enumerate(found):
+            same(one, whole.block(k, k + 1))
+
+
+@pytest.mark.parametrize("name", LONE_PARTS)
+def test_of_a_few_planes_only_the_facets_that_they_cross_are_sorted(name):
+    part = LONE_PARTS[name]
+    whole = sorted_mesh(part)
+    heights = planes(part)
+    for few in (heights[:0], heights[5:6], heights[3:12:3]):
+        crossed = ((whole.spans[:, :1] <= few) & (whole.spans[:, 1:] > few)).any(axis=1)
+        mesh = crossed_mesh(part, few)
+        assert mesh.numbers.tolist() == whole.numbers[crossed].tolist()
+        assert mesh.vertices[mesh.faces].tolist() == whole.vertices[whole.faces[crossed]].tolist()
+        assert mesh.spans.tolist() == whole.spans[crossed].tolist()
+
+
 HEIGHTS = {
     "none": [],
     "one": [3.0],
@@ -132,6 +199,25 @@ def test_facets_across_a_plane_are_those_that_begin_under_and_end_over_it(name):
         count, following = raise_plane(mesh, h, rising, count, following)
         assert rising[:count].tolist() == expected
         assert alone[: facets_across(mesh, h, alone)[0]].tolist() == expected
+
+
+@pytest.mark.parametrize("threads", ["1", "3"])
+@pytest.mark.parametrize("points", [3, 50, 60_000])
+def test_half_edges_are_grouped_as_a_stable_sort_groups_them(points, threads, monkeypatch):
+    """Also at vertices where a crowd of facets meets, and across the borders of blocks."""
+    monkeypatch.setenv("EBAMCHECK_THREADS", threads)
+    draw = np.random.default_rng(points)
+    faces = draw.integers(0, points, (3 * points, 3)).astype(np.int32)
+    faces[: 2 * points // 3, 0] = points // 2
+    groups = edge_groups(faces, points)
+    has_area = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+    half_edges = np.flatnonzero(np.repeat(has_area, 3))
+    tail, head = faces.ravel()[half_edges], np.roll(faces, -1, axis=1).ravel()[half_edges]
+    low, high = np.minimum(tail, head), np.maximum(tail, head)
+    order = np.lexsort((high, low))
+    assert groups.half_edges.tolist() == half_edges[order].tolist()
+    new = (np.diff(low[order], prepend=-1) != 0) | (np.diff(high[order], prepend=-1) != 0)
+    assert groups.starts.tolist() == [*np.flatnonzero(new).tolist(), half_edges.size]
 
 
 # -- the tree of boxes ---------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from parts import box, sphere
 
 import ebamcheck
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.stl import read_triangles
+from ebamcheck.stl import FACET, read_triangles
 from ebamcheck.welding import weld
 
 
@@ -25,6 +25,13 @@ def binary(triangles, header=b"", count=None, trailing=b""):
         + facets
         + trailing
     )
+
+
+def binary_file(corners):
+    """A file of many facets, whose normals and attributes look like anything."""
+    facets = np.zeros(len(corners), FACET)
+    facets["normal"], facets["corners"], facets["attribute"] = np.nan, corners, 0x7F80
+    return b" " * 80 + struct.pack("<I", len(corners)) + facets.tobytes()
 
 
 def ascii_text(triangles, newline="\n", name="part", number=repr):
@@ -102,6 +109,30 @@ def test_refuses_in_one_line_that_names_file_place_and_value(data, says):
         read_triangles(data, "x.stl")
     assert str(caught.value).startswith("x.stl: ")
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("value", [np.nan, -np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("threads", ["1", "3"])
+def test_a_number_that_is_none_is_found_wherever_it_stands(value, threads, monkeypatch):
+    monkeypatch.setenv("EBAMCHECK_THREADS", threads)
+    facets = np.resize(BOX, (40_000, 3, 3)).astype(np.float32)
+    for row in (0, 16_383, 16_384, 39_999):
+        for place in np.ndindex(3, 3):
+            bad = facets.copy()
+            bad[row, place[0], place[1]] = value
+            says = f"facet {row}, vertex {place[0]}, {'xyz'[place[1]]} is"
+            with pytest.raises(InputError, match=says):
+                read_triangles(binary_file(bad), "x.stl")
+
+
+def test_every_finite_number_is_read_in_its_bits():
+    draw = np.random.default_rng(2)
+    bits = draw.integers(0, 2**32, 9 * 5000, dtype=np.uint32)
+    edges = np.array([0.0, -0.0, 1e-45, -1e-45, 3.4028235e38, -3.4028235e38], np.float32).view(np.uint32)
+    numbers = np.concatenate([edges, bits[np.isfinite(bits.view(np.float32))]])
+    facets = numbers[: len(numbers) // 9 * 9].view(np.float32).reshape(-1, 3, 3)
+    for data in (binary_file(facets), memoryview(binary_file(facets)), binary_file(facets) + b" "):
+        assert read_triangles(data, "x.stl")[0].tobytes() == facets.tobytes()
 
 
 def test_weld_is_exact_on_bits_and_keeps_first_order():

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from threading import Lock
 from types import TracebackType
 from typing import Self
 
@@ -13,20 +16,36 @@ from ebamcheck.kernels import run_blocks
 from ebamcheck.layers import Layers, canonical, concatenate
 from ebamcheck.part import Part
 from ebamcheck_planecut import overlaps
+from ebamcheck_planecut.crossed_facets import crossed_mesh
 from ebamcheck_planecut.sorted_mesh import SortedMesh, points_at_most, sorted_mesh, turned_mesh
 from ebamcheck_planecut.sweep import Block, Columns, cut_block
 
 SMALLEST_BLOCK = 16
 """Layers that a thread takes at least: fewer do not pay for handing them over."""
 
+LONE_LAYERS = 8
+"""Layers along a new direction for which its mesh is not sorted: to find their facets takes no longer than sorting."""
+
 
 class PreparedCut:
-    """The part's mesh in the order of its heights, with the neighbours of every facet; cuts any block of layers."""
+    """The part's mesh in the order of its heights, with the neighbours of every facet; cuts any block of layers.
 
-    def __init__(self, part: Part, settings: BackendSettings, mesh: SortedMesh | None = None) -> None:
+    Parameters
+    ----------
+    part, settings
+        The part as placed, and the settings.
+    before
+        Sorted mesh of the same `faces` under vertices in other places: its neighbours hold here, too. With it the mesh
+        is sorted once more than :data:`LONE_LAYERS` layers were asked for.
+    """
+
+    def __init__(self, part: Part, settings: BackendSettings, before: SortedMesh | None = None) -> None:
         self._part = part
         self._settings = settings
-        self._mesh = sorted_mesh(part) if mesh is None else mesh
+        self._before = before
+        self._lone_layers = 0
+        self._lock = Lock()
+        self._mesh = _while_hashed(part, lambda: sorted_mesh(part)) if before is None else None
 
     def __enter__(self) -> Self:
         """Return itself."""
@@ -48,12 +67,22 @@ class PreparedCut:
         part
             A part with the same `faces`, under vertices in other places.
         """
-        return PreparedCut(part, self._settings, turned_mesh(part, self._mesh))
+        return PreparedCut(part, self._settings, self._before if self._mesh is None else self._mesh)
+
+    def _mesh_across(self, heights: NDArray[np.float64]) -> SortedMesh:
+        """Mesh with all facets that the planes cross: the whole one, or, of a few planes only, just these facets."""
+        with self._lock:
+            self._lone_layers += heights.size
+            if self._mesh is None and self._before is not None and self._lone_layers > LONE_LAYERS:
+                self._mesh = turned_mesh(self._part, self._before)
+            mesh = self._mesh
+        return _while_hashed(self._part, lambda: crossed_mesh(self._part, heights)) if mesh is None else mesh
 
     def slice(self, heights: NDArray[np.float64], progress: Progress | None = None) -> Layers:
         """Cut at strictly increasing heights (L,), mm."""
         heights = np.ascontiguousarray(heights, dtype=np.float64)
-        room = points_at_most(self._mesh, heights)
+        mesh = self._mesh_across(heights)
+        room = points_at_most(mesh, heights)
         rows = np.concatenate([[0], np.cumsum(room)])
         columns = Columns(
             np.empty((int(rows[-1]), 2)), np.empty((int(rows[-1]), 2), np.int32), np.empty(int(rows[-1]))
@@ -62,9 +91,9 @@ class PreparedCut:
 
         def block(start: int, stop: int) -> Block:
             # Zeros that nobody has touched cost nothing, and a block touches those of its own facets alone.
-            seen = np.zeros(len(self._mesh.faces), np.int32)
+            seen = np.zeros(len(mesh.faces), np.int32)
             at = int(rows[start])
-            cut = cut_block(self._mesh, heights[start:stop], room[start:stop], seen, columns, at, unite)
+            cut = cut_block(mesh, heights[start:stop], room[start:stop], seen, columns, at, unite)
             if progress is not None:
                 progress(stop - start)
             return cut
@@ -102,6 +131,15 @@ class PreparedCut:
             settings=self._settings.model_dump(),
             dropped=np.concatenate([np.zeros(0, np.int64), *(cut.dropped for cut in blocks)]),
         )
+
+
+def _while_hashed(part: Part, make: Callable[[], SortedMesh]) -> SortedMesh:
+    """Make a mesh while another thread computes the part's hash, which layers carry: that takes as long as a scan."""
+    with ThreadPoolExecutor(1) as aside:
+        hashed = aside.submit(lambda: part.sha256)
+        mesh = make()
+        hashed.result()
+    return mesh
 
 
 def _united(layers: Layers, kinds: NDArray[np.int8]) -> Layers:
