@@ -18,8 +18,9 @@ from ebamcheck.errors import BackendFailed, SettingsError
 from ebamcheck.layers import concatenate
 from ebamcheck.part import from_arrays
 from ebamcheck_embree import Embree
-from ebamcheck_embree.crossings import borders
 from ebamcheck_embree.grid import automatic_cell_mm, grid_over
+from ebamcheck_embree.hits import borders
+from ebamcheck_embree.scene import Scene
 
 SLICER = Embree()
 MODES = ("in-plane", "vertical")
@@ -296,6 +297,61 @@ def test_a_layer_does_not_depend_on_the_others_nor_on_threads(mode, monkeypatch)
     done = []
     cut(part, heights, done.append, mode=mode, grid_mm=0.2)
     assert sum(done) == len(heights)
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("block", [1, 16, 50])
+def test_consecutive_blocks_of_one_prepared_part_are_the_whole_stack(mode, block):
+    part = PARTS["overlapping"]
+    heights = np.linspace(*part.bounds[:, 2], 100)
+    with SLICER.prepare(part, SLICER.Settings(mode=mode, grid_mm=0.3)) as prepared:
+        whole = prepared.slice(heights)
+        blocks = [prepared.slice(heights[a : a + block]) for a in range(0, len(heights), block)]
+    assert whole.ring_counts().any()
+    assert same(whole, concatenate(blocks))
+
+
+def test_no_ray_is_cast_that_crosses_nothing_nor_after_its_last_crossing(monkeypatch):
+    """Embree is asked once for each crossing of a convex part, and not for what lies beside it."""
+    casts = []
+
+    def counted(self, rays, axis, take, follow=Scene.follow):
+        def taken(met, distance, under_way):
+            casts.append(len(met))
+            return take(met, distance, under_way)
+
+        follow(self, rays, axis, taken)
+
+    monkeypatch.setattr(Scene, "follow", counted)
+    part = join(box((0, 0, 0), (10, 10, 4)), box((20, 0, 0), (30, 10, 2)))
+    cut(part, [3.0], grid_mm=1.0)
+    assert sum(casts) == 2 * (10 + 10)
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize(
+    "fault", [lambda facets: np.full_like(facets, -1), lambda facets: facets ^ 1], ids=["none", "neighbour"]
+)
+def test_what_embree_misses_is_found_all_the_same(fault, mode, monkeypatch):
+    """Embree only names candidates: where it names no facet or another one, the layers are the same."""
+    part = PARTS["tilted torus"]
+    sound = cut(part, heights_in(part), mode=mode, grid_mm=0.3)
+
+    class Faulty:
+        def __init__(self, scene):
+            self.scene = scene
+
+        def run(self, *arguments, **options):
+            met = self.scene.run(*arguments, **options)
+            met["primID"] = np.where(met["primID"] < 0, -1, fault(met["primID"])).astype(np.int32)
+            return met
+
+    def build(self, vertices, faces, init=Scene.__init__):
+        init(self, vertices, faces)
+        self._scene = Faulty(self._scene)
+
+    monkeypatch.setattr(Scene, "__init__", build)
+    assert same(cut(part, heights_in(part), mode=mode, grid_mm=0.3), sound)
 
 
 @pytest.mark.parametrize("mode", MODES)

@@ -189,6 +189,17 @@ def test_a_layer_does_not_depend_on_the_others():
     assert sum(done) == len(heights)
 
 
+@pytest.mark.parametrize("block", [1, 64, 90])
+def test_consecutive_blocks_of_one_prepared_part_are_the_whole_stack(block):
+    part = tilted(torus())
+    heights = np.linspace(*part.bounds[:, 2], 150)
+    with SLICER.prepare(part, SETTINGS) as prepared:
+        whole = prepared.slice(heights)
+        blocks = concatenate([prepared.slice(heights[a : a + block]) for a in range(0, len(heights), block)])
+    for column in ("heights", "points", "ring_starts", "layer_starts", "closed", "dropped"):
+        assert np.array_equal(getattr(whole, column), getattr(blocks, column))
+
+
 def test_no_heights_and_heights_beyond_the_part():
     assert len(cut(box(), [])) == 0
     assert cut(box(), [-3.0, 7.0]).ring_counts().tolist() == [0, 0]

@@ -18,7 +18,7 @@ from stencil_parts import box, cylinder, joined, moved, prism, reversed_mesh, to
 import ebamcheck
 from ebamcheck.backend import Slicer
 from ebamcheck.errors import BackendFailed, BackendMissing, SettingsError
-from ebamcheck.layers import Layers, from_rings
+from ebamcheck.layers import Layers, concatenate, from_rings
 from ebamcheck.part import Part, from_arrays
 from ebamcheck_stencil import Stencil, opengl
 from ebamcheck_stencil.bitmaps import Flips, as_image, empty_bitmap, flip, flips_by_layer
@@ -348,6 +348,8 @@ class TestWithOpenGL:
             whole = prepared.slice(heights, done.append)
             for start, stop in ((0, 1), (3, 8), (len(heights) - 1, len(heights))):
                 assert same(prepared.slice(heights[start:stop]), whole.block(start, stop))
+            blocks = [prepared.slice(heights[a : a + 90]) for a in range(0, len(heights), 90)]
+        assert same(concatenate(blocks), whole)
         assert sum(done) == len(heights)
 
     def test_threads_do_not_change_a_byte(self, monkeypatch):

@@ -10,17 +10,20 @@ from __future__ import annotations
 import numpy as np
 
 from ebamcheck.kernels import kernel
-from ebamcheck_embree.crossings import Bools, repeated_hit
-from ebamcheck_embree.knots import Lattice, node_after
-from ebamcheck_embree.scene import Facets, Floats, Ints
+from ebamcheck_embree.grid import Lattice
+from ebamcheck_embree.hits import Hits, add, is_known
+from ebamcheck_embree.knots import node_after
+from ebamcheck_embree.scene import Bools, Facets, Ints, Singles, UnderWay, go_on
+from ebamcheck_embree.section import Mesh
 
 
 @kernel
-def _edges_at(vertices: Floats, faces: Facets, f: int, y: float) -> tuple[float, float, int]:
+def _edges_at(mesh: Mesh, f: int, y: float) -> tuple[float, float, int]:
     """Abscissas between which the line at y lies in a facet's projection, and +1 if the facet looks up.
 
     0 in the place of the latter where the line misses the facet.
     """
+    vertices, faces = mesh
     left, right, facing = np.inf, -np.inf, 0
     for k in range(3):
         a, b = faces[f, k], faces[f, (k + 1) % 3]
@@ -37,8 +40,9 @@ def _edges_at(vertices: Floats, faces: Facets, f: int, y: float) -> tuple[float,
 
 
 @kernel
-def _rows_across(vertices: Floats, faces: Facets, f: int, grid: Lattice) -> tuple[int, int]:
+def _rows_across(mesh: Mesh, f: int, grid: Lattice) -> tuple[int, int]:
     """First row of nodes at or beyond a facet's lowest y, and the first at or beyond its highest."""
+    vertices, faces = mesh
     _, y0, cell, _, rows = grid
     a, b, c = vertices[faces[f, 0], 1], vertices[faces[f, 1], 1], vertices[faces[f, 2], 1]
     return (
@@ -48,62 +52,66 @@ def _rows_across(vertices: Floats, faces: Facets, f: int, grid: Lattice) -> tupl
 
 
 @kernel
-def facet_counts(vertices: Floats, faces: Facets, grid: Lattice) -> Ints:
+def facet_counts(mesh: Mesh, grid: Lattice) -> Ints:
     """Facets over and under each node (rows * columns,)."""
     x0, y0, cell, columns, rows = grid
     counts = np.zeros(rows * columns, np.int64)
-    for f in range(len(faces)):
-        first, past = _rows_across(vertices, faces, f, grid)
+    for f in range(len(mesh.faces)):
+        first, past = _rows_across(mesh, f, grid)
         for j in range(first, past):
-            left, right, _ = _edges_at(vertices, faces, f, y0 + cell * j)
+            left, right, _ = _edges_at(mesh, f, y0 + cell * j)
             for i in range(node_after(left, x0, cell, columns), node_after(right, x0, cell, columns)):
                 counts[j * columns + i] += 1
     return counts
 
 
 @kernel
-def facets_at(
-    vertices: Floats, faces: Facets, grid: Lattice, wanted: Bools, starts: Ints, facets: Facets
-) -> None:
-    """File the facets over and under the `wanted` nodes in `facets`, from `starts` of each node on."""
+def take_heights(
+    mesh: Mesh, grid: Lattice, met: Facets, distance: Singles, rays: UnderWay, hits: Hits
+) -> int:
+    """File where rays meet facets, as far as float64 confirms it; rays that have not met all of theirs go on."""
     x0, y0, cell, columns, _ = grid
-    fill = starts[:-1].copy()
-    for f in range(len(faces)):
-        first, past = _rows_across(vertices, faces, f, grid)
+    going_on = 0
+    for n in range(met.size):
+        facet = met[n]
+        if facet < 0:
+            continue
+        node = rays.ray[n]
+        if facet != rays.last[n] and not is_known(hits, node, facet):
+            row = node // columns
+            x, y = x0 + cell * (node - row * columns), y0 + cell * row
+            left, right, facing = _edges_at(mesh, facet, y)
+            if left <= x < right:
+                add(hits, node, facet, _height_at(mesh, facet, x, y), -facing)
+        if hits.known[node] < hits.starts[node + 1] - hits.starts[node]:
+            go_on(rays, n, going_on, facet, distance[n], 2)
+            going_on += 1
+    return going_on
+
+
+@kernel
+def take_from_facets(mesh: Mesh, grid: Lattice, short: Bools, hits: Hits) -> None:
+    """Fill the hits of nodes whose rays fell short of their number from all facets over and under them."""
+    x0, y0, cell, columns, _ = grid
+    for f in range(len(mesh.faces)):
+        first, past = _rows_across(mesh, f, grid)
         for j in range(first, past):
-            left, right, _ = _edges_at(vertices, faces, f, y0 + cell * j)
+            y = y0 + cell * j
+            left, right, facing = _edges_at(mesh, f, y)
             for i in range(node_after(left, x0, cell, columns), node_after(right, x0, cell, columns)):
                 node = j * columns + i
-                if wanted[node]:
-                    facets[fill[node]] = f
-                    fill[node] += 1
+                if short[node]:
+                    add(hits, node, f, _height_at(mesh, f, x0 + cell * i, y), -facing)
 
 
 @kernel
-def heights_on_facets(
-    vertices: Floats, faces: Facets, x: Floats, y: Floats, starts: Ints, facets: Facets
-) -> tuple[Floats, Ints]:
-    """Height (H,) at which each ray meets each facet it hit, and +1 where it enters, -1 where it leaves.
-
-    A hit that float64 does not confirm, or a repeated one, has the sign 0.
-    """
-    along = np.zeros(facets.size)
-    sign = np.zeros(facets.size, np.int64)
-    for r in range(starts.size - 1):
-        for n in range(starts[r], starts[r + 1]):
-            left, right, facing = _edges_at(vertices, faces, facets[n], y[r])
-            if left <= x[r] < right and not repeated_hit(facets, n, starts[r]):
-                along[n], sign[n] = _height_at(vertices, faces, facets[n], x[r], y[r]), -facing
-    return along, sign
-
-
-@kernel
-def _height_at(vertices: Floats, faces: Facets, f: int, x: float, y: float) -> float:
+def _height_at(mesh: Mesh, f: int, x: float, y: float) -> float:
     """Height of a facet at a place under or over it.
 
     Weights and height are kept within the facet: a steep one gives no height beyond its own, a level one
     exactly its own.
     """
+    vertices, faces = mesh
     a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
     ax, ay = vertices[a, 0] - x, vertices[a, 1] - y
     bx, by = vertices[b, 0] - x, vertices[b, 1] - y
@@ -117,15 +125,3 @@ def _height_at(vertices: Floats, faces: Facets, f: int, x: float, y: float) -> f
     wa, wb, wc = max(wa / total, 0.0), max(wb / total, 0.0), max(wc / total, 0.0)
     height = (wa * za + wb * zb + wc * zc) / (wa + wb + wc)
     return float(min(max(height, low), high))
-
-
-@kernel
-def doubtful_nodes(starts: Ints, sign: Ints, counts: Ints) -> Bools:
-    """Nodes (R,) whose rays were not given just as many facets as there are."""
-    doubtful = np.zeros(counts.size, np.bool_)
-    for r in range(counts.size):
-        confirmed = 0
-        for n in range(starts[r], starts[r + 1]):
-            confirmed += sign[n] != 0
-        doubtful[r] = confirmed != counts[r]
-    return doubtful

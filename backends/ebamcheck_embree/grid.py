@@ -14,6 +14,9 @@ from ebamcheck.part import Part
 
 Mode = Literal["in-plane", "vertical"]
 
+Lattice = tuple[float, float, float, int, int]
+"""First column's x and first row's y, mm, the cell, mm, and the numbers of columns and rows."""
+
 COARSE_LINES = 1024
 """Cells along the longer side of a small part: the paper's image is of this order."""
 
@@ -41,6 +44,11 @@ class Grid:
     cell_mm: float
     columns: int
     rows: int
+
+    @property
+    def lattice(self) -> Lattice:
+        """The grid as kernels take it."""
+        return self.x0_mm, self.y0_mm, self.cell_mm, self.columns, self.rows
 
     @property
     def column_x_mm(self) -> NDArray[np.float64]:

@@ -2,80 +2,107 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 from ebamcheck.backend import Progress
+from ebamcheck.kernels import kernel
 from ebamcheck.part import Part
-from ebamcheck_embree.crossings import RayBorders
-from ebamcheck_embree.grid import Grid
-from ebamcheck_embree.knots import Lattice, RowKnots, row_knots
-from ebamcheck_embree.marching import contours
-from ebamcheck_embree.scene import Floats, Hits, Singles
-from ebamcheck_embree.stack import LayerRings, Rays
+from ebamcheck_embree.crossings import crossing_counts, take_crossings, take_from_segments
+from ebamcheck_embree.grid import Grid, Lattice
+from ebamcheck_embree.hits import Borders, borders, room_for, short_rays
+from ebamcheck_embree.knots import RayColumns, column_knots, row_knots
+from ebamcheck_embree.marching import rings_of_layer
+from ebamcheck_embree.rings import Rings, append_layer, room_for_rings
+from ebamcheck_embree.scene import Facets, Floats, Ints, Singles, UnderWay, under_way
+from ebamcheck_embree.section import Mesh, Sections, most_segments, sections_at, slabs_of
+from ebamcheck_embree.stack import GridRays
+
+SEGMENTS_AT_ONCE = 1 << 22
+"""Segments of the sections that are held together by a thread, unless one section alone has more: at most 150 MB."""
 
 
-class InPlaneRays(Rays):
+class InPlaneRays(GridRays):
     """Every grid edge that the contour crosses is crossed where the mesh's own section crosses it."""
+
+    layers_a_block = 1
 
     def __init__(self, part: Part, grid: Grid, rays_per_call: int, labels: Mapping[str, Any]) -> None:
         super().__init__(part, grid, rays_per_call, labels)
-        self._borders = RayBorders(self.vertices, self.faces)
-        self._origins = _line_origins(grid, part)
+        self._slabs = slabs_of(self.mesh)
+        # By axis: where the rays along it lie across it, and where they start, outside the part's box.
+        self._lines = (grid.row_y_mm, grid.column_x_mm)
+        self._start_mm = (grid.x0_mm - 0.01 * float(part.size[0]), grid.y0_mm - 0.01 * float(part.size[1]))
 
-    def cut(self, z_mm: Floats, report: Progress) -> list[LayerRings]:
-        """Cut by casting the rays of as many layers at once as one call may hold."""
-        count = self.grid.rows + self.grid.columns
-        together = max(1, self.rays_per_call // count)
-        found: list[LayerRings] = []
-        for start in range(0, len(z_mm), together):
-            heights = z_mm[start : start + together]
-            found.extend(self._cut_together(heights))
+    def cut(self, z_mm: Floats, report: Progress) -> Iterator[Rings]:
+        """Cut by casting the rays of several layers at once."""
+        for heights in self._batches(z_mm):
+            sections = sections_at(self.mesh, self._slabs, heights)
+            rows, columns = (self._borders(heights, sections, axis) for axis in (0, 1))
+            yield _rings(self.grid.lattice, rows, columns, self.mesh, heights, self.centre_mm)
             report(len(heights))
-        return found
 
-    def _cut_together(self, z_mm: Floats) -> list[LayerRings]:
-        row_origins, column_origins = self._origins
-        along_x = self.scene.facets_along(_at_heights(row_origins, z_mm), axis=0)
-        along_y = self.scene.facets_along(_at_heights(column_origins, z_mm), axis=1)
-        return [
-            self._layer(
-                float(z), _of_layer(along_x, k, self.grid.rows), _of_layer(along_y, k, self.grid.columns)
-            )
-            for k, z in enumerate(z_mm)
-        ]
+    def _batches(self, z_mm: Floats) -> Iterator[Floats]:
+        """As many consecutive heights at a time as one call of Embree and the room for sections allow, at least one."""
+        most = max(1, self.rays_per_call // max(self.grid.rows, self.grid.columns))
+        segments = np.concatenate([[0], np.cumsum(most_segments(self._slabs, z_mm))])
+        first = 0
+        while first < len(z_mm):
+            past = int(np.searchsorted(segments, segments[first] + SEGMENTS_AT_ONCE, side="right")) - 1
+            past = min(max(past, first + 1), first + most)
+            yield z_mm[first:past]
+            first = past
 
-    def _layer(self, z: float, along_x: Hits, along_y: Hits) -> LayerRings:
-        grid = self.grid
-        rows, columns = self._borders.of_layer(z, grid.row_y_mm, along_x, grid.column_x_mm, along_y)
-        lattice: Lattice = (grid.x0_mm, grid.y0_mm, grid.cell_mm, grid.columns, grid.rows)
-        knots = RowKnots(*row_knots(lattice, rows[:4], columns[:4]))
-        corners = rows.simple and columns.simple
-        points, starts = contours(grid, knots, columns[:4], (self.vertices, self.faces), z, corners)
-        return LayerRings(points, starts, int((~rows.sound).sum() + (~columns.sound).sum()))
+    def _borders(self, z_mm: Floats, sections: Sections, axis: int) -> Borders:
+        """Borders on the rays along an axis of some layers, those of the first layer first."""
+        lines = self._lines[axis]
+        counts = crossing_counts(sections, axis, lines)
+        hits = room_for(counts)
 
+        def take(met: Facets, distance: Singles, rays: UnderWay) -> int:
+            return take_crossings(self.mesh, z_mm, axis, lines, met, distance, rays, hits)
 
-def _line_origins(grid: Grid, part: Part) -> tuple[Singles, Singles]:
-    """Where the rays of the rows and of the columns start, z left open; outside the part's box."""
-    rows = np.zeros((grid.rows, 3), np.float32)
-    rows[:, 0] = grid.x0_mm - 0.01 * float(part.size[0])
-    rows[:, 1] = grid.row_y_mm
-    columns = np.zeros((grid.columns, 3), np.float32)
-    columns[:, 0] = grid.column_x_mm
-    columns[:, 1] = grid.y0_mm - 0.01 * float(part.size[1])
-    return rows, columns
+        wanted = np.flatnonzero(counts)
+        self.scene.follow(under_way(wanted, self._origins(wanted, z_mm, axis)), axis, take)
+        short = short_rays(hits)
+        if short.any():
+            take_from_segments(sections, axis, lines, short, hits)
+        return borders(hits.starts, hits.along, hits.sign, hits.facet)
 
-
-def _at_heights(origins: Singles, z_mm: Floats) -> Singles:
-    """Repeat the rays of one layer at several heights."""
-    repeated = np.tile(origins, (len(z_mm), 1))
-    repeated[:, 2] = np.repeat(z_mm.astype(np.float32), len(origins))
-    return repeated
+    def _origins(self, rays: Ints, z_mm: Floats, axis: int) -> Singles:
+        layer, line = np.divmod(rays, len(self._lines[axis]))
+        origins = np.empty((len(rays), 3), np.float32)
+        origins[:, axis] = self._start_mm[axis]
+        origins[:, 1 - axis] = self._lines[axis][line]
+        origins[:, 2] = z_mm[layer]
+        return origins
 
 
-def _of_layer(hits: Hits, k: int, rays: int) -> Hits:
-    """Hits of the k-th layer of those cast together."""
-    starts = hits.starts[k * rays : (k + 1) * rays + 1]
-    return Hits(starts - starts[0], hits.facets[starts[0] : starts[-1]])
+@kernel
+def _rings(
+    lattice: Lattice, rows: Borders, columns: Borders, mesh: Mesh, z_mm: Floats, shift_mm: Floats
+) -> Rings:
+    """Rings of several layers, from the borders on their rays."""
+    _, _, _, column_count, row_count = lattice
+    rings = room_for_rings(z_mm.size)
+    for layer in range(z_mm.size):
+        a, b = layer * row_count, (layer + 1) * row_count
+        c, d = layer * column_count, (layer + 1) * column_count
+        along_columns = _rays(columns, c, d)
+        knots = row_knots(lattice, _rays(rows, a, b), along_columns)
+        across = column_knots(lattice, knots, along_columns)
+        corners = bool(rows.simple[a:b].all() and columns.simple[c:d].all())
+        points, starts = rings_of_layer(lattice, knots, across, mesh, z_mm[layer], corners)
+        rings = append_layer(rings, layer, points, starts, shift_mm)
+        rings.unpaired[layer] = (~rows.sound[a:b]).sum() + (~columns.sound[c:d]).sum()
+    return rings
+
+
+@kernel
+def _rays(found: Borders, first: int, past: int) -> RayColumns:
+    """Borders of the rays ``first .. past - 1`` alone."""
+    a, b = found.starts[first], found.starts[past]
+    starts = found.starts[first : past + 1] - a
+    return starts, found.along[a:b], found.facet[a:b], found.paired[first:past]

@@ -13,14 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.kernels import kernel
-from ebamcheck_embree.crossings import Bools
-from ebamcheck_embree.scene import Facets, Floats, Ints
-
-Lattice = tuple[float, float, float, int, int]
-"""First column's x and first row's y, mm, the cell, mm, and the numbers of columns and rows."""
+from ebamcheck_embree.grid import Lattice
+from ebamcheck_embree.scene import Bools, Facets, Floats, Ints
 
 RayColumns = tuple[Ints, Floats, Facets, Bools]
-"""The columns `starts`, `along`, `facet` and `paired` of :class:`ebamcheck_embree.crossings.Borders`."""
+"""The columns `starts`, `along`, `facet` and `paired` of :class:`ebamcheck_embree.hits.Borders`."""
 
 NO_FACET = -1
 """Facet of a knot that lies at the middle or an end of a grid edge for want of a crossing."""
@@ -108,12 +105,8 @@ def _mended_row(
 
 
 @kernel
-def row_knots(
-    grid: Lattice,
-    rows: RayColumns,
-    columns: RayColumns,
-) -> tuple[Ints, Ints, Floats, Facets]:
-    """Crossed edges along rows from the borders of row rays; columns of :class:`RowKnots`.
+def row_knots(grid: Lattice, rows: RayColumns, columns: RayColumns) -> RowKnots:
+    """Crossed edges along rows from the borders of row rays.
 
     An edge with an even number of borders joins nodes of the same side and is not crossed: what lies
     between is thinner than the cell. A row that does not pair is mended.
@@ -160,7 +153,7 @@ def row_knots(
                     )
                     out += 1
         starts[j + 1] = out
-    return starts, node[:out], along[:out], facet[:out]
+    return RowKnots(starts, node[:out], along[:out], facet[:out])
 
 
 @kernel
@@ -179,13 +172,9 @@ def _grown(old: NDArray[Any], used: int, room: int) -> NDArray[Any]:
 
 
 @kernel
-def column_knots(
-    grid: Lattice, row_starts: Ints, row_node: Ints, columns: RayColumns
-) -> tuple[Ints, Ints, Floats, Facets, Bools]:
-    """Crossed edges along columns: where the sides of a row's nodes differ from the next row's.
-
-    Columns are those of :class:`ColumnKnots`.
-    """
+def column_knots(grid: Lattice, rows: RowKnots, columns: RayColumns) -> ColumnKnots:
+    """Crossed edges along columns: where the sides of a row's nodes differ from the next row's."""
+    row_starts, row_node = rows.starts, rows.node
     _, y0, cell, column_count, row_count = grid
     col_starts, col_along, col_facet, _ = columns
     starts = np.zeros(row_count + 1, np.int64)
@@ -225,4 +214,4 @@ def column_knots(
             along[k], facet[k] = middle_border(
                 col_starts, col_along, col_facet, node[k], y0 + cell * j, y0 + cell * (j + 1)
             )
-    return starts, node[:out], along, facet, up[:out]
+    return ColumnKnots(starts, node[:out], along, facet, up[:out])

@@ -11,24 +11,27 @@ import math
 import numpy as np
 
 from ebamcheck.kernels import kernel
-from ebamcheck_embree.crossings import Bools
-from ebamcheck_embree.grid import Grid
-from ebamcheck_embree.knots import NO_FACET, ColumnKnots, Lattice, RayColumns, RowKnots, column_knots
-from ebamcheck_embree.scene import Facets, Floats, Ints
-from ebamcheck_embree.section import edge_point
+from ebamcheck_embree.grid import Lattice
+from ebamcheck_embree.knots import NO_FACET, ColumnKnots, RowKnots
+from ebamcheck_embree.scene import Bools, Facets, Floats, Ints
+from ebamcheck_embree.section import Mesh, edge_point
 
 SADDLE = -1
 """Cell of a link where four knots meet: nothing is added to it."""
 
 
 @kernel
-def _link(
+def links(
     row_starts: Ints, row_node: Ints, col_starts: Ints, col_node: Ints, up: Bools, points: Floats
 ) -> tuple[Ints, Ints]:
     """Knot that follows each knot, material on the left; rows' knots come before columns'; and the cell between.
 
-    The second column, (K, 2), is the cell's column and row, :data:`SADDLE` where four knots meet. Cells are swept band by band between two rows, from left to right, by three pointers: into the lower
-    row, the upper row and the columns.
+    The second column, (K, 2), is the cell's column and row, :data:`SADDLE` where four knots meet. There the shorter
+    way is taken between their `points` (K, 2), mm; where those are left out (0, 2), the two corners of the material
+    stay apart.
+
+    Cells are swept band by band between two rows, from left to right, by three pointers: into the lower row, the
+    upper row and the columns.
     """
     base = row_node.size
     after = np.full(base + col_node.size, -1, np.int64)
@@ -83,7 +86,10 @@ def _link(
                     into[ins] = base + c
                     ins += 1
             straight = True
-            if ins == 2:
+            if ins == 2 and not points.size:
+                # In by a row's edge: the material lies lower left and upper right, and straight goes around either.
+                straight = into[0] < base
+            elif ins == 2:
                 straight = _gap(points, into[0], out_of[0]) + _gap(points, into[1], out_of[1]) <= (
                     _gap(points, into[0], out_of[1]) + _gap(points, into[1], out_of[0])
                 )
@@ -101,23 +107,17 @@ def _gap(points: Floats, a: int, b: int) -> float:
 
 
 @kernel
-def knot_points(
-    grid: Lattice,
-    row_starts: Ints,
-    row_along: Floats,
-    col_starts: Ints,
-    col_node: Ints,
-    col_along: Floats,
-) -> Floats:
+def _knot_points(grid: Lattice, rows: RowKnots, columns: ColumnKnots) -> Floats:
     """Places of all knots (K, 2), mm, rows' before columns'."""
     x0, y0, cell, _, row_count = grid
-    points = np.empty((row_along.size + col_along.size, 2))
+    count = rows.along.size
+    points = np.empty((count + columns.along.size, 2))
     for j in range(row_count):
-        for k in range(row_starts[j], row_starts[j + 1]):
-            points[k, 0], points[k, 1] = row_along[k], y0 + cell * j
-    for k in range(col_along.size):
-        points[row_along.size + k, 0] = x0 + cell * col_node[k]
-        points[row_along.size + k, 1] = col_along[k]
+        for k in range(rows.starts[j], rows.starts[j + 1]):
+            points[k, 0], points[k, 1] = rows.along[k], y0 + cell * j
+    for k in range(columns.along.size):
+        points[count + k, 0] = x0 + cell * columns.node[k]
+        points[count + k, 1] = columns.along[k]
     return points
 
 
@@ -143,7 +143,7 @@ def _chain(
     cells: Ints,
     points: Floats,
     facet: Facets,
-    mesh: tuple[Floats, Facets],
+    mesh: Mesh,
     z: float,
     corners: bool,
 ) -> tuple[Floats, Ints]:
@@ -183,18 +183,12 @@ def _chain(
     return out_points[:out], ring_starts[: rings + 1]
 
 
-def contours(
-    grid: Grid,
-    knots: RowKnots,
-    columns: RayColumns,
-    mesh: tuple[Floats, Facets],
-    z: float,
-    corners: bool,
+@kernel
+def rings_of_layer(
+    grid: Lattice, rows: RowKnots, columns: ColumnKnots, mesh: Mesh, z: float, corners: bool
 ) -> tuple[Floats, Ints]:
     """Rings of one layer: points (N, 2), mm about the centre of the part, and ring starts (R + 1,)."""
-    lattice = (grid.x0_mm, grid.y0_mm, grid.cell_mm, grid.columns, grid.rows)
-    across = ColumnKnots(*column_knots(lattice, knots.starts, knots.node, columns))
-    points = knot_points(lattice, knots.starts, knots.along, across.starts, across.node, across.along)
-    after, cells = _link(knots.starts, knots.node, across.starts, across.node, across.up, points)
-    facet = np.concatenate([knots.facet, across.facet])
-    return _chain(lattice, after, cells, points, facet, mesh, z, corners)
+    points = _knot_points(grid, rows, columns)
+    after, cells = links(rows.starts, rows.node, columns.starts, columns.node, columns.up, points)
+    facet = np.concatenate((rows.facet, columns.facet))
+    return _chain(grid, after, cells, points, facet, mesh, z, corners)

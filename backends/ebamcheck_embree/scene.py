@@ -1,28 +1,50 @@
-"""The part as an Embree scene, and all facets along a ray."""
+"""The part as an Embree scene, and rays that are followed from facet to facet."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ebamcheck.kernels import kernel
+
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Ints = NDArray[np.int64]
 Facets = NDArray[np.int32]
+Bools = NDArray[np.bool_]
 
-ROBUST = True
-"""Watertight intersection: a ray through an edge hits one of its facets."""
+ROBUST = False
+"""Whether Embree intersects watertightly. What it misses is found in float64, so its faster way does."""
+
+LARGEST_STEP_EXPONENT = 60
+"""Steps past a facet that is met again double so often at most: they are longer than any part then."""
 
 
-class Hits(NamedTuple):
-    """Facets that rays hit, grouped by ray."""
+class UnderWay(NamedTuple):
+    """Rays up one axis that have not met all their facets yet."""
 
-    starts: Ints
-    """(R + 1,) first hit of each ray."""
-    facets: Facets
-    """(H,) facets, roughly in order along each ray."""
+    ray: Ints
+    """(R,) number of each ray."""
+    origin: Singles
+    """(R, 3) from where each is cast next; at first outside the part."""
+    last: Facets
+    """(R,) facet that each met last, -1 at first."""
+    repeats: NDArray[np.int32]
+    """(R,) how often in a row each has met that facet again."""
+
+
+Take = Callable[[Facets, Singles, UnderWay], int]
+"""Takes the facet (R,) that each ray met, -1 for none, and how far it was (R,); moves the rays that go on to the
+front, each to its new origin (:func:`go_on`), and returns how many those are."""
+
+
+def under_way(rays: Ints, origins: Singles) -> UnderWay:
+    """Rays at their start."""
+    count = len(rays)
+    return UnderWay(rays, origins, np.full(count, -1, np.int32), np.zeros(count, np.int32))
 
 
 class Scene:
@@ -37,41 +59,31 @@ class Scene:
         # The tree is built at the first cast, which must not happen in two threads at once.
         self._scene.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))
 
-    def facets_along(self, origins: Singles, axis: int) -> Hits:
-        """Find all facets along rays (R, 3) that start outside the part and run up an axis.
-
-        Embree gives the first hit only, so each ray starts again just beyond its last one. A facet met
-        twice in a row is passed by steps that double.
-        """
-        direction = np.zeros_like(origins)
+    def follow(self, rays: UnderWay, axis: int, take: Take) -> None:
+        """Cast rays up an axis until `take` lets none of them go on; Embree gives one facet a cast."""
+        direction = np.zeros_like(rays.origin)
         direction[:, axis] = 1.0
-        origins = origins.copy()
-        ray = np.arange(len(origins))
-        last = np.full(len(origins), -1, np.int32)
-        repeats = np.zeros(len(origins), np.int32)
-        rays: list[Ints] = []
-        facets: list[Facets] = []
-        while ray.size:
-            found = self._scene.run(origins, direction[: len(origins)], output=True)
-            facet, distance = found["primID"], found["tfar"]
-            hit = facet >= 0
-            ray, facet, origins, last, repeats = ray[hit], facet[hit], origins[hit], last[hit], repeats[hit]
-            new = facet != last
-            rays.append(ray[new])
-            facets.append(facet[new])
-            repeats = np.where(new, 0, repeats + 1)
-            place = np.maximum(origins[:, axis], origins[:, axis] + distance[hit])
-            ulps = np.ldexp(np.spacing(np.abs(place)), np.minimum(repeats, 60))
-            origins[:, axis] = np.maximum(np.nextafter(place, np.float32(np.inf)), place + ulps)
-            last = facet
-        return _grouped(np.concatenate(rays), np.concatenate(facets), len(direction)) if rays else _none()
+        count = len(direction)
+        while count:
+            rays = UnderWay(rays.ray[:count], rays.origin[:count], rays.last[:count], rays.repeats[:count])
+            met = self._scene.run(rays.origin, direction[:count], output=True)
+            count = take(met["primID"], met["tfar"], rays)
 
 
-def _grouped(rays: Ints, facets: Facets, count: int) -> Hits:
-    order = np.argsort(rays, kind="stable")
-    starts = np.concatenate([[0], np.cumsum(np.bincount(rays, minlength=count))]).astype(np.int64)
-    return Hits(starts, facets[order])
+@kernel
+def go_on(rays: UnderWay, n: int, place: int, facet: int, distance: float, axis: int) -> None:
+    """Put ray `n` at `place`, just beyond the facet that it met.
 
-
-def _none() -> Hits:
-    return Hits(np.zeros(1, np.int64), np.zeros(0, np.int32))
+    A facet met again in a row is passed by steps that double.
+    """
+    repeats = rays.repeats[n] + 1 if facet == rays.last[n] else 0
+    rays.ray[place] = rays.ray[n]
+    rays.last[place] = facet
+    rays.repeats[place] = repeats
+    for k in range(3):
+        rays.origin[place, k] = rays.origin[n, k]
+    start = rays.origin[place, axis]
+    reached = max(start, np.float32(start + distance))
+    ulps = np.ldexp(np.float64(np.spacing(abs(reached))), min(repeats, LARGEST_STEP_EXPONENT))
+    step = np.float32(np.float64(reached) + ulps)
+    rays.origin[place, axis] = max(np.nextafter(reached, np.float32(np.inf)), step)

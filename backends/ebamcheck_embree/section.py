@@ -6,6 +6,8 @@ mesh join bit for bit.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from ebamcheck.kernels import kernel
@@ -14,11 +16,38 @@ from ebamcheck_embree.scene import Facets, Floats, Ints
 MOST_SLABS = 4096
 
 
+class Mesh(NamedTuple):
+    """A mesh about its centre."""
+
+    vertices: Floats
+    faces: Facets
+
+
+class Slabs(NamedTuple):
+    """Facets by height: which ones reach into which of equally thick slabs."""
+
+    bottom_mm: float
+    per_mm: float
+    starts: Ints
+    """(S + 1,) first of each slab's facets."""
+    facets: Facets
+
+
+class Sections(NamedTuple):
+    """Sections at several heights."""
+
+    starts: Ints
+    """(L + 1,) first segment of each height."""
+    segments: Floats
+    """(S, 4) start and end of each segment, mm; material on its left."""
+    owner: Facets
+    """(S,) facet of each segment."""
+
+
 @kernel
-def segment_of(
-    vertices: Floats, faces: Facets, facet: int, z: float
-) -> tuple[bool, float, float, float, float]:
+def segment_of(mesh: Mesh, facet: int, z: float) -> tuple[bool, float, float, float, float]:
     """Segment in which the plane z = h + 0 cuts a facet: whether it does, and start and end."""
+    vertices, faces = mesh
     x0 = y0 = x1 = y1 = 0.0
     cut = False
     for k in range(3):
@@ -43,57 +72,72 @@ def edge_point(vertices: Floats, low: int, high: int, z: float) -> tuple[float, 
 
 
 @kernel
-def section_segments(vertices: Floats, faces: Facets, candidates: Facets, z: float) -> tuple[Floats, Facets]:
-    """Segments (S, 4) in which the plane z = h + 0 cuts some facets, start and end, and the facet of each."""
-    segments = np.empty((candidates.size, 4))
-    owner = np.empty(candidates.size, np.int32)
-    count = 0
-    for facet in candidates:
-        cut, x0, y0, x1, y1 = segment_of(vertices, faces, facet, z)
-        if cut:
-            segments[count, 0], segments[count, 1] = x0, y0
-            segments[count, 2], segments[count, 3] = x1, y1
-            owner[count] = facet
-            count += 1
-    return segments[:count], owner[:count]
-
-
-class Slabs:
-    """Facets by height: which ones reach into which of equally thick slabs."""
-
-    def __init__(self, vertices: Floats, faces: Facets) -> None:
-        z0, z1, z2 = (vertices[faces[:, k], 2] for k in range(3))
-        low, high = np.minimum(np.minimum(z0, z1), z2), np.maximum(np.maximum(z0, z1), z2)
-        self._bottom = float(low.min(initial=0.0)) if low.size else 0.0
-        height = (float(high.max()) if high.size else 0.0) - self._bottom
-        mean = float(np.mean(high - low)) if low.size else 0.0
-        # As many slabs as keep each facet in about two of them.
-        self.count = int(min(float(MOST_SLABS), max(1.0, height / mean))) if mean > 0.0 else 1
-        self._per_mm = self.count / height if height > 0.0 else 0.0
-        first, last = self._slab(low), self._slab(high)
-        self._starts, self._facets = _fill_slabs(first, last, self.count)
-
-    def _slab(self, z: Floats) -> Ints:
-        return np.clip((z - self._bottom) * self._per_mm, 0, self.count - 1).astype(np.int64)
-
-    def near(self, z: float) -> Facets:
-        """Facets of the slab that holds height z, those cut at z among them."""
-        k = int(self._slab(np.array([z]))[0])
-        return self._facets[self._starts[k] : self._starts[k + 1]]
+def _slab(z: float, bottom_mm: float, per_mm: float, count: int) -> int:
+    return int(min(max((z - bottom_mm) * per_mm, 0.0), count - 1.0))
 
 
 @kernel
-def _fill_slabs(first: Ints, last: Ints, count: int) -> tuple[Ints, Facets]:
+def most_segments(slabs: Slabs, z_mm: Floats) -> Ints:
+    """Segments that the section at each height (L,) has at most."""
+    most = np.empty(z_mm.size, np.int64)
+    for layer in range(z_mm.size):
+        k = _slab(z_mm[layer], slabs.bottom_mm, slabs.per_mm, slabs.starts.size - 1)
+        most[layer] = slabs.starts[k + 1] - slabs.starts[k]
+    return most
+
+
+@kernel
+def sections_at(mesh: Mesh, slabs: Slabs, z_mm: Floats) -> Sections:
+    """Cut a mesh at several heights (L,)."""
+    count = slabs.starts.size - 1
+    room = most_segments(slabs, z_mm).sum()
+    starts = np.zeros(z_mm.size + 1, np.int64)
+    segments = np.empty((room, 4))
+    owner = np.empty(room, np.int32)
+    size = 0
+    for layer in range(z_mm.size):
+        k = _slab(z_mm[layer], slabs.bottom_mm, slabs.per_mm, count)
+        for facet in slabs.facets[slabs.starts[k] : slabs.starts[k + 1]]:
+            cut, x0, y0, x1, y1 = segment_of(mesh, facet, z_mm[layer])
+            if cut:
+                segments[size, 0], segments[size, 1] = x0, y0
+                segments[size, 2], segments[size, 3] = x1, y1
+                owner[size] = facet
+                size += 1
+        starts[layer + 1] = size
+    return Sections(starts, segments[:size], owner[:size])
+
+
+def slabs_of(mesh: Mesh) -> Slabs:
+    """Sort the facets of a mesh into slabs."""
+    z0, z1, z2 = (mesh.vertices[mesh.faces[:, k], 2] for k in range(3))
+    low, high = np.minimum(np.minimum(z0, z1), z2), np.maximum(np.maximum(z0, z1), z2)
+    bottom = float(low.min()) if low.size else 0.0
+    height = (float(high.max()) if high.size else 0.0) - bottom
+    mean = float(np.mean(high - low)) if low.size else 0.0
+    # As many slabs as keep each facet in about two of them.
+    count = int(min(float(MOST_SLABS), max(1.0, height / mean))) if mean > 0.0 else 1
+    per_mm = count / height if height > 0.0 else 0.0
+    return Slabs(bottom, per_mm, *_fill_slabs(low, high, bottom, per_mm, count))
+
+
+@kernel
+def _fill_slabs(
+    low: Floats, high: Floats, bottom_mm: float, per_mm: float, count: int
+) -> tuple[Ints, Facets]:
+    """Columns `starts` and `facets` of :class:`Slabs` for facets that reach from `low` to `high`."""
     starts = np.zeros(count + 1, np.int64)
-    for f in range(first.size):
-        for k in range(first[f], last[f] + 1):
+    for f in range(low.size):
+        first, last = _slab(low[f], bottom_mm, per_mm, count), _slab(high[f], bottom_mm, per_mm, count)
+        for k in range(first, last + 1):
             starts[k + 1] += 1
     for k in range(count):
         starts[k + 1] += starts[k]
     fill = starts[:-1].copy()
     facets = np.empty(starts[-1], np.int32)
-    for f in range(first.size):
-        for k in range(first[f], last[f] + 1):
+    for f in range(low.size):
+        first, last = _slab(low[f], bottom_mm, per_mm, count), _slab(high[f], bottom_mm, per_mm, count)
+        for k in range(first, last + 1):
             facets[fill[k]] = f
             fill[k] += 1
     return starts, facets

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ebamcheck.backend import BackendSettings, CoplanarRule, Probe, Progress
 from ebamcheck.errors import BackendFailed
-from ebamcheck.layers import Layers, canonical
+from ebamcheck.layers import Layers, canonical, concatenate
 from ebamcheck.part import Part
 from ebamcheck.topology import edge_groups, split_corners, twins
 from ebamcheck_manifold.changes import doubtful_regions
@@ -25,6 +25,10 @@ CONTOUR_ROUNDING = 1e-8
 
 MERGE_TOLERANCE = 1e-12
 """Relative to the largest coordinate: vertices nearer to each other than this are one to manifold3d."""
+
+LAYERS_AT_ONCE = 64
+"""Layers whose rings are brought into canonical form together: their points stay in the processor's cache, and
+memory beyond the layers themselves stays small."""
 
 
 class ManifoldSettings(BackendSettings):
@@ -103,21 +107,29 @@ class PreparedManifold:
         """Cut at strictly increasing heights (L,), mm; one thread, as manifold3d holds the interpreter lock."""
         if self._manifold is None:
             raise BackendFailed(f"manifold: part {self.part.name!r} was released: prepare it again")
+        heights = np.ascontiguousarray(heights, dtype=np.float64)
+        blocks = []
+        for first in range(0, max(1, len(heights)), LAYERS_AT_ONCE):
+            blocks.append(self._layers(self._manifold, heights[first : first + LAYERS_AT_ONCE]))
+            if progress is not None:
+                progress(len(blocks[-1]))
+        return concatenate(blocks)
+
+    def _layers(self, manifold: Manifold, heights: Floats) -> Layers:
+        """Cut at a few heights."""
         least, greatest = self.part.bounds[:, 2]
         found: list[Floats] = []
         layer_starts = np.zeros(len(heights) + 1, np.int64)
         for k, z_mm in enumerate(heights.tolist()):
             if least <= z_mm < greatest:
-                section = self._manifold.slice(self.placement.height(z_mm))
-                found.extend(np.asarray(ring, np.float64) for ring in section.to_polygons())
+                section = manifold.slice(self.placement.height(z_mm))
+                found.extend(section.to_polygons())
             layer_starts[k + 1] = len(found)
-            if progress is not None:
-                progress(1)
-        points = np.concatenate(found) if found else np.zeros((0, 2))
+        sizes = np.fromiter(map(len, found), np.int64, len(found))
         return canonical(
             heights,
-            self.placement.undo(points),
-            np.concatenate([[0], np.cumsum([len(ring) for ring in found], dtype=np.int64)]),
+            self.placement.undo(np.concatenate([np.zeros((0, 2)), *found])),
+            np.concatenate([[0], np.cumsum(sizes)]),
             layer_starts,
             np.ones(len(found), np.bool_),
             part=self.part.sha256,

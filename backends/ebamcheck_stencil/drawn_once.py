@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ebamcheck.backend import Progress
 from ebamcheck.kernels import run_blocks
 from ebamcheck.layers import Layers, canonical, concatenate
-from ebamcheck_stencil.bitmaps import empty_bitmap, flip, flips_by_layer
+from ebamcheck_stencil.bitmaps import as_image, empty_bitmap, flip, flips_by_layer
 from ebamcheck_stencil.crossings import Crossings
 from ebamcheck_stencil.field_of_view import WORD_BITS, FieldOfView
 from ebamcheck_stencil.marching_squares import contours_of_layers
@@ -60,6 +60,12 @@ class DrawnOnce:
             if progress is not None:
                 progress(last - first)
         return concatenate(blocks)
+
+    def bitmap(self, height_mm: float) -> NDArray[np.bool_]:
+        """Image (height, width) of the section at a height, row 0 at the least y."""
+        bitmap = empty_bitmap(self._view)
+        flip(bitmap, flips_by_layer(self._crossings, np.array([height_mm])).pixels)
+        return as_image(bitmap, self._view)
 
     def _layers(self, heights: NDArray[np.float64], walked: list[Walked]) -> Layers:
         """Join the points, ring sizes and ring counts that threads walked into canonical layers."""

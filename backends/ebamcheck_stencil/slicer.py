@@ -46,7 +46,8 @@ class Settings(BackendSettings):
     """One draw for all layers, or the paper's one draw of every facet for each layer."""
     buffer_mb: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 512.0
     """Limit of the buffer of fragments, as far as the driver has as large a one; the field of view is
-    drawn in parts where it does not suffice."""
+    drawn in parts where it does not suffice. Resolving a part takes up to five times as much of the processor's
+    memory for a while."""
     max_texture_px: Annotated[int, Field(ge=1)] | None = None
     """Limit of an image's side; None: what the driver offers."""
 
