@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from ebamcheck.mesh_files import load as load
     from ebamcheck.part import Part as Part
     from ebamcheck.program import read_program as read_program
+    from ebamcheck.program import write_program as write_program
     from ebamcheck.scan import plan_scan as plan_scan
     from ebamcheck.slicing import Slicing as Slicing
     from ebamcheck.slicing import slice_part as slice
@@ -40,6 +41,7 @@ _PUBLIC = {
     "plan_scan": "ebamcheck.scan",
     "read_program": "ebamcheck.program",
     "slice": "ebamcheck.slicing:slice_part",
+    "write_program": "ebamcheck.program",
 }
 """Public names and where they live; they load when first used, so that ``import ebamcheck`` is instant."""
 

@@ -7,6 +7,7 @@ machine, process and material sections together are the *machine profile*.
 from __future__ import annotations
 
 import difflib
+import math
 import re
 import tomllib
 from pathlib import Path
@@ -20,6 +21,14 @@ from ebamcheck.heights import bead_height_mm
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+PRINTED_PATH_MM = 1e-4
+"""Distance that a path may have from its curve for the decimals of the program."""
+
+ROUNDING_UNITS = 1.2
+"""Error of a printed path in units of its last decimal: half a unit of the end point, and 0.635 times half a unit of
+the coefficients of a polynomial, in X and in Y."""
 
 
 class Section(BaseModel):
@@ -86,6 +95,13 @@ class ComparisonSettings(Section):
 class CurveSettings(Section):
     """Cleaning and fitting of contours."""
 
+    method: Literal["bounded", "surface", "chord", "paper"] = "bounded"
+    """Fit: the fewest lines, arcs and cubics within the tolerance of the surface that the mesh stands for; a cubic for
+    each of its points; an interpolating spline by chord length; or that of the paper."""
+    tolerance_mm: Positive = 0.02
+    """Distance that `bounded` may keep from the smooth curve."""
+    crease_angle_deg: Annotated[float, Field(gt=0, lt=180)] = 40.0
+    """Edges of the mesh whose facets differ by this angle are sharp, for `bounded` and `surface`."""
     corner_angle_deg: Annotated[float, Field(gt=0, lt=180)] = 140.0
     """A contour splits where the angle between its segments is under this (paper, section 3.2)."""
     near_point_mm: NotNegative = 0.001
@@ -129,19 +145,23 @@ class MachineSettings(Section):
     name: str = "wire electron-beam machine (default profile)"
     """Name of the machine, as it stands in the header of the program."""
     control: str = "sinumerik-840d-sl"
-    """Control that the program is for: the name of a post-processor."""
+    """Control that the program is for: the name of a post-processor. Beam and wire templates that are left at their
+    defaults are those of its language."""
     poly_licensed: bool = True
     """Polynomial interpolation (POLY) is an option of the control."""
     bspline_licensed: bool = True
     """Spline interpolation (BSPLINE) is an option of the control."""
-    curve_form: Literal["poly", "bspline", "lines"] = "poly"
-    """How curves are written: polynomials, B-splines, or chords (G1) within line_tolerance_mm."""
-    bspline_shift: Literal[2, 3] = 2
-    """Which knot interval a BSPLINE block's PL carries; see the header of the program."""
+    curve_form: Literal["poly", "bspline", "arcs", "lines"] = "poly"
+    """How splines are written: polynomials, B-splines, or arcs (G2, G3) or chords (G1) within line_tolerance_mm.
+    Arcs of the contour are always written as such."""
+    bspline_shift: Literal[2, 3, "uniform"] = 2
+    """Which knot interval a BSPLINE block's PL carries; `uniform` for a control that chooses even intervals itself:
+    no PL, and splines of other intervals in another form. See the header of the program."""
     line_tolerance_mm: Positive = 0.01
-    """Chord error where curves are written as G1."""
-    decimals: Annotated[int, Field(ge=3, le=8)] = 6
-    """Decimals of coordinates and coefficients in the program."""
+    """Distance from the curve where it is written as chords or arcs."""
+    decimals: Annotated[int, Field(ge=3, le=8)] | None = None
+    """Decimals of coordinates and coefficients in the program; None: the fewest whose rounding keeps the path within
+    a tenth of every tolerance, six with the defaults."""
     travel_min_mm: tuple[Finite, Finite, Finite] = (-1000.0, -1000.0, 0.0)
     """Software limits of X, Y and Z in the work offset: least positions."""
     travel_max_mm: tuple[Finite, Finite, Finite] = (1000.0, 1000.0, 1500.0)
@@ -183,6 +203,14 @@ class MachineSettings(Section):
     layer_end: tuple[str, ...] = ()
     """Blocks after the last motion of a layer."""
 
+    @property
+    def printed_decimals(self) -> int:
+        """Decimals of the program: those set, else the fewest that keep the path within a tenth of every tolerance."""
+        if self.decimals is not None:
+            return self.decimals
+        least_mm = min(PRINTED_PATH_MM, self.smoothing_tolerance_mm, self.line_tolerance_mm)
+        return min(max(math.ceil(-math.log10(0.1 * least_mm / ROUNDING_UNITS)), 3), 8)
+
     @field_validator("program_name", "workpiece_directory")
     @classmethod
     def _legal_name(cls, value: str) -> str:
@@ -212,6 +240,23 @@ class MachineSettings(Section):
         return self
 
 
+class KeepOut(Section):
+    """A place that the bead must not enter: a clamp, a fixture, a probe."""
+
+    name: str = "clamp"
+    """Name in messages."""
+    outline_mm: Annotated[tuple[tuple[Finite, Finite], ...], Field(min_length=3)]
+    """Corners of its outline in X and Y of the work offset, in order; the outline closes itself."""
+    z_mm: tuple[Finite, Finite] = (0.0, 1000.0)
+    """From which Z up to which Z it stands in the way."""
+
+    @model_validator(mode="after")
+    def _upright(self) -> Self:
+        if self.z_mm[0] >= self.z_mm[1]:
+            raise ValueError(f"z_mm {self.z_mm}: give the lower Z first")
+        return self
+
+
 class ProcessSettings(Section):
     """Wire electron-beam process (values: Pixner et al. 2020, Materials 13:3310, and common practice)."""
 
@@ -231,6 +276,30 @@ class ProcessSettings(Section):
     """Width of one bead."""
     bead_spacing: Annotated[float, Field(gt=0, le=1)] = 0.72
     """Distance between parallel beads over the bead width."""
+    machining_allowance_mm: NotNegative = 0.0
+    """Metal left on the contour for machining: the section is grown by this before beads are laid."""
+    overlap_mm: NotNegative = 0.0
+    """Length by which a closed contour bead runs on over its own start."""
+    ramp_up_mm: NotNegative = 0.0
+    """Length at the start of a bead along which the beam rises to full power."""
+    crater_fill_mm: NotNegative = 0.0
+    """Length at the end of a bead along which the beam falls, so that the crater is filled."""
+    ramp_power: Annotated[float, Field(gt=0, le=1)] = 0.5
+    """Share of the full power at which a ramp begins, and at which a crater fill ends."""
+    ramp_steps: Annotated[int, Field(ge=1, le=50)] = 4
+    """Steps of power along a ramp."""
+    wire_retract_mm: NotNegative = 0.0
+    """Wire drawn back at the end of a bead, so that it does not freeze in."""
+    seam_shift_mm: NotNegative = 0.0
+    """Shift of a contour's start along itself from layer to layer, so that seams do not lie on top of each other."""
+    least_seam_distance_mm: NotNegative = 0.0
+    """Least distance between the starts of contours in neighbouring layers; 0: not limited."""
+    travel_sectors_deg: tuple[tuple[Finite, Finite], ...] = ()
+    """Directions of travel that a side feeder allows, each from an angle counter-clockwise to another; empty: all."""
+    keep_out: tuple[KeepOut, ...] = ()
+    """Places that no bead and no rapid below their top may enter."""
+    largest_overhang_deg: Annotated[float, Field(gt=0, lt=90)] | None = None
+    """Greatest angle from the vertical by which a layer may reach out over the one below; None: not limited."""
 
     @property
     def power_w(self) -> float:
@@ -254,6 +323,26 @@ class ProcessSettings(Section):
         if self.current_ma > self.current_max_ma:
             raise ValueError(f"current_ma {self.current_ma} is over current_max_ma {self.current_max_ma}")
         return self
+
+
+class KinematicsSettings(Section):
+    """What the axes can do: limits by which the feed along the path is worked out (`ebamcheck.kinematics`).
+
+    The defaults are those of a heavy gantry, with the jerk that a SINUMERIK is delivered with (SOFT).
+    """
+
+    axis_speed_mm_s: tuple[Positive, Positive, Positive] = (200.0, 200.0, 100.0)
+    """Greatest speeds of X, Y and Z."""
+    axis_acceleration_mm_s2: tuple[Positive, Positive, Positive] = (1000.0, 1000.0, 500.0)
+    """Greatest accelerations of X, Y and Z."""
+    axis_jerk_mm_s3: tuple[Positive, Positive, Positive] = (20000.0, 20000.0, 10000.0)
+    """Greatest jerks of X, Y and Z."""
+    speed_jump_mm_s: NotNegative = 0.1
+    """Step of speed that an axis takes at a corner without being told to smooth it."""
+    curvature_share: Annotated[float, Field(gt=0, lt=1)] = 0.8
+    """Share of the acceleration that may go into curvature; sqrt(1 - share^2) of it is left for the feed."""
+    dip_share: Annotated[float, Field(gt=0, lt=1)] = 0.95
+    """Where the feed falls under this share of the feed programmed, the bead grows: a dip."""
 
 
 class MaterialSettings(Section):
@@ -309,6 +398,7 @@ class Config(Section):
     scan: ScanSettings = ScanSettings()
     machine: MachineSettings = MachineSettings()
     process: ProcessSettings = ProcessSettings()
+    kinematics: KinematicsSettings = KinematicsSettings()
     material: MaterialSettings = MaterialSettings()
     regression: RegressionSettings = RegressionSettings()
     machines: MachineSections = MachineSections()

@@ -48,7 +48,13 @@ def _tables(path: str, values: dict[str, Any]) -> list[str]:
 
 
 def _value(value: Any) -> str:
-    return str(tomlkit.item(list(value) if isinstance(value, tuple) else value).as_string())
+    if isinstance(value, tuple):
+        return str(tomlkit.array("[" + ", ".join(_value(v) for v in value) + "]").as_string())
+    if isinstance(value, Section):
+        table = tomlkit.inline_table()
+        table.update(value.model_dump(mode="json"))
+        return str(table.as_string())
+    return str(tomlkit.item(value).as_string())
 
 
 def _first_line(section: Section) -> str:

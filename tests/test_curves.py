@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import fields
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -16,6 +17,8 @@ from ebamcheck.curves import LINE, SPLINE, Curves, fit, fit_deviation
 from ebamcheck.curves.interpolation import BULGE_LIMIT
 from ebamcheck.errors import GeometryError, InputError, SettingsError
 from ebamcheck.layers import Layers, concatenate, from_rings
+
+paper_fit = partial(fit, method="paper")
 
 EXACT_MM = 1e-9
 SQUARE = [(0, 0), (10, 0), (10, 10), (0, 10)]
@@ -45,11 +48,11 @@ def stadium(arc: int = 24, side: float = 40.0, radius: float = 8.0, extra: int =
 
 
 def one(ring: object, **settings: object) -> Curves:
-    return fit(from_rings([1.0], [[ring]]), **settings)
+    return paper_fit(from_rings([1.0], [[ring]]), **settings)
 
 
 def path(points: object, **settings: object) -> Curves:
-    return fit(from_rings([1.0], [[]], [[points]]), **settings)
+    return paper_fit(from_rings([1.0], [[]], [[points]]), **settings)
 
 
 def raw(ring: np.ndarray, closed: bool = True) -> Layers:
@@ -178,7 +181,7 @@ def test_points_along_the_sides_of_a_square_go() -> None:
     at = np.searchsorted(t, [10, 20, 30])
     ring = np.insert(dense[t > 0], at - 1, corners[1:], axis=0)
     for shift in range(0, len(ring), 9):  # wherever the ring starts, also inside a side
-        curves = fit(raw(np.roll(np.vstack([corners[:1], ring]), shift, axis=0)))
+        curves = paper_fit(raw(np.roll(np.vstack([corners[:1], ring]), shift, axis=0)))
         assert curves.kind.tolist() == [LINE] * 4
         assert same_set(curves.control, np.array(corners))
 
@@ -254,7 +257,7 @@ def test_no_curve_leaves_its_contour_by_more_than_the_largest_bulge() -> None:
         for _ in range(50)
     ]
     layers = from_rings(np.arange(50.0), [[ring] for ring in rings])
-    curves = fit(layers, largest_bulge_mm=0.07)
+    curves = paper_fit(layers, largest_bulge_mm=0.07)
     assert set(curves.kind.tolist()) == {LINE, SPLINE}
     assert fit_deviation(curves, layers)["bulge_mm"].max() <= 0.07 + 1e-9
 
@@ -272,7 +275,7 @@ def test_a_ring_without_a_corner_closes_without_a_kink(ring: np.ndarray) -> None
 
 
 def test_pieces_join_bit_for_bit_and_rings_close() -> None:
-    curves = fit(stack())
+    curves = paper_fit(stack())
     for ring in range(curves.closed.size):
         pieces = [curves.piece(i).control for i in curves.pieces_of(ring)]
         for a, b in pairwise(pieces):
@@ -296,7 +299,7 @@ def test_turning_the_data_turns_the_curve(ring: object, change: str) -> None:
         "roll": lambda p: np.roll(p, 11, axis=0),
     }
     move = moves[change]
-    a, b = fit(raw(ring)), fit(raw(move(ring)))
+    a, b = paper_fit(raw(ring)), paper_fit(raw(move(ring)))
     assert sorted(a.kind.tolist()) == sorted(b.kind.tolist())
     ends = move(a.bezier_spans().points[:, 0])
     inner = move(np.concatenate(list(a.bezier_spans().points[:, 1:3].transpose(1, 0, 2))))
@@ -321,10 +324,10 @@ def test_scaling_the_data_and_the_tolerances_scales_the_curve() -> None:
 
 def test_blocks_and_threads_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     layers = concatenate([stack()] * 90)  # more layers than are fitted at a time
-    whole = fit(layers)
+    whole = paper_fit(layers)
     monkeypatch.setenv("EBAMCHECK_THREADS", "1")
-    single = fit(layers)
-    alone = fit(stack())
+    single = paper_fit(layers)
+    alone = paper_fit(stack())
     for field in ("control", "knots", "kind", "control_starts", "knot_starts", "ring_starts"):
         assert np.array_equal(getattr(whole, field), getattr(single, field)), field
         assert np.array_equal(getattr(whole.block(356, 360), field), getattr(alone, field)), field
@@ -341,7 +344,7 @@ def test_uneven_points_never_make_the_curve_leave_its_chords_far() -> None:
         chords = 10.0 ** rng.uniform(-3, 2, 30)
         heading = np.cumsum(turns)
         paths.append(np.cumsum(chords[:, None] * np.column_stack([np.cos(heading), np.sin(heading)]), axis=0))
-    spans = fit(
+    spans = paper_fit(
         from_rings([0.0], [[]], [paths]), near_point_mm=0, collinear_mm=0, largest_bulge_mm=1e6
     ).bezier_spans()
     B = spans.points[spans.kind == SPLINE]
@@ -381,7 +384,7 @@ def test_degenerate_rings_give_finite_curves_that_end_where_they_should(
 ) -> None:
     ring = np.asarray(ring, float)
     layers = raw(ring, closed)
-    curves = fit(layers, corner_angle_deg=angle)
+    curves = paper_fit(layers, corner_angle_deg=angle)
     assert curves.closed.size == 1
     assert curves.kind.size >= 1
     assert np.isfinite(curves.control).all()
@@ -401,7 +404,7 @@ def test_degenerate_rings_give_finite_curves_that_end_where_they_should(
 def test_rings_of_too_few_points_are_lines_or_nothing(points: int, pieces: int) -> None:
     ring = np.array([(0.0, 0.0), (3.0, 4.0)])[:points]
     for closed in (True, False):
-        curves = fit(raw(ring, closed))
+        curves = paper_fit(raw(ring, closed))
         assert curves.kind.tolist() == [LINE] * pieces
         assert curves.lengths().sum() == (0 if points < 2 else (10 if closed else 5))
         assert fit_deviation(curves, raw(ring, closed))["points_mm"].max() == 0
@@ -416,7 +419,7 @@ def test_a_spike_is_kept() -> None:
 def test_cleaning_does_not_drift_along_a_slow_bend() -> None:
     fine = circle(40_000, 100.0)
     layers = from_rings([0.0], [[fine]])
-    curves = fit(layers)
+    curves = paper_fit(layers)
     assert curves.block_count() < 1000
     assert fit_deviation(curves, layers)["points_mm"].max() < 0.0011
     assert np.abs(np.hypot(*curves.sample(0.1).points.T) - 100).max() < 0.0011
@@ -436,10 +439,10 @@ def test_stairs_from_pixels_come_back_as_they_are_or_smooth_on_request() -> None
 
     (found,) = find_contours((np.hypot(x, y) <= 10.0).astype(float), 0.5)
     layers = from_rings([0.0], [[((found[:-1] - 120) * pixel)[:, ::-1]]])
-    as_is = fit(layers)
+    as_is = paper_fit(layers)
     assert fit_deviation(as_is, layers)["points_mm"].max() < 0.0011
     assert fit_deviation(as_is, layers)["bulge_mm"].max() < pixel
-    smooth = fit(layers, collinear_mm=pixel)
+    smooth = paper_fit(layers, collinear_mm=pixel)
     assert smooth.block_count() < as_is.block_count() / 5
     assert np.abs(np.hypot(*smooth.sample(0.05).points.T) - 10.0).max() < 2 * pixel
 
@@ -458,7 +461,7 @@ def test_inner_points_of_the_flats_of_a_cylinder_do_not_make_it_straight() -> No
 
 
 def test_samples_lie_on_the_curve_no_farther_apart_than_the_step() -> None:
-    curves = fit(stack())
+    curves = paper_fit(stack())
     for step in (0.05, 0.7, 1000.0):
         sampled = curves.sample(step)
         assert isinstance(sampled, Layers)
@@ -490,7 +493,7 @@ def test_lengths_are_those_of_circle_and_square() -> None:
 
 
 def test_bezier_spans_are_the_curve() -> None:
-    curves = fit(stack())
+    curves = paper_fit(stack())
     spans = curves.bezier_spans()
     assert len(spans) == curves.block_count()
     for i in range(curves.kind.size):
@@ -506,17 +509,17 @@ def test_bezier_spans_are_the_curve() -> None:
 
 def test_fit_deviation_of_an_interpolating_fit_is_rounding() -> None:
     layers = stack()
-    table = fit_deviation(fit(layers), layers)
+    table = fit_deviation(paper_fit(layers), layers)
     assert table["kept_points_mm"].max() < 1e-12
     assert table["points_mm"].max() < 0.0011
     assert table["bulge_mm"].iloc[0] > 0.01
-    assert table["blocks"].sum() == fit(layers).block_count()
+    assert table["blocks"].sum() == paper_fit(layers).block_count()
     assert table["bulge_mm"].iloc[1] == 0  # an empty layer
 
 
 def test_fit_deviation_sees_a_curve_that_moved() -> None:
     layers = from_rings([0.0], [[circle(60)]])
-    curves = fit(layers)
+    curves = paper_fit(layers)
     curves.control[:, 0] += 0.25
     table = fit_deviation(curves, layers)
     assert table["points_mm"][0] == pytest.approx(0.25, abs=2e-3)
@@ -527,7 +530,11 @@ def test_fit_deviation_sees_a_curve_that_moved() -> None:
 
 
 def test_parquet_brings_back_every_bit(tmp_path: Path) -> None:
-    for curves in (fit(stack()), fit(from_rings([], [])), fit(from_rings([1.0, 2.0], [[], []]))):
+    for curves in (
+        paper_fit(stack()),
+        paper_fit(from_rings([], [])),
+        paper_fit(from_rings([1.0, 2.0], [[], []])),
+    ):
         curves.to_parquet(tmp_path / "c.parquet")
         back = Curves.from_parquet(tmp_path / "c.parquet")
         for field in fields(Curves):
@@ -546,7 +553,7 @@ def test_damaged_files_are_refused(tmp_path: Path) -> None:
     import pyarrow.parquet as pq
 
     path_ = tmp_path / "c.parquet"
-    fit(stack()).to_parquet(path_)
+    paper_fit(stack()).to_parquet(path_)
     table = pq.read_table(path_)
     with pytest.raises(InputError, match="cannot be read"):
         Curves.from_parquet(tmp_path / "none.parquet")
@@ -572,24 +579,26 @@ def test_damaged_files_are_refused(tmp_path: Path) -> None:
 
 def test_wrong_requests_say_what_is_wrong() -> None:
     layers = from_rings([0.0], [[SQUARE]])
-    with pytest.raises(SettingsError, match="'magic' is unknown: choose one of paper"):
-        fit(layers, method="magic")
+    with pytest.raises(
+        SettingsError, match="'magic' is unknown: choose one of bounded, surface, chord, paper"
+    ):
+        paper_fit(layers, method="magic")
     with pytest.raises(SettingsError, match="corner_angle_deg"):
-        fit(layers, corner_angle_deg=200)
+        paper_fit(layers, corner_angle_deg=200)
     with pytest.raises(SettingsError, match="corner_angel"):
-        fit(layers, corner_angel=100)
+        paper_fit(layers, corner_angel=100)
     for step in (0.0, -1.0, np.nan, np.inf):
         with pytest.raises(SettingsError, match="positive"):
-            fit(layers).sample(step)
+            paper_fit(layers).sample(step)
         with pytest.raises(SettingsError, match="positive"):
-            fit(layers).sample_tolerance(step)
+            paper_fit(layers).sample_tolerance(step)
     with pytest.raises(SettingsError, match="larger step"):
-        fit(layers).sample(1e-9)
+        paper_fit(layers).sample(1e-9)
     with pytest.raises(SettingsError, match="not fitted to these"):
-        fit_deviation(fit(layers), stack())
+        fit_deviation(paper_fit(layers), stack())
     bad = raw(np.array([(0.0, 0.0), (1.0, np.nan), (1.0, 1.0)]))
     with pytest.raises(GeometryError, match="layer 0"):
-        fit(bad)
+        paper_fit(bad)
 
 
 def test_progress_counts_every_layer_and_nothing_warns() -> None:
@@ -597,7 +606,7 @@ def test_progress_counts_every_layer_and_nothing_warns() -> None:
     layers = concatenate([stack()] * 100)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        curves = fit(layers, progress=seen.append)
+        curves = paper_fit(layers, progress=seen.append)
     assert sum(seen) == len(layers) == len(curves)
     assert curves.settings["corner_angle_deg"] == 140.0
     assert (curves.part, curves.backend, curves.method) == ("pppppppp", "b", "paper")

@@ -180,7 +180,7 @@ def test_rings_are_paired_by_place_and_the_rest_is_counted() -> None:
 def test_a_fit_reduces_every_figure_of_a_smooth_contour() -> None:
     reference = layer(flower(50_000))
     coarse = layer(flower(150))
-    before, after = contour_error(coarse, reference), contour_error(fit(coarse), reference)
+    before, after = contour_error(coarse, reference), contour_error(fit(coarse, "paper"), reference)
     gain = error_reduction(before, after)
     assert list(gain.index) == [
         f"{k}_{f}" for k in ("polar", "normal") for f in ("range", "max", "rms", "mean_abs")
@@ -220,10 +220,10 @@ def test_reductions_over_layers_weigh_rings_alike() -> None:
 def test_threads_and_blocks_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     stack = from_rings(np.arange(70.0), [[flower(40 + k)] for k in range(70)])
     reference = from_rings(np.arange(70.0), [[flower(900)]] * 70)
-    whole = contour_error(fit(stack), reference, rays=360, samples=400)
+    whole = contour_error(fit(stack, "paper"), reference, rays=360, samples=400)
     monkeypatch.setenv("EBAMCHECK_THREADS", "1")
     pd.testing.assert_frame_equal(
-        whole, contour_error(fit(stack), reference, rays=360, samples=400), check_exact=True
+        whole, contour_error(fit(stack, "paper"), reference, rays=360, samples=400), check_exact=True
     )
 
 

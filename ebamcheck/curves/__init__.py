@@ -6,11 +6,13 @@ from ebamcheck.curves.accuracy import contour_error, error_reduction
 from ebamcheck.curves.bezier import BezierSpans
 from ebamcheck.curves.columns import Curves, Piece
 from ebamcheck.curves.deviation import fit_deviation
-from ebamcheck.curves.fitting import METHODS, fit
+from ebamcheck.curves.fitting import LIFTED, METHODS, fit
 from ebamcheck.curves.polar import polar_radius
-from ebamcheck.curves.splitting import LINE, SPLINE
+from ebamcheck.curves.splitting import ARC, LINE, SPLINE
 
 __all__ = [
+    "ARC",
+    "LIFTED",
     "LINE",
     "METHODS",
     "SPLINE",

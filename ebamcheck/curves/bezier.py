@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.curves.splitting import LINE
+from ebamcheck.curves.arcs import arc_span_count, arc_spans
+from ebamcheck.curves.splitting import ARC, LINE, SPLINE
 from ebamcheck.kernels import kernel
 from ebamcheck.rings import Floats, Ints
 
@@ -19,7 +20,7 @@ QUADRATURE_NODES, QUADRATURE_WEIGHTS = np.polynomial.legendre.leggauss(8)
 
 @dataclass(frozen=True, eq=False)
 class BezierSpans:
-    """Every knot span of every spline, and every segment of every line, in the order of travel.
+    """Every knot span of every spline, every segment of every line, and arcs in short spans, in the order of travel.
 
     Parameters
     ----------
@@ -45,13 +46,30 @@ class BezierSpans:
 
 
 def span_counts(kind: NDArray[np.uint8], control_starts: Ints, knots: Floats, knot_starts: Ints) -> Ints:
-    """Spans of positive length of each piece, (P,)."""
+    """NC blocks of each piece, (P,): spans of positive length of a spline, segments of a line, one for an arc."""
     counts: Ints = np.maximum(np.diff(control_starts) - 1, 0)
-    curved = np.flatnonzero(kind != LINE)
+    counts[kind == ARC] = 1
+    curved = np.flatnonzero(kind == SPLINE)
     if curved.size:
         rises = np.concatenate([[0], np.cumsum(np.diff(knots) > 0.0)])
         counts[curved] = rises[knot_starts[curved + 1] - 1] - rises[knot_starts[curved]]
     return counts
+
+
+def bezier_counts(
+    kind: NDArray[np.uint8], control: Floats, control_starts: Ints, knots: Floats, knot_starts: Ints
+) -> Ints:
+    """Bezier spans of each piece, (P,): as :func:`span_counts`, but an arc has as many as make it exact."""
+    counts = span_counts(kind, control_starts, knots, knot_starts)
+    _count_arc_spans(kind, control, control_starts, counts)
+    return counts
+
+
+@kernel
+def _count_arc_spans(kind: NDArray[np.uint8], control: Floats, control_starts: Ints, counts: Ints) -> None:
+    for p in range(kind.size):
+        if kind[p] == ARC:
+            counts[p] = arc_span_count(control[control_starts[p] : control_starts[p + 1]])
 
 
 @kernel
@@ -72,6 +90,8 @@ def fill_spans(
         h = intervals[span_starts[p] : span_starts[p + 1]]
         if kind[p] == LINE:
             _line_spans(C, B, h)
+        elif kind[p] == ARC:
+            arc_spans(C, B, h)
         else:
             _spline_spans(C, knots[knot_starts[p] : knot_starts[p + 1]], B, h)
 

@@ -13,8 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from ebamcheck import layers as layer_columns
 from ebamcheck.curves import bezier
+from ebamcheck.curves.arcs import arc_point, arc_through
 from ebamcheck.curves.bezier import BezierSpans
-from ebamcheck.curves.splitting import LINE
+from ebamcheck.curves.splitting import ARC, LINE
 from ebamcheck.errors import SettingsError
 from ebamcheck.kernels import run_blocks
 from ebamcheck.layers import UP, Layers
@@ -28,11 +29,11 @@ class Piece(NamedTuple):
     """One piece of a contour."""
 
     kind: int
-    """:data:`LINE` (the polyline of `control`) or :data:`SPLINE` (a cubic B-spline)."""
+    """:data:`LINE` (the polyline of `control`), :data:`SPLINE` (a cubic B-spline) or :data:`ARC` (a circular arc)."""
     control: Floats
     """(m, 2) control points, mm."""
     knots: Floats
-    """(m + 4,) clamped knot vector, mm; empty for a line."""
+    """(m + 4,) clamped knot vector, mm; empty for a line or an arc."""
     ring: int
     layer: int
 
@@ -64,7 +65,8 @@ class Curves:
     closed
         (R,) false for an open path.
     kind
-        (P,) :data:`LINE` = 0, the polyline of the control points, or :data:`SPLINE` = 1, a cubic B-spline.
+        (P,) :data:`LINE` = 0, the polyline of the control points, :data:`SPLINE` = 1, a cubic B-spline, or
+        :data:`ARC` = 2, the circular arc from the first to the third of three control points through the second.
     control_starts, control
         (P + 1,) into the (M, 2) control points, mm.
     knot_starts, knots
@@ -125,12 +127,16 @@ class Curves:
         )
 
     def evaluate(self, i: int, parameters: ArrayLike) -> Floats:
-        """Points (n, 2) of piece `i` at parameters from 0 to its last knot (a line: to its length), mm."""
+        """Points (n, 2) of piece `i` at parameters from 0 to its last knot (a line or arc: to its length), mm."""
         piece = self.piece(i)
         at = np.ascontiguousarray(parameters, dtype=np.float64).reshape(-1)
         if piece.kind == LINE:
             travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(piece.control, axis=0).T))])
             return np.column_stack([np.interp(at, travelled, column) for column in piece.control.T])
+        if piece.kind == ARC:
+            arc = arc_through(np.ascontiguousarray(piece.control))
+            length = abs(arc.sweep) * arc.radius
+            return np.array([arc_point(arc, t / length) for t in at.tolist()]).reshape(-1, 2)
         return bezier.evaluate_spline(piece.control, piece.knots, at)
 
     def block(self, start: int, stop: int) -> Curves:
@@ -155,7 +161,7 @@ class Curves:
     # -- measures ----------------------------------------------------------------------------------
 
     def block_counts(self) -> Ints:
-        """NC blocks of each piece, (P,): knot spans of a spline, segments of a line."""
+        """NC blocks of each piece, (P,): knot spans of a spline, segments of a line, one for an arc."""
         return bezier.span_counts(self.kind, self.control_starts, self.knots, self.knot_starts)
 
     def block_count(self) -> int:
@@ -172,8 +178,10 @@ class Curves:
     # -- other forms -------------------------------------------------------------------------------
 
     def bezier_spans(self) -> BezierSpans:
-        """Bezier form of every knot span and line segment, in the order of travel."""
-        counts = self.block_counts()
+        """Bezier form of every knot span, line segment and arc, in the order of travel; arcs in short spans."""
+        counts = bezier.bezier_counts(
+            self.kind, self.control, self.control_starts, self.knots, self.knot_starts
+        )
         starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
         points = np.empty((int(starts[-1]), 4, 2))
         intervals = np.empty(int(starts[-1]))

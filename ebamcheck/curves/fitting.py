@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -12,10 +11,16 @@ from ebamcheck.config import Config, CurveSettings
 from ebamcheck.curves.bulge import bulges
 from ebamcheck.curves.cleaning import clean
 from ebamcheck.curves.columns import Curves
-from ebamcheck.curves.interpolation import interpolate
+from ebamcheck.curves.interpolation import CENTRIPETAL, CHORD_LENGTH, interpolate
+from ebamcheck.curves.lifting import Lifting, Sides
+from ebamcheck.curves.reduction import reduced_segments, smooth_segments
+from ebamcheck.curves.segments import Segments, pieces_of
 from ebamcheck.curves.splitting import LINE, split
+from ebamcheck.curves.strands import Strands, strands
+from ebamcheck.curves.vertex_normals import surface_normals
 from ebamcheck.errors import GeometryError, SettingsError
 from ebamcheck.layers import Layers
+from ebamcheck.part import Part
 
 LAYERS_A_STEP = 256
 """Layers fitted between two reports of progress; bounds the working memory, too."""
@@ -25,38 +30,49 @@ DEFAULTS = CurveSettings()
 
 def fit(
     layers: Layers,
-    method: str = "paper",
+    method: str = "bounded",
     settings: CurveSettings = DEFAULTS,
     progress: Progress | None = None,
+    part: Part | None = None,
     **changes: Any,
 ) -> Curves:
     """Fit curves to the contours of a stack.
 
-    Contours are cleaned, split at their corners into straight and curved runs, and every curved run
-    gets a cubic B-spline that goes through its points; a ring without a split becomes one closed curve
-    without a kink. Rings too small for the cleaning tolerances stay polylines.
+    ``"bounded"``
+        The fewest lines, arcs and cubics within `tolerance_mm` of the ``surface`` curve, joined without a kink.
+    ``"surface"``
+        A cubic from each point to the next, where the points were lifted from the straight edges of the mesh to
+        the curved ones of the surface that it stands for. Creases of the mesh (`crease_angle_deg`) are the corners;
+        flat facets stay exact. Needs the part, and contours that carry their edges (those of `planecut` do).
+    ``"chord"``
+        As ``paper``, with steps by chord length: no spline is rounder, but one point out of line shows farther.
+    ``"paper"``
+        Clamped centripetal interpolation of runs between corners of under `corner_angle_deg` (paper, section 3.2,
+        equations 5 to 10). Points lie on the chords of the mesh, and so the curve keeps their error.
 
-    Contours traced from pixels turn by 45 or 90 degrees at every vertex, so that all of it is corners:
-    by default they come back as the polylines they are. With ``collinear_mm`` of about the pixel size
-    the staircase goes before the corners are looked for.
+    Without part or edges ``bounded`` follows the contour itself; its corners are then those of the paper. Contours
+    traced from pixels are first freed of their staircase by ``collinear_mm`` of about the pixel size.
 
     Parameters
     ----------
     layers
         The contours.
     method
-        ``"paper"``: centripetal clamped interpolation (Section 3.2, equations 5 to 10).
+        One of :data:`METHODS`.
     settings
-        Corner angle and cleaning tolerances.
+        Corner and crease angles, tolerances.
     progress
         Called with the number of layers finished since the last call.
+    part
+        The mesh that was sliced, for ``surface`` and ``bounded``.
     **changes
-        Single settings in place of those in `settings`, as ``corner_angle_deg=150``.
+        Single settings in place of those in `settings`, as ``tolerance_mm=0.05``.
 
     Raises
     ------
     SettingsError
-        If the method or a setting is unknown or out of range.
+        If the method or a setting is unknown or out of range, if ``surface`` lacks the part or edges, or if the
+        layers were cut from another part.
     GeometryError
         If a contour point is not finite.
     """
@@ -64,16 +80,48 @@ def fit(
         raise SettingsError(f"curve method {method!r} is unknown: choose one of {', '.join(METHODS)}")
     checked = Config(curves=settings).changed(curves=changes).curves
     _check_finite(layers)
+    lifting = _lifting(layers, part, method, checked) if method in LIFTED else None
     blocks = []
     for start in range(0, max(len(layers), 1), LAYERS_A_STEP):
         stop = min(start + LAYERS_A_STEP, len(layers))
-        blocks.append(METHODS[method](layers.block(start, stop), checked))
+        blocks.append(METHODS[method](layers.block(start, stop), checked, lifting))
         if progress is not None and stop > start:
             progress(stop - start)
     return _join(blocks, layers, method, checked)
 
 
-def _fit_paper(layers: Layers, settings: CurveSettings) -> Curves:
+def _lifting(layers: Layers, part: Part | None, method: str, settings: CurveSettings) -> Lifting | None:
+    """Lifting of the contours of a part, or None where part or edges are not known and not needed."""
+    if part is not None and layers.part and layers.part != part.sha256:
+        raise SettingsError(
+            f"layers were cut from another mesh than {part.name!r}: give the part that was sliced"
+        )
+    if part is not None and layers.edge is not None:
+        return Lifting(part, surface_normals(part, settings.crease_angle_deg))
+    if method == "surface" and len(layers.points):
+        lacking = (
+            "part=" if part is None else f"edges, which {layers.backend or 'their slicer'} does not tell"
+        )
+        raise SettingsError(f"curve method 'surface' needs {lacking}: use 'bounded', or slice with planecut")
+    return None
+
+
+# -- methods -------------------------------------------------------------------------------------------
+
+
+class _Method(Protocol):
+    def __call__(self, layers: Layers, settings: CurveSettings, lifting: Lifting | None) -> Curves: ...
+
+
+def _fit_paper(layers: Layers, settings: CurveSettings, lifting: Lifting | None) -> Curves:
+    return _interpolated(layers, settings, CENTRIPETAL)
+
+
+def _fit_chord(layers: Layers, settings: CurveSettings, lifting: Lifting | None) -> Curves:
+    return _interpolated(layers, settings, CHORD_LENGTH)
+
+
+def _interpolated(layers: Layers, settings: CurveSettings, power: float) -> Curves:
     cleaned = clean(
         layers.points, layers.ring_starts, layers.closed, settings.near_point_mm, settings.collinear_mm
     )
@@ -84,11 +132,11 @@ def _fit_paper(layers: Layers, settings: CurveSettings) -> Curves:
         settings.corner_angle_deg,
         settings.straight_run_mm,
     )
-    control, control_starts, knots, knot_starts = interpolate(runs)
+    control, control_starts, knots, knot_starts = interpolate(runs, power)
     bulging = bulges(control, control_starts, knots, knot_starts, runs.kind) > settings.largest_bulge_mm
     if bulging.any():
         runs = runs._replace(kind=np.where(bulging, np.uint8(LINE), runs.kind))
-        control, control_starts, knots, knot_starts = interpolate(runs)
+        control, control_starts, knots, knot_starts = interpolate(runs, power)
     return Curves(
         heights=layers.heights,
         layer_starts=layers.layer_starts,
@@ -102,8 +150,47 @@ def _fit_paper(layers: Layers, settings: CurveSettings) -> Curves:
     )
 
 
-METHODS: dict[str, Callable[[Layers, CurveSettings], Curves]] = {"paper": _fit_paper}
+def _fit_surface(layers: Layers, settings: CurveSettings, lifting: Lifting | None) -> Curves:
+    found = _strands(layers, settings, lifting)
+    return _curves(layers, smooth_segments(found, layers.closed))
+
+
+def _fit_bounded(layers: Layers, settings: CurveSettings, lifting: Lifting | None) -> Curves:
+    found = _strands(layers, settings, lifting)
+    return _curves(layers, reduced_segments(found, layers.closed, settings.tolerance_mm))
+
+
+def _strands(layers: Layers, settings: CurveSettings, lifting: Lifting | None) -> Strands:
+    """Strands of the lifted contours, else of the cleaned contours as they are."""
+    if lifting is not None:
+        return strands(lifting.lift(layers), layers.ring_starts, layers.closed, settings)
+    cleaned = clean(
+        layers.points, layers.ring_starts, layers.closed, settings.near_point_mm, settings.collinear_mm
+    )
+    points = np.ascontiguousarray(layers.points)[cleaned.rows]
+    unknown = np.full(points.shape, np.nan)
+    nowhere, anywhere = np.zeros(len(points), np.bool_), np.ones(len(points), np.bool_)
+    sides = Sides(points, unknown, unknown, nowhere, anywhere)
+    return strands(sides, cleaned.starts, layers.closed, settings)
+
+
+def _curves(layers: Layers, segments: Segments) -> Curves:
+    pieces = pieces_of(segments)
+    return Curves(
+        heights=layers.heights, layer_starts=layers.layer_starts, closed=layers.closed, **pieces._asdict()
+    )
+
+
+METHODS: dict[str, _Method] = {
+    "bounded": _fit_bounded,
+    "surface": _fit_surface,
+    "chord": _fit_chord,
+    "paper": _fit_paper,
+}
 """Fits by name; each takes a block of layers and returns its curves."""
+
+LIFTED = ("bounded", "surface")
+"""Methods that lift the points of contours where they can."""
 
 
 def _check_finite(layers: Layers) -> None:

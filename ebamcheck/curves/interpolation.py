@@ -13,7 +13,7 @@ How far a curve can leave its chord: with centripetal steps ``h = sqrt(chord)`` 
 point is of the order of the shorter of the two steps beside it, so that each span stays within
 :data:`BULGE_LIMIT` of its own chord however uneven the points are: corners are out of the way, and no
 turn inside a run is over 40 degrees. (A corner angle near 0 lets cusps into the runs; the limit is then
-three times that.)
+three times that.) Steps by chord length do not keep that limit where points are uneven.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from ebamcheck.rings import Floats, Ints
 
 DEGREE = 3
 
-CENTRIPETAL = 0.5
-"""Power of the chord in the parameter step (paper, equation 6; Lee 1989)."""
+CENTRIPETAL, CHORD_LENGTH = 0.5, 1.0
+"""Power of the chord in the parameter step (paper, equation 6; Lee 1989), and that which keeps a circle's curvature."""
 
 BULGE_LIMIT = 0.6
 """No span leaves its chord by more than this multiple of the chord's length, at the default corner angle.
@@ -38,8 +38,8 @@ PIECES_A_BLOCK = 256
 """Fewest pieces worth a thread of their own."""
 
 
-def interpolate(runs: Runs) -> tuple[Floats, Ints, Floats, Ints]:
-    """Control points and knots of every run.
+def interpolate(runs: Runs, power: float = CENTRIPETAL) -> tuple[Floats, Ints, Floats, Ints]:
+    """Control points and knots of every run, with steps that go as a power of the chords.
 
     A curved run of n + 1 points gets n + 3 control points and n + 7 knots, of which the first and the
     last four are equal. The paper's parameters 0 .. 1 are scaled to the length of the run's chords, mm,
@@ -64,7 +64,7 @@ def interpolate(runs: Runs) -> tuple[Floats, Ints, Floats, Ints]:
     knots = np.empty(int(knot_starts[-1]))
 
     def work(first: int, last: int) -> None:
-        _interpolate(runs, first, last, control, control_starts, knots, knot_starts)
+        _interpolate(runs, power, first, last, control, control_starts, knots, knot_starts)
 
     run_blocks(work, sizes.size, PIECES_A_BLOCK)
     return control, control_starts, knots, knot_starts
@@ -73,6 +73,7 @@ def interpolate(runs: Runs) -> tuple[Floats, Ints, Floats, Ints]:
 @kernel
 def _interpolate(
     runs: Runs,
+    power: float,
     first: int,
     last: int,
     control: Floats,
@@ -86,7 +87,7 @@ def _interpolate(
         if runs.kind[p] == LINE:
             C[:] = V
             continue
-        h, u = _steps(V)
+        h, u = _steps(V, power)
         m = _periodic_derivatives(V, h) if runs.periodic[p] else _clamped_derivatives(V, h, runs.tangents[p])
         _control_points(V, m, h, C)
         U = knots[knot_starts[p] : knot_starts[p + 1]]
@@ -96,14 +97,14 @@ def _interpolate(
 
 
 @kernel
-def _steps(V: Floats) -> tuple[Floats, Floats]:
+def _steps(V: Floats, power: float) -> tuple[Floats, Floats]:
     """Knot intervals (n,) and parameters (n + 1,) of equation 6, scaled to the length of the chords."""
     n = len(V) - 1
     h = np.empty(n)
     length = total = 0.0
     for k in range(n):
         chord = np.hypot(V[k + 1, 0] - V[k, 0], V[k + 1, 1] - V[k, 1])
-        h[k] = chord**CENTRIPETAL
+        h[k] = chord**power
         length += chord
         total += h[k]
     u = np.zeros(n + 1)

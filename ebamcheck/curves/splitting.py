@@ -11,8 +11,8 @@ from ebamcheck.curves.cleaning import RINGS_A_BLOCK, CleanRings
 from ebamcheck.kernels import kernel, run_blocks
 from ebamcheck.rings import Bools, Floats, Ints
 
-LINE, SPLINE = 0, 1
-"""Kinds of piece: a polyline of its control points, a cubic B-spline."""
+LINE, SPLINE, ARC = 0, 1, 2
+"""Kinds of piece: a polyline of its control points, a cubic B-spline, a circular arc by three of its points."""
 
 ANGLE_ROUNDING_DEG = 1e-9
 """Angles this near to the corner angle count as equal to it, so that turning a part changes nothing."""

@@ -6,7 +6,7 @@ column              type              meaning
 ``height_mm``       double            absolute z of the layer
 ``ring_pieces``     list<int64>       pieces of each ring
 ``ring_closed``     list<bool>        false for an open path
-``piece_kind``      list<uint8>       0 polyline of its control points, 1 cubic B-spline
+``piece_kind``      list<uint8>       0 polyline, 1 cubic B-spline, 2 arc by three points
 ``piece_control``   list<int64>       control points of each piece
 ``x``, ``y``        list<double>      control points of all pieces, mm
 ``knot``            list<double>      knots of all splines, mm: four more than control points
@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from ebamcheck.atomic_file import replacing
 from ebamcheck.curves.columns import Curves
-from ebamcheck.curves.splitting import LINE, SPLINE
+from ebamcheck.curves.splitting import ARC, LINE, SPLINE
 from ebamcheck.errors import InputError
 from ebamcheck.rings import Ints
 
@@ -178,10 +178,10 @@ def _flat(table: pa.Table, name: str, kind: pa.DataType, path: Path) -> tuple[ND
 def _check(curves: Curves, starts: dict[str, Ints], path: Path) -> None:
     """Refuse columns that contradict each other before anything indexes with them."""
     sizes = np.diff(curves.control_starts)
-    known = (curves.kind == LINE) | (curves.kind == SPLINE)
+    known = np.isin(curves.kind, (LINE, SPLINE, ARC))
     if not known.all():
-        raise InputError(f"{path}: piece kind {int(curves.kind[~known][0])} is unknown: 0 and 1 are")
-    if (np.diff(curves.ring_starts) < 0).any() or (sizes < np.where(curves.kind == SPLINE, 4, 2)).any():
+        raise InputError(f"{path}: piece kind {int(curves.kind[~known][0])} is unknown: 0, 1 and 2 are")
+    if (np.diff(curves.ring_starts) < 0).any() or (sizes < np.array([2, 4, 3])[curves.kind]).any():
         raise InputError(f"{path}: a piece has too few control points: 2 for a line, 4 for a spline")
     matching = (
         np.array_equal(starts["ring_pieces"], starts["ring_closed"])

@@ -12,7 +12,7 @@ import pandas as pd
 
 from ebamcheck import layer_files, registry
 from ebamcheck.config import Config
-from ebamcheck.curves import Curves, contour_error, error_reduction, fit, fit_deviation
+from ebamcheck.curves import LIFTED, Curves, contour_error, error_reduction, fit, fit_deviation
 from ebamcheck.layers import Layers, from_polygons
 from ebamcheck.part import Part
 from ebamcheck.pipeline import gates
@@ -21,6 +21,9 @@ from ebamcheck.pipeline.work import Job
 from ebamcheck.program import Check, mark_validated, program_summary, read_program, verify_program
 from ebamcheck.scan import ScanPlan, plan_stack
 from ebamcheck.slicing import slice_part
+
+SAMPLING_MM = 0.002
+"""Beads are planned inside of polylines this near to the fitted curves: a tenth of the fit's tolerance."""
 
 TOTALS = ("motions", "contour_mm", "hatch_mm", "travel_mm", "deposit_s", "travel_s", "wire_mm", "wire_kg")
 """Columns of the program's summary that add up over the layers."""
@@ -31,13 +34,14 @@ def make_program(
 ) -> list[Gate]:
     """Fit, partition, order, write, read back and verify."""
     config, layers = job.config, job.folder.read_layers(primary)
-    deviation = _fit(job, layers, fine)
+    curves, deviation = _fit(job, layers, fine)
     with job.stage("partition and order", len(layers)):
-        plan = plan_stack(layers, config, progress=job.observer.advance)
+        smooth = curves.sample_tolerance(SAMPLING_MM)
+        plan = plan_stack(smooth, config, progress=job.observer.advance)
         plan.to_parquet(job.folder.path / "scan.parquet")
         plan.metrics.to_csv(job.folder.path / "scan.csv", index=False)
     with job.stage("program", 1):
-        beads = _bead_paths(layers, plan, config)
+        beads = _bead_paths(smooth, plan, config)
         beads.to_parquet(job.folder.path / "beads.parquet")
         checks = _write_and_verify(job, beads, plan, _witness(job, layers, done))
     made = [
@@ -65,15 +69,15 @@ def make_program(
     return made
 
 
-def _fit(job: Job, layers: Layers, fine: Part | None) -> pd.DataFrame:
+def _fit(job: Job, layers: Layers, fine: Part | None) -> tuple[Curves, pd.DataFrame]:
     """Fit the contours, measure the fit, and both against the reference where there is one."""
     with job.stage("fit", len(layers)):
-        curves = fit(layers, settings=job.config.curves, progress=job.observer.advance)
+        curves = fit(layers, job.config.curves.method, job.config.curves, job.observer.advance, job.part)
         curves.to_parquet(job.folder.path / "curves.parquet")
         deviation = fit_deviation(curves, layers)
         deviation.to_csv(job.folder.path / "fit.csv", index=False)
     job.record["fit"] = {
-        "method": "paper",
+        "method": curves.method,
         "blocks": int(curves.block_count()),
         "points": len(layers.points),
         "max_points_mm": float(deviation["points_mm"].max()),
@@ -82,7 +86,7 @@ def _fit(job: Job, layers: Layers, fine: Part | None) -> pd.DataFrame:
     if fine is not None:
         with job.stage("reference", len(layers)):
             job.record["reference"] = _against_reference(job, layers, curves, fine)
-    return deviation
+    return curves, deviation
 
 
 def _against_reference(job: Job, layers: Layers, curves: Curves, fine: Part) -> dict[str, Any]:
@@ -129,7 +133,9 @@ def _bead_paths(layers: Layers, plan: ScanPlan, config: Config) -> Curves:
         backend=layers.backend,
         settings=layers.settings,
     )
-    return fit(lines, settings=config.curves)
+    # What lies along a bead was lifted with the contour; an inset has no edges of the mesh of its own.
+    method = "bounded" if config.curves.method in LIFTED else config.curves.method
+    return fit(lines, method, config.curves)
 
 
 def _witness(job: Job, layers: Layers, done: Sequence[str]) -> Layers:

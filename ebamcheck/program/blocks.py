@@ -6,7 +6,9 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from ebamcheck.rings import Floats, Ints
+from ebamcheck.program.circles import Circles
+from ebamcheck.program.toolpath import rounded
+from ebamcheck.rings import Floats
 
 NUMBER_STEP = 10
 
@@ -19,13 +21,16 @@ class BlockFormat:
         number = f"%.{decimals}f"
         triple = f"({number},{number},{number})"
         self.axis = number
-        self._line = f"G1 X{number} Y{number}\n"
-        self._poly = f"POLY PO[X]={triple} PO[Y]={triple} PL=1\n"
-        self._control = f"X{number} Y{number} PL={number}\n"
+        self._line = f"G1 X{number} Y{number}"
+        self._arc = f" X{number} Y{number} I{number} J{number}"
+        self._poly = f"POLY PO[X]={triple} PO[Y]={triple} PL=1"
+        self._bezier = f"G5 I{number} J{number} P{number} Q{number} X{number} Y{number}"
+        self._control = f"X{number} Y{number}"
+        self._interval = f" PL={number}"
 
     def rounded(self, values: Floats) -> Floats:
         """Values as they will be printed and read back; no negative zero."""
-        return np.asarray(np.round(values, self.decimals) + 0.0)
+        return rounded(values, self.decimals)
 
     def value(self, number: float) -> str:
         """One number."""
@@ -35,9 +40,24 @@ class BlockFormat:
         """G1 blocks to rounded points (n, 2)."""
         return _print(self._line, points)
 
-    def polynomials(self, rows: Floats) -> list[str]:
-        """POLY blocks over PL=1 from rows (n, 6): x end, x t^2, x t^3, y end, y t^2, y t^3."""
-        return _print(self._poly, self.rounded(rows))
+    def arcs(self, start: Floats, end: Floats, found: Circles) -> list[str]:
+        """G2 and G3 blocks between rounded points (n, 2); I and J from the start to the centre."""
+        rows = np.hstack([end, self.rounded(found.centre - start)])
+        codes = np.where(found.counter_clockwise, "G3", "G2").tolist()
+        return [code + text for code, text in zip(codes, _print(self._arc, rows), strict=True)]
+
+    def polynomials(self, bezier: Floats, end: Floats) -> list[str]:
+        """POLY blocks over PL=1 of Bezier spans (n, 4, 2): end points, and coefficients of t^2 and t^3."""
+        b = bezier
+        second = 3.0 * (b[:, 0] - 2.0 * b[:, 1] + b[:, 2])
+        third = b[:, 3] - b[:, 0] + 3.0 * (b[:, 1] - b[:, 2])
+        rows = np.stack([end, self.rounded(second), self.rounded(third)], axis=2)
+        return _print(self._poly, rows.reshape(-1, 6))
+
+    def beziers(self, bezier: Floats, start: Floats, end: Floats) -> list[str]:
+        """G5 blocks of Bezier spans (n, 4, 2): I, J from the start to the second point, P, Q from the end to the third."""
+        rows = np.hstack([self.rounded(bezier[:, 1] - start), self.rounded(bezier[:, 2] - end), end])
+        return _print(self._bezier, rows)
 
     def control_points(self, control: Floats, knots: Floats, shift: int) -> list[str]:
         """BSPLINE blocks for all control points but the first, which is the position before.
@@ -48,19 +68,17 @@ class BlockFormat:
         knots = self.rounded(knots - knots[0])
         i = np.arange(1, len(control))
         interval = self.rounded(knots[i + shift] - knots[i + shift - 1])
-        return _print(self._control, np.column_stack([self.rounded(control[1:]), interval]))
+        return _print(self._control + self._interval, np.column_stack([self.rounded(control[1:]), interval]))
+
+    def even_control_points(self, control: Floats) -> list[str]:
+        """BSPLINE blocks without PL."""
+        return _print(self._control, self.rounded(control[1:]))
 
 
 def _print(block: str, rows: Floats) -> list[str]:
     """Fill the format `block` with each row: one % over all rows is an order faster than one each."""
-    text: str = (block * len(rows)) % tuple(rows.ravel().tolist())
+    text: str = (f"{block}\n" * len(rows)) % tuple(rows.ravel().tolist())
     return text.splitlines()
-
-
-def moving(points: Floats, position: Floats) -> Ints:
-    """Indices of the points (n, 2) that differ from the one before; the first is compared with `position`."""
-    before = np.vstack([position[None, :], points[:-1]])
-    return np.flatnonzero((points != before).any(axis=1))
 
 
 def numbered(lines: Iterable[str]) -> str:

@@ -15,12 +15,16 @@ from ebamcheck.errors import InputError, SettingsError
 
 NOT_VALIDATED = "; NOT VALIDATED"
 VALIDATED = "; VALIDATED"
-"""The status line of every file, always the third: after the name and the path."""
+"""The status of every file, at the end of one of its first lines."""
 
-STATUS_LINE = 2
+STATUS_LINES = 3
+"""Lines among which the status stands: a SINUMERIK wants a name and a path first."""
+
+STATUS = re.compile(rb"; (?:NOT )?VALIDATED$", re.MULTILINE)
 LONGEST_NAME = 24
 RESERVED_NAME = re.compile(r"CON|PRN|AUX|NUL|COM\d|LPT\d")
 SUFFIXES = (".MPF", ".SPF")
+"""Files that are programs whatever they hold."""
 
 
 @dataclass(frozen=True)
@@ -36,9 +40,9 @@ class ProgramFiles:
     sha256
         Hash of the bytes of each file, by name.
     blocks
-        Numbered blocks of each file, by name.
+        Lines of each file that are no comment and no header, by name.
     validated
-        Whether the files carry the line ``; VALIDATED``.
+        Whether the files carry ``; VALIDATED``.
     """
 
     folder: Path
@@ -94,7 +98,7 @@ def write_files(texts: Mapping[str, str], folder: Path, *, validated: bool) -> P
         folder=folder,
         names=tuple(texts),
         sha256={name: hashlib.sha256(text.encode("ascii")).hexdigest() for name, text in texts.items()},
-        blocks={name: len(re.findall(r"^N\d", text, re.MULTILINE)) for name, text in texts.items()},
+        blocks={name: len(re.findall(r"^[^;%\n]", text, re.MULTILINE)) for name, text in texts.items()},
         validated=validated,
     )
 
@@ -105,32 +109,42 @@ def _refuse_foreign_files(folder: Path) -> None:
     if not folder.is_dir():
         raise SettingsError(f"{folder}: is a file; a program needs a folder of its own")
     for path in sorted(folder.iterdir()):
-        if path.suffix not in SUFFIXES:
+        if path.suffix not in SUFFIXES and not (path.is_file() and _status(path.read_bytes())):
             raise SettingsError(
                 f"{folder}: holds {path.name}, which is no program; give a folder of its own, it is replaced whole"
             )
 
 
+def _status(data: bytes) -> re.Match[bytes] | None:
+    """Find the status of a file that was written here."""
+    end = -1
+    for _ in range(STATUS_LINES):
+        end = data.find(b"\n", end + 1)
+        if end < 0:
+            end = len(data)
+            break
+    return STATUS.search(data, 0, end)
+
+
 def mark_validated(files: ProgramFiles, validated: bool = True) -> ProgramFiles:
-    """Rewrite the status line of every file, and no other byte; the main program comes last.
+    """Rewrite the status of every file, and no other byte; the main program comes last.
 
     Raises
     ------
     InputError
-        If a file is not the one that was written: its hash differs, or it has no status line.
+        If a file is not the one that was written: its hash differs, or it has no status.
     """
-    status = VALIDATED if validated else NOT_VALIDATED
+    status = (VALIDATED if validated else NOT_VALIDATED).encode("ascii")
     stamped: dict[str, bytes] = {}
     for name in files.names:
         path = files.folder / name
         data = path.read_bytes()
         if hashlib.sha256(data).hexdigest() != files.sha256[name]:
             raise InputError(f"{path}: has changed since it was written; write the program again")
-        lines = data.split(b"\n", STATUS_LINE + 1)
-        if len(lines) <= STATUS_LINE or lines[STATUS_LINE].decode("ascii") not in (NOT_VALIDATED, VALIDATED):
-            raise InputError(f"{path}:{STATUS_LINE + 1}: is not the status line of a program written here")
-        lines[STATUS_LINE] = status.encode("ascii")
-        stamped[name] = b"\n".join(lines)
+        found = _status(data)
+        if found is None:
+            raise InputError(f"{path}:{STATUS_LINES}: no status so far, which a program written here has")
+        stamped[name] = data[: found.start()] + status + data[found.end() :]
     for name in reversed(files.names):
         temporary = files.folder / f".{name}.new"
         temporary.write_bytes(stamped[name])

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from ebamcheck.errors import SettingsError
 from ebamcheck.rings import Bools, Floats, Ints
 
-LINE, SPLINE = 0, 1
-"""Kinds of pieces: a polyline through its control points, a clamped cubic B-spline."""
+LINE, SPLINE, ARC = range(3)
+"""Kinds of pieces: a polyline through its control points, a clamped cubic B-spline, a circular arc of under half
+a circle from its first to its third control point through its second, which lies half-way."""
 
 DEGREE = 3
 """Degree of every spline piece."""
@@ -38,7 +39,7 @@ class CurveColumns(Protocol):
 
     @property
     def kind(self) -> NDArray[np.uint8]:
-        """(P,) :data:`LINE` or :data:`SPLINE`."""
+        """(P,) :data:`LINE`, :data:`SPLINE` or :data:`ARC`."""
 
     @property
     def control_starts(self) -> Ints:
@@ -50,7 +51,7 @@ class CurveColumns(Protocol):
 
     @property
     def knot_starts(self) -> Ints:
-        """(P + 1,) first knot of each piece; lines have none."""
+        """(P + 1,) first knot of each piece; lines and arcs have none."""
 
     @property
     def knots(self) -> Floats:

@@ -105,6 +105,8 @@ class NCProgram:
     numbers: Ints
     layer_files: tuple[str, ...]
     """(L,) file of each layer."""
+    dialect: str = "sinumerik-840d-sl"
+    """Language of the text, by the name of a control: `sinumerik-840d-sl`, `linuxcnc` or `plain-gcode`."""
 
     def __len__(self) -> int:
         """Return the number of motions."""

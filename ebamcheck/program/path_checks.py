@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from ebamcheck.config import Config
+from ebamcheck.program import motions
 from ebamcheck.program.checks import Check, count_check, worst_check
-from ebamcheck.program.inputs import DEGREE, SPLINE, CurveColumns, ScanColumns, hatch_columns
+from ebamcheck.program.inputs import ARC, DEGREE, LINE, SPLINE, CurveColumns, ScanColumns, hatch_columns
 from ebamcheck.program.motions import POLYNOMIAL, SPLINE_SPAN, STRAIGHT, NCProgram
 from ebamcheck.program.shapes import shape_distance
 from ebamcheck.rings import Bools, Floats, Ints
@@ -24,18 +25,21 @@ SAMPLES = 9
 CHORD_SHARE = 0.02
 """Where shapes are compared, the chords between samples of the fitted curve err by this share of the limit."""
 
+FLAT_ARC = 1e-12
+"""Sine of half the turn of an arc that is straight for numbers of 16 digits."""
+
 HEIGHT_TOLERANCE_MM = 1e-3
 """Z of a layer: the decimals of the program, at their coarsest."""
 
 
 @dataclass(frozen=True, eq=False)
 class FittedSpans:
-    """Every straight segment and knot span of the fitted rings, sampled; one program block is expected for each."""
+    """Every straight segment, arc and knot span of the fitted rings, sampled; a program block is expected for each."""
 
     ring: Ints
     """(E,)"""
-    curved: Bools
-    """(E,)"""
+    kind: Ints
+    """(E,) of the piece: line, spline or arc."""
     points: Floats
     """(E, n, 2) at equal steps of the parameter."""
 
@@ -47,7 +51,7 @@ def fitted_spans(curves: CurveColumns, decimals: int, samples: int, ring: int | 
     """
     t = np.linspace(0.0, 1.0, samples)
     ring_of = np.repeat(np.arange(len(curves.closed)), np.diff(curves.ring_starts))
-    rings, curved, found = [], [], []
+    rings, kinds, found = [], [], []
     pieces = (0, len(curves.kind)) if ring is None else curves.ring_starts[ring : ring + 2]
     for piece in range(int(pieces[0]), int(pieces[1])):
         control = curves.control[curves.control_starts[piece] : curves.control_starts[piece + 1]]
@@ -57,6 +61,8 @@ def fitted_spans(curves: CurveColumns, decimals: int, samples: int, ring: int | 
             at = breaks[:-1, None] + t * np.diff(breaks)[:, None]
             at[:, -1] = breaks[1:]
             sampled = BSpline(knots, control, DEGREE)(at)
+        elif curves.kind[piece] == ARC:
+            sampled = _arc(control, t)[None]
         else:
             rounded = np.round(control, decimals)
             moves = (rounded[1:] != rounded[:-1]).any(axis=1)
@@ -64,10 +70,29 @@ def fitted_spans(curves: CurveColumns, decimals: int, samples: int, ring: int | 
             sampled = a + t[:, None] * (b - a)
         found.append(np.asarray(sampled))
         rings.append(np.full(len(sampled), ring_of[piece]))
-        curved.append(np.full(len(sampled), curves.kind[piece] == SPLINE))
+        kinds.append(np.full(len(sampled), int(curves.kind[piece])))
     if not found:
-        return FittedSpans(np.zeros(0, np.int64), np.zeros(0, np.bool_), np.zeros((0, samples, 2)))
-    return FittedSpans(np.concatenate(rings), np.concatenate(curved), np.concatenate(found))
+        return FittedSpans(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, samples, 2)))
+    return FittedSpans(np.concatenate(rings), np.concatenate(kinds), np.concatenate(found))
+
+
+def _arc(control: Floats, t: Floats) -> Floats:
+    """Points (n, 2) on the arc from the first to the last of three points, the second half-way.
+
+    The first spoke is turned about the centre, which is where the bisectors of both halves meet.
+    """
+    first, middle, last = control
+    halves = np.array([middle - first, last - middle])
+    middles = 0.5 * np.array([(middle + first) @ (middle - first), (last + middle) @ (last - middle)])
+    if abs(np.linalg.det(halves)) <= FLAT_ARC * np.linalg.norm(halves[0]) ** 2:
+        return np.asarray(first + t[:, None] * (last - first))
+    centre = np.linalg.solve(halves, middles)
+    spoke = first - centre
+    side = middle - centre
+    half = np.arctan2(spoke[0] * side[1] - spoke[1] * side[0], spoke @ side)
+    cos, sin = np.cos(2.0 * half * t), np.sin(2.0 * half * t)
+    turned = np.column_stack([cos * spoke[0] - sin * spoke[1], sin * spoke[0] + cos * spoke[1]])
+    return np.asarray(centre + turned)
 
 
 # -- contours --------------------------------------------------------------------------------------
@@ -98,13 +123,13 @@ def contour_checks(
     count = len(curves.closed)
     faults = _ring_faults(nc, curves, rows, z_of)
     rows = rows[nc.ring[rows] < count]
-    spans = fitted_spans(curves, config.machine.decimals, SAMPLES)
+    spans = fitted_spans(curves, config.machine.printed_decimals, SAMPLES)
     distance, alike = _same_parameters(nc, rows, spans, count)
-    limit = limit_mm + (config.machine.line_tolerance_mm if config.machine.curve_form == "lines" else 0.0)
+    limit = limit_mm + (config.machine.line_tolerance_mm if _has_chords(nc, rows, curves, config) else 0.0)
     for ring in np.flatnonzero(~alike & (np.bincount(nc.ring[rows], minlength=count) > 0)):
         mine = nc.ring[rows] == ring
         samples = _samples_for(spans.points[spans.ring == ring], CHORD_SHARE * limit)
-        dense = fitted_spans(curves, config.machine.decimals, samples, int(ring))
+        dense = fitted_spans(curves, config.machine.printed_decimals, samples, int(ring))
         distance[mine] = _shape_distance(nc, rows[mine], dense.points)
     return [
         count_check("contour rings", faults, f"{count} rings, each once and in its layer"),
@@ -112,6 +137,13 @@ def contour_checks(
             "contour path", nc, rows, distance, limit, "mm", "distance from the fitted curve, both ways"
         ),
     ]
+
+
+def _has_chords(nc: NCProgram, rows: Ints, curves: CurveColumns, config: Config) -> bool:
+    """Whether splines were written as lines or arcs: by the settings, or because the control has nothing else."""
+    carried = np.isin(nc.kind[rows], (POLYNOMIAL, SPLINE_SPAN)).any()
+    splines = (np.asarray(curves.kind) == SPLINE).any()
+    return config.machine.curve_form in ("lines", "arcs") or bool(splines and not carried)
 
 
 def _ring_faults(nc: NCProgram, curves: CurveColumns, rows: Ints, z_of: Floats) -> list[tuple[str, str]]:
@@ -152,14 +184,15 @@ def _group_faults(
 
 def _same_parameters(nc: NCProgram, rows: Ints, spans: FittedSpans, count: int) -> tuple[Floats, Bools]:
     """Largest distance of each motion from its span (n,), and the rings (R,) where blocks answer to spans."""
-    curved = (nc.kind[rows] == POLYNOMIAL) | (nc.kind[rows] == SPLINE_SPAN)
-    usable = curved | (nc.kind[rows] == STRAIGHT)
+    kind = np.full(rows.size, -1)
+    for piece, names in ((LINE, [STRAIGHT]), (SPLINE, [POLYNOMIAL, SPLINE_SPAN]), (ARC, [motions.ARC])):
+        kind[np.isin(nc.kind[rows], names)] = piece
     order = np.argsort(nc.ring[rows], kind="stable")
     row_count = np.bincount(nc.ring[rows], minlength=count)
     span_count = np.bincount(spans.ring, minlength=count)
     alike = row_count == span_count
     pick, span_pick = order[alike[nc.ring[rows[order]]]], np.flatnonzero(alike[spans.ring])
-    same_kind = (curved[pick] == spans.curved[span_pick]) & usable[pick]
+    same_kind = kind[pick] == spans.kind[span_pick]
     alike[spans.ring[span_pick][~same_kind]] = False
     distance = np.full(rows.size, np.nan)
     t = np.linspace(0.0, 1.0, spans.points.shape[1])
@@ -192,7 +225,7 @@ def hatch_checks(
     """Compare islands, their order and their vectors with the plan."""
     rows = np.flatnonzero(nc.deposit & (nc.island >= 0) & ~nc.turn)
     island, ends = hatch_columns(plan)
-    rounded = np.round(ends, config.machine.decimals)
+    rounded = np.round(ends, config.machine.printed_decimals)
     kept = (rounded[:, :2] != rounded[:, 2:]).any(axis=1)
     island, ends = island[kept], ends[kept]
     new_layer = np.diff(nc.layer[rows], prepend=-1) != 0

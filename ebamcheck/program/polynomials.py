@@ -110,3 +110,12 @@ def refined(control: Floats, knots: Floats, blocks: int) -> tuple[Floats, Floats
         longest = int(np.argmax(np.diff(spline.t)))
         spline = spline.insert_knot(0.5 * (spline.t[longest] + spline.t[longest + 1]))
     return np.asarray(spline.c), np.asarray(spline.t)
+
+
+def halved(control: Floats, knots: Floats) -> tuple[Floats, Floats]:
+    """Return the same spline with a further knot in the middle of every span, so that even knots stay even."""
+    spline = BSpline(knots, control, DEGREE)
+    breaks = np.unique(knots)
+    for knot in 0.5 * (breaks[1:] + breaks[:-1]):
+        spline = spline.insert_knot(knot)
+    return np.asarray(spline.c), np.asarray(spline.t)

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from string import Formatter
 
-from ebamcheck.config import MachineSettings
 from ebamcheck.errors import SettingsError
 from ebamcheck.program.words import NUMBER
 
 SWITCHES = ("beam_on", "beam_off", "wire_start", "wire_stop")
 """Templates whose last block changes the state of the beam or the wire."""
-
-TEMPLATES = (*SWITCHES, "set_beam", "layer_begin", "layer_end")
 
 
 @dataclass(frozen=True)
@@ -30,13 +27,13 @@ class StateChange:
 class Templates:
     """All template blocks of a profile, as patterns of text."""
 
-    def __init__(self, machine: MachineSettings) -> None:
+    def __init__(self, templates: Mapping[str, tuple[str, ...]]) -> None:
         self._literal: dict[str, StateChange] = {}
         self._patterns: list[tuple[re.Pattern[str], tuple[str, ...]]] = []
         self._memory: dict[str, StateChange | None] = {}
         ends: dict[str, str] = {}
-        for name in TEMPLATES:
-            blocks = [code for code in map(_code, getattr(machine, name)) if code]
+        for name, lines in templates.items():
+            blocks = [code for code in map(_code, lines) if code]
             if name in SWITCHES:
                 if not blocks:
                     raise SettingsError(

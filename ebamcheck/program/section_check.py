@@ -17,7 +17,9 @@ STEP_MM = 0.5
 """Distance of the places compared along the path."""
 
 
-def section_check(nc: NCProgram, layers: Layers, z_of: Floats, offset_mm: float, limit_mm: float) -> Check:
+def section_check(
+    nc: NCProgram, layers: Layers, z_of: Floats, offset_mm: float, limit_mm: float, name: str = "section"
+) -> Check:
     """Compare the centre lines of the contour beads with the sections, layer by layer and both ways.
 
     Each section is inset by `offset_mm`, as the scan plan does it; the path lies within `limit_mm` of the
@@ -36,8 +38,8 @@ def section_check(nc: NCProgram, layers: Layers, z_of: Floats, offset_mm: float,
     index = np.searchsorted(between, nc.end[rows, 2])
     found = [_layer(nc, rows[index == k], layers, k, offset_mm, limit_mm) for k in range(len(layers))]
     worst = np.array([row for row, _ in found], dtype=np.int64)
-    text = f"contour path against the section inset by {offset_mm:g} mm"
-    return worst_check("section", nc, worst, [away for _, away in found], limit_mm, "mm", text)
+    text = f"contour path against the {name} inset by {offset_mm:g} mm"
+    return worst_check(name, nc, worst, [away for _, away in found], limit_mm, "mm", text)
 
 
 def _layer(

@@ -11,10 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 from ebamcheck.config import Config
 from ebamcheck.errors import InputError
 from ebamcheck.layers import Layers
+from ebamcheck.program.bead_checks import bead_checks, repeated_blocks
 from ebamcheck.program.checks import Check
 from ebamcheck.program.inputs import CurveColumns, ScanColumns, deposition_heights
 from ebamcheck.program.motions import NCProgram
 from ebamcheck.program.path_checks import closure_check, contour_checks, hatch_checks, layer_checks
+from ebamcheck.program.process_checks import process_checks
 from ebamcheck.program.reader import read_program
 from ebamcheck.program.section_check import section_check
 from ebamcheck.program.sinumerik import TURN_SPACINGS
@@ -35,6 +37,7 @@ def verify_program(
     curves: CurveColumns | None = None,
     plan: ScanColumns | None = None,
     layers: Layers | None = None,
+    smooth: Layers | None = None,
     heights: ArrayLike | None = None,
     sha256: Mapping[str, str] | None = None,
     contour_offset_mm: float | None = None,
@@ -51,6 +54,9 @@ def verify_program(
         What the program was made from: path, islands, vectors are compared with them.
     layers
         Sections by a slicer, best by one that did not make the program; compared with the contour path.
+    smooth
+        The same sections with the curves that their chords stand for: the path has to lie near them where the
+        chords alone leave it room.
     heights
         (L,) heights of the cuts; None: those of `curves`, `plan` or `layers`.
     sha256
@@ -68,6 +74,7 @@ def verify_program(
     turn_limit_mm = TURN_SPACINGS * config.process.hatch_spacing_mm
     checks = text_checks(nc, sha256) + state_checks(nc, config, turn_limit_mm)
     checks.append(closure_check(nc, curves, tolerance_mm))
+    checks += [repeated_blocks(nc), *process_checks(nc, config)]
     known = (
         heights
         if heights is not None
@@ -84,7 +91,21 @@ def verify_program(
     if layers is not None:
         offset = config.contour_offset_mm if contour_offset_mm is None else contour_offset_mm
         checks.append(section_check(nc, layers, z_of, offset, section_tolerance_mm))
+        if smooth is not None:
+            limit = smooth_tolerance_mm(config)
+            checks.append(section_check(nc, smooth, z_of, offset, limit, "smooth section"))
+    if plan is None:
+        checks += bead_checks(nc, config, z_of, layers)
     return checks
+
+
+def smooth_tolerance_mm(config: Config) -> float:
+    """Distance of the path from a smooth section that was sliced and fitted anew.
+
+    Both sections and the bead's path were fitted within the tolerance, and cleaned before.
+    """
+    curves = config.curves
+    return SECTION_TOLERANCE_MM + 2.0 * curves.tolerance_mm + curves.near_point_mm + curves.collinear_mm
 
 
 def verify_file(path: str | Path, *, config: Config, **given: object) -> list[Check]:

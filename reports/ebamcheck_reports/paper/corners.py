@@ -33,7 +33,7 @@ def measure(subject: Subject) -> tuple[dict[str, Any], list[Markup]]:
 
 def _measured(layer: int, section: Layers) -> tuple[dict[str, Any], Markup]:
     """Fit the exact contours of one layer and count the parts."""
-    curves = fit(section, corner_angle_deg=published.CORNER_ANGLE_DEG)
+    curves = fit(section, "paper", corner_angle_deg=published.CORNER_ANGLE_DEG)
     curved = int((curves.kind == SPLINE).sum())
     splits = split_places(curves)
     record = {

@@ -1,0 +1,278 @@
+"""Lifting: contour points go from the straight edges of the mesh to the curved edges of the surface it stands for.
+
+A contour's points lie on chords of the surface, so that a curve through them keeps the chords' error. Each
+edge between two vertices is replaced by a cubic that starts and ends across the normals of the surface there
+(a Hermite edge, as in Vlachos et al. 2001, "Curved PN triangles"), and the point goes to where that cubic
+crosses the layer. The edge bends at both ends by the lesser of the two angles that the normals ask for, and not at
+all where they ask for much to different sides: so a normal spoilt by a neighbour of another curvature does not
+make it overshoot.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ebamcheck.curves.vertex_normals import SurfaceNormals, corners_of_vertices
+from ebamcheck.kernels import kernel, run_blocks
+from ebamcheck.layers import Layers
+from ebamcheck.part import Part
+from ebamcheck.rings import Bools, Floats, Ints
+from ebamcheck.topology import Index
+
+MOST_STEPS = 60
+"""Steps towards the place of a layer on a curved edge; as many halvings bring it to rounding."""
+
+SAME_PLACE = 1e-14
+"""A step along an edge, over its length, that is rounding."""
+
+FLATTEST_SURFACE = 0.25
+"""Sine of the slope under which a lift in the layer is not let grow further: the height of the curved edge over its
+chord, over this, is the farthest that a point moves."""
+
+LEAST_SIDEWAYS = 1e-6
+"""Horizontal part of a unit normal under which a layer has no tangent there: the surface lies flat."""
+
+LARGEST_INFLECTION = np.sin(np.deg2rad(5.0))
+"""Sine of the angle up to which an edge may bend to different sides at its ends; more is a flat side between others."""
+
+LEAST_CREASE = 0.1
+"""Sine of the angle between the normals on the two sides of a crease under which its direction is not known."""
+
+POINTS_A_BLOCK = 4096
+
+
+_Vector = tuple[float, float, float]
+
+
+class Sides(NamedTuple):
+    """Points of contours, and the directions in which a contour comes to and leaves each."""
+
+    points: Floats
+    """(N, 2) mm."""
+    before: Floats
+    """(N, 2) unit direction on the side of the segment that ends at the point; NaN where unknown."""
+    after: Floats
+    """(N, 2) unit direction on the side of the segment that begins at the point; NaN where unknown."""
+    smooth: Bools
+    """(N,) the contour has no corner there."""
+    flat: Bools
+    """(N,) the segment after the point may be a flat side: its facet has a neighbour in its plane, or is not known."""
+
+
+class _Mesh(NamedTuple):
+    """What the kernel reads of the mesh and its normals."""
+
+    vertices: Floats
+    faces: Index
+    sectors: Index
+    normals: Floats
+    smooth: Bools
+    flat: Bools
+    corner_starts: Ints
+    corners: Index
+
+
+class Lifting:
+    """Lifts contours of one part; the normals are found once.
+
+    Parameters
+    ----------
+    part
+        The mesh that was cut.
+    normals
+        Its normals.
+    """
+
+    def __init__(self, part: Part, normals: SurfaceNormals) -> None:
+        starts, corners = corners_of_vertices(part.faces, len(part.vertices))
+        self._mesh = _Mesh(
+            part.vertices,
+            part.faces,
+            normals.sectors,
+            normals.normals,
+            normals.smooth,
+            normals.flat,
+            starts,
+            corners,
+        )
+
+    def lift(self, layers: Layers) -> Sides:
+        """Lift the points of layers that carry their edges; points without one stay where they are."""
+        count = len(layers.points)
+        found = Sides(
+            np.ascontiguousarray(layers.points).copy(),
+            np.full((count, 2), np.nan),
+            np.full((count, 2), np.nan),
+            np.zeros(count, np.bool_),
+            np.ones(count, np.bool_),
+        )
+        if layers.edge is None or layers.edge_t is None:
+            raise ValueError("layers without edges cannot be lifted")
+        ring_heights = np.repeat(layers.heights, np.diff(layers.layer_starts))
+        heights = np.repeat(ring_heights, np.diff(layers.ring_starts))
+        edge, edge_t = np.ascontiguousarray(layers.edge), np.ascontiguousarray(layers.edge_t)
+
+        def work(first: int, last: int) -> None:
+            _lift(self._mesh, edge, edge_t, heights, first, last, found)
+
+        run_blocks(work, count, POINTS_A_BLOCK)
+        return found
+
+
+@kernel
+def _lift(
+    mesh: _Mesh, edge: Index, edge_t: Floats, heights: Floats, first: int, last: int, found: Sides
+) -> None:
+    for i in range(first, last):
+        low, high = edge[i, 0], edge[i, 1]
+        if low < 0:
+            continue
+        up, down = _half_edges(mesh, low, high)
+        if up < 0 or down < 0:
+            continue
+        # Facets look outward and solids lie to the left of a contour: the segment that ends here is in the facet
+        # that runs up this edge, the one that begins here in the facet that runs down.
+        up_low, up_high = _normals_of(mesh, up)
+        down_high, down_low = _normals_of(mesh, down)
+        chord = _minus(_vector(mesh.vertices, high), _vector(mesh.vertices, low))
+        smooth = mesh.smooth[up] and mesh.smooth[down]
+        bend_low = _bend(chord, up_low, down_low, smooth)
+        bend_high = _bend(chord, up_high, down_high, smooth)
+        t = edge_t[i]
+        flat = mesh.flat[up // 3] and mesh.flat[down // 3]
+        if _bends_alike(chord, bend_low, bend_high, flat):
+            lesser = min(_dot(bend_low, bend_low), _dot(bend_high, bend_high))
+            bend_low = _scaled(bend_low, np.sqrt(lesser / _dot(bend_low, bend_low)))
+            bend_high = _scaled(bend_high, np.sqrt(lesser / _dot(bend_high, bend_high)))
+            t = _place(mesh.vertices[low, 2], chord[2], bend_low[2], bend_high[2], heights[i], t)
+            _move(found.points[i], _vector(mesh.vertices, low), chord, bend_low, bend_high, t)
+        _set_direction(up_low, up_high, t, found.before[i])
+        _set_direction(down_low, down_high, t, found.after[i])
+        found.smooth[i] = smooth
+        found.flat[i] = mesh.flat[down // 3]
+
+
+@kernel
+def _half_edges(mesh: _Mesh, low: int, high: int) -> tuple[int, int]:
+    """Half-edges low -> high and high -> low; -1 for none, or for more than one."""
+    up, down = -1, -1
+    ups, downs = 0, 0
+    for place in range(mesh.corner_starts[low], mesh.corner_starts[low + 1]):
+        f, k = mesh.corners[place] // 3, mesh.corners[place] % 3
+        if mesh.faces[f, (k + 1) % 3] == high:
+            up, ups = 3 * f + k, ups + 1
+        if mesh.faces[f, (k + 2) % 3] == high:
+            down, downs = 3 * f + (k + 2) % 3, downs + 1
+    return (up if ups == 1 else -1), (down if downs == 1 else -1)
+
+
+@kernel
+def _normals_of(mesh: _Mesh, half_edge: int) -> tuple[_Vector, _Vector]:
+    """Normals at the tail and the head of a half-edge, on its facet's side."""
+    f, k = half_edge // 3, half_edge % 3
+    return (
+        _vector(mesh.normals, mesh.sectors[f, k]),
+        _vector(mesh.normals, mesh.sectors[f, (k + 1) % 3]),
+    )
+
+
+# Three numbers at a time are tuples: an array of three costs more than what is done with it.
+
+
+@kernel
+def _vector(rows: Floats, i: int) -> _Vector:
+    return rows[i, 0], rows[i, 1], rows[i, 2]
+
+
+@kernel
+def _minus(a: _Vector, b: _Vector) -> _Vector:
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@kernel
+def _dot(a: _Vector, b: _Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@kernel
+def _scaled(a: _Vector, factor: float) -> _Vector:
+    return a[0] * factor, a[1] * factor, a[2] * factor
+
+
+@kernel
+def _cross(a: _Vector, b: _Vector) -> _Vector:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@kernel
+def _bend(chord: _Vector, normal: _Vector, other: _Vector, smooth: bool) -> _Vector:
+    """Tangent less chord, mm: across the normal on a smooth edge, along both sides on a crease."""
+    if smooth:
+        return _scaled(normal, -_dot(chord, normal))
+    along = _cross(normal, other)
+    square = _dot(along, along)
+    if square < LEAST_CREASE * LEAST_CREASE:
+        return 0.0, 0.0, 0.0
+    return _minus(_scaled(along, _dot(chord, along) / square), chord)
+
+
+@kernel
+def _bends_alike(chord: _Vector, bend_low: _Vector, bend_high: _Vector, flat: bool) -> bool:
+    """Whether an edge bends to one side, or so little, off flat sides, that an inflection is the surface's own."""
+    alike = _dot(bend_low, bend_high) < 0.0
+    if alike or flat:
+        return alike
+    lesser = min(_dot(bend_low, bend_low), _dot(bend_high, bend_high))
+    return bool(0.0 < lesser < LARGEST_INFLECTION * LARGEST_INFLECTION * _dot(chord, chord))
+
+
+@kernel
+def _place(
+    start: float, rise: float, bend_low: float, bend_high: float, height: float, guess: float
+) -> float:
+    """Parameter at which the curved edge passes a height: Newton's steps, kept within halves that hold it."""
+    a, b = 0.0, 1.0
+    t = guess
+    for _ in range(MOST_STEPS):
+        s = 1.0 - t
+        off = start + rise * t + t * s * (s * bend_low - t * bend_high) - height
+        if off <= 0.0:
+            a = t
+        else:
+            b = t
+        slope = rise + s * (s - 2.0 * t) * bend_low - t * (2.0 * s - t) * bend_high
+        step = -off / slope if slope != 0.0 else np.inf
+        following = t + step
+        if not a < following < b:
+            following = 0.5 * (a + b)
+        if abs(following - t) <= SAME_PLACE:
+            return following
+        t = following
+    return t
+
+
+@kernel
+def _move(
+    point: Floats, low: _Vector, chord: _Vector, bend_low: _Vector, bend_high: _Vector, t: float
+) -> None:
+    """Move a contour point to its place on the curved edge, as far as :data:`FLATTEST_SURFACE` lets it."""
+    a, b = t * (1.0 - t) * (1.0 - t), t * t * (1.0 - t)
+    dx = low[0] + chord[0] * t + a * bend_low[0] - b * bend_high[0] - point[0]
+    dy = low[1] + chord[1] * t + a * bend_low[1] - b * bend_high[1] - point[1]
+    # The cubic leaves its chord by at most a quarter of the bend.
+    farthest = 0.25 * np.sqrt(_dot(bend_low, bend_low)) / FLATTEST_SURFACE
+    moved = np.hypot(dx, dy)
+    share = 1.0 if moved <= farthest else farthest / moved
+    point[0] += share * dx
+    point[1] += share * dy
+
+
+@kernel
+def _set_direction(low: _Vector, high: _Vector, t: float, direction: Floats) -> None:
+    """Direction of a contour with the solid to its left, from outward normals; NaN stays where there is none."""
+    x, y = low[0] * (1.0 - t) + high[0] * t, low[1] * (1.0 - t) + high[1] * t
+    sideways = np.hypot(x, y)
+    if sideways > LEAST_SIDEWAYS:
+        direction[0], direction[1] = -y / sideways, x / sideways

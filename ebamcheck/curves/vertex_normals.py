@@ -1,0 +1,226 @@
+"""Normals of the surface that a mesh stands for, at its vertices and apart on the two sides of a crease.
+
+A *sector* is a set of corners of facets about one vertex that no crease parts: a smooth vertex has one, a
+vertex on a sharp edge two, the corner of a cube three. Each sector has a normal of its own: that of a flat
+side that ends there; else that of a quadric through the vertex fitted to its neighbours, where there are enough of
+them to tell one; else the mean of the facets' normals weighed by their angles.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ebamcheck.curves.flat_sides import flat_sides, keep_flat
+from ebamcheck.kernels import kernel
+from ebamcheck.part import Part
+from ebamcheck.rings import Bools, Floats
+from ebamcheck.topology import NO_TWIN, Index, edge_groups, split_corners, twins
+
+COEFFICIENTS = 5
+"""Of a quadric through the vertex: two slopes and three curvatures."""
+
+LEAST_PIVOT = 1e-5
+"""A pivot of the normal equations, scaled to a diagonal of 1, under which neighbours do not tell a quadric: they
+lie on one conic, or are too few."""
+
+
+class SurfaceNormals(NamedTuple):
+    """Normals of the smooth surface at the corners of facets."""
+
+    sectors: Index
+    """(F, 3) sector of each corner of each facet."""
+    normals: Floats
+    """(S, 3) unit normal of each sector."""
+    smooth: Bools
+    """(3 F,) whether the surface goes on across half-edge ``3 f + i`` without a crease."""
+    flat: Bools
+    """(F,) the facet lies in one plane with a neighbour: a strip of a cylinder, or a flat side."""
+
+
+def surface_normals(part: Part, crease_angle_deg: float) -> SurfaceNormals:
+    """Estimate the normals of the surface that a mesh was made from.
+
+    Parameters
+    ----------
+    part
+        The mesh.
+    crease_angle_deg
+        Edges whose facets' normals differ by at least this angle are sharp; so are edges with one facet, or with
+        facets that do not run opposite ways along it.
+    """
+    vertices, faces = part.vertices, part.faces
+    groups = edge_groups(faces, len(vertices))
+    twin = twins(vertices, faces, groups.half_edges, groups.starts)
+    facet_normals = _facet_normals(vertices, faces)
+    sides = flat_sides(vertices, faces, facet_normals, twin)
+    _part_at_creases(faces, facet_normals, twin, np.cos(np.deg2rad(crease_angle_deg)))
+    sectors = split_corners(faces, twin)
+    count = int(sectors.max(initial=-1)) + 1
+    means, scales = _means(vertices, faces, facet_normals, sectors, count)
+    normals = means.copy()
+    equations = _equations(vertices, faces, sectors, means, scales)
+    _tilt_by_quadrics(means, equations, _least_cosines(facet_normals, sectors, means), normals)
+    keep_flat(vertices, faces, twin, sectors, sides, normals)
+    return SurfaceNormals(sectors, normals, twin != NO_TWIN, sides.flat[sides.groups])
+
+
+@kernel
+def _facet_normals(vertices: Floats, faces: Index) -> Floats:
+    """Unit normals (F, 3); zero for a facet without area."""
+    result = np.zeros((len(faces), 3))
+    for f in range(len(faces)):
+        a, b, c = vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]]
+        x, y, z = _cross(b - a, c - a)
+        length = np.sqrt(x * x + y * y + z * z)
+        if length > 0.0:
+            result[f, 0], result[f, 1], result[f, 2] = x / length, y / length, z / length
+    return result
+
+
+@kernel
+def _cross(a: Floats, b: Floats) -> tuple[float, float, float]:
+    return (
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    )
+
+
+@kernel
+def _dot(a: Floats, b: Floats) -> float:
+    return float(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+
+
+@kernel
+def _part_at_creases(faces: Index, facet_normals: Floats, twin: Index, least_cosine: float) -> None:
+    """Take the twins from half-edges at which the surface is sharp."""
+    for h in range(twin.size):
+        g = twin[h]
+        if g < h:
+            continue
+        f, e = h // 3, g // 3
+        same_way = faces[f, h % 3] == faces[e, g % 3]
+        if same_way or _dot(facet_normals[f], facet_normals[e]) <= least_cosine:
+            twin[h] = twin[g] = NO_TWIN
+
+
+@kernel
+def _means(
+    vertices: Floats, faces: Index, facet_normals: Floats, sectors: Index, count: int
+) -> tuple[Floats, Floats]:
+    """Mean normals (S, 3) weighed by angle, and mean squared distances (S,) of the neighbours, mm2."""
+    means, scales = np.zeros((count, 3)), np.zeros(count)
+    corners = np.zeros(count)
+    for f in range(len(faces)):
+        for k in range(3):
+            s = sectors[f, k]
+            here = vertices[faces[f, k]]
+            p, q = vertices[faces[f, (k + 1) % 3]] - here, vertices[faces[f, (k + 2) % 3]] - here
+            x, y, z = _cross(p, q)
+            angle = np.arctan2(np.sqrt(x * x + y * y + z * z), _dot(p, q))
+            means[s] += facet_normals[f] * angle
+            scales[s] += 0.5 * (_dot(p, p) + _dot(q, q))
+            corners[s] += 1.0
+    for s in range(count):
+        length = np.sqrt(_dot(means[s], means[s]))
+        if length > 0.0:
+            means[s] /= length
+        scales[s] /= max(corners[s], 1.0)
+    return means, scales
+
+
+@kernel
+def _least_cosines(facet_normals: Floats, sectors: Index, means: Floats) -> Floats:
+    """Cosine of the greatest angle between a sector's mean normal and that of one of its facets, (S,)."""
+    result = np.ones(len(means))
+    for f in range(len(sectors)):
+        for k in range(3):
+            s = sectors[f, k]
+            result[s] = min(result[s], _dot(facet_normals[f], means[s]))
+    return result
+
+
+@kernel
+def _frame(n: Floats) -> tuple[Floats, Floats]:
+    """Two unit vectors that span the plane across a unit normal."""
+    u = np.zeros(3)
+    u[np.argmin(np.abs(n))] = 1.0
+    u -= n * _dot(u, n)
+    u /= np.sqrt(_dot(u, u))
+    x, y, z = _cross(n, u)
+    return u, np.array([x, y, z])
+
+
+@kernel
+def _equations(vertices: Floats, faces: Index, sectors: Index, means: Floats, scales: Floats) -> Floats:
+    """Normal equations (S, 5, 6) of the quadric of each sector, in units of its mean distance.
+
+    z = a x + b y + c x^2 / 2 + d x y + e y^2 / 2 over the plane across the mean normal, each neighbour weighed by
+    one over its squared distance.
+    """
+    result = np.zeros((len(means), COEFFICIENTS, COEFFICIENTS + 1))
+    row = np.empty(COEFFICIENTS + 1)
+    for f in range(len(faces)):
+        for k in range(3):
+            s = sectors[f, k]
+            if scales[s] == 0.0:
+                continue
+            unit = np.sqrt(scales[s])
+            u, w = _frame(means[s])
+            for step in (1, 2):
+                d = (vertices[faces[f, (k + step) % 3]] - vertices[faces[f, k]]) / unit
+                square = _dot(d, d)
+                if square == 0.0:
+                    continue
+                x, y = _dot(d, u), _dot(d, w)
+                row[0], row[1], row[2], row[3], row[4] = x, y, 0.5 * x * x, x * y, 0.5 * y * y
+                row[5] = _dot(d, means[s])
+                for i in range(COEFFICIENTS):
+                    for j in range(COEFFICIENTS + 1):
+                        result[s, i, j] += row[i] * row[j] / square
+    return result
+
+
+@kernel
+def _tilt_by_quadrics(means: Floats, equations: Floats, least_cosines: Floats, normals: Floats) -> None:
+    """Tilt mean normals to those of the quadrics, where there is one and it lies among the facets' normals."""
+    for s in range(len(means)):
+        if not _solve(equations[s]):
+            continue
+        u, w = _frame(means[s])
+        n = means[s] - equations[s, 0, COEFFICIENTS] * u - equations[s, 1, COEFFICIENTS] * w
+        n /= np.sqrt(_dot(n, n))
+        if _dot(n, means[s]) >= least_cosines[s]:
+            normals[s] = n
+
+
+@kernel
+def _solve(A: Floats) -> bool:
+    """Solve symmetric equations (5, 6) in place by elimination; false where they do not tell all unknowns."""
+    n = COEFFICIENTS
+    for i in range(n):
+        if not A[i, i] > 0.0:
+            return False
+    diagonal = np.array([A[i, i] for i in range(n)])
+    for i in range(n):
+        if not A[i, i] > LEAST_PIVOT * diagonal[i]:
+            return False
+        for j in range(i + 1, n):
+            factor = A[j, i] / A[i, i]
+            for k in range(i, n + 1):
+                A[j, k] -= factor * A[i, k]
+    for i in range(n - 1, -1, -1):
+        for k in range(i + 1, n):
+            A[i, n] -= A[i, k] * A[k, n]
+        A[i, n] /= A[i, i]
+    return True
+
+
+def corners_of_vertices(faces: Index, vertex_count: int) -> tuple[NDArray[np.int64], Index]:
+    """Corners ``3 f + i`` by vertex: first of each vertex (V + 1,), and the corners (3 F,)."""
+    flat = faces.reshape(-1)
+    starts = np.concatenate([[0], np.cumsum(np.bincount(flat, minlength=vertex_count))]).astype(np.int64)
+    return starts, np.argsort(flat, kind="stable").astype(np.int32)

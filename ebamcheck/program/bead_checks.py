@@ -1,0 +1,190 @@
+"""Checks of the beads that a program lays: nothing left bare, no line missing, none laid twice."""
+
+from __future__ import annotations
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely.geometry.base import BaseGeometry
+
+from ebamcheck.config import Config
+from ebamcheck.layers import Layers
+from ebamcheck.program.checks import Check, count_check, row_faults
+from ebamcheck.program.motions import NCProgram
+from ebamcheck.rings import Bools, Floats, Ints
+from ebamcheck.scan.coverage import covered_fraction
+
+BEAD_STEP_MM = 0.5
+"""Chords of curved beads: at a radius of 5 mm they err by 6 um, which no bead's border shows."""
+
+SPACING_SHARE = 1.5
+"""Neighbouring lines of one island are at most this many spacings apart; where one is missing, it is two."""
+
+SAME_LINE_MM = 0.01
+"""Lines nearer than this, along one another, are one line laid twice: far under any spacing."""
+
+PARALLEL_RAD = 1e-3
+"""Lines of one island whose directions differ by more follow a wall, and have no common spacing."""
+
+SMALLEST_GAP = 0.05
+"""Gaps under this times the squared bead width are corners that a round bead never fills."""
+
+
+def bead_checks(nc: NCProgram, config: Config, z_of: Floats, layers: Layers | None = None) -> list[Check]:
+    """Check the lines of a program whose plan is not known, and the coverage of the sections where `layers` are given.
+
+    Parameters
+    ----------
+    z_of
+        (L,) Z of each of the `layers` in the program.
+    """
+    checks = [_spacing(nc, config), _once(nc)]
+    if layers is not None:
+        checks.append(_coverage(nc, config, z_of, layers))
+    return checks
+
+
+# -- lines -------------------------------------------------------------------------------------------
+
+
+def _hatch_rows(nc: NCProgram) -> Ints:
+    return np.flatnonzero(nc.deposit & (nc.island >= 0) & ~nc.turn & (nc.lengths > 0.0))
+
+
+def _spacing(nc: NCProgram, config: Config) -> Check:
+    """Distance between neighbouring parallel lines of an island, in the order in which they lie."""
+    rows = _hatch_rows(nc)
+    spacing = config.process.hatch_spacing_mm
+    limit = SPACING_SHARE * spacing
+    group, offset, parallel = _offsets(nc, rows)
+    order = np.lexsort((offset, group))
+    step = np.diff(offset[order])
+    same = (np.diff(group[order]) == 0) & parallel[order[1:]] & parallel[order[:-1]]
+    wide = np.flatnonzero(same & (step > limit))
+    name = "hatch spacing"
+    worst = float(step[same].max(initial=0.0))
+    if not wide.size:
+        return Check(
+            name, True, worst, limit, "mm", "", f"{rows.size} lines, neighbours at most {worst:.6g} mm apart"
+        )
+    # The line after the gap in the order of the program is where the missing one should have come before.
+    pairs = np.maximum(rows[order[wide]], rows[order[wide + 1]])
+    first = int(pairs.min())
+    text = f"lines of island {nc.island[first]} lie {worst:.6g} mm apart: one is missing between (and {wide.size - 1} more)"
+    return Check(name, False, worst, limit, "mm", nc.where(first), text)
+
+
+def _offsets(nc: NCProgram, rows: Ints) -> tuple[Ints, Floats, Bools]:
+    """Island in its layer (n,), offset (n,) mm across the island's first line, and whether parallel to it."""
+    group = np.unique(np.column_stack([nc.layer[rows], nc.island[rows]]), axis=0, return_inverse=True)[1]
+    group = np.asarray(group, dtype=np.int64).reshape(-1)
+    way = (nc.end - nc.start)[rows, :2]
+    unit = way / np.hypot(way[:, 0], way[:, 1])[:, None]
+    longest = np.zeros(int(group.max(initial=-1)) + 1, np.int64)
+    by_length = np.argsort(nc.lengths[rows], kind="stable")
+    longest[group[by_length]] = by_length
+    along = unit[longest[group]]
+    middle = 0.5 * (nc.start + nc.end)[rows, :2]
+    across = along[:, 0] * middle[:, 1] - along[:, 1] * middle[:, 0]
+    parallel = np.abs(along[:, 0] * unit[:, 1] - along[:, 1] * unit[:, 0]) <= PARALLEL_RAD
+    return group, across, parallel
+
+
+def _once(nc: NCProgram) -> Check:
+    """Whether a line of the hatch lies on another of its layer."""
+    rows = _hatch_rows(nc)
+    ends = np.hstack([nc.start[rows, :2], nc.end[rows, :2]])
+    swap = (ends[:, 0] > ends[:, 2]) | ((ends[:, 0] == ends[:, 2]) & (ends[:, 1] > ends[:, 3]))
+    ends[swap] = ends[swap][:, [2, 3, 0, 1]]
+    key = np.round(ends / SAME_LINE_MM).astype(np.int64)
+    found = np.unique(np.column_stack([nc.layer[rows], key]), axis=0, return_index=True)[1]
+    again = np.ones(rows.size, np.bool_)
+    again[found] = False
+    faults = row_faults(nc, rows[again], "this line has been laid before in its layer")
+    return count_check("lines laid once", faults, f"{rows.size} lines, none twice")
+
+
+def repeated_blocks(nc: NCProgram) -> Check:
+    """Blocks that repeat the one before: a motion to where the tool stands, or the same text again."""
+    feed = np.flatnonzero(nc.deposit)
+    still = feed[nc.lengths[feed] == 0.0]
+    faults = row_faults(nc, still, "a motion that goes nowhere: the block before says the same")
+    faults += _same_text(nc)
+    return count_check("repeated blocks", faults, "no motion repeats the block before")
+
+
+def _same_text(nc: NCProgram) -> list[tuple[str, str]]:
+    feed = np.flatnonzero(nc.deposit)
+    moving = set(zip(nc.file[feed].tolist(), nc.line[feed].tolist(), strict=True))
+    faults = []
+    for index, file in enumerate(nc.files):
+        lines = [line.split(b";")[0].split() for line in file.data.split(b"\n")]
+        plain = [words[1:] if words and words[0][:1] == b"N" else words for words in lines]
+        faults += [
+            (f"{file.name}:{i + 1}", "the same block as the one before")
+            for i in range(1, len(plain))
+            if plain[i] and plain[i] == plain[i - 1] and (index, i + 1) in moving
+        ]
+    return faults
+
+
+# -- coverage ----------------------------------------------------------------------------------------
+
+
+def _coverage(nc: NCProgram, config: Config, z_of: Floats, layers: Layers) -> Check:
+    """Least share of a section that the beads cover; the overlap of all, and the widest gap of the worst."""
+    limit = config.scan.least_coverage
+    rows = np.flatnonzero(nc.deposit)
+    index = np.searchsorted(0.5 * (z_of[1:] + z_of[:-1]), nc.end[rows, 2])
+    width = config.process.bead_width_mm
+    worst, layer, area, laid = 1.0, -1, 0.0, 0.0
+    for k in range(len(layers)):
+        section = shapely.union_all(layers.polygons(k))
+        if section.is_empty:
+            continue
+        mine = rows[index == k]
+        covered = covered_fraction(section, _segments(nc, mine), width)
+        area += covered * section.area
+        laid += float(nc.lengths[mine].sum()) * width
+        if covered < worst or layer < 0:
+            worst, layer = covered, k
+    if layer < 0:
+        return Check("coverage", True, 1.0, limit, "of the area", "", "there is no section to cover")
+    where, gap = _gap(nc, rows[index == layer], shapely.union_all(layers.polygons(layer)), width)
+    text = f"beads cover at least {100.0 * worst:.2f} % (layer {layer + 1}), overlap {100.0 * (laid / max(area, 1e-9) - 1.0):.0f} %{gap}"
+    return Check("coverage", worst >= limit, worst, limit, "of the area", where, text)
+
+
+def _segments(nc: NCProgram, rows: Ints) -> Floats:
+    """Chords (S, 4) of the motions."""
+    if not rows.size:
+        return np.zeros((0, 4))
+    owner, points = nc.samples(rows, BEAD_STEP_MM)
+    before = np.vstack([np.zeros((1, 2)), points[:-1]])
+    first = np.flatnonzero(np.diff(owner, prepend=-1))
+    before[first] = nc.start[owner[first], :2]
+    return np.hstack([before, points])
+
+
+def _gap(nc: NCProgram, rows: Ints, section: BaseGeometry, width_mm: float) -> tuple[str, str]:
+    """``FILE:line`` nearest to the largest gap of a layer, and the gap in words."""
+    if not rows.size:
+        return f"{nc.files[0].name}:1", "; the layer has no bead"
+    segments = _segments(nc, rows)
+    lines = shapely.linestrings(segments.reshape(-1, 2, 2))
+    bare = section.difference(shapely.union_all(shapely.buffer(lines, 0.5 * width_mm)))
+    parts = [p for p in shapely.get_parts(bare) if p.area > SMALLEST_GAP * width_mm**2]
+    if not parts:
+        return "", "; no gap"
+    largest = max(parts, key=lambda p: float(p.area))
+    centre = largest.representative_point()
+    row = int(rows[np.argmin(shapely.distance(motion_chords(nc, rows), centre))])
+    text = f"; {len(parts)} gaps, the largest of {largest.area:.4g} mm2 at ({centre.x:.3f}, {centre.y:.3f})"
+    return nc.where(row), text
+
+
+def motion_chords(nc: NCProgram, rows: Ints) -> NDArray[np.object_]:
+    """Chord (n,) of each motion."""
+    return np.asarray(
+        shapely.linestrings(np.stack([nc.start[rows, :2], nc.end[rows, :2]], axis=1)), dtype=np.object_
+    )

@@ -1,0 +1,50 @@
+"""What controls understand beside motions: the beam and wire blocks of a profile that names none of its own.
+
+The templates of the machine profile are those of a SINUMERIK unless they are set; a control of another
+language takes its own in their place. The codes of beam and wire are the machine maker's in any case.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from ebamcheck.config import MachineSettings
+
+SINUMERIK, LINUXCNC, PLAIN = "sinumerik-840d-sl", "linuxcnc", "plain-gcode"
+"""Controls whose programs are text that the reader reads."""
+
+TEMPLATES = ("beam_on", "beam_off", "wire_start", "wire_stop", "set_beam", "layer_begin", "layer_end")
+"""Templates of the machine profile."""
+
+STOCK: Mapping[str, Mapping[str, tuple[str, ...]]] = {
+    # LinuxCNC: M64, M65 switch digital outputs at once, M68 sets analog ones.
+    LINUXCNC: {
+        "beam_on": ("M64 P0 ; beam on",),
+        "beam_off": ("M65 P0 ; beam off",),
+        "set_beam": (
+            "M68 E0 Q{voltage_kv} ; accelerating voltage, kV",
+            "M68 E1 Q{current_ma} ; beam current, mA",
+        ),
+        "wire_start": ("M68 E2 Q{wire_mm_s} ; wire speed, mm/s", "M64 P1 ; wire on"),
+        "wire_stop": ("M65 P1 ; wire off",),
+    },
+    # Hobby and laser controls: M3 S, M5 for the source; M42 sets a pin, M8 and M9 a second output.
+    PLAIN: {
+        "beam_on": ("M3 S{power_w} ; beam on, W",),
+        "beam_off": ("M5 ; beam off",),
+        "set_beam": (),
+        "wire_start": ("M42 P1 S{wire_mm_s} ; wire speed, mm/s", "M8 ; wire on"),
+        "wire_stop": ("M9 ; wire off",),
+    },
+}
+
+
+def templates_of(machine: MachineSettings, control: str) -> dict[str, tuple[str, ...]]:
+    """Blocks of every template for a control: those of the profile, or the stock ones where it sets none."""
+    stock = STOCK.get(control, {})
+    result = {}
+    for name in TEMPLATES:
+        given = getattr(machine, name)
+        untouched = given == MachineSettings.model_fields[name].default
+        result[name] = stock.get(name, given) if untouched else given
+    return result

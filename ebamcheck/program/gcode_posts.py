@@ -1,0 +1,113 @@
+"""Post-processors for controls that take one file: LinuxCNC (G5, arcs, lines) and plain G-code (arcs, lines).
+
+Sources: LinuxCNC G-code reference (G5 carries a cubic span as ``I J P Q``, from the start to the second Bezier
+point and from the end to the third; G64 P is the tolerance of the path; G91.1 makes I and J relative).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from ebamcheck.config import Config
+from ebamcheck.program.blocks import BlockFormat
+from ebamcheck.program.dialects import LINUXCNC, PLAIN, templates_of
+from ebamcheck.program.files import NOT_VALIDATED, VALIDATED, ProgramFiles, write_files
+from ebamcheck.program.header import header_lines
+from ebamcheck.program.inputs import CurveColumns, ScanColumns
+from ebamcheck.program.layer_text import comment, layer_blocks, motion_text
+from ebamcheck.program.segments import CUBIC, Form
+from ebamcheck.program.templates import plain, process_values
+from ebamcheck.program.toolpath import Toolpath, toolpath
+
+
+def write_linuxcnc(
+    curves: CurveColumns,
+    plan: ScanColumns,
+    config: Config,
+    folder: str | Path,
+    *,
+    validated: bool = False,
+    header: Mapping[str, str] | None = None,
+) -> ProgramFiles:
+    """Write one ``.ngc`` file: splines as G5, exactly, unless ``machine.curve_form`` asks for arcs or lines.
+
+    Takes and raises what :func:`ebamcheck.program.sinumerik.write_program` does.
+    """
+    machine = config.machine
+    forms: Mapping[str, Form] = {"arcs": "arcs", "lines": "chords"}
+    form = forms.get(machine.curve_form, "cubics")
+    tolerance = plain(machine.smoothing_tolerance_mm)
+    known = {
+        "CURVES": "G5, exactly" if form == "cubics" else _within(form, machine.line_tolerance_mm),
+        "SMOOTHING": f"G64 P{tolerance}, path may leave the program by {tolerance} mm",
+    }
+    modes = ["G17 G21 G90 G91.1 G94", "G40 G49 G80", machine.work_offset, f"G64 P{tolerance}"]
+    return _write(curves, plan, config, Path(folder), LINUXCNC, "ngc", form, known, modes, validated, header)
+
+
+def write_plain_gcode(
+    curves: CurveColumns,
+    plan: ScanColumns,
+    config: Config,
+    folder: str | Path,
+    *,
+    validated: bool = False,
+    header: Mapping[str, str] | None = None,
+) -> ProgramFiles:
+    """Write one ``.gcode`` file of G0 to G3: splines as arcs within ``machine.line_tolerance_mm``, or as lines.
+
+    Takes and raises what :func:`ebamcheck.program.sinumerik.write_program` does.
+    """
+    machine = config.machine
+    form: Form = "chords" if machine.curve_form == "lines" else "arcs"
+    known = {"CURVES": _within(form, machine.line_tolerance_mm)}
+    modes = ["G17 G21 G90 G94", machine.work_offset]
+    return _write(curves, plan, config, Path(folder), PLAIN, "gcode", form, known, modes, validated, header)
+
+
+def _within(form: Form, tolerance_mm: float) -> str:
+    return f"{'G1' if form == 'chords' else 'G2 and G3'}, within {tolerance_mm:g} mm"
+
+
+def _write(
+    curves: CurveColumns,
+    plan: ScanColumns,
+    config: Config,
+    folder: Path,
+    control: str,
+    suffix: str,
+    splines: Form,
+    known: Mapping[str, str],
+    modes: list[str],
+    validated: bool,
+    header: Mapping[str, str] | None,
+) -> ProgramFiles:
+    machine = config.machine
+    form = BlockFormat(machine.printed_decimals)
+    path = toolpath(curves, plan, config, form.decimals, splines, machine.line_tolerance_mm)
+    at = path.kind == CUBIC
+    motions = motion_text(path, form, form.beziers(path.bezier, path.segment_start[at], path.end[at]))
+    templates = templates_of(machine, control)
+    lines = [
+        comment(machine.program_name),
+        VALIDATED if validated else NOT_VALIDATED,
+        *_comments(config, control, path, {**known, **(header or {})}),
+        *modes,
+        *process_values(config, 1, *_first(path)).fill("set_beam", templates["set_beam"]),
+    ]
+    for k in range(len(path.z)):
+        lines += layer_blocks(path, k, motions, config, form, templates)
+    lines.append("M2")
+    text = "\n".join(lines) + "\n"
+    return write_files({f"{machine.program_name}.{suffix}": text}, folder, validated=validated)
+
+
+def _comments(config: Config, control: str, path: Toolpath, known: Mapping[str, str]) -> list[str]:
+    every = header_lines(config, control, len(path.z), known)
+    return [comment(f"{key}: {value}") for key, value in every.items()]
+
+
+def _first(path: Toolpath) -> tuple[float, float]:
+    first = float(path.z[0]) if len(path.z) else 0.0
+    return first, first

@@ -1,0 +1,111 @@
+"""Blocks of one layer, alike for every control: travel, beam and wire, and the motions of each track."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ebamcheck.config import Config
+from ebamcheck.program.blocks import BlockFormat
+from ebamcheck.program.segments import CIRCULAR, CUBIC, STRAIGHT
+from ebamcheck.program.templates import ProcessValues, plain, process_values
+from ebamcheck.program.toolpath import Toolpath
+from ebamcheck.rings import Floats
+
+NEAR_SPACINGS = 2.0
+"""A beam-off move of at most this many bead spacings stays at the layer's height; a longer one rises."""
+
+Templates = Mapping[str, tuple[str, ...]]
+"""Blocks of each template."""
+
+
+def motion_text(path: Toolpath, form: BlockFormat, cubics: Sequence[str]) -> list[str]:
+    """Text of every segment (N,): G1, G2, G3, and what `cubics` holds for the cubic ones, in their order.
+
+    An entry of `cubics` may be several lines, or empty where another carries its motion.
+    """
+    text = np.empty(path.kind.size, dtype=object)
+    straight, round_ = path.kind == STRAIGHT, path.kind == CIRCULAR
+    text[straight] = form.lines(path.end[straight])
+    text[round_] = form.arcs(path.segment_start[round_], path.end[round_], path.circles)
+    text[path.kind == CUBIC] = cubics
+    text[path.turn] += " ; TURN"
+    result: list[str] = text.tolist()
+    return result
+
+
+def layer_blocks(
+    path: Toolpath, k: int, motions: Sequence[str], config: Config, form: BlockFormat, templates: Templates
+) -> list[str]:
+    """Blocks of layer `k`: contour rings and islands, each track between beam on and beam off."""
+    values = process_values(config, k + 1, float(path.z[k]), float(path.thickness[k]))
+    layer = _Layer(config, form, float(path.z[k]), values, templates)
+    layer.rise()
+    island = -1
+    for t in range(int(path.layer_starts[k]), int(path.layer_starts[k + 1])):
+        if path.ring[t] >= 0:
+            layer.lines.append(f"; RING {path.ring[t]}")
+        elif path.island[t] != island:
+            island = int(path.island[t])
+            layer.lines.append(f"; ISLAND {island}")
+        a, b = int(path.track_starts[t]), int(path.track_starts[t + 1])
+        blocks = [line for text in motions[a:b] if text for line in text.split("\n")]
+        if blocks:
+            layer.deposit(path.start[t], path.end[b - 1], blocks)
+    layer.rise()
+    return [
+        comment(f"LAYER: {k + 1} OF {len(path.z)}, CUT AT {path.cut[k]:.6f}, Z {path.z[k]:.6f}"),
+        *values.fill("layer_begin", templates["layer_begin"]),
+        *layer.lines,
+        *values.fill("layer_end", templates["layer_end"]),
+    ]
+
+
+class _Layer:
+    """Blocks of one layer, and where the tool is while they are written."""
+
+    def __init__(
+        self, config: Config, form: BlockFormat, z_mm: float, values: ProcessValues, templates: Templates
+    ) -> None:
+        self.lines: list[str] = []
+        self._near_mm = NEAR_SPACINGS * config.process.hatch_spacing_mm
+        self._form = form
+        self._z, self._safe_z = form.value(z_mm), form.value(z_mm + config.machine.safe_height_mm)
+        self._feed = f" F{plain(values.feed_mm_min)}"
+        self._on = values.fill("beam_on", templates["beam_on"]) + values.fill(
+            "wire_start", templates["wire_start"]
+        )
+        self._off = values.fill("wire_stop", templates["wire_stop"]) + values.fill(
+            "beam_off", templates["beam_off"]
+        )
+        self._position: Floats | None = None
+
+    def rise(self) -> None:
+        """Go to the safe height, with the beam off."""
+        self.lines.append(f"G0 Z{self._safe_z}")
+
+    def deposit(self, start: Floats, end: Floats, blocks: list[str]) -> None:
+        """Travel to `start`, beam and wire on, `blocks`, wire and beam off at `end`."""
+        self._travel(start)
+        self.lines += [*self._on, blocks[0] + self._feed, *blocks[1:], *self._off]
+        self._position = end
+
+    def _travel(self, to: Floats) -> None:
+        x_y = f"G0 X{self._form.value(to[0])} Y{self._form.value(to[1])}"
+        if self._position is None:
+            self.lines += [x_y, f"G0 Z{self._z}"]
+        elif float(np.hypot(*(to - self._position))) > self._near_mm:
+            self.lines += [f"G0 Z{self._safe_z}", x_y, f"G0 Z{self._z}"]
+        elif (to != self._position).any():
+            self.lines.append(x_y)
+
+
+LONGEST_COMMENT = 199
+"""Characters of a comment line; a SINUMERIK takes blocks of under 200."""
+
+
+def comment(text: str) -> str:
+    """Return one comment line: ASCII, without the reserved characters ! and ?, cut to the length of a block."""
+    allowed = "".join(c if c.isascii() and c.isprintable() and c not in "!?;" else "_" for c in text)
+    return f"; {allowed}"[:LONGEST_COMMENT]

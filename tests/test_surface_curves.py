@@ -1,0 +1,414 @@
+"""Curves that recover the surface behind a mesh: lifting, the surface fit, and its reduction within a tolerance."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import shapely
+from geomdl import NURBS
+from geomdl import BSpline as GeomdlBSpline
+from scipy.interpolate import BSpline
+from scipy.spatial import Delaunay
+
+import ebamcheck
+from ebamcheck.curves import ARC, LINE, SPLINE, Curves, contour_error, error_reduction, fit, fit_deviation
+from ebamcheck.curves.arcs import arc_through
+from ebamcheck.curves.strands import FLAT_MM
+from ebamcheck.curves.vertex_normals import surface_normals
+from ebamcheck.errors import EbamcheckError, SettingsError
+from ebamcheck.layers import Layers, from_polygons
+from ebamcheck.model import models
+from ebamcheck.part import Part, from_arrays
+from ebamcheck.slicing import slice_part
+
+MODELS = models()
+LADDER = MODELS["ladder"]
+METHODS = ("surface", "bounded")
+TOLERANCE_MM = 0.02
+
+
+def heights_of(part: Part, count: int) -> np.ndarray[Any, np.dtype[np.float64]]:
+    low, high = part.bounds[:, 2]
+    return low + (high - low) * (np.arange(count) + 0.5) / count
+
+
+def sliced(part: Part, count: int = 6) -> Layers:
+    return slice_part(part, heights_of(part, count))
+
+
+def truth(model: Any, layers: Layers) -> Layers:
+    return from_polygons(layers.heights, [model.section(z, 1e-5) for z in layers.heights])
+
+
+def gains(layers: Layers, reference: Layers, method: str, part: Part) -> Any:
+    return error_reduction(
+        contour_error(layers, reference), contour_error(fit(layers, method, part=part), reference)
+    )
+
+
+# -- what the fits are for -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("mesh_mm", [1.0, 0.8, 0.4, 0.2, 0.1])
+def test_a_coarse_freeform_mesh_gives_its_part_back(mesh_mm: float, method: str) -> None:
+    part = LADDER.tessellate(mesh_mm)
+    layers = sliced(part)
+    found = gains(layers, truth(LADDER, layers), method, part)
+    assert found["polar_rms"] >= 0.90
+    assert found["polar_max"] >= 0.80
+
+
+def irregular_wall(points: int, noise_mm: float, seed: int) -> Part:
+    """Outer and inner wall of the ladder by Delaunay's triangles over random places, some of them off the surface."""
+    rng = np.random.default_rng(seed)
+    around, tall = 2.0 * np.pi * 105.0, LADDER.height_mm
+    vertices, faces, first = [], [], 0
+    for side in (1.0, -1.0):
+        rim = np.arange(64) / 64
+        u = np.concatenate([rng.random(points), rim, rim])
+        z = np.concatenate([rng.random(points) * (tall - 30) + 15, np.full(64, 5.0), np.full(64, tall - 5.0)])
+        three = np.concatenate([u - 1.0, u, u + 1.0])
+        ids = np.tile(np.arange(u.size), 3)
+        flat = np.column_stack([three * around, np.tile(z, 3)])
+        triangles = Delaunay(flat).simplices
+        middle = three[triangles].mean(axis=1)
+        triangles = triangles[(middle >= 0.0) & (middle < 1.0)]
+        a, b, c = (flat[triangles[:, k]] for k in range(3))
+        turn = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+        triangles[turn < 0.0] = triangles[turn < 0.0][:, ::-1]
+        vertices.append(LADDER.wall_point(u, z, np.ones_like(u), side).T)
+        faces.append(ids[triangles][:, :: int(side)] + first)
+        first += u.size
+    points_ = np.concatenate(vertices)
+    return from_arrays(points_ + rng.normal(0.0, 1.0, points_.shape) * noise_mm, np.concatenate(faces))
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(("noise_mm", "seed"), [(0.0, 1), (0.05, 2)])
+def test_an_irregular_mesh_gives_most_of_its_part_back(noise_mm: float, seed: int, method: str) -> None:
+    part = irregular_wall(3000, noise_mm, seed)
+    layers = sliced(part)
+    walls = [
+        [shapely.Polygon(p.exterior, p.interiors[:1]) for p in LADDER.section(z, 1e-5)]
+        for z in layers.heights
+    ]
+    found = gains(layers, from_polygons(layers.heights, walls), method, part)
+    assert found["polar_rms"] >= 0.75
+
+
+@pytest.mark.parametrize(
+    "name", ["sphere", "torus", "cylinder", "cone", "impeller", "prism", "bracket", "blade"]
+)
+@pytest.mark.parametrize("method", METHODS)
+def test_no_part_loses_by_it(name: str, method: str) -> None:
+    model = MODELS[name]
+    part = model.tessellate(0.3)
+    layers = sliced(part, 9)
+    reference = truth(model, layers)
+    before, after = (contour_error(c, reference) for c in (layers, fit(layers, method, part=part)))
+    assert after["normal_rms_mm"].mean() < before["normal_rms_mm"].mean()
+    assert after["normal_max_abs_mm"].max() <= before["normal_max_abs_mm"].max() + TOLERANCE_MM
+
+
+def test_an_eighth_of_the_blocks_of_a_polyline_is_enough() -> None:
+    part = LADDER.tessellate(0.01)
+    layers = sliced(part, 12)
+    assert 8 * fit(layers, part=part, tolerance_mm=TOLERANCE_MM).block_count() <= len(layers.points)
+
+
+def test_fewer_blocks_for_a_looser_tolerance() -> None:
+    part = LADDER.tessellate(0.4)
+    layers = sliced(part)
+    counts = [fit(layers, part=part, tolerance_mm=t).block_count() for t in (0.002, 0.02, 0.2)]
+    assert counts[0] > counts[1] >= counts[2]
+
+
+# -- what stays as it is -------------------------------------------------------------------------------
+
+
+def turned(part: Part, seed: int) -> Part:
+    q, r = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
+    q *= np.sign(np.diag(r))
+    if np.linalg.det(q) < 0.0:
+        q[:, 0] = -q[:, 0]
+    return from_arrays(part.vertices @ q.T, part.faces, part.name)
+
+
+SHARP = ("cube", "pyramid", "menger-1", "menger-2", "tilted-plate", "comb", "thin-walls")
+
+
+@pytest.mark.parametrize("name", SHARP)
+@pytest.mark.parametrize("method", METHODS)
+def test_parts_without_a_smooth_edge_stay_exact(name: str, method: str) -> None:
+    for part in (MODELS[name].tessellate(0.1), turned(MODELS[name].tessellate(0.1), 7)):
+        layers = sliced(part, 8)
+        curves = fit(layers, method, part=part)
+        # The plate's 32-bit vertices are not quite in its planes: points on its facets' diagonals go.
+        assert set(curves.kind) == {LINE}
+        assert fit_deviation(curves, layers)["bulge_mm"].max() < (FLAT_MM if name == "tilted-plate" else 1e-9)
+
+
+@pytest.mark.parametrize("sides", [3, 4, 5, 6, 8])
+def test_a_crease_is_what_the_angle_says(sides: int) -> None:
+    angle = 2.0 * np.pi * np.arange(sides) / sides
+    ring = np.column_stack([10.0 * np.cos(angle), 10.0 * np.sin(angle)])
+    top, bottom = (np.column_stack([ring, np.full(sides, z)]) for z in (0.0, 20.0))
+    centre = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 20.0]])
+    k, m = np.arange(sides), (np.arange(sides) + 1) % sides
+    low, high = np.full(sides, 2 * sides), np.full(sides, 2 * sides + 1)
+    faces = np.concatenate(
+        [
+            np.column_stack([k, m, m + sides]),
+            np.column_stack([k, m + sides, k + sides]),
+            np.column_stack([low, m, k]),
+            np.column_stack([high, k + sides, m + sides]),
+        ]
+    )
+    part = from_arrays(np.concatenate([top, bottom, centre]), faces)
+    layers = sliced(part, 3)
+    sharp = fit(layers, "surface", part=part, crease_angle_deg=min(360.0 / sides, 90.0) - 1.0)
+    assert set(sharp.kind) == {LINE}
+    assert sharp.block_count() == 3 * sides
+    if sides >= 8:  # and smooth, it is the cylinder through its edges
+        smooth = fit(layers, "surface", part=part, crease_angle_deg=360.0 / sides + 1.0)
+        radii = np.hypot(*smooth.sample(0.1).points.T)
+        assert np.abs(radii - 10.0).max() < 0.15 * 10.0 * (1.0 - np.cos(np.pi / sides))
+
+
+def corpus() -> list[Path]:
+    folder = os.environ.get("EBAMCHECK_CORPUS", "")
+    return sorted(p for kind in ("good", "nasty") for p in Path(folder, kind).glob("*.stl")) if folder else []
+
+
+@pytest.mark.skipif(
+    not corpus(), reason="EBAMCHECK_CORPUS names no folder: the mesh corpus is not part of it"
+)
+@pytest.mark.filterwarnings("ignore")
+def test_any_mesh_stays_near_its_contour() -> None:
+    for path in corpus():
+        if path.stat().st_size > 8_000_000:
+            continue
+        try:
+            part = ebamcheck.load(path)
+            layers = sliced(part, 7)
+        except EbamcheckError:
+            continue
+        for method in METHODS:
+            curves = fit(layers, method, part=part)
+            assert np.isfinite(curves.control).all(), path
+            assert_chained(curves)
+            chords = np.hypot(*np.diff(layers.points, axis=0).T) if len(layers.points) > 1 else np.zeros(1)
+            edges = np.ptp(part.triangles, axis=1).max(initial=0.0)
+            bulge = fit_deviation(curves, layers)["bulge_mm"].max()
+            # An edge that bends by the crease angle at both ends rises by a tenth of its length.
+            assert bulge <= 0.2 * max(edges, chords.max()) + TOLERANCE_MM, path
+
+
+# -- laws ----------------------------------------------------------------------------------------------
+
+
+def assert_chained(curves: Curves) -> None:
+    """Each piece ends, bit for bit, where the next starts; closed rings end where they start."""
+    for ring in range(curves.closed.size):
+        pieces = [curves.piece(i) for i in curves.pieces_of(ring)]
+        for a, b in itertools.pairwise(pieces):
+            assert np.array_equal(a.control[-1], b.control[0])
+        if pieces and curves.closed[ring]:
+            assert np.array_equal(pieces[-1].control[-1], pieces[0].control[0])
+
+
+def distance(a: Curves, b: Curves) -> float:
+    """Greatest normal distance of one stack of curves from another with the same rings."""
+    found = contour_error(a, b)
+    assert not found["unmatched"].any()
+    return float(found["normal_max_abs_mm"].max())
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_order_of_facets_and_turns_about_z_change_nothing(method: str) -> None:
+    part = MODELS["impeller"].tessellate(0.5)
+    layers = sliced(part, 3)
+    curves = fit(layers, method, part=part)
+    order = np.random.default_rng(3).permutation(len(part.faces))
+    shuffled = from_arrays(part.vertices, np.roll(part.faces[order], 1, axis=1))
+    assert distance(curves, fit(sliced(shuffled, 3), method, part=shuffled)) < 1e-4
+    quarter = from_arrays(part.vertices[:, [1, 0, 2]] * [-1.0, 1.0, 1.0], part.faces)
+    back = fit(sliced(quarter, 3), method, part=quarter)
+    there = Curves(**{**vars_of(back), "control": back.control[:, ::-1] * [1.0, -1.0]})
+    assert distance(curves, there) < (1e-4 if method == "surface" else 2 * TOLERANCE_MM)
+
+
+def vars_of(curves: Curves) -> dict[str, Any]:
+    return {name: getattr(curves, name) for name in curves.__dataclass_fields__}
+
+
+def test_a_larger_part_has_larger_curves() -> None:
+    part = LADDER.tessellate(1.0)
+    double = from_arrays(2.0 * part.vertices, part.faces)
+    small, large = (fit(sliced(p, 3), "surface", part=p) for p in (part, double))
+    grown = {"control": 2.0 * small.control, "heights": 2.0 * small.heights}
+    assert distance(Curves(**{**vars_of(small), **grown}), large) < 1e-4
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_threads_do_not_change_a_byte(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    part = LADDER.tessellate(0.4)
+    layers = sliced(part, 40)
+    found = []
+    for threads in ("1", "2", "5"):
+        monkeypatch.setenv("EBAMCHECK_THREADS", threads)
+        found.append(fit(layers, method, part=part))
+    for name in ("kind", "control", "knots", "control_starts", "knot_starts", "ring_starts"):
+        assert np.array_equal(getattr(found[0], name), getattr(found[1], name))
+        assert np.array_equal(getattr(found[0], name), getattr(found[2], name))
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_pieces_join_without_a_kink(method: str) -> None:
+    part = LADDER.tessellate(0.2)
+    curves = fit(sliced(part, 6), method, part=part)
+    assert_chained(curves)
+    spans = curves.bezier_spans()
+    for ring in range(curves.closed.size):
+        B = spans.points[spans.ring == ring]
+        out, into = np.roll(B[:, 1] - B[:, 0], -1, axis=0), B[:, 3] - B[:, 2]
+        kink = np.abs(np.arctan2(into[:, 0] * out[:, 1] - into[:, 1] * out[:, 0], (into * out).sum(axis=1)))
+        assert kink[:-1].max() < 1e-6
+        assert kink[-1] < 5e-3  # where the ring closes, an arc may end a little off
+
+
+def test_a_circle_is_written_as_arcs_of_its_radius() -> None:
+    part = MODELS["cylinder"].tessellate(0.05)
+    layers = sliced(part, 4)
+    curves = fit(layers, part=part)
+    assert set(curves.kind) == {ARC}
+    assert curves.block_count() <= 3 * 4
+    truth_mm = np.hypot(*layers.points.T).max()
+    for i in range(curves.kind.size):
+        arc = arc_through(np.ascontiguousarray(curves.piece(i).control))
+        assert arc.radius == pytest.approx(truth_mm, abs=0.003)
+        assert abs(np.degrees(arc.sweep)) <= 171.0
+
+
+def test_geomdl_and_scipy_evaluate_every_piece_alike() -> None:
+    part = LADDER.tessellate(0.4)
+    for method in METHODS:
+        curves = fit(sliced(part, 2), method, part=part)
+        for i in range(curves.kind.size):
+            piece = curves.piece(i)
+            if piece.kind == SPLINE:
+                at = np.linspace(0.0, piece.knots[-1], 17)
+                ours = curves.evaluate(i, at)
+                assert np.abs(ours - BSpline(piece.knots, piece.control, 3)(at)).max() < 1e-9
+                other = GeomdlBSpline.Curve()
+                other.degree = 3
+                other.ctrlpts = piece.control.tolist()
+                other.knotvector = (piece.knots / piece.knots[-1]).tolist()
+                theirs = np.array(other.evaluate_list((at / piece.knots[-1]).tolist()))
+                assert np.abs(ours - theirs).max() < 1e-9
+            elif piece.kind == ARC:
+                assert_is_rational_quadratic(curves, i)
+
+
+def assert_is_rational_quadratic(curves: Curves, i: int) -> None:
+    """The arc is geomdl's rational quadratic through the same ends, with the corner of the tangents between."""
+    arc = arc_through(np.ascontiguousarray(curves.piece(i).control))
+    start, end = curves.piece(i).control[[0, 2]]
+    middle = arc.start + 0.5 * arc.sweep
+    weight = np.cos(0.5 * arc.sweep)
+    tip = np.array([arc.x, arc.y]) + arc.radius / weight * np.array([np.cos(middle), np.sin(middle)])
+    curve = NURBS.Curve()
+    curve.degree = 2
+    curve.ctrlptsw = [[*start, 1.0], [*(weight * tip), weight], [*end, 1.0]]
+    curve.knotvector = [0, 0, 0, 1, 1, 1]
+    points = np.array(curve.evaluate_list(np.linspace(0.0, 1.0, 9).tolist()))
+    assert np.abs(np.hypot(*(points - [arc.x, arc.y]).T) - arc.radius).max() < 1e-9
+    half = curves.evaluate(i, [0.5 * abs(arc.sweep) * arc.radius])
+    assert np.abs(half - points[4]).max() < 1e-9
+
+
+def test_bezier_spans_of_an_arc_stay_on_it() -> None:
+    part = MODELS["cylinder"].tessellate(0.05)
+    curves = fit(sliced(part, 1), part=part)
+    spans = curves.bezier_spans()
+    t = np.linspace(0.0, 1.0, 7)[:, None, None]
+    s = 1.0 - t
+    B = spans.points
+    points = s**3 * B[:, 0] + 3 * s * s * t * B[:, 1] + 3 * s * t * t * B[:, 2] + t**3 * B[:, 3]
+    arcs = [arc_through(np.ascontiguousarray(curves.piece(i).control)) for i in range(curves.kind.size)]
+    for k, i in enumerate(spans.piece):
+        off = np.hypot(points[:, k, 0] - arcs[i].x, points[:, k, 1] - arcs[i].y) - arcs[i].radius
+        assert np.abs(off).max() < 1e-9
+    assert curves.lengths().sum() == pytest.approx(sum(abs(a.sweep) * a.radius for a in arcs), rel=1e-9)
+
+
+# -- normals -------------------------------------------------------------------------------------------
+
+
+def test_normals_of_a_sphere_are_its_radii() -> None:
+    part = MODELS["sphere"].tessellate(0.2)
+    found = surface_normals(part, 40.0)
+    centre = part.bounds.mean(axis=0)
+    corners = part.vertices[part.faces.reshape(-1)] - centre
+    radii = corners / np.linalg.norm(corners, axis=1)[:, None]
+    normals = found.normals[found.sectors.reshape(-1)]
+    assert np.arccos(np.clip((radii * normals).sum(axis=1), -1.0, 1.0)).max() < 0.02
+    assert found.smooth.all()
+
+
+def test_a_cube_has_three_normals_at_each_corner() -> None:
+    part = MODELS["cube"].tessellate(0.1)
+    found = surface_normals(part, 40.0)
+    assert len(found.normals) == 24
+    assert np.allclose(np.sort(np.abs(found.normals), axis=1), [0.0, 0.0, 1.0])
+    assert found.flat.all()
+
+
+def test_a_flat_side_keeps_its_plane_beside_a_rounding() -> None:
+    model = MODELS["prism"]
+    part = model.tessellate(0.3)
+    layers = sliced(part, 3)
+    after = contour_error(fit(layers, "surface", part=part), truth(model, layers))
+    assert after["normal_max_abs_mm"].max() < 0.01
+
+
+# -- files and wrong use -------------------------------------------------------------------------------
+
+
+def test_arcs_come_back_from_their_file(tmp_path: Path) -> None:
+    part = MODELS["prism"].tessellate(0.1)
+    curves = fit(sliced(part, 3), part=part)
+    assert {LINE, ARC} <= set(curves.kind)
+    curves.to_parquet(tmp_path / "curves.parquet")
+    back = Curves.from_parquet(tmp_path / "curves.parquet")
+    for name in ("kind", "control", "knots", "control_starts", "knot_starts", "ring_starts", "closed"):
+        assert np.array_equal(getattr(back, name), getattr(curves, name))
+
+
+def test_without_part_or_edges_the_contour_itself_is_followed() -> None:
+    part = MODELS["sphere"].tessellate(0.05)
+    layers = sliced(part, 4)
+    deviation = fit_deviation(fit(layers), layers)
+    assert deviation["points_mm"].max() <= TOLERANCE_MM + 2e-3
+    with pytest.raises(SettingsError, match="needs part="):
+        fit(layers, "surface")
+
+
+def test_contours_of_another_part_are_refused() -> None:
+    with pytest.raises(SettingsError, match="another mesh"):
+        fit(sliced(MODELS["sphere"].tessellate(0.1), 2), part=MODELS["sphere"].tessellate(0.2))
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_nothing_gives_nothing(method: str) -> None:
+    part = MODELS["cube"].tessellate(0.1)
+    layers = slice_part(part, [1000.0, 1001.0])
+    curves = fit(layers, method, part=part)
+    assert len(curves) == 2
+    assert curves.block_count() == 0
