@@ -36,12 +36,12 @@ def make_program(
     config, layers = job.config, job.folder.read_layers(primary)
     curves, deviation = _fit(job, layers, fine)
     with job.stage("partition and order", len(layers)):
-        smooth = curves.sample_tolerance(SAMPLING_MM)
+        smooth = smooth_layers(curves)
         plan = plan_stack(smooth, config, progress=job.observer.advance)
         plan.to_parquet(job.folder.path / "scan.parquet")
         plan.metrics.to_csv(job.folder.path / "scan.csv", index=False)
     with job.stage("program", 1):
-        beads = _bead_paths(smooth, plan, config)
+        beads = bead_paths(smooth, plan, config)
         beads.to_parquet(job.folder.path / "beads.parquet")
         checks = _write_and_verify(job, beads, plan, _witness(job, layers, done))
     made = [
@@ -123,7 +123,12 @@ def _rms(errors: pd.DataFrame) -> dict[str, float]:
     return result
 
 
-def _bead_paths(layers: Layers, plan: ScanPlan, config: Config) -> Curves:
+def smooth_layers(curves: Curves) -> Layers:
+    """Polylines along fitted contours, inside of which beads are planned."""
+    return curves.sample_tolerance(SAMPLING_MM)
+
+
+def bead_paths(layers: Layers, plan: ScanPlan, config: Config) -> Curves:
     """Curves along the centre lines of the contour beads."""
     lines = from_polygons(
         layers.heights,
