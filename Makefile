@@ -9,7 +9,7 @@ BIN := $(VENV)/bin
 # Two at a time: the suite is made for two cores. Tests of one file stay together and share its fixtures.
 PYTEST := $(BIN)/python -m pytest -q -n 2 --dist loadfile
 
-.PHONY: help setup demo test test-slow lint types format benchmark benchmark-gpu benchmark-scale clean
+.PHONY: help setup demo test test-slow lint types format benchmark benchmark-gpu benchmark-scale benchmark-curves clean
 
 help: ## Show the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -58,6 +58,9 @@ benchmark-gpu: setup ## The stencil alone, under the name of its renderer
 benchmark-scale: setup ## Ten million facets, ten thousand layers, under a watch of memory
 	@$(BIN)/ebamcheck warm
 	@$(BIN)/python -m benchmarks --scale
+
+benchmark-curves: setup ## How much of a part its curves give back; tables in reports/curves (a minute)
+	@$(BIN)/python -m benchmarks.curves
 
 clean: ## Remove what the targets made
 	@rm -rf $(VENV) demo .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -13,7 +13,7 @@ import shapely
 
 import ebamcheck
 from benchmarks import __main__ as command
-from benchmarks import methods, parts, plot, tables, target_rows, yardsticks
+from benchmarks import curves, methods, parts, plot, tables, target_rows, yardsticks
 from benchmarks.bitmaps import exact_image
 from benchmarks.crossings import farthest_mm
 from benchmarks.even_mesh import even_mesh
@@ -24,6 +24,7 @@ from benchmarks.spread import Spread, quantity, spread, spread_text
 from benchmarks.targets import Figures
 from benchmarks.timing import some_of
 from benchmarks.watch import run_task, watch
+from ebamcheck.curves import METHODS
 from ebamcheck.errors import BackendFailed
 from ebamcheck.inspection import inspect
 from ebamcheck.layers import from_rings
@@ -371,3 +372,16 @@ def test_one_command_measures_and_writes_figures_tables_and_a_plot(
     assert command.main([*arguments[:-2], "--render", "-o", str(tmp_path / "out")]) == 0
     assert (tmp_path / "out" / "ladder.md").read_bytes() == before
     assert "turn 1" in capsys.readouterr().err
+
+
+def test_the_tables_of_the_curves_name_every_mesh_and_method(tmp_path: Path) -> None:
+    curves.main(["--quick", "-o", str(tmp_path)])
+    record = json.loads((tmp_path / "curves.json").read_text())
+    meshes = [f"{t:g} mm" for t in (*curves.COARSE_MM, curves.FINE_MM)] + list(curves.IRREGULAR)
+    assert [(row["mesh"], row["method"]) for row in record["gains"]] == [
+        (mesh, method) for mesh in meshes for method in METHODS
+    ]
+    text = (tmp_path / "curves.md").read_text()
+    assert all(f"| {mesh} |" in text for mesh in meshes)
+    gains = {(row["mesh"], row["method"]): row["polar_rms"] for row in record["gains"]}
+    assert all(gains[mesh, "bounded"] > gains[mesh, "paper"] for mesh in meshes)

@@ -25,6 +25,9 @@ from ebamcheck.part import Part
 LAYERS_A_STEP = 256
 """Layers fitted between two reports of progress; bounds the working memory, too."""
 
+SHARE_OF_BULGE = 0.5
+"""Of the limit of the fit's gate, for a segment of a contour that was not lifted; the rest is for its cleaning."""
+
 DEFAULTS = CurveSettings()
 
 
@@ -171,7 +174,7 @@ def _strands(layers: Layers, settings: CurveSettings, lifting: Lifting | None) -
     unknown = np.full(points.shape, np.nan)
     nowhere, anywhere = np.zeros(len(points), np.bool_), np.ones(len(points), np.bool_)
     sides = Sides(points, unknown, unknown, nowhere, anywhere)
-    return strands(sides, cleaned.starts, layers.closed, settings)
+    return strands(sides, cleaned.starts, layers.closed, settings, SHARE_OF_BULGE * settings.largest_bulge_mm)
 
 
 def _curves(layers: Layers, segments: Segments) -> Curves:

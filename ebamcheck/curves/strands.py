@@ -47,7 +47,9 @@ class Strands(NamedTuple):
     """(K,) the segment after the point is a straight line."""
 
 
-def strands(sides: Sides, ring_starts: Ints, closed: Bools, settings: CurveSettings) -> Strands:
+def strands(
+    sides: Sides, ring_starts: Ints, closed: Bools, settings: CurveSettings, largest_bulge_mm: float = np.inf
+) -> Strands:
     """Make strands of contours.
 
     Parameters
@@ -58,6 +60,9 @@ def strands(sides: Sides, ring_starts: Ints, closed: Bools, settings: CurveSetti
         (R + 1,), (R,) rings of the points.
     settings
         Corner angle, smallest distance of points, least length of a straight run.
+    largest_bulge_mm
+        A segment that would leave its chord by more stays straight, between corners: a contour alone does not tell
+        whether it stands for a curve there.
     """
     count = closed.size
     sizes = np.zeros(count, np.int64)
@@ -69,7 +74,7 @@ def strands(sides: Sides, ring_starts: Ints, closed: Bools, settings: CurveSetti
 
     def work(first: int, last: int) -> None:
         _strands(
-            sides, ring_starts, closed, settings.near_point_mm, turn, settings.straight_run_mm,
+            sides, ring_starts, closed, settings.near_point_mm, turn, settings.straight_run_mm, largest_bulge_mm,
             first, last, rows, before, after, corner, straight, sizes,
         )  # fmt: skip
 
@@ -87,6 +92,7 @@ def _strands(
     near: float,
     largest_turn: float,
     straight_run: float,
+    largest_bulge: float,
     first: int,
     last: int,
     rows: Ints,
@@ -112,6 +118,10 @@ def _strands(
         _spare_long_segments(sides.points, kept, corner[a : a + n], before[a : a + n], after[a : a + n])
         _mark_straight(
             sides, kept, closed[r], straight_run, corner[a : a + n], before[a : a + n],
+            after[a : a + n], straight[a : a + n],
+        )  # fmt: skip
+        _keep_near(
+            sides.points, kept, closed[r], largest_bulge, corner[a : a + n], before[a : a + n],
             after[a : a + n], straight[a : a + n],
         )  # fmt: skip
         if closed[r]:
@@ -329,6 +339,27 @@ def _mark_straight(
         if not corner[m]:
             after[m] += before[m]
         after[k] = before[m] = 0.0
+
+
+@kernel
+def _keep_near(
+    points: Floats,
+    rows: Ints,
+    closed: bool,
+    largest_bulge: float,
+    corner: Bools,
+    before: Floats,
+    after: Floats,
+    straight: Bools,
+) -> None:
+    """Make segments straight that would leave their chords too far."""
+    n = rows.size
+    for k in range(n if closed else n - 1):
+        m = (k + 1) % n
+        bulge = 0.25 * _distance(points, rows[k], rows[m]) * max(abs(after[k]), abs(before[m]))
+        if bulge > largest_bulge:
+            corner[k] = corner[m] = straight[k] = True
+            after[k] = before[m] = 0.0
 
 
 @kernel

@@ -70,7 +70,7 @@ def run_job(
     fine = mesh_files.load(reference, config.part.units).along(config.part.direction) if reference else None
 
     def program(job: Job, checked: CrossCheck, sound: bool) -> list[Gate]:
-        return make_program(job, _primary(job, checked), checked.done, fine, sound)
+        return make_program(job, _primary(job, checked), checked, fine, sound)
 
     return _job("run", part_path, target, config, [fine.sha256 if fine else ""], resume, observer, program)
 

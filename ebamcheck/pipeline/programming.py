@@ -16,6 +16,7 @@ from ebamcheck.curves import LIFTED, Curves, contour_error, error_reduction, fit
 from ebamcheck.layers import Layers, from_polygons
 from ebamcheck.part import Part
 from ebamcheck.pipeline import gates
+from ebamcheck.pipeline.cross_check import CrossCheck
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.work import Job
 from ebamcheck.program import Check, mark_validated, program_summary, read_program, verify_program
@@ -30,11 +31,11 @@ TOTALS = ("motions", "contour_mm", "hatch_mm", "travel_mm", "deposit_s", "travel
 
 
 def make_program(
-    job: Job, primary: str, done: Sequence[str], fine: Part | None, validated_so_far: bool
+    job: Job, primary: str, checked: CrossCheck, fine: Part | None, validated_so_far: bool
 ) -> list[Gate]:
     """Fit, partition, order, write, read back and verify."""
     config, layers = job.config, job.folder.read_layers(primary)
-    curves, deviation = _fit(job, layers, fine)
+    curves, deviation = _fit(job, layers, checked.outcomes[primary].error_bound_mm, fine)
     with job.stage("partition and order", len(layers)):
         smooth = smooth_layers(curves)
         plan = plan_stack(smooth, config, progress=job.observer.advance)
@@ -43,7 +44,7 @@ def make_program(
     with job.stage("program", 1):
         beads = bead_paths(smooth, plan, config)
         beads.to_parquet(job.folder.path / "beads.parquet")
-        checks = _write_and_verify(job, beads, plan, _witness(job, layers, done))
+        checks = _write_and_verify(job, beads, plan, _witness(job, layers, checked.done))
     made = [
         gates.fit_gate(deviation, config),
         gates.coverage_gate(plan.metrics, config),
@@ -69,10 +70,13 @@ def make_program(
     return made
 
 
-def _fit(job: Job, layers: Layers, fine: Part | None) -> tuple[Curves, pd.DataFrame]:
+def _fit(job: Job, layers: Layers, error_bound_mm: float, fine: Part | None) -> tuple[Curves, pd.DataFrame]:
     """Fit the contours, measure the fit, and both against the reference where there is one."""
+    # What a slicer's own error makes of a contour, a staircase of pixels say, is no shape: no corners come of it.
+    settings = job.config.curves
+    settings = settings.model_copy(update={"collinear_mm": max(settings.collinear_mm, error_bound_mm)})
     with job.stage("fit", len(layers)):
-        curves = fit(layers, job.config.curves.method, job.config.curves, job.observer.advance, job.part)
+        curves = fit(layers, settings.method, settings, job.observer.advance, job.part)
         curves.to_parquet(job.folder.path / "curves.parquet")
         deviation = fit_deviation(curves, layers)
         deviation.to_csv(job.folder.path / "fit.csv", index=False)
