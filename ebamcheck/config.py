@@ -111,9 +111,12 @@ class CurveSettings(Section):
     straight_run_mm: Positive = 5.0
     """A segment at least this long, and three times longer than those beside it, is a straight run, not part of a
     curve."""
+    largest_lift_mm: Positive = 1.0
+    """How far a curve of `bounded` or `surface` may lie from the chords of the mesh, which it leaves for the surface behind
+    them: the limit of the fit's gate. More is a mesh too coarse for its part."""
     largest_bulge_mm: Positive = 0.2
     """A curved run that leaves the chords of its contour by more than this stays a polyline: the mesh is too coarse
-    there to tell the curve that it stands for. It is the limit of the fit's gate, too."""
+    there to tell the curve that it stands for. For `paper` and `chord` it is the limit of the fit's gate, too."""
 
 
 class ScanSettings(Section):

@@ -27,7 +27,7 @@ SOURCES = ("ebamcheck", "backends", "reference_models", "reports")
 LARGEST_PICTURE_BYTES = 400_000
 """Pictures live in the repository for ever."""
 
-UNITS = ("mm", "deg", "s", "mm_s", "kv", "ma", "mb", "m3", "px")
+UNITS = ("mm", "deg", "s", "mm_s", "mm_s2", "mm_s3", "kv", "ma", "mb", "m3", "px")
 """Last words of the names of settings that have a unit."""
 
 WITHOUT_UNIT = {
@@ -40,6 +40,10 @@ WITHOUT_UNIT = {
     "block_points",
     "processes",
     "bspline_shift",
+    "ramp_power",  # over the full power
+    "ramp_steps",
+    "curvature_share",  # of the acceleration
+    "dip_share",  # of the feed
 }
 
 GROUP = typer.main.get_group(app)

@@ -107,6 +107,19 @@ def swapped_lines(name, first, second):
     return plant
 
 
+def swapped_layers(text):
+    i, j = text.find(MAIN, " MAIN_L0001$"), text.find(MAIN, " MAIN_L0002$")
+    lines = text.lines[MAIN]
+    lines[i], lines[j] = lines[i].replace("L0001", "L0002"), lines[j].replace("L0002", "L0001")
+    return f"{MAIN}:{i + 1}"
+
+
+def block_twice(text):
+    i = text.find(FIRST, r"G1 X.*\d$", nth=9)
+    text.lines[FIRST].insert(i + 1, text.lines[FIRST][i])
+    return f"{FIRST}:{i + 2}"
+
+
 def swapped_islands(text):
     lines = text.lines[FIRST]
     i, j, k = (text.find(FIRST, rf"; ISLAND {n}$") for n in (0, 1, 2))
@@ -197,6 +210,9 @@ FAULTS = {
     # -- words
     "unknown word": (lambda text: text.edit(FIRST, r"(G1 X)", r"G5 X", nth=2) + ":6", "readable"),
     "letter for a digit": (lambda text: text.edit(FIRST, r" Y(-?\d)\d", r" Y\1O", nth=4), "readable"),
+    "comma for a point": (lambda text: text.edit(FIRST, r"(G1 X-?\d+)\.", r"\1,", nth=3) + ":", "readable"),
+    "block twice": (block_twice, "repeated blocks"),
+    "swapped layers": (swapped_layers, "layer heights"),
     # -- machine state
     "missing beam-off": (later_rapid, "beam"),
     "missing beam-on": (
@@ -220,6 +236,10 @@ FAULTS = {
     "feed too high": (edit(SECOND, "F600", "F6000", nth=2), "feed"),
     "current over the limit": (
         lambda text: (text.edit(MAIN, "H2=120", "H2=300"), f"{FIRST}:{text.find(FIRST, 'POLY') + 1}")[1],
+        "power",
+    ),
+    "current under the one set": (
+        lambda text: (text.edit(MAIN, "H2=120", "H2=100"), f"{FIRST}:{text.find(FIRST, 'POLY') + 1}")[1],
         "power",
     ),
     "half the wire": (

@@ -10,6 +10,7 @@ import pandas as pd
 
 from ebamcheck.comparison import Comparison
 from ebamcheck.config import Config
+from ebamcheck.curves import LIFTED
 from ebamcheck.errors import ExitCode
 from ebamcheck.inspection import Inspection
 from ebamcheck.isolate import Outcome
@@ -75,13 +76,21 @@ def _first(comparison: Comparison) -> str:
 
 
 def fit_tolerance_mm(config: Config) -> float:
-    """Distance that a curve may keep from its contour: the largest bulge, and what the cleaning may move."""
-    return config.curves.largest_bulge_mm + config.curves.near_point_mm + config.curves.collinear_mm
+    """Distance that a curve may keep from its contour: the largest lift or bulge, and what fit and cleaning may move."""
+    curves = config.curves
+    if curves.method in LIFTED:
+        return curves.largest_lift_mm + curves.tolerance_mm + curves.near_point_mm
+    return curves.largest_bulge_mm + curves.near_point_mm + curves.collinear_mm
 
 
-def section_tolerance_mm(config: Config) -> float:
-    """Distance that the contour path may keep from the inset section: that of the fit, and of the inset's arcs."""
-    return fit_tolerance_mm(config) + SECTION_TOLERANCE_MM
+def fit_distance_mm(deviation: pd.DataFrame) -> float:
+    """Greatest distance between curves and their contours, of what :func:`ebamcheck.curves.fit_deviation` found."""
+    return float(deviation[["points_mm", "bulge_mm"]].to_numpy().max(initial=0.0))
+
+
+def section_tolerance_mm(fit_mm: float) -> float:
+    """Distance that the contour path may keep from the inset section: that of these curves, and of the inset's arcs."""
+    return fit_mm + SECTION_TOLERANCE_MM
 
 
 def fit_gate(deviation: pd.DataFrame, config: Config) -> Gate:

@@ -14,6 +14,7 @@ from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.heights import checked_heights, is_rising, layer_heights
 from ebamcheck.part import Part
 from ebamcheck.pipeline import gates
+from ebamcheck.pipeline.certificate import write_certificate
 from ebamcheck.pipeline.choice import chosen_backends, primary_backend, unavailable_backends
 from ebamcheck.pipeline.cross_check import CrossCheck, cross_check
 from ebamcheck.pipeline.gates import Gate
@@ -131,6 +132,8 @@ def _finished(
     code = gates.exit_code(shut, checked.comparison.compared_layers, outcomes)
     manifest = make_manifest(job, outcomes, checked.comparison, shut, _primary(job, checked), code)
     write_json(manifest, job.folder.path / MANIFEST)
+    if program is not None:
+        write_certificate(RunFolder(job.folder.path))
     _write_reports(job)
     (job.folder.path / FINGERPRINT).unlink()
     return RunResult(job.folder.finish(), tuple(shut), code, manifest)

@@ -5,17 +5,26 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from ebamcheck import mesh_files
+from ebamcheck import mesh_files, registry
 from ebamcheck.config import Config, validated
-from ebamcheck.curves import Curves
+from ebamcheck.curves import LIFTED, Curves, fit, fit_deviation
 from ebamcheck.errors import InputError
 from ebamcheck.heights import checked_heights, layer_heights
 from ebamcheck.inspection import inspect
-from ebamcheck.pipeline.gates import section_tolerance_mm
+from ebamcheck.pipeline.certificate import (
+    certificate_checks,
+    find_certificate,
+    read_certificate,
+    run_certificate_checks,
+)
+from ebamcheck.pipeline.gates import fit_distance_mm, section_tolerance_mm
 from ebamcheck.program import Check, verify_file
 from ebamcheck.scan import ScanPlan
 from ebamcheck.slicing import slice_part
 from ebamcheck.store import MANIFEST, RunFolder, sha256_of_file, sha256_of_json
+
+SMOOTH_MM = 0.002
+"""Chords of the smooth sections: far under the tolerance of the fit."""
 
 
 def verify_run(folder: Path, part: Path | None = None) -> list[Check]:
@@ -50,6 +59,7 @@ def _verify(run: RunFolder, manifest: dict[str, Any], part: Path | None) -> list
             "run.json",
         )
     ]
+    checks += run_certificate_checks(run, manifest)
     checks += [_file_check(run.path / name, name, sha256) for name, sha256 in manifest["files"].items()]
     untouched = all(check.passed for check in checks)
     if part is not None:
@@ -72,7 +82,9 @@ def _verify(run: RunFolder, manifest: dict[str, Any], part: Path | None) -> list
         plan=ScanPlan.from_parquet(run.path / "scan.parquet"),
         layers=run.read_layers(record["witness"]),
         sha256=recorded,
-        section_tolerance_mm=section_tolerance_mm(config),
+        section_tolerance_mm=section_tolerance_mm(
+            max(float(manifest["fit"]["max_points_mm"]), float(manifest["fit"]["max_bulge_mm"]))
+        ),
     )
     return checks
 
@@ -96,12 +108,13 @@ def _recorded_gates(manifest: dict[str, Any]) -> list[Check]:
 def verify_against_part(program: Path, part_path: Path, config: Config) -> list[Check]:
     """Check a program from its text alone against the part that it should make.
 
-    The part is sliced anew at the layers of the settings by the default exact backend.
+    The part is sliced anew at the layers of the settings, by an exact backend that did not make the program where
+    its certificate says which one did. A certificate beside the program is checked, too.
 
     Raises
     ------
     InputError
-        If the part cannot be read, or there is no program at `program`.
+        If the part cannot be read, there is no program at `program`, or its certificate is none.
     """
     if not program.exists():
         raise InputError(f"{program}: there is no such program")
@@ -121,14 +134,35 @@ def verify_against_part(program: Path, part_path: Path, config: Config) -> list[
         if not config.layers.heights_mm
         else config.layers.heights_mm
     )
+    paper = find_certificate(program)
+    maker = str(read_certificate(paper).get("primary", "")) if paper else ""
+    layers = slice_part(part, heights)
+    curves = fit(layers, config.curves.method, config.curves, part=part)
     made = verify_file(
         program,
         config=config,
-        layers=slice_part(part, heights),
+        layers=slice_part(part, heights, witness_backend(maker)),
+        smooth=curves.sample_tolerance(SMOOTH_MM) if config.curves.method in LIFTED else None,
+        beads=True,
         heights=heights,
-        section_tolerance_mm=section_tolerance_mm(config),
+        section_tolerance_mm=section_tolerance_mm(fit_distance_mm(fit_deviation(curves, layers))),
     )
-    return [sound, *made]
+    certified = certificate_checks(paper, program, part_path, config) if paper else []
+    return [*certified, sound, *made]
+
+
+def witness_backend(maker: str) -> str:
+    """Available exact backend of the highest priority that did not make a program; `maker` if there is no other.
+
+    Where the maker is not known it is taken to be the default one.
+    """
+    maker = maker or registry.default_backend()
+    others = [
+        name
+        for name in registry.house_slicers()
+        if name != maker and registry.slicer(name).exact and registry.probe(name).available
+    ]
+    return max(others, key=lambda name: registry.slicer(name).priority, default=maker)
 
 
 def _file_check(path: Path, name: str, recorded: str) -> Check:

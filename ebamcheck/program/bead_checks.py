@@ -13,6 +13,7 @@ from ebamcheck.program.checks import Check, count_check, row_faults
 from ebamcheck.program.motions import NCProgram
 from ebamcheck.rings import Bools, Floats, Ints
 from ebamcheck.scan.coverage import covered_fraction
+from ebamcheck.scan.regions import CRUMB, inset, layer_section
 
 BEAD_STEP_MM = 0.5
 """Chords of curved beads: at a radius of 5 mm they err by 6 um, which no bead's border shows."""
@@ -26,8 +27,10 @@ SAME_LINE_MM = 0.01
 PARALLEL_RAD = 1e-3
 """Lines of one island whose directions differ by more follow a wall, and have no common spacing."""
 
-SMALLEST_GAP = 0.05
-"""Gaps under this times the squared bead width are corners that a round bead never fills."""
+
+WIDEST_GAP = 0.15
+"""Width of a gap between beads over the bead's width. Sound plans leave up to 0.13 of it where three islands meet;
+a missing line leaves 0.44, down to 0.15 where it is a short one in the corner of an island."""
 
 
 def bead_checks(nc: NCProgram, config: Config, z_of: Floats, layers: Layers | None = None) -> list[Check]:
@@ -38,9 +41,9 @@ def bead_checks(nc: NCProgram, config: Config, z_of: Floats, layers: Layers | No
     z_of
         (L,) Z of each of the `layers` in the program.
     """
-    checks = [_spacing(nc, config), _once(nc)]
+    checks = [_spacing(nc, config, z_of, layers), _once(nc)]
     if layers is not None:
-        checks.append(_coverage(nc, config, z_of, layers))
+        checks += [_coverage(nc, config, z_of, layers), _gaps(nc, config, z_of, layers)]
     return checks
 
 
@@ -51,27 +54,44 @@ def _hatch_rows(nc: NCProgram) -> Ints:
     return np.flatnonzero(nc.deposit & (nc.island >= 0) & ~nc.turn & (nc.lengths > 0.0))
 
 
-def _spacing(nc: NCProgram, config: Config) -> Check:
-    """Distance between neighbouring parallel lines of an island, in the order in which they lie."""
+def _spacing(nc: NCProgram, config: Config, z_of: Floats, layers: Layers | None) -> Check:
+    """Distance between neighbouring parallel lines of an island, where nothing else covers what lies between."""
     rows = _hatch_rows(nc)
-    spacing = config.process.hatch_spacing_mm
-    limit = SPACING_SHARE * spacing
+    limit = SPACING_SHARE * config.process.hatch_spacing_mm
     group, offset, parallel = _offsets(nc, rows)
     order = np.lexsort((offset, group))
     step = np.diff(offset[order])
     same = (np.diff(group[order]) == 0) & parallel[order[1:]] & parallel[order[:-1]]
     wide = np.flatnonzero(same & (step > limit))
-    name = "hatch spacing"
-    worst = float(step[same].max(initial=0.0))
+    wide = (
+        wide[[_is_bare(nc, rows[order[i : i + 2]], config, z_of, layers) for i in wide]]
+        if wide.size
+        else wide
+    )
+    worst = float(step[wide if wide.size else same & (step <= limit)].max(initial=0.0))
     if not wide.size:
-        return Check(
-            name, True, worst, limit, "mm", "", f"{rows.size} lines, neighbours at most {worst:.6g} mm apart"
-        )
-    # The line after the gap in the order of the program is where the missing one should have come before.
-    pairs = np.maximum(rows[order[wide]], rows[order[wide + 1]])
-    first = int(pairs.min())
-    text = f"lines of island {nc.island[first]} lie {worst:.6g} mm apart: one is missing between (and {wide.size - 1} more)"
-    return Check(name, False, worst, limit, "mm", nc.where(first), text)
+        text = f"{rows.size} lines, neighbours at most {worst:.6g} mm apart"
+        return Check("hatch spacing", True, worst, limit, "mm", "", text)
+    # The later of both lines stands where the missing one should have come before.
+    row = int(np.maximum(rows[order[wide]], rows[order[wide + 1]]).min())
+    text = f"lines of island {nc.island[row]} lie {worst:.6g} mm apart: one is missing between"
+    return Check("hatch spacing", False, worst, limit, "mm", nc.where(row), text)
+
+
+def _is_bare(nc: NCProgram, pair: Ints, config: Config, z_of: Floats, layers: Layers | None) -> bool:
+    """Whether the place half-way between two lines is in the section, and under no bead."""
+    shorter, other = pair[np.argsort(nc.lengths[pair], kind="stable")]
+    middle = 0.5 * (nc.start + nc.end)[shorter, :2]
+    way = (nc.end - nc.start)[other, :2] / nc.lengths[other]
+    from_other = middle - nc.start[other, :2]
+    place = shapely.Point(middle - 0.5 * (from_other - (from_other @ way) * way))
+    if layers is not None:
+        k = int(np.searchsorted(0.5 * (z_of[1:] + z_of[:-1]), nc.end[shorter, 2]))
+        if not shapely.intersects(shapely.union_all(layers.polygons(k)), place):
+            return False
+    segments = _segments(nc, np.flatnonzero(nc.deposit & (nc.layer == nc.layer[shorter])))
+    lines = shapely.linestrings(segments.reshape(-1, 2, 2))
+    return bool(np.min(shapely.distance(lines, place)) > 0.5 * config.process.bead_width_mm)
 
 
 def _offsets(nc: NCProgram, rows: Ints) -> tuple[Ints, Floats, Bools]:
@@ -166,21 +186,49 @@ def _segments(nc: NCProgram, rows: Ints) -> Floats:
     return np.hstack([before, points])
 
 
+def _gaps(nc: NCProgram, config: Config, z_of: Floats, layers: Layers) -> Check:
+    """Widest gap within the contour beads: corners that a round bead cannot fill lie outside of their middle."""
+    width = config.process.bead_width_mm
+    limit = WIDEST_GAP * width
+    rows = np.flatnonzero(nc.deposit)
+    index = np.searchsorted(0.5 * (z_of[1:] + z_of[:-1]), nc.end[rows, 2])
+    worst, where, place = 0.0, "", ""
+    for k in range(len(layers)):
+        inner = inset(layer_section(layers.polygons(k)), 0.5 * width)
+        mine = rows[index == k]
+        if inner.is_empty or not mine.size or covered_fraction(inner, _segments(nc, mine), width) == 1.0:
+            continue
+        for bare in shapely.get_parts(_bare(nc, mine, inner, width)):
+            across = 2.0 * float(shapely.length(shapely.maximum_inscribed_circle(bare)))
+            if across > worst:
+                centre = bare.representative_point()
+                worst, where = across, nc.where(_nearest(nc, mine, centre))
+                place = f" at ({centre.x:.3f}, {centre.y:.3f})"
+    text = f"widest gap between beads{place}: {worst:.4g} mm"
+    return Check("gaps", worst <= limit, worst, limit, "mm", where, text)
+
+
+def _bare(nc: NCProgram, rows: Ints, region: BaseGeometry, width_mm: float) -> BaseGeometry:
+    """What beads along motions leave of a region."""
+    lines = shapely.linestrings(_segments(nc, rows).reshape(-1, 2, 2))
+    return region.difference(shapely.union_all(shapely.buffer(lines, 0.5 * width_mm)))
+
+
+def _nearest(nc: NCProgram, rows: Ints, place: BaseGeometry) -> int:
+    return int(rows[np.argmin(shapely.distance(motion_chords(nc, rows), place))])
+
+
 def _gap(nc: NCProgram, rows: Ints, section: BaseGeometry, width_mm: float) -> tuple[str, str]:
     """``FILE:line`` nearest to the largest gap of a layer, and the gap in words."""
     if not rows.size:
         return f"{nc.files[0].name}:1", "; the layer has no bead"
-    segments = _segments(nc, rows)
-    lines = shapely.linestrings(segments.reshape(-1, 2, 2))
-    bare = section.difference(shapely.union_all(shapely.buffer(lines, 0.5 * width_mm)))
-    parts = [p for p in shapely.get_parts(bare) if p.area > SMALLEST_GAP * width_mm**2]
+    parts = [p for p in shapely.get_parts(_bare(nc, rows, section, width_mm)) if p.area > CRUMB * width_mm**2]
     if not parts:
         return "", "; no gap"
     largest = max(parts, key=lambda p: float(p.area))
     centre = largest.representative_point()
-    row = int(rows[np.argmin(shapely.distance(motion_chords(nc, rows), centre))])
     text = f"; {len(parts)} gaps, the largest of {largest.area:.4g} mm2 at ({centre.x:.3f}, {centre.y:.3f})"
-    return nc.where(row), text
+    return nc.where(_nearest(nc, rows, centre)), text
 
 
 def motion_chords(nc: NCProgram, rows: Ints) -> NDArray[np.object_]:

@@ -16,6 +16,9 @@ from ebamcheck.program.circles import circles
 from ebamcheck.program.segments import CIRCULAR, CUBIC, STRAIGHT
 from ebamcheck.rings import Floats
 
+SNAP_MM = 1e-9
+"""A cut this near to the end of a segment is made there: what it would leave is rounding."""
+
 HALVINGS = 52
 """Bisections of the parameter of a cubic at a length: the bits of a number."""
 
@@ -70,15 +73,13 @@ def joined(*tracks: Track) -> Track:
 def cut(track: Track, at_mm: float) -> tuple[Track, Track]:
     """The track up to a length along it, and what follows; one of them is empty at the ends."""
     ends = np.cumsum(track.lengths)
-    if not 0.0 <= at_mm <= (ends[-1] if ends.size else 0.0):
+    if not -SNAP_MM <= at_mm <= (ends[-1] if ends.size else 0.0) + SNAP_MM:
         raise SettingsError(f"a track of {track.length_mm:.6g} mm cannot be cut at {at_mm:.6g} mm")
-    k = int(np.searchsorted(ends, at_mm, side="left"))
-    if k == len(ends):
-        return track, Track(track.kind[:0], track.points[:0])
+    k = int(np.searchsorted(ends, at_mm - SNAP_MM, side="left"))
     rest = at_mm - (float(ends[k - 1]) if k else 0.0)
-    whole = float(track.lengths[k])
-    if rest <= 0.0 or rest >= whole:
-        k += rest >= whole
+    whole = float(track.lengths[k]) if k < len(ends) else 0.0
+    if rest <= SNAP_MM or rest >= whole - SNAP_MM:
+        k += k < len(ends) and rest > SNAP_MM
         return Track(track.kind[:k], track.points[:k]), Track(track.kind[k:], track.points[k:])
     first, second = _cut_segment(int(track.kind[k]), track.points[k], rest, whole)
     before = Track(track.kind[: k + 1], np.concatenate([track.points[:k], first[None]]))

@@ -38,6 +38,7 @@ def verify_program(
     plan: ScanColumns | None = None,
     layers: Layers | None = None,
     smooth: Layers | None = None,
+    beads: bool = False,
     heights: ArrayLike | None = None,
     sha256: Mapping[str, str] | None = None,
     contour_offset_mm: float | None = None,
@@ -57,6 +58,9 @@ def verify_program(
     smooth
         The same sections with the curves that their chords stand for: the path has to lie near them where the
         chords alone leave it room.
+    beads
+        Check the beads themselves, too: spacing, lines laid twice, coverage of the `layers`. For a program whose
+        plan is not known; against a plan its vectors are compared one by one.
     heights
         (L,) heights of the cuts; None: those of `curves`, `plan` or `layers`.
     sha256
@@ -94,7 +98,7 @@ def verify_program(
         if smooth is not None:
             limit = smooth_tolerance_mm(config)
             checks.append(section_check(nc, smooth, z_of, offset, limit, "smooth section"))
-    if plan is None:
+    if beads:
         checks += bead_checks(nc, config, z_of, layers)
     return checks
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ebamcheck.curves import LINE, SPLINE, Curves, polar_radius
+from ebamcheck.curves import ARC, LINE, SPLINE, Curves, polar_radius
 from ebamcheck.layers import Layers
 from ebamcheck.rings import Floats
 from ebamcheck_reports import curve_picture
@@ -37,8 +37,9 @@ CORNER_ANGLE_DEG = 140.0
 """Angle of a corner where the settings name none (paper, section 3.2)."""
 
 WHAT = (
-    "A contour is a chain of short straight segments. Between its corners it is replaced by a smooth curve that the control can drive "
-    "without stopping. Good is a curve that stays within the limit of its contour, and fewer blocks than points."
+    "A contour is a chain of short straight segments, chords of the part's surface. Between its corners it is replaced by a smooth curve "
+    "that the control can drive without stopping. Good is a curve that stays within the limit of its contour, is nearer to the part, and "
+    "needs fewer blocks than points."
 )
 
 
@@ -52,6 +53,7 @@ def render(run: RunData) -> Markup:
         "Fit",
         WHAT,
         _counts(run, curves),
+        _methods(run),
         _deviation(run),
         *_pictures(run, layers, curves),
         element("h3", "Against a reference"),
@@ -61,7 +63,7 @@ def render(run: RunData) -> Markup:
 
 def _counts(run: RunData, curves: Curves) -> Markup:
     record = run.part_of("fit")
-    lines, splines = int((curves.kind == LINE).sum()), int((curves.kind == SPLINE).sum())
+    lines, splines, arcs = (int((curves.kind == kind).sum()) for kind in (LINE, SPLINE, ARC))
     points, blocks = int(record["points"]), int(record["blocks"])
     saved = f" ({percent(1.0 - blocks / points)} fewer)" if 0 < blocks < points else ""
     return facts(
@@ -69,12 +71,34 @@ def _counts(run: RunData, curves: Curves) -> Markup:
             ("method", record["method"]),
             ("contour points", figure(points)),
             ("NC blocks after fitting", join([figure(blocks), saved])),
-            ("pieces", f"{splines} curves, {lines} straight runs"),
+            ("pieces", f"{splines} curves, {arcs} arcs, {lines} straight runs"),
             ("farthest contour point from its curve", figure(record["max_points_mm"], "mm")),
             ("farthest bulge of a curve from its contour", figure(record["max_bulge_mm"], "mm")),
             ("limit of both", figure(run.gate_limit("fit"), "mm")),
         ]
     )
+
+
+def _methods(run: RunData) -> Markup:
+    """Every method beside the chosen one."""
+    fits = run.part_of("fit").get("methods", {})
+    gains = run.part_of("reference").get("methods", {})
+    kinds = [
+        (f"{kind}_{what}", f"{kind} {what}, less by")
+        for kind in ("polar", "normal")
+        for what in ("rms", "max")
+    ]
+    columns = ("method", "NC blocks", "from its contour", *(title for _, title in kinds if gains))
+    rows = [
+        (
+            name + (" (chosen)" if name == run.part_of("fit")["method"] else ""),
+            figure(fit["blocks"]),
+            figure(max(number(fit["max_points_mm"]), number(fit["max_bulge_mm"])), "mm"),
+            *(figure(gains[name].get(key), text=percent(gains[name].get(key))) for key, _ in kinds if gains),
+        )
+        for name, fit in fits.items()
+    ]
+    return table(columns, rows, class_="methods", numbers=columns[1:])
 
 
 def _deviation(run: RunData) -> Markup:

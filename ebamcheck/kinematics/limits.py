@@ -1,0 +1,204 @@
+"""Speeds that the axes allow: along the cells of the path, and at the corners between motions."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ebamcheck.config import Config, KinematicsSettings, MachineSettings
+from ebamcheck.kinematics.path import DrivenPath
+from ebamcheck.rings import Bools, Floats, Ints
+
+PLACES = 5
+"""Places of a cell, its ends included, at which its curvature is taken."""
+
+MOST_CELLS = 64
+"""Cells of one motion."""
+
+CRAWL_SHARE = 1e-3
+"""Least speed along a curve over its feed: a cusp has no curvature, and the axes go through it somehow."""
+
+SMOOTHING_WORDS = ("G641", "G642", "G643", "G644", "G645")
+"""Words by which the control rounds corners (SINUMERIK, continuous-path mode)."""
+
+EXACT_STOP_WORDS = ("G60", "G9")
+"""Words by which it stops in every corner."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Stretches of the path along each of which the greatest speed is held constant.
+
+    A curve is divided into cells about as long as a ramp from rest to the feed: speeds that vary over less
+    could not be followed.
+    """
+
+    motion: Ints
+    """(C,) motion of the path."""
+    length_mm: Floats
+    """(C,)"""
+    most_mm_s: Floats
+    """(C,) greatest speed."""
+    acceleration_mm_s2: Floats
+    """(C,) along the path."""
+    jerk_mm_s3: Floats
+    """(C,) along the path."""
+    entry_mm_s: Floats
+    """(C,) greatest speed at its start: 0 where a run begins."""
+    first: Bools
+    """(C,) true where a run begins."""
+
+
+def cells_of(path: DrivenPath, config: Config) -> Cells:
+    """Divide a path, and find the speed that its curvature, its corners and the axes allow."""
+    axes = config.kinematics
+    parts = np.where(path.is_curved, _parts(path, axes), 1)
+    motion = np.repeat(np.arange(len(path)), parts)
+    starts = np.concatenate([[0], np.cumsum(parts)]).astype(np.int64)
+    index = np.arange(motion.size) - starts[:-1][motion]
+    t0, t1 = index / parts[motion], (index + 1) / parts[motion]
+    curvature, direction = _curvature(path, motion, t0, t1)
+    feed = path.feed_mm_s[motion]
+    most = np.minimum(feed, _along(direction, np.array(axes.axis_speed_mm_s)))
+    most = np.minimum(most, np.maximum(_round(curvature, axes), CRAWL_SHARE * feed))
+    acceleration = _along(direction, np.array(axes.axis_acceleration_mm_s2))
+    jerk = _along(direction, np.array(axes.axis_jerk_mm_s3))
+    curved = path.is_curved[motion]
+    # Across any direction of travel in X and Y, the least of both axes holds; what curvature takes is not left.
+    rest = math.sqrt(1.0 - axes.curvature_share**2)
+    acceleration[curved] = rest * min(axes.axis_acceleration_mm_s2[:2])
+    jerk[curved] = rest * min(axes.axis_jerk_mm_s3[:2])
+    entry = np.full(motion.size, np.inf)
+    entry[starts[:-1]] = corner_speeds(path, config)
+    first = np.zeros(motion.size, np.bool_)
+    first[starts[:-1]] = np.diff(path.run, prepend=-1) != 0
+    entry[first] = 0.0
+    return Cells(motion, _lengths(path, motion, t0, t1), most, acceleration, jerk, entry, first)
+
+
+def _parts(path: DrivenPath, axes: KinematicsSettings) -> Ints:
+    """Cells of each motion (B,) if it is curved."""
+    a, j = min(axes.axis_acceleration_mm_s2[:2]), min(axes.axis_jerk_mm_s3[:2])
+    feed = path.feed_mm_s
+    ramp_s = np.where(feed * j < a * a, 2.0 * np.sqrt(feed / j), feed / a + a / j)
+    return np.clip(np.ceil(path.length_mm / (0.5 * feed * ramp_s)), 1, MOST_CELLS).astype(np.int64)
+
+
+def _along(direction: Floats, limits: Floats) -> Floats:
+    """Limit along a direction (n, 3) whose axes have limits (3,): the axis that gets there first."""
+    with np.errstate(divide="ignore"):
+        return np.asarray((limits / np.abs(direction)).min(axis=1))
+
+
+def _round(curvature: Floats, axes: KinematicsSettings) -> Floats:
+    """Speed around a curvature: v^2 k within its share of the acceleration, v^3 k^2 within the jerk."""
+    a = axes.curvature_share * min(axes.axis_acceleration_mm_s2[:2])
+    j = min(axes.axis_jerk_mm_s3[:2])
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.minimum(np.sqrt(a / curvature), np.cbrt(j / curvature**2)))
+
+
+def _curvature(path: DrivenPath, motion: Ints, t0: Floats, t1: Floats) -> tuple[Floats, Floats]:
+    """Greatest curvature (C,) 1/mm in each cell, and greatest share (C, 3) of each axis in its direction."""
+    most = np.zeros(motion.size)
+    share = np.zeros((motion.size, 3))
+    for k in range(PLACES):
+        t = t0 + (t1 - t0) * (k / (PLACES - 1))
+        share = np.maximum(share, np.abs(path.tangents(motion, t)))
+        most = np.maximum(most, np.abs(curvature_at(path, motion, t)))
+    return most, share
+
+
+def curvature_at(path: DrivenPath, motion: Ints, t: Floats) -> Floats:
+    """Curvature (n,) 1/mm, positive to the left; infinite in a cusp."""
+    first, second = path.derivatives(motion, t)
+    cross = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = cross / np.hypot(first[:, 0], first[:, 1]) ** 3
+    return np.asarray(np.where(path.is_curved[motion], np.where(np.isnan(found), np.inf, found), 0.0))
+
+
+def _lengths(path: DrivenPath, motion: Ints, t0: Floats, t1: Floats) -> Floats:
+    """Length of each cell (C,), by 8-point Gauss quadrature; those of one motion add up to its length."""
+    nodes, weights = np.polynomial.legendre.leggauss(8)
+    found = np.zeros(motion.size)
+    for node, weight in zip(nodes, weights, strict=True):
+        t = t0 + (t1 - t0) * (0.5 * (node + 1.0))
+        first, _ = path.derivatives(motion, t)
+        found += 0.5 * weight * (t1 - t0) * np.hypot(first[:, 0], first[:, 1])
+    straight = ~path.is_curved[motion]
+    found[straight] = path.length_mm[motion[straight]]
+    whole = np.bincount(motion, found, minlength=len(path))
+    return np.asarray(found * (path.length_mm / np.where(whole > 0.0, whole, 1.0))[motion])
+
+
+# -- corners -----------------------------------------------------------------------------------------
+
+
+def corner_speeds(path: DrivenPath, config: Config) -> Floats:
+    """Greatest speed (B,) at the start of each motion, from the tangents and curvatures that meet there.
+
+    The control goes through a corner at the speed whose jump the axes take, or rounds it within the
+    smoothing tolerance e. A break of direction p is rounded by an arc of radius r = e cos(p/2) / (1 - cos(p/2))
+    that takes at most half of either motion; a jump of curvature k by a clothoid of length sqrt(24 e / k), whose
+    shift is e. The acceleration of either must stay within its share, its rise within the jerk.
+    """
+    axes, machine = config.kinematics, config.machine
+    result = np.full(len(path), np.inf)
+    if len(path) < 2:
+        return result
+    before, after = np.arange(len(path) - 1), np.arange(1, len(path))
+    ends, begins = path.tangents(before, np.ones(before.size)), path.tangents(after, np.zeros(after.size))
+    # Half the angle by the sine: the difference of unit vectors does not lose small angles, as their product does.
+    half = np.arcsin(np.clip(0.5 * np.linalg.norm(begins - ends, axis=1), 0.0, 1.0))
+    jump = np.abs(begins - ends).max(axis=1)
+    with np.errstate(divide="ignore"):
+        stepped = axes.speed_jump_mm_s / jump
+    if any(word in EXACT_STOP_WORDS for word in machine.smoothing):
+        result[1:] = np.where(half > SMOOTH_RAD, 0.0, np.inf)
+        return result
+    rounded = _rounded_corner(path, half, machine, axes)
+    bends = [
+        curvature_at(path, at, t) for at, t in ((before, np.ones(before.size)), (after, np.zeros(after.size)))
+    ]
+    # A cusp slows its own cell down.
+    known = np.isfinite(bends[0]) & np.isfinite(bends[1])
+    bend = np.abs(np.where(known, bends[1], 0.0) - np.where(known, bends[0], 0.0))
+    eased = _eased_curvature(bend, machine, axes)
+    result[1:] = np.minimum(np.where(half > SMOOTH_RAD, np.maximum(stepped, rounded), np.inf), eased)
+    return result
+
+
+SMOOTH_RAD = 1e-5
+"""Half a break of direction that is none: the last decimals of a program turn a short block by this."""
+
+
+def _tolerance_mm(machine: MachineSettings) -> float:
+    smooths = any(word in SMOOTHING_WORDS for word in machine.smoothing)
+    return machine.smoothing_tolerance_mm if smooths else 0.0
+
+
+def _rounded_corner(
+    path: DrivenPath, half: Floats, machine: MachineSettings, axes: KinematicsSettings
+) -> Floats:
+    a = axes.curvature_share * min(axes.axis_acceleration_mm_s2[:2])
+    j = min(axes.axis_jerk_mm_s3[:2])
+    room = 0.5 * np.minimum(path.length_mm[:-1], path.length_mm[1:])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        radius = _tolerance_mm(machine) * np.cos(half) / (2.0 * np.sin(0.5 * half) ** 2)
+        radius = np.nan_to_num(np.minimum(radius, room / np.tan(half)), nan=0.0)
+    # The acceleration v^2 / r rises over half the arc, r p / 2, and falls over the other half.
+    return np.asarray(np.minimum(np.sqrt(a * radius), np.cbrt(j * radius**2 * half)))
+
+
+def _eased_curvature(bend: Floats, machine: MachineSettings, axes: KinematicsSettings) -> Floats:
+    """Speed at a jump of curvature `bend` (n,): the acceleration within its share, eased in within the jerk."""
+    j = min(axes.axis_jerk_mm_s3[:2])
+    tolerance = _tolerance_mm(machine)
+    with np.errstate(divide="ignore"):
+        stepped = np.sqrt(axes.curvature_share * min(axes.axis_acceleration_mm_s2[:2]) / bend)
+        if tolerance == 0.0:
+            return np.asarray(stepped)
+        return np.asarray(np.minimum(stepped, np.cbrt(j * np.sqrt(24.0 * tolerance / bend) / bend)))

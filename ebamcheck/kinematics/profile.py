@@ -1,0 +1,204 @@
+"""The feed profile of a path: what speed the axes really have along it, and what that does to the bead."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import pandas as pd
+
+from ebamcheck.config import Config
+from ebamcheck.heights import PARABOLA
+from ebamcheck.kinematics.dips import dip_table, slow_stretches
+from ebamcheck.kinematics.limits import Cells, cells_of
+from ebamcheck.kinematics.look_ahead import look_ahead
+from ebamcheck.kinematics.path import DrivenPath, polyline_path, program_path
+from ebamcheck.kinematics.ramps import speeds_along
+from ebamcheck.layers import Layers
+from ebamcheck.program import NCProgram
+from ebamcheck.rings import Floats, Ints
+
+
+@dataclass(frozen=True, eq=False)
+class FeedProfile:
+    """Speed along a path, cell by cell (C,): a rise from `entry` to `top`, a plateau, a fall to `exit`, mm/s."""
+
+    path: DrivenPath
+    cells: Cells
+    entry: Floats
+    top: Floats
+    exit: Floats
+    time_s: Floats
+    dip_share: float
+    bead_mm2: float
+    places: tuple[str, ...] = ()
+    """``FILE:line`` of each motion; empty for a path that no program wrote."""
+
+    @property
+    def total_s(self) -> float:
+        """Time of the whole path, s: motions alone, without the waits of switches."""
+        return float(self.time_s.sum())
+
+    @cached_property
+    def slow(self) -> pd.DataFrame:
+        """Stretches of deposits under `dip_share` of the feed programmed, in the order of the path.
+
+        Columns `sort` (``start`` and ``end`` of a track, or ``dip``), `layer`, `ring`, `where`, `time_s`,
+        `length_mm`, `least_mm_s`, `feed_mm_s`, `excess_mm3` and `metal_per_mm`: the metal of a millimetre over
+        that at the feed programmed, at its worst; infinite where the axes stop.
+        """
+        cells, path = self.cells, self.path
+        feed = path.feed_mm_s[cells.motion]
+        columns = [
+            cells.length_mm,
+            self.entry,
+            self.top,
+            self.exit,
+            cells.acceleration_mm_s2,
+            cells.jerk_mm_s3,
+        ]
+        found = slow_stretches(np.column_stack(columns), self.dip_share * feed, cells.first)
+        table: pd.DataFrame = dip_table(found, feed, self.bead_mm2)
+        motion = cells.motion[table["cell"].to_numpy()]
+        table.insert(1, "layer", path.layer[motion])
+        table.insert(2, "ring", path.ring[motion])
+        table.insert(3, "where", [self.places[m] if self.places else "" for m in motion])
+        kept: pd.DataFrame = table[path.deposit[motion]].drop(columns="cell").reset_index(drop=True)
+        return kept
+
+    @property
+    def dips(self) -> pd.DataFrame:
+        """Slow stretches but for the starts and ends of tracks."""
+        return self.slow[self.slow["sort"] == "dip"].reset_index(drop=True)
+
+    def layer_table(self) -> pd.DataFrame:
+        """One row a layer: times, dips, and the metal that dips and ends of tracks get too much."""
+        motion = self.cells.motion
+        layer = self.path.layer[motion]
+        count = int(layer.max(initial=-1)) + 1
+        inside = layer >= 0
+        deposit = self.path.deposit[motion] & inside
+
+        def total(which: np.typing.NDArray[np.bool_], values: Floats) -> Floats:
+            return np.bincount(layer[which], values[which], minlength=count).astype(np.float64)
+
+        constant = self.cells.length_mm / self.path.feed_mm_s[motion]
+        table = pd.DataFrame(
+            {
+                "layer": np.arange(count),
+                "time_s": total(inside, self.time_s),
+                "deposit_s": total(deposit, self.time_s),
+                "constant_feed_s": total(deposit, constant),
+            }
+        )
+        dips, ends = self.dips, self.slow[self.slow["sort"] != "dip"]
+        table["dips"] = np.bincount(dips["layer"], minlength=count)
+        for name, rows in (("dip", dips), ("track_end", ends)):
+            for figure in ("time_s", "excess_mm3"):
+                table[f"{name}_{figure}"] = np.bincount(rows["layer"], rows[figure], minlength=count)
+        least = np.ones(count)
+        np.minimum.at(least, dips["layer"].to_numpy(), (dips["least_mm_s"] / dips["feed_mm_s"]).to_numpy())
+        table["least_share"] = least
+        return table
+
+    def samples(self, cells: Ints, count: int) -> tuple[Floats, Floats]:
+        """Places (n,) mm along the path from the first of `cells` on, and speeds (n,) mm/s, for a figure."""
+        places, speeds = [], []
+        passed = 0.0
+        for c in np.asarray(cells).tolist():
+            length = float(self.cells.length_mm[c])
+            at = np.linspace(0.0, length, count)
+            a, j = float(self.cells.acceleration_mm_s2[c]), float(self.cells.jerk_mm_s3[c])
+            speeds.append(
+                speeds_along(at, float(self.entry[c]), float(self.top[c]), float(self.exit[c]), length, a, j)
+            )
+            places.append(passed + at)
+            passed += length
+        return np.concatenate([np.zeros(0), *places]), np.concatenate([np.zeros(0), *speeds])
+
+
+def feed_profile(nc: NCProgram, config: Config) -> FeedProfile:
+    """Work out the feed along a program's path, with the limits of the axes and look-ahead.
+
+    The axes stand still at rapids and where beam or wire switch. Within a run, corners and curvature limit
+    the speed as :mod:`ebamcheck.kinematics.limits` says, and ramps with limited acceleration and jerk join what
+    is left.
+
+    Raises
+    ------
+    SettingsError
+        If a motion has no feed.
+    """
+    path = program_path(nc, config)
+    return _profile(path, config, tuple(nc.where(int(row)) for row in path.row))
+
+
+def polyline_profile(layers: Layers, config: Config) -> FeedProfile:
+    """Feed along contours of which every point is a straight block (G1), to set beside a program's."""
+    return _profile(polyline_path(layers, config.process.travel_speed_mm_s), config, ())
+
+
+def side_by_side(nc: NCProgram, contours: Layers, config: Config) -> pd.DataFrame:
+    """Contour beads of a program beside polylines through the points of `contours`, one row each.
+
+    Columns `blocks`, `length_mm`, `time_s`, `constant_feed_s`, `dips`, `dip_s`, `least_share` (of the feed, ends
+    of tracks left out), `excess_mm3`, `excess_mm3_per_m`.
+    """
+    return pd.DataFrame(
+        [
+            _row("program", feed_profile(nc, config)),
+            _row("polyline", polyline_profile(contours, config)),
+        ]
+    ).set_index("path")
+
+
+def _row(name: str, profile: FeedProfile) -> dict[str, object]:
+    path, cells = profile.path, profile.cells
+    motions = path.deposit & (path.ring >= 0)
+    mine = motions[cells.motion]
+    dips = profile.dips[profile.dips["ring"] >= 0]
+    length = float(cells.length_mm[mine].sum())
+    excess = float(dips["excess_mm3"].sum())
+    return {
+        "path": name,
+        "blocks": int(motions.sum()),
+        "length_mm": length,
+        "time_s": float(profile.time_s[mine].sum()),
+        "constant_feed_s": float((cells.length_mm / path.feed_mm_s[cells.motion])[mine].sum()),
+        "dips": len(dips),
+        "dip_s": float(dips["time_s"].sum()),
+        "least_share": float((dips["least_mm_s"] / dips["feed_mm_s"]).min()) if len(dips) else 1.0,
+        "excess_mm3": excess,
+        "excess_mm3_per_m": 1000.0 * excess / length if length else 0.0,
+    }
+
+
+def _profile(path: DrivenPath, config: Config, places: tuple[str, ...]) -> FeedProfile:
+    cells = cells_of(path, config)
+    entry, top, exit_, time = look_ahead(
+        cells.length_mm,
+        cells.most_mm_s,
+        cells.acceleration_mm_s2,
+        cells.jerk_mm_s3,
+        cells.entry_mm_s,
+        cells.first,
+    )
+    return FeedProfile(
+        path=path,
+        cells=cells,
+        entry=entry,
+        top=top,
+        exit=exit_,
+        time_s=time,
+        dip_share=config.kinematics.dip_share,
+        bead_mm2=_bead_mm2(config),
+        places=places,
+    )
+
+
+def _bead_mm2(config: Config) -> float:
+    """Section of a bead of the layers' height: two thirds of width times height."""
+    area = PARABOLA * config.process.bead_width_mm * config.layer_height_mm
+    return area if math.isfinite(area) else 0.0

@@ -1,0 +1,100 @@
+"""The stage of the fit: curves by the chosen method, beside those of the others and against a reference."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from ebamcheck import layer_files
+from ebamcheck.config import CurveSettings
+from ebamcheck.curves import METHODS, Curves, contour_error, error_reduction, fit, fit_deviation
+from ebamcheck.layers import Layers
+from ebamcheck.part import Part
+from ebamcheck.pipeline.work import Job
+from ebamcheck.slicing import slice_part
+
+
+def fitted(job: Job, layers: Layers, error_bound_mm: float, fine: Part | None) -> tuple[Curves, pd.DataFrame]:
+    """Fit the contours, measure the fit, and both against the reference where there is one."""
+    # What a slicer's own error makes of a contour, a staircase of pixels say, is no shape: no corners come of it.
+    settings = job.config.curves
+    settings = settings.model_copy(update={"collinear_mm": max(settings.collinear_mm, error_bound_mm)})
+    with job.stage("fit", len(layers)):
+        curves = fit(layers, settings.method, settings, job.observer.advance, job.part)
+        curves.to_parquet(job.folder.path / "curves.parquet")
+        deviation = fit_deviation(curves, layers)
+        deviation.to_csv(job.folder.path / "fit.csv", index=False)
+        of_methods = {curves.method: curves, **_other_fits(job, layers, settings)}
+        job.record["fit"] = {
+            "method": curves.method,
+            "points": len(layers.points),
+            **_figures(curves, deviation),
+            "methods": {
+                name: _figures(other, deviation if other is curves else fit_deviation(other, layers))
+                for name, other in of_methods.items()
+            },
+        }
+    if fine is not None:
+        with job.stage("reference", len(layers)):
+            job.record["reference"] = _against_reference(job, layers, of_methods, fine)
+    return curves, deviation
+
+
+def _other_fits(job: Job, layers: Layers, settings: CurveSettings) -> dict[str, Curves]:
+    """Curves by the methods that were not chosen, to be compared with those of the one that was."""
+    others = [name for name in METHODS if name != settings.method]
+    if layers.edge is None and "surface" in others:
+        others.remove("surface")
+    return {name: fit(layers, name, settings, part=job.part) for name in others}
+
+
+def _figures(curves: Curves, deviation: pd.DataFrame) -> dict[str, Any]:
+    """What a fit takes, and how far it leaves the contours."""
+    return {
+        "blocks": int(curves.block_count()),
+        "max_points_mm": float(deviation["points_mm"].max()),
+        "max_bulge_mm": float(deviation["bulge_mm"].max()),
+    }
+
+
+def _against_reference(
+    job: Job, layers: Layers, of_methods: Mapping[str, Curves], fine: Part
+) -> dict[str, Any]:
+    """Errors of contours and curves against the finer tessellation (paper, section 5.2); the chosen method is first."""
+    truth = slice_part(fine, layers.heights)
+    layer_files.write_parquet(truth, job.folder.path / "reference.parquet")
+    before = contour_error(layers, truth)
+    of_curves = {name: contour_error(curves, truth) for name, curves in of_methods.items()}
+    after = next(iter(of_curves.values()))
+    pd.concat([before.assign(of="contour"), after.assign(of="curve")]).to_csv(
+        job.folder.path / "reference.csv", index=False
+    )
+    figures = ("polar_min_mm", "polar_max_mm", "normal_min_mm", "normal_max_mm")
+    return {
+        "part": {"source": Path(fine.source).name, "sha256": fine.source_sha256, "facets": len(fine.faces)},
+        "contour": {f: _extreme(before[f], f) for f in figures} | _rms(before),
+        "curve": {f: _extreme(after[f], f) for f in figures} | _rms(after),
+        "reduction": error_reduction(before, after).to_dict(),
+        "methods": {name: error_reduction(before, error).to_dict() for name, error in of_curves.items()},
+        "unmatched_rings": int(before["unmatched"].sum()),
+    }
+
+
+def _extreme(column: pd.Series[float], name: str) -> float:
+    return float(column.min() if "_min_" in name else column.max())
+
+
+def _rms(errors: pd.DataFrame) -> dict[str, float]:
+    """Root mean square of both errors over all rings of the stack; NaN where one is defined nowhere."""
+    result = {}
+    for figure, rings in (("polar_rms_mm", "polar_rings"), ("normal_rms_mm", "rings")):
+        known = errors[errors[figure].notna()]
+        weight = known[rings].sum()
+        result[figure] = (
+            float(np.sqrt((known[figure] ** 2 * known[rings]).sum() / weight)) if weight else float("nan")
+        )
+    return result

@@ -1,0 +1,1 @@
+"""Single stages of the job as commands: ``ebamcheck fit`` and ``ebamcheck post``."""

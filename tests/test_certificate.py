@@ -1,0 +1,293 @@
+"""Verification from text and part alone: the certificate, and faults that are found without the plan."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+
+import pytest
+from command_line import frame, write_stl
+from parts import box
+
+from ebamcheck.config import Config
+from ebamcheck.errors import InputError
+from ebamcheck.pipeline import run_job
+from ebamcheck.pipeline.certificate import (
+    CERTIFICATE,
+    certificate,
+    commit,
+    read_certificate,
+    run_certificate_checks,
+    write_certificate,
+)
+from ebamcheck.pipeline.verify import verify_against_part, witness_backend
+from ebamcheck.store import RunFolder, sha256_of_file
+
+SETTINGS = Config().changed(layers={"layer_height_mm": 4.0}, slicing={"backends": ("planecut", "manifold")})
+MAIN, SECOND = "MAIN.MPF", "MAIN_L0002.SPF"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A finished run of a plate with a hole, with its certificate, and the part's file."""
+    folder = tmp_path_factory.mktemp("made")
+    path = write_stl(frame(), folder / "frame.stl")
+    result = run_job(path, folder / "frame.run", SETTINGS)
+    write_certificate(result.folder)
+    return result.folder.path, path
+
+
+@pytest.fixture
+def copy(made, tmp_path):
+    """A copy of the run and the part, to spoil."""
+    shutil.copytree(made[0], tmp_path / "copy.run")
+    shutil.copy(made[1], tmp_path / "frame.stl")
+    return RunFolder(tmp_path / "copy.run"), tmp_path / "frame.stl"
+
+
+def failures(run, part, settings=SETTINGS):
+    checks = verify_against_part(run.path / "program" / MAIN, part, settings)
+    return {c.name: c for c in checks if not c.passed}
+
+
+def test_an_untouched_program_passes_every_check(copy):
+    run, part = copy
+    checks = verify_against_part(run.path / "program" / MAIN, part, SETTINGS)
+    assert [c for c in checks if not c.passed] == []
+    assert {"certificate seal", "section", "smooth section", "coverage", "hatch spacing"} <= {
+        c.name for c in checks
+    }
+
+
+def test_the_certificate_says_what_was_made_from_what(copy):
+    run, part = copy
+    found = read_certificate(run.path / CERTIFICATE)
+    assert found["part"]["sha256"] == sha256_of_file(part)
+    for file in found["programs"]:
+        assert sha256_of_file(run.path / "program" / file["name"]) == file["sha256"]
+    assert found["validated"] is True
+    assert {gate["name"] for gate in found["gates"]} == {"input", "agreement", "fit", "coverage", "program"}
+    assert found["approver"] == {"name": "", "date": "", "signature": ""}
+    assert found["deviations"] == []
+    assert found["smoothing"]["tolerance_mm"] == SETTINGS.machine.smoothing_tolerance_mm
+    assert found["software"]["dependencies"]["numpy"]
+    assert re.fullmatch(r"([0-9a-f]{40,64})?", commit())
+
+
+def test_it_is_the_same_again(copy):
+    run, _ = copy
+    assert certificate(run.manifest()) == read_certificate(run.path / CERTIFICATE)
+
+
+def test_an_approver_may_sign_and_note_deviations(copy):
+    run, part = copy
+    found = json.loads((run.path / CERTIFICATE).read_text())
+    found["approver"]["name"] = "A. Engineer"
+    found["deviations"] = ["layer 2 was re-made"]
+    (run.path / CERTIFICATE).write_text(json.dumps(found))
+    assert failures(run, part) == {}
+    assert all(c.passed for c in run_certificate_checks(run, run.manifest()))
+
+
+def test_a_changed_byte_is_named(copy):
+    run, part = copy
+    path = run.path / "program" / SECOND
+    whole = path.read_bytes()
+    path.write_bytes(whole.replace(b"; ISLAND", b"; iSLAND", 1))
+    assert failures(run, part)["program unchanged"].where == f"{SECOND}:1"
+    path.write_bytes(whole)
+    data = bytearray(part.read_bytes())
+    data[10] ^= 1
+    part.write_bytes(data)
+    assert set(failures(run, part)) == {"part unchanged"}
+
+
+def test_other_settings_are_named(copy):
+    run, part = copy
+    other = SETTINGS.changed(slicing={"time_limit_s": 500.0})
+    assert set(failures(run, part, other)) == {"settings unchanged"}
+    other = SETTINGS.changed(machine={"name": "another"})
+    assert set(failures(run, part, other)) == {"settings unchanged", "profile unchanged"}
+
+
+def test_a_changed_certificate_breaks_its_seal(copy):
+    run, part = copy
+    path = run.path / CERTIFICATE
+    path.write_text(path.read_text().replace('"validated": true', '"validated": false'))
+    assert set(failures(run, part)) == {"certificate seal"}
+    checks = run_certificate_checks(run, run.manifest())
+    assert ["validated" in c.text for c in checks if c.name == "certificate"] == [True]
+    path.write_text("{}")
+    with pytest.raises(InputError, match="is not a certificate"):
+        failures(run, part)
+
+
+def test_a_certificate_that_the_record_names_must_be_there(copy):
+    run, _ = copy
+    (run.path / CERTIFICATE).unlink()
+    named = {**run.manifest(), "certificate": CERTIFICATE}
+    assert [c.passed for c in run_certificate_checks(run, named)] == [False]
+
+
+def test_another_exact_backend_than_the_maker_is_the_witness():
+    assert witness_backend("planecut") != "planecut"
+    assert witness_backend("manifold") != "manifold"
+    assert witness_backend("") == witness_backend("planecut")
+
+
+# -- faults found without the plan -------------------------------------------------------------------
+
+
+class Program:
+    """Lines of the files, to plant faults in."""
+
+    def __init__(self, folder):
+        self.folder = folder
+
+    def lines(self, name=SECOND):
+        return (self.folder / name).read_text().split("\n")
+
+    def write(self, lines, name=SECOND):
+        (self.folder / name).write_text("\n".join(lines))
+
+    def find(self, pattern, nth=0, name=SECOND):
+        return [i for i, line in enumerate(self.lines(name)) if re.search(pattern, line)][nth]
+
+    def replace(self, pattern, new, nth=0, name=SECOND):
+        lines, i = self.lines(name), self.find(pattern, nth, name)
+        lines[i] = re.sub(pattern, new, lines[i], count=1)
+        self.write(lines, name)
+        return f"{name}:{i + 1}"
+
+
+def shifted_ring(p):
+    """The first ring of the layer, 0.1 mm along X."""
+    lines = p.lines()
+    first, last = p.find("RING"), p.find("M61")
+    for i in range(first, last):
+        lines[i] = re.sub(r"\bX(=?)(-?\d+\.\d+)", lambda m: f"X{m[1]}{float(m[2]) + 0.1:.6f}", lines[i])
+        lines[i] = re.sub(r"X\]=\((-?\d+\.\d+)", lambda m: f"X]=({float(m[1]) + 0.1:.6f}", lines[i])
+    p.write(lines)
+    return f"{SECOND}:"
+
+
+def doubled_hatch_line(p):
+    lines, i = p.lines(), p.find(r"G1 X.*\d$", 12)
+    back = lines[i - 1].split(" ", 1)[1].split(" ;")[0]
+    lines.insert(i + 1, f"{lines[i].split()[0]}1 {back}")
+    p.write(lines)
+    return f"{SECOND}:{i + 2}"
+
+
+def duplicated_block(p):
+    lines, i = p.lines(), p.find(r"G1 X.*\d$", 12)
+    lines.insert(i + 1, lines[i])
+    p.write(lines)
+    return f"{SECOND}:{i + 2}"
+
+
+def swapped_layers(p):
+    lines = p.lines(MAIN)
+    i, j = p.find(" MAIN_L0001$", name=MAIN), p.find(" MAIN_L0002$", name=MAIN)
+    lines[i], lines[j] = lines[i].replace("L0001", "L0002"), lines[j].replace("L0002", "L0001")
+    p.write(lines, MAIN)
+    return f"{MAIN}:{i + 1}"
+
+
+def dropped(pattern, name, named=None):
+    def plant(p):
+        lines, i = p.lines(name), p.find(pattern, name=name)
+        del lines[i]
+        p.write(lines, name)
+        return f"{name}:"
+
+    return plant
+
+
+def wire_left_on(p):
+    dropped("M63", SECOND)(p)
+    return f"{SECOND}:"
+
+
+def wrong_encoding(p):
+    path = p.folder / SECOND
+    path.write_bytes(path.read_text().encode("utf-16"))
+    return f"{SECOND}:1"
+
+
+def carriage_returns(p):
+    path = p.folder / SECOND
+    path.write_bytes(path.read_bytes().replace(b"\n", b"\r\n"))
+    return f"{SECOND}:1"
+
+
+def truncated(p):
+    path = p.folder / SECOND
+    data = path.read_bytes()
+    path.write_bytes(data[: data.index(b"\n", len(data) // 2) + 1])
+    return f"{SECOND}:"
+
+
+def truncated_within_a_block(p):
+    path = p.folder / SECOND
+    data = path.read_bytes()
+    path.write_bytes(data[: data.index(b" Y", len(data) // 2) + 2])
+    return f"{SECOND}:{len(p.lines())}:"
+
+
+FAULTS = {
+    "ring 0.1 mm off": (shifted_ring, "smooth section"),
+    "sign flipped": (lambda p: p.replace(r"G1 X(\d)", r"G1 X-\1", 2), "smooth section"),
+    "hatch line doubled": (doubled_hatch_line, "lines laid once"),
+    "block duplicated": (duplicated_block, "repeated blocks"),
+    "layers swapped": (swapped_layers, "layer heights"),
+    "layer dropped": (dropped(" MAIN_L0002$", MAIN), "layer count"),
+    "beam left on": (dropped("M61", SECOND), "beam"),
+    "wire left on": (wire_left_on, "wire"),
+    "feed of 0": (lambda p: p.replace("F600", "F0"), "feed"),
+    "no M30": (dropped("M30", MAIN), "end of program"),
+    "cut off": (truncated, "end of program"),
+    "cut off within a block": (truncated_within_a_block, "readable"),
+    "unknown word": (lambda p: p.replace("G1 X", "G1 Q5 X", 3), "readable"),
+    "comma for a point": (lambda p: p.replace(r"(G1 X-?\d+)\.", r"\1,", 3), "readable"),
+    "number repeated": (lambda p: p.replace(r"^N200 ", "N190 "), "block numbers"),
+    "carriage returns": (carriage_returns, "line ends"),
+    "wrong encoding": (wrong_encoding, "readable"),
+    "wrong power": (lambda p: (p.replace("H2=120", "H2=100", name=MAIN), "MAIN_L0001.SPF:")[1], "power"),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_is_found_from_text_and_part_alone(copy, name):
+    run, part = copy
+    (run.path / CERTIFICATE).unlink()
+    plant, check = FAULTS[name]
+    where = plant(Program(run.path / "program"))
+    found = failures(run, part)
+    assert check in found, {c.name: (c.where, c.text) for c in found.values()}
+    assert found[check].where.startswith(where), found[check]
+
+
+@pytest.fixture(scope="module")
+def block(tmp_path_factory):
+    """A run of a solid block, which has long hatch lines, without a certificate."""
+    folder = tmp_path_factory.mktemp("block")
+    path = write_stl(box((0, 0, 0), (90, 70, 8)), folder / "block.stl")
+    return run_job(path, folder / "block.run", SETTINGS).folder.path, path
+
+
+@pytest.mark.parametrize("nth", [0, 2, 6])
+def test_a_missing_hatch_line_is_found_from_text_and_part_alone(block, tmp_path, nth):
+    shutil.copytree(block[0], tmp_path / "block.run")
+    run = RunFolder(tmp_path / "block.run")
+    assert failures(run, block[1]) == {}
+    p = Program(run.path / "program")
+    lines = p.lines()
+    i = p.find(r"; TURN", nth)
+    # The turn to the line and the line: the tool goes straight on to the next.
+    del lines[i : i + 2]
+    p.write(lines)
+    found = failures(run, block[1])
+    assert "gaps" in found, {c.name: (c.where, c.text) for c in found.values()}
+    assert found["gaps"].where.startswith(f"{SECOND}:")

@@ -1,0 +1,235 @@
+"""What a process engineer asks of a path: directions, places to keep out of, seams, overhangs; and tracks."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from nc_stack import hatch, make_curves, make_plan
+
+from ebamcheck.config import Config
+from ebamcheck.errors import SettingsError
+from ebamcheck.layers import from_rings
+from ebamcheck.program import read_program, verify_program, write_program
+from ebamcheck.program.process_checks import outside_sectors
+from ebamcheck.program.segments import CIRCULAR, CUBIC, STRAIGHT
+from ebamcheck.program.tracks import Track, cut, joined, overlapped, ramped, shifted
+
+SQUARE = np.array([(0, 0), (40, 0), (40, 40), (0, 40), (0, 0)], float)
+
+
+def checks_of(tmp_path, rings, process=None, islands=(), layers=None, height=1.5, beads=False):
+    """Checks by name of a program of one polyline ring a layer."""
+    heights = (np.arange(len(rings)) + 0.5) * height
+    config = Config().changed(process=process or {})
+    curves = make_curves(heights, [[[(ring, None)]] for ring in rings], [True] * len(rings))
+    files = write_program(curves, make_plan(heights, list(islands)), config, tmp_path / "p")
+    nc = read_program(files.main, config)
+    sections = from_rings(heights, layers) if layers else None
+    return {
+        c.name: c for c in verify_program(nc, config=config, layers=sections, heights=heights, beads=beads)
+    }, files
+
+
+def line_of(check, files):
+    name, line = check.where.split(":")
+    return (files.folder / name).read_text().split("\n")[int(line) - 1]
+
+
+# -- directions --------------------------------------------------------------------------------------
+
+
+def test_degrees_outside_of_sectors():
+    found = outside_sectors(np.array([0.0, 90.0, 200.0, -10.0, 359.0]), ((350.0, 20.0), (80.0, 100.0)))
+    assert found.tolist() == [0.0, 0.0, 100.0, 0.0, 0.0]
+    assert outside_sectors(np.array([123.0]), ((0.0, 360.0),)).tolist() == [0.0]
+
+
+def test_a_travel_out_of_the_feeders_sector_is_named(tmp_path):
+    found, files = checks_of(tmp_path, [SQUARE], {"travel_sectors_deg": ((-95.0, 95.0),)})
+    check = found["travel sectors"]
+    assert not check.passed
+    assert check.value == pytest.approx(85.0)
+    assert "X0.0" in line_of(check, files)
+    everywhere, _ = checks_of(tmp_path, [SQUARE], {"travel_sectors_deg": ((-10.0, 280.0),)})
+    assert everywhere["travel sectors"].passed
+
+
+# -- places ------------------------------------------------------------------------------------------
+
+CLAMP = {"name": "left clamp", "outline_mm": ((-20, 10), (-4, 10), (-4, 30), (-20, 30)), "z_mm": (0.0, 5.0)}
+
+
+def test_a_bead_near_a_clamp_is_named(tmp_path):
+    found, _ = checks_of(tmp_path, [SQUARE], {"keep_out": (CLAMP,)})
+    assert found["keep-out zones"].passed
+    moved = {**CLAMP, "outline_mm": tuple((x + 2, y) for x, y in CLAMP["outline_mm"])}
+    found, files = checks_of(tmp_path, [SQUARE], {"keep_out": (moved,)})
+    check = found["keep-out zones"]
+    assert check.value == pytest.approx(1.0)
+    assert "left clamp" in check.text
+    assert check.where.startswith("MAIN_L0001.SPF:")
+    assert "Y0.0" in line_of(check, files)
+
+
+def test_a_clamp_is_in_the_way_up_to_its_height_only(tmp_path):
+    low = {**CLAMP, "outline_mm": ((-4, 10), (4, 10), (4, 30), (-4, 30)), "z_mm": (0.0, 1.0)}
+    assert checks_of(tmp_path, [SQUARE], {"keep_out": (low,)})[0]["keep-out zones"].passed
+
+
+# -- seams and overhangs -----------------------------------------------------------------------------
+
+
+def test_seams_on_top_of_each_other_are_named(tmp_path):
+    stacked, _ = checks_of(tmp_path, [SQUARE, SQUARE], {"least_seam_distance_mm": 5.0})
+    assert not stacked["seams"].passed
+    assert stacked["seams"].where.startswith("MAIN_L0002.SPF:")
+    turned = np.vstack([SQUARE[1:], SQUARE[1]])
+    apart, _ = checks_of(tmp_path, [SQUARE, turned], {"least_seam_distance_mm": 5.0})
+    assert apart["seams"].passed
+    assert apart["seams"].value == pytest.approx(40.0)
+
+
+@pytest.mark.parametrize("reach", [0.5, 1.5, 4.0])
+def test_the_angle_of_an_overhang(tmp_path, reach):
+    wider = SQUARE + np.where(SQUARE > 20, reach, 0.0) * (1, 0)
+    found, _ = checks_of(tmp_path, [SQUARE, wider], {"largest_overhang_deg": 45.0})
+    angle = math.degrees(math.atan2(reach, 1.5))
+    assert found["overhang"].value == pytest.approx(angle, abs=1e-6)
+    assert found["overhang"].passed == (angle <= 45.0 + 1e-9)
+    if angle > 46:
+        assert f"{(reach - 1.5) * 40:.6g} mm2" in found["overhang"].text
+        assert found["overhang"].where.startswith("MAIN_L0002.SPF:")
+
+
+def test_an_overhang_is_measured_where_it_is_not_limited(tmp_path):
+    found, _ = checks_of(tmp_path, [SQUARE, SQUARE * 1.5])
+    assert found["overhang"].passed
+    assert found["overhang"].value > 80.0
+
+
+# -- beads -------------------------------------------------------------------------------------------
+
+
+def filled(tmp_path, lines):
+    """A square of a contour bead and hatch lines, checked against its section."""
+    section = SQUARE[:-1] + np.where(SQUARE[:-1] > 20, 3.0, -3.0)
+    return checks_of(tmp_path, [SQUARE], islands=[(0, lines)], layers=[[section]], beads=True)
+
+
+def lines():
+    return hatch(3.0, 3.2, 9, 34.0)
+
+
+def test_a_filled_square_has_no_gap(tmp_path):
+    found, _ = filled(tmp_path, lines())
+    assert all(
+        found[name].passed for name in ("hatch spacing", "lines laid once", "coverage", "repeated blocks")
+    )
+    assert "no gap" in found["coverage"].text
+
+
+def test_a_missing_line_is_named_by_the_one_after_it(tmp_path):
+    some = lines()
+    del some[4]
+    found, files = filled(tmp_path, some)
+    assert not found["hatch spacing"].passed
+    assert found["hatch spacing"].value == pytest.approx(2 * 4.32)
+    assert "Y24.8" in line_of(found["hatch spacing"], files)
+    assert "1 gaps" in found["coverage"].text
+
+
+def test_a_line_laid_twice_is_named(tmp_path):
+    some = lines()
+    found, files = filled(tmp_path, [*some, some[2]])
+    assert not found["lines laid once"].passed
+    assert "Y11.84" in line_of(found["lines laid once"], files)
+
+
+def test_a_bare_half_fails_the_coverage_with_its_place(tmp_path):
+    found, _ = filled(tmp_path, lines()[:4])
+    check = found["coverage"]
+    assert not check.passed
+    assert check.value < 0.8
+    assert check.where.startswith("MAIN_L0001.SPF:")
+    assert "mm2 at (" in check.text
+
+
+# -- tracks ------------------------------------------------------------------------------------------
+
+
+def track():
+    """A line, a cubic and two arcs, closed."""
+    line = [(0, 0), (0, 0), (10, 0), (10, 0)]
+    cubic = [(10, 0), (20, 0), (20, 20), (10, 20)]
+    h = math.sqrt(0.5)
+    arc = [(10, 20), (10 - 10 * h, 10 + 10 * h), (10 - 10 * h, 10 + 10 * h), (0, 10)]
+    back = [(0, 10), (-1.5, 5), (-1.5, 5), (0, 0)]
+    return Track(
+        np.array([STRAIGHT, CUBIC, CIRCULAR, CIRCULAR], np.uint8), np.array([line, cubic, arc, back], float)
+    )
+
+
+def sampled(track, count=400):
+    """Points at equal lengths along a track, by cutting it."""
+    at = np.linspace(0.0, track.length_mm, count)
+    return np.array([cut(track, x)[0].points[-1, 3] if x > 0 else track.points[0, 0] for x in at])
+
+
+def test_lengths_of_segments():
+    found = track().lengths
+    assert found[0] == 10.0
+    assert found[2] == pytest.approx(5 * math.pi)
+    u = np.linspace(0, 1, 200001)[:, None]
+    p = track().points[1]
+    curve = (1 - u) ** 3 * p[0] + 3 * (1 - u) ** 2 * u * p[1] + 3 * (1 - u) * u**2 * p[2] + u**3 * p[3]
+    assert found[1] == pytest.approx(np.linalg.norm(np.diff(curve, axis=0), axis=1).sum(), rel=1e-8)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.27, 0.5, 0.77, 0.97, 1.0])
+def test_a_cut_leaves_the_curve_and_its_length(share):
+    whole = track()
+    before, after = cut(whole, share * whole.length_mm)
+    assert before.length_mm == pytest.approx(share * whole.length_mm, abs=1e-6)
+    assert before.length_mm + after.length_mm == pytest.approx(whole.length_mm, abs=1e-6)
+    assert sampled(joined(before, after)) == pytest.approx(sampled(whole), abs=1e-6)
+
+
+def test_shifts_add_up_and_all_around_is_none():
+    whole = track()
+    once = shifted(whole, 7.0)
+    assert once.is_closed
+    assert once.points[0, 0] == pytest.approx(cut(whole, 7.0)[0].points[-1, 3])
+    assert shifted(once, 12.0).points[0, 0] == pytest.approx(shifted(whole, 19.0).points[0, 0], abs=1e-9)
+    assert shifted(whole, whole.length_mm).points[0, 0] == pytest.approx(whole.points[0, 0])
+    assert shifted(whole, 7.0).length_mm == pytest.approx(whole.length_mm)
+
+
+def test_an_overlap_runs_over_the_start_again():
+    whole = track()
+    longer = overlapped(whole, 6.0)
+    assert longer.length_mm == pytest.approx(whole.length_mm + 6.0)
+    assert longer.points[-1, 3] == pytest.approx((6.0, 0.0))
+    assert overlapped(whole, 1e6).length_mm == pytest.approx(2 * whole.length_mm)
+
+
+def test_ramps_keep_the_path_and_rise_and_fall():
+    whole = track()
+    pieces = ramped(whole, 8.0, 4.0, 0.5, 4)
+    powers = [power for _, power in pieces]
+    assert powers == pytest.approx([0.5625, 0.6875, 0.8125, 0.9375, 1.0, 0.9375, 0.8125, 0.6875, 0.5625])
+    assert [p.length_mm for p, _ in pieces[:4]] == pytest.approx([2.0] * 4)
+    assert sampled(joined(*(p for p, _ in pieces))) == pytest.approx(sampled(whole), abs=1e-6)
+    assert [power for _, power in ramped(whole, 0.0, 0.0, 0.5, 4)] == [1.0]
+    short = ramped(whole, 1000.0, 1000.0, 0.5, 3)
+    assert sum(p.length_mm for p, _ in short) == pytest.approx(whole.length_mm)
+
+
+def test_an_open_track_cannot_start_elsewhere_nor_be_cut_beyond_its_end():
+    piece, _ = cut(track(), 12.0)
+    for change in (shifted, overlapped):
+        with pytest.raises(SettingsError, match="this one is open"):
+            change(piece, 1.0)
+    with pytest.raises(SettingsError, match="cannot be cut at 13 mm"):
+        cut(piece, 13.0)
