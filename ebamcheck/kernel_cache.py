@@ -10,12 +10,12 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import hashlib
+import importlib.util
 import inspect
 import os
 import pickle
 import re
 import stat
-import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from functools import cache
@@ -107,8 +107,8 @@ def sources_stamp(module: str, path: str | Path) -> str:
     files = {module: Path(path)}
     waiting = [module]
     while waiting:
-        for name, imported in _imports(files[waiting.pop()]):
-            if name.startswith(packages) and name not in files:
+        for name, imported in _imports(files[waiting.pop()], packages):
+            if name not in files:
                 files[name] = imported
                 waiting.append(name)
     made = hashlib.sha256()
@@ -118,17 +118,37 @@ def sources_stamp(module: str, path: str | Path) -> str:
 
 
 @cache
-def _imports(path: Path) -> tuple[tuple[str, Path], ...]:
-    """Loaded modules that a source file names in its imports at the top level."""
+def _imports(path: Path, packages: tuple[str, ...]) -> tuple[tuple[str, Path], ...]:
+    """Modules of some packages that a source file names in its imports at the top level, loaded or not."""
     found: dict[str, Path] = {}
     for match in _IMPORT.finditer(_source(path)):
         module = match[1].decode()
+        if not module.startswith(packages):
+            continue
         inner = (f"{module}.{name.decode()}" for name in _NAME.findall(match[2] or b""))
         for name in (module, *inner):
-            file = getattr(sys.modules.get(name), "__file__", None)
-            if file and file.endswith(".py"):
-                found[name] = Path(file)
+            if (file := _file_of(name)) is not None:
+                found[name] = file
     return tuple(found.items())
+
+
+@cache
+def _file_of(name: str) -> Path | None:
+    """Source of a module by its name, without loading it or a package on the way: what is loaded depends on who asks."""
+    top, *rest = name.split(".")
+    try:
+        spec = importlib.util.find_spec(top)
+    except (ImportError, ValueError):
+        return None
+    if spec is None:
+        return None
+    if not rest and spec.submodule_search_locations is None:
+        return Path(spec.origin) if spec.origin and spec.origin.endswith(".py") else None
+    for folder in spec.submodule_search_locations or ():
+        for file in (Path(folder, *rest).with_suffix(".py"), Path(folder, *rest, "__init__.py")):
+            if (rest or file.name == "__init__.py") and file.is_file():
+                return file
+    return None
 
 
 @cache

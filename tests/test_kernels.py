@@ -65,6 +65,17 @@ def test_a_change_anywhere_below_compiles_anew(package):
     assert ask(package)[:2] == (60.0, True)
 
 
+def test_what_is_loaded_when_a_kernel_is_made_does_not_matter(package):
+    # A module that is imported below the kernel is loaded before it only where somebody else asked for it.
+    (package / "later.py").write_text("OTHER = 1.0\n")
+    (package / "caller.py").write_text(CALLER + "\n\nfrom stamped.later import OTHER\n")
+    assert ask(package)[:2] == (20.0, False)
+    (package / "__init__.py").write_text("import stamped.later\n")
+    assert ask(package)[:2] == (20.0, True)
+    (package / "later.py").write_text("OTHER = 2.0\n")
+    assert ask(package)[:2] == (20.0, False)
+
+
 def test_a_spoilt_file_is_compiled_anew(package):
     folder = ask(package)[2]
     for name in os.listdir(folder):

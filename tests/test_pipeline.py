@@ -167,7 +167,7 @@ def test_a_killed_backend_is_told_and_the_others_are_whole(plate, tmp_path):
             victims = [
                 p
                 for p in psutil.Process(run.pid).children()
-                if p.cmdline()[1:4] == ["-m", "ebamcheck.worker", "embree"]
+                if p.cmdline()[1:5] == ["-P", "-m", "ebamcheck.worker", "embree"]
             ]
     victims[0].kill()
     text = run.communicate()[0]
