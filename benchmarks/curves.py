@@ -18,6 +18,7 @@ import shapely
 from scipy.spatial import Delaunay
 
 from benchmarks.machine import machine
+from ebamcheck.config import CurveSettings
 from ebamcheck.curves import METHODS, contour_error, error_reduction, fit
 from ebamcheck.layers import Layers, from_polygons
 from ebamcheck.part import Part, from_arrays
@@ -38,7 +39,7 @@ IRREGULAR = {"irregular": 0.0, "irregular, 0.05 mm off": 0.05}
 """Irregular meshes, and how far their vertices lie off the surface (standard deviation, mm)."""
 
 POINTS = 4000
-AS_WRITTEN = {"largest_bulge_mm": 1e9}
+AS_WRITTEN = CurveSettings(largest_bulge_mm=1e9)
 """The interpolating fits as the paper has them, however far they leave their chords; by default such runs stay polylines."""
 
 FIGURES = ("polar_rms", "polar_max", "normal_rms", "normal_max")
@@ -91,7 +92,7 @@ def _rows(name: str, part: Part, truth: Layers) -> list[dict[str, Any]]:
     before = contour_error(layers, truth)
     rows = []
     for method in METHODS:
-        curves = fit(layers, method, part=part, **AS_WRITTEN)
+        curves = fit(layers, method, AS_WRITTEN, part=part)
         gain = error_reduction(before, contour_error(curves, truth))
         rows.append(
             {

@@ -174,9 +174,20 @@ def _reach_deg(section: BaseGeometry, below: BaseGeometry, rise_mm: float) -> tu
     outer = places[~np.asarray(shapely.intersects_xy(below, places[:, 0], places[:, 1]))]
     if not len(outer):
         return 0.0, places[0]
-    away = np.asarray(shapely.distance(shapely.points(outer), below))
+    away = _distances(outer, below)
     k = int(np.argmax(away))
     return math.degrees(math.atan2(float(away[k]), max(rise_mm, 0.0))), outer[k]
+
+
+def _distances(places: Floats, region: BaseGeometry) -> Floats:
+    """Distances of places outside of a region from it, through a tree over the sides of its outline."""
+    sides = [
+        np.asarray(shapely.linestrings(np.stack([ring[:-1], ring[1:]], axis=1)))
+        for ring in map(shapely.get_coordinates, shapely.get_parts(region.boundary))
+    ]
+    tree = shapely.STRtree(np.concatenate(sides))
+    _, away = tree.query_nearest(shapely.points(places), return_distance=True, all_matches=False)
+    return np.asarray(away)
 
 
 def _nearest_row(nc: NCProgram, layer: int, place: Floats) -> int:
