@@ -27,6 +27,10 @@ EXACT_STOP_WORDS = ("G60", "G9")
 """Words by which it stops in every corner."""
 
 
+STRAIGHT_RADIUS_MM = 1e9
+"""A corner that may be rounded with a larger radius is none."""
+
+
 @dataclass(frozen=True, eq=False)
 class Cells:
     """Stretches of the path along each of which the greatest speed is held constant.
@@ -188,7 +192,8 @@ def _rounded_corner(
     room = 0.5 * np.minimum(path.length_mm[:-1], path.length_mm[1:])
     with np.errstate(divide="ignore", invalid="ignore"):
         radius = _tolerance_mm(machine) * np.cos(half) / (2.0 * np.sin(0.5 * half) ** 2)
-        radius = np.nan_to_num(np.minimum(radius, room / np.tan(half)), nan=0.0)
+        radius = np.minimum(np.minimum(radius, room / np.tan(half)), STRAIGHT_RADIUS_MM)
+        radius = np.nan_to_num(radius, nan=0.0)
     # The acceleration v^2 / r rises over half the arc, r p / 2, and falls over the other half.
     return np.asarray(np.minimum(np.sqrt(a * radius), np.cbrt(j * radius**2 * half)))
 

@@ -8,6 +8,7 @@ from dataclasses import asdict
 from ebamcheck import registry
 from ebamcheck.config import Config
 from ebamcheck.curves import LIFTED, Curves, fit
+from ebamcheck.kinematics import side_by_side
 from ebamcheck.layers import Layers, from_polygons
 from ebamcheck.part import Part
 from ebamcheck.pipeline import gates
@@ -40,7 +41,7 @@ def make_program(
         beads = bead_paths(smooth, plan, config)
         beads.to_parquet(job.folder.path / "beads.parquet")
         checks = _write_and_verify(
-            job, beads, plan, _witness(job, layers, checked.done), gates.fit_distance_mm(deviation)
+            job, beads, plan, layers, _witness(job, layers, checked.done), gates.fit_distance_mm(deviation)
         )
     made = [
         gates.fit_gate(deviation, config),
@@ -94,7 +95,9 @@ def _witness(job: Job, layers: Layers, done: Sequence[str]) -> Layers:
     return job.folder.read_layers(best) if best else layers
 
 
-def _write_and_verify(job: Job, beads: Curves, plan: ScanPlan, witness: Layers, fit_mm: float) -> list[Check]:
+def _write_and_verify(
+    job: Job, beads: Curves, plan: ScanPlan, contours: Layers, witness: Layers, fit_mm: float
+) -> list[Check]:
     """Write the program, read its text back and check it against what it was made from."""
     header = {"PART SHA-256": job.part.source_sha256 or job.part.sha256}
     write_program = registry.plugin(registry.POSTS, job.config.machine.control)
@@ -111,6 +114,9 @@ def _write_and_verify(job: Job, beads: Curves, plan: ScanPlan, witness: Layers, 
     )
     summary = program_summary(program, job.config)
     summary.to_csv(job.folder.path / "program.csv", index=False)
+    kinematics = side_by_side(program, contours, job.config)
+    kinematics.to_csv(job.folder.path / "kinematics.csv")
+    job.record["kinematics"] = kinematics.to_dict(orient="index")
     job.record["files"] = files
     job.record["program"] = {
         "checks": [asdict(check) for check in checks],

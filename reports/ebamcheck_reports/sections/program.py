@@ -9,7 +9,7 @@ from typing import Any
 from ebamcheck.errors import InputError
 from ebamcheck.program import read_program
 from ebamcheck_reports import program_picture
-from ebamcheck_reports.figures import counted, duration
+from ebamcheck_reports.figures import counted, duration, percent
 from ebamcheck_reports.markup import (
     Markup,
     collapsed,
@@ -53,12 +53,42 @@ def render(run: RunData) -> Markup:
             ".",
         ),
         _checks(run),
+        *_kinematics(run),
         element("h3", "Path of one layer as read back from the text"),
         *_picture(run),
         element("h3", "Files"),
         *_files(record),
         *_excerpts(run, record),
     )
+
+
+def _kinematics(run: RunData) -> list[Markup]:
+    """Feed that the axes reach along the contours, beside a program of one line a contour point."""
+    paths = run.part_of("kinematics")
+    if not paths:
+        return []
+    columns = ("contours as", "blocks", "time", "at constant feed", "dips", "least feed", "metal too much")
+    rows = [
+        (
+            {"program": "this program", "polyline": "one line for each contour point"}[name],
+            figure(path["blocks"]),
+            duration(path["time_s"]),
+            duration(path["constant_feed_s"]),
+            figure(path["dips"]),
+            figure(path["least_share"], text=percent(path["least_share"])),
+            figure(path["excess_mm3_per_m"], "mm3/m"),
+        )
+        for name, path in paths.items()
+    ]
+    text = (
+        "Axes cannot turn a corner at full feed. Where the feed dips under the share of the settings while wire and beam go on, the bead "
+        "grows (the paper's Figure 6). Starts and ends of beads are left out."
+    )
+    return [
+        element("h3", "Feed along the contours"),
+        paragraph(text),
+        table(columns, rows, numbers=columns[1:]),
+    ]
 
 
 def _status(record: Mapping[str, Any]) -> Markup:
