@@ -28,9 +28,12 @@ PARALLEL_RAD = 1e-3
 """Lines of one island whose directions differ by more follow a wall, and have no common spacing."""
 
 
-WIDEST_GAP = 0.15
-"""Width of a gap between beads over the bead's width. Sound plans leave up to 0.13 of it where three islands meet;
-a missing line leaves 0.44, down to 0.15 where it is a short one in the corner of an island."""
+WIDEST_GAP = 0.95
+"""Width of a gap between beads over that of the one which a missing line leaves. Cusps beside channels may leave
+nearly as much; they are not hidden, the figure tells them."""
+
+LEAST_GAP_LIMIT = 0.15
+"""Of the bead's width: what sound plans leave where three islands meet, however near to one another their lines lie."""
 
 
 def bead_checks(nc: NCProgram, config: Config, z_of: Floats, layers: Layers | None = None) -> list[Check]:
@@ -189,7 +192,7 @@ def _segments(nc: NCProgram, rows: Ints) -> Floats:
 def _gaps(nc: NCProgram, config: Config, z_of: Floats, layers: Layers) -> Check:
     """Widest gap within the contour beads: corners that a round bead cannot fill lie outside of their middle."""
     width = config.process.bead_width_mm
-    limit = WIDEST_GAP * width
+    limit = max(WIDEST_GAP * (2.0 * config.process.hatch_spacing_mm - width), LEAST_GAP_LIMIT * width)
     rows = np.flatnonzero(nc.deposit)
     index = np.searchsorted(0.5 * (z_of[1:] + z_of[:-1]), nc.end[rows, 2])
     worst, where, place = 0.0, "", ""

@@ -9,10 +9,16 @@ import numpy as np
 from ebamcheck.config import Config
 from ebamcheck.heights import PARABOLA
 from ebamcheck.program.checks import Check, count_check, row_faults, worst_check
+from ebamcheck.program.dialects import LINUXCNC, PLAIN, SINUMERIK
 from ebamcheck.program.motions import ARC, RAPID, NCProgram
 from ebamcheck.rings import Floats
 
-MODES = ("G17", "G71", "G90", "G94")
+MODES = {
+    SINUMERIK: ("G17", "G71", "G90", "G94"),
+    LINUXCNC: ("G17", "G21", "G90", "G94"),
+    PLAIN: ("G17", "G21", "G90", "G94"),
+}
+"""Plane, millimetres, absolute positions and feed a minute in each language."""
 
 LEAST_SPLINE_BLOCKS = 6
 """Spline blocks that the control wants among any 10 (NC Programming manual, BSPLINE)."""
@@ -46,12 +52,11 @@ def state_checks(nc: NCProgram, config: Config, turn_limit_mm: float) -> list[Ch
 
 def _modes(nc: NCProgram, config: Config) -> Check:
     before = {name for name, row in zip(nc.events.name, nc.events.row, strict=True) if row == 0}
-    missing = [m for m in (*MODES, config.machine.work_offset) if m not in before]
+    wanted = (*MODES[nc.dialect], config.machine.work_offset)
+    missing = [m for m in wanted if m not in before]
     where = nc.where(0) if len(nc) else f"{nc.files[0].name}:1"
     faults = [(where, f"{mode} is not set before the first motion") for mode in missing]
-    return count_check(
-        "modes", faults, f"{' '.join(MODES)} {config.machine.work_offset} before the first motion"
-    )
+    return count_check("modes", faults, f"{' '.join(wanted)} before the first motion")
 
 
 def _smoothing(nc: NCProgram, config: Config) -> Check:
@@ -59,9 +64,15 @@ def _smoothing(nc: NCProgram, config: Config) -> Check:
     known = dict(zip(nc.events.name, nc.events.line, strict=True))
     tolerances = nc.events.value[[name == "CTOL" for name in nc.events.name]]
     value = float(np.max(tolerances)) if tolerances.size else math.inf
-    missing = [word for word in machine.smoothing if word not in known]
+    if nc.dialect == PLAIN:
+        return Check(
+            "smoothing", True, 0.0, 0.0, "mm", "", "plain G-code has no word for it: the control's own"
+        )
+    # LinuxCNC has one word for all, G64 with its tolerance.
+    missing = [word for word in machine.smoothing if word not in known and nc.dialect == SINUMERIK]
     where = f"{nc.files[0].name}:{known.get('CTOL', 1)}"
-    text = f"lacks {' '.join(missing)}" if missing else f"{' '.join(machine.smoothing)} CTOL={value:g}"
+    words = f"{' '.join(machine.smoothing)} CTOL=" if nc.dialect == SINUMERIK else "G64 P"
+    text = f"lacks {' '.join(missing)}" if missing else f"{words}{value:g}"
     passed = not missing and value <= machine.smoothing_tolerance_mm
     return Check("smoothing", passed, value, machine.smoothing_tolerance_mm, "mm", where, text)
 

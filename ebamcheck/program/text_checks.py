@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from ebamcheck.program.checks import Check, count_check
+from ebamcheck.program.dialects import SINUMERIK
 from ebamcheck.program.motions import NCProgram, SourceFile
 
 BLOCK_LIMIT = 200
@@ -19,6 +20,7 @@ _NAME = re.compile(r"(?=.{1,24}\.)(?:[A-Z]{2}|_[A-Z])[A-Z0-9_]*\.(?:MPF|SPF)")
 _DEVICE = re.compile(r"(?:CON|PRN|AUX|NUL|COM\d|LPT\d)\..*")
 _PATH = re.compile(rb";\$PATH=/_N_(?:WKS_DIR/_N_[A-Z0-9_]+_WPD|MPF_DIR|SPF_DIR)\r?")
 _ENDS = {".MPF": ("M30", "M2"), ".SPF": ("M17", "RET")}
+_MAIN_ENDS = ("M30", "M2")
 
 Faults = list[tuple[str, str]]
 
@@ -29,9 +31,9 @@ def text_checks(nc: NCProgram, sha256: Mapping[str, str] | None = None) -> list[
         count_check("encoding", _each(nc, _encoding), "ASCII throughout"),
         count_check("line ends", _each(nc, _line_ends), "every block ends with LF alone"),
         _block_length(nc),
-        count_check("names and headers", _each(nc, _header), "legal names, %_N_ and ;$PATH from column 1"),
+        *_headers(nc),
         count_check("block numbers", _numbers(nc), "N rises from block to block in every file"),
-        count_check("end of program", _each(nc, _end), "one M30 or M17 in each file, in its last block"),
+        count_check("end of program", _each(nc, _end), "one end in each file, in its last block"),
         count_check("subprograms", _calls(nc), "every subprogram in the folder is called once"),
     ]
     if sha256 is not None:
@@ -72,6 +74,15 @@ def _block_length(nc: NCProgram) -> Check:
     return Check("block length", longest < BLOCK_LIMIT, longest, BLOCK_LIMIT - 1, "characters", where, text)
 
 
+def _headers(nc: NCProgram) -> list[Check]:
+    """Names and first lines, of which only the SINUMERIK asks something."""
+    if nc.dialect != SINUMERIK:
+        return []
+    return [
+        count_check("names and headers", _each(nc, _header), "legal names, %_N_ and ;$PATH from column 1")
+    ]
+
+
 def _header(file: SourceFile) -> Faults:
     faults = []
     if not _NAME.fullmatch(file.name) or _DEVICE.fullmatch(file.name):
@@ -98,7 +109,7 @@ def _numbers(nc: NCProgram) -> Faults:
 
 
 def _end(file: SourceFile) -> Faults:
-    wanted = _ENDS.get(file.name[-4:].upper(), ("M30",))
+    wanted = _ENDS.get(file.name[-4:].upper(), _MAIN_ENDS)
     last = f"{file.name}:{file.line_count}"
     if not file.end_line:
         return [(last, f"no {wanted[0]} at the end: the file is cut off")]
