@@ -280,21 +280,7 @@ class ProcessSettings(Section):
     bead_spacing: Annotated[float, Field(gt=0, le=1)] = 0.72
     """Distance between parallel beads over the bead width."""
     machining_allowance_mm: NotNegative = 0.0
-    """Metal left on the contour for machining: the section is grown by this before beads are laid."""
-    overlap_mm: NotNegative = 0.0
-    """Length by which a closed contour bead runs on over its own start."""
-    ramp_up_mm: NotNegative = 0.0
-    """Length at the start of a bead along which the beam rises to full power."""
-    crater_fill_mm: NotNegative = 0.0
-    """Length at the end of a bead along which the beam falls, so that the crater is filled."""
-    ramp_power: Annotated[float, Field(gt=0, le=1)] = 0.5
-    """Share of the full power at which a ramp begins, and at which a crater fill ends."""
-    ramp_steps: Annotated[int, Field(ge=1, le=50)] = 4
-    """Steps of power along a ramp."""
-    wire_retract_mm: NotNegative = 0.0
-    """Wire drawn back at the end of a bead, so that it does not freeze in."""
-    seam_shift_mm: NotNegative = 0.0
-    """Shift of a contour's start along itself from layer to layer, so that seams do not lie on top of each other."""
+    """Metal left on the contour for machining: contour beads lie outward by this; at most their inset."""
     least_seam_distance_mm: NotNegative = 0.0
     """Least distance between the starts of contours in neighbouring layers; 0: not limited."""
     travel_sectors_deg: tuple[tuple[Finite, Finite], ...] = ()
@@ -413,9 +399,19 @@ class Config(Section):
 
     @property
     def contour_offset_mm(self) -> float:
-        """Inset of the contour bead's centre line, mm."""
+        """Inset of the contour bead's centre line, mm, less the allowance for machining."""
         offset = self.scan.contour_offset_mm
-        return 0.5 * self.process.bead_width_mm if offset is None else offset
+        inset = 0.5 * self.process.bead_width_mm if offset is None else offset
+        return inset - self.process.machining_allowance_mm
+
+    @model_validator(mode="after")
+    def _allowance_within_the_inset(self) -> Self:
+        if self.contour_offset_mm < 0.0:
+            raise ValueError(
+                f"process.machining_allowance_mm {self.process.machining_allowance_mm:g} is over the inset of the contour "
+                "beads: a section cannot grow; give a larger scan.contour_offset_mm or grow the part"
+            )
+        return self
 
     def changed(self, **sections: dict[str, Any]) -> Config:
         """Return the settings with some values of some sections changed, checked anew."""

@@ -116,3 +116,10 @@ def test_files_that_are_no_text_are_refused(tmp_path):
 def test_changed_settings_are_checked_anew():
     with pytest.raises(SettingsError, match=r"curves\.corner_angle_deg"):
         Config().changed(curves={"corner_angle_deg": 200.0})
+
+
+def test_an_allowance_for_machining_moves_the_contour_beads_outward() -> None:
+    config = Config().changed(process={"machining_allowance_mm": 1.25})
+    assert config.contour_offset_mm == pytest.approx(0.5 * config.process.bead_width_mm - 1.25)
+    with pytest.raises(SettingsError, match="machining_allowance_mm 4 is over the inset"):
+        Config().changed(process={"machining_allowance_mm": 4.0})

@@ -40,8 +40,6 @@ WITHOUT_UNIT = {
     "block_points",
     "processes",
     "bspline_shift",
-    "ramp_power",  # over the full power
-    "ramp_steps",
     "curvature_share",  # of the acceleration
     "dip_share",  # of the feed
 }

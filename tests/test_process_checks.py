@@ -1,4 +1,4 @@
-"""What a process engineer asks of a path: directions, places to keep out of, seams, overhangs; and tracks."""
+"""What a process engineer asks of a path: directions, places to keep out of, seams, overhangs, beads."""
 
 from __future__ import annotations
 
@@ -9,12 +9,9 @@ import pytest
 from nc_stack import hatch, make_curves, make_plan
 
 from ebamcheck.config import Config
-from ebamcheck.errors import SettingsError
 from ebamcheck.layers import from_rings
 from ebamcheck.program import read_program, verify_program, write_program
 from ebamcheck.program.process_checks import outside_sectors
-from ebamcheck.program.segments import CIRCULAR, CUBIC, STRAIGHT
-from ebamcheck.program.tracks import Track, cut, joined, overlapped, ramped, shifted
 
 SQUARE = np.array([(0, 0), (40, 0), (40, 40), (0, 40), (0, 0)], float)
 
@@ -154,82 +151,3 @@ def test_a_bare_half_fails_the_coverage_with_its_place(tmp_path):
     assert check.value < 0.8
     assert check.where.startswith("MAIN_L0001.SPF:")
     assert "mm2 at (" in check.text
-
-
-# -- tracks ------------------------------------------------------------------------------------------
-
-
-def track():
-    """A line, a cubic and two arcs, closed."""
-    line = [(0, 0), (0, 0), (10, 0), (10, 0)]
-    cubic = [(10, 0), (20, 0), (20, 20), (10, 20)]
-    h = math.sqrt(0.5)
-    arc = [(10, 20), (10 - 10 * h, 10 + 10 * h), (10 - 10 * h, 10 + 10 * h), (0, 10)]
-    back = [(0, 10), (-1.5, 5), (-1.5, 5), (0, 0)]
-    return Track(
-        np.array([STRAIGHT, CUBIC, CIRCULAR, CIRCULAR], np.uint8), np.array([line, cubic, arc, back], float)
-    )
-
-
-def sampled(track, count=400):
-    """Points at equal lengths along a track, by cutting it."""
-    at = np.linspace(0.0, track.length_mm, count)
-    return np.array([cut(track, x)[0].points[-1, 3] if x > 0 else track.points[0, 0] for x in at])
-
-
-def test_lengths_of_segments():
-    found = track().lengths
-    assert found[0] == 10.0
-    assert found[2] == pytest.approx(5 * math.pi)
-    u = np.linspace(0, 1, 200001)[:, None]
-    p = track().points[1]
-    curve = (1 - u) ** 3 * p[0] + 3 * (1 - u) ** 2 * u * p[1] + 3 * (1 - u) * u**2 * p[2] + u**3 * p[3]
-    assert found[1] == pytest.approx(np.linalg.norm(np.diff(curve, axis=0), axis=1).sum(), rel=1e-8)
-
-
-@pytest.mark.parametrize("share", [0.0, 0.1, 0.27, 0.5, 0.77, 0.97, 1.0])
-def test_a_cut_leaves_the_curve_and_its_length(share):
-    whole = track()
-    before, after = cut(whole, share * whole.length_mm)
-    assert before.length_mm == pytest.approx(share * whole.length_mm, abs=1e-6)
-    assert before.length_mm + after.length_mm == pytest.approx(whole.length_mm, abs=1e-6)
-    assert sampled(joined(before, after)) == pytest.approx(sampled(whole), abs=1e-6)
-
-
-def test_shifts_add_up_and_all_around_is_none():
-    whole = track()
-    once = shifted(whole, 7.0)
-    assert once.is_closed
-    assert once.points[0, 0] == pytest.approx(cut(whole, 7.0)[0].points[-1, 3])
-    assert shifted(once, 12.0).points[0, 0] == pytest.approx(shifted(whole, 19.0).points[0, 0], abs=1e-9)
-    assert shifted(whole, whole.length_mm).points[0, 0] == pytest.approx(whole.points[0, 0])
-    assert shifted(whole, 7.0).length_mm == pytest.approx(whole.length_mm)
-
-
-def test_an_overlap_runs_over_the_start_again():
-    whole = track()
-    longer = overlapped(whole, 6.0)
-    assert longer.length_mm == pytest.approx(whole.length_mm + 6.0)
-    assert longer.points[-1, 3] == pytest.approx((6.0, 0.0))
-    assert overlapped(whole, 1e6).length_mm == pytest.approx(2 * whole.length_mm)
-
-
-def test_ramps_keep_the_path_and_rise_and_fall():
-    whole = track()
-    pieces = ramped(whole, 8.0, 4.0, 0.5, 4)
-    powers = [power for _, power in pieces]
-    assert powers == pytest.approx([0.5625, 0.6875, 0.8125, 0.9375, 1.0, 0.9375, 0.8125, 0.6875, 0.5625])
-    assert [p.length_mm for p, _ in pieces[:4]] == pytest.approx([2.0] * 4)
-    assert sampled(joined(*(p for p, _ in pieces))) == pytest.approx(sampled(whole), abs=1e-6)
-    assert [power for _, power in ramped(whole, 0.0, 0.0, 0.5, 4)] == [1.0]
-    short = ramped(whole, 1000.0, 1000.0, 0.5, 3)
-    assert sum(p.length_mm for p, _ in short) == pytest.approx(whole.length_mm)
-
-
-def test_an_open_track_cannot_start_elsewhere_nor_be_cut_beyond_its_end():
-    piece, _ = cut(track(), 12.0)
-    for change in (shifted, overlapped):
-        with pytest.raises(SettingsError, match="this one is open"):
-            change(piece, 1.0)
-    with pytest.raises(SettingsError, match="cannot be cut at 13 mm"):
-        cut(piece, 13.0)
