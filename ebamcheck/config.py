@@ -275,6 +275,14 @@ class ProcessSettings(Section):
     """Diameter of the wire."""
     wire_speed_mm_s: Positive = 2000.0 / 60.0
     """Wire speed at the height of one bead; in a layer of another height it follows the mass balance."""
+    base: Literal["cooled", "insulated"] = "cooled"
+    """What the heat model assumes under the base plate: a table that keeps its temperature, or no heat flow."""
+    base_plate_mm: Positive = 25.0
+    """Thickness of the plate on which the part is built: depth of the heat model under height 0."""
+    ambient_temperature_k: Positive = 293.15
+    """Temperature of the chamber, to which the part radiates."""
+    surface_temperature_k: Positive = 900.0
+    """Temperature at which the radiation of the layer is made linear."""
     bead_width_mm: Positive = 6.0
     """Width of one bead."""
     bead_spacing: Annotated[float, Field(gt=0, le=1)] = 0.72
@@ -340,7 +348,22 @@ class MaterialSettings(Section):
     name: str = "Ti-6Al-4V"
     """Name of the material, as it stands in the header of the program."""
     density_kg_m3: Positive = 4430.0
-    """Density of the wire, for its mass."""
+    """Density of the wire, for its mass, and of the part, for its heat."""
+    conductivity_w_mk: Positive = 20.0
+    """Heat conductivity k of the linear heat model: Ti-6Al-4V at about 1200 K (Mills 2002: 1.26 + 0.0157 T under the
+    beta transus)."""
+    heat_capacity_j_kgk: Positive = 700.0
+    """Heat capacity c of the linear heat model: Ti-6Al-4V at about 1000 K (Mills 2002: 483 + 0.215 T under 1268 K)."""
+    latent_heat_j_kg: NotNegative = 286e3
+    """Heat of fusion (Mills 2002)."""
+    solidus_k: Positive = 1877.0
+    """Temperature at which melting begins (Mills 2002)."""
+    liquidus_k: Positive = 1923.0
+    """Temperature at which it ends (Mills 2002)."""
+    emissivity: Annotated[float, Field(ge=0, le=1)] = 0.6
+    """Radiation of the surface over that of a black body; 0.5 to 0.7 are published for hot Ti-6Al-4V."""
+    absorptivity: Annotated[float, Field(gt=0, le=1)] = 0.87
+    """Share of the beam's power that the part takes up; 0.85 to 0.9 are published for electrons on titanium."""
 
 
 class RegressionSettings(Section):

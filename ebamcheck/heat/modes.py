@@ -1,0 +1,146 @@
+"""Modes of a section: the shapes in which heat spreads in its outline, each decaying at its own rate.
+
+They are the eigenmodes of the Laplacian with no heat flow through the border (Neumann), from finite volumes
+on the cells of the section. A section of several regions has the modes of each: heat does not pass a gap.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import linalg, sparse
+from scipy.sparse import csgraph
+from scipy.sparse.linalg import eigsh
+from shapely.geometry.base import BaseGeometry
+
+from ebamcheck.errors import GeometryError
+from ebamcheck.heat.section_grid import SectionGrid, section_grid
+from ebamcheck.layers import valid_polygons
+from ebamcheck.rings import Floats, Ints
+
+CELLS_PER_WAVE = 8.0
+"""Cells in the shortest wavelength: its rate is then right to about 5 % ((k h)^2 / 12), longer ones better."""
+
+LEAST_CELLS = 12.0
+"""Cells across the root of the area, at least: a small region is not one cell."""
+
+DENSE_CELLS = 300
+"""Regions of fewer cells are solved by a dense solver, which is faster there and finds all modes."""
+
+DENSE_SHARE = 0.25
+"""So are those of which more than this share of all modes is wanted."""
+
+SURPLUS = 1.15
+"""Modes asked for over Weyl's estimate, so that none under the limit is missed."""
+
+
+@dataclass(frozen=True, eq=False)
+class ContourModes:
+    """Modes phi_k of a section, normalised: the integral of phi_k^2 over it is 1.
+
+    Parameters
+    ----------
+    eigenvalue
+        (K,) lambda_k, 1/mm^2, rising; exactly 0 for one mode of each region.
+    values
+        (M, K) in the cells.
+    grid
+        The cells.
+    """
+
+    eigenvalue: Floats
+    values: Floats
+    grid: SectionGrid
+
+    @property
+    def area_mm2(self) -> float:
+        """Area of the section."""
+        return float(self.grid.area_mm2.sum())
+
+    def at(self, points: ArrayLike) -> Floats:
+        """Modes at points (P, 2), (P, K)."""
+        where = np.asarray(points, np.float64).reshape(-1, 2)
+        return np.asarray(self.grid.interpolation(where) @ self.values, np.float64)
+
+    def means(self, islands: NDArray[np.object_]) -> Floats:
+        """Mean of the modes over islands, (I, K)."""
+        return np.asarray(self.grid.island_shares(islands) @ self.values, np.float64)
+
+    def integral(self) -> Floats:
+        """Integral of the modes over the section, (K,): 0 for all but those of eigenvalue 0."""
+        return np.asarray(self.grid.area_mm2 @ self.values, np.float64)
+
+
+def modes_below(area_mm2: float, perimeter_mm: float, eigenvalue: float) -> float:
+    """Estimate the number of modes under an eigenvalue (Weyl 1912, with the border's term; Neumann)."""
+    return area_mm2 * eigenvalue / (4.0 * math.pi) + perimeter_mm * math.sqrt(eigenvalue) / (4.0 * math.pi)
+
+
+def eigenvalue_of(area_mm2: float, perimeter_mm: float, count: float) -> float:
+    """Eigenvalue under which about `count` modes lie: the inverse of :func:`modes_below`."""
+    half = perimeter_mm / (2.0 * area_mm2)
+    return (math.sqrt(half**2 + 4.0 * math.pi * count / area_mm2) - half) ** 2
+
+
+def contour_modes(section: BaseGeometry, largest_eigenvalue: float, most_modes: int) -> ContourModes:
+    """Find the modes of a section up to an eigenvalue.
+
+    Parameters
+    ----------
+    section
+        Polygon or multi-polygon, mm.
+    largest_eigenvalue
+        (2 pi / wavelength)^2 of the shortest wave, 1/mm^2.
+    most_modes
+        Beyond so many the limit is lowered.
+
+    Raises
+    ------
+    GeometryError
+        If the section has no area.
+    """
+    parts = valid_polygons(section)
+    area, perimeter = sum(p.area for p in parts), sum(p.length for p in parts)
+    if area <= 0.0:
+        raise GeometryError("heat in a section without area: give at least one polygon")
+    limit = min(largest_eigenvalue, eigenvalue_of(area, perimeter, most_modes))
+    step = 2.0 * math.pi / math.sqrt(limit) / CELLS_PER_WAVE
+    grid = section_grid(parts, min(step, math.sqrt(area) / LEAST_CELLS))
+    count, region = csgraph.connected_components(grid.coupling, directed=False)
+    found = [_region_modes(grid, np.flatnonzero(region == r), limit) for r in range(count)]
+    eigenvalue = np.concatenate([values for values, _, _ in found])
+    values = np.zeros((len(grid.area_mm2), len(eigenvalue)))
+    used = 0
+    for own, modes, cells in found:
+        values[cells, used : used + len(own)] = modes
+        used += len(own)
+    rising = np.argsort(eigenvalue, kind="stable")[: max(most_modes, count)]
+    return ContourModes(eigenvalue[rising], np.ascontiguousarray(values[:, rising]), grid)
+
+
+def _region_modes(grid: SectionGrid, cells: Ints, limit: float) -> tuple[Floats, Floats, Ints]:
+    """Eigenvalues up to the limit, modes in the cells of one region, and those cells."""
+    area = grid.area_mm2[cells]
+    total, size = float(area.sum()), len(cells)
+    border = 4.0 * math.sqrt(total)
+    wanted = min(size, math.ceil(SURPLUS * modes_below(total, border, limit)) + 1)
+    root = np.sqrt(area)
+    scale = sparse.diags_array(1.0 / root)
+    matrix = sparse.csc_array(scale @ grid.coupling[cells][:, cells] @ scale)
+    if size <= DENSE_CELLS or wanted > DENSE_SHARE * size:
+        eigenvalue, vectors = linalg.eigh(matrix.toarray(), subset_by_index=(0, wanted - 1))
+    else:
+        # A shift just under zero keeps the matrix definite; the start is fixed, so that runs repeat.
+        start = root * (1.0 + np.cos(np.arange(size)))
+        eigenvalue, vectors = eigsh(matrix, wanted, sigma=-math.pi / total, which="LM", v0=start)
+    rising = np.argsort(eigenvalue, kind="stable")
+    eigenvalue, vectors = eigenvalue[rising], vectors[:, rising]
+    # The mode of rate zero is known: taking it exactly keeps the energy to the last digits.
+    eigenvalue[0], vectors[:, 0] = 0.0, root / math.sqrt(total)
+    vectors[:, 1:] -= np.outer(vectors[:, 0], vectors[:, 0] @ vectors[:, 1:])
+    kept = eigenvalue <= limit
+    kept[0] = True
+    return eigenvalue[kept], vectors[:, kept] / root[:, None], cells
