@@ -77,7 +77,7 @@ def depth_modes(depth_mm: float, count: int, cooled: bool, loss_per_mm: float = 
         h/k: heat lost by the surface over its temperature, and over the conductivity.
     """
     biot = loss_per_mm * depth_mm
-    low: Floats = np.pi * (np.arange(count) + (0.5 if cooled else 0.0))
+    low: Floats = np.asarray(np.pi * (np.arange(count) + (0.5 if cooled else 0.0)), np.float64)
     if biot == 0.0:
         return DepthModes(depth_mm, cooled, low / depth_mm)
     high = low + 0.5 * np.pi

@@ -21,8 +21,8 @@ from ebamcheck.heat.section_grid import SectionGrid, section_grid
 from ebamcheck.layers import valid_polygons
 from ebamcheck.rings import Floats, Ints
 
-CELLS_PER_WAVE = 8.0
-"""Cells in the shortest wavelength: its rate is then right to about 5 % ((k h)^2 / 12), longer ones better."""
+CELLS_PER_WAVE = 6.0
+"""Cells in the shortest wavelength: its rate is then right to about 9 % ((k h)^2 / 12), longer ones better."""
 
 LEAST_CELLS = 12.0
 """Cells across the root of the area, at least: a small region is not one cell."""

@@ -1,0 +1,63 @@
+"""How each island is driven by itself: where it may be entered and left, and how long it takes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ebamcheck.config import Config
+from ebamcheck.rings import Bools, Floats
+from ebamcheck.scan.hatch import Vectors
+from ebamcheck.scan.path import JOINED_MM
+
+
+@dataclass(frozen=True, eq=False)
+class IslandDrive:
+    """Columns of the islands of a layer.
+
+    Parameters
+    ----------
+    entry, leave
+        (I, 4, 2) points at which an island may be entered, and where it is then left, mm: the four ways of
+        :func:`ebamcheck.scan.path.enter_nearest`; a way that is not open to an island repeats its first.
+    beam_s, time_s
+        (I,) time with the beam on a line, and with the jumps between its own lines.
+    """
+
+    entry: Floats
+    leave: Floats
+    beam_s: Floats
+    time_s: Floats
+
+    def __len__(self) -> int:
+        """Return the number of islands."""
+        return len(self.time_s)
+
+
+def island_drive(lines: Vectors, chained: Bools, profile: Config) -> IslandDrive:
+    """Work out how islands are driven.
+
+    Parameters
+    ----------
+    lines
+        Lines sorted by island, every island with at least one.
+    chained
+        (I,) whether the lines of an island follow each other.
+    """
+    count = len(chained)
+    last = np.cumsum(np.bincount(lines.island, minlength=count)) - 1
+    first = np.concatenate([[0], last[:-1] + 1])
+    a, b = lines.start, lines.end
+    entry = np.stack([a[first], b[first], b[last], a[last]], axis=1)
+    leave = np.stack([b[last], a[last], a[first], b[first]], axis=1)
+    for way in (1, 3):
+        entry[chained, way], leave[chained, way] = entry[chained, 0], leave[chained, 0]
+    length = np.bincount(lines.island, np.hypot(*(b - a).T), count)
+    jump = np.zeros(len(a))
+    jump[1:] = np.hypot(*(a[1:] - b[:-1]).T)
+    jump[first] = 0.0
+    jump[jump <= JOINED_MM] = 0.0
+    beam_s = length / profile.process.travel_speed_mm_s
+    inner_s = np.bincount(lines.island, jump, count) / profile.machine.rapid_mm_s
+    return IslandDrive(entry, leave, beam_s, np.asarray(beam_s + inner_s, np.float64))
