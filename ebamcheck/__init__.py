@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from ebamcheck.part import Part as Part
     from ebamcheck.program import read_program as read_program
     from ebamcheck.program import write_program as write_program
+    from ebamcheck.scan import compare_orders as compare_orders
     from ebamcheck.scan import plan_scan as plan_scan
     from ebamcheck.slicing import Slicing as Slicing
     from ebamcheck.slicing import slice_part as slice
@@ -33,6 +34,7 @@ _PUBLIC = {
     "Part": "ebamcheck.part",
     "Slicing": "ebamcheck.slicing",
     "compare": "ebamcheck.comparison",
+    "compare_orders": "ebamcheck.scan",
     "fit": "ebamcheck.curves",
     "inspect": "ebamcheck.inspection",
     "layer_heights": "ebamcheck.heights",

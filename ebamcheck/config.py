@@ -10,6 +10,7 @@ import difflib
 import math
 import re
 import tomllib
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -119,6 +120,13 @@ class CurveSettings(Section):
     there to tell the curve that it stands for. For `paper` and `chord` it is the limit of the fit's gate, too."""
 
 
+SCAN_ORDERS = (
+    "nearest", "nearest-any", "nearest-last", "nearest-sum", "farthest", "raster",
+    "stride", "random", "least-heat", "thermal",
+)  # fmt: skip
+"""Orders of the house; others are found by the entry point group ``ebamcheck.orders``."""
+
+
 class ScanSettings(Section):
     """Partition, filling and order."""
 
@@ -132,14 +140,31 @@ class ScanSettings(Section):
     """Turn of the hatch from layer to layer (paper, section 1, after Jia et al.)."""
     island_angle_deg: Finite = 60.0
     """Turn of the hatch from hexagon to hexagon, by one of three lattice colours, so that neighbours differ."""
-    order: Literal["nearest", "nearest-any", "nearest-last", "nearest-sum", "farthest", "raster"] = "nearest"
-    """Scan order of the islands of a layer; `nearest` is the paper's rule (section 4.2), `nearest-any` by its full name."""
+    order: str = "nearest"
+    """Scan order of the islands of a layer: nearest (the paper's rule, section 4.2; nearest-any by its full name),
+    nearest-last, nearest-sum, farthest, raster, stride, random, least-heat, thermal, or one that is installed."""
     seed: Annotated[int, Field(ge=0)] = 0
-    """Seed of the random choice of each layer's first island."""
+    """Seed of all random choices: each layer's first island, the order `random`, the annealing of `thermal`."""
+    stride: Annotated[int, Field(ge=2)] = 7
+    """The order `stride` takes every so many islands of the raster."""
+    travel_share: Positive = 0.5
+    """The order `thermal` travels at most this share of what `farthest` does."""
+    start_travel_mm: NotNegative = 10.0
+    """Travel that weighs as much as one start of the wire, for `thermal`."""
+    annealing_steps: Annotated[int, Field(ge=0)] = 0
+    """Exchanges of two islands that `thermal` tries at the end, keeping those that help."""
     least_coverage: Annotated[float, Field(gt=0, le=1)] = 0.95
     """Gate of the coverage: fraction of each layer's area that the beads must cover."""
     contour_offset_mm: NotNegative | None = None
     """Inset of the contour bead's centre line from the contour; None: half a bead width."""
+
+    @field_validator("order")
+    @classmethod
+    def _known_order(cls, value: str) -> str:
+        known = [*SCAN_ORDERS, *sorted({point.name for point in entry_points(group="ebamcheck.orders")})]
+        if value not in known:
+            raise ValueError(f"unknown order: choose one of {', '.join(known)}")
+        return value
 
 
 class MachineSettings(Section):

@@ -1,4 +1,4 @@
-"""Discovery of slicers, models, report writers and post-processors by entry point.
+"""Discovery of slicers, models, report writers, post-processors and scan orders by entry point.
 
 A plugin that does not load warns and is left out; it never stops the others.
 """
@@ -18,6 +18,7 @@ BACKENDS = "ebamcheck.backends"
 MODELS = "ebamcheck.models"
 REPORTS = "ebamcheck.reports"
 POSTS = "ebamcheck.posts"
+ORDERS = "ebamcheck.orders"
 
 
 class BrokenPluginWarning(UserWarning):
@@ -54,6 +55,11 @@ def plugin(group: str, name: str) -> Any:
         raise SettingsError(
             f"plugin {name!r} of {group} does not load: {type(error).__name__}: {error}"
         ) from None
+
+
+def names(group: str) -> list[str]:
+    """Names of the entry points of a group, sorted; none is loaded."""
+    return sorted({point.name for point in entry_points(group=group)})
 
 
 def _warn_broken(point: EntryPoint, why: str) -> None:

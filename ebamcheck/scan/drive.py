@@ -41,14 +41,17 @@ def island_drive(lines: Vectors, chained: Bools, profile: Config) -> IslandDrive
     Parameters
     ----------
     lines
-        Lines sorted by island, every island with at least one.
+        Lines sorted by island; an island without any takes no time and lies where its neighbour in number ends.
     chained
         (I,) whether the lines of an island follow each other.
     """
     count = len(chained)
-    last = np.cumsum(np.bincount(lines.island, minlength=count)) - 1
-    first = np.concatenate([[0], last[:-1] + 1])
     a, b = lines.start, lines.end
+    if not len(a):
+        return IslandDrive(np.zeros((count, 4, 2)), np.zeros((count, 4, 2)), np.zeros(count), np.zeros(count))
+    after = np.cumsum(np.bincount(lines.island, minlength=count))
+    last = np.maximum(after - 1, 0)
+    first = np.minimum(np.concatenate([[0], after[:-1]]), len(a) - 1)
     entry = np.stack([a[first], b[first], b[last], a[last]], axis=1)
     leave = np.stack([b[last], a[last], a[first], b[first]], axis=1)
     for way in (1, 3):

@@ -16,11 +16,14 @@ from ebamcheck.rings import Floats
 OUTLIVED = 3.0
 """Modes that fall by exp(-3) while one island is scanned tell the next ones nothing."""
 
-PLANNING_MODES = 600
+PLANNING_MODES = 300
 """Modes of the section that a plan uses at most: beyond, only the longest waves count."""
 
-SIMULATION_MODES = 1500
+SIMULATION_MODES = 400
 """Modes of the section that a simulation uses at most."""
+
+SHORTEST_S = 0.01
+"""Time on one island, at least, for the choice of modes."""
 
 MOST_DEPTH_MODES = 40
 """Modes of the depth at most."""
@@ -76,7 +79,7 @@ def island_heat(
     medium, process = Medium.of(profile), profile.process
     mean_area = section.area / max(len(islands), 1)
     shortest = (2.0 * math.pi) ** 2 / mean_area
-    outlived = OUTLIVED / (medium.diffusivity_mm2_s * float(np.mean(time_s)))
+    outlived = OUTLIVED / (medium.diffusivity_mm2_s * max(float(np.mean(time_s)), SHORTEST_S))
     largest = shortest if fine else min(shortest, outlived)
     plane = contour_modes(section, largest, SIMULATION_MODES if fine else PLANNING_MODES)
     depth_mm = max(height_mm, 0.0) + process.base_plate_mm
@@ -84,7 +87,8 @@ def island_heat(
     loss = medium.radiation_w_mm2k / medium.conductivity_w_mmk
     depth = depth_modes(depth_mm, waves, process.base == "cooled", loss)
     model = HeatModel(plane, depth, medium, min(profile.layer_height_mm, depth_mm))
-    power_w = process.power_w * profile.material.absorptivity * beam_s / time_s
+    on = np.divide(beam_s, time_s, out=np.zeros_like(beam_s), where=time_s > 0)
+    power_w = process.power_w * profile.material.absorptivity * on
     return IslandHeat(
         mean=np.ascontiguousarray(plane.means(islands).T),
         plane_rate=medium.diffusivity_mm2_s * plane.eigenvalue,

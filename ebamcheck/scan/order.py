@@ -11,19 +11,32 @@ the smallest". That has three readings, all of them here:
 
 Whichever is taken, it contradicts the paper's aim (its conclusion: "increase the molding time interval
 of adjacent regions"), since the nearest island is a neighbour that is still hot. ``farthest`` does the
-opposite; ``raster`` is what a machine does without a strategy.
+opposite; ``raster`` is what a machine does without a strategy, ``stride`` leaves out all but every n-th
+island of it at first, ``random`` is a seeded shuffle. Distance has no memory of time; ``least-heat`` and
+``thermal`` have: they ask a heat model (:mod:`ebamcheck.heat`) which island is coolest when the beam gets
+there, the latter with a price on the way there (:mod:`ebamcheck.scan.thermal`). Others are found by the entry
+point group ``ebamcheck.orders``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely.geometry.base import BaseGeometry
 
+from ebamcheck import registry
+from ebamcheck.config import Config
 from ebamcheck.errors import SettingsError
 from ebamcheck.kernels import kernel
 from ebamcheck.rings import Floats, Ints
+from ebamcheck.scan.drive import IslandDrive
+from ebamcheck.scan.island_heat import IslandHeat, island_heat
+from ebamcheck.scan.thermal import clocked, greedy_order, thermal_order
 
 LAST, ANY, SUM, FARTHEST = 0, 1, 2, 3
 """Rules of :func:`greedy`."""
@@ -48,6 +61,16 @@ class LayerIslands:
         Index of the layer.
     seed
         Seed of the run; :meth:`random` mixes the layer into it.
+    profile
+        Settings.
+    height_mm
+        Height of the layer.
+    section
+        Solid region of the layer.
+    polygons
+        (I,) the islands.
+    drive
+        How each is driven. Without it, orders that ask for times or heat cannot be used.
     """
 
     centroid: Floats
@@ -55,6 +78,11 @@ class LayerIslands:
     neighbours: Ints
     layer: int = 0
     seed: int = 0
+    profile: Config = field(default_factory=Config)
+    height_mm: float = 0.0
+    section: BaseGeometry = field(default_factory=shapely.Polygon)
+    polygons: NDArray[np.object_] = field(default_factory=lambda: np.zeros(0, object))
+    drive: IslandDrive | None = None
 
     def __len__(self) -> int:
         """Return the number of islands."""
@@ -63,6 +91,23 @@ class LayerIslands:
     def random(self) -> np.random.Generator:
         """Random numbers of this layer, the same whenever it is planned."""
         return np.random.default_rng((self.seed, self.layer))
+
+    @cached_property
+    def driven(self) -> IslandDrive:
+        """How the islands are driven; raises :class:`SettingsError` where that is not known."""
+        if self.drive is None:
+            raise SettingsError(
+                "this order asks how long islands take: give LayerIslands their polygons and drive"
+            )
+        return self.drive
+
+    @cached_property
+    def heat(self) -> IslandHeat:
+        """The heat model of the layer, set up when it is first asked for."""
+        drive = self.driven
+        return island_heat(
+            self.section, self.polygons, drive.beam_s, drive.time_s, self.profile, self.height_mm
+        )
 
 
 Order = Callable[[LayerIslands], Ints]
@@ -77,11 +122,26 @@ def scan_order(name: str, islands: LayerIslands) -> Ints:
     SettingsError
         If there is no order of that name.
     """
-    if name not in ORDERS:
-        raise SettingsError(f"scan.order {name!r} is unknown: choose one of {', '.join(ORDERS)}")
+    order = ORDERS.get(name) or _plugin(name)
     if not len(islands):
         return np.zeros(0, np.int64)
-    return ORDERS[name](islands)
+    found = np.asarray(order(islands), np.int64)
+    if not np.array_equal(np.sort(found), np.arange(len(islands))):
+        raise SettingsError(
+            f"scan.order {name!r} did not return every island of layer {islands.layer} once: "
+            f"{len(found)} places for {len(islands)} islands"
+        )
+    return found
+
+
+def _plugin(name: str) -> Order:
+    """Find an order of the entry point group; raises :class:`SettingsError` with the names there are."""
+    installed = registry.names(registry.ORDERS)
+    if name not in installed:
+        known = ", ".join([*ORDERS, *installed])
+        raise SettingsError(f"scan.order {name!r} is unknown: choose one of {known}")
+    found: Order = registry.plugin(registry.ORDERS, name)
+    return found
 
 
 def _seeded_start(islands: LayerIslands) -> int:
@@ -116,6 +176,40 @@ def raster(islands: LayerIslands) -> Ints:
     row = np.floor(y / pitch + 0.5) if pitch > 0 else np.zeros(len(islands))
     x = np.where(row % 2 == 0, islands.centroid[:, 0], -islands.centroid[:, 0])
     return np.lexsort((np.arange(len(islands)), x, row)).astype(np.int64)
+
+
+def stride(islands: LayerIslands) -> Ints:
+    """Every n-th island of the raster, then those after them, and so on."""
+    rows, step = raster(islands), islands.profile.scan.stride
+    return np.concatenate([rows[n::step] for n in range(step)])
+
+
+def shuffled(islands: LayerIslands) -> Ints:
+    """A random order."""
+    return islands.random().permutation(len(islands)).astype(np.int64)
+
+
+def least_heat(islands: LayerIslands) -> Ints:
+    """Next the island that is coolest when the beam gets there, however far it is."""
+    rapid = islands.profile.machine.rapid_mm_s
+    return greedy_order(islands.heat, islands.driven, rapid, _seeded_start(islands), 0.0, 0.0)
+
+
+def thermal(islands: LayerIslands) -> Ints:
+    """Next a cool island that is near: the coolest plan whose travel is well under that of `farthest`."""
+    settings, drive = islands.profile.scan, islands.driven
+    rapid = islands.profile.machine.rapid_mm_s
+    *_, travel = clocked(farthest(islands), drive.entry, drive.leave, drive.time_s, rapid)
+    swaps = islands.random().integers(0, len(islands), (settings.annealing_steps, 2))
+    return thermal_order(
+        islands.heat,
+        drive,
+        rapid,
+        width_mm=float(np.sqrt(islands.area_mm2.mean())),
+        longest_mm=settings.travel_share * travel,
+        start_travel_mm=settings.start_travel_mm,
+        annealing=swaps,
+    )
 
 
 @kernel
@@ -159,5 +253,9 @@ ORDERS: Mapping[str, Order] = {
     "nearest-sum": nearest_sum,
     "farthest": farthest,
     "raster": raster,
+    "stride": stride,
+    "random": shuffled,
+    "least-heat": least_heat,
+    "thermal": thermal,
 }
-"""Orders by name."""
+"""Orders of the house by name."""

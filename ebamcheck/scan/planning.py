@@ -22,6 +22,7 @@ from ebamcheck.rings import Bools, Floats, Ints
 from ebamcheck.scan import islands as cells
 from ebamcheck.scan.borders import shared_borders
 from ebamcheck.scan.coverage import covered_fraction, segments_of
+from ebamcheck.scan.drive import island_drive
 from ebamcheck.scan.hatch import Vectors, hatch
 from ebamcheck.scan.lattice import hexagon_lattice, planned_side_mm
 from ebamcheck.scan.order import LayerIslands, scan_order
@@ -74,7 +75,7 @@ def plan_scan(
     profile = profile or Config()
     name, number = order or profile.scan.order, profile.scan.seed if seed is None else seed
     planned = plan_layer(layer_section(polygons), profile, name, number, layer, float(height_mm))
-    return _stacked([planned], profile, name, number)
+    return stack_plans([planned], profile, name, number)
 
 
 def plan_stack(
@@ -110,12 +111,12 @@ def plan_stack(
         return done
 
     blocks = run_blocks(work, len(layers)) if len(layers) else []
-    return _stacked([p for block in blocks for p in block], profile, name, number)
+    return stack_plans([p for block in blocks for p in block], profile, name, number)
 
 
 @dataclass(frozen=True, eq=False)
-class LayerPlan:
-    """One layer of a :class:`ScanPlan`, its islands numbered from 0."""
+class LaidLayer:
+    """One layer before its islands are put in order: islands numbered from 0, and their lines sorted by island."""
 
     layer: int
     height_mm: float
@@ -126,38 +127,70 @@ class LayerPlan:
     centroid: Floats
     neighbours: Ints
     border_mm: Floats
+    lines: Vectors
+    chained: Bools
+    covered: float
+
+    def choices(self, profile: Config, seed: int) -> LayerIslands:
+        """What an order may know of the layer."""
+        return LayerIslands(
+            centroid=self.centroid,
+            area_mm2=np.asarray(shapely.area(self.islands), np.float64),
+            neighbours=self.neighbours,
+            layer=self.layer,
+            seed=seed,
+            profile=profile,
+            height_mm=self.height_mm,
+            section=self.regions.section,
+            polygons=self.islands,
+            drive=island_drive(self.lines, self.chained, profile),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class LayerPlan:
+    """One layer of a :class:`ScanPlan`: its islands, the order in which they are scanned, and the lines in it."""
+
+    laid: LaidLayer
     order: Ints
     vectors: Vectors
-    covered: float
 
 
 def plan_layer(
     section: BaseGeometry, profile: Config, order: str, seed: int, layer: int, height_mm: float
 ) -> LayerPlan:
     """Plan one valid section."""
+    laid = lay_islands(section, profile, layer, height_mm)
+    return in_order(laid, scan_order(order, laid.choices(profile, seed)))
+
+
+def in_order(laid: LaidLayer, order: Ints) -> LayerPlan:
+    """Scan the islands of a layer in a given order (I,)."""
+    return LayerPlan(laid, order, _driven(laid.lines, order, laid.chained))
+
+
+def lay_islands(section: BaseGeometry, profile: Config, layer: int, height_mm: float) -> LaidLayer:
+    """Divide one valid section into islands and fill them."""
     regions = layer_regions(section, profile)
     side = _side_mm(regions, profile)
     found = _partition(regions, side, profile)
     walls = [*regions.narrow_fills, *regions.bare_walls]
     islands = np.concatenate([found.polygons, cells.column(walls)])
-    vectors, chained = _fill(found, walls, profile, layer)
+    lines, chained = _fill(found, walls, profile, layer)
     neighbours, border = shared_borders(islands)
-    centroid = cells.centroids(islands)
-    sequence = scan_order(order, LayerIslands(centroid, shapely.area(islands), neighbours, layer, seed))
-    driven = _driven(vectors, sequence, chained)
-    beads = np.vstack([segments_of(regions.contour), np.hstack([driven.start, driven.end])])
-    return LayerPlan(
+    beads = np.vstack([segments_of(regions.contour), np.hstack([lines.start, lines.end])])
+    return LaidLayer(
         layer=layer,
         height_mm=height_mm,
         side_mm=side,
         regions=regions,
         islands=islands,
         kind=np.concatenate([found.kind, np.full(len(walls), cells.THIN_WALL)]).astype(np.str_),
-        centroid=centroid,
+        centroid=cells.centroids(islands),
         neighbours=neighbours,
         border_mm=border,
-        order=sequence,
-        vectors=driven,
+        lines=lines,
+        chained=chained,
         covered=covered_fraction(section, beads, profile.process.bead_width_mm),
     )
 
@@ -220,22 +253,22 @@ def _driven(vectors: Vectors, order: Ints, chained: Bools) -> Vectors:
     return Vectors(vectors.island[rows], np.where(swap, b, a), np.where(swap, a, b))
 
 
-def _stacked(planned: Sequence[LayerPlan], profile: Config, order: str, seed: int) -> ScanPlan:
+def stack_plans(planned: Sequence[LayerPlan], profile: Config, order: str, seed: int) -> ScanPlan:
     """Join layers into one plan and measure it."""
-    base = np.cumsum([0] + [len(p.islands) for p in planned])
-    islands = _joined([p.islands for p in planned], np.zeros(0, object))
+    base = np.cumsum([0] + [len(p.laid.islands) for p in planned])
+    islands = _joined([p.laid.islands for p in planned], np.zeros(0, object))
     by_layer = list(zip(planned, base[:-1], strict=True))
     plan = ScanPlan(
-        heights=np.array([p.height_mm for p in planned], np.float64),
-        contours=cells.column([p.regions.contour for p in planned]),
+        heights=np.array([p.laid.height_mm for p in planned], np.float64),
+        contours=cells.column([p.laid.regions.contour for p in planned]),
         islands=islands,
         # A plan of one layer is layer 0 of its own stack, whatever its index in the part.
         island_layer=np.repeat(np.arange(len(planned)), np.diff(base)).astype(np.int64),
-        island_kind=_joined([p.kind for p in planned], np.zeros(0, np.str_)),
+        island_kind=_joined([p.laid.kind for p in planned], np.zeros(0, np.str_)),
         island_area_mm2=np.asarray(shapely.area(islands), np.float64),
-        island_centroid=_joined([p.centroid for p in planned], np.zeros((0, 2))),
-        neighbours=_joined([p.neighbours + b for p, b in by_layer], np.zeros((0, 2), np.int64)),
-        border_mm=_joined([p.border_mm for p in planned], np.zeros(0)),
+        island_centroid=_joined([p.laid.centroid for p in planned], np.zeros((0, 2))),
+        neighbours=_joined([p.laid.neighbours + b for p, b in by_layer], np.zeros((0, 2), np.int64)),
+        border_mm=_joined([p.laid.border_mm for p in planned], np.zeros(0)),
         order=_joined([p.order + b for p, b in by_layer], np.zeros(0, np.int64)),
         vectors=_vector_table(by_layer),
         metrics=pd.DataFrame(columns=list(METRICS)),
@@ -295,13 +328,13 @@ def _measured(plan: ScanPlan, planned: Sequence[LayerPlan], profile: Config) -> 
     spread = [interval[pair_layer == k] for k in range(len(planned))]
     spread = [values[np.isfinite(values)] for values in spread]
     values: dict[str, Any] = {
-        "layer": [p.layer for p in planned],
+        "layer": [p.laid.layer for p in planned],
         "height_mm": plan.heights,
-        "side_mm": [p.side_mm for p in planned],
-        "islands": [len(p.islands) for p in planned],
-        "area_mm2": [p.regions.section.area for p in planned],
-        "covered_fraction": [p.covered for p in planned],
-        "contour_length_mm": [p.regions.contour.length for p in planned],
+        "side_mm": [p.laid.side_mm for p in planned],
+        "islands": [len(p.laid.islands) for p in planned],
+        "area_mm2": [p.laid.regions.section.area for p in planned],
+        "covered_fraction": [p.laid.covered for p in planned],
+        "contour_length_mm": [p.laid.regions.contour.length for p in planned],
         "hatch_length_mm": length,
         "travel_mm": travel,
         "starts": total(driven["starts"]).astype(np.int64),

@@ -7,6 +7,8 @@ several prices are made, and the coolest is kept among those whose way is short 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ebamcheck.kernels import kernel
@@ -15,8 +17,90 @@ from ebamcheck.scan.drive import IslandDrive
 from ebamcheck.scan.island_heat import IslandHeat
 from ebamcheck.scan.path import JOINED_MM
 
+PRICES = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32)
+"""Prices of travel that are tried: in temperature rises of an island by its own heat, over widths of an island.
+The best one differs from layer to layer by chance."""
+
+STARTS = 3
+"""Islands from which each price is tried."""
+
+MOST_WORK = 3e9
+"""Multiplications in one search, which limits the plans tried on a layer of thousands of islands."""
+
 TIE_K = 1e-6
 """Scores closer than this are equal: rounding must not decide between islands that mirror each other."""
+
+
+def thermal_order(
+    heat: IslandHeat,
+    drive: IslandDrive,
+    rapid_mm_s: float,
+    width_mm: float,
+    longest_mm: float,
+    start_travel_mm: float,
+    annealing: Ints | None = None,
+) -> Ints:
+    """Order islands by heat: the coolest of several greedy plans whose travel is not too long.
+
+    Parameters
+    ----------
+    width_mm
+        Width of an island.
+    longest_mm
+        Travel between islands that is allowed; where no plan keeps it, the one of least travel is taken.
+    start_travel_mm
+        Travel that counts as much as a start of the wire.
+    annealing
+        (S, 2) pairs of places to exchange, each kept where the plan gets better; none if None.
+    """
+    count = len(drive)
+    own_k = float(np.mean(own_rise(heat, drive)))
+    tries = [(price, first) for first in _starts(count) for price in PRICES]
+    affordable = max(1, int(MOST_WORK / (count**2 * heat.mean.shape[0])))
+    if affordable < len(tries):
+        # The middle prices first: they are the likeliest to be best.
+        tries = sorted(tries, key=lambda t: (abs(PRICES.index(t[0]) - len(PRICES) // 2), t[1]))[:affordable]
+    best, best_key = np.arange(count), (math.inf, math.inf)
+    for price, first in tries:
+        price_k_mm = price * own_k / width_mm
+        order = greedy_order(heat, drive, rapid_mm_s, first, price_k_mm, price_k_mm * start_travel_mm)
+        key = plan_key(heat, drive, rapid_mm_s, order, longest_mm)
+        if key[0] < best_key[0] or (key[0] == best_key[0] and key[1] < best_key[1] - TIE_K):
+            best, best_key = order, key
+    for a, b in annealing if annealing is not None else ():
+        order = best.copy()
+        order[a], order[b] = best[b], best[a]
+        key = plan_key(heat, drive, rapid_mm_s, order, longest_mm)
+        if key[0] < best_key[0] or (key[0] == best_key[0] and key[1] < best_key[1] - TIE_K):
+            best, best_key = order, key
+    return best
+
+
+def _starts(count: int) -> list[int]:
+    """Islands spread over the layer."""
+    return sorted({count * n // STARTS for n in range(STARTS)})
+
+
+def own_rise(heat: IslandHeat, drive: IslandDrive) -> Floats:
+    """Mean temperature rise of each island by its own heat when the beam leaves it, (I,) K."""
+    rise = np.zeros(len(drive))
+    for n, wave in enumerate(heat.in_layer):
+        decay_s = heat.plane_rate[:, None] + heat.depth_rate[n]
+        held = -np.expm1(-decay_s * drive.time_s) / np.where(decay_s > 0.0, decay_s, 1.0)
+        held = np.where(decay_s > 0.0, held, drive.time_s)
+        rise += wave**2 * heat.source_k_s * (heat.mean**2 * held).sum(axis=0)
+    return rise
+
+
+def plan_key(
+    heat: IslandHeat, drive: IslandDrive, rapid_mm_s: float, order: Ints, longest_mm: float
+) -> tuple[float, float]:
+    """Rank of a plan: travel beyond what is allowed, then greatest plus spread of the entry temperatures, K."""
+    start_s, end_s, travel = clocked(order, drive.entry, drive.leave, drive.time_s, rapid_mm_s)
+    entry_k = entered(
+        heat.mean, heat.plane_rate, heat.depth_rate, heat.in_layer, heat.source_k_s, order, start_s, end_s
+    )
+    return max(0.0, travel - longest_mm), float(entry_k.max() + entry_k.std())
 
 
 def greedy_order(
@@ -84,7 +168,13 @@ def decay(state: Floats, plane_rate: Floats, depth_rate: Floats, time: float) ->
 
 @kernel
 def heat_island(
-    state: Floats, mean: Floats, plane_rate: Floats, depth_rate: Floats, in_layer: Floats, source: float, time: float
+    state: Floats,
+    mean: Floats,
+    plane_rate: Floats,
+    depth_rate: Floats,
+    in_layer: Floats,
+    source: float,
+    time: float,
 ) -> None:
     """Add what an island with mode means (K,) leaves at the end of the time in which it is heated."""
     through = np.exp(-depth_rate * time)
@@ -97,7 +187,9 @@ def heat_island(
 
 
 @kernel
-def at_surface(state: Floats, plane_rate: Floats, depth_rate: Floats, in_layer: Floats, time: float) -> Floats:
+def at_surface(
+    state: Floats, plane_rate: Floats, depth_rate: Floats, in_layer: Floats, time: float
+) -> Floats:
     """Amplitudes (K,) of the section's modes in the layer, after another time."""
     through = in_layer * np.exp(-depth_rate * time)
     result = np.empty(state.shape[0])
@@ -175,6 +267,32 @@ def coolest_first(
 
 
 @kernel
+def entered(
+    mean: Floats,
+    plane_rate: Floats,
+    depth_rate: Floats,
+    in_layer: Floats,
+    source: Floats,
+    order: Ints,
+    start: Floats,
+    end: Floats,
+) -> Floats:
+    """Entry temperature of each island alone, which is far less work than :func:`driven`."""
+    state = np.zeros((mean.shape[0], len(depth_rate)))
+    entry_k = np.zeros(mean.shape[1])
+    clock = 0.0
+    for island in order:
+        decay(state, plane_rate, depth_rate, start[island] - clock)
+        own = mean[:, island].copy()
+        entry_k[island] = (own * at_surface(state, plane_rate, depth_rate, in_layer, 0.0)).sum()
+        duration = end[island] - start[island]
+        decay(state, plane_rate, depth_rate, duration)
+        heat_island(state, own, plane_rate, depth_rate, in_layer, source[island], duration)
+        clock = end[island]
+    return entry_k
+
+
+@kernel
 def driven(
     mean: Floats,
     plane_rate: Floats,
@@ -222,7 +340,9 @@ def field(mean: Floats, amplitudes: Floats) -> Floats:
 
 
 @kernel
-def clocked(order: Ints, entry: Floats, leave: Floats, time: Floats, rapid: float) -> tuple[Floats, Floats, float]:
+def clocked(
+    order: Ints, entry: Floats, leave: Floats, time: Floats, rapid: float
+) -> tuple[Floats, Floats, float]:
     """Start and end of each island by island (I,), s, and the travel between them, mm, entering each the nearest way."""
     start, end = np.empty(len(order)), np.empty(len(order))
     clock, travel = 0.0, 0.0

@@ -1,0 +1,260 @@
+"""Orders by heat, their comparison, and the kernels against the heat model itself."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import shapely
+
+import ebamcheck
+from ebamcheck import registry
+from ebamcheck.config import SCAN_ORDERS, Config
+from ebamcheck.errors import SettingsError
+from ebamcheck.heat import Medium
+from ebamcheck.scan import ORDERS, LayerIslands, plan_scan
+from ebamcheck.scan.comparing import COMPARED, FIGURES, OrderComparison
+from ebamcheck.scan.island_heat import island_heat
+from ebamcheck.scan.order import scan_order
+from ebamcheck.scan.planning import lay_islands
+from ebamcheck.scan.regions import layer_section
+from ebamcheck.scan.thermal import clocked, entered, entry_temperatures, greedy_order, own_rise
+
+PROFILE = Config()
+RAPID = PROFILE.machine.rapid_mm_s
+PLATE = shapely.box(0, 0, 160, 110).difference(shapely.Point(95, 60).buffer(22, 32))
+
+
+@pytest.fixture(scope="module")
+def laid():
+    return lay_islands(layer_section(PLATE), PROFILE, 0, 10.0)
+
+
+@pytest.fixture(scope="module")
+def choices(laid):
+    return laid.choices(PROFILE, 0)
+
+
+def test_every_name_is_in_the_settings_and_in_the_table():
+    assert tuple(ORDERS) == SCAN_ORDERS
+    assert set(COMPARED) == set(ORDERS) - {"nearest"}
+    with pytest.raises(SettingsError, match="unknown order: choose one of nearest"):
+        PROFILE.changed(scan={"order": "spiral"})
+
+
+def test_driven_islands_are_the_heat_model_step_by_step(laid, choices):
+    drive = choices.driven
+    heat = choices.heat
+    order = np.random.default_rng(3).permutation(len(choices))
+    start, end, _ = clocked(order, drive.entry, drive.leave, drive.time_s, RAPID)
+    entry_k, excess = entry_temperatures(heat, choices.area_mm2, order, start, end)
+    assert entry_k == pytest.approx(
+        entered(
+            heat.mean, heat.plane_rate, heat.depth_rate, heat.in_layer, heat.source_k_s, order, start, end
+        )
+    )
+    # By the model itself, from the same modes.
+    rate = np.add.outer(heat.plane_rate, heat.depth_rate)
+    state, clock = np.zeros_like(rate), 0.0
+    for island in order[:12]:
+        state = state * np.exp(-rate * (start[island] - clock))
+        assert entry_k[island] == pytest.approx(heat.mean[:, island] @ (state @ heat.in_layer), abs=1e-6)
+        time = end[island] - start[island]
+        gain = np.multiply.outer(heat.mean[:, island], heat.in_layer) * -np.expm1(-rate * time) / rate
+        cooled = state * np.exp(-rate * time)
+        others, state = cooled, cooled + heat.source_k_s[island] * gain
+        weight = choices.area_mm2 / choices.area_mm2.sum()
+        rest, total = ((s @ heat.in_layer) @ heat.mean for s in (others, state))
+        spread = math.sqrt(weight @ (rest - weight @ rest) ** 2)
+        assert excess[island] == pytest.approx(spread / (weight @ total), abs=1e-9)
+        clock = end[island]
+
+
+def test_an_island_is_heated_by_the_power_that_the_part_takes_up(laid, choices):
+    heat, drive = choices.heat, choices.driven
+    medium = Medium.of(PROFILE)
+    energy = heat.source_k_s * drive.time_s * medium.heat_capacity_j_mm3k
+    length = np.hypot(*(laid.lines.end - laid.lines.start).T).sum()
+    process = PROFILE.process
+    wanted = length / process.travel_speed_mm_s * process.power_w * PROFILE.material.absorptivity
+    assert energy.sum() == pytest.approx(wanted, rel=1e-9)
+
+
+def test_heat_of_a_thin_plate_is_energy_over_heat_capacity():
+    profile = PROFILE.changed(process={"base": "insulated"}, material={"emissivity": 0.0})
+    section = layer_section(PLATE)
+    choices = lay_islands(section, profile, 0, 0.0).choices(profile, 0)
+    drive, heat = choices.driven, choices.heat
+    order = np.arange(len(choices))
+    start, end, _ = clocked(order, drive.entry, drive.leave, drive.time_s, RAPID)
+    medium = Medium.of(profile)
+    end[order[-1]] += 1e6
+    start[order[-1]] += 1e6
+    late = entered(
+        heat.mean, heat.plane_rate, heat.depth_rate, heat.in_layer, heat.source_k_s, order, start, end
+    )
+    energy = (heat.source_k_s * drive.time_s)[:-1].sum() * medium.heat_capacity_j_mm3k
+    even = energy / (medium.heat_capacity_j_mm3k * section.area * profile.process.base_plate_mm)
+    assert late[-1] == pytest.approx(even, rel=1e-6)
+
+
+def test_greedy_takes_the_best_score_at_every_step(choices):
+    drive, heat = choices.driven, choices.heat
+    price, start_k = 0.7, 5.0
+    order = greedy_order(heat, drive, RAPID, 4, price, start_k)
+    assert order[0] == 4
+    assert np.array_equal(np.sort(order), np.arange(len(choices)))
+    start, end, _ = clocked(order, drive.entry, drive.leave, drive.time_s, RAPID)
+    way = 0
+    for n in range(len(order) - 1):
+        x, y = drive.leave[order[n], way]
+        reach = np.hypot(drive.entry[:, :, 0] - x, drive.entry[:, :, 1] - y)
+        score = np.full(len(order), np.inf)
+        for j in order[n + 1 :]:
+            # Temperature at exactly the time of entry, by driving the order so far and then this island.
+            tried = np.append(order[: n + 1], j)
+            begin, stop = start.copy(), end.copy()
+            begin[j] = end[order[n]] + reach[j].min() / RAPID
+            stop[j] = begin[j] + drive.time_s[j]
+            columns = (heat.mean, heat.plane_rate, heat.depth_rate, heat.in_layer, heat.source_k_s)
+            score[j] = entered(*columns, tried, begin, stop)[j] + price * reach[j].min() + start_k
+        # Between the earliest and the latest entry the kernel takes temperature as linear: 3 % at most.
+        assert score[order[n + 1]] <= score.min() + 3.0
+        way = int(np.argmin(reach[order[n + 1]]))
+
+
+def test_own_rise_is_that_of_one_island_alone(choices):
+    heat, drive = choices.heat, choices.driven
+    island = 7
+    own = own_rise(heat, drive)[island]
+    begin, stop = np.zeros(len(choices)), np.zeros(len(choices))
+    stop[island] = begin[island] + drive.time_s[island]
+    begin_again = stop[island]
+    columns = (heat.mean, heat.plane_rate, heat.depth_rate, heat.in_layer, heat.source_k_s)
+    twice = np.array([island, island])
+    assert own > 50.0
+    # Entered again the moment it is left, it has its own rise: drive a copy of it second.
+    mean = np.hstack([heat.mean, heat.mean[:, [island]]])
+    source = np.append(heat.source_k_s, 0.0)
+    twice[1] = len(choices)
+    entry = entered(
+        mean, *columns[1:4], source, twice, np.append(begin, begin_again), np.append(stop, begin_again)
+    )
+    assert entry[-1] == pytest.approx(own, rel=1e-9)
+
+
+@pytest.mark.parametrize("base", ["cooled", "insulated"])
+def test_thermal_is_cooler_and_shorter_than_farthest(base):
+    profile = PROFILE.changed(process={"base": base})
+    table = ebamcheck.compare_orders(PLATE, profile, ["raster", "farthest", "thermal"]).set_index("order")
+    thermal = table.loc["thermal"]
+    assert thermal["travel_mm"] <= 0.5 * table.loc["farthest", "travel_mm"] + 1e-6
+    assert thermal["time_s"] <= 1.1 * table.loc["raster", "time_s"]
+    if base == "cooled":
+        assert thermal["entry_max_k"] <= 0.5 * table.loc["farthest", "entry_max_k"]
+        assert thermal["entry_max_k"] <= 0.25 * table.loc["raster", "entry_max_k"]
+    else:
+        assert thermal["entry_max_k"] < table.loc["raster", "entry_max_k"]
+
+
+def test_plans_by_heat_repeat_to_the_last_bit():
+    one, two = (plan_scan(PLATE, PROFILE, order="thermal", seed=3) for _ in range(2))
+    assert np.array_equal(one.order, two.order)
+    assert one.vectors.equals(two.vectors)
+
+
+def test_travel_is_paid_for(choices):
+    drive = choices.driven
+    travel = []
+    for price in (0.0, 1.0, 100.0):
+        order = greedy_order(choices.heat, drive, RAPID, 0, price, 0.0)
+        travel.append(clocked(order, drive.entry, drive.leave, drive.time_s, RAPID)[2])
+    assert travel[0] > travel[1] > travel[2]
+
+
+def test_annealing_helps_or_leaves_it():
+    settings = {"order": "thermal"}
+    plain = OrderComparison.of(PLATE, PROFILE.changed(scan=settings), 0, 0.0)
+    long = OrderComparison.of(PLATE, PROFILE.changed(scan={**settings, "annealing_steps": 400}), 0, 0.0)
+    keys = []
+    for compared in (plain, long):
+        islands = compared.islands
+        drive, heat = islands.driven, islands.heat
+        order = scan_order("thermal", islands)
+        start, end, _ = clocked(order, drive.entry, drive.leave, drive.time_s, RAPID)
+        columns = (heat.mean, heat.plane_rate, heat.depth_rate, heat.in_layer, heat.source_k_s)
+        entry = entered(*columns, order, start, end)
+        keys.append(entry.max() + entry.std())
+    assert keys[1] < keys[0]
+
+
+def test_stride_and_random(choices):
+    rows = scan_order("raster", choices)
+    assert np.array_equal(scan_order("stride", choices)[: len(rows[::7])], rows[::7])
+    other = LayerIslands(choices.centroid, choices.area_mm2, choices.neighbours, 0, 1)
+    assert not np.array_equal(scan_order("random", choices), scan_order("random", other))
+    assert np.array_equal(scan_order("random", choices), scan_order("random", choices))
+
+
+def test_a_finer_simulation_agrees_with_the_plan_on_what_is_hot(laid, choices):
+    drive = choices.driven
+    fine = island_heat(PLATE, laid.islands, drive.beam_s, drive.time_s, PROFILE, 10.0, fine=True)
+    assert fine.mean.shape[0] > choices.heat.mean.shape[0]
+    order = scan_order("farthest", choices)
+    start, end, _ = clocked(order, drive.entry, drive.leave, drive.time_s, RAPID)
+    coarse_k, _ = entry_temperatures(choices.heat, choices.area_mm2, order, start, end)
+    fine_k, _ = entry_temperatures(fine, choices.area_mm2, order, start, end)
+    assert np.corrcoef(coarse_k, fine_k)[0, 1] > 0.99
+
+
+def test_comparison_has_a_row_an_order_and_the_figures_of_the_plans():
+    names = ["raster", "random", "thermal"]
+    table = ebamcheck.compare_orders(PLATE, PROFILE, names, seeds=3)
+    assert list(table.columns) == list(FIGURES)
+    assert table["order"].tolist() == names
+    assert table["seeds"].tolist() == [1, 3, 1]
+    plan = plan_scan(PLATE, PROFILE, order="raster")
+    row = table.iloc[0]
+    for name in ("time_s", "interval_p10_s", "interval_min_s", "starts"):
+        assert row[name] == pytest.approx(plan.metrics[name][0])
+    with pytest.raises(SettingsError, match="give at least 1"):
+        ebamcheck.compare_orders(PLATE, PROFILE, ["random"], seeds=0)
+
+
+@pytest.mark.parametrize("section", [shapely.Polygon(), shapely.box(0, 0, 4, 4), shapely.box(0, 0, 90, 2)])
+def test_layers_of_no_or_one_island_are_compared(section):
+    table = ebamcheck.compare_orders(section, PROFILE, ["farthest", "thermal"])
+    assert len(table) == 2
+    assert table["travel_mm"].tolist() == [0.0, 0.0]
+
+
+class _Point:
+    name, value, group = "backwards", "somewhere:order", registry.ORDERS
+
+    def load(self):
+        return lambda islands: np.arange(len(islands))[::-1]
+
+
+class _Broken(_Point):
+    name = "half"
+
+    def load(self):
+        return lambda islands: np.arange(len(islands) // 2)
+
+
+def test_an_installed_order_plans(monkeypatch):
+    monkeypatch.setattr(registry, "entry_points", lambda group: [_Point(), _Broken()])
+    plan = plan_scan(PLATE, PROFILE, order="backwards")
+    assert plan.order.tolist() == list(range(len(plan.islands)))[::-1]
+    with pytest.raises(SettingsError, match="'half' did not return every island of layer 0 once"):
+        plan_scan(PLATE, PROFILE, order="half")
+    with pytest.raises(SettingsError, match="choose one of nearest.*thermal, backwards, half"):
+        plan_scan(PLATE, PROFILE, order="spiral")
+
+
+def test_two_thousand_islands_are_planned():
+    profile = PROFILE.changed(scan={"hexagon_side_mm": 4.0})
+    plan = plan_scan(shapely.box(0, 0, 400, 230), profile, order="thermal")
+    assert len(plan.islands) > 2000
+    assert np.array_equal(np.sort(plan.order), np.arange(len(plan.islands)))
