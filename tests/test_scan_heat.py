@@ -120,7 +120,7 @@ def test_greedy_takes_the_best_score_at_every_step(choices):
             columns = (heat.mean, heat.plane_rate, heat.depth_rate, heat.in_layer, heat.source_k_s)
             score[j] = entered(*columns, tried, begin, stop)[j] + price * reach[j].min() + start_k
         # Between the earliest and the latest entry the kernel takes temperature as linear: 3 % at most.
-        assert score[order[n + 1]] <= score.min() + 3.0
+        assert score[order[n + 1]] <= 1.03 * score.min() + 1.0
         way = int(np.argmin(reach[order[n + 1]]))
 
 
@@ -249,7 +249,7 @@ def test_an_installed_order_plans(monkeypatch):
     assert plan.order.tolist() == list(range(len(plan.islands)))[::-1]
     with pytest.raises(SettingsError, match="'half' did not return every island of layer 0 once"):
         plan_scan(PLATE, PROFILE, order="half")
-    with pytest.raises(SettingsError, match="choose one of nearest.*thermal, backwards, half"):
+    with pytest.raises(SettingsError, match=r"choose one of nearest.*thermal, backwards, half"):
         plan_scan(PLATE, PROFILE, order="spiral")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -97,14 +98,15 @@ def compare_orders(
     """
     profile = profile or Config()
     compared = OrderComparison.of(polygons, profile, layer, height_mm)
-    rows = []
-    for name in COMPARED if orders is None else orders:
-        tried = range(seeds) if name == RANDOM else (profile.scan.seed,)
-        if not len(tried):
-            raise SettingsError(f"seeds {seeds}: give at least 1 for the order {RANDOM!r}")
-        table = pd.DataFrame([compared.result(name, seed).figures() for seed in tried])
-        rows.append({"order": name, "seeds": len(tried), **table.mean()})
+    names = COMPARED if orders is None else orders
+    rows = [figures_of(name, compared.results(name, seeds)) for name in names]
     return pd.DataFrame(rows, columns=list(FIGURES))
+
+
+def figures_of(name: str, results: Sequence[OrderResult]) -> dict[str, Any]:
+    """One row of a comparison: the means over plans of one order."""
+    table = pd.DataFrame([result.figures() for result in results])
+    return {"order": name, "seeds": len(results), **table.mean()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,6 +133,13 @@ class OrderComparison:
                 section, laid.islands, drive.beam_s, drive.time_s, profile, height_mm, fine=True
             )
         return cls(laid, islands, heat, profile)
+
+    def results(self, name: str, seeds: int) -> list[OrderResult]:
+        """Plan one order and drive it: `random` for several seeds, others for that of the profile."""
+        tried = range(seeds) if name == RANDOM else (self.profile.scan.seed,)
+        if not len(tried):
+            raise SettingsError(f"seeds {seeds}: give at least 1 for the order {RANDOM!r}")
+        return [self.result(name, seed) for seed in tried]
 
     def result(self, name: str, seed: int) -> OrderResult:
         """Plan one order and drive it."""

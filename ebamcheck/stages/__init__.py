@@ -1,1 +1,1 @@
-"""Single stages of the job as commands: ``ebamcheck fit`` and ``ebamcheck post``."""
+"""Single stages of the job as commands: ``ebamcheck fit``, ``ebamcheck scan`` and ``ebamcheck post``."""

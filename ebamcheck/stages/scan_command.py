@@ -1,0 +1,141 @@
+"""``ebamcheck scan``: one layer of a part in several scan orders, on the heat model."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import pandas as pd
+import typer
+
+from ebamcheck.atomic_file import replacing
+from ebamcheck.config import SCAN_ORDERS
+from ebamcheck.errors import ExitCode, SettingsError
+from ebamcheck.options import (
+    ConfigOption,
+    DirectionOption,
+    JsonOption,
+    PartArgument,
+    UnitsOption,
+    loaded,
+    names,
+    print_json,
+    settings_of,
+)
+from ebamcheck.scan.comparing import COMPARED, RANDOM, SEEDS, OrderComparison, OrderResult, figures_of
+from ebamcheck.scan.scan_svg import islands_svg
+from ebamcheck.slicing import slice_part
+from ebamcheck.store import plain
+from ebamcheck.tables import text_table
+
+ALL = "all"
+
+HEADINGS = {
+    "order": "order",
+    "entry_max_k": "entry max, K",
+    "entry_sd_k": "sd, K",
+    "excess_uniformity": "excess R",
+    "interval_p10_s": "interval p10, s",
+    "interval_min_s": "min, s",
+    "travel_mm": "travel, mm",
+    "starts": "starts",
+    "time_s": "time, s",
+}
+"""Figures of the printed table, and their headings."""
+
+
+def scan_command(
+    part: PartArgument,
+    height: Annotated[float, typer.Option(help="Absolute height z of the layer, mm.")],
+    orders: Annotated[
+        str, typer.Option(help=f"{', '.join(SCAN_ORDERS)}, or all; comma-separated. Default: scan.order.")
+    ] = "",
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Folder for orders.json and pictures.")
+    ] = None,
+    seeds: Annotated[int, typer.Option(help=f"Seeds over which `{RANDOM}` is averaged.")] = SEEDS,
+    config: ConfigOption = None,
+    units: UnitsOption = "",
+    direction: DirectionOption = "",
+    as_json: JsonOption = False,
+) -> ExitCode:
+    """Plan one layer in one or several scan orders and say how hot, how far and how long each is."""
+    settings = settings_of(config, units, direction, None)
+    wanted = COMPARED if orders == ALL else names(orders) or (settings.scan.order,)
+    for name in wanted:
+        settings.changed(scan={"order": name})  # an unknown name is refused before anything is computed
+    if seeds < 1:
+        raise SettingsError(f"--seeds {seeds}: give at least 1")
+    placed = loaded(part, settings)
+    layers = slice_part(placed, np.array([height]))
+    low = float(placed.bounds[0][2])
+    number = max(0, round((height - low) / settings.layer_height_mm - 0.5))
+    compared = OrderComparison.of(layers.polygons(0), settings, number, max(height - low, 0.0))
+    table, shown = _compared(compared, wanted, seeds)
+    if output is not None:
+        _write(output, table, shown, compared, f"{part.name}, z = {height:g} mm")
+    if as_json:
+        print_json(_records(table))
+    else:
+        rows = [[_cell(row[name]) for name in HEADINGS] for row in _records(table)]
+        typer.echo(
+            f"{len(compared.laid.islands)} islands at z = {height:g} mm, {settings.process.base} base\n"
+        )
+        typer.echo(text_table(list(HEADINGS.values()), rows))
+    return ExitCode.PASS
+
+
+def _compared(
+    compared: OrderComparison, wanted: tuple[str, ...], seeds: int
+) -> tuple[pd.DataFrame, dict[str, OrderResult]]:
+    """Figures of all orders, and the plan of the first seed of each, which is drawn."""
+    shown = {}
+    rows = []
+    for name in wanted:
+        results = compared.results(name, seeds)
+        shown[name] = results[0]
+        rows.append(figures_of(name, results))
+    return pd.DataFrame(rows), shown
+
+
+def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """Rows with None for what is not a number."""
+    records: list[dict[str, Any]] = json.loads(table.to_json(orient="records"))
+    return records
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return "-"
+    return value if isinstance(value, str) else f"{value:.2f}" if abs(value) < 10 else f"{value:.0f}"
+
+
+def _write(
+    folder: Path, table: pd.DataFrame, shown: dict[str, OrderResult], compared: OrderComparison, what: str
+) -> None:
+    """Write the table, and two pictures an order; all entry temperatures on one colour scale."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise SettingsError(f"{folder}: cannot be made: {error.strerror}") from None
+    hottest = max((float(result.entry_k.max(initial=0.0)) for result in shown.values()), default=0.0)
+    islands = compared.laid.islands
+    files = {"orders.json": json.dumps(plain(_records(table)), indent=2, sort_keys=True) + "\n"}
+    for name, result in shown.items():
+        rank = result.rank.astype(np.float64)
+        files[f"{name}-rank.svg"] = islands_svg(islands, rank, f"{what}: rank, {name}", labels=True)
+        if len(result.entry_k):
+            files[f"{name}-entry.svg"] = islands_svg(
+                islands,
+                result.entry_k,
+                f"{what}: entry temperature rise, {name}",
+                " K",
+                0.0,
+                hottest,
+                labels=True,
+            )
+    for file, text in files.items():
+        with replacing(folder / file) as temporary:
+            temporary.write_text(text, encoding="utf-8")

@@ -1,0 +1,80 @@
+"""``ebamcheck scan``: table, JSON, pictures, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+import shapely
+from command_line import ebamcheck, write_stl
+
+from ebamcheck.part import from_arrays
+from ebamcheck.scan.scan_svg import islands_svg
+
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+@pytest.fixture(scope="module")
+def plate(tmp_path_factory):
+    box = np.array([(x, y, z) for z in (0, 30) for y in (0, 80) for x in (0, 150)], float)
+    faces = [(0, 2, 1), (1, 2, 3), (4, 5, 6), (5, 7, 6), (0, 1, 4), (1, 5, 4)]
+    faces += [(2, 6, 3), (3, 6, 7), (0, 4, 2), (2, 4, 6), (1, 3, 5), (3, 7, 5)]
+    return write_stl(from_arrays(box, faces, "plate"), tmp_path_factory.mktemp("parts") / "plate.stl")
+
+
+def test_all_orders_in_a_table_with_pictures(plate, tmp_path):
+    done = ebamcheck(
+        "scan", plate, "--height", 12, "--orders", "all", "--seeds", 3, "-o", "out", cwd=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    assert "islands at z = 12 mm, cooled base" in done.stdout
+    rows = json.loads((tmp_path / "out" / "orders.json").read_text())
+    names = [row["order"] for row in rows]
+    assert names[-1] == "thermal"
+    assert {f"{n}-{kind}.svg" for n in names for kind in ("rank", "entry")} == {
+        path.name for path in (tmp_path / "out").glob("*.svg")
+    }
+    by_name = {row["order"]: row for row in rows}
+    assert by_name["random"]["seeds"] == 3
+    assert by_name["thermal"]["entry_max_k"] < 0.6 * by_name["farthest"]["entry_max_k"]
+    count = int(done.stdout.split()[0])
+    picture = ElementTree.parse(tmp_path / "out" / "thermal-rank.svg").getroot()
+    assert len(picture.findall(f"{SVG}path")) == count
+
+
+def test_json_of_the_order_of_the_settings(plate, tmp_path):
+    (tmp_path / "ebamcheck.toml").write_text('[scan]\norder = "farthest"\n')
+    done = ebamcheck("scan", plate, "--height", 12, "--json", cwd=tmp_path)
+    assert [row["order"] for row in json.loads(done.stdout)] == ["farthest"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--orders", "raster,spiral"), "unknown order: choose one of nearest"),
+        (("--orders", "random", "--seeds", "0"), "--seeds 0: give at least 1"),
+    ],
+)
+def test_what_cannot_be_planned_is_refused_in_one_line(plate, tmp_path, arguments, message):
+    done = ebamcheck("scan", plate, "--height", 12, *arguments, cwd=tmp_path)
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_a_height_without_a_section_has_no_islands(plate, tmp_path):
+    done = ebamcheck("scan", plate, "--height", 31, "--orders", "all", "-o", "out", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "0 islands" in done.stdout
+
+
+def test_colours_run_from_end_to_end():
+    islands = np.array([shapely.box(10 * n, 0, 10 * n + 10, 10) for n in range(3)], object)
+    root = ElementTree.fromstring(
+        islands_svg(islands, np.array([0.0, 5.0, 10.0]), "a < b", " K", labels=True)
+    )
+    assert [p.get("fill") for p in root.findall(f"{SVG}path")] == ["#440154", "#21918c", "#fde725"]
+    texts = [t.text for t in root.findall(f"{SVG}text")]
+    assert texts == ["a < b", "0", "5", "10", "0 K", "10 K"]
