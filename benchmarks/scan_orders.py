@@ -1,4 +1,4 @@
-"""Scan orders on layers of the reference models: ``python -m benchmarks.scan_orders [--csv FILE]``.
+"""Scan orders on layers of the reference models: ``python -m benchmarks.scan_orders [--csv FILE] [--scale 2.5 --side 10]``.
 
 Medians over the layers of what `thermal` has over `farthest` and `raster`, for a cooled and an insulated base.
 """
@@ -11,6 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import shapely
+from shapely import affinity
 
 from ebamcheck import compare_orders
 from ebamcheck.config import Config
@@ -26,7 +28,8 @@ SHARES = (0.07, 0.31, 0.53, 0.77, 0.93)
 LEAST_ISLANDS = 12
 """Layers of fewer islands leave an order no choice."""
 
-BASES = ("cooled", "insulated")
+SEEDS = 5
+"""Seeds of the order `random`."""
 
 RATIOS = {
     "entry max / farthest": ("entry_max_k", "farthest", 0.5),
@@ -37,40 +40,24 @@ RATIOS = {
 """Figures of `thermal` over those of another order, and the target."""
 
 
-def layers(base: str, orders: tuple[str, ...]) -> pd.DataFrame:
-    """Compare orders on all layers; one row a layer and order."""
-    profile = Config().changed(process={"base": base})
+def compared(names: tuple[str, ...], orders: tuple[str, ...], profile: Config, scale: float) -> pd.DataFrame:
+    """Compare orders on all layers that are large enough; one row a layer and order."""
     tables = []
-    for name, model in models(MODELS).items():
+    for name, model in models(names).items():
         low, high = model.bounds[:, 2]
         for share in SHARES:
-            height_mm = float(share * (high - low))
-            table = compare_orders(
-                model.section(float(low) + height_mm), profile, orders, seeds=5, height_mm=height_mm
-            )
-            # Wire starts and islands do not depend on the order, times of neighbours do.
-            tables.append(table.assign(base=base, model=name, height_mm=height_mm))
-    return pd.concat(tables, ignore_index=True)
-
-
-def large_enough(base: str) -> list[tuple[str, float]]:
-    """Layers of at least so many islands."""
-    from ebamcheck import plan_scan
-
-    profile = Config().changed(process={"base": base})
-    found = []
-    for name, model in models(MODELS).items():
-        low, high = model.bounds[:, 2]
-        for share in SHARES:
-            height_mm = float(share * (high - low))
-            if len(plan_scan(model.section(float(low) + height_mm), profile).islands) >= LEAST_ISLANDS:
-                found.append((name, height_mm))
-    return found
+            section = shapely.union_all(model.section(float(low + share * (high - low))))
+            larger = affinity.scale(section, scale, scale, origin=(0, 0))
+            height_mm = float(scale * share * (high - low))
+            table = compare_orders(larger, profile, orders, seeds=SEEDS, height_mm=height_mm)
+            tables.append(table.assign(model=name, height_mm=height_mm))
+    table = pd.concat(tables, ignore_index=True)
+    return table[table["islands"] >= LEAST_ISLANDS]
 
 
 def ratios(table: pd.DataFrame) -> pd.DataFrame:
     """Ratios of :data:`RATIOS` by layer."""
-    wide = table.pivot_table(index=["base", "model", "height_mm"], columns="order")
+    wide = table.pivot_table(index=["model", "height_mm"], columns="order")
     return pd.DataFrame(
         {
             name: wide[(figure, "thermal")] / wide[(figure, other)]
@@ -79,32 +66,43 @@ def ratios(table: pd.DataFrame) -> pd.DataFrame:
     )
 
 
+def report(base: str, table: pd.DataFrame) -> None:
+    """Print medians of the figures and of the ratios."""
+    figures = ["entry_max_k", "entry_sd_k", "excess_uniformity", "interval_p10_s", "travel_mm", "time_s"]
+    found = ratios(table)
+    islands = table["islands"].median()
+    print(
+        f"\n{base} base: medians of {len(found)} layers of {table['model'].nunique()} models, {islands:.0f} islands"
+    )
+    print(table.groupby("order", sort=False)[figures].median().round(2).to_string())
+    for name, (_, _, target) in RATIOS.items():
+        low, middle, high = np.quantile(found[name], [0.1, 0.5, 0.9])
+        verdict = "met" if middle <= target else "missed"
+        print(f"{name}: {middle:.2f} (10 % {low:.2f}, 90 % {high:.2f}), target {target:g}: {verdict}")
+
+
 def main() -> None:
-    """Print the medians."""
+    """Compare, print, and write all figures."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--csv", type=Path, help="file for all figures")
+    parser.add_argument("--scale", type=float, default=1.0, help="enlarge the models")
+    parser.add_argument("--side", type=float, help="side of the hexagons, mm; default: planned")
+    parser.add_argument("--models", default=",".join(MODELS))
+    parser.add_argument("--orders", default=",".join(COMPARED))
+    parser.add_argument("--bases", default="cooled,insulated")
     options = parser.parse_args()
     began = time.perf_counter()
-    chosen = large_enough("cooled")
-    table = pd.concat([layers(base, COMPARED) for base in BASES])
-    keys = pd.MultiIndex.from_arrays([table["model"], table["height_mm"]])
-    table = table[keys.isin(chosen)]
+    tables = []
+    for base in options.bases.split(","):
+        profile = Config().changed(process={"base": base}, scan={"hexagon_side_mm": options.side})
+        table = compared(
+            tuple(options.models.split(",")), tuple(options.orders.split(",")), profile, options.scale
+        )
+        report(base, table)
+        tables.append(table.assign(base=base))
     if options.csv:
-        table.to_csv(options.csv, index=False)
-    print(
-        f"{len(chosen)} layers of {len({m for m, _ in chosen})} models, {time.perf_counter() - began:.0f} s\n"
-    )
-    figures = ["entry_max_k", "entry_sd_k", "excess_uniformity", "interval_p10_s", "travel_mm", "time_s"]
-    for base, part in table.groupby("base"):
-        print(f"{base} base, medians\n{part.groupby('order', sort=False)[figures].median().round(2)}\n")
-    found = ratios(table)
-    for base, part in found.groupby(level="base"):
-        for name, (_, _, target) in RATIOS.items():
-            low, middle, high = np.quantile(part[name], [0.1, 0.5, 0.9])
-            verdict = "met" if middle <= target else "missed"
-            print(
-                f"{base}: {name} {middle:.2f} (10 % {low:.2f}, 90 % {high:.2f}), target {target:g}: {verdict}"
-            )
+        pd.concat(tables).to_csv(options.csv, index=False)
+    print(f"\n{time.perf_counter() - began:.0f} s")
 
 
 if __name__ == "__main__":

@@ -32,6 +32,7 @@ SEEDS = 20
 FIGURES = {
     "order": "name of the order",
     "seeds": "plans that were averaged",
+    "islands": "islands of the layer",
     "entry_max_k": "greatest mean temperature rise of an island when the beam enters it",
     "entry_sd_k": "standard deviation of it over the islands",
     "excess_uniformity": "spread of the temperature without the island's own heat, over the mean; mean of all islands",
@@ -59,6 +60,7 @@ class OrderResult:
         row = self.plan.metrics.iloc[0]
         some = len(self.entry_k) > 0
         return {
+            "islands": float(row["islands"]),
             "entry_max_k": float(self.entry_k.max()) if some else np.nan,
             "entry_sd_k": float(self.entry_k.std()) if some else np.nan,
             "excess_uniformity": float(self.excess.mean()) if some else np.nan,

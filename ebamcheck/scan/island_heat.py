@@ -13,17 +13,14 @@ from ebamcheck.config import Config
 from ebamcheck.heat import HeatModel, Medium, contour_modes, depth_modes
 from ebamcheck.rings import Floats
 
-OUTLIVED = 3.0
-"""Modes that fall by exp(-3) while one island is scanned tell the next ones nothing."""
+FINER = 1.5
+"""Waves of a simulation over an island's width are this much shorter than those of a plan."""
 
 PLANNING_MODES = 300
 """Modes of the section that a plan uses at most: beyond, only the longest waves count."""
 
 SIMULATION_MODES = 400
 """Modes of the section that a simulation uses at most."""
-
-SHORTEST_S = 0.01
-"""Time on one island, at least, for the choice of modes."""
 
 MOST_DEPTH_MODES = 40
 """Modes of the depth at most."""
@@ -74,13 +71,11 @@ def island_heat(
     height_mm
         Height of the layer over the base plate.
     fine
-        Resolve waves as short as an island (for a simulation); else only those that outlive one island.
+        Resolve waves shorter than an island, for a simulation; a plan needs none under its width.
     """
     medium, process = Medium.of(profile), profile.process
-    mean_area = section.area / max(len(islands), 1)
-    shortest = (2.0 * math.pi) ** 2 / mean_area
-    outlived = OUTLIVED / (medium.diffusivity_mm2_s * max(float(np.mean(time_s)), SHORTEST_S))
-    largest = shortest if fine else min(shortest, outlived)
+    width_mm = math.sqrt(section.area / max(len(islands), 1)) / (FINER if fine else 1.0)
+    largest = (2.0 * math.pi / width_mm) ** 2
     plane = contour_modes(section, largest, SIMULATION_MODES if fine else PLANNING_MODES)
     depth_mm = max(height_mm, 0.0) + process.base_plate_mm
     waves = min(MOST_DEPTH_MODES, math.ceil(depth_mm * math.sqrt(largest) / math.pi) + 1)

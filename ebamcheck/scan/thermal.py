@@ -21,11 +21,17 @@ PRICES = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32)
 """Prices of travel that are tried: in temperature rises of an island by its own heat, over widths of an island.
 The best one differs from layer to layer by chance."""
 
-STARTS = 3
+STARTS = 8
 """Islands from which each price is tried."""
 
-MOST_WORK = 3e9
+MOST_WORK = 2e9
 """Multiplications in one search, which limits the plans tried on a layer of thousands of islands."""
+
+ANNEALING_WORK = 1e8
+"""Amplitudes followed in one annealing, which limits its steps there."""
+
+LEAST_DECAY = 1e-9
+"""Amplitudes that fall by less than this while an island is scanned do not fall."""
 
 TIE_K = 1e-6
 """Scores closer than this are equal: rounding must not decide between islands that mirror each other."""
@@ -51,7 +57,7 @@ def thermal_order(
     start_travel_mm
         Travel that counts as much as a start of the wire.
     annealing
-        (S, 2) pairs of places to exchange, each kept where the plan gets better; none if None.
+        (S, 2) moves as :func:`annealed` takes them; none if None.
     """
     count = len(drive)
     own_k = float(np.mean(own_rise(heat, drive)))
@@ -60,20 +66,47 @@ def thermal_order(
     if affordable < len(tries):
         # The middle prices first: they are the likeliest to be best.
         tries = sorted(tries, key=lambda t: (abs(PRICES.index(t[0]) - len(PRICES) // 2), t[1]))[:affordable]
-    best, best_key = np.arange(count), (math.inf, math.inf)
+    best, best_rank = np.arange(count), (math.inf, math.inf)
     for price, first in tries:
         price_k_mm = price * own_k / width_mm
         order = greedy_order(heat, drive, rapid_mm_s, first, price_k_mm, price_k_mm * start_travel_mm)
-        key = plan_key(heat, drive, rapid_mm_s, order, longest_mm)
-        if key[0] < best_key[0] or (key[0] == best_key[0] and key[1] < best_key[1] - TIE_K):
-            best, best_key = order, key
-    for a, b in annealing if annealing is not None else ():
-        order = best.copy()
-        order[a], order[b] = best[b], best[a]
-        key = plan_key(heat, drive, rapid_mm_s, order, longest_mm)
-        if key[0] < best_key[0] or (key[0] == best_key[0] and key[1] < best_key[1] - TIE_K):
-            best, best_key = order, key
+        rank, _ = ranked(heat, drive, rapid_mm_s, order, longest_mm)
+        if better(rank, best_rank):
+            best, best_rank = order, rank
+    if annealing is None:
+        return best
+    steps = int(ANNEALING_WORK / (count * heat.mean.shape[0] * len(heat.depth_rate)))
+    return annealed(heat, drive, rapid_mm_s, best, longest_mm, annealing[:steps])
+
+
+def annealed(
+    heat: IslandHeat, drive: IslandDrive, rapid_mm_s: float, order: Ints, longest_mm: float, moves: Ints
+) -> Ints:
+    """Move islands to other places of an order, or exchange two, where that makes it better.
+
+    Parameters
+    ----------
+    moves
+        (S, 2) pairs of places; in every other one the first is that of the hottest island instead.
+    """
+    best = order
+    best_rank, hottest = ranked(heat, drive, rapid_mm_s, best, longest_mm)
+    for n, (a, b) in enumerate(moves.tolist()):
+        place = hottest if n % 2 else a
+        if n % 4 < 2:
+            tried = np.insert(np.delete(best, place), b, best[place])
+        else:
+            tried = best.copy()
+            tried[place], tried[b] = best[b], best[place]
+        rank, hot = ranked(heat, drive, rapid_mm_s, tried, longest_mm)
+        if better(rank, best_rank):
+            best, best_rank, hottest = tried, rank, hot
     return best
+
+
+def better(rank: tuple[float, float], than: tuple[float, float]) -> bool:
+    """Whether a plan has less travel too much, or is as short and cooler."""
+    return rank[0] < than[0] or (rank[0] == than[0] and rank[1] < than[1] - TIE_K)
 
 
 def _starts(count: int) -> list[int]:
@@ -92,15 +125,19 @@ def own_rise(heat: IslandHeat, drive: IslandDrive) -> Floats:
     return rise
 
 
-def plan_key(
+def ranked(
     heat: IslandHeat, drive: IslandDrive, rapid_mm_s: float, order: Ints, longest_mm: float
-) -> tuple[float, float]:
-    """Rank of a plan: travel beyond what is allowed, then greatest plus spread of the entry temperatures, K."""
+) -> tuple[tuple[float, float], int]:
+    """Rank of a plan, and the place in it of the island that is entered hottest.
+
+    The rank is the travel beyond what is allowed, then greatest plus spread of the entry temperatures, K.
+    """
     start_s, end_s, travel = clocked(order, drive.entry, drive.leave, drive.time_s, rapid_mm_s)
     entry_k = entered(
         heat.mean, heat.plane_rate, heat.depth_rate, heat.in_layer, heat.source_k_s, order, start_s, end_s
     )
-    return max(0.0, travel - longest_mm), float(entry_k.max() + entry_k.std())
+    rank = max(0.0, travel - longest_mm), float(entry_k.max() + entry_k.std())
+    return rank, int(np.argmax(entry_k[order]))
 
 
 def greedy_order(
@@ -182,7 +219,7 @@ def heat_island(
         across = np.exp(-plane_rate[k] * time)
         for n in range(state.shape[1]):
             rate = plane_rate[k] + depth_rate[n]
-            held = time if rate * time < 1e-9 else (1.0 - across * through[n]) / rate
+            held = time if rate * time < LEAST_DECAY else (1.0 - across * through[n]) / rate
             state[k, n] += source * held * mean[k] * in_layer[n]
 
 
@@ -278,16 +315,24 @@ def entered(
     end: Floats,
 ) -> Floats:
     """Entry temperature of each island alone, which is far less work than :func:`driven`."""
-    state = np.zeros((mean.shape[0], len(depth_rate)))
-    entry_k = np.zeros(mean.shape[1])
+    modes, waves, count = mean.shape[0], len(depth_rate), mean.shape[1]
+    state = np.zeros((modes, waves))
+    entry_k = np.zeros(count)
     clock = 0.0
     for island in order:
-        decay(state, plane_rate, depth_rate, start[island] - clock)
-        own = mean[:, island].copy()
-        entry_k[island] = (own * at_surface(state, plane_rate, depth_rate, in_layer, 0.0)).sum()
-        duration = end[island] - start[island]
-        decay(state, plane_rate, depth_rate, duration)
-        heat_island(state, own, plane_rate, depth_rate, in_layer, source[island], duration)
+        pause, duration = start[island] - clock, end[island] - start[island]
+        through_pause, through = np.exp(-depth_rate * pause), np.exp(-depth_rate * duration)
+        temperature = 0.0
+        for k in range(modes):
+            shape = mean[k, island]
+            across_pause, across = np.exp(-plane_rate[k] * pause), np.exp(-plane_rate[k] * duration)
+            for n in range(waves):
+                before = state[k, n] * (across_pause * through_pause[n])
+                temperature += shape * in_layer[n] * before
+                rate, fall = plane_rate[k] + depth_rate[n], across * through[n]
+                held = duration if rate * duration < LEAST_DECAY else (1.0 - fall) / rate
+                state[k, n] = before * fall + source[island] * held * shape * in_layer[n]
+        entry_k[island] = temperature
         clock = end[island]
     return entry_k
 
