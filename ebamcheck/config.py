@@ -212,7 +212,8 @@ class MachineSettings(Section):
     """Name of the WPD folder on the control."""
     program_name: str = "MAIN"
     """Base name of the main program; the part's name is not a legal NC name in general."""
-    # Templates: {power_w} {voltage_kv} {current_ma} {wire_mm_s} {feed_mm_min} {layer} {height_mm} are filled in.
+    # Templates: {power_w} {voltage_kv} {current_ma} {wire_mm_s} {wire_retract_mm} {feed_mm_min} {layer} {height_mm}
+    # are filled in.
     beam_on: tuple[str, ...] = ("M60 ; beam on",)
     """Blocks that switch the beam on; the codes are the machine maker's."""
     beam_off: tuple[str, ...] = ("M61 ; beam off",)
@@ -222,10 +223,14 @@ class MachineSettings(Section):
         "H2={current_ma} ; beam current, mA",
     )
     """Blocks that set voltage and current, before the first layer."""
+    set_power: tuple[str, ...] = ("H2={current_ma} ; beam current, mA",)
+    """Blocks that change the power along a bead, where the process ramps the beam."""
     wire_start: tuple[str, ...] = ("H3={wire_mm_s} ; wire speed, mm/s", "M62 ; wire on")
     """Blocks that start the wire at the speed of the layer."""
     wire_stop: tuple[str, ...] = ("M63 ; wire off",)
     """Blocks that stop the wire."""
+    wire_retract: tuple[str, ...] = ("H4={wire_retract_mm} ; wire drawn back, mm",)
+    """Blocks that draw the stopped wire back, where the process asks for it."""
     layer_begin: tuple[str, ...] = ()
     """Blocks before the first motion of a layer."""
     layer_end: tuple[str, ...] = ()
@@ -314,6 +319,20 @@ class ProcessSettings(Section):
     """Distance between parallel beads over the bead width."""
     machining_allowance_mm: NotNegative = 0.0
     """Metal left on the contour for machining: contour beads lie outward by this; at most their inset."""
+    overlap_mm: NotNegative = 0.0
+    """Length by which a closed contour bead runs on over its own start, at most once around."""
+    seam_shift_mm: NotNegative = 0.0
+    """Way along a contour from the seam below to its start, so that seams do not lie on top of each other."""
+    ramp_up_mm: NotNegative = 0.0
+    """Length at the start of a bead along which the beam rises to full power."""
+    crater_fill_mm: NotNegative = 0.0
+    """Length at the end of a bead along which the beam falls, so that the crater is filled."""
+    ramp_power: Annotated[float, Field(gt=0, le=1)] = 0.5
+    """Share of the full power at which a ramp begins, and at which a crater fill ends."""
+    ramp_steps: Annotated[int, Field(ge=1, le=50)] = 4
+    """Steps of power along a ramp."""
+    wire_retract_mm: NotNegative = 0.0
+    """Wire drawn back at the end of a bead, so that it does not freeze in."""
     least_seam_distance_mm: NotNegative = 0.0
     """Least distance between the starts of contours in neighbouring layers; 0: not limited."""
     travel_sectors_deg: tuple[tuple[Finite, Finite], ...] = ()
@@ -327,6 +346,16 @@ class ProcessSettings(Section):
     def power_w(self) -> float:
         """Beam power U I, W."""
         return self.voltage_kv * self.current_ma
+
+    @property
+    def ramps_beam(self) -> bool:
+        """Whether the power changes along a bead."""
+        return self.ramp_up_mm > 0.0 or self.crater_fill_mm > 0.0
+
+    @property
+    def shapes_bead_ends(self) -> bool:
+        """Whether beads start or end otherwise than the curves and hatch lines that they follow."""
+        return self.ramps_beam or self.overlap_mm > 0.0 or self.seam_shift_mm > 0.0
 
     @property
     def hatch_spacing_mm(self) -> float:
@@ -451,6 +480,19 @@ class Config(Section):
         offset = self.scan.contour_offset_mm
         inset = 0.5 * self.process.bead_width_mm if offset is None else offset
         return inset - self.process.machining_allowance_mm
+
+    @model_validator(mode="after")
+    def _cut_splines_can_be_written(self) -> Self:
+        if (
+            self.machine.curve_form == "bspline"
+            and not self.machine.poly_licensed
+            and self.process.shapes_bead_ends
+        ):
+            raise ValueError(
+                "process.overlap_mm, seam_shift_mm, ramp_up_mm and crater_fill_mm cut splines, whose parts are written as "
+                "POLY: with machine.curve_form 'bspline' machine.poly_licensed is needed; use 'arcs' or 'lines'"
+            )
+        return self
 
     @model_validator(mode="after")
     def _allowance_within_the_inset(self) -> Self:

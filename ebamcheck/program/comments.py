@@ -29,3 +29,8 @@ def read_header(comment: str, into: Recorder) -> None:
 def is_turn(comment: str) -> bool:
     """Whether the motion is a turn between two hatch lines."""
     return comment.strip() == "TURN"
+
+
+def goes_on(comment: str) -> bool:
+    """Whether the motion is a further part of the hatch line before it, at another power."""
+    return comment.strip() == "GOES ON"

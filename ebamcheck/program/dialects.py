@@ -13,11 +13,14 @@ from ebamcheck.config import MachineSettings
 SINUMERIK, LINUXCNC, PLAIN = "sinumerik-840d-sl", "linuxcnc", "plain-gcode"
 """Controls whose programs are text that the reader reads."""
 
-TEMPLATES = ("beam_on", "beam_off", "wire_start", "wire_stop", "set_beam", "layer_begin", "layer_end")
+TEMPLATES = (
+    "beam_on", "beam_off", "wire_start", "wire_stop", "wire_retract",
+    "set_beam", "set_power", "layer_begin", "layer_end",
+)  # fmt: skip
 """Templates of the machine profile."""
 
 STOCK: Mapping[str, Mapping[str, tuple[str, ...]]] = {
-    # LinuxCNC: M64, M65 switch digital outputs at once, M68 sets analog ones.
+    # LinuxCNC: M64, M65 switch digital outputs at once, M68 sets analog ones, M67 does with the motion that follows.
     LINUXCNC: {
         "beam_on": ("M64 P0 ; beam on",),
         "beam_off": ("M65 P0 ; beam off",),
@@ -25,16 +28,20 @@ STOCK: Mapping[str, Mapping[str, tuple[str, ...]]] = {
             "M68 E0 Q{voltage_kv} ; accelerating voltage, kV",
             "M68 E1 Q{current_ma} ; beam current, mA",
         ),
+        "set_power": ("M67 E1 Q{current_ma} ; beam current, mA",),
         "wire_start": ("M68 E2 Q{wire_mm_s} ; wire speed, mm/s", "M64 P1 ; wire on"),
         "wire_stop": ("M65 P1 ; wire off",),
+        "wire_retract": ("M68 E3 Q{wire_retract_mm} ; wire drawn back, mm",),
     },
     # Hobby and laser controls: M3 S, M5 for the source; M42 sets a pin, M8 and M9 a second output.
     PLAIN: {
         "beam_on": ("M3 S{power_w} ; beam on, W",),
         "beam_off": ("M5 ; beam off",),
         "set_beam": (),
+        "set_power": ("S{power_w} ; beam, W",),
         "wire_start": ("M42 P1 S{wire_mm_s} ; wire speed, mm/s", "M8 ; wire on"),
         "wire_stop": ("M9 ; wire off",),
+        "wire_retract": ("M42 P2 S{wire_retract_mm} ; wire drawn back, mm",),
     },
 }
 

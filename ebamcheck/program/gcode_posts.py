@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from ebamcheck.config import Config
+from ebamcheck.program.bead_ends import driven_path
 from ebamcheck.program.blocks import BlockFormat
 from ebamcheck.program.dialects import LINUXCNC, PLAIN, templates_of
 from ebamcheck.program.files import NOT_VALIDATED, VALIDATED, ProgramFiles, write_files
@@ -18,7 +19,7 @@ from ebamcheck.program.inputs import CurveColumns, ScanColumns
 from ebamcheck.program.layer_text import comment, layer_blocks, motion_text
 from ebamcheck.program.segments import CUBIC, Form
 from ebamcheck.program.templates import plain, process_values
-from ebamcheck.program.toolpath import Toolpath, toolpath
+from ebamcheck.program.toolpath import Toolpath
 
 
 def write_linuxcnc(
@@ -85,7 +86,7 @@ def _write(
 ) -> ProgramFiles:
     machine = config.machine
     form = BlockFormat(machine.printed_decimals)
-    path = toolpath(curves, plan, config, form.decimals, splines, machine.line_tolerance_mm)
+    path = driven_path(curves, plan, config, form.decimals, splines, machine.line_tolerance_mm)
     at = path.kind == CUBIC
     motions = motion_text(path, form, form.beziers(path.bezier, path.segment_start[at], path.end[at]))
     templates = templates_of(machine, control)

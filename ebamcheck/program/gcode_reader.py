@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ebamcheck.config import Config
 from ebamcheck.program.arcs import arc
-from ebamcheck.program.comments import is_turn, read_header, role_of
+from ebamcheck.program.comments import goes_on, is_turn, read_header, role_of
 from ebamcheck.program.dialects import LINUXCNC, templates_of
 from ebamcheck.program.gcode_words import ENDS, MODES, MOTIONS, read_gcode_block, without_comments
 from ebamcheck.program.motions import ARC, POLYNOMIAL, RAPID, STRAIGHT
@@ -101,7 +101,7 @@ class GcodeReader:
             column = number.end()
         code = code[column:].rstrip().upper()
         try:
-            return self._run_block(code, any(map(is_turn, comments))) if code else ""
+            return self._run_block(code, comments) if code else ""
         except WordError as error:
             raise WordError(error.what, column + error.column) from None
 
@@ -122,7 +122,7 @@ class GcodeReader:
 
     # -- blocks ------------------------------------------------------------------------------------
 
-    def _run_block(self, code: str, turn: bool) -> str:
+    def _run_block(self, code: str, comments: list[str]) -> str:
         try:
             block = read_gcode_block(code, self._codes)
         except UnknownWord:
@@ -141,24 +141,25 @@ class GcodeReader:
                 self._mode = ""
             else:
                 self.out.event(word)
-        self._run_values(block, turn)
+        self._run_values(block, comments)
         if end:
             self.out.event(end)
         return end
 
-    def _run_values(self, block: Block, turn: bool) -> None:
+    def _run_values(self, block: Block, comments: list[str]) -> None:
         values = block.values
         if "F" in values:
             self.out.feed(values.pop("F"))
         if "G64" in block.codes and "P" in values:
             self.out.event("CTOL", values.pop("P"))
         if any(axis in values for axis in "XYZ"):
-            self._move(values, turn)
+            self._move(values, comments)
         elif values:
             raise WordError(f"a block without an axis has nothing to use {', '.join(values)} for", 0)
 
-    def _move(self, values: dict[str, float], turn: bool) -> None:
+    def _move(self, values: dict[str, float], comments: list[str]) -> None:
         out, mode = self.out, self._mode
+        turn, further = any(map(is_turn, comments)), any(map(goes_on, comments))
         if not mode:
             raise WordError(
                 "an axis before any of " + ", ".join((*_KINDS, *(("G5",) if self._cubics else ()))), 0
@@ -179,11 +180,11 @@ class GcodeReader:
                 centre = arc((out.x, out.y), (x, y), values, counter_clockwise=mode == "G3")
             except ValueError as error:
                 raise WordError(str(error).replace("CR=", "R"), 0) from None
-            out.move(ARC, x, y, z, centre=centre, turn=turn)
+            out.move(ARC, x, y, z, centre=centre, turn=turn, goes_on=further)
         elif values:
             raise WordError(f"{', '.join(values)} under {mode}: it takes axes and F alone", 0)
         else:
-            out.move(_KINDS[mode], x, y, z, turn=turn)
+            out.move(_KINDS[mode], x, y, z, turn=turn, goes_on=further)
 
     def _cubic(self, values: dict[str, float], x: float, y: float) -> None:
         """G5: I and J may be left out where the motion before is a G5, which goes on tangentially then."""

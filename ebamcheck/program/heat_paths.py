@@ -15,9 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from ebamcheck.config import Config
+from ebamcheck.program.bead_ends import driven_path
 from ebamcheck.program.files import NOT_VALIDATED, VALIDATED, ProgramFiles, write_files
 from ebamcheck.program.inputs import CurveColumns, ScanColumns
-from ebamcheck.program.toolpath import Toolpath, toolpath
+from ebamcheck.program.toolpath import Toolpath
 from ebamcheck.rings import Floats
 
 LINE_MODE, SPOT_MODE = 0, 1
@@ -105,7 +106,7 @@ def _table(rows: Floats, line: str) -> str:
 
 def _rows(curves: CurveColumns, plan: ScanColumns, config: Config) -> Floats:
     """Rows (n, 6): mode, X, Y, Z in mm, share of the power, and s for a spot or m/s for a line."""
-    path = toolpath(curves, plan, config, DECIMALS, "all chords", config.machine.line_tolerance_mm)
+    path = driven_path(curves, plan, config, DECIMALS, "all chords", config.machine.line_tolerance_mm)
     sizes = np.diff(path.track_starts)
     tracks = np.flatnonzero(sizes > 0)
     sizes = sizes[tracks]
@@ -117,7 +118,7 @@ def _rows(curves: CurveColumns, plan: ScanColumns, config: Config) -> Floats:
     rows[:, 0] = np.where(line, LINE_MODE, SPOT_MODE)
     rows[spot, 1:3], rows[line, 1:3] = path.start[tracks], path.end
     rows[:, 3] = np.repeat(z, sizes + 1)
-    rows[:, 4] = line
+    rows[spot, 4], rows[line, 4] = 0.0, path.power
     rows[line, 5] = config.process.travel_speed_mm_s * METRES
     rows[spot, 5] = _travel_s(path, rows, spot, config)
     return rows

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -31,6 +32,7 @@ def motion_text(path: Toolpath, form: BlockFormat, cubics: Sequence[str]) -> lis
     text[round_] = form.arcs(path.segment_start[round_], path.end[round_], path.circles)
     text[path.kind == CUBIC] = cubics
     text[path.turn] += " ; TURN"
+    text[path.goes_on] += " ; GOES ON"
     result: list[str] = text.tolist()
     return result
 
@@ -50,9 +52,9 @@ def layer_blocks(
             island = int(path.island[t])
             layer.lines.append(f"; ISLAND {island}")
         a, b = int(path.track_starts[t]), int(path.track_starts[t + 1])
-        blocks = [line for text in motions[a:b] if text for line in text.split("\n")]
-        if blocks:
-            layer.deposit(path.start[t], path.end[b - 1], blocks)
+        if b > a:
+            layer.deposit(path.start[t], path.end[b - 1], motions[a:b], path.power[a:b])
+    layer.set_power(1.0)
     layer.rise()
     return [
         comment(f"LAYER: {k + 1} OF {len(path.z)}, CUT AT {path.cut[k]:.6f}, Z {path.z[k]:.6f}"),
@@ -73,22 +75,48 @@ class _Layer:
         self._form = form
         self._z, self._safe_z = form.value(z_mm), form.value(z_mm + config.machine.safe_height_mm)
         self._feed = f" F{plain(values.feed_mm_min)}"
-        self._on = values.fill("beam_on", templates["beam_on"]) + values.fill(
-            "wire_start", templates["wire_start"]
-        )
-        self._off = values.fill("wire_stop", templates["wire_stop"]) + values.fill(
-            "beam_off", templates["beam_off"]
-        )
+        self._values, self._templates = values, templates
+        self._power = 1.0
+        self._ends: tuple[str, ...] = ("wire_stop", "beam_off")
+        if values.wire_retract_mm > 0.0:
+            self._ends = ("wire_stop", "wire_retract", "beam_off")
+        self._switches = self._filled_switches()
         self._position: Floats | None = None
+
+    def _filled_switches(self) -> tuple[list[str], list[str]]:
+        """Blocks before and after a bead, at the power of the moment."""
+        values = self._values.at_power(self._power)
+        on, off = (
+            [line for name in names for line in values.fill(name, self._templates[name])]
+            for names in (("beam_on", "wire_start"), self._ends)
+        )
+        return on, off
 
     def rise(self) -> None:
         """Go to the safe height, with the beam off."""
         self.lines.append(f"G0 Z{self._safe_z}")
 
-    def deposit(self, start: Floats, end: Floats, blocks: list[str]) -> None:
-        """Travel to `start`, beam and wire on, `blocks`, wire and beam off at `end`."""
+    def set_power(self, share: float) -> None:
+        """Set the beam to a share of its power."""
+        if share != self._power:
+            self._power = share
+            values = self._values.at_power(share)
+            self.lines += values.fill("set_power", self._templates["set_power"])
+            self._switches = self._filled_switches()
+
+    def deposit(self, start: Floats, end: Floats, motions: Sequence[str], power: Floats) -> None:
+        """Travel to `start`, beam and wire on, `motions` each at its power, wire and beam off at `end`."""
         self._travel(start)
-        self.lines += [*self._on, blocks[0] + self._feed, *blocks[1:], *self._off]
+        self.set_power(float(power[0]))
+        self.lines += self._switches[0]
+        changes = [0, *(np.flatnonzero(np.diff(power)) + 1).tolist(), len(motions)]
+        feed = self._feed
+        for a, b in itertools.pairwise(changes):
+            self.set_power(float(power[a]))
+            blocks = [line for text in motions[a:b] if text for line in text.split("\n")]
+            self.lines += [blocks[0] + feed, *blocks[1:]]
+            feed = ""
+        self.lines += self._switches[1]
         self._position = end
 
     def _travel(self, to: Floats) -> None:

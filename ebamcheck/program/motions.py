@@ -78,6 +78,8 @@ class NCProgram:
         (B,) numbers from the comments ``RING: n`` / ``RING n`` and ``ISLAND n``; -1 for none.
     turn
         (B,) motion marked as a turn between two hatch lines.
+    goes_on
+        (B,) motion marked as a further part of the hatch line before it.
     events, numbers
         State changes; and (N, 3) file, line, value of every block number.
     """
@@ -101,6 +103,7 @@ class NCProgram:
     ring: Ints
     island: Ints
     turn: Bools
+    goes_on: Bools
     events: Events
     numbers: Ints
     layer_files: tuple[str, ...]
@@ -187,8 +190,22 @@ class NCProgram:
         return self._layers(np.flatnonzero(self.deposit & (self.layer >= 0)), step_mm)
 
     def contours(self, step_mm: float) -> Layers:
-        """Return the contour rings alone as layers, in canonical form."""
-        return self._layers(np.flatnonzero(self.deposit & (self.ring >= 0) & (self.layer >= 0)), step_mm)
+        """Return the contour rings alone as layers, in canonical form, without what overlaps their starts."""
+        rows = self.deposit & (self.ring >= 0) & (self.layer >= 0) & ~self.overlap
+        return self._layers(np.flatnonzero(rows), step_mm)
+
+    @cached_property
+    def overlap(self) -> Bools:
+        """Motions (B,) of a contour ring after it has come back to its start."""
+        rows = np.flatnonzero(self.deposit & (self.ring >= 0))
+        track = self.tracks(rows)
+        first = rows[np.flatnonzero(np.diff(track, prepend=-1))]
+        back = (self.end[rows, :2] == self.start[first, :2][track]).all(axis=1)
+        came_back = np.cumsum(back) - back
+        result = np.zeros(len(self), np.bool_)
+        # How often the rings before had come back does not count.
+        result[rows] = came_back > came_back[np.searchsorted(track, track)]
+        return result
 
     def _layers(self, rows: Ints, step_mm: float) -> Layers:
         track = self.tracks(rows)
@@ -207,25 +224,29 @@ class NCProgram:
         return canonical(self.layer_heights, points, starts, layer_starts, closed, backend="program")
 
     def tracks(self, rows: Ints) -> Ints:
-        """Number of the unbroken track to which each of the motions `rows` belongs, (n,) from 0."""
+        """Number of the bead to which each of the motions `rows` belongs, (n,) from 0: beam on to beam off."""
         if not rows.size:
             return np.zeros(0, np.int64)
-        broken = np.diff(rows) > 1
+        on = [name == "beam_on" for name in self.events.name]
+        broken = (np.diff(rows) > 1) | np.isin(rows[1:], self.events.row[on])
         for column in (self.layer, self.ring, self.island):
             broken |= np.diff(column[rows]) != 0
         return np.concatenate([[0], np.cumsum(broken)]).astype(np.int64)
 
     def vectors(self) -> pd.DataFrame:
-        """Hatch vectors in the order of the program: layer, island, x0, y0, x1, y1, row."""
+        """Hatch vectors in the order of the program: layer, island, x0, y0, x1, y1, row of the first part of each."""
         rows = np.flatnonzero(self.deposit & (self.island >= 0) & ~self.turn)
+        first = np.flatnonzero(~self.goes_on[rows])
+        last = rows[np.append(first[1:], rows.size) - 1] if first.size else rows[:0]
+        rows = rows[first]
         return pd.DataFrame(
             {
                 "layer": self.layer[rows],
                 "island": self.island[rows],
                 "x0": self.start[rows, 0],
                 "y0": self.start[rows, 1],
-                "x1": self.end[rows, 0],
-                "y1": self.end[rows, 1],
+                "x1": self.end[last, 0],
+                "y1": self.end[last, 1],
                 "row": rows,
             }
         )

@@ -28,6 +28,9 @@ CHORD_SHARE = 0.02
 FLAT_ARC = 1e-12
 """Sine of half the turn of an arc that is straight for numbers of 16 digits."""
 
+PLACE_MM = 1e-3
+"""Places nearer than this are one place, rounded to the decimals of a program."""
+
 HEIGHT_TOLERANCE_MM = 1e-3
 """Z of a layer: the decimals of the program, at their coarsest."""
 
@@ -100,7 +103,7 @@ def _arc(control: Floats, t: Floats) -> Floats:
 
 def closure_check(nc: NCProgram, curves: CurveColumns | None, limit_mm: float) -> Check:
     """Check that every contour ring ends where it starts; open paths are known from `curves` alone."""
-    rows = np.flatnonzero(nc.deposit & (nc.ring >= 0))
+    rows = np.flatnonzero(nc.deposit & (nc.ring >= 0) & ~nc.overlap)
     ring, first = np.unique(nc.ring[rows], return_index=True)
     last = rows.size - 1 - np.unique(nc.ring[rows][::-1], return_index=True)[1] if rows.size else first
     if curves is not None:
@@ -190,7 +193,7 @@ def _same_parameters(nc: NCProgram, rows: Ints, spans: FittedSpans, count: int) 
     order = np.argsort(nc.ring[rows], kind="stable")
     row_count = np.bincount(nc.ring[rows], minlength=count)
     span_count = np.bincount(spans.ring, minlength=count)
-    alike = row_count == span_count
+    alike = (row_count == span_count) & _same_starts(nc, rows, spans, count)
     pick, span_pick = order[alike[nc.ring[rows[order]]]], np.flatnonzero(alike[spans.ring])
     same_kind = kind[pick] == spans.kind[span_pick]
     alike[spans.ring[span_pick][~same_kind]] = False
@@ -199,6 +202,17 @@ def _same_parameters(nc: NCProgram, rows: Ints, spans: FittedSpans, count: int) 
     at = nc.evaluate(np.repeat(rows[pick], t.size), np.tile(t, pick.size)).reshape(-1, t.size, 2)
     distance[pick] = np.linalg.norm(at - spans.points[span_pick], axis=2).max(axis=1, initial=0.0)
     return distance, alike
+
+
+def _same_starts(nc: NCProgram, rows: Ints, spans: FittedSpans, count: int) -> Bools:
+    """Rings (R,) that start where the fitted ones do; those of which either is missing do not."""
+    same = np.zeros(count, np.bool_)
+    ring, row = np.unique(nc.ring[rows], return_index=True)
+    fitted, span = np.unique(spans.ring, return_index=True)
+    both, i, j = np.intersect1d(ring, fitted, assume_unique=True, return_indices=True)
+    apart = nc.start[rows[row[i]], :2] - spans.points[span[j], 0]
+    same[both] = np.abs(apart).max(axis=1, initial=0.0) <= PLACE_MM
+    return same
 
 
 def _samples_for(points: Floats, tolerance_mm: float) -> int:
@@ -223,7 +237,9 @@ def hatch_checks(
     nc: NCProgram, plan: ScanColumns, config: Config, limit_mm: float, z_of: Floats
 ) -> list[Check]:
     """Compare islands, their order and their vectors with the plan."""
-    rows = np.flatnonzero(nc.deposit & (nc.island >= 0) & ~nc.turn)
+    vectors = nc.vectors()
+    rows = vectors["row"].to_numpy()
+    driven = vectors[["x0", "y0", "x1", "y1"]].to_numpy()
     island, ends = hatch_columns(plan)
     rounded = np.round(ends, config.machine.printed_decimals)
     kept = (rounded[:, :2] != rounded[:, 2:]).any(axis=1)
@@ -241,14 +257,13 @@ def hatch_checks(
         faults.append((nc.where(row), f"island {found[wrong[0]]} comes in place of island {order[wrong[0]]}"))
     return [
         count_check("islands", faults, f"{np.unique(island).size} islands, each once, in the planned order"),
-        _vectors(nc, rows, island, ends, limit_mm),
+        _vectors(nc, rows, driven, island, ends, limit_mm),
     ]
 
 
-def _vectors(nc: NCProgram, rows: Ints, island: Ints, ends: Floats, limit_mm: float) -> Check:
+def _vectors(nc: NCProgram, rows: Ints, driven: Floats, island: Ints, ends: Floats, limit_mm: float) -> Check:
     size = min(rows.size, len(ends))
-    driven = np.hstack([nc.start[rows, :2], nc.end[rows, :2]])[:size]
-    apart = np.abs(driven - ends[:size]).max(axis=1, initial=0.0)
+    apart = np.abs(driven[:size] - ends[:size]).max(axis=1, initial=0.0)
     apart[nc.island[rows[:size]] != island[:size]] = np.inf
     over = np.flatnonzero(apart > limit_mm)
     name = "hatch vectors"

@@ -120,12 +120,13 @@ class Recorder:
         curve: tuple[float, ...] = LINE_OF_T,
         centre: tuple[float, ...] = NO_CENTRE,
         turn: bool = False,
+        goes_on: bool = False,
         line: int = 0,
     ) -> None:
         """Note a motion to x, y, z; `line` where it is not the present one."""
         if self._state < 0:
             self._keep_state()
-        self._rows.append((line or self.line, self._state, kind, x, y, z, *curve, *centre, turn))
+        self._rows.append((line or self.line, self._state, kind, x, y, z, *curve, *centre, turn, goes_on))
         self.x, self.y, self.z = x, y, z
 
     def _keep_state(self) -> None:
@@ -143,7 +144,7 @@ class Recorder:
 
     def program(self) -> NCProgram:
         """Gather all that was read into columns."""
-        table = np.array(self._rows, dtype=np.float64).reshape(len(self._rows), 15).T
+        table = np.array(self._rows, dtype=np.float64).reshape(len(self._rows), 16).T
         line, state, kind = table[:3].astype(np.int64)
         states = np.array(self._states, dtype=np.float64).reshape(len(self._states), 10)[state].T
         file, layer = states[:2].astype(np.int64)
@@ -173,6 +174,7 @@ class Recorder:
             ring=ring,
             island=island,
             turn=table[14] > 0,
+            goes_on=table[15] > 0,
             events=Events(
                 file=np.array([e[0] for e in events], dtype=np.int64),
                 line=np.array([e[1] for e in events], dtype=np.int64),

@@ -14,6 +14,7 @@ import numpy as np
 
 from ebamcheck.config import Config, MachineSettings
 from ebamcheck.errors import SettingsError
+from ebamcheck.program.bead_ends import driven_path
 from ebamcheck.program.blocks import BlockFormat, numbered
 from ebamcheck.program.dialects import SINUMERIK, templates_of
 from ebamcheck.program.files import NOT_VALIDATED, VALIDATED, ProgramFiles, legal_name, write_files
@@ -24,7 +25,7 @@ from ebamcheck.program.segments import CUBIC, Form
 from ebamcheck.program.spline_writing import even, spline_blocks
 from ebamcheck.program.templates import plain, process_values
 from ebamcheck.program.toolpath import TURN_SPACINGS as TURN_SPACINGS
-from ebamcheck.program.toolpath import Toolpath, toolpath
+from ebamcheck.program.toolpath import Toolpath
 
 FORMS: Mapping[str, Form] = {"poly": "cubics", "bspline": "cubics", "arcs": "arcs", "lines": "chords"}
 """What splines become for each ``machine.curve_form``."""
@@ -66,7 +67,7 @@ def write_program(
     """
     machine = config.machine
     form = BlockFormat(machine.printed_decimals)
-    path = toolpath(
+    path = driven_path(
         curves, plan, config, form.decimals, _licensed_form(curves, machine), machine.line_tolerance_mm
     )
     layers = len(path.z)
@@ -115,11 +116,11 @@ def _cubics(path: Toolpath, curves: CurveColumns, machine: MachineSettings, form
     text = [""] * at.size
     polynomials: list[str] = []
     piece = path.piece[at]
-    begins = np.flatnonzero(np.diff(piece, prepend=-1))
+    begins = np.flatnonzero(np.diff(piece, prepend=-2))
     for i, stop in zip(begins.tolist(), [*begins[1:].tolist(), at.size], strict=True):
         p = int(piece[i])
-        knots = _knots(curves, p)
-        if machine.bspline_shift == "uniform" and not even(knots):
+        knots = _knots(curves, p) if p >= 0 else np.zeros(0)
+        if p < 0 or (machine.bspline_shift == "uniform" and not even(knots)):
             polynomials = polynomials or form.polynomials(path.bezier, path.end[at])
             text[i:stop] = polynomials[i:stop]
             continue

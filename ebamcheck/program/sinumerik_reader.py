@@ -10,7 +10,7 @@ import numpy as np
 
 from ebamcheck.config import Config
 from ebamcheck.program.arcs import arc
-from ebamcheck.program.comments import is_turn, read_header, role_of
+from ebamcheck.program.comments import goes_on, is_turn, read_header, role_of
 from ebamcheck.program.dialects import SINUMERIK, templates_of
 from ebamcheck.program.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT
 from ebamcheck.program.recognition import Templates
@@ -242,7 +242,7 @@ class SinumerikReader:
                 raise WordError(str(error), 0) from None
         elif "I" in values or "J" in values or "CR" in values:
             raise WordError(f"I, J or CR under {mode}: they belong to G2 and G3", 0)
-        out.move(_KINDS[mode], x, y, z, curve, centre, is_turn(comment))
+        out.move(_KINDS[mode], x, y, z, curve, centre, is_turn(comment), goes_on(comment))
 
     def _polynomial(self, block: Block) -> tuple[float, float, float, float, float]:
         """Coefficients of t^2 and t^3 in X and Y, and the length of the parameter."""

@@ -23,9 +23,6 @@ MODES = {
 LEAST_SPLINE_BLOCKS = 6
 """Spline blocks that the control wants among any 10 (NC Programming manual, BSPLINE)."""
 
-POWER_TOLERANCE = 1e-3
-"""Beam power in the program over that of the process: the decimals of voltage and current."""
-
 MASS_TOLERANCE = 0.01
 """Bead height from wire and feed over the step of Z: the decimals of the wire speed, and nothing else."""
 
@@ -44,7 +41,6 @@ def state_checks(nc: NCProgram, config: Config, turn_limit_mm: float) -> list[Ch
         _travel(nc, config),
         _beam(nc),
         _wire(nc),
-        _power(nc, config),
         _turns(nc, turn_limit_mm),
         _mass(nc, config),
     ]
@@ -100,7 +96,7 @@ def _known_positions(nc: NCProgram) -> Check:
 def _splines(nc: NCProgram) -> Check:
     faults = [
         (
-            _event_place(nc, i),
+            event_place(nc, i),
             f"a BSPLINE of {nc.events.value[i]:g} blocks: at least {LEAST_SPLINE_BLOCKS} are needed",
         )
         for i, name in enumerate(nc.events.name)
@@ -168,11 +164,12 @@ def _wire(nc: NCProgram) -> Check:
         if name in ("wire_start", "wire_stop"):
             wire = name == "wire_start"
         elif name == "beam_off" and wire:
-            faults.append((_event_place(nc, i), "beam goes off before the wire stops"))
+            faults.append((event_place(nc, i), "beam goes off before the wire stops"))
     return count_check("wire", faults, "runs under the beam alone, stops before it")
 
 
-def _event_place(nc: NCProgram, event: int) -> str:
+def event_place(nc: NCProgram, event: int) -> str:
+    """``FILE:line`` of an event."""
     return f"{nc.files[int(nc.events.file[event])].name}:{int(nc.events.line[event])}"
 
 
@@ -183,30 +180,15 @@ def _switching(nc: NCProgram, on: str, off: str, what: str) -> list[tuple[str, s
     for i, name in enumerate(nc.events.name):
         if name == on:
             if state:
-                faults.append((_event_place(nc, i), f"{what} is switched on while it is on"))
+                faults.append((event_place(nc, i), f"{what} is switched on while it is on"))
             state = True
         elif name == off:
             state = False
         elif state and (name in ("M30", "M2", "M17", "RET") or name.startswith("call ")):
-            faults.append((_event_place(nc, i), f"{what} is still on at {name}"))
+            faults.append((event_place(nc, i), f"{what} is still on at {name}"))
     if state:
-        faults.append((_event_place(nc, len(nc.events.name) - 1), f"{what} is never switched off"))
+        faults.append((event_place(nc, len(nc.events.name) - 1), f"{what} is never switched off"))
     return faults
-
-
-def _power(nc: NCProgram, config: Config) -> Check:
-    process = config.process
-    rows = np.flatnonzero(nc.deposit)
-    off = np.abs(nc.power_w[rows] / process.power_w - 1.0)
-    found = worst_check(
-        "power", nc, rows, off, POWER_TOLERANCE, "of the power set", "deviation of the beam power"
-    )
-    highest = float(np.nanmax(nc.power_w[rows], initial=0.0))
-    within = highest <= process.voltage_kv * process.current_max_ma * (1.0 + POWER_TOLERANCE)
-    text = f"{highest:g} W in the program, {process.power_w:g} W set"
-    return Check(
-        "power", found.passed and within, found.value, POWER_TOLERANCE, found.unit, found.where, text
-    )
 
 
 def _turns(nc: NCProgram, limit_mm: float) -> Check:

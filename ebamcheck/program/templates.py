@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ebamcheck.config import Config
 from ebamcheck.errors import SettingsError
@@ -38,9 +38,14 @@ class ProcessValues:
     voltage_kv: float
     current_ma: float
     wire_mm_s: float
+    wire_retract_mm: float
     feed_mm_min: float
     layer: int
     height_mm: float
+
+    def at_power(self, share: float) -> ProcessValues:
+        """The same values at a share of the beam's power, by its current."""
+        return replace(self, power_w=share * self.power_w, current_ma=share * self.current_ma)
 
     def fill(self, name: str, template: Iterable[str]) -> list[str]:
         """Fill the lines of the template `name`; raises :class:`SettingsError` for what makes no block."""
@@ -82,6 +87,7 @@ def process_values(config: Config, layer: int, height_mm: float, thickness_mm: f
         voltage_kv=config.process.voltage_kv,
         current_ma=config.process.current_ma,
         wire_mm_s=wire_speed_mm_s(config, thickness_mm),
+        wire_retract_mm=config.process.wire_retract_mm,
         feed_mm_min=60.0 * config.process.travel_speed_mm_s,
         layer=layer,
         height_mm=height_mm,

@@ -6,7 +6,7 @@ first, then the hatch of the islands in scan order.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -63,6 +63,10 @@ class Toolpath:
         (C, 4, 2) of the cubic segments alone, in their order; not rounded.
     middle
         (A, 2) of the circular segments alone, in their order; not rounded.
+    power
+        (N,) share of the full beam power.
+    goes_on
+        (N,) a further part of the hatch line before.
     """
 
     cut: Floats
@@ -78,6 +82,8 @@ class Toolpath:
     piece: Ints
     bezier: Floats
     middle: Floats
+    power: Floats
+    goes_on: Bools
 
     @property
     def thickness(self) -> Floats:
@@ -87,7 +93,10 @@ class Toolpath:
     @cached_property
     def segment_start(self) -> Floats:
         """(N, 2) where each segment starts."""
-        return _starts_of(self.track_starts, self.start, self.end)
+        begin = np.vstack([np.zeros((1, 2)), self.end[:-1]])[: len(self.end)]
+        filled = np.diff(self.track_starts) > 0
+        begin[self.track_starts[:-1][filled]] = self.start[filled]
+        return begin
 
     @cached_property
     def circles(self) -> Circles:
@@ -99,7 +108,7 @@ class Toolpath:
 def toolpath(
     curves: CurveColumns, plan: ScanColumns, config: Config, decimals: int, form: Form, tolerance_mm: float
 ) -> Toolpath:
-    """Lay out the tracks of a stack.
+    """Lay out the tracks of a stack, each at one power from its start to its end.
 
     Parameters
     ----------
@@ -122,7 +131,30 @@ def toolpath(
         raise SettingsError("layer heights must rise from layer to layer: sort them and drop repeats")
     contours = _contour_tracks(curves, form, tolerance_mm, decimals)
     hatch = _hatch_tracks(plan, TURN_SPACINGS * config.process.hatch_spacing_mm, decimals)
-    return _merged(cut, z, contours, hatch)
+    return cleaned(_merged(cut, z, contours, hatch), decimals)
+
+
+def cleaned(path: Toolpath, decimals: int) -> Toolpath:
+    """Flat arcs made straight, and segments left out that vanish at the decimals of the program."""
+    round_ = np.flatnonzero(path.kind == CIRCULAR)
+    flat = ~(path.circles.sagitta_mm >= STRAIGHT_SAGITTA_MM)
+    kind = path.kind.copy()
+    kind[round_[flat]] = STRAIGHT
+    keep = (path.end != path.segment_start).any(axis=1)
+    bend = np.abs(path.bezier - path.bezier[:, :1]).max(axis=(1, 2), initial=0.0)
+    keep[kind == CUBIC] = bend >= 0.5 * 10.0**-decimals
+    return replace(
+        path,
+        track_starts=np.concatenate([[0], np.cumsum(keep)])[path.track_starts].astype(np.int64),
+        kind=kind[keep],
+        end=path.end[keep],
+        turn=path.turn[keep],
+        piece=path.piece[keep],
+        bezier=path.bezier[keep[kind == CUBIC]],
+        middle=path.middle[~flat][keep[kind == CIRCULAR]],
+        power=path.power[keep],
+        goes_on=path.goes_on[keep],
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,53 +174,25 @@ class _Tracks:
     middle: Floats
 
 
-def _starts_of(track_starts: Ints, start: Floats, end: Floats) -> Floats:
-    begin = np.vstack([np.zeros((1, 2)), end[:-1]])[: len(end)]
-    filled = np.diff(track_starts) > 0
-    begin[track_starts[:-1][filled]] = start[filled]
-    return begin
-
-
 def _contour_tracks(curves: CurveColumns, form: Form, tolerance_mm: float, decimals: int) -> _Tracks:
     made = contour_segments(curves, form, tolerance_mm)
     ring_starts = np.asarray(curves.ring_starts, dtype=np.int64)
     ring = np.flatnonzero(np.diff(ring_starts) > 0)
     layer = np.repeat(np.arange(len(curves.heights)), np.diff(curves.layer_starts))[ring]
     first = np.asarray(curves.control_starts)[ring_starts[ring]]
-    start = rounded(np.asarray(curves.control, dtype=np.float64)[first], decimals)
-    end = rounded(made.end, decimals)
-    track_starts = np.append(made.starts[ring_starts[ring]], made.kind.size).astype(np.int64)
-    piece = np.repeat(np.arange(len(curves.kind)), np.diff(made.starts))
-    before = _starts_of(track_starts, start, end)
-    kind, middle = _flattened(made.kind, before, made.middle, end)
-    keep = (end != before).any(axis=1) | (kind == CUBIC)
-    bend = np.abs(made.bezier - made.bezier[:, :1]).max(axis=(1, 2)) if len(made.bezier) else np.zeros(0)
-    keep[kind == CUBIC] &= bend >= 0.5 * 10.0**-decimals
-    kept = np.concatenate([[0], np.cumsum(keep)])
     return _Tracks(
         layer=layer,
-        starts=kept[track_starts],
-        start=start,
+        starts=np.append(made.starts[ring_starts[ring]], made.kind.size).astype(np.int64),
+        start=rounded(np.asarray(curves.control, dtype=np.float64)[first], decimals),
         ring=ring,
         island=np.full(ring.size, -1),
-        kind=kind[keep],
-        end=end[keep],
-        turn=np.zeros(int(kept[-1]), np.bool_),
-        piece=piece[keep],
-        bezier=made.bezier[keep[kind == CUBIC]],
-        middle=middle[keep[kind == CIRCULAR]],
+        kind=made.kind,
+        end=rounded(made.end, decimals),
+        turn=np.zeros(made.kind.size, np.bool_),
+        piece=np.repeat(np.arange(len(curves.kind)), np.diff(made.starts)),
+        bezier=made.bezier,
+        middle=made.middle,
     )
-
-
-def _flattened(
-    kind: NDArray[np.uint8], start: Floats, middle: Floats, end: Floats
-) -> tuple[NDArray[np.uint8], Floats]:
-    """Kinds with flat arcs made straight, and the middles of the arcs left."""
-    at = np.flatnonzero(kind == CIRCULAR)
-    flat = ~(circles(start[at], middle, end[at]).sagitta_mm >= STRAIGHT_SAGITTA_MM)
-    kind = kind.copy()
-    kind[at[flat]] = STRAIGHT
-    return kind, middle[~flat]
 
 
 def _hatch_tracks(plan: ScanColumns, joined_mm: float, decimals: int) -> _Tracks:
@@ -207,19 +211,16 @@ def _hatch_tracks(plan: ScanColumns, joined_mm: float, decimals: int) -> _Tracks
     present = np.repeat(joined, 2) | ~turn
     first = np.flatnonzero(~joined)
     track_starts = np.append(np.concatenate([[0], np.cumsum(present)])[2 * first], present.sum())
-    end, turn = points[present], turn[present]
-    keep = (end != _starts_of(track_starts, ends[first, :2], end)).any(axis=1)
-    kept = np.concatenate([[0], np.cumsum(keep)])
-    size = int(kept[-1])
+    size = int(present.sum())
     return _Tracks(
         layer=layer[first],
-        starts=kept[track_starts].astype(np.int64),
+        starts=track_starts.astype(np.int64),
         start=ends[first, :2],
         ring=np.full(first.size, -1),
         island=island[first],
         kind=np.full(size, STRAIGHT, np.uint8),
-        end=end[keep],
-        turn=turn[keep],
+        end=points[present],
+        turn=turn[present],
         piece=np.full(size, -1),
         bezier=np.zeros((0, 4, 2)),
         middle=np.zeros((0, 2)),
@@ -248,6 +249,8 @@ def _merged(cut: Floats, z: Floats, contours: _Tracks, hatch: _Tracks) -> Toolpa
         piece=np.concatenate([contours.piece, hatch.piece])[rows],
         bezier=contours.bezier,
         middle=contours.middle,
+        power=np.ones(rows.size),
+        goes_on=np.zeros(rows.size, np.bool_),
     )
 
 

@@ -12,6 +12,7 @@ from ebamcheck.config import Config
 from ebamcheck.errors import InputError
 from ebamcheck.layers import Layers
 from ebamcheck.program.bead_checks import bead_checks, repeated_blocks
+from ebamcheck.program.bead_end_checks import bead_end_checks
 from ebamcheck.program.checks import Check
 from ebamcheck.program.inputs import CurveColumns, ScanColumns, deposition_heights
 from ebamcheck.program.motions import NCProgram
@@ -77,7 +78,7 @@ def verify_program(
     """
     turn_limit_mm = TURN_SPACINGS * config.process.hatch_spacing_mm
     checks = text_checks(nc, sha256) + state_checks(nc, config, turn_limit_mm)
-    checks.append(closure_check(nc, curves, tolerance_mm))
+    checks += [*bead_end_checks(nc, config), closure_check(nc, curves, tolerance_mm)]
     checks += [repeated_blocks(nc), *process_checks(nc, config)]
     known = (
         heights
