@@ -75,22 +75,26 @@ class _Layer:
         self._form = form
         self._z, self._safe_z = form.value(z_mm), form.value(z_mm + config.machine.safe_height_mm)
         self._feed = f" F{plain(values.feed_mm_min)}"
+        ends = ("wire_stop", "wire_retract", "beam_off")
+        self._names = (
+            ("set_power",),
+            ("beam_on", "wire_start"),
+            ends if values.wire_retract_mm > 0.0 else (ends[0], ends[2]),
+        )
         self._values, self._templates = values, templates
+        self._blocks: dict[float, tuple[list[str], ...]] = {}
         self._power = 1.0
-        self._ends: tuple[str, ...] = ("wire_stop", "beam_off")
-        if values.wire_retract_mm > 0.0:
-            self._ends = ("wire_stop", "wire_retract", "beam_off")
-        self._switches = self._filled_switches()
         self._position: Floats | None = None
 
-    def _filled_switches(self) -> tuple[list[str], list[str]]:
-        """Blocks before and after a bead, at the power of the moment."""
-        values = self._values.at_power(self._power)
-        on, off = (
-            [line for name in names for line in values.fill(name, self._templates[name])]
-            for names in (("beam_on", "wire_start"), self._ends)
-        )
-        return on, off
+    def _switches(self) -> tuple[list[str], ...]:
+        """Blocks that set the power of the moment, and those before and after a bead at it."""
+        if self._power not in self._blocks:
+            values = self._values.at_power(self._power)
+            self._blocks[self._power] = tuple(
+                [line for name in names for line in values.fill(name, self._templates[name])]
+                for names in self._names
+            )
+        return self._blocks[self._power]
 
     def rise(self) -> None:
         """Go to the safe height, with the beam off."""
@@ -100,15 +104,13 @@ class _Layer:
         """Set the beam to a share of its power."""
         if share != self._power:
             self._power = share
-            values = self._values.at_power(share)
-            self.lines += values.fill("set_power", self._templates["set_power"])
-            self._switches = self._filled_switches()
+            self.lines += self._switches()[0]
 
     def deposit(self, start: Floats, end: Floats, motions: Sequence[str], power: Floats) -> None:
         """Travel to `start`, beam and wire on, `motions` each at its power, wire and beam off at `end`."""
         self._travel(start)
         self.set_power(float(power[0]))
-        self.lines += self._switches[0]
+        self.lines += self._switches()[1]
         changes = [0, *(np.flatnonzero(np.diff(power)) + 1).tolist(), len(motions)]
         feed = self._feed
         for a, b in itertools.pairwise(changes):
@@ -116,7 +118,7 @@ class _Layer:
             blocks = [line for text in motions[a:b] if text for line in text.split("\n")]
             self.lines += [blocks[0] + feed, *blocks[1:]]
             feed = ""
-        self.lines += self._switches[1]
+        self.lines += self._switches()[2]
         self._position = end
 
     def _travel(self, to: Floats) -> None:
