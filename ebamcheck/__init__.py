@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+from ebamcheck.version import __version__
 
 if TYPE_CHECKING:
     from ebamcheck.comparison import compare as compare
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from ebamcheck.layers import Layers as Layers
     from ebamcheck.mesh_files import load as load
     from ebamcheck.part import Part as Part
+    from ebamcheck.pipeline.verify import verify as verify
     from ebamcheck.program import read_program as read_program
     from ebamcheck.program import write_program as write_program
     from ebamcheck.scan import compare_orders as compare_orders
@@ -43,6 +44,7 @@ _PUBLIC = {
     "plan_scan": "ebamcheck.scan",
     "read_program": "ebamcheck.program",
     "slice": "ebamcheck.slicing:slice_part",
+    "verify": "ebamcheck.pipeline.verify",
     "write_program": "ebamcheck.program",
 }
 """Public names and where they live; they load when first used, so that ``import ebamcheck`` is instant."""

@@ -16,7 +16,7 @@ import typer
 
 from ebamcheck import __version__
 from ebamcheck.command_group import CommandGroup, guarded, tell
-from ebamcheck.errors import ExitCode, InputError, NothingCompared, SettingsError
+from ebamcheck.errors import ExitCode, NothingCompared, SettingsError
 from ebamcheck.options import (
     BackendsOption,
     ConfigOption,
@@ -327,18 +327,14 @@ def verify(
     as_json: JsonOption = False,
 ) -> ExitCode:
     """Check a finished run, or a program against a part, from the program's text."""
-    from ebamcheck.pipeline.verify import verify_against_part, verify_run
+    from ebamcheck.pipeline import verify as verification
     from ebamcheck.store import MANIFEST
     from ebamcheck.tables import text_table
 
-    if (target / MANIFEST).is_file():
-        checks = verify_run(target, part)
-    elif not target.exists():
-        raise InputError(f"{target}: there is no such run folder or program")
-    elif part is None:
-        raise SettingsError(f"{target}: is no run folder: to verify a program, name its part with --part")
-    else:
-        checks = verify_against_part(target, part, settings_of(config, units, "", layer_height))
+    # A run folder has its own settings: a file that lies about does not matter to it.
+    own = (target / MANIFEST).is_file()
+    settings = None if own else settings_of(config, units, "", layer_height)
+    checks = verification.verify(target, part, settings)
     if as_json:
         print_json([vars(check) for check in checks])
     else:

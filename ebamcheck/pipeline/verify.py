@@ -8,7 +8,7 @@ from typing import Any
 from ebamcheck import mesh_files, registry
 from ebamcheck.config import Config, validated
 from ebamcheck.curves import LIFTED, Curves, fit, fit_deviation
-from ebamcheck.errors import InputError
+from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.heights import checked_heights, layer_heights
 from ebamcheck.inspection import inspect
 from ebamcheck.pipeline.certificate import (
@@ -16,6 +16,7 @@ from ebamcheck.pipeline.certificate import (
     find_certificate,
     read_certificate,
     run_certificate_checks,
+    told_once,
 )
 from ebamcheck.pipeline.gates import fit_distance_mm, section_tolerance_mm
 from ebamcheck.program import Check, verify_file
@@ -25,6 +26,40 @@ from ebamcheck.store import MANIFEST, RunFolder, sha256_of_file, sha256_of_json
 
 SMOOTH_MM = 0.002
 """Chords of the smooth sections: far under the tolerance of the fit."""
+
+
+def verify(target: str | Path, part: str | Path | None = None, config: Config | None = None) -> list[Check]:
+    """Check a finished run, or a program against a part, from the program's text.
+
+    Parameters
+    ----------
+    target
+        A run folder, or a program: the file that is started, or its folder.
+    part
+        File of the part; a program by itself needs it.
+    config
+        Settings for a program by itself; the default ones if None. A run folder has its own.
+
+    Returns
+    -------
+    list of Check
+        ``all(check.passed for check in checks)`` is the verdict; one that fails names file and line.
+
+    Raises
+    ------
+    InputError
+        If there is no such target, or it cannot be read.
+    SettingsError
+        If the target is no run folder and no part is given.
+    """
+    place, made_from = Path(target), None if part is None else Path(part)
+    if (place / MANIFEST).is_file():
+        return verify_run(place, made_from)
+    if not place.exists():
+        raise InputError(f"{place}: there is no such run folder or program")
+    if made_from is None:
+        raise SettingsError(f"{place}: is no run folder: to verify a program, name its part (--part)")
+    return verify_against_part(place, made_from, config or Config())
 
 
 def verify_run(folder: Path, part: Path | None = None) -> list[Check]:
@@ -60,7 +95,8 @@ def _verify(run: RunFolder, manifest: dict[str, Any], part: Path | None) -> list
         )
     ]
     checks += run_certificate_checks(run, manifest)
-    checks += [_file_check(run.path / name, name, sha256) for name, sha256 in manifest["files"].items()]
+    files = [_file_check(run.path / name, name, sha256) for name, sha256 in manifest["files"].items()]
+    checks += told_once(files)
     untouched = all(check.passed for check in checks)
     if part is not None:
         checks.append(_hash_check("part unchanged", _file_hash(part), manifest["part"]["sha256"], part.name))

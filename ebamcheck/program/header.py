@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from ebamcheck import __version__
 from ebamcheck.config import Config
 from ebamcheck.store import sha256_of_json
+from ebamcheck.version import __version__
 
 
 def header_lines(config: Config, control: str, layers: int, form: Mapping[str, str]) -> dict[str, str]:
