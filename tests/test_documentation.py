@@ -27,7 +27,7 @@ SOURCES = ("ebamcheck", "backends", "reference_models", "reports")
 LARGEST_PICTURE_BYTES = 400_000
 """Pictures live in the repository for ever."""
 
-UNITS = ("mm", "deg", "s", "mm_s", "mm_s2", "mm_s3", "kv", "ma", "mb", "m3", "px")
+UNITS = ("mm", "deg", "s", "mm_s", "mm_s2", "mm_s3", "kv", "ma", "mb", "m3", "px", "k", "w_mk", "j_kg", "j_kgk")
 """Last words of the names of settings that have a unit."""
 
 WITHOUT_UNIT = {
@@ -35,6 +35,13 @@ WITHOUT_UNIT = {
     "bead_spacing",  # over the bead width
     "least_coverage",  # fraction of an area
     "seed",
+    "stride",  # islands
+    "travel_share",  # of another order's travel
+    "annealing_steps",
+    "ramp_power",  # share of the power
+    "ramp_steps",
+    "emissivity",
+    "absorptivity",
     "decimals",
     "rays_per_call",
     "block_points",
