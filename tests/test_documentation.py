@@ -27,7 +27,23 @@ SOURCES = ("ebamcheck", "backends", "reference_models", "reports")
 LARGEST_PICTURE_BYTES = 400_000
 """Pictures live in the repository for ever."""
 
-UNITS = ("mm", "deg", "s", "mm_s", "mm_s2", "mm_s3", "kv", "ma", "mb", "m3", "px", "k", "w_mk", "j_kg", "j_kgk")
+UNITS = (
+    "mm",
+    "deg",
+    "s",
+    "mm_s",
+    "mm_s2",
+    "mm_s3",
+    "kv",
+    "ma",
+    "mb",
+    "m3",
+    "px",
+    "k",
+    "w_mk",
+    "j_kg",
+    "j_kgk",
+)
 """Last words of the names of settings that have a unit."""
 
 WITHOUT_UNIT = {

@@ -213,6 +213,7 @@ FAULTS = {
     "comma for a point": (lambda text: text.edit(FIRST, r"(G1 X-?\d+)\.", r"\1,", nth=3) + ":", "readable"),
     "block twice": (block_twice, "repeated blocks"),
     "swapped layers": (swapped_layers, "layer heights"),
+    "another PL": (lambda text: text.edit(FIRST, r"(POLY .*PL=)1", r"\g<1>2", nth=1), "polynomial blocks"),
     # -- machine state
     "missing beam-off": (later_rapid, "beam"),
     "missing beam-on": (

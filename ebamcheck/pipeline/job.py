@@ -21,6 +21,7 @@ from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.programming import make_program
 from ebamcheck.pipeline.record import manifest as make_manifest
 from ebamcheck.pipeline.work import Job, Observer, Silent
+from ebamcheck.program.heat_paths import PATH_FILES
 from ebamcheck.rings import Floats
 from ebamcheck.store import FINGERPRINT, MANIFEST, RunFolder, sha256_of_json, start_run, write_json
 
@@ -68,6 +69,11 @@ def run_job(
         If a required or named backend is unknown, or a required one is not available.
     """
     config = config or Config()
+    if config.machine.control in PATH_FILES:
+        raise SettingsError(
+            f"machine.control {config.machine.control!r} is a path file for a heat simulator, which no reader can prove: "
+            f"run for a control, then `ebamcheck post RUN --control {config.machine.control} -o FOLDER`"
+        )
     fine = mesh_files.load(reference, config.part.units).along(config.part.direction) if reference else None
 
     def program(job: Job, checked: CrossCheck, sound: bool) -> list[Gate]:

@@ -21,6 +21,9 @@ from ebamcheck.program.inputs import CurveColumns, ScanColumns
 from ebamcheck.program.toolpath import Toolpath
 from ebamcheck.rings import Floats
 
+PATH_FILES = ("3dthesis", "adamantine", "additivefoam")
+"""Names of these posts: what they write is no program, and is not read back."""
+
 LINE_MODE, SPOT_MODE = 0, 1
 
 LEAST_SPOT_S = 1e-6

@@ -167,6 +167,7 @@ def _main_program(
 def _curve_header(machine: MachineSettings) -> dict[str, str]:
     values = {
         "CURVES": machine.curve_form,
+        "POLY": "PL=1 in every block, coefficients over 0 .. 1",
         "SMOOTHING": f"{' '.join(machine.smoothing)}, path may leave the program by "
         f"{machine.smoothing_tolerance_mm:g} mm",
     }

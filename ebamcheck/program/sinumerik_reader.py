@@ -247,6 +247,8 @@ class SinumerikReader:
     def _polynomial(self, block: Block) -> tuple[float, float, float, float, float]:
         """Coefficients of t^2 and t^3 in X and Y, and the length of the parameter."""
         length = block.values.get("PL", 1.0)
+        if length != 1.0:
+            self.out.event("POLY", length)
         if not 0.0001 <= length <= 99999.9999:
             raise WordError(f"PL={length:g} under POLY: it reaches from 0.0001 to 99999.9999", 0)
         if len(block.lists.get("PO[Z]", ())) > 1:

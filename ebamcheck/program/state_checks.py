@@ -38,6 +38,7 @@ def state_checks(nc: NCProgram, config: Config, turn_limit_mm: float) -> list[Ch
         _feed(nc, config),
         _known_positions(nc),
         _splines(nc),
+        _polynomials(nc),
         _travel(nc, config),
         _beam(nc),
         _wire(nc),
@@ -103,6 +104,21 @@ def _splines(nc: NCProgram) -> Check:
         if name == "BSPLINE" and nc.events.value[i] < LEAST_SPLINE_BLOCKS
     ]
     return count_check("spline blocks", faults, f"every BSPLINE has at least {LEAST_SPLINE_BLOCKS} blocks")
+
+
+def _polynomials(nc: NCProgram) -> Check:
+    """Parameter lengths of POLY blocks, where the header says that all are 1: a wrong one bends its span a little."""
+    said = nc.header.get("POLY", "").startswith("PL=1 ")
+    faults = [
+        (
+            event_place(nc, i),
+            f"PL={nc.events.value[i]:g} in a POLY block, where the header says PL=1 in every one",
+        )
+        for i, name in enumerate(nc.events.name)
+        if name == "POLY" and said
+    ]
+    good = "PL=1 in every POLY block" if said else "the header says nothing of PL in POLY blocks"
+    return count_check("polynomial blocks", faults, good)
 
 
 def extremes(nc: NCProgram) -> tuple[Floats, Floats]:

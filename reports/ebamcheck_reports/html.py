@@ -9,6 +9,7 @@ from ebamcheck.atomic_file import replacing
 from ebamcheck.errors import EbamcheckError
 from ebamcheck.store import RunFolder
 from ebamcheck_reports.markup import Markup, element, join, paragraph, section
+from ebamcheck_reports.pages import page
 from ebamcheck_reports.run_data import RunData
 from ebamcheck_reports.sections import agreement, fit, part, program, reproduce, scan, slicers, verdict
 
@@ -31,26 +32,17 @@ OF_THE_PROGRAM = ("fit", "scan", "program")
 
 def write(run: RunFolder) -> list[str]:
     """Write the report into the run folder and return its name."""
-    page = document(RunData(run))
+    text = document(RunData(run))
     with replacing(run.path / NAME) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+        temporary.write_text(text, encoding="utf-8")
     return [NAME]
 
 
 def document(run: RunData) -> str:
     """Build the whole page."""
     name = run.part_of("part")["name"]
-    head = element(
-        "head",
-        element("meta", charset="utf-8"),
-        element("meta", name="viewport", content="width=device-width, initial-scale=1"),
-        element("title", f"ebamcheck: {name}"),
-        element("style", _resource("report.css")),
-    )
-    body = element(
-        "body", _header(run), element("main", *_sections(run)), _footer(run), element("script", _script())
-    )
-    return "<!DOCTYPE html>\n" + element("html", head, body, lang="en") + "\n"
+    main = element("main", *_sections(run))
+    return page(f"ebamcheck: {name}", _header(run), main, _footer(run), element("script", _script()))
 
 
 def _chapters(run: RunData) -> list[tuple[str, str, Callable[[RunData], Markup]]]:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from ebamcheck.atomic_file import replacing
 from ebamcheck.store import plain
 from ebamcheck_reports.markup import Markup, element, paragraph, section, table
+from ebamcheck_reports.pages import page
 from ebamcheck_reports.paper import sections
 from ebamcheck_reports.paper.job import Reproduction
 
@@ -32,9 +32,9 @@ STYLE = Markup(
 
 def write(found: Reproduction, folder: Path) -> None:
     """Write both files, whole or not at all."""
-    page, record = document(found), as_text(found.record) + "\n"
+    text, record = document(found), as_text(found.record) + "\n"
     with replacing(folder / PAGE) as new_page, replacing(folder / RECORD) as new_record:
-        new_page.write_text(page, encoding="utf-8")
+        new_page.write_text(text, encoding="utf-8")
         new_record.write_text(record, encoding="utf-8")
 
 
@@ -46,14 +46,6 @@ def as_text(record: Mapping[str, Any], ensure_ascii: bool = False) -> str:
 def document(found: Reproduction) -> str:
     """Build the page."""
     record = found.record
-    css = Markup(files("ebamcheck_reports").joinpath("report.css").read_text(encoding="utf-8"))
-    head = element(
-        "head",
-        element("meta", charset="utf-8"),
-        element("meta", name="viewport", content="width=device-width, initial-scale=1"),
-        element("title", "ebamcheck: the paper, reproduced"),
-        element("style", css, STYLE),
-    )
     titles = dict(TITLES)
     parts = [
         _overview(record),
@@ -63,8 +55,8 @@ def document(found: Reproduction) -> str:
         sections.polar(titles["polar"], record["polar"], found.pictures["polar"]),
         sections.partition(titles["partition"], record, found.pictures["partition"]),
     ]
-    body = element("body", _header(record), element("main", *parts), _footer(record))
-    return "<!DOCTYPE html>\n" + element("html", head, body, lang="en") + "\n"
+    main = element("main", *parts)
+    return page("ebamcheck: the paper, reproduced", _header(record), main, _footer(record), style=STYLE)
 
 
 def _header(record: Mapping[str, Any]) -> Markup:

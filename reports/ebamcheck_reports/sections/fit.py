@@ -206,15 +206,23 @@ def _reduction(record: Mapping[str, Any], key: str) -> Markup:
 
 
 def _polar_chart(run: RunData, layers: Layers, curves: Curves) -> list[Markup]:
-    """Polar error of the largest outer contour of the middle layer over the angle (paper, Figure 11)."""
+    """The chart of the middle layer."""
     truth, layer = run.reference, run.middle_layer
     if truth is None or layer is None or len(truth) != len(layers):
         return []
-    theta: Floats = (np.arange(RAYS, dtype=np.float64) + 0.5) * (2.0 * math.pi / RAYS)
+    theta = rays_rad()
     errors = polar_errors(layers, curves, truth, layer, theta)
-    if errors is None:
-        return []
-    degrees = np.degrees(theta)
+    return [] if errors is None else [polar_chart(layers, layer, theta, errors)]
+
+
+def rays_rad() -> Floats:
+    """Directions (n,) in which polar errors are drawn."""
+    return np.asarray((np.arange(RAYS) + 0.5) * (2.0 * math.pi / RAYS), np.float64)
+
+
+def polar_chart(layers: Layers, layer: int, theta_rad: Floats, errors: tuple[Floats, Floats]) -> Markup:
+    """Polar error of the largest outer contour of a layer over the angle (paper, Figure 11)."""
+    degrees = np.degrees(theta_rad)
     chart = line_chart(
         [Series("contour", degrees, errors[0]), Series("curve", degrees, errors[1])],
         "angle, degrees",
@@ -224,7 +232,7 @@ def _polar_chart(run: RunData, layers: Layers, curves: Curves) -> list[Markup]:
         f"Polar error of the largest outer contour of {layer_name(layer, float(layers.heights[layer]))} before and after fitting; "
         "nearer to zero is better. Gaps are angles at which a ray meets a contour more than once."
     )
-    return [element("figure", chart, element("figcaption", caption))]
+    return element("figure", chart, element("figcaption", caption))
 
 
 def polar_errors(
