@@ -54,7 +54,9 @@ def test_the_figures_are_those_of_a_polygon_in_its_circle(run: Path, tmp_path: P
     contour, curve = json.loads(text)
     sagitta = RADIUS_MM * (1.0 - math.cos(math.pi / SIDES))
     assert contour["least, mm"] == pytest.approx(-sagitta, rel=0.01)
-    assert contour["greatest, mm"] == pytest.approx(0.0, abs=0.01)  # rays miss the corners by up to an eighth of a degree
+    assert contour["greatest, mm"] == pytest.approx(
+        0.0, abs=0.01
+    )  # rays miss the corners by up to an eighth of a degree
     assert curve["RMS, mm"] < 0.1 * contour["RMS, mm"]
     page = ElementTree.fromstring((tmp_path / "polar.html").read_text().removeprefix("<!DOCTYPE html>\n"))
     assert page.findtext("head/title") == "run: layer 2, z = 7.500 mm"

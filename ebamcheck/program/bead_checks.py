@@ -44,7 +44,7 @@ def bead_checks(nc: NCProgram, config: Config, z_of: Floats, layers: Layers | No
     z_of
         (L,) Z of each of the `layers` in the program.
     """
-    checks = [_spacing(nc, config, z_of, layers), _once(nc)]
+    checks = [_islands(nc), _spacing(nc, config, z_of, layers), _once(nc)]
     if layers is not None:
         checks += [_coverage(nc, config, z_of, layers), _gaps(nc, config, z_of, layers)]
     return checks
@@ -55,6 +55,18 @@ def bead_checks(nc: NCProgram, config: Config, z_of: Floats, layers: Layers | No
 
 def _hatch_rows(nc: NCProgram) -> Ints:
     return np.flatnonzero(nc.deposit & (nc.island >= 0) & ~nc.turn & (nc.lengths > 0.0))
+
+
+def _islands(nc: NCProgram) -> Check:
+    """Whether every island is scanned in one go and in one layer; one that is missing leaves its area bare."""
+    rows = np.flatnonzero(nc.deposit & (nc.island >= 0))
+    new = (np.diff(nc.island[rows], prepend=-1) != 0) | (np.diff(nc.layer[rows], prepend=-1) != 0)
+    begins = rows[new]
+    number = nc.island[begins]
+    again = np.ones(begins.size, np.bool_)
+    again[np.unique(number, return_index=True)[1]] = False
+    faults = [(nc.where(int(row)), f"island {nc.island[row]} comes a second time") for row in begins[again]]
+    return count_check("islands once", faults, f"{begins.size} islands, each in one go")
 
 
 def _spacing(nc: NCProgram, config: Config, z_of: Floats, layers: Layers | None) -> Check:
