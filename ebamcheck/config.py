@@ -140,9 +140,10 @@ class ScanSettings(Section):
     """Turn of the hatch from layer to layer (paper, section 1, after Jia et al.)."""
     island_angle_deg: Finite = 60.0
     """Turn of the hatch from hexagon to hexagon, by one of three lattice colours, so that neighbours differ."""
-    order: str = "nearest"
-    """Scan order of the islands of a layer: nearest (the paper's rule, section 4.2; nearest-any by its full name),
-    nearest-last, nearest-sum, farthest, raster, stride, random, least-heat, thermal, or one that is installed."""
+    order: str = "thermal"
+    """Scan order of the islands of a layer: thermal (coolest first by a heat model, at a price on travel), nearest
+    (the paper's rule, section 4.2; nearest-any by its full name), nearest-last, nearest-sum, farthest, raster,
+    stride, random, least-heat, or one that is installed."""
     seed: Annotated[int, Field(ge=0)] = 0
     """Seed of all random choices: each layer's first island, the order `random`, the annealing of `thermal`."""
     stride: Annotated[int, Field(ge=2)] = 7
@@ -151,7 +152,7 @@ class ScanSettings(Section):
     """The order `thermal` travels at most this share of what `farthest` does."""
     start_travel_mm: NotNegative = 10.0
     """Travel that weighs as much as one start of the wire, for `thermal`."""
-    annealing_steps: Annotated[int, Field(ge=0)] = 2000
+    annealing_steps: Annotated[int, Field(ge=0)] = 6000
     """Moves of islands that `thermal` tries at the end, keeping those that help; fewer on layers of many islands."""
     least_coverage: Annotated[float, Field(gt=0, le=1)] = 0.95
     """Gate of the coverage: fraction of each layer's area that the beads must cover."""

@@ -309,6 +309,41 @@ def test_lines_on_a_contour_converge_to_those_on_a_rectangle():
     assert worst[0] > 2.5 * worst[1]
 
 
+def test_temperatures_converge_with_the_modes():
+    points = np.random.default_rng(2).uniform([2, 2], [WIDTH - 2, HEIGHT - 2], (100, 2))
+
+    def warm(largest, waves):
+        model = HeatModel(
+            rectangle_modes(WIDTH, HEIGHT, largest), depth_modes(DEPTH, waves, True), LINEAR, LAYER
+        )
+        state = model.after_line(model.cold(), *LINE, POWER, DURATION, SIGMA)
+        return model.at(model.after(state, 0.5), points)
+
+    right = warm(12.0, 200)
+    errors = [
+        np.abs(warm(largest, waves) - right).max() for largest, waves in ((0.3, 8), (0.8, 12), (2.0, 20))
+    ]
+    assert errors[0] > 2.0 * errors[1] > 4.0 * errors[2]
+    assert errors[2] < 0.02 * right.max()
+
+
+def test_a_cubic_field_is_read_exactly_inside_and_nearly_at_the_border():
+    grid = section_grid([RING], 2.3)
+    row, column = np.nonzero(grid.number >= 0)
+    centre = grid.origin + (np.column_stack([column, row]) + 0.5) * grid.step
+
+    def cubic(at):
+        x, y = (np.asarray(at) - [3, 4]).T / 40
+        return x**3 - 2 * x * y**2 + y + 0.3
+
+    points = np.random.default_rng(3).uniform(-37, 43, (400, 2))
+    points = points[shapely.contains_xy(RING, points)]
+    deep = shapely.distance(RING.boundary, shapely.points(points)) > 3 * 2.3 * math.sqrt(2)
+    error = np.abs(grid.interpolation(points) @ cubic(centre) - cubic(points))
+    assert error[deep].max() < 1e-12
+    assert error.max() < 0.1
+
+
 def test_a_line_in_pieces_is_the_line():
     plane = contour_modes(RING, 0.3, 200)
     model = HeatModel(plane, depth_modes(DEPTH, 10, True), LINEAR, LAYER)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,12 +15,15 @@ from ebamcheck.config import SCAN_ORDERS, Config
 from ebamcheck.errors import SettingsError
 from ebamcheck.heat import Medium
 from ebamcheck.scan import ORDERS, LayerIslands, plan_scan
+from ebamcheck.scan.annealing import annealed, drive_from, moved
 from ebamcheck.scan.comparing import COMPARED, FIGURES, OrderComparison
+from ebamcheck.scan.driving import clocked, entered, entry_temperatures
+from ebamcheck.scan.influence import influence
 from ebamcheck.scan.island_heat import island_heat
 from ebamcheck.scan.order import scan_order
 from ebamcheck.scan.planning import lay_islands
 from ebamcheck.scan.regions import layer_section
-from ebamcheck.scan.thermal import clocked, entered, entry_temperatures, greedy_order, own_rise
+from ebamcheck.scan.thermal import greedy_order, own_rise
 
 PROFILE = Config()
 RAPID = PROFILE.machine.rapid_mm_s
@@ -49,11 +53,7 @@ def test_driven_islands_are_the_heat_model_step_by_step(laid, choices):
     order = np.random.default_rng(3).permutation(len(choices))
     start, end, _ = clocked(order, drive.entry, drive.leave, drive.time_s, RAPID)
     entry_k, excess = entry_temperatures(heat, choices.area_mm2, order, start, end)
-    assert entry_k == pytest.approx(
-        entered(
-            heat.mean, heat.plane_rate, heat.depth_rate, heat.in_layer, heat.source_k_s, order, start, end
-        )
-    )
+    assert entry_k == pytest.approx(entered(heat, order, start, end)[0])
     # By the model itself, from the same modes.
     rate = np.add.outer(heat.plane_rate, heat.depth_rate)
     state, clock = np.zeros_like(rate), 0.0
@@ -91,9 +91,7 @@ def test_heat_of_a_thin_plate_is_energy_over_heat_capacity():
     medium = Medium.of(profile)
     end[order[-1]] += 1e6
     start[order[-1]] += 1e6
-    late = entered(
-        heat.mean, heat.plane_rate, heat.depth_rate, heat.in_layer, heat.source_k_s, order, start, end
-    )
+    late, _ = entered(heat, order, start, end)
     energy = (heat.source_k_s * drive.time_s)[:-1].sum() * medium.heat_capacity_j_mm3k
     even = energy / (medium.heat_capacity_j_mm3k * section.area * profile.process.base_plate_mm)
     assert late[-1] == pytest.approx(even, rel=1e-6)
@@ -117,8 +115,7 @@ def test_greedy_takes_the_best_score_at_every_step(choices):
             begin, stop = start.copy(), end.copy()
             begin[j] = end[order[n]] + reach[j].min() / RAPID
             stop[j] = begin[j] + drive.time_s[j]
-            columns = (heat.mean, heat.plane_rate, heat.depth_rate, heat.in_layer, heat.source_k_s)
-            score[j] = entered(*columns, tried, begin, stop)[j] + price * reach[j].min() + start_k
+            score[j] = entered(heat, tried, begin, stop)[0][j] + price * reach[j].min() + start_k
         # Between the earliest and the latest entry the kernel takes temperature as linear: 3 % at most.
         assert score[order[n + 1]] <= 1.03 * score.min() + 1.0
         way = int(np.argmin(reach[order[n + 1]]))
@@ -131,16 +128,16 @@ def test_own_rise_is_that_of_one_island_alone(choices):
     begin, stop = np.zeros(len(choices)), np.zeros(len(choices))
     stop[island] = begin[island] + drive.time_s[island]
     begin_again = stop[island]
-    columns = (heat.mean, heat.plane_rate, heat.depth_rate, heat.in_layer, heat.source_k_s)
     twice = np.array([island, island])
     assert own > 50.0
     # Entered again the moment it is left, it has its own rise: drive a copy of it second.
-    mean = np.hstack([heat.mean, heat.mean[:, [island]]])
-    source = np.append(heat.source_k_s, 0.0)
-    twice[1] = len(choices)
-    entry = entered(
-        mean, *columns[1:4], source, twice, np.append(begin, begin_again), np.append(stop, begin_again)
+    doubled = replace(
+        heat,
+        mean=np.hstack([heat.mean, heat.mean[:, [island]]]),
+        source_k_s=np.append(heat.source_k_s, 0.0),
     )
+    twice[1] = len(choices)
+    entry, _ = entered(doubled, twice, np.append(begin, begin_again), np.append(stop, begin_again))
     assert entry[-1] == pytest.approx(own, rel=1e-9)
 
 
@@ -175,7 +172,7 @@ def test_travel_is_paid_for(choices):
 
 def test_annealing_helps_or_leaves_it():
     settings = {"order": "thermal"}
-    plain = OrderComparison.of(PLATE, PROFILE.changed(scan=settings), 0, 0.0)
+    plain = OrderComparison.of(PLATE, PROFILE.changed(scan={**settings, "annealing_steps": 0}), 0, 0.0)
     long = OrderComparison.of(PLATE, PROFILE.changed(scan={**settings, "annealing_steps": 400}), 0, 0.0)
     keys = []
     for compared in (plain, long):
@@ -183,8 +180,7 @@ def test_annealing_helps_or_leaves_it():
         drive, heat = islands.driven, islands.heat
         order = scan_order("thermal", islands)
         start, end, _ = clocked(order, drive.entry, drive.leave, drive.time_s, RAPID)
-        columns = (heat.mean, heat.plane_rate, heat.depth_rate, heat.in_layer, heat.source_k_s)
-        entry = entered(*columns, order, start, end)
+        entry, _ = entered(heat, order, start, end)
         keys.append(entry.max() + entry.std())
     assert keys[1] < keys[0]
 
@@ -258,3 +254,53 @@ def test_two_thousand_islands_are_planned():
     plan = plan_scan(shapely.box(0, 0, 400, 230), profile, order="thermal")
     assert len(plan.islands) > 2000
     assert np.array_equal(np.sort(plan.order), np.arange(len(plan.islands)))
+
+
+@pytest.mark.parametrize("base", ["cooled", "insulated"])
+def test_the_table_of_influences_is_the_heat_model(base):
+    profile = PROFILE.changed(process={"base": base})
+    choices = lay_islands(layer_section(PLATE), profile, 0, 10.0).choices(profile, 0)
+    drive, heat = choices.driven, choices.heat
+    before = np.random.default_rng(5).normal(size=heat.start_k.shape) * np.exp(-heat.plane_rate)[:, None]
+    heat = replace(heat, start_k=300.0 * before)
+    order = np.random.default_rng(4).permutation(len(choices))
+    start, end, travel = clocked(order, drive.entry, drive.leave, drive.time_s, RAPID)
+    exact, _ = entered(heat, order, start, end)
+    table = influence(heat, drive.time_s, float(end.max()))
+    log = np.zeros((len(order), 5))
+    assert drive_from(
+        0,
+        order,
+        table.rise_k,
+        table.spacing_s,
+        drive.entry,
+        drive.leave,
+        drive.time_s,
+        RAPID,
+        np.inf,
+        log,
+    )
+    assert log[:, 0] == pytest.approx(end[order])
+    assert log[-1, 3] == pytest.approx(travel)
+    assert log[:, 4] == pytest.approx(exact[order], rel=0.02, abs=0.02 * np.abs(exact).max())
+
+
+@pytest.mark.parametrize("kind", [0, 1, 2])
+def test_moves_keep_every_island(kind):
+    order = np.arange(9)[::-1].copy()
+    for a, b in ((2, 6), (6, 2), (0, 8), (8, 0), (3, 4)):
+        tried = moved(order, a, b, kind)
+        assert np.array_equal(np.sort(tried), np.arange(9))
+        assert np.array_equal(tried[: min(a, b)], order[: min(a, b)])
+        assert tried[b] == order[a]
+
+
+def test_annealing_keeps_to_the_travel_that_is_allowed(choices):
+    drive, heat = choices.driven, choices.heat
+    order = greedy_order(heat, drive, RAPID, 0, 1.0, 0.0)
+    start, end, travel = clocked(order, drive.entry, drive.leave, drive.time_s, RAPID)
+    table = influence(heat, drive.time_s, 2 * float(end.max()))
+    better = annealed(table, drive, RAPID, order, travel, 100.0, 3000, np.random.default_rng(0))
+    begin, stop, way = clocked(better, drive.entry, drive.leave, drive.time_s, RAPID)
+    assert way <= travel + 1e-6
+    assert entered(heat, better, begin, stop)[0].max() < entered(heat, order, start, end)[0].max()

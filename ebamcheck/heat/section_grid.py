@@ -55,23 +55,58 @@ class SectionGrid:
         return _rows_of_one(table)
 
     def interpolation(self, points: Floats) -> sparse.csr_array:
-        """Weights (P, M) of the cells around points (bilinear); rows add up to 1, or 0 far outside."""
+        """Weights (P, M) of the cells around points; rows add up to 1, or 0 far outside.
+
+        Cubic (Lagrange, through 4 x 4 cells) where all of these are in the section; bilinear near its border.
+        """
         place = (np.asarray(points, np.float64) - self.origin) / self.step - 0.5
         corner = np.floor(place).astype(np.int64)
-        along = place - corner
-        rows, columns = self.number.shape
-        found = []
-        for dx in (0, 1):
-            for dy in (0, 1):
-                column = np.clip(corner[:, 0] + dx, 0, columns - 1)
-                row = np.clip(corner[:, 1] + dy, 0, rows - 1)
-                cell = self.number[row, column]
-                weight = np.abs(1 - dx - along[:, 0]) * np.abs(1 - dy - along[:, 1])
-                kept = np.flatnonzero(cell >= 0)
-                found.append((weight[kept], kept, cell[kept]))
-        weight, owner, cell = (np.concatenate(c) for c in zip(*found, strict=True))
+        cubic, linear = (self._weights(corner, w) for w in _lagrange(place - corner))
+        whole = np.bincount(cubic[1], minlength=len(place)) == 16
+        parts = [
+            (weight[use], owner[use], cell[use])
+            for (weight, owner, cell), use in ((cubic, whole[cubic[1]]), (linear, ~whole[linear[1]]))
+        ]
+        weight, owner, cell = (np.concatenate(c) for c in zip(*parts, strict=True))
         table = sparse.csr_array((weight, (owner, cell)), shape=(len(place), len(self.area_mm2)))
         return _rows_of_one(table)
+
+    def _weights(self, corner: Ints, along: Floats) -> tuple[Floats, Ints, Ints]:
+        """Weight, point and cell of those cells around points that are in the section.
+
+        Parameters
+        ----------
+        corner
+            (P, 2) column and row of the cell to the lower left of each point.
+        along
+            (W, P, 2) weights of the columns and of the rows, of which the lower left one is in the middle.
+        """
+        reach = len(along) // 2 - 1
+        rows, columns = self.number.shape
+        found = []
+        for dx, across in enumerate(along[:, :, 0]):
+            for dy, up in enumerate(along[:, :, 1]):
+                column, row = corner[:, 0] + dx - reach, corner[:, 1] + dy - reach
+                inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+                cell = np.where(
+                    inside, self.number[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)], -1
+                )
+                kept = np.flatnonzero(cell >= 0)
+                found.append(((across * up)[kept], kept, cell[kept]))
+        weight, owner, cell = (np.concatenate(c) for c in zip(*found, strict=True))
+        return weight, owner, cell
+
+
+def _lagrange(share: Floats) -> tuple[Floats, Floats]:
+    """Weights of four and of two neighbours on a line, (4, ...) and (2, ...), at shares of the middle interval."""
+    u = share
+    four = (
+        -u * (u - 1.0) * (u - 2.0) / 6.0,
+        (u + 1.0) * (u - 1.0) * (u - 2.0) / 2.0,
+        -(u + 1.0) * u * (u - 2.0) / 2.0,
+        (u + 1.0) * u * (u - 1.0) / 6.0,
+    )
+    return np.stack(four), np.stack([1.0 - u, u])
 
 
 def section_grid(parts: Sequence[shapely.Polygon], step_mm: float) -> SectionGrid:

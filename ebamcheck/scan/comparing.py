@@ -13,13 +13,13 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.config import Config
 from ebamcheck.errors import SettingsError
 from ebamcheck.rings import Floats, Ints
+from ebamcheck.scan.driving import entry_temperatures
 from ebamcheck.scan.island_heat import IslandHeat, island_heat
 from ebamcheck.scan.order import ORDERS, LayerIslands, scan_order
 from ebamcheck.scan.plan import ScanPlan
 from ebamcheck.scan.planning import LaidLayer, in_order, lay_islands, stack_plans
 from ebamcheck.scan.regions import layer_section
 from ebamcheck.scan.simulate import simulate_order
-from ebamcheck.scan.thermal import entry_temperatures
 
 COMPARED = tuple(name for name in ORDERS if name != "nearest")
 """Orders that are compared unless others are named: each once, `nearest` by its full name."""

@@ -13,13 +13,20 @@ from ebamcheck.config import Config
 from ebamcheck.heat import HeatModel, Medium, contour_modes, depth_modes
 from ebamcheck.rings import Floats
 
-FINER = 1.5
-"""Waves of a simulation over an island's width are this much shorter than those of a plan."""
+SIMULATION_WAVE = 2.0 / 3.0
+"""Shortest wave of a simulation, in widths of an island."""
 
-PLANNING_MODES = 300
+PLANNING_WAVE = 1.0
+"""Shortest wave of a plan, in widths of an island: shorter ones die out while the next island is scanned."""
+
+PLANNING_CELLS, SIMULATION_CELLS = 2.0, 3.0
+"""Cells in the shortest wave: as few as can carry it in a plan, which is compared with others and not read. Plans
+made on finer cells were no cooler in a finer simulation."""
+
+PLANNING_MODES = 600
 """Modes of the section that a plan uses at most: beyond, only the longest waves count."""
 
-SIMULATION_MODES = 400
+SIMULATION_MODES = 800
 """Modes of the section that a simulation uses at most."""
 
 MOST_DEPTH_MODES = 40
@@ -40,6 +47,10 @@ class IslandHeat:
         (N,) means of the depth's modes over the layer.
     source_k_s
         (I,) beam power on the island over the heat capacity of a volume, while it is scanned.
+    start_k
+        (K, N) amplitudes when the layer begins.
+    model
+        The heat model whose modes these are.
     """
 
     mean: Floats
@@ -47,6 +58,13 @@ class IslandHeat:
     depth_rate: Floats
     in_layer: Floats
     source_k_s: Floats
+    start_k: Floats
+    model: HeatModel
+
+    @property
+    def columns(self) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+        """What every kernel reads first."""
+        return self.mean, self.plane_rate, self.depth_rate, self.in_layer, self.source_k_s
 
 
 def island_heat(
@@ -74,9 +92,12 @@ def island_heat(
         Resolve waves shorter than an island, for a simulation; a plan needs none under its width.
     """
     medium, process = Medium.of(profile), profile.process
-    width_mm = math.sqrt(section.area / max(len(islands), 1)) / (FINER if fine else 1.0)
-    largest = (2.0 * math.pi / width_mm) ** 2
-    plane = contour_modes(section, largest, SIMULATION_MODES if fine else PLANNING_MODES)
+    width_mm = math.sqrt(section.area / max(len(islands), 1))
+    largest = (2.0 * math.pi / (width_mm * (SIMULATION_WAVE if fine else PLANNING_WAVE))) ** 2
+    if fine:
+        plane = contour_modes(section, largest, SIMULATION_MODES, SIMULATION_CELLS)
+    else:
+        plane = contour_modes(section, largest, PLANNING_MODES, PLANNING_CELLS)
     depth_mm = max(height_mm, 0.0) + process.base_plate_mm
     waves = min(MOST_DEPTH_MODES, math.ceil(depth_mm * math.sqrt(largest) / math.pi) + 1)
     loss = medium.radiation_w_mm2k / medium.conductivity_w_mmk
@@ -90,4 +111,6 @@ def island_heat(
         depth_rate=medium.diffusivity_mm2_s * depth.wave_number**2,
         in_layer=model.in_layer,
         source_k_s=np.asarray(power_w / medium.heat_capacity_j_mm3k, np.float64),
+        start_k=model.cold(),
+        model=model,
     )

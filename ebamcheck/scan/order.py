@@ -35,8 +35,9 @@ from ebamcheck.errors import SettingsError
 from ebamcheck.kernels import kernel
 from ebamcheck.rings import Floats, Ints
 from ebamcheck.scan.drive import IslandDrive
+from ebamcheck.scan.driving import clocked
 from ebamcheck.scan.island_heat import IslandHeat, island_heat
-from ebamcheck.scan.thermal import clocked, greedy_order, thermal_order
+from ebamcheck.scan.thermal import greedy_order, thermal_order
 
 LAST, ANY, SUM, FARTHEST = 0, 1, 2, 3
 """Rules of :func:`greedy`."""
@@ -200,7 +201,6 @@ def thermal(islands: LayerIslands) -> Ints:
     settings, drive = islands.profile.scan, islands.driven
     rapid = islands.profile.machine.rapid_mm_s
     *_, travel = clocked(farthest(islands), drive.entry, drive.leave, drive.time_s, rapid)
-    swaps = islands.random().integers(0, len(islands), (settings.annealing_steps, 2))
     return thermal_order(
         islands.heat,
         drive,
@@ -208,7 +208,8 @@ def thermal(islands: LayerIslands) -> Ints:
         width_mm=float(np.sqrt(islands.area_mm2.mean())),
         longest_mm=settings.travel_share * travel,
         start_travel_mm=settings.start_travel_mm,
-        annealing=swaps,
+        steps=settings.annealing_steps,
+        random=islands.random(),
     )
 
 

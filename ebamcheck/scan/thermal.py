@@ -2,7 +2,8 @@
 
 The score of an island is its mean temperature at the time it would be entered, plus the travel to it and the
 start of the wire, each at its price in kelvin. A low price of travel makes cool but long ways; so plans for
-several prices are made, and the coolest is kept among those whose way is short enough.
+several prices are made, the coolest is kept among those whose way is short enough, and that one is improved
+(:mod:`~ebamcheck.scan.annealing`).
 """
 
 from __future__ import annotations
@@ -13,7 +14,10 @@ import numpy as np
 
 from ebamcheck.kernels import kernel
 from ebamcheck.rings import Floats, Ints
+from ebamcheck.scan.annealing import annealed
 from ebamcheck.scan.drive import IslandDrive
+from ebamcheck.scan.driving import at_surface, clocked, decay, entered, heat_island
+from ebamcheck.scan.influence import MOST_ISLANDS, influence
 from ebamcheck.scan.island_heat import IslandHeat
 from ebamcheck.scan.path import JOINED_MM
 
@@ -21,17 +25,14 @@ PRICES = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32)
 """Prices of travel that are tried: in temperature rises of an island by its own heat, over widths of an island.
 The best one differs from layer to layer by chance."""
 
-STARTS = 8
+STARTS = 2
 """Islands from which each price is tried."""
 
 MOST_WORK = 2e9
 """Multiplications in one search, which limits the plans tried on a layer of thousands of islands."""
 
 ANNEALING_WORK = 1e8
-"""Amplitudes followed in one annealing, which limits its steps there."""
-
-LEAST_DECAY = 1e-9
-"""Amplitudes that fall by less than this while an island is scanned do not fall."""
+"""Temperatures looked up in one annealing, which limits its steps on a layer of hundreds of islands."""
 
 TIE_K = 1e-6
 """Scores closer than this are equal: rounding must not decide between islands that mirror each other."""
@@ -44,9 +45,10 @@ def thermal_order(
     width_mm: float,
     longest_mm: float,
     start_travel_mm: float,
-    annealing: Ints | None = None,
+    steps: int,
+    random: np.random.Generator,
 ) -> Ints:
-    """Order islands by heat: the coolest of several greedy plans whose travel is not too long.
+    """Order islands by heat: the coolest of several greedy plans whose travel is not too long, improved.
 
     Parameters
     ----------
@@ -56,62 +58,44 @@ def thermal_order(
         Travel between islands that is allowed; where no plan keeps it, the one of least travel is taken.
     start_travel_mm
         Travel that counts as much as a start of the wire.
-    annealing
-        (S, 2) moves as :func:`annealed` takes them; none if None.
+    steps
+        Moves by which the plan is improved, at most.
+    random
+        Source of these moves.
     """
     count = len(drive)
-    own_k = float(np.mean(own_rise(heat, drive)))
-    tries = [(price, first) for first in _starts(count) for price in PRICES]
-    affordable = max(1, int(MOST_WORK / (count**2 * heat.mean.shape[0])))
-    if affordable < len(tries):
-        # The middle prices first: they are the likeliest to be best.
-        tries = sorted(tries, key=lambda t: (abs(PRICES.index(t[0]) - len(PRICES) // 2), t[1]))[:affordable]
+    price_k_mm = float(np.mean(own_rise(heat, drive))) / width_mm
     best, best_rank = np.arange(count), (math.inf, math.inf)
-    for price, first in tries:
-        price_k_mm = price * own_k / width_mm
-        order = greedy_order(heat, drive, rapid_mm_s, first, price_k_mm, price_k_mm * start_travel_mm)
-        rank, _ = ranked(heat, drive, rapid_mm_s, order, longest_mm)
+    for price, first in _tries(count, len(heat.plane_rate)):
+        paid = price * price_k_mm
+        order = greedy_order(heat, drive, rapid_mm_s, first, paid, paid * start_travel_mm)
+        rank = ranked(heat, drive, rapid_mm_s, order, longest_mm)
         if better(rank, best_rank):
             best, best_rank = order, rank
-    if annealing is None:
+    if count > MOST_ISLANDS or steps == 0:
         return best
-    steps = int(ANNEALING_WORK / (count * heat.mean.shape[0] * len(heat.depth_rate)))
-    return annealed(heat, drive, rapid_mm_s, best, longest_mm, annealing[:steps])
+    *_, end_s, travel = clocked(best, drive.entry, drive.leave, drive.time_s, rapid_mm_s)
+    # Twice the time of a way that is too long: none met in the search takes longer.
+    table = influence(heat, drive.time_s, float(end_s.max()) + max(travel, longest_mm) / rapid_mm_s)
+    most = min(steps, int(2.0 * ANNEALING_WORK / count**2))
+    tried = annealed(table, drive, rapid_mm_s, best, longest_mm, price_k_mm, most, random)
+    return tried if better(ranked(heat, drive, rapid_mm_s, tried, longest_mm), best_rank) else best
 
 
-def annealed(
-    heat: IslandHeat, drive: IslandDrive, rapid_mm_s: float, order: Ints, longest_mm: float, moves: Ints
-) -> Ints:
-    """Move islands to other places of an order, or exchange two, where that makes it better.
-
-    Parameters
-    ----------
-    moves
-        (S, 2) pairs of places; in every other one the first is that of the hottest island instead.
-    """
-    best = order
-    best_rank, hottest = ranked(heat, drive, rapid_mm_s, best, longest_mm)
-    for n, (a, b) in enumerate(moves.tolist()):
-        place = hottest if n % 2 else a
-        if n % 4 < 2:
-            tried = np.insert(np.delete(best, place), b, best[place])
-        else:
-            tried = best.copy()
-            tried[place], tried[b] = best[b], best[place]
-        rank, hot = ranked(heat, drive, rapid_mm_s, tried, longest_mm)
-        if better(rank, best_rank):
-            best, best_rank, hottest = tried, rank, hot
-    return best
+def _tries(count: int, modes: int) -> list[tuple[float, int]]:
+    """Prices and first islands of the greedy plans that a layer can afford."""
+    starts = sorted({count * n // STARTS for n in range(STARTS)})
+    tries = [(price, first) for first in starts for price in PRICES]
+    affordable = max(1, int(MOST_WORK / (count**2 * modes)))
+    if affordable >= len(tries):
+        return tries
+    # The middle prices first: they are the likeliest to be best.
+    return sorted(tries, key=lambda t: (abs(PRICES.index(t[0]) - len(PRICES) // 2), t[1]))[:affordable]
 
 
 def better(rank: tuple[float, float], than: tuple[float, float]) -> bool:
     """Whether a plan has less travel too much, or is as short and cooler."""
     return rank[0] < than[0] or (rank[0] == than[0] and rank[1] < than[1] - TIE_K)
-
-
-def _starts(count: int) -> list[int]:
-    """Islands spread over the layer."""
-    return sorted({count * n // STARTS for n in range(STARTS)})
 
 
 def own_rise(heat: IslandHeat, drive: IslandDrive) -> Floats:
@@ -127,29 +111,21 @@ def own_rise(heat: IslandHeat, drive: IslandDrive) -> Floats:
 
 def ranked(
     heat: IslandHeat, drive: IslandDrive, rapid_mm_s: float, order: Ints, longest_mm: float
-) -> tuple[tuple[float, float], int]:
-    """Rank of a plan, and the place in it of the island that is entered hottest.
-
-    The rank is the travel beyond what is allowed, then greatest plus spread of the entry temperatures, K.
-    """
+) -> tuple[float, float]:
+    """Rank of a plan: travel beyond what is allowed, mm; then greatest plus spread of the entry temperatures, K."""
     start_s, end_s, travel = clocked(order, drive.entry, drive.leave, drive.time_s, rapid_mm_s)
-    entry_k = entered(
-        heat.mean, heat.plane_rate, heat.depth_rate, heat.in_layer, heat.source_k_s, order, start_s, end_s
-    )
-    rank = max(0.0, travel - longest_mm), float(entry_k.max() + entry_k.std())
-    return rank, int(np.argmax(entry_k[order]))
+    entry_k, _ = entered(heat, order, start_s, end_s)
+    return max(0.0, travel - longest_mm), float(entry_k.max() + entry_k.std())
 
 
 def greedy_order(
     heat: IslandHeat, drive: IslandDrive, rapid_mm_s: float, first: int, price_k_mm: float, start_k: float
 ) -> Ints:
     """Order islands by heat for one price of travel (K/mm) and of a wire start (K)."""
+    mean, *rates = heat.columns
     return coolest_first(
-        heat.mean.copy(),
-        heat.plane_rate,
-        heat.depth_rate,
-        heat.in_layer,
-        heat.source_k_s,
+        mean.copy(),
+        *rates,
         drive.entry,
         drive.leave,
         drive.time_s,
@@ -157,85 +133,8 @@ def greedy_order(
         first,
         price_k_mm,
         start_k,
+        heat.start_k.copy(),
     )
-
-
-def entry_temperatures(
-    heat: IslandHeat, area_mm2: Floats, order: Ints, start_s: Floats, end_s: Floats
-) -> tuple[Floats, Floats]:
-    """Drive an order on the heat model.
-
-    Parameters
-    ----------
-    order
-        (I,) islands in scan order.
-    start_s, end_s
-        (I,) times by island.
-
-    Returns
-    -------
-    entry_k
-        (I,) by island: its mean temperature rise when the beam enters it.
-    excess
-        (I,) by island: spread of the temperature over the layer when the beam leaves it, without the
-        island's own heat, over the mean temperature (excess uniformity).
-    """
-    return driven(
-        heat.mean,
-        heat.plane_rate,
-        heat.depth_rate,
-        heat.in_layer,
-        heat.source_k_s,
-        area_mm2 / area_mm2.sum(),
-        order,
-        start_s,
-        end_s,
-    )
-
-
-@kernel
-def decay(state: Floats, plane_rate: Floats, depth_rate: Floats, time: float) -> None:
-    """Let all amplitudes (K, N) fall for a time."""
-    through = np.exp(-depth_rate * time)
-    for k in range(state.shape[0]):
-        across = np.exp(-plane_rate[k] * time)
-        for n in range(state.shape[1]):
-            state[k, n] *= across * through[n]
-
-
-@kernel
-def heat_island(
-    state: Floats,
-    mean: Floats,
-    plane_rate: Floats,
-    depth_rate: Floats,
-    in_layer: Floats,
-    source: float,
-    time: float,
-) -> None:
-    """Add what an island with mode means (K,) leaves at the end of the time in which it is heated."""
-    through = np.exp(-depth_rate * time)
-    for k in range(state.shape[0]):
-        across = np.exp(-plane_rate[k] * time)
-        for n in range(state.shape[1]):
-            rate = plane_rate[k] + depth_rate[n]
-            held = time if rate * time < LEAST_DECAY else (1.0 - across * through[n]) / rate
-            state[k, n] += source * held * mean[k] * in_layer[n]
-
-
-@kernel
-def at_surface(
-    state: Floats, plane_rate: Floats, depth_rate: Floats, in_layer: Floats, time: float
-) -> Floats:
-    """Amplitudes (K,) of the section's modes in the layer, after another time."""
-    through = in_layer * np.exp(-depth_rate * time)
-    result = np.empty(state.shape[0])
-    for k in range(state.shape[0]):
-        total = 0.0
-        for n in range(state.shape[1]):
-            total += state[k, n] * through[n]
-        result[k] = total * np.exp(-plane_rate[k] * time)
-    return result
 
 
 @kernel
@@ -252,12 +151,12 @@ def coolest_first(
     first: int,
     price: float,
     start_price: float,
+    state: Floats,
 ) -> Ints:
-    """Order by score; `mean` (K, I) is used up. Between the earliest and the latest entry temperature is linear."""
+    """Order by score; `mean` (K, I) and `state` (K, N) are used up. Between the earliest and the latest entry temperature is linear."""
     modes, count = mean.shape
     order = np.empty(count, np.int64)
     left = np.arange(count)
-    state = np.zeros((modes, len(depth_rate)))
     now, soon = np.empty(count), np.empty(count)
     latest = 0.0
     for axis in range(2):
@@ -301,110 +200,3 @@ def coolest_first(
                 best, best_island = score, candidate
                 place, way, jump = j, nearest_way, nearest
     return order
-
-
-@kernel
-def entered(
-    mean: Floats,
-    plane_rate: Floats,
-    depth_rate: Floats,
-    in_layer: Floats,
-    source: Floats,
-    order: Ints,
-    start: Floats,
-    end: Floats,
-) -> Floats:
-    """Entry temperature of each island alone, which is far less work than :func:`driven`."""
-    modes, waves, count = mean.shape[0], len(depth_rate), mean.shape[1]
-    state = np.zeros((modes, waves))
-    entry_k = np.zeros(count)
-    clock = 0.0
-    for island in order:
-        pause, duration = start[island] - clock, end[island] - start[island]
-        through_pause, through = np.exp(-depth_rate * pause), np.exp(-depth_rate * duration)
-        temperature = 0.0
-        for k in range(modes):
-            shape = mean[k, island]
-            across_pause, across = np.exp(-plane_rate[k] * pause), np.exp(-plane_rate[k] * duration)
-            for n in range(waves):
-                before = state[k, n] * (across_pause * through_pause[n])
-                temperature += shape * in_layer[n] * before
-                rate, fall = plane_rate[k] + depth_rate[n], across * through[n]
-                held = duration if rate * duration < LEAST_DECAY else (1.0 - fall) / rate
-                state[k, n] = before * fall + source[island] * held * shape * in_layer[n]
-        entry_k[island] = temperature
-        clock = end[island]
-    return entry_k
-
-
-@kernel
-def driven(
-    mean: Floats,
-    plane_rate: Floats,
-    depth_rate: Floats,
-    in_layer: Floats,
-    source: Floats,
-    share: Floats,
-    order: Ints,
-    start: Floats,
-    end: Floats,
-) -> tuple[Floats, Floats]:
-    """Entry temperature and excess uniformity of each island, see :func:`entry_temperatures`."""
-    modes, count = mean.shape
-    state = np.zeros((modes, len(depth_rate)))
-    entry_k, excess = np.zeros(count), np.zeros(count)
-    clock = 0.0
-    for island in order:
-        decay(state, plane_rate, depth_rate, start[island] - clock)
-        entry_k[island] = field(mean, at_surface(state, plane_rate, depth_rate, in_layer, 0.0))[island]
-        duration = end[island] - start[island]
-        decay(state, plane_rate, depth_rate, duration)
-        others = field(mean, at_surface(state, plane_rate, depth_rate, in_layer, 0.0))
-        own = mean[:, island]
-        heat_island(state, own, plane_rate, depth_rate, in_layer, source[island], duration)
-        total = field(mean, at_surface(state, plane_rate, depth_rate, in_layer, 0.0))
-        middle, average, spread = 0.0, 0.0, 0.0
-        for j in range(count):
-            middle += share[j] * others[j]
-            average += share[j] * total[j]
-        for j in range(count):
-            spread += share[j] * (others[j] - middle) ** 2
-        excess[island] = np.sqrt(spread) / average if average > 0.0 else 0.0
-        clock = end[island]
-    return entry_k, excess
-
-
-@kernel
-def field(mean: Floats, amplitudes: Floats) -> Floats:
-    """Temperature rise of all islands, (I,)."""
-    result = np.zeros(mean.shape[1])
-    for k in range(mean.shape[0]):
-        for j in range(mean.shape[1]):
-            result[j] += amplitudes[k] * mean[k, j]
-    return result
-
-
-@kernel
-def clocked(
-    order: Ints, entry: Floats, leave: Floats, time: Floats, rapid: float
-) -> tuple[Floats, Floats, float]:
-    """Start and end of each island by island (I,), s, and the travel between them, mm, entering each the nearest way."""
-    start, end = np.empty(len(order)), np.empty(len(order))
-    clock, travel = 0.0, 0.0
-    x, y = entry[order[0], 0, 0], entry[order[0], 0, 1]
-    for n in range(len(order)):
-        island = order[n]
-        nearest, way = np.inf, 0
-        for v in range(4):
-            distance = np.hypot(entry[island, v, 0] - x, entry[island, v, 1] - y)
-            if distance < nearest - JOINED_MM:
-                nearest, way = distance, v
-        if n == 0:
-            nearest, way = 0.0, 0
-        clock += nearest / rapid
-        travel += nearest
-        start[island] = clock
-        clock += time[island]
-        end[island] = clock
-        x, y = leave[island, way, 0], leave[island, way, 1]
-    return start, end, travel
