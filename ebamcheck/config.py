@@ -152,7 +152,7 @@ class ScanSettings(Section):
     """The order `thermal` travels at most this share of what `farthest` does."""
     start_travel_mm: NotNegative = 10.0
     """Travel that weighs as much as one start of the wire, for `thermal`."""
-    annealing_steps: Annotated[int, Field(ge=0)] = 6000
+    annealing_steps: Annotated[int, Field(ge=0)] = 4000
     """Moves of islands that `thermal` tries at the end, keeping those that help; fewer on layers of many islands."""
     least_coverage: Annotated[float, Field(gt=0, le=1)] = 0.95
     """Gate of the coverage: fraction of each layer's area that the beads must cover."""
@@ -397,6 +397,10 @@ class KinematicsSettings(Section):
     """Where the feed falls under this share of the feed programmed, the bead grows: a dip."""
 
 
+DataPoints = Annotated[tuple[tuple[Positive, Positive], ...], Field(min_length=2)]
+"""Temperatures and values of a material, by rising temperature; two points of one temperature make a jump."""
+
+
 class MaterialSettings(Section):
     """The wire's material."""
 
@@ -409,6 +413,26 @@ class MaterialSettings(Section):
     beta transus)."""
     heat_capacity_j_kgk: Positive = 700.0
     """Heat capacity c of the linear heat model: Ti-6Al-4V at about 1000 K (Mills 2002: 483 + 0.215 T under 1268 K)."""
+    conductivity_by_temperature: DataPoints = (
+        (293.0, 5.86),
+        (1268.0, 21.17),
+        (1268.0, 19.61),
+        (1877.0, 27.35),
+        (1923.0, 33.40),
+        (3533.0, 72.04),
+    )
+    """Heat conductivity of the nonlinear referee, (K, W/(m K)), linear between: 1.26 + 0.0157 T, 3.51 + 0.0127 T over the
+    beta transus, -12.75 + 0.024 T liquid. Nominal, after Mills 2002: check them against the book before citing."""
+    heat_capacity_by_temperature: DataPoints = (
+        (293.0, 546.0),
+        (1268.0, 755.6),
+        (1268.0, 640.9),
+        (1877.0, 750.6),
+        (1923.0, 831.0),
+        (3533.0, 831.0),
+    )
+    """Heat capacity of the nonlinear referee without the heat of fusion, (K, J/(kg K)), linear between: 483 + 0.215 T,
+    412.7 + 0.180 T over the beta transus, 831 liquid. Nominal, as above."""
     latent_heat_j_kg: NotNegative = 286e3
     """Heat of fusion (Mills 2002)."""
     solidus_k: Positive = 1877.0
@@ -419,6 +443,13 @@ class MaterialSettings(Section):
     """Radiation of the surface over that of a black body; 0.5 to 0.7 are published for hot Ti-6Al-4V."""
     absorptivity: Annotated[float, Field(gt=0, le=1)] = 0.87
     """Share of the beam's power that the part takes up; 0.85 to 0.9 are published for electrons on titanium."""
+
+    @field_validator("conductivity_by_temperature", "heat_capacity_by_temperature")
+    @classmethod
+    def _rising(cls, value: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
+        if any(a[0] > b[0] for a, b in zip(value, value[1:], strict=False)):
+            raise ValueError("give the temperatures in rising order")
+        return value
 
 
 class RegressionSettings(Section):

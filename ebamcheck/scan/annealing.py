@@ -166,4 +166,4 @@ def drive_from(
 def cost_of(log: Floats, longest: float, price: float) -> float:
     """Greatest and spread of the entry temperatures, and the price of travel beyond what is allowed."""
     temperature = log[:, 4]
-    return temperature.max() + temperature.std() + price * max(0.0, log[-1, 3] - longest)
+    return float(temperature.max() + temperature.std() + price * max(0.0, log[-1, 3] - longest))

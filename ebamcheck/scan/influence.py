@@ -73,4 +73,4 @@ def looked_up(rise: Table, spacing: float, island: int, source: int, since: floa
     node = min(int(place), rise.shape[2] - 2)
     share = min(place - node, 1.0)
     low, high = rise[island, source, node], rise[island, source, node + 1]
-    return low + (high - low) * share
+    return float(low + (high - low) * share)

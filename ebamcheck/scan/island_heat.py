@@ -23,7 +23,7 @@ PLANNING_CELLS, SIMULATION_CELLS = 2.0, 3.0
 """Cells in the shortest wave: as few as can carry it in a plan, which is compared with others and not read. Plans
 made on finer cells were no cooler in a finer simulation."""
 
-PLANNING_MODES = 600
+PLANNING_MODES = 400
 """Modes of the section that a plan uses at most: beyond, only the longest waves count."""
 
 SIMULATION_MODES = 800

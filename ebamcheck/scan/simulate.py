@@ -67,6 +67,15 @@ def simulate_order(plan: ScanPlan, profile: Config) -> pd.DataFrame:
     )
 
 
+def line_times(plan: ScanPlan, profile: Config) -> tuple[Floats, Floats]:
+    """Time at which the beam is at the begin and at the end of each line of a plan, (V,) s, from 0 in every layer."""
+    table = plan.vectors
+    start, end = table[["x0", "y0"]].to_numpy(), table[["x1", "y1"]].to_numpy()
+    layer = plan.island_layer[table["island"].to_numpy()]
+    new_layer = np.diff(layer, prepend=-1) != 0
+    return _clock(np.hypot(*(end - start).T), jumps_mm(start, end, new_layer), new_layer, profile)
+
+
 def _clock(length: Floats, jump: Floats, new_layer: np.ndarray, profile: Config) -> tuple[Floats, Floats]:
     """Time at which each line begins and ends, from 0 in every layer, s."""
     drive = length / profile.process.travel_speed_mm_s

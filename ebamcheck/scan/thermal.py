@@ -122,10 +122,12 @@ def greedy_order(
     heat: IslandHeat, drive: IslandDrive, rapid_mm_s: float, first: int, price_k_mm: float, start_k: float
 ) -> Ints:
     """Order islands by heat for one price of travel (K/mm) and of a wire start (K)."""
-    mean, *rates = heat.columns
     return coolest_first(
-        mean.copy(),
-        *rates,
+        heat.mean.copy(),
+        heat.plane_rate,
+        heat.depth_rate,
+        heat.in_layer,
+        heat.source_k_s,
         drive.entry,
         drive.leave,
         drive.time_s,

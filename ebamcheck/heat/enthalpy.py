@@ -1,0 +1,82 @@
+"""A material whose data change with temperature, by its heat content: temperature and conduction as tables of it.
+
+With h the heat content of a volume and theta the integral of the conductivity over the temperature (Kirchhoff
+1894), conduction is dh/dt = lap theta(h), whatever the data; the heat of fusion is a part of h.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ebamcheck.config import Config
+from ebamcheck.rings import Floats
+
+HOTTEST_K = 6000.0
+"""End of the tables: beyond any melt. Evaporation is not modelled, so that a melt may pass the boiling point."""
+
+STEP_K = 1.0
+"""Step of temperature in which the data are summed up."""
+
+NODES = 8192
+"""Nodes of the tables over the heat content: about 1 K apart."""
+
+
+@dataclass(frozen=True, eq=False)
+class EnthalpyTables:
+    """Tables at even steps of the heat content h, from 0 at the ambient temperature.
+
+    Parameters
+    ----------
+    step_j_mm3
+        Step of the heat content.
+    temperature_k
+        (Q,) absolute temperature.
+    theta_w_mm
+        (Q,) integral of the conductivity from the ambient temperature.
+    """
+
+    step_j_mm3: float
+    temperature_k: Floats
+    theta_w_mm: Floats
+
+    @property
+    def greatest_diffusivity_mm2_s(self) -> float:
+        """Greatest slope of theta over h, which limits an explicit step."""
+        return float(np.diff(self.theta_w_mm).max() / self.step_j_mm3)
+
+    def heat_content(self, temperature_k: ArrayLike) -> Floats:
+        """Heat content at temperatures, J/mm^3."""
+        place = np.interp(temperature_k, self.temperature_k, np.arange(len(self.temperature_k)))
+        return np.asarray(self.step_j_mm3 * place, np.float64)
+
+    def temperature(self, heat_content_j_mm3: ArrayLike) -> Floats:
+        """Temperature at heat contents, K."""
+        place = np.asarray(heat_content_j_mm3, np.float64) / self.step_j_mm3
+        return np.interp(place, np.arange(len(self.temperature_k)), self.temperature_k)
+
+
+def enthalpy_tables(profile: Config) -> EnthalpyTables:
+    """Sum up the data of a profile's material, with its heat of fusion spread from solidus to liquidus."""
+    material, ambient_k = profile.material, profile.process.ambient_temperature_k
+    capacity_at, capacities = np.transpose(material.heat_capacity_by_temperature)
+    conductivity_at, conductivities = np.transpose(material.conductivity_by_temperature)
+    # The corners of the data are among the temperatures, so that the sums over straight pieces are exact.
+    corners = np.concatenate([capacity_at, conductivity_at, [material.solidus_k, material.liquidus_k]])
+    even = np.arange(ambient_k, HOTTEST_K + STEP_K, STEP_K)
+    temperature = np.union1d(even, corners[(corners > ambient_k) & (corners < HOTTEST_K)])
+    width, middle = np.diff(temperature), 0.5 * (temperature[:-1] + temperature[1:])
+    capacity = np.interp(middle, capacity_at, capacities)
+    conductivity = np.interp(middle, conductivity_at, conductivities)
+    melted = np.interp(temperature, [material.solidus_k, material.liquidus_k], [0.0, 1.0])
+    sensible = np.concatenate([[0.0], np.cumsum(capacity * width)])
+    content = 1e-9 * material.density_kg_m3 * (sensible + material.latent_heat_j_kg * melted)
+    theta = 1e-3 * np.concatenate([[0.0], np.cumsum(conductivity * width)])
+    nodes = np.linspace(0.0, content[-1], NODES)
+    return EnthalpyTables(
+        step_j_mm3=float(nodes[1]),
+        temperature_k=np.interp(nodes, content, temperature),
+        theta_w_mm=np.interp(nodes, content, theta),
+    )

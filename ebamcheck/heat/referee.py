@@ -1,0 +1,362 @@
+"""A second model of the heat, which shares nothing with the modes: explicit finite differences of the heat content.
+
+Whole cubes instead of cut cells, a moving beam instead of warm islands, data that change with temperature, heat of
+fusion and radiation by T^4. It is slower and coarser in space; it judges what the linear model leaves out.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely.geometry.base import BaseGeometry
+
+from ebamcheck.config import Config
+from ebamcheck.errors import GeometryError
+from ebamcheck.heat.enthalpy import EnthalpyTables, enthalpy_tables
+from ebamcheck.heat.medium import STEFAN_BOLTZMANN_W_M2K4
+from ebamcheck.heat.section_grid import islands_in_cells, oriented_rings
+from ebamcheck.kernels import kernel
+from ebamcheck.rings import Bools, Floats, Ints
+
+STABLE = 0.9
+"""Share of the longest stable time step that is taken."""
+
+HALF = 0.5
+"""Share of a cell in the section from which on it counts as whole."""
+
+
+@dataclass(frozen=True, eq=False)
+class Referee:
+    """A section extruded to its base, in cubes.
+
+    Parameters
+    ----------
+    origin
+        (2,) lower left corner, mm.
+    cell_mm
+        (3,) width, depth and height of a cell.
+    solid
+        (rows, columns) whether a column of cells is of metal.
+    layers
+        Cells from the surface (0) down to the base.
+    cooled
+        Whether the base keeps the ambient temperature; else no heat passes it.
+    tables
+        The material.
+    radiation_w_mm2k4
+        Heat that the surface radiates over T^4 - Ta^4.
+    ambient_k
+        Temperature of the chamber, and of everything at first.
+    """
+
+    origin: Floats
+    cell_mm: Floats
+    solid: Bools
+    layers: int
+    cooled: bool
+    tables: EnthalpyTables
+    radiation_w_mm2k4: float
+    ambient_k: float
+
+    @property
+    def longest_step_s(self) -> float:
+        """Longest time step: a share of what keeps the scheme stable."""
+        rate = 2.0 * self.tables.greatest_diffusivity_mm2_s * float((1.0 / self.cell_mm**2).sum())
+        return STABLE / rate
+
+    def cold(self) -> Floats:
+        """Heat content (layers, rows, columns) of a body at the ambient temperature, J/mm^3."""
+        return np.zeros((self.layers, *self.solid.shape))
+
+    def stored_j(self, content: Floats) -> float:
+        """Heat in the body over that at ambient temperature."""
+        return float(content[:, self.solid].sum() * self.cell_mm.prod())
+
+    def reading(self, islands: NDArray[np.object_]) -> tuple[Ints, Ints, Floats]:
+        """Cells of the surface that make up islands: first entry of each island (I + 1,), cells, weights."""
+        points, (rings, first_ring) = oriented_rings(islands, self.origin, self.cell_mm[:2])
+        owner, cell, share = islands_in_cells(points, rings, first_ring, self.solid.shape)
+        kept = (share > 0.0) & self.solid.ravel()[cell]
+        owner, cell, share = owner[kept], cell[kept], share[kept]
+        total = np.bincount(owner, share, len(islands))
+        first = np.concatenate([[0], np.cumsum(np.bincount(owner, minlength=len(islands)))])
+        return first.astype(np.int64), cell, share / total[owner]
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """What the referee found.
+
+    Parameters
+    ----------
+    entry_k
+        (I,) mean temperature rise of each island over ambient when the beam enters it, NaN where it has no cell.
+    content
+        Heat content at the end, (layers, rows, columns) J/mm^3.
+    absorbed_j, to_base_j, radiated_j
+        Balance of energy.
+    hottest_k
+        Greatest temperature met.
+    """
+
+    entry_k: Floats
+    content: Floats
+    absorbed_j: float
+    to_base_j: float
+    radiated_j: float
+    hottest_k: float
+
+
+def referee(section: BaseGeometry, profile: Config, height_mm: float, cell_mm: float) -> Referee:
+    """Lay cubes of about the given width over a section.
+
+    Raises
+    ------
+    GeometryError
+        If no cube lies in the section.
+    """
+    x0, y0, x1, y1 = section.bounds
+    columns, rows = max(1, round((x1 - x0) / cell_mm)), max(1, round((y1 - y0) / cell_mm))
+    depth_mm = max(height_mm, 0.0) + profile.process.base_plate_mm
+    layers = max(2, round(depth_mm / cell_mm))
+    cell = np.array([(x1 - x0) / columns, (y1 - y0) / rows, depth_mm / layers])
+    x, y = np.meshgrid(x0 + np.arange(columns) * cell[0], y0 + np.arange(rows) * cell[1])
+    boxes = shapely.box(x, y, x + cell[0], y + cell[1])
+    solid = shapely.area(shapely.intersection(boxes, section)) >= HALF * cell[0] * cell[1]
+    if not solid.any():
+        raise GeometryError(f"the section has no room for a cell of {cell_mm:g} mm: give smaller cells")
+    return Referee(
+        origin=np.array([x0, y0]),
+        cell_mm=cell,
+        solid=np.asarray(solid, np.bool_),
+        layers=layers,
+        cooled=profile.process.base == "cooled",
+        tables=enthalpy_tables(profile),
+        radiation_w_mm2k4=1e-6 * profile.material.emissivity * STEFAN_BOLTZMANN_W_M2K4,
+        ambient_k=profile.process.ambient_temperature_k,
+    )
+
+
+def judged(
+    model: Referee,
+    content: Floats,
+    lines: Floats,
+    begin_s: Floats,
+    end_s: Floats,
+    power_w: float,
+    islands: NDArray[np.object_],
+    entered_s: Floats,
+    until_s: float,
+) -> Verdict:
+    """Drive a beam along lines and read islands when they are entered.
+
+    Parameters
+    ----------
+    content
+        Heat content at the beginning.
+    lines
+        (V, 4) x0, y0, x1, y1 in the sequence in which they are driven, mm.
+    begin_s, end_s
+        (V,) times at which the beam is at their ends.
+    power_w
+        Power that the part takes up.
+    islands
+        (I,) polygons.
+    entered_s
+        (I,) times at which they are read.
+    until_s
+        End of the simulation.
+    """
+    first, cells, weights = model.reading(islands)
+    readings = np.argsort(entered_s, kind="stable")
+    steps = max(1, math.ceil(until_s / model.longest_step_s))
+    state = content.copy()
+    entry_k, balance = driven_by_beam(
+        state,
+        model.tables.temperature_k,
+        model.tables.theta_w_mm,
+        model.tables.step_j_mm3,
+        model.solid,
+        model.cell_mm,
+        model.cooled,
+        model.radiation_w_mm2k4,
+        model.ambient_k,
+        until_s / steps,
+        steps,
+        np.column_stack([lines - np.tile(model.origin, 2), begin_s, end_s]),
+        power_w,
+        readings.astype(np.int64),
+        np.asarray(entered_s, np.float64),
+        first,
+        cells,
+        weights,
+    )
+    entry_k[np.diff(first) == 0] = np.nan
+    return Verdict(entry_k, state, balance[0], balance[1], balance[2], balance[3])
+
+
+@kernel
+def at_content(table: Floats, step: float, content: float) -> float:
+    """Value of a table at a heat content."""
+    place = max(content / step, 0.0)
+    node = min(int(place), table.size - 2)
+    return float(table[node] + (table[node + 1] - table[node]) * (place - node))
+
+
+@kernel
+def driven_by_beam(
+    content: Floats,
+    temperature: Floats,
+    theta: Floats,
+    table_step: float,
+    solid: Bools,
+    cell: Floats,
+    cooled: bool,
+    radiation: float,
+    ambient: float,
+    step_s: float,
+    steps: int,
+    lines: Floats,
+    power: float,
+    readings: Ints,
+    entered: Floats,
+    first: Ints,
+    cells: Ints,
+    weights: Floats,
+) -> tuple[Floats, Floats]:
+    """March in time; `content` goes from the first to the last state.
+
+    Returns the temperature rise of the islands, and absorbed, to the base, radiated (J), hottest (K).
+    """
+    layers, rows, columns = content.shape
+    potential = np.zeros((layers, rows, columns))
+    entry_k, balance = np.zeros(len(entered)), np.zeros(4)
+    volume, face = cell[0] * cell[1] * cell[2], cell[0] * cell[1]
+    over = step_s / cell**2
+    line, reading = 0, 0
+    for step in range(steps + 1):
+        now = step * step_s
+        while reading < len(readings) and entered[readings[reading]] <= now + 0.5 * step_s:
+            island = readings[reading]
+            for m in range(first[island], first[island + 1]):
+                row, column = cells[m] // columns, cells[m] % columns
+                warm = at_content(temperature, table_step, content[0, row, column])
+                entry_k[island] += weights[m] * (warm - ambient)
+            reading += 1
+        if step == steps:
+            break
+        for z in range(layers):
+            for row in range(rows):
+                for column in range(columns):
+                    if solid[row, column]:
+                        potential[z, row, column] = at_content(theta, table_step, content[z, row, column])
+        # Radiation and the base see the temperatures at the beginning of the step, as conduction does.
+        for row in range(rows):
+            for column in range(columns):
+                if not solid[row, column]:
+                    continue
+                warm = at_content(temperature, table_step, content[0, row, column])
+                balance[3] = max(balance[3], warm)
+                lost = radiation * (warm**4 - ambient**4) * face * step_s
+                content[0, row, column] -= lost / volume
+                balance[2] += lost
+                if cooled:
+                    # The base lies half a cell under the last centre.
+                    passed = 2.0 * potential[layers - 1, row, column] / cell[2] * face * step_s
+                    content[layers - 1, row, column] -= passed / volume
+                    balance[1] += passed
+        conduct(content, potential, solid, over)
+        line = heat_along(content, solid, cell, lines, line, now, now + step_s, power, balance)
+    return entry_k, balance
+
+
+@kernel
+def conduct(content: Floats, potential: Floats, solid: Bools, over: Floats) -> None:
+    """Let heat pass every face between two cells of metal."""
+    layers, rows, columns = content.shape
+    for z in range(layers):
+        for row in range(rows):
+            for column in range(columns):
+                if not solid[row, column]:
+                    continue
+                here = potential[z, row, column]
+                if column + 1 < columns and solid[row, column + 1]:
+                    passed = over[0] * (here - potential[z, row, column + 1])
+                    content[z, row, column] -= passed
+                    content[z, row, column + 1] += passed
+                if row + 1 < rows and solid[row + 1, column]:
+                    passed = over[1] * (here - potential[z, row + 1, column])
+                    content[z, row, column] -= passed
+                    content[z, row + 1, column] += passed
+                if z + 1 < layers:
+                    passed = over[2] * (here - potential[z + 1, row, column])
+                    content[z, row, column] -= passed
+                    content[z + 1, row, column] += passed
+
+
+@kernel
+def heat_along(
+    content: Floats,
+    solid: Bools,
+    cell: Floats,
+    lines: Floats,
+    line: int,
+    begin: float,
+    end: float,
+    power: float,
+    balance: Floats,
+) -> int:
+    """Add what the beam brings from one time to another; returns the line that it is on."""
+    volume = cell[0] * cell[1] * cell[2]
+    while line < len(lines):
+        starts, ends = lines[line, 4], lines[line, 5]
+        low, high = max(starts, begin), min(ends, end)
+        if high > low:
+            share = (0.5 * (low + high) - starts) / (ends - starts)
+            x = lines[line, 0] + share * (lines[line, 2] - lines[line, 0])
+            y = lines[line, 1] + share * (lines[line, 3] - lines[line, 1])
+            balance[0] += volume * spread(
+                content, solid, x / cell[0], y / cell[1], power * (high - low) / volume
+            )
+        if ends > end:
+            break
+        line += 1
+    return line
+
+
+@kernel
+def spread(content: Floats, solid: Bools, x: float, y: float, heat: float) -> float:
+    """Add heat to the four cells of the surface around a place (in cells); the nearest one where none is of metal.
+
+    Returns what was added, which is all of it.
+    """
+    rows, columns = solid.shape
+    column, row = int(np.floor(x - 0.5)), int(np.floor(y - 0.5))
+    total = 0.0
+    for turn in range(2):
+        for dy in range(2):
+            for dx in range(2):
+                c, r = column + dx, row + dy
+                if c < 0 or r < 0 or c >= columns or r >= rows or not solid[r, c]:
+                    continue
+                weight = abs(1 - dx - (x - 0.5 - column)) * abs(1 - dy - (y - 0.5 - row))
+                if turn == 0:
+                    total += weight
+                else:
+                    content[0, r, c] += heat * weight / total
+        if total <= 0.0:
+            break
+    if total > 0.0:
+        return heat
+    nearest, best_row, best_column = np.inf, 0, 0
+    for r in range(rows):
+        for c in range(columns):
+            away = (c + 0.5 - x) ** 2 + (r + 0.5 - y) ** 2
+            if solid[r, c] and away < nearest:
+                nearest, best_row, best_column = away, r, c
+    content[0, best_row, best_column] += heat
+    return heat
