@@ -7,6 +7,7 @@ machine, process and material sections together are the *machine profile*.
 from __future__ import annotations
 
 import difflib
+import itertools
 import math
 import re
 import tomllib
@@ -439,6 +440,11 @@ class MaterialSettings(Section):
     """Temperature at which melting begins (Mills 2002)."""
     liquidus_k: Positive = 1923.0
     """Temperature at which it ends (Mills 2002)."""
+    boiling_k: Positive = 3533.0
+    """Temperature at which heat leaves as vapour, in the nonlinear referee (nominal)."""
+    melt_mixing: Annotated[float, Field(ge=1, allow_inf_nan=False)] = 4.0
+    """Conduction of the melt over that of still melt, in the nonlinear referee: convection carries the heat. Factors from
+    2 to 10 are in use; nominal."""
     emissivity: Annotated[float, Field(ge=0, le=1)] = 0.6
     """Radiation of the surface over that of a black body; 0.5 to 0.7 are published for hot Ti-6Al-4V."""
     absorptivity: Annotated[float, Field(gt=0, le=1)] = 0.87
@@ -447,7 +453,7 @@ class MaterialSettings(Section):
     @field_validator("conductivity_by_temperature", "heat_capacity_by_temperature")
     @classmethod
     def _rising(cls, value: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
-        if any(a[0] > b[0] for a, b in zip(value, value[1:], strict=False)):
+        if any(a[0] > b[0] for a, b in itertools.pairwise(value)):
             raise ValueError("give the temperatures in rising order")
         return value
 

@@ -60,7 +60,7 @@ def test_what_is_absorbed_is_stored_conducted_away_or_radiated(base):
         model, model.cold(), LINE, np.array([0.0]), np.array([5.0]), 6000.0, WHOLE, np.zeros(1), 60.0
     )
     assert found.absorbed_j == pytest.approx(30000.0, rel=1e-12)
-    left = found.to_base_j + found.radiated_j
+    left = found.to_base_j + found.radiated_j + found.evaporated_j
     assert model.stored_j(found.content) + left == pytest.approx(found.absorbed_j, rel=1e-9)
     assert found.radiated_j > 0.0
     assert (found.to_base_j > 0.0) == (base == "cooled")

@@ -61,8 +61,8 @@ class EnthalpyTables:
 def enthalpy_tables(profile: Config) -> EnthalpyTables:
     """Sum up the data of a profile's material, with its heat of fusion spread from solidus to liquidus."""
     material, ambient_k = profile.material, profile.process.ambient_temperature_k
-    capacity_at, capacities = np.transpose(material.heat_capacity_by_temperature)
-    conductivity_at, conductivities = np.transpose(material.conductivity_by_temperature)
+    capacity_at, capacities = np.array(material.heat_capacity_by_temperature, np.float64).T
+    conductivity_at, conductivities = np.array(material.conductivity_by_temperature, np.float64).T
     # The corners of the data are among the temperatures, so that the sums over straight pieces are exact.
     corners = np.concatenate([capacity_at, conductivity_at, [material.solidus_k, material.liquidus_k]])
     even = np.arange(ambient_k, HOTTEST_K + STEP_K, STEP_K)
@@ -70,6 +70,7 @@ def enthalpy_tables(profile: Config) -> EnthalpyTables:
     width, middle = np.diff(temperature), 0.5 * (temperature[:-1] + temperature[1:])
     capacity = np.interp(middle, capacity_at, capacities)
     conductivity = np.interp(middle, conductivity_at, conductivities)
+    conductivity[middle > material.liquidus_k] *= material.melt_mixing
     melted = np.interp(temperature, [material.solidus_k, material.liquidus_k], [0.0, 1.0])
     sensible = np.concatenate([[0.0], np.cumsum(capacity * width)])
     content = 1e-9 * material.density_kg_m3 * (sensible + material.latent_heat_j_kg * melted)

@@ -29,6 +29,13 @@ HALF = 0.5
 """Share of a cell in the section from which on it counts as whole."""
 
 
+BEAM_SHARE = 0.25
+"""Standard deviation of the beam's heat over the width of the bead: 95 % of it falls on the bead."""
+
+SPREAD = 3.0
+"""Standard deviations beyond which the beam brings nothing."""
+
+
 @dataclass(frozen=True, eq=False)
 class Referee:
     """A section extruded to its base, in cubes.
@@ -51,6 +58,10 @@ class Referee:
         Heat that the surface radiates over T^4 - Ta^4.
     ambient_k
         Temperature of the chamber, and of everything at first.
+    sigma_mm
+        Standard deviation of the beam's heat.
+    boiling_j_mm3
+        Heat content at the boiling point: more than that leaves the surface as vapour.
     """
 
     origin: Floats
@@ -61,6 +72,8 @@ class Referee:
     tables: EnthalpyTables
     radiation_w_mm2k4: float
     ambient_k: float
+    sigma_mm: float
+    boiling_j_mm3: float
 
     @property
     def longest_step_s(self) -> float:
@@ -97,7 +110,7 @@ class Verdict:
         (I,) mean temperature rise of each island over ambient when the beam enters it, NaN where it has no cell.
     content
         Heat content at the end, (layers, rows, columns) J/mm^3.
-    absorbed_j, to_base_j, radiated_j
+    absorbed_j, to_base_j, radiated_j, evaporated_j
         Balance of energy.
     hottest_k
         Greatest temperature met.
@@ -108,6 +121,7 @@ class Verdict:
     absorbed_j: float
     to_base_j: float
     radiated_j: float
+    evaporated_j: float
     hottest_k: float
 
 
@@ -129,15 +143,18 @@ def referee(section: BaseGeometry, profile: Config, height_mm: float, cell_mm: f
     solid = shapely.area(shapely.intersection(boxes, section)) >= HALF * cell[0] * cell[1]
     if not solid.any():
         raise GeometryError(f"the section has no room for a cell of {cell_mm:g} mm: give smaller cells")
+    tables = enthalpy_tables(profile)
     return Referee(
         origin=np.array([x0, y0]),
         cell_mm=cell,
         solid=np.asarray(solid, np.bool_),
         layers=layers,
         cooled=profile.process.base == "cooled",
-        tables=enthalpy_tables(profile),
+        tables=tables,
         radiation_w_mm2k4=1e-6 * profile.material.emissivity * STEFAN_BOLTZMANN_W_M2K4,
         ambient_k=profile.process.ambient_temperature_k,
+        sigma_mm=BEAM_SHARE * profile.process.bead_width_mm,
+        boiling_j_mm3=float(tables.heat_content(profile.material.boiling_k)),
     )
 
 
@@ -189,6 +206,8 @@ def judged(
         steps,
         np.column_stack([lines - np.tile(model.origin, 2), begin_s, end_s]),
         power_w,
+        model.sigma_mm,
+        model.boiling_j_mm3,
         readings.astype(np.int64),
         np.asarray(entered_s, np.float64),
         first,
@@ -196,7 +215,7 @@ def judged(
         weights,
     )
     entry_k[np.diff(first) == 0] = np.nan
-    return Verdict(entry_k, state, balance[0], balance[1], balance[2], balance[3])
+    return Verdict(entry_k, state, *balance.tolist())
 
 
 @kernel
@@ -222,6 +241,8 @@ def driven_by_beam(
     steps: int,
     lines: Floats,
     power: float,
+    sigma: float,
+    boiling: float,
     readings: Ints,
     entered: Floats,
     first: Ints,
@@ -230,11 +251,11 @@ def driven_by_beam(
 ) -> tuple[Floats, Floats]:
     """March in time; `content` goes from the first to the last state.
 
-    Returns the temperature rise of the islands, and absorbed, to the base, radiated (J), hottest (K).
+    Returns the temperature rise of the islands, and absorbed, to the base, radiated, evaporated (J), hottest (K).
     """
     layers, rows, columns = content.shape
     potential = np.zeros((layers, rows, columns))
-    entry_k, balance = np.zeros(len(entered)), np.zeros(4)
+    entry_k, balance = np.zeros(len(entered)), np.zeros(5)
     volume, face = cell[0] * cell[1] * cell[2], cell[0] * cell[1]
     over = step_s / cell**2
     line, reading = 0, 0
@@ -259,8 +280,12 @@ def driven_by_beam(
             for column in range(columns):
                 if not solid[row, column]:
                     continue
+                surplus = content[0, row, column] - boiling
+                if surplus > 0.0:
+                    content[0, row, column] = boiling
+                    balance[3] += surplus * volume
                 warm = at_content(temperature, table_step, content[0, row, column])
-                balance[3] = max(balance[3], warm)
+                balance[4] = max(balance[4], warm)
                 lost = radiation * (warm**4 - ambient**4) * face * step_s
                 content[0, row, column] -= lost / volume
                 balance[2] += lost
@@ -270,7 +295,7 @@ def driven_by_beam(
                     content[layers - 1, row, column] -= passed / volume
                     balance[1] += passed
         conduct(content, potential, solid, over)
-        line = heat_along(content, solid, cell, lines, line, now, now + step_s, power, balance)
+        line = heat_along(content, solid, cell, lines, line, now, now + step_s, power, sigma, balance)
     return entry_k, balance
 
 
@@ -308,6 +333,7 @@ def heat_along(
     begin: float,
     end: float,
     power: float,
+    sigma: float,
     balance: Floats,
 ) -> int:
     """Add what the beam brings from one time to another; returns the line that it is on."""
@@ -319,9 +345,9 @@ def heat_along(
             share = (0.5 * (low + high) - starts) / (ends - starts)
             x = lines[line, 0] + share * (lines[line, 2] - lines[line, 0])
             y = lines[line, 1] + share * (lines[line, 3] - lines[line, 1])
-            balance[0] += volume * spread(
-                content, solid, x / cell[0], y / cell[1], power * (high - low) / volume
-            )
+            heat = power * (high - low) / volume
+            reach = sigma / cell[:2]
+            balance[0] += volume * spread(content, solid, x / cell[0], y / cell[1], reach, heat)
         if ends > end:
             break
         line += 1
@@ -329,21 +355,21 @@ def heat_along(
 
 
 @kernel
-def spread(content: Floats, solid: Bools, x: float, y: float, heat: float) -> float:
-    """Add heat to the four cells of the surface around a place (in cells); the nearest one where none is of metal.
+def spread(content: Floats, solid: Bools, x: float, y: float, reach: Floats, heat: float) -> float:
+    """Add heat to the surface as a Gaussian around a place; all of it where no cell is in reach to the nearest.
 
-    Returns what was added, which is all of it.
+    `reach` (2,) is its standard deviation in cells, as `x` and `y` are. Returns what was added, which is all of it.
     """
     rows, columns = solid.shape
-    column, row = int(np.floor(x - 0.5)), int(np.floor(y - 0.5))
+    far_x, far_y = SPREAD * reach[0] + 1.0, SPREAD * reach[1] + 1.0
     total = 0.0
     for turn in range(2):
-        for dy in range(2):
-            for dx in range(2):
-                c, r = column + dx, row + dy
-                if c < 0 or r < 0 or c >= columns or r >= rows or not solid[r, c]:
+        for r in range(max(int(y - far_y), 0), min(int(y + far_y) + 1, rows)):
+            for c in range(max(int(x - far_x), 0), min(int(x + far_x) + 1, columns)):
+                if not solid[r, c]:
                     continue
-                weight = abs(1 - dx - (x - 0.5 - column)) * abs(1 - dy - (y - 0.5 - row))
+                away = ((c + 0.5 - x) / reach[0]) ** 2 + ((r + 0.5 - y) / reach[1]) ** 2
+                weight = np.exp(-0.5 * away)
                 if turn == 0:
                     total += weight
                 else:
