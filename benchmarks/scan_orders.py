@@ -1,23 +1,32 @@
-"""Scan orders on layers of the reference models: ``python -m benchmarks.scan_orders [--csv FILE] [--scale 2.5 --side 10]``.
+"""Scan orders on layers of the reference models: ``python -m benchmarks.scan_orders``; tables in reports/scan.
 
-Medians over the layers of what `thermal` has over `farthest` and `raster`, for a cooled and an insulated base.
+Medians over the layers of what `thermal` has over `farthest` and `raster`, for a cooled and an insulated base, by the
+linear model (finer than the one that plans) and by the nonlinear referee, and how far the two agree in rank.
 """
 
 from __future__ import annotations
 
 import argparse
+import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 import shapely
-from shapely import affinity
+from scipy.stats import kendalltau
+from shapely.geometry.base import BaseGeometry
 
-from ebamcheck import compare_orders
+from benchmarks.machine import machine
 from ebamcheck.config import Config
 from ebamcheck.model import models
-from ebamcheck.scan.comparing import COMPARED
+from ebamcheck.scan.comparing import COMPARED, RANDOM, OrderComparison, OrderResult
+from ebamcheck.scan.order import scan_order
+from ebamcheck.scan.planning import lay_islands
+from ebamcheck.scan.refereed import referee_of, refereed
+from ebamcheck.scan.regions import layer_section
 
 MODELS = ("ladder", "torus", "prism", "helical-channel", "blade", "impeller", "two-spheres", "case-cura-1473")
 """Models whose layers are large enough for a partition at the default bead."""
@@ -28,81 +37,221 @@ SHARES = (0.07, 0.31, 0.53, 0.77, 0.93)
 LEAST_ISLANDS = 12
 """Layers of fewer islands leave an order no choice."""
 
-SEEDS = 5
+SEEDS = 20
 """Seeds of the order `random`."""
 
-RATIOS = {
-    "entry max / farthest": ("entry_max_k", "farthest", 0.5),
-    "entry max / raster": ("entry_max_k", "raster", 0.2),
-    "travel / farthest": ("travel_mm", "farthest", 0.5),
-    "layer time / raster": ("time_s", "raster", 1.1),
-}
-"""Figures of `thermal` over those of another order, and the target."""
+BASES = ("cooled", "insulated")
+
+LARGE = shapely.box(0, 0, 400, 230), 4.0
+"""A layer of more than 2000 islands: its outline and the side of its hexagons, mm."""
+
+DEFAULT_OUTPUT = Path("reports/scan")
+
+FIGURES = (
+    "entry_max_k",
+    "entry_sd_k",
+    "excess_uniformity",
+    "interval_p10_s",
+    "travel_mm",
+    "time_s",
+    "referee_max_k",
+)
 
 
-def compared(names: tuple[str, ...], orders: tuple[str, ...], profile: Config, scale: float) -> pd.DataFrame:
-    """Compare orders on all layers that are large enough; one row a layer and order."""
-    tables = []
+class Ratio(NamedTuple):
+    """A figure of `thermal` over that of another order."""
+
+    what: str
+    figure: str
+    other: str
+    most: float
+
+
+RATIOS = (
+    Ratio("entry temperature rise, greatest", "entry_max_k", "farthest", 0.5),
+    Ratio("entry temperature rise, greatest", "entry_max_k", "raster", 0.2),
+    Ratio("the same by the nonlinear referee", "referee_max_k", "farthest", 0.7),
+    Ratio("the same by the nonlinear referee", "referee_max_k", "raster", 0.25),
+    Ratio("jump travel", "travel_mm", "farthest", 0.5),
+    Ratio("layer time", "time_s", "raster", 1.1),
+)
+
+LEAST_TAU = 0.9
+"""Rank agreement of the linear model and the referee over a cooled base."""
+
+SETUP_S, PLAN_S = 20.0, 1.0
+"""Times for a layer of 2000 islands: set-up of the heat model, and planning."""
+
+
+def compared(
+    names: tuple[str, ...], orders: tuple[str, ...], profile: Config
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Compare orders on all layers that are large enough.
+
+    Returns one row a layer, order and seed; and one row a layer with the agreement in rank.
+    """
+    plans, ranks = [], []
+    for name, height_mm, section in layers(names):
+        comparison = OrderComparison.of(section, profile, 0, height_mm)
+        if len(comparison.islands) < LEAST_ISLANDS:
+            continue
+        judge = referee_of(comparison.laid, profile)
+        rows, by_island = [], []
+        for order in orders:
+            for result in comparison.results(order, SEEDS):
+                found = refereed(judge, result.plan, profile).entry_k
+                rows.append({"order": order, **result.figures(), "referee_max_k": float(np.nanmax(found))})
+                by_island.append(agreement(result, found))
+        table = pd.DataFrame(rows)
+        place: dict[str, Any] = {"model": name, "height_mm": height_mm, "islands": len(comparison.islands)}
+        plans.append(table.assign(**place))
+        of_orders = kendalltau(table["entry_max_k"], table["referee_max_k"]).statistic
+        ranks.append({**place, "tau_of_plans": of_orders, "tau_of_islands": float(np.median(by_island))})
+        print(f"{name}, {height_mm:.0f} mm: {len(comparison.islands)} islands", file=sys.stderr, flush=True)
+    return pd.concat(plans, ignore_index=True), pd.DataFrame(ranks)
+
+
+def layers(names: tuple[str, ...]) -> Iterator[tuple[str, float, BaseGeometry]]:
+    """Layers of the models: name, height over the lowest point, section."""
     for name, model in models(names).items():
         low, high = model.bounds[:, 2]
         for share in SHARES:
-            section = shapely.union_all(model.section(float(low + share * (high - low))))
-            larger = affinity.scale(section, scale, scale, origin=(0, 0))
-            height_mm = float(scale * share * (high - low))
-            table = compare_orders(larger, profile, orders, seeds=SEEDS, height_mm=height_mm)
-            tables.append(table.assign(model=name, height_mm=height_mm))
-    table = pd.concat(tables, ignore_index=True)
-    return table[table["islands"] >= LEAST_ISLANDS]
+            z = float(low + share * (high - low))
+            yield name, z - float(low), layer_section(model.section(z))
 
 
-def ratios(table: pd.DataFrame) -> pd.DataFrame:
-    """Ratios of :data:`RATIOS` by layer."""
-    wide = table.pivot_table(index=["model", "height_mm"], columns="order")
-    return pd.DataFrame(
-        {
-            name: wide[(figure, "thermal")] / wide[(figure, other)]
-            for name, (figure, other, _) in RATIOS.items()
-        }
-    )
+def agreement(result: OrderResult, referee_k: np.ndarray) -> float:
+    """Kendall's tau of the islands of a plan by their entry temperature; the first one is cold in any model."""
+    rest = (result.rank > 0) & np.isfinite(referee_k)
+    return float(kendalltau(result.entry_k[rest], referee_k[rest]).statistic)
 
 
-def report(base: str, table: pd.DataFrame) -> None:
-    """Print medians of the figures and of the ratios."""
-    figures = ["entry_max_k", "entry_sd_k", "excess_uniformity", "interval_p10_s", "travel_mm", "time_s"]
-    found = ratios(table)
-    islands = table["islands"].median()
-    print(
-        f"\n{base} base: medians of {len(found)} layers of {table['model'].nunique()} models, {islands:.0f} islands"
-    )
-    print(table.groupby("order", sort=False)[figures].median().round(2).to_string())
-    for name, (_, _, target) in RATIOS.items():
-        low, middle, high = np.quantile(found[name], [0.1, 0.5, 0.9])
-        verdict = "met" if middle <= target else "missed"
-        print(f"{name}: {middle:.2f} (10 % {low:.2f}, 90 % {high:.2f}), target {target:g}: {verdict}")
+def by_layer(plans: pd.DataFrame) -> pd.DataFrame:
+    """Figures of each layer and order, those of `random` as means over its seeds."""
+    return plans.groupby(["model", "height_mm", "order"], sort=False).mean(numeric_only=True).reset_index()
+
+
+def ratio_rows(base: str, plans: pd.DataFrame) -> list[dict[str, Any]]:
+    """Rows of the table of targets: medians over the layers, with the tenth and ninetieth percentile."""
+    wide = by_layer(plans).pivot_table(index=["model", "height_mm"], columns="order")
+    rows = []
+    for ratio in RATIOS:
+        values = wide[(ratio.figure, "thermal")] / wide[(ratio.figure, ratio.other)]
+        what = f"{ratio.what}: thermal over {ratio.other}"
+        rows.append(target_row(base, what, values.to_numpy(), ratio.most, at_most=True))
+    return rows
+
+
+def tau_rows(base: str, ranks: pd.DataFrame) -> list[dict[str, Any]]:
+    """Rows of the agreement in rank."""
+    return [
+        target_row(
+            base, f"Kendall's tau, linear against nonlinear, of {what}", ranks[column].to_numpy(), LEAST_TAU
+        )
+        for what, column in (
+            ("the plans of a layer by their greatest entry temperature", "tau_of_plans"),
+            ("the islands of a plan by their entry temperature", "tau_of_islands"),
+        )
+    ]
+
+
+def target_row(
+    base: str, what: str, values: np.ndarray, limit: float, at_most: bool = False
+) -> dict[str, Any]:
+    """Median and spread beside a target, which is one for the cooled base only."""
+    low, middle, high = np.quantile(values, [0.1, 0.5, 0.9])
+    met = middle <= limit if at_most else middle >= limit
+    verdict = "reported" if base != "cooled" else "met" if met else "missed"
+    sign = "<=" if at_most else ">="
+    return {
+        "base": base,
+        "what": what,
+        "median": f"{middle:.2f}",
+        "10 % to 90 %": f"{low:.2f} to {high:.2f}",
+        "target": f"{sign} {limit:g}" if base == "cooled" else "-",
+        "result": verdict,
+    }
+
+
+def large_rows() -> list[dict[str, Any]]:
+    """Rows of the times for a layer of more than 2000 islands."""
+    section, side_mm = LARGE
+    profile = Config().changed(scan={"hexagon_side_mm": side_mm})
+    laid = lay_islands(layer_section(section), profile, 0, 30.0)
+    rows = []
+    for turn in range(2):  # the first one also brings the compiled code up
+        islands = laid.choices(profile, profile.scan.seed)
+        began = time.perf_counter()
+        modes = islands.heat.mean.shape[0]
+        ready = time.perf_counter()
+        scan_order("thermal", islands)
+        done = time.perf_counter()
+        if turn == 0:
+            continue
+        what = f"{len(islands)} islands, {modes} modes"
+        for part, seconds, most in (("set-up", ready - began, SETUP_S), ("planning", done - ready, PLAN_S)):
+            rows.append(
+                {
+                    "base": "cooled",
+                    "what": f"{what}: {part}, s",
+                    "median": f"{seconds:.2f}",
+                    "10 % to 90 %": "-",
+                    "target": f"<= {most:g}",
+                    "result": "met" if seconds <= most else "missed",
+                }
+            )
+    return rows
+
+
+def markdown(table: pd.DataFrame) -> str:
+    """Write a table as Markdown."""
+    lines = ["| " + " | ".join(table.columns) + " |", "|" + "---|" * len(table.columns)]
+    lines += ["| " + " | ".join(str(value) for value in row) + " |" for row in table.itertuples(index=False)]
+    return "\n".join(lines) + "\n"
+
+
+def figures_table(plans: pd.DataFrame) -> pd.DataFrame:
+    """Medians over the layers of the figures of every order."""
+    medians = by_layer(plans).groupby("order", sort=False)[list(FIGURES)].median()
+    digits = {name: 2 if name == "excess_uniformity" else 0 for name in FIGURES}
+    texts = {name: medians[name].map(f"{{:.{digits[name]}f}}".format) for name in FIGURES}
+    return pd.DataFrame(texts).reset_index()
 
 
 def main() -> None:
-    """Compare, print, and write all figures."""
+    """Compare, print, and write tables and all figures."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--csv", type=Path, help="file for all figures")
-    parser.add_argument("--scale", type=float, default=1.0, help="enlarge the models")
-    parser.add_argument("--side", type=float, help="side of the hexagons, mm; default: planned")
+    parser.add_argument("-o", "--output", type=Path, default=DEFAULT_OUTPUT)
     parser.add_argument("--models", default=",".join(MODELS))
-    parser.add_argument("--orders", default=",".join(COMPARED))
-    parser.add_argument("--bases", default="cooled,insulated")
+    parser.add_argument(
+        "--orders", default=",".join(COMPARED), help=f"`{RANDOM}` is tried with {SEEDS} seeds"
+    )
     options = parser.parse_args()
+    options.output.mkdir(parents=True, exist_ok=True)
     began = time.perf_counter()
-    tables = []
-    for base in options.bases.split(","):
-        profile = Config().changed(process={"base": base}, scan={"hexagon_side_mm": options.side})
-        table = compared(
-            tuple(options.models.split(",")), tuple(options.orders.split(",")), profile, options.scale
-        )
-        report(base, table)
-        tables.append(table.assign(base=base))
-    if options.csv:
-        pd.concat(tables).to_csv(options.csv, index=False)
-    print(f"\n{time.perf_counter() - began:.0f} s")
+    rows, tables = [], []
+    for base in BASES:
+        profile = Config().changed(process={"base": base})
+        plans, ranks = compared(tuple(options.models.split(",")), tuple(options.orders.split(",")), profile)
+        rows += ratio_rows(base, plans) + tau_rows(base, ranks)
+        count, islands = len(ranks), ranks["islands"].median()
+        title = f"## {base} base: medians of {count} layers of {ranks['model'].nunique()} models, {islands:.0f} islands"
+        tables.append(f"{title}\n\n{markdown(figures_table(plans))}")
+        plans.round(4).to_csv(options.output / f"{base}-plans.csv", index=False)
+        ranks.round(4).to_csv(options.output / f"{base}-ranks.csv", index=False)
+    rows += large_rows()
+    seconds, here = time.perf_counter() - began, machine()
+    text = "\n".join(
+        [
+            "# Scan orders by heat\n",
+            f"By `python -m benchmarks.scan_orders`, {seconds:.0f} s on {here['cores']} cores of {here['cpu']}.\n",
+            "Temperatures are rises over the chamber, K; `referee_max_k` is by the nonlinear referee.\n",
+            markdown(pd.DataFrame(rows)),
+            *tables,
+        ]
+    )
+    (options.output / "orders.md").write_text(text, encoding="utf-8")
+    print(text)
 
 
 if __name__ == "__main__":

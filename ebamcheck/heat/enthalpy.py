@@ -49,7 +49,8 @@ class EnthalpyTables:
 
     def heat_content(self, temperature_k: ArrayLike) -> Floats:
         """Heat content at temperatures, J/mm^3."""
-        place = np.interp(temperature_k, self.temperature_k, np.arange(len(self.temperature_k)))
+        where = np.asarray(temperature_k, np.float64)
+        place = np.interp(where, self.temperature_k, np.arange(len(self.temperature_k)))
         return np.asarray(self.step_j_mm3 * place, np.float64)
 
     def temperature(self, heat_content_j_mm3: ArrayLike) -> Floats:
@@ -61,15 +62,17 @@ class EnthalpyTables:
 def enthalpy_tables(profile: Config) -> EnthalpyTables:
     """Sum up the data of a profile's material, with its heat of fusion spread from solidus to liquidus."""
     material, ambient_k = profile.material, profile.process.ambient_temperature_k
-    capacity_at, capacities = np.array(material.heat_capacity_by_temperature, np.float64).T
-    conductivity_at, conductivities = np.array(material.conductivity_by_temperature, np.float64).T
+    capacities: Floats = np.array(material.heat_capacity_by_temperature, np.float64)
+    conductivities: Floats = np.array(material.conductivity_by_temperature, np.float64)
     # The corners of the data are among the temperatures, so that the sums over straight pieces are exact.
-    corners = np.concatenate([capacity_at, conductivity_at, [material.solidus_k, material.liquidus_k]])
+    corners = np.concatenate(
+        [capacities[:, 0], conductivities[:, 0], [material.solidus_k, material.liquidus_k]]
+    )
     even = np.arange(ambient_k, HOTTEST_K + STEP_K, STEP_K)
     temperature = np.union1d(even, corners[(corners > ambient_k) & (corners < HOTTEST_K)])
     width, middle = np.diff(temperature), 0.5 * (temperature[:-1] + temperature[1:])
-    capacity = np.interp(middle, capacity_at, capacities)
-    conductivity = np.interp(middle, conductivity_at, conductivities)
+    capacity = np.interp(middle, capacities[:, 0], capacities[:, 1])
+    conductivity = np.interp(middle, conductivities[:, 0], conductivities[:, 1])
     conductivity[middle > material.liquidus_k] *= material.melt_mixing
     melted = np.interp(temperature, [material.solidus_k, material.liquidus_k], [0.0, 1.0])
     sensible = np.concatenate([[0.0], np.cumsum(capacity * width)])
