@@ -52,6 +52,9 @@ WITHOUT_UNIT = {
     "least_coverage",  # fraction of an area
     "seed",
     "stride",  # islands
+    "conductivity_by_temperature",  # pairs of K and W/(m K)
+    "heat_capacity_by_temperature",  # pairs of K and J/(kg K)
+    "melt_mixing",  # factor of the conductivity
     "travel_share",  # of another order's travel
     "annealing_steps",
     "ramp_power",  # share of the power

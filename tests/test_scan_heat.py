@@ -8,12 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
+from threadpoolctl import threadpool_info
 
 import ebamcheck
 from ebamcheck import registry
 from ebamcheck.config import SCAN_ORDERS, Config
 from ebamcheck.errors import SettingsError
 from ebamcheck.heat import Medium
+from ebamcheck.heat.one_blas_thread import one_blas_thread
 from ebamcheck.scan import ORDERS, LayerIslands, plan_scan
 from ebamcheck.scan.annealing import annealed, drive_from, moved
 from ebamcheck.scan.comparing import COMPARED, FIGURES, OrderComparison
@@ -304,3 +306,15 @@ def test_annealing_keeps_to_the_travel_that_is_allowed(choices):
     begin, stop, way = clocked(better, drive.entry, drive.leave, drive.time_s, RAPID)
     assert way <= travel + 1e-6
     assert entered(heat, better, begin, stop)[0].max() < entered(heat, order, start, end)[0].max()
+
+
+def test_blas_has_one_thread_while_any_layer_is_planned():
+    def threads():
+        return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+
+    before = threads()
+    with one_blas_thread():
+        with one_blas_thread():
+            assert threads() == {1}
+        assert threads() == {1}
+    assert threads() == before

@@ -17,6 +17,7 @@ from scipy.sparse.linalg import eigsh
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.errors import GeometryError
+from ebamcheck.heat.one_blas_thread import one_blas_thread
 from ebamcheck.heat.section_grid import SectionGrid, section_grid
 from ebamcheck.layers import valid_polygons
 from ebamcheck.rings import Floats, Ints
@@ -88,6 +89,7 @@ def eigenvalue_of(area_mm2: float, perimeter_mm: float, count: float) -> float:
     return (math.sqrt(half**2 + 4.0 * math.pi * count / area_mm2) - half) ** 2
 
 
+@one_blas_thread()
 def contour_modes(
     section: BaseGeometry,
     largest_eigenvalue: float,

@@ -16,6 +16,7 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.backend import Progress
 from ebamcheck.config import Config
+from ebamcheck.heat.one_blas_thread import one_blas_thread
 from ebamcheck.kernels import run_blocks
 from ebamcheck.layers import Layers
 from ebamcheck.rings import Bools, Floats, Ints
@@ -156,6 +157,7 @@ class LayerPlan:
     vectors: Vectors
 
 
+@one_blas_thread()
 def plan_layer(
     section: BaseGeometry, profile: Config, order: str, seed: int, layer: int, height_mm: float
 ) -> LayerPlan:

@@ -1,0 +1,42 @@
+"""Linear algebra on the thread that calls it.
+
+Layers are spread over our own threads. Were BLAS to spread each of them over threads of its own, they would wait
+for each other by spinning: planning on a busy machine then takes ten times as long.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from threading import Lock
+
+from threadpoolctl import ThreadpoolController, threadpool_limits
+
+_LOCK = Lock()
+_entered = 0
+_limits: threadpool_limits | None = None
+
+
+@cache
+def _controller() -> ThreadpoolController:
+    """The BLAS libraries of the process; finding them takes milliseconds."""
+    return ThreadpoolController()
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Hold BLAS to one thread until the last of all threads that asked for it is done."""
+    global _entered, _limits
+    with _LOCK:
+        _entered += 1
+        if _entered == 1:
+            _limits = _controller().limit(limits=1, user_api="blas")
+    try:
+        yield
+    finally:
+        with _LOCK:
+            _entered -= 1
+            if _entered == 0 and _limits is not None:
+                _limits.restore_original_limits()
+                _limits = None
