@@ -34,8 +34,8 @@ MODELS = ("ladder", "torus", "prism", "helical-channel", "blade", "impeller", "t
 SHARES = (0.07, 0.31, 0.53, 0.77, 0.93)
 """Heights of the layers, as shares of the model's height: none of them at a step."""
 
-LEAST_ISLANDS = 12
-"""Layers of fewer islands leave an order no choice."""
+LEAST_ISLANDS, MANY_ISLANDS = 12, 40
+"""Layers of fewer islands leave an order no choice; the more there are, the more it can do."""
 
 SEEDS = 20
 """Seeds of the order `random`."""
@@ -131,13 +131,17 @@ def by_layer(plans: pd.DataFrame) -> pd.DataFrame:
     return plans.groupby(["model", "height_mm", "order"], sort=False).mean(numeric_only=True).reset_index()
 
 
-def ratio_rows(base: str, plans: pd.DataFrame) -> list[dict[str, Any]]:
+def ratio_rows(base: str, plans: pd.DataFrame, least_islands: int = LEAST_ISLANDS) -> list[dict[str, Any]]:
     """Rows of the table of targets: medians over the layers, with the tenth and ninetieth percentile."""
+    plans = plans[plans["islands"] >= least_islands]
+    if plans.empty:
+        return []
+    suffix = f" (layers of {least_islands} islands or more)" if least_islands > LEAST_ISLANDS else ""
     wide = by_layer(plans).pivot_table(index=["model", "height_mm"], columns="order")
     rows = []
     for ratio in RATIOS:
         values = wide[(ratio.figure, "thermal")] / wide[(ratio.figure, ratio.other)]
-        what = f"{ratio.what}: thermal over {ratio.other}"
+        what = f"{ratio.what}: thermal over {ratio.other}{suffix}"
         rows.append(target_row(base, what, values.to_numpy(), ratio.most, at_most=True))
     return rows
 
@@ -233,7 +237,7 @@ def main() -> None:
     for base in BASES:
         profile = Config().changed(process={"base": base})
         plans, ranks = compared(tuple(options.models.split(",")), tuple(options.orders.split(",")), profile)
-        rows += ratio_rows(base, plans) + tau_rows(base, ranks)
+        rows += ratio_rows(base, plans) + ratio_rows(base, plans, MANY_ISLANDS) + tau_rows(base, ranks)
         count, islands = len(ranks), ranks["islands"].median()
         title = f"## {base} base: medians of {count} layers of {ranks['model'].nunique()} models, {islands:.0f} islands"
         tables.append(f"{title}\n\n{markdown(figures_table(plans))}")
