@@ -155,8 +155,11 @@ class ScanSettings(Section):
     """Travel that weighs as much as one start of the wire, for `thermal`."""
     annealing_steps: Annotated[int, Field(ge=0)] = 4000
     """Moves of islands that `thermal` tries at the end, keeping those that help; fewer on layers of many islands."""
-    least_coverage: Annotated[float, Field(gt=0, le=1)] = 0.95
+    least_coverage: Annotated[float, Field(gt=0, le=1)] = 0.98
     """Gate of the coverage: fraction of each layer's area that the beads must cover."""
+    gap_width: Positive = 0.2
+    """Bare spots this wide, over the bead width, get a bead of their own; narrower ones (corners of 90 degrees: 0.17)
+    only while a layer is covered less than least_coverage, for every bead is a start of the wire."""
     contour_offset_mm: NotNegative | None = None
     """Inset of the contour bead's centre line from the contour; None: half a bead width."""
 

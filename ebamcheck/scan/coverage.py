@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import shapely
@@ -21,6 +22,9 @@ SAMPLES_PER_BEAD = 12
 SAMPLES_PER_WALL = 4
 """Samples across the section where it is narrower than a bead."""
 
+FEWEST_SAMPLES = 20_000
+"""Samples on the rectangle around a section at least: a small one is known to about 0.2 % then, too."""
+
 MOST_SAMPLES = 1_000_000
 """Samples on one layer; a larger one is sampled more coarsely."""
 
@@ -37,13 +41,43 @@ def covered_fraction(section: BaseGeometry, segments: Floats, bead_width_mm: flo
     bead_width_mm
         Width of the beads.
     """
+    return bare_samples(section, segments, bead_width_mm).covered
+
+
+@dataclass(frozen=True, eq=False)
+class BareSamples:
+    """What beads leave of a section, on a grid.
+
+    Parameters
+    ----------
+    grid
+        (rows, columns) 1 where the section is bare; sample (r, c) stands for the square from
+        ``origin + step (c, r)`` to ``origin + step (c + 1, r + 1)``.
+    origin
+        (2,) lower left corner, mm.
+    step_mm
+        Distance of the samples.
+    covered
+        Share of the section's samples that are covered; 1 without any.
+    """
+
+    grid: NDArray[np.uint8]
+    origin: Floats
+    step_mm: float
+    covered: float
+
+
+def bare_samples(section: BaseGeometry, segments: Floats, bead_width_mm: float) -> BareSamples:
+    """Sample what lies further than half a bead width from every segment; as :func:`covered_fraction`."""
     parts = valid_polygons(section)
     if not parts:
-        return 1.0
+        return BareSamples(np.zeros((0, 0), np.uint8), np.zeros(2), bead_width_mm, 1.0)
     x0, y0, x1, y1 = shapely.total_bounds(parts)
-    narrowest = min(mean_width_mm(p) for p in parts)
-    step = min(bead_width_mm / SAMPLES_PER_BEAD, narrowest / SAMPLES_PER_WALL)
-    step = max(step, math.sqrt((x1 - x0) * (y1 - y0) / MOST_SAMPLES))
+    narrowest, box = min(mean_width_mm(p) for p in parts), (x1 - x0) * (y1 - y0)
+    step = min(
+        bead_width_mm / SAMPLES_PER_BEAD, narrowest / SAMPLES_PER_WALL, math.sqrt(box / FEWEST_SAMPLES)
+    )
+    step = max(step, math.sqrt(box / MOST_SAMPLES))
     columns, rows = max(1, math.ceil((x1 - x0) / step)), max(1, math.ceil((y1 - y0) / step))
     polygons = np.empty(len(parts), object)
     polygons[:] = parts
@@ -52,10 +86,9 @@ def covered_fraction(section: BaseGeometry, segments: Floats, bead_width_mm: flo
     origin = np.array([x0, y0])
     mark_inside(grid, points - origin, ring_starts, step)
     solid = int(np.count_nonzero(grid))
-    if solid == 0:
-        return 1.0
     mark_beads(grid, segments - np.concatenate([origin, origin]), 0.5 * bead_width_mm, step)
-    return 1.0 - int(np.count_nonzero(grid)) / solid
+    covered = 1.0 - int(np.count_nonzero(grid)) / solid if solid else 1.0
+    return BareSamples(grid, origin, step, covered)
 
 
 def segments_of(region: BaseGeometry) -> Floats:

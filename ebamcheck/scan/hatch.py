@@ -86,7 +86,7 @@ def hatch(
         angles[i] = _long_direction(geometries[i])
     if missed.size:
         rest = _scan(geometries[missed], angles[missed], bead_width_mm, spacing_mm, 0.0)
-        vectors = _joined(vectors, Vectors(missed[rest.island], rest.start, rest.end))
+        vectors = joined(vectors, Vectors(missed[rest.island], rest.start, rest.end))
     return vectors, angles
 
 
@@ -95,8 +95,8 @@ def _long_direction(island: shapely.Polygon) -> float:
     return minimum_rectangle(shapely.get_coordinates(shapely.convex_hull(island))).angle_rad + 0.5 * math.pi
 
 
-def _joined(first: Vectors, second: Vectors) -> Vectors:
-    """Both sets sorted by island."""
+def joined(first: Vectors, second: Vectors) -> Vectors:
+    """Both sets sorted by island; within one, those of the first set come first."""
     island = np.concatenate([first.island, second.island])
     order = np.argsort(island, kind="stable")
     start, end = np.vstack([first.start, second.start]), np.vstack([first.end, second.end])

@@ -16,8 +16,8 @@ from ebamcheck.scan.borders import shared_borders
 from ebamcheck.scan.lattice import SQRT3, Lattice
 from ebamcheck.scan.regions import equivalent_rectangles_mm
 
-HEXAGON, WHOLE, THIN_WALL = "hexagon", "whole", "thin wall"
-"""Kinds of islands: a clipped hexagon, a solid too small to divide, a thin wall."""
+HEXAGON, WHOLE, THIN_WALL, GAP = "hexagon", "whole", "thin wall", "gap"
+"""Kinds of islands: a clipped hexagon, a solid too small to divide, a thin wall, a spot left by all of these."""
 
 SLIVER_AREA = 1.0
 """Islands under this times the squared bead width are slivers: a bead hardly starts before it stops."""

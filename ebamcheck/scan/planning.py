@@ -22,9 +22,9 @@ from ebamcheck.layers import Layers
 from ebamcheck.rings import Bools, Floats, Ints
 from ebamcheck.scan import islands as cells
 from ebamcheck.scan.borders import shared_borders
-from ebamcheck.scan.coverage import covered_fraction, segments_of
 from ebamcheck.scan.drive import island_drive
-from ebamcheck.scan.hatch import Vectors, hatch
+from ebamcheck.scan.filling import fill_layer
+from ebamcheck.scan.hatch import Vectors
 from ebamcheck.scan.lattice import hexagon_lattice, planned_side_mm
 from ebamcheck.scan.order import LayerIslands, scan_order
 from ebamcheck.scan.path import enter_nearest
@@ -32,7 +32,6 @@ from ebamcheck.scan.plan import METRICS, ScanPlan, empty_vectors
 from ebamcheck.scan.rectangle import minimum_rectangle
 from ebamcheck.scan.regions import Regions, layer_regions, layer_section
 from ebamcheck.scan.simulate import EARLY, neighbour_intervals_s, simulate_order
-from ebamcheck.scan.walls import wall_lines
 
 
 def plan_scan(
@@ -176,24 +175,21 @@ def lay_islands(section: BaseGeometry, profile: Config, layer: int, height_mm: f
     regions = layer_regions(section, profile)
     side = _side_mm(regions, profile)
     found = _partition(regions, side, profile)
-    walls = [*regions.narrow_fills, *regions.bare_walls]
-    islands = np.concatenate([found.polygons, cells.column(walls)])
-    lines, chained = _fill(found, walls, profile, layer)
-    neighbours, border = shared_borders(islands)
-    beads = np.vstack([segments_of(regions.contour), np.hstack([lines.start, lines.end])])
+    filled = fill_layer(regions, found, profile, layer)
+    neighbours, border = shared_borders(filled.islands)
     return LaidLayer(
         layer=layer,
         height_mm=height_mm,
         side_mm=side,
         regions=regions,
-        islands=islands,
-        kind=np.concatenate([found.kind, np.full(len(walls), cells.THIN_WALL)]).astype(np.str_),
-        centroid=cells.centroids(islands),
+        islands=filled.islands,
+        kind=filled.kind,
+        centroid=cells.centroids(filled.islands),
         neighbours=neighbours,
         border_mm=border,
-        lines=lines,
-        chained=chained,
-        covered=covered_fraction(section, beads, profile.process.bead_width_mm),
+        lines=filled.lines,
+        chained=filled.chained,
+        covered=filled.covered,
     )
 
 
@@ -216,34 +212,6 @@ def _partition(regions: Regions, side_mm: float, profile: Config) -> cells.Cells
     return cells.partition(
         regions.solids, hexagon_lattice(around, side_mm), process.bead_width_mm, process.hatch_spacing_mm
     )
-
-
-def _fill(
-    found: cells.Cells, walls: Sequence[shapely.Polygon], profile: Config, layer: int
-) -> tuple[Vectors, Bools]:
-    """Lines of all islands, sorted by island, and which islands' lines follow each other."""
-    width, spacing = profile.process.bead_width_mm, profile.process.hatch_spacing_mm
-    turn = profile.scan.first_angle_deg + layer * profile.scan.layer_angle_deg
-    angle = np.radians(turn + found.colour * profile.scan.island_angle_deg)
-    hatched, _ = hatch(found.polygons, angle, width, spacing)
-    count = len(found.polygons)
-    owner, start, end = [hatched.island], [hatched.start], [hatched.end]
-    for number, wall in enumerate(walls, count):
-        lines = wall_lines(wall, width, spacing)
-        if lines:
-            along = Vectors(
-                np.full(sum(len(line) - 1 for line in lines), number, np.int64),
-                np.concatenate([line[:-1] for line in lines]),
-                np.concatenate([line[1:] for line in lines]),
-            )
-        else:  # too short or too crooked for a centre line
-            straight, _ = hatch(cells.column([wall]), 0.0, width, spacing)
-            along = Vectors(straight.island + number, straight.start, straight.end)
-        owner.append(along.island)
-        start.append(along.start)
-        end.append(along.end)
-    chained = np.arange(count + len(walls)) >= count
-    return Vectors(np.concatenate(owner), np.concatenate(start), np.concatenate(end)), chained
 
 
 def _driven(vectors: Vectors, order: Ints, chained: Bools) -> Vectors:

@@ -1,0 +1,117 @@
+"""Fill the islands of one layer: hatch lines, beads along walls, and beads over what these leave bare."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from ebamcheck.config import Config
+from ebamcheck.rings import Bools, Floats
+from ebamcheck.scan import islands as cells
+from ebamcheck.scan.coverage import bare_samples, covered_fraction, segments_of
+from ebamcheck.scan.gaps import bare_spots, gap_beads, line_rows, spots_to_close
+from ebamcheck.scan.hatch import Vectors, hatch, joined
+from ebamcheck.scan.regions import Regions
+from ebamcheck.scan.walls import wall_lines
+
+
+@dataclass(frozen=True, eq=False)
+class FilledLayer:
+    """Islands of one layer and their lines.
+
+    Parameters
+    ----------
+    islands, kind
+        (I,) polygons, none of which overlap, and the kind of each.
+    lines
+        Sorted by island.
+    chained
+        (I,) whether the lines of an island follow each other end to start.
+    covered
+        Share of the section that contour beads and lines cover.
+    """
+
+    islands: NDArray[np.object_]
+    kind: NDArray[np.str_]
+    lines: Vectors
+    chained: Bools
+    covered: float
+
+
+def fill_layer(regions: Regions, found: cells.Cells, profile: Config, layer: int) -> FilledLayer:
+    """Fill the cells of the solids and the walls of a layer, and close the gaps that are left."""
+    walls = [*regions.narrow_fills, *regions.bare_walls]
+    lines, chained = fill_islands(found, walls, profile, layer)
+    filled = FilledLayer(
+        islands=np.concatenate([found.polygons, cells.column(walls)]),
+        kind=np.concatenate([found.kind, np.full(len(walls), cells.THIN_WALL)]).astype(np.str_),
+        lines=lines,
+        chained=chained,
+        covered=1.0,
+    )
+    return close_gaps(filled, regions, profile)
+
+
+def fill_islands(
+    found: cells.Cells, walls: Sequence[shapely.Polygon], profile: Config, layer: int
+) -> tuple[Vectors, Bools]:
+    """Lines of all islands, sorted by island, and which islands' lines follow each other."""
+    width, spacing = profile.process.bead_width_mm, profile.process.hatch_spacing_mm
+    turn = profile.scan.first_angle_deg + layer * profile.scan.layer_angle_deg
+    angle = np.radians(turn + found.colour * profile.scan.island_angle_deg)
+    hatched, _ = hatch(found.polygons, angle, width, spacing)
+    count = len(found.polygons)
+    owner, start, end = [hatched.island], [hatched.start], [hatched.end]
+    for number, wall in enumerate(walls, count):
+        lines = wall_lines(wall, width, spacing)
+        if lines:
+            along = Vectors(
+                np.full(sum(len(line) - 1 for line in lines), number, np.int64),
+                np.concatenate([line[:-1] for line in lines]),
+                np.concatenate([line[1:] for line in lines]),
+            )
+        else:  # too short or too crooked for a centre line
+            straight, _ = hatch(cells.column([wall]), 0.0, width, spacing)
+            along = Vectors(straight.island + number, straight.start, straight.end)
+        owner.append(along.island)
+        start.append(along.start)
+        end.append(along.end)
+    chained = np.arange(count + len(walls)) >= count
+    return Vectors(np.concatenate(owner), np.concatenate(start), np.concatenate(end)), chained
+
+
+def close_gaps(filled: FilledLayer, regions: Regions, profile: Config) -> FilledLayer:
+    """Lay gap beads, see :mod:`ebamcheck.scan.gaps`, and measure the coverage."""
+    width, section = profile.process.bead_width_mm, regions.section
+    beads = _beads(regions, filled.lines)
+    bare = bare_samples(section, beads, width)
+    chosen = spots_to_close(
+        bare_spots(section, bare, beads, width),
+        profile.scan.gap_width * width,
+        section.area,
+        bare.covered,
+        profile.scan.least_coverage,
+    )
+    if not chosen:
+        return replace(filled, covered=bare.covered)
+    gaps = gap_beads(chosen, section, filled.islands, width, profile.process.hatch_spacing_mm)
+    count, added = len(filled.islands), len(gaps.polygons)
+    owner = np.concatenate([gaps.of_island, count + np.arange(added)])
+    line, start, end = line_rows(np.concatenate([gaps.inside, gaps.apart]))
+    lines = joined(filled.lines, Vectors(owner[line], start, end))
+    return FilledLayer(
+        islands=np.concatenate([filled.islands, gaps.polygons]),
+        kind=np.concatenate([filled.kind, np.full(added, cells.GAP)]).astype(np.str_),
+        lines=lines,
+        chained=np.concatenate([filled.chained, np.ones(added, np.bool_)]),
+        covered=covered_fraction(section, _beads(regions, lines), width),
+    )
+
+
+def _beads(regions: Regions, lines: Vectors) -> Floats:
+    """Centre lines of all beads, (S, 4)."""
+    return np.vstack([segments_of(regions.contour), np.hstack([lines.start, lines.end])])

@@ -1,0 +1,257 @@
+"""Gaps: what contour beads and lines leave bare, and the short beads that close it.
+
+A round bead leaves the tip of a corner, and three beads that meet leave a cusp between them. The grid of
+:mod:`ebamcheck.scan.coverage` finds such spots, and there alone they are cut out exactly. A spot that is
+wider than a set share of a bead gets a bead of its own; narrower ones, the largest first, only while the
+layer is covered less than its gate asks, since every bead is a start of the wire.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from scipy import ndimage
+from shapely.geometry.base import BaseGeometry
+
+from ebamcheck.layers import valid_polygons
+from ebamcheck.rings import Floats, Ints
+from ebamcheck.scan.coverage import BareSamples
+from ebamcheck.scan.hatch import SHORTEST_LINE
+from ebamcheck.scan.walls import wall_lines
+
+LEAST_SPOT = 0.02
+"""Spots under this times the squared bead width are left: a hundredth of a bead's own spot or two."""
+
+REACH = 0.97
+"""Share of half a bead width within which a gap bead must reach all of its spot: what is left is the
+sagitta of the arcs (0.5 % with :data:`ARC_SEGMENTS`) and the tolerance of the machine."""
+
+ARC_SEGMENTS = 8
+"""Chords in a quarter of a bead's round end."""
+
+LEFT_OVER = 0.02
+"""Share of a spot that a straight bead may leave; else the bead follows the spot's centre line."""
+
+COVERAGE_MARGIN = 0.002
+"""By how much more than its gate asks a layer is covered: the error of the coverage's samples."""
+
+NO_AREA_MM2 = 1e-6
+"""Pieces smaller than this are rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class GapBeads:
+    """Gap beads of one layer.
+
+    Parameters
+    ----------
+    inside, of_island
+        (N,) lines that lie in islands, and (N,) the island of each.
+    apart, polygons
+        (M,) lines that lie in none, and (M,) the place of each: together the islands of the gaps.
+    """
+
+    inside: NDArray[np.object_]
+    of_island: Ints
+    apart: NDArray[np.object_]
+    polygons: NDArray[np.object_]
+
+
+def bare_spots(
+    section: BaseGeometry, bare: BareSamples, segments: Floats, bead_width_mm: float
+) -> list[shapely.Polygon]:
+    """Parts of a section that are further than half a bead width from every segment, (x0, y0, x1, y1) mm.
+
+    Spots that hold no sample, or are under :data:`LEAST_SPOT`, are left out.
+    """
+    least_mm2 = LEAST_SPOT * bead_width_mm**2
+    boxes = _boxes(bare, 0.5 * least_mm2)
+    if not boxes.size:
+        return []
+    lines = shapely.linestrings(segments.reshape(-1, 2, 2))
+    tree = shapely.STRtree(lines)
+    found: list[shapely.Polygon] = []
+    for patch in valid_polygons(shapely.union_all(boxes)):
+        near = np.sort(tree.query(patch, predicate="dwithin", distance=0.5 * bead_width_mm))
+        beads = shapely.buffer(lines[near], 0.5 * bead_width_mm, quad_segs=2 * ARC_SEGMENTS)
+        left = shapely.difference(shapely.intersection(section, patch), shapely.union_all(beads))
+        found += valid_polygons(left)
+    return [spot for spot in found if spot.area >= least_mm2]
+
+
+def _boxes(bare: BareSamples, least_mm2: float) -> NDArray[np.object_]:
+    """Boxes around the patches of bare samples, one sample wider."""
+    labels, count = ndimage.label(bare.grid, structure=np.ones((3, 3)))
+    if not count:
+        return np.zeros(0, object)
+    sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
+    kept = [
+        place
+        for place, n in zip(ndimage.find_objects(labels), sizes, strict=True)
+        if n * bare.step_mm**2 >= least_mm2
+    ]
+    if not kept:
+        return np.zeros(0, object)
+    low = np.array([(x.start - 1, y.start - 1) for y, x in kept]) * bare.step_mm + bare.origin
+    high = np.array([(x.stop + 1, y.stop + 1) for y, x in kept]) * bare.step_mm + bare.origin
+    return np.asarray(shapely.box(*low.T, *high.T), object)
+
+
+def spot_widths_mm(spots: Sequence[shapely.Polygon]) -> Floats:
+    """Diameter of the largest circle in each spot, (S,)."""
+    return np.array([2.0 * shapely.maximum_inscribed_circle(spot).length for spot in spots], np.float64)
+
+
+def spots_to_close(
+    spots: Sequence[shapely.Polygon], width_mm: float, area_mm2: float, covered: float, least: float
+) -> list[shapely.Polygon]:
+    """Spots that get a bead: those at least `width_mm` wide, then the largest while too little is covered.
+
+    Parameters
+    ----------
+    width_mm
+        Width from which a spot is closed in any case.
+    area_mm2, covered
+        Area of the section, and the share of it that is covered without gap beads.
+    least
+        Share that is to be covered.
+    """
+    wide = spot_widths_mm(spots) >= width_mm
+    chosen = [spot for spot, is_wide in zip(spots, wide, strict=True) if is_wide]
+    missing = (least + COVERAGE_MARGIN - covered) * area_mm2 - sum(spot.area for spot in chosen)
+    rest = sorted((s for s, is_wide in zip(spots, wide, strict=True) if not is_wide), key=lambda s: -s.area)
+    for spot in rest:
+        if missing <= 0.0:
+            break
+        chosen.append(spot)
+        missing -= spot.area
+    return chosen
+
+
+def gap_beads(
+    spots: Sequence[shapely.Polygon],
+    section: BaseGeometry,
+    islands: NDArray[np.object_],
+    bead_width_mm: float,
+    spacing_mm: float,
+) -> GapBeads:
+    """Lay a bead over each spot, within the section.
+
+    What lies in an island is driven with it. The rest gets islands of its own, which overlap no other.
+    """
+    tree = shapely.STRtree(islands)
+    inside: list[shapely.LineString] = []
+    owner: list[int] = []
+    apart: list[shapely.LineString] = []
+    polygons: list[shapely.Polygon] = []
+    for spot in spots:
+        local = shapely.box(*(np.array(spot.bounds) + np.array([-1, -1, 1, 1]) * 2.0 * bead_width_mm))
+        region = shapely.intersection(section, local)
+        near = np.sort(tree.query(local))
+        own = shapely.STRtree(polygons).query(local) if polygons else []
+        taken = shapely.union_all([*islands[near], *(polygons[k] for k in own)])
+        free = shapely.difference(region, taken)
+        for line in _beads_over(spot, region, free, bead_width_mm, spacing_mm):
+            for k in near:
+                for part in _pieces(line, islands[k], SHORTEST_LINE * bead_width_mm):
+                    inside.append(part)
+                    owner.append(int(k))
+            for part in _pieces(line, free, SHORTEST_LINE * bead_width_mm):
+                place = _place(part, free, bead_width_mm)
+                if place is not None:
+                    apart.append(part)
+                    polygons.append(place)
+                    free = shapely.difference(free, place)
+    return GapBeads(_column(inside), np.array(owner, np.int64), _column(apart), _column(polygons))
+
+
+def _pieces(line: shapely.LineString, region: BaseGeometry, shortest_mm: float) -> list[shapely.LineString]:
+    """Parts of a line in a region; where none is long enough to be driven, the longest if it is most of it."""
+    parts = [p for p in shapely.get_parts(shapely.intersection(line, region)) if p.geom_type == "LineString"]
+    least_mm = min(shortest_mm, 0.5 * line.length)
+    return [p for p in parts if p.length > least_mm]
+
+
+def _place(line: shapely.LineString, free: BaseGeometry, bead_width_mm: float) -> shapely.Polygon | None:
+    """Island of a gap bead: what it covers of the region that no other island has."""
+    bead = shapely.intersection(shapely.buffer(line, 0.5 * bead_width_mm, quad_segs=ARC_SEGMENTS), free)
+    parts = [p for p in valid_polygons(bead) if p.area > NO_AREA_MM2]
+    return max(parts, key=lambda p: float(shapely.intersection(p, line).length)) if parts else None
+
+
+def _beads_over(
+    spot: shapely.Polygon, region: BaseGeometry, free: BaseGeometry, bead_width_mm: float, spacing_mm: float
+) -> list[shapely.LineString]:
+    """Lines within a region whose beads cover a spot: as short as they can be, as deep as they can lie."""
+    reach_mm = 0.5 * REACH * bead_width_mm
+    hull = shapely.get_coordinates(shapely.convex_hull(spot))[:-1]
+    way = _long_way(hull)
+    # All points from which the whole spot is within reach.
+    around = shapely.intersection_all(shapely.buffer(shapely.points(hull), reach_mm, quad_segs=ARC_SEGMENTS))
+    for allowed in (free, region):
+        here = [p for p in valid_polygons(shapely.intersection(around, allowed)) if p.area > NO_AREA_MM2]
+        if here:
+            # As much metal as is missing, but no line that is too short to be driven.
+            length = max(spot.area / spacing_mm, 2.0 * SHORTEST_LINE * bead_width_mm)
+            centre = _deepest(here, region)
+            line = shapely.LineString([centre - 0.5 * length * way, centre + 0.5 * length * way])
+            return _holding(shapely.intersection(line, allowed), centre)
+    straight = shapely.intersection(_trimmed(hull, way, reach_mm), region)
+    left = shapely.difference(spot, shapely.buffer(straight, reach_mm, quad_segs=ARC_SEGMENTS)).area
+    if left <= LEFT_OVER * spot.area and straight.geom_type == "LineString":
+        return [straight]
+    along = [shapely.LineString(line) for line in wall_lines(spot, bead_width_mm, spacing_mm)]
+    return along or [p for p in shapely.get_parts(straight) if p.length > 0.0]
+
+
+def _holding(lines: BaseGeometry, point: Floats) -> list[shapely.LineString]:
+    """The part of a cut line that goes through a point."""
+    parts = [p for p in shapely.get_parts(lines) if p.length > 0.0]
+    return [min(parts, key=lambda p: float(p.distance(shapely.Point(point))))] if parts else []
+
+
+def _long_way(hull: Floats) -> Floats:
+    """Unit vector along the long axis of a spot: that of the greatest spread of its corners."""
+    centred = hull - hull.mean(axis=0)
+    _, vectors = np.linalg.eigh(centred.T @ centred)
+    way = vectors[:, 1]
+    return np.asarray(way if (way[0], way[1]) > (0.0, 0.0) else -way, np.float64)
+
+
+def _deepest(parts: Sequence[shapely.Polygon], region: BaseGeometry) -> Floats:
+    """Point of some polygons that lies furthest from the border of a region."""
+    points = np.vstack(
+        [shapely.get_coordinates([*(p.representative_point() for p in parts), p]) for p in parts]
+    )
+    depth = shapely.distance(shapely.points(points), shapely.boundary(region))
+    return np.asarray(points[int(np.argmax(depth))], np.float64)
+
+
+def _trimmed(hull: Floats, way: Floats, reach_mm: float) -> shapely.LineString:
+    """Line along a spot's long axis, as short as it can be with every corner within reach of it."""
+    middle = 0.5 * (hull.min(axis=0) + hull.max(axis=0))
+    along, across = (hull - middle) @ way, (hull - middle) @ np.array([-way[1], way[0]])
+    shift = 0.5 * (across.min() + across.max())
+    slack = np.sqrt(np.maximum(reach_mm**2 - (across - shift) ** 2, 0.0))
+    start, end = float((along + slack).min()), float((along - slack).max())
+    middle = middle + shift * np.array([-way[1], way[0]])
+    return shapely.LineString([middle + min(start, end) * way, middle + max(start, end) * way])
+
+
+def _column(geometries: Sequence[BaseGeometry]) -> NDArray[np.object_]:
+    found = np.empty(len(geometries), object)
+    found[:] = geometries
+    return found
+
+
+def line_rows(lines: NDArray[np.object_]) -> tuple[Ints, Floats, Floats]:
+    """Segments of lines: line of each (S,), start (S, 2) and end (S, 2), mm."""
+    sizes = shapely.get_num_points(lines)
+    points = shapely.get_coordinates(lines)
+    last = np.cumsum(sizes) - 1
+    starts = np.delete(np.arange(len(points)), last)
+    return np.repeat(np.arange(len(lines)), sizes - 1).astype(np.int64), points[starts], points[starts + 1]
