@@ -16,16 +16,16 @@ from ebamcheck.rings import Floats, Ints
 from ebamcheck.scan.hatch import ring_columns
 from ebamcheck.scan.regions import mean_width_mm
 
-SAMPLES_PER_BEAD = 12
-"""Samples across a bead: the share of a gap is then known to about a tenth of a bead's width."""
+SAMPLES_PER_BEAD = 24
+"""Samples across a bead: the tip that a round bead leaves of a square corner then has thirty of them."""
 
 SAMPLES_PER_WALL = 4
 """Samples across the section where it is narrower than a bead."""
 
-FEWEST_SAMPLES = 20_000
-"""Samples on the rectangle around a section at least: a small one is known to about 0.2 % then, too."""
+FEWEST_SAMPLES = 100_000
+"""Samples on the rectangle around a section at least: a small one is known to about 0.1 % then, too."""
 
-MOST_SAMPLES = 1_000_000
+MOST_SAMPLES = 4_000_000
 """Samples on one layer; a larger one is sampled more coarsely."""
 
 

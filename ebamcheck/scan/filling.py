@@ -99,10 +99,9 @@ def close_gaps(filled: FilledLayer, regions: Regions, profile: Config) -> Filled
     if not chosen:
         return replace(filled, covered=bare.covered)
     gaps = gap_beads(chosen, section, filled.islands, width, profile.process.hatch_spacing_mm)
-    count, added = len(filled.islands), len(gaps.polygons)
-    owner = np.concatenate([gaps.of_island, count + np.arange(added)])
-    line, start, end = line_rows(np.concatenate([gaps.inside, gaps.apart]))
-    lines = joined(filled.lines, Vectors(owner[line], start, end))
+    added = len(gaps.polygons)
+    line, start, end = line_rows(gaps.lines)
+    lines = joined(filled.lines, Vectors(gaps.island[line], start, end))
     return FilledLayer(
         islands=np.concatenate([filled.islands, gaps.polygons]),
         kind=np.concatenate([filled.kind, np.full(added, cells.GAP)]).astype(np.str_),

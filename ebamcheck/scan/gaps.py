@@ -39,6 +39,9 @@ LEFT_OVER = 0.02
 COVERAGE_MARGIN = 0.002
 """By how much more than its gate asks a layer is covered: the error of the coverage's samples."""
 
+PLACE = 0.25
+"""Reach of a gap's island around its bead, over the bead width: so small that two gaps find room side by side."""
+
 NO_AREA_MM2 = 1e-6
 """Pieces smaller than this are rounding."""
 
@@ -49,15 +52,14 @@ class GapBeads:
 
     Parameters
     ----------
-    inside, of_island
-        (N,) lines that lie in islands, and (N,) the island of each.
-    apart, polygons
-        (M,) lines that lie in none, and (M,) the place of each: together the islands of the gaps.
+    lines, island
+        (N,) centre lines, and (N,) the island in which each lies: one of those given, or a new one.
+    polygons
+        (M,) the new islands, numbered after those given.
     """
 
-    inside: NDArray[np.object_]
-    of_island: Ints
-    apart: NDArray[np.object_]
+    lines: NDArray[np.object_]
+    island: Ints
     polygons: NDArray[np.object_]
 
 
@@ -72,7 +74,7 @@ def bare_spots(
     boxes = _boxes(bare, 0.5 * least_mm2)
     if not boxes.size:
         return []
-    lines = shapely.linestrings(segments.reshape(-1, 2, 2))
+    lines = np.asarray(shapely.linestrings(segments.reshape(-1, 2, 2)), object)
     tree = shapely.STRtree(lines)
     found: list[shapely.Polygon] = []
     for patch in valid_polygons(shapely.union_all(boxes)):
@@ -144,41 +146,38 @@ def gap_beads(
     What lies in an island is driven with it. The rest gets islands of its own, which overlap no other.
     """
     tree = shapely.STRtree(islands)
-    inside: list[shapely.LineString] = []
+    shortest_mm = SHORTEST_LINE * bead_width_mm
+    lines: list[shapely.LineString] = []
     owner: list[int] = []
-    apart: list[shapely.LineString] = []
-    polygons: list[shapely.Polygon] = []
+    new: list[shapely.Polygon] = []
     for spot in spots:
         local = shapely.box(*(np.array(spot.bounds) + np.array([-1, -1, 1, 1]) * 2.0 * bead_width_mm))
         region = shapely.intersection(section, local)
-        near = np.sort(tree.query(local))
-        own = shapely.STRtree(polygons).query(local) if polygons else []
-        taken = shapely.union_all([*islands[near], *(polygons[k] for k in own)])
-        free = shapely.difference(region, taken)
+        near = {int(k): islands[k] for k in np.sort(tree.query(local))}
+        near |= {len(islands) + k: p for k, p in enumerate(new) if p.intersects(local)}
+        free = shapely.difference(region, shapely.union_all(list(near.values())))
         for line in _beads_over(spot, region, free, bead_width_mm, spacing_mm):
-            for k in near:
-                for part in _pieces(line, islands[k], SHORTEST_LINE * bead_width_mm):
-                    inside.append(part)
-                    owner.append(int(k))
-            for part in _pieces(line, free, SHORTEST_LINE * bead_width_mm):
-                place = _place(part, free, bead_width_mm)
+            found = [(k, part) for k, island in near.items() for part in _pieces(line, island, shortest_mm)]
+            for part in _pieces(line, free, shortest_mm):
+                place = _place(part, free, PLACE * bead_width_mm)
                 if place is not None:
-                    apart.append(part)
-                    polygons.append(place)
-                    free = shapely.difference(free, place)
-    return GapBeads(_column(inside), np.array(owner, np.int64), _column(apart), _column(polygons))
+                    found.append((len(islands) + len(new), part))
+                    new.append(place)
+            owner += [k for k, _ in found]
+            lines += [part for _, part in found]
+    return GapBeads(_column(lines), np.array(owner, np.int64), _column(new))
 
 
 def _pieces(line: shapely.LineString, region: BaseGeometry, shortest_mm: float) -> list[shapely.LineString]:
-    """Parts of a line in a region; where none is long enough to be driven, the longest if it is most of it."""
+    """Parts of a line in a region that are long enough to be driven, or the most of it."""
     parts = [p for p in shapely.get_parts(shapely.intersection(line, region)) if p.geom_type == "LineString"]
     least_mm = min(shortest_mm, 0.5 * line.length)
     return [p for p in parts if p.length > least_mm]
 
 
-def _place(line: shapely.LineString, free: BaseGeometry, bead_width_mm: float) -> shapely.Polygon | None:
-    """Island of a gap bead: what it covers of the region that no other island has."""
-    bead = shapely.intersection(shapely.buffer(line, 0.5 * bead_width_mm, quad_segs=ARC_SEGMENTS), free)
+def _place(line: shapely.LineString, free: BaseGeometry, reach_mm: float) -> shapely.Polygon | None:
+    """Island of a gap bead: what lies around it and is in no other island."""
+    bead = shapely.intersection(shapely.buffer(line, reach_mm, quad_segs=ARC_SEGMENTS), free)
     parts = [p for p in valid_polygons(bead) if p.area > NO_AREA_MM2]
     return max(parts, key=lambda p: float(shapely.intersection(p, line).length)) if parts else None
 
@@ -202,10 +201,10 @@ def _beads_over(
             return _holding(shapely.intersection(line, allowed), centre)
     straight = shapely.intersection(_trimmed(hull, way, reach_mm), region)
     left = shapely.difference(spot, shapely.buffer(straight, reach_mm, quad_segs=ARC_SEGMENTS)).area
-    if left <= LEFT_OVER * spot.area and straight.geom_type == "LineString":
-        return [straight]
-    along = [shapely.LineString(line) for line in wall_lines(spot, bead_width_mm, spacing_mm)]
-    return along or [p for p in shapely.get_parts(straight) if p.length > 0.0]
+    pieces = [p for p in shapely.get_parts(straight) if p.length > 0.0]
+    if left <= LEFT_OVER * spot.area and len(pieces) == 1:
+        return pieces
+    return [shapely.LineString(line) for line in wall_lines(spot, bead_width_mm, spacing_mm)] or pieces
 
 
 def _holding(lines: BaseGeometry, point: Floats) -> list[shapely.LineString]:
