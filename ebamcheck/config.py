@@ -131,16 +131,25 @@ SCAN_ORDERS = (
 class ScanSettings(Section):
     """Partition, filling and order."""
 
+    partition: Literal["hexagons", "squares", "stripes", "whole"] = "hexagons"
+    """Islands of a layer: hexagons (the paper), squares (a chessboard) or stripes of their width, or solids undivided."""
     hexagon_side_mm: Positive | None = None
-    """Side of the hexagons; None: planned from layer area and bead width."""
+    """Side of the hexagons; None: planned from layer area, wall thickness and bead width. Squares and stripes are as
+    wide as these hexagons."""
     rectangle: Literal["paper", "exact"] = "exact"
     """Enclosing rectangle: rotations in steps of pi/10 (paper, equation 11), or the exact minimum."""
+    lattice_angle_deg: Finite = 37.0
+    """Turn of the cells from layer to layer, so that their borders do not lie over each other: near 60 times the golden
+    section, which keeps the hexagons of any few layers apart. The lowest layer lies as in the paper; 0: all do."""
+    lattice_shift: bool = True
+    """Shift the cells from layer to layer, too, each time by another share of a cell."""
     first_angle_deg: Finite = 0.0
     """Direction of the hatch in the lowest layer, counter-clockwise from +X."""
     layer_angle_deg: Finite = 15.0
     """Turn of the hatch from layer to layer (paper, section 1, after Jia et al.)."""
     island_angle_deg: Finite = 60.0
-    """Turn of the hatch from hexagon to hexagon, by one of three lattice colours, so that neighbours differ."""
+    """Turn of the hatch from island to island, by one of three colours of hexagons (two of squares and stripes), so that
+    neighbours differ."""
     order: str = "thermal"
     """Scan order of the islands of a layer: thermal (coolest first by a heat model, at a price on travel), nearest
     (the paper's rule, section 4.2; nearest-any by its full name), nearest-last, nearest-sum, farthest, raster,

@@ -109,7 +109,7 @@ def test_hexagons_across_is_odd_and_one_or_two_over_the_ratio(ratio):
 def test_lattice_covers_the_whole_rectangle(short, long, angle):
     rectangle = Rectangle(3.0, -8.0, angle, short, max(short, long))
     lattice = hexagon_lattice(rectangle, 1.0)
-    union = shapely.union_all(lattice.hexagons, grid_size=1e-9)
+    union = shapely.union_all(lattice.cells, grid_size=1e-9)
     assert rectangle.polygon().difference(union).area == pytest.approx(0.0, abs=1e-8)
 
 
@@ -131,15 +131,15 @@ def test_centres_lie_as_the_paper_says():
 def test_hexagons_tile_and_no_two_neighbours_have_one_colour():
     d = 4.0
     lattice = hexagon_lattice(Rectangle(1.0, 2.0, 0.3, 30.0, 47.0), d)
-    assert shapely.area(lattice.hexagons) == pytest.approx(1.5 * ROOT3 * d**2)
-    assert shapely.union_all(lattice.hexagons, grid_size=1e-9).area == pytest.approx(
-        1.5 * ROOT3 * d**2 * len(lattice.hexagons), rel=1e-6
+    assert shapely.area(lattice.cells) == pytest.approx(1.5 * ROOT3 * d**2)
+    assert shapely.union_all(lattice.cells, grid_size=1e-9).area == pytest.approx(
+        1.5 * ROOT3 * d**2 * len(lattice.cells), rel=1e-6
     )
-    pairs, border = shared_borders(lattice.hexagons)
+    pairs, border = shared_borders(lattice.cells)
     assert border == pytest.approx(d)
     assert (lattice.colour[pairs[:, 0]] != lattice.colour[pairs[:, 1]]).all()
     assert np.bincount(pairs.ravel()).max() == 6
-    corners = {tuple(c) for h in lattice.hexagons for c in shapely.get_coordinates(h)[:-1].tolist()}
+    corners = {tuple(c) for h in lattice.cells for c in shapely.get_coordinates(h)[:-1].tolist()}
     rounded = {tuple(np.round(c, 6)) for c in corners}
     assert len(corners) == len(rounded), "neighbours share their corners to the last bit"
 

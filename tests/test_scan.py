@@ -188,7 +188,7 @@ def test_slivers_are_merged():
     assert shapely.area(clipped).min() < WIDTH**2, "the part has slivers to begin with"
     assert shapely.area(found.polygons).min() >= WIDTH**2
     assert shapely.area(found.polygons).sum() == pytest.approx(shapely.area(clipped).sum(), rel=1e-6)
-    expected = shapely.area(shapely.intersection(lattice.hexagons, shapely.union_all(regions.solids)))
+    expected = shapely.area(shapely.intersection(lattice.cells, shapely.union_all(regions.solids)))
     assert np.bincount(owner, shapely.area(clipped), len(expected)) == pytest.approx(expected, abs=1e-6)
 
 

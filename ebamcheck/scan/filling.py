@@ -33,13 +33,16 @@ class FilledLayer:
         (I,) whether the lines of an island follow each other end to start.
     covered
         Share of the section that contour beads and lines cover.
+    widest_gap_mm
+        Diameter of the largest circle that they leave bare.
     """
 
     islands: NDArray[np.object_]
     kind: NDArray[np.str_]
     lines: Vectors
     chained: Bools
-    covered: float
+    covered: float = 1.0
+    widest_gap_mm: float = 0.0
 
 
 def fill_layer(regions: Regions, found: cells.Cells, profile: Config, layer: int) -> FilledLayer:
@@ -51,7 +54,6 @@ def fill_layer(regions: Regions, found: cells.Cells, profile: Config, layer: int
         kind=np.concatenate([found.kind, np.full(len(walls), cells.THIN_WALL)]).astype(np.str_),
         lines=lines,
         chained=chained,
-        covered=1.0,
     )
     return close_gaps(filled, regions, profile)
 
@@ -89,7 +91,7 @@ def close_gaps(filled: FilledLayer, regions: Regions, profile: Config) -> Filled
     width, section = profile.process.bead_width_mm, regions.section
     beads = _beads(regions, filled.lines)
     bare = bare_samples(section, beads, width)
-    chosen = spots_to_close(
+    chosen, widest_mm = spots_to_close(
         bare_spots(section, bare, beads, width),
         profile.scan.gap_width * width,
         section.area,
@@ -97,7 +99,7 @@ def close_gaps(filled: FilledLayer, regions: Regions, profile: Config) -> Filled
         profile.scan.least_coverage,
     )
     if not chosen:
-        return replace(filled, covered=bare.covered)
+        return replace(filled, covered=bare.covered, widest_gap_mm=widest_mm)
     gaps = gap_beads(chosen, section, filled.islands, width, profile.process.hatch_spacing_mm)
     added = len(gaps.polygons)
     line, start, end = line_rows(gaps.lines)
@@ -108,6 +110,7 @@ def close_gaps(filled: FilledLayer, regions: Regions, profile: Config) -> Filled
         lines=lines,
         chained=np.concatenate([filled.chained, np.ones(added, np.bool_)]),
         covered=covered_fraction(section, _beads(regions, lines), width),
+        widest_gap_mm=widest_mm,
     )
 
 

@@ -110,7 +110,7 @@ def spot_widths_mm(spots: Sequence[shapely.Polygon]) -> Floats:
 
 def spots_to_close(
     spots: Sequence[shapely.Polygon], width_mm: float, area_mm2: float, covered: float, least: float
-) -> list[shapely.Polygon]:
+) -> tuple[list[shapely.Polygon], float]:
     """Spots that get a bead: those at least `width_mm` wide, then the largest while too little is covered.
 
     Parameters
@@ -121,17 +121,25 @@ def spots_to_close(
         Area of the section, and the share of it that is covered without gap beads.
     least
         Share that is to be covered.
+
+    Returns
+    -------
+    spots
+        Those to close.
+    widest_mm
+        Width of the widest that stays.
     """
-    wide = spot_widths_mm(spots) >= width_mm
-    chosen = [spot for spot, is_wide in zip(spots, wide, strict=True) if is_wide]
-    missing = (least + COVERAGE_MARGIN - covered) * area_mm2 - sum(spot.area for spot in chosen)
-    rest = sorted((s for s, is_wide in zip(spots, wide, strict=True) if not is_wide), key=lambda s: -s.area)
-    for spot in rest:
-        if missing <= 0.0:
-            break
-        chosen.append(spot)
-        missing -= spot.area
-    return chosen
+    widths = spot_widths_mm(spots)
+    by_area = np.argsort([-spot.area for spot in spots], kind="stable")
+    chosen, left = [], []
+    missing_mm2 = (least + COVERAGE_MARGIN - covered) * area_mm2
+    for k in (*by_area[widths[by_area] >= width_mm], *by_area[widths[by_area] < width_mm]):
+        if widths[k] >= width_mm or missing_mm2 > 0.0:
+            chosen.append(spots[k])
+            missing_mm2 -= spots[k].area
+        else:
+            left.append(float(widths[k]))
+    return chosen, max(left, default=0.0)
 
 
 def gap_beads(

@@ -1,4 +1,4 @@
-"""Islands: hexagons clipped to the solids of a layer, small ones whole, slivers merged into neighbours."""
+"""Islands: cells clipped to the solids of a layer, small ones whole, slivers merged into neighbours."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from ebamcheck.scan.borders import shared_borders
 from ebamcheck.scan.lattice import SQRT3, Lattice
 from ebamcheck.scan.regions import equivalent_rectangles_mm
 
-HEXAGON, WHOLE, THIN_WALL, GAP = "hexagon", "whole", "thin wall", "gap"
-"""Kinds of islands: a clipped hexagon, a solid too small to divide, a thin wall, a spot left by all of these."""
+WHOLE, THIN_WALL, GAP = "whole", "thin wall", "gap"
+"""Kinds of islands beside those of cells: a solid not divided, a thin wall, a spot left by all of these."""
 
 SLIVER_AREA = 1.0
 """Islands under this times the squared bead width are slivers: a bead hardly starts before it stops."""
@@ -56,25 +56,30 @@ def hexagon_area_mm2(side_mm: float) -> float:
 def partition(
     solids: Sequence[shapely.Polygon], lattice: Lattice, bead_width_mm: float, spacing_mm: float
 ) -> Cells:
-    """Divide solids into islands; together they are the solids, and no two overlap.
+    """Divide solids into islands by a lattice; together they are the solids, and no two overlap.
 
     A solid smaller than one hexagon stays whole.
     """
     small = hexagon_area_mm2(lattice.side_mm)
     whole = [p for p in solids if p.area <= small]
     large = [p for p in solids if p.area > small]
-    clipped, hexagon = clip_lattice(large, lattice)
+    clipped, cell = clip_lattice(large, lattice)
     groups = sliver_groups(
         clipped,
         min(SLIVER_AREA * bead_width_mm**2, SLIVER_SHARE * small),
-        min(SLIVER_WIDTH * spacing_mm, SLIVER_SHARE * SQRT3 * lattice.side_mm),
+        min(SLIVER_WIDTH * spacing_mm, SLIVER_SHARE * lattice.width_mm),
     )
     merged, first = _united(clipped, groups)
     return Cells(
         polygons=column([*merged, *whole]),
-        kind=np.array([HEXAGON] * len(merged) + [WHOLE] * len(whole), dtype=np.str_),
-        colour=np.concatenate([lattice.colour[hexagon[first]], np.zeros(len(whole), np.int64)]),
+        kind=np.array([lattice.kind] * len(merged) + [WHOLE] * len(whole), dtype=np.str_),
+        colour=np.concatenate([lattice.colour[cell[first]], np.zeros(len(whole), np.int64)]),
     )
+
+
+def undivided(solids: Sequence[shapely.Polygon]) -> Cells:
+    """Return every solid as one island."""
+    return Cells(column(solids), np.full(len(solids), WHOLE), np.zeros(len(solids), np.int64))
 
 
 def clip_lattice(solids: Sequence[shapely.Polygon], lattice: Lattice) -> tuple[NDArray[np.object_], Ints]:
@@ -86,12 +91,12 @@ def clip_lattice(solids: Sequence[shapely.Polygon], lattice: Lattice) -> tuple[N
     owners: list[Ints] = []
     for solid in solids:
         shapely.prepare(solid)
-        near = np.flatnonzero(shapely.intersects(solid, lattice.hexagons))
-        full = shapely.contains_properly(solid, lattice.hexagons[near])
+        near = np.flatnonzero(shapely.intersects(solid, lattice.cells))
+        full = shapely.contains_properly(solid, lattice.cells[near])
         cut = near[~full]
-        parts, source = shapely.get_parts(_cut(solid, lattice.hexagons[cut]), return_index=True)
+        parts, source = shapely.get_parts(_cut(solid, lattice.cells[cut]), return_index=True)
         solid_parts = shapely.area(parts) > 0.0
-        pieces += [lattice.hexagons[near[full]], parts[solid_parts]]
+        pieces += [lattice.cells[near[full]], parts[solid_parts]]
         owners += [near[full], cut[source[solid_parts]]]
     if not pieces:
         return np.zeros(0, object), np.zeros(0, np.int64)

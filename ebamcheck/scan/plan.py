@@ -25,10 +25,12 @@ VECTOR_COLUMNS = ("island", "x0", "y0", "x1", "y1", "angle_deg")
 METRICS = {
     "layer": "index of the layer",
     "height_mm": "absolute height",
-    "side_mm": "side of the hexagons, NaN without a solid",
+    "side_mm": "side of the hexagons (or of those as wide as the squares or stripes), NaN without a solid",
     "islands": "islands",
     "area_mm2": "area of the section",
     "covered_fraction": "share of it within half a bead width of a contour bead or a line",
+    "widest_gap_mm": "diameter of the largest circle that they leave bare, but for specks of 2 % of a squared bead width",
+    "laid_share": "length of all beads times their spacing, over the area: above 1 they overlap more than is set",
     "contour_length_mm": "length of the contour beads",
     "hatch_length_mm": "length of the lines",
     "travel_mm": "jumps between lines",
@@ -61,7 +63,8 @@ class ScanPlan:
     island_layer
         (I,) layer of each.
     island_kind
-        (I,) ``"hexagon"``, ``"whole"`` (a solid smaller than a hexagon) or ``"thin wall"``.
+        (I,) ``"hexagon"``, ``"square"`` or ``"stripe"``, ``"whole"`` (a solid that is not divided),
+        ``"thin wall"``, or ``"gap"`` (a spot that all others leave bare).
     island_area_mm2, island_centroid
         (I,) and (I, 2) mm.
     neighbours, border_mm

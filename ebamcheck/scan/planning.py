@@ -25,11 +25,11 @@ from ebamcheck.scan.borders import shared_borders
 from ebamcheck.scan.drive import island_drive
 from ebamcheck.scan.filling import fill_layer
 from ebamcheck.scan.hatch import Vectors
-from ebamcheck.scan.lattice import hexagon_lattice, planned_side_mm
+from ebamcheck.scan.lattice import LATTICES, planned_side_mm
 from ebamcheck.scan.order import LayerIslands, scan_order
 from ebamcheck.scan.path import enter_nearest
+from ebamcheck.scan.placement import layer_place
 from ebamcheck.scan.plan import METRICS, ScanPlan, empty_vectors
-from ebamcheck.scan.rectangle import minimum_rectangle
 from ebamcheck.scan.regions import Regions, layer_regions, layer_section
 from ebamcheck.scan.simulate import EARLY, neighbour_intervals_s, simulate_order
 
@@ -55,7 +55,7 @@ def plan_scan(
         Name of the order (see :data:`ebamcheck.scan.ORDERS`) and seed of its random choices; those of
         the profile if None.
     layer
-        Index of the layer, which turns the hatch and seeds the start.
+        Index of the layer, which turns and shifts the hatch and the cells, and seeds the start.
     height_mm
         Its height.
 
@@ -130,6 +130,7 @@ class LaidLayer:
     lines: Vectors
     chained: Bools
     covered: float
+    widest_gap_mm: float
 
     def choices(self, profile: Config, seed: int) -> LayerIslands:
         """What an order may know of the layer."""
@@ -174,7 +175,7 @@ def lay_islands(section: BaseGeometry, profile: Config, layer: int, height_mm: f
     """Divide one valid section into islands and fill them."""
     regions = layer_regions(section, profile)
     side = _side_mm(regions, profile)
-    found = _partition(regions, side, profile)
+    found = _partition(regions, side, profile, layer)
     filled = fill_layer(regions, found, profile, layer)
     neighbours, border = shared_borders(filled.islands)
     return LaidLayer(
@@ -190,6 +191,7 @@ def lay_islands(section: BaseGeometry, profile: Config, layer: int, height_mm: f
         lines=filled.lines,
         chained=filled.chained,
         covered=filled.covered,
+        widest_gap_mm=filled.widest_gap_mm,
     )
 
 
@@ -203,14 +205,14 @@ def _side_mm(regions: Regions, profile: Config) -> float:
     return planned_side_mm(area, border, profile.process.hatch_spacing_mm)
 
 
-def _partition(regions: Regions, side_mm: float, profile: Config) -> cells.Cells:
-    """Lay the hexagons over the section and clip them to its solids."""
-    if not regions.solids:
-        return cells.Cells(np.zeros(0, object), np.zeros(0, np.str_), np.zeros(0, np.int64))
-    around = minimum_rectangle(shapely.get_coordinates(regions.section), profile.scan.rectangle)
-    process = profile.process
+def _partition(regions: Regions, side_mm: float, profile: Config, layer: int) -> cells.Cells:
+    """Lay the cells of the partition over the section and clip them to its solids."""
+    if profile.scan.partition == "whole" or not regions.solids:
+        return cells.undivided(regions.solids)
+    place = layer_place(shapely.get_coordinates(regions.section), side_mm, profile, layer)
+    lattice = LATTICES[profile.scan.partition](place, side_mm)
     return cells.partition(
-        regions.solids, hexagon_lattice(around, side_mm), process.bead_width_mm, process.hatch_spacing_mm
+        regions.solids, lattice, profile.process.bead_width_mm, profile.process.hatch_spacing_mm
     )
 
 
@@ -297,14 +299,19 @@ def _measured(plan: ScanPlan, planned: Sequence[LayerPlan], profile: Config) -> 
     length, travel = total(driven["length_mm"]), total(driven["travel_mm"] + driven["inner_travel_mm"])
     spread = [interval[pair_layer == k] for k in range(len(planned))]
     spread = [values[np.isfinite(values)] for values in spread]
+    area = np.array([p.laid.regions.section.area for p in planned], np.float64)
+    contour = np.array([p.laid.regions.contour.length for p in planned], np.float64)
+    laid_mm2 = (contour + length) * profile.process.hatch_spacing_mm
     values: dict[str, Any] = {
         "layer": [p.laid.layer for p in planned],
         "height_mm": plan.heights,
         "side_mm": [p.laid.side_mm for p in planned],
         "islands": [len(p.laid.islands) for p in planned],
-        "area_mm2": [p.laid.regions.section.area for p in planned],
+        "area_mm2": area,
         "covered_fraction": [p.laid.covered for p in planned],
-        "contour_length_mm": [p.laid.regions.contour.length for p in planned],
+        "widest_gap_mm": [p.laid.widest_gap_mm for p in planned],
+        "laid_share": np.divide(laid_mm2, area, out=np.zeros_like(area), where=area > 0),
+        "contour_length_mm": contour,
         "hatch_length_mm": length,
         "travel_mm": travel,
         "starts": total(driven["starts"]).astype(np.int64),

@@ -30,9 +30,9 @@ class Rectangle:
     x_mm, y_mm
         Centre.
     angle_rad
-        Direction of the short side, counter-clockwise from +X, in [0, pi).
+        Direction of the side L1, counter-clockwise from +X; in [0, pi) for a smallest rectangle.
     short_mm, long_mm
-        Lengths L1 and L2 of the sides, L1 <= L2.
+        Lengths L1 and L2 of the sides; L1 <= L2 for a smallest rectangle.
     """
 
     x_mm: float
@@ -89,6 +89,22 @@ def minimum_rectangle(points: ArrayLike, method: Literal["paper", "exact"] = "ex
         directions = edges[lengths > 0] / lengths[lengths > 0, None]
         boxes = calipers(hull, directions if len(directions) else np.array([[1.0, 0.0]]))
     return _rectangle(*_smallest(boxes))
+
+
+def rectangle_along(points: ArrayLike, angle_rad: float) -> Rectangle:
+    """Enclosing rectangle whose side L1 has a given direction, also where it is the longer one.
+
+    Parameters
+    ----------
+    points
+        (N, 2) mm, at least one, all of them finite.
+    angle_rad
+        Direction of L1, counter-clockwise from +X.
+    """
+    direction = np.array([[math.cos(angle_rad), math.sin(angle_rad)]])
+    ux, uy, amin, amax, bmin, bmax = _envelopes(np.asarray(points, np.float64).reshape(-1, 2), direction)[0]
+    a, b = 0.5 * (amin + amax), 0.5 * (bmin + bmax)
+    return Rectangle(ux * a - uy * b, uy * a + ux * b, angle_rad, amax - amin, bmax - bmin)
 
 
 def _convex_hull(points: Floats) -> Floats:

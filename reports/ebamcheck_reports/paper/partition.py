@@ -10,8 +10,7 @@ import shapely
 
 from ebamcheck.config import Config
 from ebamcheck.scan import minimum_rectangle, plan_scan
-from ebamcheck.scan.islands import HEXAGON
-from ebamcheck.scan.lattice import hexagons_across, rows_along
+from ebamcheck.scan.lattice import HEXAGON, hexagons_across, rows_along
 from ebamcheck_reports import scan_picture
 from ebamcheck_reports.markup import Markup
 from ebamcheck_reports.paper.subject import Subject
@@ -20,11 +19,14 @@ RECTANGLE: Final = "paper"
 ORDER: Final = "nearest"
 """Rotations in steps of pi/10 (equation 11), and the nearest centroid next (section 4.2)."""
 
+UNTURNED: Final = {"lattice_angle_deg": 0.0, "lattice_shift": False}
+"""The paper lays its hexagons along the rectangle, whatever the layer."""
+
 
 def measure(subject: Subject) -> tuple[dict[str, Any], list[Markup]]:
     """Partition the largest layer and picture its islands in their order."""
     section = subject.largest_section
-    profile = Config().changed(scan={"rectangle": RECTANGLE, "order": ORDER})
+    profile = Config().changed(scan={"rectangle": RECTANGLE, "order": ORDER, **UNTURNED})
     regions = section.polygons(0)
     plan = plan_scan(regions, profile, layer=subject.largest_layer, height_mm=float(section.heights[0]))
     figures = plan.metrics.iloc[0]
