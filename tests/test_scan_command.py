@@ -55,6 +55,7 @@ def test_json_of_the_order_of_the_settings(plate, tmp_path):
     [
         (("--orders", "raster,spiral"), "unknown order: choose one of nearest"),
         (("--orders", "random", "--seeds", "0"), "--seeds 0: give at least 1"),
+        (("--all",), "give either --height Z for one layer, or --all"),
     ],
 )
 def test_what_cannot_be_planned_is_refused_in_one_line(plate, tmp_path, arguments, message):
@@ -68,6 +69,18 @@ def test_a_height_without_a_section_has_no_islands(plate, tmp_path):
     done = ebamcheck("scan", plate, "--height", 31, "--orders", "all", "-o", "out", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "0 islands" in done.stdout
+
+
+def test_a_whole_part_is_a_row_a_layer(plate, tmp_path):
+    done = ebamcheck("scan", plate, "--all", "--layer-height", 10, "-o", "out", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "3 layers in the order thermal, cooled base" in done.stdout
+    lines = (tmp_path / "out" / "layers.csv").read_text().splitlines()
+    assert len(lines) == 4
+    assert lines[0].startswith("layer,height_mm,islands,body_mean_k")
+    refused = ebamcheck("scan", plate, "--all", "--orders", "all", cwd=tmp_path)
+    assert refused.returncode == 2
+    assert "--all plans in one order, not 9" in refused.stderr
 
 
 def test_colours_run_from_end_to_end():

@@ -6,6 +6,7 @@ outline (:mod:`~ebamcheck.heat.modes`, or :mod:`~ebamcheck.heat.rectangle` in cl
 (:mod:`~ebamcheck.heat.model`).
 """
 
+from ebamcheck.heat.carry import carried
 from ebamcheck.heat.depth import DepthModes, depth_modes
 from ebamcheck.heat.medium import Medium
 from ebamcheck.heat.model import HeatModel
@@ -18,6 +19,7 @@ __all__ = [
     "HeatModel",
     "Medium",
     "RectangleModes",
+    "carried",
     "contour_modes",
     "depth_modes",
     "rectangle_modes",

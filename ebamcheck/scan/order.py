@@ -21,7 +21,7 @@ point group ``ebamcheck.orders``.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -32,6 +32,7 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck import registry
 from ebamcheck.config import Config
 from ebamcheck.errors import SettingsError
+from ebamcheck.heat import HeatModel
 from ebamcheck.kernels import kernel
 from ebamcheck.rings import Floats, Ints
 from ebamcheck.scan.drive import IslandDrive
@@ -72,6 +73,8 @@ class LayerIslands:
         (I,) the islands.
     drive
         How each is driven. Without it, orders that ask for times or heat cannot be used.
+    before
+        From the heat model of the layer, the amplitudes (K, N) at which it begins; None: cold.
     """
 
     centroid: Floats
@@ -84,6 +87,7 @@ class LayerIslands:
     section: BaseGeometry = field(default_factory=shapely.Polygon)
     polygons: NDArray[np.object_] = field(default_factory=lambda: np.zeros(0, object))
     drive: IslandDrive | None = None
+    before: Callable[[HeatModel], Floats] | None = None
 
     def __len__(self) -> int:
         """Return the number of islands."""
@@ -104,7 +108,14 @@ class LayerIslands:
 
     @cached_property
     def heat(self) -> IslandHeat:
-        """The heat model of the layer, set up when it is first asked for."""
+        """The heat model of the layer and the temperature at which it begins."""
+        if self.before is None:
+            return self.cold_heat
+        return replace(self.cold_heat, start_k=self.before(self.cold_heat.model))
+
+    @cached_property
+    def cold_heat(self) -> IslandHeat:
+        """The heat model of the layer on a cold part, set up when it is first asked for."""
         drive = self.driven
         return island_heat(
             self.section, self.polygons, drive.beam_s, drive.time_s, self.profile, self.height_mm

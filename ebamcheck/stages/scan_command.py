@@ -17,6 +17,7 @@ from ebamcheck.options import (
     ConfigOption,
     DirectionOption,
     JsonOption,
+    LayerHeightOption,
     PartArgument,
     UnitsOption,
     loaded,
@@ -27,6 +28,7 @@ from ebamcheck.options import (
 from ebamcheck.scan.comparing import COMPARED, RANDOM, SEEDS, OrderComparison, OrderResult, figures_of
 from ebamcheck.scan.scan_svg import islands_svg
 from ebamcheck.slicing import slice_part
+from ebamcheck.stages.scan_part_command import scan_all
 from ebamcheck.store import plain
 from ebamcheck.tables import text_table
 
@@ -48,7 +50,12 @@ HEADINGS = {
 
 def scan_command(
     part: PartArgument,
-    height: Annotated[float, typer.Option(help="Absolute height z of the layer, mm.")],
+    height: Annotated[float | None, typer.Option(help="Absolute height z of the layer, mm.")] = None,
+    all_layers: Annotated[
+        bool, typer.Option("--all", help="All layers from below, with the heat of those under them.")
+    ] = False,
+    pause: Annotated[float, typer.Option(help="With --all: time between two layers, s.", min=0.0)] = 0.0,
+    layer_height: LayerHeightOption = None,
     orders: Annotated[
         str, typer.Option(help=f"{', '.join(SCAN_ORDERS)}, or all; comma-separated. Default: scan.order.")
     ] = "",
@@ -61,14 +68,20 @@ def scan_command(
     direction: DirectionOption = "",
     as_json: JsonOption = False,
 ) -> ExitCode:
-    """Plan one layer in one or several scan orders and say how hot, how far and how long each is."""
-    settings = settings_of(config, units, direction, None)
+    """Plan one layer in one or several scan orders, or all layers in one; say how hot, how far and how long."""
+    settings = settings_of(config, units, direction, layer_height)
     wanted = COMPARED if orders == ALL else names(orders) or (settings.scan.order,)
     for name in wanted:
         settings.changed(scan={"order": name})  # an unknown name is refused before anything is computed
     if seeds < 1:
         raise SettingsError(f"--seeds {seeds}: give at least 1")
+    if all_layers == (height is not None):
+        raise SettingsError("scan: give either --height Z for one layer, or --all")
     placed = loaded(part, settings)
+    if height is None:
+        if len(wanted) != 1:
+            raise SettingsError(f"--all plans in one order, not {len(wanted)}: give one with --orders")
+        return scan_all(placed, settings, wanted[0], pause, output, as_json)
     layers = slice_part(placed, np.array([height]))
     low = float(placed.bounds[0][2])
     number = max(0, round((height - low) / settings.layer_height_mm - 0.5))

@@ -1,0 +1,78 @@
+"""``ebamcheck scan PART --all``: order and heat of all layers, each beginning with what those below have left."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import typer
+
+from ebamcheck.config import Config
+from ebamcheck.errors import ExitCode, SettingsError
+from ebamcheck.heights import checked_heights, layer_heights
+from ebamcheck.layers import Layers
+from ebamcheck.options import print_json
+from ebamcheck.part import Part
+from ebamcheck.progress import watched
+from ebamcheck.scan.regions import layer_section
+from ebamcheck.scan.whole_part import WHOLE_PART, scan_part
+from ebamcheck.slicing import slice_part
+from ebamcheck.tables import text_table
+
+TABLE = "layers.csv"
+
+
+def scan_all(
+    part: Part, settings: Config, order: str, pause_s: float, output: Path | None, as_json: bool
+) -> ExitCode:
+    """Order all layers of a placed part; rows are written as they are done, so that an interrupt keeps them."""
+    heights = settings.layers.heights_mm
+    layers = slice_part(
+        part, checked_heights(heights) if heights else layer_heights(part, settings.layer_height_mm)
+    )
+    rows = _rows(layers, float(part.bounds[0][2]), settings, order, pause_s, output)
+    if as_json:
+        print_json([{k: None if v != v else v for k, v in row.items()} for row in rows])
+        return ExitCode.PASS
+    typer.echo(f"{len(rows)} layers in the order {order}, {settings.process.base} base\n")
+    shown = [name for name in WHOLE_PART if name != "stored_j"]
+    typer.echo(text_table(shown, [[_cell(row[name]) for name in shown] for row in rows]))
+    return ExitCode.PASS
+
+
+def _rows(
+    layers: Layers, low_mm: float, settings: Config, order: str, pause_s: float, output: Path | None
+) -> list[dict[str, Any]]:
+    """Rows of all layers; also line by line into the table of the output folder."""
+    sections = [layer_section(layers.polygons(k)) for k in range(len(layers))]
+    found = scan_part(
+        sections, np.asarray(layers.heights) - low_mm, settings, order, settings.scan.seed, pause_s
+    )
+    rows = []
+    with watched() as observer:
+        observer.stage("order and heat", len(sections))
+        if output is None:
+            for row in found:
+                rows.append(row)
+                observer.advance(1)
+            return rows
+        try:
+            output.mkdir(parents=True, exist_ok=True)
+            table = (output / TABLE).open("w", newline="", encoding="utf-8")
+        except OSError as error:
+            raise SettingsError(f"{output}: cannot be written: {error.strerror}") from None
+        with table:
+            writer = csv.DictWriter(table, list(WHOLE_PART))
+            writer.writeheader()
+            for row in found:
+                writer.writerow(row)
+                table.flush()
+                rows.append(row)
+                observer.advance(1)
+    return rows
+
+
+def _cell(value: float) -> str:
+    return "-" if value != value else f"{value:.6g}" if isinstance(value, int) else f"{value:.1f}"

@@ -1,0 +1,85 @@
+"""Heat carried from layer to layer: projections, energy, and orders of a whole part."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import shapely
+
+from ebamcheck.config import Config
+from ebamcheck.heat import HeatModel, Medium, carried, contour_modes, depth_modes
+from ebamcheck.heat.carry import overlap_of_depths
+from ebamcheck.scan.regions import layer_section
+from ebamcheck.scan.whole_part import WHOLE_PART, scan_part
+
+MEDIUM = Medium(conductivity_w_mmk=0.020, heat_capacity_j_mm3k=4300 * 700 * 1e-9)
+RING = shapely.Point(3, 4).buffer(40, 64).difference(shapely.Point(10, 4).buffer(12, 32))
+PLATE = shapely.box(0, 0, 120, 90).difference(shapely.Point(70, 50).buffer(16, 32))
+
+
+def body(section, depth_mm, cooled, waves=60, largest=0.1):
+    return HeatModel(contour_modes(section, largest, 300), depth_modes(depth_mm, waves, cooled), MEDIUM, 2.0)
+
+
+@pytest.mark.parametrize("cooled", [True, False])
+def test_overlaps_of_depths_are_integrals(cooled):
+    old, new = depth_modes(20.0, 7, cooled, 1e-3), depth_modes(21.5, 9, cooled, 2e-3)
+    nodes, weights = np.polynomial.legendre.leggauss(80)
+    above = 10.0 * (nodes + 1.0)
+    exact = new.at(21.5 - above).T @ (10.0 * weights[:, None] * old.at(20.0 - above))
+    assert overlap_of_depths(old, new) == pytest.approx(exact, abs=1e-10)
+
+
+def test_a_layer_on_the_same_section_keeps_the_energy():
+    old, new = body(RING, 20.0, False), body(RING, 21.7, False)
+    state = old.after(old.after_spot(old.cold(), [[-20.0, 4.0]], 400.0, 2.0), 3.0)
+    assert new.stored_j(carried(old, state, new)) == pytest.approx(400.0, rel=1e-9)
+
+
+@pytest.mark.parametrize("cooled", [True, False])
+def test_the_field_stays_where_it_was_and_the_new_layer_is_cold(cooled):
+    old, new = body(RING, 20.0, cooled), body(RING, 21.7, cooled, waves=120)
+    state = old.after(old.after_spot(old.cold(), [[-20.0, 4.0]], 400.0, 2.0), 6.0)
+    points = [[-20.0, 4.0], [-24.0, 10.0], [-16.0, -6.0]]
+    after = carried(old, state, new)
+    before = old.at(state, points, 6.0)
+    assert new.at(after, points, 7.7) == pytest.approx(before, rel=0.02, abs=0.02 * before.max())
+    middle = new.plane.at(points) @ (after @ new.in_layer)
+    assert np.abs(middle).max() < 0.35 * old.at(state, points).max()
+
+
+def test_what_the_new_section_does_not_cover_is_dropped():
+    whole, half = shapely.box(0, 0, 80, 40), shapely.box(0, 0, 40, 40)
+    old, new = body(whole, 20.0, False, largest=0.2), body(half, 20.0, False, largest=0.2)
+    state = old.after(old.after_spot(old.cold(), [[20.0, 20.0]], 300.0, 2.0), 8.0)
+    assert 250.0 < new.stored_j(carried(old, state, new)) <= 300.5
+    far = old.after(old.after_spot(old.cold(), [[60.0, 20.0]], 300.0, 2.0), 8.0)
+    assert abs(new.stored_j(carried(old, far, new))) < 50.0
+    back = carried(new, carried(old, state, new), old)
+    assert old.stored_j(back) == pytest.approx(new.stored_j(carried(old, state, new)), rel=0.03)
+
+
+@pytest.mark.parametrize("base", ["cooled", "insulated"])
+def test_layers_get_warmer_until_they_lose_what_they_get(base):
+    profile = Config().changed(process={"base": base}, scan={"annealing_steps": 200})
+    sections = [layer_section(PLATE)] * 6
+    heights = (np.arange(6) + 0.5) * profile.layer_height_mm
+    rows = list(scan_part(sections, heights, profile, "thermal", 0))
+    assert [set(row) for row in rows] == [set(WHOLE_PART)] * 6
+    start = [row["body_mean_k"] for row in rows]
+    assert start[0] == 0.0
+    gain = np.diff(start)
+    assert (gain > 0).all()
+    # Over a cooled base the gains die away; over an insulated one only radiation is lost.
+    assert gain[-1] < 0.9 * gain[0]
+    lost = 1 - rows[-1]["stored_j"] / (6 * rows[0]["stored_j"])
+    assert (lost > 0.3) == (base == "cooled")
+
+
+def test_a_pause_lets_it_cool_and_an_empty_layer_passes_heat_on():
+    profile = Config().changed(scan={"order": "raster"})
+    sections = [layer_section(PLATE), shapely.Polygon(), layer_section(PLATE)]
+    heights = np.array([1.0, 2.6, 4.3])
+    warm, cool = (list(scan_part(sections, heights, profile, "raster", 0, pause)) for pause in (0.0, 500.0))
+    assert warm[1]["islands"] == 0
+    assert warm[2]["body_mean_k"] > 2.0 * cool[2]["body_mean_k"] > 0.0
