@@ -22,8 +22,10 @@ def section_check(
 ) -> Check:
     """Compare the centre lines of the contour beads with the sections, layer by layer and both ways.
 
-    Each section is inset by `offset_mm`, as the scan plan does it; the path lies within `limit_mm` of the
-    border of that region, and the border within `limit_mm` of the path, so that no contour is missing.
+    A place on the path lies as deep in the section as the inset, within `limit_mm`: the depth moves no farther than
+    the outline does, where the inset itself, at a sharp corner or in a neck, moves farther. And the path passes every
+    place of the inset's border, so that no contour is missing: within `limit_mm`, or where outlines that near to
+    each other have insets that lie farther apart, within that.
     A ring of the section narrower than `limit_mm` asks for no contour of its own: it is within the limit of
     not being there, and unions leave slits of no width where shells touch, which an inset would widen to
     holes. A path around one is not faulted either.
@@ -46,15 +48,18 @@ def _layer(
     nc: NCProgram, rows: Ints, layers: Layers, k: int, offset_mm: float, limit_mm: float
 ) -> tuple[int, float]:
     """Worst motion of a layer and its deviation, mm; infinite where one has a contour and the other none."""
-    allowed, wanted = _borders(layers.polygons(k), offset_mm, limit_mm)
+    sections, wanted = _sections(layers.polygons(k), offset_mm, limit_mm)
     if not rows.size:
         first = int(np.argmax(nc.layer == min(k, int(nc.layer.max(initial=0)))))
         return first, 0.0 if not len(wanted) else float("inf")
-    if allowed.is_empty:
+    if not sections:
         return int(rows[0]), float("inf")
     owner, at = nc.samples(rows, STEP_MM)
-    away = _distances(at, allowed)
+    away = np.min([np.abs(_depths(at, section) - offset_mm) for section in sections], axis=0)
     missed = _distances(wanted, _path(nc, rows, owner, at))
+    far = np.flatnonzero(missed > limit_mm)
+    if far.size:
+        missed[far] *= limit_mm / np.maximum(_reach(wanted[far], sections[0], offset_mm, limit_mm), limit_mm)
     worst, farthest = int(np.argmax(away)), int(np.argmax(missed)) if missed.size else -1
     if farthest < 0 or missed[farthest] <= away[worst]:
         return int(owner[worst]), float(away[worst])
@@ -62,24 +67,46 @@ def _layer(
     return int(owner[nearest]), float(missed[farthest])
 
 
-def _borders(
+def _sections(
     polygons: list[shapely.Polygon], offset_mm: float, narrow_mm: float
-) -> tuple[BaseGeometry, Floats]:
-    """Borders on which the path may lie, and the places (n, 2) where it must pass.
+) -> tuple[list[BaseGeometry], Floats]:
+    """The section, with its narrow rings and without, and the places (n, 2) where the path must pass.
 
     It may keep the narrow rings or leave them out, and must pass where the border is there either way.
     """
-    border = inset(layer_section(polygons), offset_mm).boundary
-    places = shapely.get_coordinates(shapely.segmentize(border, STEP_MM))
+    section = layer_section(polygons)
+    places = shapely.get_coordinates(shapely.segmentize(inset(section, offset_mm).boundary, STEP_MM))
     wide = [_without_narrow_holes(p, narrow_mm) for p in polygons if _width_mm(p.exterior) >= narrow_mm]
     if len(wide) == len(polygons) and all(
         len(p.interiors) == len(q.interiors) for p, q in zip(polygons, wide, strict=True)
     ):
-        return border, places
-    plain = inset(layer_section(wide), offset_mm).boundary
-    if plain.is_empty or not len(places):
-        return shapely.union(border, plain), places[:0]
-    return shapely.union(border, plain), places[_distances(places, plain) <= narrow_mm]
+        return [s for s in (section,) if not s.is_empty], places
+    plain = layer_section(wide)
+    both = [s for s in (section, plain) if not s.is_empty]
+    border = inset(plain, offset_mm).boundary
+    if border.is_empty or not len(places):
+        return both, places[:0]
+    return both, places[_distances(places, border) <= narrow_mm]
+
+
+def _depths(at: Floats, region: BaseGeometry) -> Floats:
+    """Distance of points (n, 2) from the border of a region, negative outside."""
+    shapely.prepare(region)
+    away = _distances(at, region.boundary)
+    return np.where(shapely.intersects_xy(region, at[:, 0], at[:, 1]), away, -away)
+
+
+def _reach(places: Floats, section: BaseGeometry, offset_mm: float, limit_mm: float) -> Floats:
+    """How far (n,) the insets of outlines within `limit_mm` of a section's may lie from places on its own inset.
+
+    Such an inset holds what is deeper by the limit, and nothing that is shallower by it: its border passes between
+    both. Where nothing is that deep, it may be gone.
+    """
+    points = shapely.points(places)
+    deeper, shallower = (inset(section, offset_mm + d) for d in (limit_mm, -limit_mm))
+    inwards = np.asarray(shapely.distance(points, deeper))
+    outwards = np.asarray(shapely.distance(points, shallower.boundary))
+    return np.maximum(np.where(np.isnan(inwards), np.inf, inwards), outwards)
 
 
 def _without_narrow_holes(polygon: shapely.Polygon, narrow_mm: float) -> shapely.Polygon:
