@@ -43,7 +43,7 @@ def make_plan(heights, islands) -> ScanPlan:
     count = len(islands)
     vectors = pd.DataFrame(ends, columns=["x0", "y0", "x1", "y1"])
     vectors.insert(0, "island", np.repeat(np.arange(count), [len(v) for _, v in islands]))
-    vectors["angle_deg"] = 0.0
+    vectors["angle"] = 0.0
     heights = np.asarray(heights, float)
     return ScanPlan(
         heights=heights,

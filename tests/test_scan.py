@@ -121,15 +121,18 @@ def test_beads_cover_the_section_and_the_metric_says_so(planned):
     section, plan = planned
     exact = beads_of(plan).intersection(section).area / section.area
     assert exact >= 0.98
-    assert plan.metrics["covered_fraction"][0] == pytest.approx(exact, abs=0.004)
+    assert plan.metrics["covered_fraction"][0] == pytest.approx(exact, abs=0.003)
 
 
 def test_islands_do_not_overlap_and_are_the_regions_to_fill(planned):
     section, plan = planned
     regions = layer_regions(section, PROFILE)
     wanted = shapely.union_all([*regions.solids, *regions.narrow_fills, *regions.bare_walls])
-    assert plan.island_area_mm2.sum() == pytest.approx(wanted.area, rel=1e-6)
-    assert shapely.union_all(plan.islands).symmetric_difference(wanted).area < 1e-4 * wanted.area
+    closing = plan.island_kind == "gap"
+    assert plan.island_area_mm2[~closing].sum() == pytest.approx(wanted.area, rel=1e-6)
+    assert shapely.union_all(plan.islands[~closing]).symmetric_difference(wanted).area < 1e-4 * wanted.area
+    # Gaps lie beside all of these: the areas of all islands add up to that of their union.
+    assert shapely.union_all(plan.islands).area == pytest.approx(plan.island_area_mm2.sum(), rel=1e-6)
     assert section.buffer(1e-6).covers(shapely.union_all(plan.islands))
 
 
@@ -138,7 +141,7 @@ def test_columns_fit_together(planned):
     assert plan.island_area_mm2 == pytest.approx(shapely.area(plan.islands))
     way = plan.vectors[["x1", "y1"]].to_numpy() - plan.vectors[["x0", "y0"]].to_numpy()
     length = np.hypot(*way.T)
-    angle = np.radians(plan.vectors["angle_deg"].to_numpy())
+    angle = np.radians(plan.vectors["angle"].to_numpy())
     assert length[:, None] * np.column_stack([np.cos(angle), np.sin(angle)]) == pytest.approx(way, abs=1e-9)
     row = plan.metrics.iloc[0]
     assert list(plan.metrics.columns) == list(METRICS)
@@ -146,6 +149,8 @@ def test_columns_fit_together(planned):
     assert row["hatch_length_mm"] == pytest.approx(length.sum())
     assert row["islands"] == len(plan.islands)
     assert row["contour_length_mm"] == pytest.approx(plan.contours[0].length)
+    laid = (length.sum() + plan.contours[0].length) * PROFILE.process.hatch_spacing_mm
+    assert row["laid_share"] == pytest.approx(laid / section.area)
     assert (plan.neighbours[:, 0] < plan.neighbours[:, 1]).all()
     assert (plan.border_mm > 0).all()
 
@@ -197,11 +202,11 @@ def test_hatch_turns_from_layer_to_layer_and_from_hexagon_to_hexagon():
         plan = plan_scan(shapely.box(0, 0, 200, 120), PROFILE, layer=layer)
         full = whole_hexagons(plan)
         on_full = plan.vectors[np.isin(plan.vectors["island"], full)]
-        found = np.unique(np.round(on_full["angle_deg"], 6) % 180.0)
+        found = np.unique(np.round(on_full["angle"], 6) % 180.0)
         assert found == pytest.approx(np.sort((layer * 15.0 + np.array([0.0, 60.0, 120.0])) % 180.0))
         for a, b in plan.neighbours[np.isin(plan.neighbours, full).all(axis=1)]:
-            first = plan.vectors[plan.vectors["island"] == a]["angle_deg"].iloc[0] % 180
-            second = plan.vectors[plan.vectors["island"] == b]["angle_deg"].iloc[0] % 180
+            first = plan.vectors[plan.vectors["island"] == a]["angle"].iloc[0] % 180
+            second = plan.vectors[plan.vectors["island"] == b]["angle"].iloc[0] % 180
             assert abs(math.remainder(first - second, 180.0)) > 59.0
 
 
@@ -212,7 +217,7 @@ def test_settings_reach_the_plan():
     assert plan.metrics["side_mm"][0] == 20.0
     on_whole = plan.vectors[np.isin(plan.vectors["island"], whole_hexagons(plan))]
     assert len(on_whole) > 20
-    assert on_whole["angle_deg"].to_numpy() % 180.0 == pytest.approx(45.0)
+    assert on_whole["angle"].to_numpy() % 180.0 == pytest.approx(45.0)
     offset = PROFILE.changed(scan={"contour_offset_mm": 1.0})
     assert plan_scan(section, offset).contours[0].area == pytest.approx(198 * 118)
     paper = plan_scan(blade(), PROFILE.changed(scan={"rectangle": "paper"}))
@@ -353,7 +358,7 @@ def test_a_stack_is_its_layers():
         alone = plan_scan(layers.polygons(k), PROFILE, layer=k, height_mm=layers.heights[k])
         base = np.searchsorted(plan.island_layer, k)
         assert np.array_equal(plan.islands_of(k) - base, alone.order)
-        columns = ["x0", "y0", "x1", "y1", "angle_deg"]
+        columns = ["x0", "y0", "x1", "y1", "angle"]
         assert np.array_equal(plan.vectors_of(k)[columns].to_numpy(), alone.vectors[columns].to_numpy())
         pd.testing.assert_series_equal(plan.metrics.iloc[k], alone.metrics.iloc[0], check_names=False)
 
@@ -455,9 +460,7 @@ def test_small_islands_of_metal_are_not_lost(size):
     for shape in (shapely.box(0, 0, size, size), disc(0, 0, size / 2), shapely.box(0, 0, 8 * size, size)):
         plan = plan_scan(shape, PROFILE)
         exact = beads_of(plan).intersection(shape).area / shape.area
-        # Round beads leave the corners of a contour: (1 - pi/4) w^2 in all for a rectangle.
-        corners = (1.02 - math.pi / 4) * WIDTH**2 / shape.area
-        assert exact >= 0.98 - (corners if shape.area > WIDTH**2 else 0.0)
+        assert exact >= 0.98
 
 
 def test_invalid_polygons_are_made_valid():

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from ebamcheck.errors import InputError
 from ebamcheck.rings import Floats, Ints
 
-FORMAT = "ebamcheck scan plan 1"
+FORMAT = "ebamcheck scan plan 2"
 """Name and version of the file format."""
 
-VECTOR_COLUMNS = ("island", "x0", "y0", "x1", "y1", "angle_deg")
+VECTOR_COLUMNS = ("island", "x0", "y0", "x1", "y1", "angle")
 
 METRICS = {
     "layer": "index of the layer",
@@ -72,8 +72,8 @@ class ScanPlan:
     order
         (I,) islands in scan order, layer by layer.
     vectors
-        Lines in scan order: ``island, x0, y0, x1, y1`` (mm) and ``angle_deg``, the direction of travel
-        counter-clockwise from +X, in [0, 360).
+        Lines in scan order: ``island, x0, y0, x1, y1`` (mm) and ``angle``, the direction of travel
+        in degrees counter-clockwise from +X, in [0, 360).
     metrics
         One row a layer, columns as in :data:`METRICS`.
     settings

@@ -266,7 +266,7 @@ def _vector_table(by_layer: Sequence[tuple[LayerPlan, Any]]) -> pd.DataFrame:
             "y0": start[:, 1],
             "x1": end[:, 0],
             "y1": end[:, 1],
-            "angle_deg": np.degrees(np.arctan2(way[:, 1], way[:, 0])) % 360.0,
+            "angle": np.degrees(np.arctan2(way[:, 1], way[:, 0])) % 360.0,
         }
     )
 

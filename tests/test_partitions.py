@@ -1,0 +1,226 @@
+"""Cells from layer to layer: where the lattice lies, squares and stripes as baselines, and whole solids."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import shapely
+from shapely import affinity
+
+from ebamcheck.config import Config
+from ebamcheck.scan import plan_scan, plan_stack
+from ebamcheck.scan.borders import shared_borders
+from ebamcheck.scan.lattice import LATTICES, hexagon_lattice, square_lattice, stripe_lattice
+from ebamcheck.scan.placement import layer_place, shift_shares, shifted
+from ebamcheck.scan.rectangle import Rectangle, minimum_rectangle, rectangle_along
+
+PROFILE = Config()
+PAPER = PROFILE.changed(scan={"lattice_angle_deg": 0.0, "lattice_shift": False})
+WIDTH = PROFILE.process.bead_width_mm
+PLATE = shapely.box(0, 0, 220, 140)
+CORNERS = shapely.get_coordinates(PLATE)
+LAYERS = 24
+
+
+def with_partition(name, base=PROFILE):
+    return base.changed(scan={"partition": name})
+
+
+def inner_borders(plan):
+    """Borders between islands, away from the contour."""
+    return shapely.union_all(shapely.boundary(plan.islands)).intersection(PLATE.buffer(-WIDTH))
+
+
+# -- from layer to layer -------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module", params=list(LATTICES))
+def stacked(request):
+    profile = with_partition(request.param)
+    plans = [plan_scan(PLATE, profile, layer=k) for k in range(LAYERS)]
+    return request.param, plans
+
+
+def test_borders_do_not_stack_on_a_line(stacked):
+    name, plans = stacked
+    borders = [inner_borders(plan) for plan in plans]
+    fixed = inner_borders(plan_scan(PLATE, with_partition(name, PAPER), layer=7))
+    assert fixed.equals_exact(inner_borders(plan_scan(PLATE, with_partition(name, PAPER), layer=0)), 1e-9)
+    for k, border in enumerate(borders):
+        for other in (*borders[:k], *borders[k + 1 :]):
+            # Crossing borders have points in common: tenths of a millimetre at each.
+            assert border.intersection(other.buffer(0.05)).length < 0.1 * border.length
+
+
+def test_no_place_is_a_border_in_more_layers_than_chance_has_it(stacked):
+    name, plans = stacked
+    rng = np.random.default_rng(0)
+    places = shapely.points(rng.uniform([10, 10], [210, 130], (3000, 2)))
+    hit = np.stack([shapely.distance(inner_borders(plan), places) < 1.0 for plan in plans])
+    share = hit.mean()
+    # Of so many places the most unlucky one, if layers were independent: five standard deviations.
+    most = LAYERS * share + 5.0 * math.sqrt(LAYERS * share * (1.0 - share))
+    assert hit.sum(axis=0).max() <= most < 0.75 * LAYERS
+    over_below = (hit[1:] & hit[:-1]).sum() / hit[1:].sum()
+    assert over_below < 1.4 * share, "a border over a border below is no more common than anywhere"
+
+
+def test_every_layer_is_whole_and_covered(stacked):
+    _, plans = stacked
+    for plan in plans:
+        solid = plan.island_area_mm2[plan.island_kind != "gap"].sum()
+        assert solid == pytest.approx((220 - 10.32) * (140 - 10.32), rel=1e-6)
+        assert plan.metrics["covered_fraction"][0] > 0.99
+
+
+def test_the_lowest_layer_is_that_of_the_paper():
+    one, two = plan_scan(PLATE, PROFILE, layer=0), plan_scan(PLATE, PAPER, layer=9)
+    assert np.array_equal(shapely.to_wkb(one.islands), shapely.to_wkb(two.islands))
+
+
+@pytest.mark.parametrize("layer", [0, 1, 2, 5, 17, 100])
+@pytest.mark.parametrize("name", list(LATTICES))
+def test_cells_cover_the_section_wherever_they_lie(name, layer):
+    section = affinity.rotate(shapely.box(0, 0, 91, 33).union(shapely.Point(0, 0).buffer(31)), 12)
+    for side in (7.0, 19.0, 60.0):
+        place = layer_place(shapely.get_coordinates(section), side, PROFILE, layer)
+        lattice = LATTICES[name](place, side)
+        assert section.difference(shapely.union_all(lattice.cells, grid_size=1e-9)).area < 1e-6
+        assert shapely.area(lattice.cells).sum() < 12 * (section.area + 40 * side**2), "and not much more"
+
+
+def test_the_place_turns_by_the_angle_and_shifts_by_the_shares():
+    smallest = minimum_rectangle(CORNERS)
+    turned = layer_place(CORNERS, 9.0, PROFILE.changed(scan={"lattice_shift": False}), 2)
+    assert turned.angle_rad == pytest.approx(smallest.angle_rad + math.radians(74.0))
+    assert (turned.x_mm, turned.y_mm) == pytest.approx((110.0, 70.0))
+    moved = layer_place(CORNERS, 9.0, PROFILE.changed(scan={"lattice_angle_deg": 0.0}), 2)
+    plain, other = hexagon_lattice(smallest, 9.0), hexagon_lattice(moved, 9.0)
+    step = np.array(rectangle_frame(smallest, other.centres[0] - plain.centres[0]))
+    first, second = shift_shares(2)
+    periods = (step - [(first - 0.5) * math.sqrt(3) * 9.0, -second * 27.0]) / [math.sqrt(3) * 9.0, 27.0]
+    assert periods == pytest.approx(np.round(periods), abs=1e-9)
+
+
+def rectangle_frame(rectangle, way):
+    c, s = math.cos(rectangle.angle_rad), math.sin(rectangle.angle_rad)
+    return c * way[0] + s * way[1], -s * way[0] + c * way[1]
+
+
+def test_shares_spread_evenly():
+    shares = np.array([shift_shares(k) for k in range(1, 101)])
+    assert ((shares >= 0.0) & (shares < 1.0)).all()
+    counts, _, _ = np.histogram2d(*shares.T, bins=5, range=[[0, 1], [0, 1]])
+    assert counts.min() >= 2
+    assert counts.max() <= 6
+
+
+def test_a_shifted_rectangle_holds_the_first():
+    first = Rectangle(3.0, -2.0, 0.7, 40.0, 90.0)
+    for along in (-8.0, 0.0, 5.0):
+        assert shifted(first, along, 12.0).polygon().buffer(1e-9).covers(first.polygon())
+
+
+def test_a_rectangle_along_a_direction_holds_the_points_tightly():
+    points = np.random.default_rng(2).normal(size=(50, 2)) * [30.0, 8.0]
+    for angle in (0.0, 0.4, 2.0, 5.0):
+        found = rectangle_along(points, angle).polygon()
+        assert found.buffer(1e-9).covers(shapely.MultiPoint(points))
+        assert (shapely.distance(shapely.get_rings(found), shapely.MultiPoint(points)) < 1e-9).all()
+        flat = affinity.rotate(shapely.MultiPoint(points), -angle, origin=(0, 0), use_radians=True)
+        assert found.area == pytest.approx(shapely.box(*flat.bounds).area)
+
+
+# -- baselines -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("lay", [square_lattice, stripe_lattice])
+def test_squares_and_stripes_tile_and_alternate(lay):
+    rectangle = Rectangle(5.0, 1.0, 0.3, 70.0, 131.0)
+    lattice = lay(rectangle, 6.0)
+    union = shapely.union_all(lattice.cells, grid_size=1e-9)
+    assert rectangle.polygon().difference(union).area < 1e-6
+    assert union.area == pytest.approx(shapely.area(lattice.cells).sum())
+    sides = shapely.area(lattice.cells) / lattice.width_mm
+    assert sides == pytest.approx(lattice.width_mm if lay is square_lattice else 70.0)
+    pairs, _ = shared_borders(lattice.cells)
+    assert (lattice.colour[pairs[:, 0]] != lattice.colour[pairs[:, 1]]).all()
+    assert shapely.get_coordinates(shapely.centroid(lattice.cells)) == pytest.approx(lattice.centres)
+
+
+@pytest.mark.parametrize("name", ["hexagons", "squares", "stripes", "whole"])
+def test_every_partition_plans_a_layer_of_every_sort(name):
+    holes = shapely.union_all([shapely.Point(30 + 40 * i, 40).buffer(9) for i in range(5)])
+    section = shapely.union_all([PLATE.difference(holes), shapely.box(219, 60, 300, 64)])
+    plan = plan_scan(section, with_partition(name), layer=3)
+    kinds = set(plan.island_kind.tolist())
+    assert kinds - {"thin wall", "gap", "whole"} == ({name[:-1]} if name != "whole" else set())
+    assert np.array_equal(np.sort(plan.order), np.arange(len(plan.islands)))
+    assert shapely.union_all(plan.islands).area == pytest.approx(plan.island_area_mm2.sum(), rel=1e-6)
+    assert plan.metrics["covered_fraction"][0] >= 0.98
+    assert plan.settings["scan"]["partition"] == name
+    lines = shapely.linestrings(plan.vectors[["x0", "y0", "x1", "y1"]].to_numpy().reshape(-1, 2, 2))
+    assert section.buffer(1e-9).covers(shapely.MultiLineString(list(lines)))
+
+
+def test_a_whole_solid_is_one_island_of_one_direction():
+    plan = plan_scan(PLATE, with_partition("whole"), layer=2)
+    assert plan.island_kind.tolist() == ["whole"]
+    assert plan.vectors["angle"].to_numpy() % 180.0 == pytest.approx(30.0)
+
+
+def test_partitions_are_as_wide_as_each_other():
+    for name, shape in (("squares", 1.0), ("stripes", None)):
+        plan = plan_scan(PLATE, with_partition(name, PAPER))
+        width = math.sqrt(3) * plan.metrics["side_mm"][0]
+        full = plan.island_area_mm2.max()
+        assert full == pytest.approx(width**2 if shape else width * (140 - 10.32), rel=1e-9)
+
+
+def test_a_stack_shifts_and_turns_as_its_layers_do():
+    from ebamcheck.layers import from_polygons
+
+    layers = from_polygons(np.arange(4.0), [[PLATE]] * 4)
+    plan = plan_stack(layers, PROFILE)
+    for k in range(4):
+        alone = plan_scan(PLATE, PROFILE, layer=k, height_mm=float(k))
+        mine = plan.islands[plan.island_layer == k]
+        assert np.array_equal(shapely.to_wkb(mine), shapely.to_wkb(alone.islands))
+
+
+# -- degenerate layers ---------------------------------------------------------------------------------
+
+
+def square(x, y, size):
+    return shapely.box(x, y, x + size, y + size)
+
+
+DEGENERATE = {
+    "smaller than a hexagon": square(0, 0, 14.0),
+    "ring thinner than a bead": shapely.Point(0, 0).buffer(40).difference(shapely.Point(0, 0).buffer(39)),
+    "two thousand specks": shapely.union_all(
+        [square(4 * i, 4 * j, 2.0) for i in range(50) for j in range(40)]
+    ),
+    "squares that touch at corners": shapely.MultiPolygon([square(0, 0, 40), square(40, 40, 40)]),
+    "boxes with a common side": [square(0, 0, 40), square(40, 0, 40)],
+    "collinear points": shapely.segmentize(square(0, 0, 60), 0.5),
+    "a hole that touches the border": shapely.Polygon(
+        [(0, 0), (80, 0), (80, 60), (0, 60)], [[(0, 30), (20, 40), (20, 20)]]
+    ),
+    "a slit of no width": shapely.Polygon([(0, 0), (80, 0), (80, 60), (40, 60), (40, 20), (40, 60), (0, 60)]),
+    "a hair": shapely.box(0, 0, 100, 1e-6),
+}
+
+
+@pytest.mark.parametrize("name", ["hexagons", "squares", "stripes", "whole"])
+@pytest.mark.parametrize("case", DEGENERATE, ids=list(DEGENERATE))
+def test_degenerate_layers_are_planned_soundly(case, name):
+    given = DEGENERATE[case]
+    plan = plan_scan(given, with_partition(name), layer=5)
+    row = plan.metrics.iloc[0]
+    assert row["covered_fraction"] >= 0.98
+    assert np.isfinite(row[["area_mm2", "hatch_length_mm", "time_s", "laid_share"]].to_numpy(float)).all()
+    assert np.array_equal(np.sort(plan.order), np.arange(len(plan.islands)))
+    assert len(plan.islands) == 0 or np.unique(plan.vectors["island"]).size == len(plan.islands)
