@@ -28,6 +28,9 @@ FEWEST_SAMPLES = 100_000
 MOST_SAMPLES = 4_000_000
 """Samples on one layer; a larger one is sampled more coarsely."""
 
+MOST_PER_BEAD = 1000
+"""Samples across a bead at most: a hair of metal, a thousand times narrower, lies under any bead."""
+
 
 def covered_fraction(section: BaseGeometry, segments: Floats, bead_width_mm: float) -> float:
     """Share of the area of a section that lies within half a bead width of a segment; 1 for an empty one.
@@ -77,7 +80,7 @@ def bare_samples(section: BaseGeometry, segments: Floats, bead_width_mm: float) 
     step = min(
         bead_width_mm / SAMPLES_PER_BEAD, narrowest / SAMPLES_PER_WALL, math.sqrt(box / FEWEST_SAMPLES)
     )
-    step = max(step, math.sqrt(box / MOST_SAMPLES))
+    step = max(step, math.sqrt(box / MOST_SAMPLES), bead_width_mm / MOST_PER_BEAD)
     columns, rows = max(1, math.ceil((x1 - x0) / step)), max(1, math.ceil((y1 - y0) / step))
     polygons = np.empty(len(parts), object)
     polygons[:] = parts
