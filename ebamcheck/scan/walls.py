@@ -13,7 +13,7 @@ from scipy.spatial import QhullError, Voronoi
 
 from ebamcheck.rings import Bools, Floats, Ints
 from ebamcheck.scan.hatch import lines_across, widest_pitch_mm
-from ebamcheck.scan.regions import mean_width_mm
+from ebamcheck.scan.regions import NO_WIDTH_MM, mean_width_mm
 
 SAMPLES_ACROSS = 3.0
 """Border points per wall width; the centre line of a straight wall is then exact to a few percent of it."""
@@ -36,10 +36,10 @@ def wall_lines(wall: shapely.Polygon, bead_width_mm: float, spacing_mm: float) -
     """Polylines (k, 2), mm, along which beads fill a thin wall, side by side where it is wide enough.
 
     Every line lies in the wall and reaches its ends. The list is empty only where the wall is so
-    crooked, or so short, that it has no centre line.
+    crooked, so short, or so much a hair, that it has no centre line.
     """
     width = mean_width_mm(wall)
-    if width <= 0.0:
+    if width <= NO_WIDTH_MM:
         return []
     beads = lines_across(width, spacing_mm, widest_pitch_mm(bead_width_mm, spacing_mm))
     branches = centre_line(wall, width)
