@@ -47,10 +47,12 @@ FIGURES = {
 
 @dataclass(frozen=True, eq=False)
 class OrderResult:
-    """One order driven on a layer: `plan`, and by island `rank` (I,), `entry_k` (I,) and `excess` (I,)."""
+    """One order driven on a layer: `plan`, and by island (I,) `rank`, `start_s`, `end_s`, `entry_k` and `excess`."""
 
     plan: ScanPlan
     rank: Ints
+    start_s: Floats
+    end_s: Floats
     entry_k: Floats
     excess: Floats
     travel_mm: float
@@ -153,16 +155,18 @@ class OrderComparison:
         rank = np.empty(count, np.int64)
         rank[order] = np.arange(count)
         if self.heat is None:
-            return OrderResult(plan, rank, np.zeros(0), np.zeros(0), 0.0)
+            nothing = np.zeros(0)
+            return OrderResult(plan, rank, nothing, nothing, nothing, nothing, 0.0)
         # An island without lines is passed in no time.
         end_s = driven["end_s"].ffill().fillna(0.0)
         start_s = driven["start_s"].fillna(end_s)
         by_island = np.argsort(driven["island"].to_numpy())
+        begins, ends = start_s.to_numpy()[by_island], end_s.to_numpy()[by_island]
         entry_k, excess = entry_temperatures(
             self.heat,
             islands.area_mm2,
             order,
-            start_s.to_numpy()[by_island],
-            end_s.to_numpy()[by_island],
+            begins,
+            ends,
         )
-        return OrderResult(plan, rank, entry_k, excess, float(driven["travel_mm"].sum()))
+        return OrderResult(plan, rank, begins, ends, entry_k, excess, float(driven["travel_mm"].sum()))

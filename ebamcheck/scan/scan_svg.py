@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from xml.sax.saxutils import escape
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from ebamcheck.heat.section_grid import SectionGrid
 from ebamcheck.rings import Floats
 
 WIDTH_PX, MARGIN_PX, TITLE_PX, SCALE_PX = 800, 16, 28, 44
@@ -29,6 +31,7 @@ def islands_svg(
     least: float | None = None,
     greatest: float | None = None,
     labels: bool = False,
+    border: bool = True,
 ) -> str:
     """Draw islands coloured by a value.
 
@@ -42,6 +45,8 @@ def islands_svg(
         Ends of the colour scale, so that pictures can be compared; those of the values if None.
     labels
         Write each value into its island, as a whole number.
+    border
+        Draw a white line around each island.
     """
     low = float(values.min(initial=0.0)) if least is None else least
     high = float(values.max(initial=1.0)) if greatest is None else greatest
@@ -54,14 +59,12 @@ def islands_svg(
             [MARGIN_PX + scale * (points[:, 0] - x0), TITLE_PX + scale * (y1 - points[:, 1])]
         )
 
+    line = ' stroke="#fff" stroke-width="0.7"' if border else ""
     body = []
     for island, value in zip(islands, values.tolist(), strict=True):
-        rings = [shapely.get_coordinates(ring)[:-1] for ring in (island.exterior, *island.interiors)]
-        path = "".join("M" + " ".join(f"{x:.1f},{y:.1f}" for x, y in place(ring)) + "Z" for ring in rings)
+        path = ring_path(island, place)
         share = (value - low) / (high - low) if high > low else 0.0
-        body.append(
-            f'<path d="{path}" fill="{_colour(share)}" fill-rule="evenodd" stroke="#fff" stroke-width="0.7"/>'
-        )
+        body.append(f'<path d="{path}" fill="{_colour(share)}" fill-rule="evenodd"{line}/>')
         if labels and len(islands) <= LABELLED:
             ((x, y),) = place(shapely.get_coordinates(shapely.point_on_surface(island)))
             ink = "#fff" if share < 0.6 else "#222"
@@ -77,6 +80,21 @@ def islands_svg(
     return "\n".join(
         [head, ground, title_line, *body, *_scale_bar(low, high, unit, height_px - SCALE_PX), "</svg>", ""]
     )
+
+
+def field_svg(grid: SectionGrid, values: Floats, title: str, unit: str, greatest: float) -> str:
+    """Draw a field on the cells of a section, (M,), coloured from 0 to the greatest value."""
+    row, column = np.nonzero(grid.number >= 0)
+    low = grid.origin + np.column_stack([column, row]) * grid.step
+    # A hair of overlap: no background shines through between two cells.
+    boxes: NDArray[np.object_] = np.array(shapely.box(*low.T, *(low + 1.02 * grid.step).T), object)
+    return islands_svg(boxes, values, title, unit, 0.0, greatest, border=False)
+
+
+def ring_path(island: shapely.Polygon, place: Callable[[Floats], Floats]) -> str:
+    """Path of the rings of an island, whose points are put on the picture by `place`."""
+    rings = [shapely.get_coordinates(ring)[:-1] for ring in (island.exterior, *island.interiors)]
+    return "".join("M" + " ".join(f"{x:.1f},{y:.1f}" for x, y in place(ring)) + "Z" for ring in rings)
 
 
 def _colour(share: float) -> str:

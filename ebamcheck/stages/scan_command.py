@@ -26,9 +26,9 @@ from ebamcheck.options import (
     settings_of,
 )
 from ebamcheck.scan.comparing import COMPARED, RANDOM, SEEDS, OrderComparison, OrderResult, figures_of
-from ebamcheck.scan.scan_svg import islands_svg
 from ebamcheck.slicing import slice_part
 from ebamcheck.stages.scan_part_command import scan_all
+from ebamcheck.stages.scan_pictures import order_pictures
 from ebamcheck.store import plain
 from ebamcheck.tables import text_table
 
@@ -128,27 +128,13 @@ def _cell(value: Any) -> str:
 def _write(
     folder: Path, table: pd.DataFrame, shown: dict[str, OrderResult], compared: OrderComparison, what: str
 ) -> None:
-    """Write the table, and two pictures an order; all entry temperatures on one colour scale."""
+    """Write the table and the pictures."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise SettingsError(f"{folder}: cannot be made: {error.strerror}") from None
-    hottest = max((float(result.entry_k.max(initial=0.0)) for result in shown.values()), default=0.0)
-    islands = compared.laid.islands
     files = {"orders.json": json.dumps(plain(_records(table)), indent=2, sort_keys=True) + "\n"}
-    for name, result in shown.items():
-        rank = result.rank.astype(np.float64)
-        files[f"{name}-rank.svg"] = islands_svg(islands, rank, f"{what}: rank, {name}", labels=True)
-        if len(result.entry_k):
-            files[f"{name}-entry.svg"] = islands_svg(
-                islands,
-                result.entry_k,
-                f"{what}: entry temperature rise, {name}",
-                " K",
-                0.0,
-                hottest,
-                labels=True,
-            )
+    files |= order_pictures(compared, shown, what)
     for file, text in files.items():
         with replacing(folder / file) as temporary:
             temporary.write_text(text, encoding="utf-8")

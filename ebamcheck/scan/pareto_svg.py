@@ -1,0 +1,81 @@
+"""Orders by travel and greatest entry temperature as self-contained SVG: what is cool costs way."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from xml.sax.saxutils import escape
+
+WIDTH_PX, HEIGHT_PX, LEFT_PX, RIGHT_PX, TOP_PX, FOOT_PX = 760, 460, 70, 110, 40, 52
+
+BEST, OTHER = "#1b4f82", "#9aa5b1"
+"""Colours of the orders that no other one beats in both, and of those that one does."""
+
+LABEL_PX = 13.0
+"""Least distance of two labels one over the other."""
+
+
+def pareto_svg(figures: Mapping[str, tuple[float, float]], title: str) -> str:
+    """Draw orders by travel (mm, to the right) and greatest entry temperature (K, upwards).
+
+    Parameters
+    ----------
+    figures
+        Travel and temperature by order.
+    """
+    most_x = 1.08 * max((x for x, _ in figures.values()), default=1.0) or 1.0
+    most_y = 1.08 * max((y for _, y in figures.values()), default=1.0) or 1.0
+    wide, tall = WIDTH_PX - LEFT_PX - RIGHT_PX, HEIGHT_PX - TOP_PX - FOOT_PX
+
+    def place(x: float, y: float) -> tuple[float, float]:
+        return LEFT_PX + wide * x / most_x, TOP_PX + tall * (1.0 - y / most_y)
+
+    body = [
+        f'<rect width="{WIDTH_PX}" height="{HEIGHT_PX}" fill="#fff"/>',
+        f'<text x="{LEFT_PX}" y="22" font-size="14">{escape(title)}</text>',
+    ]
+    for n in range(5):
+        x, y = place(most_x * n / 4, most_y * n / 4)
+        base = TOP_PX + tall
+        body += [
+            f'<path d="M{x:.1f},{TOP_PX}V{base}M{LEFT_PX},{y:.1f}H{LEFT_PX + wide}" stroke="#e3e7eb" fill="none"/>',
+            f'<text x="{x:.1f}" y="{base + 16}" font-size="11" text-anchor="middle">{most_x * n / 4:.0f}</text>',
+            f'<text x="{LEFT_PX - 8}" y="{y + 4:.1f}" font-size="11" text-anchor="end">{most_y * n / 4:.0f}</text>',
+        ]
+    best = frontier(figures)
+    front = " ".join("{:.1f},{:.1f}".format(*place(*figures[name])) for name in best)
+    body.append(f'<polyline points="{front}" fill="none" stroke="{BEST}" stroke-dasharray="4 4"/>')
+    last_y = -LABEL_PX
+    for name, (x, y) in sorted(figures.items(), key=lambda item: -item[1][1]):
+        px, py = place(x, y)
+        colour = BEST if name in best else OTHER
+        last_y = max(py + 4.0, last_y + LABEL_PX)
+        body += [
+            f'<circle cx="{px:.1f}" cy="{py:.1f}" r="5" fill="{colour}"/>',
+            f'<text x="{px + 9:.1f}" y="{last_y:.1f}" font-size="12" fill="{colour}">{escape(name)}</text>',
+        ]
+    body += [
+        (
+            f'<text x="{LEFT_PX + wide / 2:.0f}" y="{HEIGHT_PX - 12}" font-size="12" text-anchor="middle">'
+            "travel between islands, mm</text>"
+        ),
+        (
+            f'<text transform="translate(18,{TOP_PX + tall / 2:.0f}) rotate(-90)" font-size="12" '
+            'text-anchor="middle">greatest entry temperature rise, K</text>'
+        ),
+    ]
+    head = (
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH_PX}" height="{HEIGHT_PX}" '
+        f'viewBox="0 0 {WIDTH_PX} {HEIGHT_PX}" font-family="Helvetica, Arial, sans-serif" fill="#222">'
+    )
+    return "\n".join([head, *body, "</svg>", ""])
+
+
+def frontier(figures: Mapping[str, tuple[float, float]]) -> list[str]:
+    """Orders that no other one beats in both figures, by rising travel."""
+    found: list[str] = []
+    coolest = float("inf")
+    for name, (_, y) in sorted(figures.items(), key=lambda item: item[1]):
+        if y < coolest:
+            found.append(name)
+            coolest = y
+    return found

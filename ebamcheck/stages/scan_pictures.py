@@ -1,0 +1,57 @@
+"""Pictures of ``ebamcheck scan``: ranks, temperatures, the orders side by side, and the layer being scanned."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from ebamcheck.heat import ContourModes
+from ebamcheck.scan.animation import layer_animation
+from ebamcheck.scan.comparing import OrderComparison, OrderResult
+from ebamcheck.scan.driving import entered
+from ebamcheck.scan.history import island_history
+from ebamcheck.scan.pareto_svg import pareto_svg
+from ebamcheck.scan.scan_svg import field_svg, islands_svg
+
+SCALE_QUANTILE = 0.98
+"""End of the colour scale of the animation: the island under the beam is far hotter than all others."""
+
+
+def order_pictures(
+    compared: OrderComparison, results: Mapping[str, OrderResult], what: str
+) -> dict[str, str]:
+    """Texts by file name: two maps an order on common scales, its last temperatures and its animation."""
+    islands = compared.laid.islands
+    files = {}
+    for name, result in results.items():
+        rank = result.rank.astype(np.float64)
+        files[f"{name}-rank.svg"] = islands_svg(islands, rank, f"{what}: rank, {name}", labels=True)
+    if compared.heat is None:
+        return files
+    hottest = max(float(result.entry_k.max()) for result in results.values())
+    plane = compared.heat.model.plane
+    if not isinstance(plane, ContourModes):
+        return files
+    for name, result in results.items():
+        title = f"{what}: entry temperature rise, {name}"
+        files[f"{name}-entry.svg"] = islands_svg(
+            islands, result.entry_k, title, " K", 0.0, hottest, labels=True
+        )
+        order = np.argsort(result.rank)
+        _, state = entered(compared.heat, order, result.start_s, result.end_s)
+        last_k = plane.values @ (state @ compared.heat.in_layer)
+        title = f"{what}: temperature rise when the layer is done, {name}"
+        files[f"{name}-field.svg"] = field_svg(plane.grid, last_k, title, " K", float(last_k.max()))
+        history = island_history(compared.heat, order, result.start_s, result.end_s)
+        files[f"{name}.html"] = layer_animation(
+            islands,
+            order,
+            result.end_s,
+            history,
+            f"{what}, {name}",
+            float(np.quantile(history, SCALE_QUANTILE)),
+        )
+    figures = {name: (result.travel_mm, float(result.entry_k.max())) for name, result in results.items()}
+    files["pareto.svg"] = pareto_svg(figures, f"{what}: {len(islands)} islands")
+    return files
