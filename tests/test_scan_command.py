@@ -11,6 +11,7 @@ import shapely
 from command_line import ebamcheck, write_stl
 
 from ebamcheck.part import from_arrays
+from ebamcheck.scan.pareto_svg import frontier, pareto_svg
 from ebamcheck.scan.scan_svg import islands_svg
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -33,7 +34,7 @@ def test_all_orders_in_a_table_with_pictures(plate, tmp_path):
     rows = json.loads((tmp_path / "out" / "orders.json").read_text())
     names = [row["order"] for row in rows]
     assert names[-1] == "thermal"
-    assert {f"{n}-{kind}.svg" for n in names for kind in ("rank", "entry")} == {
+    assert {"pareto.svg"} | {f"{n}-{kind}.svg" for n in names for kind in ("rank", "entry", "field")} == {
         path.name for path in (tmp_path / "out").glob("*.svg")
     }
     by_name = {row["order"]: row for row in rows}
@@ -42,6 +43,36 @@ def test_all_orders_in_a_table_with_pictures(plate, tmp_path):
     count = int(done.stdout.split()[0])
     picture = ElementTree.parse(tmp_path / "out" / "thermal-rank.svg").getroot()
     assert len(picture.findall(f"{SVG}path")) == count
+
+
+def test_animation_needs_nothing_else_and_paths_are_exported(plate, tmp_path):
+    done = ebamcheck(
+        *("scan", plate, "--height", 12, "--orders", "thermal", "--export", "all", "-o", "out"), cwd=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    page = (tmp_path / "out" / "thermal.html").read_text()
+    assert "http" not in page
+    assert "src=" not in page
+    count = int(done.stdout.split()[0])
+    assert page.count("<path ") == count
+    frames = json.loads(page.split("const frames=")[1].split(",order=")[0])
+    order = json.loads(page.split(",order=")[1].split(",times=")[0])
+    assert sorted(order) == list(range(count))
+    assert [int(np.argmax(row)) for row in frames] == order, "the island that was just scanned is the hottest"
+    paths = tmp_path / "out" / "paths" / "thermal"
+    for name, file in (
+        ("3dthesis", "Path.txt"),
+        ("adamantine", "scan_path.txt"),
+        ("additivefoam", "scanPath"),
+    ):
+        assert len((paths / name / file).read_text().splitlines()) > count
+
+
+def test_frontier_is_what_no_other_order_beats():
+    figures = {"a": (10.0, 900.0), "b": (20.0, 950.0), "c": (30.0, 100.0), "d": (30.0, 300.0)}
+    assert frontier(figures) == ["a", "c"]
+    root = ElementTree.fromstring(pareto_svg(figures, "a < b"))
+    assert len(root.findall(f"{SVG}circle")) == 4
 
 
 def test_json_of_the_order_of_the_settings(plate, tmp_path):
@@ -55,6 +86,8 @@ def test_json_of_the_order_of_the_settings(plate, tmp_path):
     [
         (("--orders", "raster,spiral"), "unknown order: choose one of nearest"),
         (("--orders", "random", "--seeds", "0"), "--seeds 0: give at least 1"),
+        (("--export", "foam", "-o", "x"), "--export 'foam': choose from 3dthesis"),
+        (("--export", "all"), "--export: give the folder with -o"),
         (("--all",), "give either --height Z for one layer, or --all"),
     ],
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from xml.sax.saxutils import escape
 
@@ -14,6 +15,17 @@ LABEL_PX = 13.0
 """Least distance of two labels one over the other."""
 
 
+TICKS = 5
+"""Steps of each axis."""
+
+
+def _round_step(most: float) -> float:
+    """Least of 1, 1.5, 2, 3, 4, 5, 6, 8 times a power of ten whose steps reach a value."""
+    wanted = max(most, 1.0) * 1.02 / TICKS
+    power = 10.0 ** math.floor(math.log10(wanted))
+    return next(m * power for m in (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0) if m * power >= wanted)
+
+
 def pareto_svg(figures: Mapping[str, tuple[float, float]], title: str) -> str:
     """Draw orders by travel (mm, to the right) and greatest entry temperature (K, upwards).
 
@@ -22,8 +34,9 @@ def pareto_svg(figures: Mapping[str, tuple[float, float]], title: str) -> str:
     figures
         Travel and temperature by order.
     """
-    most_x = 1.08 * max((x for x, _ in figures.values()), default=1.0) or 1.0
-    most_y = 1.08 * max((y for _, y in figures.values()), default=1.0) or 1.0
+    step_x = _round_step(max((x for x, _ in figures.values()), default=1.0))
+    step_y = _round_step(max((y for _, y in figures.values()), default=1.0))
+    most_x, most_y = TICKS * step_x, TICKS * step_y
     wide, tall = WIDTH_PX - LEFT_PX - RIGHT_PX, HEIGHT_PX - TOP_PX - FOOT_PX
 
     def place(x: float, y: float) -> tuple[float, float]:
@@ -33,13 +46,13 @@ def pareto_svg(figures: Mapping[str, tuple[float, float]], title: str) -> str:
         f'<rect width="{WIDTH_PX}" height="{HEIGHT_PX}" fill="#fff"/>',
         f'<text x="{LEFT_PX}" y="22" font-size="14">{escape(title)}</text>',
     ]
-    for n in range(5):
-        x, y = place(most_x * n / 4, most_y * n / 4)
+    for n in range(TICKS + 1):
+        x, y = place(step_x * n, step_y * n)
         base = TOP_PX + tall
         body += [
             f'<path d="M{x:.1f},{TOP_PX}V{base}M{LEFT_PX},{y:.1f}H{LEFT_PX + wide}" stroke="#e3e7eb" fill="none"/>',
-            f'<text x="{x:.1f}" y="{base + 16}" font-size="11" text-anchor="middle">{most_x * n / 4:.0f}</text>',
-            f'<text x="{LEFT_PX - 8}" y="{y + 4:.1f}" font-size="11" text-anchor="end">{most_y * n / 4:.0f}</text>',
+            f'<text x="{x:.1f}" y="{base + 16}" font-size="11" text-anchor="middle">{step_x * n:g}</text>',
+            f'<text x="{LEFT_PX - 8}" y="{y + 4:.1f}" font-size="11" text-anchor="end">{step_y * n:g}</text>',
         ]
     best = frontier(figures)
     front = " ".join("{:.1f},{:.1f}".format(*place(*figures[name])) for name in best)

@@ -9,6 +9,7 @@ from xml.sax.saxutils import escape
 import numpy as np
 import shapely
 from numpy.typing import NDArray
+from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.heat.section_grid import SectionGrid
 from ebamcheck.rings import Floats
@@ -32,6 +33,7 @@ def islands_svg(
     greatest: float | None = None,
     labels: bool = False,
     border: bool = True,
+    mask: BaseGeometry | None = None,
 ) -> str:
     """Draw islands coloured by a value.
 
@@ -47,6 +49,8 @@ def islands_svg(
         Write each value into its island, as a whole number.
     border
         Draw a white line around each island.
+    mask
+        What is covered in white in the end.
     """
     low = float(values.min(initial=0.0)) if least is None else least
     high = float(values.max(initial=1.0)) if greatest is None else greatest
@@ -59,7 +63,7 @@ def islands_svg(
             [MARGIN_PX + scale * (points[:, 0] - x0), TITLE_PX + scale * (y1 - points[:, 1])]
         )
 
-    line = ' stroke="#fff" stroke-width="0.7"' if border else ""
+    line = ' stroke="#fff" stroke-width="0.7"' if border else ' shape-rendering="crispEdges"'
     body = []
     for island, value in zip(islands, values.tolist(), strict=True):
         path = ring_path(island, place)
@@ -69,8 +73,13 @@ def islands_svg(
             ((x, y),) = place(shapely.get_coordinates(shapely.point_on_surface(island)))
             ink = "#fff" if share < 0.6 else "#222"
             body.append(
-                f'<text x="{x:.1f}" y="{y + 3.5:.1f}" font-size="10" text-anchor="middle" fill="{ink}">{value:.0f}</text>'
+                f'<text x="{x:.1f}" y="{y + 3.5:.1f}" font-size="10" text-anchor="middle" fill="{ink}">{round(value)}</text>'
             )
+    body += [
+        f'<path d="{ring_path(cover, place)}" fill="#fff" fill-rule="evenodd"/>'
+        for cover in shapely.get_parts(mask)
+        if mask is not None
+    ]
     head = (
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH_PX}" height="{height_px}" '
         f'viewBox="0 0 {WIDTH_PX} {height_px}" font-family="Helvetica, Arial, sans-serif">'
@@ -82,13 +91,18 @@ def islands_svg(
     )
 
 
-def field_svg(grid: SectionGrid, values: Floats, title: str, unit: str, greatest: float) -> str:
-    """Draw a field on the cells of a section, (M,), coloured from 0 to the greatest value."""
+def field_svg(
+    grid: SectionGrid, values: Floats, section: BaseGeometry, title: str, unit: str, greatest: float
+) -> str:
+    """Draw a field on the cells of a section, (M,), coloured from 0 to the greatest value and more."""
     row, column = np.nonzero(grid.number >= 0)
     low = grid.origin + np.column_stack([column, row]) * grid.step
-    # A hair of overlap: no background shines through between two cells.
-    boxes: NDArray[np.object_] = np.array(shapely.box(*low.T, *(low + 1.02 * grid.step).T), object)
-    return islands_svg(boxes, values, title, unit, 0.0, greatest, border=False)
+    boxes: NDArray[np.object_] = np.array(shapely.box(*low.T, *(low + grid.step).T), object)
+    # What the cells cover beside the section is covered in white.
+    around = shapely.box(*shapely.total_bounds(boxes)).buffer(1.0, join_style="mitre")
+    return islands_svg(
+        boxes, values, title, unit, 0.0, greatest, border=False, mask=around.difference(section)
+    )
 
 
 def ring_path(island: shapely.Polygon, place: Callable[[Floats], Floats]) -> str:

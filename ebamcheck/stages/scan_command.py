@@ -11,8 +11,9 @@ import pandas as pd
 import typer
 
 from ebamcheck.atomic_file import replacing
-from ebamcheck.config import SCAN_ORDERS
+from ebamcheck.config import SCAN_ORDERS, Config
 from ebamcheck.errors import ExitCode, SettingsError
+from ebamcheck.layers import Layers
 from ebamcheck.options import (
     ConfigOption,
     DirectionOption,
@@ -25,6 +26,8 @@ from ebamcheck.options import (
     print_json,
     settings_of,
 )
+from ebamcheck.pipeline.programming import bead_paths
+from ebamcheck.program import write_program
 from ebamcheck.scan.comparing import COMPARED, RANDOM, SEEDS, OrderComparison, OrderResult, figures_of
 from ebamcheck.slicing import slice_part
 from ebamcheck.stages.scan_part_command import scan_all
@@ -33,6 +36,9 @@ from ebamcheck.store import plain
 from ebamcheck.tables import text_table
 
 ALL = "all"
+
+SIMULATORS = ("3dthesis", "adamantine", "additivefoam")
+"""Posts of heat simulators, which take the path of a layer."""
 
 HEADINGS = {
     "order": "order",
@@ -62,6 +68,12 @@ def scan_command(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Folder for orders.json and pictures.")
     ] = None,
+    export: Annotated[
+        str,
+        typer.Option(
+            help=f"Also write the path of each order for simulators: {', '.join(SIMULATORS)}, or all."
+        ),
+    ] = "",
     seeds: Annotated[int, typer.Option(help=f"Seeds over which `{RANDOM}` is averaged.")] = SEEDS,
     config: ConfigOption = None,
     units: UnitsOption = "",
@@ -73,6 +85,11 @@ def scan_command(
     wanted = COMPARED if orders == ALL else names(orders) or (settings.scan.order,)
     for name in wanted:
         settings.changed(scan={"order": name})  # an unknown name is refused before anything is computed
+    simulators = SIMULATORS if export == ALL else names(export)
+    if unknown := set(simulators) - set(SIMULATORS):
+        raise SettingsError(f"--export {sorted(unknown)[0]!r}: choose from {', '.join(SIMULATORS)}, or all")
+    if simulators and output is None:
+        raise SettingsError("--export: give the folder with -o")
     if seeds < 1:
         raise SettingsError(f"--seeds {seeds}: give at least 1")
     if all_layers == (height is not None):
@@ -88,6 +105,7 @@ def scan_command(
     compared = OrderComparison.of(layers.polygons(0), settings, number, max(height - low, 0.0))
     table, shown = _compared(compared, wanted, seeds)
     if output is not None:
+        _export(output, simulators, shown, layers, settings)
         _write(output, table, shown, compared, f"{part.name}, z = {height:g} mm")
     if as_json:
         print_json(_records(table))
@@ -111,6 +129,17 @@ def _compared(
         shown[name] = results[0]
         rows.append(figures_of(name, results))
     return pd.DataFrame(rows), shown
+
+
+def _export(
+    folder: Path, simulators: tuple[str, ...], shown: dict[str, OrderResult], layers: Layers, settings: Config
+) -> None:
+    """Write the path of each order for each simulator, as paths/ORDER/SIMULATOR."""
+    for name, result in shown.items() if simulators else ():
+        beads = bead_paths(layers, result.plan, settings)
+        for simulator in simulators:
+            program = settings.changed(machine={"control": simulator})
+            write_program(beads, result.plan, program, folder / "paths" / name / simulator)
 
 
 def _records(table: pd.DataFrame) -> list[dict[str, Any]]:

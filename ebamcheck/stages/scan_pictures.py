@@ -14,14 +14,14 @@ from ebamcheck.scan.history import island_history
 from ebamcheck.scan.pareto_svg import pareto_svg
 from ebamcheck.scan.scan_svg import field_svg, islands_svg
 
-SCALE_QUANTILE = 0.98
-"""End of the colour scale of the animation: the island under the beam is far hotter than all others."""
-
 
 def order_pictures(
     compared: OrderComparison, results: Mapping[str, OrderResult], what: str
 ) -> dict[str, str]:
-    """Texts by file name: two maps an order on common scales, its last temperatures and its animation."""
+    """Texts by file name: two maps an order its last temperatures and its animation.
+
+    All scales of temperature end at the hottest entry of all orders: what the beam is on is hotter yet.
+    """
     islands = compared.laid.islands
     files = {}
     for name, result in results.items():
@@ -42,7 +42,9 @@ def order_pictures(
         _, state = entered(compared.heat, order, result.start_s, result.end_s)
         last_k = plane.values @ (state @ compared.heat.in_layer)
         title = f"{what}: temperature rise when the layer is done, {name}"
-        files[f"{name}-field.svg"] = field_svg(plane.grid, last_k, title, " K", float(last_k.max()))
+        files[f"{name}-field.svg"] = field_svg(
+            plane.grid, last_k, compared.laid.regions.section, title, " K", hottest
+        )
         history = island_history(compared.heat, order, result.start_s, result.end_s)
         files[f"{name}.html"] = layer_animation(
             islands,
@@ -50,7 +52,7 @@ def order_pictures(
             result.end_s,
             history,
             f"{what}, {name}",
-            float(np.quantile(history, SCALE_QUANTILE)),
+            hottest,
         )
     figures = {name: (result.travel_mm, float(result.entry_k.max())) for name, result in results.items()}
     files["pareto.svg"] = pareto_svg(figures, f"{what}: {len(islands)} islands")
