@@ -18,10 +18,10 @@ import shapely
 from scipy.spatial import Delaunay
 
 from benchmarks.machine import machine
-from ebamcheck.config import CurveSettings
 from ebamcheck.curves import METHODS, contour_error, error_reduction, fit
 from ebamcheck.layers import Layers, from_polygons
 from ebamcheck.part import Part, from_arrays
+from ebamcheck.settings.curves import CurveSettings
 from ebamcheck.slicing import slice_part
 from ebamcheck.store import write_json
 from ebamcheck_models import LADDER

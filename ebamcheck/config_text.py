@@ -7,7 +7,8 @@ from typing import Any
 
 import tomlkit
 
-from ebamcheck.config import Config, Section
+from ebamcheck.config import Config
+from ebamcheck.settings.base import Section
 
 WIDTH = 100
 

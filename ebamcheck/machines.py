@@ -8,7 +8,8 @@ from __future__ import annotations
 import os
 import platform
 
-from ebamcheck.config import Config, MachineSections
+from ebamcheck.config import Config
+from ebamcheck.settings.selection import MachineSections
 
 MACHINE_VARIABLE = "EBAMCHECK_MACHINE"
 """Environment variable that names the machine where its host name does not (in a container, say)."""

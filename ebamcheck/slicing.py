@@ -18,13 +18,13 @@ from numpy.typing import ArrayLike
 
 from ebamcheck import layer_files, registry
 from ebamcheck.backend import BackendSettings, Prepared, Progress, Turnable
-from ebamcheck.config import SlicingSettings
 from ebamcheck.crew import Crew
 from ebamcheck.errors import SettingsError
 from ebamcheck.heights import checked_heights, is_rising, layer_blocks
 from ebamcheck.isolate import Limits, Outcome, slice_all, slice_isolated
 from ebamcheck.layers import Layers
 from ebamcheck.part import Part
+from ebamcheck.settings.slicing import SlicingSettings
 
 _Result = TypeVar("_Result")
 

@@ -16,10 +16,10 @@ from ebamcheck.comparison.causes import MeshFlaws, Place, likely_cause
 from ebamcheck.comparison.consensus import agreement
 from ebamcheck.comparison.pairwise import Pair, measure_block
 from ebamcheck.comparison.topology import thin_counts
-from ebamcheck.config import ComparisonSettings
 from ebamcheck.errors import SettingsError
 from ebamcheck.layers import from_polygons, from_rings
 from ebamcheck.part import from_arrays
+from ebamcheck.settings.slicing import ComparisonSettings
 
 COLUMNS = [
     "layer", "height_mm", "class", "area_a_mm2", "area_b_mm2", "area_difference_mm2",

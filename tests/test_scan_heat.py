@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_info
 
 import ebamcheck
 from ebamcheck import registry
-from ebamcheck.config import SCAN_ORDERS, Config
+from ebamcheck.config import Config
 from ebamcheck.errors import SettingsError
 from ebamcheck.heat import Medium
 from ebamcheck.heat.one_blas_thread import one_blas_thread
@@ -26,6 +26,7 @@ from ebamcheck.scan.order import scan_order
 from ebamcheck.scan.planning import lay_islands
 from ebamcheck.scan.regions import layer_section
 from ebamcheck.scan.thermal import greedy_order, own_rise
+from ebamcheck.settings.scan import SCAN_ORDERS
 
 PROFILE = Config()
 RAPID = PROFILE.machine.rapid_mm_s

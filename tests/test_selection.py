@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from parts import box
 
-from ebamcheck.config import Config, MachineChoice, load_config
+from ebamcheck.config import Config, load_config
 from ebamcheck.config_text import as_toml
 from ebamcheck.errors import BackendMissing, ExitCode, SettingsError
 from ebamcheck.machines import MACHINE_VARIABLE, for_this_machine, machine_name
@@ -27,6 +27,7 @@ from ebamcheck.selection import (
 from ebamcheck.selection.choice import TIE_SHARE, ranked, unfit
 from ebamcheck.selection.command import select
 from ebamcheck.selection.trial import ACCURACY_LAYERS
+from ebamcheck.settings.selection import MachineChoice
 from ebamcheck_models import write_stl
 
 USER_FILE = """\

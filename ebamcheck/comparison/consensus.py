@@ -21,9 +21,9 @@ from ebamcheck.comparison.pairwise import (
     table,
 )
 from ebamcheck.comparison.sources import LayerSource, blocks_of, contour_figures
-from ebamcheck.config import ComparisonSettings
 from ebamcheck.heights import crossing_counts
 from ebamcheck.part import Part
+from ebamcheck.settings.slicing import ComparisonSettings
 
 AGREE, OUTLIER, UNDECIDED, NOT_COMPARED, EMPTY = "agree", "outlier", "undecided", "not-compared", "empty"
 """Verdicts on a layer."""

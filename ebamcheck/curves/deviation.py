@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pandas as pd
 
-from ebamcheck.config import CurveSettings
 from ebamcheck.curves.bezier import bezier_derivative, evaluate_bezier
 from ebamcheck.curves.cleaning import clean
 from ebamcheck.curves.columns import Curves
@@ -16,6 +15,7 @@ from ebamcheck.errors import SettingsError
 from ebamcheck.kernels import kernel, run_blocks
 from ebamcheck.layers import Layers
 from ebamcheck.rings import Bools, Floats, Ints
+from ebamcheck.settings.curves import CurveSettings
 
 CHORDS_A_SPAN = 8
 """Chords by which a span is searched and at whose ends its distance is taken."""

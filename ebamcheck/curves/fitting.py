@@ -7,7 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ebamcheck.backend import Progress
-from ebamcheck.config import Config, CurveSettings
+from ebamcheck.config import Config
 from ebamcheck.curves.bulge import bulges
 from ebamcheck.curves.cleaning import clean
 from ebamcheck.curves.columns import Curves
@@ -21,6 +21,7 @@ from ebamcheck.curves.vertex_normals import surface_normals
 from ebamcheck.errors import GeometryError, SettingsError
 from ebamcheck.layers import Layers
 from ebamcheck.part import Part
+from ebamcheck.settings.curves import CurveSettings
 
 LAYERS_A_STEP = 256
 """Layers fitted between two reports of progress; bounds the working memory, too."""

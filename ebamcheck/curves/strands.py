@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.config import CurveSettings
 from ebamcheck.curves.lifting import Sides
 from ebamcheck.kernels import kernel, run_blocks
 from ebamcheck.rings import Bools, Floats, Ints
+from ebamcheck.settings.curves import CurveSettings
 
 RINGS_A_BLOCK = 16
 

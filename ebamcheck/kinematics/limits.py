@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ebamcheck.config import Config, KinematicsSettings, MachineSettings
+from ebamcheck.config import Config
 from ebamcheck.kinematics.path import DrivenPath
 from ebamcheck.rings import Bools, Floats, Ints
+from ebamcheck.settings.machine import KinematicsSettings, MachineSettings
 
 PLACES = 5
 """Places of a cell, its ends included, at which its curvature is taken."""

@@ -10,11 +10,11 @@ import numpy as np
 import pandas as pd
 
 from ebamcheck import layer_files
-from ebamcheck.config import CurveSettings
 from ebamcheck.curves import METHODS, Curves, contour_error, error_reduction, fit, fit_deviation
 from ebamcheck.layers import Layers
 from ebamcheck.part import Part
 from ebamcheck.pipeline.work import Job
+from ebamcheck.settings.curves import CurveSettings
 from ebamcheck.slicing import slice_part
 
 

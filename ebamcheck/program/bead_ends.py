@@ -9,13 +9,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ebamcheck.config import Config, ProcessSettings
+from ebamcheck.config import Config
 from ebamcheck.program.cuts import segment_lengths, segment_parts
 from ebamcheck.program.inputs import CurveColumns, ScanColumns
 from ebamcheck.program.seams import seam_shifts
 from ebamcheck.program.segments import CIRCULAR, CUBIC, Form
 from ebamcheck.program.toolpath import Toolpath, cleaned, rounded, toolpath
 from ebamcheck.rings import Bools, Floats, Ints
+from ebamcheck.settings.process import ProcessSettings
 
 SHORTEST_BLOCK_MM = 0.05
 """A cut nearer than this to the end of a block is made there: shorter blocks make a control stutter."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from ebamcheck.config import MachineSettings
+from ebamcheck.settings.machine import MachineSettings
 
 SINUMERIK, LINUXCNC, PLAIN = "sinumerik-840d-sl", "linuxcnc", "plain-gcode"
 """Controls whose programs are text that the reader reads."""

@@ -9,10 +9,11 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.config import Config, KeepOut
+from ebamcheck.config import Config
 from ebamcheck.program.checks import Check, worst_check
 from ebamcheck.program.motions import ARC, RAPID, STRAIGHT, NCProgram
 from ebamcheck.rings import Floats, Ints
+from ebamcheck.settings.process import KeepOut
 
 DIRECTIONS = 17
 """Places along a curve at which its direction is looked at: ends of spans turn by far less than a quarter."""

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ebamcheck.config import Config, MachineSettings
+from ebamcheck.config import Config
 from ebamcheck.errors import SettingsError
 from ebamcheck.program.bead_ends import driven_path
 from ebamcheck.program.blocks import BlockFormat, numbered
@@ -26,6 +26,7 @@ from ebamcheck.program.spline_writing import even, spline_blocks
 from ebamcheck.program.templates import plain, process_values
 from ebamcheck.program.toolpath import TURN_SPACINGS as TURN_SPACINGS
 from ebamcheck.program.toolpath import Toolpath
+from ebamcheck.settings.machine import MachineSettings
 
 FORMS: Mapping[str, Form] = {"poly": "cubics", "bspline": "cubics", "arcs": "arcs", "lines": "chords"}
 """What splines become for each ``machine.curve_form``."""

@@ -14,10 +14,10 @@ from pydantic import Field
 
 from ebamcheck import registry
 from ebamcheck.backend import BackendSettings
-from ebamcheck.config import Positive, Section
 from ebamcheck.errors import SettingsError
 from ebamcheck.model import Model, models
 from ebamcheck.regression.settings import checked, read_toml
+from ebamcheck.settings.base import Positive, Section
 from ebamcheck.store import sha256_of_json
 
 MATRIX = "matrix.toml"

@@ -9,9 +9,9 @@ from typing import Any, TypeVar
 
 from pydantic import Field, ValidationError, field_validator
 
-from ebamcheck.config import NotNegative, Section
 from ebamcheck.errors import SettingsError
 from ebamcheck.regression.metrics import TOLERANCE_NAMES
+from ebamcheck.settings.base import NotNegative, Section
 
 _Kind = TypeVar("_Kind", bound=Section)
 

@@ -11,7 +11,7 @@ import pandas as pd
 import typer
 
 from ebamcheck.atomic_file import replacing
-from ebamcheck.config import SCAN_ORDERS, Config
+from ebamcheck.config import Config
 from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.layers import Layers
 from ebamcheck.options import (
@@ -29,6 +29,7 @@ from ebamcheck.options import (
 from ebamcheck.pipeline.programming import bead_paths
 from ebamcheck.program import write_program
 from ebamcheck.scan.comparing import COMPARED, RANDOM, SEEDS, OrderComparison, OrderResult, figures_of
+from ebamcheck.settings.scan import SCAN_ORDERS
 from ebamcheck.slicing import slice_part
 from ebamcheck.stages.scan_part_command import scan_all
 from ebamcheck.stages.scan_pictures import order_pictures

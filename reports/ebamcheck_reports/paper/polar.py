@@ -9,11 +9,11 @@ import numpy as np
 import pandas as pd
 import shapely
 
-from ebamcheck.config import CurveSettings
 from ebamcheck.curves import Curves, contour_error, error_reduction, fit, polar_radius
 from ebamcheck.layers import Layers
 from ebamcheck.model import models
 from ebamcheck.rings import Floats
+from ebamcheck.settings.curves import CurveSettings
 from ebamcheck.slicing import slice_part
 from ebamcheck_reports.canvas import Canvas
 from ebamcheck_reports.charts import Series, line_chart

@@ -1,0 +1,144 @@
+"""Settings of the machine: its control, its limits and its axes."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, field_validator, model_validator
+
+from ebamcheck.settings.base import Finite, NotNegative, Positive, Section
+
+PRINTED_PATH_MM = 1e-4
+"""Distance that a path may have from its curve for the decimals of the program."""
+
+ROUNDING_UNITS = 1.2
+"""Error of a printed path in units of its last decimal: half a unit of the end point, and 0.635 times half a unit of
+the coefficients of a polynomial, in X and in Y."""
+
+
+class MachineSettings(Section):
+    """The machine: a SINUMERIK 840D sl with an electron-beam gun and a wire feeder."""
+
+    name: str = "wire electron-beam machine (default profile)"
+    """Name of the machine, as it stands in the header of the program."""
+    control: str = "sinumerik-840d-sl"
+    """Control that the program is for: the name of a post-processor. Beam and wire templates that are left at their
+    defaults are those of its language."""
+    poly_licensed: bool = True
+    """Polynomial interpolation (POLY) is an option of the control."""
+    bspline_licensed: bool = True
+    """Spline interpolation (BSPLINE) is an option of the control."""
+    curve_form: Literal["poly", "bspline", "arcs", "lines"] = "poly"
+    """How splines are written: polynomials, B-splines, or arcs (G2, G3) or chords (G1) within line_tolerance_mm.
+    Arcs of the contour are always written as such."""
+    bspline_shift: Literal[2, 3, "uniform"] = 2
+    """Which knot interval a BSPLINE block's PL carries; `uniform` for a control that chooses even intervals itself:
+    no PL, and splines of other intervals in another form. See the header of the program."""
+    line_tolerance_mm: Positive = 0.01
+    """Distance from the curve where it is written as chords or arcs."""
+    decimals: Annotated[int, Field(ge=3, le=8)] | None = None
+    """Decimals of coordinates and coefficients in the program; None: the fewest whose rounding keeps the path within
+    a tenth of every tolerance, six with the defaults."""
+    travel_min_mm: tuple[Finite, Finite, Finite] = (-1000.0, -1000.0, 0.0)
+    """Software limits of X, Y and Z in the work offset: least positions."""
+    travel_max_mm: tuple[Finite, Finite, Finite] = (1000.0, 1000.0, 1500.0)
+    """Software limits of X, Y and Z in the work offset."""
+    work_offset: Literal["G54", "G55", "G56", "G57"] = "G54"
+    """Settable work offset in which the program runs."""
+    safe_height_mm: Positive = 20.0
+    """Rise above the current layer for moves over more than one island gap, and at the end."""
+    rapid_mm_s: Positive = 100.0
+    """Speed of rapid moves, for times only; G0 itself carries no feed."""
+    feed_min_mm_s: Positive = 1.0
+    """Least feed that a program may command."""
+    feed_max_mm_s: Positive = 50.0
+    """Greatest feed that a program may command."""
+    smoothing: tuple[str, ...] = ("SOFT", "FFWON", "G642")
+    """Words of the block that sets acceleration, feed-forward and corner rounding."""
+    smoothing_tolerance_mm: Positive = 0.05
+    """Axis tolerance of G642 (CTOL): the path driven may leave the path programmed by this."""
+    workpiece_directory: str = "EBAMCHECK"
+    """Name of the WPD folder on the control."""
+    program_name: str = "MAIN"
+    """Base name of the main program; the part's name is not a legal NC name in general."""
+    # Templates: {power_w} {voltage_kv} {current_ma} {wire_mm_s} {wire_retract_mm} {feed_mm_min} {layer} {height_mm}
+    # are filled in.
+    beam_on: tuple[str, ...] = ("M60 ; beam on",)
+    """Blocks that switch the beam on; the codes are the machine maker's."""
+    beam_off: tuple[str, ...] = ("M61 ; beam off",)
+    """Blocks that switch the beam off."""
+    set_beam: tuple[str, ...] = (
+        "H1={voltage_kv} ; accelerating voltage, kV",
+        "H2={current_ma} ; beam current, mA",
+    )
+    """Blocks that set voltage and current, before the first layer."""
+    set_power: tuple[str, ...] = ("H2={current_ma} ; beam current, mA",)
+    """Blocks that change the power along a bead, where the process ramps the beam."""
+    wire_start: tuple[str, ...] = ("H3={wire_mm_s} ; wire speed, mm/s", "M62 ; wire on")
+    """Blocks that start the wire at the speed of the layer."""
+    wire_stop: tuple[str, ...] = ("M63 ; wire off",)
+    """Blocks that stop the wire."""
+    wire_retract: tuple[str, ...] = ("H4={wire_retract_mm} ; wire drawn back, mm",)
+    """Blocks that draw the stopped wire back, where the process asks for it."""
+    layer_begin: tuple[str, ...] = ()
+    """Blocks before the first motion of a layer."""
+    layer_end: tuple[str, ...] = ()
+    """Blocks after the last motion of a layer."""
+
+    @property
+    def printed_decimals(self) -> int:
+        """Decimals of the program: those set, else the fewest that keep the path within a tenth of every tolerance."""
+        if self.decimals is not None:
+            return self.decimals
+        least_mm = min(PRINTED_PATH_MM, self.smoothing_tolerance_mm, self.line_tolerance_mm)
+        return min(max(math.ceil(-math.log10(0.1 * least_mm / ROUNDING_UNITS)), 3), 8)
+
+    @field_validator("program_name", "workpiece_directory")
+    @classmethod
+    def _legal_name(cls, value: str) -> str:
+        if not re.fullmatch(r"([A-Z]{2}|_[A-Z])[A-Z0-9_]{0,17}", value) or value in (
+            "CON",
+            "PRN",
+            "AUX",
+            "NUL",
+        ):
+            raise ValueError(
+                "an NC name has 2 to 19 of A-Z, 0-9 and _, and starts with two letters or an underscore and a letter"
+            )
+        return value
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if any(a >= b for a, b in zip(self.travel_min_mm, self.travel_max_mm, strict=True)):
+            raise ValueError("travel_min_mm must be under travel_max_mm on every axis")
+        if self.feed_min_mm_s >= self.feed_max_mm_s:
+            raise ValueError("feed_min_mm_s must be under feed_max_mm_s")
+        if (self.curve_form == "poly" and not self.poly_licensed) or (
+            self.curve_form == "bspline" and not self.bspline_licensed
+        ):
+            raise ValueError(
+                f"curve_form {self.curve_form!r} needs an option that the control is said not to have"
+            )
+        return self
+
+
+class KinematicsSettings(Section):
+    """What the axes can do: limits by which the feed along the path is worked out (`ebamcheck.kinematics`).
+
+    The defaults are those of a heavy gantry, with the jerk that a SINUMERIK is delivered with (SOFT).
+    """
+
+    axis_speed_mm_s: tuple[Positive, Positive, Positive] = (200.0, 200.0, 100.0)
+    """Greatest speeds of X, Y and Z."""
+    axis_acceleration_mm_s2: tuple[Positive, Positive, Positive] = (1000.0, 1000.0, 500.0)
+    """Greatest accelerations of X, Y and Z."""
+    axis_jerk_mm_s3: tuple[Positive, Positive, Positive] = (20000.0, 20000.0, 10000.0)
+    """Greatest jerks of X, Y and Z."""
+    speed_jump_mm_s: NotNegative = 0.1
+    """Step of speed that an axis takes at a corner without being told to smooth it."""
+    curvature_share: Annotated[float, Field(gt=0, lt=1)] = 0.8
+    """Share of the acceleration that may go into curvature; sqrt(1 - share^2) of it is left for the feed."""
+    dip_share: Annotated[float, Field(gt=0, lt=1)] = 0.95
+    """Where the feed falls under this share of the feed programmed, the bead grows: a dip."""

@@ -1,0 +1,69 @@
+"""Data of the wire's material."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Annotated
+
+from pydantic import Field, field_validator
+
+from ebamcheck.settings.base import NotNegative, Positive, Section
+
+DataPoints = Annotated[tuple[tuple[Positive, Positive], ...], Field(min_length=2)]
+"""Temperatures and values of a material, by rising temperature; two points of one temperature make a jump."""
+
+
+class MaterialSettings(Section):
+    """The wire's material."""
+
+    name: str = "Ti-6Al-4V"
+    """Name of the material, as it stands in the header of the program."""
+    density_kg_m3: Positive = 4430.0
+    """Density of the wire, for its mass, and of the part, for its heat."""
+    conductivity_w_mk: Positive = 20.0
+    """Heat conductivity k of the linear heat model: Ti-6Al-4V at about 1200 K (Mills 2002: 1.26 + 0.0157 T under the
+    beta transus)."""
+    heat_capacity_j_kgk: Positive = 700.0
+    """Heat capacity c of the linear heat model: Ti-6Al-4V at about 1000 K (Mills 2002: 483 + 0.215 T under 1268 K)."""
+    conductivity_by_temperature: DataPoints = (
+        (293.0, 5.86),
+        (1268.0, 21.17),
+        (1268.0, 19.61),
+        (1877.0, 27.35),
+        (1923.0, 33.40),
+        (3533.0, 72.04),
+    )
+    """Heat conductivity of the nonlinear referee, (K, W/(m K)), linear between: 1.26 + 0.0157 T, 3.51 + 0.0127 T over the
+    beta transus, -12.75 + 0.024 T liquid. Nominal, after Mills 2002: check them against the book before citing."""
+    heat_capacity_by_temperature: DataPoints = (
+        (293.0, 546.0),
+        (1268.0, 755.6),
+        (1268.0, 640.9),
+        (1877.0, 750.6),
+        (1923.0, 831.0),
+        (3533.0, 831.0),
+    )
+    """Heat capacity of the nonlinear referee without the heat of fusion, (K, J/(kg K)), linear between: 483 + 0.215 T,
+    412.7 + 0.180 T over the beta transus, 831 liquid. Nominal, as above."""
+    latent_heat_j_kg: NotNegative = 286e3
+    """Heat of fusion (Mills 2002)."""
+    solidus_k: Positive = 1877.0
+    """Temperature at which melting begins (Mills 2002)."""
+    liquidus_k: Positive = 1923.0
+    """Temperature at which it ends (Mills 2002)."""
+    boiling_k: Positive = 3533.0
+    """Temperature at which heat leaves as vapour, in the nonlinear referee (nominal)."""
+    melt_mixing: Annotated[float, Field(ge=1, allow_inf_nan=False)] = 4.0
+    """Conduction of the melt over that of still melt, in the nonlinear referee: convection carries the heat. Factors from
+    2 to 10 are in use; nominal."""
+    emissivity: Annotated[float, Field(ge=0, le=1)] = 0.6
+    """Radiation of the surface over that of a black body; 0.5 to 0.7 are published for hot Ti-6Al-4V."""
+    absorptivity: Annotated[float, Field(gt=0, le=1)] = 0.87
+    """Share of the beam's power that the part takes up; 0.85 to 0.9 are published for electrons on titanium."""
+
+    @field_validator("conductivity_by_temperature", "heat_capacity_by_temperature")
+    @classmethod
+    def _rising(cls, value: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
+        if any(a[0] > b[0] for a, b in itertools.pairwise(value)):
+            raise ValueError("give the temperatures in rising order")
+        return value

@@ -1,0 +1,113 @@
+"""Settings of the process: beam, wire, beads."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from ebamcheck.heights import bead_height_mm
+from ebamcheck.settings.base import Finite, NotNegative, Positive, Section
+
+
+class KeepOut(Section):
+    """A place that the bead must not enter: a clamp, a fixture, a probe."""
+
+    name: str = "clamp"
+    """Name in messages."""
+    outline_mm: Annotated[tuple[tuple[Finite, Finite], ...], Field(min_length=3)]
+    """Corners of its outline in X and Y of the work offset, in order; the outline closes itself."""
+    z_mm: tuple[Finite, Finite] = (0.0, 1000.0)
+    """From which Z up to which Z it stands in the way."""
+
+    @model_validator(mode="after")
+    def _upright(self) -> Self:
+        if self.z_mm[0] >= self.z_mm[1]:
+            raise ValueError(f"z_mm {self.z_mm}: give the lower Z first")
+        return self
+
+
+class ProcessSettings(Section):
+    """Wire electron-beam process (values: Pixner et al. 2020, Materials 13:3310, and common practice)."""
+
+    voltage_kv: Positive = 60.0
+    """Accelerating voltage."""
+    current_ma: Positive = 120.0
+    """Beam current; with the voltage it gives the beam power."""
+    current_max_ma: Positive = 250.0
+    """Greatest beam current of the gun."""
+    travel_speed_mm_s: Positive = 10.0
+    """Speed of the beam along a bead."""
+    wire_diameter_mm: Positive = 1.6
+    """Diameter of the wire."""
+    wire_speed_mm_s: Positive = 2000.0 / 60.0
+    """Wire speed at the height of one bead; in a layer of another height it follows the mass balance."""
+    base: Literal["cooled", "insulated"] = "cooled"
+    """What the heat model assumes under the base plate: a table that keeps its temperature, or no heat flow."""
+    base_plate_mm: Positive = 25.0
+    """Thickness of the plate on which the part is built: depth of the heat model under height 0."""
+    ambient_temperature_k: Positive = 293.15
+    """Temperature of the chamber, to which the part radiates."""
+    surface_temperature_k: Positive = 900.0
+    """Temperature at which the radiation of the layer is made linear."""
+    bead_width_mm: Positive = 6.0
+    """Width of one bead."""
+    bead_spacing: Annotated[float, Field(gt=0, le=1)] = 0.72
+    """Distance between parallel beads over the bead width."""
+    machining_allowance_mm: NotNegative = 0.0
+    """Metal left on the contour for machining: contour beads lie outward by this; at most their inset."""
+    overlap_mm: NotNegative = 0.0
+    """Length by which a closed contour bead runs on over its own start, at most once around."""
+    seam_shift_mm: NotNegative = 0.0
+    """Way along a contour from the seam below to its start, so that seams do not lie on top of each other."""
+    ramp_up_mm: NotNegative = 0.0
+    """Length at the start of a bead along which the beam rises to full power."""
+    crater_fill_mm: NotNegative = 0.0
+    """Length at the end of a bead along which the beam falls, so that the crater is filled."""
+    ramp_power: Annotated[float, Field(gt=0, le=1)] = 0.5
+    """Share of the full power at which a ramp begins, and at which a crater fill ends."""
+    ramp_steps: Annotated[int, Field(ge=1, le=50)] = 4
+    """Steps of power along a ramp."""
+    wire_retract_mm: NotNegative = 0.0
+    """Wire drawn back at the end of a bead, so that it does not freeze in."""
+    least_seam_distance_mm: NotNegative = 0.0
+    """Least distance between the starts of contours in neighbouring layers; 0: not limited."""
+    travel_sectors_deg: tuple[tuple[Finite, Finite], ...] = ()
+    """Directions of travel that a side feeder allows, each from an angle counter-clockwise to another; empty: all."""
+    keep_out: tuple[KeepOut, ...] = ()
+    """Places that no bead and no rapid below their top may enter."""
+    largest_overhang_deg: Annotated[float, Field(gt=0, lt=90)] | None = None
+    """Greatest angle from the vertical by which a layer may reach out over the one below; None: not limited."""
+
+    @property
+    def power_w(self) -> float:
+        """Beam power U I, W."""
+        return self.voltage_kv * self.current_ma
+
+    @property
+    def ramps_beam(self) -> bool:
+        """Whether the power changes along a bead."""
+        return self.ramp_up_mm > 0.0 or self.crater_fill_mm > 0.0
+
+    @property
+    def shapes_bead_ends(self) -> bool:
+        """Whether beads start or end otherwise than the curves and hatch lines that they follow."""
+        return self.ramps_beam or self.overlap_mm > 0.0 or self.seam_shift_mm > 0.0
+
+    @property
+    def hatch_spacing_mm(self) -> float:
+        """Distance between parallel beads, mm."""
+        return self.bead_width_mm * self.bead_spacing
+
+    @property
+    def bead_height_mm(self) -> float:
+        """Height of one bead from the mass balance, mm."""
+        return bead_height_mm(
+            self.wire_diameter_mm, self.wire_speed_mm_s, self.travel_speed_mm_s, self.bead_width_mm
+        )
+
+    @model_validator(mode="after")
+    def _current_in_range(self) -> Self:
+        if self.current_ma > self.current_max_ma:
+            raise ValueError(f"current_ma {self.current_ma} is over current_max_ma {self.current_max_ma}")
+        return self

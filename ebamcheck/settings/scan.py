@@ -1,0 +1,69 @@
+"""Settings of partition, filling and order."""
+
+from __future__ import annotations
+
+from importlib.metadata import entry_points
+from typing import Annotated, Literal
+
+from pydantic import Field, field_validator
+
+from ebamcheck.settings.base import Finite, NotNegative, Positive, Section
+
+SCAN_ORDERS = (
+    "nearest", "nearest-any", "nearest-last", "nearest-sum", "farthest", "raster",
+    "stride", "random", "least-heat", "thermal",
+)  # fmt: skip
+"""Orders of the house; others are found by the entry point group ``ebamcheck.orders``."""
+
+
+class ScanSettings(Section):
+    """Partition, filling and order."""
+
+    partition: Literal["hexagons", "squares", "stripes", "whole"] = "hexagons"
+    """Islands of a layer: hexagons (the paper), squares (a chessboard) or stripes of their width, or solids undivided."""
+    hexagon_side_mm: Positive | None = None
+    """Side of the hexagons; None: planned from layer area, wall thickness and bead width. Squares and stripes are as
+    wide as these hexagons."""
+    rectangle: Literal["paper", "exact"] = "exact"
+    """Enclosing rectangle: rotations in steps of pi/10 (paper, equation 11), or the exact minimum."""
+    lattice_angle_deg: Finite = 37.0
+    """Turn of the cells from layer to layer, so that their borders do not lie over each other: near 60 times the golden
+    section, which keeps the hexagons of any few layers apart. The lowest layer lies as in the paper; 0: all do."""
+    lattice_shift: bool = True
+    """Shift the cells from layer to layer, too, each time by another share of a cell."""
+    first_angle_deg: Finite = 0.0
+    """Direction of the hatch in the lowest layer, counter-clockwise from +X."""
+    layer_angle_deg: Finite = 15.0
+    """Turn of the hatch from layer to layer (paper, section 1, after Jia et al.)."""
+    island_angle_deg: Finite = 60.0
+    """Turn of the hatch from island to island, by one of three colours of hexagons (two of squares and stripes), so that
+    neighbours differ."""
+    order: str = "thermal"
+    """Scan order of the islands of a layer: thermal (coolest first by a heat model, at a price on travel), nearest
+    (the paper's rule, section 4.2; nearest-any by its full name), nearest-last, nearest-sum, farthest, raster,
+    stride, random, least-heat, or one that is installed."""
+    seed: Annotated[int, Field(ge=0)] = 0
+    """Seed of all random choices: each layer's first island, the order `random`, the annealing of `thermal`."""
+    stride: Annotated[int, Field(ge=2)] = 7
+    """The order `stride` takes every so many islands of the raster."""
+    travel_share: Positive = 0.5
+    """The order `thermal` travels at most this share of what `farthest` does."""
+    start_travel_mm: NotNegative = 10.0
+    """Travel that weighs as much as one start of the wire, for `thermal`."""
+    annealing_steps: Annotated[int, Field(ge=0)] = 4000
+    """Moves of islands that `thermal` tries at the end, keeping those that help; fewer on layers of many islands."""
+    least_coverage: Annotated[float, Field(gt=0, le=1)] = 0.98
+    """Gate of the coverage: fraction of each layer's area that the beads must cover."""
+    gap_width: Positive = 0.2
+    """Bare spots this wide, over the bead width, get a bead of their own; narrower ones (corners of 90 degrees: 0.17)
+    only while a layer is covered less than least_coverage, for every bead is a start of the wire."""
+    contour_offset_mm: NotNegative | None = None
+    """Inset of the contour bead's centre line from the contour; None: half a bead width."""
+
+    @field_validator("order")
+    @classmethod
+    def _known_order(cls, value: str) -> str:
+        known = [*SCAN_ORDERS, *sorted({point.name for point in entry_points(group="ebamcheck.orders")})]
+        if value not in known:
+            raise ValueError(f"unknown order: choose one of {', '.join(known)}")
+        return value
