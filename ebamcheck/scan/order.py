@@ -66,7 +66,7 @@ class LayerIslands:
     profile
         Settings.
     height_mm
-        Height of the layer.
+        Height of the layer over the base plate.
     section
         Solid region of the layer.
     polygons

@@ -99,12 +99,15 @@ def plan_stack(
     profile = profile or Config()
     name, number = order or profile.scan.order, profile.scan.seed if seed is None else seed
     sections = [layer_section(layers.polygons(k)) for k in range(len(layers))]
+    # Layers are cut at half their height: the part stands on the plate half a layer under the lowest cut.
+    plate_mm = float(layers.heights.min(initial=np.inf)) - 0.5 * profile.layer_height_mm
     reporting = Lock()
 
     def work(start: int, stop: int) -> list[LayerPlan]:
         done = []
         for k in range(start, stop):
-            done.append(plan_layer(sections[k], profile, name, number, k, float(layers.heights[k])))
+            height_mm = float(layers.heights[k])
+            done.append(plan_layer(sections[k], profile, name, number, k, height_mm, plate_mm))
             if progress is not None:
                 with reporting:
                     progress(1)
@@ -132,8 +135,8 @@ class LaidLayer:
     covered: float
     widest_gap_mm: float
 
-    def choices(self, profile: Config, seed: int) -> LayerIslands:
-        """What an order may know of the layer."""
+    def choices(self, profile: Config, seed: int, plate_mm: float = 0.0) -> LayerIslands:
+        """What an order may know of the layer; `plate_mm` is the height of the base plate."""
         return LayerIslands(
             centroid=self.centroid,
             area_mm2=np.asarray(shapely.area(self.islands), np.float64),
@@ -141,7 +144,7 @@ class LaidLayer:
             layer=self.layer,
             seed=seed,
             profile=profile,
-            height_mm=self.height_mm,
+            height_mm=self.height_mm - plate_mm,
             section=self.regions.section,
             polygons=self.islands,
             drive=island_drive(self.lines, self.chained, profile),
@@ -159,11 +162,17 @@ class LayerPlan:
 
 @one_blas_thread()
 def plan_layer(
-    section: BaseGeometry, profile: Config, order: str, seed: int, layer: int, height_mm: float
+    section: BaseGeometry,
+    profile: Config,
+    order: str,
+    seed: int,
+    layer: int,
+    height_mm: float,
+    plate_mm: float = 0.0,
 ) -> LayerPlan:
     """Plan one valid section."""
     laid = lay_islands(section, profile, layer, height_mm)
-    return in_order(laid, scan_order(order, laid.choices(profile, seed)))
+    return in_order(laid, scan_order(order, laid.choices(profile, seed, plate_mm)))
 
 
 def in_order(laid: LaidLayer, order: Ints) -> LayerPlan:

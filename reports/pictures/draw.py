@@ -5,9 +5,14 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from ebamcheck.config import Config
 from ebamcheck.layer_svg import overlay_svg, sheet_svg
+from ebamcheck.layers import Layers
 from ebamcheck.program import read_program
 from ebamcheck.scan import ScanPlan
+from ebamcheck.scan.comparing import COMPARED, OrderComparison
+from ebamcheck.scan.pareto_svg import pareto_svg
+from ebamcheck.scan.scan_svg import islands_svg
 from ebamcheck.store import RunFolder
 from ebamcheck_reports import overlays, program_picture, scan_picture
 from ebamcheck_reports.run_data import RunData, layer_name
@@ -47,12 +52,27 @@ def draw(folder: Path, target: Path) -> None:
         "partition-root": scan_picture.draw(plan, exact, ROOT_LAYER, bead_mm, root),
         "partition-blade": scan_picture.draw(plan, exact, BLADE_LAYER, bead_mm, blade),
         "program-blade": program_picture.draw(program, f"{blade}, read back from the program", BLADE_LAYER),
+        **orders(exact, run.config, root),
     }
     for name, picture in pictures.items():
         text = str(picture)
         if NAMESPACE not in text:
             text = text.replace("<svg ", f"<svg{NAMESPACE} ", 1)
         (target / f"{name}.svg").write_text(text + "\n", encoding="utf-8")
+
+
+def orders(exact: Layers, config: Config, what: str) -> dict[str, str]:
+    """All orders of the root layer, and the ranks of the default one."""
+    height_mm = float(exact.heights[ROOT_LAYER])
+    compared = OrderComparison.of(exact.polygons(ROOT_LAYER), config, ROOT_LAYER, height_mm)
+    found = {name: compared.results(name, seeds=1)[0] for name in COMPARED}
+    figures = {name: (result.travel_mm, float(result.entry_k.max())) for name, result in found.items()}
+    rank = found["thermal"].rank.astype(float)
+    islands = compared.laid.islands
+    return {
+        "orders-pareto": pareto_svg(figures, f"{what}: {len(islands)} islands"),
+        "orders-rank": islands_svg(islands, rank, f"{what}: rank in the order thermal", labels=True),
+    }
 
 
 if __name__ == "__main__":
