@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 
 from ebamcheck import registry
@@ -103,18 +104,20 @@ def _write_and_verify(
     write_program = registry.plugin(registry.POSTS, job.config.machine.control)
     files = write_program(beads, plan, job.config, job.folder.program_folder, header=header)
     program = read_program(files.main, job.config)
-    checks = verify_program(
-        program,
-        config=job.config,
-        curves=beads,
-        plan=plan,
-        layers=witness,
-        sha256=files.sha256,
-        section_tolerance_mm=gates.section_tolerance_mm(fit_mm),
-    )
+    with ThreadPoolExecutor(1) as aside:
+        feeds = aside.submit(side_by_side, program, contours, job.config)
+        checks = verify_program(
+            program,
+            config=job.config,
+            curves=beads,
+            plan=plan,
+            layers=witness,
+            sha256=files.sha256,
+            section_tolerance_mm=gates.section_tolerance_mm(fit_mm),
+        )
     summary = program_summary(program, job.config)
     summary.to_csv(job.folder.path / "program.csv", index=False)
-    kinematics = side_by_side(program, contours, job.config)
+    kinematics = feeds.result()
     kinematics.to_csv(job.folder.path / "kinematics.csv")
     job.record["kinematics"] = kinematics.to_dict(orient="index")
     job.record["files"] = files

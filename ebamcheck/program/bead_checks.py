@@ -27,10 +27,11 @@ SAME_LINE_MM = 0.01
 PARALLEL_RAD = 1e-3
 """Lines of one island whose directions differ by more follow a wall, and have no common spacing."""
 
-
 WIDEST_GAP = 0.95
-"""Width of a gap between beads over that of the one which a missing line leaves. Cusps beside channels may leave
-nearly as much; they are not hidden, the figure tells them."""
+"""Width of a gap between beads over that of the one which a missing line leaves."""
+
+GAP_MARGIN = 0.05
+"""Of the bead's width: by so much a gap may be wider than the plan leaves them, whose grid has samples of that size."""
 
 LEAST_GAP_LIMIT = 0.15
 """Of the bead's width: what sound plans leave where three islands meet, however near to one another their lines lie."""
@@ -204,7 +205,9 @@ def _segments(nc: NCProgram, rows: Ints) -> Floats:
 def _gaps(nc: NCProgram, config: Config, z_of: Floats, layers: Layers) -> Check:
     """Widest gap within the contour beads: corners that a round bead cannot fill lie outside of their middle."""
     width = config.process.bead_width_mm
-    limit = max(WIDEST_GAP * (2.0 * config.process.hatch_spacing_mm - width), LEAST_GAP_LIMIT * width)
+    missing_line_mm = WIDEST_GAP * (2.0 * config.process.hatch_spacing_mm - width)
+    planned_mm = (config.scan.gap_width + GAP_MARGIN) * width
+    limit = max(min(missing_line_mm, planned_mm), LEAST_GAP_LIMIT * width)
     rows = np.flatnonzero(nc.deposit)
     index = np.searchsorted(0.5 * (z_of[1:] + z_of[:-1]), nc.end[rows, 2])
     worst, where, place = 0.0, "", ""

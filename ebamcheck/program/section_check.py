@@ -7,6 +7,7 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
+from ebamcheck.kernels import run_blocks
 from ebamcheck.layers import Layers
 from ebamcheck.program.checks import Check, worst_check
 from ebamcheck.program.motions import NCProgram
@@ -38,7 +39,11 @@ def section_check(
     rows = np.flatnonzero(nc.deposit & (nc.ring >= 0))
     between = 0.5 * (z_of[1:] + z_of[:-1])
     index = np.searchsorted(between, nc.end[rows, 2])
-    found = [_layer(nc, rows[index == k], layers, k, offset_mm, limit_mm) for k in range(len(layers))]
+
+    def work(start: int, stop: int) -> list[tuple[int, float]]:
+        return [_layer(nc, rows[index == k], layers, k, offset_mm, limit_mm) for k in range(start, stop)]
+
+    found = [layer for block in run_blocks(work, len(layers)) for layer in block] if len(layers) else []
     worst = np.array([row for row, _ in found], dtype=np.int64)
     text = f"contour path against the {name} inset by {offset_mm:g} mm"
     return worst_check(name, nc, worst, [away for _, away in found], limit_mm, "mm", text)
