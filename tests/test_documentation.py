@@ -50,6 +50,7 @@ WITHOUT_UNIT = {
     "direction",  # only its direction counts
     "bead_spacing",  # over the bead width
     "least_coverage",  # fraction of an area
+    "gap_width",  # over the bead width
     "seed",
     "stride",  # islands
     "conductivity_by_temperature",  # pairs of K and W/(m K)
