@@ -1,0 +1,74 @@
+"""The check of contour paths against sections: sound where an inset moves farther than its outline."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import shapely
+from nc_stack import make_curves, make_plan
+
+from ebamcheck.config import Config
+from ebamcheck.layers import from_polygons
+from ebamcheck.program import read_program, write_program
+from ebamcheck.program.section_check import section_check
+from ebamcheck.scan.regions import inset
+
+INSET_MM, LIMIT_MM = 3.0, 0.25
+HEIGHT_MM = 0.75
+
+WEDGE = shapely.Polygon([(0, 0), (120, -16), (120, 16)])
+"""Its tip has 15 degrees: an inset there moves seven times as far as the outline."""
+NECK = shapely.union_all(
+    [shapely.box(0, 0, 40, 40), shapely.box(60, 0, 100, 40), shapely.box(39, 17, 61, 23.02)]
+)
+"""Its neck is 6.02 mm wide, just over two insets."""
+
+
+def checked(tmp_path, made_of, section, move=(0.0, 0.0)):
+    """Check a program along the inset of one outline against the section of another."""
+    parts = shapely.get_parts(inset(made_of, INSET_MM))
+    lines = [ring for p in parts for ring in (p.exterior, *p.interiors)]
+    rings = [[(shapely.get_coordinates(line) + move, None)] for line in lines]
+    curves = make_curves([HEIGHT_MM], [rings], [True] * len(rings))
+    config = Config()
+    files = write_program(curves, make_plan([HEIGHT_MM], []), config, tmp_path / "p")
+    nc = read_program(files.main, config)
+    layers = from_polygons(np.array([HEIGHT_MM]), [[section]])
+    return section_check(nc, layers, np.array([1.5]), INSET_MM, LIMIT_MM)
+
+
+def near(outline, by_mm):
+    """An outline grown by `by_mm`; in an inward corner of 90 degrees it lies 1.41 times as far from the other."""
+    return shapely.buffer(outline, by_mm, quad_segs=16)
+
+
+@pytest.mark.parametrize("section", [WEDGE, NECK, shapely.box(0, 0, 50, 30)], ids=["wedge", "neck", "box"])
+@pytest.mark.parametrize("by_mm", [-0.17, 0.17])
+def test_the_inset_of_any_outline_within_the_limit_passes(tmp_path, section, by_mm):
+    check = checked(tmp_path, near(section, by_mm), section)
+    assert check.passed, check.text
+
+
+@pytest.mark.parametrize("section", [WEDGE, NECK, shapely.box(0, 0, 50, 30)], ids=["wedge", "neck", "box"])
+@pytest.mark.parametrize("by_mm", [-0.4, 0.4])
+def test_the_inset_of_an_outline_beyond_the_limit_fails_by_as_much_or_more(tmp_path, section, by_mm):
+    check = checked(tmp_path, near(section, by_mm), section)
+    assert not check.passed
+    assert check.value >= 0.4 - 1e-3
+
+
+@pytest.mark.parametrize("move", [(0.3, 0.0), (0.0, 0.3)])
+def test_a_shifted_path_fails(tmp_path, move):
+    check = checked(tmp_path, shapely.box(0, 0, 50, 30), shapely.box(0, 0, 50, 30), move)
+    assert not check.passed
+    assert check.value == pytest.approx(0.3, abs=1e-3)
+
+
+def test_a_path_that_leaves_out_a_part_of_the_section_fails(tmp_path):
+    section = shapely.union_all([shapely.box(0, 0, 40, 40), shapely.box(60, 0, 100, 40)])
+    check = checked(tmp_path, shapely.box(0, 0, 40, 40), section)
+    assert not check.passed
+    assert check.value > 10 * LIMIT_MM
+    hole = shapely.box(0, 0, 40, 40) - shapely.Point(20, 20).buffer(6)
+    assert not checked(tmp_path, shapely.box(0, 0, 40, 40), hole).passed
+    assert not checked(tmp_path, hole, shapely.box(0, 0, 40, 40)).passed
