@@ -423,3 +423,14 @@ def test_medium_of_a_profile():
     cold = profile.process.ambient_temperature_k
     flux = material.emissivity * STEFAN_BOLTZMANN_W_M2K4 * (1200.0**4 - cold**4)
     assert 1e6 * medium.radiation_w_mm2k * (1200.0 - cold) == pytest.approx(flux)
+
+
+def test_a_hair_and_many_specks_have_modes_at_once():
+    """Cells are as fine as waves ask, not as thin as a hair: its first waves run along it."""
+    hair = contour_modes(shapely.box(0, 0, 100, 1e-3), (2 * math.pi / 3) ** 2, 300)
+    assert hair.eigenvalue[1] == pytest.approx((math.pi / 100) ** 2, rel=1e-3)
+    specks = shapely.MultiPolygon(
+        [shapely.box(4 * i, 4 * j, 4 * i + 2, 4 * j + 2) for i in range(20) for j in range(20)]
+    )
+    found = contour_modes(specks, (2 * math.pi / 3) ** 2, 300)
+    assert np.count_nonzero(found.eigenvalue == 0.0) == 400

@@ -31,6 +31,9 @@ WHOLE = 0.999
 LEAST_CELLS = 12.0
 """Cells across the root of the area, at least: a small region is not one cell."""
 
+MOST_CELLS = 20_000
+"""Cells of a section at most, several times what its waves ask for: a hair, or thousands of specks, asks for far more."""
+
 DENSE_CELLS = 800
 """Regions of fewer cells are solved by divide and conquer for all modes, which is fastest there."""
 
@@ -120,9 +123,17 @@ def contour_modes(
         raise GeometryError("heat in a section without area: give at least one polygon")
     limit = min(largest_eigenvalue, eigenvalue_of(area, perimeter, most_modes))
     step = 2.0 * math.pi / math.sqrt(limit) / cells_per_wave
-    grid = section_grid(parts, min(step, math.sqrt(area) / LEAST_CELLS))
+    # As wide as cells must be for so many to hold the section and its border.
+    least = (perimeter + math.sqrt(perimeter**2 + 4.0 * area * MOST_CELLS)) / (2.0 * MOST_CELLS)
+    grid = section_grid(parts, max(min(step, math.sqrt(area) / LEAST_CELLS), least))
     count, region = csgraph.connected_components(grid.coupling, directed=False)
-    found = [_region_modes(grid, np.flatnonzero(region == r), limit) for r in range(count)]
+    place = np.argwhere(grid.number >= 0) * grid.step[::-1]
+    by_region = np.split(
+        np.argsort(region, kind="stable"), np.cumsum(np.bincount(region, minlength=count))[:-1]
+    )
+    found = [
+        _region_modes(grid, cells, float(np.ptp(place[cells], axis=0).max()), limit) for cells in by_region
+    ]
     eigenvalue = np.concatenate([values for values, _, _ in found])
     values = np.zeros((len(grid.area_mm2), len(eigenvalue)))
     used = 0
@@ -161,8 +172,10 @@ def undispersed(grid: SectionGrid, eigenvalue: Floats, values: Floats) -> Floats
     return np.where(eigenvalue == 0.0, 0.0, eigenvalue + low)
 
 
-def _region_modes(grid: SectionGrid, cells: Ints, limit: float) -> tuple[Floats, Floats, Ints]:
-    """Eigenvalues up to the limit, modes in the cells of one region, and those cells."""
+def _region_modes(
+    grid: SectionGrid, cells: Ints, extent_mm: float, limit: float
+) -> tuple[Floats, Floats, Ints]:
+    """Eigenvalues up to the limit, modes in the cells of one region of an extent, and those cells."""
     area = grid.area_mm2[cells]
     total, size = float(area.sum()), len(cells)
     border = 4.0 * math.sqrt(total)
@@ -175,9 +188,10 @@ def _region_modes(grid: SectionGrid, cells: Ints, limit: float) -> tuple[Floats,
     elif wanted > DENSE_SHARE * size:
         eigenvalue, vectors = linalg.eigh(matrix.toarray(), subset_by_index=(0, wanted - 1))
     else:
-        # A shift just under zero keeps the matrix definite; the start is fixed, so that runs repeat.
+        # A shift just under zero keeps the matrix definite, by less than the first wave along the region, which may be
+        # a hair; the start is fixed, so that runs repeat.
         start = root * (1.0 + np.cos(np.arange(size)))
-        eigenvalue, vectors = eigsh(matrix, wanted, sigma=-math.pi / total, which="LM", v0=start)
+        eigenvalue, vectors = eigsh(matrix, wanted, sigma=-1.0 / extent_mm**2, which="LM", v0=start)
     rising = np.argsort(eigenvalue, kind="stable")
     eigenvalue, vectors = eigenvalue[rising], vectors[:, rising]
     # The mode of rate zero is known: taking it exactly keeps the energy to the last digits.

@@ -209,6 +209,8 @@ def least_heat(islands: LayerIslands) -> Ints:
 
 def thermal(islands: LayerIslands) -> Ints:
     """Next a cool island that is near: the coolest plan whose travel is well under that of `farthest`."""
+    if len(islands) == 1:
+        return np.zeros(1, np.int64)
     settings, drive = islands.profile.scan, islands.driven
     rapid = islands.profile.machine.rapid_mm_s
     *_, travel = clocked(farthest(islands), drive.entry, drive.leave, drive.time_s, rapid)
