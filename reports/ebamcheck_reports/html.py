@@ -11,7 +11,17 @@ from ebamcheck.store import RunFolder
 from ebamcheck_reports.markup import Markup, element, join, paragraph, section
 from ebamcheck_reports.pages import page
 from ebamcheck_reports.run_data import RunData
-from ebamcheck_reports.sections import agreement, fit, part, program, reproduce, scan, slicers, verdict
+from ebamcheck_reports.sections import (
+    agreement,
+    certificate,
+    fit,
+    part,
+    program,
+    reproduce,
+    scan,
+    slicers,
+    verdict,
+)
 
 NAME = "report.html"
 
@@ -23,10 +33,11 @@ SECTIONS: tuple[tuple[str, str, Callable[[RunData], Markup]], ...] = (
     ("fit", "Fit", fit.render),
     ("scan", "Partition and order", scan.render),
     ("program", "Program", program.render),
+    ("certificate", "Certificate", certificate.render),
     ("reproduce", "Reproduce", reproduce.render),
 )
 
-OF_THE_PROGRAM = ("fit", "scan", "program")
+OF_THE_PROGRAM = ("fit", "scan", "program", "certificate")
 """Sections that a cross-check alone has nothing for."""
 
 
