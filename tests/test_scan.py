@@ -341,7 +341,9 @@ def test_simulation_adds_up(planned):
 def stack(count=7):
     bodies = [[affinity.rotate(blade(), 3.0 * k)] for k in range(count)]
     bodies[3] = []
-    return from_polygons(np.arange(count) * 1.7, bodies, part="abc", backend="planecut")
+    # The lowest cut lies half a layer over the plate: heights are then those over the plate.
+    heights = 0.5 * PROFILE.layer_height_mm + np.arange(count) * 1.7
+    return from_polygons(heights, bodies, part="abc", backend="planecut")
 
 
 def test_a_stack_is_its_layers():
@@ -504,3 +506,9 @@ def test_coverage_is_that_of_shapely(seed):
     beads = shapely.buffer(shapely.linestrings(segments.reshape(-1, 2, 2)), 3.0, quad_segs=64)
     exact = shapely.union_all(beads).intersection(section).area / section.area
     assert covered_fraction(section, segments, 6.0) == pytest.approx(exact, abs=2e-3)
+
+
+def test_a_stack_is_planned_alike_at_any_height_of_the_part():
+    layers = stack(3)
+    raised = from_polygons(layers.heights + 500.0, [layers.polygons(k) for k in range(3)])
+    assert np.array_equal(plan_stack(layers, PROFILE).order, plan_stack(raised, PROFILE).order)

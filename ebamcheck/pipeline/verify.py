@@ -58,7 +58,7 @@ def verify(target: str | Path, part: str | Path | None = None, config: Config | 
     if not place.exists():
         raise InputError(f"{place}: there is no such run folder or program")
     if made_from is None:
-        raise SettingsError(f"{place}: is no run folder: to verify a program, name its part (--part)")
+        raise SettingsError(f"{place}: is no run folder: to verify a program, name its part with --part")
     return verify_against_part(place, made_from, config or Config())
 
 

@@ -57,7 +57,7 @@ def plan_scan(
     layer
         Index of the layer, which turns and shifts the hatch and the cells, and seeds the start.
     height_mm
-        Its height.
+        Its height over the base plate.
 
     Raises
     ------
