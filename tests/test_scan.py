@@ -509,6 +509,6 @@ def test_coverage_is_that_of_shapely(seed):
 
 
 def test_a_stack_is_planned_alike_at_any_height_of_the_part():
-    layers = stack(3)
-    raised = from_polygons(layers.heights + 500.0, [layers.polygons(k) for k in range(3)])
+    layers = stack(4)
+    raised = from_polygons(layers.heights + 500.0, [layers.polygons(k) for k in range(4)])
     assert np.array_equal(plan_stack(layers, PROFILE).order, plan_stack(raised, PROFILE).order)
