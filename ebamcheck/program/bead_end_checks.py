@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ebamcheck.config import Config
-from ebamcheck.program.bead_ends import SHORTEST_BLOCK_MM, ramp_lengths, ramp_power
+from ebamcheck.program.bead_ends import SHORTEST_BLOCK_MM
 from ebamcheck.program.checks import Check, count_check, worst_check
 from ebamcheck.program.motions import NCProgram
 from ebamcheck.program.state_checks import event_place
@@ -64,9 +64,15 @@ def _expected_power(nc: NCProgram, rows: Ints, config: Config) -> tuple[Floats, 
     after = np.cumsum(length)
     before_bead = np.concatenate([[0.0], np.cumsum(whole)])[bead]
     middle = after - 0.5 * length - before_bead
-    up, down = (ramp[bead] for ramp in ramp_lengths(whole, process))
+    # Written anew here: a fault of the writer's ramps would else confirm itself.
+    share = np.minimum(1.0, whole / (process.ramp_up_mm + process.crater_fill_mm))[bead]
+    up, down = share * process.ramp_up_mm, share * process.crater_fill_mm
     to_end = whole[bead] - middle
-    wanted = ramp_power(middle, to_end, up, down, process, stepped=False)
+    wanted = np.ones(rows.size)
+    for along, length in ((middle, up), (to_end, down)):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            risen = process.ramp_power + (1.0 - process.ramp_power) * along / length
+        wanted = np.where(along < length, np.minimum(wanted, risen), wanted)
     # A motion may be shorter than a step, anywhere on it, and a step may begin at the end of a block that is near.
     on_ramp = (middle < up + SHORTEST_BLOCK_MM) & (up > 0.0)
     on_ramp |= (to_end < down + SHORTEST_BLOCK_MM) & (down > 0.0)

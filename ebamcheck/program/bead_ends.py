@@ -107,7 +107,7 @@ def _stretches(tracks: _Tracks, seams: Floats, process: ProcessSettings) -> _Str
     track = np.repeat(every, at.shape[1] - 1)
     low, high = at[:, :-1].ravel(), at[:, 1:].ravel()
     middle = 0.5 * (low + high)
-    power = ramp_power(middle, total[track] - middle, up[track], down[track], process, stepped=True)
+    power = ramp_power(middle, total[track] - middle, up[track], down[track], process)
     low, high = (_snapped(tracks, track, place + shift[track]) for place in (low, high))
     lap = np.floor(0.5 * (low + high) / np.maximum(whole[track], SHORTEST_BLOCK_MM)).astype(np.int64)
     first = tracks.low[track] - lap * whole[track]
@@ -123,15 +123,9 @@ def ramp_lengths(bead_mm: Floats, process: ProcessSettings) -> tuple[Floats, Flo
 
 
 def ramp_power(
-    from_start: Floats,
-    to_end: Floats,
-    up_mm: Floats,
-    down_mm: Floats,
-    process: ProcessSettings,
-    *,
-    stepped: bool,
+    from_start: Floats, to_end: Floats, up_mm: Floats, down_mm: Floats, process: ProcessSettings
 ) -> Floats:
-    """Share of the full power at places on beads, (n,).
+    """Share of the full power at places on beads, (n,): that in the middle of each of ``process.ramp_steps``.
 
     Parameters
     ----------
@@ -139,15 +133,12 @@ def ramp_power(
         (n,) lengths along the bead from its start and to its end, mm.
     up_mm, down_mm
         (n,) of :func:`ramp_lengths`.
-    stepped
-        The share in the middle of each of ``process.ramp_steps``, in place of the straight ramp.
     """
     power = np.ones(from_start.size)
     for along, length in ((from_start, up_mm), (to_end, down_mm)):
         share = np.divide(along, length, out=np.ones_like(along), where=length > 0.0)
-        if stepped:
-            share = (np.floor(share * process.ramp_steps) + 0.5) / process.ramp_steps
-        risen = process.ramp_power + (1.0 - process.ramp_power) * share
+        middle = (np.floor(share * process.ramp_steps) + 0.5) / process.ramp_steps
+        risen = process.ramp_power + (1.0 - process.ramp_power) * middle
         power = np.where(along < length, np.minimum(power, risen), power)
     return power
 
