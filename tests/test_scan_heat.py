@@ -17,7 +17,16 @@ from ebamcheck.errors import SettingsError
 from ebamcheck.heat import Medium
 from ebamcheck.heat.one_blas_thread import one_blas_thread
 from ebamcheck.scan import ORDERS, LayerIslands, plan_scan
-from ebamcheck.scan.annealing import annealed, drive_from, moved
+from ebamcheck.scan.annealing import (
+    HOTTEST_EVERY,
+    WARMTH,
+    annealed,
+    drive_from,
+    entry_temperature,
+    high_mean,
+    move,
+    new_log,
+)
 from ebamcheck.scan.comparing import COMPARED, FIGURES, OrderComparison
 from ebamcheck.scan.driving import clocked, entered, entry_temperatures
 from ebamcheck.scan.influence import influence
@@ -26,6 +35,7 @@ from ebamcheck.scan.order import scan_order
 from ebamcheck.scan.planning import lay_islands
 from ebamcheck.scan.regions import layer_section
 from ebamcheck.scan.thermal import greedy_order, own_rise
+from ebamcheck.scan.ways import ways_between
 from ebamcheck.settings.scan import SCAN_ORDERS
 
 PROFILE = Config()
@@ -184,7 +194,7 @@ def test_annealing_helps_or_leaves_it():
         order = scan_order("thermal", islands)
         start, end, _ = clocked(order, drive.entry, drive.leave, drive.time_s, RAPID)
         entry, _ = entered(heat, order, start, end)
-        keys.append(entry.max() + entry.std())
+        keys.append(high_mean(entry))
     assert keys[1] < keys[0]
 
 
@@ -269,30 +279,39 @@ def test_the_table_of_influences_is_the_heat_model(base):
     order = np.random.default_rng(4).permutation(len(choices))
     start, end, travel = clocked(order, drive.entry, drive.leave, drive.time_s, RAPID)
     exact, _ = entered(heat, order, start, end)
-    table = influence(heat, drive.time_s, float(end.max()))
-    log = np.zeros((len(order), 5))
-    assert drive_from(
-        0,
-        order,
-        table.rise_k,
-        table.spacing_s,
-        drive.entry,
-        drive.leave,
-        drive.time_s,
-        RAPID,
-        np.inf,
-        log,
-    )
-    assert log[:, 0] == pytest.approx(end[order])
-    assert log[-1, 3] == pytest.approx(travel)
-    assert log[:, 4] == pytest.approx(exact[order], rel=0.02, abs=0.02 * np.abs(exact).max())
+    table, ways = influence(heat, drive.time_s, float(end.max())), ways_between(drive)
+    log = new_log(len(order))
+    drive_from(0, order, ways.jump_mm, ways.way, drive.time_s, RAPID, log)
+    assert log.start_s == pytest.approx(start[order])
+    assert log.travel_mm[-1] == pytest.approx(travel)
+    found = [
+        entry_temperature(n, order, table.rise_k, table.nodes_per_root_s, drive.time_s, log.start_s)
+        for n in range(len(order))
+    ]
+    assert found == pytest.approx(exact[order], rel=0.02, abs=0.02 * np.abs(exact).max())
+
+
+def test_ways_are_the_nearest_ones(choices):
+    drive, ways = choices.driven, ways_between(choices.driven)
+    apart = np.linalg.norm(drive.leave[:, :, None, None] - drive.entry[None, None], axis=-1)
+    assert ways.jump_mm == pytest.approx(apart.min(axis=-1), abs=1e-5)
+    assert np.take_along_axis(apart, ways.way[..., None], -1)[..., 0] == pytest.approx(ways.jump_mm)
+
+
+@pytest.mark.parametrize("low, high", [(0.0, 500.0), (-3.0, 20.0)])
+def test_the_high_mean_lies_between_the_mean_and_the_greatest(low, high):
+    entry_k = np.random.default_rng(1).uniform(low, high, 40)
+    assert entry_k.mean() < high_mean(entry_k) < entry_k.max()
+    assert high_mean(np.full(5, high)) == pytest.approx(high)
+    assert high_mean(3.0 * entry_k) == pytest.approx(3.0 * high_mean(entry_k))
 
 
 @pytest.mark.parametrize("kind", [0, 1, 2])
 def test_moves_keep_every_island(kind):
     order = np.arange(9)[::-1].copy()
     for a, b in ((2, 6), (6, 2), (0, 8), (8, 0), (3, 4)):
-        tried = moved(order, a, b, kind)
+        tried = np.empty_like(order)
+        move(order, a, b, kind, tried)
         assert np.array_equal(np.sort(tried), np.arange(9))
         assert np.array_equal(tried[: min(a, b)], order[: min(a, b)])
         assert tried[b] == order[a]
@@ -303,10 +322,54 @@ def test_annealing_keeps_to_the_travel_that_is_allowed(choices):
     order = greedy_order(heat, drive, RAPID, 0, 1.0, 0.0)
     start, end, travel = clocked(order, drive.entry, drive.leave, drive.time_s, RAPID)
     table = influence(heat, drive.time_s, 2 * float(end.max()))
-    better = annealed(table, drive, RAPID, order, travel, 100.0, 3000, np.random.default_rng(0))
+    ways, random = ways_between(drive), np.random.default_rng(0)
+    better = annealed(table, ways, drive.time_s, RAPID, order, travel, 100.0, 3000, random)
     begin, stop, way = clocked(better, drive.entry, drive.leave, drive.time_s, RAPID)
     assert way <= travel + 1e-6
     assert entered(heat, better, begin, stop)[0].max() < entered(heat, order, start, end)[0].max()
+
+
+def test_giving_moves_up_early_changes_nothing(choices):
+    drive, heat, steps, price = choices.driven, choices.heat, 300, 0.5
+    count = len(choices)
+    order = np.random.default_rng(2).permutation(count)
+    *_, end, travel = clocked(order, drive.entry, drive.leave, drive.time_s, RAPID)
+    table, ways, allowed_mm = (
+        influence(heat, drive.time_s, 2 * float(end.max())),
+        ways_between(drive),
+        0.9 * travel,
+    )
+
+    def driven(tried):
+        log = new_log(count)
+        drive_from(0, tried, ways.jump_mm, ways.way, drive.time_s, RAPID, log)
+        for n in range(count):
+            log.entry_k[n] = entry_temperature(
+                n, tried, table.rise_k, table.nodes_per_root_s, drive.time_s, log.start_s
+            )
+        return log, high_mean(log.entry_k) + price * max(0.0, log.travel_mm[-1] - allowed_mm)
+
+    random = np.random.default_rng(7)
+    places = random.integers(0, count, (steps, 2))
+    leniency = random.exponential(size=steps) * np.linspace(1.0, 0.0, steps)
+    kept, (log, cost) = order, driven(order)
+    best, least, warmth = kept, cost, WARMTH * cost
+    for step, (a, b) in enumerate(places):
+        a = int(np.argmax(log.entry_k)) if step % HOTTEST_EVERY == 0 else a
+        if a == b:
+            continue
+        tried = np.empty_like(kept)
+        move(kept, a, b, step % 3, tried)
+        tried_log, new_cost = driven(tried)
+        if new_cost < cost + warmth * leniency[step]:
+            kept, log, cost = tried, tried_log, new_cost
+            if cost < least:
+                best, least = kept, cost
+    found = annealed(
+        table, ways, drive.time_s, RAPID, order, allowed_mm, price, steps, np.random.default_rng(7)
+    )
+    assert np.array_equal(found, best)
+    assert not np.array_equal(found, order)
 
 
 def test_blas_has_one_thread_while_any_layer_is_planned():

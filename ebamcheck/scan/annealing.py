@@ -6,21 +6,43 @@ with a budget of moves, not of seconds.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from ebamcheck.kernels import kernel
 from ebamcheck.rings import Floats, Ints
-from ebamcheck.scan.drive import IslandDrive
 from ebamcheck.scan.influence import Influence, Table, looked_up
-from ebamcheck.scan.path import JOINED_MM
+from ebamcheck.scan.ways import Ways
 
-WARMTH = 0.02
+WARMTH = 0.005
 """Worsening, as a share of the first cost, that is taken at the beginning about every third time."""
+
+HOTTEST_EVERY = 10
+"""One move in so many starts at the hottest island; the others anywhere."""
+
+HIGH = 12
+"""Exponent of :func:`high_mean`: a maximum alone would see no gain until the very hottest island is cooler."""
+
+
+class Log(NamedTuple):
+    """An order driven, by place (I,): begin of the island, s, way of entry, travel so far, mm, entry temperature, K."""
+
+    start_s: Floats
+    way: Ints
+    travel_mm: Floats
+    entry_k: Floats
+
+
+def high_mean(entry_k: Floats) -> float:
+    """Mean of the twelfth powers of the entry temperatures, as a temperature: near the greatest, yet all count."""
+    return float(np.mean(entry_k**HIGH) ** (1.0 / HIGH))
 
 
 def annealed(
     table: Influence,
-    drive: IslandDrive,
+    ways: Ways,
+    time_s: Floats,
     rapid_mm_s: float,
     order: Ints,
     longest_mm: float,
@@ -30,10 +52,12 @@ def annealed(
 ) -> Ints:
     """Exchange, move and turn around islands of an order.
 
-    The cost is the greatest entry temperature plus their spread, K, plus a price on travel that is too long.
+    The cost is :func:`high_mean`, K, plus a price on travel that is too long.
 
     Parameters
     ----------
+    time_s
+        (I,) time in which each island is scanned.
     order
         (I,) islands in scan order.
     longest_mm
@@ -50,10 +74,10 @@ def annealed(
     leniency = random.exponential(size=steps) * np.linspace(1.0, 0.0, steps)
     return improved(
         table.rise_k,
-        table.spacing_s,
-        drive.entry,
-        drive.leave,
-        drive.time_s,
+        table.nodes_per_root_s,
+        ways.jump_mm,
+        ways.way,
+        time_s,
         rapid_mm_s,
         np.asarray(order, np.int64),
         longest_mm,
@@ -66,9 +90,9 @@ def annealed(
 @kernel
 def improved(
     rise: Table,
-    spacing: float,
-    entry: Floats,
-    leave: Floats,
+    nodes: float,
+    jump: Floats,
+    way: Ints,
     time: Floats,
     rapid: float,
     order: Ints,
@@ -79,37 +103,95 @@ def improved(
 ) -> Ints:
     """Return the best order met."""
     count = len(order)
-    # By place: end of the island, where it was left (x, y), travel so far, temperature at entry.
-    log, tried_log = np.zeros((count, 5)), np.zeros((count, 5))
-    kept, best = order.copy(), order.copy()
-    drive_from(0, kept, rise, spacing, entry, leave, time, rapid, np.inf, log)
-    cost = cost_of(log, longest, price)
+    kept, tried, best = order.copy(), order.copy(), order.copy()
+    log, tried_log = new_log(count), new_log(count)
+    drive_from(0, kept, jump, way, time, rapid, log)
+    total = powers_from(0, 0, 0, np.arange(count), kept, rise, nodes, time, np.inf, log)
+    cost = (total / count) ** (1.0 / HIGH) + price * max(0.0, log.travel_mm[-1] - longest)
     best_cost, warmth = cost, WARMTH * cost
+    by_heat = np.argsort(-log.entry_k)
     for step in range(len(places)):
         a, b = places[step]
-        if step % 2:
-            a = np.argmax(log[:, 4])
+        if step % HOTTEST_EVERY == 0:
+            a = by_heat[0]
         if a == b:
             continue
-        tried = moved(kept, a, b, step // 2 % 3)
         first = min(a, b)
-        tried_log[:first] = log[:first]
+        move(kept, a, b, step % 3, tried)
+        copy_start(log, first, tried_log)
+        drive_from(first, tried, jump, way, time, rapid, tried_log)
+        too_far = price * max(0.0, tried_log.travel_mm[-1] - longest)
         allowed = cost + warmth * leniency[step]
-        if not drive_from(first, tried, rise, spacing, entry, leave, time, rapid, allowed, tried_log):
+        if too_far >= allowed:
             continue
-        new_cost = cost_of(tried_log, longest, price)
-        if new_cost < allowed:
-            kept, cost = tried, new_cost
-            log, tried_log = tried_log, log
-            if cost < best_cost:
-                best, best_cost = kept.copy(), cost
+        most = count * power(allowed - too_far)
+        total = powers_from(first, a, b, by_heat, tried, rise, nodes, time, most, tried_log)
+        if total > most:
+            continue
+        cost = (total / count) ** (1.0 / HIGH) + too_far
+        kept, tried = tried, kept
+        log, tried_log = tried_log, log
+        by_heat = np.argsort(-log.entry_k)
+        if cost < best_cost:
+            best[:], best_cost = kept, cost
     return best
 
 
 @kernel
-def moved(order: Ints, a: int, b: int, kind: int) -> Ints:
+def powers_from(
+    first: int,
+    a: int,
+    b: int,
+    by_heat: Ints,
+    order: Ints,
+    rise: Table,
+    nodes: float,
+    time: Floats,
+    most: float,
+    log: Log,
+) -> float:
+    """Sum of the powers of the entry temperatures, those from a place on worked out; any sum beyond `most` if it is more.
+
+    The two places that were moved come first, then the hottest: most moves are given up after a few.
+    """
+    total = 0.0
+    for place in range(first):
+        total += power(log.entry_k[place])
+    for n in range(-2, len(order)):
+        place = a if n == -2 else b if n == -1 else by_heat[n]
+        if place < first or (n == -1 and a == b) or (n >= 0 and place in (a, b)):
+            continue
+        log.entry_k[place] = entry_temperature(place, order, rise, nodes, time, log.start_s)
+        total += power(log.entry_k[place])
+        if total > most:
+            break
+    return total
+
+
+@kernel
+def copy_start(log: Log, stop: int, result: Log) -> None:
+    """Copy what a log says of the places before one."""
+    result.start_s[:stop], result.way[:stop] = log.start_s[:stop], log.way[:stop]
+    result.travel_mm[:stop], result.entry_k[:stop] = log.travel_mm[:stop], log.entry_k[:stop]
+
+
+@kernel
+def new_log(count: int) -> Log:
+    """Room for a log."""
+    return Log(np.zeros(count), np.zeros(count, np.int64), np.zeros(count), np.zeros(count))
+
+
+@kernel
+def power(temperature: float) -> float:
+    """Its twelfth power (:data:`HIGH`)."""
+    fourth = (temperature * temperature) * (temperature * temperature)
+    return fourth * fourth * fourth
+
+
+@kernel
+def move(order: Ints, a: int, b: int, kind: int, result: Ints) -> None:
     """Exchange two places, move one to the other, or turn around all between them."""
-    result = order.copy()
+    result[:] = order
     if kind == 0:
         result[a], result[b] = order[b], order[a]
     elif kind == 1:
@@ -121,49 +203,32 @@ def moved(order: Ints, a: int, b: int, kind: int) -> Ints:
         low, high = min(a, b), max(a, b)
         for n in range(high - low + 1):
             result[low + n] = order[high - n]
-    return result
 
 
 @kernel
 def drive_from(
-    first: int,
-    order: Ints,
-    rise: Table,
-    spacing: float,
-    entry: Floats,
-    leave: Floats,
-    time: Floats,
-    rapid: float,
-    hottest: float,
-    log: Floats,
-) -> bool:
-    """Drive the islands from a place on; give up as soon as one is entered hotter than `hottest`."""
-    count = len(order)
-    for n in range(first, count):
-        island = order[n]
-        nearest, way = 0.0, 0
-        clock, travel = 0.0, 0.0
-        if n > 0:
-            clock, x, y, travel = log[n - 1, 0], log[n - 1, 1], log[n - 1, 2], log[n - 1, 3]
-            nearest = np.inf
-            for v in range(4):
-                distance = np.hypot(entry[island, v, 0] - x, entry[island, v, 1] - y)
-                if distance < nearest - JOINED_MM:
-                    nearest, way = distance, v
-        clock += nearest / rapid
-        temperature = looked_up(rise, spacing, island, count, clock)
-        for m in range(n):
-            temperature += looked_up(rise, spacing, island, order[m], clock - log[m, 0])
-        log[n, 0] = clock + time[island]
-        log[n, 1], log[n, 2] = leave[island, way, 0], leave[island, way, 1]
-        log[n, 3], log[n, 4] = travel + nearest, temperature
-        if temperature > hottest:
-            return False
-    return True
+    first: int, order: Ints, jump: Floats, way: Ints, time: Floats, rapid: float, log: Log
+) -> None:
+    """Time the islands from a place on, entering each by the nearest way."""
+    for n in range(first, len(order)):
+        if n == 0:
+            log.start_s[0], log.way[0], log.travel_mm[0] = 0.0, 0, 0.0
+            continue
+        last, island, left_by = order[n - 1], order[n], log.way[n - 1]
+        distance = jump[last, left_by, island]
+        log.start_s[n] = log.start_s[n - 1] + time[last] + distance / rapid
+        log.way[n] = way[last, left_by, island]
+        log.travel_mm[n] = log.travel_mm[n - 1] + distance
 
 
 @kernel
-def cost_of(log: Floats, longest: float, price: float) -> float:
-    """Greatest and spread of the entry temperatures, and the price of travel beyond what is allowed."""
-    temperature = log[:, 4]
-    return float(temperature.max() + temperature.std() + price * max(0.0, log[-1, 3] - longest))
+def entry_temperature(
+    place: int, order: Ints, rise: Table, nodes: float, time: Floats, start: Floats
+) -> float:
+    """Mean temperature rise of the island at a place when the beam enters it."""
+    island, now = order[place], start[place]
+    temperature = looked_up(rise, nodes, island, len(order), now)
+    for earlier in range(place):
+        source = order[earlier]
+        temperature += looked_up(rise, nodes, island, source, now - start[earlier] - time[source])
+    return temperature

@@ -7,7 +7,7 @@ import numpy as np
 from ebamcheck.kernels import kernel
 from ebamcheck.rings import Floats, Ints
 from ebamcheck.scan.island_heat import IslandHeat
-from ebamcheck.scan.path import JOINED_MM
+from ebamcheck.scan.ways import nearest_way
 
 LEAST_DECAY = 1e-9
 """Amplitudes that fall by less than this while an island is scanned do not fall."""
@@ -178,11 +178,7 @@ def clocked(
     x, y = entry[order[0], 0, 0], entry[order[0], 0, 1]
     for n in range(len(order)):
         island = order[n]
-        nearest, way = np.inf, 0
-        for v in range(4):
-            distance = np.hypot(entry[island, v, 0] - x, entry[island, v, 1] - y)
-            if distance < nearest - JOINED_MM:
-                nearest, way = distance, v
+        nearest, way = nearest_way(entry[island], x, y)
         if n == 0:
             nearest, way = 0.0, 0
         clock += nearest / rapid

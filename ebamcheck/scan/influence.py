@@ -33,12 +33,12 @@ class Influence:
     rise_k
         (I, I + 1, Q) mean rise of an island by another one that was scanned from cold, a time after its end;
         the last column is what the layer's first temperature leaves, a time after the beginning.
-    spacing_s
-        Node n lies at spacing_s n^2.
+    nodes_per_root_s
+        A time t lies at node nodes_per_root_s sqrt(t).
     """
 
     rise_k: Table
-    spacing_s: float
+    nodes_per_root_s: float
 
 
 def influence(heat: IslandHeat, time_s: Floats, longest_s: float) -> Influence:
@@ -63,13 +63,13 @@ def influence(heat: IslandHeat, time_s: Floats, longest_s: float) -> Influence:
         of_mode = ((source * heat.in_layer**2) * held)[:, None, :] @ fall
         rise[:, j] = (heat.mean * heat.mean[:, j : j + 1]).T @ of_mode[:, 0]
     rise[:, count] = heat.mean.T @ ((heat.start_k * heat.in_layer)[:, None, :] @ fall)[:, 0]
-    return Influence(rise, spacing)
+    return Influence(rise, spacing**-0.5 if spacing > 0.0 else 0.0)
 
 
 @kernel
-def looked_up(rise: Table, spacing: float, island: int, source: int, since: float) -> float:
+def looked_up(rise: Table, nodes: float, island: int, source: int, since: float) -> float:
     """Rise of an island by a source a time after its end, linear between nodes in the root of the time."""
-    place = np.sqrt(max(since, 0.0) / spacing)
+    place = nodes * np.sqrt(max(since, 0.0))
     node = min(int(place), rise.shape[2] - 2)
     share = min(place - node, 1.0)
     low, high = rise[island, source, node], rise[island, source, node + 1]

@@ -14,12 +14,13 @@ import numpy as np
 
 from ebamcheck.kernels import kernel
 from ebamcheck.rings import Floats, Ints
-from ebamcheck.scan.annealing import annealed
+from ebamcheck.scan.annealing import annealed, high_mean
 from ebamcheck.scan.drive import IslandDrive
 from ebamcheck.scan.driving import at_surface, clocked, decay, entered, heat_island
 from ebamcheck.scan.influence import MOST_ISLANDS, influence
 from ebamcheck.scan.island_heat import IslandHeat
 from ebamcheck.scan.path import JOINED_MM
+from ebamcheck.scan.ways import nearest_way, ways_between
 
 PRICES = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32)
 """Prices of travel that are tried: in temperature rises of an island by its own heat, over widths of an island.
@@ -30,9 +31,6 @@ STARTS = 2
 
 MOST_WORK = 2e9
 """Multiplications in one search, which limits the plans tried on a layer of thousands of islands."""
-
-ANNEALING_WORK = 1e8
-"""Temperatures looked up in one annealing, which limits its steps on a layer of hundreds of islands."""
 
 TIE_K = 1e-6
 """Scores closer than this are equal: rounding must not decide between islands that mirror each other."""
@@ -77,8 +75,8 @@ def thermal_order(
     *_, end_s, travel = clocked(best, drive.entry, drive.leave, drive.time_s, rapid_mm_s)
     # Twice the time of a way that is too long: none met in the search takes longer.
     table = influence(heat, drive.time_s, float(end_s.max()) + max(travel, longest_mm) / rapid_mm_s)
-    most = min(steps, int(2.0 * ANNEALING_WORK / count**2))
-    tried = annealed(table, drive, rapid_mm_s, best, longest_mm, price_k_mm, most, random)
+    ways = ways_between(drive)
+    tried = annealed(table, ways, drive.time_s, rapid_mm_s, best, longest_mm, price_k_mm, steps, random)
     return tried if better(ranked(heat, drive, rapid_mm_s, tried, longest_mm), best_rank) else best
 
 
@@ -112,10 +110,10 @@ def own_rise(heat: IslandHeat, drive: IslandDrive) -> Floats:
 def ranked(
     heat: IslandHeat, drive: IslandDrive, rapid_mm_s: float, order: Ints, longest_mm: float
 ) -> tuple[float, float]:
-    """Rank of a plan: travel beyond what is allowed, mm; then greatest plus spread of the entry temperatures, K."""
+    """Rank of a plan: travel beyond what is allowed, mm; then the high mean of the entry temperatures, K."""
     start_s, end_s, travel = clocked(order, drive.entry, drive.leave, drive.time_s, rapid_mm_s)
     entry_k, _ = entered(heat, order, start_s, end_s)
-    return max(0.0, travel - longest_mm), float(entry_k.max() + entry_k.std())
+    return max(0.0, travel - longest_mm), high_mean(entry_k)
 
 
 def greedy_order(
@@ -189,16 +187,12 @@ def coolest_first(
         best, best_island = np.inf, -1
         for j in range(rest):
             candidate = left[j]
-            nearest, nearest_way = np.inf, 0
-            for v in range(4):
-                distance = np.hypot(entry[candidate, v, 0] - x, entry[candidate, v, 1] - y)
-                if distance < nearest - JOINED_MM:
-                    nearest, nearest_way = distance, v
+            nearest, by = nearest_way(entry[candidate], x, y)
             share = nearest / rapid / latest if latest > 0.0 else 0.0
             score = now[j] + (soon[j] - now[j]) * share + price * nearest
             if nearest > JOINED_MM:
                 score += start_price
             if score < best - TIE_K or (score < best + TIE_K and candidate < best_island):
                 best, best_island = score, candidate
-                place, way, jump = j, nearest_way, nearest
+                place, way, jump = j, by, nearest
     return order

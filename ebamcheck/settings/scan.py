@@ -50,8 +50,8 @@ class ScanSettings(Section):
     """The order `thermal` travels at most this share of what `farthest` does."""
     start_travel_mm: NotNegative = 10.0
     """Travel that weighs as much as one start of the wire, for `thermal`."""
-    annealing_steps: Annotated[int, Field(ge=0)] = 4000
-    """Moves of islands that `thermal` tries at the end, keeping those that help; fewer on layers of many islands."""
+    annealing_steps: Annotated[int, Field(ge=0)] = 40000
+    """Moves of islands that `thermal` tries at the end, keeping those that help; none on layers of over 500 islands."""
     least_coverage: Annotated[float, Field(gt=0, le=1)] = 0.98
     """Gate of the coverage: fraction of each layer's area that the beads must cover."""
     gap_width: Positive = 0.2

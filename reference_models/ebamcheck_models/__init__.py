@@ -9,6 +9,7 @@ from ebamcheck_models.cones import CONE, CYLINDER
 from ebamcheck_models.helix import HELICAL_CHANNEL
 from ebamcheck_models.impeller import IMPELLER
 from ebamcheck_models.ladder import LADDER, LADDER_TOLERANCES_MM
+from ebamcheck_models.large import BULKHEAD, NOZZLE
 from ebamcheck_models.menger import MENGER_1, MENGER_2, MENGER_3
 from ebamcheck_models.model import COARSEST_TOLERANCE_MM, LEAST_TOLERANCE_MM, Model, TurnableModel
 from ebamcheck_models.narrow import COMB, THIN_WALLS
@@ -19,8 +20,8 @@ from ebamcheck_models.stl_file import write_stl
 from ebamcheck_models.two_spheres import TWO_SPHERES
 
 _SHAPES: tuple[Model, ...] = (
-    *(BLADE, BRACKET, COMB, CONE, CUBE, CYLINDER, HELICAL_CHANNEL, IMPELLER, LADDER),
-    *(MENGER_1, MENGER_2, MENGER_3, PRISM, PYRAMID, SPHERE, THIN_WALLS, TILTED_PLATE, TORUS, TWO_SPHERES),
+    *(BLADE, BRACKET, BULKHEAD, COMB, CONE, CUBE, CYLINDER, HELICAL_CHANNEL, IMPELLER, LADDER),
+    *(MENGER_1, MENGER_2, MENGER_3, NOZZLE, PRISM, PYRAMID, SPHERE, THIN_WALLS, TILTED_PLATE, TORUS, TWO_SPHERES),
 )
 
 MODELS: dict[str, Model] = {model.name: model for model in (*_SHAPES, *CASES)}
@@ -29,6 +30,7 @@ MODELS: dict[str, Model] = {model.name: model for model in (*_SHAPES, *CASES)}
 __all__ = [
     "BLADE",
     "BRACKET",
+    "BULKHEAD",
     "CASES",
     "COARSEST_TOLERANCE_MM",
     "COMB",
@@ -44,6 +46,7 @@ __all__ = [
     "MENGER_2",
     "MENGER_3",
     "MODELS",
+    "NOZZLE",
     "PRISM",
     "PYRAMID",
     "SPHERE",
