@@ -28,7 +28,18 @@ from ebamcheck.scan.planning import lay_islands
 from ebamcheck.scan.refereed import referee_of, refereed
 from ebamcheck.scan.regions import layer_section
 
-MODELS = ("bulkhead", "nozzle", "ladder", "torus", "prism", "helical-channel", "blade", "impeller", "two-spheres", "case-cura-1473")
+MODELS = (
+    "bulkhead",
+    "nozzle",
+    "ladder",
+    "torus",
+    "prism",
+    "helical-channel",
+    "blade",
+    "impeller",
+    "two-spheres",
+    "case-cura-1473",
+)
 """Models whose layers are large enough for a partition at the default bead."""
 
 SHARES = (0.07, 0.31, 0.53, 0.77, 0.93)

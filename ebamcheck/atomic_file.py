@@ -11,6 +11,21 @@ from pathlib import Path
 from ebamcheck.errors import SettingsError
 
 
+def made_folder(path: Path) -> Path:
+    """Make a folder where there is none, and return it.
+
+    Raises
+    ------
+    SettingsError
+        If it cannot be made.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise SettingsError(f"{path}: cannot be made: {error.strerror}") from None
+    return path
+
+
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
     """Give a temporary name in the folder of `path`; the file written there takes its place at the end.

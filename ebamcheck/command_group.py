@@ -69,10 +69,10 @@ def _run_guarded(function: Callable[..., Any], *args: Any, **kwargs: Any) -> Exi
     except EbamcheckError as error:
         code = error.exit_code
         tell(f"error: {error}", debug)
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as interrupt:
         code = ExitCode.INTERRUPTED
-        kept = "; what was finished is kept for --resume" if function.__name__ in RESUMABLE else ""
-        tell(f"interrupted{kept}", debug)
+        kept = "what was finished is kept for --resume" if function.__name__ in RESUMABLE else str(interrupt)
+        tell(f"interrupted; {kept}" if kept else "interrupted", debug)
     except BrokenPipeError:
         # The reader of our output has gone; there is nobody left to tell.
         code = ExitCode.PASS

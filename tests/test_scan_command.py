@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import signal
+import subprocess
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 import shapely
-from command_line import ebamcheck, write_stl
+from command_line import command, ebamcheck, write_stl
 
 from ebamcheck.part import from_arrays
 from ebamcheck.scan.pareto_svg import frontier, pareto_svg
@@ -114,6 +116,39 @@ def test_a_whole_part_is_a_row_a_layer(plate, tmp_path):
     refused = ebamcheck("scan", plate, "--all", "--orders", "all", cwd=tmp_path)
     assert refused.returncode == 2
     assert "--all plans in one order, not 9" in refused.stderr
+
+
+@pytest.mark.parametrize(
+    ("asked", "file", "told"),
+    [
+        (
+            ("--height", 12, "--orders", "raster,random", "--seeds", 10**6),
+            "orders.json",
+            "1 of 2 orders are done",
+        ),
+        (("--all", "--layer-height", 0.01), "layers.csv", "of 3000 layers are done"),
+    ],
+)
+def test_an_interrupt_keeps_what_is_done(plate, tmp_path, asked, file, told):
+    scan = subprocess.Popen(
+        command("scan", plate, *asked, "-o", "out"), cwd=tmp_path, stderr=subprocess.PIPE, text=True
+    )
+    path = tmp_path / "out" / file
+    while not path.is_file() or path.read_text().count("\n") < 2:
+        assert scan.poll() is None
+    scan.send_signal(signal.SIGINT)
+    error = scan.communicate()[1]
+    assert scan.returncode == 130
+    assert error.startswith("ebamcheck: interrupted; ")
+    assert f"{told}, kept in out" in error
+    assert len(error.splitlines()) == 1
+    if file == "orders.json":
+        assert [row["order"] for row in json.loads(path.read_text())] == ["raster"]
+        assert {p.name for p in path.parent.glob("*.svg")} >= {"raster-rank.svg", "pareto.svg"}
+    else:
+        lines = path.read_text().splitlines()
+        assert error.split()[2] == str(len(lines) - 1)
+        assert all(line.count(",") == lines[0].count(",") for line in lines)
 
 
 def test_colours_run_from_end_to_end():

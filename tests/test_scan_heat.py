@@ -298,7 +298,7 @@ def test_ways_are_the_nearest_ones(choices):
     assert np.take_along_axis(apart, ways.way[..., None], -1)[..., 0] == pytest.approx(ways.jump_mm)
 
 
-@pytest.mark.parametrize("low, high", [(0.0, 500.0), (-3.0, 20.0)])
+@pytest.mark.parametrize(("low", "high"), [(0.0, 500.0), (-3.0, 20.0)])
 def test_the_high_mean_lies_between_the_mean_and_the_greatest(low, high):
     entry_k = np.random.default_rng(1).uniform(low, high, 40)
     assert entry_k.mean() < high_mean(entry_k) < entry_k.max()

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ebamcheck.atomic_file import replacing
+from ebamcheck.atomic_file import made_folder, replacing
 from ebamcheck.config import load_config
 from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.regression.baselines import UpdateMode, strict_json
@@ -97,10 +97,7 @@ def summary(found: Regression) -> list[str]:
 
 def _write(found: Regression, output: Path, history: Path) -> None:
     """Write all files of the report."""
-    try:
-        output.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise SettingsError(f"{output}: cannot be made: {error.strerror}") from None
+    made_folder(output)
     record(history, found)
     for name, values in ((RESULTS, found.record()), (TIMINGS, found.timings)):
         with replacing(output / name) as temporary:

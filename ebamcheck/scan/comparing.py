@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -107,10 +107,10 @@ def compare_orders(
     return pd.DataFrame(rows, columns=list(FIGURES))
 
 
-def figures_of(name: str, results: Sequence[OrderResult]) -> dict[str, Any]:
+def figures_of(name: str, results: Iterable[OrderResult]) -> dict[str, Any]:
     """One row of a comparison: the means over plans of one order."""
     table = pd.DataFrame([result.figures() for result in results])
-    return {"order": name, "seeds": len(results), **table.mean()}
+    return {"order": name, "seeds": len(table), **table.mean()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,12 +138,12 @@ class OrderComparison:
             )
         return cls(laid, islands, heat, profile)
 
-    def results(self, name: str, seeds: int) -> list[OrderResult]:
-        """Plan one order and drive it: `random` for several seeds, others for that of the profile."""
+    def results(self, name: str, seeds: int) -> Iterator[OrderResult]:
+        """Plan one order and drive it, one after the other: `random` for several seeds, others for that of the profile."""
         tried = range(seeds) if name == RANDOM else (self.profile.scan.seed,)
         if not len(tried):
             raise SettingsError(f"seeds {seeds}: give at least 1 for the order {RANDOM!r}")
-        return [self.result(name, seed) for seed in tried]
+        return (self.result(name, seed) for seed in tried)
 
     def result(self, name: str, seed: int) -> OrderResult:
         """Plan one order and drive it."""

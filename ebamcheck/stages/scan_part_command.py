@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import csv
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import typer
 
+from ebamcheck.atomic_file import made_folder
 from ebamcheck.config import Config
-from ebamcheck.errors import ExitCode, SettingsError
+from ebamcheck.errors import ExitCode
 from ebamcheck.heights import checked_heights, layer_heights
 from ebamcheck.layers import Layers
 from ebamcheck.options import print_json
@@ -50,28 +54,28 @@ def _rows(
     found = scan_part(
         sections, np.asarray(layers.heights) - low_mm, settings, order, settings.scan.seed, pause_s
     )
-    rows = []
-    with watched() as observer:
-        observer.stage("order and heat", len(sections))
-        if output is None:
+    rows: list[dict[str, Any]] = []
+    try:
+        with _table(output) as table, watched() as observer:
+            observer.stage("order and heat", len(sections))
             for row in found:
+                table.writerow(row)
                 rows.append(row)
                 observer.advance(1)
-            return rows
-        try:
-            output.mkdir(parents=True, exist_ok=True)
-            table = (output / TABLE).open("w", newline="", encoding="utf-8")
-        except OSError as error:
-            raise SettingsError(f"{output}: cannot be written: {error.strerror}") from None
-        with table:
-            writer = csv.DictWriter(table, list(WHOLE_PART))
-            writer.writeheader()
-            for row in found:
-                writer.writerow(row)
-                table.flush()
-                rows.append(row)
-                observer.advance(1)
+    except KeyboardInterrupt:
+        kept = f", kept in {output / TABLE}" if output is not None and rows else ""
+        raise KeyboardInterrupt(f"{len(rows)} of {len(sections)} layers are done{kept}") from None
     return rows
+
+
+@contextmanager
+def _table(output: Path | None) -> Iterator[csv.DictWriter[str]]:
+    """Table of the layers in the output folder, a line as soon as it is written; without a folder it is lost."""
+    file = os.devnull if output is None else made_folder(output) / TABLE
+    with open(file, "w", newline="", encoding="utf-8", buffering=1) as opened:
+        writer = csv.DictWriter(opened, list(WHOLE_PART))
+        writer.writeheader()
+        yield writer
 
 
 def _cell(value: float) -> str:

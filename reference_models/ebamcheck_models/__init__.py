@@ -21,7 +21,19 @@ from ebamcheck_models.two_spheres import TWO_SPHERES
 
 _SHAPES: tuple[Model, ...] = (
     *(BLADE, BRACKET, BULKHEAD, COMB, CONE, CUBE, CYLINDER, HELICAL_CHANNEL, IMPELLER, LADDER),
-    *(MENGER_1, MENGER_2, MENGER_3, NOZZLE, PRISM, PYRAMID, SPHERE, THIN_WALLS, TILTED_PLATE, TORUS, TWO_SPHERES),
+    *(
+        MENGER_1,
+        MENGER_2,
+        MENGER_3,
+        NOZZLE,
+        PRISM,
+        PYRAMID,
+        SPHERE,
+        THIN_WALLS,
+        TILTED_PLATE,
+        TORUS,
+        TWO_SPHERES,
+    ),
 )
 
 MODELS: dict[str, Model] = {model.name: model for model in (*_SHAPES, *CASES)}

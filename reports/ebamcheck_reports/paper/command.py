@@ -30,8 +30,9 @@ def paper(
     as_json: Annotated[bool, typer.Option("--json", help="Print paper.json instead of a table.")] = False,
 ) -> ExitCode:
     """Make the paper's figures and numbers again, beside its own values, and say what cannot be compared."""
+    from ebamcheck.atomic_file import made_folder
     from ebamcheck_reports.paper.effort import FULL, QUICK
-    from ebamcheck_reports.paper.job import made_folder, reproduce
+    from ebamcheck_reports.paper.job import reproduce
     from ebamcheck_reports.paper.page import as_text, write
 
     folder = made_folder(output)

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from ebamcheck import __version__
-from ebamcheck.errors import SettingsError
 from ebamcheck_reports.markup import Markup
 from ebamcheck_reports.paper import bitmap, corners, partition, polar, timing
 from ebamcheck_reports.paper.comparison import comparison
@@ -63,12 +62,3 @@ def reproduce(effort: Effort, bunny: Path | None, units: str, note: Note) -> Rep
     }
     record["comparison"] = comparison(record)
     return Reproduction(record, {name: pictures for name, (_, pictures) in found.items()})
-
-
-def made_folder(path: Path) -> Path:
-    """Make the folder of the results; raises :class:`SettingsError` where it cannot be."""
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise SettingsError(f"{path}: cannot be made: {error.strerror}") from None
-    return path

@@ -1,0 +1,134 @@
+"""``ebamcheck scan PART --height Z``: one layer in one or several scan orders."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import typer
+
+from ebamcheck.atomic_file import made_folder, replacing
+from ebamcheck.config import Config
+from ebamcheck.errors import ExitCode
+from ebamcheck.layers import Layers
+from ebamcheck.options import print_json
+from ebamcheck.part import Part
+from ebamcheck.pipeline.programming import bead_paths
+from ebamcheck.program import write_program
+from ebamcheck.progress import watched
+from ebamcheck.scan.comparing import RANDOM, OrderComparison, OrderResult, figures_of
+from ebamcheck.slicing import slice_part
+from ebamcheck.stages.scan_pictures import order_pictures
+from ebamcheck.store import plain
+from ebamcheck.tables import text_table
+
+TABLE = "orders.json"
+
+HEADINGS = {
+    "order": "order",
+    "entry_max_k": "entry max, K",
+    "entry_sd_k": "sd, K",
+    "excess_uniformity": "excess R",
+    "interval_p10_s": "interval p10, s",
+    "interval_min_s": "min, s",
+    "travel_mm": "travel, mm",
+    "starts": "starts",
+    "time_s": "time, s",
+}
+"""Figures of the printed table, and their headings."""
+
+
+@dataclass
+class _Compared:
+    """What is known of the orders so far: their figures, and the plan of the first seed of each, which is drawn."""
+
+    rows: list[dict[str, Any]] = field(default_factory=list)
+    shown: dict[str, OrderResult] = field(default_factory=dict)
+
+    def records(self) -> list[dict[str, Any]]:
+        """Rows with None for what is not a number."""
+        found: list[dict[str, Any]] = json.loads(pd.DataFrame(self.rows).to_json(orient="records"))
+        return found
+
+
+def scan_layer(
+    part: Part,
+    settings: Config,
+    height_mm: float,
+    orders: tuple[str, ...],
+    seeds: int,
+    simulators: tuple[str, ...],
+    output: Path | None,
+    as_json: bool,
+) -> ExitCode:
+    """Plan one layer of a placed part in several orders; an interrupt keeps the orders that are done."""
+    if output is not None:
+        made_folder(output)
+    layers = slice_part(part, np.array([height_mm]))
+    over_plate_mm = height_mm - float(part.bounds[0][2])
+    number = max(0, round(over_plate_mm / settings.layer_height_mm - 0.5))
+    layer = OrderComparison.of(layers.polygons(0), settings, number, max(over_plate_mm, 0.0))
+    done, interrupted = _Compared(), False
+    try:
+        for _ in _compare(layer, orders, seeds, done):
+            if output is not None:
+                _write(output, {TABLE: json.dumps(plain(done.records()), indent=2, sort_keys=True) + "\n"})
+    except KeyboardInterrupt:
+        interrupted = True
+    if output is not None and done.shown:
+        _write(output, order_pictures(layer, done.shown, f"{part.name}, z = {height_mm:g} mm"))
+        _export(output, simulators, done.shown, layers, settings)
+    if interrupted:
+        kept = f", kept in {output}" if output is not None and done.rows else ""
+        raise KeyboardInterrupt(f"{len(done.rows)} of {len(orders)} orders are done{kept}")
+    if as_json:
+        print_json(done.records())
+    else:
+        rows = [[_cell(row[name]) for name in HEADINGS] for row in done.records()]
+        count, base = len(layer.laid.islands), settings.process.base
+        typer.echo(f"{count} islands at z = {height_mm:g} mm, {base} base\n")
+        typer.echo(text_table(list(HEADINGS.values()), rows))
+    return ExitCode.PASS
+
+
+def _compare(layer: OrderComparison, orders: tuple[str, ...], seeds: int, done: _Compared) -> Iterator[None]:
+    """Plan and drive one order after the other, with a bar that moves with each plan."""
+    with watched() as observer:
+        observer.stage("orders", sum(seeds if name == RANDOM else 1 for name in orders))
+        for name in orders:
+            results = []
+            for result in layer.results(name, seeds):
+                results.append(result)
+                observer.advance(1)
+            done.shown[name] = results[0]
+            done.rows.append(figures_of(name, results))
+            yield
+
+
+def _export(
+    folder: Path, simulators: tuple[str, ...], shown: dict[str, OrderResult], layers: Layers, settings: Config
+) -> None:
+    """Write the path of each order for each simulator, as paths/ORDER/SIMULATOR."""
+    for name, result in shown.items() if simulators else ():
+        beads = bead_paths(layers, result.plan, settings)
+        for simulator in simulators:
+            program = settings.changed(machine={"control": simulator})
+            write_program(beads, result.plan, program, folder / "paths" / name / simulator)
+
+
+def _write(folder: Path, files: dict[str, str]) -> None:
+    """Write files by name into a folder that is there."""
+    for name, text in files.items():
+        with replacing(folder / name) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return "-"
+    return value if isinstance(value, str) else f"{value:.2f}" if abs(value) < 10 else f"{value:.0f}"
