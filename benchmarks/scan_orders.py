@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-import shapely
 from scipy.stats import kendalltau
 from shapely.geometry.base import BaseGeometry
 
@@ -23,8 +22,6 @@ from benchmarks.machine import machine
 from ebamcheck.config import Config
 from ebamcheck.model import models
 from ebamcheck.scan.comparing import COMPARED, RANDOM, OrderComparison, OrderResult
-from ebamcheck.scan.order import scan_order
-from ebamcheck.scan.planning import lay_islands
 from ebamcheck.scan.refereed import referee_of, refereed
 from ebamcheck.scan.regions import layer_section
 
@@ -52,9 +49,6 @@ SEEDS = 20
 """Seeds of the order `random`."""
 
 BASES = ("cooled", "insulated")
-
-LARGE = shapely.box(0, 0, 400, 230), 4.0
-"""A layer of more than 2000 islands: its outline and the side of its hexagons, mm."""
 
 DEFAULT_OUTPUT = Path("reports/scan")
 
@@ -90,9 +84,6 @@ RATIOS = (
 LEAST_TAU = 0.9
 """Rank agreement of the linear model and the referee over a cooled base."""
 
-SETUP_S, PLAN_S = 20.0, 1.0
-"""Times for a layer of 2000 islands: set-up of the heat model, and planning."""
-
 
 def compared(
     names: tuple[str, ...], orders: tuple[str, ...], profile: Config
@@ -103,7 +94,8 @@ def compared(
     """
     plans, ranks = [], []
     for name, height_mm, section in layers(names):
-        comparison = OrderComparison.of(section, profile, 0, height_mm)
+        layer = int(height_mm / profile.layer_height_mm)
+        comparison = OrderComparison.of(section, profile, layer, height_mm)
         if len(comparison.islands) < LEAST_ISLANDS:
             continue
         judge = referee_of(comparison.laid, profile)
@@ -116,8 +108,7 @@ def compared(
         table = pd.DataFrame(rows)
         place: dict[str, Any] = {"model": name, "height_mm": height_mm, "islands": len(comparison.islands)}
         plans.append(table.assign(**place))
-        of_orders = kendalltau(table["entry_max_k"], table["referee_max_k"]).statistic
-        ranks.append({**place, "tau_of_plans": of_orders, "tau_of_islands": float(np.median(by_island))})
+        ranks.append({**place, **agreement_of_plans(table), "tau_of_islands": float(np.median(by_island))})
         print(f"{name}, {height_mm:.0f} mm: {len(comparison.islands)} islands", file=sys.stderr, flush=True)
     return pd.concat(plans, ignore_index=True), pd.DataFrame(ranks)
 
@@ -129,6 +120,16 @@ def layers(names: tuple[str, ...]) -> Iterator[tuple[str, float, BaseGeometry]]:
         for share in SHARES:
             z = float(low + share * (high - low))
             yield name, z - float(low), layer_section(model.section(z))
+
+
+def agreement_of_plans(table: pd.DataFrame) -> dict[str, float]:
+    """Kendall's tau of all plans of a layer by their greatest entry temperature, and of the orders by their means."""
+    figures = ["entry_max_k", "referee_max_k"]
+    orders = table.groupby("order")[figures].mean()
+    return {
+        name: float(kendalltau(*(rows[figure] for figure in figures)).statistic)
+        for name, rows in (("tau_of_plans", table), ("tau_of_orders", orders))
+    }
 
 
 def agreement(result: OrderResult, referee_k: np.ndarray) -> float:
@@ -165,6 +166,7 @@ def tau_rows(base: str, ranks: pd.DataFrame) -> list[dict[str, Any]]:
         )
         for what, column in (
             ("the plans of a layer by their greatest entry temperature", "tau_of_plans"),
+            ("the orders of a layer by the same, each over its seeds", "tau_of_orders"),
             ("the islands of a plan by their entry temperature", "tau_of_islands"),
         )
     ]
@@ -186,36 +188,6 @@ def target_row(
         "target": f"{sign} {limit:g}" if base == "cooled" else "-",
         "result": verdict,
     }
-
-
-def large_rows() -> list[dict[str, Any]]:
-    """Rows of the times for a layer of more than 2000 islands."""
-    section, side_mm = LARGE
-    profile = Config().changed(scan={"hexagon_side_mm": side_mm})
-    laid = lay_islands(layer_section(section), profile, 0, 30.0)
-    rows = []
-    for turn in range(2):  # the first one also brings the compiled code up
-        islands = laid.choices(profile, profile.scan.seed)
-        began = time.perf_counter()
-        modes = islands.heat.mean.shape[0]
-        ready = time.perf_counter()
-        scan_order("thermal", islands)
-        done = time.perf_counter()
-        if turn == 0:
-            continue
-        what = f"{len(islands)} islands, {modes} modes"
-        for part, seconds, most in (("set-up", ready - began, SETUP_S), ("planning", done - ready, PLAN_S)):
-            rows.append(
-                {
-                    "base": "cooled",
-                    "what": f"{what}: {part}, s",
-                    "median": f"{seconds:.2f}",
-                    "10 % to 90 %": "-",
-                    "target": f"<= {most:g}",
-                    "result": "met" if seconds <= most else "missed",
-                }
-            )
-    return rows
 
 
 def markdown(table: pd.DataFrame) -> str:
@@ -254,7 +226,6 @@ def main() -> None:
         tables.append(f"{title}\n\n{markdown(figures_table(plans))}")
         plans.round(4).to_csv(options.output / f"{base}-plans.csv", index=False)
         ranks.round(4).to_csv(options.output / f"{base}-ranks.csv", index=False)
-    rows += large_rows()
     seconds, here = time.perf_counter() - began, machine()
     text = "\n".join(
         [
