@@ -20,8 +20,8 @@ from benchmarks.machine import machine
 from benchmarks.scan_orders import DEFAULT_OUTPUT, markdown
 from ebamcheck.config import Config
 from ebamcheck.model import models
+from ebamcheck.scan.laying import lay_islands
 from ebamcheck.scan.order import scan_order
-from ebamcheck.scan.planning import lay_islands
 from ebamcheck.scan.regions import layer_section
 from ebamcheck.scan.whole_part import scan_part
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -31,8 +32,8 @@ from ebamcheck.scan.comparing import COMPARED, FIGURES, OrderComparison
 from ebamcheck.scan.driving import clocked, entered, entry_temperatures
 from ebamcheck.scan.influence import influence
 from ebamcheck.scan.island_heat import island_heat
+from ebamcheck.scan.laying import lay_islands
 from ebamcheck.scan.order import scan_order
-from ebamcheck.scan.planning import lay_islands
 from ebamcheck.scan.regions import layer_section
 from ebamcheck.scan.thermal import greedy_order, own_rise
 from ebamcheck.scan.ways import ways_between
@@ -372,13 +373,35 @@ def test_giving_moves_up_early_changes_nothing(choices):
     assert not np.array_equal(found, order)
 
 
-def test_blas_has_one_thread_while_any_layer_is_planned():
-    def threads():
-        return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+def blas_threads():
+    return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
 
-    before = threads()
+
+def test_blas_has_one_thread_while_any_layer_is_planned():
+    before = blas_threads()
     with one_blas_thread():
         with one_blas_thread():
-            assert threads() == {1}
-        assert threads() == {1}
-    assert threads() == before
+            assert blas_threads() == {1}
+        assert blas_threads() == {1}
+    assert blas_threads() == before
+
+
+def test_blas_has_one_thread_whichever_thread_asks_first_and_leaves_last():
+    before = blas_threads()
+
+    def held():
+        with one_blas_thread():
+            return blas_threads()
+
+    for _ in range(2):
+        with ThreadPoolExecutor(1) as worker:
+            assert held() == {1}
+            assert worker.submit(held).result() == {1}
+            here = one_blas_thread()
+            here.__enter__()
+            there = one_blas_thread()
+            worker.submit(there.__enter__).result()
+            here.__exit__(None, None, None)
+            assert blas_threads() == {1}
+            worker.submit(there.__exit__, None, None, None).result()
+        assert blas_threads() == before

@@ -6,9 +6,14 @@ import numpy as np
 import pytest
 import shapely
 
+import ebamcheck
 from ebamcheck.config import Config
+from ebamcheck.errors import SettingsError
 from ebamcheck.heat import HeatModel, Medium, carried, contour_modes, depth_modes
 from ebamcheck.heat.carry import overlap_of_depths
+from ebamcheck.layers import from_polygons
+from ebamcheck.scan import order, plan_stack
+from ebamcheck.scan.order import GEOMETRIC
 from ebamcheck.scan.regions import layer_section
 from ebamcheck.scan.whole_part import WHOLE_PART, scan_part
 
@@ -83,3 +88,53 @@ def test_a_pause_lets_it_cool_and_an_empty_layer_passes_heat_on():
     warm, cool = (list(scan_part(sections, heights, profile, "raster", 0, pause)) for pause in (0.0, 500.0))
     assert warm[1]["islands"] == 0
     assert warm[2]["body_mean_k"] > 2.0 * cool[2]["body_mean_k"] > 0.0
+
+
+def plates(count):
+    """Layers of a plate whose hole walks along."""
+    holes = [shapely.Point(30 + 8 * k, 45).buffer(14, 32) for k in range(count)]
+    heights = (np.arange(count) + 0.5) * Config().layer_height_mm
+    return from_polygons(heights, [[shapely.box(0, 0, 120, 90).difference(hole)] for hole in holes])
+
+
+def sections_of(layers):
+    return [layer_section(layers.polygons(k)) for k in range(len(layers))]
+
+
+def test_a_program_drives_the_order_that_the_whole_part_was_planned_in():
+    layers = plates(10)
+    plan, sections = plan_stack(layers, Config()), sections_of(layers)
+    rows = list(scan_part(sections, layers.heights, Config(), "thermal", 0))
+    for name in ("islands", "body_mean_k", "entry_max_k"):
+        assert plan.metrics[name].tolist() == [row[name] for row in rows]
+    alone = ebamcheck.plan_scan(sections[0], Config(), height_mm=float(layers.heights[0]))
+    assert np.array_equal(plan.islands_of(0), alone.order)
+    assert plan.metrics["entry_max_k"][0] == alone.metrics["entry_max_k"][0]
+
+
+def test_carried_heat_changes_the_order_alone_and_makes_it_cooler():
+    layers, cold = plates(10), Config().changed(scan={"carry_heat": False})
+    warm_plan, cold_plan = plan_stack(layers, Config()), plan_stack(layers, cold)
+    assert shapely.equals(warm_plan.islands, cold_plan.islands).all()
+    assert not np.array_equal(warm_plan.order, cold_plan.order)
+
+    def as_planned(islands):
+        return cold_plan.islands_of(islands.layer) - np.searchsorted(cold_plan.island_layer, islands.layer)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(order.ORDERS, "as planned", as_planned)
+        driven = list(scan_part(sections_of(layers), layers.heights, Config(), "as planned", 0))
+    planned_k = np.array([row["entry_max_k"] for row in driven])
+    assert np.median(warm_plan.metrics["entry_max_k"] / planned_k) < 0.95
+
+
+def test_orders_that_ask_no_heat_have_no_heat_in_their_metrics():
+    plan = plan_stack(plates(2), Config(), order="raster")
+    assert plan.metrics[["body_mean_k", "entry_max_k"]].isna().all(axis=None)
+    assert set(GEOMETRIC) < set(order.ORDERS)
+    bare = order.LayerIslands(np.zeros((3, 2)), np.ones(3), np.zeros((0, 2), np.int64))
+    for name in sorted(GEOMETRIC):
+        assert len(order.scan_order(name, bare)) == 3
+    for name in sorted(set(order.ORDERS) - GEOMETRIC):
+        with pytest.raises(SettingsError, match="how long islands take"):
+            order.scan_order(name, bare)

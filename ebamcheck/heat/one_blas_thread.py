@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from functools import cache
 from threading import Lock
 
-from threadpoolctl import ThreadpoolController, threadpool_limits
+from threadpoolctl import OpenBLASController, ThreadpoolController, threadpool_limits
 
 _LOCK = Lock()
 _entered = 0
@@ -24,6 +24,13 @@ def _controller() -> ThreadpoolController:
     return ThreadpoolController()
 
 
+def _take_control() -> None:
+    """Let this thread change the limit: from 3.8 on, threadpoolctl heeds only the thread that was first to do so."""
+    release = getattr(OpenBLASController, "clear_controlling_thread", None)
+    if release is not None:
+        release(force=True)
+
+
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
     """Hold BLAS to one thread until the last of all threads that asked for it is done."""
@@ -31,6 +38,7 @@ def one_blas_thread() -> Iterator[None]:
     with _LOCK:
         _entered += 1
         if _entered == 1:
+            _take_control()
             _limits = _controller().limit(limits=1, user_api="blas")
     try:
         yield
@@ -38,5 +46,6 @@ def one_blas_thread() -> Iterator[None]:
         with _LOCK:
             _entered -= 1
             if _entered == 0 and _limits is not None:
+                _take_control()
                 _limits.restore_original_limits()
                 _limits = None

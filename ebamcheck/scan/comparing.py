@@ -15,11 +15,13 @@ from ebamcheck.errors import SettingsError
 from ebamcheck.rings import Floats, Ints
 from ebamcheck.scan.driving import entry_temperatures
 from ebamcheck.scan.island_heat import IslandHeat, island_heat
+from ebamcheck.scan.laying import LaidLayer, lay_islands
 from ebamcheck.scan.order import ORDERS, LayerIslands, scan_order
 from ebamcheck.scan.plan import ScanPlan
-from ebamcheck.scan.planning import LaidLayer, in_order, lay_islands, stack_plans
 from ebamcheck.scan.regions import layer_section
 from ebamcheck.scan.simulate import simulate_order
+from ebamcheck.scan.stacking import in_order, stack_plans
+from ebamcheck.scan.whole_part import OrderedLayer
 
 COMPARED = tuple(name for name in ORDERS if name != "nearest")
 """Orders that are compared unless others are named: each once, `nearest` by its full name."""
@@ -149,7 +151,7 @@ class OrderComparison:
         """Plan one order and drive it."""
         islands = self.islands if seed == self.islands.seed else self.laid.choices(self.profile, seed)
         order = scan_order(name, islands)
-        plan = stack_plans([in_order(self.laid, order)], self.profile, name, seed)
+        plan = stack_plans([in_order(OrderedLayer(self.laid, islands, order))], self.profile, name, seed)
         driven = simulate_order(plan, self.profile)
         count = len(order)
         rank = np.empty(count, np.int64)

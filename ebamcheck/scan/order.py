@@ -273,3 +273,6 @@ ORDERS: Mapping[str, Order] = {
     "thermal": thermal,
 }
 """Orders of the house by name."""
+
+GEOMETRIC = frozenset(ORDERS) - {"least-heat", "thermal"}
+"""Orders that never ask the heat model; those that are installed may."""

@@ -38,6 +38,8 @@ METRICS = {
     "time_s": "lines at travel speed and jumps at rapid speed, without the contour beads",
     "interval_p10_s": "time between the ends of neighbouring islands, shortest tenth; NaN without any",
     "interval_min_s": "the same, least",
+    "body_mean_k": "mean temperature rise of the body under it when it begins; NaN where the order asks no heat model",
+    "entry_max_k": "greatest mean temperature rise of an island when the beam enters it; NaN likewise",
 }
 """Columns of :attr:`ScanPlan.metrics` and what they are."""
 

@@ -9,8 +9,8 @@ import numpy as np
 from ebamcheck.config import Config
 from ebamcheck.heat.referee import Referee, Verdict, judged, referee
 from ebamcheck.rings import Floats
+from ebamcheck.scan.laying import LaidLayer
 from ebamcheck.scan.plan import ScanPlan
-from ebamcheck.scan.planning import LaidLayer
 from ebamcheck.scan.simulate import line_times, simulate_order
 
 CELLS_PER_ISLAND = 4.0

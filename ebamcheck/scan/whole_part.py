@@ -1,4 +1,4 @@
-"""Order and heat of a whole part: each layer begins with what the layers below have left.
+"""Layers put in order from below, each beginning with what those under it have left.
 
 Contour beads, and the time and heat that they take, are not part of it.
 """
@@ -6,7 +6,8 @@ Contour beads, and the time and heat that they take, are not part of it.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,14 +16,15 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.config import Config
 from ebamcheck.heat import carried
 from ebamcheck.heat.model import HeatModel
-from ebamcheck.kernels import run_blocks
-from ebamcheck.rings import Floats
+from ebamcheck.heat.one_blas_thread import one_blas_thread
+from ebamcheck.kernels import run_blocks, thread_count
+from ebamcheck.rings import Floats, Ints
 from ebamcheck.scan.driving import clocked, entered
+from ebamcheck.scan.laying import LaidLayer, lay_islands
 from ebamcheck.scan.order import LayerIslands, scan_order
-from ebamcheck.scan.planning import lay_islands
 
 AHEAD = 8
-"""Layers that are laid out and whose modes are found side by side, before they are ordered one after the other."""
+"""Layers that are laid out and whose modes are found side by side, while those before them are put in order."""
 
 WHOLE_PART = {
     "layer": "index of the layer",
@@ -38,6 +40,83 @@ WHOLE_PART = {
 """Columns of a row of :func:`scan_part` and what they are."""
 
 
+@dataclass(frozen=True)
+class LayerHeat:
+    """A layer driven on the heat model; figures as in :data:`WHOLE_PART`."""
+
+    body_mean_k: float
+    entry_max_k: float
+    entry_sd_k: float
+    travel_mm: float
+    time_s: float
+    stored_j: float
+
+
+@dataclass(frozen=True, eq=False)
+class OrderedLayer:
+    """A layer, what its order knew of it, the order (I,), and its heat where it was driven."""
+
+    laid: LaidLayer
+    islands: LayerIslands
+    order: Ints
+    heat: LayerHeat | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Stack:
+    """Layers to be put in order.
+
+    Parameters
+    ----------
+    sections
+        Valid sections, from below.
+    heights_mm
+        (L,) their heights, rising.
+    numbers
+        Indices in the part, which turn hatch and cells and seed random choices.
+    plate_mm
+        Height of the base plate.
+    """
+
+    sections: Sequence[BaseGeometry]
+    heights_mm: Floats
+    numbers: Sequence[int]
+    plate_mm: float = 0.0
+
+    def __len__(self) -> int:
+        """Return the number of layers."""
+        return len(self.sections)
+
+
+def ordered_layers(
+    stack: Stack, profile: Config, order: str, seed: int, carry: bool, pause_s: float = 0.0
+) -> Iterator[OrderedLayer]:
+    """Put layers in order, from below.
+
+    Parameters
+    ----------
+    carry
+        Drive each layer on the heat model and let the next one begin with what it leaves; else each is cold.
+    pause_s
+        Time between two layers.
+
+    Yields
+    ------
+    OrderedLayer
+        As soon as it is done.
+    """
+    left: tuple[HeatModel, Floats] | None = None
+    for laid, islands in _prepared(stack, profile, seed, carry):
+        if not carry:
+            yield OrderedLayer(laid, islands, scan_order(order, islands))
+            continue
+        warm = islands if left is None else _before(islands, left)
+        with one_blas_thread():
+            found = scan_order(order, warm)
+            heat, left = _driven(warm, found, left, pause_s)
+        yield OrderedLayer(laid, warm, found, heat)
+
+
 def scan_part(
     sections: Sequence[BaseGeometry],
     heights_mm: Floats,
@@ -46,12 +125,12 @@ def scan_part(
     seed: int,
     pause_s: float = 0.0,
 ) -> Iterator[dict[str, Any]]:
-    """Order all layers of a part from below, with the heat carried from each to the next.
+    """Order all layers of a part with the heat of those under them.
 
     Parameters
     ----------
     sections
-        Valid sections of the layers.
+        Valid sections of the layers, from below.
     heights_mm
         (L,) their heights over the base plate, rising.
     pause_s
@@ -62,35 +141,49 @@ def scan_part(
     dict
         One row a layer as :data:`WHOLE_PART` names them, as soon as it is done.
     """
-    left: tuple[HeatModel, Floats] | None = None
-    for first in range(0, len(sections), AHEAD):
-        block = range(first, min(first + AHEAD, len(sections)))
-        for layer, islands in zip(block, _laid(sections, heights_mm, profile, seed, block), strict=True):
-            if left is not None:
-                islands = replace_before(islands, left)
-            row, left = _scanned(layer, islands, order, left, pause_s)
-            yield row
+    stack = Stack(sections, heights_mm, range(len(sections)))
+    nothing = {**dict.fromkeys(WHOLE_PART, np.nan), "travel_mm": 0.0, "time_s": 0.0}
+    for done in ordered_layers(stack, profile, order, seed, carry=True, pause_s=pause_s):
+        figures = nothing if done.heat is None else vars(done.heat)
+        place = {"layer": done.laid.layer, "height_mm": done.islands.height_mm, "islands": len(done.islands)}
+        yield {name: {**figures, **place}[name] for name in WHOLE_PART}
 
 
-def _laid(
-    sections: Sequence[BaseGeometry], heights_mm: Floats, profile: Config, seed: int, block: range
-) -> list[LayerIslands]:
-    """Divide layers into islands and find their modes, on all threads."""
+def _prepared(
+    stack: Stack, profile: Config, seed: int, heated: bool
+) -> Iterator[tuple[LaidLayer, LayerIslands]]:
+    """Divide layers into islands and find their modes, on all threads, a block ahead of who takes them."""
 
-    def work(start: int, stop: int) -> list[LayerIslands]:
-        done = []
-        for layer in block[start:stop]:
-            laid = lay_islands(sections[layer], profile, layer, float(heights_mm[layer]))
-            islands = laid.choices(profile, seed)
-            if len(islands):
-                _ = islands.cold_heat
-            done.append(islands)
-        return done
+    def work(block: range) -> list[tuple[LaidLayer, LayerIslands]]:
+        def some(start: int, stop: int) -> list[tuple[LaidLayer, LayerIslands]]:
+            return [_laid(stack, k, profile, seed, heated) for k in block[start:stop]]
 
-    return [islands for part in run_blocks(work, len(block)) for islands in part]
+        return [found for part in run_blocks(some, len(block)) for found in part]
+
+    blocks = [range(a, min(a + AHEAD, len(stack))) for a in range(0, len(stack), AHEAD)]
+    if thread_count() == 1:
+        for block in blocks:
+            yield from work(block)
+        return
+    with ThreadPoolExecutor(1) as ahead:
+        coming = [ahead.submit(work, block) for block in blocks[:1]]
+        for n in range(len(blocks)):
+            ready = coming.pop().result()
+            coming = [ahead.submit(work, block) for block in blocks[n + 1 : n + 2]]
+            yield from ready
 
 
-def replace_before(islands: LayerIslands, left: tuple[HeatModel, Floats]) -> LayerIslands:
+@one_blas_thread()
+def _laid(stack: Stack, k: int, profile: Config, seed: int, heated: bool) -> tuple[LaidLayer, LayerIslands]:
+    """Divide one layer into islands, and set up its heat model where it is asked for."""
+    laid = lay_islands(stack.sections[k], profile, stack.numbers[k], float(stack.heights_mm[k]))
+    islands = laid.choices(profile, seed, stack.plate_mm)
+    if heated and len(islands):
+        _ = islands.cold_heat
+    return laid, islands
+
+
+def _before(islands: LayerIslands, left: tuple[HeatModel, Floats]) -> LayerIslands:
     """Let a layer begin with the heat that another one left: its model, and amplitudes."""
     model, amplitudes = left
     after = replace(islands, before=lambda new: carried(model, amplitudes, new))
@@ -100,32 +193,25 @@ def replace_before(islands: LayerIslands, left: tuple[HeatModel, Floats]) -> Lay
     return after
 
 
-def _scanned(
-    layer: int,
-    islands: LayerIslands,
-    order: str,
-    left: tuple[HeatModel, Floats] | None,
-    pause_s: float,
-) -> tuple[dict[str, Any], tuple[HeatModel, Floats] | None]:
-    """Order one layer and drive it: its row, and what it leaves. A layer without islands leaves what it found."""
-    place = {"layer": layer, "height_mm": islands.height_mm, "islands": len(islands)}
+def _driven(
+    islands: LayerIslands, order: Ints, left: tuple[HeatModel, Floats] | None, pause_s: float
+) -> tuple[LayerHeat | None, tuple[HeatModel, Floats] | None]:
+    """Drive one layer: its heat, and what it leaves. A layer without islands leaves what it found."""
     if not len(islands):
-        return {**dict.fromkeys(WHOLE_PART, np.nan), **place, "travel_mm": 0.0, "time_s": 0.0}, left
+        return None, left
     heat, drive = islands.heat, islands.driven
-    found = scan_order(order, islands)
     start_s, end_s, travel = clocked(
-        found, drive.entry, drive.leave, drive.time_s, islands.profile.machine.rapid_mm_s
+        order, drive.entry, drive.leave, drive.time_s, islands.profile.machine.rapid_mm_s
     )
     model = heat.model
     volume_mm3 = islands.section.area * model.depth.depth_mm
-    entry_k, state = entered(heat, found, start_s, end_s)
-    row = {
-        **place,
-        "body_mean_k": model.stored_j(heat.start_k) / (model.medium.heat_capacity_j_mm3k * volume_mm3),
-        "entry_max_k": float(entry_k.max()),
-        "entry_sd_k": float(entry_k.std()),
-        "travel_mm": float(travel),
-        "time_s": float(end_s.max()),
-        "stored_j": model.stored_j(state),
-    }
-    return row, (model, model.after(state, pause_s))
+    entry_k, state = entered(heat, order, start_s, end_s)
+    figures = LayerHeat(
+        body_mean_k=model.stored_j(heat.start_k) / (model.medium.heat_capacity_j_mm3k * volume_mm3),
+        entry_max_k=float(entry_k.max()),
+        entry_sd_k=float(entry_k.std()),
+        travel_mm=float(travel),
+        time_s=float(end_s.max()),
+        stored_j=model.stored_j(state),
+    )
+    return figures, (model, model.after(state, pause_s))
