@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from nc_stack import make_plan
+from nc_stack import make_plan, stack
 
 from ebamcheck.config import Config
 from ebamcheck.curves import fit
 from ebamcheck.layers import from_polygons, from_rings
-from ebamcheck.program import read_program, verify_program, write_program
+from ebamcheck.program import program_summary, read_program, verify_program, write_program
 from ebamcheck.scan.regions import layer_regions
 
 SQUARE = np.array([(0, 0), (40, 0), (40, 40), (0, 40)], float)
@@ -45,3 +45,77 @@ def test_a_program_without_the_allowance_asked_for_is_named(tmp_path):
     assert not check.passed
     assert check.value == pytest.approx(0.8, abs=0.35)  # up to 0.8 times the root of 2 at a corner
     assert check.where.startswith("MAIN_L000")
+
+
+# -- pauses ------------------------------------------------------------------------------------------
+
+CONTROLS = {"sinumerik-840d-sl": "G4 F30 ", "linuxcnc": "G4 P30 ", "plain-gcode": "G4 P30 "}
+WIDE = {"travel_min_mm": (-2000.0, -2000.0, 0.0), "travel_max_mm": (2000.0, 2000.0, 2000.0)}
+
+
+def paused(tmp_path, control, seconds=30.0):
+    """A stack of three layers written with a wait between them: settings and files."""
+    config = Config().changed(
+        process={"layer_pause_s": seconds}, machine={**WIDE, "control": control, "curve_form": "lines"}
+    )
+    return config, write_program(*stack(), config, tmp_path / "p")
+
+
+def pause_check(files, config):
+    nc = read_program(files.main, config)
+    return next(c for c in verify_program(nc, config=config) if c.name == "layer pause"), nc
+
+
+@pytest.mark.parametrize("control", CONTROLS)
+def test_a_program_waits_between_its_layers_and_after_none_else(tmp_path, control):
+    config, files = paused(tmp_path, control)
+    text = "".join(path.read_text() for path in sorted(files.folder.iterdir()))
+    assert text.count(CONTROLS[control]) == 2
+    check, nc = pause_check(files, config)
+    assert check.passed, check.text
+    assert program_summary(nc, config)["pause_s"].tolist() == [30.0, 30.0, 0.0]
+    short = config.changed(process={"layer_pause_s": 20.0})
+    assert not pause_check(files, short)[0].passed
+    assert "waits 30 s after layer 1 in place of 20 s" in pause_check(files, short)[0].text
+
+
+@pytest.mark.parametrize("control", CONTROLS)
+def test_without_a_pause_there_is_no_word_of_it(tmp_path, control):
+    config, files = paused(tmp_path, control, seconds=0.0)
+    assert not any("G4 " in path.read_text() for path in files.folder.iterdir())
+    assert pause_check(files, config)[0].passed
+
+
+@pytest.mark.parametrize("control", CONTROLS)
+@pytest.mark.parametrize("fault", ["lost", "longer", "in the layer"])
+def test_a_wrong_pause_is_found(tmp_path, control, fault):
+    config, files = paused(tmp_path, control)
+    word = CONTROLS[control].strip()
+    path = next(path for path in sorted(files.folder.iterdir()) if word in path.read_text())
+    lines = path.read_text().splitlines(keepends=True)
+    at = next(n for n, line in enumerate(lines) if word in line)
+    if fault == "longer":
+        lines[at] = lines[at].replace("30", "300")
+    else:
+        line = lines.pop(at)
+        if fault == "in the layer":
+            lines.insert(at - 8, line)
+    path.write_text("".join(lines))
+    check, _ = pause_check(files, config)
+    assert not check.passed
+    assert {"lost": "waits 0 s", "longer": "waits 300 s", "in the layer": "within a layer"}[
+        fault
+    ] in check.text
+
+
+@pytest.mark.parametrize("control", ["3dthesis", "adamantine", "additivefoam"])
+def test_simulators_wait_too(tmp_path, control):
+    times = []
+    for seconds in (0.0, 30.0):
+        _, files = paused(tmp_path / str(seconds), control, seconds)
+        rows = [line.split() for line in files.main.read_text().splitlines()]
+        spots = [row for row in rows if len(row) == 6 and row[0] == "1"]
+        times.append([float(row[5]) for row in spots])
+    longer = np.subtract(times[1], times[0])
+    assert np.isclose(longer, 30.0).sum() == 2
+    assert np.isclose(longer, 0.0).sum() == len(longer) - 2

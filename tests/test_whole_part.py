@@ -85,7 +85,10 @@ def test_a_pause_lets_it_cool_and_an_empty_layer_passes_heat_on():
     profile = Config().changed(scan={"order": "raster"})
     sections = [layer_section(PLATE), shapely.Polygon(), layer_section(PLATE)]
     heights = np.array([1.0, 2.6, 4.3])
-    warm, cool = (list(scan_part(sections, heights, profile, "raster", 0, pause)) for pause in (0.0, 500.0))
+    warm, cool = (
+        list(scan_part(sections, heights, profile.changed(process={"layer_pause_s": pause_s}), "raster", 0))
+        for pause_s in (0.0, 500.0)
+    )
     assert warm[1]["islands"] == 0
     assert warm[2]["body_mean_k"] > 2.0 * cool[2]["body_mean_k"] > 0.0
 

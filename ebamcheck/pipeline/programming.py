@@ -23,7 +23,17 @@ from ebamcheck.scan import ScanPlan, plan_stack
 SAMPLING_MM = 0.002
 """Beads are planned inside of polylines this near to the fitted curves: a tenth of the fit's tolerance."""
 
-TOTALS = ("motions", "contour_mm", "hatch_mm", "travel_mm", "deposit_s", "travel_s", "wire_mm", "wire_kg")
+TOTALS = (
+    "motions",
+    "contour_mm",
+    "hatch_mm",
+    "travel_mm",
+    "deposit_s",
+    "travel_s",
+    "pause_s",
+    "wire_mm",
+    "wire_kg",
+)
 """Columns of the program's summary that add up over the layers."""
 
 

@@ -15,7 +15,7 @@ SINUMERIK, LINUXCNC, PLAIN = "sinumerik-840d-sl", "linuxcnc", "plain-gcode"
 
 TEMPLATES = (
     "beam_on", "beam_off", "wire_start", "wire_stop", "wire_retract",
-    "set_beam", "set_power", "layer_begin", "layer_end",
+    "set_beam", "set_power", "layer_begin", "layer_end", "layer_pause",
 )  # fmt: skip
 """Templates of the machine profile."""
 
@@ -32,6 +32,7 @@ STOCK: Mapping[str, Mapping[str, tuple[str, ...]]] = {
         "wire_start": ("M68 E2 Q{wire_mm_s} ; wire speed, mm/s", "M64 P1 ; wire on"),
         "wire_stop": ("M65 P1 ; wire off",),
         "wire_retract": ("M68 E3 Q{wire_retract_mm} ; wire drawn back, mm",),
+        "layer_pause": ("G4 P{layer_pause_s} ; wait, s",),
     },
     # Hobby and laser controls: M3 S, M5 for the source; M42 sets a pin, M8 and M9 a second output.
     PLAIN: {
@@ -42,6 +43,7 @@ STOCK: Mapping[str, Mapping[str, tuple[str, ...]]] = {
         "wire_start": ("M42 P1 S{wire_mm_s} ; wire speed, mm/s", "M8 ; wire on"),
         "wire_stop": ("M9 ; wire off",),
         "wire_retract": ("M42 P2 S{wire_retract_mm} ; wire drawn back, mm",),
+        "layer_pause": ("G4 P{layer_pause_s} ; wait, s",),
     },
 }
 

@@ -124,6 +124,9 @@ def _rows(curves: CurveColumns, plan: ScanColumns, config: Config) -> Floats:
     rows[spot, 4], rows[line, 4] = 0.0, path.power
     rows[line, 5] = config.process.travel_speed_mm_s * METRES
     rows[spot, 5] = _travel_s(path, rows, spot, config)
+    layer = np.repeat(np.arange(len(path.z)), np.diff(path.layer_starts))[tracks]
+    # Layers without a track are waited for, too.
+    rows[spot, 5] += config.process.layer_pause_s * np.diff(layer, prepend=layer[:1])
     return rows
 
 

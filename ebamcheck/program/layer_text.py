@@ -56,11 +56,13 @@ def layer_blocks(
             layer.deposit(path.start[t], path.end[b - 1], motions[a:b], path.power[a:b])
     layer.set_power(1.0)
     layer.rise()
+    waits = config.process.layer_pause_s > 0.0 and k + 1 < len(path.z)
     return [
         comment(f"LAYER: {k + 1} OF {len(path.z)}, CUT AT {path.cut[k]:.6f}, Z {path.z[k]:.6f}"),
         *values.fill("layer_begin", templates["layer_begin"]),
         *layer.lines,
         *values.fill("layer_end", templates["layer_end"]),
+        *(values.fill("layer_pause", templates["layer_pause"]) if waits else []),
     ]
 
 

@@ -9,6 +9,20 @@ import pandas as pd
 
 from ebamcheck.config import Config
 from ebamcheck.program.motions import RAPID, NCProgram
+from ebamcheck.rings import Floats
+
+PAUSE = "layer_pause_s"
+"""Event of a wait between layers, named by its placeholder."""
+
+
+def layer_pauses_s(nc: NCProgram) -> Floats:
+    """Time that the program waits after each layer, and before the next, (L,) s."""
+    paused = np.array([name == PAUSE for name in nc.events.name], np.bool_)
+    # An event stands after as many motions as its row says: the last of them in a layer tells which.
+    known = np.concatenate([[-1], np.maximum.accumulate(nc.layer)])
+    after = known[nc.events.row[paused]]
+    seconds = np.where(after >= 0, nc.events.value[paused], 0.0)
+    return np.bincount(np.maximum(after, 0), seconds, minlength=len(nc.layer_files)).astype(np.float64)
 
 
 def program_summary(nc: NCProgram, config: Config) -> pd.DataFrame:
@@ -21,7 +35,7 @@ def program_summary(nc: NCProgram, config: Config) -> pd.DataFrame:
     -------
     DataFrame
         Columns `layer`, `file`, `z_mm`, `motions`, `contour_mm`, `hatch_mm` (turns included), `travel_mm`,
-        `deposit_s`, `travel_s`, `wire_mm`, `wire_kg`.
+        `deposit_s`, `travel_s`, `pause_s` (the wait after it), `wire_mm`, `wire_kg`.
     """
     process = config.process
     count = len(nc.layer_files)
@@ -51,6 +65,7 @@ def program_summary(nc: NCProgram, config: Config) -> pd.DataFrame:
             "travel_mm": total(length, ~nc.deposit),
             "deposit_s": total(time, nc.deposit),
             "travel_s": total(time, ~nc.deposit),
+            "pause_s": layer_pauses_s(nc),
             "wire_mm": wire_mm,
             "wire_kg": wire_mm * 1e-3 * area_m2 * config.material.density_kg_m3,
         }

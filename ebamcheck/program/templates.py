@@ -40,6 +40,7 @@ class ProcessValues:
     wire_mm_s: float
     wire_retract_mm: float
     feed_mm_min: float
+    layer_pause_s: float
     layer: int
     height_mm: float
 
@@ -89,6 +90,7 @@ def process_values(config: Config, layer: int, height_mm: float, thickness_mm: f
         wire_mm_s=wire_speed_mm_s(config, thickness_mm),
         wire_retract_mm=config.process.wire_retract_mm,
         feed_mm_min=60.0 * config.process.travel_speed_mm_s,
+        layer_pause_s=config.process.layer_pause_s,
         layer=layer,
         height_mm=height_mm,
     )

@@ -89,7 +89,7 @@ class Stack:
 
 
 def ordered_layers(
-    stack: Stack, profile: Config, order: str, seed: int, carry: bool, pause_s: float = 0.0
+    stack: Stack, profile: Config, order: str, seed: int, carry: bool
 ) -> Iterator[OrderedLayer]:
     """Put layers in order, from below.
 
@@ -97,8 +97,6 @@ def ordered_layers(
     ----------
     carry
         Drive each layer on the heat model and let the next one begin with what it leaves; else each is cold.
-    pause_s
-        Time between two layers.
 
     Yields
     ------
@@ -113,7 +111,7 @@ def ordered_layers(
         warm = islands if left is None else _before(islands, left)
         with one_blas_thread():
             found = scan_order(order, warm)
-            heat, left = _driven(warm, found, left, pause_s)
+            heat, left = _driven(warm, found, left)
         yield OrderedLayer(laid, warm, found, heat)
 
 
@@ -123,7 +121,6 @@ def scan_part(
     profile: Config,
     order: str,
     seed: int,
-    pause_s: float = 0.0,
 ) -> Iterator[dict[str, Any]]:
     """Order all layers of a part with the heat of those under them.
 
@@ -133,8 +130,6 @@ def scan_part(
         Valid sections of the layers, from below.
     heights_mm
         (L,) their heights over the base plate, rising.
-    pause_s
-        Time between two layers.
 
     Yields
     ------
@@ -143,7 +138,7 @@ def scan_part(
     """
     stack = Stack(sections, heights_mm, range(len(sections)))
     nothing = {**dict.fromkeys(WHOLE_PART, np.nan), "travel_mm": 0.0, "time_s": 0.0}
-    for done in ordered_layers(stack, profile, order, seed, carry=True, pause_s=pause_s):
+    for done in ordered_layers(stack, profile, order, seed, carry=True):
         figures = nothing if done.heat is None else vars(done.heat)
         place = {"layer": done.laid.layer, "height_mm": done.islands.height_mm, "islands": len(done.islands)}
         yield {name: {**figures, **place}[name] for name in WHOLE_PART}
@@ -194,7 +189,7 @@ def _before(islands: LayerIslands, left: tuple[HeatModel, Floats]) -> LayerIslan
 
 
 def _driven(
-    islands: LayerIslands, order: Ints, left: tuple[HeatModel, Floats] | None, pause_s: float
+    islands: LayerIslands, order: Ints, left: tuple[HeatModel, Floats] | None
 ) -> tuple[LayerHeat | None, tuple[HeatModel, Floats] | None]:
     """Drive one layer: its heat, and what it leaves. A layer without islands leaves what it found."""
     if not len(islands):
@@ -214,4 +209,4 @@ def _driven(
         time_s=float(end_s.max()),
         stored_j=model.stored_j(state),
     )
-    return figures, (model, model.after(state, pause_s))
+    return figures, (model, model.after(state, islands.profile.process.layer_pause_s))

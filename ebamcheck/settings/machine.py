@@ -63,8 +63,8 @@ class MachineSettings(Section):
     """Name of the WPD folder on the control."""
     program_name: str = "MAIN"
     """Base name of the main program; the part's name is not a legal NC name in general."""
-    # Templates: {power_w} {voltage_kv} {current_ma} {wire_mm_s} {wire_retract_mm} {feed_mm_min} {layer} {height_mm}
-    # are filled in.
+    # Templates: {power_w} {voltage_kv} {current_ma} {wire_mm_s} {wire_retract_mm} {feed_mm_min} {layer_pause_s}
+    # {layer} {height_mm} are filled in.
     beam_on: tuple[str, ...] = ("M60 ; beam on",)
     """Blocks that switch the beam on; the codes are the machine maker's."""
     beam_off: tuple[str, ...] = ("M61 ; beam off",)
@@ -82,6 +82,8 @@ class MachineSettings(Section):
     """Blocks that stop the wire."""
     wire_retract: tuple[str, ...] = ("H4={wire_retract_mm} ; wire drawn back, mm",)
     """Blocks that draw the stopped wire back, where the process asks for it."""
+    layer_pause: tuple[str, ...] = ("G4 F{layer_pause_s} ; wait, s",)
+    """Blocks that wait between two layers, where the process asks for it."""
     layer_begin: tuple[str, ...] = ()
     """Blocks before the first motion of a layer."""
     layer_end: tuple[str, ...] = ()

@@ -70,6 +70,8 @@ class ProcessSettings(Section):
     """Steps of power along a ramp."""
     wire_retract_mm: NotNegative = 0.0
     """Wire drawn back at the end of a bead, so that it does not freeze in."""
+    layer_pause_s: NotNegative = 0.0
+    """Wait between two layers with the beam off, so that the part cools: a dwell in the program and in the heat model."""
     least_seam_distance_mm: NotNegative = 0.0
     """Least distance between the starts of contours in neighbouring layers; 0: not limited."""
     travel_sectors_deg: tuple[tuple[Finite, Finite], ...] = ()

@@ -36,7 +36,10 @@ def scan_command(
     all_layers: Annotated[
         bool, typer.Option("--all", help="All layers from below, with the heat of those under them.")
     ] = False,
-    pause: Annotated[float, typer.Option(help="With --all: time between two layers, s.", min=0.0)] = 0.0,
+    pause: Annotated[
+        float | None,
+        typer.Option(help="With --all: wait between two layers, s; default: process.layer_pause_s.", min=0.0),
+    ] = None,
     layer_height: LayerHeightOption = None,
     orders: Annotated[
         str, typer.Option(help=f"{', '.join(SCAN_ORDERS)}, or all; comma-separated. Default: scan.order.")
@@ -74,5 +77,7 @@ def scan_command(
     if height is None:
         if len(wanted) != 1:
             raise SettingsError(f"--all plans in one order, not {len(wanted)}: give one with --orders")
-        return scan_all(placed, settings, wanted[0], pause, output, as_json)
+        if pause is not None:
+            settings = settings.changed(process={"layer_pause_s": pause})
+        return scan_all(placed, settings, wanted[0], output, as_json)
     return scan_layer(placed, settings, height, wanted, seeds, simulators, output, as_json)

@@ -28,15 +28,13 @@ from ebamcheck.tables import text_table
 TABLE = "layers.csv"
 
 
-def scan_all(
-    part: Part, settings: Config, order: str, pause_s: float, output: Path | None, as_json: bool
-) -> ExitCode:
+def scan_all(part: Part, settings: Config, order: str, output: Path | None, as_json: bool) -> ExitCode:
     """Order all layers of a placed part; rows are written as they are done, so that an interrupt keeps them."""
     heights = settings.layers.heights_mm
     layers = slice_part(
         part, checked_heights(heights) if heights else layer_heights(part, settings.layer_height_mm)
     )
-    rows = _rows(layers, float(part.bounds[0][2]), settings, order, pause_s, output)
+    rows = _rows(layers, float(part.bounds[0][2]), settings, order, output)
     if as_json:
         print_json([{k: None if v != v else v for k, v in row.items()} for row in rows])
         return ExitCode.PASS
@@ -47,13 +45,11 @@ def scan_all(
 
 
 def _rows(
-    layers: Layers, low_mm: float, settings: Config, order: str, pause_s: float, output: Path | None
+    layers: Layers, low_mm: float, settings: Config, order: str, output: Path | None
 ) -> list[dict[str, Any]]:
     """Rows of all layers; also line by line into the table of the output folder."""
     sections = [layer_section(layers.polygons(k)) for k in range(len(layers))]
-    found = scan_part(
-        sections, np.asarray(layers.heights) - low_mm, settings, order, settings.scan.seed, pause_s
-    )
+    found = scan_part(sections, np.asarray(layers.heights) - low_mm, settings, order, settings.scan.seed)
     rows: list[dict[str, Any]] = []
     try:
         with _table(output) as table, watched() as observer:

@@ -100,7 +100,7 @@ def _status(record: Mapping[str, Any]) -> Markup:
 
 def _totals(record: Mapping[str, Any]) -> Markup:
     total = record["totals"]
-    time = total["deposit_s"] + total["travel_s"]
+    time = total["deposit_s"] + total["travel_s"] + total["pause_s"]
     return facts(
         [
             (
@@ -108,7 +108,8 @@ def _totals(record: Mapping[str, Any]) -> Markup:
                 figure(time, text=duration(time)),
             ),
             ("of that with beam on", figure(total["deposit_s"], text=duration(total["deposit_s"]))),
-            ("of that with beam off", figure(total["travel_s"], text=duration(total["travel_s"]))),
+            ("of that in rapid moves", figure(total["travel_s"], text=duration(total["travel_s"]))),
+            ("of that waiting between layers", figure(total["pause_s"], text=duration(total["pause_s"]))),
             ("motions", figure(total["motions"])),
             ("contour path", figure(total["contour_mm"], "mm")),
             ("hatch path", figure(total["hatch_mm"], "mm")),

@@ -119,9 +119,11 @@ def _coverage(run: RunData, plan: ScanPlan) -> Markup:
 
 def _times(run: RunData) -> Markup:
     program, metrics = run.table("program.csv"), run.table("scan.csv")
-    if {"deposit_s", "travel_s"} <= set(program.columns):
+    if {"deposit_s", "travel_s", "pause_s"} <= set(program.columns):
         series = [
-            Series("whole layer", program["layer"], program["deposit_s"] + program["travel_s"]),
+            Series(
+                "whole layer", program["layer"], program[["deposit_s", "travel_s", "pause_s"]].sum(axis=1)
+            ),
             Series("beam on", program["layer"], program["deposit_s"]),
         ]
     else:
