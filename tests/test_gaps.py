@@ -130,9 +130,10 @@ def test_wide_spots_are_closed_and_narrow_ones_only_while_coverage_is_missing():
         shapely.Polygon([(0, 0), (2, 0), (0, 2)]),
         shapely.box(20, 20, 50, 21.5),
         shapely.LineString([(20, 20), (40, 20), (40, 40)]).buffer(0.8, cap_style="flat"),
+        shapely.MultiLineString([[(12, 45), (44, 45)], [(28, 45), (28, 58)]]).buffer(0.8, cap_style="flat"),
         shapely.Point(30, 30).buffer(1.4),
     ],
-    ids=["tip", "slit", "bent slit", "round"],
+    ids=["tip", "slit", "bent slit", "fork", "round"],
 )
 def test_a_gap_bead_covers_its_spot_within_the_section_and_beside_the_islands(spot):
     section = shapely.box(0, 0, 60, 60)

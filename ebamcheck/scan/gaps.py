@@ -164,15 +164,16 @@ def gap_beads(
         near = {int(k): islands[k] for k in np.sort(tree.query(local))}
         near |= {len(islands) + k: p for k, p in enumerate(new) if p.intersects(local)}
         free = shapely.difference(region, shapely.union_all(list(near.values())))
-        for line in _beads_over(spot, region, free, bead_width_mm, spacing_mm):
-            found = [(k, part) for k, island in near.items() for part in _pieces(line, island, shortest_mm)]
-            for part in _pieces(line, free, shortest_mm):
-                place = _place(part, free, PLACE * bead_width_mm)
-                if place is not None:
-                    found.append((len(islands) + len(new), part))
-                    new.append(place)
-            owner += [k for k, _ in found]
-            lines += [part for _, part in found]
+        over = _beads_over(spot, region, free, bead_width_mm, spacing_mm)
+        found = [
+            (k, p) for line in over for k, island in near.items() for p in _pieces(line, island, shortest_mm)
+        ]
+        beside = [part for line in over for part in _pieces(line, free, shortest_mm)]
+        for place, parts in _places(beside, free, PLACE * bead_width_mm):
+            found += [(len(islands) + len(new), part) for part in parts]
+            new.append(place)
+        owner += [k for k, _ in found]
+        lines += [part for _, part in found]
     return GapBeads(_column(lines), np.array(owner, np.int64), _column(new))
 
 
@@ -183,11 +184,19 @@ def _pieces(line: shapely.LineString, region: BaseGeometry, shortest_mm: float) 
     return [p for p in parts if p.length > least_mm]
 
 
-def _place(line: shapely.LineString, free: BaseGeometry, reach_mm: float) -> shapely.Polygon | None:
-    """Island of a gap bead: what lies around it and is in no other island."""
-    bead = shapely.intersection(shapely.buffer(line, reach_mm, quad_segs=ARC_SEGMENTS), free)
-    parts = [p for p in valid_polygons(bead) if p.area > NO_AREA_MM2]
-    return max(parts, key=lambda p: float(shapely.intersection(p, line).length)) if parts else None
+def _places(
+    lines: Sequence[shapely.LineString], free: BaseGeometry, reach_mm: float
+) -> list[tuple[shapely.Polygon, list[shapely.LineString]]]:
+    """Islands of the gap beads of one spot, and the lines in each: what lies around them and is in no other island.
+
+    Lines whose surroundings meet share an island.
+    """
+    around = shapely.union_all(shapely.buffer(_column(lines), reach_mm, quad_segs=ARC_SEGMENTS))
+    parts = [p for p in valid_polygons(shapely.intersection(around, free)) if p.area > NO_AREA_MM2]
+    held: list[list[shapely.LineString]] = [[] for _ in parts]
+    for line in lines if parts else ():
+        held[int(np.argmax(shapely.length(shapely.intersection(_column(parts), line))))].append(line)
+    return [(part, inside) for part, inside in zip(parts, held, strict=True) if inside]
 
 
 def _beads_over(
