@@ -82,6 +82,7 @@ def solids() -> Iterator[tuple[str, shapely.Geometry]]:
     yield "sharp star", star(12, 30, 90)
     yield "wedge", shapely.Polygon([(0, 0), (150, 0), (0, 30)])
     yield "sharp wedge", shapely.Polygon([(0, 0), (150, 0), (0, 12)])
+    yield "hair", affinity.rotate(shapely.Polygon([(-65, 0.01), (17, -0.03), (25, 0.03)]), 40)
     yield "tapered wall", shapely.Polygon([(0, -9), (150, -1), (150, 1), (0, 9)])
     yield "neck", shapely.union_all([disc(0, 0, 30), disc(80, 0, 30), shapely.box(0, -2, 80, 2)])
     yield "discs that touch", shapely.union_all([disc(0, 0, 30), disc(59.5, 0, 30)])
