@@ -90,7 +90,7 @@ def solids() -> Iterator[tuple[str, shapely.Geometry]]:
     yield "squares of a bead", shapely.union_all(squares)
     turned = affinity.rotate(shapely.box(0, 0, 120, 30).union(shapely.box(0, 0, 25, 90)), 37)
     yield "far from the origin", affinity.translate(turned, 3e4, -2e4)
-    for size in (0.5, 3.0, 8.0, 12.0, 15.0):
+    for size in (0.5, 3.0, 7.0, 8.0, 12.0, 15.0):
         yield f"square of {size} mm", shapely.box(0, 0, size, size)
         yield f"triangle of {size} mm", shapely.Polygon([(0, 0), (size, 0), (size / 2, size)])
     for seed in (100, 101, 104, 108):

@@ -26,6 +26,10 @@ from ebamcheck.scan.walls import wall_lines
 LEAST_SPOT = 0.02
 """Spots under this times the squared bead width are left: a hundredth of a bead's own spot or two."""
 
+LEAST_SHARE = 0.002
+"""So are, in sections of small parts, spots under this share of a part of mean area: a tenth of what the gate of the
+coverage leaves bare."""
+
 REACH = 0.97
 """Share of half a bead width within which a gap bead must reach all of its spot: what is left is the
 sagitta of the arcs (0.5 % with :data:`ARC_SEGMENTS`) and the tolerance of the machine."""
@@ -68,9 +72,10 @@ def bare_spots(
 ) -> list[shapely.Polygon]:
     """Parts of a section that are further than half a bead width from every segment, (x0, y0, x1, y1) mm.
 
-    Spots that hold no sample, or are under :data:`LEAST_SPOT`, are left out.
+    Spots that hold no sample, or are under :data:`LEAST_SPOT` or :data:`LEAST_SHARE`, are left out.
     """
-    least_mm2 = LEAST_SPOT * bead_width_mm**2
+    parts = max(1, len(valid_polygons(section)))
+    least_mm2 = min(LEAST_SPOT * bead_width_mm**2, LEAST_SHARE * section.area / parts)
     boxes = _boxes(bare, 0.5 * least_mm2)
     if not boxes.size:
         return []

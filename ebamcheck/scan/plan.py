@@ -29,7 +29,7 @@ METRICS = {
     "islands": "islands",
     "area_mm2": "area of the section",
     "covered_fraction": "share of it within half a bead width of a contour bead or a line",
-    "widest_gap_mm": "diameter of the largest circle that they leave bare, but for specks of 2 % of a squared bead width",
+    "widest_gap_mm": "diameter of the largest circle that they leave bare, but for specks of 2 % of a squared bead width or 0.2 % of a part",
     "laid_share": "length of all beads times their spacing, over the area: above 1 they overlap more than is set",
     "contour_length_mm": "length of the contour beads",
     "hatch_length_mm": "length of the lines",
