@@ -91,7 +91,9 @@ def scan_layer(
     else:
         rows = [[_cell(row[name]) for name in HEADINGS] for row in done.records()]
         count, base = len(layer.laid.islands), settings.process.base
-        typer.echo(f"{count} islands at z = {height_mm:g} mm, {base} base\n")
+        low, high = part.bounds[:, 2].tolist()
+        beside = "" if count else f" (the part reaches from {low:g} to {high:g} mm)"
+        typer.echo(f"{count} islands at z = {height_mm:g} mm{beside}, {base} base\n")
         typer.echo(text_table(list(HEADINGS.values()), rows))
     return ExitCode.PASS
 
