@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from xml.sax.saxutils import escape
 
 import numpy as np
@@ -13,12 +14,16 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.heat.section_grid import SectionGrid
 from ebamcheck.rings import Floats
+from ebamcheck.scan.png import png_address
 
 WIDTH_PX, MARGIN_PX, TITLE_PX, SCALE_PX = 800, 16, 28, 44
 """Width of a picture, its margin, and the room for the title and for the colour scale."""
 
 VIRIDIS = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))
 """Five colours of the map `viridis` (Smith and van der Walt, CC0), which is even to the eye."""
+
+FIELD_PX = 3
+"""Width of a pixel of a field; viewers smooth between them."""
 
 LABELLED = 400
 """Islands on a picture up to which each carries its number."""
@@ -32,8 +37,6 @@ def islands_svg(
     least: float | None = None,
     greatest: float | None = None,
     labels: bool = False,
-    border: bool = True,
-    mask: BaseGeometry | None = None,
 ) -> str:
     """Draw islands coloured by a value.
 
@@ -47,62 +50,87 @@ def islands_svg(
         Ends of the colour scale, so that pictures can be compared; those of the values if None.
     labels
         Write each value into its island, as a whole number.
-    border
-        Draw a white line around each island.
-    mask
-        What is covered in white in the end.
     """
     low = float(values.min(initial=0.0)) if least is None else least
     high = float(values.max(initial=1.0)) if greatest is None else greatest
-    x0, y0, x1, y1 = shapely.total_bounds(islands) if len(islands) else (0.0, 0.0, 1.0, 1.0)
-    scale = (WIDTH_PX - 2 * MARGIN_PX) / max(x1 - x0, 1e-6)
-    height_px = math.ceil(TITLE_PX + scale * (y1 - y0) + SCALE_PX + MARGIN_PX)
-
-    def place(points: Floats) -> Floats:
-        return np.column_stack(
-            [MARGIN_PX + scale * (points[:, 0] - x0), TITLE_PX + scale * (y1 - points[:, 1])]
-        )
-
-    line = ' stroke="#fff" stroke-width="0.7"' if border else ' shape-rendering="crispEdges"'
+    view = _View.of(shapely.total_bounds(islands) if len(islands) else np.array([0.0, 0.0, 1.0, 1.0]))
     body = []
     for island, value in zip(islands, values.tolist(), strict=True):
-        path = ring_path(island, place)
         share = (value - low) / (high - low) if high > low else 0.0
-        body.append(f'<path d="{path}" fill="{_colour(share)}" fill-rule="evenodd"{line}/>')
+        path = ring_path(island, view.place)
+        body.append(
+            f'<path d="{path}" fill="{_colour(share)}" fill-rule="evenodd" stroke="#fff" stroke-width="0.7"/>'
+        )
         if labels and len(islands) <= LABELLED:
-            ((x, y),) = place(shapely.get_coordinates(shapely.point_on_surface(island)))
+            ((x, y),) = view.place(shapely.get_coordinates(shapely.point_on_surface(island)))
             ink = "#fff" if share < 0.6 else "#222"
             body.append(
                 f'<text x="{x:.1f}" y="{y + 3.5:.1f}" font-size="10" text-anchor="middle" fill="{ink}">{round(value)}</text>'
             )
-    body += [
-        f'<path d="{ring_path(cover, place)}" fill="#fff" fill-rule="evenodd"/>'
-        for cover in shapely.get_parts(mask)
-        if mask is not None
-    ]
-    head = (
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH_PX}" height="{height_px}" '
-        f'viewBox="0 0 {WIDTH_PX} {height_px}" font-family="Helvetica, Arial, sans-serif">'
-    )
-    title_line = f'<text x="{MARGIN_PX}" y="18" font-size="14" fill="#222">{escape(title)}</text>'
-    ground = f'<rect width="{WIDTH_PX}" height="{height_px}" fill="#ffffff"/>'
-    return "\n".join(
-        [head, ground, title_line, *body, *_scale_bar(low, high, unit, height_px - SCALE_PX), "</svg>", ""]
-    )
+    return view.picture(title, body, low, high, unit)
 
 
 def field_svg(
     grid: SectionGrid, values: Floats, section: BaseGeometry, title: str, unit: str, greatest: float
 ) -> str:
-    """Draw a field on the cells of a section, (M,), coloured from 0 to the greatest value and more."""
-    row, column = np.nonzero(grid.number >= 0)
-    low = grid.origin + np.column_stack([column, row]) * grid.step
-    boxes: NDArray[np.object_] = np.array(shapely.box(*low.T, *(low + grid.step).T), object)
-    # What the cells cover beside the section is covered in white.
-    around = shapely.box(*shapely.total_bounds(boxes)).buffer(1.0, join_style="mitre")
-    return islands_svg(
-        boxes, values, title, unit, 0.0, greatest, border=False, mask=around.difference(section)
-    )
+    """Draw a field given by its values (M,) in the cells of a section, coloured from 0 to the greatest value and more."""
+    view = _View.of(np.asarray(section.bounds))
+    step_mm = FIELD_PX / view.scale
+    x = np.arange(view.low[0] + 0.5 * step_mm, view.high[0], step_mm)
+    y = np.arange(view.high[1] - 0.5 * step_mm, view.low[1], -step_mm)
+    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    inside = shapely.contains_xy(shapely.buffer(section, 1.5 * step_mm), points)
+    share = np.zeros(len(points))
+    share[inside] = grid.interpolation(points[inside]) @ values / greatest if greatest > 0.0 else 0.0
+    pixels = np.rint(255.0 * np.clip(share, 0.0, 1.0)).astype(np.uint8).reshape(len(y), len(x))
+    outline = "".join(ring_path(part, view.place) for part in shapely.get_parts(section))
+    left, top = view.place(view.low[None])[0, 0], view.place(view.high[None])[0, 1]
+    image = png_address(pixels, COLOURS)
+    width, height = len(x) * FIELD_PX, len(y) * FIELD_PX
+    body = [
+        f'<clipPath id="section"><path d="{outline}" clip-rule="evenodd"/></clipPath>',
+        f'<g clip-path="url(#section)"><image x="{left:.1f}" y="{top:.1f}" width="{width}" height="{height}"',
+        f'preserveAspectRatio="none" href="{image}"/></g>',
+        f'<path d="{outline}" fill="none" stroke="#222" stroke-width="0.7"/>',
+    ]
+    return view.picture(title, body, 0.0, greatest, unit)
+
+
+@dataclass(frozen=True)
+class _View:
+    """Where a picture shows what: a box from `low` to `high` (2,) mm, at `scale` px/mm."""
+
+    low: Floats
+    high: Floats
+    scale: float
+
+    @classmethod
+    def of(cls, bounds: Floats) -> _View:
+        """Show a box (4,) as wide as the picture is."""
+        low, high = bounds[:2], bounds[2:]
+        return cls(low, high, (WIDTH_PX - 2 * MARGIN_PX) / max(float(high[0] - low[0]), 1e-6))
+
+    def place(self, points: Floats) -> Floats:
+        """Places of points (n, 2) on the picture, px."""
+        return np.column_stack(
+            [
+                MARGIN_PX + self.scale * (points[:, 0] - self.low[0]),
+                TITLE_PX + self.scale * (self.high[1] - points[:, 1]),
+            ]
+        )
+
+    def picture(self, title: str, body: list[str], low: float, high: float, unit: str) -> str:
+        """Return the picture of a body with its title over it and a colour scale under it."""
+        extent = float(self.high[1] - self.low[1])
+        height_px = math.ceil(TITLE_PX + self.scale * extent + SCALE_PX + MARGIN_PX)
+        head = (
+            f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH_PX}" height="{height_px}" '
+            f'viewBox="0 0 {WIDTH_PX} {height_px}" font-family="Helvetica, Arial, sans-serif">'
+        )
+        title_line = f'<text x="{MARGIN_PX}" y="18" font-size="14" fill="#222">{escape(title)}</text>'
+        ground = f'<rect width="{WIDTH_PX}" height="{height_px}" fill="#ffffff"/>'
+        bar = _scale_bar(low, high, unit, height_px - SCALE_PX)
+        return "\n".join([head, ground, title_line, *body, *bar, "</svg>", ""])
 
 
 def ring_path(island: shapely.Polygon, place: Callable[[Floats], Floats]) -> str:
@@ -111,12 +139,22 @@ def ring_path(island: shapely.Polygon, place: Callable[[Floats], Floats]) -> str
     return "".join("M" + " ".join(f"{x:.1f},{y:.1f}" for x, y in place(ring)) + "Z" for ring in rings)
 
 
-def _colour(share: float) -> str:
-    """Colour of a share between 0 and 1."""
+def _mixed(share: float) -> tuple[int, int, int]:
+    """Colour of a share between 0 and 1, as red, green and blue."""
     at = min(max(share, 0.0), 1.0) * (len(VIRIDIS) - 1)
     step = min(int(at), len(VIRIDIS) - 2)
-    mixed = (round(a + (at - step) * (b - a)) for a, b in zip(VIRIDIS[step], VIRIDIS[step + 1], strict=True))
-    return "#" + "".join(f"{part:02x}" for part in mixed)
+    low, high = VIRIDIS[step], VIRIDIS[step + 1]
+    red, green, blue = (round(a + (at - step) * (b - a)) for a, b in zip(low, high, strict=True))
+    return red, green, blue
+
+
+COLOURS = np.array([_mixed(n / 255.0) for n in range(256)], np.uint8)
+"""(256, 3) colours of an image."""
+
+
+def _colour(share: float) -> str:
+    """Colour of a share between 0 and 1, as a picture names it."""
+    return "#" + "".join(f"{part:02x}" for part in _mixed(share))
 
 
 def _scale_bar(low: float, high: float, unit: str, top_px: float) -> list[str]:
