@@ -14,6 +14,7 @@ from ebamcheck.config import Config
 from ebamcheck.scan import plan_scan
 from ebamcheck.scan.coverage import bare_samples
 from ebamcheck.scan.gaps import LEAST_SPOT, bare_spots, gap_beads, spot_widths_mm, spots_to_close
+from ebamcheck.scan.regions import ARC_SEGMENTS, CRUMB, JOIN_MM, layer_regions
 
 PROFILE = Config()
 WIDTH, SPACING = PROFILE.process.bead_width_mm, PROFILE.process.hatch_spacing_mm
@@ -83,6 +84,16 @@ def test_gap_beads_are_few_against_the_others(planned):
     # Islands of metal of a few beads are mostly corners: a square of 7 mm has 4 mm of contour bead.
     small = min(part.area for part in shapely.get_parts(section)) < 9.0 * WIDTH**2
     assert gaps <= (0.6 if small else 0.1) * (length.sum() + plan.contours[0].length)
+
+
+def test_bare_walls_are_what_no_contour_bead_can_go_around(planned):
+    section, plan = planned
+    reached = plan.contours[0].buffer(WIDTH / 2 + JOIN_MM, quad_segs=ARC_SEGMENTS)
+    least_mm2 = CRUMB * WIDTH**2
+    left = [p for p in shapely.get_parts(section.difference(reached)) if p.area >= least_mm2]
+    alone = [p for p in shapely.get_parts(section) if p.area < least_mm2]
+    walls = layer_regions(section, PROFILE).bare_walls
+    assert shapely.area(walls).sum() == pytest.approx(shapely.area([*left, *alone]).sum(), rel=1e-9)
 
 
 # -- spots ---------------------------------------------------------------------------------------------
