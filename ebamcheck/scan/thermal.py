@@ -8,11 +8,12 @@ several prices are made, the coolest is kept among those whose way is short enou
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
 
-from ebamcheck.kernels import kernel
+from ebamcheck.kernels import kernel, run_blocks
 from ebamcheck.rings import Floats, Ints
 from ebamcheck.scan.annealing import annealed, high_mean
 from ebamcheck.scan.drive import IslandDrive
@@ -22,15 +23,15 @@ from ebamcheck.scan.island_heat import IslandHeat
 from ebamcheck.scan.path import JOINED_MM
 from ebamcheck.scan.ways import nearest_way, ways_between
 
-PRICES = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32)
+PRICES = (0.005, 0.01, 0.0025, 0.02, 0.04, 0.08, 0.16)
 """Prices of travel that are tried: in temperature rises of an island by its own heat, over widths of an island.
-The best one differs from layer to layer by chance."""
+The best one differs from layer to layer by chance; on the largest layers, which can afford few, it is the first."""
 
 STARTS = 2
 """Islands from which each price is tried."""
 
-MOST_WORK = 2e9
-"""Multiplications in one search, which limits the plans tried on a layer of thousands of islands."""
+MOST_WORK = 4e9
+"""Multiplications in one search, which limits the plans tried on a layer of thousands of islands: to two of 2100."""
 
 MOST_GREEDY_WORK = 4e9
 """Multiplications in one plan: on a layer of over 3000 islands it looks at fewer modes, the slowest to die out first."""
@@ -67,10 +68,17 @@ def thermal_order(
     count = len(drive)
     price_k_mm = float(np.mean(own_rise(heat, drive))) / width_mm
     best, best_rank = np.arange(count), (math.inf, math.inf)
-    for price, first in _tries(count, len(heat.plane_rate)):
-        paid = price * price_k_mm
-        order = greedy_order(heat, drive, rapid_mm_s, first, paid, paid * start_travel_mm)
-        rank = ranked(heat, drive, rapid_mm_s, order, longest_mm)
+    tries = _tries(count, len(heat.plane_rate))
+
+    def plans(start: int, stop: int) -> list[tuple[Ints, tuple[float, float]]]:
+        done = []
+        for price, first in tries[start:stop]:
+            paid = price * price_k_mm
+            order = greedy_order(heat, drive, rapid_mm_s, first, paid, paid * start_travel_mm)
+            done.append((order, ranked(heat, drive, rapid_mm_s, order, longest_mm)))
+        return done
+
+    for order, rank in itertools.chain(*run_blocks(plans, len(tries))):
         if better(rank, best_rank):
             best, best_rank = order, rank
     if count > MOST_ISLANDS or steps == 0:
@@ -86,12 +94,8 @@ def thermal_order(
 def _tries(count: int, modes: int) -> list[tuple[float, int]]:
     """Prices and first islands of the greedy plans that a layer can afford."""
     starts = sorted({count * n // STARTS for n in range(STARTS)})
-    tries = [(price, first) for first in starts for price in PRICES]
-    affordable = max(1, int(MOST_WORK / (count**2 * modes)))
-    if affordable >= len(tries):
-        return tries
-    # The middle prices first: they are the likeliest to be best.
-    return sorted(tries, key=lambda t: (abs(PRICES.index(t[0]) - len(PRICES) // 2), t[1]))[:affordable]
+    tries = [(price, first) for price in PRICES for first in starts]
+    return tries[: max(1, int(MOST_WORK / (count**2 * modes)))]
 
 
 def better(rank: tuple[float, float], than: tuple[float, float]) -> bool:
