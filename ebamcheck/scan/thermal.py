@@ -36,6 +36,9 @@ MOST_WORK = 4e9
 MOST_GREEDY_WORK = 4e9
 """Multiplications in one plan: on a layer of over 3000 islands it looks at fewer modes, the slowest to die out first."""
 
+MOVES_AN_ISLAND = 800
+"""Moves tried for each island when a plan is improved: on layers of few, more find nothing."""
+
 TIE_K = 1e-6
 """Scores closer than this are equal: rounding must not decide between islands that mirror each other."""
 
@@ -78,7 +81,9 @@ def thermal_order(
             done.append((order, ranked(heat, drive, rapid_mm_s, order, longest_mm)))
         return done
 
-    for order, rank in itertools.chain(*run_blocks(plans, len(tries))):
+    # Threads pay on layers of many islands only.
+    found = run_blocks(plans, len(tries), smallest=1 if count > MOST_ISLANDS else len(tries))
+    for order, rank in itertools.chain(*found):
         if better(rank, best_rank):
             best, best_rank = order, rank
     if count > MOST_ISLANDS or steps == 0:
@@ -87,7 +92,8 @@ def thermal_order(
     # Twice the time of a way that is too long: none met in the search takes longer.
     table = influence(heat, drive.time_s, float(end_s.max()) + max(travel, longest_mm) / rapid_mm_s)
     ways = ways_between(drive)
-    tried = annealed(table, ways, drive.time_s, rapid_mm_s, best, longest_mm, price_k_mm, steps, random)
+    most = min(steps, MOVES_AN_ISLAND * count)
+    tried = annealed(table, ways, drive.time_s, rapid_mm_s, best, longest_mm, price_k_mm, most, random)
     return tried if better(ranked(heat, drive, rapid_mm_s, tried, longest_mm), best_rank) else best
 
 

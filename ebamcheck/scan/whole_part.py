@@ -1,6 +1,8 @@
 """Layers put in order from below, each beginning with what those under it have left.
 
-Contour beads, and the time and heat that they take, are not part of it.
+Contour beads, and the time and heat that they take, are not part of it. What the sides of the part radiate is taken
+out of the whole body between layers, by its mean temperature: it is next to nothing while a layer is scanned, and
+most of what a tall part loses.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.config import Config
 from ebamcheck.heat import carried
+from ebamcheck.heat.medium import STEFAN_BOLTZMANN_W_M2K4, cooled_by_radiation_k
 from ebamcheck.heat.model import HeatModel
 from ebamcheck.heat.one_blas_thread import one_blas_thread
 from ebamcheck.kernels import run_blocks, thread_count
@@ -207,6 +210,22 @@ def _driven(
         entry_sd_k=float(entry_k.std()),
         travel_mm=float(travel),
         time_s=float(end_s.max()),
-        stored_j=model.stored_j(state),
+        stored_j=model.stored_j(_radiated(islands, model, state, float(end_s.max()))),
     )
-    return figures, (model, model.after(state, islands.profile.process.layer_pause_s))
+    pause_s = islands.profile.process.layer_pause_s
+    rested = model.after(state, pause_s)
+    return figures, (model, _radiated(islands, model, rested, float(end_s.max()) + pause_s))
+
+
+def _radiated(islands: LayerIslands, model: HeatModel, state: Floats, time_s: float) -> Floats:
+    """Amplitudes after the sides over the plate have radiated for a time."""
+    process, material = islands.profile.process, islands.profile.material
+    section = islands.section
+    heat_j_k = model.medium.heat_capacity_j_mm3k * section.area * model.depth.depth_mm
+    rise_k = model.stored_j(state) / heat_j_k
+    if rise_k <= 0.0:
+        return state
+    sides_mm2 = section.length * max(model.depth.depth_mm - process.base_plate_mm, 0.0)
+    per_k4 = material.emissivity * 1e-6 * STEFAN_BOLTZMANN_W_M2K4 * sides_mm2 / heat_j_k
+    left_k = cooled_by_radiation_k(rise_k, process.ambient_temperature_k, per_k4, time_s)
+    return np.asarray(state * (left_k / rise_k), np.float64)

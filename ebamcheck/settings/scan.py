@@ -51,7 +51,7 @@ class ScanSettings(Section):
     start_travel_mm: NotNegative = 10.0
     """Travel that weighs as much as one start of the wire, for `thermal`."""
     annealing_steps: Annotated[int, Field(ge=0)] = 40000
-    """Moves of islands that `thermal` tries at the end, keeping those that help; none on layers of over 500 islands."""
+    """Moves of islands that `thermal` tries at the end, keeping those that help: at most 800 an island, none over 500 islands."""
     carry_heat: bool = True
     """Orders by heat begin each layer with what those under it have left; off: each layer on a cold part."""
     least_coverage: Annotated[float, Field(gt=0, le=1)] = 0.98
