@@ -10,6 +10,7 @@ import shutil
 import subprocess
 
 import numpy as np
+import pandas as pd
 import psutil
 import pytest
 from command_line import FAST, command, ebamcheck, frame, write_stl
@@ -275,6 +276,20 @@ def test_a_report_writer_that_raises_is_a_note(tmp_path, monkeypatch):
     result = run_job(write_stl(frame(), tmp_path / "f.stl"), tmp_path / "f.run", SETTINGS, observer=listener)
     assert result.exit_code is ExitCode.PASS
     assert listener.notes == ["report writer 'raising' failed: OSError: no ink"]
+
+
+@pytest.mark.parametrize(("solidus_k", "pause_s", "told"), [(310.0, 0.0, True), (1877.0, 600.0, False)])
+def test_layers_too_hot_for_the_heat_model_are_told(tmp_path, solidus_k, pause_s, told):
+    listener = Listener()
+    settings = SETTINGS.changed(material={"solidus_k": solidus_k}, process={"layer_pause_s": pause_s})
+    result = run_job(write_stl(frame(), tmp_path / "f.stl"), tmp_path / "f.run", settings, observer=listener)
+    assert result.exit_code is ExitCode.PASS
+    rows = pd.read_csv(tmp_path / "f.run" / "scan.csv")
+    hot = (rows["entry_max_k"] > solidus_k - 293.15).sum()
+    assert (hot > 0) == told
+    notes = [note for note in listener.notes if "above the solidus" in note]
+    assert len(notes) == told
+    assert all(note.startswith(f"{hot} of {len(rows)} layers") for note in notes)
 
 
 def test_an_untouched_run_verifies(plate):

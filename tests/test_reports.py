@@ -7,6 +7,7 @@ import json
 import re
 import shutil
 import struct
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -21,6 +22,7 @@ from ebamcheck.curves import Curves, contour_error
 from ebamcheck.part import Part
 from ebamcheck.pipeline import run_job
 from ebamcheck.program import read_program
+from ebamcheck.scan import ScanPlan
 from ebamcheck.slicing import slice_part
 from ebamcheck.store import RunFolder, write_json
 from ebamcheck_reports import charts, html, junit, overlays, program_picture, summary
@@ -253,6 +255,19 @@ def test_polar_chart_appears_with_a_kept_reference(copy: RunFolder, whole: RunFo
     layer_files.write_parquet(truth, copy.path / "reference.parquet")
     _, page, _ = render(copy)
     assert "Polar error of the largest outer contour" in words(section(page, "fit"))
+
+
+def test_temperatures_of_the_layers_are_shown_where_the_order_asked_for_them(
+    copy: RunFolder, whole: RunFolder
+) -> None:
+    plan = ScanPlan.from_parquet(copy.path / "scan.parquet")
+    assert plan.metrics["entry_max_k"].notna().any()
+    _, page, _ = render(whole)
+    assert "by the linear heat model" in words(section(page, "scan"))
+    unasked = replace(plan, metrics=plan.metrics.assign(entry_max_k=np.nan))
+    unasked.to_parquet(copy.path / "scan.parquet")
+    _, page, _ = render(copy)
+    assert "by the linear heat model" not in words(section(page, "scan"))
 
 
 def test_program_picture_is_the_path_of_the_text(whole: RunFolder) -> None:

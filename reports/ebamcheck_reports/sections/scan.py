@@ -14,6 +14,9 @@ from ebamcheck_reports.run_data import RunData, layer_name
 BEAD_WIDTH_MM = 6.0
 """Width at which beads are drawn where the settings name none."""
 
+AMBIENT_K, SOLIDUS_K = 293.15, 1877.0
+"""Temperature of the chamber and solidus where the settings name none."""
+
 WHAT = (
     "Each section is divided into islands (hexagons, or whole walls where it is thin), which are filled with parallel beads one after the "
     "other so that heat spreads. Good is a section that the beads cover, with few starts of the wire and short jumps."
@@ -28,7 +31,7 @@ def render(run: RunData) -> Markup:
             "scan", "Partition and order", WHAT, paragraph("There was no contour to fill.", class_="note bad")
         )
     return section(
-        "scan", "Partition and order", WHAT, _metrics(run, plan), scan_picture.key(), *_pictures(run, plan), _coverage(run, plan), _times(run)
+        "scan", "Partition and order", WHAT, _metrics(run, plan), scan_picture.key(), *_pictures(run, plan), _coverage(run, plan), _times(run), *_heat(run, plan)
     )  # fmt: skip
 
 
@@ -115,6 +118,32 @@ def _coverage(run: RunData, plan: ScanPlan) -> Markup:
         chart,
         element("figcaption", "Share of each section that the beads cover; it must stay over the limit."),
     )
+
+
+def _heat(run: RunData, plan: ScanPlan) -> list[Markup]:
+    """Temperatures of the heat model, where the order asked it."""
+    metrics = plan.metrics
+    if "entry_max_k" not in metrics or metrics["entry_max_k"].isna().all():
+        return []
+    ambient = run.setting("process", "ambient_temperature_k", AMBIENT_K)
+    solidus = run.setting("material", "solidus_k", SOLIDUS_K)
+    chart = line_chart(
+        [
+            Series("hottest island when the beam enters it", metrics["layer"], metrics["entry_max_k"]),
+            Series("mean of the part when the layer begins", metrics["layer"], metrics["body_mean_k"]),
+        ],
+        "layer",
+        "temperature rise, K",
+        limit=solidus - ambient,
+        limit_name="solidus",
+        from_zero=True,
+    )
+    caption = (
+        "Temperatures by the linear heat model, with the heat that the layers below have left, without melting and "
+        "without the contour beads. Over the solidus the figures say that it is too hot, not how hot it gets: wait "
+        "between layers (process.layer_pause_s) or lower the power."
+    )
+    return [element("figure", chart, element("figcaption", caption))]
 
 
 def _times(run: RunData) -> Markup:
