@@ -277,15 +277,16 @@ def block(tmp_path_factory):
     return run_job(path, folder / "block.run", SETTINGS).folder.path, path
 
 
-@pytest.mark.parametrize("nth", [0, 3, 7])  # never the last line of an island, which no turn follows
+@pytest.mark.parametrize("nth", [0, 2, 6])
 def test_a_missing_hatch_line_is_found_from_text_and_part_alone(block, tmp_path, nth):
     shutil.copytree(block[0], tmp_path / "block.run")
     run = RunFolder(tmp_path / "block.run")
     assert failures(run, block[1]) == {}
     p = Program(run.path / "program")
     lines = p.lines()
-    i = p.find(r"; TURN", nth)
-    # The turn to the line and the line: the tool goes straight on to the next.
+    turns = [i for i, line in enumerate(lines) if "; TURN" in line]
+    # The turn to a line that another turn follows, and the line: the tool goes straight on to the next.
+    i = [i for i in turns if i + 2 in turns][nth]
     del lines[i : i + 2]
     p.write(lines)
     found = failures(run, block[1])

@@ -154,9 +154,7 @@ def test_carried_heat_changes_the_order_alone_and_makes_it_cooler():
     def as_planned(islands):
         return cold_plan.islands_of(islands.layer) - np.searchsorted(cold_plan.island_layer, islands.layer)
 
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(order.ORDERS, "as planned", as_planned)
-        driven = list(scan_part(sections_of(layers), layers.heights, Config(), "as planned", 0))
+    driven = list(scan_part(sections_of(layers), layers.heights, Config(), as_planned, 0))
     planned_k = np.array([row["entry_max_k"] for row in driven])
     assert np.median(warm_plan.metrics["entry_max_k"] / planned_k) < 0.95
 

@@ -126,15 +126,15 @@ Order = Callable[[LayerIslands], Ints]
 """An order: from the islands of a layer, a permutation (I,) of their indices."""
 
 
-def scan_order(name: str, islands: LayerIslands) -> Ints:
-    """Order the islands of a layer, (I,) indices.
+def scan_order(name: str | Order, islands: LayerIslands) -> Ints:
+    """Order the islands of a layer by an order or its name, (I,) indices.
 
     Raises
     ------
     SettingsError
         If there is no order of that name.
     """
-    order = ORDERS.get(name) or _plugin(name)
+    order = name if callable(name) else ORDERS.get(name) or _plugin(name)
     if not len(islands):
         return np.zeros(0, np.int64)
     found = np.asarray(order(islands), np.int64)

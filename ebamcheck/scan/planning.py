@@ -51,6 +51,7 @@ def plan_scan(
 
     Examples
     --------
+    >>> import shapely
     >>> plan = plan_scan(shapely.box(0, 0, 200, 80))
     >>> sorted(plan.order.tolist()) == list(range(len(plan.islands)))
     True

@@ -24,7 +24,7 @@ from ebamcheck.kernels import run_blocks, thread_count
 from ebamcheck.rings import Floats, Ints
 from ebamcheck.scan.driving import clocked, entered
 from ebamcheck.scan.laying import LaidLayer, lay_islands
-from ebamcheck.scan.order import LayerIslands, scan_order
+from ebamcheck.scan.order import LayerIslands, Order, scan_order
 
 AHEAD = 8
 """Layers that are laid out and whose modes are found side by side, while those before them are put in order."""
@@ -92,7 +92,7 @@ class Stack:
 
 
 def ordered_layers(
-    stack: Stack, profile: Config, order: str, seed: int, carry: bool
+    stack: Stack, profile: Config, order: str | Order, seed: int, carry: bool
 ) -> Iterator[OrderedLayer]:
     """Put layers in order, from below.
 
@@ -122,7 +122,7 @@ def scan_part(
     sections: Sequence[BaseGeometry],
     heights_mm: Floats,
     profile: Config,
-    order: str,
+    order: str | Order,
     seed: int,
 ) -> Iterator[dict[str, Any]]:
     """Order all layers of a part with the heat of those under them.

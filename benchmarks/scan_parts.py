@@ -1,7 +1,7 @@
-"""Times of planning by heat: ``python -m benchmarks.scan_speed``; table in reports/scan/speed.md.
+"""Large layers and whole parts planned by heat: ``python -m benchmarks.scan_parts``; tables in reports/scan/parts.md.
 
-A layer of more than 2000 islands, and a whole part of 100 layers of about 300 islands, each of which begins with the
-heat that those under it have left.
+Times of a layer of more than 2000 islands and of a part of 100 layers of about 300 islands, each of which begins with
+the heat that those under it have left; and what planning with that heat gains over planning each layer from cold.
 """
 
 from __future__ import annotations
@@ -19,7 +19,10 @@ import shapely
 from benchmarks.machine import machine
 from benchmarks.scan_orders import DEFAULT_OUTPUT, markdown
 from ebamcheck.config import Config
+from ebamcheck.layers import from_polygons
 from ebamcheck.model import models
+from ebamcheck.rings import Ints
+from ebamcheck.scan import LayerIslands, ScanPlan, plan_stack
 from ebamcheck.scan.laying import lay_islands
 from ebamcheck.scan.order import scan_order
 from ebamcheck.scan.regions import layer_section
@@ -30,6 +33,9 @@ LARGE = shapely.box(0, 0, 400, 230), 4.0
 
 PART, LAYERS, SIDE_MM = "bulkhead", 100, 9.5
 """A reference model, its layers, and the side of hexagons of which about 300 lie in a layer."""
+
+CARRIED, MOST_LAYERS = ("prism", "blade", "torus", "nozzle"), 40
+"""Reference models on which planning with the heat below is compared with planning from cold, and their lowest layers."""
 
 SETUP_S, PLAN_S, PART_S = 20.0, 1.0, 300.0
 """Targets: heat model and plan of the large layer, and the whole part."""
@@ -68,6 +74,37 @@ def part_rows() -> list[dict[str, Any]]:
     return [row(f"{what}: order and heat", seconds, PART_S)]
 
 
+def carry_rows() -> list[dict[str, Any]]:
+    """Hottest entries of layers planned with the heat below, over those of plans from cold, driven on the same heat."""
+    rows = []
+    for name, model in models(CARRIED).items():
+        low, high = model.bounds[:, 2]
+        profile = Config()
+        heights = np.arange(0.5 * profile.layer_height_mm, high - low, profile.layer_height_mm)[:MOST_LAYERS]
+        stack = from_polygons(heights, [model.section(float(low + z)) for z in heights.tolist()])
+        sections = [layer_section(stack.polygons(k)) for k in range(len(stack))]
+        cold = plan_stack(stack, profile.changed(scan={"carry_heat": False}))
+
+        def from_cold(islands: LayerIslands, cold: ScanPlan = cold) -> Ints:
+            return cold.islands_of(islands.layer) - np.searchsorted(cold.island_layer, islands.layer)
+
+        hottest = []
+        for order in ("thermal", from_cold):
+            found = scan_part(sections, heights, profile, order, profile.scan.seed)
+            hottest.append(np.array([layer["entry_max_k"] for layer in found]))
+        ratio = hottest[0] / hottest[1]
+        low_share, middle, high_share = np.nanquantile(ratio, [0.1, 0.5, 0.9])
+        rows.append(
+            {
+                "part": name,
+                "layers": len(stack),
+                "hottest entry, with heat below over from cold": f"{middle:.2f}",
+                "10 % to 90 %": f"{low_share:.2f} to {high_share:.2f}",
+            }
+        )
+    return rows
+
+
 def row(what: str, seconds: float, most: float) -> dict[str, Any]:
     """Row of the table."""
     result = "met" if seconds <= most else "missed"
@@ -83,11 +120,11 @@ def main() -> None:
     rows, here = [*layer_rows(), *part_rows()], machine()
     threads = os.environ.get("EBAMCHECK_THREADS", str(here["cores"]))
     text = (
-        "# Times of planning by heat\n\n"
-        f"By `python -m benchmarks.scan_speed`, {threads} threads on {here['cpu']}.\n\n"
-        f"{markdown(pd.DataFrame(rows))}"
+        "# Large layers and whole parts planned by heat\n\n"
+        f"By `python -m benchmarks.scan_parts`, {threads} threads on {here['cpu']}.\n\n"
+        f"{markdown(pd.DataFrame(rows))}\n{markdown(pd.DataFrame(carry_rows()))}"
     )
-    (options.output / "speed.md").write_text(text, encoding="utf-8")
+    (options.output / "parts.md").write_text(text, encoding="utf-8")
     print(text)
 
 
