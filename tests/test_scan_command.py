@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import io
 import json
 import signal
 import subprocess
@@ -11,10 +13,13 @@ import numpy as np
 import pytest
 import shapely
 from command_line import command, ebamcheck, write_stl
+from PIL import Image
 
+from ebamcheck.heat import contour_modes
 from ebamcheck.part import from_arrays
 from ebamcheck.scan.pareto_svg import frontier, pareto_svg
-from ebamcheck.scan.scan_svg import islands_svg
+from ebamcheck.scan.png import png
+from ebamcheck.scan.scan_svg import COLOURS, field_svg, islands_svg
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -159,3 +164,31 @@ def test_colours_run_from_end_to_end():
     assert [p.get("fill") for p in root.findall(f"{SVG}path")] == ["#440154", "#21918c", "#fde725"]
     texts = [t.text for t in root.findall(f"{SVG}text")]
     assert texts == ["a < b", "0", "5", "10", "0 K", "10 K"]
+
+
+def image_of(picture):
+    address = ElementTree.fromstring(picture).find(f".//{SVG}image").get("href")
+    assert address.startswith("data:image/png;base64,")
+    return Image.open(io.BytesIO(base64.b64decode(address.split(",")[1])))
+
+
+def test_images_are_read_by_another_reader():
+    pixels = np.random.default_rng(3).integers(0, 256, (7, 13)).astype(np.uint8)
+    image = Image.open(io.BytesIO(png(pixels, COLOURS)))
+    image.verify()
+    image = Image.open(io.BytesIO(png(pixels, COLOURS)))
+    assert image.size == (13, 7)
+    assert np.array_equal(np.asarray(image.convert("RGB")), COLOURS[pixels])
+
+
+def test_a_field_is_drawn_where_it_is():
+    section = shapely.box(0, 0, 100, 50).difference(shapely.box(40, 20, 60, 30))
+    plane = contour_modes(section, 0.02, 200)
+    _, column = np.nonzero(plane.grid.number >= 0)
+    x = plane.grid.origin[0] + (column + 0.5) * plane.grid.step[0]
+    colours = np.asarray(image_of(field_svg(plane.grid, x, section, "a < b", " K", 100.0)).convert("RGB"))
+    rows, columns = colours.shape[:2]
+    assert columns / rows == pytest.approx(2.0, rel=0.02)
+    for share in (0.1, 0.5, 0.9):
+        wanted = COLOURS[round(255 * share)].astype(int)
+        assert np.abs(colours[rows // 8, round(share * columns)].astype(int) - wanted).max() < 12

@@ -16,7 +16,7 @@ from ebamcheck.scan.island_heat import IslandHeat
 from ebamcheck.scan.pareto_svg import pareto_svg
 from ebamcheck.scan.scan_svg import field_svg, islands_svg
 
-COMMON = 0.98
+COMMON = 0.9
 """Share of the cells whose temperatures the colours of the last field tell apart: the last islands are far hotter."""
 
 
@@ -46,7 +46,7 @@ def order_pictures(
         files[f"{name}-entry.svg"] = islands_svg(
             islands, result.entry_k, title, " K", 0.0, hottest, labels=True
         )
-        title = f"{what}: temperature rise when the layer is done, {name} (hottest 2 % in one colour)"
+        title = f"{what}: temperature rise when the layer is done, {name} (hottest {1 - COMMON:.0%} in one colour)"
         section = compared.laid.regions.section
         files[f"{name}-field.svg"] = field_svg(plane.grid, at_end[name], section, title, " K", warmest)
         order = np.argsort(result.rank)
