@@ -22,7 +22,8 @@ from ebamcheck.pipeline.certificate import (
     write_certificate,
 )
 from ebamcheck.pipeline.verify import verify_against_part, witness_backend
-from ebamcheck.store import RunFolder, sha256_of_file
+from ebamcheck.store import RunFolder, sha256_of_file, write_json
+from ebamcheck_reports import html
 
 SETTINGS = Config().changed(layers={"layer_height_mm": 4.0}, slicing={"backends": ("planecut", "manifold")})
 MAIN, SECOND = "MAIN.MPF", "MAIN_L0002.SPF"
@@ -88,6 +89,21 @@ def test_an_approver_may_sign_and_note_deviations(copy):
     (run.path / CERTIFICATE).write_text(json.dumps(found))
     assert failures(run, part) == {}
     assert all(c.passed for c in run_certificate_checks(run, run.manifest()))
+
+
+def test_a_run_of_a_version_without_some_settings_is_verified_and_shown(copy):
+    run, _ = copy
+    manifest = run.manifest()
+    del manifest["settings"]["process"]["layer_pause_s"]
+    del manifest["settings"]["machine"]["layer_pause"]
+    del manifest["program"]["totals"]["pause_s"]
+    write_json(manifest, run.path / "run.json")
+    write_certificate(run)
+    assert all(c.passed for c in run_certificate_checks(run, run.manifest()))
+    html.write(run)
+    page = (run.path / "report.html").read_text()
+    assert "cannot be shown" not in page
+    assert "time at constant feed" in page
 
 
 def test_a_changed_byte_is_named(copy):

@@ -8,6 +8,7 @@ from nc_stack import make_plan, stack
 
 from ebamcheck.config import Config
 from ebamcheck.curves import fit
+from ebamcheck.errors import SettingsError
 from ebamcheck.layers import from_polygons, from_rings
 from ebamcheck.program import program_summary, read_program, verify_program, write_program
 from ebamcheck.scan.regions import layer_regions
@@ -49,7 +50,7 @@ def test_a_program_without_the_allowance_asked_for_is_named(tmp_path):
 
 # -- pauses ------------------------------------------------------------------------------------------
 
-CONTROLS = {"sinumerik-840d-sl": "G4 F30 ", "linuxcnc": "G4 P30 ", "plain-gcode": "G4 P30 "}
+CONTROLS = {"sinumerik-840d-sl": "G4 F30 ", "linuxcnc": "G4 P30 ", "plain-gcode": "G4 S30 "}
 WIDE = {"travel_min_mm": (-2000.0, -2000.0, 0.0), "travel_max_mm": (2000.0, 2000.0, 2000.0)}
 
 
@@ -119,3 +120,11 @@ def test_simulators_wait_too(tmp_path, control):
     longer = np.subtract(times[1], times[0])
     assert np.isclose(longer, 30.0).sum() == 2
     assert np.isclose(longer, 0.0).sum() == len(longer) - 2
+
+
+@pytest.mark.parametrize(
+    "blocks", [(), ("G4 F30",), ("M1 ; wait {layer_pause_s}",), ("H9={layer_pause_s}", "G4 F{layer_pause_s}")]
+)
+def test_a_wait_that_cannot_be_read_back_is_refused(blocks):
+    with pytest.raises(SettingsError, match="in one block, once"):
+        Config().changed(machine={"layer_pause": blocks})

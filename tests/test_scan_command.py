@@ -96,6 +96,7 @@ def test_json_of_the_order_of_the_settings(plate, tmp_path):
         (("--export", "foam", "-o", "x"), "--export 'foam': choose from 3dthesis"),
         (("--export", "all"), "--export: give the folder with -o"),
         (("--all",), "give either --height Z for one layer, or --all"),
+        (("--pause", "5"), "--pause: the wait between layers belongs to --all"),
     ],
 )
 def test_what_cannot_be_planned_is_refused_in_one_line(plate, tmp_path, arguments, message):
@@ -192,3 +193,13 @@ def test_a_field_is_drawn_where_it_is():
     for share in (0.1, 0.5, 0.9):
         wanted = COLOURS[round(255 * share)].astype(int)
         assert np.abs(colours[rows // 8, round(share * columns)].astype(int) - wanted).max() < 12
+
+
+@pytest.mark.parametrize("wide", [0.2, 6.0, 900.0])
+def test_pictures_of_thin_walls_stay_small(wide):
+    section = shapely.box(0, 0, wide, 180.0 / wide)
+    plane = contour_modes(section, 0.5, 20)
+    picture = field_svg(plane.grid, plane.values[:, 0], section, "a", " K", 1.0)
+    root = ElementTree.fromstring(picture)
+    assert float(root.get("height")) < 1400
+    assert min(image_of(picture).size) >= 1

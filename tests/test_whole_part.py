@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+
 import numpy as np
 import pytest
 import shapely
@@ -169,3 +171,29 @@ def test_orders_that_ask_no_heat_have_no_heat_in_their_metrics():
     for name in sorted(set(order.ORDERS) - GEOMETRIC):
         with pytest.raises(SettingsError, match="how long islands take"):
             order.scan_order(name, bare)
+
+
+@pytest.mark.parametrize("threads", ["1", "2"])
+def test_who_stops_taking_layers_stops_their_making(threads, monkeypatch):
+    monkeypatch.setenv("EBAMCHECK_THREADS", threads)
+    made = []
+
+    def counted(islands):
+        made.append(islands.layer)
+        return np.arange(len(islands))
+
+    layers = plates(40)
+    rows = scan_part(sections_of(layers), layers.heights, Config(), counted, 0)
+    assert next(rows)["layer"] == 0
+    rows.close()
+    assert made == [0]
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith("ThreadPool")]
+
+
+def test_threads_do_not_change_a_plan_from_cold(monkeypatch):
+    layers, cold = plates(9), Config().changed(scan={"carry_heat": False})
+    orders = []
+    for threads in ("1", "3"):
+        monkeypatch.setenv("EBAMCHECK_THREADS", threads)
+        orders.append(plan_stack(layers, cold).order)
+    assert np.array_equal(*orders)

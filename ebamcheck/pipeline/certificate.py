@@ -41,7 +41,7 @@ def certificate(manifest: Mapping[str, Any]) -> dict[str, Any]:
         "format": CERTIFICATE_FORMAT,
         "part": {key: manifest["part"][key] for key in ("name", "source", "sha256", "mesh_sha256")},
         "settings_sha256": manifest["settings_sha256"],
-        "profile_sha256": profile_sha256(config),
+        "profile_sha256": profile_sha256(manifest["settings"]),
         "record_sha256": record_sha256(manifest),
         "programs": [{"name": f["name"], "sha256": f["sha256"]} for f in program["files"]],
         "primary": manifest["primary"],
@@ -83,9 +83,9 @@ def seal(fields: Mapping[str, Any]) -> str:
     return sha256_of_json({k: v for k, v in fields.items() if k not in (*BY_HAND, "seal")})
 
 
-def profile_sha256(config: Config) -> str:
-    """SHA-256 of the machine profile: the sections of machine, process, material and kinematics."""
-    return sha256_of_json({name: getattr(config, name).model_dump() for name in PROFILE})
+def profile_sha256(settings: Mapping[str, Any]) -> str:
+    """SHA-256 of the machine profile: the sections of machine, process, material and kinematics, as they were recorded."""
+    return sha256_of_json({name: settings[name] for name in PROFILE})
 
 
 def record_sha256(manifest: Mapping[str, Any]) -> str:
@@ -183,7 +183,12 @@ def certificate_checks(path: Path, program: Path, part: Path, config: Config) ->
                 sha256_of_json(config.model_dump()),
                 found["settings_sha256"],
             ),
-            _same("profile unchanged", "settings", profile_sha256(config), found["profile_sha256"]),
+            _same(
+                "profile unchanged",
+                "settings",
+                profile_sha256(config.model_dump(mode="json")),
+                found["profile_sha256"],
+            ),
         ]
         programs = [
             _same(

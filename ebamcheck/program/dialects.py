@@ -43,7 +43,7 @@ STOCK: Mapping[str, Mapping[str, tuple[str, ...]]] = {
         "wire_start": ("M42 P1 S{wire_mm_s} ; wire speed, mm/s", "M8 ; wire on"),
         "wire_stop": ("M9 ; wire off",),
         "wire_retract": ("M42 P2 S{wire_retract_mm} ; wire drawn back, mm",),
-        "layer_pause": ("G4 P{layer_pause_s} ; wait, s",),
+        "layer_pause": ("G4 S{layer_pause_s} ; wait, s",),
     },
 }
 

@@ -22,7 +22,8 @@ def layer_pauses_s(nc: NCProgram) -> Floats:
     known = np.concatenate([[-1], np.maximum.accumulate(nc.layer)])
     after = known[nc.events.row[paused]]
     seconds = np.where(after >= 0, nc.events.value[paused], 0.0)
-    return np.bincount(np.maximum(after, 0), seconds, minlength=len(nc.layer_files)).astype(np.float64)
+    count = len(nc.layer_files)
+    return np.bincount(np.maximum(after, 0), seconds, minlength=count).astype(np.float64)[:count]
 
 
 def program_summary(nc: NCProgram, config: Config) -> pd.DataFrame:

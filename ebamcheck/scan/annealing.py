@@ -36,7 +36,7 @@ class Log(NamedTuple):
 
 def high_mean(entry_k: Floats) -> float:
     """Mean of the twelfth powers of the entry temperatures, as a temperature: near the greatest, yet all count."""
-    return float(np.mean(entry_k**HIGH) ** (1.0 / HIGH))
+    return float(np.mean(np.maximum(entry_k, 0.0) ** HIGH) ** (1.0 / HIGH))
 
 
 def annealed(
@@ -183,8 +183,9 @@ def new_log(count: int) -> Log:
 
 @kernel
 def power(temperature: float) -> float:
-    """Its twelfth power (:data:`HIGH`)."""
-    fourth = (temperature * temperature) * (temperature * temperature)
+    """Its twelfth power (:data:`HIGH`); the model can ring under zero, which is cold."""
+    warm = max(temperature, 0.0)
+    fourth = (warm * warm) * (warm * warm)
     return fourth * fourth * fourth
 
 

@@ -19,6 +19,9 @@ from ebamcheck.scan.png import png_address
 WIDTH_PX, MARGIN_PX, TITLE_PX, SCALE_PX = 800, 16, 28, 44
 """Width of a picture, its margin, and the room for the title and for the colour scale."""
 
+TALLEST_PX, LEAST_EXTENT_MM = 1200, 1e-6
+"""Greatest height of what is shown, and extent under which it counts as a point."""
+
 VIRIDIS = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))
 """Five colours of the map `viridis` (Smith and van der Walt, CC0), which is even to the eye."""
 
@@ -76,8 +79,9 @@ def field_svg(
     """Draw a field given by its values (M,) in the cells of a section, coloured from 0 to the greatest value and more."""
     view = _View.of(np.asarray(section.bounds))
     step_mm = FIELD_PX / view.scale
-    x = np.arange(view.low[0] + 0.5 * step_mm, view.high[0], step_mm)
-    y = np.arange(view.high[1] - 0.5 * step_mm, view.low[1], -step_mm)
+    columns, rows = (max(1, math.ceil(extent / step_mm)) for extent in (view.high - view.low).tolist())
+    x = view.low[0] + step_mm * (np.arange(columns) + 0.5)
+    y = view.high[1] - step_mm * (np.arange(rows) + 0.5)
     points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     inside = shapely.contains_xy(shapely.buffer(section, 1.5 * step_mm), points)
     share = np.zeros(len(points))
@@ -106,9 +110,10 @@ class _View:
 
     @classmethod
     def of(cls, bounds: Floats) -> _View:
-        """Show a box (4,) as wide as the picture is."""
+        """Show a box (4,) as large as the picture can."""
         low, high = bounds[:2], bounds[2:]
-        return cls(low, high, (WIDTH_PX - 2 * MARGIN_PX) / max(float(high[0] - low[0]), 1e-6))
+        wide, tall = np.maximum(high - low, LEAST_EXTENT_MM).tolist()
+        return cls(low, high, min((WIDTH_PX - 2 * MARGIN_PX) / wide, TALLEST_PX / tall))
 
     def place(self, points: Floats) -> Floats:
         """Places of points (n, 2) on the picture, px."""

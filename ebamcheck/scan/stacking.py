@@ -36,10 +36,10 @@ class LayerPlan:
 def in_order(layer: OrderedLayer) -> LayerPlan:
     """Lines of a layer whose islands are put in order."""
     laid = layer.laid
-    return LayerPlan(laid, layer.order, _driven(laid.lines, layer.order, laid.chained), layer.heat)
+    return LayerPlan(laid, layer.order, _path(laid.lines, layer.order, laid.chained), layer.heat)
 
 
-def _driven(vectors: Vectors, order: Ints, chained: Bools) -> Vectors:
+def _path(vectors: Vectors, order: Ints, chained: Bools) -> Vectors:
     """Lines in scan order, every island entered from its nearest corner."""
     first = np.concatenate([[0], np.cumsum(np.bincount(vectors.island, minlength=order.size))])
     rows, turned = enter_nearest(vectors.start, vectors.end, first.astype(np.int64), order, chained)

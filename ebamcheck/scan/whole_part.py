@@ -7,10 +7,11 @@ most of what a tall part loses.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import threading
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from shapely.geometry.base import BaseGeometry
@@ -28,6 +29,8 @@ from ebamcheck.scan.order import LayerIslands, Order, scan_order
 
 AHEAD = 8
 """Layers that are laid out and whose modes are found side by side, while those before them are put in order."""
+
+_Prepared = TypeVar("_Prepared")
 
 WHOLE_PART = {
     "layer": "index of the layer",
@@ -106,11 +109,11 @@ def ordered_layers(
     OrderedLayer
         As soon as it is done.
     """
+    if not carry:
+        yield from _prepared(stack, lambda k: _cold(stack, k, profile, order, seed))
+        return
     left: tuple[HeatModel, Floats] | None = None
-    for laid, islands in _prepared(stack, profile, seed, carry):
-        if not carry:
-            yield OrderedLayer(laid, islands, scan_order(order, islands))
-            continue
+    for laid, islands in _prepared(stack, lambda k: _laid(stack, k, profile, seed)):
         warm = islands if left is None else _before(islands, left)
         with one_blas_thread():
             found = scan_order(order, warm)
@@ -124,7 +127,7 @@ def scan_part(
     profile: Config,
     order: str | Order,
     seed: int,
-) -> Iterator[dict[str, Any]]:
+) -> Generator[dict[str, Any], None, None]:
     """Order all layers of a part with the heat of those under them.
 
     Parameters
@@ -147,14 +150,13 @@ def scan_part(
         yield {name: {**figures, **place}[name] for name in WHOLE_PART}
 
 
-def _prepared(
-    stack: Stack, profile: Config, seed: int, heated: bool
-) -> Iterator[tuple[LaidLayer, LayerIslands]]:
-    """Divide layers into islands and find their modes, on all threads, a block ahead of who takes them."""
+def _prepared(stack: Stack, prepare: Callable[[int], _Prepared]) -> Iterator[_Prepared]:
+    """Prepare layers on all threads, a block ahead of who takes them; who stops taking them stops the threads, too."""
+    stopped = threading.Event()
 
-    def work(block: range) -> list[tuple[LaidLayer, LayerIslands]]:
-        def some(start: int, stop: int) -> list[tuple[LaidLayer, LayerIslands]]:
-            return [_laid(stack, k, profile, seed, heated) for k in block[start:stop]]
+    def work(block: range) -> list[_Prepared]:
+        def some(start: int, stop: int) -> list[_Prepared]:
+            return [prepare(k) for k in block[start:stop] if not stopped.is_set()]
 
         return [found for part in run_blocks(some, len(block)) for found in part]
 
@@ -164,19 +166,30 @@ def _prepared(
             yield from work(block)
         return
     with ThreadPoolExecutor(1) as ahead:
-        coming = [ahead.submit(work, block) for block in blocks[:1]]
-        for n in range(len(blocks)):
-            ready = coming.pop().result()
-            coming = [ahead.submit(work, block) for block in blocks[n + 1 : n + 2]]
-            yield from ready
+        try:
+            coming = [ahead.submit(work, block) for block in blocks[:1]]
+            for n in range(len(blocks)):
+                ready = coming.pop().result()
+                coming = [ahead.submit(work, block) for block in blocks[n + 1 : n + 2]]
+                yield from ready
+        finally:
+            stopped.set()
 
 
 @one_blas_thread()
-def _laid(stack: Stack, k: int, profile: Config, seed: int, heated: bool) -> tuple[LaidLayer, LayerIslands]:
-    """Divide one layer into islands, and set up its heat model where it is asked for."""
+def _cold(stack: Stack, k: int, profile: Config, order: str | Order, seed: int) -> OrderedLayer:
+    """Divide one layer into islands and put them in order as on a cold part."""
     laid = lay_islands(stack.sections[k], profile, stack.numbers[k], float(stack.heights_mm[k]))
     islands = laid.choices(profile, seed, stack.plate_mm)
-    if heated and len(islands):
+    return OrderedLayer(laid, islands, scan_order(order, islands))
+
+
+@one_blas_thread()
+def _laid(stack: Stack, k: int, profile: Config, seed: int) -> tuple[LaidLayer, LayerIslands]:
+    """Divide one layer into islands, and set up its heat model."""
+    laid = lay_islands(stack.sections[k], profile, stack.numbers[k], float(stack.heights_mm[k]))
+    islands = laid.choices(profile, seed, stack.plate_mm)
+    if len(islands):
         _ = islands.cold_heat
     return laid, islands
 
@@ -194,9 +207,10 @@ def _before(islands: LayerIslands, left: tuple[HeatModel, Floats]) -> LayerIslan
 def _driven(
     islands: LayerIslands, order: Ints, left: tuple[HeatModel, Floats] | None
 ) -> tuple[LayerHeat | None, tuple[HeatModel, Floats] | None]:
-    """Drive one layer: its heat, and what it leaves. A layer without islands leaves what it found."""
+    """Drive one layer: its heat, and what it leaves. A layer without islands leaves what it found, after the pause."""
+    pause_s = islands.profile.process.layer_pause_s
     if not len(islands):
-        return None, left
+        return None, None if left is None else (left[0], left[0].after(left[1], pause_s))
     heat, drive = islands.heat, islands.driven
     start_s, end_s, travel = clocked(
         order, drive.entry, drive.leave, drive.time_s, islands.profile.machine.rapid_mm_s
@@ -212,7 +226,6 @@ def _driven(
         time_s=float(end_s.max()),
         stored_j=model.stored_j(_radiated(islands, model, state, float(end_s.max()))),
     )
-    pause_s = islands.profile.process.layer_pause_s
     rested = model.after(state, pause_s)
     return figures, (model, _radiated(islands, model, rested, float(end_s.max()) + pause_s))
 

@@ -97,6 +97,14 @@ class MachineSettings(Section):
         least_mm = min(PRINTED_PATH_MM, self.smoothing_tolerance_mm, self.line_tolerance_mm)
         return min(max(math.ceil(-math.log10(0.1 * least_mm / ROUNDING_UNITS)), 3), 8)
 
+    @field_validator("layer_pause")
+    @classmethod
+    def _one_wait(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        # The reader adds up the waits that it finds.
+        if "".join(line.split(";", 1)[0] for line in value).count("{layer_pause_s}") != 1:
+            raise ValueError("give {layer_pause_s} in one block, once: the wait is read back from it")
+        return value
+
     @field_validator("program_name", "workpiece_directory")
     @classmethod
     def _legal_name(cls, value: str) -> str:

@@ -73,6 +73,8 @@ def scan_command(
         raise SettingsError(f"--seeds {seeds}: give at least 1")
     if all_layers == (height is not None):
         raise SettingsError("scan: give either --height Z for one layer, or --all")
+    if pause is not None and not all_layers:
+        raise SettingsError("--pause: the wait between layers belongs to --all")
     placed = loaded(part, settings)
     if height is None:
         if len(wanted) != 1:

@@ -77,10 +77,11 @@ def scan_layer(
     try:
         for _ in _compare(layer, orders, seeds, done):
             if output is not None:
-                _write(output, {TABLE: json.dumps(plain(done.records()), indent=2, sort_keys=True) + "\n"})
+                _write(output, _table(done))
     except KeyboardInterrupt:
         interrupted = True
     if output is not None and done.shown:
+        _write(output, _table(done))
         _write(output, order_pictures(layer, done.shown, f"{part.name}, z = {height_mm:g} mm"))
         _export(output, simulators, done.shown, layers, settings)
     if interrupted:
@@ -121,6 +122,10 @@ def _export(
         for simulator in simulators:
             program = settings.changed(machine={"control": simulator})
             write_program(beads, result.plan, program, folder / "paths" / name / simulator)
+
+
+def _table(done: _Compared) -> dict[str, str]:
+    return {TABLE: json.dumps(plain(done.records()), indent=2, sort_keys=True) + "\n"}
 
 
 def _write(folder: Path, files: dict[str, str]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +52,7 @@ def _rows(
     found = scan_part(sections, np.asarray(layers.heights) - low_mm, settings, order, settings.scan.seed)
     rows: list[dict[str, Any]] = []
     try:
-        with _table(output) as table, watched() as observer:
+        with closing(found), _table(output) as table, watched() as observer:
             observer.stage("order and heat", len(sections))
             for row in found:
                 table.writerow(row)

@@ -23,7 +23,7 @@ COMMON = 0.9
 def order_pictures(
     compared: OrderComparison, results: Mapping[str, OrderResult], what: str
 ) -> dict[str, str]:
-    """Texts by file name: two maps an order its last temperatures and its animation.
+    """Texts by file name: two maps an order, its last temperatures and its animation.
 
     Scales of temperature are the same for all orders; those of entries end at the hottest of them, what the beam is
     on is hotter yet.

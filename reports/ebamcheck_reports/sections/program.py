@@ -100,7 +100,8 @@ def _status(record: Mapping[str, Any]) -> Markup:
 
 def _totals(record: Mapping[str, Any]) -> Markup:
     total = record["totals"]
-    time = total["deposit_s"] + total["travel_s"] + total["pause_s"]
+    pause_s = total.get("pause_s", 0.0)  # a run of an earlier version has none
+    time = total["deposit_s"] + total["travel_s"] + pause_s
     return facts(
         [
             (
@@ -109,7 +110,7 @@ def _totals(record: Mapping[str, Any]) -> Markup:
             ),
             ("of that with beam on", figure(total["deposit_s"], text=duration(total["deposit_s"]))),
             ("of that in rapid moves", figure(total["travel_s"], text=duration(total["travel_s"]))),
-            ("of that waiting between layers", figure(total["pause_s"], text=duration(total["pause_s"]))),
+            ("of that waiting between layers", figure(pause_s, text=duration(pause_s))),
             ("motions", figure(total["motions"])),
             ("contour path", figure(total["contour_mm"], "mm")),
             ("hatch path", figure(total["hatch_mm"], "mm")),

@@ -148,11 +148,10 @@ def _heat(run: RunData, plan: ScanPlan) -> list[Markup]:
 
 def _times(run: RunData) -> Markup:
     program, metrics = run.table("program.csv"), run.table("scan.csv")
-    if {"deposit_s", "travel_s", "pause_s"} <= set(program.columns):
+    whole = [name for name in ("deposit_s", "travel_s", "pause_s") if name in program.columns]
+    if {"deposit_s", "travel_s"} <= set(whole):
         series = [
-            Series(
-                "whole layer", program["layer"], program[["deposit_s", "travel_s", "pause_s"]].sum(axis=1)
-            ),
+            Series("whole layer", program["layer"], program[whole].sum(axis=1)),
             Series("beam on", program["layer"], program["deposit_s"]),
         ]
     else:
