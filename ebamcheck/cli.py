@@ -309,7 +309,7 @@ def warm() -> ExitCode:
     """Compile the kernels once, so that no later command has to wait for it."""
     from ebamcheck.warm import warm_kernels
 
-    print("compiling the kernels where they are not yet: a minute or two the first time", flush=True)
+    print("compiling the kernels where they are not yet: about three minutes the first time", flush=True)
     seconds = warm_kernels()
     print(f"kernels are compiled ({seconds:.1f} s)")
     return ExitCode.PASS
