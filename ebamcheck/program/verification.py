@@ -43,6 +43,7 @@ def verify_program(
     layers: Layers | None = None,
     smooth: Layers | None = None,
     beads: bool = False,
+    metal: bool = False,
     heights: ArrayLike | None = None,
     sha256: Mapping[str, str] | None = None,
     contour_offset_mm: float | None = None,
@@ -65,6 +66,8 @@ def verify_program(
     beads
         Check the beads themselves, too: spacing, lines laid twice, coverage of the `layers`. For a program whose
         plan is not known; against a plan its vectors are compared one by one.
+    metal
+        Lay the metal of the program over the `layers`, and check its mass and where it lies.
     heights
         (L,) heights of the cuts; None: those of `curves`, `plan` or `layers`.
     sha256
@@ -103,7 +106,8 @@ def verify_program(
         if smooth is not None:
             limit = smooth_tolerance_mm(config)
             checks.append(section_check(nc, smooth, z_of, offset, limit, "smooth section"))
-        checks += deposit_checks(nc, deposit(nc, layers, z_of, config), config)
+        if metal:
+            checks += deposit_checks(nc, deposit(nc, layers, z_of, config), config)
     if beads:
         checks += bead_checks(nc, config, z_of, layers)
     return checks
