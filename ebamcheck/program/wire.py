@@ -166,16 +166,23 @@ def _layer_stretches(
     new = runs_alike(owner_of, balanced(stretch - division.starts[a], nominal), ALIKE)
     run, first = np.cumsum(new) - 1, every[new]
     width = balanced(run[stretch - division.starts[a]], nominal[: first.size])
-    spans = division.spans(tracks, first, np.append(first[1:], division.starts[b])[: first.size] - 1)
-    kept = spans[2] - spans[1] > ROUNDING_MM
-    owner, low, high = (column[kept] for column in spans)
-    return Stretches(
-        owner, low, high, np.zeros(owner.size, np.int64), width=np.round(width[kept], WIDTH_DIGITS)
+    number, low, high = division.spans(
+        tracks, first, np.append(first[1:], division.starts[b])[: first.size] - 1
     )
+    kept = high - low > ROUNDING_MM
+    lap, width = (
+        np.zeros(int(kept.sum()), np.int64),
+        np.asarray(np.round(width[kept], WIDTH_DIGITS), np.float64),
+    )
+    return Stretches(number[kept], low[kept], high[kept], lap, width=width)
 
 
 def joined(layers: Sequence[Stretches]) -> Stretches:
     """Stretches of all layers, one behind the other."""
-    columns = (np.concatenate([getattr(s, name) for s in layers]) for name in ("track", "low", "high", "lap"))
-    width = np.concatenate([s.width for s in layers if s.width is not None])
-    return Stretches(*columns, width=width)
+    return Stretches(
+        np.concatenate([s.track for s in layers]),
+        np.concatenate([s.low for s in layers]),
+        np.concatenate([s.high for s in layers]),
+        np.concatenate([s.lap for s in layers]),
+        width=np.concatenate([s.width for s in layers if s.width is not None]),
+    )
