@@ -188,11 +188,12 @@ def test_pictures_show_every_backend_and_a_place_enlarged(whole: RunFolder) -> N
         )
 
 
-def test_junit_has_one_case_a_gate_backend_pair_and_check(whole: RunFolder) -> None:
+def test_junit_has_one_case_a_gate_finding_backend_pair_and_check(whole: RunFolder) -> None:
     _, _, root = render(whole)
     record = whole.manifest()
     names = [(c.get("classname"), c.get("name")) for c in root.iter("testcase")]
     expected = [("ebamcheck.gate", g["name"]) for g in record["gates"]]
+    expected += [("ebamcheck.finding", f"{f['code']} {f['place']}") for f in record["findings"]]
     expected += [(f"ebamcheck.backend.{b}", "slice") for b in record["backends"]]
     expected += [
         (f"ebamcheck.backend.{p['a']}", f"agrees with {p['b']}") for p in record["comparison"]["pairs"]
