@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 import psutil
 import pytest
-from command_line import FAST, command, ebamcheck, frame, write_stl
+from command_line import FAST, WIDE, WIDE_TOML, command, ebamcheck, frame, write_stl
 from parts import box, join, moved, sphere
 
 from ebamcheck.config import Config
@@ -24,7 +24,8 @@ from ebamcheck.pipeline import check_job, run_job
 from ebamcheck.pipeline.verify import verify_against_part, verify_run
 from ebamcheck.store import RunFolder, sha256_of_file
 
-SETTINGS = Config().changed(layers={"layer_height_mm": 6.0}, slicing={"backends": tuple(FAST.split(","))})
+THICK = Config().changed(layers={"layer_height_mm": 6.0}, process=WIDE)
+SETTINGS = THICK.changed(slicing={"backends": tuple(FAST.split(","))})
 
 
 class Listener:
@@ -67,8 +68,7 @@ def plate(tmp_path_factory):
     """A finished run with every backend there is, of a plate with a hole."""
     folder = tmp_path_factory.mktemp("plate")
     path = write_stl(frame(), folder / "frame.stl")
-    settings = Config().changed(layers={"layer_height_mm": 6.0})
-    return run_job(path, folder / "frame.run", settings), path
+    return run_job(path, folder / "frame.run", THICK), path
 
 
 @pytest.fixture
@@ -134,7 +134,7 @@ def test_all_backends_give_the_same_bytes_again(tmp_path):
 def test_a_killed_run_goes_on_to_the_same_result(tmp_path):
     write_stl(frame(), tmp_path / "frame.stl")
     (tmp_path / "ebamcheck.toml").write_text(
-        f"slicing.backends = {FAST.split(',')}\nlayers.layer_height_mm = 6.0"
+        f"slicing.backends = {FAST.split(',')}\nlayers.layer_height_mm = 6.0\n{WIDE_TOML}"
     )
     first = subprocess.Popen(command("run", "frame.stl", "-o", "a.run"), cwd=tmp_path)
     unfinished = tmp_path / ".a.run.unfinished" / "layers"
@@ -154,6 +154,7 @@ def test_a_killed_run_goes_on_to_the_same_result(tmp_path):
 
 def test_a_killed_backend_is_told_and_the_others_are_whole(plate, tmp_path):
     path = plate[1]
+    (tmp_path / "ebamcheck.toml").write_text(WIDE_TOML)
     run = subprocess.Popen(
         command("run", path, "--layer-height", 6, "-o", "k.run"),
         cwd=tmp_path,
@@ -327,14 +328,13 @@ def test_verify_finds_other_settings_a_lost_file_and_another_part(copy, plate):
 
 
 def test_verify_a_program_against_a_part_finds_a_moved_hole(plate, tmp_path):
-    settings = Config().changed(layers={"layer_height_mm": 6.0})
     program = plate[0].folder.program_folder / "MAIN.MPF"
-    assert all(check.passed for check in verify_against_part(program, plate[1], settings))
+    assert all(check.passed for check in verify_against_part(program, plate[1], THICK))
     shifted = frame().vertices.copy()
     inner = (shifted[:, 0] > 1) & (shifted[:, 0] < 39)
     shifted[inner, 0] += 1.0
     other = write_stl(from_arrays(shifted, frame().faces, "moved"), tmp_path / "moved.stl")
-    assert not all(check.passed for check in verify_against_part(program, other, settings))
+    assert not all(check.passed for check in verify_against_part(program, other, THICK))
 
 
 def test_settings_and_part_change_the_fingerprint(tmp_path, monkeypatch):
@@ -382,6 +382,7 @@ def test_the_folder_is_free_again_after_a_failure(tmp_path, monkeypatch):
 
 def test_a_machine_without_opengl_goes_on_with_the_others(tmp_path):
     write_stl(frame(), tmp_path / "frame.stl")
+    (tmp_path / "ebamcheck.toml").write_text(WIDE_TOML)
     done = ebamcheck(
         "run", "frame.stl", "--layer-height", 6, "-o", "a.run",
         cwd=tmp_path, __EGL_VENDOR_LIBRARY_FILENAMES=os.devnull, DISPLAY="",

@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 import shapely
+from command_line import WIDE
 from parts import box, join, moved, sphere
 
 from ebamcheck import layer_files, load
@@ -49,7 +50,7 @@ def inside_out(part: Part) -> Part:
 def run(part: Part, folder: Path, height_mm: float, fine: Part | None = None, **sections: dict) -> RunFolder:
     source = write_stl(part, folder / "part & <co>.stl")
     reference = write_stl(fine, folder / "fine.stl") if fine is not None else None
-    config = Config().changed(layers={"layer_height_mm": height_mm}, **sections)
+    config = Config().changed(layers={"layer_height_mm": height_mm}, process=WIDE).changed(**sections)
     return run_job(source, folder / "run", config, reference).folder
 
 

@@ -22,6 +22,7 @@ from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.programming import make_program
 from ebamcheck.pipeline.record import manifest as make_manifest
 from ebamcheck.pipeline.work import Job, Observer, Silent
+from ebamcheck.process_window import checked_window, outside_window, unusual_layers
 from ebamcheck.program.heat_paths import PATH_FILES
 from ebamcheck.rings import Floats
 from ebamcheck.store import FINGERPRINT, MANIFEST, RunFolder, sha256_of_json, start_run, write_json
@@ -65,7 +66,7 @@ def run_job(
     Raises
     ------
     InputError, SettingsError
-        If the part or the reference cannot be read, or settings make no sense.
+        If the part or the reference cannot be read, or settings make no sense or are outside of the process window.
     BackendMissing
         If a required or named backend is unknown, or a required one is not available.
     """
@@ -75,6 +76,7 @@ def run_job(
             f"machine.control {config.machine.control!r} is a path file for a heat simulator, which no reader can prove: "
             f"run for a control, then `ebamcheck post RUN --control {config.machine.control} -o FOLDER`"
         )
+    checked_window(config)
     fine = mesh_files.load(reference, config.part.units).along(config.part.direction) if reference else None
 
     def program(job: Job, checked: CrossCheck, sound: bool) -> list[Gate]:
@@ -118,6 +120,8 @@ def _job(
     found = inspection.inspect(part)
     job = Job(kind, config, observer, part, found, heights, start_run(Path(target), fingerprint, resume))
     job.add_finding(*turned, *noticed.of_part(found, config))
+    # A job without a program may cut layers that no process can lay.
+    job.add_finding(*outside_window(config, "warning"), *unusual_layers(config))
     try:
         return _finished(job, backends, resume, program)
     except OSError as error:

@@ -23,6 +23,7 @@ from ebamcheck.program.section_check import section_check
 from ebamcheck.program.sinumerik import TURN_SPACINGS
 from ebamcheck.program.state_checks import state_checks
 from ebamcheck.program.text_checks import text_checks
+from ebamcheck.program.window_checks import window_check
 
 PATH_TOLERANCE_MM = 1e-3
 """Path read back against the fitted curve, after decimal rounding: a tenth of what a slicer agrees to."""
@@ -79,7 +80,7 @@ def verify_program(
     turn_limit_mm = TURN_SPACINGS * config.process.hatch_spacing_mm
     checks = text_checks(nc, sha256) + state_checks(nc, config, turn_limit_mm)
     checks += [*bead_end_checks(nc, config), closure_check(nc, curves, tolerance_mm)]
-    checks += [repeated_blocks(nc), *process_checks(nc, config)]
+    checks += [repeated_blocks(nc), window_check(nc, config), *process_checks(nc, config)]
     known = (
         heights
         if heights is not None
