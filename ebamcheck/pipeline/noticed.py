@@ -11,6 +11,10 @@ from ebamcheck.findings import Finding, at_layer
 from ebamcheck.inspection import Inspection
 from ebamcheck.isolate import Outcome
 from ebamcheck.program.dialects import STOCK
+from ebamcheck.program.inputs import deposition_heights
+from ebamcheck.program.motions import NCProgram
+from ebamcheck.program.seam_corners import seam_turns
+from ebamcheck.rings import Floats
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.machine import MachineSettings
 
@@ -153,7 +157,7 @@ def of_profile(config: Config) -> Iterator[Finding]:
         )
 
 
-# -- the plan ----------------------------------------------------------------------------------------
+# -- plan and program --------------------------------------------------------------------------------
 
 
 def of_heat(plan: ScanPlan, config: Config) -> Iterator[Finding]:
@@ -174,4 +178,26 @@ def of_heat(plan: ScanPlan, config: Config) -> Iterator[Finding]:
             solidus_k,
             "K",
             "wait between layers (process.layer_pause_s) or lower the power",
+        )
+
+
+def of_seams(program: NCProgram, heights: Floats, config: Config) -> Iterator[Finding]:
+    """Contours that start at a corner of the part, where metal heaps up; `heights` (L,) mm are those of the cuts."""
+    row, turn_deg = seam_turns(program)
+    corner_deg = 180.0 - config.curves.corner_angle_deg
+    at_corner = turn_deg > corner_deg
+    if at_corner.any():
+        k = int(row[at_corner.argmax()])
+        x_mm, y_mm, z_mm = program.start[k].tolist()
+        layer = int(np.abs(deposition_heights(heights, config.layer_height_mm) - z_mm).argmin())
+        count = int(at_corner.sum())
+        yield Finding(
+            "warning",
+            "seam-at-corner",
+            f"{count} of {row.size} closed contours start where they turn by more than {corner_deg:g} degrees, first here",
+            at_layer(layer, float(heights[layer]), x_mm, y_mm),
+            float(count),
+            0.0,
+            "contours",
+            "spread the seams (process.seam_shift_mm), or leave metal for machining (process.machining_allowance_mm)",
         )

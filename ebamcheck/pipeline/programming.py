@@ -116,6 +116,7 @@ def _write_and_verify(
     write_program = registry.plugin(registry.POSTS, job.config.machine.control)
     files = write_program(beads, plan, job.config, job.folder.program_folder, header=header)
     program = read_program(files.main, job.config)
+    job.add_finding(*noticed.of_seams(program, contours.heights, job.config))
     with ThreadPoolExecutor(1) as aside:
         feeds = aside.submit(side_by_side, program, contours, job.config)
         checks = verify_program(

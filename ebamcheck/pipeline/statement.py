@@ -41,11 +41,14 @@ class Statement:
 
 
 def statement(manifest: Mapping[str, Any]) -> Statement:
-    """Statement of a run from its record; one of an earlier version has no findings."""
+    """Statement of a run from its record; one of an earlier version has no findings.
+
+    What comes after a validated program (codes, dry run, approval) is said of no other one.
+    """
     gates, found = manifest["gates"], manifest.get("findings", [])
     proved = [PROVED.get(gate["name"], gate["text"]) for gate in gates if gate["passed"]]
     left = [_looked_at(found)] if found else []
-    if manifest.get("job") != "check" and manifest.get("program"):
+    if manifest.get("program") and manifest["exit_code"] == 0:
         codes = any(finding["code"] == "placeholder-codes" for finding in found)
         left += [*([CODES_OF_THE_MAKER] if codes else []), DRY_RUN, APPROVAL]
     return Statement(tuple(proved), tuple(text for text in left if text))

@@ -22,18 +22,15 @@ def window_check(nc: NCProgram, config: Config) -> Check:
         energy = _bead_power_w(nc, rows) / feed_mm_s
     laid = rows[nc.wire[rows]]
     least, greatest = process.wire_speed_min_mm_s, process.wire_speed_max_mm_s
-    steps = layer_steps_mm(nc)
-    layers = np.flatnonzero(np.isfinite(steps))
-    first = np.array([np.argmax(nc.deposit & (nc.layer == k)) for k in layers], np.int64)
+    inside = rows[nc.layer[rows] >= 0]
+    layers, first = np.unique(nc.layer[inside], return_index=True)
+    over_bead = layer_steps_mm(nc)[layers] / process.bead_height_mm
+    known = np.isfinite(over_bead)
     faults = [
-        *_outside(nc, laid, nc.wire_mm_s[laid], (least, greatest), "mm/s of wire"),
-        *_outside(nc, rows, energy, process.line_energy_j_mm, "J/mm of line energy"),
+        *_outside(laid, nc.wire_mm_s[laid], (least, greatest), "mm/s of wire"),
+        *_outside(rows, energy, process.line_energy_j_mm, "J/mm of line energy"),
         *_outside(
-            nc,
-            first,
-            steps[layers] / process.bead_height_mm,
-            process.layer_over_bead,
-            "of a bead's height a layer",
+            inside[first][known], over_bead[known], process.layer_over_bead, "of a bead's height a layer"
         ),
     ]
     faults.sort(key=lambda fault: fault[0])
@@ -58,9 +55,7 @@ def _bead_power_w(nc: NCProgram, rows: Ints) -> Floats:
     return np.asarray(greatest[bead])
 
 
-def _outside(
-    nc: NCProgram, rows: Ints, values: Floats, limits: tuple[float, float], what: str
-) -> list[tuple[int, str]]:
+def _outside(rows: Ints, values: Floats, limits: tuple[float, float], what: str) -> list[tuple[int, str]]:
     """Motions whose value is outside of its limits, or is not known, and what it is."""
     low, high = limits
     bad = ~((values >= low * (1.0 - ROUNDING)) & (values <= high * (1.0 + ROUNDING)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from ebamcheck.findings import in_words
 from ebamcheck.pipeline.statement import counted
 from ebamcheck_reports import words
 from ebamcheck_reports.figures import percent, shown
@@ -58,6 +59,8 @@ def _why(run: RunData) -> list[Markup]:
         return [join(["The program in the folder ", element("code", "program/"), " passed every gate."])]
     shut = [gate for gate in run.gates if not gate["passed"]]
     reasons = [join([element("b", gate["name"]), ": ", gate["text"]]) for gate in shut]
+    faults = [found for found in run.findings if found["severity"] == "fault"]
+    reasons += [join([element("b", found["code"]), ": ", in_words(found)]) for found in faults]
     if run.missing_gates:
         reasons.append(join(["not reached: ", ", ".join(run.missing_gates)]))
     if not reasons and not run.is_check:
