@@ -24,6 +24,7 @@ from ebamcheck.program.reader import read_program
 from ebamcheck.program.section_check import section_check
 from ebamcheck.program.state_checks import state_checks
 from ebamcheck.program.text_checks import text_checks
+from ebamcheck.program.window_checks import window_check
 from ebamcheck.program.wire_checks import wire_check
 from ebamcheck.scan.turns import TURN_SPACINGS
 
@@ -86,7 +87,7 @@ def verify_program(
     checks = text_checks(nc, sha256) + state_checks(nc, config, turn_limit_mm)
     checks.append(wire_check(nc, config, curves, plan))
     checks += [*bead_end_checks(nc, config), closure_check(nc, curves, tolerance_mm)]
-    checks += [repeated_blocks(nc), *process_checks(nc, config)]
+    checks += [repeated_blocks(nc), window_check(nc, config), *process_checks(nc, config)]
     known = (
         heights
         if heights is not None
