@@ -48,7 +48,6 @@ def make_program(
         plan = plan_stack(smooth, config, progress=job.observer.advance)
         plan.to_parquet(job.folder.path / "scan.parquet")
         plan.metrics.to_csv(job.folder.path / "scan.csv", index=False)
-    _tell_of_heat(job, plan)
     with job.stage("program", 1):
         beads = bead_paths(smooth, plan, config)
         beads.to_parquet(job.folder.path / "beads.parquet")
@@ -58,6 +57,7 @@ def make_program(
     made = [
         gates.fit_gate(deviation, config),
         gates.coverage_gate(plan.metrics, config),
+        gates.heat_gate(checks, plan.metrics, config),
         gates.program_gate(checks),
     ]
     job.record["scan"] = {
@@ -78,17 +78,6 @@ def make_program(
         {"name": name, "sha256": files.sha256[name], "blocks": files.blocks[name]} for name in files.names
     ]
     return made
-
-
-def _tell_of_heat(job: Job, plan: ScanPlan) -> None:
-    """Say where islands are entered above the solidus."""
-    rise_k = job.config.material.solidus_k - job.config.process.ambient_temperature_k
-    hot = int((plan.metrics["entry_max_k"] > rise_k).sum())
-    if hot:
-        job.observer.note(
-            f"{hot} of {len(plan)} layers have islands that the heat model finds above the solidus when the beam enters "
-            "them: wait between layers (process.layer_pause_s) or lower the power"
-        )
 
 
 def smooth_layers(curves: Curves) -> Layers:
