@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ebamcheck.config import Config
-from ebamcheck.program.bead_ends import SHORTEST_BLOCK_MM
+from ebamcheck.program.bead_parts import SHORTEST_BLOCK_MM
 from ebamcheck.program.checks import Check, count_check, worst_check
 from ebamcheck.program.motions import NCProgram
 from ebamcheck.program.state_checks import event_place

@@ -76,6 +76,10 @@ class ScanColumns(Protocol):
         """(I,) islands in the order in which they are scanned, layer by layer."""
 
     @property
+    def sections(self) -> NDArray[np.object_] | None:
+        """(L,) shapely regions that are to be metal; None: not known."""
+
+    @property
     def vectors(self) -> Any:
         """Columns `island`, `x0`, `y0`, `x1`, `y1` (V,) in the order in which they are scanned."""
 

@@ -53,6 +53,7 @@ def layer_blocks(
     layer = _Layer(config, form, float(path.z[k]), values, templates)
     share = float(heat.power_share[k])
     layer.rise()
+    wire = path.width / config.process.bead_metal_mm
     island = -1
     for t in range(int(path.layer_starts[k]), int(path.layer_starts[k + 1])):
         if path.ring[t] >= 0:
@@ -64,7 +65,8 @@ def layer_blocks(
             layer.lines.append(f"; ISLAND {island}")
         a, b = int(path.track_starts[t]), int(path.track_starts[t + 1])
         if b > a:
-            layer.deposit(path.start[t], path.end[b - 1], motions[a:b], share * path.power[a:b])
+            power = share * path.power[a:b]
+            layer.deposit(path.start[t], path.end[b - 1], motions[a:b], power, wire[a:b])
     layer.set_power(1.0)
     layer.rise()
     above = path.layer_starts[k + 1 : k + 3]
@@ -99,23 +101,25 @@ class _Layer:
         ends = ("wire_stop", "wire_retract", "beam_off")
         self._names = (
             ("set_power",),
+            ("set_wire",),
             ("beam_on", "wire_start"),
             ends if values.wire_retract_mm > 0.0 else (ends[0], ends[2]),
         )
         self._values, self._templates = values, templates
-        self._blocks: dict[float, tuple[list[str], ...]] = {}
-        self._power = 1.0
+        self._blocks: dict[tuple[float, float], tuple[list[str], ...]] = {}
+        self._power, self._wire = 1.0, 1.0
         self._position: Floats | None = None
 
     def _switches(self) -> tuple[list[str], ...]:
-        """Blocks that set the power of the moment, and those before and after a bead at it."""
-        if self._power not in self._blocks:
-            values = self._values.at_power(self._power)
-            self._blocks[self._power] = tuple(
+        """Blocks that set power and wire speed of the moment, and those before and after a bead at them."""
+        now = (self._power, self._wire)
+        if now not in self._blocks:
+            values = self._values.at(*now)
+            self._blocks[now] = tuple(
                 [line for name in names for line in values.fill(name, self._templates[name])]
                 for names in self._names
             )
-        return self._blocks[self._power]
+        return self._blocks[now]
 
     def rise(self) -> None:
         """Go to the safe height, with the beam off."""
@@ -135,19 +139,29 @@ class _Layer:
             self._power = share
             self.lines += self._switches()[0]
 
-    def deposit(self, start: Floats, end: Floats, motions: Sequence[str], power: Floats) -> None:
-        """Travel to `start`, beam and wire on, `motions` each at its power, wire and beam off at `end`."""
+    def set_wire(self, share: float) -> None:
+        """Set the running wire to a share of the speed of the layer."""
+        if share != self._wire:
+            self._wire = share
+            self.lines += self._switches()[1]
+
+    def deposit(
+        self, start: Floats, end: Floats, motions: Sequence[str], power: Floats, wire: Floats
+    ) -> None:
+        """Travel to `start`, beam and wire on, `motions` each at its power and wire, wire and beam off at `end`."""
         self._travel(start)
+        self._wire = float(wire[0])
         self.set_power(float(power[0]))
-        self.lines += self._switches()[1]
-        changes = [0, *(np.flatnonzero(np.diff(power)) + 1).tolist(), len(motions)]
+        self.lines += self._switches()[2]
+        changes = [0, *(np.flatnonzero(np.diff(power) + 1j * np.diff(wire)) + 1).tolist(), len(motions)]
         feed = self._feed
         for a, b in itertools.pairwise(changes):
             self.set_power(float(power[a]))
+            self.set_wire(float(wire[a]))
             blocks = [line for text in motions[a:b] if text for line in text.split("\n")]
             self.lines += [blocks[0] + feed, *blocks[1:]]
             feed = ""
-        self.lines += self._switches()[2]
+        self.lines += self._switches()[3]
         self._position = end
 
     def _travel(self, to: Floats) -> None:

@@ -24,7 +24,6 @@ from ebamcheck.program.layer_text import comment, layer_blocks, motion_text
 from ebamcheck.program.segments import CUBIC, Form
 from ebamcheck.program.spline_writing import even, spline_blocks
 from ebamcheck.program.templates import plain, process_values
-from ebamcheck.program.toolpath import TURN_SPACINGS as TURN_SPACINGS
 from ebamcheck.program.toolpath import Toolpath
 from ebamcheck.settings.machine import MachineSettings
 

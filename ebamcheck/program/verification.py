@@ -14,6 +14,8 @@ from ebamcheck.layers import Layers
 from ebamcheck.program.bead_checks import bead_checks, repeated_blocks
 from ebamcheck.program.bead_end_checks import bead_end_checks
 from ebamcheck.program.checks import Check
+from ebamcheck.program.deposit import deposit
+from ebamcheck.program.deposit_checks import deposit_checks
 from ebamcheck.program.inputs import CurveColumns, ScanColumns, deposition_heights, interpass_of
 from ebamcheck.program.interpass_checks import interpass_checks, layer_shares
 from ebamcheck.program.motions import NCProgram
@@ -21,9 +23,10 @@ from ebamcheck.program.path_checks import closure_check, contour_checks, hatch_c
 from ebamcheck.program.process_checks import process_checks
 from ebamcheck.program.reader import read_program
 from ebamcheck.program.section_check import section_check
-from ebamcheck.program.sinumerik import TURN_SPACINGS
 from ebamcheck.program.state_checks import state_checks
 from ebamcheck.program.text_checks import text_checks
+from ebamcheck.program.wire_checks import wire_check
+from ebamcheck.scan.turns import TURN_SPACINGS
 
 PATH_TOLERANCE_MM = 1e-3
 """Path read back against the fitted curve, after decimal rounding: a tenth of what a slicer agrees to."""
@@ -79,6 +82,7 @@ def verify_program(
     """
     turn_limit_mm = TURN_SPACINGS * config.process.hatch_spacing_mm
     checks = text_checks(nc, sha256) + state_checks(nc, config, turn_limit_mm)
+    checks.append(wire_check(nc, config, curves, plan))
     heat = None if plan is None else interpass_of(plan, config)
     shares = np.minimum(layer_shares(nc, config.process.power_w), 1.0) if heat is None else heat.power_share
     checks += [*bead_end_checks(nc, config, shares), closure_check(nc, curves, tolerance_mm)]
@@ -102,6 +106,7 @@ def verify_program(
         if smooth is not None:
             limit = smooth_tolerance_mm(config)
             checks.append(section_check(nc, smooth, z_of, offset, limit, "smooth section"))
+        checks += deposit_checks(nc, deposit(nc, layers, z_of, config), config)
     if beads:
         checks += bead_checks(nc, config, z_of, layers)
     return checks

@@ -33,9 +33,10 @@ METRICS = {
     "laid_share": "length of all beads times their spacing, over the area: above 1 they overlap more than is set",
     "contour_length_mm": "length of the contour beads",
     "hatch_length_mm": "length of the lines",
-    "travel_mm": "jumps between lines",
-    "starts": "wire starts: lines that do not go on where the last one ended",
-    "time_s": "lines at travel speed and jumps at rapid speed, without the contour beads",
+    "turn_length_mm": "length of the turns between lines, beam and wire on",
+    "travel_mm": "jumps between lines, beam off",
+    "starts": "wire starts: lines to which the beam jumps",
+    "time_s": "lines and turns at travel speed and jumps at rapid speed, without the contour beads",
     "interval_p10_s": "time between the ends of neighbouring islands, shortest tenth; NaN without any",
     "interval_min_s": "the same, least",
     "body_mean_k": "mean temperature rise of the body under it when it begins; NaN where no heat model was asked",
@@ -87,6 +88,9 @@ class ScanPlan:
         Name of the order, seed and the settings that shaped the plan.
     island_wait_s
         (I,) wait before each island; empty: none.
+    sections
+        (L,) shapely regions that are to be metal, by which every bead gets its wire; None: not known, and every bead
+        gets the wire of a bead by itself.
     """
 
     heights: Floats
@@ -103,6 +107,7 @@ class ScanPlan:
     metrics: pd.DataFrame
     settings: dict[str, Any] = field(default_factory=dict)
     island_wait_s: Floats = field(default_factory=lambda: np.zeros(0))
+    sections: NDArray[np.object_] | None = None
 
     def __len__(self) -> int:
         """Return the number of layers."""
@@ -167,6 +172,8 @@ def _to_table(plan: ScanPlan) -> pa.Table:
         "metrics": {name: plan.metrics[name].tolist() for name in plan.metrics.columns},
         "settings": plan.settings,
     }
+    if plan.sections is not None:
+        header["sections"] = [shapely.to_wkb(region, hex=True) for region in plan.sections]
     table = pa.table({name: pa.array(c) if isinstance(c, np.ndarray) else c for name, c in columns.items()})
     return table.replace_schema_metadata({"ebamcheck": json.dumps(header, sort_keys=True)})
 
@@ -192,7 +199,7 @@ def _from_table(table: pa.Table, header: dict[str, Any]) -> ScanPlan:
     metrics = pd.DataFrame(header["metrics"], columns=list(METRICS))
     return ScanPlan(
         heights=np.asarray(header["heights"], np.float64),
-        contours=np.asarray(shapely.from_wkb(np.array(header["contours"], object)), object).reshape(-1),
+        contours=_regions(header["contours"]),
         islands=polygons.reshape(-1),
         island_layer=plain["layer"],
         island_kind=np.asarray(columns["kind"].to_pylist(), np.str_),
@@ -207,7 +214,13 @@ def _from_table(table: pa.Table, header: dict[str, Any]) -> ScanPlan:
         island_wait_s=columns["wait_s"].to_numpy(zero_copy_only=False)
         if "wait_s" in columns
         else np.zeros(0),
+        sections=_regions(header["sections"]) if "sections" in header else None,
     )
+
+
+def _regions(hexadecimal: list[str]) -> NDArray[np.object_]:
+    """Regions of well-known binary in hexadecimal digits."""
+    return np.asarray(shapely.from_wkb(np.array(hexadecimal, object)), object).reshape(-1)
 
 
 def _owners(nested: pa.ListArray) -> Ints:

@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from ebamcheck.heights import bead_height_mm
+from ebamcheck.heights import PARABOLA, bead_height_mm
 from ebamcheck.settings.base import Finite, NotNegative, Positive, Section
 
 Share = Annotated[float, Field(gt=0, le=1)]
@@ -46,7 +46,12 @@ class ProcessSettings(Section):
     wire_diameter_mm: Positive = 1.6
     """Diameter of the wire."""
     wire_speed_mm_s: Positive = 2000.0 / 60.0
-    """Wire speed at the height of one bead; in a layer of another height it follows the mass balance."""
+    """Wire speed of one bead by itself, which gives the bead its height. In a program the wire follows what a bead is to
+    lay: the spacing of the beads times the height of the layer, more along a contour, less where beads overlap."""
+    wire_speed_min_mm_s: Positive = 1000.0 / 60.0
+    """Least speed at which the wire runs steadily (1 to 6 m/min are in use); no bead gets less."""
+    wire_speed_max_mm_s: Positive = 6000.0 / 60.0
+    """Greatest speed of the wire; no bead gets more."""
     base: Literal["cooled", "insulated"] = "cooled"
     """What the heat model assumes under the base plate: a table that keeps its temperature, or no heat flow."""
     base_plate_mm: Positive = 25.0
@@ -55,6 +60,20 @@ class ProcessSettings(Section):
     """Temperature of the chamber, to which the part radiates."""
     surface_temperature_k: Positive = 900.0
     """Temperature at which the radiation of the layer is made linear."""
+    mass_tolerance: Positive = 0.02
+    """Share by which the metal of a program, and of each of its layers, may be off that of the sections."""
+    inside_tolerance: Positive = 0.03
+    """Share by which the mean height of the metal may be off that of the layer further than a bead width from the border."""
+    edge_tolerance: Positive = 0.1
+    """The same within a bead width of the border."""
+    outside_share: Positive = 0.05
+    """Share of a program's metal that may lie beside the sections and the allowance for machining; three times that of a
+    layer. A bead along a contour lies inside of it; what is outside is where walls are thinner than a bead."""
+    outside_reach_mm: Positive = 1.0
+    """How far beside them a bead may reach: the unevenness of a side as it is built, which is machined off."""
+    surface_tolerance: Positive = 1.0
+    """How far the surface may come to lie over or under its height while it is built, over the height of a layer: beyond,
+    the wire leaves the pool or runs into the part."""
     bead_width_mm: Positive = 6.0
     """Width of one bead."""
     bead_spacing: Annotated[float, Field(gt=0, le=1)] = 0.72
@@ -121,6 +140,11 @@ class ProcessSettings(Section):
     def hatch_spacing_mm(self) -> float:
         """Distance between parallel beads, mm."""
         return self.bead_width_mm * self.bead_spacing
+
+    @property
+    def bead_metal_mm(self) -> float:
+        """Width of a rectangle as high as one bead by itself and of the same section, mm."""
+        return PARABOLA * self.bead_width_mm
 
     @property
     def bead_height_mm(self) -> float:
