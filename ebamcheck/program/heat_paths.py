@@ -17,9 +17,9 @@ import numpy as np
 from ebamcheck.config import Config
 from ebamcheck.program.bead_ends import driven_path
 from ebamcheck.program.files import NOT_VALIDATED, VALIDATED, ProgramFiles, write_files
-from ebamcheck.program.inputs import CurveColumns, ScanColumns
+from ebamcheck.program.inputs import CurveColumns, Interpass, ScanColumns, interpass_of
 from ebamcheck.program.toolpath import Toolpath
-from ebamcheck.rings import Floats
+from ebamcheck.rings import Floats, Ints
 
 PATH_FILES = ("3dthesis", "adamantine", "additivefoam")
 """Names of these posts: what they write is no program, and is not read back."""
@@ -124,10 +124,21 @@ def _rows(curves: CurveColumns, plan: ScanColumns, config: Config) -> Floats:
     rows[spot, 4], rows[line, 4] = 0.0, path.power
     rows[line, 5] = config.process.travel_speed_mm_s * METRES
     rows[spot, 5] = _travel_s(path, rows, spot, config)
+    heat = interpass_of(plan, config)
     layer = np.repeat(np.arange(len(path.z)), np.diff(path.layer_starts))[tracks]
-    # Layers without a track are waited for, too.
-    rows[spot, 5] += config.process.layer_pause_s * np.diff(layer, prepend=layer[:1])
+    rows[spot, 5] += _waits_s(layer, path.ring[tracks], path.island[tracks], heat)
+    rows[line, 4] *= np.repeat(heat.power_share[layer], sizes)
     return rows
+
+
+def _waits_s(layer: Ints, ring: Ints, island: Ints, heat: Interpass) -> Floats:
+    """Wait before each track (T,): before a layer that is not the first, a further contour, or an island."""
+    new_layer = np.diff(layer, prepend=-1) != 0
+    new_island = (island >= 0) & (np.diff(island, prepend=-1) != 0)
+    waits = np.where(new_layer, heat.wait_s[layer], np.where(ring >= 0, heat.ring_wait_s[layer], 0.0))
+    waits[:1] = 0.0
+    waits[new_island] += heat.island_wait_s[island[new_island]]
+    return np.asarray(waits, np.float64)
 
 
 def _travel_s(

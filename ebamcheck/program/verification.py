@@ -16,7 +16,8 @@ from ebamcheck.program.bead_end_checks import bead_end_checks
 from ebamcheck.program.checks import Check
 from ebamcheck.program.deposit import deposit
 from ebamcheck.program.deposit_checks import deposit_checks
-from ebamcheck.program.inputs import CurveColumns, ScanColumns, deposition_heights
+from ebamcheck.program.inputs import CurveColumns, ScanColumns, deposition_heights, interpass_of
+from ebamcheck.program.interpass_checks import interpass_checks, layer_shares
 from ebamcheck.program.motions import NCProgram
 from ebamcheck.program.path_checks import closure_check, contour_checks, hatch_checks, layer_checks
 from ebamcheck.program.process_checks import process_checks
@@ -86,8 +87,11 @@ def verify_program(
     turn_limit_mm = TURN_SPACINGS * config.process.hatch_spacing_mm
     checks = text_checks(nc, sha256) + state_checks(nc, config, turn_limit_mm)
     checks.append(wire_check(nc, config, curves, plan))
-    checks += [*bead_end_checks(nc, config), closure_check(nc, curves, tolerance_mm)]
+    heat = None if plan is None else interpass_of(plan, config)
+    shares = np.minimum(layer_shares(nc, config.process.power_w), 1.0) if heat is None else heat.power_share
+    checks += [*bead_end_checks(nc, config, shares), closure_check(nc, curves, tolerance_mm)]
     checks += [repeated_blocks(nc), window_check(nc, config), *process_checks(nc, config)]
+    checks += interpass_checks(nc, config, heat, layers)
     known = (
         heights
         if heights is not None

@@ -39,8 +39,13 @@ METRICS = {
     "time_s": "lines and turns at travel speed and jumps at rapid speed, without the contour beads",
     "interval_p10_s": "time between the ends of neighbouring islands, shortest tenth; NaN without any",
     "interval_min_s": "the same, least",
-    "body_mean_k": "mean temperature rise of the body under it when it begins; NaN where the order asks no heat model",
-    "entry_max_k": "greatest mean temperature rise of an island when the beam enters it; NaN likewise",
+    "body_mean_k": "mean temperature rise of the body under it when it begins; NaN where no heat model was asked",
+    "entry_max_k": "greatest mean temperature rise of a contour or an island when the beam enters it; NaN likewise",
+    "wait_s": "wait before the layer",
+    "ring_wait_s": "wait before each further contour of it",
+    "power_share": "share of the beam's power",
+    "enter_k": "temperature of the surface when the layer begins, absolute; NaN likewise",
+    "leave_k": "the same when it is done",
 }
 """Columns of :attr:`ScanPlan.metrics` and what they are."""
 
@@ -81,6 +86,8 @@ class ScanPlan:
         One row a layer, columns as in :data:`METRICS`.
     settings
         Name of the order, seed and the settings that shaped the plan.
+    island_wait_s
+        (I,) wait before each island; empty: none.
     sections
         (L,) shapely regions that are to be metal, by which every bead gets its wire; None: not known, and every bead
         gets the wire of a bead by itself.
@@ -99,6 +106,7 @@ class ScanPlan:
     vectors: pd.DataFrame
     metrics: pd.DataFrame
     settings: dict[str, Any] = field(default_factory=dict)
+    island_wait_s: Floats = field(default_factory=lambda: np.zeros(0))
     sections: NDArray[np.object_] | None = None
 
     def __len__(self) -> int:
@@ -151,6 +159,7 @@ def _to_table(plan: ScanPlan) -> pa.Table:
         "area_mm2": plan.island_area_mm2,
         "x_mm": plan.island_centroid[:, 0],
         "y_mm": plan.island_centroid[:, 1],
+        "wait_s": plan.island_wait_s if len(plan.island_wait_s) else np.zeros(count),
     }
     for name in VECTOR_COLUMNS[1:]:
         columns[name] = _nested(plan.vectors[name].to_numpy()[by_island], island, count)
@@ -202,6 +211,9 @@ def _from_table(table: pa.Table, header: dict[str, Any]) -> ScanPlan:
         vectors=vectors.iloc[scanned].reset_index(drop=True),
         metrics=metrics,
         settings=header["settings"],
+        island_wait_s=columns["wait_s"].to_numpy(zero_copy_only=False)
+        if "wait_s" in columns
+        else np.zeros(0),
         sections=_regions(header["sections"]) if "sections" in header else None,
     )
 

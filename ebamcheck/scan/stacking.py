@@ -22,6 +22,9 @@ from ebamcheck.scan.plan import METRICS, ScanPlan, empty_vectors
 from ebamcheck.scan.simulate import EARLY, neighbour_intervals_s, simulate_order
 from ebamcheck.scan.whole_part import LayerHeat, OrderedLayer
 
+HEAT = ("body_mean_k", "entry_max_k", "wait_s", "ring_wait_s", "power_share", "enter_k", "leave_k")
+"""Metrics that the heat model of a layer gives; NaN where it was not asked."""
+
 
 @dataclass(frozen=True, eq=False)
 class LayerPlan:
@@ -69,8 +72,13 @@ def stack_plans(planned: Sequence[LayerPlan], profile: Config, order: str, seed:
         vectors=_vector_table(by_layer),
         metrics=pd.DataFrame(columns=list(METRICS)),
         settings=_settings(profile, order, seed),
+        island_wait_s=_joined([_island_wait_s(p) for p in planned], np.zeros(0)),
     )
     return replace(plan, metrics=_measured(plan, planned, profile))
+
+
+def _island_wait_s(layer: LayerPlan) -> Floats:
+    return np.zeros(len(layer.order)) if layer.heat is None else layer.heat.island_wait_s
 
 
 def _joined(columns: Sequence[NDArray[Any]], empty: NDArray[Any]) -> NDArray[Any]:
@@ -144,7 +152,6 @@ def _measured(plan: ScanPlan, planned: Sequence[LayerPlan], profile: Config) -> 
         "time_s": (length + turn) / profile.process.travel_speed_mm_s + travel / profile.machine.rapid_mm_s,
         "interval_p10_s": [float(np.quantile(v, EARLY)) if v.size else math.nan for v in spread],
         "interval_min_s": [float(v.min()) if v.size else math.nan for v in spread],
-        "body_mean_k": [math.nan if p.heat is None else p.heat.body_mean_k for p in planned],
-        "entry_max_k": [math.nan if p.heat is None else p.heat.entry_max_k for p in planned],
+        **{name: [math.nan if p.heat is None else getattr(p.heat, name) for p in planned] for name in HEAT},
     }
     return pd.DataFrame(values, columns=list(METRICS))

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from ebamcheck.heights import PARABOLA, bead_height_mm
 from ebamcheck.settings.base import Finite, NotNegative, Positive, Range, Section
+
+Share = Annotated[float, Field(gt=0, le=1)]
+PowerTable = Annotated[tuple[tuple[NotNegative, Share], ...], Field(min_length=1)]
+"""Heights over the base plate, mm, rising, and the share of the beam's power there."""
 
 
 class KeepOut(Section):
@@ -104,7 +109,23 @@ class ProcessSettings(Section):
     wire_retract_mm: NotNegative = 0.0
     """Wire drawn back at the end of a bead, so that it does not freeze in."""
     layer_pause_s: NotNegative = 0.0
-    """Wait between two layers with the beam off, so that the part cools: a dwell in the program and in the heat model."""
+    """Least wait between two layers with the beam off; `interpass` makes it longer where the part is too hot."""
+    interpass: Literal["dwell", "power", "both", "off"] = "both"
+    """What keeps the part cool: waits before layers and beads (dwell), less power as it gets warm (power), power first
+    and waits where the least power is still too much (both), or nothing (off)."""
+    interpass_limit_k: Positive | None = None
+    """Temperature over which no bead may be entered; None: that of the material. With `interpass` off, the solidus."""
+    interpass_at: Literal["bead", "layer"] = "bead"
+    """Where the limit holds: at every contour and island, which may be waited for within a layer, too, or at the first
+    bead of each layer alone."""
+    power_schedule: Literal["taper"] | PowerTable = "taper"
+    """Share of the beam's power: full on the cold base and, by the heat of the plan, down to the least at which the wire
+    melts (taper); or a table of heights over the plate and shares, linear between, [[0, 1], [60, 0.5]]."""
+    melting_efficiency: Annotated[float, Field(gt=0, le=1)] = 0.37
+    """Share of the absorbed power that melts metal; the rest is conducted away. 0.37 (1/e) is the most that a point source
+    moving over a thick body reaches, 0.48 a line through a sheet (Swift-Hook and Gick 1973; Okada 1977), nominal."""
+    dilution: Annotated[float, Field(ge=0, lt=1)] = 0.5
+    """Share of remelted metal in the melt pool, the rest is wire: half, as of flat beads that overlap by 0.72 (nominal)."""
     least_seam_distance_mm: NotNegative = 0.0
     """Least distance between the starts of contours in neighbouring layers; 0: not limited."""
     travel_sectors_deg: tuple[tuple[Finite, Finite], ...] = ()
@@ -145,6 +166,13 @@ class ProcessSettings(Section):
         return bead_height_mm(
             self.wire_diameter_mm, self.wire_speed_mm_s, self.travel_speed_mm_s, self.bead_width_mm
         )
+
+    @field_validator("power_schedule")
+    @classmethod
+    def _rising(cls, value: str | tuple[tuple[float, float], ...]) -> str | tuple[tuple[float, float], ...]:
+        if not isinstance(value, str) and any(a[0] >= b[0] for a, b in itertools.pairwise(value)):
+            raise ValueError("give the heights of power_schedule in rising order")
+        return value
 
     @model_validator(mode="after")
     def _limits_in_order(self) -> Self:
