@@ -21,7 +21,7 @@ CONTROLS = {
     "plain-gcode": "MAIN.gcode",
     "3dthesis": "Path.txt",
     "adamantine": "scan_path.txt",
-    "additivefoam": "scanPath",
+    "additivefoam": "constant/scanPath",
 }
 
 

@@ -1,0 +1,9 @@
+"""Layers judged by a heat code of others: 3DThesis beside our own model."""
+
+from ebamcheck.judge.layer import BEADS as BEADS
+from ebamcheck.judge.layer import JudgedLayer as JudgedLayer
+from ebamcheck.judge.layer import judge_layer as judge_layer
+from ebamcheck.judge.layer import layer_case as layer_case
+from ebamcheck.judge.thesis import THESIS as THESIS
+
+__all__ = ["BEADS", "THESIS", "JudgedLayer", "judge_layer", "layer_case"]

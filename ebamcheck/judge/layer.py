@@ -1,0 +1,250 @@
+"""One layer judged: how warm its islands are when the beam enters them, by 3DThesis and by our own model.
+
+What can be compared, and what cannot. Both are linear, with the material data of our linear model, the same path at the
+same times, and rises over the same ambient temperature. 3DThesis heats a half space: it has no sides of the part, which
+keep heat in, no base at a depth, and no radiation, which take heat away. So the ranks of the islands and the ratio of two
+orders can be compared, and the rises while heat has not yet come to the sides and to the base; a ratio far from 1 late in
+a small or a thin section is the half space, not a fault. Neither model knows what the layers below have left.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+import shapely
+from numpy.typing import NDArray
+from scipy.stats import kendalltau, spearmanr
+from shapely.geometry.base import BaseGeometry
+
+from ebamcheck.config import Config
+from ebamcheck.curves import Curves
+from ebamcheck.errors import NothingCompared, SettingsError
+from ebamcheck.judge.thesis import checked, rises_k
+from ebamcheck.program.heat_paths import HeatPath, heat_path
+from ebamcheck.program.inputs import CurveColumns, deposition_heights
+from ebamcheck.rings import Floats, Ints
+from ebamcheck.scan.driving import entry_temperatures
+from ebamcheck.scan.island_heat import island_heat
+from ebamcheck.scan.plan import ScanPlan
+
+BEADS = ("islands", "all")
+"""Beads that heat: those of the islands, which are what our model of the islands counts, or those along the contour, too."""
+
+PLACES = 16
+"""Places over which the temperature of an island is averaged, about."""
+
+COLUMNS = {
+    "island": "number of the island in the plan",
+    "rank": "its place in the order",
+    "entered_s": "when the beam enters it, from the beginning of the layer",
+    "x_mm": "where the beam enters it",
+    "y_mm": "likewise",
+    "model_k": "mean rise of the island when it is entered, by our model",
+    "thesis_k": "the same by 3DThesis",
+    "thesis_spot_k": "rise where the beam enters it, by 3DThesis",
+    "thesis_hottest_k": "rise at the hottest of the places of the island, by 3DThesis",
+}
+"""Columns of a judged layer; all temperatures in K."""
+
+
+@dataclass(frozen=True, eq=False)
+class IslandVisits:
+    """When and where the beam enters the islands of a path that have beads, in the order in which it does.
+
+    Parameters
+    ----------
+    island
+        (E,) number in the plan.
+    entered_s, left_s, beam_s
+        (E,) from the beginning of the path; time with the beam on, counted by its power.
+    place
+        (E, 3) mm.
+    """
+
+    island: Ints
+    entered_s: Floats
+    left_s: Floats
+    beam_s: Floats
+    place: Floats
+
+    @classmethod
+    def of(cls, path: HeatPath) -> IslandVisits:
+        """Visits of a path of one layer."""
+        end_s, line = path.end_s, path.is_line & (path.island >= 0)
+        rows = np.flatnonzero(line)
+        islands, first = np.unique(path.island[rows], return_index=True)
+        entered = np.sort(first)
+        order = path.island[rows][entered]
+        number = np.searchsorted(islands, path.island[rows])
+        lasted = end_s[rows] - end_s[rows - 1]
+        beam_s = np.bincount(number, lasted * path.rows[rows, 4], len(islands)).astype(np.float64)
+        left_s = np.zeros(len(islands))
+        left_s[number] = end_s[rows]  # the last row of each stays
+        at = np.searchsorted(islands, order)
+        before = rows[entered] - 1  # a spot leads to every bead
+        return cls(order, end_s[before], left_s[at], beam_s[at], path.rows[before, 1:4])
+
+
+@dataclass(frozen=True, eq=False)
+class JudgedLayer:
+    """Islands of a layer when they are entered, by two models: a table with :data:`COLUMNS`, in scan order."""
+
+    table: pd.DataFrame
+
+    def figures(self) -> dict[str, float]:
+        """Greatest rises, agreement in rank, and how much hotter one model is than the other."""
+        table = self.table
+        ours, theirs = table["model_k"].to_numpy(), table["thesis_k"].to_numpy()
+        # The first island is cold in any model.
+        rest = np.arange(len(table)) > 0
+        many = rest.sum() > 1
+        return {
+            "islands": float(len(table)),
+            "model_max_k": float(ours.max()),
+            "thesis_max_k": float(theirs.max()),
+            "thesis_spot_max_k": float(table["thesis_spot_k"].max()),
+            "thesis_hottest_max_k": float(table["thesis_hottest_k"].max()),
+            "kendall_tau": float(kendalltau(ours[rest], theirs[rest]).statistic) if many else math.nan,
+            "spearman": float(spearmanr(ours[rest], theirs[rest]).statistic) if many else math.nan,
+            "thesis_over_model": float(theirs.sum() / ours.sum()) if ours.sum() > 0.0 else math.nan,
+        }
+
+
+def layer_case(
+    plan: ScanPlan, layer: int, config: Config, curves: CurveColumns | None = None, beads: str = BEADS[0]
+) -> HeatPath:
+    """Path of a layer as 3DThesis gets it; without curves there are no beads along contours, in place or time.
+
+    Raises
+    ------
+    SettingsError
+        If the layer has no beads, or `beads` is none of :data:`BEADS`.
+    """
+    if beads not in BEADS:
+        raise SettingsError(f"--beads {beads!r}: choose from {', '.join(BEADS)}")
+    path = heat_path(_no_contours(plan) if curves is None else curves, plan, config).of_layer(layer)
+    return path.without_power(path.island < 0) if beads == BEADS[0] else path
+
+
+def judge_layer(
+    plan: ScanPlan,
+    layer: int,
+    section: BaseGeometry,
+    config: Config,
+    curves: CurveColumns | None = None,
+    beads: str = BEADS[0],
+    height_mm: float | None = None,
+    progress: Callable[[int], None] = lambda done: None,
+) -> JudgedLayer:
+    """Judge one layer of any plan.
+
+    Parameters
+    ----------
+    plan, layer
+        Plan of a stack, and which of its layers.
+    section
+        Solid region of the layer, for our model.
+    curves, beads
+        As for :func:`layer_case`.
+    height_mm
+        Height of the layer over the base plate, for our model; as the heights of the plan say if None.
+    progress
+        Told how many islands are done.
+
+    Raises
+    ------
+    NothingCompared
+        If the layer has no islands.
+    BackendMissing, BackendFailed
+        See :func:`ebamcheck.judge.thesis.rises_k`.
+    """
+    path = layer_case(plan, layer, config, curves, beads)
+    visits = IslandVisits.of(path)
+    if not len(visits.island):
+        raise NothingCompared(f"layer {layer} has no islands whose temperature could be judged")
+    if height_mm is None:
+        height_mm = float(deposition_heights(plan.heights, config.layer_height_mm)[layer])
+    owner, places = _places(plan.islands[visits.island], visits.place)
+    rises = checked(rises_k(path, config, visits.entered_s, owner, places, progress))
+    # The first place of every island is where the beam enters it.
+    spot = np.searchsorted(owner, np.arange(len(visits.island)))
+    inside = np.ones(len(owner), np.bool_)
+    inside[spot] = False
+    count = np.bincount(owner[inside])
+    return JudgedLayer(
+        pd.DataFrame(
+            {
+                "island": visits.island,
+                "rank": np.arange(len(visits.island)),
+                "entered_s": visits.entered_s,
+                "x_mm": visits.place[:, 0],
+                "y_mm": visits.place[:, 1],
+                "model_k": _by_our_model(plan.islands[visits.island], section, visits, config, height_mm),
+                "thesis_k": np.bincount(owner[inside], rises[inside]) / count,
+                "thesis_spot_k": rises[spot],
+                "thesis_hottest_k": np.maximum.reduceat(rises, spot),
+            },
+            columns=list(COLUMNS),
+        )
+    )
+
+
+def _by_our_model(
+    islands: NDArray[np.object_],
+    section: BaseGeometry,
+    visits: IslandVisits,
+    config: Config,
+    height_mm: float,
+) -> Floats:
+    """Mean rise of each island when it is entered, (E,), by the model that plans, driven at the times of the path."""
+    heat = island_heat(
+        section, islands, visits.beam_s, visits.left_s - visits.entered_s, config, height_mm, fine=True
+    )
+    order = np.arange(len(islands))
+    area = np.asarray(shapely.area(islands), np.float64)
+    return entry_temperatures(heat, area, order, visits.entered_s, visits.left_s)[0]
+
+
+def _places(islands: NDArray[np.object_], entered: Floats) -> tuple[Ints, Floats]:
+    """Where temperatures are read: owner (P,) and place (P, 3); of each island its entry, then places over its area."""
+    owner, places = [], []
+    for number, (island, entry) in enumerate(zip(islands, entered, strict=True)):
+        inside = _spread(island)
+        mine = np.column_stack([inside, np.full(len(inside), entry[2])])
+        places += [entry[None], mine]
+        owner.append(np.full(len(mine) + 1, number))
+    return np.concatenate(owner), np.concatenate(places)
+
+
+def _spread(island: BaseGeometry) -> Floats:
+    """Places (n, 2) spread evenly over an island: the middles of squares that lie in it."""
+    x0, y0, x1, y1 = island.bounds
+    step = math.sqrt(max(island.area, 0.0) / PLACES)
+    middle = shapely.get_coordinates(island.representative_point())
+    if step <= 0.0:
+        return middle
+    x, y = (np.arange(low + 0.5 * step, high, step) for low, high in ((x0, x1), (y0, y1)))
+    grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    found = grid[shapely.contains_xy(island, grid[:, 0], grid[:, 1])]
+    return found if len(found) else middle
+
+
+def _no_contours(plan: ScanPlan) -> Curves:
+    """Return curves of a stack that has none."""
+    nothing = np.zeros(0, np.int64)
+    start = np.zeros(1, np.int64)
+    return Curves(
+        heights=plan.heights,
+        layer_starts=np.zeros(len(plan) + 1, np.int64),
+        ring_starts=start,
+        closed=nothing.astype(np.bool_),
+        kind=nothing.astype(np.uint8),
+        control_starts=start,
+        control=np.zeros((0, 2)),
+        knot_starts=start,
+        knots=np.zeros(0),
+    )
