@@ -2,8 +2,8 @@
 
 from ebamcheck.judge.layer import BEADS as BEADS
 from ebamcheck.judge.layer import JudgedLayer as JudgedLayer
+from ebamcheck.judge.layer import LayerCase as LayerCase
 from ebamcheck.judge.layer import judge_layer as judge_layer
-from ebamcheck.judge.layer import layer_case as layer_case
 from ebamcheck.judge.thesis import THESIS as THESIS
 
-__all__ = ["BEADS", "THESIS", "JudgedLayer", "judge_layer", "layer_case"]
+__all__ = ["BEADS", "THESIS", "JudgedLayer", "LayerCase", "judge_layer"]

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -23,9 +24,11 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.config import Config
 from ebamcheck.curves import Curves
 from ebamcheck.errors import NothingCompared, SettingsError
-from ebamcheck.judge.thesis import checked, rises_k
-from ebamcheck.program.heat_paths import HeatPath, heat_path
+from ebamcheck.judge.thesis import rises_k
+from ebamcheck.program.files import ProgramFiles
+from ebamcheck.program.heat_paths import HeatPath, heat_path, write_thesis
 from ebamcheck.program.inputs import CurveColumns, deposition_heights
+from ebamcheck.program.thesis_case import physics, readings
 from ebamcheck.rings import Floats, Ints
 from ebamcheck.scan.driving import entry_temperatures
 from ebamcheck.scan.island_heat import island_heat
@@ -114,67 +117,98 @@ class JudgedLayer:
         }
 
 
-def layer_case(
-    plan: ScanPlan, layer: int, config: Config, curves: CurveColumns | None = None, beads: str = BEADS[0]
-) -> HeatPath:
-    """Path of a layer as 3DThesis gets it; without curves there are no beads along contours, in place or time.
-
-    Raises
-    ------
-    SettingsError
-        If the layer has no beads, or `beads` is none of :data:`BEADS`.
-    """
-    if beads not in BEADS:
-        raise SettingsError(f"--beads {beads!r}: choose from {', '.join(BEADS)}")
-    path = heat_path(_no_contours(plan) if curves is None else curves, plan, config).of_layer(layer)
-    return path.without_power(path.island < 0) if beads == BEADS[0] else path
-
-
-def judge_layer(
-    plan: ScanPlan,
-    layer: int,
-    section: BaseGeometry,
-    config: Config,
-    curves: CurveColumns | None = None,
-    beads: str = BEADS[0],
-    height_mm: float | None = None,
-    progress: Callable[[int], None] = lambda done: None,
-) -> JudgedLayer:
-    """Judge one layer of any plan.
+@dataclass(frozen=True, eq=False)
+class LayerCase:
+    """A layer as 3DThesis gets it.
 
     Parameters
     ----------
-    plan, layer
-        Plan of a stack, and which of its layers.
+    path
+        Path of the layer.
+    islands
+        (E,) those that the beam enters, in the order in which it does.
+    visits
+        When and where it enters them.
+    height_mm
+        Top of the layer over the base plate.
+    owner, places
+        (P,) visit of each place, rising; (P, 3) where temperatures are read, mm: first where the beam enters the island,
+        then over its area.
+    """
+
+    path: HeatPath
+    islands: NDArray[np.object_]
+    visits: IslandVisits
+    height_mm: float
+    owner: Ints
+    places: Floats
+
+    @classmethod
+    def of(
+        cls,
+        plan: ScanPlan,
+        layer: int,
+        config: Config,
+        curves: CurveColumns | None = None,
+        beads: str = BEADS[0],
+    ) -> LayerCase:
+        """Case of one layer of any plan; without curves there are no beads along contours, in place or time.
+
+        Raises
+        ------
+        NothingCompared
+            If the layer has no islands with beads.
+        SettingsError
+            If `beads` is none of :data:`BEADS`.
+        """
+        if beads not in BEADS:
+            raise SettingsError(f"--beads {beads!r}: choose from {', '.join(BEADS)}")
+        whole = heat_path(_no_contours(plan) if curves is None else curves, plan, config)
+        if not (whole.island[whole.layer == layer] >= 0).any():
+            raise NothingCompared(f"layer {layer} has no islands whose temperature could be judged")
+        path = whole.of_layer(layer)
+        visits = IslandVisits.of(path)
+        islands = plan.islands[visits.island]
+        height_mm = float(deposition_heights(plan.heights, config.layer_height_mm)[layer])
+        if beads == BEADS[0]:
+            path = path.without_power(path.island < 0)
+        return cls(path, islands, visits, height_mm, *_places(islands, visits.place))
+
+    def write(self, folder: str | Path, config: Config) -> ProgramFiles:
+        """Write the whole case: it reads all places at all times, of which each island's own are those judged by."""
+        files = {**physics(config), **readings(self.visits.entered_s.tolist(), self.places)}
+        return write_thesis(self.path, files, folder)
+
+
+def judge_layer(
+    case: LayerCase,
+    section: BaseGeometry,
+    config: Config,
+    height_mm: float | None = None,
+    progress: Callable[[int], None] = lambda done: None,
+) -> JudgedLayer:
+    """Judge one layer: its islands when the beam enters them, by 3DThesis and by our own model.
+
+    Parameters
+    ----------
     section
         Solid region of the layer, for our model.
-    curves, beads
-        As for :func:`layer_case`.
     height_mm
-        Height of the layer over the base plate, for our model; as the heights of the plan say if None.
+        Height of the layer over the base plate, for our model; as the plan says if None.
     progress
         Told how many islands are done.
 
     Raises
     ------
-    NothingCompared
-        If the layer has no islands.
     BackendMissing, BackendFailed
         See :func:`ebamcheck.judge.thesis.rises_k`.
     """
-    path = layer_case(plan, layer, config, curves, beads)
-    visits = IslandVisits.of(path)
-    if not len(visits.island):
-        raise NothingCompared(f"layer {layer} has no islands whose temperature could be judged")
-    if height_mm is None:
-        height_mm = float(deposition_heights(plan.heights, config.layer_height_mm)[layer])
-    owner, places = _places(plan.islands[visits.island], visits.place)
-    rises = checked(rises_k(path, config, visits.entered_s, owner, places, progress))
-    # The first place of every island is where the beam enters it.
-    spot = np.searchsorted(owner, np.arange(len(visits.island)))
+    owner, visits = case.owner, case.visits
+    rises = rises_k(case.path, config, visits.entered_s, owner, case.places, progress)
+    spot = np.searchsorted(owner, np.arange(len(case.islands)))
     inside = np.ones(len(owner), np.bool_)
     inside[spot] = False
-    count = np.bincount(owner[inside])
+    height_mm = case.height_mm if height_mm is None else height_mm
     return JudgedLayer(
         pd.DataFrame(
             {
@@ -183,8 +217,8 @@ def judge_layer(
                 "entered_s": visits.entered_s,
                 "x_mm": visits.place[:, 0],
                 "y_mm": visits.place[:, 1],
-                "model_k": _by_our_model(plan.islands[visits.island], section, visits, config, height_mm),
-                "thesis_k": np.bincount(owner[inside], rises[inside]) / count,
+                "model_k": _by_our_model(case.islands, section, visits, config, height_mm),
+                "thesis_k": np.bincount(owner[inside], rises[inside]) / np.bincount(owner[inside]),
                 "thesis_spot_k": rises[spot],
                 "thesis_hottest_k": np.maximum.reduceat(rises, spot),
             },
@@ -221,16 +255,22 @@ def _places(islands: NDArray[np.object_], entered: Floats) -> tuple[Ints, Floats
 
 
 def _spread(island: BaseGeometry) -> Floats:
-    """Places (n, 2) spread evenly over an island: the middles of squares that lie in it."""
+    """Places (n, 2) spread evenly over an island: the middles of cells that lie in it."""
     x0, y0, x1, y1 = island.bounds
     step = math.sqrt(max(island.area, 0.0) / PLACES)
     middle = shapely.get_coordinates(island.representative_point())
     if step <= 0.0:
         return middle
-    x, y = (np.arange(low + 0.5 * step, high, step) for low, high in ((x0, x1), (y0, y1)))
+    x, y = (_middles(low, high, step) for low, high in ((x0, x1), (y0, y1)))
     grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     found = grid[shapely.contains_xy(island, grid[:, 0], grid[:, 1])]
     return found if len(found) else middle
+
+
+def _middles(low: float, high: float, step: float) -> Floats:
+    """Middles of the fewest equal parts of a span that are no longer than a step."""
+    count = max(1, math.ceil((high - low) / step))
+    return np.asarray(low + (high - low) * (np.arange(count) + 0.5) / count, np.float64)
 
 
 def _no_contours(plan: ScanPlan) -> Curves:

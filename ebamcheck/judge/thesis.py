@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from ebamcheck.config import Config
-from ebamcheck.errors import BackendFailed
 from ebamcheck.outside_program import Program, working_folder
 from ebamcheck.program.heat_paths import HeatPath, fill_case, write_thesis
 from ebamcheck.program.thesis_case import INPUT, physics, readings, snapshot
@@ -76,7 +75,7 @@ def rises_k(
     BackendMissing
         If 3DThesis is not installed.
     BackendFailed
-        If it fails, runs too long, or leaves no temperatures.
+        If it fails, runs too long, leaves no temperatures, or finds that a place was cooled.
     """
     THESIS.path()
     rises = np.empty(len(places))
@@ -91,7 +90,10 @@ def rises_k(
             moment = np.argsort(chosen)[np.searchsorted(np.sort(chosen), owner[mine])]
             rises[mine] = found[moment, np.arange(mine.size)]
             progress(len(chosen))
-    return rises - config.process.ambient_temperature_k
+    rises -= config.process.ambient_temperature_k
+    if (rises < FEWEST_K).any():
+        raise THESIS.failed(f"found a place {-rises.min():.3g} K colder than it was at the beginning")
+    return rises
 
 
 def _run(case: Path, times_s: Floats, places: Floats) -> Floats:
@@ -117,12 +119,3 @@ def _table(file: Path, places: Floats, said: str) -> Floats:
     if away_mm > PLACE_MM * max(1.0, float(np.abs(places).max(initial=0.0)) / 100.0):
         raise THESIS.failed(f"gave temperatures of other places in {file.name}, {away_mm:.3g} mm away", said)
     return np.asarray(table[:, 3], np.float64)
-
-
-def checked(rises: Floats) -> Floats:
-    """Rises, none of which cools; raises :class:`BackendFailed` where one does."""
-    if (rises < FEWEST_K).any():
-        raise BackendFailed(
-            f"3DThesis found {rises.min():.3g} K under the temperature at which its case begins"
-        )
-    return rises

@@ -11,10 +11,8 @@ import typer
 from ebamcheck.atomic_file import made_folder, replacing
 from ebamcheck.config import Config
 from ebamcheck.errors import ExitCode, SettingsError
-from ebamcheck.judge import BEADS, THESIS, JudgedLayer, judge_layer, layer_case
+from ebamcheck.judge import BEADS, THESIS, JudgedLayer, LayerCase, judge_layer
 from ebamcheck.options import ConfigOption, JsonOption, print_json
-from ebamcheck.program.heat_paths import write_thesis
-from ebamcheck.program.thesis_case import thesis_files
 from ebamcheck.progress import watched
 from ebamcheck.scan.regions import layer_section
 from ebamcheck.stages.run_stack import stack_of_run
@@ -59,21 +57,14 @@ def judge_command(
     if not 0 <= layer < len(plan):
         raise SettingsError(f"--layer {layer}: the run has the layers 0 to {len(plan) - 1}")
     folder = made_folder(output or run.with_name(f"{run.resolve().name.removesuffix('.run')}.judge"))
-    path = layer_case(plan, layer, settings, curves, beads)
-    write_thesis(path, thesis_files(path.rows, settings), folder / CASE)
+    case = LayerCase.of(plan, layer, settings, curves, beads)
+    case.write(folder / CASE, settings)
     THESIS.path()
     layers = RunFolder(run).read_layers(str(RunFolder(run).manifest()["primary"]))
     with watched() as observer:
-        observer.stage("3DThesis", len(plan.islands_of(layer)))
-        judged = judge_layer(
-            plan,
-            layer,
-            layer_section(layers.polygons(layer)),
-            settings,
-            curves,
-            beads,
-            progress=observer.advance,
-        )
+        observer.stage("3DThesis", len(case.islands))
+        section = layer_section(layers.polygons(layer))
+        judged = judge_layer(case, section, settings, progress=observer.advance)
     with replacing(folder / TABLE) as temporary:
         judged.table.round(4).to_csv(temporary, index=False)
     if as_json:
