@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
+import shapely
 
 from benchmarks.machine import machine
 from benchmarks.scan_orders import BUILD_SIZE, DEFAULT_OUTPUT, LEAST_ISLANDS, MODELS, layers, markdown
@@ -23,7 +24,10 @@ from ebamcheck.scan.comparing import OrderComparison
 
 ORDERS = ("thermal", "farthest", "raster")
 
-TABLE = "judged.csv"
+TABLE, SAME_BODY = "judged.csv", "judged-same-body.csv"
+
+PLATES = ((90.0, 60.0, 12.0), (150.0, 80.0, 12.0), (150.0, 80.0, 60.0))
+"""Sides and heights, mm, of plates on which the body of 3DThesis is that of our model: mirrors on all sides but the top."""
 
 
 class Ratio(NamedTuple):
@@ -62,6 +66,11 @@ Medians over {count} layers of {models} models of the greatest rise of a layer: 
 3DThesis heats a half space that begins cold: no sides of the part, no base, no radiation. Both models get the islands' beads at the same times, and the constant material of our linear model; what is over boiling is linear heat beyond its range, good for a ratio alone.
 
 {ratios}
+## Our model against 3DThesis on the same body
+
+Plates on an insulated base that do not radiate, with mirrors for their sides and base in 3DThesis: rises of the islands at entry, 3DThesis over our model. Our islands are heated evenly, those of 3DThesis bead by bead: where the beam enters beside what it has just laid, as `raster` does, 3DThesis finds more.
+
+{bodies}
 ## Greatest rises by 3DThesis, K
 
 {layers}"""
@@ -78,8 +87,9 @@ def judged(names: tuple[str, ...], profile: Config) -> pd.DataFrame:
         if len(comparison.islands) < LEAST_ISLANDS:
             continue
         for order in ORDERS:
-            case = LayerCase.of(comparison.result(order, profile.scan.seed).plan, 0, profile)
-            figures = judge_layer(case, section, profile, height_mm).figures()
+            plan = comparison.result(order, profile.scan.seed).plan
+            case = LayerCase.of(plan, 0, section, profile, height_mm=height_mm)
+            figures = judge_layer(case, profile).figures()
             rows.append({"model": name, "height_mm": height_mm, "order": order, **figures})
         took = time.perf_counter() - began
         print(
@@ -88,6 +98,43 @@ def judged(names: tuple[str, ...], profile: Config) -> pd.DataFrame:
             flush=True,
         )
     return pd.DataFrame(rows)
+
+
+def same_body(profile: Config) -> pd.DataFrame:
+    """Judge the orders on plates on an insulated base that do not radiate: one row a plate and order."""
+    plain = profile.changed(process={"base": "insulated"}, material={"emissivity": 0.0})
+    rows: list[dict[str, Any]] = []
+    for wide, deep, height_mm in PLATES:
+        section = shapely.box(0.0, 0.0, wide, deep)
+        comparison = OrderComparison.of(section, plain, 0, height_mm)
+        for order in ORDERS:
+            plan = comparison.result(order, plain.scan.seed).plan
+            case = LayerCase.of(plan, 0, section, plain, height_mm=height_mm, body="box")
+            judged = judge_layer(case, plain)
+            share = (judged.table["thesis_k"] / judged.table["model_k"])[1:]
+            low, middle, high = share.quantile([0.1, 0.5, 0.9])
+            place = {"plate, mm": f"{wide:g} x {deep:g} x {height_mm:g}", "order": order}
+            spread = {"low": low, "median": middle, "high": high}
+            rows.append({**place, **judged.figures(), **spread})
+            print(f"plate {place}", file=sys.stderr, flush=True)
+    return pd.DataFrame(rows)
+
+
+def body_table(table: pd.DataFrame) -> pd.DataFrame:
+    """How the two models agree on the same body."""
+    return pd.DataFrame(
+        {
+            "plate, mm": table["plate, mm"],
+            "order": table["order"],
+            "islands": table["islands"].astype(int),
+            "all rises": table["thesis_over_model"].map("{:.2f}".format),
+            "median island": table["median"].map("{:.2f}".format),
+            "10 % to 90 %": [
+                f"{low:.2f} to {high:.2f}" for low, high in zip(table["low"], table["high"], strict=True)
+            ],
+            "Kendall's tau": table["kendall_tau"].map("{:.2f}".format),
+        }
+    )
 
 
 def ratio_rows(table: pd.DataFrame, suffix: str) -> list[dict[str, str]]:
@@ -132,7 +179,7 @@ def layer_table(table: pd.DataFrame, profile: Config) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def report(table: pd.DataFrame, thesis: str, profile: Config) -> str:
+def report(table: pd.DataFrame, bodies: pd.DataFrame, thesis: str, profile: Config) -> str:
     """Write the report."""
     groups = {"": table, f" (without {' and '.join(BUILD_SIZE)})": table[~table["model"].isin(BUILD_SIZE)]}
     rows = [row for suffix, some in groups.items() if len(some) for row in ratio_rows(some, suffix)]
@@ -144,6 +191,7 @@ def report(table: pd.DataFrame, thesis: str, profile: Config) -> str:
         count=count,
         models=table["model"].nunique(),
         ratios=markdown(pd.DataFrame(rows)),
+        bodies=markdown(body_table(bodies)),
         layers=markdown(layer_table(table, profile)),
     )
 
@@ -159,10 +207,13 @@ def main() -> None:
     )
     options = parser.parse_args()
     options.output.mkdir(parents=True, exist_ok=True)
-    profile, file = Config(), options.output / TABLE
+    profile, files = Config(), [options.output / name for name in (TABLE, SAME_BODY)]
     if not options.render:
-        judged(tuple(options.models.split(",")), profile).round(4).to_csv(file, index=False)
-    text = report(pd.read_csv(file), options.thesis, profile)
+        found = (judged(tuple(options.models.split(",")), profile), same_body(profile))
+        for table, file in zip(found, files, strict=True):
+            table.round(4).to_csv(file, index=False)
+    table, bodies = (pd.read_csv(file) for file in files)
+    text = report(table, bodies, options.thesis, profile)
     (options.output / "judged.md").write_text(text, encoding="utf-8")
     print(text)
 

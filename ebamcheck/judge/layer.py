@@ -1,10 +1,13 @@
 """One layer judged: how warm its islands are when the beam enters them, by 3DThesis and by our own model.
 
 What can be compared, and what cannot. Both are linear, with the material data of our linear model, the same path at the
-same times, and rises over the same ambient temperature. 3DThesis heats a half space: it has no sides of the part, which
-keep heat in, no base at a depth, and no radiation, which take heat away. So the ranks of the islands and the ratio of two
-orders can be compared, and the rises while heat has not yet come to the sides and to the base; a ratio far from 1 late in
-a small or a thin section is the half space, not a fault. Neither model knows what the layers below have left.
+same times, and rises over the same ambient temperature. Neither knows what the layers below have left. 3DThesis heats a
+half space: it has no sides of the part, which keep heat in, no base at a depth, and no radiation, which take heat away. So
+the ranks of the islands and the ratio of two orders can be compared, and the rises while heat has not yet come to the
+sides and to the base; a ratio far from 1 late in a small or a thin section is the half space, not a fault. With mirrors
+the body is a box around the section: for a rectangle on an insulated base that does not radiate it is the body of our
+model, and the rises themselves can be compared. Our islands are heated evenly, those of 3DThesis line by line: where the
+beam enters beside what it has just laid, 3DThesis finds more.
 """
 
 from __future__ import annotations
@@ -28,7 +31,7 @@ from ebamcheck.judge.thesis import rises_k
 from ebamcheck.program.files import ProgramFiles
 from ebamcheck.program.heat_paths import HeatPath, heat_path, write_thesis
 from ebamcheck.program.inputs import CurveColumns, deposition_heights
-from ebamcheck.program.thesis_case import physics, readings
+from ebamcheck.program.thesis_case import Mirrors, physics, readings
 from ebamcheck.rings import Floats, Ints
 from ebamcheck.scan.driving import entry_temperatures
 from ebamcheck.scan.island_heat import island_heat
@@ -36,6 +39,10 @@ from ebamcheck.scan.plan import ScanPlan
 
 BEADS = ("islands", "all")
 """Beads that heat: those of the islands, which are what our model of the islands counts, or those along the contour, too."""
+
+BODIES = ("half-space", "box")
+"""What 3DThesis heats: a half space, or the box around the section, whose sides (and base, where the process has an
+insulated one) let no heat through."""
 
 PLACES = 16
 """Places over which the temperature of an island is averaged, about."""
@@ -129,8 +136,10 @@ class LayerCase:
         (E,) those that the beam enters, in the order in which it does.
     visits
         When and where it enters them.
-    height_mm
-        Top of the layer over the base plate.
+    section, height_mm
+        Solid region of the layer, and its height over the base plate: what our model knows of the part.
+    mirrors
+        Sides of the body of 3DThesis; a half space if None.
     owner, places
         (P,) visit of each place, rising; (P, 3) where temperatures are read, mm: first where the beam enters the island,
         then over its area.
@@ -139,7 +148,9 @@ class LayerCase:
     path: HeatPath
     islands: NDArray[np.object_]
     visits: IslandVisits
+    section: BaseGeometry
     height_mm: float
+    mirrors: Mirrors | None
     owner: Ints
     places: Floats
 
@@ -148,53 +159,66 @@ class LayerCase:
         cls,
         plan: ScanPlan,
         layer: int,
+        section: BaseGeometry,
         config: Config,
+        *,
         curves: CurveColumns | None = None,
+        height_mm: float | None = None,
         beads: str = BEADS[0],
+        body: str = BODIES[0],
     ) -> LayerCase:
-        """Case of one layer of any plan; without curves there are no beads along contours, in place or time.
+        """Case of one layer of any plan.
+
+        Parameters
+        ----------
+        plan, layer
+            Plan of a stack, and which of its layers.
+        section, height_mm
+            Solid region of the layer, and its height over the base plate; as the plan says if None.
+        curves
+            Centre lines of the contour beads; without them there are none, in place or time.
+        beads, body
+            One of :data:`BEADS` and of :data:`BODIES`.
 
         Raises
         ------
         NothingCompared
             If the layer has no islands with beads.
         SettingsError
-            If `beads` is none of :data:`BEADS`.
+            If `beads` or `body` is no choice.
         """
-        if beads not in BEADS:
-            raise SettingsError(f"--beads {beads!r}: choose from {', '.join(BEADS)}")
+        for option, value, choices in (("--beads", beads, BEADS), ("--body", body, BODIES)):
+            if value not in choices:
+                raise SettingsError(f"{option} {value!r}: choose from {', '.join(choices)}")
         whole = heat_path(_no_contours(plan) if curves is None else curves, plan, config)
         if not (whole.island[whole.layer == layer] >= 0).any():
             raise NothingCompared(f"layer {layer} has no islands whose temperature could be judged")
         path = whole.of_layer(layer)
         visits = IslandVisits.of(path)
         islands = plan.islands[visits.island]
-        height_mm = float(deposition_heights(plan.heights, config.layer_height_mm)[layer])
+        if height_mm is None:
+            height_mm = float(deposition_heights(plan.heights, config.layer_height_mm)[layer])
+        mirrors = None
+        if body == BODIES[1]:
+            mirrors = _box(section, float(path.rows[0, 3]) - height_mm - config.process.base_plate_mm, config)
         if beads == BEADS[0]:
             path = path.without_power(path.island < 0)
-        return cls(path, islands, visits, height_mm, *_places(islands, visits.place))
+        return cls(path, islands, visits, section, height_mm, mirrors, *_places(islands, visits.place))
 
     def write(self, folder: str | Path, config: Config) -> ProgramFiles:
         """Write the whole case: it reads all places at all times, of which each island's own are those judged by."""
-        files = {**physics(config), **readings(self.visits.entered_s.tolist(), self.places)}
+        wanted = readings(self.visits.entered_s.tolist(), self.places, self.mirrors)
+        files = {**physics(config), **wanted}
         return write_thesis(self.path, files, folder)
 
 
 def judge_layer(
-    case: LayerCase,
-    section: BaseGeometry,
-    config: Config,
-    height_mm: float | None = None,
-    progress: Callable[[int], None] = lambda done: None,
+    case: LayerCase, config: Config, progress: Callable[[int], None] = lambda done: None
 ) -> JudgedLayer:
     """Judge one layer: its islands when the beam enters them, by 3DThesis and by our own model.
 
     Parameters
     ----------
-    section
-        Solid region of the layer, for our model.
-    height_mm
-        Height of the layer over the base plate, for our model; as the plan says if None.
     progress
         Told how many islands are done.
 
@@ -204,11 +228,10 @@ def judge_layer(
         See :func:`ebamcheck.judge.thesis.rises_k`.
     """
     owner, visits = case.owner, case.visits
-    rises = rises_k(case.path, config, visits.entered_s, owner, case.places, progress)
+    rises = rises_k(case.path, config, visits.entered_s, owner, case.places, case.mirrors, progress)
     spot = np.searchsorted(owner, np.arange(len(case.islands)))
     inside = np.ones(len(owner), np.bool_)
     inside[spot] = False
-    height_mm = case.height_mm if height_mm is None else height_mm
     return JudgedLayer(
         pd.DataFrame(
             {
@@ -217,7 +240,7 @@ def judge_layer(
                 "entered_s": visits.entered_s,
                 "x_mm": visits.place[:, 0],
                 "y_mm": visits.place[:, 1],
-                "model_k": _by_our_model(case.islands, section, visits, config, height_mm),
+                "model_k": _by_our_model(case, config),
                 "thesis_k": np.bincount(owner[inside], rises[inside]) / np.bincount(owner[inside]),
                 "thesis_spot_k": rises[spot],
                 "thesis_hottest_k": np.maximum.reduceat(rises, spot),
@@ -227,20 +250,19 @@ def judge_layer(
     )
 
 
-def _by_our_model(
-    islands: NDArray[np.object_],
-    section: BaseGeometry,
-    visits: IslandVisits,
-    config: Config,
-    height_mm: float,
-) -> Floats:
+def _by_our_model(case: LayerCase, config: Config) -> Floats:
     """Mean rise of each island when it is entered, (E,), by the model that plans, driven at the times of the path."""
-    heat = island_heat(
-        section, islands, visits.beam_s, visits.left_s - visits.entered_s, config, height_mm, fine=True
-    )
-    order = np.arange(len(islands))
+    visits, islands = case.visits, case.islands
+    lasted = visits.left_s - visits.entered_s
+    heat = island_heat(case.section, islands, visits.beam_s, lasted, config, case.height_mm, fine=True)
     area = np.asarray(shapely.area(islands), np.float64)
-    return entry_temperatures(heat, area, order, visits.entered_s, visits.left_s)[0]
+    return entry_temperatures(heat, area, np.arange(len(islands)), visits.entered_s, visits.left_s)[0]
+
+
+def _box(section: BaseGeometry, base_mm: float, config: Config) -> Mirrors:
+    """Mirrors around a section: images are of insulated planes alone, so that a cooled base is left out."""
+    x0, y0, x1, y1 = section.bounds
+    return Mirrors((x0, x1), (y0, y1), base_mm if config.process.base == "insulated" else None)
 
 
 def _places(islands: NDArray[np.object_], entered: Floats) -> tuple[Ints, Floats]:

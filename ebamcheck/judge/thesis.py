@@ -12,7 +12,7 @@ import numpy as np
 from ebamcheck.config import Config
 from ebamcheck.outside_program import Program, working_folder
 from ebamcheck.program.heat_paths import HeatPath, fill_case, write_thesis
-from ebamcheck.program.thesis_case import INPUT, physics, readings, snapshot
+from ebamcheck.program.thesis_case import INPUT, Mirrors, physics, readings, snapshot
 from ebamcheck.rings import Floats, Ints
 
 TIMES_A_RUN = 16
@@ -50,6 +50,7 @@ def rises_k(
     times_s: Floats,
     owner: Ints,
     places: Floats,
+    mirrors: Mirrors | None = None,
     progress: Callable[[int], None] = lambda done: None,
 ) -> Floats:
     """Temperature rises at places, each at the moment of its owner, by 3DThesis.
@@ -62,6 +63,8 @@ def rises_k(
         (E,) moments from the beginning of the path.
     owner, places
         (P,) moment of each place, rising; (P, 3) mm.
+    mirrors
+        Sides of the body; a half space if None.
     progress
         Told how many moments are done.
 
@@ -86,7 +89,7 @@ def rises_k(
         for begin in range(0, len(times_s), TIMES_A_RUN):
             chosen = by_time[begin : begin + TIMES_A_RUN]
             mine = np.flatnonzero(np.isin(owner, chosen))
-            found = _run(case, times_s[chosen], places[mine])
+            found = _run(case, times_s[chosen], places[mine], mirrors)
             moment = np.argsort(chosen)[np.searchsorted(np.sort(chosen), owner[mine])]
             rises[mine] = found[moment, np.arange(mine.size)]
             progress(len(chosen))
@@ -96,9 +99,9 @@ def rises_k(
     return rises
 
 
-def _run(case: Path, times_s: Floats, places: Floats) -> Floats:
+def _run(case: Path, times_s: Floats, places: Floats, mirrors: Mirrors | None) -> Floats:
     """Temperatures (E, P) of places at all of the moments."""
-    for name, text in fill_case(readings(times_s.tolist(), places)).items():
+    for name, text in fill_case(readings(times_s.tolist(), places, mirrors)).items():
         (case / name).write_text(text, encoding="ascii")
     results = case / "Data"
     shutil.rmtree(results, ignore_errors=True)

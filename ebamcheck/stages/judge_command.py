@@ -11,7 +11,7 @@ import typer
 from ebamcheck.atomic_file import made_folder, replacing
 from ebamcheck.config import Config
 from ebamcheck.errors import ExitCode, SettingsError
-from ebamcheck.judge import BEADS, THESIS, JudgedLayer, LayerCase, judge_layer
+from ebamcheck.judge import BEADS, BODIES, THESIS, JudgedLayer, LayerCase, judge_layer
 from ebamcheck.options import ConfigOption, JsonOption, print_json
 from ebamcheck.progress import watched
 from ebamcheck.scan.regions import layer_section
@@ -49,6 +49,9 @@ def judge_command(
     beads: Annotated[
         str, typer.Option(help=f"Beads that heat in 3DThesis: {', '.join(BEADS)}; our model counts islands.")
     ] = BEADS[0],
+    body: Annotated[
+        str, typer.Option(help=f"What 3DThesis heats: {', '.join(BODIES)} around the section.")
+    ] = BODIES[0],
     config: ConfigOption = None,
     as_json: JsonOption = False,
 ) -> ExitCode:
@@ -57,24 +60,26 @@ def judge_command(
     if not 0 <= layer < len(plan):
         raise SettingsError(f"--layer {layer}: the run has the layers 0 to {len(plan) - 1}")
     folder = made_folder(output or run.with_name(f"{run.resolve().name.removesuffix('.run')}.judge"))
-    case = LayerCase.of(plan, layer, settings, curves, beads)
+    layers = RunFolder(run).read_layers(str(RunFolder(run).manifest()["primary"]))
+    section = layer_section(layers.polygons(layer))
+    case = LayerCase.of(plan, layer, section, settings, curves=curves, beads=beads, body=body)
     case.write(folder / CASE, settings)
     THESIS.path()
-    layers = RunFolder(run).read_layers(str(RunFolder(run).manifest()["primary"]))
     with watched() as observer:
         observer.stage("3DThesis", len(case.islands))
-        section = layer_section(layers.polygons(layer))
-        judged = judge_layer(case, section, settings, progress=observer.advance)
+        judged = judge_layer(case, settings, observer.advance)
     with replacing(folder / TABLE) as temporary:
         judged.table.round(4).to_csv(temporary, index=False)
     if as_json:
-        print_json({**judged.figures(), "layer": layer, "beads": beads, "table": str(folder / TABLE)})
+        print_json(
+            {**judged.figures(), "layer": layer, "beads": beads, "body": body, "table": str(folder / TABLE)}
+        )
     else:
-        _tell(judged, layer, settings, folder)
+        _tell(judged, layer, body, settings, folder)
     return ExitCode.PASS
 
 
-def _tell(judged: JudgedLayer, layer: int, settings: Config, folder: Path) -> None:
+def _tell(judged: JudgedLayer, layer: int, body: str, settings: Config, folder: Path) -> None:
     """Print the table and the figures."""
     most_k = settings.material.boiling_k - settings.process.ambient_temperature_k
     typer.echo(f"layer {layer}: rise of its {len(judged.table)} islands when the beam enters them\n")
@@ -87,9 +92,7 @@ def _tell(judged: JudgedLayer, layer: int, settings: Config, folder: Path) -> No
             [f"greatest rise, {what}", _cell(f"{name}_max_k", figures[f"{name}_max_k"], most_k) + " K"]
         )
     typer.echo(text_table(["", ""], lines).strip("\n"))
-    typer.echo(
-        f"\nBoth are linear and begin cold; 3DThesis has a half space for a part. {folder / CASE} is its case."
-    )
+    typer.echo(f"\nBoth are linear and begin cold; 3DThesis heats a {body}. {folder / CASE} is its case.")
 
 
 def _cell(name: str, value: float, most_k: float) -> str:
