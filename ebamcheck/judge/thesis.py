@@ -33,7 +33,7 @@ FEWEST_K = -1e-3
 class _Thesis(Program):
     @property
     def hint(self) -> str:
-        return f"build github.com/ORNL-MDF/3DThesis (make), and name the executable in {self.variable} or put it on the PATH"
+        return f"build github.com/ORNL-MDF/3DThesis (cmake), and name the executable in {self.variable} or put it on the PATH"
 
     def path(self) -> Path:
         """Where it is, whatever folder it is run in."""

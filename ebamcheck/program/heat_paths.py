@@ -33,6 +33,9 @@ from ebamcheck.rings import Bools, Floats, Ints
 PATH_FILES = ("3dthesis", "adamantine", "additivefoam")
 """Names of these posts: what they write is no program, and is not read back."""
 
+SCRIPTS = ("run.sh", "Allrun")
+"""What runs a case, one of these in each."""
+
 STATUS = "@status@"
 """Stands in the texts of a case where its status will be."""
 

@@ -26,7 +26,7 @@ from ebamcheck.options import (
 from ebamcheck.part import Part
 from ebamcheck.pipeline.programming import bead_paths, smooth_layers
 from ebamcheck.program import write_program
-from ebamcheck.program.heat_paths import PATH_FILES, case_post
+from ebamcheck.program.heat_paths import PATH_FILES, SCRIPTS, case_post
 from ebamcheck.scan import plan_stack
 from ebamcheck.slicing import slice_part
 from ebamcheck.stages.run_stack import stack_of_run
@@ -133,9 +133,13 @@ def post_command(
         files = post(beads, plan, settings, output, header=header, layer=layer)
     blocks = sum(files.blocks.values())
     typer.echo(f"{files.main}: {len(files.names)} files, {blocks} blocks for {settings.machine.control}")
-    typer.echo(
-        "NOT VALIDATED: check it with `ebamcheck verify`, or let `ebamcheck run` make and validate one"
-    )
+    if settings.machine.control in PATH_FILES:
+        script = next(name for name in files.names if name in SCRIPTS)
+        typer.echo(f"NOT VALIDATED: no reader proves a case; {files.folder / script} runs it")
+    else:
+        typer.echo(
+            "NOT VALIDATED: check it with `ebamcheck verify`, or let `ebamcheck run` make and validate one"
+        )
     return ExitCode.PASS
 
 
