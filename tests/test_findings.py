@@ -6,10 +6,12 @@ import ast
 import json
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
+import pandas as pd
 import pytest
 from command_line import WIDE, frame, write_stl
 from hypothesis import given
@@ -140,6 +142,15 @@ def test_placeholders_of_every_control_are_named_until_they_are_set(control):
     one = own.changed(machine={"wire_stop": Config().machine.wire_stop})
     (found,) = noticed.of_profile(one)
     assert (found.place, found.figure) == ("machine.wire_stop", 1.0)
+
+
+@pytest.mark.parametrize(("rise_k", "figure"), [(1000.0, None), (2000.0, 2293.15), (9000.0, 3533.0)])
+def test_no_temperature_over_the_boiling_point_is_a_figure(rise_k, figure):
+    plan = replace(make_plan([0.75, 2.25], []), metrics=pd.DataFrame({"entry_max_k": [np.nan, rise_k]}))
+    found = list(noticed.of_heat(plan, Config()))
+    assert [(f.figure, f.place) for f in found] == [(figure, "layer 1, z = 2.250 mm")] * (figure is not None)
+    assert all(("over the boiling point" in f.text) == (figure == 3533.0) for f in found)
+    assert all(f.text.startswith("1 of 2 layers") for f in found)
 
 
 SQUARE = np.array([(0, 0), (40, 0), (40, 40), (0, 40), (0, 0)], float)

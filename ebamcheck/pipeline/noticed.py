@@ -161,20 +161,25 @@ def of_profile(config: Config) -> Iterator[Finding]:
 
 
 def of_heat(plan: ScanPlan, config: Config) -> Iterator[Finding]:
-    """Layers of which an island is entered above the solidus."""
+    """Layers of which an island is entered above the solidus; over the boiling point the model has no figure."""
     ambient_k = config.process.ambient_temperature_k
     entry_k = plan.metrics["entry_max_k"].to_numpy() + ambient_k
     solidus_k = config.material.solidus_k
     hot = np.flatnonzero(entry_k > solidus_k)
     if hot.size:
-        k = int(np.nanargmax(entry_k))
+        k, boiling_k = int(np.nanargmax(entry_k)), config.material.boiling_k
+        beyond = (
+            f", up to over the boiling point of {boiling_k:g} K, where it ends"
+            if entry_k[k] > boiling_k
+            else ""
+        )
         yield Finding(
             "warning",
             "heat-above-solidus",
             f"{hot.size} of {len(plan)} layers have islands that the heat model finds above the solidus when the beam "
-            "enters them",
+            f"enters them{beyond}",
             at_layer(k, float(plan.heights[k])),
-            float(entry_k[k]),
+            min(float(entry_k[k]), boiling_k),
             solidus_k,
             "K",
             "wait between layers (process.layer_pause_s) or lower the power",
