@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
@@ -12,9 +13,11 @@ from ebamcheck.comparison import Comparison
 from ebamcheck.config import Config
 from ebamcheck.curves import LIFTED
 from ebamcheck.errors import ExitCode
+from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.inspection import Inspection
 from ebamcheck.isolate import Outcome
 from ebamcheck.program import Check
+from ebamcheck.program.interpass_checks import INTERPASS, MELTING, within_range
 from ebamcheck.program.verification import SECTION_TOLERANCE_MM
 
 
@@ -116,6 +119,28 @@ def coverage_gate(metrics: pd.DataFrame, config: Config) -> Gate:
     mean = float(np.average(covered, weights=solid["area_mm2"]))
     text = f"beads cover {100 * mean:.2f} % of the part's area, least {100 * covered[k]:.2f} % at layer {solid.index[k]}"
     return Gate("coverage", bool(covered[k] >= limit), float(covered[k]), limit, "of the area", text)
+
+
+def heat_gate(checks: Iterable[Check], metrics: pd.DataFrame, config: Config) -> Gate:
+    """No bead is entered above the limit, by the plan and by the balance of the program's text; and its wire melts."""
+    limit_k, ambient_k = entry_limit_k(config), config.process.ambient_temperature_k
+    by_name = {check.name: check for check in checks if check.name in (INTERPASS, MELTING)}
+    if len(by_name) < 2:
+        return Gate("heat", False, float("nan"), limit_k, "K", "no program was written: there is no contour")
+    text, melting = by_name[INTERPASS], by_name[MELTING]
+    at_bead = config.process.interpass_at == "bead"
+    planned = metrics["entry_max_k"] + ambient_k if at_bead else metrics["enter_k"]
+    planned_k = float(planned.max()) if planned.notna().any() else -math.inf
+    figure_k, mark = within_range(max(text.value, planned_k), config)
+    said = text.text
+    if planned_k > text.value:
+        said = (
+            f"a bead of layer {int(planned.argmax()) + 1} is planned to be entered at {figure_k:.0f} K{mark}"
+        )
+    passed = text.passed and planned_k <= limit_k and melting.passed
+    if not melting.passed:
+        said = f"{melting.text}; {said}"
+    return Gate("heat", passed, figure_k, limit_k, "K", said)
 
 
 def program_gate(checks: Iterable[Check]) -> Gate:

@@ -59,6 +59,7 @@ def make_program(
     made = [
         gates.fit_gate(deviation, config),
         gates.coverage_gate(plan.metrics, config),
+        gates.heat_gate(checks, plan.metrics, config),
         gates.program_gate(checks),
     ]
     job.record["scan"] = {
