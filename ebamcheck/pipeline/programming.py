@@ -59,6 +59,7 @@ def make_program(
     made = [
         gates.fit_gate(deviation, config),
         gates.coverage_gate(plan.metrics, config),
+        gates.deposit_gate(checks, config),
         gates.heat_gate(checks, plan.metrics, config),
         gates.program_gate(checks),
     ]
@@ -126,6 +127,7 @@ def _write_and_verify(
             curves=beads,
             plan=plan,
             layers=witness,
+            metal=True,
             sha256=files.sha256,
             section_tolerance_mm=gates.section_tolerance_mm(fit_mm),
         )
