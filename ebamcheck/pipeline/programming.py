@@ -133,6 +133,7 @@ def _write_and_verify(
         )
     summary = program_summary(program, job.config)
     summary.to_csv(job.folder.path / "program.csv", index=False)
+    job.add_finding(*noticed.of_interpass(summary, plan, job.config))
     kinematics = feeds.result()
     kinematics.to_csv(job.folder.path / "kinematics.csv")
     job.record["kinematics"] = kinematics.to_dict(orient="index")
