@@ -27,7 +27,8 @@ ORDERS = ("thermal", "farthest", "raster")
 TABLE, SAME_BODY = "judged.csv", "judged-same-body.csv"
 
 BODY_PLACES = 16
-"""Places an island on the plates, where every beam has some hundred images: the sum of all rises differs by 4 % at most."""
+"""Places an island on the plates, where every beam has some hundred images: on the smallest
+plate the sum of all rises differs by 1.4 % from that over 64."""
 
 PLATES = ((90.0, 60.0, 12.0), (150.0, 80.0, 12.0), (150.0, 80.0, 60.0))
 """Sides and heights, mm, of plates on which the body of 3DThesis is that of our model: mirrors on all sides but the top."""
