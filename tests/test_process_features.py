@@ -57,7 +57,8 @@ WIDE = {"travel_min_mm": (-2000.0, -2000.0, 0.0), "travel_max_mm": (2000.0, 2000
 def paused(tmp_path, control, seconds=30.0):
     """A stack of three layers written with a wait between them: settings and files."""
     config = Config().changed(
-        process={"layer_pause_s": seconds}, machine={**WIDE, "control": control, "curve_form": "lines"}
+        process={"layer_pause_s": seconds, "interpass": "off"},
+        machine={**WIDE, "control": control, "curve_form": "lines"},
     )
     return config, write_program(*stack(), config, tmp_path / "p")
 
@@ -77,7 +78,7 @@ def test_a_program_waits_between_its_layers_and_after_none_else(tmp_path, contro
     assert program_summary(nc, config)["pause_s"].tolist() == [30.0, 30.0, 0.0]
     short = config.changed(process={"layer_pause_s": 20.0})
     assert not pause_check(files, short)[0].passed
-    assert "waits 30 s after layer 1 in place of 20 s" in pause_check(files, short)[0].text
+    assert "waits 30 s before layer 2 in place of 20 s" in pause_check(files, short)[0].text
 
 
 @pytest.mark.parametrize("control", CONTROLS)
@@ -104,7 +105,7 @@ def test_a_wrong_pause_is_found(tmp_path, control, fault):
     path.write_text("".join(lines))
     check, _ = pause_check(files, config)
     assert not check.passed
-    assert {"lost": "waits 0 s", "longer": "waits 300 s", "in the layer": "within a layer"}[
+    assert {"lost": "waits 0 s", "longer": "waits 300 s", "in the layer": "of layer 1 in place of 0 s"}[
         fault
     ] in check.text
 

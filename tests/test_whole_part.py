@@ -70,7 +70,9 @@ def test_what_the_new_section_does_not_cover_is_dropped():
 
 def rows_of_six(base, emissivity):
     profile = Config().changed(
-        process={"base": base}, material={"emissivity": emissivity}, scan={"annealing_steps": 200}
+        process={"base": base, "interpass": "off"},
+        material={"emissivity": emissivity},
+        scan={"annealing_steps": 200},
     )
     heights = (np.arange(6) + 0.5) * profile.layer_height_mm
     rows = list(scan_part([layer_section(PLATE)] * 6, heights, profile, "thermal", 0))
@@ -114,7 +116,7 @@ def test_radiation_alone_cools_as_its_law_says(ambient_k):
 
 
 def test_a_pause_lets_it_cool_and_an_empty_layer_passes_heat_on():
-    profile = Config().changed(scan={"order": "raster"})
+    profile = Config().changed(scan={"order": "raster"}, process={"interpass": "off"})
     sections = [layer_section(PLATE), shapely.Polygon(), layer_section(PLATE)]
     heights = np.array([1.0, 2.6, 4.3])
     warm, cool = (
@@ -148,21 +150,22 @@ def test_a_program_drives_the_order_that_the_whole_part_was_planned_in():
 
 
 def test_carried_heat_changes_the_order_alone_and_makes_it_cooler():
-    layers, cold = plates(10), Config().changed(scan={"carry_heat": False})
-    warm_plan, cold_plan = plan_stack(layers, Config()), plan_stack(layers, cold)
+    layers, free = plates(10), Config().changed(process={"interpass": "off"})
+    cold = free.changed(scan={"carry_heat": False})
+    warm_plan, cold_plan = plan_stack(layers, free), plan_stack(layers, cold)
     assert shapely.equals(warm_plan.islands, cold_plan.islands).all()
     assert not np.array_equal(warm_plan.order, cold_plan.order)
 
     def as_planned(islands):
         return cold_plan.islands_of(islands.layer) - np.searchsorted(cold_plan.island_layer, islands.layer)
 
-    driven = list(scan_part(sections_of(layers), layers.heights, Config(), as_planned, 0))
+    driven = list(scan_part(sections_of(layers), layers.heights, free, as_planned, 0))
     planned_k = np.array([row["entry_max_k"] for row in driven])
     assert np.median(warm_plan.metrics["entry_max_k"] / planned_k) < 0.95
 
 
 def test_orders_that_ask_no_heat_have_no_heat_in_their_metrics():
-    plan = plan_stack(plates(2), Config(), order="raster")
+    plan = plan_stack(plates(2), Config().changed(process={"interpass": "off"}), order="raster")
     assert plan.metrics[["body_mean_k", "entry_max_k"]].isna().all(axis=None)
     assert set(GEOMETRIC) < set(order.ORDERS)
     bare = order.LayerIslands(np.zeros((3, 2)), np.ones(3), np.zeros((0, 2), np.int64))

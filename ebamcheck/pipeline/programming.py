@@ -9,10 +9,11 @@ from dataclasses import asdict
 from ebamcheck import registry
 from ebamcheck.config import Config
 from ebamcheck.curves import LIFTED, Curves, fit
+from ebamcheck.findings import has_fault
 from ebamcheck.kinematics import side_by_side
 from ebamcheck.layers import Layers, from_polygons
 from ebamcheck.part import Part
-from ebamcheck.pipeline import gates
+from ebamcheck.pipeline import gates, noticed
 from ebamcheck.pipeline.cross_check import CrossCheck
 from ebamcheck.pipeline.fitted import fitted
 from ebamcheck.pipeline.gates import Gate
@@ -48,7 +49,7 @@ def make_program(
         plan = plan_stack(smooth, config, progress=job.observer.advance)
         plan.to_parquet(job.folder.path / "scan.parquet")
         plan.metrics.to_csv(job.folder.path / "scan.csv", index=False)
-    _tell_of_heat(job, plan)
+    job.add_finding(*noticed.of_heat(plan, config))
     with job.stage("program", 1):
         beads = bead_paths(smooth, plan, config)
         beads.to_parquet(job.folder.path / "beads.parquet")
@@ -58,6 +59,8 @@ def make_program(
     made = [
         gates.fit_gate(deviation, config),
         gates.coverage_gate(plan.metrics, config),
+        gates.deposit_gate(checks, config),
+        gates.heat_gate(checks, plan.metrics, config),
         gates.program_gate(checks),
     ]
     job.record["scan"] = {
@@ -69,7 +72,7 @@ def make_program(
         "starts": int(plan.metrics["starts"].sum()),
         "time_s": float(plan.metrics["time_s"].sum()),
     }
-    if validated_so_far and all(gate.passed for gate in made):
+    if validated_so_far and all(gate.passed for gate in made) and not has_fault(job.findings):
         files = mark_validated(job.record.pop("files"))
     else:
         files = job.record.pop("files")
@@ -78,17 +81,6 @@ def make_program(
         {"name": name, "sha256": files.sha256[name], "blocks": files.blocks[name]} for name in files.names
     ]
     return made
-
-
-def _tell_of_heat(job: Job, plan: ScanPlan) -> None:
-    """Say where islands are entered above the solidus."""
-    rise_k = job.config.material.solidus_k - job.config.process.ambient_temperature_k
-    hot = int((plan.metrics["entry_max_k"] > rise_k).sum())
-    if hot:
-        job.observer.note(
-            f"{hot} of {len(plan)} layers have islands that the heat model finds above the solidus when the beam enters "
-            "them: wait between layers (process.layer_pause_s) or lower the power"
-        )
 
 
 def smooth_layers(curves: Curves) -> Layers:
@@ -126,6 +118,7 @@ def _write_and_verify(
     write_program = registry.plugin(registry.POSTS, job.config.machine.control)
     files = write_program(beads, plan, job.config, job.folder.program_folder, header=header)
     program = read_program(files.main, job.config)
+    job.add_finding(*noticed.of_seams(program, contours.heights, job.config))
     with ThreadPoolExecutor(1) as aside:
         feeds = aside.submit(side_by_side, program, contours, job.config)
         checks = verify_program(
@@ -134,6 +127,7 @@ def _write_and_verify(
             curves=beads,
             plan=plan,
             layers=witness,
+            metal=True,
             sha256=files.sha256,
             section_tolerance_mm=gates.section_tolerance_mm(fit_mm),
         )

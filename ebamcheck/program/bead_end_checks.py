@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ebamcheck.config import Config
-from ebamcheck.program.bead_ends import SHORTEST_BLOCK_MM
+from ebamcheck.program.bead_parts import SHORTEST_BLOCK_MM
 from ebamcheck.program.checks import Check, count_check, worst_check
 from ebamcheck.program.motions import NCProgram
 from ebamcheck.program.state_checks import event_place
@@ -21,9 +21,9 @@ RETRACT_TOLERANCE_MM = 1e-6
 """Decimals of a process value."""
 
 
-def bead_end_checks(nc: NCProgram, config: Config) -> list[Check]:
-    """Check power, overlap and wire at the ends of all beads."""
-    checks = [_power(nc, config), _overlap(nc, config)]
+def bead_end_checks(nc: NCProgram, config: Config, shares: Floats) -> list[Check]:
+    """Check power, overlap and wire at the ends of all beads; `shares` (L,) of the power are those of the layers."""
+    checks = [_power(nc, config, shares), _overlap(nc, config)]
     if config.process.wire_retract_mm > 0.0:
         checks.append(_retract(nc, config))
     if nc.goes_on.any():
@@ -31,12 +31,16 @@ def bead_end_checks(nc: NCProgram, config: Config) -> list[Check]:
     return checks
 
 
-def _power(nc: NCProgram, config: Config) -> Check:
-    """Power of every deposit against that of the process, on ramps against the straight ramp, within half a step."""
+def _power(nc: NCProgram, config: Config, shares: Floats) -> Check:
+    """Power of every deposit against that of its layer, on ramps against the straight ramp, within half a step."""
     process = config.process
     rows = np.flatnonzero(nc.deposit)
     share = nc.power_w[rows] / process.power_w
     wanted, step = _expected_power(nc, rows, config)
+    of_layer = (
+        np.where(nc.layer[rows] >= 0, shares[nc.layer[rows]], 1.0) if shares.size else np.ones(rows.size)
+    )
+    wanted, step = wanted * of_layer, step * of_layer
     off = np.maximum(np.abs(share - wanted) - step, 0.0)
     off[np.isnan(share)] = np.nan
     found = worst_check(
@@ -45,6 +49,8 @@ def _power(nc: NCProgram, config: Config) -> Check:
     highest = float(np.nanmax(nc.power_w[rows], initial=0.0))
     within = highest <= process.voltage_kv * process.current_max_ma * (1.0 + POWER_TOLERANCE)
     text = f"{highest:g} W in the program, {process.power_w:g} W set"
+    if (shares < 1.0).any():
+        text += f", {np.nanmin(shares) * process.power_w:g} W in the layer of the least"
     if process.ramps_beam:
         lowest = float(np.nanmin(nc.power_w[rows], initial=highest))
         text += f", ramps from {lowest:g} W over {process.ramp_up_mm:g} mm and to it over {process.crater_fill_mm:g} mm"

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ebamcheck.program.circles import circles
 from ebamcheck.program.segments import CIRCULAR, CUBIC, STRAIGHT
-from ebamcheck.rings import Floats
+from ebamcheck.rings import Floats, Ints
 
 HALVINGS = 52
 """Bisections of the parameter of a cubic at a length: the bits of a number."""
@@ -55,6 +55,37 @@ def segment_parts(
     return result
 
 
+def segment_places(
+    kind: NDArray[np.uint8], points: Floats, lengths: Floats, step_mm: float
+) -> tuple[Ints, Floats, Floats, Floats]:
+    """Places along segments, each in the middle of a piece of at most a length.
+
+    Returns
+    -------
+    owner, along_mm, places, length_mm
+        (m,) segment of each place; (m,) mm from its start; (m, 2); (m,) of its piece, which add up to the segments'.
+    """
+    count = np.maximum(np.ceil(lengths / step_mm), 1.0).astype(np.int64)
+    owner = np.repeat(np.arange(count.size), count)
+    t = (np.arange(owner.size) - np.repeat(np.cumsum(count) - count, count) + 0.5) / count[owner]
+    places = points[owner, 0] + t[:, None] * (points[owner, 3] - points[owner, 0])
+    cubic, arc = (np.flatnonzero(kind[owner] == which) for which in (CUBIC, CIRCULAR))
+    at = np.broadcast_to(t[cubic], (3, cubic.size))
+    places[cubic] = _polar(points[owner[cubic]], *at)
+    places[arc] = _on_arcs(points[owner[arc]], t[arc])
+    return owner, t * lengths[owner], places, (lengths / count)[owner]
+
+
+def _on_arcs(points: Floats, t: Floats) -> Floats:
+    """Places (n, 2) at shares of the sweep of arcs."""
+    found = circles(points[:, 0], points[:, 1], points[:, 3])
+    spoke = points[:, 0] - found.centre
+    turn = t * np.where(found.counter_clockwise, found.sweep_rad, -found.sweep_rad)
+    cos, sin = np.cos(turn), np.sin(turn)
+    turned = (cos * spoke[:, 0] - sin * spoke[:, 1], sin * spoke[:, 0] + cos * spoke[:, 1])
+    return np.asarray(found.centre + np.column_stack(turned))
+
+
 def _lines(points: Floats, lengths: Floats, low: Floats, high: Floats) -> Floats:
     way = points[:, 3] - points[:, 0]
     a, b = (points[:, 0] + way * (at / lengths)[:, None] for at in (low, high))
@@ -62,18 +93,10 @@ def _lines(points: Floats, lengths: Floats, low: Floats, high: Floats) -> Floats
 
 
 def _arcs(points: Floats, lengths: Floats, low: Floats, high: Floats) -> Floats:
-    found = circles(points[:, 0], points[:, 1], points[:, 3])
-    spoke = points[:, 0] - found.centre
-    sweep = np.where(found.counter_clockwise, found.sweep_rad, -found.sweep_rad)
-
-    def at(length: Floats) -> Floats:
-        turn = sweep * length / lengths
-        cos, sin = np.cos(turn), np.sin(turn)
-        turned = (cos * spoke[:, 0] - sin * spoke[:, 1], sin * spoke[:, 0] + cos * spoke[:, 1])
-        return np.asarray(found.centre + np.column_stack(turned))
-
-    middle = at(0.5 * (low + high))
-    return np.stack([at(low), middle, middle, at(high)], axis=1)
+    middle = _on_arcs(points, 0.5 * (low + high) / lengths)
+    return np.stack(
+        [_on_arcs(points, low / lengths), middle, middle, _on_arcs(points, high / lengths)], axis=1
+    )
 
 
 def _cubics(points: Floats, lengths: Floats, low: Floats, high: Floats) -> Floats:

@@ -15,7 +15,7 @@ SINUMERIK, LINUXCNC, PLAIN = "sinumerik-840d-sl", "linuxcnc", "plain-gcode"
 
 TEMPLATES = (
     "beam_on", "beam_off", "wire_start", "wire_stop", "wire_retract",
-    "set_beam", "set_power", "layer_begin", "layer_end", "layer_pause",
+    "set_beam", "set_power", "set_wire", "layer_begin", "layer_end", "layer_pause",
 )  # fmt: skip
 """Templates of the machine profile."""
 
@@ -29,6 +29,7 @@ STOCK: Mapping[str, Mapping[str, tuple[str, ...]]] = {
             "M68 E1 Q{current_ma} ; beam current, mA",
         ),
         "set_power": ("M67 E1 Q{current_ma} ; beam current, mA",),
+        "set_wire": ("M67 E2 Q{wire_mm_s} ; wire speed, mm/s",),
         "wire_start": ("M68 E2 Q{wire_mm_s} ; wire speed, mm/s", "M64 P1 ; wire on"),
         "wire_stop": ("M65 P1 ; wire off",),
         "wire_retract": ("M68 E3 Q{wire_retract_mm} ; wire drawn back, mm",),
@@ -40,6 +41,7 @@ STOCK: Mapping[str, Mapping[str, tuple[str, ...]]] = {
         "beam_off": ("M5 ; beam off",),
         "set_beam": (),
         "set_power": ("S{power_w} ; beam, W",),
+        "set_wire": ("M42 P1 S{wire_mm_s} ; wire speed, mm/s",),
         "wire_start": ("M42 P1 S{wire_mm_s} ; wire speed, mm/s", "M8 ; wire on"),
         "wire_stop": ("M9 ; wire off",),
         "wire_retract": ("M42 P2 S{wire_retract_mm} ; wire drawn back, mm",),

@@ -15,7 +15,7 @@ from ebamcheck.program.blocks import BlockFormat
 from ebamcheck.program.dialects import LINUXCNC, PLAIN, templates_of
 from ebamcheck.program.files import NOT_VALIDATED, VALIDATED, ProgramFiles, write_files
 from ebamcheck.program.header import header_lines
-from ebamcheck.program.inputs import CurveColumns, ScanColumns
+from ebamcheck.program.inputs import CurveColumns, ScanColumns, interpass_of
 from ebamcheck.program.layer_text import comment, layer_blocks, motion_text
 from ebamcheck.program.segments import CUBIC, Form
 from ebamcheck.program.templates import plain, process_values
@@ -89,6 +89,7 @@ def _write(
     path = driven_path(curves, plan, config, form.decimals, splines, machine.line_tolerance_mm)
     at = path.kind == CUBIC
     motions = motion_text(path, form, form.beziers(path.bezier, path.segment_start[at], path.end[at]))
+    heat = interpass_of(plan, config)
     templates = templates_of(machine, control)
     lines = [
         comment(machine.program_name),
@@ -98,7 +99,7 @@ def _write(
         *process_values(config, 1, *_first(path)).fill("set_beam", templates["set_beam"]),
     ]
     for k in range(len(path.z)):
-        lines += layer_blocks(path, k, motions, config, form, templates)
+        lines += layer_blocks(path, k, motions, config, form, templates, heat)
     lines.append("M2")
     text = "\n".join(lines) + "\n"
     return write_files({f"{machine.program_name}.{suffix}": text}, folder, validated=validated)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from ebamcheck.config import Config
 from ebamcheck.errors import SettingsError
 from ebamcheck.rings import Bools, Floats, Ints
 
@@ -74,6 +76,10 @@ class ScanColumns(Protocol):
         """(I,) islands in the order in which they are scanned, layer by layer."""
 
     @property
+    def sections(self) -> NDArray[np.object_] | None:
+        """(L,) shapely regions that are to be metal; None: not known."""
+
+    @property
     def vectors(self) -> Any:
         """Columns `island`, `x0`, `y0`, `x1`, `y1` (V,) in the order in which they are scanned."""
 
@@ -84,6 +90,49 @@ def hatch_columns(plan: ScanColumns) -> tuple[Ints, Floats]:
     island = np.asarray(vectors.island, dtype=np.int64)
     ends = [np.asarray(getattr(vectors, name), dtype=np.float64) for name in ("x0", "y0", "x1", "y1")]
     return island, np.column_stack(ends) if island.size else np.zeros((0, 4))
+
+
+@dataclass(frozen=True, eq=False)
+class Interpass:
+    """Waits and power of a stack.
+
+    Parameters
+    ----------
+    wait_s, ring_wait_s
+        (L,) wait before each layer, and before each further contour of it.
+    island_wait_s
+        (I,) wait before each island.
+    power_share
+        (L,) share of the beam's power.
+    """
+
+    wait_s: Floats
+    ring_wait_s: Floats
+    island_wait_s: Floats
+    power_share: Floats
+
+    def before_layer_s(self, layer: int) -> float:
+        """Wait before a layer; 0 for the one after the last."""
+        return float(self.wait_s[layer]) if layer < len(self.wait_s) else 0.0
+
+
+def interpass_of(plan: ScanColumns, config: Config) -> Interpass:
+    """Waits and power of a plan; where it has none, the pause of the settings between layers, and full power."""
+    layers, islands = len(plan.heights), len(plan.island_layer)
+    pause_s = np.where(np.arange(layers) > 0, config.process.layer_pause_s, 0.0)
+    metrics = getattr(plan, "metrics", {})
+
+    def column(name: str, otherwise: ArrayLike) -> Floats:
+        found = np.asarray(metrics[name], np.float64) if name in metrics else np.full(layers, np.nan)
+        return np.asarray(np.where(np.isnan(found), otherwise, found), np.float64)
+
+    waits = np.asarray(getattr(plan, "island_wait_s", ()), np.float64)
+    return Interpass(
+        wait_s=column("wait_s", pause_s),
+        ring_wait_s=column("ring_wait_s", 0.0),
+        island_wait_s=waits if waits.size == islands else np.zeros(islands),
+        power_share=column("power_share", 1.0),
+    )
 
 
 def check_same_stack(curves: CurveColumns, plan: ScanColumns) -> None:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from ebamcheck.config import Config
 from ebamcheck.program.blocks import BlockFormat
+from ebamcheck.program.inputs import Interpass
 from ebamcheck.program.segments import CIRCULAR, CUBIC, STRAIGHT
 from ebamcheck.program.templates import ProcessValues, plain, process_values
 from ebamcheck.program.toolpath import Toolpath
@@ -38,32 +40,51 @@ def motion_text(path: Toolpath, form: BlockFormat, cubics: Sequence[str]) -> lis
 
 
 def layer_blocks(
-    path: Toolpath, k: int, motions: Sequence[str], config: Config, form: BlockFormat, templates: Templates
+    path: Toolpath,
+    k: int,
+    motions: Sequence[str],
+    config: Config,
+    form: BlockFormat,
+    templates: Templates,
+    heat: Interpass,
 ) -> list[str]:
-    """Blocks of layer `k`: contour rings and islands, each track between beam on and beam off."""
+    """Blocks of layer `k`: contour rings and islands, each track between beam on and beam off, and the waits."""
     values = process_values(config, k + 1, float(path.z[k]), float(path.thickness[k]))
     layer = _Layer(config, form, float(path.z[k]), values, templates)
+    share = float(heat.power_share[k])
     layer.rise()
+    wire = path.width / config.process.bead_metal_mm
     island = -1
     for t in range(int(path.layer_starts[k]), int(path.layer_starts[k + 1])):
         if path.ring[t] >= 0:
+            layer.wait(float(heat.ring_wait_s[k]) if t > path.layer_starts[k] else 0.0)
             layer.lines.append(f"; RING {path.ring[t]}")
         elif path.island[t] != island:
             island = int(path.island[t])
+            layer.wait(float(heat.island_wait_s[island]))
             layer.lines.append(f"; ISLAND {island}")
         a, b = int(path.track_starts[t]), int(path.track_starts[t + 1])
         if b > a:
-            layer.deposit(path.start[t], path.end[b - 1], motions[a:b], path.power[a:b])
+            power = share * path.power[a:b]
+            layer.deposit(path.start[t], path.end[b - 1], motions[a:b], power, wire[a:b])
     layer.set_power(1.0)
     layer.rise()
-    waits = config.process.layer_pause_s > 0.0 and k + 1 < len(path.z)
+    above = path.layer_starts[k + 1 : k + 3]
+    wait_s = heat.before_layer_s(k + 1) if above.size == 2 and above[1] > above[0] else 0.0
     return [
         comment(f"LAYER: {k + 1} OF {len(path.z)}, CUT AT {path.cut[k]:.6f}, Z {path.z[k]:.6f}"),
         *values.fill("layer_begin", templates["layer_begin"]),
         *layer.lines,
         *values.fill("layer_end", templates["layer_end"]),
-        *(values.fill("layer_pause", templates["layer_pause"]) if waits else []),
+        *pause_blocks(values, templates, wait_s),
     ]
+
+
+def pause_blocks(values: ProcessValues, templates: Templates, wait_s: float) -> list[str]:
+    """Blocks that wait for a time; none for no time."""
+    if wait_s <= 0.0:
+        return []
+    return replace(values, layer_pause_s=wait_s).fill("layer_pause", templates["layer_pause"])
 
 
 class _Layer:
@@ -80,27 +101,37 @@ class _Layer:
         ends = ("wire_stop", "wire_retract", "beam_off")
         self._names = (
             ("set_power",),
+            ("set_wire",),
             ("beam_on", "wire_start"),
             ends if values.wire_retract_mm > 0.0 else (ends[0], ends[2]),
         )
         self._values, self._templates = values, templates
-        self._blocks: dict[float, tuple[list[str], ...]] = {}
-        self._power = 1.0
+        self._blocks: dict[tuple[float, float], tuple[list[str], ...]] = {}
+        self._power, self._wire = 1.0, 1.0
         self._position: Floats | None = None
 
     def _switches(self) -> tuple[list[str], ...]:
-        """Blocks that set the power of the moment, and those before and after a bead at it."""
-        if self._power not in self._blocks:
-            values = self._values.at_power(self._power)
-            self._blocks[self._power] = tuple(
+        """Blocks that set power and wire speed of the moment, and those before and after a bead at them."""
+        now = (self._power, self._wire)
+        if now not in self._blocks:
+            values = self._values.at(*now)
+            self._blocks[now] = tuple(
                 [line for name in names for line in values.fill(name, self._templates[name])]
                 for names in self._names
             )
-        return self._blocks[self._power]
+        return self._blocks[now]
 
     def rise(self) -> None:
         """Go to the safe height, with the beam off."""
         self.lines.append(f"G0 Z{self._safe_z}")
+
+    def wait(self, wait_s: float) -> None:
+        """Wait above the layer; the next travel comes down from there."""
+        pause = pause_blocks(self._values, self._templates, wait_s)
+        if pause:
+            self.rise()
+            self.lines += pause
+            self._position = None
 
     def set_power(self, share: float) -> None:
         """Set the beam to a share of its power."""
@@ -108,19 +139,29 @@ class _Layer:
             self._power = share
             self.lines += self._switches()[0]
 
-    def deposit(self, start: Floats, end: Floats, motions: Sequence[str], power: Floats) -> None:
-        """Travel to `start`, beam and wire on, `motions` each at its power, wire and beam off at `end`."""
+    def set_wire(self, share: float) -> None:
+        """Set the running wire to a share of the speed of the layer."""
+        if share != self._wire:
+            self._wire = share
+            self.lines += self._switches()[1]
+
+    def deposit(
+        self, start: Floats, end: Floats, motions: Sequence[str], power: Floats, wire: Floats
+    ) -> None:
+        """Travel to `start`, beam and wire on, `motions` each at its power and wire, wire and beam off at `end`."""
         self._travel(start)
+        self._wire = float(wire[0])
         self.set_power(float(power[0]))
-        self.lines += self._switches()[1]
-        changes = [0, *(np.flatnonzero(np.diff(power)) + 1).tolist(), len(motions)]
+        self.lines += self._switches()[2]
+        changes = [0, *(np.flatnonzero(np.diff(power) + 1j * np.diff(wire)) + 1).tolist(), len(motions)]
         feed = self._feed
         for a, b in itertools.pairwise(changes):
             self.set_power(float(power[a]))
+            self.set_wire(float(wire[a]))
             blocks = [line for text in motions[a:b] if text for line in text.split("\n")]
             self.lines += [blocks[0] + feed, *blocks[1:]]
             feed = ""
-        self.lines += self._switches()[2]
+        self.lines += self._switches()[3]
         self._position = end
 
     def _travel(self, to: Floats) -> None:

@@ -1,4 +1,4 @@
-"""Checks that a process engineer asks for: pauses, directions of travel, places to keep out of, seams, overhangs."""
+"""Checks that a process engineer asks for: directions of travel, places to keep out of, seams, overhangs."""
 
 from __future__ import annotations
 
@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.config import Config
-from ebamcheck.program.checks import Check, count_check, worst_check
+from ebamcheck.program.checks import Check, worst_check
 from ebamcheck.program.motions import ARC, RAPID, STRAIGHT, NCProgram
-from ebamcheck.program.state_checks import event_place
-from ebamcheck.program.summary import PAUSE, layer_pauses_s
 from ebamcheck.rings import Floats, Ints
 from ebamcheck.settings.process import KeepOut
 
@@ -26,40 +24,18 @@ DIRECTION_ROUNDING_DEG = 0.01
 KEEP_OUT_STEP_MM = 0.2
 """Chords of curves beside a keep-out zone: at a radius of 5 mm they err by 1 um."""
 
-PAUSE_TOLERANCE_S = 1e-6
-"""Decimals of a process value."""
-
 OUTLINE_STEP_MM = 0.25
 """Places along the contours at which an overhang is measured."""
 
 
 def process_checks(nc: NCProgram, config: Config) -> list[Check]:
     """Check what the settings of the process ask of the path; what they do not limit is measured all the same."""
-    checks = [_seams(nc, config), _overhang(nc, config), _pauses(nc, config)]
+    checks = [_seams(nc, config), _overhang(nc, config)]
     if config.process.travel_sectors_deg:
         checks.append(_sectors(nc, config))
     if config.process.keep_out:
         checks.append(_keep_out(nc, config))
     return checks
-
-
-# -- pauses ------------------------------------------------------------------------------------------
-
-
-def _pauses(nc: NCProgram, config: Config) -> Check:
-    """Wait after every layer but the last, and nowhere else."""
-    waited = layer_pauses_s(nc)
-    wanted = np.full(waited.size, config.process.layer_pause_s)
-    wanted[-1:] = 0.0
-    faults = [
-        (nc.layer_files[k], f"waits {waited[k]:g} s after layer {k + 1} in place of {wanted[k]:g} s")
-        for k in np.flatnonzero(np.abs(waited - wanted) > PAUSE_TOLERANCE_S).tolist()
-    ]
-    for i, name in enumerate(nc.events.name):
-        row = int(nc.events.row[i])
-        if name == PAUSE and 0 < row < len(nc) and nc.layer[row] == nc.layer[row - 1] >= 0:
-            faults.append((event_place(nc, i), "waits within a layer"))
-    return count_check("layer pause", faults, f"waits {config.process.layer_pause_s:g} s between layers")
 
 
 # -- directions --------------------------------------------------------------------------------------
@@ -69,12 +45,12 @@ def _sectors(nc: NCProgram, config: Config) -> Check:
     rows = np.flatnonzero(nc.deposit & (nc.lengths > 0.0))
     away = np.zeros(rows.size)
     for t in np.linspace(0.0, 1.0, DIRECTIONS):
-        away = np.maximum(away, outside_sectors(_directions(nc, rows, t), config.process.travel_sectors_deg))
+        away = np.maximum(away, outside_sectors(directions(nc, rows, t), config.process.travel_sectors_deg))
     what = "degrees outside of the allowed directions of travel"
     return worst_check("travel sectors", nc, rows, away, DIRECTION_ROUNDING_DEG, "deg", what)
 
 
-def _directions(nc: NCProgram, rows: Ints, t: float) -> Floats:
+def directions(nc: NCProgram, rows: Ints, t: float) -> Floats:
     """Direction of travel (n,) in degrees counter-clockwise from +X."""
     c = nc.coefficients[rows]
     way = c[:, :, 1] + t * (2.0 * c[:, :, 2] + 3.0 * t * c[:, :, 3])

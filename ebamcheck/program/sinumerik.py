@@ -19,12 +19,11 @@ from ebamcheck.program.blocks import BlockFormat, numbered
 from ebamcheck.program.dialects import SINUMERIK, templates_of
 from ebamcheck.program.files import NOT_VALIDATED, VALIDATED, ProgramFiles, legal_name, write_files
 from ebamcheck.program.header import header_lines
-from ebamcheck.program.inputs import SPLINE, CurveColumns, ScanColumns
+from ebamcheck.program.inputs import SPLINE, CurveColumns, ScanColumns, interpass_of
 from ebamcheck.program.layer_text import comment, layer_blocks, motion_text
 from ebamcheck.program.segments import CUBIC, Form
 from ebamcheck.program.spline_writing import even, spline_blocks
 from ebamcheck.program.templates import plain, process_values
-from ebamcheck.program.toolpath import TURN_SPACINGS as TURN_SPACINGS
 from ebamcheck.program.toolpath import Toolpath
 from ebamcheck.settings.machine import MachineSettings
 
@@ -78,9 +77,10 @@ def write_program(
     status = VALIDATED if validated else NOT_VALIDATED
     texts = {f"{legal_name(name)}.MPF": _main_program(config, form, status, path, layer_names, header or {})}
     motions = motion_text(path, form, _cubics(path, curves, machine, form))
+    heat = interpass_of(plan, config)
     templates = templates_of(machine, SINUMERIK)
     for k, layer_name in enumerate(layer_names):
-        blocks = layer_blocks(path, k, motions, config, form, templates)
+        blocks = layer_blocks(path, k, motions, config, form, templates, heat)
         texts[f"{layer_name}.SPF"] = numbered([*_opening(layer_name, "SPF", config, status), *blocks, "M17"])
     return write_files(texts, Path(folder), validated=validated)
 

@@ -1,4 +1,4 @@
-"""Checks of what the machine does: modes, feeds, travel, beam and wire, power, mass balance."""
+"""Checks of what the machine does: modes, feeds, travel, beam and wire, and power."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import math
 import numpy as np
 
 from ebamcheck.config import Config
-from ebamcheck.heights import PARABOLA
 from ebamcheck.program.checks import Check, count_check, row_faults, worst_check
 from ebamcheck.program.dialects import LINUXCNC, PLAIN, SINUMERIK
 from ebamcheck.program.motions import ARC, RAPID, NCProgram
@@ -22,9 +21,6 @@ MODES = {
 
 LEAST_SPLINE_BLOCKS = 6
 """Spline blocks that the control wants among any 10 (NC Programming manual, BSPLINE)."""
-
-MASS_TOLERANCE = 0.01
-"""Bead height from wire and feed over the step of Z: the decimals of the wire speed, and nothing else."""
 
 LIMIT_ROUNDING_MM = 1e-9
 """Rounding of a curve's extreme."""
@@ -43,7 +39,6 @@ def state_checks(nc: NCProgram, config: Config, turn_limit_mm: float) -> list[Ch
         _beam(nc),
         _wire(nc),
         _turns(nc, turn_limit_mm),
-        _mass(nc, config),
     ]
 
 
@@ -212,30 +207,4 @@ def _turns(nc: NCProgram, limit_mm: float) -> Check:
     # Positions are rounded to the program's decimals; six is the coarsest that matters here.
     return worst_check(
         "turns", nc, rows, nc.lengths[rows], limit_mm + 1e-6, "mm", "longest turn between hatch lines"
-    )
-
-
-def _mass(nc: NCProgram, config: Config) -> Check:
-    process = config.process
-    rows = np.flatnonzero(nc.deposit & (nc.layer >= 0))
-    heights = nc.layer_heights
-    filled = np.where(np.isnan(heights), 0.0, heights)
-    before = np.concatenate([[0.0], filled[:-1]])
-    thickness = np.where(before > 0.0, filled - before, np.nan)[: heights.size]
-    if heights.size:
-        thickness[0] = heights[0]
-    rows = rows[np.isfinite(thickness[nc.layer[rows]])]
-    step = thickness[nc.layer[rows]]
-    wire_mm2 = math.pi * process.wire_diameter_mm**2 / 4.0
-    with np.errstate(divide="ignore", invalid="ignore"):
-        bead_mm2 = nc.wire_mm_s[rows] * wire_mm2 / (nc.feed_mm_min[rows] / 60.0)
-        off = np.abs(bead_mm2 / (PARABOLA * process.bead_width_mm) / step - 1.0)
-    return worst_check(
-        "mass balance",
-        nc,
-        rows,
-        off,
-        MASS_TOLERANCE,
-        "of the layer",
-        "bead height from wire and feed against Z",
     )

@@ -8,15 +8,13 @@ import numpy as np
 import pandas as pd
 
 from ebamcheck.config import Config
-from ebamcheck.program.motions import RAPID, NCProgram
+from ebamcheck.program.motions import NCProgram
+from ebamcheck.program.text_heat import PAUSE, motion_seconds
 from ebamcheck.rings import Floats
-
-PAUSE = "layer_pause_s"
-"""Event of a wait between layers, named by its placeholder."""
 
 
 def layer_pauses_s(nc: NCProgram) -> Floats:
-    """Time that the program waits after each layer, and before the next, (L,) s."""
+    """Time that the program waits within each layer, and after it before the next, (L,) s."""
     paused = np.array([name == PAUSE for name in nc.events.name], np.bool_)
     # An event stands after as many motions as its row says: the last of them in a layer tells which.
     known = np.concatenate([[-1], np.maximum.accumulate(nc.layer)])
@@ -36,16 +34,13 @@ def program_summary(nc: NCProgram, config: Config) -> pd.DataFrame:
     -------
     DataFrame
         Columns `layer`, `file`, `z_mm`, `motions`, `contour_mm`, `hatch_mm` (turns included), `travel_mm`,
-        `deposit_s`, `travel_s`, `pause_s` (the wait after it), `wire_mm`, `wire_kg`.
+        `deposit_s`, `travel_s`, `pause_s` (the waits within it and after it), `wire_mm`, `wire_kg`.
     """
     process = config.process
     count = len(nc.layer_files)
     inside = nc.layer >= 0
     length = np.nan_to_num(nc.lengths)
-    rapid = nc.kind == RAPID
-    speed = np.where(rapid, config.machine.rapid_mm_s, nc.feed_mm_min / 60.0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        time = np.where(length > 0.0, length / speed, 0.0)
+    time = motion_seconds(nc, config)
     wire = np.where(nc.wire & nc.deposit, time * np.nan_to_num(nc.wire_mm_s), 0.0)
     area_m2 = math.pi * (process.wire_diameter_mm * 1e-3) ** 2 / 4.0
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
@@ -32,7 +33,7 @@ def plain(value: float) -> str:
 
 @dataclass(frozen=True)
 class ProcessValues:
-    """What the placeholders of the templates stand for in one layer."""
+    """What the placeholders of the templates stand for in one layer; its wire speed is that of a bead by itself."""
 
     power_w: float
     voltage_kv: float
@@ -44,9 +45,14 @@ class ProcessValues:
     layer: int
     height_mm: float
 
-    def at_power(self, share: float) -> ProcessValues:
-        """The same values at a share of the beam's power, by its current."""
-        return replace(self, power_w=share * self.power_w, current_ma=share * self.current_ma)
+    def at(self, power: float, wire: float) -> ProcessValues:
+        """The same values at a share of the beam's power, by its current, and a share of the wire speed."""
+        return replace(
+            self,
+            power_w=power * self.power_w,
+            current_ma=power * self.current_ma,
+            wire_mm_s=wire * self.wire_mm_s,
+        )
 
     def fill(self, name: str, template: Iterable[str]) -> list[str]:
         """Fill the lines of the template `name`; raises :class:`SettingsError` for what makes no block."""
@@ -72,13 +78,16 @@ def _filled(where: str, line: str, values: Mapping[str, object]) -> str:
     return text
 
 
-def wire_speed_mm_s(config: Config, thickness_mm: float) -> float:
-    """Wire speed that the mass balance asks for in a layer of this thickness.
+def wire_speed_mm_s(config: Config, width_mm: float, thickness_mm: float) -> float:
+    """Wire speed of a bead that lays a width times the layer's height: ``v_wire pi d^2 / 4 = v_travel b h``.
 
-    The bead's section is ``2/3 w h`` (Pixner et al. 2020), so that the speed goes with the height; at the
-    height of the bead model it is ``process.wire_speed_mm_s``.
+    Examples
+    --------
+    >>> round(wire_speed_mm_s(Config(), 4.0, 1.6755), 2)
+    33.33
     """
-    return config.process.wire_speed_mm_s * thickness_mm / config.process.bead_height_mm
+    wire_mm2 = 0.25 * math.pi * config.process.wire_diameter_mm**2
+    return config.process.travel_speed_mm_s * width_mm * thickness_mm / wire_mm2
 
 
 def process_values(config: Config, layer: int, height_mm: float, thickness_mm: float) -> ProcessValues:
@@ -87,7 +96,7 @@ def process_values(config: Config, layer: int, height_mm: float, thickness_mm: f
         power_w=config.process.power_w,
         voltage_kv=config.process.voltage_kv,
         current_ma=config.process.current_ma,
-        wire_mm_s=wire_speed_mm_s(config, thickness_mm),
+        wire_mm_s=wire_speed_mm_s(config, config.process.bead_metal_mm, thickness_mm),
         wire_retract_mm=config.process.wire_retract_mm,
         feed_mm_min=60.0 * config.process.travel_speed_mm_s,
         layer_pause_s=config.process.layer_pause_s,

@@ -25,10 +25,7 @@ from ebamcheck.program.inputs import (
 )
 from ebamcheck.program.segments import CIRCULAR, CUBIC, STRAIGHT, Form, contour_segments
 from ebamcheck.rings import Bools, Floats, Ints
-
-TURN_SPACINGS = 1.5
-"""Hatch lines of one island whose ends are at most this many bead spacings apart are joined with the beam on:
-the turn is part of the melt pool. 1.5, because a border at 60 degrees makes the turn 1.15 spacings long."""
+from ebamcheck.scan.turns import follows
 
 STRAIGHT_SAGITTA_MM = 1e-5
 """An arc that leaves its chord by less is written as a line: a tenth of what a path read back may be off by, and
@@ -67,6 +64,8 @@ class Toolpath:
         (N,) share of the full beam power.
     goes_on
         (N,) a further part of the hatch line before.
+    width
+        (N,) metal that is laid, in section over the height of the layer, mm.
     """
 
     cut: Floats
@@ -84,6 +83,7 @@ class Toolpath:
     middle: Floats
     power: Floats
     goes_on: Bools
+    width: Floats
 
     @property
     def thickness(self) -> Floats:
@@ -130,8 +130,8 @@ def toolpath(
     if (layer_thickness(z) <= 0.0).any():
         raise SettingsError("layer heights must rise from layer to layer: sort them and drop repeats")
     contours = _contour_tracks(curves, form, tolerance_mm, decimals)
-    hatch = _hatch_tracks(plan, TURN_SPACINGS * config.process.hatch_spacing_mm, decimals)
-    return cleaned(_merged(cut, z, contours, hatch), decimals)
+    hatch = _hatch_tracks(plan, config.process.hatch_spacing_mm, decimals)
+    return cleaned(_merged(cut, z, contours, hatch, config.process.bead_metal_mm), decimals)
 
 
 def cleaned(path: Toolpath, decimals: int) -> Toolpath:
@@ -154,6 +154,7 @@ def cleaned(path: Toolpath, decimals: int) -> Toolpath:
         middle=path.middle[~flat][keep[kind == CIRCULAR]],
         power=path.power[keep],
         goes_on=path.goes_on[keep],
+        width=path.width[keep],
     )
 
 
@@ -195,16 +196,14 @@ def _contour_tracks(curves: CurveColumns, form: Form, tolerance_mm: float, decim
     )
 
 
-def _hatch_tracks(plan: ScanColumns, joined_mm: float, decimals: int) -> _Tracks:
-    """Hatch tracks: lines of one island that begin within `joined_mm` of the end of the last are one track."""
+def _hatch_tracks(plan: ScanColumns, spacing_mm: float, decimals: int) -> _Tracks:
+    """Hatch tracks: lines of one island that follow each other are one track, with the turns between them."""
     island, ends = hatch_columns(plan)
     ends = rounded(ends, decimals)
     layer = np.asarray(plan.island_layer, dtype=np.int64)[island]
     if (np.diff(layer) < 0).any():
         raise SettingsError("hatch vectors of the scan plan are not in the order of layers")
-    joined = np.zeros(len(ends), np.bool_)
-    gap = np.linalg.norm(ends[1:, :2] - ends[:-1, 2:], axis=1)
-    joined[1:] = (gap <= joined_mm) & (island[1:] == island[:-1])
+    joined = follows(island, ends[:, :2], ends[:, 2:], spacing_mm)
     # A vector is a line to its end, and a turn to its start before it where it is joined.
     points = ends.reshape(-1, 2)
     turn = np.tile([True, False], len(ends))
@@ -227,7 +226,7 @@ def _hatch_tracks(plan: ScanColumns, joined_mm: float, decimals: int) -> _Tracks
     )
 
 
-def _merged(cut: Floats, z: Floats, contours: _Tracks, hatch: _Tracks) -> Toolpath:
+def _merged(cut: Floats, z: Floats, contours: _Tracks, hatch: _Tracks, width_mm: float) -> Toolpath:
     """Contours of each layer before its hatch. Only contours have cubics and arcs, so that their order stays."""
     layer = np.concatenate([contours.layer, hatch.layer])
     order = np.argsort(layer, kind="stable")
@@ -251,6 +250,7 @@ def _merged(cut: Floats, z: Floats, contours: _Tracks, hatch: _Tracks) -> Toolpa
         middle=contours.middle,
         power=np.ones(rows.size),
         goes_on=np.zeros(rows.size, np.bool_),
+        width=np.full(rows.size, width_mm),
     )
 
 

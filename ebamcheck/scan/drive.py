@@ -9,7 +9,7 @@ import numpy as np
 from ebamcheck.config import Config
 from ebamcheck.rings import Bools, Floats
 from ebamcheck.scan.hatch import Vectors
-from ebamcheck.scan.path import JOINED_MM
+from ebamcheck.scan.turns import turns_and_jumps_mm
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +22,8 @@ class IslandDrive:
         (I, 4, 2) points at which an island may be entered, and where it is then left, mm: the four ways of
         :func:`ebamcheck.scan.path.enter_nearest`; a way that is not open to an island repeats its first.
     beam_s, time_s
-        (I,) time with the beam on a line, and with the jumps between its own lines.
+        (I,) time with the beam on, lines and turns, and with the jumps between its own lines. An island may be driven
+        from either side, with turns at the other ends of its lines: both count by their mean.
     """
 
     entry: Floats
@@ -56,11 +57,12 @@ def island_drive(lines: Vectors, chained: Bools, profile: Config) -> IslandDrive
     leave = np.stack([b[last], a[last], a[first], b[first]], axis=1)
     for way in (1, 3):
         entry[chained, way], leave[chained, way] = entry[chained, 0], leave[chained, 0]
-    length = np.bincount(lines.island, np.hypot(*(b - a).T), count)
-    jump = np.zeros(len(a))
-    jump[1:] = np.hypot(*(a[1:] - b[:-1]).T)
-    jump[first] = 0.0
-    jump[jump <= JOINED_MM] = 0.0
-    beam_s = length / profile.process.travel_speed_mm_s
+    spacing = profile.process.hatch_spacing_mm
+    turn, jump = turns_and_jumps_mm(lines.island, a, b, spacing)
+    other_turn, other_jump = turns_and_jumps_mm(lines.island, b, a, spacing)
+    turned = chained[lines.island]
+    turn = np.where(turned, turn, 0.5 * (turn + other_turn))
+    jump = np.where(turned, jump, 0.5 * (jump + other_jump))
+    beam_s = np.bincount(lines.island, np.hypot(*(b - a).T) + turn, count) / profile.process.travel_speed_mm_s
     inner_s = np.bincount(lines.island, jump, count) / profile.machine.rapid_mm_s
     return IslandDrive(entry, leave, beam_s, np.asarray(beam_s + inner_s, np.float64))

@@ -19,6 +19,14 @@ from ebamcheck.scan.hatch import Vectors, hatch, joined
 from ebamcheck.scan.regions import Regions
 from ebamcheck.scan.walls import wall_lines
 
+TRIM = 0.3
+"""Share of the bead spacing by which a hatch line stops before the border of its island. There the turn to the next line
+lies, or the round end of the bead: lines that reach the border lay a seventh more than the part has. On a square of
+100 mm 0.2 to 0.4 leave the surface as flat; 0.3 needs the least spread of wire speeds."""
+
+SHORTEST_LINE = 0.5
+"""Lines are not trimmed to under this times the bead width, and not lengthened either."""
+
 
 @dataclass(frozen=True, eq=False)
 class FilledLayer:
@@ -67,6 +75,7 @@ def fill_islands(
     turn = profile.scan.first_angle_deg + layer * profile.scan.layer_angle_deg
     angle = hatch_directions(found, spacing, turn, profile.scan.island_angle_deg)
     hatched, _ = hatch(found.polygons, angle, width, spacing)
+    hatched = trimmed(hatched, TRIM * spacing, SHORTEST_LINE * width)
     count = len(found.polygons)
     owner, start, end = [hatched.island], [hatched.start], [hatched.end]
     for number, wall in enumerate(walls, count):
@@ -85,6 +94,15 @@ def fill_islands(
         end.append(along.end)
     chained = np.arange(count + len(walls)) >= count
     return Vectors(np.concatenate(owner), np.concatenate(start), np.concatenate(end)), chained
+
+
+def trimmed(lines: Vectors, by_mm: float, shortest_mm: float) -> Vectors:
+    """Shorten lines at both ends, but none to under a length."""
+    way = lines.end - lines.start
+    length = np.hypot(way[:, 0], way[:, 1])
+    cut_mm = np.clip(0.5 * (length - shortest_mm), 0.0, by_mm)
+    share = np.divide(cut_mm, length, out=np.zeros_like(length), where=length > 0.0)[:, None]
+    return Vectors(lines.island, lines.start + share * way, lines.end - share * way)
 
 
 def close_gaps(filled: FilledLayer, regions: Regions, profile: Config) -> FilledLayer:

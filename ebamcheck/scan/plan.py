@@ -33,13 +33,19 @@ METRICS = {
     "laid_share": "length of all beads times their spacing, over the area: above 1 they overlap more than is set",
     "contour_length_mm": "length of the contour beads",
     "hatch_length_mm": "length of the lines",
-    "travel_mm": "jumps between lines",
-    "starts": "wire starts: lines that do not go on where the last one ended",
-    "time_s": "lines at travel speed and jumps at rapid speed, without the contour beads",
+    "turn_length_mm": "length of the turns between lines, beam and wire on",
+    "travel_mm": "jumps between lines, beam off",
+    "starts": "wire starts: lines to which the beam jumps",
+    "time_s": "lines and turns at travel speed and jumps at rapid speed, without the contour beads",
     "interval_p10_s": "time between the ends of neighbouring islands, shortest tenth; NaN without any",
     "interval_min_s": "the same, least",
-    "body_mean_k": "mean temperature rise of the body under it when it begins; NaN where the order asks no heat model",
-    "entry_max_k": "greatest mean temperature rise of an island when the beam enters it; NaN likewise",
+    "body_mean_k": "mean temperature rise of the body under it when it begins; NaN where no heat model was asked",
+    "entry_max_k": "greatest mean temperature rise of a contour or an island when the beam enters it; NaN likewise",
+    "wait_s": "wait before the layer",
+    "ring_wait_s": "wait before each further contour of it",
+    "power_share": "share of the beam's power",
+    "enter_k": "temperature of the surface when the layer begins, absolute; NaN likewise",
+    "leave_k": "the same when it is done",
 }
 """Columns of :attr:`ScanPlan.metrics` and what they are."""
 
@@ -80,6 +86,11 @@ class ScanPlan:
         One row a layer, columns as in :data:`METRICS`.
     settings
         Name of the order, seed and the settings that shaped the plan.
+    island_wait_s
+        (I,) wait before each island; empty: none.
+    sections
+        (L,) shapely regions that are to be metal, by which every bead gets its wire; None: not known, and every bead
+        gets the wire of a bead by itself.
     """
 
     heights: Floats
@@ -95,6 +106,8 @@ class ScanPlan:
     vectors: pd.DataFrame
     metrics: pd.DataFrame
     settings: dict[str, Any] = field(default_factory=dict)
+    island_wait_s: Floats = field(default_factory=lambda: np.zeros(0))
+    sections: NDArray[np.object_] | None = None
 
     def __len__(self) -> int:
         """Return the number of layers."""
@@ -146,6 +159,7 @@ def _to_table(plan: ScanPlan) -> pa.Table:
         "area_mm2": plan.island_area_mm2,
         "x_mm": plan.island_centroid[:, 0],
         "y_mm": plan.island_centroid[:, 1],
+        "wait_s": plan.island_wait_s if len(plan.island_wait_s) else np.zeros(count),
     }
     for name in VECTOR_COLUMNS[1:]:
         columns[name] = _nested(plan.vectors[name].to_numpy()[by_island], island, count)
@@ -158,6 +172,8 @@ def _to_table(plan: ScanPlan) -> pa.Table:
         "metrics": {name: plan.metrics[name].tolist() for name in plan.metrics.columns},
         "settings": plan.settings,
     }
+    if plan.sections is not None:
+        header["sections"] = [shapely.to_wkb(region, hex=True) for region in plan.sections]
     table = pa.table({name: pa.array(c) if isinstance(c, np.ndarray) else c for name, c in columns.items()})
     return table.replace_schema_metadata({"ebamcheck": json.dumps(header, sort_keys=True)})
 
@@ -183,7 +199,7 @@ def _from_table(table: pa.Table, header: dict[str, Any]) -> ScanPlan:
     metrics = pd.DataFrame(header["metrics"], columns=list(METRICS))
     return ScanPlan(
         heights=np.asarray(header["heights"], np.float64),
-        contours=np.asarray(shapely.from_wkb(np.array(header["contours"], object)), object).reshape(-1),
+        contours=_regions(header["contours"]),
         islands=polygons.reshape(-1),
         island_layer=plain["layer"],
         island_kind=np.asarray(columns["kind"].to_pylist(), np.str_),
@@ -195,7 +211,16 @@ def _from_table(table: pa.Table, header: dict[str, Any]) -> ScanPlan:
         vectors=vectors.iloc[scanned].reset_index(drop=True),
         metrics=metrics,
         settings=header["settings"],
+        island_wait_s=columns["wait_s"].to_numpy(zero_copy_only=False)
+        if "wait_s" in columns
+        else np.zeros(0),
+        sections=_regions(header["sections"]) if "sections" in header else None,
     )
+
+
+def _regions(hexadecimal: list[str]) -> NDArray[np.object_]:
+    """Regions of well-known binary in hexadecimal digits."""
+    return np.asarray(shapely.from_wkb(np.array(hexadecimal, object)), object).reshape(-1)
 
 
 def _owners(nested: pa.ListArray) -> Ints:

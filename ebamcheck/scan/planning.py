@@ -59,7 +59,8 @@ def plan_scan(
     profile = profile or Config()
     name, number = order or profile.scan.order, profile.scan.seed if seed is None else seed
     stack = Stack([layer_section(polygons)], np.array([height_mm], np.float64), [layer])
-    planned = ordered_layers(stack, profile, name, number, carry=name not in GEOMETRIC)
+    asked = name not in GEOMETRIC
+    planned = ordered_layers(stack, profile, name, number, carry=asked, driven=asked)
     return stack_plans([in_order(done) for done in planned], profile, name, number)
 
 
@@ -73,7 +74,8 @@ def plan_stack(
     """Plan a stack of layers, each as :func:`plan_scan` does, on all threads.
 
     An order that asks the heat model begins each layer with the heat that those under it have left, unless
-    `scan.carry_heat` is off.
+    `scan.carry_heat` is off. Whatever the order, each layer is driven with that heat for its power and waits, unless
+    `process.interpass` is off.
 
     Parameters
     ----------
@@ -91,8 +93,9 @@ def plan_stack(
     sections = [layer_section(layers.polygons(k)) for k in range(len(layers))]
     stack = Stack(sections, layers.heights, range(len(layers)), plate_mm)
     carry = profile.scan.carry_heat and name not in GEOMETRIC
+    driven = profile.process.interpass != "off"
     planned = []
-    for done in ordered_layers(stack, profile, name, number, carry):
+    for done in ordered_layers(stack, profile, name, number, carry, driven):
         planned.append(in_order(done))
         if progress is not None:
             progress(1)

@@ -11,7 +11,7 @@ from ebamcheck.heat.referee import Referee, Verdict, judged, referee
 from ebamcheck.rings import Floats
 from ebamcheck.scan.laying import LaidLayer
 from ebamcheck.scan.plan import ScanPlan
-from ebamcheck.scan.simulate import line_times, simulate_order
+from ebamcheck.scan.simulate import beam_lines, simulate_order
 
 CELLS_PER_ISLAND = 4.0
 """Cells of the referee across an island."""
@@ -26,13 +26,13 @@ def referee_of(laid: LaidLayer, profile: Config, cells_per_island: float = CELLS
 
 def refereed(model: Referee, plan: ScanPlan, profile: Config) -> Verdict:
     """Drive a plan of one layer from cold; what it finds is by island of the plan."""
-    begin_s, end_s = line_times(plan, profile)
+    ends, begin_s, end_s = beam_lines(plan, profile)
     driven = simulate_order(plan, profile).sort_values("island")
     entered: Floats = driven["start_s"].fillna(0.0).to_numpy(np.float64)
     return judged(
         model,
         model.cold(),
-        plan.vectors[["x0", "y0", "x1", "y1"]].to_numpy(np.float64),
+        ends,
         begin_s,
         end_s,
         profile.process.power_w * profile.material.absorptivity,

@@ -22,6 +22,9 @@ from ebamcheck.scan.plan import METRICS, ScanPlan, empty_vectors
 from ebamcheck.scan.simulate import EARLY, neighbour_intervals_s, simulate_order
 from ebamcheck.scan.whole_part import LayerHeat, OrderedLayer
 
+HEAT = ("body_mean_k", "entry_max_k", "wait_s", "ring_wait_s", "power_share", "enter_k", "leave_k")
+"""Metrics that the heat model of a layer gives; NaN where it was not asked."""
+
 
 @dataclass(frozen=True, eq=False)
 class LayerPlan:
@@ -56,6 +59,7 @@ def stack_plans(planned: Sequence[LayerPlan], profile: Config, order: str, seed:
     plan = ScanPlan(
         heights=np.array([p.laid.height_mm for p in planned], np.float64),
         contours=cells.column([p.laid.regions.contour for p in planned]),
+        sections=cells.column([p.laid.regions.section for p in planned]),
         islands=islands,
         # A plan of one layer is layer 0 of its own stack, whatever its index in the part.
         island_layer=np.repeat(np.arange(len(planned)), np.diff(base)).astype(np.int64),
@@ -68,8 +72,13 @@ def stack_plans(planned: Sequence[LayerPlan], profile: Config, order: str, seed:
         vectors=_vector_table(by_layer),
         metrics=pd.DataFrame(columns=list(METRICS)),
         settings=_settings(profile, order, seed),
+        island_wait_s=_joined([_island_wait_s(p) for p in planned], np.zeros(0)),
     )
     return replace(plan, metrics=_measured(plan, planned, profile))
+
+
+def _island_wait_s(layer: LayerPlan) -> Floats:
+    return np.zeros(len(layer.order)) if layer.heat is None else layer.heat.island_wait_s
 
 
 def _joined(columns: Sequence[NDArray[Any]], empty: NDArray[Any]) -> NDArray[Any]:
@@ -119,12 +128,13 @@ def _measured(plan: ScanPlan, planned: Sequence[LayerPlan], profile: Config) -> 
     def total(values: pd.Series) -> Floats:
         return np.bincount(of_layer, values.to_numpy(np.float64), minlength=len(planned)).astype(np.float64)
 
-    length, travel = total(driven["length_mm"]), total(driven["travel_mm"] + driven["inner_travel_mm"])
+    length, turn = total(driven["length_mm"]), total(driven["turn_mm"])
+    travel = total(driven["travel_mm"] + driven["inner_travel_mm"])
     spread = [interval[pair_layer == k] for k in range(len(planned))]
     spread = [values[np.isfinite(values)] for values in spread]
     area = np.array([p.laid.regions.section.area for p in planned], np.float64)
     contour = np.array([p.laid.regions.contour.length for p in planned], np.float64)
-    laid_mm2 = (contour + length) * profile.process.hatch_spacing_mm
+    laid_mm2 = (contour + length + turn) * profile.process.hatch_spacing_mm
     values: dict[str, Any] = {
         "layer": [p.laid.layer for p in planned],
         "height_mm": plan.heights,
@@ -136,12 +146,12 @@ def _measured(plan: ScanPlan, planned: Sequence[LayerPlan], profile: Config) -> 
         "laid_share": np.divide(laid_mm2, area, out=np.zeros_like(area), where=area > 0),
         "contour_length_mm": contour,
         "hatch_length_mm": length,
+        "turn_length_mm": turn,
         "travel_mm": travel,
         "starts": total(driven["starts"]).astype(np.int64),
-        "time_s": length / profile.process.travel_speed_mm_s + travel / profile.machine.rapid_mm_s,
+        "time_s": (length + turn) / profile.process.travel_speed_mm_s + travel / profile.machine.rapid_mm_s,
         "interval_p10_s": [float(np.quantile(v, EARLY)) if v.size else math.nan for v in spread],
         "interval_min_s": [float(v.min()) if v.size else math.nan for v in spread],
-        "body_mean_k": [math.nan if p.heat is None else p.heat.body_mean_k for p in planned],
-        "entry_max_k": [math.nan if p.heat is None else p.heat.entry_max_k for p in planned],
+        **{name: [math.nan if p.heat is None else getattr(p.heat, name) for p in planned] for name in HEAT},
     }
     return pd.DataFrame(values, columns=list(METRICS))

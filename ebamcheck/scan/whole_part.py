@@ -1,8 +1,7 @@
 """Layers put in order from below, each beginning with what those under it have left.
 
-Contour beads, and the time and heat that they take, are not part of it. What the sides of the part radiate is taken
-out of the whole body between layers, by its mean temperature: it is next to nothing while a layer is scanned, and
-most of what a tall part loses.
+A layer's contours heat it first, at the time at which they are laid; then come its islands. Times count the beads, the
+moves between them with rise and return, and the waits; power and waits are chosen by :mod:`ebamcheck.scan.interpass`.
 """
 
 from __future__ import annotations
@@ -17,15 +16,15 @@ import numpy as np
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.config import Config
-from ebamcheck.heat import carried
-from ebamcheck.heat.medium import STEFAN_BOLTZMANN_W_M2K4, cooled_by_radiation_k
-from ebamcheck.heat.model import HeatModel
+from ebamcheck.heat.balance import HeatColumn, LayerShape
 from ebamcheck.heat.one_blas_thread import one_blas_thread
 from ebamcheck.kernels import run_blocks, thread_count
 from ebamcheck.rings import Floats, Ints
-from ebamcheck.scan.driving import clocked, entered
+from ebamcheck.scan.bead_sequence import bead_sequence
+from ebamcheck.scan.interpass import Drive, LayerJob, cool_drive
 from ebamcheck.scan.laying import LaidLayer, lay_islands
 from ebamcheck.scan.order import LayerIslands, Order, scan_order
+from ebamcheck.scan.part_heat import PartHeat
 
 AHEAD = 8
 """Layers that are laid out and whose modes are found side by side, while those before them are put in order."""
@@ -40,7 +39,11 @@ WHOLE_PART = {
     "entry_max_k": "greatest mean temperature rise of an island when the beam enters it",
     "entry_sd_k": "standard deviation of it over the islands",
     "travel_mm": "jumps between islands",
-    "time_s": "time of the layer",
+    "time_s": "time of the layer, with contours, moves and the waits within it",
+    "wait_s": "wait before the layer",
+    "power_share": "share of the beam's power",
+    "enter_k": "temperature of the surface when it begins, absolute",
+    "leave_k": "the same when it is done",
     "stored_j": "heat in the body at its end",
 }
 """Columns of a row of :func:`scan_part` and what they are."""
@@ -55,7 +58,14 @@ class LayerHeat:
     entry_sd_k: float
     travel_mm: float
     time_s: float
+    wait_s: float
+    power_share: float
+    enter_k: float
+    leave_k: float
     stored_j: float
+    ring_wait_s: float
+    island_wait_s: Floats
+    """(I,) wait before each island"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,32 +103,47 @@ class Stack:
         """Return the number of layers."""
         return len(self.sections)
 
+    def thickness_mm(self, layer: int, profile: Config) -> float:
+        """Height of one layer: the step from the one below, for the lowest that to the next, or the one set."""
+        steps = np.diff(self.heights_mm)
+        return float(steps[max(layer - 1, 0)]) if len(steps) else profile.layer_height_mm
+
 
 def ordered_layers(
-    stack: Stack, profile: Config, order: str | Order, seed: int, carry: bool
+    stack: Stack, profile: Config, order: str | Order, seed: int, carry: bool, driven: bool = True
 ) -> Iterator[OrderedLayer]:
     """Put layers in order, from below.
 
     Parameters
     ----------
     carry
-        Drive each layer on the heat model and let the next one begin with what it leaves; else each is cold.
+        Let each order know the heat that is left below; else it is that of a cold part.
+    driven
+        Drive each layer on the heat model, and find its waits and power. Always done where heat is carried.
 
     Yields
     ------
     OrderedLayer
         As soon as it is done.
     """
-    if not carry:
+    if not (carry or driven):
         yield from _prepared(stack, lambda k: _cold(stack, k, profile, order, seed))
         return
-    left: tuple[HeatModel, Floats] | None = None
-    for laid, islands in _prepared(stack, lambda k: _laid(stack, k, profile, seed)):
-        warm = islands if left is None else _before(islands, left)
+    part, last = PartHeat(HeatColumn(profile)), None
+    for k, (laid, islands) in enumerate(_prepared(stack, lambda k: _laid(stack, k, profile, seed))):
         with one_blas_thread():
-            found = scan_order(order, warm)
-            heat, left = _driven(warm, found, left)
-        yield OrderedLayer(laid, warm, found, heat)
+            part = part.under(islands.cold_heat.model if len(islands) else None)
+            shape = LayerShape.of(islands.section, stack.thickness_mm(k, profile))
+            known = _knowing(islands, laid, part, last, profile) if carry else islands
+            found = scan_order(order, known)
+            if islands.section.area <= 0.0:
+                yield OrderedLayer(laid, known, found)
+                continue
+            beads, travel_mm = bead_sequence(laid, islands, found)
+            job = LayerJob(beads, shape, islands.height_mm, lowest=last is None)
+            last = cool_drive(job, part, profile)
+            part = last.after
+        yield OrderedLayer(laid, known, found, _figures(last, travel_mm, found, beads.rings, profile))
 
 
 def scan_part(
@@ -194,51 +219,46 @@ def _laid(stack: Stack, k: int, profile: Config, seed: int) -> tuple[LaidLayer, 
     return laid, islands
 
 
-def _before(islands: LayerIslands, left: tuple[HeatModel, Floats]) -> LayerIslands:
-    """Let a layer begin with the heat that another one left: its model, and amplitudes."""
-    model, amplitudes = left
-    after = replace(islands, before=lambda new: carried(model, amplitudes, new))
-    if len(islands):
-        # The modes are found already; only the beginning is another one.
-        vars(after)["cold_heat"] = islands.cold_heat
+def _knowing(
+    islands: LayerIslands, laid: LaidLayer, part: PartHeat, last: Drive | None, profile: Config
+) -> LayerIslands:
+    """Let an order know the heat with which the islands of a layer begin: its contours are laid.
+
+    Power and wait are those of the layer below, since those of this one depend on its order.
+    """
+    if not len(islands):
+        return islands
+    ahead = part.copy()
+    share, wait_s = (1.0, 0.0) if last is None else (last.power_share, last.wait_s)
+    ahead.rest(wait_s)
+    beads, _ = bead_sequence(laid, islands, np.zeros(0, np.int64))
+    ahead.column.lay(LayerShape.of(islands.section, profile.layer_height_mm))
+    for ring in range(len(beads)):
+        ahead.rest(float(beads.move_s[ring]))
+        ahead.lay_bead(beads, ring, share * profile.process.power_w * profile.material.absorptivity)
+    begins = ahead.amplitudes()
+    after = replace(islands, before=lambda _: begins)
+    # The modes are found already; only the beginning is another one.
+    vars(after)["cold_heat"] = islands.cold_heat
     return after
 
 
-def _driven(
-    islands: LayerIslands, order: Ints, left: tuple[HeatModel, Floats] | None
-) -> tuple[LayerHeat | None, tuple[HeatModel, Floats] | None]:
-    """Drive one layer: its heat, and what it leaves. A layer without islands leaves what it found, after the pause."""
-    pause_s = islands.profile.process.layer_pause_s
-    if not len(islands):
-        return None, None if left is None else (left[0], left[0].after(left[1], pause_s))
-    heat, drive = islands.heat, islands.driven
-    start_s, end_s, travel = clocked(
-        order, drive.entry, drive.leave, drive.time_s, islands.profile.machine.rapid_mm_s
-    )
-    model = heat.model
-    volume_mm3 = islands.section.area * model.depth.depth_mm
-    entry_k, state = entered(heat, order, start_s, end_s)
-    figures = LayerHeat(
-        body_mean_k=model.stored_j(heat.start_k) / (model.medium.heat_capacity_j_mm3k * volume_mm3),
+def _figures(drive: Drive, travel_mm: float, order: Ints, rings: int, profile: Config) -> LayerHeat:
+    rise_k = drive.bed_k - profile.process.ambient_temperature_k
+    entry_k = rise_k if rise_k.size else np.zeros(1)
+    island_wait_s = np.zeros(len(order))
+    island_wait_s[order] = drive.bead_wait_s[rings:]
+    return LayerHeat(
+        body_mean_k=drive.body_k,
         entry_max_k=float(entry_k.max()),
         entry_sd_k=float(entry_k.std()),
-        travel_mm=float(travel),
-        time_s=float(end_s.max()),
-        stored_j=model.stored_j(_radiated(islands, model, state, float(end_s.max()))),
+        travel_mm=travel_mm,
+        time_s=drive.time_s,
+        wait_s=drive.wait_s,
+        power_share=drive.power_share,
+        enter_k=drive.enter_k,
+        leave_k=drive.leave_k,
+        stored_j=drive.after.column.stored_j,
+        ring_wait_s=drive.ring_wait_s,
+        island_wait_s=island_wait_s,
     )
-    rested = model.after(state, pause_s)
-    return figures, (model, _radiated(islands, model, rested, float(end_s.max()) + pause_s))
-
-
-def _radiated(islands: LayerIslands, model: HeatModel, state: Floats, time_s: float) -> Floats:
-    """Amplitudes after the sides over the plate have radiated for a time."""
-    process, material = islands.profile.process, islands.profile.material
-    section = islands.section
-    heat_j_k = model.medium.heat_capacity_j_mm3k * section.area * model.depth.depth_mm
-    rise_k = model.stored_j(state) / heat_j_k
-    if rise_k <= 0.0:
-        return state
-    sides_mm2 = section.length * max(model.depth.depth_mm - process.base_plate_mm, 0.0)
-    per_k4 = material.emissivity * 1e-6 * STEFAN_BOLTZMANN_W_M2K4 * sides_mm2 / heat_j_k
-    left_k = cooled_by_radiation_k(rise_k, process.ambient_temperature_k, per_k4, time_s)
-    return np.asarray(state * (left_k / rise_k), np.float64)

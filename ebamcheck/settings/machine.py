@@ -78,6 +78,8 @@ class MachineSettings(Section):
     """Blocks that change the power along a bead, where the process ramps the beam."""
     wire_start: tuple[str, ...] = ("H3={wire_mm_s} ; wire speed, mm/s", "M62 ; wire on")
     """Blocks that start the wire at the speed of the layer."""
+    set_wire: tuple[str, ...] = ("H3={wire_mm_s} ; wire speed, mm/s",)
+    """Blocks that change the speed of the running wire, where a bead needs more or less of it along itself."""
     wire_stop: tuple[str, ...] = ("M63 ; wire off",)
     """Blocks that stop the wire."""
     wire_retract: tuple[str, ...] = ("H4={wire_retract_mm} ; wire drawn back, mm",)

@@ -53,6 +53,9 @@ class MaterialSettings(Section):
     """Temperature at which it ends (Mills 2002)."""
     boiling_k: Positive = 3533.0
     """Temperature at which heat leaves as vapour, in the nonlinear referee (nominal)."""
+    interpass_limit_k: Positive = 873.0
+    """Temperature over which no bead is entered, where the process sets none: 600 C, well under the solidus and under the
+    beta transus (1268 K), where a Ti-6Al-4V part keeps its shape and its melt pool its size. Nominal."""
     melt_mixing: Annotated[float, Field(ge=1, allow_inf_nan=False)] = 4.0
     """Conduction of the melt over that of still melt, in the nonlinear referee: convection carries the heat. Factors from
     2 to 10 are in use; nominal."""

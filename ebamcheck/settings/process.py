@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
-from ebamcheck.heights import bead_height_mm
-from ebamcheck.settings.base import Finite, NotNegative, Positive, Section
+from ebamcheck.heights import PARABOLA, bead_height_mm
+from ebamcheck.settings.base import Finite, NotNegative, Positive, Range, Section
+
+Share = Annotated[float, Field(gt=0, le=1)]
+PowerTable = Annotated[tuple[tuple[NotNegative, Share], ...], Field(min_length=1)]
+"""Heights over the base plate, mm, rising, and the share of the beam's power there."""
 
 
 class KeepOut(Section):
@@ -41,7 +46,26 @@ class ProcessSettings(Section):
     wire_diameter_mm: Positive = 1.6
     """Diameter of the wire."""
     wire_speed_mm_s: Positive = 2000.0 / 60.0
-    """Wire speed at the height of one bead; in a layer of another height it follows the mass balance."""
+    """Wire speed of one bead by itself, which gives the bead its height. In a program the wire follows what a bead is to
+    lay: the spacing of the beads times the height of the layer, more along a contour, less where beads overlap."""
+    wire_speed_min_mm_s: Positive = 1000.0 / 60.0
+    """Least wire speed at which the feeder runs evenly and the wire melts drop-free: 1 m/min, the lower end of what is
+    published for wire electron-beam processes; check it on the machine."""
+    wire_speed_max_mm_s: Positive = 6000.0 / 60.0
+    """Greatest wire speed at which the melt pool takes up the wire: 6 m/min, the upper end of what is published."""
+    layer_over_bead: Range = (0.5, 2.0)
+    """Least and greatest layer height over the height of the bead that wire_speed_mm_s and travel_speed_mm_s give. Under a
+    half the beam melts more of the layers below than of the wire; at twice the height of the default bead the layer is
+    more than half as high as the bead is wide, the contact angle passes 90 degrees, and the melt runs over the sides."""
+    line_energy_j_mm: Range = (150.0, 3000.0)
+    """Least and greatest energy of the beam along a bead, P / v. The corners of the published window: 60 kV and 50 mA at
+    20 mm/s, 60 kV and 250 mA at 5 mm/s. Less does not melt wire and base together, more boils and drops through."""
+    least_wall_mm: Positive | None = None
+    """Thinnest wall that may be built; None: bead_width_mm, or as much less as wire_speed_min_mm_s is under the wire speed
+    of a layer."""
+    least_hole_mm: Positive | None = None
+    """Narrowest hole or gap that may be built; None: bead_width_mm, since a narrower one is bridged by the melt of the
+    beads around it."""
     base: Literal["cooled", "insulated"] = "cooled"
     """What the heat model assumes under the base plate: a table that keeps its temperature, or no heat flow."""
     base_plate_mm: Positive = 25.0
@@ -50,6 +74,20 @@ class ProcessSettings(Section):
     """Temperature of the chamber, to which the part radiates."""
     surface_temperature_k: Positive = 900.0
     """Temperature at which the radiation of the layer is made linear."""
+    mass_tolerance: Positive = 0.02
+    """Share by which the metal of a program, and of each of its layers, may be off that of the sections."""
+    inside_tolerance: Positive = 0.03
+    """Share by which the mean height of the metal may be off that of the layer further than a bead width from the border."""
+    edge_tolerance: Positive = 0.1
+    """The same within a bead width of the border."""
+    outside_share: Positive = 0.05
+    """Share of a program's metal that may lie beside the sections and the allowance for machining; three times that of a
+    layer. A bead along a contour lies inside of it; what is outside is where walls are thinner than a bead."""
+    outside_reach_mm: Positive = 1.0
+    """How far beside them a bead may reach: the unevenness of a side as it is built, which is machined off."""
+    surface_tolerance: Positive = 1.0
+    """How far the surface may come to lie over or under its height while it is built, over the height of a layer: beyond,
+    the wire leaves the pool or runs into the part."""
     bead_width_mm: Positive = 6.0
     """Width of one bead."""
     bead_spacing: Annotated[float, Field(gt=0, le=1)] = 0.72
@@ -71,7 +109,23 @@ class ProcessSettings(Section):
     wire_retract_mm: NotNegative = 0.0
     """Wire drawn back at the end of a bead, so that it does not freeze in."""
     layer_pause_s: NotNegative = 0.0
-    """Wait between two layers with the beam off, so that the part cools: a dwell in the program and in the heat model."""
+    """Least wait between two layers with the beam off; `interpass` makes it longer where the part is too hot."""
+    interpass: Literal["dwell", "power", "both", "off"] = "both"
+    """What keeps the part cool: waits before layers and beads (dwell), less power as it gets warm (power), power first
+    and waits where the least power is still too much (both), or nothing (off)."""
+    interpass_limit_k: Positive | None = None
+    """Temperature over which no bead may be entered; None: that of the material. With `interpass` off, the solidus."""
+    interpass_at: Literal["bead", "layer"] = "bead"
+    """Where the limit holds: at every contour and island, which may be waited for within a layer, too, or at the first
+    bead of each layer alone."""
+    power_schedule: Literal["taper"] | PowerTable = "taper"
+    """Share of the beam's power: full on the cold base and, by the heat of the plan, down to the least at which the wire
+    melts (taper); or a table of heights over the plate and shares, linear between, [[0, 1], [60, 0.5]]."""
+    melting_efficiency: Annotated[float, Field(gt=0, le=1)] = 0.37
+    """Share of the absorbed power that melts metal; the rest is conducted away. 0.37 (1/e) is the most that a point source
+    moving over a thick body reaches, 0.48 a line through a sheet (Swift-Hook and Gick 1973; Okada 1977), nominal."""
+    dilution: Annotated[float, Field(ge=0, lt=1)] = 0.5
+    """Share of remelted metal in the melt pool, the rest is wire: half, as of flat beads that overlap by 0.72 (nominal)."""
     least_seam_distance_mm: NotNegative = 0.0
     """Least distance between the starts of contours in neighbouring layers; 0: not limited."""
     travel_sectors_deg: tuple[tuple[Finite, Finite], ...] = ()
@@ -102,11 +156,35 @@ class ProcessSettings(Section):
         return self.bead_width_mm * self.bead_spacing
 
     @property
+    def bead_metal_mm(self) -> float:
+        """Width of a rectangle as high as one bead by itself and of the same section, mm."""
+        return PARABOLA * self.bead_width_mm
+
+    @property
     def bead_height_mm(self) -> float:
         """Height of one bead from the mass balance, mm."""
         return bead_height_mm(
             self.wire_diameter_mm, self.wire_speed_mm_s, self.travel_speed_mm_s, self.bead_width_mm
         )
+
+    @field_validator("power_schedule")
+    @classmethod
+    def _rising(cls, value: str | tuple[tuple[float, float], ...]) -> str | tuple[tuple[float, float], ...]:
+        if not isinstance(value, str) and any(a[0] >= b[0] for a, b in itertools.pairwise(value)):
+            raise ValueError("give the heights of power_schedule in rising order")
+        return value
+
+    @model_validator(mode="after")
+    def _limits_in_order(self) -> Self:
+        wire = (self.wire_speed_min_mm_s, self.wire_speed_max_mm_s)
+        for name, (low, high) in {
+            "wire_speed_min_mm_s and wire_speed_max_mm_s": wire,
+            "layer_over_bead": self.layer_over_bead,
+            "line_energy_j_mm": self.line_energy_j_mm,
+        }.items():
+            if low >= high:
+                raise ValueError(f"{name} {low:g}, {high:g}: give the lower one first")
+        return self
 
     @model_validator(mode="after")
     def _current_in_range(self) -> Self:

@@ -1,0 +1,439 @@
+"""A balance of the heat of a whole program in one dimension: a column of layers that grows on the base plate.
+
+Each layer has an area, an outer and an inner perimeter. Heat is conducted along z, by the tables of the material
+(conductivity, heat capacity, heat of fusion); over a section the temperature is one. It leaves by T^4:
+
+- the top, the outer sides and the ledges between layers of different outlines radiate to the chamber;
+- the walls of a channel radiate into each other, and lose heat through its open top alone. A wall at the depth z under
+  the opening sees it with the view factor (X^2 + 1/2) / sqrt(X^2 + 1) - X, X = z/D, of a ring on the wall of a cylinder
+  (Howell, Catalog of Radiation Heat Transfer Configuration Factors, ring on a cylinder to its end), with the hydraulic
+  diameter D = 4 area/perimeter of the channel. Reflections make the opening blacker than its walls: it radiates with
+  the emissivity 1 / (1 + (1/eps - 1) a/A) of a grey cavity of walls and floor A behind an opening a (Siegel and
+  Howell, Thermal Radiation Heat Transfer). A deep channel of one temperature thus loses what a black disc of its
+  opening does; what walls exchange along the channel is left out. A channel that is closed above loses nothing.
+
+A layer is laid as metal at the temperature of the chamber, all at once when the layer begins, and takes up the beam's
+heat evenly over the time of the layer. The plate is as wide as the lowest layer, and loses nothing by itself but to
+a cooled table under it. The time is stepped implicitly (backward Euler, Newton), so that any step is stable, and heat
+put in is that stored, passed to the table and radiated to rounding.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+import shapely
+from shapely.geometry.base import BaseGeometry
+
+from ebamcheck.config import Config
+from ebamcheck.heat.enthalpy import EnthalpyTables, enthalpy_tables
+from ebamcheck.heat.medium import STEFAN_BOLTZMANN_W_M2K4
+from ebamcheck.kernels import kernel
+from ebamcheck.rings import Floats, Ints
+
+LARGEST_CELL_MM = 2.5
+"""Cells of the column at most: heat spreads over 20 times as much while a layer of a minute is laid."""
+
+STEPS, FEW_STEPS, SHORT_S = 12, 4, 15.0
+"""Time steps of a layer or a wait, which grow from short ones, as the square root law of a heated surface asks; and those
+of a time as short as a bead or a move."""
+
+GROWTH = 0.05
+"""Height of a cell over its depth under the surface at most, where cells of layers below are joined: the field under a
+heated surface is as smooth as it is deep."""
+
+JOINED_FROM_MM = 10.0
+"""Depth from which cells are joined."""
+
+NEWTON_STEPS, NEWTON_J_MM3 = 12, 1e-9
+"""Iterations of a time step at most, and the change of the heat content at which it has converged."""
+
+
+@dataclass(frozen=True)
+class LayerShape:
+    """What the balance knows of one layer: its height, metal, outer and inner perimeter, and the area of its holes."""
+
+    thickness_mm: float
+    area_mm2: float
+    outer_mm: float
+    inner_mm: float = 0.0
+    hole_mm2: float = 0.0
+
+    @classmethod
+    def of(cls, section: BaseGeometry, thickness_mm: float) -> LayerShape:
+        """Return the shape of a layer by its section; what is no area is left out."""
+        parts = [part for part in shapely.get_parts(section) if part.geom_type == "Polygon"]
+        holes = [shapely.Polygon(ring) for part in parts for ring in part.interiors]
+        return cls(
+            thickness_mm=thickness_mm,
+            area_mm2=float(sum(part.area for part in parts)),
+            outer_mm=float(sum(part.exterior.length for part in parts)),
+            inner_mm=float(sum(hole.exterior.length for hole in holes)),
+            hole_mm2=float(sum(hole.area for hole in holes)),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Deposits:
+    """What a program does, layer by layer from below, as columns (L,).
+
+    Parameters
+    ----------
+    thickness_mm, area_mm2, outer_mm, inner_mm, hole_mm2
+        As in :class:`LayerShape`.
+    energy_j
+        Heat that the layer takes up: power times absorptivity times the time with the beam on.
+    time_s
+        Time of the layer, with all moves.
+    wait_s
+        Wait before it.
+    """
+
+    thickness_mm: Floats
+    area_mm2: Floats
+    outer_mm: Floats
+    inner_mm: Floats
+    hole_mm2: Floats
+    energy_j: Floats
+    time_s: Floats
+    wait_s: Floats
+
+    def shape(self, layer: int) -> LayerShape:
+        """Return the shape of one layer."""
+        columns = (self.thickness_mm, self.area_mm2, self.outer_mm, self.inner_mm, self.hole_mm2)
+        return LayerShape(*(float(column[layer]) for column in columns))
+
+    def __len__(self) -> int:
+        """Return the number of layers."""
+        return len(self.area_mm2)
+
+
+@dataclass(frozen=True, eq=False)
+class Balance:
+    """Temperatures of the surface over a program, absolute, K, and where the heat went.
+
+    Parameters
+    ----------
+    start_k
+        (L,) mean of the uppermost layer, or of the plate's top, when the next layer begins.
+    end_k
+        (L,) mean of the layer when it is done.
+    absorbed_j, stored_j, base_j, radiated_j
+        Heat put in, left in the column, passed to the table, and radiated, until the last layer is done.
+    """
+
+    start_k: Floats
+    end_k: Floats
+    absorbed_j: float
+    stored_j: float
+    base_j: float
+    radiated_j: float
+
+
+def heat_balance(deposits: Deposits, profile: Config, tables: EnthalpyTables | None = None) -> Balance:
+    """Follow the heat of a whole program.
+
+    Parameters
+    ----------
+    tables
+        The material; that of the profile, with all its data over temperature, if None.
+    """
+    column = HeatColumn(profile, tables)
+    start_k, end_k = np.full(len(deposits), math.nan), np.full(len(deposits), math.nan)
+    for k in range(len(deposits)):
+        column.advance(float(deposits.wait_s[k]))
+        start_k[k] = column.surface_k
+        if deposits.area_mm2[k] > 0.0:
+            column.lay(deposits.shape(k))
+        column.advance(float(deposits.time_s[k]), float(deposits.energy_j[k]))
+        end_k[k] = column.surface_k
+    return Balance(start_k, end_k, column.absorbed_j, column.stored_j, column.base_j, column.radiated_j)
+
+
+@dataclass(eq=False)
+class HeatColumn:
+    """The column at one moment of a program; it grows by :meth:`lay` and ages by :meth:`advance`.
+
+    Parameters
+    ----------
+    profile
+        Plate, base, chamber and material.
+    tables
+        The material; that of the profile, with all its data over temperature, if None.
+    """
+
+    profile: Config
+    tables: EnthalpyTables | None = None
+    absorbed_j: float = 0.0
+    base_j: float = 0.0
+    radiated_j: float = 0.0
+    content: Floats = field(default_factory=lambda: np.zeros(0))
+    """(n,) heat content of the cells over that at ambient temperature, from below, J/mm^3."""
+    _cells: Floats = field(default_factory=lambda: np.zeros((5, 0)))
+    _top: int = 0
+    _under: int = 0
+    _radiating: Floats = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        """Take the material of the profile where none is given."""
+        if self.tables is None:
+            self.tables = enthalpy_tables(self.profile)
+
+    @property
+    def _material(self) -> EnthalpyTables:
+        assert self.tables is not None
+        return self.tables
+
+    @property
+    def edges_mm(self) -> Floats:
+        """(n + 1,) borders of the cells, counted from the base upwards."""
+        return np.concatenate([[0.0], np.cumsum(self._cells[0])])
+
+    @property
+    def temperature_k(self) -> Floats:
+        """(n,) absolute temperatures of the cells."""
+        return self._material.temperature(self.content)
+
+    @property
+    def surface_k(self) -> float:
+        """Mean temperature of the uppermost layer, K; ambient before there is any."""
+        if not len(self.content):
+            return self.profile.process.ambient_temperature_k
+        return self._mean_k(self._top, len(self.content))
+
+    @property
+    def bed_k(self) -> float:
+        """Temperature of what the next bead lies on: the warmer one of the uppermost layer and that under it, K."""
+        if not len(self.content):
+            return self.profile.process.ambient_temperature_k
+        return max(self.surface_k, self._mean_k(self._under, self._top))
+
+    @property
+    def mean_rise_k(self) -> float:
+        """Mean temperature of the column over ambient, K."""
+        if not len(self.content):
+            return 0.0
+        rise_k = self.temperature_k - self.profile.process.ambient_temperature_k
+        return float(np.average(rise_k, weights=self._cells[0] * self._cells[1]))
+
+    def _mean_k(self, start: int, stop: int) -> float:
+        return float(np.average(self.temperature_k[start:stop], weights=self._cells[0, start:stop]))
+
+    @property
+    def stored_j(self) -> float:
+        """Heat in the column over that at ambient temperature."""
+        return float((self.content * self._cells[0] * self._cells[1]).sum())
+
+    def copy(self) -> HeatColumn:
+        """Return the same column, to be aged by itself."""
+        return HeatColumn(
+            self.profile, self.tables, self.absorbed_j, self.base_j, self.radiated_j,
+            self.content.copy(), self._cells, self._top, self._under, self._radiating,
+        )  # fmt: skip
+
+    def lay(self, shape: LayerShape) -> None:
+        """Lay a cold layer on top; the first one brings the plate under it."""
+        if not len(self.content):
+            self._stack(LayerShape(self.profile.process.base_plate_mm, shape.area_mm2, 0.0))
+        self._under, self._top = self._top, len(self.content)
+        self._stack(shape)
+        joined = joined_cells(self._cells[0], self._cells[1], self._cells[4], self._under)
+        self._join(joined)
+        size, area, outer, inner, hole = self._cells
+        surface_mm2 = radiating_mm2(size, area, outer, inner, hole, self.profile.material.emissivity)
+        self._radiating = 1e-6 * STEFAN_BOLTZMANN_W_M2K4 * surface_mm2
+
+    def _stack(self, shape: LayerShape) -> None:
+        count = max(1, math.ceil(shape.thickness_mm / LARGEST_CELL_MM))
+        row = [shape.thickness_mm / count, shape.area_mm2, shape.outer_mm, shape.inner_mm, shape.hole_mm2]
+        self._cells = np.column_stack([self._cells, np.tile(np.array(row)[:, None], count)])
+        self._cells = np.ascontiguousarray(self._cells)
+        self.content = np.concatenate([self.content, np.zeros(count)])
+
+    def _join(self, owner: Ints) -> None:
+        """Join the cells of one owner (n,); volumes, surfaces and heat stay what they are."""
+        if owner[-1] + 1 == len(owner):
+            return
+        size = np.bincount(owner, self._cells[0])
+        volume = self._cells[0] * self._cells[1]
+        self.content = np.bincount(owner, self.content * volume) / np.bincount(owner, volume)
+        sides = [np.bincount(owner, row * self._cells[0]) / size for row in self._cells[1:]]
+        self._cells = np.ascontiguousarray([size, *sides])
+        self._top, self._under = int(owner[self._top]), int(owner[self._under])
+
+    def advance(self, duration_s: float, energy_j: float = 0.0) -> None:
+        """Let a time go by, in which the uppermost layer takes up heat."""
+        if duration_s <= 0.0 or not len(self.content):
+            return
+        gone = march(
+            self.content,
+            self._material.temperature_k,
+            self._material.theta_w_mm,
+            self._material.step_j_mm3,
+            self._cells[0],
+            self._cells[1],
+            self._radiating,
+            self.profile.process.ambient_temperature_k,
+            self.profile.process.base == "cooled",
+            self._top,
+            energy_j / duration_s,
+            duration_s,
+            FEW_STEPS if duration_s <= SHORT_S else STEPS,
+        )
+        self.absorbed_j += energy_j
+        self.base_j += float(gone[0])
+        self.radiated_j += float(gone[1])
+
+
+def constant_tables(profile: Config) -> EnthalpyTables:
+    """Return the material of the linear heat model: constant conductivity and heat capacity, no heat of fusion."""
+    material = profile.material
+    rise_k = np.array([0.0, 1.0])
+    capacity = 1e-9 * material.density_kg_m3 * material.heat_capacity_j_kgk
+    return EnthalpyTables(
+        step_j_mm3=capacity,
+        temperature_k=profile.process.ambient_temperature_k + rise_k,
+        theta_w_mm=1e-3 * material.conductivity_w_mk * rise_k,
+    )
+
+
+@kernel
+def radiating_mm2(
+    size: Floats, area: Floats, outer: Floats, inner: Floats, hole: Floats, emissivity: float
+) -> Floats:
+    """Surface (n,) of each cell by which it radiates to the chamber, times its emissivity, mm^2."""
+    count = len(size)
+    result = np.zeros(count)
+    bottom, wall_mm2 = count, 0.0
+    while bottom > 0 and hole[bottom - 1] > 0.0:
+        bottom -= 1
+        wall_mm2 += inner[bottom] * size[bottom]
+    black = 0.0
+    if bottom < count and emissivity > 0.0:
+        # The floor is as wide as the channel at its bottom.
+        black = 1.0 / (1.0 + (1.0 / emissivity - 1.0) * hole[count - 1] / (wall_mm2 + hole[bottom]))
+    below_mm = 0.0
+    for i in range(count - 1, -1, -1):
+        result[i] = emissivity * outer[i] * size[i]
+        whole = area[i] + hole[i]
+        over = area[i + 1] + hole[i + 1] if i + 1 < count else hole[i]
+        result[i] += emissivity * max(whole - over, 0.0)
+        if i > 0 and outer[i - 1] > 0.0:
+            result[i] += emissivity * max(whole - area[i - 1] - hole[i - 1], 0.0)
+        if i >= bottom:
+            along = (below_mm + 0.5 * size[i]) * inner[i] / (4.0 * hole[i])
+            seen = (along**2 + 0.5) / np.sqrt(along**2 + 1.0) - along
+            result[i] += black * seen * inner[i] * size[i]
+        below_mm += size[i]
+    return result
+
+
+@kernel
+def joined_cells(size: Floats, area: Floats, hole: Floats, under: int) -> Ints:
+    """Owner (n,) of each cell after neighbours that are thin for their depth are joined; from `under` on none is.
+
+    Cells beside a step of the outline, or where a channel begins or ends, stay.
+    """
+    count = len(size)
+    owner = np.empty(count, np.int64)
+    below, joined, owned = 0.0, 0.0, 0
+    for i in range(count - 1, -1, -1):
+        new = i >= under - 1 or below < JOINED_FROM_MM or joined + size[i] > GROWTH * below
+        if not new:
+            step = abs(area[i] + hole[i] - area[i + 1] - hole[i + 1]) > GROWTH * area[i]
+            new = step or (hole[i] > 0.0) != (hole[i + 1] > 0.0) or i == 0
+        if new:
+            joined = 0.0
+            owned += 1
+        joined += size[i]
+        below += size[i]
+        owner[i] = owned - 1
+    return owned - 1 - owner
+
+
+@kernel
+def looked_up(table: Floats, step: float, content: float) -> tuple[float, float]:
+    """Value of a table at a heat content, and its slope there."""
+    place = content / step
+    node = min(max(int(place), 0), table.size - 2)
+    slope = table[node + 1] - table[node]
+    return table[node] + slope * (place - node), slope / step
+
+
+@kernel
+def march(
+    content: Floats,
+    temperature: Floats,
+    theta: Floats,
+    table_step: float,
+    size: Floats,
+    area: Floats,
+    radiating: Floats,
+    ambient: float,
+    cooled: bool,
+    top: int,
+    power: float,
+    duration: float,
+    steps: int,
+) -> Floats:
+    """Age a column; `content` goes from the first to the last state. Returns the heat to the table and radiated, J.
+
+    What leaves in a step is counted as the last Newton step has it, whose solution balances exactly.
+    """
+    count = len(content)
+    volume, half = size * area, 0.5 * size / area
+    heated = volume[top:].sum()
+    gone = np.zeros(2)
+    warm, warm_slope = np.empty(count), np.empty(count)
+    flow, flow_slope = np.empty(count), np.empty(count)
+    lost, lost_slope = np.empty(count), np.empty(count)
+    diagonal, upper, right = np.empty(count), np.empty(count), np.empty(count)
+    base = 1.0 / half[0] if cooled else 0.0
+    before = 0.0
+    for step in range(1, steps + 1):
+        now = duration * (step / steps) ** 2
+        time, before = now - before, now
+        old = content.copy()
+        for _ in range(NEWTON_STEPS):
+            for i in range(count):
+                warm[i], warm_slope[i] = looked_up(temperature, table_step, content[i])
+                flow[i], flow_slope[i] = looked_up(theta, table_step, content[i])
+                lost[i] = radiating[i] * (warm[i] ** 4 - ambient**4)
+                lost_slope[i] = radiating[i] * 4.0 * warm[i] ** 3 * warm_slope[i]
+            for i in range(count):
+                source = power * volume[i] / heated if i >= top else 0.0
+                rest = source - lost[i] - volume[i] * (content[i] - old[i]) / time
+                pivot = volume[i] / time + lost_slope[i]
+                if i == 0:
+                    rest -= base * flow[0]
+                    pivot += base * flow_slope[0]
+                else:
+                    link = 1.0 / (half[i - 1] + half[i])
+                    rest -= link * (flow[i] - flow[i - 1])
+                    pivot += link * flow_slope[i]
+                if i + 1 < count:
+                    link = 1.0 / (half[i] + half[i + 1])
+                    rest -= link * (flow[i] - flow[i + 1])
+                    pivot += link * flow_slope[i]
+                    upper[i] = -link * flow_slope[i + 1]
+                if i > 0:
+                    lower = -flow_slope[i - 1] / (half[i - 1] + half[i])
+                    factor = lower / diagonal[i - 1]
+                    pivot -= factor * upper[i - 1]
+                    rest -= factor * right[i - 1]
+                diagonal[i], right[i] = pivot, rest
+            largest = 0.0
+            for i in range(count - 1, -1, -1):
+                if i + 1 < count:
+                    right[i] -= upper[i] * right[i + 1]
+                right[i] /= diagonal[i]
+                content[i] += right[i]
+                largest = max(largest, abs(right[i]))
+            if largest < NEWTON_J_MM3:
+                break
+        gone[0] += time * base * (flow[0] + flow_slope[0] * right[0])
+        for i in range(count):
+            gone[1] += time * (lost[i] + lost_slope[i] * right[i])
+    return gone

@@ -1,0 +1,48 @@
+"""What the wire needs to melt, and how warm the part may be: limits of power and temperature from process and material."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ebamcheck.config import Config
+from ebamcheck.heat.enthalpy import enthalpy_tables
+
+
+def melting_heat_j_kg(profile: Config) -> float:
+    """Heat that brings the material from the chamber's temperature to the liquidus and melts it, J/kg."""
+    tables = enthalpy_tables(profile)
+    content_j_mm3 = float(tables.heat_content(profile.material.liquidus_k))
+    return content_j_mm3 / (1e-9 * profile.material.density_kg_m3)
+
+
+def least_power_share(profile: Config, thickness_mm: float | None = None) -> float:
+    """Share of the beam's power that a layer of a thickness needs to melt; over 1: the beam is too weak for it.
+
+    The melt pool takes the wire, of which travel speed, spacing of the beads and height of the layer ask so much, and
+    the metal that is remelted with it; both are heated from the chamber's temperature, which is on the safe side. Where
+    full power is too little for that, the whole of it is needed, and less is remelted; the wire alone is the least.
+    """
+    process, material = profile.process, profile.material
+    height_mm = profile.layer_height_mm if thickness_mm is None else thickness_mm
+    laid_mm3_s = process.travel_speed_mm_s * process.hatch_spacing_mm * height_mm
+    wire_w = 1e-9 * material.density_kg_m3 * laid_mm3_s * melting_heat_j_kg(profile)
+    wire = wire_w / (process.melting_efficiency * material.absorptivity * process.power_w)
+    pool = wire / (1.0 - process.dilution)
+    return pool if pool <= 1.0 else max(wire, 1.0)
+
+
+def entry_limit_k(profile: Config) -> float:
+    """Temperature over which no bead may be entered, absolute, K."""
+    process, material = profile.process, profile.material
+    if process.interpass_limit_k is not None:
+        return process.interpass_limit_k
+    return material.solidus_k if process.interpass == "off" else material.interpass_limit_k
+
+
+def scheduled_share(profile: Config, height_mm: float) -> float | None:
+    """Share of the power at a height over the plate by the table of the settings; None where the heat decides."""
+    schedule = profile.process.power_schedule
+    if isinstance(schedule, str):
+        return None
+    heights, shares = np.array(schedule, np.float64).T
+    return float(np.interp(height_mm, heights, shares))

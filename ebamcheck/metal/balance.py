@@ -1,0 +1,92 @@
+"""Balance: how much wire each bead needs so that the beads together lay the section, no more and no less.
+
+Beads overlap where hatch lines end, turn and meet the contour, and lie apart where an island has no room for a whole
+number of lines. So each bead gets the wire for the metal that is missing under it: the width times the layer's height
+of what it lays. The widths are those that make a layer flat with the greatest likelihood, found by the multiplicative
+iteration of Richardson (1972, J. Opt. Soc. Am. 62:55) and Lucy (1974, Astron. J. 79:745), which keeps them positive and
+the sum of the metal that of the section.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ebamcheck.kernels import kernel
+from ebamcheck.metal.footprints import Footprints
+from ebamcheck.rings import Floats, Ints
+
+MOST_RIM = 1.02
+"""Factor by which all widths are changed at most so that the sum of the metal is right."""
+
+ITERATIONS = 20
+"""Steps of the iteration: the sum is right after the first, and a layer hardly gets flatter after ten."""
+
+
+def balanced_widths(
+    found: Footprints, share: Floats, cell_mm2: float, width_mm: Floats, least_mm: float, most_mm: float
+) -> Floats:
+    """Widths of metal that lay a section flat.
+
+    Parameters
+    ----------
+    found
+        Footprints of the beads.
+    share
+        (rows, columns) share of each cell that is to be metal, one layer high.
+    width_mm
+        (B,) widths to begin with.
+    least_mm, most_mm
+        What the process allows.
+
+    Returns
+    -------
+    array
+        (B,) mm.
+    """
+    width = iterated(
+        found.starts,
+        found.cell,
+        found.length_mm,
+        share.ravel(),
+        cell_mm2,
+        np.array(width_mm, np.float64),
+        least_mm,
+        most_mm,
+        ITERATIONS,
+    )
+    laid = found.laid(width, share.size, cell_mm2).sum()
+    if laid <= 0.0:
+        return width
+    # Cells on a curved border that pools only touch are a percent of a layer: all beads lay it together.
+    missing = min(max(share.sum() / laid, 1.0 / MOST_RIM), MOST_RIM)
+    return np.asarray(np.clip(width * missing, least_mm, most_mm), np.float64)
+
+
+@kernel
+def iterated(
+    starts: Ints,
+    cell: Ints,
+    length_mm: Floats,
+    share: Floats,
+    cell_mm2: float,
+    width: Floats,
+    least: float,
+    most: float,
+    steps: int,
+) -> Floats:
+    """Change `width` step by step, and return it."""
+    laid = np.empty(share.size)
+    for _ in range(steps):
+        laid[:] = 0.0
+        for bead in range(len(width)):
+            for n in range(starts[bead], starts[bead + 1]):
+                laid[cell[n]] += width[bead] * length_mm[n] / cell_mm2
+        for bead in range(len(width)):
+            wanted, whole = 0.0, 0.0
+            for n in range(starts[bead], starts[bead + 1]):
+                whole += length_mm[n]
+                if share[cell[n]] > 0.0:
+                    wanted += length_mm[n] * share[cell[n]] / laid[cell[n]]
+            if whole > 0.0:
+                width[bead] = min(max(width[bead] * wanted / whole, least), most)
+    return width

@@ -1,0 +1,84 @@
+"""The surface that a part has while it is built: what the layers so far have laid too much or too little.
+
+A place stays molten while the beam is within a bead width of it, and levels over that distance with the molten metal
+around it; none flows over the border. What is still too high or too low then is where the next layer begins.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import ndimage
+
+from ebamcheck.metal.target import Target, cell_mm
+from ebamcheck.rings import Floats
+
+LEVELLED_BEADS = 0.5
+"""Standard deviation, over the bead width, of the Gaussian that levels: that of a disc of one bead width's radius."""
+
+SPOT_BEADS = 0.25
+"""The same of the spot over which the surface is read: that of a disc as wide as the bead."""
+
+HALF = 0.5
+"""Share of a cell in the section from which on it counts as inside."""
+
+FILM = 0.25
+"""Height of metal over that of the layer from which on a bead has reached a place: its flank is thinner."""
+
+
+class Surface:
+    """The surface over one grid for all layers of a part."""
+
+    def __init__(self, bounds: Floats, bead_width_mm: float) -> None:
+        """Lay cells over `bounds` (x0, y0, x1, y1), mm, with room for beads beside it; nothing is built yet."""
+        self.step_mm = cell_mm(bounds, bead_width_mm)
+        margin_mm = 2.0 * bead_width_mm
+        low = np.floor((bounds[:2] - margin_mm) / self.step_mm) - 1.0
+        columns, rows = (
+            (np.ceil((bounds[2:] + margin_mm) / self.step_mm) - low + 1.0).astype(np.int64).tolist()
+        )
+        self._corner = low.astype(np.int64)
+        self._over_mm: Floats = np.zeros((rows, columns))
+        self._share: Floats = np.zeros((rows, columns))
+        self._bead = bead_width_mm / self.step_mm
+
+    def over_mm(self, target: Target) -> Floats:
+        """Height of the surface over that of the last layer in the cells of a layer, the mean over the spot of a bead; 0 without metal."""
+        if not target.share.size:
+            return np.zeros_like(target.share)
+        at = self._window(target)
+        height, share = _spread(self._over_mm[at], self._share[at], SPOT_BEADS * self._bead)
+        return np.asarray(
+            np.divide(height, share, out=np.zeros_like(share), where=self._share[at] > 0.0), np.float64
+        )
+
+    def add(self, target: Target, laid_mm: Floats, thickness_mm: float) -> None:
+        """Build a layer.
+
+        Parameters
+        ----------
+        laid_mm
+            (rows, columns) height of the metal in the cells of `target`.
+        thickness_mm
+            Height that the layer is to have.
+        """
+        over, built = np.zeros_like(self._over_mm), np.zeros_like(self._share)
+        if target.share.size:
+            at = self._window(target)
+            share = np.where((target.share >= HALF) & (laid_mm >= FILM * thickness_mm), target.share, 0.0)
+            before = np.where(self._share[at] > 0.0, self._over_mm[at], 0.0)
+            raised = before + laid_mm / np.maximum(target.share, HALF) - thickness_mm
+            flown, weight = _spread(raised, share, LEVELLED_BEADS * self._bead)
+            built[at] = share
+            over[at] = np.where(share > 0.0, flown + (1.0 - weight) * raised, 0.0)
+        self._over_mm, self._share = over, built
+
+    def _window(self, target: Target) -> tuple[slice, slice]:
+        """Where the cells of a layer lie in the grid."""
+        column, row = (np.round(target.origin / self.step_mm).astype(np.int64) - self._corner).tolist()
+        return slice(row, row + target.share.shape[0]), slice(column, column + target.share.shape[1])
+
+
+def _spread(height: Floats, share: Floats, sigma: float) -> tuple[Floats, Floats]:
+    """Heights times shares, and shares, spread by a Gaussian."""
+    both = ndimage.gaussian_filter(np.stack([height * share, share]), (0.0, sigma, sigma), mode="constant")
+    return both[0], both[1]

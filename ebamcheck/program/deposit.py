@@ -1,0 +1,174 @@
+"""The metal that a program's text lays, as a height field: layer by layer, and as the surface that is built up.
+
+Every motion with beam and wire on counts, whatever a comment says of it. The wire's section, speed and the feed give its
+metal; the pool, a half sphere as wide as the bead, spreads it (:mod:`ebamcheck.metal.footprints` plans by the same
+physics, in other code). A place stays molten while the beam is within a bead width of it, and is levelled over that
+distance; what is still too high or too low then is where the next layer begins.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+import shapely
+from scipy import ndimage
+from shapely.geometry.base import BaseGeometry
+
+from ebamcheck.config import Config
+from ebamcheck.layers import Layers
+from ebamcheck.metal import Surface, Target, target_of
+from ebamcheck.metal.surface import FILM, HALF
+from ebamcheck.program.motions import NCProgram
+from ebamcheck.program.wire import metal_region
+from ebamcheck.rings import Bools, Floats, Ints
+from ebamcheck.scan.regions import layer_section
+
+STEP_SHARE = 1.0 / 12.0
+"""Distance of the places at which metal is laid, over the bead width: half a cell."""
+
+
+@dataclass(frozen=True, eq=False)
+class Deposit:
+    """What the metal of a program comes to.
+
+    Parameters
+    ----------
+    layers
+        One row a layer: ``layer``, ``z_mm``, ``wanted_mm3``, ``laid_mm3``, ``outside_mm3`` (beside section and allowance),
+        ``inside_mm2`` and ``edge_mm2`` (cells further than a bead width from the border, and the others), ``inside`` and
+        ``edge`` (mean height of the metal there over that of the layer; NaN without any), ``low_mm`` and ``high_mm``
+        (the surface under and over its height when the layer is done), ``reach_mm`` (how far from the section there
+        is metal of :data:`~ebamcheck.metal.surface.FILM`), and where these three are, ``low_x_mm`` ... ``reach_y_mm``.
+    first_row
+        (L,) first motion of each layer that lays metal, -1 without one.
+    """
+
+    layers: pd.DataFrame
+    first_row: Ints
+
+
+def deposit(nc: NCProgram, layers: Layers, z_of: Floats, config: Config) -> Deposit:
+    """Lay the metal of a program, layer by layer.
+
+    Parameters
+    ----------
+    layers
+        (L,) sections by a slicer, best by one that did not make the program.
+    z_of
+        (L,) Z of each in the program, mm.
+    """
+    process = config.process
+    rows = np.flatnonzero(nc.deposit & nc.wire)
+    index = np.searchsorted(0.5 * (z_of[1:] + z_of[:-1]), nc.end[rows, 2])
+    thickness = np.diff(z_of, prepend=0.0)
+    sections = [metal_region(layer_section(layers.polygons(k)), config) for k in range(len(layers))]
+    some = [s for s in sections if not s.is_empty]
+    bounds = np.asarray(shapely.total_bounds(some), np.float64) if some else np.zeros(4)
+    field = _Field(bounds, process.bead_width_mm)
+    wire_mm2 = 0.25 * math.pi * process.wire_diameter_mm**2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        bead_mm2 = np.nan_to_num(nc.wire_mm_s * wire_mm2 / (nc.feed_mm_min / 60.0), posinf=0.0)
+    found, first = [], np.full(len(layers), -1, np.int64)
+    for k, section in enumerate(sections):
+        mine = rows[index == k]
+        if mine.size:
+            first[k] = mine[0]
+        places, volume = _metal(nc, mine, bead_mm2, process.bead_width_mm * STEP_SHARE)
+        figures = field.add(section, places, volume, float(thickness[k]))
+        found.append({"layer": k, "z_mm": float(z_of[k]), **figures})
+    return Deposit(pd.DataFrame(found), first)
+
+
+def _metal(nc: NCProgram, rows: Ints, bead_mm2: Floats, step_mm: float) -> tuple[Floats, Floats]:
+    """Places (n, 2) at which motions lay metal, and its volume (n,) mm3."""
+    row, places = nc.samples(rows, step_mm)
+    pieces = np.bincount(row, minlength=len(nc))[row]
+    return places, bead_mm2[row] * np.nan_to_num(nc.lengths[row]) / pieces
+
+
+class _Field:
+    """Metal laid on the surface of a part, layer by layer."""
+
+    def __init__(self, bounds: Floats, bead_width_mm: float) -> None:
+        self._surface = Surface(bounds, bead_width_mm)
+        self._bead_mm = bead_width_mm
+        radius = 0.5 * bead_width_mm / self._surface.step_mm
+        offset = np.arange(-math.ceil(radius), math.ceil(radius) + 1)
+        self._pool = np.sqrt(np.maximum(radius**2 - (offset[:, None] ** 2 + offset**2), 0.0))
+        self._pool /= self._pool.sum()
+
+    def add(
+        self, section: BaseGeometry, places: Floats, volume: Floats, thickness_mm: float
+    ) -> dict[str, float]:
+        """Lay one layer; its figures by name."""
+        step = self._surface.step_mm
+        target = target_of(section, step, 2.0 * self._bead_mm)
+        share, inside = target.share, target.share >= HALF
+        laid = ndimage.convolve(_spread(target, places, volume) / step**2, self._pool, mode="constant")
+        self._surface.add(target, laid, thickness_mm)
+        deep = inside & (_distance(inside) * step > self._bead_mm)
+        rim = inside & ~deep
+        film = ~inside & (laid >= FILM * thickness_mm)
+        # From the border of a cell to the middle of the next it is half a cell.
+        reach = np.where(film, (_distance(~inside) - 0.5) * step, 0.0) if film.any() else np.zeros_like(laid)
+        wanted = share * thickness_mm
+        over = self._surface.over_mm(target)
+        return {
+            "wanted_mm3": float(wanted.sum() * step**2),
+            "laid_mm3": float(volume.sum()),
+            # What falls beside all cells is outside, too.
+            "outside_mm3": float(volume.sum() - (laid * share).sum() * step**2),
+            "inside_mm2": float(deep.sum() * step**2),
+            "edge_mm2": float(rim.sum() * step**2),
+            "inside": _ratio(laid, wanted, deep),
+            "edge": _ratio(laid, wanted, rim),
+            **_extreme("low", -over, target),
+            **_extreme("high", over, target),
+            **_extreme("reach", reach, target),
+        }
+
+
+def _distance(cells: Bools) -> Floats:
+    """Distance of the middle of each of the cells from the nearest that is none of them, in cells."""
+    return (
+        np.asarray(ndimage.distance_transform_edt(cells), np.float64)
+        if not cells.all()
+        else np.full(cells.shape, np.inf)
+    )
+
+
+def _spread(target: Target, places: Floats, volume: Floats) -> Floats:
+    """Volume by cell, shared between the four cells around each place; what lies beside the grid is left out."""
+    rows, columns = target.share.shape
+    at = (places - target.origin) / target.step_mm - 0.5
+    corner = np.floor(at).astype(np.int64)
+    part = at - corner
+    result = np.zeros(rows * columns)
+    for right in (0, 1):
+        for up in (0, 1):
+            column, row = corner[:, 0] + right, corner[:, 1] + up
+            weight = volume * np.abs(1 - right - part[:, 0]) * np.abs(1 - up - part[:, 1])
+            held = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+            result += np.bincount((row * columns + column)[held], weight[held], minlength=result.size)
+    return result.reshape(rows, columns)
+
+
+def _extreme(name: str, height: Floats, target: Target) -> dict[str, float]:
+    """Greatest value of a field, mm, and where it is."""
+    if not height.size:
+        return {f"{name}_mm": 0.0, f"{name}_x_mm": math.nan, f"{name}_y_mm": math.nan}
+    row, column = np.unravel_index(int(np.argmax(height)), height.shape)
+    x, y = target.origin + (np.array([column, row]) + 0.5) * target.step_mm
+    return {
+        f"{name}_mm": max(float(height[row, column]), 0.0),
+        f"{name}_x_mm": float(x),
+        f"{name}_y_mm": float(y),
+    }
+
+
+def _ratio(laid: Floats, wanted: Floats, zone: Bools) -> float:
+    whole = float(wanted[zone].sum())
+    return float(laid[zone].sum()) / whole if whole > 0.0 else math.nan

@@ -1,0 +1,138 @@
+"""Checks of what keeps the part cool: waits and power of each layer, and how hot it is where a bead is entered."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ebamcheck.config import Config
+from ebamcheck.heat.balance import LayerShape
+from ebamcheck.heat.melting import entry_limit_k, least_power_share
+from ebamcheck.layers import Layers
+from ebamcheck.program.checks import Check, count_check
+from ebamcheck.program.inputs import Interpass
+from ebamcheck.program.motions import NCProgram
+from ebamcheck.program.state_checks import event_place
+from ebamcheck.program.text_heat import TextBeads, text_beads, text_bed_k, text_shapes
+from ebamcheck.rings import Floats
+
+INTERPASS, MELTING = "interpass temperature", "melting power"
+"""Names of the checks that the heat gate reads."""
+
+PAUSE_TOLERANCE_S = 1e-6
+"""Decimals of a process value."""
+
+SHARE_TOLERANCE = 1e-3
+"""Beam power in the program over that of the plan: the decimals of voltage and current."""
+
+OVER_RANGE = "over the model's range: metal would boil"
+"""Mark of a figure that is clipped to the boiling point."""
+
+
+def interpass_checks(
+    nc: NCProgram, config: Config, heat: Interpass | None, sections: Layers | None
+) -> list[Check]:
+    """Check waits and power of each layer, and the temperature at which beads are entered.
+
+    Parameters
+    ----------
+    heat
+        Waits and power of the plan; None where it is not known: then the least wait between layers is that of the
+        settings.
+    sections
+        Sections of the part, for the balance of its heat; None: what the contours of the program enclose.
+    """
+    beads, shapes = text_beads(nc, config), text_shapes(nc, config, sections)
+    return [
+        _waits(nc, beads, config, heat),
+        _melting(nc, config, shapes),
+        _entries(nc, beads, config, shapes),
+    ]
+
+
+def layer_shares(nc: NCProgram, power_w: float) -> Floats:
+    """Share of the power in each layer, (L,): that of its strongest motion; NaN where it lays nothing."""
+    rows = np.flatnonzero(nc.deposit & (nc.layer >= 0))
+    shares = np.full(len(nc.layer_files), -np.inf)
+    np.fmax.at(shares, nc.layer[rows], nc.power_w[rows] / power_w)
+    return np.where(np.isinf(shares), np.nan, shares)
+
+
+def _waits(nc: NCProgram, beads: TextBeads, config: Config, heat: Interpass | None) -> Check:
+    """Wait before every bead, exactly as planned; without a plan, before every layer but the first, at least so long."""
+    least_s = config.process.layer_pause_s
+    first = beads.enters_layer & (np.arange(len(beads)) > 0)
+    faults = [(event_place(nc, event), what) for event, what in beads.stray]
+    if heat is None:
+        wanted = np.where(first, least_s, 0.0)
+        bad = beads.wait_s < wanted - PAUSE_TOLERANCE_S
+        if config.process.interpass in ("off", "power"):
+            bad |= beads.wait_s > wanted + PAUSE_TOLERANCE_S
+    else:
+        wanted = np.where(beads.ring >= 0, heat.ring_wait_s[beads.layer], 0.0)
+        inner = beads.island >= 0
+        wanted[inner] = heat.island_wait_s[beads.island[inner]]
+        wanted[first] = heat.wait_s[beads.layer[first]] + np.where(inner, wanted, 0.0)[first]
+        wanted[:1] = np.where(inner, wanted, 0.0)[:1]
+        bad = np.abs(beads.wait_s - wanted) > PAUSE_TOLERANCE_S
+    faults += [
+        (
+            nc.where(int(beads.row[n])),
+            f"waits {beads.wait_s[n]:g} s before {_named(beads, n)} in place of {wanted[n]:g} s",
+        )
+        for n in np.flatnonzero(bad).tolist()
+    ]
+    within = float(beads.wait_s[~first].sum())
+    good = f"waits {beads.wait_s[first].sum():.6g} s between layers and {within:.6g} s within them"
+    return count_check("layer pause", faults, good)
+
+
+def _named(beads: TextBeads, n: int) -> str:
+    if beads.enters_layer[n]:
+        return f"layer {beads.layer[n] + 1}"
+    what = f"island {beads.island[n]}" if beads.island[n] >= 0 else f"ring {beads.ring[n]}"
+    return f"{what} of layer {beads.layer[n] + 1}"
+
+
+def _melting(nc: NCProgram, config: Config, shapes: Sequence[LayerShape]) -> Check:
+    """Power of each layer over the least at which its wire melts."""
+    shares = layer_shares(nc, config.process.power_w)
+    least = np.array([least_power_share(config, shape.thickness_mm) for shape in shapes])
+    laid = np.flatnonzero(np.isfinite(shares))
+    if not laid.size:
+        return Check(MELTING, True, 0.0, 1.0, "of the power needed", "", "nothing is laid")
+    worst = int(laid[np.argmin(shares[laid] / least[laid])])
+    value = float(shares[worst] / least[worst])
+    row = int(np.flatnonzero(nc.deposit & (nc.layer == worst))[0])
+    full_w = config.process.power_w
+    text = (
+        f"layer {worst + 1} has {shares[worst] * full_w:.6g} W, its wire and the metal that it remelts need "
+        f"{least[worst] * full_w:.6g} W"
+    )
+    return Check(
+        MELTING, value >= 1.0 - SHARE_TOLERANCE, value, 1.0, "of the power needed", nc.where(row), text
+    )
+
+
+def _entries(nc: NCProgram, beads: TextBeads, config: Config, shapes: Sequence[LayerShape]) -> Check:
+    """Temperature of the surface when a bead is entered, by the balance, against the limit."""
+    limit_k = entry_limit_k(config)
+    bed_k, _ = text_bed_k(beads, config, shapes)
+    checked = beads.enters_layer if config.process.interpass_at == "layer" else np.ones(len(beads), np.bool_)
+    if not checked.any():
+        return Check(INTERPASS, True, 0.0, limit_k, "K", "", "nothing is laid")
+    rows = np.flatnonzero(checked)
+    worst = int(rows[np.argmax(bed_k[rows])])
+    figure_k, mark = within_range(float(bed_k[worst]), config)
+    over = int((bed_k[rows] > limit_k).sum())
+    text = f"surface at {figure_k:.0f} K{mark} when {_named(beads, worst)} is entered, by the balance of the heat"
+    if over:
+        text += f"; {over} of {rows.size} entries are over {limit_k:.0f} K"
+    return Check(INTERPASS, not over, figure_k, limit_k, "K", nc.where(int(beads.row[worst])), text)
+
+
+def within_range(temperature_k: float, config: Config) -> tuple[float, str]:
+    """Temperature clipped to the boiling point, and the mark of one that was over it."""
+    boiling_k = config.material.boiling_k
+    return (temperature_k, "") if temperature_k <= boiling_k else (boiling_k, f" ({OVER_RANGE})")

@@ -1,0 +1,150 @@
+"""The heat of a program from its text: the beads that it lays, its times, waits and power, and the balance driven by them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import shapely
+
+from ebamcheck.config import Config
+from ebamcheck.heat.balance import HeatColumn, LayerShape
+from ebamcheck.layers import Layers
+from ebamcheck.program.motions import RAPID, NCProgram
+from ebamcheck.rings import Floats, Ints
+
+PAUSE = "layer_pause_s"
+"""Event of a wait, named by its placeholder."""
+
+OUTLINE_STEP_MM = 0.5
+"""Chords of the contours of which perimeters and areas are taken, where no section is known."""
+
+
+def motion_seconds(nc: NCProgram, config: Config) -> Floats:
+    """Time of each motion (B,): length over feed, rapids over ``machine.rapid_mm_s``."""
+    length = np.nan_to_num(nc.lengths)
+    speed = np.where(nc.kind == RAPID, config.machine.rapid_mm_s, nc.feed_mm_min / 60.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.where(length > 0.0, length / speed, 0.0), np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class TextBeads:
+    """Beads of a program in its sequence: one a contour ring, one an island, as columns (P,).
+
+    Parameters
+    ----------
+    layer, ring, island
+        What each is of; -1 for none.
+    row
+        First motion of each.
+    wait_s, move_s
+        Wait, and moves with the beam off, before it.
+    time_s, energy_j
+        Time from its first to its last motion under beam, and the beam's energy in it.
+    stray
+        Waits that no bead follows, or that lie within a bead: (event, what).
+    """
+
+    layer: Ints
+    ring: Ints
+    island: Ints
+    row: Ints
+    wait_s: Floats
+    move_s: Floats
+    time_s: Floats
+    energy_j: Floats
+    stray: tuple[tuple[int, str], ...]
+
+    def __len__(self) -> int:
+        """Return the number of beads."""
+        return len(self.layer)
+
+    @cached_property
+    def enters_layer(self) -> np.ndarray:
+        """Whether each is the first of its layer, (P,)."""
+        return np.asarray(np.diff(self.layer, prepend=-1) != 0)
+
+
+def text_beads(nc: NCProgram, config: Config) -> TextBeads:
+    """Find the beads of a program, and the waits before them."""
+    rows = np.flatnonzero(nc.deposit & (nc.layer >= 0))
+    seconds = motion_seconds(nc, config)
+    columns = (nc.layer, nc.ring, nc.island)
+    changes = np.zeros(rows.size, np.bool_)
+    changes[:1] = True
+    for column in columns:
+        changes[1:] |= np.diff(column[rows]) != 0
+    bead = np.cumsum(changes) - 1
+    first = rows[changes]
+    last = rows[np.append(np.flatnonzero(changes)[1:] - 1, rows.size - 1)] if rows.size else first
+    clock = np.concatenate([[0.0], np.cumsum(seconds)])
+    power_w = np.nan_to_num(nc.power_w[rows])
+    waits, stray = np.zeros(first.size), []
+    for event in (i for i, name in enumerate(nc.events.name) if name == PAUSE):
+        row = int(nc.events.row[event])
+        following = int(np.searchsorted(first, row))
+        if following and row <= last[following - 1]:
+            stray.append((event, "waits within a bead"))
+        elif following == first.size:
+            stray.append((event, "waits after the last bead"))
+        else:
+            waits[following] += nc.events.value[event]
+    layer, ring, island = (column[first] for column in columns)
+    return TextBeads(
+        layer=layer,
+        ring=ring,
+        island=island,
+        row=first,
+        wait_s=waits,
+        move_s=clock[first] - np.concatenate([[0.0], clock[last[:-1] + 1]])[: first.size],
+        time_s=clock[last + 1] - clock[first],
+        energy_j=np.bincount(bead, power_w * seconds[rows], minlength=first.size).astype(np.float64),
+        stray=tuple(stray),
+    )
+
+
+def text_bed_k(beads: TextBeads, config: Config, shapes: Sequence[LayerShape]) -> tuple[Floats, Floats]:
+    """Follow the heat of a program by the balance of :mod:`ebamcheck.heat.balance`, bead by bead.
+
+    Parameters
+    ----------
+    shapes
+        (L,) of the layers.
+
+    Returns
+    -------
+    bed_k
+        (P,) mean temperature of the surface when each bead is entered, absolute, K.
+    leave_k
+        (L,) that of each layer when it is done; NaN for one without a bead.
+    """
+    column = HeatColumn(config)
+    bed_k, leave_k = np.zeros(len(beads)), np.full(len(shapes), np.nan)
+    enters = beads.enters_layer
+    for n in range(len(beads)):
+        column.advance(float(beads.move_s[n]))
+        column.advance(float(beads.wait_s[n]))
+        bed_k[n] = column.bed_k
+        layer = int(beads.layer[n])
+        if enters[n] and shapes[layer].area_mm2 > 0.0:
+            column.lay(shapes[layer])
+        column.advance(float(beads.time_s[n]), float(beads.energy_j[n]) * config.material.absorptivity)
+        leave_k[layer] = column.surface_k
+    return bed_k, leave_k
+
+
+def text_shapes(nc: NCProgram, config: Config, sections: Layers | None) -> list[LayerShape]:
+    """Shapes of the layers of a program, of its sections where they are as many."""
+    known = sections is not None and len(sections) == len(nc.layer_files)
+    outlines = sections if known and sections is not None else nc.contours(OUTLINE_STEP_MM)
+    offset_mm = 0.0 if known else config.contour_offset_mm
+    steps = np.diff(nc.layer_heights, prepend=0.0)
+    usual = float(np.nanmedian(steps)) if np.isfinite(steps).any() else config.layer_height_mm
+    steps = np.where(steps > 0.0, steps, usual)
+    return [
+        LayerShape.of(shapely.buffer(shapely.union_all(outlines.polygons(k)), offset_mm), float(steps[k]))
+        for k in range(len(nc.layer_files))
+    ]
