@@ -243,10 +243,9 @@ def test_a_whole_part_is_a_row_a_layer(plate, tmp_path):
     waited = ebamcheck("scan", plate, "--all", "--layer-height", 10, "--pause", 100, "--json", cwd=tmp_path)
     paused = json.loads(waited.stdout)
     for found, pause in ((rows, 0.0), (paused, 100.0)):
-        layer_s = np.array([float(row["time_s"]) for row in found])
-        assert [float(row["built_s"]) for row in found] == pytest.approx(
-            np.cumsum(layer_s) + pause * np.arange(3)
-        )
+        layer_s, wait_s = (np.array([float(row[name]) for row in found]) for name in ("time_s", "wait_s"))
+        assert [float(row["built_s"]) for row in found] == pytest.approx(np.cumsum(layer_s + wait_s))
+        assert (wait_s[1:] >= pause).all()
     refused = ebamcheck("scan", plate, "--all", "--orders", "all", cwd=tmp_path)
     assert refused.returncode == 2
     assert "--all plans in one order, not 9" in refused.stderr

@@ -154,6 +154,8 @@ def _over_nothing(plan: ScanPlan, heights: Floats) -> ScanPlan:
         heights=heights,
         contours=np.array([shapely.Polygon(), *plan.contours], object),
         island_layer=plan.island_layer + 1,
+        metrics=pd.concat([plan.metrics] * 2, ignore_index=True).assign(wait_s=0.0),
+        sections=None if plan.sections is None else np.array([shapely.Polygon(), *plan.sections], object),
     )
 
 

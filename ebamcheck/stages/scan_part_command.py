@@ -59,9 +59,7 @@ def _rows(
         with closing(found), _table(output) as table, watched() as observer:
             observer.stage("order and heat", len(sections))
             for row in found:
-                built_s += row["time_s"] + (
-                    row.get("wait_s", settings.process.layer_pause_s) if rows else 0.0
-                )
+                built_s += float(np.nansum([row["wait_s"], row["time_s"]]))
                 row[BUILT] = built_s
                 table.writerow(row)
                 rows.append(row)
