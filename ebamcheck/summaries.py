@@ -6,7 +6,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ebamcheck import registry
+from ebamcheck.findings import in_words
 from ebamcheck.part import from_arrays
+from ebamcheck.pipeline.statement import statement
 from ebamcheck.tables import text_table
 
 
@@ -63,7 +65,7 @@ def backends_text(records: Sequence[Mapping[str, Any]]) -> str:
 
 
 def run_summary(manifest: Mapping[str, Any]) -> str:
-    """What a run came to: slicers, pairs, gates and verdict."""
+    """What a run came to: slicers, pairs, gates, findings and verdict."""
     slicers = [
         [name, b["status"], b["rings"], b["open_paths"], b["points"], float(b["error_bound_mm"]),
          float(manifest["timings"]["backends"][name]["slice_s"]), b["why"] or b["device"]]
@@ -81,18 +83,21 @@ def run_summary(manifest: Mapping[str, Any]) -> str:
         for p in manifest["comparison"]["pairs"]
     ]
     passed = [["pass" if g["passed"] else "FAIL", g["name"], g["text"]] for g in manifest["gates"]]
+    found = [[f["severity"], f["code"], in_words(f)] for f in manifest.get("findings", [])]
     blocks = [
         text_table(["slicer", "status", "rings", "open", "points", "bound mm", "seconds", ""], slicers),
         text_table(["pair", "layers agree", "depth mm", "limit mm", "Hausdorff mm", "least IoU"], pairs)
         if pairs
         else "",
         text_table(["", "gate", ""], passed),
+        text_table(["", "finding", ""], found) if found else "",
         _verdict(manifest),
     ]
     return "\n\n".join(block for block in blocks if block)
 
 
 def _verdict(manifest: Mapping[str, Any]) -> str:
-    """The last word on a job: of a program it is another than of a cross-check alone."""
+    """The last word on a job, of a program another than of a cross-check alone, and what it means."""
     good, bad = ("AGREED", "NOT AGREED") if manifest.get("job") == "check" else ("VALIDATED", "NOT VALIDATED")
-    return good if manifest["exit_code"] == 0 else f"{bad} (exit code {manifest['exit_code']})"
+    word = good if manifest["exit_code"] == 0 else f"{bad} (exit code {manifest['exit_code']})"
+    return "\n".join([word, *statement(manifest).lines()])

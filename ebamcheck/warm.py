@@ -47,7 +47,10 @@ def warm_kernels() -> float:
                     turned.layers(np.arange(20.0))
         level = logging.getLogger("ebamcheck").level
         logging.getLogger("ebamcheck").setLevel(logging.ERROR)
-        run_job(path, Path(folder, "run"), Config().changed(layers={"layer_height_mm": 20.0}), reference=path)
+        # Two layers, far thicker than any process lays them.
+        thick = {"wire_speed_max_mm_s": 1000.0, "layer_over_bead": (0.5, 20.0)}
+        settings = Config().changed(layers={"layer_height_mm": 20.0}, process=thick)
+        run_job(path, Path(folder, "run"), settings, reference=path)
         logging.getLogger("ebamcheck").setLevel(level)
         # The cube is one island, which needs no order.
         plan_scan(shapely.box(0.0, 0.0, 3.0 * _SIDE_MM, 2.0 * _SIDE_MM))

@@ -16,6 +16,13 @@ from ebamcheck.stl import FACET
 FAST = "planecut,manifold"
 """Two exact backends that start quickly."""
 
+WIDE = {"wire_speed_min_mm_s": 1e-3, "wire_speed_max_mm_s": 1e4, "layer_over_bead": (1e-3, 100.0)}
+"""A process window of no machine: for tests whose layers are few because they are thick."""
+
+WIDE_TOML = "\n".join(
+    f"process.{name} = {list(value) if isinstance(value, tuple) else value}" for name, value in WIDE.items()
+)
+
 
 def ebamcheck(
     *arguments: object, cwd: Path, limit_bytes: int = 0, **environment: str

@@ -7,7 +7,7 @@ import re
 import shutil
 
 import pytest
-from command_line import frame, write_stl
+from command_line import WIDE, frame, write_stl
 from parts import box
 
 from ebamcheck.config import Config
@@ -25,7 +25,9 @@ from ebamcheck.pipeline.verify import verify_against_part, witness_backend
 from ebamcheck.store import RunFolder, sha256_of_file, write_json
 from ebamcheck_reports import html
 
-SETTINGS = Config().changed(layers={"layer_height_mm": 4.0}, slicing={"backends": ("planecut", "manifold")})
+SETTINGS = Config().changed(
+    layers={"layer_height_mm": 4.0}, slicing={"backends": ("planecut", "manifold")}, process=WIDE
+)
 MAIN, SECOND = "MAIN.MPF", "MAIN_L0002.SPF"
 
 

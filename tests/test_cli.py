@@ -14,7 +14,7 @@ import warnings
 import numpy as np
 import psutil
 import pytest
-from command_line import FAST, command, ebamcheck, frame, write_stl
+from command_line import FAST, WIDE_TOML, command, ebamcheck, frame, write_stl
 from parts import box
 
 from ebamcheck import cli
@@ -32,7 +32,7 @@ def place(tmp_path_factory):
     write_stl(plate, folder / "frame.stl")
     write_stl(box((0, 0, 0), (30, 30, 12)), folder / "box.stl")
     (folder / "ebamcheck.toml").write_text(
-        f"slicing.backends = {FAST.split(',')}\nlayers.layer_height_mm = 6.0\n"
+        f"slicing.backends = {FAST.split(',')}\nlayers.layer_height_mm = 6.0\n{WIDE_TOML}\n"
     )
     done = ebamcheck("run", "frame.stl", "-o", "frame.run", "--reference", "frame.stl", cwd=folder)
     assert (done.returncode, done.stderr) == (0, "")
@@ -205,7 +205,7 @@ def test_verify_a_run_and_a_program(place, here):
         (["run", "frame.stl", "--layer-height", "high"], 2, ["--layer-height"]),
         (["run", "frame.stl", "--layer-height", "0"], 2, ["layers.layer_height_mm", "given 0.0"]),
         (["run", "frame.stl", "--layer-height", "nan"], 2, ["layers.layer_height_mm", "given nan"]),
-        (["run", "frame.stl", "--layer-height", "1e-9"], 2, ["12000000000 layers", "limit of 1000000"]),
+        (["check", "frame.stl", "--layer-height", "1e-9"], 2, ["12000000000 layers", "limit of 1000000"]),
         (["run", "nosuch.stl"], 2, ["nosuch.stl: there is no such file"]),
         (["run", "."], 2, ["is a folder"]),
         (["run", "frame.stl", "-o", "box.stl"], 2, ["box.stl: is there and is no run folder"]),

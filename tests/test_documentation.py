@@ -49,6 +49,7 @@ UNITS = (
 WITHOUT_UNIT = {
     "direction",  # only its direction counts
     "bead_spacing",  # over the bead width
+    "layer_over_bead",  # over the height of one bead
     "least_coverage",  # fraction of an area
     "gap_width",  # over the bead width
     "seed",

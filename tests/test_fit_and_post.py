@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
-from command_line import write_stl
+from command_line import WIDE_TOML, write_stl
 from typer.testing import CliRunner
 
 from ebamcheck.cli import app
@@ -60,7 +60,9 @@ def test_fit_writes_the_curves(stl: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("control", CONTROLS)
 def test_post_writes_for_every_control(stl: Path, tmp_path: Path, control: str) -> None:
-    code, text = run("post", stl, "-o", tmp_path / "p", "--control", control, "--layer-height", 20)
+    (tmp_path / "wide.toml").write_text(WIDE_TOML)
+    thick = ("-c", tmp_path / "wide.toml", "--layer-height", 20)
+    code, text = run("post", stl, "-o", tmp_path / "p", "--control", control, *thick)
     assert code == ExitCode.PASS, text
     main = tmp_path / "p" / CONTROLS[control]
     assert "NOT VALIDATED" in main.read_text()

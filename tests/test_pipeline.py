@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 import psutil
 import pytest
-from command_line import FAST, command, ebamcheck, frame, write_stl
+from command_line import FAST, WIDE, WIDE_TOML, command, ebamcheck, frame, write_stl
 from parts import box, join, moved, sphere
 
 from ebamcheck.config import Config
@@ -24,7 +24,8 @@ from ebamcheck.pipeline import check_job, run_job
 from ebamcheck.pipeline.verify import verify_against_part, verify_run
 from ebamcheck.store import RunFolder, sha256_of_file
 
-SETTINGS = Config().changed(layers={"layer_height_mm": 6.0}, slicing={"backends": tuple(FAST.split(","))})
+THICK = Config().changed(layers={"layer_height_mm": 6.0}, process=WIDE)
+SETTINGS = THICK.changed(slicing={"backends": tuple(FAST.split(","))})
 
 
 class Listener:
@@ -67,8 +68,7 @@ def plate(tmp_path_factory):
     """A finished run with every backend there is, of a plate with a hole."""
     folder = tmp_path_factory.mktemp("plate")
     path = write_stl(frame(), folder / "frame.stl")
-    settings = Config().changed(layers={"layer_height_mm": 6.0})
-    return run_job(path, folder / "frame.run", settings), path
+    return run_job(path, folder / "frame.run", THICK), path
 
 
 @pytest.fixture
@@ -134,7 +134,7 @@ def test_all_backends_give_the_same_bytes_again(tmp_path):
 def test_a_killed_run_goes_on_to_the_same_result(tmp_path):
     write_stl(frame(), tmp_path / "frame.stl")
     (tmp_path / "ebamcheck.toml").write_text(
-        f"slicing.backends = {FAST.split(',')}\nlayers.layer_height_mm = 6.0"
+        f"slicing.backends = {FAST.split(',')}\nlayers.layer_height_mm = 6.0\n{WIDE_TOML}"
     )
     first = subprocess.Popen(command("run", "frame.stl", "-o", "a.run"), cwd=tmp_path)
     unfinished = tmp_path / ".a.run.unfinished" / "layers"
@@ -154,6 +154,7 @@ def test_a_killed_run_goes_on_to_the_same_result(tmp_path):
 
 def test_a_killed_backend_is_told_and_the_others_are_whole(plate, tmp_path):
     path = plate[1]
+    (tmp_path / "ebamcheck.toml").write_text(WIDE_TOML)
     run = subprocess.Popen(
         command("run", path, "--layer-height", 6, "-o", "k.run"),
         cwd=tmp_path,
@@ -190,15 +191,14 @@ def test_a_killed_backend_is_told_and_the_others_are_whole(plate, tmp_path):
 
 def test_of_two_methods_one_fails(tmp_path):
     path = write_stl(from_arrays(frame().vertices, frame().faces[:-1], "open"), tmp_path / "open.stl")
-    listener = Listener()
-    result = run_job(path, tmp_path / "open.run", SETTINGS, observer=listener)
+    result = run_job(path, tmp_path / "open.run", SETTINGS)
     assert result.exit_code is ExitCode.OUT_OF_TOLERANCE
     assert (gates(result)["input"], gates(result)["agreement"]) == (False, False)
     manifest = result.folder.manifest()
     assert manifest["backends"]["manifold"]["status"] == "refused"
     assert manifest["backends"]["planecut"]["open_paths"] > 0
     assert "open" in manifest["gates"][0]["text"]
-    assert any("manifold refused" in note for note in listener.notes)
+    assert any("manifold refused" in found["text"] for found in manifest["findings"])
     assert "NOT VALIDATED" in (result.folder.program_folder / "MAIN.MPF").read_text()
 
 
@@ -208,12 +208,10 @@ def test_inside_out_is_named_and_turned_over_when_asked(tmp_path):
     assert result.exit_code is ExitCode.OUT_OF_TOLERANCE
     assert "inside-out" in result.manifest["gates"][0]["text"]
     assert result.manifest["comparison"]["verdicts"] == {"empty": 2}
-    listener = Listener()
-    mended = run_job(
-        path, tmp_path / "in.run", SETTINGS.changed(part={"fix_orientation": True}), observer=listener
-    )
+    mended = run_job(path, tmp_path / "in.run", SETTINGS.changed(part={"fix_orientation": True}))
     assert mended.exit_code is ExitCode.PASS
-    assert listener.notes == ["32 of 32 facets were turned over (fix_orientation)"]
+    turned = [found for found in mended.manifest["findings"] if found["code"] == "facets-turned-over"]
+    assert [found["text"] for found in turned] == ["32 of 32 facets were turned over"]
 
 
 @pytest.mark.parametrize(
@@ -284,12 +282,14 @@ def test_layers_too_hot_for_the_heat_model_are_told(tmp_path, solidus_k, pause_s
     settings = SETTINGS.changed(material={"solidus_k": solidus_k}, process={"layer_pause_s": pause_s})
     result = run_job(write_stl(frame(), tmp_path / "f.stl"), tmp_path / "f.run", settings, observer=listener)
     assert result.exit_code is ExitCode.PASS
+    assert listener.notes == []
     rows = pd.read_csv(tmp_path / "f.run" / "scan.csv")
     hot = (rows["entry_max_k"] > solidus_k - 293.15).sum()
     assert (hot > 0) == told
-    notes = [note for note in listener.notes if "above the solidus" in note]
-    assert len(notes) == told
-    assert all(note.startswith(f"{hot} of {len(rows)} layers") for note in notes)
+    found = [f for f in result.manifest["findings"] if f["code"] == "heat-above-solidus"]
+    assert len(found) == told
+    assert all(f["text"].startswith(f"{hot} of {len(rows)} layers") for f in found)
+    assert all(f["figure"] == rows["entry_max_k"].max() + 293.15 for f in found)
 
 
 def test_an_untouched_run_verifies(plate):
@@ -328,14 +328,13 @@ def test_verify_finds_other_settings_a_lost_file_and_another_part(copy, plate):
 
 
 def test_verify_a_program_against_a_part_finds_a_moved_hole(plate, tmp_path):
-    settings = Config().changed(layers={"layer_height_mm": 6.0})
     program = plate[0].folder.program_folder / "MAIN.MPF"
-    assert all(check.passed for check in verify_against_part(program, plate[1], settings))
+    assert all(check.passed for check in verify_against_part(program, plate[1], THICK))
     shifted = frame().vertices.copy()
     inner = (shifted[:, 0] > 1) & (shifted[:, 0] < 39)
     shifted[inner, 0] += 1.0
     other = write_stl(from_arrays(shifted, frame().faces, "moved"), tmp_path / "moved.stl")
-    assert not all(check.passed for check in verify_against_part(program, other, settings))
+    assert not all(check.passed for check in verify_against_part(program, other, THICK))
 
 
 def test_settings_and_part_change_the_fingerprint(tmp_path, monkeypatch):
@@ -383,13 +382,14 @@ def test_the_folder_is_free_again_after_a_failure(tmp_path, monkeypatch):
 
 def test_a_machine_without_opengl_goes_on_with_the_others(tmp_path):
     write_stl(frame(), tmp_path / "frame.stl")
+    (tmp_path / "ebamcheck.toml").write_text(WIDE_TOML)
     done = ebamcheck(
         "run", "frame.stl", "--layer-height", 6, "-o", "a.run",
         cwd=tmp_path, __EGL_VENDOR_LIBRARY_FILENAMES=os.devnull, DISPLAY="",
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "backend stencil is not available" in done.stderr
-    assert "libegl1" in done.stderr
+    assert "backend stencil is not available" in done.stdout
+    assert "libegl1" in done.stdout
     stencil = untimed(tmp_path / "a.run")["backends"]["stencil"]
     assert (stencil["status"], "libegl1" in stencil["why"]) == ("unavailable", True)
     assert (tmp_path / "a.run" / "report.html").is_file()

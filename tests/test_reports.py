@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 import shapely
+from command_line import WIDE
 from parts import box, join, moved, sphere
 
 from ebamcheck import layer_files, load
@@ -49,7 +50,7 @@ def inside_out(part: Part) -> Part:
 def run(part: Part, folder: Path, height_mm: float, fine: Part | None = None, **sections: dict) -> RunFolder:
     source = write_stl(part, folder / "part & <co>.stl")
     reference = write_stl(fine, folder / "fine.stl") if fine is not None else None
-    config = Config().changed(layers={"layer_height_mm": height_mm}, **sections)
+    config = Config().changed(layers={"layer_height_mm": height_mm}, process=WIDE).changed(**sections)
     return run_job(source, folder / "run", config, reference).folder
 
 
@@ -188,11 +189,12 @@ def test_pictures_show_every_backend_and_a_place_enlarged(whole: RunFolder) -> N
         )
 
 
-def test_junit_has_one_case_a_gate_backend_pair_and_check(whole: RunFolder) -> None:
+def test_junit_has_one_case_a_gate_finding_backend_pair_and_check(whole: RunFolder) -> None:
     _, _, root = render(whole)
     record = whole.manifest()
     names = [(c.get("classname"), c.get("name")) for c in root.iter("testcase")]
     expected = [("ebamcheck.gate", g["name"]) for g in record["gates"]]
+    expected += [("ebamcheck.finding", f"{f['code']} {f['place']}") for f in record["findings"]]
     expected += [(f"ebamcheck.backend.{b}", "slice") for b in record["backends"]]
     expected += [
         (f"ebamcheck.backend.{p['a']}", f"agrees with {p['b']}") for p in record["comparison"]["pairs"]

@@ -149,16 +149,18 @@ def test_columns_fit_together(planned):
     assert row["hatch_length_mm"] == pytest.approx(length.sum())
     assert row["islands"] == len(plan.islands)
     assert row["contour_length_mm"] == pytest.approx(plan.contours[0].length)
-    laid = (length.sum() + plan.contours[0].length) * PROFILE.process.hatch_spacing_mm
+    beads = length.sum() + row["turn_length_mm"] + plan.contours[0].length
+    laid = beads * PROFILE.process.hatch_spacing_mm
     assert row["laid_share"] == pytest.approx(laid / section.area)
     assert (plan.neighbours[:, 0] < plan.neighbours[:, 1]).all()
     assert (plan.border_mm > 0).all()
 
 
 def test_deposited_area_is_the_area_to_fill():
-    # Lines times spacing is the area of the islands: the law behind the place of lines in an island.
+    # Lines and turns times spacing are the area of the islands: the law behind the place of lines in an island.
     plan = plan_scan(shapely.box(0, 0, 300, 200), PROFILE)
-    laid = plan.metrics["hatch_length_mm"][0] * PROFILE.process.hatch_spacing_mm
+    row = plan.metrics.iloc[0]
+    laid = (row["hatch_length_mm"] + row["turn_length_mm"]) * PROFILE.process.hatch_spacing_mm
     assert laid == pytest.approx(plan.island_area_mm2.sum(), rel=0.06)
 
 
@@ -304,16 +306,19 @@ def test_an_unknown_order_is_named():
 
 
 def test_times_of_one_island_by_hand():
-    # One whole solid whose fill is 24 x 10.8 mm: three lines of 24 mm, 3.6 mm apart at most 4.32.
+    # One whole solid whose fill is 24 x 10.8 mm: three lines, 3.6 mm apart at most 4.32, each 0.3 spacings short of both
+    # borders, and two turns between them with the beam on.
     inset = PROFILE.contour_offset_mm + PROFILE.process.hatch_spacing_mm / 2
     profile = PROFILE.changed(scan={"hexagon_side_mm": 30.0})
     plan = plan_scan(shapely.box(0, 0, 24 + 2 * inset, 10.8 + 2 * inset), profile)
     driven = simulate_order(plan, profile)
     assert plan.island_kind.tolist() == ["whole"]
-    assert driven["end_s"].tolist() == pytest.approx([3 * 24 / 10.0 + 2 * 3.6 / 100.0])
+    lines = 3 * (24 - 2 * 0.3 * 4.32)
+    assert driven["end_s"].tolist() == pytest.approx([(lines + 2 * 3.6) / 10.0])
     assert driven["start_s"].tolist() == [0.0]
-    assert driven["inner_travel_mm"].tolist() == pytest.approx([7.2])
-    assert driven["starts"].tolist() == [3]
+    assert driven["inner_travel_mm"].tolist() == [0.0]
+    assert driven["turn_mm"].tolist() == pytest.approx([7.2])
+    assert driven["starts"].tolist() == [1]
 
 
 def test_simulation_adds_up(planned):

@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 import shapely
-from command_line import command, ebamcheck, write_stl
+from command_line import WIDE_TOML, command, ebamcheck, write_stl
 from PIL import Image
 
 from ebamcheck.heat import contour_modes
@@ -113,6 +113,7 @@ def test_a_height_without_a_section_has_no_islands(plate, tmp_path):
 
 
 def test_a_whole_part_is_a_row_a_layer(plate, tmp_path):
+    (tmp_path / "ebamcheck.toml").write_text(WIDE_TOML)
     done = ebamcheck("scan", plate, "--all", "--layer-height", 10, "-o", "out", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "3 layers in the order thermal, cooled base" in done.stdout
@@ -136,6 +137,7 @@ def test_a_whole_part_is_a_row_a_layer(plate, tmp_path):
     ],
 )
 def test_an_interrupt_keeps_what_is_done(plate, tmp_path, asked, file, told):
+    (tmp_path / "ebamcheck.toml").write_text(WIDE_TOML)
     scan = subprocess.Popen(
         command("scan", plate, *asked, "-o", "out"), cwd=tmp_path, stderr=subprocess.PIPE, text=True
     )

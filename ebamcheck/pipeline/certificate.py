@@ -17,6 +17,7 @@ from typing import Any
 import ebamcheck
 from ebamcheck.config import Config, validated
 from ebamcheck.errors import InputError
+from ebamcheck.pipeline.statement import statement
 from ebamcheck.program import Check
 from ebamcheck.store import RunFolder, plain, sha256_of_file, sha256_of_json, write_json
 
@@ -62,6 +63,9 @@ def certificate(manifest: Mapping[str, Any]) -> dict[str, Any]:
         "gates": manifest["gates"],
         "validated": bool(program["validated"]),
     }
+    if "findings" in manifest:  # a run of an earlier version has none
+        said = statement(manifest)
+        fields |= {"findings": manifest["findings"], "proved": said.proved, "left_to_do": said.left}
     fields = plain(fields)
     return {
         **fields,

@@ -9,13 +9,12 @@ from ebamcheck.backend import BackendSettings, Probe
 from ebamcheck.config import Config
 from ebamcheck.errors import BackendMissing, SettingsError
 from ebamcheck.isolate import Outcome
-from ebamcheck.pipeline.work import Observer
 
 ALL = "all"
 """Word for every installed witness."""
 
 
-def chosen_backends(config: Config, observer: Observer) -> dict[str, BackendSettings]:
+def chosen_backends(config: Config) -> dict[str, BackendSettings]:
     """Settings of the backends to run, by name: those asked for or all that are available, and the witnesses.
 
     Raises
@@ -32,8 +31,8 @@ def chosen_backends(config: Config, observer: Observer) -> dict[str, BackendSett
         registry.slicer(name)
     if chosen.primary:
         registry.available_slicer(chosen.primary)
-    names = _named(config) if chosen.backends else _available(observer)
-    names = list(dict.fromkeys([*names, *_witnesses(config, observer)]))
+    names = _named(config) if chosen.backends else _available()
+    names = list(dict.fromkeys([*names, *_witnesses(config)]))
     return {name: registry.slicer_settings(name, chosen.settings.get(name, {})) for name in names}
 
 
@@ -73,32 +72,19 @@ def _named(config: Config) -> list[str]:
     return [registry.slicer(name).name for name in chosen.backends]
 
 
-def _available(observer: Observer) -> list[str]:
+def _available() -> list[str]:
     """House slicers that this machine can run."""
-    usable = []
-    for name in registry.house_slicers():
-        probe = registry.probe(name)
-        if probe.available:
-            usable.append(name)
-        else:
-            observer.note(f"backend {name} is not available: {_reason(probe)}")
+    usable = [name for name in registry.house_slicers() if registry.probe(name).available]
     if not usable:
         raise BackendMissing("no backend is available: see `ebamcheck backends` for the reasons")
     return usable
 
 
-def _witnesses(config: Config, observer: Observer) -> list[str]:
+def _witnesses(config: Config) -> list[str]:
     """Witnesses asked for; of `all`, those that this machine can run."""
     if ALL not in config.slicing.witnesses:
         return [registry.slicer(name).name for name in config.slicing.witnesses]
-    usable = []
-    for name in registry.witnesses():
-        probe = registry.probe(name)
-        if probe.available:
-            usable.append(name)
-        else:
-            observer.note(f"witness {name} is not available: {_reason(probe)}")
-    return usable
+    return [name for name in registry.witnesses() if registry.probe(name).available]
 
 
 def _reason(probe: Probe) -> str:

@@ -16,6 +16,7 @@ from ebamcheck.comparison import Comparison, compare_all
 from ebamcheck.heights import layer_blocks
 from ebamcheck.isolate import Limits, Outcome, slice_all
 from ebamcheck.layer_files import LayerFile
+from ebamcheck.pipeline.noticed import lost
 from ebamcheck.pipeline.work import Job
 
 
@@ -52,7 +53,7 @@ def _slice(
 
     def finished(outcome: Outcome) -> None:
         if outcome.file is None:
-            job.observer.note(f"backend {outcome.name} {outcome.failure}: {outcome.why}")
+            job.add_finding(lost(outcome))
 
     waiting = {n: s for n, s in backends.items() if n not in kept}
     with job.stage("slice", len(waiting) * len(job.heights)):

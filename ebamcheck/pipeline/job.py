@@ -11,9 +11,10 @@ from ebamcheck import __version__, inspection, mesh_files, registry
 from ebamcheck.backend import BackendSettings
 from ebamcheck.config import Config
 from ebamcheck.errors import ExitCode, SettingsError
+from ebamcheck.findings import Finding, has_fault
 from ebamcheck.heights import checked_heights, is_rising, layer_heights
 from ebamcheck.part import Part
-from ebamcheck.pipeline import gates
+from ebamcheck.pipeline import gates, noticed
 from ebamcheck.pipeline.certificate import write_certificate
 from ebamcheck.pipeline.choice import chosen_backends, primary_backend, unavailable_backends
 from ebamcheck.pipeline.cross_check import CrossCheck, cross_check
@@ -21,6 +22,7 @@ from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.programming import make_program
 from ebamcheck.pipeline.record import manifest as make_manifest
 from ebamcheck.pipeline.work import Job, Observer, Silent
+from ebamcheck.process_window import checked_window, outside_window, unusual_layers
 from ebamcheck.program.heat_paths import PATH_FILES
 from ebamcheck.rings import Floats
 from ebamcheck.store import FINGERPRINT, MANIFEST, RunFolder, sha256_of_json, start_run, write_json
@@ -64,7 +66,7 @@ def run_job(
     Raises
     ------
     InputError, SettingsError
-        If the part or the reference cannot be read, or settings make no sense.
+        If the part or the reference cannot be read, or settings make no sense or are outside of the process window.
     BackendMissing
         If a required or named backend is unknown, or a required one is not available.
     """
@@ -74,6 +76,7 @@ def run_job(
             f"machine.control {config.machine.control!r} is a path file for a heat simulator, which no reader can prove: "
             f"run for a control, then `ebamcheck post RUN --control {config.machine.control} -o FOLDER`"
         )
+    checked_window(config)
     fine = mesh_files.load(reference, config.part.units).along(config.part.direction) if reference else None
 
     def program(job: Job, checked: CrossCheck, sound: bool) -> list[Gate]:
@@ -108,13 +111,17 @@ def _job(
 ) -> RunResult:
     """Cross-check a part in a run folder, and make the program where one is wanted."""
     observer = observer or Silent()
-    part, found = _placed_part(part_path, config, observer)
+    part, turned = _placed_part(part_path, config)
     heights = _heights(part, config)
-    backends = chosen_backends(config, observer)
+    backends = chosen_backends(config)
     fingerprint = sha256_of_json(
         [kind, part.sha256, config.model_dump(), heights, list(backends), __version__, *inputs]
     )
+    found = inspection.inspect(part)
     job = Job(kind, config, observer, part, found, heights, start_run(Path(target), fingerprint, resume))
+    job.add_finding(*turned, *noticed.of_part(found, config))
+    # A job without a program may cut layers that no process can lay.
+    job.add_finding(*outside_window(config, "warning"), *unusual_layers(config))
     try:
         return _finished(job, backends, resume, program)
     except OSError as error:
@@ -133,9 +140,13 @@ def _finished(
     checked = cross_check(job, backends, resume)
     outcomes = {**checked.outcomes, **unavailable_backends(job.config)}
     shut = [gates.input_gate(job.found), gates.agreement_gate(checked.comparison, outcomes, len(job.heights))]
+    job.add_finding(*(noticed.unavailable(o) for o in outcomes.values() if o.failure == "unavailable"))
     if program is not None and _primary(job, checked):
+        job.add_finding(*noticed.of_profile(job.config))
         shut += program(job, checked, all(gate.passed for gate in shut))
     code = gates.exit_code(shut, checked.comparison.compared_layers, outcomes)
+    if code is ExitCode.PASS and has_fault(job.findings):
+        code = ExitCode.OUT_OF_TOLERANCE
     manifest = make_manifest(job, outcomes, checked.comparison, shut, _primary(job, checked), code)
     write_json(manifest, job.folder.path / MANIFEST)
     if program is not None:
@@ -151,15 +162,13 @@ def _primary(job: Job, checked: CrossCheck) -> str:
     return name if name and checked.comparison.stacks[name]["rings"].any() else ""
 
 
-def _placed_part(path: str | Path, config: Config, observer: Observer) -> tuple[Part, inspection.Inspection]:
-    """Read, mend if asked to, turn and inspect the part."""
-    part = mesh_files.load(path, config.part.units)
+def _placed_part(path: str | Path, config: Config) -> tuple[Part, list[Finding]]:
+    """Read the part, mend it if asked to, and turn it; and what was mended."""
+    part, turned = mesh_files.load(path, config.part.units), 0
     if config.part.fix_orientation:
         part, turned = inspection.fix_orientation(part)
-        if turned:
-            observer.note(f"{turned} of {len(part.faces)} facets were turned over (fix_orientation)")
-    part = part.along(config.part.direction)
-    return part, inspection.inspect(part)
+    mended = [noticed.turned_over(turned, len(part.faces))] if turned else []
+    return part.along(config.part.direction), mended
 
 
 def _heights(part: Part, config: Config) -> Floats:

@@ -9,10 +9,11 @@ from dataclasses import asdict
 from ebamcheck import registry
 from ebamcheck.config import Config
 from ebamcheck.curves import LIFTED, Curves, fit
+from ebamcheck.findings import has_fault
 from ebamcheck.kinematics import side_by_side
 from ebamcheck.layers import Layers, from_polygons
 from ebamcheck.part import Part
-from ebamcheck.pipeline import gates
+from ebamcheck.pipeline import gates, noticed
 from ebamcheck.pipeline.cross_check import CrossCheck
 from ebamcheck.pipeline.fitted import fitted
 from ebamcheck.pipeline.gates import Gate
@@ -48,6 +49,7 @@ def make_program(
         plan = plan_stack(smooth, config, progress=job.observer.advance)
         plan.to_parquet(job.folder.path / "scan.parquet")
         plan.metrics.to_csv(job.folder.path / "scan.csv", index=False)
+    job.add_finding(*noticed.of_heat(plan, config))
     with job.stage("program", 1):
         beads = bead_paths(smooth, plan, config)
         beads.to_parquet(job.folder.path / "beads.parquet")
@@ -69,7 +71,7 @@ def make_program(
         "starts": int(plan.metrics["starts"].sum()),
         "time_s": float(plan.metrics["time_s"].sum()),
     }
-    if validated_so_far and all(gate.passed for gate in made):
+    if validated_so_far and all(gate.passed for gate in made) and not has_fault(job.findings):
         files = mark_validated(job.record.pop("files"))
     else:
         files = job.record.pop("files")
@@ -115,6 +117,7 @@ def _write_and_verify(
     write_program = registry.plugin(registry.POSTS, job.config.machine.control)
     files = write_program(beads, plan, job.config, job.folder.program_folder, header=header)
     program = read_program(files.main, job.config)
+    job.add_finding(*noticed.of_seams(program, contours.heights, job.config))
     with ThreadPoolExecutor(1) as aside:
         feeds = aside.submit(side_by_side, program, contours, job.config)
         checks = verify_program(

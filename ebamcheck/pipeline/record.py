@@ -15,6 +15,7 @@ import pandas as pd
 from ebamcheck import __version__, registry
 from ebamcheck.comparison import Comparison
 from ebamcheck.errors import ExitCode
+from ebamcheck.findings import records
 from ebamcheck.isolate import Outcome
 from ebamcheck.layer_files import LayerFile
 from ebamcheck.pipeline.gates import Gate
@@ -69,6 +70,7 @@ def manifest(
         },
         **job.record,
         "gates": [asdict(gate) for gate in passed],
+        "findings": records(job.findings),
         "exit_code": int(code),
         "files": _file_hashes(job.folder.path),
         "timings": {

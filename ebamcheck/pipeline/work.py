@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from ebamcheck.config import Config
+from ebamcheck.findings import Finding
 from ebamcheck.inspection import Inspection
 from ebamcheck.part import Part
 from ebamcheck.rings import Floats
@@ -25,7 +26,7 @@ class Observer(Protocol):
         """Tell that steps of the stage are done."""
 
     def note(self, text: str) -> None:
-        """Tell something worth a line."""
+        """Tell how it goes, in a line; what a person has to know of the result is a finding."""
 
 
 class Silent:
@@ -55,6 +56,11 @@ class Job:
     folder: RunInProgress
     timings: dict[str, float] = field(default_factory=dict)
     record: dict[str, Any] = field(default_factory=dict)
+    findings: list[Finding] = field(default_factory=list)
+
+    def add_finding(self, *findings: Finding) -> None:
+        """Add what a person has to know of this job, whatever becomes of its gates."""
+        self.findings.extend(findings)
 
     @contextmanager
     def stage(self, name: str, total: int) -> Iterator[None]:

@@ -45,12 +45,12 @@ def _sectors(nc: NCProgram, config: Config) -> Check:
     rows = np.flatnonzero(nc.deposit & (nc.lengths > 0.0))
     away = np.zeros(rows.size)
     for t in np.linspace(0.0, 1.0, DIRECTIONS):
-        away = np.maximum(away, outside_sectors(_directions(nc, rows, t), config.process.travel_sectors_deg))
+        away = np.maximum(away, outside_sectors(directions(nc, rows, t), config.process.travel_sectors_deg))
     what = "degrees outside of the allowed directions of travel"
     return worst_check("travel sectors", nc, rows, away, DIRECTION_ROUNDING_DEG, "deg", what)
 
 
-def _directions(nc: NCProgram, rows: Ints, t: float) -> Floats:
+def directions(nc: NCProgram, rows: Ints, t: float) -> Floats:
     """Direction of travel (n,) in degrees counter-clockwise from +X."""
     c = nc.coefficients[rows]
     way = c[:, :, 1] + t * (2.0 * c[:, :, 2] + 3.0 * t * c[:, :, 3])

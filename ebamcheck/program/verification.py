@@ -25,6 +25,7 @@ from ebamcheck.program.reader import read_program
 from ebamcheck.program.section_check import section_check
 from ebamcheck.program.state_checks import state_checks
 from ebamcheck.program.text_checks import text_checks
+from ebamcheck.program.window_checks import window_check
 from ebamcheck.program.wire_checks import wire_check
 from ebamcheck.scan.turns import TURN_SPACINGS
 
@@ -44,6 +45,7 @@ def verify_program(
     layers: Layers | None = None,
     smooth: Layers | None = None,
     beads: bool = False,
+    metal: bool = False,
     heights: ArrayLike | None = None,
     sha256: Mapping[str, str] | None = None,
     contour_offset_mm: float | None = None,
@@ -66,6 +68,8 @@ def verify_program(
     beads
         Check the beads themselves, too: spacing, lines laid twice, coverage of the `layers`. For a program whose
         plan is not known; against a plan its vectors are compared one by one.
+    metal
+        Lay the metal of the program over the `layers`, and check its mass and where it lies.
     heights
         (L,) heights of the cuts; None: those of `curves`, `plan` or `layers`.
     sha256
@@ -86,7 +90,8 @@ def verify_program(
     heat = None if plan is None else interpass_of(plan, config)
     shares = np.minimum(layer_shares(nc, config.process.power_w), 1.0) if heat is None else heat.power_share
     checks += [*bead_end_checks(nc, config, shares), closure_check(nc, curves, tolerance_mm)]
-    checks += [repeated_blocks(nc), *process_checks(nc, config), *interpass_checks(nc, config, heat, layers)]
+    checks += [repeated_blocks(nc), window_check(nc, config), *process_checks(nc, config)]
+    checks += interpass_checks(nc, config, heat, layers)
     known = (
         heights
         if heights is not None
@@ -106,7 +111,8 @@ def verify_program(
         if smooth is not None:
             limit = smooth_tolerance_mm(config)
             checks.append(section_check(nc, smooth, z_of, offset, limit, "smooth section"))
-        checks += deposit_checks(nc, deposit(nc, layers, z_of, config), config)
+        if metal:
+            checks += deposit_checks(nc, deposit(nc, layers, z_of, config), config)
     if beads:
         checks += bead_checks(nc, config, z_of, layers)
     return checks

@@ -8,6 +8,7 @@ lays less. A hatch bead has one width from its start to its end, a contour chang
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import shapely
@@ -28,9 +29,9 @@ from ebamcheck.scan.regions import ARC_SEGMENTS
 STRETCH_BEADS = 2.0
 """Length of contour, in bead widths, over which its wire is worked out: shorter ones would follow single hatch lines."""
 
-ALIKE = 1.1
-"""Neighbouring stretches of a contour whose widths differ by less than this factor get one wire speed: every change of
-it is a block."""
+ALIKE = 1.3
+"""Neighbouring stretches of a contour whose widths differ by less than this factor get one wire speed: the ends of hatch
+lines beside it make as much of a difference, every change is a block, and a wall half as thick makes more."""
 
 MOST_SPACINGS = 1.6
 """Greatest width over the bead spacing: a bead stands that much higher over the layer than its neighbours, which the
@@ -66,21 +67,18 @@ def with_wire(path: Toolpath, plan: ScanColumns, config: Config, decimals: int) 
     lengths = segment_lengths(path.kind, points)
     tracks = Tracks.of(path, lengths)
     whole = config.machine.curve_form == "bspline" and not config.machine.poly_licensed
-    stretches = _Division.of(
-        path, tracks, math.inf if whole else STRETCH_BEADS * config.process.bead_width_mm
-    )
+    division = _Division.of(path, tracks, math.inf if whole else STRETCH_BEADS * config.process.bead_width_mm)
     bounds = np.nan_to_num(shapely.total_bounds([metal_region(section, config) for section in sections]))
     step_mm = cell_mm(bounds, config.process.bead_width_mm)
 
-    def some(first: int, last: int) -> list[Floats]:
+    def some(first: int, last: int) -> list[Stretches]:
         return [
-            _layer_widths(path, k, points, lengths, tracks, stretches, sections[k], step_mm, config)
+            _layer_stretches(path, k, points, lengths, tracks, division, sections[k], step_mm, config)
             for k in range(first, last)
         ]
 
-    found = [widths for block in run_blocks(some, len(path.z)) for widths in block]
-    width = np.asarray(np.round(np.concatenate(found), WIDTH_DIGITS), np.float64)
-    return cut(path, points, lengths, parts_of(path, tracks, stretches.runs(tracks, width)), decimals)
+    found = [layer for block in run_blocks(some, len(path.z)) for layer in block]
+    return cut(path, points, lengths, parts_of(path, tracks, joined(found)), decimals)
 
 
 class _Division:
@@ -106,23 +104,13 @@ class _Division:
         count = np.diff(self.starts)[track]
         return self.starts[track] + np.clip(along_mm / length, 0, count - 1).astype(np.int64)
 
-    def runs(self, tracks: Tracks, width: Floats) -> Stretches:
-        """Stretches of one width each (S,): neighbours of one track that are alike share one."""
-        track = np.repeat(np.arange(self.length.size), np.diff(self.starts))
-        number = np.arange(track.size) - self.starts[track]
-        first = runs_alike(track, width, ALIKE)
-        begins = np.flatnonzero(first)
-        run = np.cumsum(first) - 1
-        # Stretches of one track are equally long: the mean keeps the metal.
-        mean = np.round(np.bincount(run, width) / np.bincount(run), WIDTH_DIGITS)
-        owner, last = track[begins], np.append(begins[1:], track.size) - 1
-        ends = (number[begins] * self.length[owner], (number[last] + 1) * self.length[owner])
-        low, high = (
-            tracks.low[owner] + snapped(tracks, owner, np.minimum(e, tracks.length[owner])) for e in ends
-        )
-        kept = high - low > ROUNDING_MM
-        lap = np.zeros(int(kept.sum()), np.int64)
-        return Stretches(owner[kept], low[kept], high[kept], lap, width=mean[kept])
+    def spans(self, tracks: Tracks, first: Ints, last: Ints) -> tuple[Ints, Floats, Floats]:
+        """Track (n,) and ends (n,) mm along the stack of what reaches from one stretch to another of the same track."""
+        track = np.searchsorted(self.starts, first, side="right") - 1
+        number = np.stack([first, last + 1]) - self.starts[track]
+        along = np.minimum(number * self.length[track], tracks.length[track])
+        low, high = (tracks.low[track] + snapped(tracks, track, at) for at in along)
+        return track, low, high
 
 
 @kernel
@@ -141,33 +129,60 @@ def runs_alike(track: Ints, width: Floats, factor: float) -> Bools:
     return first
 
 
-def _layer_widths(
+def _layer_stretches(
     path: Toolpath,
     layer: int,
     points: Floats,
     lengths: Floats,
     tracks: Tracks,
-    stretches: _Division,
+    division: _Division,
     section: BaseGeometry,
     step_mm: float,
     config: Config,
-) -> Floats:
-    """Widths of the stretches of one layer that lay it flat."""
+) -> Stretches:
+    """Stretches of one layer with the widths that lay it flat: first of all, then of those that share one."""
     bead_mm = config.process.bead_width_mm
     a, b = int(path.layer_starts[layer]), int(path.layer_starts[layer + 1])
-    count = int(stretches.starts[b] - stretches.starts[a])
-    nominal = np.full(count, config.process.hatch_spacing_mm)
     target = target_of(metal_region(section, config), step_mm, bead_mm)
-    if not (count and target.share.size):
-        return nominal
     rows = slice(int(path.track_starts[a]), int(path.track_starts[b]))
     owner, along, place, length = segment_places(
         path.kind[rows], points[rows], lengths[rows], bead_mm * PLACE_SHARE
     )
     track = np.repeat(np.arange(a, b), np.diff(path.track_starts[a : b + 1]))[owner]
     begin = (tracks.ends[rows] - lengths[rows])[owner] - tracks.low[track]
-    bead = stretches.at(track, begin + along) - stretches.starts[a]
-    cells = (place - target.origin) / step_mm
-    found = footprints(cells, length, bead, count, 0.5 * bead_mm / step_mm, target.share.shape)
+    stretch = division.at(track, begin + along)
     limits = width_limits_mm(config, float(path.thickness[layer]))
-    return balanced_widths(found, target.share, step_mm**2, nominal, *limits)
+
+    def balanced(bead: Ints, width: Floats) -> Floats:
+        if not (target.share.size and width.size):
+            return width
+        cells = (place - target.origin) / step_mm
+        found = footprints(cells, length, bead, width.size, 0.5 * bead_mm / step_mm, target.share.shape)
+        return balanced_widths(found, target.share, step_mm**2, width, *limits)
+
+    every = np.arange(division.starts[a], division.starts[b])
+    nominal = np.full(every.size, config.process.hatch_spacing_mm)
+    owner_of = np.searchsorted(division.starts, every, side="right") - 1
+    new = runs_alike(owner_of, balanced(stretch - division.starts[a], nominal), ALIKE)
+    run, first = np.cumsum(new) - 1, every[new]
+    width = balanced(run[stretch - division.starts[a]], nominal[: first.size])
+    number, low, high = division.spans(
+        tracks, first, np.append(first[1:], division.starts[b])[: first.size] - 1
+    )
+    kept = high - low > ROUNDING_MM
+    lap, width = (
+        np.zeros(int(kept.sum()), np.int64),
+        np.asarray(np.round(width[kept], WIDTH_DIGITS), np.float64),
+    )
+    return Stretches(number[kept], low[kept], high[kept], lap, width=width)
+
+
+def joined(layers: Sequence[Stretches]) -> Stretches:
+    """Stretches of all layers, one behind the other."""
+    return Stretches(
+        np.concatenate([s.track for s in layers]),
+        np.concatenate([s.low for s in layers]),
+        np.concatenate([s.high for s in layers]),
+        np.concatenate([s.lap for s in layers]),
+        width=np.concatenate([s.width for s in layers if s.width is not None]),
+    )

@@ -32,47 +32,47 @@ def wire_check(nc: NCProgram, config: Config, curves: CurveColumns | None, plan:
     and of the pool hold.
     """
     rows = np.flatnonzero(nc.deposit & (nc.layer >= 0))
-    thickness = _thickness(nc)[nc.layer[rows]]
-    rows, thickness = rows[np.isfinite(thickness)], thickness[np.isfinite(thickness)]
-    width = _widths(nc, rows, thickness, config)
+    bead_mm2 = _bead_mm2(nc, rows, config)
     if curves is None or plan is None:
-        return _within_limits(nc, rows, width, thickness, config)
-    wanted = _wanted(nc, rows, curves, plan, config)
+        return _within_limits(nc, rows, bead_mm2, config)
+    wanted = _wanted_mm2(nc, rows, curves, plan, config)
     if wanted is None:
         text = "beads of the program are not those of the plan: their wire cannot be compared"
         where = nc.where(int(rows[0])) if rows.size else f"{nc.files[0].name}:1"
         return Check(NAME, False, math.inf, WIRE_TOLERANCE, "of the bead", where, text)
     with np.errstate(divide="ignore", invalid="ignore"):
-        off = np.abs(width[:, None] / wanted - 1.0).min(axis=1)
+        off = np.abs(bead_mm2[:, None] / wanted - 1.0).min(axis=1)
     return worst_check(NAME, nc, rows, off, WIRE_TOLERANCE, "of the bead", "metal of beads against the plan")
 
 
-def _thickness(nc: NCProgram) -> Floats:
-    """Step of Z to each layer from the one before, (L,) mm; NaN where either has no deposit."""
-    heights = nc.layer_heights
-    return np.asarray(np.diff(heights, prepend=0.0), np.float64)
-
-
-def _widths(nc: NCProgram, rows: Ints, thickness: Floats, config: Config) -> Floats:
-    """Width of metal that motions lay, (n,) mm; NaN where wire or feed is not known."""
+def _bead_mm2(nc: NCProgram, rows: Ints, config: Config) -> Floats:
+    """Section of the bead that each motion lays, (n,) mm2; NaN where wire or feed is not known."""
     wire_mm2 = 0.25 * math.pi * config.process.wire_diameter_mm**2
     with np.errstate(divide="ignore", invalid="ignore"):
-        bead_mm2 = nc.wire_mm_s[rows] * wire_mm2 / (nc.feed_mm_min[rows] / 60.0)
-        return np.asarray(bead_mm2 / thickness, np.float64)
+        return np.asarray(nc.wire_mm_s[rows] * wire_mm2 / (nc.feed_mm_min[rows] / 60.0), np.float64)
 
 
-def _within_limits(nc: NCProgram, rows: Ints, width: Floats, thickness: Floats, config: Config) -> Check:
-    limits = [width_limits_mm(config, float(h)) for h in np.unique(thickness)]
-    least, most = np.array(limits).reshape(-1, 2)[np.searchsorted(np.unique(thickness), thickness)].T
-    off = np.maximum(np.maximum(least / width, width / most) - 1.0, 0.0)
-    what = "metal of beads over what wire feed and pool allow"
+def _within_limits(nc: NCProgram, rows: Ints, bead_mm2: Floats, config: Config) -> Check:
+    """Check the beads of layers whose height the program tells: those over a layer with beads, and the lowest."""
+    thickness = np.diff(nc.layer_heights, prepend=0.0)[nc.layer[rows]]
+    known = np.isfinite(thickness)
+    rows, width, thickness = (
+        rows[known],
+        (bead_mm2 / np.where(known, thickness, 1.0))[known],
+        thickness[known],
+    )
+    steps, step = np.unique(thickness, return_inverse=True)
+    limits = np.array([width_limits_mm(config, float(h)) for h in steps]).reshape(-1, 2)[step]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        off = np.maximum(np.maximum(limits[:, 0] / width, width / limits[:, 1]) - 1.0, 0.0)
+    what = "metal of beads beyond what wire feed and pool allow"
     return worst_check(NAME, nc, rows, off, WIRE_TOLERANCE, "of the bead", what)
 
 
-def _wanted(
+def _wanted_mm2(
     nc: NCProgram, rows: Ints, curves: CurveColumns, plan: ScanColumns, config: Config
 ) -> Floats | None:
-    """Widths that the plan asks for at and just beside the middle of each motion, (n, 3) mm; None where beads differ."""
+    """Sections that the plan asks for at and just beside the middle of each motion, (n, 3) mm2; None where beads differ."""
     path = driven_path(
         curves, plan, config, config.machine.printed_decimals, "cubics", config.machine.line_tolerance_mm
     )
@@ -81,6 +81,7 @@ def _wanted(
     bounds = np.concatenate([[0.0], ends])[
         path.track_starts[np.concatenate([[True], np.diff(path.track_starts) > 0])]
     ]
+    height = np.repeat(path.thickness, np.diff(path.layer_starts))[np.diff(path.track_starts) > 0]
     track = nc.tracks(rows)
     length = nc.lengths[rows]
     whole = np.bincount(track, length)
@@ -93,4 +94,4 @@ def _wanted(
     beside = np.stack([at - NEAR_MM, at, at + NEAR_MM], axis=1)
     beside = np.clip(beside, bounds[:-1][track][:, None] + 1e-9, bounds[1:][track][:, None] - 1e-9)
     segment = np.minimum(np.searchsorted(ends, beside), ends.size - 1)
-    return np.asarray(path.width[segment], np.float64)
+    return np.asarray(path.width[segment] * height[track][:, None], np.float64)

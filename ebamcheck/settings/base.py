@@ -10,6 +10,9 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
+Range = tuple[Positive, Positive]
+"""Least and greatest value, both allowed."""
+
 
 class Section(BaseModel):
     """Base of every section: unknown keys are refused, values do not change, defaults are checked."""

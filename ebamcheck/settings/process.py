@@ -8,7 +8,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from ebamcheck.heights import PARABOLA, bead_height_mm
-from ebamcheck.settings.base import Finite, NotNegative, Positive, Section
+from ebamcheck.settings.base import Finite, NotNegative, Positive, Range, Section
 
 Share = Annotated[float, Field(gt=0, le=1)]
 PowerTable = Annotated[tuple[tuple[NotNegative, Share], ...], Field(min_length=1)]
@@ -49,9 +49,23 @@ class ProcessSettings(Section):
     """Wire speed of one bead by itself, which gives the bead its height. In a program the wire follows what a bead is to
     lay: the spacing of the beads times the height of the layer, more along a contour, less where beads overlap."""
     wire_speed_min_mm_s: Positive = 1000.0 / 60.0
-    """Least speed at which the wire runs steadily (1 to 6 m/min are in use); no bead gets less."""
+    """Least wire speed at which the feeder runs evenly and the wire melts drop-free: 1 m/min, the lower end of what is
+    published for wire electron-beam processes; check it on the machine."""
     wire_speed_max_mm_s: Positive = 6000.0 / 60.0
-    """Greatest speed of the wire; no bead gets more."""
+    """Greatest wire speed at which the melt pool takes up the wire: 6 m/min, the upper end of what is published."""
+    layer_over_bead: Range = (0.5, 2.0)
+    """Least and greatest layer height over the height of the bead that wire_speed_mm_s and travel_speed_mm_s give. Under a
+    half the beam melts more of the layers below than of the wire; at twice the height of the default bead the layer is
+    more than half as high as the bead is wide, the contact angle passes 90 degrees, and the melt runs over the sides."""
+    line_energy_j_mm: Range = (150.0, 3000.0)
+    """Least and greatest energy of the beam along a bead, P / v. The corners of the published window: 60 kV and 50 mA at
+    20 mm/s, 60 kV and 250 mA at 5 mm/s. Less does not melt wire and base together, more boils and drops through."""
+    least_wall_mm: Positive | None = None
+    """Thinnest wall that may be built; None: bead_width_mm, or as much less as wire_speed_min_mm_s is under the wire speed
+    of a layer."""
+    least_hole_mm: Positive | None = None
+    """Narrowest hole or gap that may be built; None: bead_width_mm, since a narrower one is bridged by the melt of the
+    beads around it."""
     base: Literal["cooled", "insulated"] = "cooled"
     """What the heat model assumes under the base plate: a table that keeps its temperature, or no heat flow."""
     base_plate_mm: Positive = 25.0
@@ -159,6 +173,18 @@ class ProcessSettings(Section):
         if not isinstance(value, str) and any(a[0] >= b[0] for a, b in itertools.pairwise(value)):
             raise ValueError("give the heights of power_schedule in rising order")
         return value
+
+    @model_validator(mode="after")
+    def _limits_in_order(self) -> Self:
+        wire = (self.wire_speed_min_mm_s, self.wire_speed_max_mm_s)
+        for name, (low, high) in {
+            "wire_speed_min_mm_s and wire_speed_max_mm_s": wire,
+            "layer_over_bead": self.layer_over_bead,
+            "line_energy_j_mm": self.line_energy_j_mm,
+        }.items():
+            if low >= high:
+                raise ValueError(f"{name} {low:g}, {high:g}: give the lower one first")
+        return self
 
     @model_validator(mode="after")
     def _current_in_range(self) -> Self:

@@ -25,6 +25,7 @@ from ebamcheck.options import (
 )
 from ebamcheck.part import Part
 from ebamcheck.pipeline.programming import bead_paths, smooth_layers
+from ebamcheck.process_window import checked_window
 from ebamcheck.program import write_program
 from ebamcheck.scan import ScanPlan, plan_stack
 from ebamcheck.slicing import slice_part
@@ -109,10 +110,12 @@ def post_command(
     """Write a program for a control or a heat simulator; `ebamcheck verify` checks it, `run` validates it."""
     if (source / MANIFEST).is_file():
         settings, beads, plan, sha256 = _of_run(source, config)
+        checked_window(settings)
     elif source.is_dir():
         raise InputError(f"{source}: is no finished run folder: it has no {MANIFEST}")
     else:
         settings = settings_of(config, units, direction, layer_height)
+        checked_window(settings)
         placed = mesh_files.load(source, settings.part.units).along(settings.part.direction)
         layers = slice_part(placed, _heights(placed, settings))
         smooth = smooth_layers(fit(layers, settings.curves.method, settings.curves, part=placed))

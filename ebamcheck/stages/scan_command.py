@@ -19,6 +19,7 @@ from ebamcheck.options import (
     names,
     settings_of,
 )
+from ebamcheck.process_window import checked_window
 from ebamcheck.scan.comparing import COMPARED, RANDOM, SEEDS
 from ebamcheck.settings.scan import SCAN_ORDERS
 from ebamcheck.stages.scan_layer_command import scan_layer
@@ -61,6 +62,7 @@ def scan_command(
 ) -> ExitCode:
     """Plan one layer in one or several scan orders, or all layers in one; say how hot, how far and how long."""
     settings = settings_of(config, units, direction, layer_height)
+    checked_window(settings)
     wanted = COMPARED if orders == ALL else names(orders) or (settings.scan.order,)
     for name in wanted:
         settings.changed(scan={"order": name})  # an unknown name is refused before anything is computed

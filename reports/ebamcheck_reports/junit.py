@@ -1,17 +1,21 @@
-"""``junit.xml`` (xunit2) for build servers: one test case a gate, a pair of backends, a check of the program, a backend.
+"""``junit.xml`` (xunit2) for build servers: one test case a gate, a finding, a pair of backends, a check of the program, a backend.
 
 A method that crashed, hung or was killed is an error. One that is not available or refused the part is skipped,
-as the run is too: whether enough methods are left is what the agreement gate says.
+as the run is too: whether enough methods are left is what the agreement gate says. A finding that is a fault is a failure;
+a warning is skipped with its text, since it neither passes nor fails; a note passes, and says its text. What is proved and
+what is left to a person stands in the properties of every suite.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 from xml.etree import ElementTree
 
 from ebamcheck.atomic_file import replacing
+from ebamcheck.findings import in_words
 from ebamcheck.store import RunFolder
 from ebamcheck_reports import words
 from ebamcheck_reports.figures import counted, number, place
@@ -48,6 +52,7 @@ def document(run: RunData) -> ElementTree.Element:
     """Build the tree of suites and cases."""
     suites = {
         "gates": list(_gates(run)),
+        "findings": list(_findings(run)),
         "backends": list(_backends(run)),
         "agreement": list(_pairs(run)),
         "program": list(_checks(run)),
@@ -79,6 +84,7 @@ def _properties(suite: ElementTree.Element, run: RunData) -> None:
         "settings sha256": run.manifest["settings_sha256"],
         "ebamcheck": run.manifest["ebamcheck"],
         "exit code": run.manifest["exit_code"],
+        **{head.lower(): "; ".join(clauses) for head, clauses in run.statement.parts() if clauses},
     }
     parent = ElementTree.SubElement(suite, "properties")
     for name, value in values.items():
@@ -93,6 +99,8 @@ def _add(suite: ElementTree.Element, case: Case) -> None:
         if case.outcome != "skipped":
             said.set("type", case.type)
         said.text = clean(case.details or case.message)
+    elif case.details:
+        ElementTree.SubElement(node, "system-out").text = clean(case.details)
 
 
 def _counts(cases: list[Case]) -> dict[str, str]:
@@ -118,6 +126,19 @@ def _gates(run: RunData) -> Iterator[Case]:
         yield Case("ebamcheck.gate", gate["name"], outcome, text, "gate")
     for name in run.missing_gates:
         yield Case("ebamcheck.gate", name, "skipped", "not reached: there was no contour to go on with")
+
+
+def _findings(run: RunData) -> Iterator[Case]:
+    outcomes: dict[str, Literal["", "failure", "skipped"]] = {"fault": "failure", "warning": "skipped"}
+    told: Counter[str] = Counter()
+    for found in run.findings:
+        name = f"{found['code']} {found['place']}".strip()
+        told[name] += 1
+        name += f" #{told[name]}" if told[name] > 1 else ""
+        text = f"{found['severity']}: {in_words(found)}"
+        if found["figure"] is not None:
+            text += f" (figure {found['figure']}, limit {found['limit']} {found['unit']})"
+        yield Case("ebamcheck.finding", name, outcomes.get(found["severity"], ""), text, "finding", text)
 
 
 def _backends(run: RunData) -> Iterator[Case]:
@@ -157,12 +178,14 @@ def _pairs(run: RunData) -> Iterator[Case]:
                 f"{pair['max_depth_mm']} mm, limit {pair['limit_mm']} mm"
             )
             found = [
-                _finding(f) for f in run.findings if {f["backend"], f["against"]} == {pair["a"], pair["b"]}
+                _disagreement(f)
+                for f in run.disagreements
+                if {f["backend"], f["against"]} == {pair["a"], pair["b"]}
             ]
             yield Case(classname, name, "failure", message, "disagreement", "\n".join([message, *found]))
 
 
-def _finding(finding: Mapping[str, Any]) -> str:
+def _disagreement(finding: Mapping[str, Any]) -> str:
     return (
         f"layer {finding['layer']}, z = {finding['height_mm']:.3f} mm: {finding['backend']} against {finding['against']}, "
         f"{finding['metric']} {finding['value']}, limit {finding['limit']}, at {place(finding['x_mm'], finding['y_mm'])} mm, "

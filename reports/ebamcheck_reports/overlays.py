@@ -64,7 +64,7 @@ def chosen_layers(run: RunData) -> dict[int, str]:
     if worst:
         layer = max(worst, key=lambda k: (worst[k].depth_mm / worst[k].limit_mm, -k))
         chosen[layer] = f"{chosen[layer]}, worst agreement" if layer in chosen else "worst agreement"
-    for finding in run.findings:
+    for finding in run.disagreements:
         layer = int(finding["layer"])
         if layer in chosen and "disagreement" not in chosen[layer]:
             chosen[layer] += ", disagreement"

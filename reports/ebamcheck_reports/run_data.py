@@ -16,6 +16,7 @@ from ebamcheck.curves import Curves
 from ebamcheck.errors import InputError
 from ebamcheck.layer_files import LayerFile
 from ebamcheck.layers import Layers
+from ebamcheck.pipeline.statement import Statement, statement
 from ebamcheck.scan import ScanPlan
 from ebamcheck.store import RunFolder
 from ebamcheck_reports.figures import number
@@ -86,9 +87,19 @@ class RunData:
         return list(self.part_of("comparison").get("pairs", []))
 
     @property
-    def findings(self) -> list[Mapping[str, Any]]:
-        """Disagreements."""
+    def disagreements(self) -> list[Mapping[str, Any]]:
+        """Where methods differ."""
         return list(self.part_of("comparison").get("findings", []))
+
+    @property
+    def findings(self) -> list[Mapping[str, Any]]:
+        """What a person has to know beside the gates; none in a run of an earlier version."""
+        return list(self.manifest.get("findings", []))
+
+    @property
+    def statement(self) -> Statement:
+        """What is proved, and what is left to a person."""
+        return statement(self.manifest)
 
     @property
     def compared(self) -> bool:
@@ -102,12 +113,12 @@ class RunData:
 
     @property
     def passed(self) -> bool:
-        """Whether what was asked for came out well: the methods agree, or the program may be used."""
+        """Whether what was asked for came out well: the methods agree, or every gate of the program passed."""
         return self.manifest["exit_code"] == 0 if self.is_check else self.validated
 
     @property
     def validated(self) -> bool:
-        """Whether the program may be used: it says so itself, and the run ended well."""
+        """Whether every gate passed: the program says so itself, and the run ended well."""
         return bool(self.part_of("program").get("validated")) and self.manifest["exit_code"] == 0
 
     # -- tables ------------------------------------------------------------------------------------

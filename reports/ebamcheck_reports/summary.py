@@ -1,4 +1,4 @@
-"""``summary.csv``: one flat row a gate, a backend, a pair and a check, so that many runs can be put under each other."""
+"""``summary.csv``: one flat row a gate, a finding, a backend, a pair and a check, so that many runs can be put under each other."""
 
 from __future__ import annotations
 
@@ -43,6 +43,15 @@ def rows(run: RunData) -> Iterator[dict[str, Any]]:
     """Rows without the columns that all of them share."""
     for gate in run.gates:
         yield {"kind": "gate", **{k: gate[k] for k in ("name", "passed", "figure", "limit", "unit", "text")}}
+    for found in run.findings:
+        yield {
+            "kind": "finding",
+            "name": found["code"],
+            "passed": found["severity"] != "fault",
+            **{k: found[k] for k in ("figure", "limit", "unit")},
+            "where": found["place"],
+            "text": f"{found['severity']}: {found['text']}",
+        }
     for name, record in run.backends.items():
         done = record["status"] == "done"
         yield {

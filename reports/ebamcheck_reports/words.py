@@ -7,6 +7,8 @@ GATE_QUESTIONS = {
     "agreement": "Do independent slicing methods find the same contours on every layer?",
     "fit": "Do the fitted curves stay near the contours?",
     "coverage": "Do the beads fill the section of every layer?",
+    "deposit": "Is the metal laid that of the sections, in all and at every place?",
+    "heat": "Is no bead entered above the interpass limit, and does the wire still melt?",
     "program": "Is the NC program, read back from its text, still the part?",
 }
 

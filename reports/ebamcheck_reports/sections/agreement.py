@@ -159,7 +159,7 @@ def _ratios(run: RunData) -> Markup:
 
 
 def _findings(run: RunData) -> list[Markup]:
-    found = run.findings
+    found = run.disagreements
     if not found:
         return [paragraph("None.")]
     rows = [

@@ -60,6 +60,7 @@ def render(run: RunData) -> Markup:
             ],
             numbers=("figure", "limit"),
         ),
+        *_findings(found),
         _software(found["software"]),
         collapsed(
             f"SHA-256 of {len(found['programs'])} program files",
@@ -71,6 +72,21 @@ def render(run: RunData) -> Markup:
         facts([(name, found["approver"].get(name) or BLANK) for name in ("name", "date", "signature")]),
         facts([("deviations", "; ".join(map(str, found["deviations"])) or BLANK)]),
     )
+
+
+def _findings(found: Mapping[str, Any]) -> list[Markup]:
+    """What is proved and left to do, and the findings; none in a certificate of an earlier version."""
+    said = [
+        (head, "; ".join(found[name]))
+        for head, name in (("proved", "proved"), ("left to you", "left_to_do"))
+        if found.get(name)
+    ]
+    rows = [
+        (f["severity"], element("code", f["code"]), f["text"], f["place"], f["remedy"])
+        for f in found.get("findings", [])
+    ]
+    columns = ("severity", "finding", "what", "where", "what to do")
+    return [*([facts(said)] if said else []), *([table(columns, rows)] if rows else [])]
 
 
 def _hashes(found: Mapping[str, Any]) -> list[tuple[str, Markup]]:

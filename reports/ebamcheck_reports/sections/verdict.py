@@ -1,10 +1,12 @@
-"""Verdict: may this program be used, and if not, why."""
+"""Verdict: what is proved, what is left to a person, and if a gate is shut, why."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
+from ebamcheck.findings import in_words
+from ebamcheck.pipeline.statement import counted
 from ebamcheck_reports import words
 from ebamcheck_reports.figures import percent, shown
 from ebamcheck_reports.markup import Markup, element, figure, join, mark, paragraph, table
@@ -13,15 +15,16 @@ from ebamcheck_reports.run_data import RunData
 FRACTION = "of the area"
 """Unit of a gate that is a share and must be reached, not kept under."""
 
-WHAT = "Five gates stand between the part and the machine. Every one must pass; a gate compares one figure with one limit."
-CHECK_WHAT = "Two gates stand before the contours; a gate compares one figure with one limit."
+WHAT = "Gates stand between the part and the machine. Every one must pass; a gate compares one figure with one limit."
+CHECK_WHAT = "Gates stand before the contours; a gate compares one figure with one limit."
 
 
 def render(run: RunData) -> Markup:
-    """Draw the banner and the table of gates."""
+    """Draw the banner, the findings and the table of gates."""
     return element(
         "section",
         _banner(run),
+        *_findings(run),
         paragraph(CHECK_WHAT if run.is_check else WHAT, class_="what"),
         _gates(run),
         id="verdict",
@@ -34,6 +37,7 @@ def _banner(run: RunData) -> Markup:
         "div",
         element("strong", _verdict(run)),
         paragraph(*_why(run)),
+        *(_said(head, clauses) for head, clauses in run.statement.parts() if clauses),
         paragraph(
             f"Exit code {code}: {words.EXIT_CODES.get(code, 'see the documentation of exit codes')}.",
             class_="small",
@@ -52,17 +56,11 @@ def _why(run: RunData) -> list[Markup]:
     if run.is_check and run.passed:
         return [join(["The methods agree on every layer. No program was asked for."])]
     if run.validated:
-        return [
-            join(
-                [
-                    "The program in the folder ",
-                    element("code", "program/"),
-                    " passed every check and may be used.",
-                ]
-            )
-        ]
+        return [join(["The program in the folder ", element("code", "program/"), " passed every gate."])]
     shut = [gate for gate in run.gates if not gate["passed"]]
     reasons = [join([element("b", gate["name"]), ": ", gate["text"]]) for gate in shut]
+    faults = [found for found in run.findings if found["severity"] == "fault"]
+    reasons += [join([element("b", found["code"]), ": ", in_words(found)]) for found in faults]
     if run.missing_gates:
         reasons.append(join(["not reached: ", ", ".join(run.missing_gates)]))
     if not reasons and not run.is_check:
@@ -77,6 +75,40 @@ def _why(run: RunData) -> list[Markup]:
         ),
         element("ul", *(element("li", r) for r in reasons)),
     ]
+
+
+def _said(head: str, clauses: tuple[str, ...]) -> Markup:
+    return paragraph(element("b", f"{head}: "), "; ".join(clauses), ".")
+
+
+def _findings(run: RunData) -> list[Markup]:
+    """Every finding, the gravest first."""
+    if not run.findings:
+        return []
+    rows = [
+        element(
+            "tr",
+            element("td", element("b", found["severity"])),
+            element("td", element("code", found["code"])),
+            element("td", found["text"]),
+            element("td", found["place"]),
+            *(element("td", _figure(found, name), class_="number") for name in ("figure", "limit")),
+            element("td", found["remedy"]),
+            class_={"fault": "bad", "warning": "warned"}.get(found["severity"]),
+            data_finding=found["code"],
+        )
+        for found in run.findings
+    ]
+    columns = ("severity", "finding", "what", "where", "figure", "limit", "what to do")
+    return [
+        element("h3", f"Findings: {counted(run.findings)}"),
+        table(columns, rows, class_="found", numbers=("figure", "limit")),
+    ]
+
+
+def _figure(found: Mapping[str, Any], name: str) -> Markup | str:
+    value = found[name]
+    return "" if value is None else figure(value, found["unit"])
 
 
 def _gates(run: RunData) -> Markup:

@@ -1,0 +1,203 @@
+"""What a job notices of part, profile and plan that no gate is about."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ebamcheck.config import Config
+from ebamcheck.findings import Finding, at_layer
+from ebamcheck.inspection import Inspection
+from ebamcheck.isolate import Outcome
+from ebamcheck.program.dialects import STOCK
+from ebamcheck.program.inputs import deposition_heights
+from ebamcheck.program.motions import NCProgram
+from ebamcheck.program.seam_corners import seam_turns
+from ebamcheck.rings import Floats
+from ebamcheck.scan import ScanPlan
+from ebamcheck.settings.machine import MachineSettings
+
+FEW_BEADS = 3.0
+"""A part of fewer beads than this in its greatest extent is no part of this process, or its unit is another."""
+
+INCH_MM = 25.4
+
+INCH_PARTS = 16
+"""Extents in drawings in inches are whole sixteenths."""
+
+ROUND_MM = 0.5
+"""Extents in drawings in millimetres are mostly whole halves; of sixteenths of an inch hardly one is."""
+
+ROUNDING = 2e-6
+"""Of an extent: coordinates of single precision on both sides of it."""
+
+
+def turned_over(turned: int, facets: int) -> Finding:
+    """Facets that `part.fix_orientation` has turned over."""
+    return Finding(
+        "warning",
+        "facets-turned-over",
+        f"{turned} of {facets} facets were turned over",
+        "part.fix_orientation",
+        float(turned),
+        0.0,
+        "facets",
+        "look at the sections, or mend the model",
+    )
+
+
+def unavailable(outcome: Outcome) -> Finding:
+    """A slicer that this machine cannot run."""
+    return Finding(
+        "note",
+        "backend-unavailable",
+        f"backend {outcome.name} is not available: {outcome.why}",
+        "slicing.backends",
+    )
+
+
+def lost(outcome: Outcome) -> Finding:
+    """A slicer that did not come to its end."""
+    text = f"backend {outcome.name} {outcome.failure}: {outcome.why}"
+    return Finding("warning", "backend-lost", text, outcome.name)
+
+
+# -- the part ----------------------------------------------------------------------------------------
+
+
+def of_part(found: Inspection, config: Config) -> Iterator[Finding]:
+    """What the size of the part and its file say of its unit."""
+    for note in found.notes:
+        yield Finding("warning", "mesh-oddity", note, found.name, remedy="look at the file and its unit")
+    largest, few_mm = max(found.size_mm), FEW_BEADS * config.process.bead_width_mm
+    size = " x ".join(f"{extent:.6g}" for extent in found.size_mm)
+    if largest < few_mm:
+        yield Finding(
+            "warning",
+            "part-under-beads",
+            f"the part is {size} mm, read as {config.part.units}: its largest extent is under {FEW_BEADS:g} beads",
+            "part.units",
+            largest,
+            few_mm,
+            "mm",
+            "check the unit of the file (--units)",
+        )
+    if _round_in_inches(found.size_mm):
+        inches = " x ".join(f"{extent / INCH_MM:.6g}" for extent in found.size_mm)
+        yield Finding(
+            "note",
+            "part-round-in-inches",
+            f"the part is {size} mm, which is {inches} in: round in inches and not in millimetres",
+            "part.units",
+            remedy="check that the file was not converted twice",
+        )
+    yield from _beyond_travel(found, config)
+
+
+def _round_in_inches(size_mm: tuple[float, float, float]) -> bool:
+    """Whether every extent is whole sixteenths of an inch, and not every one whole halves of a millimetre."""
+    size = np.array(size_mm)
+
+    def whole(unit_mm: float) -> bool:
+        return bool((np.abs(size - unit_mm * np.round(size / unit_mm)) <= ROUNDING * size).all())
+
+    return bool((size > 0.0).all()) and whole(INCH_MM / INCH_PARTS) and not whole(ROUND_MM)
+
+
+def _beyond_travel(found: Inspection, config: Config) -> Iterator[Finding]:
+    machine = config.machine
+    for axis, extent, low, high in zip(
+        "XYZ", found.size_mm, machine.travel_min_mm, machine.travel_max_mm, strict=True
+    ):
+        if extent > high - low:
+            yield Finding(
+                "warning",
+                "part-beyond-travel",
+                f"the part is {extent:.6g} mm along {axis}, read as {config.part.units}; the axis travels {high - low:g} mm",
+                f"machine.travel_max_mm {axis}",
+                extent,
+                high - low,
+                "mm",
+                "check the unit of the file (--units), or turn the part",
+            )
+
+
+# -- the profile -------------------------------------------------------------------------------------
+
+
+def placeholder_codes(config: Config) -> list[str]:
+    """Templates of beam and wire that this process uses and that are the default ones of the control."""
+    machine, process = config.machine, config.process
+    used = ["beam_on", "beam_off", "set_beam", "wire_start", "wire_stop"]
+    used += ["set_power"] if process.ramps_beam else []
+    used += ["wire_retract"] if process.wire_retract_mm > 0.0 else []
+    stock = STOCK.get(machine.control, {})
+    return [
+        name
+        for name in used
+        if getattr(machine, name) in (MachineSettings.model_fields[name].default, stock.get(name, ()))
+        and getattr(machine, name)
+    ]
+
+
+def of_profile(config: Config) -> Iterator[Finding]:
+    """Codes that stand for those of the machine's maker."""
+    names = placeholder_codes(config)
+    if names:
+        yield Finding(
+            "warning",
+            "placeholder-codes",
+            f"the codes of beam and wire are those of the default profile, {len(names)} of them",
+            ", ".join(f"machine.{name}" for name in names),
+            float(len(names)),
+            0.0,
+            "templates",
+            "set the machine maker's codes",
+        )
+
+
+# -- plan and program --------------------------------------------------------------------------------
+
+
+def of_heat(plan: ScanPlan, config: Config) -> Iterator[Finding]:
+    """Layers of which an island is entered above the solidus."""
+    ambient_k = config.process.ambient_temperature_k
+    entry_k = plan.metrics["entry_max_k"].to_numpy() + ambient_k
+    solidus_k = config.material.solidus_k
+    hot = np.flatnonzero(entry_k > solidus_k)
+    if hot.size:
+        k = int(np.nanargmax(entry_k))
+        yield Finding(
+            "warning",
+            "heat-above-solidus",
+            f"{hot.size} of {len(plan)} layers have islands that the heat model finds above the solidus when the beam "
+            "enters them",
+            at_layer(k, float(plan.heights[k])),
+            float(entry_k[k]),
+            solidus_k,
+            "K",
+            "wait between layers (process.layer_pause_s) or lower the power",
+        )
+
+
+def of_seams(program: NCProgram, heights: Floats, config: Config) -> Iterator[Finding]:
+    """Contours that start at a corner of the part, where metal heaps up; `heights` (L,) mm are those of the cuts."""
+    row, turn_deg = seam_turns(program)
+    corner_deg = 180.0 - config.curves.corner_angle_deg
+    at_corner = turn_deg > corner_deg
+    if at_corner.any():
+        k = int(row[at_corner.argmax()])
+        x_mm, y_mm, z_mm = program.start[k].tolist()
+        layer = int(np.abs(deposition_heights(heights, config.layer_height_mm) - z_mm).argmin())
+        count = int(at_corner.sum())
+        yield Finding(
+            "warning",
+            "seam-at-corner",
+            f"{count} of {row.size} closed contours start where they turn by more than {corner_deg:g} degrees, first here",
+            at_layer(layer, float(heights[layer]), x_mm, y_mm),
+            float(count),
+            0.0,
+            "contours",
+            "spread the seams (process.seam_shift_mm), or leave metal for machining (process.machining_allowance_mm)",
+        )

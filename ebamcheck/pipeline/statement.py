@@ -1,0 +1,71 @@
+"""What a run may say of itself: what its gates proved, and what is left to a person. Every rendering says it in these words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ebamcheck.findings import SEVERITIES
+
+PROVED: Mapping[str, str] = {
+    "input": "the part is a closed solid",
+    "agreement": "independent slicers find the same contours on every layer",
+    "fit": "the curves stay near the contours",
+    "coverage": "the beads leave nothing of the sections bare",
+    "deposit": "the metal laid is that of the sections, in all and at every place",
+    "heat": "no bead is entered above the limit, by the heat model",
+    "program": "the program, read back from its text, is the part, within the limits of machine and process",
+}
+"""What each gate proves where it has passed; of another one its own text says it."""
+
+DRY_RUN = "a dry run on the control, with beam and wire off"
+CODES_OF_THE_MAKER = "the machine maker's codes in place of the default ones for beam and wire"
+APPROVAL = "approval: name, date and signature on the certificate"
+
+
+@dataclass(frozen=True)
+class Statement:
+    """What is proved and what is not, in short clauses."""
+
+    proved: tuple[str, ...]
+    left: tuple[str, ...]
+
+    def lines(self) -> list[str]:
+        """Both in words, a line each."""
+        return [f"{head}: {'; '.join(said)}" for head, said in self.parts() if said]
+
+    def parts(self) -> tuple[tuple[str, tuple[str, ...]], tuple[str, tuple[str, ...]]]:
+        """Both with their heads."""
+        return ("Proved", self.proved), ("Left to you", self.left)
+
+
+def statement(manifest: Mapping[str, Any]) -> Statement:
+    """Statement of a run from its record; one of an earlier version has no findings.
+
+    What comes after a validated program (codes, dry run, approval) is said of no other one.
+    """
+    gates, found = manifest["gates"], manifest.get("findings", [])
+    proved = [PROVED.get(gate["name"], gate["text"]) for gate in gates if gate["passed"]]
+    left = [_looked_at(found)] if found else []
+    if manifest.get("program") and manifest["exit_code"] == 0:
+        codes = any(finding["code"] == "placeholder-codes" for finding in found)
+        left += [*([CODES_OF_THE_MAKER] if codes else []), DRY_RUN, APPROVAL]
+    return Statement(tuple(proved), tuple(text for text in left if text))
+
+
+def counted(findings: list[Mapping[str, Any]]) -> str:
+    """Count findings by severity, the gravest first.
+
+    Examples
+    --------
+    >>> counted([{"severity": "note"}, {"severity": "warning"}, {"severity": "note"}])
+    '1 warning, 2 notes'
+    """
+    counts = {s: sum(finding["severity"] == s for finding in findings) for s in SEVERITIES}
+    return ", ".join(f"{n} {name}{'' if n == 1 else 's'}" for name, n in counts.items() if n)
+
+
+def _looked_at(findings: list[Mapping[str, Any]]) -> str:
+    grave = [finding for finding in findings if finding["severity"] != "note"]
+    return f"a look at {counted(grave)}" if grave else ""

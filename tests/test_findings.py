@@ -1,0 +1,331 @@
+"""Findings: one list in run.json, from which terminal, report, JUnit, certificate and banner are rendered, and nothing else."""
+
+from __future__ import annotations
+
+import ast
+import json
+import re
+import shutil
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from command_line import WIDE, frame, write_stl
+from hypothesis import given
+from hypothesis import strategies as st
+from nc_stack import make_curves, make_plan
+from parts import box, moved
+
+from ebamcheck.config import Config
+from ebamcheck.errors import ExitCode
+from ebamcheck.findings import CODES, SEVERITIES, Finding, from_record, has_fault, ordered, records
+from ebamcheck.inspection import inspect
+from ebamcheck.pipeline import noticed, run_job
+from ebamcheck.pipeline.certificate import certificate, run_certificate_checks, seal, write_certificate
+from ebamcheck.pipeline.statement import APPROVAL, CODES_OF_THE_MAKER, DRY_RUN, PROVED, statement
+from ebamcheck.program import read_program, write_program
+from ebamcheck.program.seam_corners import seam_turns
+from ebamcheck.store import RunFolder, plain, write_json
+from ebamcheck.summaries import run_summary
+from ebamcheck_reports import html, junit, summary
+
+ROOT = Path(__file__).resolve().parent.parent
+FAST = {"backends": ("planecut", "manifold")}
+
+LATER = {
+    "bead-out-of-section", "hole-closed", "interpass-limit", "interpass-wait", "metal-excess", "metal-missing",
+    "power-taper", "wall-under-bead",
+}  # fmt: skip
+"""Codes that stand in the table and that no stage uses yet."""
+
+figures = st.none() | st.floats(allow_nan=False)
+texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=30)
+findings = st.builds(
+    Finding, st.sampled_from(SEVERITIES), st.sampled_from(sorted(CODES)), texts, texts, figures, figures, texts, texts
+)  # fmt: skip
+
+
+# -- the list ----------------------------------------------------------------------------------------
+
+
+@given(st.lists(findings))
+def test_findings_come_back_from_json(found):
+    stored = json.loads(json.dumps(plain(records(found)), allow_nan=False))
+    assert [from_record(record) for record in stored] == ordered(found)
+
+
+@given(st.lists(findings))
+def test_the_gravest_come_first_and_none_comes_twice(found):
+    keys = [(SEVERITIES.index(f.severity), f.code) for f in ordered(found)]
+    assert keys == sorted(keys)
+    assert set(ordered(found)) == set(found)
+    assert len(ordered(found)) == len(set(found))
+    assert has_fault(found) == any(f.severity == "fault" for f in found)
+
+
+def test_a_code_or_severity_that_stands_in_no_table_is_refused():
+    with pytest.raises(ValueError, match="stands in no table"):
+        Finding("note", "no-such-code", "?")
+    with pytest.raises(ValueError, match="severity 'grave'"):
+        Finding("grave", "metal-excess", "?")
+
+
+def test_every_code_is_kebab_case_explained_and_used():
+    assert all(re.fullmatch(r"[a-z]+(-[a-z]+)+", code) for code in CODES)
+    assert all(re.fullmatch(r"[A-Z].{20,}\.", meaning) for meaning in CODES.values())
+    assert list(CODES) == sorted(CODES)
+    said = {
+        node.value
+        for path in (ROOT / "ebamcheck").rglob("*.py")
+        if path.name != "findings.py"
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    }
+    assert set(CODES) - said <= LATER
+
+
+def test_every_code_is_in_the_table_of_the_architecture():
+    table = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8").partition("**Findings**")[2]
+    rows = dict(re.findall(r"^\| `([a-z-]+)` \| (.+) \|$", table, re.MULTILINE))
+    assert {code: rows.get(code) for code in CODES} == dict(CODES)
+
+
+def test_nothing_that_is_shown_says_that_a_program_may_be_used():
+    """Nothing proves that: the control has not run it."""
+    told = re.compile(
+        r"may be used|can be used on|safe to (run|use)|ready (to use|for production)|fit for use",
+        re.IGNORECASE,
+    )
+    places = [*(ROOT / "ebamcheck").rglob("*.py"), *(ROOT / "reports" / "ebamcheck_reports").rglob("*.py")]
+    assert [(p.name, told.search(p.read_text())[0]) for p in places if told.search(p.read_text())] == []
+
+
+# -- what is noticed ---------------------------------------------------------------------------------
+
+
+def codes_of_part(part, **sections):
+    return [f.code for f in noticed.of_part(inspect(part), Config().changed(**sections))]
+
+
+def test_sizes_that_no_unit_explains_are_told():
+    assert codes_of_part(box((0, 0, 0), (100, 60, 40))) == []
+    assert codes_of_part(box((0, 0, 0), (4, 2.36, 1.57))) == ["part-under-beads"]
+    assert codes_of_part(box((0, 0, 0), (76.2, 50.8, 25.4))) == ["part-round-in-inches"]
+    assert codes_of_part(box((0, 0, 0), (79.375, 50.8, 26.9875))) == ["part-round-in-inches"]
+    assert codes_of_part(box((0, 0, 0), (127, 254, 381))) == []  # round in both
+    assert codes_of_part(box((0, 0, 0), (100, 2400, 40))) == ["part-beyond-travel"]
+    assert codes_of_part(box((0, 0, 0), (17.9, 5, 5))) == ["part-under-beads"]
+    assert codes_of_part(box((0, 0, 0), (17.9, 5, 5)), process={"bead_width_mm": 5.0}) == []
+
+
+def test_the_axis_that_is_too_short_is_named():
+    (found,) = noticed.of_part(inspect(moved(box((0, 0, 0), (100, 60, 1600)), shift=(9, 9, 9))), Config())
+    assert (found.place, found.figure, found.limit) == ("machine.travel_max_mm Z", 1600.0, 1500.0)
+
+
+@pytest.mark.parametrize("control", ["sinumerik-840d-sl", "linuxcnc", "plain-gcode"])
+def test_placeholders_of_every_control_are_named_until_they_are_set(control):
+    config = Config().changed(machine={"control": control})
+    names = noticed.placeholder_codes(config)
+    assert {"beam_on", "beam_off", "wire_start", "wire_stop"} <= set(names)
+    assert "set_power" not in names
+    assert "wire_retract" not in names
+    ramped = config.changed(process={"ramp_up_mm": 4.0, "wire_retract_mm": 3.0})
+    assert {"set_power", "wire_retract"} <= set(noticed.placeholder_codes(ramped))
+    own = config.changed(machine=dict.fromkeys(names, ("M70",)))
+    own = own.changed(machine={"set_beam": ("S{current_ma}",)})
+    assert noticed.placeholder_codes(own) == []
+    assert not list(noticed.of_profile(own))
+    one = own.changed(machine={"wire_stop": Config().machine.wire_stop})
+    (found,) = noticed.of_profile(one)
+    assert (found.place, found.figure) == ("machine.wire_stop", 1.0)
+
+
+SQUARE = np.array([(0, 0), (40, 0), (40, 40), (0, 40), (0, 0)], float)
+BESIDE = np.array([(20, 0), (40, 0), (40, 40), (0, 40), (0, 0), (20, 0)], float)
+OPEN = np.array([(60, 0), (80, 0), (80, 40)], float)
+
+
+def test_seams_at_corners_are_found_with_their_place(tmp_path):
+    config, heights = Config(), [0.75, 2.25]
+    curves = make_curves(
+        heights, [[[(BESIDE, None)]], [[(SQUARE + 5, None)], [(OPEN, None)]]], [True, True, False]
+    )
+    nc = read_program(write_program(curves, make_plan(heights, []), config, tmp_path / "p").main, config)
+    row, turn_deg = seam_turns(nc)
+    assert turn_deg == pytest.approx([0.0, 90.0], abs=1e-6)
+    (found,) = noticed.of_seams(nc, np.array(heights), config)
+    assert found.place == "layer 1, z = 2.250 mm, (5.000, 5.000)"
+    assert found.text.startswith("1 of 2 closed contours")
+    assert nc.layer[row].tolist() == [0, 1]
+
+
+def test_a_round_contour_has_no_corner(tmp_path):
+    angle = np.linspace(0.0, 2.0 * np.pi, 65)
+    ring = 20.0 * np.column_stack([np.cos(angle), np.sin(angle)])
+    ring[-1] = ring[0]
+    curves = make_curves([0.75], [[[(ring, None)]]], [True])
+    nc = read_program(write_program(curves, make_plan([0.75], []), Config(), tmp_path / "p").main, Config())
+    assert seam_turns(nc)[1] == pytest.approx([360.0 / 64.0], abs=1e-3)
+    assert not list(noticed.of_seams(nc, np.array([0.75]), Config()))
+
+
+# -- what is shown -----------------------------------------------------------------------------------
+
+PLANTED = [
+    Finding("note", "interpass-wait", "pauses of <b> 7.5 s", "process.layer_pause_s", 7.5, None, "s"),
+    Finding("warning", "metal-excess", "12 % & more", "layer 3, z = 4.500 mm, (1.000, 2.000)", 1.12, 1.1, "of it", "mill"),
+    Finding("fault", "wall-under-bead", "a wall of 0.8 mm", "layer 0, z = 0.500 mm", 0.8, 2.8, "mm", "thicken the wall"),
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A finished run of a plate with a hole."""
+    folder = tmp_path_factory.mktemp("made")
+    path = write_stl(frame(), folder / "frame.stl")
+    thick = {"layer_height_mm": 6.0}
+    return run_job(path, folder / "frame.run", Config().changed(layers=thick, slicing=FAST, process=WIDE))
+
+
+@pytest.fixture
+def copy(made, tmp_path):
+    shutil.copytree(made.folder.path, tmp_path / "copy.run")
+    return RunFolder(tmp_path / "copy.run")
+
+
+def rendered(run):
+    """Every rendering as plain text: terminal, first screen and certificate of the report, JUnit, certificate, table."""
+    write_certificate(run)
+    html.write(run)
+    junit.write(run)
+    summary.write(run)
+    page = (run.path / "report.html").read_text(encoding="utf-8")
+    tree = ElementTree.fromstring(page.removeprefix("<!DOCTYPE html>\n"))
+    parts = {s.get("id"): " ".join("".join(s.itertext()).split()) for s in tree.iter("section")}
+    cases = ElementTree.parse(run.path / "junit.xml").getroot()
+    told = [
+        [*case.attrib.values(), *(v for c in case for v in (c.text, *c.attrib.values()))]
+        for case in cases.iter()
+    ]
+    paper = json.loads((run.path / "certificate.json").read_text())
+    return {
+        "terminal": run_summary(run.manifest()),
+        "first screen": parts["verdict"],
+        "report's certificate": parts["certificate"],
+        "junit": "\n".join(str(value) for case in told for value in case),
+        "certificate": json.dumps(paper, ensure_ascii=False),
+    }
+
+
+def test_a_run_holds_its_findings(made):
+    found = made.manifest["findings"]
+    assert made.exit_code is ExitCode.PASS
+    assert {"placeholder-codes", "seam-at-corner"} <= {f["code"] for f in found}
+    assert found == records(from_record(f) for f in found)
+    assert made.folder.manifest()["findings"] == plain(found)
+
+
+def test_every_rendering_shows_every_finding(made, copy):
+    manifest = copy.manifest()
+    write_json(
+        {**manifest, "findings": records([*map(from_record, manifest["findings"]), *PLANTED])},
+        copy.path / "run.json",
+    )
+    shown = rendered(copy)
+    for name, text in shown.items():
+        for found in map(from_record, copy.manifest()["findings"]):
+            for said in (found.severity, found.code, found.text, found.place, found.remedy):
+                assert said in text, (name, found.code, said)
+
+
+def test_every_rendering_says_what_is_proved_and_what_is_left(copy):
+    said = statement(copy.manifest())
+    assert said.proved == tuple(PROVED[gate["name"]] for gate in copy.manifest()["gates"])
+    assert said.left[1:] == (CODES_OF_THE_MAKER, DRY_RUN, APPROVAL)
+    assert re.fullmatch(r"a look at \d+ warnings", said.left[0])
+    for name, text in rendered(copy).items():
+        for clause in (*said.proved, *said.left):
+            assert clause in text, (name, clause)
+
+
+def test_a_gate_that_is_shut_proves_nothing(copy):
+    manifest = copy.manifest()
+    gates = [{**g, "passed": g["name"] != "fit"} for g in manifest["gates"]]
+    said = statement({**manifest, "gates": gates})
+    assert PROVED["fit"] not in said.proved
+    assert len(said.proved) == len(gates) - 1
+    other = {**gates[0], "name": "of a plugin", "text": "all is blue"}
+    assert statement({**manifest, "gates": [other]}).proved == ("all is blue",)
+
+
+def test_own_codes_leave_no_codes_to_set(copy):
+    manifest = copy.manifest()
+    kept = [f for f in manifest["findings"] if f["code"] != "placeholder-codes"]
+    assert CODES_OF_THE_MAKER not in statement({**manifest, "findings": kept}).left
+
+
+def test_of_what_is_not_validated_no_next_step_is_said(copy):
+    manifest = copy.manifest()
+    shut = statement({**manifest, "exit_code": 1, "findings": records(PLANTED)})
+    assert shut.left == ("a look at 1 fault, 1 warning",)
+    check = statement({**manifest, "job": "check", "program": None, "findings": []})
+    assert check.left == ()
+
+
+def test_junit_fails_for_a_fault_alone(copy):
+    write_json({**copy.manifest(), "findings": records(PLANTED)}, copy.path / "run.json")
+    junit.write(copy)
+    cases = ElementTree.parse(copy.path / "junit.xml").getroot().iter("testcase")
+    found = {
+        c.get("name").split()[0]: [n.tag for n in c]
+        for c in cases
+        if c.get("classname") == "ebamcheck.finding"
+    }
+    assert found == {
+        "wall-under-bead": ["failure"],
+        "metal-excess": ["skipped"],
+        "interpass-wait": ["system-out"],
+    }
+
+
+def test_the_seal_breaks_where_a_finding_is_taken_out(copy):
+    write_json({**copy.manifest(), "findings": records(PLANTED)}, copy.path / "run.json")
+    path = write_certificate(copy)
+    assert all(check.passed for check in run_certificate_checks(copy, copy.manifest()))
+    whole = json.loads(path.read_text())
+    for k in range(len(PLANTED)):
+        less = {**whole, "findings": whole["findings"][:k] + whole["findings"][k + 1 :]}
+        write_json(less, path)
+        failed = [check.name for check in run_certificate_checks(copy, copy.manifest()) if not check.passed]
+        assert failed == ["certificate seal", "certificate"]
+        # Sealed anew it is no longer what the record says.
+        write_json({**less, "seal": seal(less)}, path)
+        failed = [check.name for check in run_certificate_checks(copy, copy.manifest()) if not check.passed]
+        assert failed == ["certificate"]
+
+
+def test_a_run_of_a_version_without_findings_is_shown_and_its_certificate_holds(copy):
+    manifest = copy.manifest()
+    del manifest["findings"]
+    write_json(manifest, copy.path / "run.json")
+    assert "findings" not in certificate(manifest)
+    assert "cannot be shown" not in rendered(copy)["first screen"]
+    assert all(check.passed for check in run_certificate_checks(copy, copy.manifest()))
+
+
+def test_nothing_with_a_fault_is_validated(tmp_path, monkeypatch):
+    """A fault shuts a run whose gates all pass."""
+    monkeypatch.setattr(noticed, "of_profile", lambda _: [PLANTED[2]])
+    path = write_stl(frame(), tmp_path / "frame.stl")
+    config = Config().changed(layers={"layer_height_mm": 6.0}, slicing=FAST, process=WIDE)
+    result = run_job(path, tmp_path / "a.run", config)
+    assert all(gate.passed for gate in result.gates)
+    assert result.exit_code is ExitCode.OUT_OF_TOLERANCE
+    assert result.manifest["program"]["validated"] is False
+    assert "; NOT VALIDATED" in (result.folder.program_folder / "MAIN.MPF").read_text()
+    page = (result.folder.path / "report.html").read_text()
+    assert "✘ NOT VALIDATED" in page
+    assert "a wall of 0.8 mm" in page.partition('id="part"')[0]
+    assert "nothing failed" not in page
