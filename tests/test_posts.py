@@ -478,6 +478,7 @@ def test_paths_of_heat_simulators_are_the_same_path_in_their_own_units(tmp_path)
     adamantine = segments(files["adamantine"], 3, " ")
     foam = segments(files["additivefoam"], 1, " ")
     assert [path.name for path in files.values()] == ["Path.txt", "scan_path.txt", "scanPath"]
+    assert files["additivefoam"].parent.name == "constant"
     assert int(files["adamantine"].read_text().splitlines()[1]) == len(adamantine)
     assert thesis[0, 0] == 1  # all three begin with a spot
     assert (thesis[:, 5] > 0).all()

@@ -70,7 +70,7 @@ def test_animation_needs_nothing_else_and_paths_are_exported(plate, tmp_path):
     for name, file in (
         ("3dthesis", "Path.txt"),
         ("adamantine", "scan_path.txt"),
-        ("additivefoam", "scanPath"),
+        ("additivefoam", "constant/scanPath"),
     ):
         assert len((paths / name / file).read_text().splitlines()) > count
 

@@ -26,6 +26,9 @@ RESERVED_NAME = re.compile(r"CON|PRN|AUX|NUL|COM\d|LPT\d")
 SUFFIXES = (".MPF", ".SPF")
 """Files that are programs whatever they hold."""
 
+SCRIPT = "#!"
+"""Begins a file that can be run."""
+
 
 @dataclass(frozen=True)
 class ProgramFiles:
@@ -84,7 +87,10 @@ def write_files(texts: Mapping[str, str], folder: Path, *, validated: bool) -> P
     try:
         made.chmod(0o755)
         for name, text in texts.items():
+            (made / name).parent.mkdir(exist_ok=True)
             (made / name).write_bytes(text.encode("ascii"))
+            if text.startswith(SCRIPT):
+                (made / name).chmod(0o755)
         if folder.exists():
             old = made.with_name(f"{made.name}.old")
             folder.rename(old)
@@ -108,10 +114,12 @@ def _refuse_foreign_files(folder: Path) -> None:
         return
     if not folder.is_dir():
         raise SettingsError(f"{folder}: is a file; a program needs a folder of its own")
-    for path in sorted(folder.iterdir()):
+    for path in sorted(folder.rglob("*")):
+        if path.is_dir() and not path.is_symlink() and any(path.iterdir()):
+            continue  # what is in it comes next
         if path.suffix not in SUFFIXES and not (path.is_file() and _status(path.read_bytes())):
             raise SettingsError(
-                f"{folder}: holds {path.name}, which is no program; give a folder of its own, it is replaced whole"
+                f"{folder}: holds {path.relative_to(folder)}, which is no program; give a folder of its own, it is replaced whole"
             )
 
 
@@ -146,9 +154,10 @@ def mark_validated(files: ProgramFiles, validated: bool = True) -> ProgramFiles:
             raise InputError(f"{path}:{STATUS_LINES}: no status so far, which a program written here has")
         stamped[name] = data[: found.start()] + status + data[found.end() :]
     for name in reversed(files.names):
-        temporary = files.folder / f".{name}.new"
+        path = files.folder / name
+        temporary = path.with_name(f".{path.name}.new")
         temporary.write_bytes(stamped[name])
-        os.replace(temporary, files.folder / name)
+        os.replace(temporary, path)
     return ProgramFiles(
         folder=files.folder,
         names=files.names,

@@ -41,6 +41,29 @@ def shared_borders(islands: NDArray[np.object_]) -> tuple[Ints, Floats]:
     return pairs[touching], lengths[touching]
 
 
+def polygon_edges(polygons: NDArray[np.object_]) -> tuple[Floats, Ints]:
+    """Edges (E, 4) of polygons, x0, y0, x1, y1 with the lesser end first, and the polygon of each (E,)."""
+    rings, owner = shapely.get_rings(polygons, return_index=True)
+    points, ring = shapely.get_coordinates(rings, return_index=True)
+    inner = np.flatnonzero(ring[:-1] == ring[1:])
+    start, end = points[inner], points[inner + 1]
+    turned = (start[:, 0] > end[:, 0]) | ((start[:, 0] == end[:, 0]) & (start[:, 1] > end[:, 1]))
+    ends = np.where(turned[:, None], np.hstack([end, start]), np.hstack([start, end]))
+    return ends.astype(np.float64), owner[ring[inner]].astype(np.int64)
+
+
+def shared_edges(polygons: NDArray[np.object_]) -> tuple[Ints, Floats]:
+    """Pairs of polygons with common edges, equal to the last bit, and their length; columns as of :func:`shared_borders`."""
+    ends, owner = polygon_edges(polygons)
+    order = np.lexsort((owner, *ends.T))
+    ends, owner = ends[order], owner[order]
+    common = np.flatnonzero((ends[:-1] == ends[1:]).all(axis=1) & (owner[:-1] != owner[1:]))
+    length = np.hypot(*(ends[common, 2:] - ends[common, :2]).T)
+    pairs, place = np.unique(np.column_stack([owner[common], owner[common + 1]]), axis=0, return_inverse=True)
+    lengths = np.bincount(place.ravel(), length, len(pairs))
+    return pairs.reshape(-1, 2).astype(np.int64), lengths.astype(np.float64)
+
+
 @kernel
 def common_lengths(
     points: Floats, ring_starts: Ints, island_rings: Ints, pairs: Ints, tolerance: float

@@ -13,6 +13,7 @@ from ebamcheck.config import Config
 from ebamcheck.rings import Bools, Floats
 from ebamcheck.scan import islands as cells
 from ebamcheck.scan.coverage import bare_samples, covered_fraction, segments_of
+from ebamcheck.scan.directions import hatch_directions
 from ebamcheck.scan.gaps import bare_spots, gap_beads, line_rows, spots_to_close
 from ebamcheck.scan.hatch import Vectors, hatch, joined
 from ebamcheck.scan.regions import Regions
@@ -72,7 +73,7 @@ def fill_islands(
     """Lines of all islands, sorted by island, and which islands' lines follow each other."""
     width, spacing = profile.process.bead_width_mm, profile.process.hatch_spacing_mm
     turn = profile.scan.first_angle_deg + layer * profile.scan.layer_angle_deg
-    angle = np.radians(turn + found.colour * profile.scan.island_angle_deg)
+    angle = hatch_directions(found, spacing, turn, profile.scan.island_angle_deg)
     hatched, _ = hatch(found.polygons, angle, width, spacing)
     hatched = trimmed(hatched, TRIM * spacing, SHORTEST_LINE * width)
     count = len(found.polygons)

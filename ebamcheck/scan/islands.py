@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import heapq
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -12,9 +14,8 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.layers import valid_polygons
 from ebamcheck.rings import Floats, Ints
-from ebamcheck.scan.borders import shared_borders
+from ebamcheck.scan.borders import polygon_edges, shared_edges
 from ebamcheck.scan.lattice import SQRT3, Lattice
-from ebamcheck.scan.regions import equivalent_rectangles_mm
 
 WHOLE, THIN_WALL, GAP = "whole", "thin wall", "gap"
 """Kinds of islands beside those of cells: a solid not divided, a thin wall, a spot left by all of these."""
@@ -29,14 +30,11 @@ SLIVER_SHARE = 0.2
 """No island is a sliver that has more than this share of a hexagon's area, or of its width: hexagons
 that are set small against the bead are what was asked for."""
 
-CUT_TOGETHER = 8
-"""Hexagons that are cut against one part of a solid."""
+ON_BORDER_MM = 1e-9
+"""Faces of no area, which rounding leaves along a border, count as inside a solid up to so far from it."""
 
-CUT_MARGIN_MM = 1.0
-"""How far that part reaches beyond them, so that its own border touches none."""
-
-UNION_GRID_MM = 1e-7
-"""Merged islands are united on this grid, which closes the rounding between their common borders."""
+DEPTH_SHARE = 0.01
+"""Precision to which the deepest point of a face is found, over the root of its area."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,22 +56,28 @@ def partition(
 ) -> Cells:
     """Divide solids into islands by a lattice; together they are the solids, and no two overlap.
 
-    A solid smaller than one hexagon stays whole.
+    A solid smaller than one hexagon stays whole. No other island is under the least area (the lesser of
+    :data:`SLIVER_AREA` and :data:`SLIVER_SHARE`) or the least width (:data:`SLIVER_WIDTH`, likewise), unless
+    its whole solid is.
     """
     small = hexagon_area_mm2(lattice.side_mm)
     whole = [p for p in solids if p.area <= small]
     large = [p for p in solids if p.area > small]
-    clipped, cell = clip_lattice(large, lattice)
-    groups = sliver_groups(
-        clipped,
-        min(SLIVER_AREA * bead_width_mm**2, SLIVER_SHARE * small),
-        min(SLIVER_WIDTH * spacing_mm, SLIVER_SHARE * lattice.width_mm),
-    )
-    merged, first = _united(clipped, groups)
+    pieces, cell = clip_lattice(large, lattice)
+    groups = sliver_groups(pieces, *least_island_mm(lattice, bead_width_mm, spacing_mm))
+    merged, first = _united(pieces, groups)
     return Cells(
         polygons=column([*merged, *whole]),
         kind=np.array([lattice.kind] * len(merged) + [WHOLE] * len(whole), dtype=np.str_),
         colour=np.concatenate([lattice.colour[cell[first]], np.zeros(len(whole), np.int64)]),
+    )
+
+
+def least_island_mm(lattice: Lattice, bead_width_mm: float, spacing_mm: float) -> tuple[float, float]:
+    """Least area (mm2) and least width (mm) of an island."""
+    return (
+        min(SLIVER_AREA * bead_width_mm**2, SLIVER_SHARE * hexagon_area_mm2(lattice.side_mm)),
+        min(SLIVER_WIDTH * spacing_mm, SLIVER_SHARE * lattice.width_mm),
     )
 
 
@@ -83,89 +87,108 @@ def undivided(solids: Sequence[shapely.Polygon]) -> Cells:
 
 
 def clip_lattice(solids: Sequence[shapely.Polygon], lattice: Lattice) -> tuple[NDArray[np.object_], Ints]:
-    """Parts of every hexagon that lie in a solid, and the hexagon of each, in order of the hexagons.
+    """Parts of every cell that lie in a solid, and the cell of each, in order of the cells.
 
-    Hexagons inside are kept as they are; only those on a border are cut.
+    Cells inside are kept as they are. Those on a border are cut together: their edges and the solid's border
+    are crossed once, and the parts are the faces between them. So two parts with a common border share its
+    points to the last bit, where a cut of each cell by itself leaves hairs between them.
     """
-    pieces: list[NDArray[np.object_]] = []
-    owners: list[Ints] = []
+    pieces: list[NDArray[np.object_]] = [np.zeros(0, object)]
+    owners: list[Ints] = [np.zeros(0, np.int64)]
     for solid in solids:
         shapely.prepare(solid)
         near = np.flatnonzero(shapely.intersects(solid, lattice.cells))
         full = shapely.contains_properly(solid, lattice.cells[near])
-        cut = near[~full]
-        parts, source = shapely.get_parts(_cut(solid, lattice.cells[cut]), return_index=True)
-        solid_parts = shapely.area(parts) > 0.0
-        pieces += [lattice.cells[near[full]], parts[solid_parts]]
-        owners += [near[full], cut[source[solid_parts]]]
-    if not pieces:
-        return np.zeros(0, object), np.zeros(0, np.int64)
+        faces, cell = _faces(solid, lattice.cells[near[~full]])
+        pieces += [lattice.cells[near[full]], faces]
+        owners += [near[full], near[~full][cell]]
     owner = np.concatenate(owners)
     order = np.argsort(owner, kind="stable")
     return np.concatenate(pieces)[order], owner[order]
 
 
-def _cut(solid: shapely.Polygon, hexagons: NDArray[np.object_]) -> NDArray[np.object_]:
-    """Intersection of each hexagon with a solid.
+def _faces(solid: shapely.Polygon, cut: NDArray[np.object_]) -> tuple[NDArray[np.object_], Ints]:
+    """Faces inside a solid between its border and the edges of cells, and the cell that holds each."""
+    edges, _ = polygon_edges(cut)
+    once = np.asarray(shapely.linestrings(np.unique(edges, axis=0).reshape(-1, 2, 2)), object)
+    crossed = shapely.union_all([*once.tolist(), solid.boundary])
+    faces = shapely.get_parts(shapely.polygonize(shapely.get_parts(crossed)))
+    point = _inner_points(faces)
+    faces, point = (column[shapely.dwithin(solid, point, ON_BORDER_MM)] for column in (faces, point))
+    face, cell = shapely.STRtree(cut).query(point, predicate="dwithin", distance=ON_BORDER_MM)
+    # What lies in none of these cells is the room of those that are not cut; a hair on an edge lies in two.
+    held, first = np.unique(face, return_index=True)
+    return faces[held], cell[first]
 
-    A cut costs time with every point of the solid; so blocks of hexagons that lie side by side are cut
-    against the part of the solid around them.
+
+def _inner_points(faces: NDArray[np.object_]) -> NDArray[np.object_]:
+    """Point of each face far from its border: not in a hair that hangs on it. Any point of those that are hairs."""
+    points = shapely.point_on_surface(faces)
+    wide = shapely.area(faces) > ON_BORDER_MM * shapely.length(faces)
+    circles = shapely.maximum_inscribed_circle(faces[wide], DEPTH_SHARE * np.sqrt(shapely.area(faces[wide])))
+    points[wide] = shapely.get_point(circles, 0)
+    return np.asarray(points, object)
+
+
+def sliver_groups(pieces: NDArray[np.object_], area_mm2: float, width_mm: float) -> Ints:
+    """Group of every piece (I,): the smallest sliver joins the neighbour with the longest border, until none is left.
+
+    A group is a sliver as long as it is under the least area or width, all of it; one that has no neighbour
+    is a whole solid. A group is named by its largest piece.
     """
-    found = np.empty(hexagons.size, object)
-    order = np.argsort(shapely.bounds(hexagons)[:, 0], kind="stable")
-    for start in range(0, hexagons.size, CUT_TOGETHER):
-        block = order[start : start + CUT_TOGETHER]
-        x0, y0, x1, y1 = shapely.total_bounds(hexagons[block])
-        around = shapely.box(x0 - CUT_MARGIN_MM, y0 - CUT_MARGIN_MM, x1 + CUT_MARGIN_MM, y1 + CUT_MARGIN_MM)
-        found[block] = shapely.intersection(hexagons[block], shapely.intersection(solid, around))
-    return found
+    area, border = shapely.area(pieces), shapely.length(pieces)
+    largest = area.copy()
+    joined = np.arange(pieces.size)
 
+    def is_sliver(i: int) -> bool:
+        return bool(area[i] < area_mm2 or rectangle_width_mm(area[i], border[i]) < width_mm)
 
-def sliver_groups(islands: NDArray[np.object_], area_mm2: float, width_mm: float) -> Ints:
-    """Group of every island (I,): slivers are in the group of the neighbour with the longest border.
-
-    The smallest slivers choose first; one that has no neighbour stays alone. A group is named by its
-    largest island.
-    """
-    area = shapely.area(islands)
-    width, _ = equivalent_rectangles_mm(islands)
-    slivers = np.flatnonzero((area < area_mm2) | (width < width_mm)).tolist()
-    root = np.arange(islands.size)
-    if not slivers:
-        return root
-    pairs, border = shared_borders(islands)
-    for i in sorted(slivers, key=lambda i: (area[i], i)):
-        if _find(root, i) != i:  # already part of a larger one
+    waiting = [(area[i], i) for i in range(pieces.size) if is_sliver(i)]
+    if not waiting:
+        return joined
+    beside: list[dict[int, float]] = [{} for _ in range(pieces.size)]
+    for (a, b), length in zip(*(column.tolist() for column in shared_edges(pieces)), strict=True):
+        beside[a][b] = beside[b][a] = length
+    heapq.heapify(waiting)
+    while waiting:
+        size, i = heapq.heappop(waiting)
+        if joined[i] != i or size != area[i] or not beside[i]:  # part of another, grown since, or alone
             continue
-        beside = np.concatenate([pairs[pairs[:, 0] == i, 1], pairs[pairs[:, 1] == i, 0]])
-        lengths = np.concatenate([border[pairs[:, 0] == i], border[pairs[:, 1] == i]])
-        groups = np.array([_find(root, int(j)) for j in beside], np.int64)
-        others = np.flatnonzero(groups != i)
-        if others.size:
-            best = int(groups[others[np.lexsort((beside[others], -lengths[others]))[0]]])
-            keep, lose = (best, i) if area[best] >= area[i] else (i, best)
-            root[lose] = keep
-    return np.array([_find(root, i) for i in range(islands.size)], np.int64)
+        j = max(beside[i], key=lambda j: (beside[i][j], -j))
+        keep, lose = (i, j) if (largest[i], -i) > (largest[j], -j) else (j, i)
+        area[keep] += area[lose]
+        border[keep] += border[lose] - 2.0 * beside[i][j]
+        joined[lose] = keep
+        for other, length in beside[lose].items():
+            del beside[other][lose]
+            if other != keep:
+                beside[keep][other] = beside[other][keep] = beside[keep].get(other, 0.0) + length
+        if is_sliver(keep):
+            heapq.heappush(waiting, (area[keep], keep))
+    while (joined != joined[joined]).any():
+        joined = joined[joined]
+    return joined.astype(np.int64)
 
 
-def _find(root: Ints, i: int) -> int:
-    while root[i] != i:
-        i = int(root[i])
-    return i
+def rectangle_width_mm(area_mm2: float, border_mm: float) -> float:
+    """Width as of a wall, see :func:`ebamcheck.scan.regions.equivalent_rectangles_mm`."""
+    quarter = 0.25 * border_mm
+    return area_mm2 / (quarter + math.sqrt(max(quarter**2 - area_mm2, 0.0)))
 
 
-def _united(islands: NDArray[np.object_], groups: Ints) -> tuple[list[shapely.Polygon], Ints]:
-    """Islands by group, and the island that names each."""
-    names, sizes = np.unique(groups, return_counts=True)
+def _united(pieces: NDArray[np.object_], groups: Ints) -> tuple[list[shapely.Polygon], Ints]:
+    """Islands by group, and the piece that names each: common edges go, and every other point stays.
+
+    A group without area, a hair beside the solid, is no island.
+    """
     merged: list[shapely.Polygon] = []
     first: list[int] = []
-    for name, size in zip(names, sizes, strict=True):
-        if size == 1:
-            found = [islands[name]]
-        else:
-            found = valid_polygons(shapely.union_all(islands[groups == name], grid_size=UNION_GRID_MM))
-        merged += found
-        first += [int(name)] * len(found)
+    by_group = np.argsort(groups, kind="stable")
+    names, starts = np.unique(groups[by_group], return_index=True)
+    for name, held in zip(names.tolist(), np.split(pieces[by_group], starts[1:]), strict=False):
+        if (shapely.area(held) > ON_BORDER_MM * shapely.length(held)).any():
+            merged += [held[0]] if held.size == 1 else valid_polygons(shapely.coverage_union_all(held))
+            first += [name] * (len(merged) - len(first))
     return merged, np.array(first, np.int64)
 
 

@@ -1,18 +1,25 @@
-"""Beads along thin walls: the centre line of a wall, and lines parallel to it.
+"""Beads along thin walls: the centre line of a wall, and lines parallel to it, as many as fit side by side.
 
 The centre line is the part of the Voronoi diagram of points on the wall's border that separates its two
 sides: an edge counts where its two border points lie much further apart along the border than straight
-across, which leaves out the spurs into corners.
+across, which leaves out the spurs into corners. Where three branches meet, the two that go straightest on are
+one bead, and the third ends before it.
+
+A wall that changes its width has more beads where it is wide and one where it is narrow. A pointed end is
+left to the round end of its one bead, which stops where the wall is narrower than a share of the bead.
 """
 
 from __future__ import annotations
 
+import itertools
+import math
+
 import numpy as np
 import shapely
 from scipy.spatial import QhullError, Voronoi
+from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.rings import Bools, Floats, Ints
-from ebamcheck.scan.hatch import lines_across, widest_pitch_mm
 from ebamcheck.scan.regions import NO_WIDTH_MM, mean_width_mm
 
 SAMPLES_ACROSS = 3.0
@@ -25,12 +32,40 @@ ARC_OVER_CHORD = 2.0
 """Border length between two facing points over their distance, at least: 1.4 in a square corner, 1.6
 around a rounded end, 2 where a wall is as long as half its width."""
 
+TAPER, TAPER_SHARE = 0.2, 0.1
+"""A bead stops where the wall's end is narrower than the first times the bead width, or the second times the wall's own
+greatest width, where that is less: its round end covers half a bead more, no spot that stays is wide enough for a
+gap bead, and no more than a hundredth of a wedge stays."""
+
+ALONE = 1.01
+"""Greatest width, over the bead's, of a wall that one bead fills: it reaches both sides."""
+
+LEAST_APART = 0.5
+"""No bead of a wall lies nearer to another one of it than this times the spacing: there one has the metal of both."""
+
+LEAST_BEAD = 0.5
+"""No bead is shorter than this times the bead width, unless the wall has no longer one."""
+
+LEAST_RUN = 1.0
+"""Length over the bead width for which a wall must be wider, or narrower, before its beads change in number: junctions
+are wider than their walls."""
+
+STEP = 0.25
+"""Distance, over the bead width, of the points where the width of a wall is measured."""
+
+STRAIGHT_ON_DEG = 60.0
+"""Turn at a fork up to which one bead goes on through it."""
+
 STRAIGHTNESS = 0.02
 """Deviation of the centre line from its samples, over the wall's width, by which it is simplified."""
 
 QHULL_OPTIONS = "Qbb Qc QJ"
 """The border points are joggled by some 1e-11 of their extent before their diagram is drawn: without it, its time
 grows with the square of the points on a straight side, to 10 s for those of a hair of metal."""
+
+ARC_SEGMENTS = 16
+CHORD = math.cos(0.25 * math.pi / ARC_SEGMENTS)
+"""Chords in a quarter of the round around a bead's end, and the least distance of a chord, over the round's radius."""
 
 WEED_MM = 1e-7
 """Corners of the Voronoi diagram closer than this are one."""
@@ -39,24 +74,25 @@ WEED_MM = 1e-7
 def wall_lines(wall: shapely.Polygon, bead_width_mm: float, spacing_mm: float) -> list[Floats]:
     """Polylines (k, 2), mm, along which beads fill a thin wall, side by side where it is wide enough.
 
-    Every line lies in the wall and reaches its ends. The list is empty only where the wall is so
-    crooked, so short, or so much a hair, that it has no centre line.
+    Every line lies in the wall; a line reaches the end of the wall, or that of its taper. No two are nearer
+    than :data:`LEAST_APART`, and none is shorter than :data:`LEAST_BEAD` where there is another one. The list
+    is empty only where the wall is so crooked, so short, or so much a hair, that it has no centre line.
     """
     width = mean_width_mm(wall)
     if width <= NO_WIDTH_MM:
         return []
-    beads = lines_across(width, spacing_mm, widest_pitch_mm(bead_width_mm, spacing_mm))
     branches = centre_line(wall, width)
-    forks = _fork_counts(branches)
-    lines = []
-    for branch in branches:
-        free = [forks[end] == 1 and not branch.is_ring for end in _ends(branch)]
-        for n in range(beads):
-            beside = _beside(branch, wall, (n + 0.5) / beads - 0.5, width)
-            lines.append(_extended(beside, free, width))
-    inside = shapely.intersection(np.asarray(lines, object), wall) if lines else np.zeros(0, object)
-    found = [shapely.get_coordinates(part) for part in shapely.get_parts(inside) if part.length > 0]
-    return [line if n % 2 == 0 else line[::-1] for n, line in enumerate(found) if len(line) > 1]
+    paths = _straight_on(branches)
+    ends = _fork_counts(branches)
+    found = []
+    for path in paths:
+        free = [ends[end] == 1 and not path.is_ring for end in _ends(path)]
+        found += _side_by_side(path, free, wall, bead_width_mm, spacing_mm)
+    inside = shapely.intersection(np.asarray(found, object), wall) if found else np.zeros(0, object)
+    pieces = [part for part in shapely.get_parts(inside) if part.length > 0]
+    kept = _apart(pieces, LEAST_APART * spacing_mm, LEAST_BEAD * bead_width_mm)
+    lines = [shapely.get_coordinates(line) for line in kept]
+    return [line if n % 2 == 0 else line[::-1] for n, line in enumerate(lines)]
 
 
 def centre_line(wall: shapely.Polygon, width_mm: float) -> list[shapely.LineString]:
@@ -145,21 +181,145 @@ def _sorted(branches: list[shapely.LineString]) -> list[shapely.LineString]:
     return sorted(turned, key=_ends)
 
 
-def _beside(
-    line: shapely.LineString, wall: shapely.Polygon, share: float, width_mm: float
-) -> shapely.LineString:
-    """Line at a share (-1/2 .. 1/2) of the wall's local width to the left of its centre line."""
-    if share == 0.0:
-        return line
-    points = shapely.get_coordinates(shapely.segmentize(line, width_mm))
+def _straight_on(branches: list[shapely.LineString]) -> list[shapely.LineString]:
+    """Join at every fork the two branches that go straightest on, up to :data:`STRAIGHT_ON_DEG`."""
+    ways: dict[tuple[float, ...], list[tuple[int, int]]] = {}
+    for n, branch in enumerate(branches):
+        if not branch.is_ring:
+            for side, end in enumerate(_ends(branch)):
+                ways.setdefault(end, []).append((n, side))
+    turns = []
+    for arms in ways.values():
+        leaving = [_leaving(branches[n], side) for n, side in arms]
+        for (i, a), (j, b) in itertools.combinations(enumerate(arms), 2):
+            if a[0] != b[0]:
+                turn = math.degrees(math.acos(max(-1.0, min(1.0, -float(leaving[i] @ leaving[j])))))
+                turns.append((round(turn, 6), a, b))
+    path = [shapely.get_coordinates(branch) for branch in branches]
+    place = {(n, side): (n, side) for n in range(len(branches)) for side in (0, 1)}
+    for turn, a, b in sorted(turns):
+        if turn > STRAIGHT_ON_DEG or a not in place or b not in place or place[a][0] == place[b][0]:
+            continue
+        (i, side), (j, other) = place.pop(a), place.pop(b)
+        first = path[i] if side == 1 else path[i][::-1]
+        second = path[j] if other == 0 else path[j][::-1]
+        path[i], path[j] = np.vstack([first, second[1:]]), np.zeros((0, 2))
+        place |= {key: (i, 0) for key, (n, _) in place.items() if n == i} | {
+            key: (i, 1) for key, (n, _) in place.items() if n == j
+        }
+    return [shapely.LineString(points) for points in path if len(points)]
+
+
+def _leaving(branch: shapely.LineString, side: int) -> Floats:
+    """Unit direction in which a branch leaves its start (0) or its end (1)."""
+    points = shapely.get_coordinates(branch)[:: 1 if side == 0 else -1]
+    way = points[1] - points[0]
+    return np.asarray(way / max(float(np.hypot(*way)), np.finfo(float).tiny), np.float64)
+
+
+def _side_by_side(
+    path: shapely.LineString,
+    free: list[bool],
+    wall: shapely.Polygon,
+    bead_width_mm: float,
+    spacing_mm: float,
+) -> list[shapely.LineString]:
+    """Lines along a path, as many at each place as the wall is wide there; free ends reach the end of the wall."""
+    points, local = _measured(path, wall, STEP * bead_width_mm)
+    least = min(TAPER * bead_width_mm, TAPER_SHARE * float(local.max()))
+    low, high = np.flatnonzero(local >= least)[[0, -1]]
+    low, high = (low if free[0] else 0), (high if free[1] else len(points) - 1)
+    reached = [free[0] and low == 0, free[1] and high == len(points) - 1]
+    if high == low:  # a point is no line
+        low, high = max(low - 1, 0), min(high + 1, len(points) - 1)
+    points, local = points[low : high + 1], local[low : high + 1]
+    steps = np.hypot(*np.diff(points, axis=0).T)
+    counts = _steady(_beads(local, bead_width_mm, spacing_mm), steps, LEAST_RUN * bead_width_mm)
+    normal = _normals(points, path.is_ring)
+    runs = np.split(np.arange(len(counts)), np.flatnonzero(np.diff(counts)) + 1)
+    growing: list[tuple[Floats, bool]] = []
+    done: list[tuple[Floats, list[bool]]] = []
+    for run in runs:
+        count = int(counts[run[0]])
+        going_on = _going_on(len(growing), count)
+        done += [(line, [begun, False]) for k, (line, begun) in enumerate(growing) if k not in going_on]
+        before = [growing[k] if k >= 0 else (points[:0], bool(run[0] == 0)) for k in going_on]
+        offsets = [((n + 0.5) / count - 0.5) * local[run, None] * normal[run] for n in range(count)]
+        growing = [
+            (np.vstack([line, points[run] + offset]), begun)
+            for (line, begun), offset in zip(before, offsets, strict=True)
+        ]
+    done += [(line, [begun, True]) for line, begun in growing]
+    lines = [
+        shapely.simplify(shapely.LineString(line), STRAIGHTNESS * float(local.mean())) for line, _ in done
+    ]
+    return [
+        _extended(line, [reached[0] and at[0], reached[1] and at[1]], 2.0 * float(local.max()))
+        for line, (_, at) in zip(lines, done, strict=True)
+    ]
+
+
+def _going_on(before: int, after: int) -> list[int]:
+    """Of some lines side by side the one (or -1) that goes on in each of another number: as many as can, the nearest."""
+    few, many = sorted((before, after))
+    nearest = [
+        min(range(many), key=lambda k: (abs((2 * k + 1) * few - (2 * n + 1) * many), k)) for n in range(few)
+    ]
+    if before >= after:
+        return nearest
+    return [nearest.index(n) if n in nearest else -1 for n in range(after)]
+
+
+def _measured(path: shapely.LineString, wall: shapely.Polygon, step_mm: float) -> tuple[Floats, Floats]:
+    """Points (n, 2) along a path, at least three, and the wall's width (n,) at each."""
+    points = shapely.get_coordinates(shapely.segmentize(path, min(step_mm, 0.5 * path.length)))
+    local = 2.0 * np.atleast_1d(shapely.distance(shapely.points(points), wall.boundary))
+    return np.asarray(points, np.float64), np.asarray(local, np.float64)
+
+
+def _beads(local_mm: Floats, bead_width_mm: float, spacing_mm: float) -> Ints:
+    """Beads side by side (n,) that fill a wall of given widths."""
+    nearest = np.floor(local_mm / spacing_mm + 0.5)
+    needed = np.ceil(local_mm / max(spacing_mm, ALONE * bead_width_mm))
+    return np.maximum(1, np.maximum(nearest, needed)).astype(np.int64)
+
+
+def _steady(counts: Ints, steps_mm: Floats, least_mm: float) -> Ints:
+    """Counts (n,) whose runs of one number are no shorter than a length: the shortest first takes that of its longer neighbour."""
+    counts = counts.copy()
+    around = 0.5 * (np.append(steps_mm, 0.0) + np.append(0.0, steps_mm))
+    while True:
+        edges = np.concatenate([[0], np.flatnonzero(np.diff(counts)) + 1, [len(counts)]])
+        lengths = np.add.reduceat(around, edges[:-1])
+        k = int(np.argmin(lengths))
+        if len(lengths) == 1 or lengths[k] >= least_mm:
+            return counts
+        beside = [j for j in (k - 1, k + 1) if 0 <= j < len(lengths)]
+        longer = max(beside, key=lambda j: float(lengths[j]))
+        counts[edges[k] : edges[k + 1]] = counts[edges[longer]]
+
+
+def _normals(points: Floats, is_ring: bool) -> Floats:
+    """Unit vectors (n, 2) to the left of a polyline."""
     along = np.asarray(np.gradient(points, axis=0), np.float64)
-    if line.is_ring:
+    if is_ring and (points[0] == points[-1]).all():
         along[0] = along[-1] = points[1] - points[-2]
     normal = np.column_stack([-along[:, 1], along[:, 0]])
     normal /= np.maximum(np.hypot(normal[:, 0], normal[:, 1]), np.finfo(float).tiny)[:, None]
-    local = 2.0 * np.atleast_1d(shapely.distance(shapely.points(points), wall.boundary))
-    moved = shapely.LineString(points + share * local[:, None] * normal)
-    return shapely.simplify(moved, STRAIGHTNESS * width_mm)
+    return np.asarray(normal, np.float64)
+
+
+def _apart(pieces: list[shapely.LineString], apart_mm: float, least_mm: float) -> list[shapely.LineString]:
+    """Lines, the longest as it is and every other one cut back from those before it; short rests are left out."""
+    kept: list[tuple[int, shapely.LineString]] = []
+    taken: BaseGeometry = shapely.Polygon()
+    for n in sorted(range(len(pieces)), key=lambda n: (-round(float(pieces[n].length), 6), n)):
+        left = shapely.get_parts(shapely.difference(pieces[n], taken))
+        here = [part for part in left if part.length >= least_mm or not kept]
+        kept += [(n, part) for part in here]
+        around = shapely.buffer(here, apart_mm / CHORD, quad_segs=ARC_SEGMENTS)
+        taken = shapely.union_all([taken, *around])
+    return [part for _, part in sorted(kept, key=lambda item: item[0])]
 
 
 def _extended(line: shapely.LineString, free: list[bool], width_mm: float) -> shapely.LineString:

@@ -36,8 +36,10 @@ class ScanSettings(Section):
     layer_angle_deg: Finite = 15.0
     """Turn of the hatch from layer to layer (paper, section 1, after Jia et al.)."""
     island_angle_deg: Finite = 60.0
-    """Turn of the hatch from island to island, by one of three colours of hexagons (two of squares and stripes), so that
-    neighbours differ."""
+    """Turn of the hatch from island to island, by one of three colours of hexagons (two of squares and stripes). Islands
+    that touch all the same with one colour take another multiple, or one halfway between, so that neighbours differ by
+    15 degrees at least (a quarter of this angle, where that is less); but two that are narrower than the spacing, each
+    of which is filled along its long side. 0: all islands of a layer have one direction."""
     order: str = "thermal"
     """Scan order of the islands of a layer: thermal (coolest first by a heat model, at a price on travel), nearest
     (the paper's rule, section 4.2; nearest-any by its full name), nearest-last, nearest-sum, farthest, raster,

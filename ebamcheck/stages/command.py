@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from ebamcheck import mesh_files
-from ebamcheck.config import Config, validated
+from ebamcheck.config import Config
 from ebamcheck.curves import METHODS, Curves, contour_error, error_reduction, fit, fit_deviation
 from ebamcheck.errors import ExitCode, InputError, SettingsError
 from ebamcheck.heights import checked_heights, layer_heights
@@ -27,9 +27,11 @@ from ebamcheck.part import Part
 from ebamcheck.pipeline.programming import bead_paths, smooth_layers
 from ebamcheck.process_window import checked_window
 from ebamcheck.program import write_program
-from ebamcheck.scan import ScanPlan, plan_stack
+from ebamcheck.program.heat_paths import PATH_FILES, SCRIPTS, case_post
+from ebamcheck.scan import plan_stack
 from ebamcheck.slicing import slice_part
-from ebamcheck.store import MANIFEST, RunFolder
+from ebamcheck.stages.run_stack import stack_of_run
+from ebamcheck.store import MANIFEST
 from ebamcheck.tables import text_table
 
 ALL = "all"
@@ -102,14 +104,17 @@ def post_command(
     control: Annotated[
         str, typer.Option(help="Post-processor; default: machine.control of the settings.")
     ] = "",
+    layer: Annotated[
+        int | None, typer.Option(help=f"Case of one layer, counted from 0, for {', '.join(PATH_FILES)}.")
+    ] = None,
     layer_height: LayerHeightOption = None,
     config: ConfigOption = None,
     units: UnitsOption = "",
     direction: DirectionOption = "",
 ) -> ExitCode:
-    """Write a program for a control or a heat simulator; `ebamcheck verify` checks it, `run` validates it."""
+    """Write a program for a control or a whole case for a heat simulator; `ebamcheck verify` checks it, `run` validates it."""
     if (source / MANIFEST).is_file():
-        settings, beads, plan, sha256 = _of_run(source, config)
+        settings, beads, plan, sha256 = stack_of_run(source, config)
         checked_window(settings)
     elif source.is_dir():
         raise InputError(f"{source}: is no finished run folder: it has no {MANIFEST}")
@@ -123,29 +128,22 @@ def post_command(
         beads, sha256 = bead_paths(smooth, plan, settings), placed.source_sha256
     if control:
         settings = settings.changed(machine={"control": control})
-    files = write_program(beads, plan, settings, output, header={"PART SHA-256": sha256})
+    header = {"PART SHA-256": sha256}
+    if layer is None:
+        files = write_program(beads, plan, settings, output, header=header)
+    else:
+        post = case_post(settings.machine.control)
+        files = post(beads, plan, settings, output, header=header, layer=layer)
     blocks = sum(files.blocks.values())
     typer.echo(f"{files.main}: {len(files.names)} files, {blocks} blocks for {settings.machine.control}")
-    typer.echo(
-        "NOT VALIDATED: check it with `ebamcheck verify`, or let `ebamcheck run` make and validate one"
-    )
+    if settings.machine.control in PATH_FILES:
+        script = next(name for name in files.names if name in SCRIPTS)
+        typer.echo(f"NOT VALIDATED: no reader proves a case; {files.folder / script} runs it")
+    else:
+        typer.echo(
+            "NOT VALIDATED: check it with `ebamcheck verify`, or let `ebamcheck run` make and validate one"
+        )
     return ExitCode.PASS
-
-
-def _of_run(folder: Path, config: Path | None) -> tuple[Config, Curves, ScanPlan, str]:
-    """Settings, bead paths and plan of a run; other settings only where a file names them."""
-    run = RunFolder(folder)
-    manifest = run.manifest()
-    settings = settings_of(config, "", "", None) if config else validated(manifest["settings"], MANIFEST)
-    beads, plan = folder / "beads.parquet", folder / "scan.parquet"
-    if not beads.is_file() or not plan.is_file():
-        raise InputError(f"{folder}: has no bead paths: make it with `ebamcheck run`, not `check`")
-    return (
-        settings,
-        Curves.from_parquet(beads),
-        ScanPlan.from_parquet(plan),
-        str(manifest["part"]["sha256"]),
-    )
 
 
 def _heights(part: Part, settings: Config) -> Any:

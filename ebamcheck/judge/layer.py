@@ -1,0 +1,312 @@
+"""One layer judged: how warm its islands are when the beam enters them, by 3DThesis and by our own model.
+
+What can be compared, and what cannot. Both are linear, with the material data of our linear model, the same path at the
+same times, and rises over the same ambient temperature. Neither knows what the layers below have left. 3DThesis heats a
+half space: it has no sides of the part, which keep heat in, no base at a depth, and no radiation, which take heat away. So
+the ranks of the islands and the ratio of two orders can be compared, and the rises while heat has not yet come to the
+sides and to the base; a ratio far from 1 late in a small or a thin section is the half space, not a fault. With mirrors
+the body is a box around the section: for a rectangle on an insulated base that does not radiate it is the body of our
+model, and the rises themselves can be compared. Our islands are heated evenly, those of 3DThesis line by line: where the
+beam enters beside what it has just laid, 3DThesis finds more.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import shapely
+from numpy.typing import NDArray
+from scipy.stats import kendalltau, spearmanr
+from shapely.geometry.base import BaseGeometry
+
+from ebamcheck.config import Config
+from ebamcheck.curves import Curves
+from ebamcheck.errors import NothingCompared, SettingsError
+from ebamcheck.judge.thesis import rises_k
+from ebamcheck.program.files import ProgramFiles
+from ebamcheck.program.heat_paths import HeatPath, heat_path, write_thesis
+from ebamcheck.program.inputs import CurveColumns, deposition_heights
+from ebamcheck.program.thesis_case import Mirrors, physics, readings
+from ebamcheck.rings import Floats, Ints
+from ebamcheck.scan.driving import entry_temperatures
+from ebamcheck.scan.island_heat import island_heat
+from ebamcheck.scan.plan import ScanPlan
+
+BEADS = ("islands", "all")
+"""Beads that heat: those of the islands, which are what our model of the islands counts, or those along the contour, too."""
+
+BODIES = ("half-space", "box")
+"""What 3DThesis heats: a half space, or the box around the section, whose sides (and base, where the process has an
+insulated one) let no heat through."""
+
+PLACES = 16
+"""Places over which the temperature of an island is averaged, about."""
+
+COLUMNS = {
+    "island": "number of the island in the plan",
+    "rank": "its place in the order",
+    "entered_s": "when the beam enters it, from the beginning of the layer",
+    "x_mm": "where the beam enters it",
+    "y_mm": "likewise",
+    "model_k": "mean rise of the island when it is entered, by our model",
+    "thesis_k": "the same by 3DThesis",
+    "thesis_spot_k": "rise where the beam enters it, by 3DThesis",
+    "thesis_hottest_k": "rise at the hottest of the places of the island, by 3DThesis",
+}
+"""Columns of a judged layer; all temperatures in K."""
+
+
+@dataclass(frozen=True, eq=False)
+class IslandVisits:
+    """When and where the beam enters the islands of a path that have beads, in the order in which it does.
+
+    Parameters
+    ----------
+    island
+        (E,) number in the plan.
+    entered_s, left_s, beam_s
+        (E,) from the beginning of the path; time with the beam on, counted by its power.
+    place
+        (E, 3) mm.
+    """
+
+    island: Ints
+    entered_s: Floats
+    left_s: Floats
+    beam_s: Floats
+    place: Floats
+
+    @classmethod
+    def of(cls, path: HeatPath) -> IslandVisits:
+        """Visits of a path of one layer."""
+        end_s, line = path.end_s, path.is_line & (path.island >= 0)
+        rows = np.flatnonzero(line)
+        islands, first = np.unique(path.island[rows], return_index=True)
+        entered = np.sort(first)
+        order = path.island[rows][entered]
+        number = np.searchsorted(islands, path.island[rows])
+        lasted = end_s[rows] - end_s[rows - 1]
+        beam_s = np.bincount(number, lasted * path.rows[rows, 4], len(islands)).astype(np.float64)
+        left_s = np.zeros(len(islands))
+        left_s[number] = end_s[rows]  # the last row of each stays
+        at = np.searchsorted(islands, order)
+        before = rows[entered] - 1  # a spot leads to every bead
+        return cls(order, end_s[before], left_s[at], beam_s[at], path.rows[before, 1:4])
+
+
+@dataclass(frozen=True, eq=False)
+class JudgedLayer:
+    """Islands of a layer when they are entered, by two models: a table with :data:`COLUMNS`, in scan order."""
+
+    table: pd.DataFrame
+
+    def figures(self) -> dict[str, float]:
+        """Greatest rises, agreement in rank, and how much hotter one model is than the other."""
+        table = self.table
+        ours, theirs = table["model_k"].to_numpy(), table["thesis_k"].to_numpy()
+        # The first island is cold in any model.
+        rest = np.arange(len(table)) > 0
+        many = rest.sum() > 1
+        return {
+            "islands": float(len(table)),
+            "model_max_k": float(ours.max()),
+            "thesis_max_k": float(theirs.max()),
+            "thesis_spot_max_k": float(table["thesis_spot_k"].max()),
+            "thesis_hottest_max_k": float(table["thesis_hottest_k"].max()),
+            "kendall_tau": float(kendalltau(ours[rest], theirs[rest]).statistic) if many else math.nan,
+            "spearman": float(spearmanr(ours[rest], theirs[rest]).statistic) if many else math.nan,
+            "thesis_over_model": float(theirs.sum() / ours.sum()) if ours.sum() > 0.0 else math.nan,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class LayerCase:
+    """A layer as 3DThesis gets it.
+
+    Parameters
+    ----------
+    path
+        Path of the layer.
+    islands
+        (E,) those that the beam enters, in the order in which it does.
+    visits
+        When and where it enters them.
+    section, height_mm
+        Solid region of the layer, and its height over the base plate: what our model knows of the part.
+    mirrors
+        Sides of the body of 3DThesis; a half space if None.
+    owner, places
+        (P,) visit of each place, rising; (P, 3) where temperatures are read, mm: first where the beam enters the island,
+        then over its area.
+    """
+
+    path: HeatPath
+    islands: NDArray[np.object_]
+    visits: IslandVisits
+    section: BaseGeometry
+    height_mm: float
+    mirrors: Mirrors | None
+    owner: Ints
+    places: Floats
+
+    @classmethod
+    def of(
+        cls,
+        plan: ScanPlan,
+        layer: int,
+        section: BaseGeometry,
+        config: Config,
+        *,
+        curves: CurveColumns | None = None,
+        height_mm: float | None = None,
+        beads: str = BEADS[0],
+        body: str = BODIES[0],
+    ) -> LayerCase:
+        """Case of one layer of any plan.
+
+        Parameters
+        ----------
+        plan, layer
+            Plan of a stack, and which of its layers.
+        section, height_mm
+            Solid region of the layer, and its height over the base plate; as the plan says if None.
+        curves
+            Centre lines of the contour beads; without them there are none, in place or time.
+        beads, body
+            One of :data:`BEADS` and of :data:`BODIES`.
+
+        Raises
+        ------
+        NothingCompared
+            If the layer has no islands with beads.
+        SettingsError
+            If `beads` or `body` is no choice.
+        """
+        for option, value, choices in (("--beads", beads, BEADS), ("--body", body, BODIES)):
+            if value not in choices:
+                raise SettingsError(f"{option} {value!r}: choose from {', '.join(choices)}")
+        whole = heat_path(_no_contours(plan) if curves is None else curves, plan, config)
+        if not (whole.island[whole.layer == layer] >= 0).any():
+            raise NothingCompared(f"layer {layer} has no islands whose temperature could be judged")
+        path = whole.of_layer(layer)
+        visits = IslandVisits.of(path)
+        islands = plan.islands[visits.island]
+        if height_mm is None:
+            height_mm = float(deposition_heights(plan.heights, config.layer_height_mm)[layer])
+        mirrors = None
+        if body == BODIES[1]:
+            mirrors = _box(section, float(path.rows[0, 3]) - height_mm - config.process.base_plate_mm, config)
+        if beads == BEADS[0]:
+            path = path.without_power(path.island < 0)
+        return cls(path, islands, visits, section, height_mm, mirrors, *_places(islands, visits.place))
+
+    def write(self, folder: str | Path, config: Config) -> ProgramFiles:
+        """Write the whole case: it reads all places at all times, of which each island's own are those judged by."""
+        wanted = readings(self.visits.entered_s.tolist(), self.places, self.mirrors)
+        files = {**physics(config), **wanted}
+        return write_thesis(self.path, files, folder)
+
+
+def judge_layer(
+    case: LayerCase, config: Config, progress: Callable[[int], None] = lambda done: None
+) -> JudgedLayer:
+    """Judge one layer: its islands when the beam enters them, by 3DThesis and by our own model.
+
+    Parameters
+    ----------
+    progress
+        Told how many islands are done.
+
+    Raises
+    ------
+    BackendMissing, BackendFailed
+        See :func:`ebamcheck.judge.thesis.rises_k`.
+    """
+    owner, visits = case.owner, case.visits
+    rises = rises_k(case.path, config, visits.entered_s, owner, case.places, case.mirrors, progress)
+    spot = np.searchsorted(owner, np.arange(len(case.islands)))
+    inside = np.ones(len(owner), np.bool_)
+    inside[spot] = False
+    return JudgedLayer(
+        pd.DataFrame(
+            {
+                "island": visits.island,
+                "rank": np.arange(len(visits.island)),
+                "entered_s": visits.entered_s,
+                "x_mm": visits.place[:, 0],
+                "y_mm": visits.place[:, 1],
+                "model_k": _by_our_model(case, config),
+                "thesis_k": np.bincount(owner[inside], rises[inside]) / np.bincount(owner[inside]),
+                "thesis_spot_k": rises[spot],
+                "thesis_hottest_k": np.maximum.reduceat(rises, spot),
+            },
+            columns=list(COLUMNS),
+        )
+    )
+
+
+def _by_our_model(case: LayerCase, config: Config) -> Floats:
+    """Mean rise of each island when it is entered, (E,), by the model that plans, driven at the times of the path."""
+    visits, islands = case.visits, case.islands
+    lasted = visits.left_s - visits.entered_s
+    heat = island_heat(case.section, islands, visits.beam_s, lasted, config, case.height_mm, fine=True)
+    area = np.asarray(shapely.area(islands), np.float64)
+    return entry_temperatures(heat, area, np.arange(len(islands)), visits.entered_s, visits.left_s)[0]
+
+
+def _box(section: BaseGeometry, base_mm: float, config: Config) -> Mirrors:
+    """Mirrors around a section: images are of insulated planes alone, so that a cooled base is left out."""
+    x0, y0, x1, y1 = section.bounds
+    return Mirrors((x0, x1), (y0, y1), base_mm if config.process.base == "insulated" else None)
+
+
+def _places(islands: NDArray[np.object_], entered: Floats) -> tuple[Ints, Floats]:
+    """Where temperatures are read: owner (P,) and place (P, 3); of each island its entry, then places over its area."""
+    owner, places = [], []
+    for number, (island, entry) in enumerate(zip(islands, entered, strict=True)):
+        inside = _spread(island)
+        mine = np.column_stack([inside, np.full(len(inside), entry[2])])
+        places += [entry[None], mine]
+        owner.append(np.full(len(mine) + 1, number))
+    return np.concatenate(owner), np.concatenate(places)
+
+
+def _spread(island: BaseGeometry) -> Floats:
+    """Places (n, 2) spread evenly over an island: the middles of cells that lie in it."""
+    x0, y0, x1, y1 = island.bounds
+    step = math.sqrt(max(island.area, 0.0) / PLACES)
+    middle = shapely.get_coordinates(island.representative_point())
+    if step <= 0.0:
+        return middle
+    x, y = (_middles(low, high, step) for low, high in ((x0, x1), (y0, y1)))
+    grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    found = grid[shapely.contains_xy(island, grid[:, 0], grid[:, 1])]
+    return found if len(found) else middle
+
+
+def _middles(low: float, high: float, step: float) -> Floats:
+    """Middles of the fewest equal parts of a span that are no longer than a step."""
+    count = max(1, math.ceil((high - low) / step))
+    return np.asarray(low + (high - low) * (np.arange(count) + 0.5) / count, np.float64)
+
+
+def _no_contours(plan: ScanPlan) -> Curves:
+    """Return curves of a stack that has none."""
+    nothing = np.zeros(0, np.int64)
+    start = np.zeros(1, np.int64)
+    return Curves(
+        heights=plan.heights,
+        layer_starts=np.zeros(len(plan) + 1, np.int64),
+        ring_starts=start,
+        closed=nothing.astype(np.bool_),
+        kind=nothing.astype(np.uint8),
+        control_starts=start,
+        control=np.zeros((0, 2)),
+        knot_starts=start,
+        knots=np.zeros(0),
+    )

@@ -1,0 +1,145 @@
+"""Beads along walls that change their width, end in a point, or fork: as many as the wall is wide, and none too many."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from section_zoo import ZOO, star
+from shapely import affinity
+
+from ebamcheck.config import Config
+from ebamcheck.scan.regions import layer_regions
+from ebamcheck.scan.walls import LEAST_APART, LEAST_BEAD, TAPER, TAPER_SHARE, wall_lines
+
+PROFILE = Config()
+WIDTH, SPACING = PROFILE.process.bead_width_mm, PROFILE.process.hatch_spacing_mm
+
+
+def wedge(length, thick):
+    """Symmetric wedge along +x with its tip at the origin."""
+    return shapely.Polygon([(0.0, 0.0), (length, -0.5 * thick), (length, 0.5 * thick)])
+
+
+def ring(radius, thick):
+    return shapely.Point(0, 0).buffer(radius, 64).difference(shapely.Point(0, 0).buffer(radius - thick, 64))
+
+
+def lens(thick):
+    discs = [shapely.Point(0, y).buffer(100 + 0.5 * thick, 64) for y in (-100, 100)]
+    return discs[0].intersection(discs[1])
+
+
+SHAPES = {
+    **{f"wedge {thick}": wedge(120, thick) for thick in (0.3, 4, 9, 14)},
+    "wedge with its back to another": wedge(60, 8).union(affinity.scale(wedge(60, 8), -1, 1, origin=(60, 0))),
+    "bow": wedge(50, 8).union(affinity.scale(wedge(50, 8), -1, 1, origin=(0, 0))).buffer(0.4),
+    "lens": lens(9.0),
+    **{f"star of {n}": star(n, 1.2 * n**0.5, 45) for n in (3, 4, 5, 6)},
+    **{f"ring {thick}": ring(40, thick) for thick in (0.02, 1, 5.9, 6, 6.2, 11)},
+    "hair": shapely.box(0, 0, 100, 0.01),
+    "hair to a point": wedge(100, 0.02),
+    "crescent": shapely.Point(0, 0).buffer(50, 64).difference(shapely.Point(8, 0).buffer(50, 64)),
+}
+WALLS = [
+    *((name, part) for name, shape in SHAPES.items() for part in shapely.get_parts(shape)),
+    *((name, shape) for name, shape in ZOO.items() if name[0] in "LTUc" and "bead" in name),
+]
+for zoo_name, section in ZOO.items():
+    regions = layer_regions(section, PROFILE)
+    parts = [*regions.narrow_fills, *regions.bare_walls]
+    WALLS += [(f"{zoo_name}, wall {n}", part) for n, part in enumerate(parts[:6])]
+
+
+def beads_of(wall):
+    return [shapely.LineString(line) for line in wall_lines(wall, WIDTH, SPACING)]
+
+
+def check_laws(wall):
+    lines = beads_of(wall)
+    assert all(wall.buffer(1e-9).covers(line) for line in lines)
+    for a, b in itertools.combinations(lines, 2):
+        assert a.distance(b) >= LEAST_APART * SPACING * (1.0 - 1e-3)
+    if len(lines) > 1:
+        assert min(line.length for line in lines) >= LEAST_BEAD * WIDTH
+    return lines
+
+
+@pytest.mark.parametrize("wall", [wall for _, wall in WALLS], ids=[name for name, _ in WALLS])
+def test_beads_lie_in_the_wall_apart_and_are_no_stubs(wall):
+    lines = check_laws(wall)
+    turned = [line.length for line in beads_of(affinity.rotate(wall, 33.0, origin=(0, 0)))]
+    assert sum(turned) == pytest.approx(sum(line.length for line in lines), rel=0.05, abs=WIDTH)
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.floats(0.0, 2 * math.pi), st.lists(st.floats(1.0, 14.0), min_size=2, max_size=6))
+def test_walls_of_any_course_of_width_are_filled(turn, widths):
+    x = 30.0 * np.arange(len(widths))
+    half = 0.5 * np.array(widths)
+    outline = [*zip(x, -half, strict=True), *zip(x[::-1], half[::-1], strict=True)]
+    wall = affinity.rotate(shapely.Polygon(outline), turn, origin=(0, 0), use_radians=True)
+    lines = check_laws(wall)
+    beads = shapely.union_all(shapely.buffer(lines, 0.5 * WIDTH))
+    # A side bead that would be shorter than LEAST_RUN is none: the gap there is closed as others are.
+    assert wall.intersection(beads).area > 0.9 * wall.area
+
+
+@pytest.mark.parametrize("thick", [4.0, 6.0, 9.0, 20.0])
+def test_a_wedge_ends_in_one_bead_where_it_is_narrower_than_its_taper(thick):
+    lines = beads_of(wedge(120.0, thick))
+    starts = sorted(line.bounds[0] for line in lines)
+    least = min(TAPER * WIDTH, TAPER_SHARE * thick)
+    sine = 0.5 * thick / math.hypot(120.0, 0.5 * thick)
+    assert starts[0] == pytest.approx(least / (2.0 * sine), abs=0.25 * WIDTH)
+    # A second bead begins where one alone does not reach both sides.
+    assert (len(starts) == 1) == (thick <= WIDTH)
+    if len(starts) > 1:
+        assert starts[1] > 0.95 * WIDTH / (2.0 * sine)
+
+
+@pytest.mark.parametrize(("corners", "through"), [(3, 1), (4, 2), (5, 2), (6, 3)])
+def test_a_star_has_a_bead_an_arm_at_most(corners, through):
+    lines = beads_of(star(corners, 1.2 * corners**0.5, 45))
+    assert corners - through <= len(lines) <= corners
+
+
+def across(lines, place):
+    cut = shapely.LineString([(place, -50), (place, 50)])
+    return sum(line.intersects(cut) for line in lines)
+
+
+def test_a_wall_that_tapers_has_as_many_beads_as_it_is_wide():
+    lines = beads_of(ZOO["tapered wall"])
+    assert [across(lines, x) for x in (5.0, 70.0, 120.0, 140.0)] == [4, 2, 1, 1]
+    assert sum(line.length for line in lines) * SPACING == pytest.approx(ZOO["tapered wall"].area, rel=0.06)
+    assert len(lines) == 4, "one of them goes on to the end"
+
+
+@pytest.mark.parametrize("thick", [2.0, 4.2, 5.9, 6.0])
+def test_walls_up_to_a_bead_have_one(thick):
+    assert len(beads_of(shapely.box(0, 0, 100, thick))) == 1
+    assert len(beads_of(ring(50, thick))) == 1
+    (through, foot) = sorted(beads_of(ZOO["T of 0.7 beads"]), key=lambda line: -line.length)
+    assert through.length == pytest.approx(100.0, abs=1.0)
+    assert through.distance(foot) == pytest.approx(LEAST_APART * SPACING, rel=0.01)
+
+
+def test_a_wall_of_a_bead_and_a_bit_has_two_and_a_junction_adds_none():
+    assert len(beads_of(shapely.box(0, 0, 100, 6.5))) == 2
+    lines = beads_of(ZOO["T of 1.2 beads"])
+    assert len(lines) == 4
+    lengths = sorted(line.length for line in lines)
+    assert lengths[2:] == pytest.approx([100.0, 100.0], abs=2.0)
+    assert lengths[:2] == pytest.approx([74.0, 74.0], abs=4.0)
+
+
+def test_the_longest_line_of_a_wall_stays_however_short():
+    for size in (0.3, 1.0, 2.5):
+        (line,) = beads_of(shapely.box(0, 0, size, 0.2 * size))
+        assert 0.0 < line.length < LEAST_BEAD * WIDTH
