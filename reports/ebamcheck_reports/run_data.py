@@ -21,7 +21,7 @@ from ebamcheck.scan import ScanPlan
 from ebamcheck.store import RunFolder
 from ebamcheck_reports.figures import number
 
-GATES = ("input", "agreement", "fit", "coverage", "program")
+GATES = ("input", "agreement", "fit", "coverage", "heat", "program")
 """Gates of a run in the order in which it comes to them; a run without contours ends after the second."""
 
 CHECK_GATES = GATES[:2]
