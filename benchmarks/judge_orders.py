@@ -26,6 +26,10 @@ ORDERS = ("thermal", "farthest", "raster")
 
 TABLE, SAME_BODY = "judged.csv", "judged-same-body.csv"
 
+BODY_PLACES = 16
+"""Places an island on the plates, where every beam has some hundred images: on the smallest
+plate the sum of all rises differs by 1.4 % from that over 64."""
+
 PLATES = ((90.0, 60.0, 12.0), (150.0, 80.0, 12.0), (150.0, 80.0, 60.0))
 """Sides and heights, mm, of plates on which the body of 3DThesis is that of our model: mirrors on all sides but the top."""
 
@@ -109,7 +113,7 @@ def same_body(profile: Config) -> pd.DataFrame:
         comparison = OrderComparison.of(section, plain, 0, height_mm)
         for order in ORDERS:
             plan = comparison.result(order, plain.scan.seed).plan
-            case = LayerCase.of(plan, 0, section, plain, height_mm=height_mm, body="box")
+            case = LayerCase.of(plan, 0, section, plain, height_mm=height_mm, body="box", places=BODY_PLACES)
             judged = judge_layer(case, plain)
             share = (judged.table["thesis_k"] / judged.table["model_k"])[1:]
             low, middle, high = share.quantile([0.1, 0.5, 0.9])
@@ -209,9 +213,8 @@ def main() -> None:
     options.output.mkdir(parents=True, exist_ok=True)
     profile, files = Config(), [options.output / name for name in (TABLE, SAME_BODY)]
     if not options.render:
-        found = (judged(tuple(options.models.split(",")), profile), same_body(profile))
-        for table, file in zip(found, files, strict=True):
-            table.round(4).to_csv(file, index=False)
+        judged(tuple(options.models.split(",")), profile).round(4).to_csv(files[0], index=False)
+        same_body(profile).round(4).to_csv(files[1], index=False)
     table, bodies = (pd.read_csv(file) for file in files)
     text = report(table, bodies, options.thesis, profile)
     (options.output / "judged.md").write_text(text, encoding="utf-8")

@@ -38,7 +38,7 @@ CODES: Mapping[str, str] = {
     "placeholder-codes": "Codes of beam and wire are those of the default profile, not the machine maker's.",
     "power-taper": "Power is lowered with height, and how far.",
     "process-limit": "A setting is outside of the process window; a job without a program goes on.",
-    "seam-at-corner": "Contours start at corners of the part.",
+    "seam-at-corner": "Contours start at corners, where metal heaps up.",
     "wall-under-bead": "A wall is thinner than the least that beads can lay.",
 }
 """Every code that a finding may have, and what it stands for: the table of findings. Codes are stable."""

@@ -6,10 +6,12 @@ import ast
 import json
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
+import pandas as pd
 import pytest
 from command_line import WIDE, frame, write_stl
 from hypothesis import given
@@ -34,8 +36,7 @@ ROOT = Path(__file__).resolve().parent.parent
 FAST = {"backends": ("planecut", "manifold")}
 
 LATER = {
-    "bead-out-of-section", "hole-closed", "interpass-limit", "interpass-wait", "metal-excess", "metal-missing",
-    "power-taper", "wall-under-bead",
+    "bead-out-of-section", "hole-closed", "interpass-limit", "metal-excess", "metal-missing", "wall-under-bead",
 }  # fmt: skip
 """Codes that stand in the table and that no stage uses yet."""
 
@@ -126,11 +127,12 @@ def test_the_axis_that_is_too_short_is_named():
 
 @pytest.mark.parametrize("control", ["sinumerik-840d-sl", "linuxcnc", "plain-gcode"])
 def test_placeholders_of_every_control_are_named_until_they_are_set(control):
-    config = Config().changed(machine={"control": control})
+    config = Config().changed(machine={"control": control}, process={"interpass": "off"})
     names = noticed.placeholder_codes(config)
     assert {"beam_on", "beam_off", "wire_start", "wire_stop"} <= set(names)
     assert "set_power" not in names
     assert "wire_retract" not in names
+    assert "set_power" in noticed.placeholder_codes(config.changed(process={"interpass": "power"}))
     ramped = config.changed(process={"ramp_up_mm": 4.0, "wire_retract_mm": 3.0})
     assert {"set_power", "wire_retract"} <= set(noticed.placeholder_codes(ramped))
     own = config.changed(machine=dict.fromkeys(names, ("M70",)))
@@ -140,6 +142,27 @@ def test_placeholders_of_every_control_are_named_until_they_are_set(control):
     one = own.changed(machine={"wire_stop": Config().machine.wire_stop})
     (found,) = noticed.of_profile(one)
     assert (found.place, found.figure) == ("machine.wire_stop", 1.0)
+
+
+@pytest.mark.parametrize(("rise_k", "figure"), [(1000.0, None), (2000.0, 2293.15), (9000.0, 3533.0)])
+def test_no_temperature_over_the_boiling_point_is_a_figure(rise_k, figure):
+    plan = replace(make_plan([0.75, 2.25], []), metrics=pd.DataFrame({"entry_max_k": [np.nan, rise_k]}))
+    found = list(noticed.of_heat(plan, Config()))
+    assert [(f.figure, f.place) for f in found] == [(figure, "layer 1, z = 2.250 mm")] * (figure is not None)
+    assert all(("over the boiling point" in f.text) == (figure == 3533.0) for f in found)
+    assert all(f.text.startswith("1 of 2 layers") for f in found)
+
+
+def test_waits_and_power_are_told_with_their_figures():
+    summary = pd.DataFrame(
+        {"pause_s": [1800.0, 0.0], "deposit_s": [3000.0, 600.0], "travel_s": [900.0, 900.0]}
+    )
+    plan = replace(make_plan([0.75, 2.25], []), metrics=pd.DataFrame({"power_share": [1.0, 0.4]}))
+    wait, power = noticed.of_interpass(summary, plan, Config())
+    assert wait.text == "the program waits 0.5 of 2 hours for the part to cool"
+    assert (power.figure, power.limit, power.place) == (2880.0, 7200.0, "layer 1, z = 2.250 mm")
+    full = replace(plan, metrics=pd.DataFrame({"power_share": [1.0, 1.0]}))
+    assert not list(noticed.of_interpass(summary.assign(pause_s=0.0), full, Config()))
 
 
 SQUARE = np.array([(0, 0), (40, 0), (40, 40), (0, 40), (0, 0)], float)

@@ -54,6 +54,7 @@ def check_laws(solids, kind, side, turn):
 @pytest.mark.parametrize("name", SOLIDS)
 @settings(deadline=None, max_examples=6)
 @given(KINDS, SIDES, TURNS)
+@example("hexagons", 5.0, 5e-324)
 def test_islands_of_every_section_are_its_solids_and_none_is_a_sliver(name, kind, side, turn):
     check_laws(SOLIDS[name], kind, side, turn)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import csv
 import io
 import json
 import signal
@@ -15,11 +16,13 @@ import shapely
 from command_line import WIDE_TOML, command, ebamcheck, write_stl
 from PIL import Image
 
+from ebamcheck.config import Config
 from ebamcheck.heat import contour_modes
 from ebamcheck.part import from_arrays
 from ebamcheck.scan.pareto_svg import frontier, pareto_svg
 from ebamcheck.scan.png import png
 from ebamcheck.scan.scan_svg import COLOURS, field_svg, islands_svg
+from ebamcheck.scan.scene import TemperatureScale
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -61,11 +64,20 @@ def test_animation_needs_nothing_else_and_paths_are_exported(plate, tmp_path):
     assert "http" not in page
     assert "src=" not in page
     count = int(done.stdout.split()[0])
-    assert page.count("<path ") == count
+    assert page.split('<g id="islands">')[1].split("</g>")[0].count("<path ") == count
+    over = page.split('<g id="over">')[1].split("</g>")[0]
+    assert [part.split('"')[1] for part in over.split("<path ")[1:]] == [
+        "outline",
+        "contour",
+        "lines",
+        "jumps",
+    ]
+    assert "solidus 1584 K, boiling 3240 K" in page
     frames = json.loads(page.split("const frames=")[1].split(",order=")[0])
     order = json.loads(page.split(",order=")[1].split(",times=")[0])
     assert sorted(order) == list(range(count))
     assert [int(np.argmax(row)) for row in frames] == order, "the island that was just scanned is the hottest"
+    assert min(map(min, frames)) >= 0
     paths = tmp_path / "out" / "paths" / "thermal"
     for name, file in (
         ("3dthesis", "Path.txt"),
@@ -73,6 +85,113 @@ def test_animation_needs_nothing_else_and_paths_are_exported(plate, tmp_path):
         ("additivefoam", "constant/scanPath"),
     ):
         assert len((paths / name / file).read_text().splitlines()) > count
+
+
+def rows_of(file):
+    """Numbers of a table of 3DThesis."""
+    return np.loadtxt(file, skiprows=1)
+
+
+@pytest.mark.parametrize("height", [0.4, 3.0, 12.0, 29.5])
+def test_a_path_is_exported_at_the_height_that_was_asked_for(plate, tmp_path, height):
+    asked = ("scan", plate, "--height", height, "--orders", "raster", "--export", "3dthesis", "-o", "out")
+    assert ebamcheck(*asked, cwd=tmp_path).returncode == 0
+    rows = rows_of(tmp_path / "out" / "paths" / "raster" / "3dthesis" / "Path.txt")
+    assert np.unique(rows[rows[:, 4] > 0.0, 3]) == pytest.approx([height], abs=1e-6)
+
+
+def test_a_height_over_a_part_that_stands_off_zero_is_that_over_its_lowest_point(tmp_path):
+    box = np.array([(x, y, z) for z in (100, 130) for y in (0, 40) for x in (0, 60)], float)
+    faces = [(0, 2, 1), (1, 2, 3), (4, 5, 6), (5, 7, 6), (0, 1, 4), (1, 5, 4)]
+    faces += [(2, 6, 3), (3, 6, 7), (0, 4, 2), (2, 4, 6), (1, 3, 5), (3, 7, 5)]
+    raised = write_stl(from_arrays(box, faces, "raised"), tmp_path / "raised.stl")
+    asked = ("scan", raised, "--height", 112, "--orders", "raster", "--export", "3dthesis", "-o", "out")
+    assert ebamcheck(*asked, cwd=tmp_path).returncode == 0
+    rows = rows_of(tmp_path / "out" / "paths" / "raster" / "3dthesis" / "Path.txt")
+    assert np.unique(rows[rows[:, 4] > 0.0, 3]) == pytest.approx([12.0], abs=1e-6)
+
+
+def drawn_place(picture, order):
+    """Travel and temperature at which the plot of the orders has a point, read off its axes."""
+    root = ElementTree.fromstring(picture)
+    name = next(t for t in root.findall(f"{SVG}text") if t.text.split(",")[0] == order)
+    dots = [(float(c.get("cx")), float(c.get("cy"))) for c in root.findall(f"{SVG}circle")]
+    x, y = min(
+        dots,
+        key=lambda dot: abs(dot[0] + 9 - float(name.get("x"))) + 0.01 * abs(dot[1] - float(name.get("y"))),
+    )
+    ticks = [
+        (t.get("text-anchor"), float(t.get("x")), float(t.get("y")), float(t.text))
+        for t in root.iter(f"{SVG}text")
+        if t.text.replace(".", "").isdigit()
+    ]
+    across = [(px, value) for anchor, px, _, value in ticks if anchor == "middle"]
+    up = [(py - 4.0, value) for anchor, _, py, value in ticks if anchor == "end"]
+    return [np.interp(x, *zip(*sorted(across), strict=True)), np.interp(y, *zip(*sorted(up), strict=True))]
+
+
+def test_the_plot_of_the_orders_and_the_table_show_the_same_random(plate, tmp_path):
+    asked = ("scan", plate, "--height", 12, "--orders", "random,raster", "--seeds", 4, "-o", "out")
+    assert ebamcheck(*asked, cwd=tmp_path).returncode == 0
+    picture = (tmp_path / "out" / "pareto.svg").read_text()
+    for row in json.loads((tmp_path / "out" / "orders.json").read_text()):
+        assert drawn_place(picture, row["order"]) == pytest.approx(
+            [row["travel_mm"], row["entry_max_k"]], rel=0.01
+        )
+
+
+def test_pictures_of_a_layer_share_frame_path_and_scale(plate, tmp_path):
+    asked = ("scan", plate, "--height", 12, "--orders", "raster,thermal", "-o", "out")
+    assert ebamcheck(*asked, cwd=tmp_path).returncode == 0
+    pictures = {
+        (order, kind): ElementTree.parse(tmp_path / "out" / f"{order}-{kind}.svg").getroot()
+        for order in ("raster", "thermal")
+        for kind in ("rank", "entry", "field")
+    }
+    frames = {
+        (p.get("viewBox"), p.find(f"{SVG}g/{SVG}path[@class='outline']").get("d")) for p in pictures.values()
+    }
+    assert len(frames) == 1
+    for order in ("raster", "thermal"):
+        for name in ("contour", "lines", "jumps"):
+            of_order = [
+                pictures[order, kind].find(f"{SVG}g/{SVG}path[@class='{name}']").get("d")
+                for kind in ("rank", "entry", "field")
+            ]
+            assert of_order[0].count("M") >= 1
+            assert of_order == of_order[:1] * 3
+    scales = {
+        tuple(t.text for t in p.findall(f"{SVG}text") if t.text.endswith((" K", " more")))
+        for (_, kind), p in pictures.items()
+        if kind != "rank"
+    }
+    assert len(scales) == 1
+    assert {"solidus 1584 K", "boiling 3240 K"} <= set(scales.pop())
+    printed = [
+        t.text for (_, kind), p in pictures.items() if kind == "entry" for t in p.findall(f"{SVG}text")
+    ]
+    assert not any(text.startswith("-") for text in printed)
+
+
+def test_rises_are_printed_between_nothing_and_boiling():
+    scale = TemperatureScale.of(Config(), 9000.0)
+    assert scale.greatest == scale.boiling == pytest.approx(3533.0 - 293.15)
+    assert [scale.told(k) for k in (-30.2, -0.2, 0.0, 17.6, 3239.8, 3240.4)] == [
+        "0",
+        "0",
+        "0",
+        "18",
+        "3240",
+        "over 3240",
+    ]
+    assert TemperatureScale.of(Config(), -4.0).greatest == 1.0
+    islands = np.array([shapely.box(10 * n, 0, 10 * n + 10, 10) for n in range(2)], object)
+    picture = islands_svg(islands, np.array([-50.0, 5000.0]), "a", " K", labels=True, temperatures=scale)
+    root = ElementTree.fromstring(picture)
+    texts = [t.text for t in root.findall(f"{SVG}text")]
+    assert {"0", "over 3240", "solidus 1584 K", "boiling 3240 K"} <= set(texts)
+    marks = [float(m.get("d")[1:].split(",")[0]) - 16.0 for m in root.findall(f"{SVG}path[@class='mark']")]
+    assert marks[0] / marks[1] == pytest.approx(1584.0 / 3240.0, abs=1e-3)
 
 
 def test_frontier_is_what_no_other_order_beats():
@@ -120,6 +239,13 @@ def test_a_whole_part_is_a_row_a_layer(plate, tmp_path):
     lines = (tmp_path / "out" / "layers.csv").read_text().splitlines()
     assert len(lines) == 4
     assert lines[0].startswith("layer,height_mm,islands,body_mean_k")
+    rows = list(csv.DictReader(lines))
+    waited = ebamcheck("scan", plate, "--all", "--layer-height", 10, "--pause", 100, "--json", cwd=tmp_path)
+    paused = json.loads(waited.stdout)
+    for found, pause in ((rows, 0.0), (paused, 100.0)):
+        layer_s, wait_s = (np.array([float(row[name]) for row in found]) for name in ("time_s", "wait_s"))
+        assert [float(row["built_s"]) for row in found] == pytest.approx(np.cumsum(layer_s + wait_s))
+        assert (wait_s[1:] >= pause).all()
     refused = ebamcheck("scan", plate, "--all", "--orders", "all", cwd=tmp_path)
     assert refused.returncode == 2
     assert "--all plans in one order, not 9" in refused.stderr

@@ -44,8 +44,9 @@ BODIES = ("half-space", "box")
 """What 3DThesis heats: a half space, or the box around the section, whose sides (and base, where the process has an
 insulated one) let no heat through."""
 
-PLACES = 16
-"""Places over which the temperature of an island is averaged, about."""
+PLACES = 64
+"""Places over which the temperature of an island is averaged, about: eight across it, as heat just laid beside it falls off
+within two millimetres. The greatest means of ten plans lie within 10 % of those over 400 places, over 16 within 21 %."""
 
 COLUMNS = {
     "island": "number of the island in the plan",
@@ -166,6 +167,7 @@ class LayerCase:
         height_mm: float | None = None,
         beads: str = BEADS[0],
         body: str = BODIES[0],
+        places: int = PLACES,
     ) -> LayerCase:
         """Case of one layer of any plan.
 
@@ -179,6 +181,8 @@ class LayerCase:
             Centre lines of the contour beads; without them there are none, in place or time.
         beads, body
             One of :data:`BEADS` and of :data:`BODIES`.
+        places
+            Places over which the temperature of an island is averaged, about.
 
         Raises
         ------
@@ -203,12 +207,14 @@ class LayerCase:
             mirrors = _box(section, float(path.rows[0, 3]) - height_mm - config.process.base_plate_mm, config)
         if beads == BEADS[0]:
             path = path.without_power(path.island < 0)
-        return cls(path, islands, visits, section, height_mm, mirrors, *_places(islands, visits.place))
+        return cls(
+            path, islands, visits, section, height_mm, mirrors, *_places(islands, visits.place, places)
+        )
 
     def write(self, folder: str | Path, config: Config) -> ProgramFiles:
         """Write the whole case: it reads all places at all times, of which each island's own are those judged by."""
         wanted = readings(self.visits.entered_s.tolist(), self.places, self.mirrors)
-        files = {**physics(config), **wanted}
+        files = {**wanted, **physics(config)}
         return write_thesis(self.path, files, folder)
 
 
@@ -265,25 +271,26 @@ def _box(section: BaseGeometry, base_mm: float, config: Config) -> Mirrors:
     return Mirrors((x0, x1), (y0, y1), base_mm if config.process.base == "insulated" else None)
 
 
-def _places(islands: NDArray[np.object_], entered: Floats) -> tuple[Ints, Floats]:
+def _places(islands: NDArray[np.object_], entered: Floats, count: int) -> tuple[Ints, Floats]:
     """Where temperatures are read: owner (P,) and place (P, 3); of each island its entry, then places over its area."""
     owner, places = [], []
     for number, (island, entry) in enumerate(zip(islands, entered, strict=True)):
-        inside = _spread(island)
+        inside = _spread(island, count)
         mine = np.column_stack([inside, np.full(len(inside), entry[2])])
         places += [entry[None], mine]
         owner.append(np.full(len(mine) + 1, number))
     return np.concatenate(owner), np.concatenate(places)
 
 
-def _spread(island: BaseGeometry) -> Floats:
+def _spread(island: BaseGeometry, count: int) -> Floats:
     """Places (n, 2) spread evenly over an island: the middles of cells that lie in it."""
     x0, y0, x1, y1 = island.bounds
-    step = math.sqrt(max(island.area, 0.0) / PLACES)
+    step = math.sqrt(max(island.area, 0.0) / count)
     middle = shapely.get_coordinates(island.representative_point())
     if step <= 0.0:
         return middle
-    x, y = (_middles(low, high, step) for low, high in ((x0, x1), (y0, y1)))
+    # A sliver is long for its area: more places along it than in all tell no more.
+    x, y = (_middles(low, high, max(step, (high - low) / count)) for low, high in ((x0, x1), (y0, y1)))
     grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     found = grid[shapely.contains_xy(island, grid[:, 0], grid[:, 1])]
     return found if len(found) else middle
@@ -291,7 +298,7 @@ def _spread(island: BaseGeometry) -> Floats:
 
 def _middles(low: float, high: float, step: float) -> Floats:
     """Middles of the fewest equal parts of a span that are no longer than a step."""
-    count = max(1, math.ceil((high - low) / step))
+    count = max(1, math.ceil((high - low) / step - 1e-9))
     return np.asarray(low + (high - low) * (np.arange(count) + 0.5) / count, np.float64)
 
 

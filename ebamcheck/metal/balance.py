@@ -15,15 +15,20 @@ from ebamcheck.kernels import kernel
 from ebamcheck.metal.footprints import Footprints
 from ebamcheck.rings import Floats, Ints
 
-MOST_RIM = 1.02
-"""Factor by which all widths are changed at most so that the sum of the metal is right."""
+MOST_RIM = 1.15
+"""Factor by which all widths of a layer are changed at most so that the sum of the metal is right."""
 
 ITERATIONS = 20
 """Steps of the iteration: the sum is right after the first, and a layer hardly gets flatter after ten."""
 
 
 def balanced_widths(
-    found: Footprints, share: Floats, cell_mm2: float, width_mm: Floats, least_mm: float, most_mm: float
+    found: Footprints,
+    share: Floats,
+    weight: Floats,
+    cell_mm2: float,
+    width_mm: Floats,
+    limits_mm: tuple[float, float],
 ) -> Floats:
     """Widths of metal that lay a section flat.
 
@@ -33,10 +38,12 @@ def balanced_widths(
         Footprints of the beads.
     share
         (rows, columns) share of each cell that is to be metal, one layer high.
+    weight
+        (rows, columns) how much each cell counts.
     width_mm
         (B,) widths to begin with.
-    least_mm, most_mm
-        What the process allows.
+    limits_mm
+        Least and greatest that the process allows.
 
     Returns
     -------
@@ -48,18 +55,18 @@ def balanced_widths(
         found.cell,
         found.length_mm,
         share.ravel(),
+        weight.ravel(),
         cell_mm2,
         np.array(width_mm, np.float64),
-        least_mm,
-        most_mm,
+        *limits_mm,
         ITERATIONS,
     )
     laid = found.laid(width, share.size, cell_mm2).sum()
     if laid <= 0.0:
         return width
-    # Cells on a curved border that pools only touch are a percent of a layer: all beads lay it together.
+    # Cells that count less, or that pools only touch, miss a few percent of a layer: all beads lay it together.
     missing = min(max(share.sum() / laid, 1.0 / MOST_RIM), MOST_RIM)
-    return np.asarray(np.clip(width * missing, least_mm, most_mm), np.float64)
+    return np.asarray(np.clip(width * missing, *limits_mm), np.float64)
 
 
 @kernel
@@ -68,6 +75,7 @@ def iterated(
     cell: Ints,
     length_mm: Floats,
     share: Floats,
+    weight: Floats,
     cell_mm2: float,
     width: Floats,
     least: float,
@@ -84,9 +92,10 @@ def iterated(
         for bead in range(len(width)):
             wanted, whole = 0.0, 0.0
             for n in range(starts[bead], starts[bead + 1]):
-                whole += length_mm[n]
+                counted = weight[cell[n]] * length_mm[n]
+                whole += counted
                 if share[cell[n]] > 0.0:
-                    wanted += length_mm[n] * share[cell[n]] / laid[cell[n]]
+                    wanted += counted * share[cell[n]] / laid[cell[n]]
             if whole > 0.0:
                 width[bead] = min(max(width[bead] * wanted / whole, least), most)
     return width

@@ -32,6 +32,10 @@ class Footprints:
     cell: Ints
     length_mm: Floats
 
+    def joined(self, first: Ints) -> Footprints:
+        """Footprints of runs of beads, each from one of `first` (n,) to before the next; cells may come more than once."""
+        return Footprints(np.append(self.starts[first], self.starts[-1]), self.cell, self.length_mm)
+
     def laid(self, width_mm: Floats, cells: int, cell_mm2: float) -> Floats:
         """Metal in each cell, (cells,), as a height over that of the layer.
 

@@ -25,6 +25,10 @@ FILM = 0.25
 """Height of metal over that of the layer from which on a bead has reached a place: its flank is thinner."""
 
 
+REACHED = 0.1
+"""Height of metal over that of the layer under which a place is bare: the tip of a corner, which no bead builds."""
+
+
 class Surface:
     """The surface over one grid for all layers of a part."""
 
@@ -64,7 +68,7 @@ class Surface:
         over, built = np.zeros_like(self._over_mm), np.zeros_like(self._share)
         if target.share.size:
             at = self._window(target)
-            share = np.where((target.share >= HALF) & (laid_mm >= FILM * thickness_mm), target.share, 0.0)
+            share = np.where((target.share >= HALF) & (laid_mm >= REACHED * thickness_mm), target.share, 0.0)
             before = np.where(self._share[at] > 0.0, self._over_mm[at], 0.0)
             raised = before + laid_mm / np.maximum(target.share, HALF) - thickness_mm
             flown, weight = _spread(raised, share, LEVELLED_BEADS * self._bead)

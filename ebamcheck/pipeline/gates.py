@@ -17,6 +17,7 @@ from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.inspection import Inspection
 from ebamcheck.isolate import Outcome
 from ebamcheck.program import Check
+from ebamcheck.program.deposit_checks import DEPOSIT_CHECKS, of_deposit
 from ebamcheck.program.interpass_checks import INTERPASS, MELTING, within_range
 from ebamcheck.program.verification import SECTION_TOLERANCE_MM
 
@@ -121,6 +122,28 @@ def coverage_gate(metrics: pd.DataFrame, config: Config) -> Gate:
     return Gate("coverage", bool(covered[k] >= limit), float(covered[k]), limit, "of the area", text)
 
 
+def deposit_gate(checks: Iterable[Check], config: Config) -> Gate:
+    """The metal of the program is that of the part, lies where the part is, and is flat; the first check that fails speaks."""
+    limit = config.process.mass_tolerance
+    made = of_deposit(checks)
+    if not made:
+        return Gate(
+            "deposit",
+            False,
+            float("nan"),
+            limit,
+            "of the part",
+            "no program was written: there is no contour",
+        )
+    failed = [check for check in made if not check.passed]
+    said = failed[0] if failed else made[0]
+    more = (
+        f" (and {len(failed) - 1} more: {', '.join(c.name for c in failed[1:])})" if len(failed) > 1 else ""
+    )
+    text = said.text if failed else "; ".join(check.text for check in made[:3])
+    return Gate("deposit", not failed, said.value, said.limit, said.unit, text + more)
+
+
 def heat_gate(checks: Iterable[Check], metrics: pd.DataFrame, config: Config) -> Gate:
     """No bead is entered above the limit, by the plan and by the balance of the program's text; and its wire melts."""
     limit_k, ambient_k = entry_limit_k(config), config.process.ambient_temperature_k
@@ -144,8 +167,8 @@ def heat_gate(checks: Iterable[Check], metrics: pd.DataFrame, config: Config) ->
 
 
 def program_gate(checks: Iterable[Check]) -> Gate:
-    """Every check of the program that was read back passed."""
-    made = list(checks)
+    """Every check of the program that was read back passed; what other gates are about is theirs."""
+    made = [check for check in checks if check.name not in (*DEPOSIT_CHECKS, INTERPASS, MELTING)]
     failed = [c for c in made if not c.passed]
     if not made:
         return Gate("program", False, 0.0, 0.0, "faults", "no program was written: there is no contour")

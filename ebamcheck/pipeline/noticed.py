@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+import pandas as pd
 
 from ebamcheck.config import Config
 from ebamcheck.findings import Finding, at_layer
@@ -129,8 +130,8 @@ def _beyond_travel(found: Inspection, config: Config) -> Iterator[Finding]:
 def placeholder_codes(config: Config) -> list[str]:
     """Templates of beam and wire that this process uses and that are the default ones of the control."""
     machine, process = config.machine, config.process
-    used = ["beam_on", "beam_off", "set_beam", "wire_start", "wire_stop"]
-    used += ["set_power"] if process.ramps_beam else []
+    used = ["beam_on", "beam_off", "set_beam", "wire_start", "wire_stop", "set_wire"]
+    used += ["set_power"] if process.ramps_beam or process.interpass in ("power", "both") else []
     used += ["wire_retract"] if process.wire_retract_mm > 0.0 else []
     stock = STOCK.get(machine.control, {})
     return [
@@ -161,23 +162,56 @@ def of_profile(config: Config) -> Iterator[Finding]:
 
 
 def of_heat(plan: ScanPlan, config: Config) -> Iterator[Finding]:
-    """Layers of which an island is entered above the solidus."""
+    """Layers of which an island is entered above the solidus; over the boiling point the model has no figure."""
     ambient_k = config.process.ambient_temperature_k
     entry_k = plan.metrics["entry_max_k"].to_numpy() + ambient_k
     solidus_k = config.material.solidus_k
     hot = np.flatnonzero(entry_k > solidus_k)
     if hot.size:
-        k = int(np.nanargmax(entry_k))
+        k, boiling_k = int(np.nanargmax(entry_k)), config.material.boiling_k
+        beyond = (
+            f", up to over the boiling point of {boiling_k:g} K, where it ends"
+            if entry_k[k] > boiling_k
+            else ""
+        )
         yield Finding(
             "warning",
             "heat-above-solidus",
             f"{hot.size} of {len(plan)} layers have islands that the heat model finds above the solidus when the beam "
-            "enters them",
+            f"enters them{beyond}",
             at_layer(k, float(plan.heights[k])),
-            float(entry_k[k]),
+            min(float(entry_k[k]), boiling_k),
             solidus_k,
             "K",
-            "wait between layers (process.layer_pause_s) or lower the power",
+            "wait or lower the power (process.interpass)",
+        )
+
+
+def of_interpass(summary: pd.DataFrame, plan: ScanPlan, config: Config) -> Iterator[Finding]:
+    """What keeps the part cool: how long the program waits, by its own `summary`, and how far the power goes down."""
+    wait_s = float(summary["pause_s"].sum())
+    whole_s = wait_s + float(summary["deposit_s"].sum() + summary["travel_s"].sum())
+    if wait_s > 0.0:
+        yield Finding(
+            "note",
+            "interpass-wait",
+            f"the program waits {wait_s / 3600.0:.3g} of {whole_s / 3600.0:.3g} hours for the part to cool",
+            "process.interpass",
+            wait_s,
+            whole_s,
+            "s",
+        )
+    share = plan.metrics["power_share"].to_numpy()
+    if share.size and np.nanmin(share) < 1.0:
+        k, power_w = int(np.nanargmin(share)), config.process.power_w
+        yield Finding(
+            "note",
+            "power-taper",
+            f"the beam's power goes down to {100.0 * share[k]:.3g} % of {power_w:g} W as the part gets warm",
+            at_layer(k, float(plan.heights[k])),
+            float(share[k] * power_w),
+            power_w,
+            "W",
         )
 
 

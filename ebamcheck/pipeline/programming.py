@@ -61,6 +61,7 @@ def make_program(
     made = [
         gates.fit_gate(deviation, config),
         gates.coverage_gate(plan.metrics, config),
+        gates.deposit_gate(checks, config),
         gates.heat_gate(checks, plan.metrics, config),
         gates.program_gate(checks),
     ]
@@ -128,11 +129,13 @@ def _write_and_verify(
             curves=beads,
             plan=plan,
             layers=witness,
+            metal=True,
             sha256=files.sha256,
             section_tolerance_mm=gates.section_tolerance_mm(fit_mm),
         )
     summary = program_summary(program, job.config)
     summary.to_csv(job.folder.path / "program.csv", index=False)
+    job.add_finding(*noticed.of_interpass(summary, plan, job.config))
     kinematics = feeds.result()
     kinematics.to_csv(job.folder.path / "kinematics.csv")
     job.record["kinematics"] = kinematics.to_dict(orient="index")

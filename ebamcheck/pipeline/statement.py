@@ -15,7 +15,7 @@ PROVED: Mapping[str, str] = {
     "coverage": "the beads leave nothing of the sections bare",
     "deposit": "the metal laid is that of the sections, in all and at every place",
     "heat": "no bead is entered above the limit, by the heat model",
-    "program": "the program, read back from its text, is the part, within the limits of machine and process",
+    "program": "the program's path, read back from its text, is that of the part, within the limits of machine and process",
 }
 """What each gate proves where it has passed; of another one its own text says it."""
 

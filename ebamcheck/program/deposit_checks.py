@@ -141,18 +141,17 @@ def _zone(solid: pd.DataFrame, zone: str, name: str, limit: float, config: Confi
 
 
 def _surface(solid: pd.DataFrame, config: Config, places: _Places) -> Check:
-    limit = config.process.surface_tolerance
-    thickness = np.maximum(np.diff(solid["z_mm"].to_numpy(), prepend=0.0), 1e-9)
-    low, high = solid["low_mm"].to_numpy() / thickness, solid["high_mm"].to_numpy() / thickness
+    limit = config.process.largest_unevenness_mm
+    low, high = solid["low_mm"].to_numpy(), solid["high_mm"].to_numpy()
     side, values = ("low", low) if low.max() > high.max() else ("high", high)
     k = int(np.argmax(values))
     row = solid.iloc[k]
     text = (
-        f"the surface comes to lie {row[f'{side}_mm']:.2f} mm too {side}: {_named(row, side)}"
-        f" (at most {solid['low_mm'].max():.2f} mm too low, {solid['high_mm'].max():.2f} mm too high)"
+        f"the surface comes to lie {values[k]:.2f} mm too {side}: {_named(row, side)}"
+        f" (at most {low.max():.2f} mm too low, {high.max():.2f} mm too high)"
     )
     where = places.of(int(row["layer"]))
-    return Check("surface", bool(values[k] <= limit), float(values[k]), limit, "layers", where, text)
+    return Check("surface", bool(values[k] <= limit), float(values[k]), limit, "mm", where, text)
 
 
 def of_deposit(checks: Iterable[Check]) -> list[Check]:

@@ -76,6 +76,10 @@ class ScanColumns(Protocol):
         """(I,) islands in the order in which they are scanned, layer by layer."""
 
     @property
+    def island_kind(self) -> NDArray[np.str_]:
+        """(I,) kind of each island."""
+
+    @property
     def sections(self) -> NDArray[np.object_] | None:
         """(L,) shapely regions that are to be metal; None: not known."""
 

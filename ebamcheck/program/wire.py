@@ -9,33 +9,46 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import shapely
+from scipy import ndimage
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.config import Config
 from ebamcheck.kernels import kernel, run_blocks
-from ebamcheck.metal import balanced_widths, footprints, target_of
-from ebamcheck.metal.target import cell_mm
+from ebamcheck.metal import Footprints, Surface, Target, balanced_widths, footprints, target_of
+from ebamcheck.metal.surface import HALF
 from ebamcheck.program.bead_parts import ROUNDING_MM, Stretches, Tracks, cut, parts_of, path_points, snapped
 from ebamcheck.program.cuts import segment_lengths, segment_places
 from ebamcheck.program.inputs import ScanColumns
 from ebamcheck.program.templates import wire_speed_mm_s
 from ebamcheck.program.toolpath import Toolpath
 from ebamcheck.rings import Bools, Floats, Ints
+from ebamcheck.scan.islands import THIN_WALL
 from ebamcheck.scan.regions import ARC_SEGMENTS
 
-STRETCH_BEADS = 2.0
+STRETCH_BEADS = 1.0
 """Length of contour, in bead widths, over which its wire is worked out: shorter ones would follow single hatch lines."""
 
-ALIKE = 1.3
+ALIKE = 1.15
 """Neighbouring stretches of a contour whose widths differ by less than this factor get one wire speed: the ends of hatch
 lines beside it make as much of a difference, every change is a block, and a wall half as thick makes more."""
 
 MOST_SPACINGS = 1.6
 """Greatest width over the bead spacing: a bead stands that much higher over the layer than its neighbours, which the
 next layer still melts."""
+
+MENDED = 0.3
+"""Share of what lies too high or too low under a layer that is mended by it."""
+
+MOST_MENDED = 0.2
+"""Share of its height by which a layer is planned thicker or thinner for that at most."""
+
+RIM_BEADS, RIM_WEIGHT = 0.25, 0.4
+"""Width of the rim, over the bead width, and how much it counts where wire is worked out: a bead is a dome, whose flank
+along a contour is low whatever wire it gets."""
 
 PLACE_SHARE = 1.0 / 6.0
 """Distance, over the bead width, of the places along beads at which their metal is laid."""
@@ -67,22 +80,71 @@ def with_wire(path: Toolpath, plan: ScanColumns, config: Config, decimals: int) 
     lengths = segment_lengths(path.kind, points)
     tracks = Tracks.of(path, lengths)
     whole = config.machine.curve_form == "bspline" and not config.machine.poly_licensed
-    division = _Division.of(path, tracks, math.inf if whole else STRETCH_BEADS * config.process.bead_width_mm)
-    bounds = np.nan_to_num(shapely.total_bounds([metal_region(section, config) for section in sections]))
-    step_mm = cell_mm(bounds, config.process.bead_width_mm)
+    division = _Division.of(
+        tracks, _along_walls(path, plan), math.inf if whole else STRETCH_BEADS * config.process.bead_width_mm
+    )
+    regions = [metal_region(section, config) for section in sections]
+    surface = Surface(np.nan_to_num(shapely.total_bounds(regions)), config.process.bead_width_mm)
 
-    def some(first: int, last: int) -> list[Stretches]:
+    def some(first: int, last: int) -> list[_LayerBeads]:
         return [
-            _layer_stretches(path, k, points, lengths, tracks, division, sections[k], step_mm, config)
+            _layer_beads(path, k, points, lengths, tracks, division, regions[k], surface.step_mm, config)
             for k in range(first, last)
         ]
 
     found = [layer for block in run_blocks(some, len(path.z)) for layer in block]
-    return cut(path, points, lengths, parts_of(path, tracks, joined(found)), decimals)
+    made = [
+        _flat(beads, surface, division, tracks, float(h), config)
+        for beads, h in zip(found, path.thickness, strict=True)
+    ]
+    return cut(path, points, lengths, parts_of(path, tracks, joined(made)), decimals)
+
+
+def _along_walls(path: Toolpath, plan: ScanColumns) -> Bools:
+    """Tracks (T,) along walls, whose metal changes with the wall: contours, and the beads of thin walls."""
+    wall = np.asarray(plan.island_kind) == THIN_WALL
+    return np.asarray((path.ring >= 0) | (wall[path.island] if wall.size else False), np.bool_)
+
+
+def _flat(
+    beads: _LayerBeads,
+    surface: Surface,
+    division: _Division,
+    tracks: Tracks,
+    thickness_mm: float,
+    config: Config,
+) -> Stretches:
+    """Stretches of one layer with the widths that lay it flat, and mend a little of what lies too high or low under it."""
+    target, cell_mm2 = beads.target, surface.step_mm**2
+    nominal = np.full(beads.every.size, config.process.hatch_spacing_mm)
+    if not (target.share.size and beads.every.size):
+        surface.add(target, target.share, thickness_mm)
+        return division.stretches(tracks, beads.every, beads.every, nominal)
+    over = MENDED * surface.over_mm(target) / thickness_mm
+    wanted = target.share * np.clip(1.0 - over, 1.0 - MOST_MENDED, 1.0 + MOST_MENDED)
+    # Metal is moved, not more or less of it laid.
+    wanted *= target.share.sum() / max(wanted.sum(), np.finfo(float).tiny)
+    limits = width_limits_mm(config, thickness_mm)
+    rim = (
+        ndimage.distance_transform_edt(target.share > HALF) * surface.step_mm
+        <= RIM_BEADS * config.process.bead_width_mm
+    )
+    weight = np.where(rim & (target.share > 0.0), RIM_WEIGHT, 1.0)
+    width = balanced_widths(beads.footprints, wanted, weight, cell_mm2, nominal, limits)
+    first = np.flatnonzero(runs_alike(division.track(beads.every), width, ALIKE))
+    runs = beads.footprints.joined(first)
+    mean = np.add.reduceat(width, first) / np.diff(np.append(first, width.size))
+    width = np.asarray(
+        np.round(balanced_widths(runs, wanted, weight, cell_mm2, mean, limits), WIDTH_DIGITS), np.float64
+    )
+    laid = runs.laid(width, wanted.size, cell_mm2).reshape(wanted.shape)
+    surface.add(target, laid * thickness_mm, thickness_mm)
+    last = np.append(first[1:], beads.every.size) - 1
+    return division.stretches(tracks, beads.every[first], beads.every[last], width)
 
 
 class _Division:
-    """Division of all tracks into stretches (S,), in order: a hatch track is one, a contour is divided evenly."""
+    """Division of all tracks into stretches (S,), in order: contours and wall beads are divided evenly, others are one."""
 
     def __init__(self, starts: Ints, length: Floats) -> None:
         self.starts = starts
@@ -91,11 +153,9 @@ class _Division:
         """(T,) mm of a stretch of each track."""
 
     @classmethod
-    def of(cls, path: Toolpath, tracks: Tracks, stretch_mm: float) -> _Division:
-        """Divide the contours into stretches of about a length."""
-        count = np.where(path.ring >= 0, np.maximum(np.round(tracks.length / stretch_mm), 1.0), 1.0).astype(
-            np.int64
-        )
+    def of(cls, tracks: Tracks, divided: Bools, stretch_mm: float) -> _Division:
+        """Divide some tracks (T,) into stretches of about a length."""
+        count = np.where(divided, np.maximum(np.round(tracks.length / stretch_mm), 1.0), 1.0).astype(np.int64)
         return cls(np.concatenate([[0], np.cumsum(count)]), tracks.length / count)
 
     def at(self, track: Ints, along_mm: Floats) -> Ints:
@@ -104,13 +164,19 @@ class _Division:
         count = np.diff(self.starts)[track]
         return self.starts[track] + np.clip(along_mm / length, 0, count - 1).astype(np.int64)
 
-    def spans(self, tracks: Tracks, first: Ints, last: Ints) -> tuple[Ints, Floats, Floats]:
-        """Track (n,) and ends (n,) mm along the stack of what reaches from one stretch to another of the same track."""
-        track = np.searchsorted(self.starts, first, side="right") - 1
+    def track(self, stretch: Ints) -> Ints:
+        """Track of stretches, (n,)."""
+        return np.asarray(np.searchsorted(self.starts, stretch, side="right") - 1)
+
+    def stretches(self, tracks: Tracks, first: Ints, last: Ints, width: Floats) -> Stretches:
+        """What reaches from one stretch to another of the same track, each of one width."""
+        track = self.track(first)
         number = np.stack([first, last + 1]) - self.starts[track]
         along = np.minimum(number * self.length[track], tracks.length[track])
         low, high = (tracks.low[track] + snapped(tracks, track, at) for at in along)
-        return track, low, high
+        kept = high - low > ROUNDING_MM
+        lap = np.zeros(int(kept.sum()), np.int64)
+        return Stretches(track[kept], low[kept], high[kept], lap, width=width[kept])
 
 
 @kernel
@@ -129,52 +195,42 @@ def runs_alike(track: Ints, width: Floats, factor: float) -> Bools:
     return first
 
 
-def _layer_stretches(
+@dataclass(frozen=True, eq=False)
+class _LayerBeads:
+    """What one layer is to be, its stretches `every` (n,), and where their metal lies."""
+
+    target: Target
+    every: Ints
+    footprints: Footprints
+
+
+def _layer_beads(
     path: Toolpath,
     layer: int,
     points: Floats,
     lengths: Floats,
     tracks: Tracks,
     division: _Division,
-    section: BaseGeometry,
+    region: BaseGeometry,
     step_mm: float,
     config: Config,
-) -> Stretches:
-    """Stretches of one layer with the widths that lay it flat: first of all, then of those that share one."""
+) -> _LayerBeads:
+    """Lay out the stretches of one layer over its region."""
     bead_mm = config.process.bead_width_mm
     a, b = int(path.layer_starts[layer]), int(path.layer_starts[layer + 1])
-    target = target_of(metal_region(section, config), step_mm, bead_mm)
+    target = target_of(region, step_mm, bead_mm)
     rows = slice(int(path.track_starts[a]), int(path.track_starts[b]))
     owner, along, place, length = segment_places(
         path.kind[rows], points[rows], lengths[rows], bead_mm * PLACE_SHARE
     )
     track = np.repeat(np.arange(a, b), np.diff(path.track_starts[a : b + 1]))[owner]
     begin = (tracks.ends[rows] - lengths[rows])[owner] - tracks.low[track]
-    stretch = division.at(track, begin + along)
-    limits = width_limits_mm(config, float(path.thickness[layer]))
-
-    def balanced(bead: Ints, width: Floats) -> Floats:
-        if not (target.share.size and width.size):
-            return width
-        cells = (place - target.origin) / step_mm
-        found = footprints(cells, length, bead, width.size, 0.5 * bead_mm / step_mm, target.share.shape)
-        return balanced_widths(found, target.share, step_mm**2, width, *limits)
-
+    stretch = division.at(track, begin + along) - division.starts[a]
     every = np.arange(division.starts[a], division.starts[b])
-    nominal = np.full(every.size, config.process.hatch_spacing_mm)
-    owner_of = np.searchsorted(division.starts, every, side="right") - 1
-    new = runs_alike(owner_of, balanced(stretch - division.starts[a], nominal), ALIKE)
-    run, first = np.cumsum(new) - 1, every[new]
-    width = balanced(run[stretch - division.starts[a]], nominal[: first.size])
-    number, low, high = division.spans(
-        tracks, first, np.append(first[1:], division.starts[b])[: first.size] - 1
+    cells, radius = (place - target.origin) / step_mm, 0.5 * bead_mm / step_mm
+    return _LayerBeads(
+        target, every, footprints(cells, length, stretch, every.size, radius, target.share.shape)
     )
-    kept = high - low > ROUNDING_MM
-    lap, width = (
-        np.zeros(int(kept.sum()), np.int64),
-        np.asarray(np.round(width[kept], WIDTH_DIGITS), np.float64),
-    )
-    return Stretches(number[kept], low[kept], high[kept], lap, width=width)
 
 
 def joined(layers: Sequence[Stretches]) -> Stretches:

@@ -122,12 +122,15 @@ def _faces(solid: shapely.Polygon, cut: NDArray[np.object_]) -> tuple[NDArray[np
 
 
 def _inner_points(faces: NDArray[np.object_]) -> NDArray[np.object_]:
-    """Point of each face far from its border: not in a hair that hangs on it. Any point of those that are hairs."""
-    points = shapely.point_on_surface(faces)
+    """Point of each face far from its border: not in a hair that hangs on it. A corner of those that are hairs."""
+    points = np.asarray(shapely.get_point(shapely.get_exterior_ring(faces), 0), object)
     wide = shapely.area(faces) > ON_BORDER_MM * shapely.length(faces)
-    circles = shapely.maximum_inscribed_circle(faces[wide], DEPTH_SHARE * np.sqrt(shapely.area(faces[wide])))
+    with np.errstate(over="ignore"):  # slopes of edges whose ends differ by less than any normal number
+        circles = shapely.maximum_inscribed_circle(
+            faces[wide], DEPTH_SHARE * np.sqrt(shapely.area(faces[wide]))
+        )
     points[wide] = shapely.get_point(circles, 0)
-    return np.asarray(points, object)
+    return points
 
 
 def sliver_groups(pieces: NDArray[np.object_], area_mm2: float, width_mm: float) -> Ints:

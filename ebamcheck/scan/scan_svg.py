@@ -15,9 +15,13 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.heat.section_grid import SectionGrid
 from ebamcheck.rings import Floats
 from ebamcheck.scan.png import png_address
+from ebamcheck.scan.scene import Scene, TemperatureScale
 
-WIDTH_PX, MARGIN_PX, TITLE_PX, SCALE_PX = 800, 16, 28, 44
-"""Width of a picture, its margin, and the room for the title and for the colour scale."""
+WIDTH_PX, MARGIN_PX, TITLE_PX, SCALE_PX, FOOT_PX = 800, 16, 28, 44, 20
+"""Width of a picture, its margin, the room for the title and for the colour scale, and for what stands over the scale."""
+
+BAR_PX, LONG_BAR_PX, LABEL_PX = 240.0, 560.0, 40.0
+"""Length of a scale, of one of temperatures, and half the room of a label of its greatest one."""
 
 TALLEST_PX, LEAST_EXTENT_MM = 1200, 1e-6
 """Greatest height of what is shown, and extent under which it counts as a point."""
@@ -40,6 +44,8 @@ def islands_svg(
     least: float | None = None,
     greatest: float | None = None,
     labels: bool = False,
+    scene: Scene | None = None,
+    temperatures: TemperatureScale | None = None,
 ) -> str:
     """Draw islands coloured by a value.
 
@@ -53,11 +59,18 @@ def islands_svg(
         Ends of the colour scale, so that pictures can be compared; those of the values if None.
     labels
         Write each value into its island, as a whole number.
+    scene
+        Draw the section, contour beads and path over it, in the frame of the section.
+    temperatures
+        The values are rises, and these are the ends and the marks of the scale.
     """
+    if temperatures is not None:
+        least, greatest = 0.0, temperatures.greatest
     low = float(values.min(initial=0.0)) if least is None else least
     high = float(values.max(initial=1.0)) if greatest is None else greatest
-    view = _View.of(shapely.total_bounds(islands) if len(islands) else np.array([0.0, 0.0, 1.0, 1.0]))
-    body = []
+    bounds = shapely.total_bounds(islands) if scene is None else np.asarray(scene.section.bounds)
+    view = _View.of(bounds if np.isfinite(bounds).all() and len(bounds) else np.array([0.0, 0.0, 1.0, 1.0]))
+    body, texts = [], []
     for island, value in zip(islands, values.tolist(), strict=True):
         share = (value - low) / (high - low) if high > low else 0.0
         path = ring_path(island, view.place)
@@ -66,17 +79,56 @@ def islands_svg(
         )
         if labels and len(islands) <= LABELLED:
             ((x, y),) = view.place(shapely.get_coordinates(shapely.point_on_surface(island)))
-            ink = "#fff" if share < 0.6 else "#222"
-            body.append(
-                f'<text x="{x:.1f}" y="{y + 3.5:.1f}" font-size="10" text-anchor="middle" fill="{ink}">{round(value)}</text>'
+            ink, ground = ("#fff", "#222") if share < 0.6 else ("#222", "#fff")
+            told = str(round(value)) if temperatures is None else escape(temperatures.told(value))
+            halo = (
+                f' stroke="{ground}" stroke-width="2" stroke-opacity="0.6" paint-order="stroke"'
+                if scene
+                else ""
             )
-    return view.picture(title, body, low, high, unit)
+            texts.append(
+                f'<text x="{x:.1f}" y="{y + 3.5:.1f}" font-size="10" text-anchor="middle" fill="{ink}"{halo}>{told}</text>'
+            )
+    if scene is not None:
+        body.append(f'<g fill="none">{overlay(scene, view.place)}</g>')
+    return view.picture(title, body + texts, low, high, unit, temperatures)
+
+
+def overlay(scene: Scene, place: Callable[[Floats], Floats]) -> str:
+    """Paths of the section's outline, the contour beads, the lines and the ways between islands, by class."""
+    outline, contour = (
+        "".join(ring_path(part, place) for part in shapely.get_parts(region))
+        for region in (scene.section, scene.contour)
+    )
+    lines, jumps = (_strokes(columns, place) for columns in (scene.lines, scene.jumps))
+    return (
+        f'<path class="outline" d="{outline}" stroke="#222" stroke-width="0.7"/>'
+        f'<path class="contour" d="{contour}" stroke="#8a939c" stroke-width="1.2"/>'
+        f'<path class="lines" d="{lines}" stroke="#fff" stroke-opacity="0.45" stroke-width="0.8"/>'
+        f'<path class="jumps" d="{jumps}" stroke="#d1242f" stroke-opacity="0.6" stroke-width="0.8"/>'
+    )
+
+
+def _strokes(segments: Floats, place: Callable[[Floats], Floats]) -> str:
+    """Path of separate segments (n, 4)."""
+    ends = np.hstack([place(segments[:, :2]), place(segments[:, 2:])])
+    return "".join(f"M{a:.1f},{b:.1f}L{c:.1f},{d:.1f}" for a, b, c, d in ends.tolist())
 
 
 def field_svg(
-    grid: SectionGrid, values: Floats, section: BaseGeometry, title: str, unit: str, greatest: float
+    grid: SectionGrid,
+    values: Floats,
+    section: BaseGeometry,
+    title: str,
+    unit: str,
+    greatest: float,
+    scene: Scene | None = None,
+    temperatures: TemperatureScale | None = None,
 ) -> str:
-    """Draw a field given by its values (M,) in the cells of a section, coloured from 0 to the greatest value and more."""
+    """Draw a field given by its values (M,) in the cells of a section, coloured from 0 to the greatest value and more.
+
+    `scene` and `temperatures` as for :func:`islands_svg`.
+    """
     view = _View.of(np.asarray(section.bounds))
     step_mm = FIELD_PX / view.scale
     columns, rows = (max(1, math.ceil(extent / step_mm)) for extent in (view.high - view.low).tolist())
@@ -97,7 +149,9 @@ def field_svg(
         f'preserveAspectRatio="none" href="{image}"/></g>',
         f'<path d="{outline}" fill="none" stroke="#222" stroke-width="0.7"/>',
     ]
-    return view.picture(title, body, 0.0, greatest, unit)
+    if scene is not None:
+        body.append(f'<g fill="none">{overlay(scene, view.place)}</g>')
+    return view.picture(title, body, 0.0, greatest, unit, temperatures)
 
 
 @dataclass(frozen=True)
@@ -124,17 +178,29 @@ class _View:
             ]
         )
 
-    def picture(self, title: str, body: list[str], low: float, high: float, unit: str) -> str:
+    def picture(
+        self,
+        title: str,
+        body: list[str],
+        low: float,
+        high: float,
+        unit: str,
+        temperatures: TemperatureScale | None = None,
+    ) -> str:
         """Return the picture of a body with its title over it and a colour scale under it."""
         extent = float(self.high[1] - self.low[1])
-        height_px = math.ceil(TITLE_PX + self.scale * extent + SCALE_PX + MARGIN_PX)
+        height_px = math.ceil(TITLE_PX + self.scale * extent + FOOT_PX + SCALE_PX)
         head = (
             f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH_PX}" height="{height_px}" '
             f'viewBox="0 0 {WIDTH_PX} {height_px}" font-family="Helvetica, Arial, sans-serif">'
         )
         title_line = f'<text x="{MARGIN_PX}" y="18" font-size="14" fill="#222">{escape(title)}</text>'
         ground = f'<rect width="{WIDTH_PX}" height="{height_px}" fill="#ffffff"/>'
-        bar = _scale_bar(low, high, unit, height_px - SCALE_PX)
+        top_px = float(height_px - SCALE_PX)
+        if temperatures is None:
+            bar = _scale_bar(low, high, unit, top_px)
+        else:
+            bar = _temperature_bar(temperatures, unit, top_px)
         return "\n".join([head, ground, title_line, *body, *bar, "</svg>", ""])
 
 
@@ -164,14 +230,48 @@ def _colour(share: float) -> str:
 
 def _scale_bar(low: float, high: float, unit: str, top_px: float) -> list[str]:
     """Colours from left to right, with their ends named."""
-    steps, width = 40, 240 / 40
+    ends = ((0.0, "start", f"{low:.0f}{unit}"), (BAR_PX, "end", f"{high:.0f}{unit}"))
+    return _gradient(BAR_PX, top_px) + [_scale_text(*end, top_px + 24.0) for end in ends]
+
+
+def _temperature_bar(scale: TemperatureScale, unit: str, top_px: float) -> list[str]:
+    """Colours from 0 to the greatest rise, in their last one on to the boiling point, with the marks over it."""
+    per_k = LONG_BAR_PX / max(scale.greatest, *(rise for _, rise in scale.marks))
+    hottest = scale.greatest * per_k
     bar = [
+        f'<rect x="{MARGIN_PX}" y="{top_px:.1f}" width="{LONG_BAR_PX}" height="10" fill="{_colour(1.0)}" fill-opacity="0.35"/>',
+        *_gradient(hottest, top_px),
+    ]
+    low, high = f"0{unit}", f"{scale.greatest:.0f}{unit} and more"
+    if hottest > 3 * LABEL_PX:
+        bar += [
+            _scale_text(0.0, "start", low, top_px + 24.0),
+            _scale_text(hottest, "end", high, top_px + 24.0),
+        ]
+    else:  # no room under the colours
+        bar.append(_scale_text(0.0, "start", f"0 to {high}", top_px + 24.0))
+    for name, rise in scale.marks:
+        x = MARGIN_PX + rise * per_k
+        bar += [
+            f'<path class="mark" d="M{x:.1f},{top_px - 3:.1f}v16" stroke="#222" stroke-width="1"/>',
+            _scale_text(rise * per_k, "middle", f"{name} {rise:.0f}{unit}", top_px - 6.0),
+        ]
+    return bar
+
+
+def _gradient(width_px: float, top_px: float) -> list[str]:
+    steps = 40
+    width = width_px / steps
+    return [
         f'<rect x="{MARGIN_PX + n * width:.1f}" y="{top_px:.1f}" width="{width + 0.5:.1f}" height="10" '
         f'fill="{_colour(n / (steps - 1))}"/>'
         for n in range(steps)
     ]
-    ends = ((MARGIN_PX, "start", low), (MARGIN_PX + 240, "end", high))
-    return bar + [
-        f'<text x="{x}" y="{top_px + 24:.1f}" font-size="11" text-anchor="{anchor}" fill="#222">{value:.0f}{escape(unit)}</text>'
-        for x, anchor, value in ends
-    ]
+
+
+def _scale_text(x_px: float, anchor: str, text: str, y_px: float) -> str:
+    """Text under or over the scale, at a distance from its beginning."""
+    return (
+        f'<text x="{MARGIN_PX + x_px:g}" y="{y_px:.1f}" font-size="11" text-anchor="{anchor}" fill="#222">'
+        f"{escape(text)}</text>"
+    )

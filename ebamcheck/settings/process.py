@@ -85,9 +85,9 @@ class ProcessSettings(Section):
     layer. A bead along a contour lies inside of it; what is outside is where walls are thinner than a bead."""
     outside_reach_mm: Positive = 1.0
     """How far beside them a bead may reach: the unevenness of a side as it is built, which is machined off."""
-    surface_tolerance: Positive = 1.0
-    """How far the surface may come to lie over or under its height while it is built, over the height of a layer: beyond,
-    the wire leaves the pool or runs into the part."""
+    surface_tolerance_mm: Positive | None = None
+    """How far the surface may come to lie over or under its height while it is built; None: half a bead width, which is
+    about as deep as the pool: beyond, the wire melts over the pool or runs into the part."""
     bead_width_mm: Positive = 6.0
     """Width of one bead."""
     bead_spacing: Annotated[float, Field(gt=0, le=1)] = 0.72
@@ -154,6 +154,11 @@ class ProcessSettings(Section):
     def hatch_spacing_mm(self) -> float:
         """Distance between parallel beads, mm."""
         return self.bead_width_mm * self.bead_spacing
+
+    @property
+    def largest_unevenness_mm(self) -> float:
+        """How far the surface may lie over or under its height, mm."""
+        return 0.5 * self.bead_width_mm if self.surface_tolerance_mm is None else self.surface_tolerance_mm
 
     @property
     def bead_metal_mm(self) -> float:

@@ -4,23 +4,26 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+import shapely
 import typer
 
 from ebamcheck.atomic_file import made_folder, replacing
 from ebamcheck.config import Config
 from ebamcheck.errors import ExitCode
-from ebamcheck.layers import Layers
+from ebamcheck.layers import from_polygons
 from ebamcheck.options import print_json
 from ebamcheck.part import Part
 from ebamcheck.pipeline.programming import bead_paths
 from ebamcheck.program import write_program
 from ebamcheck.progress import watched
+from ebamcheck.rings import Floats
+from ebamcheck.scan import ScanPlan
 from ebamcheck.scan.comparing import RANDOM, OrderComparison, OrderResult, figures_of
 from ebamcheck.slicing import slice_part
 from ebamcheck.stages.scan_pictures import order_pictures
@@ -28,6 +31,9 @@ from ebamcheck.store import plain
 from ebamcheck.tables import text_table
 
 TABLE = "orders.json"
+
+LEAST_HEIGHT_MM = 1e-3
+"""A layer at the very bottom of a part is exported so high over the plate."""
 
 HEADINGS = {
     "order": "order",
@@ -54,6 +60,10 @@ class _Compared:
         """Rows with None for what is not a number."""
         found: list[dict[str, Any]] = json.loads(pd.DataFrame(self.rows).to_json(orient="records"))
         return found
+
+    def travel_and_entry(self) -> dict[str, tuple[float, float]]:
+        """Travel and greatest entry temperature of each order, as the table has them."""
+        return {row["order"]: (row["travel_mm"], row["entry_max_k"]) for row in self.rows}
 
 
 def scan_layer(
@@ -82,8 +92,9 @@ def scan_layer(
         interrupted = True
     if output is not None and done.shown:
         _write(output, _table(done))
-        _write(output, order_pictures(layer, done.shown, f"{part.name}, z = {height_mm:g} mm"))
-        _export(output, simulators, done.shown, layers, settings)
+        what = f"{part.name}, z = {height_mm:g} mm"
+        _write(output, order_pictures(layer, done.shown, done.travel_and_entry(), what))
+        _export(output, simulators, done.shown, height_mm, over_plate_mm, settings)
     if interrupted:
         kept = f", kept in {output}" if output is not None and done.rows else ""
         raise KeyboardInterrupt(f"{len(done.rows)} of {len(orders)} orders are done{kept}")
@@ -114,14 +125,38 @@ def _compare(layer: OrderComparison, orders: tuple[str, ...], seeds: int, done: 
 
 
 def _export(
-    folder: Path, simulators: tuple[str, ...], shown: dict[str, OrderResult], layers: Layers, settings: Config
+    folder: Path,
+    simulators: tuple[str, ...],
+    shown: dict[str, OrderResult],
+    height_mm: float,
+    over_plate_mm: float,
+    settings: Config,
 ) -> None:
-    """Write the path of each order for each simulator, as paths/ORDER/SIMULATOR."""
+    """Write the path of each order for each simulator, as paths/ORDER/SIMULATOR, at the height over the plate."""
+    step_mm = 0.5 * max(over_plate_mm, LEAST_HEIGHT_MM)
+    heights = np.array([height_mm - step_mm, height_mm])
     for name, result in shown.items() if simulators else ():
-        beads = bead_paths(layers, result.plan, settings)
+        plan = _over_nothing(result.plan, heights)
+        beads = bead_paths(from_polygons(heights, [[], []]), plan, settings)
         for simulator in simulators:
             program = settings.changed(machine={"control": simulator})
-            write_program(beads, result.plan, program, folder / "paths" / name / simulator)
+            write_program(beads, plan, program, folder / "paths" / name / simulator)
+
+
+def _over_nothing(plan: ScanPlan, heights: Floats) -> ScanPlan:
+    """Plan of one layer with an empty one below it.
+
+    Posts count Z from the first layer of a stack, which is as high as its step to the second: so the second of two
+    lies at twice that step, and the layer alone would lie at one layer height, wherever it was cut.
+    """
+    return replace(
+        plan,
+        heights=heights,
+        contours=np.array([shapely.Polygon(), *plan.contours], object),
+        island_layer=plan.island_layer + 1,
+        metrics=pd.concat([plan.metrics] * 2, ignore_index=True).assign(wait_s=0.0),
+        sections=None if plan.sections is None else np.array([shapely.Polygon(), *plan.sections], object),
+    )
 
 
 def _table(done: _Compared) -> dict[str, str]:

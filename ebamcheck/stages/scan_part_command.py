@@ -27,6 +27,9 @@ from ebamcheck.tables import text_table
 
 TABLE = "layers.csv"
 
+BUILT = "built_s"
+"""Column: time from the start of the build to the end of a layer, with the waits between layers."""
+
 
 def scan_all(part: Part, settings: Config, order: str, output: Path | None, as_json: bool) -> ExitCode:
     """Order all layers of a placed part; rows are written as they are done, so that an interrupt keeps them."""
@@ -39,7 +42,7 @@ def scan_all(part: Part, settings: Config, order: str, output: Path | None, as_j
         print_json([{k: None if v != v else v for k, v in row.items()} for row in rows])
         return ExitCode.PASS
     typer.echo(f"{len(rows)} layers in the order {order}, {settings.process.base} base\n")
-    shown = [name for name in WHOLE_PART if name != "stored_j"]
+    shown = [*(name for name in WHOLE_PART if name != "stored_j"), BUILT]
     typer.echo(text_table(shown, [[_cell(row[name]) for name in shown] for row in rows]))
     return ExitCode.PASS
 
@@ -51,10 +54,13 @@ def _rows(
     sections = [layer_section(layers.polygons(k)) for k in range(len(layers))]
     found = scan_part(sections, np.asarray(layers.heights) - low_mm, settings, order, settings.scan.seed)
     rows: list[dict[str, Any]] = []
+    built_s = 0.0
     try:
         with closing(found), _table(output) as table, watched() as observer:
             observer.stage("order and heat", len(sections))
             for row in found:
+                built_s += float(np.nansum([row["wait_s"], row["time_s"]]))
+                row[BUILT] = built_s
                 table.writerow(row)
                 rows.append(row)
                 observer.advance(1)
@@ -69,7 +75,7 @@ def _table(output: Path | None) -> Iterator[csv.DictWriter[str]]:
     """Table of the layers in the output folder, a line as soon as it is written; without a folder it is lost."""
     file = os.devnull if output is None else made_folder(output) / TABLE
     with open(file, "w", newline="", encoding="utf-8", buffering=1) as opened:
-        writer = csv.DictWriter(opened, list(WHOLE_PART))
+        writer = csv.DictWriter(opened, [*WHOLE_PART, BUILT])
         writer.writeheader()
         yield writer
 

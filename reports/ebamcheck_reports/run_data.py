@@ -21,7 +21,7 @@ from ebamcheck.scan import ScanPlan
 from ebamcheck.store import RunFolder
 from ebamcheck_reports.figures import number
 
-GATES = ("input", "agreement", "fit", "coverage", "heat", "program")
+GATES = ("input", "agreement", "fit", "coverage", "deposit", "heat", "program")
 """Gates of a run in the order in which it comes to them; a run without contours ends after the second."""
 
 CHECK_GATES = GATES[:2]
@@ -74,6 +74,8 @@ class RunData:
     def missing_gates(self) -> list[str]:
         """Gates that the run did not come to."""
         reached = {gate["name"] for gate in self.gates}
+        if GATES[-1] in reached:  # a run of an earlier version has fewer gates
+            return []
         return [name for name in (CHECK_GATES if self.is_check else GATES) if name not in reached]
 
     @property

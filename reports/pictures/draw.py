@@ -10,9 +10,10 @@ from ebamcheck.layer_svg import overlay_svg, sheet_svg
 from ebamcheck.layers import Layers
 from ebamcheck.program import read_program
 from ebamcheck.scan import ScanPlan
-from ebamcheck.scan.comparing import COMPARED, OrderComparison
+from ebamcheck.scan.comparing import COMPARED, SEEDS, OrderComparison, figures_of
 from ebamcheck.scan.pareto_svg import pareto_svg
 from ebamcheck.scan.scan_svg import islands_svg
+from ebamcheck.scan.scene import Scene
 from ebamcheck.store import RunFolder
 from ebamcheck_reports import overlays, program_picture, scan_picture
 from ebamcheck_reports.run_data import RunData, layer_name
@@ -62,16 +63,23 @@ def draw(folder: Path, target: Path) -> None:
 
 
 def orders(exact: Layers, config: Config, what: str) -> dict[str, str]:
-    """All orders of the root layer, and the ranks of the default one."""
+    """All orders of the root layer, `random` as in the table by its mean, and the ranks of the default one."""
     height_mm = float(exact.heights[ROOT_LAYER])
     compared = OrderComparison.of(exact.polygons(ROOT_LAYER), config, ROOT_LAYER, height_mm)
-    found = {name: compared.results(name, seeds=1)[0] for name in COMPARED}
-    figures = {name: (result.travel_mm, float(result.entry_k.max())) for name, result in found.items()}
-    rank = found["thermal"].rank.astype(float)
+    rows = [figures_of(name, compared.results(name, SEEDS)) for name in COMPARED]
+    figures = {row["order"]: (row["travel_mm"], row["entry_max_k"]) for row in rows}
+    thermal = next(compared.results("thermal", seeds=1))
     islands = compared.laid.islands
+    scene = Scene.of(compared.laid.regions.section, thermal.plan)
     return {
         "orders-pareto": pareto_svg(figures, f"{what}: {len(islands)} islands"),
-        "orders-rank": islands_svg(islands, rank, f"{what}: rank in the order thermal", labels=True),
+        "orders-rank": islands_svg(
+            islands,
+            thermal.rank.astype(float),
+            f"{what}: rank in the order thermal",
+            labels=True,
+            scene=scene,
+        ),
     }
 
 
