@@ -35,7 +35,7 @@ from ebamcheck.model import models
 from ebamcheck.pipeline.programming import bead_paths
 from ebamcheck.program import read_program
 from ebamcheck.program.sinumerik import write_program
-from ebamcheck.program.text_heat import TextBeads, text_beads, text_bed_k, text_shapes
+from ebamcheck.program.text_heat import TextBeads, sections_of, text_beads, text_bed_k, text_shapes
 from ebamcheck.rings import Floats
 from ebamcheck.scan import ScanPlan, plan_stack
 from ebamcheck.scan.simulate import beam_lines
@@ -85,7 +85,7 @@ def driven(layers: Layers, config: Config) -> Driven:
         files = write_program(bead_paths(layers, plan, config), plan, config, Path(folder) / "p")
         program = read_program(files.main, config)
     beads = text_beads(program, config)
-    shapes = text_shapes(program, config, layers)
+    shapes = text_shapes(program, config, sections_of(layers))
     _, by_bead_k = text_bed_k(beads, config, shapes)
     return Driven(plan, by_layer(beads, shapes, config), by_bead_k, config)
 

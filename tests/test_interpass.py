@@ -22,7 +22,7 @@ from ebamcheck.program.gcode_posts import write_linuxcnc, write_plain_gcode
 from ebamcheck.program.inputs import interpass_of
 from ebamcheck.program.interpass_checks import INTERPASS, MELTING, OVER_RANGE, layer_shares
 from ebamcheck.program.sinumerik import write_program
-from ebamcheck.program.text_heat import text_beads, text_bed_k, text_shapes
+from ebamcheck.program.text_heat import sections_of, text_beads, text_bed_k, text_shapes
 from ebamcheck.scan import ScanPlan, plan_stack
 from ebamcheck.scan.interpass import shortest_wait_s
 
@@ -214,7 +214,7 @@ def test_the_text_is_as_warm_as_the_plan(plans, tmp_path):
     config, _, files = written(config, plan, tmp_path / "p")
     nc = read_program(files.main, config)
     beads = text_beads(nc, config)
-    shapes = text_shapes(nc, config, tube(config))
+    shapes = text_shapes(nc, config, sections_of(tube(config)))
     bed_k, leave_k = text_bed_k(beads, config, shapes)
     ambient_k = config.process.ambient_temperature_k
     # Times of beads and moves are those of the plan; only the way to the first contour of a layer is not known to it.

@@ -20,7 +20,7 @@ from ebamcheck.pipeline.fitted import fitted
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.work import Job
 from ebamcheck.program import Check, mark_validated, program_summary, read_program, verify_program
-from ebamcheck.program.text_heat import build_times_s
+from ebamcheck.program.text_heat import build_times_s, known_sections
 from ebamcheck.scan import ScanPlan, plan_stack
 
 SAMPLING_MM = 0.002
@@ -141,7 +141,7 @@ def _write_and_verify(
     job.record["kinematics"] = kinematics.to_dict(orient="index")
     job.record["heat"] = {
         "limit_k": entry_limit_k(job.config),
-        "build_s": build_times_s(program, job.config, witness),
+        "build_s": build_times_s(program, job.config, known_sections(plan, witness)),
     }
     job.record["files"] = files
     job.record["program"] = {

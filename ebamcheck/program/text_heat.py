@@ -6,9 +6,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import shapely
+from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.config import Config
 from ebamcheck.heat.balance import HeatColumn, LayerShape
@@ -146,21 +148,33 @@ def text_bed_k(beads: TextBeads, config: Config, shapes: Sequence[LayerShape]) -
     return bed_k, leave_k
 
 
-def text_shapes(nc: NCProgram, config: Config, sections: Layers | None) -> list[LayerShape]:
-    """Shapes of the layers of a program, of its sections where they are as many."""
-    known = sections is not None and len(sections) == len(nc.layer_files)
-    outlines = sections if known and sections is not None else nc.contours(OUTLINE_STEP_MM)
-    offset_mm = 0.0 if known else config.contour_offset_mm
+def known_sections(plan: Any, *stacks: Layers | None) -> list[BaseGeometry] | None:
+    """Sections that a plan was made from, else those of the first stack that there is; None without either."""
+    planned = getattr(plan, "sections", None)
+    if planned is not None:
+        return list(planned)
+    found = next((stack for stack in stacks if stack is not None), None)
+    return None if found is None else sections_of(found)
+
+
+def sections_of(layers: Layers) -> list[BaseGeometry]:
+    """Sections of a stack as one geometry a layer."""
+    return [shapely.union_all(layers.polygons(k)) for k in range(len(layers))]
+
+
+def text_shapes(nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] | None) -> list[LayerShape]:
+    """Shapes of the layers of a program, of the sections where they are as many, else of what its contours enclose."""
+    count = len(nc.layer_files)
+    if sections is None or len(sections) != count:
+        outlines = sections_of(nc.contours(OUTLINE_STEP_MM))
+        sections = [shapely.buffer(outline, config.contour_offset_mm) for outline in outlines]
     steps = np.diff(nc.layer_heights, prepend=0.0)
     usual = float(np.nanmedian(steps)) if np.isfinite(steps).any() else config.layer_height_mm
     steps = np.where(steps > 0.0, steps, usual)
-    return [
-        LayerShape.of(shapely.buffer(shapely.union_all(outlines.polygons(k)), offset_mm), float(steps[k]))
-        for k in range(len(nc.layer_files))
-    ]
+    return [LayerShape.of(sections[k], float(steps[k])) for k in range(count)]
 
 
-def build_times_s(nc: NCProgram, config: Config, sections: Layers | None) -> dict[str, float]:
+def build_times_s(nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] | None) -> dict[str, float]:
     """Times of a program as it is, without its waits, and at full power with waits alone, s.
 
     The last is that of the same beads, each entered as soon as the balance finds the surface under the limit; it is
