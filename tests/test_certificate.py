@@ -70,7 +70,14 @@ def test_the_certificate_says_what_was_made_from_what(copy):
     for file in found["programs"]:
         assert sha256_of_file(run.path / "program" / file["name"]) == file["sha256"]
     assert found["validated"] is True
-    assert {gate["name"] for gate in found["gates"]} == {"input", "agreement", "fit", "coverage", "program"}
+    assert {gate["name"] for gate in found["gates"]} == {
+        "input",
+        "agreement",
+        "fit",
+        "coverage",
+        "heat",
+        "program",
+    }
     assert found["approver"] == {"name": "", "date": "", "signature": ""}
     assert found["deviations"] == []
     assert found["smoothing"]["tolerance_mm"] == SETTINGS.machine.smoothing_tolerance_mm

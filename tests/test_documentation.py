@@ -61,6 +61,9 @@ WITHOUT_UNIT = {
     "annealing_steps",
     "ramp_power",  # share of the power
     "ramp_steps",
+    "power_schedule",  # heights in mm and shares of the power
+    "melting_efficiency",
+    "dilution",
     "emissivity",
     "absorptivity",
     "decimals",

@@ -80,7 +80,7 @@ def copy(plate, tmp_path):
 def test_a_plate_with_a_hole_is_validated(plate):
     result, path = plate
     assert result.exit_code is ExitCode.PASS
-    assert set(gates(result)) == {"input", "agreement", "fit", "coverage", "program"}
+    assert set(gates(result)) == {"input", "agreement", "fit", "coverage", "heat", "program"}
     assert all(gates(result).values())
     manifest = result.folder.manifest()
     assert manifest["part"]["sha256"] == sha256_of_file(path)

@@ -265,11 +265,16 @@ def test_temperatures_of_the_layers_are_shown_where_the_order_asked_for_them(
     plan = ScanPlan.from_parquet(copy.path / "scan.parquet")
     assert plan.metrics["entry_max_k"].notna().any()
     _, page, _ = render(whole)
-    assert "by the linear heat model" in words(section(page, "scan"))
+    told = words(section(page, "scan"))
+    assert "Temperatures by the heat model" in told
+    assert all(
+        f"build time {what}" in told for what in ("without waits", "with waits at full", "as programmed")
+    )
+    assert "Waits that keep the entry of each bead under the limit" in told
     unasked = replace(plan, metrics=plan.metrics.assign(entry_max_k=np.nan))
     unasked.to_parquet(copy.path / "scan.parquet")
     _, page, _ = render(copy)
-    assert "by the linear heat model" not in words(section(page, "scan"))
+    assert "Temperatures by the heat model" not in words(section(page, "scan"))
 
 
 def test_program_picture_is_the_path_of_the_text(whole: RunFolder) -> None:

@@ -28,7 +28,7 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.config import Config
-from ebamcheck.heat.enthalpy import EnthalpyTables, enthalpy_tables
+from ebamcheck.heat.enthalpy import HOTTEST_K, EnthalpyTables, enthalpy_tables
 from ebamcheck.heat.medium import STEFAN_BOLTZMANN_W_M2K4
 from ebamcheck.kernels import kernel
 from ebamcheck.rings import Floats, Ints
@@ -47,8 +47,11 @@ heated surface is as smooth as it is deep."""
 JOINED_FROM_MM = 10.0
 """Depth from which cells are joined."""
 
-NEWTON_STEPS, NEWTON_J_MM3 = 12, 1e-9
-"""Iterations of a time step at most, and the change of the heat content at which it has converged."""
+NEWTON_STEPS, NEWTON_J_MM3 = 60, 1e-6
+"""Iterations of a time step at most, and the change of the heat content (0.3 mK) at which it has converged."""
+
+LARGEST_CHANGE_J_MM3 = 1.0
+"""Change of the heat content in one iteration at most, about 300 K: melting and T^4 are bent too much for more."""
 
 
 @dataclass(frozen=True)
@@ -290,10 +293,10 @@ class HeatColumn:
 def constant_tables(profile: Config) -> EnthalpyTables:
     """Return the material of the linear heat model: constant conductivity and heat capacity, no heat of fusion."""
     material = profile.material
-    rise_k = np.array([0.0, 1.0])
+    rise_k = np.array([0.0, HOTTEST_K])
     capacity = 1e-9 * material.density_kg_m3 * material.heat_capacity_j_kgk
     return EnthalpyTables(
-        step_j_mm3=capacity,
+        step_j_mm3=capacity * HOTTEST_K,
         temperature_k=profile.process.ambient_temperature_k + rise_k,
         theta_w_mm=1e-3 * material.conductivity_w_mk * rise_k,
     )
@@ -396,7 +399,7 @@ def march(
         now = duration * (step / steps) ** 2
         time, before = now - before, now
         old = content.copy()
-        for _ in range(NEWTON_STEPS):
+        for turn in range(NEWTON_STEPS):
             for i in range(count):
                 warm[i], warm_slope[i] = looked_up(temperature, table_step, content[i])
                 flow[i], flow_slope[i] = looked_up(theta, table_step, content[i])
@@ -429,9 +432,13 @@ def march(
                 if i + 1 < count:
                     right[i] -= upper[i] * right[i + 1]
                 right[i] /= diagonal[i]
-                content[i] += right[i]
                 largest = max(largest, abs(right[i]))
-            if largest < NEWTON_J_MM3:
+            last = largest < NEWTON_J_MM3 or turn == NEWTON_STEPS - 1
+            # All cells change alike, so that the balance holds along the way; the last step is a whole one.
+            share = 1.0 if last else min(1.0, LARGEST_CHANGE_J_MM3 / largest)
+            for i in range(count):
+                content[i] += share * right[i]
+            if last:
                 break
         gone[0] += time * base * (flow[0] + flow_slope[0] * right[0])
         for i in range(count):

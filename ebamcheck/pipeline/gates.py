@@ -157,9 +157,9 @@ def heat_gate(checks: Iterable[Check], metrics: pd.DataFrame, config: Config) ->
     figure_k, mark = within_range(max(text.value, planned_k), config)
     said = text.text
     if planned_k > text.value:
-        said = (
-            f"a bead of layer {int(planned.argmax()) + 1} is planned to be entered at {figure_k:.0f} K{mark}"
-        )
+        over = f", over {limit_k:.0f} K" if planned_k > limit_k else ""
+        layer = int(planned.argmax()) + 1
+        said = f"a bead of layer {layer} is planned to be entered at {figure_k:.0f} K{mark}{over}"
     passed = text.passed and planned_k <= limit_k and melting.passed
     if not melting.passed:
         said = f"{melting.text}; {said}"

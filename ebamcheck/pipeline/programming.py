@@ -10,6 +10,7 @@ from ebamcheck import registry
 from ebamcheck.config import Config
 from ebamcheck.curves import LIFTED, Curves, fit
 from ebamcheck.findings import has_fault
+from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.kinematics import side_by_side
 from ebamcheck.layers import Layers, from_polygons
 from ebamcheck.part import Part
@@ -19,6 +20,7 @@ from ebamcheck.pipeline.fitted import fitted
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.work import Job
 from ebamcheck.program import Check, mark_validated, program_summary, read_program, verify_program
+from ebamcheck.program.text_heat import build_times_s, known_sections
 from ebamcheck.scan import ScanPlan, plan_stack
 
 SAMPLING_MM = 0.002
@@ -137,6 +139,10 @@ def _write_and_verify(
     kinematics = feeds.result()
     kinematics.to_csv(job.folder.path / "kinematics.csv")
     job.record["kinematics"] = kinematics.to_dict(orient="index")
+    job.record["heat"] = {
+        "limit_k": entry_limit_k(job.config),
+        "build_s": build_times_s(program, job.config, known_sections(plan, witness)),
+    }
     job.record["files"] = files
     job.record["program"] = {
         "checks": [asdict(check) for check in checks],

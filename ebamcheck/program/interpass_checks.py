@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.config import Config
 from ebamcheck.heat.balance import LayerShape
 from ebamcheck.heat.melting import entry_limit_k, least_power_share
-from ebamcheck.layers import Layers
 from ebamcheck.program.checks import Check, count_check
 from ebamcheck.program.inputs import Interpass
 from ebamcheck.program.motions import NCProgram
@@ -31,7 +31,7 @@ OVER_RANGE = "over the model's range: metal would boil"
 
 
 def interpass_checks(
-    nc: NCProgram, config: Config, heat: Interpass | None, sections: Layers | None
+    nc: NCProgram, config: Config, heat: Interpass | None, sections: Sequence[BaseGeometry] | None
 ) -> list[Check]:
     """Check waits and power of each layer, and the temperature at which beads are entered.
 

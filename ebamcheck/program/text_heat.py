@@ -2,21 +2,31 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import shapely
+from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.config import Config
 from ebamcheck.heat.balance import HeatColumn, LayerShape
+from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.layers import Layers
 from ebamcheck.program.motions import RAPID, NCProgram
 from ebamcheck.rings import Floats, Ints
 
 PAUSE = "layer_pause_s"
 """Event of a wait, named by its placeholder."""
+
+LONGEST_WAIT_S = 4.0 * 3600.0
+"""Longest wait that is looked for."""
+
+LEAST_SHARE = 1e-6
+"""Keeps a bead without power from being divided by."""
 
 OUTLINE_STEP_MM = 0.5
 """Chords of the contours of which perimeters and areas are taken, where no section is known."""
@@ -42,8 +52,8 @@ class TextBeads:
         First motion of each.
     wait_s, move_s
         Wait, and moves with the beam off, before it.
-    time_s, energy_j
-        Time from its first to its last motion under beam, and the beam's energy in it.
+    time_s, energy_j, peak_w
+        Time from its first to its last motion under beam, the beam's energy in it, and its greatest power.
     stray
         Waits that no bead follows, or that lie within a bead: (event, what).
     """
@@ -56,6 +66,7 @@ class TextBeads:
     move_s: Floats
     time_s: Floats
     energy_j: Floats
+    peak_w: Floats
     stray: tuple[tuple[int, str], ...]
 
     def __len__(self) -> int:
@@ -102,6 +113,7 @@ def text_beads(nc: NCProgram, config: Config) -> TextBeads:
         move_s=clock[first] - np.concatenate([[0.0], clock[last[:-1] + 1]])[: first.size],
         time_s=clock[last + 1] - clock[first],
         energy_j=np.bincount(bead, power_w * seconds[rows], minlength=first.size).astype(np.float64),
+        peak_w=np.maximum.reduceat(power_w, np.flatnonzero(changes)) if first.size else np.zeros(0),
         stray=tuple(stray),
     )
 
@@ -136,15 +148,67 @@ def text_bed_k(beads: TextBeads, config: Config, shapes: Sequence[LayerShape]) -
     return bed_k, leave_k
 
 
-def text_shapes(nc: NCProgram, config: Config, sections: Layers | None) -> list[LayerShape]:
-    """Shapes of the layers of a program, of its sections where they are as many."""
-    known = sections is not None and len(sections) == len(nc.layer_files)
-    outlines = sections if known and sections is not None else nc.contours(OUTLINE_STEP_MM)
-    offset_mm = 0.0 if known else config.contour_offset_mm
+def known_sections(plan: Any, *stacks: Layers | None) -> list[BaseGeometry] | None:
+    """Sections that a plan was made from, else those of the first stack that there is; None without either."""
+    planned = getattr(plan, "sections", None)
+    if planned is not None:
+        return list(planned)
+    found = next((stack for stack in stacks if stack is not None), None)
+    return None if found is None else sections_of(found)
+
+
+def sections_of(layers: Layers) -> list[BaseGeometry]:
+    """Sections of a stack as one geometry a layer."""
+    return [shapely.union_all(layers.polygons(k)) for k in range(len(layers))]
+
+
+def text_shapes(nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] | None) -> list[LayerShape]:
+    """Shapes of the layers of a program, of the sections where they are as many, else of what its contours enclose."""
+    count = len(nc.layer_files)
+    if sections is None or len(sections) != count:
+        outlines = sections_of(nc.contours(OUTLINE_STEP_MM))
+        sections = [shapely.buffer(outline, config.contour_offset_mm) for outline in outlines]
     steps = np.diff(nc.layer_heights, prepend=0.0)
     usual = float(np.nanmedian(steps)) if np.isfinite(steps).any() else config.layer_height_mm
     steps = np.where(steps > 0.0, steps, usual)
-    return [
-        LayerShape.of(shapely.buffer(shapely.union_all(outlines.polygons(k)), offset_mm), float(steps[k]))
-        for k in range(len(nc.layer_files))
-    ]
+    return [LayerShape.of(sections[k], float(steps[k])) for k in range(count)]
+
+
+def build_times_s(nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] | None) -> dict[str, float]:
+    """Times of a program as it is, without its waits, and at full power with waits alone, s.
+
+    The last is that of the same beads, each entered as soon as the balance finds the surface under the limit; it is
+    NaN where the wait for one bead would be longer than :data:`LONGEST_WAIT_S`.
+    """
+    beads = text_beads(nc, config)
+    busy_s = float((beads.time_s + beads.move_s).sum())
+    dwell_s = _dwell_s(beads, config, text_shapes(nc, config, sections))
+    return {
+        "programmed": busy_s + float(beads.wait_s.sum()),
+        "without_measures": busy_s,
+        "dwell": busy_s + dwell_s,
+    }
+
+
+def _dwell_s(beads: TextBeads, config: Config, shapes: Sequence[LayerShape]) -> float:
+    """Waits at full power, each found by steps of time that grow by a half."""
+    limit_k, enters = entry_limit_k(config), beads.enters_layer
+    column, total_s = HeatColumn(config), 0.0
+    # Ramps are part of the beads: their strongest motion has the full power of its layer.
+    share = np.maximum(beads.peak_w / config.process.power_w, LEAST_SHARE)
+    for n in range(len(beads)):
+        column.advance(float(beads.move_s[n]))
+        checked = n > 0 and (config.process.interpass_at == "bead" or enters[n])
+        wait_s, step_s = 0.0, 1.0
+        while checked and column.bed_k > limit_k:
+            column.advance(step_s)
+            wait_s, step_s = wait_s + step_s, max(1.0, 0.5 * wait_s)
+            if wait_s > LONGEST_WAIT_S:
+                return math.nan
+        total_s += wait_s
+        shape = shapes[int(beads.layer[n])]
+        if enters[n] and shape.area_mm2 > 0.0:
+            column.lay(shape)
+        energy_j = float(beads.energy_j[n]) / share[n] * config.material.absorptivity
+        column.advance(float(beads.time_s[n]), energy_j)
+    return total_s

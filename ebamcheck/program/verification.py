@@ -25,6 +25,7 @@ from ebamcheck.program.reader import read_program
 from ebamcheck.program.section_check import section_check
 from ebamcheck.program.state_checks import state_checks
 from ebamcheck.program.text_checks import text_checks
+from ebamcheck.program.text_heat import known_sections
 from ebamcheck.program.window_checks import window_check
 from ebamcheck.program.wire_checks import wire_check
 from ebamcheck.scan.turns import TURN_SPACINGS
@@ -91,7 +92,7 @@ def verify_program(
     shares = np.minimum(layer_shares(nc, config.process.power_w), 1.0) if heat is None else heat.power_share
     checks += [*bead_end_checks(nc, config, shares), closure_check(nc, curves, tolerance_mm)]
     checks += [repeated_blocks(nc), window_check(nc, config), *process_checks(nc, config)]
-    checks += interpass_checks(nc, config, heat, layers)
+    checks += interpass_checks(nc, config, heat, known_sections(plan, smooth, layers))
     known = (
         heights
         if heights is not None

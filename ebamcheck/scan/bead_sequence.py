@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import shapely
 
 from ebamcheck.config import Config
 from ebamcheck.heat import HeatModel
 from ebamcheck.rings import Floats, Ints
-from ebamcheck.scan.driving import clocked
 from ebamcheck.scan.laying import LaidLayer
 from ebamcheck.scan.order import LayerIslands
 from ebamcheck.scan.part_heat import Beads, uneven
+from ebamcheck.scan.path import enter_nearest
+from ebamcheck.scan.turns import turns_and_jumps_mm
 
 PIECE_BEADS = 1.0
 """Length of the pieces in which contours are heated, over the width of a bead: no mode changes within less."""
@@ -22,7 +25,7 @@ program has it."""
 
 
 def bead_sequence(laid: LaidLayer, islands: LayerIslands, order: Ints) -> tuple[Beads, float]:
-    """Put contours and islands in sequence.
+    """Put contours and islands in sequence, as the program drives them.
 
     Parameters
     ----------
@@ -35,43 +38,86 @@ def bead_sequence(laid: LaidLayer, islands: LayerIslands, order: Ints) -> tuple[
         And the jumps between islands.
     """
     profile = islands.profile
-    process, rapid = profile.process, profile.machine.rapid_mm_s
-    rise_s = 2.0 * profile.machine.safe_height_mm / rapid
+    speed, rapid = profile.process.travel_speed_mm_s, profile.machine.rapid_mm_s
     rings = _rings(laid)
     count = np.array([_pieces(ring.length, profile) for ring in rings], np.int64)
-    ring_s = np.repeat(
-        [ring.length / process.travel_speed_mm_s / n for ring, n in zip(rings, count, strict=True)], count
-    )
+    ring_s = np.array([ring.length for ring in rings]) / speed
     model = islands.cold_heat.model if len(islands) else None
-    columns, times, shares = [_along(rings, count, model)], [ring_s], [np.ones(ring_s.size)]
-    moves, travel_mm = [np.full(len(rings), rise_s)], 0.0
+    entry, leave = (np.array([ring.coords[0] for ring in rings]).reshape(-1, 2) for _ in range(2))
+    columns, times = [_along(rings, count, model)], [np.repeat(ring_s / np.maximum(count, 1), count)]
+    shares, taken = [np.ones(int(count.sum()))], np.zeros(0, np.int64)
     if len(order):
-        drive = islands.driven
-        start_s, end_s, travel_mm = clocked(order, drive.entry, drive.leave, drive.time_s, rapid)
-        move_s = start_s[order] - np.concatenate([[0.0], end_s[order][:-1]])
-        rises = move_s * rapid > NEAR_SPACINGS * process.hatch_spacing_mm
-        rises[0] = True
-        time_s = drive.time_s[order]
-        columns.append(uneven(islands.cold_heat.mean[:, order], islands.cold_heat.model))
-        times.append(time_s)
-        shares.append(np.divide(drive.beam_s[order], time_s, out=np.zeros_like(time_s), where=time_s > 0.0))
-        moves.append(move_s + rise_s * rises)
-    sizes = np.concatenate([count, np.ones(len(order), np.int64)])
-    return Beads(
+        path = _island_path(laid, order, profile)
+        taken = path.island
+        columns.append(uneven(islands.cold_heat.mean[:, taken], islands.cold_heat.model))
+        times.append(path.beam_s + path.off_s)
+        shares.append(path.beam_s / times[-1])
+        entry, leave = np.vstack([entry, path.entry]), np.vstack([leave, path.leave])
+    # Where the beam comes from is not known of the first: it comes down there.
+    move_mm = np.concatenate([np.zeros(len(entry[:1])), np.hypot(*(entry[1:] - leave[:-1]).T)])
+    rises = _rises(move_mm, profile)
+    rises[:1] = 2.0 * profile.machine.safe_height_mm
+    sizes = np.concatenate([count, np.ones(len(taken), np.int64)])
+    beads = Beads(
         pieces=np.ascontiguousarray(np.concatenate(columns, axis=1)),
         first=np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
-        move_s=np.concatenate(moves),
+        move_s=(move_mm + rises) / rapid,
         time_s=np.concatenate(times),
         on=np.concatenate(shares),
         rings=len(rings),
-    ), float(travel_mm)
+        islands=taken,
+    )
+    return beads, float(move_mm[len(rings) + 1 :].sum())
+
+
+@dataclass(frozen=True, eq=False)
+class _IslandPath:
+    """Islands that have lines, in sequence (n,): where each is entered and left, and its time with the beam on and off."""
+
+    island: Ints
+    entry: Floats
+    leave: Floats
+    beam_s: Floats
+    off_s: Floats
+
+
+def _island_path(laid: LaidLayer, order: Ints, profile: Config) -> _IslandPath:
+    lines, count = laid.lines, len(laid.islands)
+    first = np.concatenate([[0], np.cumsum(np.bincount(lines.island, minlength=count))]).astype(np.int64)
+    rows, turned = enter_nearest(lines.start, lines.end, first, order, laid.chained)
+    island, swap = lines.island[rows], turned[:, None]
+    a = np.where(swap, lines.end[rows], lines.start[rows])
+    b = np.where(swap, lines.start[rows], lines.end[rows])
+    turn, jump = turns_and_jumps_mm(island, a, b, profile.process.hatch_spacing_mm)
+    begins = np.flatnonzero(np.diff(island, prepend=-1))
+    ends = np.append(begins[1:], len(island)) - 1
+    beam = np.add.reduceat(np.hypot(*(b - a).T) + turn, begins) if len(begins) else np.zeros(0)
+    off = np.add.reduceat(jump + _rises(jump, profile), begins) if len(begins) else np.zeros(0)
+    return _IslandPath(
+        island=island[begins],
+        entry=a[begins],
+        leave=b[ends],
+        beam_s=beam / profile.process.travel_speed_mm_s,
+        off_s=off / profile.machine.rapid_mm_s,
+    )
+
+
+def _rises(move_mm: Floats, profile: Config) -> Floats:
+    """Way up and down on moves with the beam off, mm."""
+    far = move_mm > NEAR_SPACINGS * profile.process.hatch_spacing_mm
+    return np.where(far, 2.0 * profile.machine.safe_height_mm, 0.0)
 
 
 def _rings(laid: LaidLayer) -> list[shapely.LinearRing]:
-    """Centre lines of the contour beads."""
-    return [
-        ring for part in shapely.get_parts(laid.regions.contour) for ring in (part.exterior, *part.interiors)
-    ]
+    """Centre lines of the contour beads from their least points on, in the canonical sequence of rings."""
+    parts = shapely.get_parts(laid.regions.contour)
+    rings = [ring for part in parts for ring in (part.exterior, *part.interiors)]
+    turned = []
+    for ring in rings:
+        points = shapely.get_coordinates(ring)[:-1]
+        least = int(np.lexsort((points[:, 1], points[:, 0]))[0])
+        turned.append(shapely.LinearRing(np.roll(points, -least, axis=0)))
+    return sorted(turned, key=lambda ring: ring.coords[0])
 
 
 def _pieces(length_mm: float, profile: Config) -> int:

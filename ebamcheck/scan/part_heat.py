@@ -15,7 +15,7 @@ import numpy as np
 from ebamcheck.heat import HeatModel, carried
 from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.kernels import kernel
-from ebamcheck.rings import Floats
+from ebamcheck.rings import Floats, Ints
 
 LEAST_DECAY = 1e-9
 """Amplitudes that fall by less than this while a bead is laid do not fall."""
@@ -37,14 +37,17 @@ class Beads:
         (P,) time of each piece, and the share of it with the beam on.
     rings
         Contours among them.
+    islands
+        (B - rings,) the islands among them, those without a line left out.
     """
 
     pieces: Floats
-    first: np.ndarray
+    first: Ints
     move_s: Floats
     time_s: Floats
     on: Floats
     rings: int
+    islands: Ints
 
     def __len__(self) -> int:
         """Return the number of beads."""

@@ -24,7 +24,7 @@ from ebamcheck.scan.bead_sequence import bead_sequence
 from ebamcheck.scan.interpass import Drive, LayerJob, cool_drive
 from ebamcheck.scan.laying import LaidLayer, lay_islands
 from ebamcheck.scan.order import LayerIslands, Order, scan_order
-from ebamcheck.scan.part_heat import PartHeat
+from ebamcheck.scan.part_heat import Beads, PartHeat
 
 AHEAD = 8
 """Layers that are laid out and whose modes are found side by side, while those before them are put in order."""
@@ -143,7 +143,7 @@ def ordered_layers(
             job = LayerJob(beads, shape, islands.height_mm, lowest=last is None)
             last = cool_drive(job, part, profile)
             part = last.after
-        yield OrderedLayer(laid, known, found, _figures(last, travel_mm, found, beads.rings, profile))
+        yield OrderedLayer(laid, known, found, _figures(last, travel_mm, beads, len(found), profile))
 
 
 def scan_part(
@@ -243,11 +243,11 @@ def _knowing(
     return after
 
 
-def _figures(drive: Drive, travel_mm: float, order: Ints, rings: int, profile: Config) -> LayerHeat:
+def _figures(drive: Drive, travel_mm: float, beads: Beads, islands: int, profile: Config) -> LayerHeat:
     rise_k = drive.bed_k - profile.process.ambient_temperature_k
     entry_k = rise_k if rise_k.size else np.zeros(1)
-    island_wait_s = np.zeros(len(order))
-    island_wait_s[order] = drive.bead_wait_s[rings:]
+    island_wait_s = np.zeros(islands)
+    island_wait_s[beads.islands] = drive.bead_wait_s[beads.rings :]
     return LayerHeat(
         body_mean_k=drive.body_k,
         entry_max_k=float(entry_k.max()),

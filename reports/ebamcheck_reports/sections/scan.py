@@ -7,15 +7,15 @@ import numpy as np
 from ebamcheck.scan import ScanPlan
 from ebamcheck_reports import scan_picture
 from ebamcheck_reports.charts import Series, line_chart
-from ebamcheck_reports.figures import duration, percent
+from ebamcheck_reports.figures import duration, number, percent
 from ebamcheck_reports.markup import Markup, element, facts, figure, join, paragraph, picture, section
 from ebamcheck_reports.run_data import RunData, layer_name
 
 BEAD_WIDTH_MM = 6.0
 """Width at which beads are drawn where the settings name none."""
 
-AMBIENT_K, SOLIDUS_K = 293.15, 1877.0
-"""Temperature of the chamber and solidus where the settings name none."""
+AMBIENT_K, SOLIDUS_K, BOILING_K = 293.15, 1877.0, 3533.0
+"""Temperature of the chamber, solidus and boiling point where the settings name none."""
 
 WHAT = (
     "Each section is divided into islands (hexagons, or whole walls where it is thin), which are filled with parallel beads one after the "
@@ -121,29 +121,93 @@ def _coverage(run: RunData, plan: ScanPlan) -> Markup:
 
 
 def _heat(run: RunData, plan: ScanPlan) -> list[Markup]:
-    """Temperatures of the heat model, where the order asked it."""
+    """Temperatures of the heat model, waits and power of each layer, and what they cost, where it was asked."""
     metrics = plan.metrics
     if "entry_max_k" not in metrics or metrics["entry_max_k"].isna().all():
         return []
     ambient = run.setting("process", "ambient_temperature_k", AMBIENT_K)
     solidus = run.setting("material", "solidus_k", SOLIDUS_K)
+    boiling = run.setting("material", "boiling_k", BOILING_K)
+    limit = run.gate_limit("heat")
+    entry = metrics["entry_max_k"] + ambient
+    lines = {
+        "warmest bead when it is entered": entry,
+        "surface when the layer begins": metrics["enter_k"],
+        "surface when it is done": metrics["leave_k"],
+    }
     chart = line_chart(
         [
-            Series("hottest island when the beam enters it", metrics["layer"], metrics["entry_max_k"]),
-            Series("mean of the part when the layer begins", metrics["layer"], metrics["body_mean_k"]),
+            Series(name, metrics["layer"], np.minimum(k, boiling))
+            for name, k in lines.items()
+            if k.notna().any()
         ],
         "layer",
-        "temperature rise, K",
-        limit=solidus - ambient,
-        limit_name="solidus",
+        "temperature, K",
+        limit=solidus if limit is None else limit,
+        limit_name="solidus" if limit is None else "limit of entry",
+    )
+    over = int((np.maximum(entry, metrics["leave_k"].fillna(0.0)) > boiling).sum())
+    caption = (
+        "Temperatures by the heat model: the balance of the whole part, and what differs across each section. A bead may be "
+        "entered up to the limit; the surface gets warmer while a layer is laid."
+    )
+    if over:
+        caption += (
+            f" {over} layers are over the model's range and drawn at the boiling point: metal would boil."
+        )
+    figures = [element("figure", chart, element("figcaption", caption))]
+    return [*_build_times(run), *figures, *_measures(plan)]
+
+
+def _build_times(run: RunData) -> list[Markup]:
+    """Time of the program beside that without measures and with waits alone."""
+    times = run.part_of("heat").get("build_s", {})
+    named = {
+        "without_measures": "build time without waits and at any power: too hot where the gate would shut",
+        "dwell": "build time with waits at full power",
+        "programmed": "build time as programmed, with power and waits",
+    }
+    rows = [
+        (text, figure(number(times[name]), text=duration(number(times[name]))))
+        for name, text in named.items()
+        if name in times and np.isfinite(number(times[name]))
+    ]
+    return [facts(rows)] if rows else []
+
+
+def _measures(plan: ScanPlan) -> list[Markup]:
+    """Waits and power over the layers."""
+    metrics = plan.metrics
+    if "wait_s" not in metrics or metrics["wait_s"].isna().all():
+        return []
+    within = np.zeros(len(metrics))
+    if len(plan.island_wait_s):
+        within += np.bincount(plan.island_layer, plan.island_wait_s, minlength=len(metrics))
+    waits = line_chart(
+        [
+            Series("before the layer", metrics["layer"], metrics["wait_s"]),
+            Series("before islands of it", metrics["layer"], within),
+        ],
+        "layer",
+        "wait, s",
         from_zero=True,
     )
-    caption = (
-        "Temperatures by the linear heat model, with the heat that the layers below have left, without melting and "
-        "without the contour beads. Over the solidus the figures say that it is too hot, not how hot it gets: wait "
-        "between layers (process.layer_pause_s) or lower the power."
+    power = line_chart(
+        [Series("power", metrics["layer"], 100.0 * metrics["power_share"])],
+        "layer",
+        "of full power, %",
+        from_zero=True,
     )
-    return [element("figure", chart, element("figcaption", caption))]
+    return [
+        element(
+            "figure", waits, element("figcaption", "Waits that keep the entry of each bead under the limit.")
+        ),
+        element(
+            "figure",
+            power,
+            element("figcaption", "Power: full on the cold base, less as the part gets warm."),
+        ),
+    ]
 
 
 def _times(run: RunData) -> Markup:

@@ -1,0 +1,205 @@
+"""The balance of a whole program in one dimension against closed forms, its own energy, and quadrature."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import shapely
+from scipy.integrate import quad
+
+from ebamcheck.config import Config
+from ebamcheck.heat import balance
+from ebamcheck.heat.balance import (
+    Deposits,
+    HeatColumn,
+    LayerShape,
+    constant_tables,
+    heat_balance,
+    joined_cells,
+    radiating_mm2,
+)
+from ebamcheck.heat.medium import STEFAN_BOLTZMANN_W_M2K4
+
+CONFIG = Config()
+AMBIENT_K = CONFIG.process.ambient_temperature_k
+PER_MM3 = 1e-9 * CONFIG.material.density_kg_m3 * CONFIG.material.heat_capacity_j_kgk
+
+
+def profile(emissivity=0.6, base="cooled", plate_mm=25.0):
+    return CONFIG.changed(
+        process={"base": base, "base_plate_mm": plate_mm}, material={"emissivity": emissivity}
+    )
+
+
+def laid(config, *shapes, tables=None):
+    made = HeatColumn(config, tables or constant_tables(config))
+    for shape in shapes:
+        made.lay(shape)
+    return made
+
+
+def test_a_steady_column_has_the_gradient_of_its_flux():
+    config = profile(emissivity=0.0, plate_mm=20.0)
+    body = laid(config, *[LayerShape(2.0, 500.0, 0.0)] * 20)
+    for _ in range(40):
+        body.advance(1e4, 50.0 * 1e4)
+    # Over the plate of 20 and 39 mm of metal, q H/k; the uppermost layer is heated evenly.
+    flux, conductivity = 50.0 / 500.0, 1e-3 * config.material.conductivity_w_mk
+    rise = flux * 59.0 / conductivity
+    assert body.surface_k - AMBIENT_K == pytest.approx(rise, rel=1e-6)
+
+
+def test_two_areas_in_a_row_resist_in_a_row():
+    config = profile(emissivity=0.0, plate_mm=20.0)
+    body = laid(config, *[LayerShape(2.0, 500.0, 0.0)] * 5, *[LayerShape(2.0, 100.0, 0.0)] * 5)
+    for _ in range(60):
+        body.advance(1e4, 20.0 * 1e4)
+    conductivity = 1e-3 * config.material.conductivity_w_mk
+    rise = 20.0 / conductivity * (30.0 / 500.0 + 9.0 / 100.0)
+    assert body.surface_k - AMBIENT_K == pytest.approx(rise, rel=1e-6)
+
+
+def test_an_insulated_column_that_does_not_radiate_warms_by_its_heat():
+    config = profile(emissivity=0.0, base="insulated")
+    body = laid(config, *[LayerShape(1.5, 300.0, 70.0, 20.0, 30.0)] * 8)
+    body.advance(80.0, 5e4)
+    body.advance(1e7)
+    rise = 5e4 / (PER_MM3 * 300.0 * (25.0 + 8 * 1.5))
+    assert body.temperature_k - AMBIENT_K == pytest.approx(rise, rel=1e-6)
+    assert body.stored_j == pytest.approx(5e4, rel=1e-12)
+    assert (body.base_j, body.radiated_j) == (0.0, 0.0)
+
+
+def test_a_half_space_warms_with_the_root_of_the_time():
+    config = profile(emissivity=0.0, plate_mm=400.0)
+    body = laid(config, LayerShape(0.5, 100.0, 0.0))
+    body.advance(60.0, 30.0 * 60.0)
+    conductivity = 1e-3 * config.material.conductivity_w_mk
+    rise = 2.0 * 0.3 * math.sqrt(60.0 / (math.pi * conductivity * PER_MM3))
+    assert body.surface_k - AMBIENT_K == pytest.approx(rise, rel=0.03)
+
+
+def test_radiation_alone_follows_the_cube_law(monkeypatch):
+    monkeypatch.setattr(balance, "STEPS", 4000)
+    cold_k = 1.0
+    config = profile(base="insulated", plate_mm=0.5).changed(
+        material={"conductivity_w_mk": 1e6}, process={"ambient_temperature_k": cold_k}
+    )
+    body = laid(config, LayerShape(1.0, 400.0, 80.0))
+    body.advance(1.0, 1500.0 * PER_MM3 * 600.0)
+    hot_k = body.surface_k
+    body.advance(200.0)
+    # dT/dt = -rate T^4: top and sides, over the heat of all metal.
+    area = config.material.emissivity * (400.0 + 80.0 * 1.0)
+    rate = 1e-6 * STEFAN_BOLTZMANN_W_M2K4 * area / (PER_MM3 * 600.0)
+    assert body.surface_k == pytest.approx((hot_k**-3 + 3 * rate * 200.0) ** (-1 / 3), rel=1e-3)
+    assert 400.0 < body.surface_k < hot_k - 600.0
+
+
+@pytest.mark.parametrize("base", ["cooled", "insulated"])
+@pytest.mark.parametrize("constant", [True, False])
+def test_heat_put_in_is_stored_passed_to_the_table_and_radiated(base, constant):
+    config = profile(base=base)
+    rng = np.random.default_rng(3)
+    count = 80
+    columns = [rng.uniform(low, high, count) for low, high in [(0.5, 6), (300, 900), (60, 200), (0, 90)]]
+    hole = np.where(rng.random(count) < 0.2, 0.0, rng.uniform(50, 90, count))
+    waits, times = rng.uniform(0, 300, count), rng.uniform(10, 200, count)
+    deposits = Deposits(
+        *columns, hole_mm2=hole, energy_j=times * rng.uniform(0, 3e3, count), time_s=times, wait_s=waits
+    )
+    found = heat_balance(deposits, config, constant_tables(config) if constant else None)
+    assert found.absorbed_j == pytest.approx(deposits.energy_j.sum(), rel=1e-12)
+    assert found.stored_j + found.base_j + found.radiated_j == pytest.approx(found.absorbed_j, rel=1e-9)
+    assert found.radiated_j > 0.0
+    assert (found.base_j > 0.0) == (base == "cooled")
+    assert (found.start_k >= AMBIENT_K - 1e-6).all()
+
+
+def test_a_step_of_any_length_is_stable():
+    body = laid(profile(), *[LayerShape(1.0, 500.0, 100.0)] * 30)
+    body.advance(1e-3, 1e-3 * 5e3)
+    body.advance(1e9)
+    assert body.temperature_k == pytest.approx(AMBIENT_K, abs=1e-3)
+    body.advance(1e9, 1e9 * 2e3)
+    assert body.base_j + body.radiated_j + body.stored_j == pytest.approx(body.absorbed_j, rel=1e-9)
+
+
+def test_joined_cells_change_nothing_that_can_be_seen(monkeypatch):
+    count = 300
+    even = [np.full(count, value) for value in (0.5, 900.0, 130.0, 40.0, 110.0, 1.5e4, 40.0, 20.0)]
+    with_joined = heat_balance(Deposits(*even), CONFIG)
+    monkeypatch.setattr(balance, "joined_cells", lambda size, *_: np.arange(len(size)))
+    alone = heat_balance(Deposits(*even), CONFIG)
+    assert np.abs(with_joined.end_k - alone.end_k).max() < 1.0
+    assert with_joined.stored_j == pytest.approx(alone.stored_j, rel=2e-3)
+
+
+def test_cells_are_joined_in_the_depth_and_not_over_a_step_of_the_outline():
+    size, area, hole = np.full(200, 0.5), np.full(200, 100.0), np.zeros(200)
+    area[60:] = 50.0
+    owner = joined_cells(size, area, hole, 190)
+    assert owner[0] == 0
+    assert (np.diff(owner) >= 0).all()
+    assert owner[59] != owner[60]
+    joined = np.bincount(owner, size)
+    assert joined.size < 120
+    under = joined.sum() - np.cumsum(joined)
+    assert (joined <= np.maximum(0.05 * (under + joined), 0.5) + 1e-9).all()
+
+
+# -- channels ----------------------------------------------------------------------------------------
+
+
+def surfaces(layers, radius, emissivity, height_mm=0.5):
+    """Radiating surface of a tube around a channel, in layers of a height; the outside counts as none."""
+    even = [np.full(layers, value) for value in (height_mm, 100.0, 0.0, math.tau * radius)]
+    return radiating_mm2(*even, np.full(layers, math.pi * radius**2), emissivity)
+
+
+def test_a_deep_channel_radiates_as_a_black_disc():
+    found = surfaces(800, 4.0, 0.5).sum() - 0.5 * 100.0
+    assert found == pytest.approx(math.pi * 16.0, rel=0.01)
+
+
+def test_walls_see_the_opening_by_the_view_factor_of_a_cylinder():
+    # Ring at a depth to the disc of the opening, by quadrature over the disc (Lambert's law).
+    radius, depth = 4.0, 3.0
+
+    def seen(r):
+        def over(angle):
+            x, y = r * math.cos(angle), r * math.sin(angle)
+            square = (x - radius) ** 2 + y**2 + depth**2
+            return (radius - x) * depth / (math.pi * square**2)
+
+        return r * quad(over, -math.pi, math.pi)[0]
+
+    exact = quad(seen, 0.0, radius)[0]
+    found = surfaces(4000, radius, 1.0, 0.01)
+    row = len(found) - 1 - int(depth / 0.01)
+    assert found[row] / (math.tau * radius * 0.01) == pytest.approx(exact, rel=0.01)
+
+
+def test_a_channel_that_is_closed_or_grey_to_nothing_loses_nothing():
+    assert surfaces(40, 4.0, 0.0).sum() == 0.0
+    even = [np.full(40, value) for value in (0.5, 100.0, 0.0, 25.0, 50.0)]
+    even[1][-1], even[4][-1], even[3][-1] = 150.0, 0.0, 0.0
+    closed = radiating_mm2(*even, 0.6)
+    assert closed[:-1] == pytest.approx(np.zeros(39), abs=1e-12)
+    assert closed[-1] == pytest.approx(0.6 * 150.0)
+
+
+def test_a_channel_loses_less_than_walls_that_stand_free():
+    for emissivity in (0.2, 0.6, 1.0):
+        wall = surfaces(100, 4.0, emissivity).sum() - emissivity * 100.0
+        assert 0.0 < wall < 0.3 * emissivity * math.tau * 4.0 * 50.0
+
+
+def test_shapes_of_sections():
+    plate = shapely.box(0, 0, 30, 20).difference(shapely.box(5, 5, 9, 8))
+    both = shapely.union_all([plate, shapely.box(50, 0, 60, 10)])
+    found = LayerShape.of(both, 1.5)
+    assert (found.area_mm2, found.outer_mm, found.inner_mm, found.hole_mm2) == (688.0, 140.0, 14.0, 12.0)
+    assert LayerShape.of(shapely.Polygon(), 1.5).area_mm2 == 0.0
