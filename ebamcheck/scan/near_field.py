@@ -1,0 +1,320 @@
+"""The fresh heat that truncated modes cannot show: where the beam enters, and in islands beside the last ones.
+
+The temperature of an island by the modes of its section is right for heat that is old: waves shorter than an island
+die out within seconds. For heat younger than a horizon the modes are therefore exchanged, between islands that are
+near each other, for Green's functions of the conduction itself: a Gaussian in the plane, times the exact function of
+the depth. What the free Gaussian would lose through the outline stays in the metal: it is divided by its own share in
+the section, which is exact far from the outline, on a straight border, in a corner, and in a thin wall.
+
+Two figures come from it, both on top of the modes: the mean temperature of an island, heated by islands that are warm
+as a whole; and the temperature under the beam at the point of entry, heated by the lines of islands in the sequence
+in which they were driven.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ebamcheck.heat.depth import DepthModes, depth_modes
+from ebamcheck.heat.model import HeatModel
+from ebamcheck.heat.referee import BEAM_SHARE
+from ebamcheck.kernels import kernel
+from ebamcheck.rings import Floats, Ints
+from ebamcheck.scan.drive import IslandDrive
+from ebamcheck.scan.hatch import Vectors
+from ebamcheck.scan.pieces import Pieces, line_pieces
+
+DIED_OUT = 3.0
+"""Exponent by which the shortest wave of the modes has fallen at the horizon, at least: to 5 %."""
+
+WITHIN_AN_ISLAND = 0.15
+"""Horizon, at least, in times in which heat crosses an island, w^2 / alpha: until then its sides differ by much."""
+
+SIGMAS = 2.0
+"""Islands farther apart than so many standard deviations of the spread until the horizon do not count as near."""
+
+PIECES = 4.0
+"""Pieces of a line of an island's width, at most; and none is shorter than a bead is wide."""
+
+AGES = 12
+"""Intervals of the tables; age n lies at n^2."""
+
+DEPTH_WAVES = 6.0
+"""Waves of the depth in the thickness of a layer: they carry the exact function of the depth."""
+
+MOST_DEPTH_WAVES = 2000
+"""Waves of the depth at most."""
+
+FAR = 40.0
+"""Squared distances over this times the variance bring nothing: exp(-20)."""
+
+CHUNK = 4096
+"""Pairs whose products of modes are in memory at a time."""
+
+
+class NearField(NamedTuple):
+    """Fresh heat between islands that are near each other.
+
+    Tables have a column for each of Q + 1 ages, horizon (n / Q)^2.
+
+    Parameters
+    ----------
+    horizon_s
+        Age of heat from which on the modes are left alone.
+    spread_mm2_s
+        Growth of the variance of a Gaussian along one axis, 2 alpha.
+    beam_mm2
+        Variance of the beam and of its reading at an entry.
+    first, other, pair
+        (I + 1,), (P,), (P,) islands near each island, itself among them, and the rows of both in the next tables.
+    exact, modes
+        (U, Q + 1) rise of the mean temperature of an island by heat of up to an age in the other one, over K mm^3/s
+        of heating: by Green's functions, and by the modes.
+    depth
+        (2 Q + 1,) mean of the layer's temperature by heat in it at ages horizon (n / 2 Q)^2, 1/mm.
+    inside
+        (I, 4, Q + 1) share of the heat around each entry that is in the section.
+    pieces
+        Lines in pieces.
+    entry
+        (I, 4, 2) points of entry, mm.
+    """
+
+    horizon_s: float
+    spread_mm2_s: float
+    beam_mm2: float
+    first: Ints
+    other: Ints
+    pair: Ints
+    exact: Floats
+    modes: Floats
+    depth: Floats
+    inside: Floats
+    pieces: Pieces
+    entry: Floats
+
+
+def near_field(
+    model: HeatModel,
+    mean: Floats,
+    complete: float,
+    drive: IslandDrive,
+    lines: Vectors,
+    centroid: Floats,
+    area_mm2: Floats,
+    bead_mm: float,
+) -> NearField:
+    """Tabulate the fresh heat of a layer.
+
+    Parameters
+    ----------
+    model
+        The heat model.
+    mean
+        (K, I) means of its modes over the islands.
+    complete
+        Eigenvalue up to which it has all modes, 1/mm^2.
+    lines
+        Lines of the islands, sorted by island.
+    centroid, area_mm2
+        (I, 2) and (I,) of the islands.
+    bead_mm
+        Width of a bead.
+    """
+    alpha = model.medium.diffusivity_mm2_s
+    count, width2 = len(area_mm2), float(area_mm2.mean())
+    horizon_s = max(DIED_OUT / complete, WITHIN_AN_ISLAND * width2) / alpha
+    pieces = line_pieces(lines, centroid, area_mm2, max(bead_mm, math.sqrt(width2) / PIECES))
+    pairs = near_pairs(pieces, count, SIGMAS * math.sqrt(2.0 * alpha * horizon_s))
+    first, other, pair = by_island(pairs, count)
+    root = np.linspace(0.0, 1.0, 2 * AGES + 1)
+    age = horizon_s * root**2
+    depth = of_layer(exact_depth(model), model, age)
+    free = between_pieces(*pieces, pairs, 2.0 * alpha * age)
+    in_section = np.zeros((count, len(age)))
+    apart = pairs[:, 0] != pairs[:, 1]
+    np.add.at(in_section, pairs[:, 0], area_mm2[pairs[:, 1], None] * free)
+    np.add.at(in_section, pairs[apart, 1], area_mm2[pairs[apart, 0], None] * free[apart])
+    free /= 0.5 * (in_section[pairs[:, 0]] + in_section[pairs[:, 1]])
+    shown = between_modes(model.plane.eigenvalue, mean, pairs, alpha * age)
+    beam_mm2, entry = 2.0 * (BEAM_SHARE * bead_mm) ** 2, np.ascontiguousarray(drive.entry)
+    return NearField(
+        horizon_s=horizon_s,
+        spread_mm2_s=2.0 * alpha,
+        beam_mm2=beam_mm2,
+        first=first,
+        other=other,
+        pair=pair,
+        exact=cumulated(free * depth, horizon_s),
+        modes=cumulated(shown * of_layer(model.depth, model, age), horizon_s),
+        depth=depth,
+        inside=around_points(entry, *pieces, area_mm2, first, other, beam_mm2 + 2.0 * alpha * age[::2]),
+        pieces=pieces,
+        entry=entry,
+    )
+
+
+def near_pairs(pieces: Pieces, count: int, reach_mm: float) -> Ints:
+    """Pairs (U, 2) of islands of which some pieces lie within a reach, the lesser first, and each with itself."""
+    owner = np.repeat(np.arange(count), np.diff(pieces.first))
+    close = owner[cKDTree(pieces.place).query_pairs(reach_mm, output_type="ndarray")]
+    both = np.unique(np.sort(close, axis=1) @ np.array([count, 1])) if len(close) else np.zeros(0, np.int64)
+    itself = np.arange(count) * (count + 1)
+    keys = np.union1d(both, itself)
+    return np.column_stack([keys // count, keys % count]).astype(np.int64)
+
+
+def by_island(pairs: Ints, count: int) -> tuple[Ints, Ints, Ints]:
+    """Pairs from the view of each island: first entry (I + 1,), the other island (P,), row of the pair (P,)."""
+    apart = np.flatnonzero(pairs[:, 0] != pairs[:, 1])
+    one = np.concatenate([pairs[:, 0], pairs[apart, 1]])
+    other = np.concatenate([pairs[:, 1], pairs[apart, 0]])
+    row = np.concatenate([np.arange(len(pairs)), apart])
+    sort = np.lexsort((other, one))
+    first = np.concatenate([[0], np.cumsum(np.bincount(one, minlength=count))])
+    return first.astype(np.int64), other[sort], row[sort]
+
+
+def exact_depth(model: HeatModel) -> DepthModes:
+    """Modes of the model's depth that carry waves much shorter than a layer."""
+    depth = model.depth
+    count = min(MOST_DEPTH_WAVES, math.ceil(DEPTH_WAVES * depth.depth_mm / model.layer_mm) + 1)
+    loss = model.medium.radiation_w_mm2k / model.medium.conductivity_w_mmk
+    return depth_modes(depth.depth_mm, count, depth.cooled, loss)
+
+
+def of_layer(depth: DepthModes, model: HeatModel, age_s: Floats) -> Floats:
+    """Mean temperature of the layer by heat that was set free all over it some time ago, 1/mm."""
+    square = depth.mean_of_layer(model.layer_mm) ** 2
+    rate = model.medium.diffusivity_mm2_s * depth.wave_number**2
+    return np.asarray(np.exp(-np.multiply.outer(age_s, rate)) @ square, np.float64)
+
+
+def between_modes(eigenvalue: Floats, mean: Floats, pairs: Ints, spread_mm2: Floats) -> Floats:
+    """Share of the heat of one island of each pair in a unit area of the other by the modes, (U, Q) 1/mm^2.
+
+    `spread_mm2` (Q,) is alpha times the ages.
+    """
+    fall = np.exp(-np.multiply.outer(eigenvalue, spread_mm2))
+    by_island = np.ascontiguousarray(mean.T)
+    blocks = [pairs[n : n + CHUNK] for n in range(0, len(pairs), CHUNK)]
+    return np.concatenate([(by_island[some[:, 0]] * by_island[some[:, 1]]) @ fall for some in blocks])
+
+
+def cumulated(values: Floats, horizon_s: float) -> Floats:
+    """Integrals (U, Q + 1) of values at ages horizon (n / 2 Q)^2 from 0 to every other age, by Simpson's rule."""
+    root = np.linspace(0.0, 1.0, values.shape[1])
+    over_root = values * (2.0 * horizon_s * root)
+    parts = (over_root[:, :-1:2] + 4.0 * over_root[:, 1::2] + over_root[:, 2::2]) * root[1] / 3.0
+    return np.pad(np.cumsum(parts, axis=1), ((0, 0), (1, 0)))
+
+
+@kernel
+def between_pieces(
+    first: Ints, place: Floats, share: Floats, passed: Floats, variance: Floats, pairs: Ints, spread: Floats
+) -> Floats:
+    """Share of the heat of one island of each pair in a unit area of the other in an endless plane, (U, Q) 1/mm^2."""
+    result = np.zeros((len(pairs), len(spread)))
+    for n in range(len(pairs)):
+        for a in range(first[pairs[n, 0]], first[pairs[n, 0] + 1]):
+            for b in range(first[pairs[n, 1]], first[pairs[n, 1] + 1]):
+                away = (place[a, 0] - place[b, 0]) ** 2 + (place[a, 1] - place[b, 1]) ** 2
+                weight = share[a] * share[b]
+                for q in range(len(spread)):
+                    result[n, q] += weight * gaussian(away, variance[a] + variance[b] + spread[q])
+    return result
+
+
+@kernel
+def around_points(
+    points: Floats,
+    first: Ints,
+    place: Floats,
+    share: Floats,
+    passed: Floats,
+    variance: Floats,
+    area: Floats,
+    first_near: Ints,
+    near: Ints,
+    spread: Floats,
+) -> Floats:
+    """Share of a Gaussian around each of the points (I, 4, 2) in the islands near its own, (I, 4, Q)."""
+    count, ways = points.shape[:2]
+    result = np.zeros((count, ways, len(spread)))
+    for i in range(count):
+        for n in range(first_near[i], first_near[i + 1]):
+            j = near[n]
+            for b in range(first[j], first[j + 1]):
+                weight = share[b] * area[j]
+                for v in range(ways):
+                    away = (points[i, v, 0] - place[b, 0]) ** 2 + (points[i, v, 1] - place[b, 1]) ** 2
+                    for q in range(len(spread)):
+                        result[i, v, q] += weight * gaussian(away, variance[b] + spread[q])
+    return result
+
+
+@kernel
+def gaussian(away: float, variance: float) -> float:
+    """Density of a Gaussian of a variance along each axis, 1/mm^2, at the square of a distance."""
+    if away > FAR * variance:
+        return 0.0
+    return float(np.exp(-0.5 * away / variance) / (2.0 * np.pi * variance))
+
+
+@kernel
+def at_root(table: Floats, root: float) -> float:
+    """Value of a table whose columns lie evenly between roots 0 and 1, linear in between; beyond, the last one."""
+    place = root * (len(table) - 1)
+    node = min(int(place), len(table) - 2)
+    share = min(place - node, 1.0)
+    return float(table[node] + (table[node + 1] - table[node]) * share)
+
+
+@kernel
+def mean_rise(near: NearField, pair: int, since: float, time: float) -> float:
+    """What a pair's mean temperature by the modes lacks, over K mm^3/s, a time after the end of a time of heating."""
+    late, early = root_of(near, since + time), root_of(near, since)
+    exact, modes = near.exact[pair], near.modes[pair]
+    return at_root(exact, late) - at_root(exact, early) - at_root(modes, late) + at_root(modes, early)
+
+
+@kernel
+def entry_rise(
+    near: NearField, pair: int, island: int, way: int, source: int, left_by: int, since: float, time: float
+) -> float:
+    """What the temperature of an entry is over that of the island by the modes, over K mm^3/s of heating.
+
+    Parameters
+    ----------
+    island, way
+        Entry.
+    source, left_by
+        Island that was heated, and the way in which it was driven.
+    since, time
+        Time since the end of its heating, and the time that took, s.
+    """
+    pieces = near.pieces
+    x, y = near.entry[island, way]
+    total = 0.0
+    for m in range(pieces.first[source], pieces.first[source + 1]):
+        age = since + (1.0 - pieces.passed[left_by, m]) * time
+        if age > near.horizon_s:
+            continue
+        away = (pieces.place[m, 0] - x) ** 2 + (pieces.place[m, 1] - y) ** 2
+        dense = gaussian(away, pieces.variance[m] + near.beam_mm2 + near.spread_mm2_s * age)
+        if dense > 0.0:
+            root = np.sqrt(age / near.horizon_s)
+            depth, inside = at_root(near.depth, root), at_root(near.inside[island, way], root)
+            total += pieces.share[m] * dense * depth / inside
+    late, early = root_of(near, since + time), root_of(near, since)
+    return total * time - at_root(near.modes[pair], late) + at_root(near.modes[pair], early)
+
+
+@kernel
+def root_of(near: NearField, age: float) -> float:
+    """Place of an age in the tables: 0 for none, 1 for the horizon and beyond."""
+    return float(np.sqrt(min(max(age / near.horizon_s, 0.0), 1.0)))
