@@ -18,7 +18,10 @@ from ebamcheck.scan.touching import Touching, touch
 from ebamcheck.scan.ways import Ways
 
 WARMTH = 0.005
-"""Worsening, as a share of the first cost, that is taken at the beginning about every third time."""
+"""Worsening taken at the beginning, unless another is asked for."""
+
+TOUCH_SHARE = 1.0
+"""Price of an island that touches the one before, as a share of the first cost: no gain elsewhere is worth it."""
 
 HOTTEST_EVERY = 10
 """One move in so many starts at the hottest island; the others anywhere."""
@@ -54,6 +57,7 @@ def annealed(
     price_k_mm: float,
     steps: int,
     random: np.random.Generator,
+    warmth: float = WARMTH,
 ) -> Ints:
     """Exchange, move and turn around islands of an order.
 
@@ -73,6 +77,8 @@ def annealed(
         Cost of travel beyond it.
     steps
         Moves tried.
+    warmth
+        Worsening, as a share of the first cost, that is taken at the beginning about every third time.
     """
     count = len(order)
     if steps == 0 or count < 2:
@@ -93,6 +99,7 @@ def annealed(
         price_k_mm,
         places,
         leniency,
+        warmth,
     )
 
 
@@ -111,6 +118,7 @@ def improved(
     price: float,
     places: Ints,
     leniency: Floats,
+    warm_share: float,
 ) -> Ints:
     """Return the best order met."""
     count = len(order)
@@ -119,9 +127,9 @@ def improved(
     drive_from(0, kept, jump, way, beside, time, rapid, log)
     total = powers_from(0, 0, 0, np.arange(count), kept, rise, nodes, fresh, time, np.inf, log)
     cost = (total / count) ** (1.0 / HIGH)
-    touch_price = cost
+    touch_price = TOUCH_SHARE * cost
     cost += price * max(0.0, log.travel_mm[-1] - longest) + touch_price * log.touches[-1]
-    best_cost, warmth = cost, WARMTH * cost
+    best_cost, warmth = cost, warm_share * cost
     by_heat = np.argsort(-log.entry_k)
     for step in range(len(places)):
         a, b = places[step]

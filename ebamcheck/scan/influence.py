@@ -21,7 +21,7 @@ from ebamcheck.scan.pieces import WAYS
 NODES = 96
 """Times of the table. Their spacing grows with the time, as heat changes ever more slowly: node n lies at n^2."""
 
-FRESH_NODES = 16
+FRESH_NODES = 12
 """Times of the table of fresh heat, until its horizon."""
 
 MOST_ISLANDS = 500
@@ -107,11 +107,13 @@ def influence(heat: IslandHeat, time_s: Floats, longest_s: float) -> Influence:
 def fresh_table(near: NearField, source: Floats, time: Floats) -> tuple[Table, Table]:
     """Return the last two columns of :class:`FreshTable`."""
     rows = len(near.other)
-    mean = np.empty((rows, FRESH_NODES), np.float32)
-    entry = np.empty((rows, WAYS, WAYS, FRESH_NODES), np.float32)
+    mean = np.zeros((rows, FRESH_NODES), np.float32)
+    entry = np.zeros((rows, WAYS, WAYS, FRESH_NODES), np.float32)
     for i in range(len(near.first) - 1):
         for p in range(near.first[i], near.first[i + 1]):
             j, pair = near.other[p], near.pair[p]
+            if i == j:
+                continue
             for n in range(FRESH_NODES):
                 since = near.horizon_s * (n / (FRESH_NODES - 1)) ** 2
                 mean[p, n] = source[j] * mean_rise(near, pair, since, time[j])

@@ -4,7 +4,8 @@ The temperature of an island by the modes of its section is right for heat that 
 die out within seconds. For heat younger than a horizon the modes are therefore exchanged, between islands that are
 near each other, for Green's functions of the conduction itself: a Gaussian in the plane, times the exact function of
 the depth. What the free Gaussian would lose through the outline stays in the metal: it is divided by its own share in
-the section, which is exact far from the outline, on a straight border, in a corner, and in a thin wall.
+the metal in sight (:mod:`ebamcheck.scan.enclosed`), which is exact far from the outline, on a straight border, in a
+corner, and in a thin wall. No heat of this kind passes a gap.
 
 Two figures come from it, both on top of the modes: the mean temperature of an island, heated by islands that are warm
 as a whole; and the temperature under the beam at the point of entry, heated by the lines of islands in the sequence
@@ -17,16 +18,19 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+import shapely
 from scipy.spatial import cKDTree
+from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.heat.depth import DepthModes, depth_modes
 from ebamcheck.heat.model import HeatModel
 from ebamcheck.heat.referee import BEAM_SHARE
 from ebamcheck.kernels import kernel
-from ebamcheck.rings import Floats, Ints
+from ebamcheck.rings import Bools, Floats, Ints
 from ebamcheck.scan.drive import IslandDrive
+from ebamcheck.scan.enclosed import enclosed_share
 from ebamcheck.scan.hatch import Vectors
-from ebamcheck.scan.pieces import Pieces, line_pieces
+from ebamcheck.scan.pieces import WAYS, Pieces, line_pieces
 
 DIED_OUT = 3.0
 """Exponent by which the shortest wave of the modes has fallen at the horizon, at least: to 5 %."""
@@ -34,13 +38,16 @@ DIED_OUT = 3.0
 WITHIN_AN_ISLAND = 0.15
 """Horizon, at least, in times in which heat crosses an island, w^2 / alpha: until then its sides differ by much."""
 
-SIGMAS = 2.0
+SIGMAS = 2.5
 """Islands farther apart than so many standard deviations of the spread until the horizon do not count as near."""
 
 PIECES = 4.0
-"""Pieces of a line of an island's width, at most; and none is shorter than a bead is wide."""
+"""Pieces of a line of an island's width, at most."""
 
-AGES = 12
+SHORTEST = 0.5
+"""Shortest piece, over the width of a bead."""
+
+AGES = 10
 """Intervals of the tables; age n lies at n^2."""
 
 DEPTH_WAVES = 6.0
@@ -104,6 +111,7 @@ def near_field(
     complete: float,
     drive: IslandDrive,
     lines: Vectors,
+    section: BaseGeometry,
     centroid: Floats,
     area_mm2: Floats,
     bead_mm: float,
@@ -120,6 +128,8 @@ def near_field(
         Eigenvalue up to which it has all modes, 1/mm^2.
     lines
         Lines of the islands, sorted by island.
+    section
+        Solid region of the layer.
     centroid, area_mm2
         (I, 2) and (I,) of the islands.
     bead_mm
@@ -128,20 +138,20 @@ def near_field(
     alpha = model.medium.diffusivity_mm2_s
     count, width2 = len(area_mm2), float(area_mm2.mean())
     horizon_s = max(DIED_OUT / complete, WITHIN_AN_ISLAND * width2) / alpha
-    pieces = line_pieces(lines, centroid, area_mm2, max(bead_mm, math.sqrt(width2) / PIECES))
+    pieces = line_pieces(lines, centroid, area_mm2, max(SHORTEST * bead_mm, math.sqrt(width2) / PIECES))
     pairs = near_pairs(pieces, count, SIGMAS * math.sqrt(2.0 * alpha * horizon_s))
     first, other, pair = by_island(pairs, count)
     root = np.linspace(0.0, 1.0, 2 * AGES + 1)
     age = horizon_s * root**2
     depth = of_layer(exact_depth(model), model, age)
-    free = between_pieces(*pieces, pairs, 2.0 * alpha * age)
-    in_section = np.zeros((count, len(age)))
-    apart = pairs[:, 0] != pairs[:, 1]
-    np.add.at(in_section, pairs[:, 0], area_mm2[pairs[:, 1], None] * free)
-    np.add.at(in_section, pairs[apart, 1], area_mm2[pairs[apart, 0], None] * free[apart])
-    free /= 0.5 * (in_section[pairs[:, 0]] + in_section[pairs[:, 1]])
+    spread = 2.0 * alpha * age
+    free = between_pieces(*pieces, pairs, spread)
+    inside = of_islands(section, pieces, spread)
+    free /= 0.5 * (inside[pairs[:, 0]] + inside[pairs[:, 1]])
+    free[hidden(section, pieces, pairs, centroid, bead_mm)] = 0.0
     shown = between_modes(model.plane.eigenvalue, mean, pairs, alpha * age)
     beam_mm2, entry = 2.0 * (BEAM_SHARE * bead_mm) ** 2, np.ascontiguousarray(drive.entry)
+    around = beam_mm2 + float(pieces.variance.mean()) + spread[::2]
     return NearField(
         horizon_s=horizon_s,
         spread_mm2_s=2.0 * alpha,
@@ -152,7 +162,7 @@ def near_field(
         exact=cumulated(free * depth, horizon_s),
         modes=cumulated(shown * of_layer(model.depth, model, age), horizon_s),
         depth=depth,
-        inside=around_points(entry, *pieces, area_mm2, first, other, beam_mm2 + 2.0 * alpha * age[::2]),
+        inside=enclosed_share(section, entry.reshape(-1, 2), np.tile(around, (WAYS * count, 1))).reshape(count, WAYS, -1),
         pieces=pieces,
         entry=entry,
     )
@@ -166,6 +176,27 @@ def near_pairs(pieces: Pieces, count: int, reach_mm: float) -> Ints:
     itself = np.arange(count) * (count + 1)
     keys = np.union1d(both, itself)
     return np.column_stack([keys // count, keys % count]).astype(np.int64)
+
+
+def of_islands(section: BaseGeometry, pieces: Pieces, spread_mm2: Floats) -> Floats:
+    """Share of the heat of each island that stays in the metal in sight when it has spread by a variance, (I, Q)."""
+    share = enclosed_share(section, pieces.place, np.add.outer(2.0 * pieces.variance, spread_mm2))
+    return np.add.reduceat(pieces.share[:, None] * share, pieces.first[:-1])
+
+
+def hidden(section: BaseGeometry, pieces: Pieces, pairs: Ints, centroid: Floats, bead_mm: float) -> Bools:
+    """Whether there is a gap between the islands of each pair (U,): none where pieces lie within a bead's width."""
+    close = near_pairs(pieces, len(centroid), bead_mm) @ np.array([len(centroid), 1])
+    apart_mm = np.hypot(*(centroid[pairs[:, 1]] - centroid[pairs[:, 0]]).T)
+    # A line from an island leaves the metal only where the outline is nearer than its other end.
+    open_mm = shapely.distance(shapely.boundary(section), shapely.points(centroid))
+    doubtful = (open_mm[pairs[:, 0]] < apart_mm) & ~np.isin(pairs @ np.array([len(centroid), 1]), close)
+    apart = np.flatnonzero(doubtful)
+    shapely.prepare(section)
+    sight = shapely.linestrings(np.stack([centroid[pairs[apart, 0]], centroid[pairs[apart, 1]]], axis=1))
+    found = np.zeros(len(pairs), np.bool_)
+    found[apart] = ~shapely.covers(section, sight)
+    return found
 
 
 def by_island(pairs: Ints, count: int) -> tuple[Ints, Ints, Ints]:
@@ -226,34 +257,6 @@ def between_pieces(
                 weight = share[a] * share[b]
                 for q in range(len(spread)):
                     result[n, q] += weight * gaussian(away, variance[a] + variance[b] + spread[q])
-    return result
-
-
-@kernel
-def around_points(
-    points: Floats,
-    first: Ints,
-    place: Floats,
-    share: Floats,
-    passed: Floats,
-    variance: Floats,
-    area: Floats,
-    first_near: Ints,
-    near: Ints,
-    spread: Floats,
-) -> Floats:
-    """Share of a Gaussian around each of the points (I, 4, 2) in the islands near its own, (I, 4, Q)."""
-    count, ways = points.shape[:2]
-    result = np.zeros((count, ways, len(spread)))
-    for i in range(count):
-        for n in range(first_near[i], first_near[i + 1]):
-            j = near[n]
-            for b in range(first[j], first[j + 1]):
-                weight = share[b] * area[j]
-                for v in range(ways):
-                    away = (points[i, v, 0] - place[b, 0]) ** 2 + (points[i, v, 1] - place[b, 1]) ** 2
-                    for q in range(len(spread)):
-                        result[i, v, q] += weight * gaussian(away, variance[b] + spread[q])
     return result
 
 

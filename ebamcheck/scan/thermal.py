@@ -16,6 +16,7 @@ import numpy as np
 
 from ebamcheck.kernels import kernel, run_blocks
 from ebamcheck.rings import Bools, Floats, Ints
+from ebamcheck.scan.all_orders import MOST_LISTED, best_of_all
 from ebamcheck.scan.annealing import annealed, high_mean
 from ebamcheck.scan.drive import IslandDrive
 from ebamcheck.scan.driving import at_surface, clocked, decay, entry_points, heat_island
@@ -29,6 +30,13 @@ from ebamcheck.scan.ways import nearest_way, ways_between
 PRICES = (0.005, 0.01, 0.0025, 0.02, 0.04, 0.08, 0.16)
 """Prices of travel that are tried: in temperature rises of an island by its own heat, over widths of an island.
 The best one differs from layer to layer by chance; on the largest layers, which can afford few, it is the first."""
+
+MOST_MOVES = 1e7
+"""Moves times islands in the improvement of plans: enough for three plans of 80 islands, for all of 20, for one of 300."""
+
+WARMTHS = (0.005, 0.005, 0.05)
+"""Worsening taken at first when a plan is improved, as a share of its cost; for the first plan, the second, and so on
+from the beginning. Plans of many islands lose what they have by more; those of few find no way out by less."""
 
 STARTS = 2
 """Islands from which each price is tried."""
@@ -65,6 +73,8 @@ def thermal_order(
 ) -> Ints:
     """Order islands by heat: the coolest of several greedy plans whose travel is not too long, improved.
 
+    Of a few islands all orders are tried.
+
     Parameters
     ----------
     neighbours
@@ -83,7 +93,11 @@ def thermal_order(
     count = len(drive)
     price_k_mm = float(np.mean(own_rise(heat, drive))) / width_mm
     beside = touching(neighbours, count)
-    best, best_rank = np.arange(count), NO_RANK
+    if count <= MOST_LISTED:
+        ways = ways_between(drive)
+        latest_s = float(drive.time_s.sum() + (count - 1) * ways.jump_mm.max() / rapid_mm_s)
+        table = influence(heat, drive.time_s, latest_s)
+        return best_of_all(table, ways, beside, drive.time_s, rapid_mm_s, longest_mm)
     tries = _tries(count, len(heat.plane_rate))
 
     def plans(start: int, stop: int) -> list[tuple[Ints, Rank]]:
@@ -96,9 +110,8 @@ def thermal_order(
 
     # Threads pay on layers of many islands only.
     found = run_blocks(plans, len(tries), smallest=1 if count > MOST_ISLANDS else len(tries))
-    for order, rank in itertools.chain(*found):
-        if better(rank, best_rank):
-            best, best_rank = order, rank
+    plans_made = sorted(itertools.chain(*found), key=lambda plan: plan[1])
+    best, best_rank = plans_made[0]
     if count > MOST_ISLANDS or steps == 0:
         return best
     *_, end_s, travel = clocked(best, drive.entry, drive.leave, drive.time_s, rapid_mm_s)
@@ -106,8 +119,15 @@ def thermal_order(
     table = influence(heat, drive.time_s, float(end_s.max()) + max(travel, longest_mm) / rapid_mm_s)
     ways = ways_between(drive)
     most = min(steps, MOVES_AN_ISLAND * count)
-    tried = annealed(table, ways, beside, drive.time_s, rapid_mm_s, best, longest_mm, price_k_mm, most, random)
-    return tried if better(ranked(heat, drive, beside, rapid_mm_s, tried, longest_mm), best_rank) else best
+    for n, (start, _) in enumerate(plans_made[: max(1, int(MOST_MOVES / (most * count)))]):
+        warmth = WARMTHS[n % len(WARMTHS)]
+        tried = annealed(
+            table, ways, beside, drive.time_s, rapid_mm_s, start, longest_mm, price_k_mm, most, random, warmth
+        )
+        rank = ranked(heat, drive, beside, rapid_mm_s, tried, longest_mm)
+        if better(rank, best_rank):
+            best, best_rank = tried, rank
+    return best
 
 
 def _tries(count: int, modes: int) -> list[tuple[float, int]]:
