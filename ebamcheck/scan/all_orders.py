@@ -66,7 +66,11 @@ def listed(
         far = max(0.0, log.travel_mm[-1] - longest)
         if far <= best_far + JOINED_MM:
             touches = touching_successors(beside, order).sum()
-            if far < best_far - JOINED_MM or touches < best_touches or (touches == best_touches and total < best_total):
+            if (
+                far < best_far - JOINED_MM
+                or touches < best_touches
+                or (touches == best_touches and total < best_total)
+            ):
                 best[:], best_far, best_touches, best_total = order, far, touches, total
         first = next_order(order)
     return best

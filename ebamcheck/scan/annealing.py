@@ -201,7 +201,13 @@ def copy_start(log: Log, stop: int, result: Log) -> None:
 @kernel
 def new_log(count: int) -> Log:
     """Room for a log."""
-    return Log(np.zeros(count), np.zeros(count, np.int64), np.zeros(count), np.zeros(count), np.zeros(count, np.int64))
+    return Log(
+        np.zeros(count),
+        np.zeros(count, np.int64),
+        np.zeros(count),
+        np.zeros(count),
+        np.zeros(count, np.int64),
+    )
 
 
 @kernel

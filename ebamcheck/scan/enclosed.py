@@ -15,8 +15,11 @@ DIRECTIONS = 32
 SIGMAS = 3.0
 """The outline farther away than so many standard deviations takes nothing."""
 
-LEAST_SHARE = 0.02
-"""Least share: points on the tip of a wedge, or a hair outside, still hold their heat."""
+LEAST_SHARE = 0.05
+"""Least share, that of a wedge of 18 degrees: a point on a tip holds its heat."""
+
+ON_OUTLINE_MM = 1e-6
+"""Crossings nearer than this are the outline on which the point lies, not what its ray meets."""
 
 
 def enclosed_share(section: BaseGeometry, points: Floats, variance_mm2: Floats) -> Floats:
@@ -62,7 +65,7 @@ def in_sight(points: Floats, variance: Floats, segments: Floats) -> Floats:
                 if (left > 0.0) != (right > 0.0):
                     part = left / (left - right)
                     reach = dx * (ax + part * (bx - ax)) + dy * (ay + part * (by - ay))
-                    if 0.0 <= reach < nearest:
+                    if ON_OUTLINE_MM < reach < nearest:
                         nearest = reach
             for q in range(variance.shape[1]):
                 share[p, q] -= np.expm1(-0.5 * nearest * nearest / variance[p, q]) / DIRECTIONS

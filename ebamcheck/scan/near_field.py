@@ -162,7 +162,9 @@ def near_field(
         exact=cumulated(free * depth, horizon_s),
         modes=cumulated(shown * of_layer(model.depth, model, age), horizon_s),
         depth=depth,
-        inside=enclosed_share(section, entry.reshape(-1, 2), np.tile(around, (WAYS * count, 1))).reshape(count, WAYS, -1),
+        inside=enclosed_share(section, entry.reshape(-1, 2), np.tile(around, (WAYS * count, 1))).reshape(
+            count, WAYS, -1
+        ),
         pieces=pieces,
         entry=entry,
     )

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ebamcheck.kernels import kernel
-from ebamcheck.rings import Bools, Floats, Ints
+from ebamcheck.rings import Bools, Ints
 
 
 class Touching(NamedTuple):
@@ -27,10 +27,7 @@ def touching(neighbours: Ints, count: int) -> Touching:
 @kernel
 def touch(beside: Touching, one: int, other: int) -> bool:
     """Whether two islands have a common border."""
-    for n in range(beside.first[one], beside.first[one + 1]):
-        if beside.other[n] == other:
-            return True
-    return False
+    return bool(np.any(beside.other[beside.first[one] : beside.first[one + 1]] == other))
 
 
 @kernel
