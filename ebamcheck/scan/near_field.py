@@ -191,7 +191,7 @@ def hidden(section: BaseGeometry, pieces: Pieces, pairs: Ints, centroid: Floats,
     close = near_pairs(pieces, len(centroid), bead_mm) @ np.array([len(centroid), 1])
     apart_mm = np.hypot(*(centroid[pairs[:, 1]] - centroid[pairs[:, 0]]).T)
     # A line from an island leaves the metal only where the outline is nearer than its other end.
-    open_mm = shapely.distance(shapely.boundary(section), shapely.points(centroid))
+    open_mm = np.asarray(shapely.distance(shapely.boundary(section), shapely.points(centroid)), np.float64)
     doubtful = (open_mm[pairs[:, 0]] < apart_mm) & ~np.isin(pairs @ np.array([len(centroid), 1]), close)
     apart = np.flatnonzero(doubtful)
     shapely.prepare(section)
