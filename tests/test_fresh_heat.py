@@ -25,7 +25,7 @@ from ebamcheck.scan.enclosed import enclosed_share
 from ebamcheck.scan.hatch import Vectors
 from ebamcheck.scan.influence import influence
 from ebamcheck.scan.laying import lay_islands
-from ebamcheck.scan.near_field import at_root, entry_rise, exact_depth, of_layer, root_of
+from ebamcheck.scan.near_field import entry_rise, exact_depth, of_layer
 from ebamcheck.scan.order import scan_order
 from ebamcheck.scan.pieces import WAYS, line_pieces
 from ebamcheck.scan.regions import layer_section
@@ -117,10 +117,7 @@ def test_the_entry_is_as_hot_as_an_integral_over_the_moving_beam(choices, since)
     middle = int(np.argmin(np.hypot(*(choices.centroid - [80.0, 55.0]).T)))
     pairs = choices.neighbours
     beside = int(np.setdiff1d(pairs[(pairs == middle).any(axis=1)], [middle])[0])
-    row = near.first[middle] + int(
-        np.flatnonzero(near.other[near.first[middle] : near.first[middle + 1]] == beside)[0]
-    )
-    pair, time_s = near.pair[row], drive.time_s[beside]
+    time_s = drive.time_s[beside]
     own = lines.island == beside
     a, b = lines.start[own], lines.end[own]
     edges = np.concatenate([[0.0], np.cumsum(np.hypot(*(b - a).T))])
@@ -136,15 +133,10 @@ def test_the_entry_is_as_hot_as_an_integral_over_the_moving_beam(choices, since)
         return in_plane * float(layer_in_half_space(ago))
 
     youngest, oldest = since, min(since + time_s, near.horizon_s)
-    shown = at_root(near.modes[pair], root_of(near, since + time_s)) - at_root(
-        near.modes[pair], root_of(near, since)
-    )
     bead2 = 2.0 * (0.25 * process.bead_width_mm) ** 2 + float(near.pieces.variance.mean())
     hottest = 0.0
     for way in range(WAYS):
-        found = heat.source_k_s[beside] * (
-            entry_rise(near, pair, middle, way, beside, 0, since, time_s) + shown
-        )
+        found = heat.source_k_s[beside] * entry_rise(near, middle, way, beside, 0, since, time_s)
         knots = since + time_s - edges[1:-1]
         exact, _ = quad(
             rise,
@@ -298,11 +290,11 @@ def test_all_orders_of_five_islands_hold_none_better():
     for longest_mm in (0.5 * shortest, 1.2 * shortest, 1e9):
         found = best_of_all(table, ways, beside, drive.time_s, RAPID, longest_mm)
         ranks = [ranked(islands.heat, drive, beside, RAPID, order, longest_mm) for order in every]
-        least_far = min(rank[0] for rank in ranks)
-        ranks = [rank for rank in ranks if rank[0] < least_far + 1e-6]
-        fewest = min(rank[1] for rank in ranks)
-        coolest = min(rank[2] for rank in ranks if rank[1] == fewest)
-        far, touches, warm = ranked(islands.heat, drive, beside, RAPID, found, longest_mm)
+        fewest = min(rank[0] for rank in ranks)
+        ranks = [rank for rank in ranks if rank[0] == fewest]
+        least_far = min(rank[1] for rank in ranks)
+        coolest = min(rank[2] for rank in ranks if rank[1] < least_far + 1e-6)
+        touches, far, warm = ranked(islands.heat, drive, beside, RAPID, found, longest_mm)
         assert far == pytest.approx(least_far, abs=1e-6)
         assert touches == fewest
         # The table lies between nodes of time.
@@ -319,8 +311,11 @@ def test_small_layers_take_the_best_of_all_orders():
     random = np.random.default_rng(0)
     for _ in range(300):
         other = ranked(islands.heat, drive, beside, RAPID, random.permutation(len(islands)), longest_mm)
-        assert best[0] <= other[0] + 1e-6
-        assert best[0] < other[0] or best[1] < other[1] or best[2] <= 1.02 * other[2]
+        # The table lies between nodes of time.
+        assert best[0] <= other[0]
+        if best[0] == other[0]:
+            assert best[1] <= other[1] + 1e-6
+            assert best[1] < other[1] - 1e-6 or best[2] <= 1.02 * other[2]
 
 
 def test_ways_are_those_that_are_clocked(choices):

@@ -19,7 +19,7 @@ MOST_LISTED = 8
 def best_of_all(
     table: Influence, ways: Ways, beside: Touching, time_s: Floats, rapid_mm_s: float, longest_mm: float
 ) -> Ints:
-    """Order islands by trying all orders: least travel too long, then fewest touching successors, then coolest.
+    """Order islands by trying all orders: fewest touching successors, then least travel too long, then coolest.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def listed(
     """See :func:`best_of_all`."""
     count = len(time)
     order = np.arange(count)
-    best, best_far, best_touches, best_total = order.copy(), np.inf, count, np.inf
+    best, best_touches, best_far, best_total = order.copy(), count, np.inf, np.inf
     log, first = new_log(count), 0
     while first >= 0:
         drive_from(first, order, jump, way, beside, time, rapid, log)
@@ -63,15 +63,11 @@ def listed(
             if place >= first:
                 log.entry_k[place] = entry_temperature(place, order, rise, nodes, fresh, time, log)
             total += power(log.entry_k[place])
-        far = max(0.0, log.travel_mm[-1] - longest)
-        if far <= best_far + JOINED_MM:
-            touches = touching_successors(beside, order).sum()
-            if (
-                far < best_far - JOINED_MM
-                or touches < best_touches
-                or (touches == best_touches and total < best_total)
-            ):
-                best[:], best_far, best_touches, best_total = order, far, touches, total
+        far, touches = max(0.0, log.travel_mm[-1] - longest), touching_successors(beside, order).sum()
+        shorter, as_short = far < best_far - JOINED_MM, far <= best_far + JOINED_MM
+        as_good = touches == best_touches and (shorter or (as_short and total < best_total))
+        if touches < best_touches or as_good:
+            best[:], best_touches, best_far, best_total = order, touches, far, total
         first = next_order(order)
     return best
 

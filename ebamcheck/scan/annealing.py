@@ -20,8 +20,8 @@ from ebamcheck.scan.ways import Ways
 WARMTH = 0.005
 """Worsening taken at the beginning, unless another is asked for."""
 
-TOUCH_SHARE = 1.0
-"""Price of an island that touches the one before, as a share of the first cost: no gain elsewhere is worth it."""
+TOUCH_SHARE = 100.0
+"""Price of an island that touches the one before, over the first cost: no gain in heat or travel is worth it."""
 
 HOTTEST_EVERY = 10
 """One move in so many starts at the hottest island; the others anywhere."""

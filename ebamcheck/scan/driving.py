@@ -8,7 +8,7 @@ from ebamcheck.kernels import kernel
 from ebamcheck.rings import Floats, Ints
 from ebamcheck.scan.drive import IslandDrive
 from ebamcheck.scan.island_heat import IslandHeat
-from ebamcheck.scan.near_field import NearField, entry_rise, mean_rise
+from ebamcheck.scan.near_field import NearField, fresh_rise
 from ebamcheck.scan.ways import nearest_way
 
 LEAST_DECAY = 1e-9
@@ -81,8 +81,9 @@ def freshly_heated(
             if place[j] >= place[i] or place[j] < 0 or since > near.horizon_s:
                 continue
             time = end[j] - start[j]
-            means[i] += source[j] * mean_rise(near, near.pair[p], since, time)
-            points[i] += source[j] * entry_rise(near, near.pair[p], i, way[i], j, way[j], since, time)
+            mean, point = fresh_rise(near, near.pair[p], i, way[i], j, way[j], since, time)
+            means[i] += source[j] * mean
+            points[i] += source[j] * point
     return means, points
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ebamcheck.kernels import kernel
 from ebamcheck.rings import Floats
 from ebamcheck.scan.island_heat import IslandHeat
-from ebamcheck.scan.near_field import NearField, entry_rise, mean_rise
+from ebamcheck.scan.near_field import NearField, fresh_rise
 from ebamcheck.scan.pieces import WAYS
 
 NODES = 96
@@ -116,12 +116,11 @@ def fresh_table(near: NearField, source: Floats, time: Floats) -> tuple[Table, T
                 continue
             for n in range(FRESH_NODES):
                 since = near.horizon_s * (n / (FRESH_NODES - 1)) ** 2
-                mean[p, n] = source[j] * mean_rise(near, pair, since, time[j])
                 for way in range(WAYS):
                     for left_by in range(WAYS):
-                        entry[p, way, left_by, n] = source[j] * entry_rise(
-                            near, pair, i, way, j, left_by, since, time[j]
-                        )
+                        fresh = fresh_rise(near, pair, i, way, j, left_by, since, time[j])
+                        mean[p, n] = source[j] * fresh[0]
+                        entry[p, way, left_by, n] = source[j] * fresh[1]
     return mean, entry
 
 

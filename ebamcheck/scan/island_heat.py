@@ -29,6 +29,9 @@ made on finer cells were no cooler in a finer simulation."""
 PLANNING_MODES = 400
 """Modes of the section that a plan uses at most: beyond, only the longest waves count."""
 
+PLANNING_WORK = 4e9
+"""Modes times the square of the islands in a plan at most: over 3000 islands it knows fewer modes."""
+
 SIMULATION_MODES = 800
 """Modes of the section that a simulation uses at most."""
 
@@ -109,7 +112,8 @@ def island_heat(
     medium, process = Medium.of(profile), profile.process
     width_mm = math.sqrt(section.area / max(len(islands), 1))
     largest = (2.0 * math.pi / (width_mm * (SIMULATION_WAVE if fine else PLANNING_WAVE))) ** 2
-    most, cells = (SIMULATION_MODES, SIMULATION_CELLS) if fine else (PLANNING_MODES, PLANNING_CELLS)
+    planned = max(1, min(PLANNING_MODES, int(PLANNING_WORK / max(len(islands), 1) ** 2)))
+    most, cells = (SIMULATION_MODES, SIMULATION_CELLS) if fine else (planned, PLANNING_CELLS)
     plane = contour_modes(section, largest, most, cells)
     depth_mm = max(height_mm, 0.0) + process.base_plate_mm
     waves = min(MOST_DEPTH_MODES, math.ceil(depth_mm * math.sqrt(largest) / math.pi) + 1)

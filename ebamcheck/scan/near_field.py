@@ -41,6 +41,9 @@ WITHIN_AN_ISLAND = 0.15
 SIGMAS = 2.5
 """Islands farther apart than so many standard deviations of the spread until the horizon do not count as near."""
 
+MOST_REACH = 6.0
+"""Reach of what is near, at most, in widths of an island: on over 3000 islands, of 140 to each."""
+
 PIECES = 4.0
 """Pieces of a line of an island's width, at most."""
 
@@ -56,8 +59,8 @@ DEPTH_WAVES = 6.0
 MOST_DEPTH_WAVES = 2000
 """Waves of the depth at most."""
 
-FAR = 40.0
-"""Squared distances over this times the variance bring nothing: exp(-20)."""
+FAR = 16.0
+"""Squared distances over this times the variance bring nothing: exp(-8)."""
 
 CHUNK = 4096
 """Pairs whose products of modes are in memory at a time."""
@@ -137,7 +140,8 @@ def near_field(
     """
     alpha = model.medium.diffusivity_mm2_s
     count, width2 = len(area_mm2), float(area_mm2.mean())
-    horizon_s = max(DIED_OUT / complete, WITHIN_AN_ISLAND * width2) / alpha
+    longest_mm2 = 0.5 * width2 * (MOST_REACH / SIGMAS) ** 2
+    horizon_s = min(max(DIED_OUT / complete, WITHIN_AN_ISLAND * width2), longest_mm2) / alpha
     pieces = line_pieces(lines, centroid, area_mm2, max(SHORTEST * bead_mm, math.sqrt(width2) / PIECES))
     pairs = near_pairs(pieces, count, SIGMAS * math.sqrt(2.0 * alpha * horizon_s))
     first, other, pair = by_island(pairs, count)
@@ -280,43 +284,46 @@ def at_root(table: Floats, root: float) -> float:
 
 
 @kernel
-def mean_rise(near: NearField, pair: int, since: float, time: float) -> float:
-    """What a pair's mean temperature by the modes lacks, over K mm^3/s, a time after the end of a time of heating."""
-    late, early = root_of(near, since + time), root_of(near, since)
-    exact, modes = near.exact[pair], near.modes[pair]
-    return at_root(exact, late) - at_root(exact, early) - at_root(modes, late) + at_root(modes, early)
-
-
-@kernel
-def entry_rise(
+def fresh_rise(
     near: NearField, pair: int, island: int, way: int, source: int, left_by: int, since: float, time: float
-) -> float:
-    """What the temperature of an entry is over that of the island by the modes, over K mm^3/s of heating.
+) -> tuple[float, float]:
+    """What an island's mean temperature, and that of its entry, are over its mean by the modes; over K mm^3/s of heating.
 
     Parameters
     ----------
+    pair
+        Row of the two islands.
     island, way
-        Entry.
+        Island, and its entry.
     source, left_by
         Island that was heated, and the way in which it was driven.
     since, time
         Time since the end of its heating, and the time that took, s.
     """
+    late, early = root_of(near, since + time), root_of(near, since)
+    shown = at_root(near.modes[pair], late) - at_root(near.modes[pair], early)
+    mean = at_root(near.exact[pair], late) - at_root(near.exact[pair], early)
+    return mean - shown, entry_rise(near, island, way, source, left_by, since, time) - shown
+
+
+@kernel
+def entry_rise(
+    near: NearField, island: int, way: int, source: int, left_by: int, since: float, time: float
+) -> float:
+    """Rise of the temperature at an entry by another island, over K mm^3/s of heating: see :func:`fresh_rise`."""
     pieces = near.pieces
     x, y = near.entry[island, way]
     total = 0.0
     for m in range(pieces.first[source], pieces.first[source + 1]):
         age = since + (1.0 - pieces.passed[left_by, m]) * time
-        if age > near.horizon_s:
-            continue
+        variance = pieces.variance[m] + near.beam_mm2 + near.spread_mm2_s * age
         away = (pieces.place[m, 0] - x) ** 2 + (pieces.place[m, 1] - y) ** 2
-        dense = gaussian(away, pieces.variance[m] + near.beam_mm2 + near.spread_mm2_s * age)
-        if dense > 0.0:
-            root = np.sqrt(age / near.horizon_s)
-            depth, inside = at_root(near.depth, root), at_root(near.inside[island, way], root)
-            total += pieces.share[m] * dense * depth / inside
-    late, early = root_of(near, since + time), root_of(near, since)
-    return total * time - at_root(near.modes[pair], late) + at_root(near.modes[pair], early)
+        if age > near.horizon_s or away > FAR * variance:
+            continue
+        root = np.sqrt(age / near.horizon_s)
+        dense = pieces.share[m] * gaussian(away, variance)
+        total += dense * at_root(near.depth, root) / at_root(near.inside[island, way], root)
+    return total * time
 
 
 @kernel

@@ -2,15 +2,15 @@
 
 The score of an island is its temperature at the time it would be entered, plus the travel to it and the start of the
 wire, each at its price in kelvin. Its temperature is its mean, or that under the beam where it would be entered
-(:mod:`~ebamcheck.scan.near_field`), whichever is more. No island follows one that it touches while another is left. A low price of travel makes cool but long ways; so plans for
-several prices are made, the coolest is kept among those whose way is short enough, and that one is improved
-(:mod:`~ebamcheck.scan.annealing`).
+(:mod:`~ebamcheck.scan.near_field`), whichever is more. No island follows one that it touches while another is left. A
+low price of travel makes cool but long ways; so plans for several prices are made, and the coolest of those whose way
+is short enough are improved (:mod:`~ebamcheck.scan.annealing`). Of a few islands all orders are tried
+(:mod:`~ebamcheck.scan.all_orders`).
 """
 
 from __future__ import annotations
 
 import itertools
-import math
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from ebamcheck.scan.drive import IslandDrive
 from ebamcheck.scan.driving import at_surface, clocked, decay, entry_points, heat_island
 from ebamcheck.scan.influence import MOST_ISLANDS, influence
 from ebamcheck.scan.island_heat import IslandHeat
-from ebamcheck.scan.near_field import NearField, entry_rise, mean_rise
+from ebamcheck.scan.near_field import NearField, fresh_rise
 from ebamcheck.scan.path import JOINED_MM
 from ebamcheck.scan.touching import Touching, touching, touching_successors
 from ebamcheck.scan.ways import nearest_way, ways_between
@@ -44,17 +44,11 @@ STARTS = 2
 MOST_WORK = 4e9
 """Multiplications in one search, which limits the plans tried on a layer of thousands of islands: to two of 2100."""
 
-MOST_GREEDY_WORK = 4e9
-"""Multiplications in one plan: on a layer of over 3000 islands it looks at fewer modes, the slowest to die out first."""
-
 MOVES_AN_ISLAND = 800
 """Moves tried for each island when a plan is improved: on layers of few, more find nothing."""
 
-Rank = tuple[float, int, float]
+Rank = tuple[int, float, float]
 """Rank of a plan, see :func:`ranked`: the less the better."""
-
-NO_RANK = (math.inf, 0, math.inf)
-"""Rank of no plan."""
 
 TIE_K = 1e-6
 """Scores closer than this are equal: rounding must not decide between islands that mirror each other."""
@@ -138,7 +132,7 @@ def _tries(count: int, modes: int) -> list[tuple[float, int]]:
 
 
 def better(rank: Rank, than: Rank) -> bool:
-    """Whether a plan has less travel too much, or fewer touching successors, or is as good in both and cooler."""
+    """Whether a plan has fewer touching successors, or less travel too much, or is as good in both and cooler."""
     return rank[:2] < than[:2] or (rank[:2] == than[:2] and rank[2] < than[2] - TIE_K)
 
 
@@ -156,11 +150,11 @@ def own_rise(heat: IslandHeat, drive: IslandDrive) -> Floats:
 def ranked(
     heat: IslandHeat, drive: IslandDrive, beside: Touching, rapid_mm_s: float, order: Ints, longest_mm: float
 ) -> Rank:
-    """Rank of a plan: travel beyond what is allowed, mm; touching successors; high mean of the entry temperatures, K."""
+    """Rank of a plan: touching successors; travel beyond what is allowed, mm; high mean of the entry temperatures, K."""
     start_s, end_s, travel = clocked(order, drive.entry, drive.leave, drive.time_s, rapid_mm_s)
     means_k, points_k = entry_points(heat, drive, order, start_s, end_s)
     too_near = int(touching_successors(beside, order).sum())
-    return max(0.0, travel - longest_mm), too_near, high_mean(np.maximum(means_k, points_k))
+    return too_near, max(0.0, travel - longest_mm), high_mean(np.maximum(means_k, points_k))
 
 
 def greedy_order(
@@ -173,10 +167,9 @@ def greedy_order(
     start_k: float,
 ) -> Ints:
     """Order islands by heat for one price of travel (K/mm) and of a wire start (K)."""
-    modes = max(1, min(len(heat.plane_rate), int(MOST_GREEDY_WORK / len(drive) ** 2)))
     return coolest_first(
-        heat.mean[:modes].copy(),
-        heat.plane_rate[:modes],
+        heat.mean.copy(),
+        heat.plane_rate,
         heat.depth_rate,
         heat.in_layer,
         heat.source_k_s,
@@ -187,7 +180,7 @@ def greedy_order(
         first,
         price_k_mm,
         start_k,
-        heat.start_k[:modes].copy(),
+        heat.start_k.copy(),
         heat.fresh,
         beside,
     )
@@ -301,7 +294,6 @@ def add_fresh(
             if scanned[i]:
                 continue
             since = now - end[last] + jumps[i] / rapid
-            means[i] += source[last] * mean_rise(near, near.pair[p], since, time[last])
-            points[i] += source[last] * entry_rise(
-                near, near.pair[p], i, by[i], last, ways[last], since, time[last]
-            )
+            mean, point = fresh_rise(near, near.pair[p], i, by[i], last, ways[last], since, time[last])
+            means[i] += source[last] * mean
+            points[i] += source[last] * point
