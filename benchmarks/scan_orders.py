@@ -266,12 +266,17 @@ def main() -> None:
         count, islands = len(ranks), ranks["islands"].median()
         title = f"## {base} base: medians of {count} layers of {ranks['model'].nunique()} models, {islands:.0f} islands"
         tables.append(f"{title}\n\n{markdown(figures_table(plans))}")
-    here = machine()
+    here, ran = machine(), ",".join(plans["order"].unique())
+    what = (
+        "Temperatures are rises over the chamber, K: `entry` of whole islands when the beam enters them, `entry_point` under "
+        "the beam there (hottest spot at entry); `referee` by the nonlinear referee. `touching` is the share of islands "
+        "that follow one they touch, though another is left.\n"
+    )
     text = "\n".join(
         [
             "# Scan orders by heat\n",
-            f"By `python -m benchmarks.scan_orders` on {here['cores']} cores of {here['cpu']}.\n",
-            "Temperatures are rises over the chamber, K; `referee_max_k` is by the nonlinear referee.\n",
+            f"By `python -m benchmarks.scan_orders --orders {ran}` on {here['cores']} cores of {here['cpu']}.\n",
+            what,
             markdown(pd.DataFrame(rows)),
             *tables,
         ]
