@@ -20,7 +20,10 @@ from ebamcheck.pipeline.fitted import fitted
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.work import Job
 from ebamcheck.program import Check, mark_validated, program_summary, read_program, verify_program
+from ebamcheck.program.bead_ends import planned_path
+from ebamcheck.program.events import event_totals, process_events
 from ebamcheck.program.text_heat import build_times_s, known_sections
+from ebamcheck.program.toolpath import Toolpath
 from ebamcheck.scan import ScanPlan, plan_stack
 
 SAMPLING_MM = 0.002
@@ -55,9 +58,10 @@ def make_program(
     with job.stage("program", 1):
         beads = bead_paths(smooth, plan, config)
         beads.to_parquet(job.folder.path / "beads.parquet")
-        checks = _write_and_verify(
-            job, beads, plan, layers, _witness(job, layers, checked.done), gates.fit_distance_mm(deviation)
-        )
+        path = planned_path(beads, plan, config)
+        totals = _write_events(job, path, plan)
+        witness = _witness(job, layers, checked.done)
+        checks = _write_and_verify(job, beads, plan, path, layers, witness, gates.fit_distance_mm(deviation))
     made = [
         gates.fit_gate(deviation, config),
         gates.coverage_gate(plan.metrics, config),
@@ -69,10 +73,7 @@ def make_program(
         "order": config.scan.order,
         "seed": config.scan.seed,
         "islands": len(plan.islands),
-        "hatch_mm": float(plan.metrics["hatch_length_mm"].sum()),
-        "travel_mm": float(plan.metrics["travel_mm"].sum()),
-        "starts": int(plan.metrics["starts"].sum()),
-        "time_s": float(plan.metrics["time_s"].sum()),
+        **totals,
     }
     if validated_so_far and all(gate.passed for gate in made) and not has_fault(job.findings):
         files = mark_validated(job.record.pop("files"))
@@ -112,8 +113,24 @@ def _witness(job: Job, layers: Layers, done: Sequence[str]) -> Layers:
     return job.folder.read_layers(best) if best else layers
 
 
+def _write_events(job: Job, path: Toolpath, plan: ScanPlan) -> dict[str, float]:
+    """Write the events of the program and their totals by layer; the sums of these over the part."""
+    events = process_events(path, plan, job.config)
+    events.to_parquet(job.folder.path / "events.parquet", index=False, compression="zstd")
+    totals = event_totals(events, len(path.z), job.config)
+    totals.to_csv(job.folder.path / "process.csv", index=False)
+    sums = {name: float(totals[name].sum()) for name in totals.columns if name != "layer"}
+    return {**sums, "time_s": sums["deposit_s"] + sums["travel_s"] + sums["wait_s"]}
+
+
 def _write_and_verify(
-    job: Job, beads: Curves, plan: ScanPlan, contours: Layers, witness: Layers, fit_mm: float
+    job: Job,
+    beads: Curves,
+    plan: ScanPlan,
+    path: Toolpath,
+    contours: Layers,
+    witness: Layers,
+    fit_mm: float,
 ) -> list[Check]:
     """Write the program, read its text back and check it against what it was made from."""
     header = {"PART SHA-256": job.part.source_sha256 or job.part.sha256}
@@ -128,6 +145,7 @@ def _write_and_verify(
             config=job.config,
             curves=beads,
             plan=plan,
+            path=path,
             layers=witness,
             metal=True,
             sha256=files.sha256,

@@ -36,6 +36,12 @@ def driven_path(
     return with_wire(with_bead_ends(path, config.process, decimals), plan, config, decimals)
 
 
+def planned_path(curves: CurveColumns, plan: ScanColumns, config: Config) -> Toolpath:
+    """Lay out the tracks of a stack with exact curves, whatever form of them a control has."""
+    machine = config.machine
+    return driven_path(curves, plan, config, machine.printed_decimals, "cubics", machine.line_tolerance_mm)
+
+
 def with_bead_ends(path: Toolpath, process: ProcessSettings, decimals: int) -> Toolpath:
     """Start, overlap and ramp the beads of a path as the process asks.
 

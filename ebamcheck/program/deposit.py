@@ -22,6 +22,7 @@ from ebamcheck.layers import Layers
 from ebamcheck.metal import Surface, Target, target_of
 from ebamcheck.metal.surface import FILM, HALF
 from ebamcheck.program.motions import NCProgram
+from ebamcheck.program.templates import wire_mm2
 from ebamcheck.program.wire import metal_region
 from ebamcheck.rings import Bools, Floats, Ints
 from ebamcheck.scan.regions import layer_section
@@ -68,9 +69,8 @@ def deposit(nc: NCProgram, layers: Layers, z_of: Floats, config: Config) -> Depo
     some = [s for s in sections if not s.is_empty]
     bounds = np.asarray(shapely.total_bounds(some), np.float64) if some else np.zeros(4)
     field = _Field(bounds, process.bead_width_mm)
-    wire_mm2 = 0.25 * math.pi * process.wire_diameter_mm**2
     with np.errstate(divide="ignore", invalid="ignore"):
-        bead_mm2 = np.nan_to_num(nc.wire_mm_s * wire_mm2 / (nc.feed_mm_min / 60.0), posinf=0.0)
+        bead_mm2 = np.nan_to_num(nc.wire_mm_s * wire_mm2(config) / (nc.feed_mm_min / 60.0), posinf=0.0)
     found, first = [], np.full(len(layers), -1, np.int64)
     for k, section in enumerate(sections):
         mine = rows[index == k]

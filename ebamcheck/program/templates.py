@@ -86,8 +86,12 @@ def wire_speed_mm_s(config: Config, width_mm: float, thickness_mm: float) -> flo
     >>> round(wire_speed_mm_s(Config(), 4.0, 1.6755), 2)
     33.33
     """
-    wire_mm2 = 0.25 * math.pi * config.process.wire_diameter_mm**2
-    return config.process.travel_speed_mm_s * width_mm * thickness_mm / wire_mm2
+    return config.process.travel_speed_mm_s * width_mm * thickness_mm / wire_mm2(config)
+
+
+def wire_mm2(config: Config) -> float:
+    """Section of the wire."""
+    return 0.25 * math.pi * config.process.wire_diameter_mm**2
 
 
 def process_values(config: Config, layer: int, height_mm: float, thickness_mm: float) -> ProcessValues:

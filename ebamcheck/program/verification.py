@@ -13,6 +13,7 @@ from ebamcheck.errors import InputError
 from ebamcheck.layers import Layers
 from ebamcheck.program.bead_checks import bead_checks, repeated_blocks
 from ebamcheck.program.bead_end_checks import bead_end_checks
+from ebamcheck.program.bead_ends import planned_path
 from ebamcheck.program.checks import Check
 from ebamcheck.program.deposit import deposit
 from ebamcheck.program.deposit_checks import deposit_checks
@@ -26,6 +27,7 @@ from ebamcheck.program.section_check import section_check
 from ebamcheck.program.state_checks import state_checks
 from ebamcheck.program.text_checks import text_checks
 from ebamcheck.program.text_heat import known_sections
+from ebamcheck.program.toolpath import Toolpath
 from ebamcheck.program.window_checks import window_check
 from ebamcheck.program.wire_checks import wire_check
 from ebamcheck.scan.turns import TURN_SPACINGS
@@ -44,6 +46,7 @@ def verify_program(
     curves: CurveColumns | None = None,
     plan: ScanColumns | None = None,
     layers: Layers | None = None,
+    path: Toolpath | None = None,
     smooth: Layers | None = None,
     beads: bool = False,
     metal: bool = False,
@@ -63,6 +66,8 @@ def verify_program(
         What the program was made from: path, islands, vectors are compared with them.
     layers
         Sections by a slicer, best by one that did not make the program; compared with the contour path.
+    path
+        The tracks laid out of both, where they are there already.
     smooth
         The same sections with the curves that their chords stand for: the path has to lie near them where the
         chords alone leave it room.
@@ -87,7 +92,9 @@ def verify_program(
     """
     turn_limit_mm = TURN_SPACINGS * config.process.hatch_spacing_mm
     checks = text_checks(nc, sha256) + state_checks(nc, config, turn_limit_mm)
-    checks.append(wire_check(nc, config, curves, plan))
+    if path is None and curves is not None and plan is not None:
+        path = planned_path(curves, plan, config)
+    checks.append(wire_check(nc, config, path))
     heat = None if plan is None else interpass_of(plan, config)
     shares = np.minimum(layer_shares(nc, config.process.power_w), 1.0) if heat is None else heat.power_share
     checks += [*bead_end_checks(nc, config, shares), closure_check(nc, curves, tolerance_mm)]

@@ -7,12 +7,12 @@ import math
 import numpy as np
 
 from ebamcheck.config import Config
-from ebamcheck.program.bead_ends import driven_path
 from ebamcheck.program.bead_parts import path_points
 from ebamcheck.program.checks import Check, worst_check
 from ebamcheck.program.cuts import segment_lengths
-from ebamcheck.program.inputs import CurveColumns, ScanColumns
 from ebamcheck.program.motions import NCProgram
+from ebamcheck.program.templates import wire_mm2
+from ebamcheck.program.toolpath import Toolpath
 from ebamcheck.program.wire import width_limits_mm
 from ebamcheck.rings import Floats, Ints
 
@@ -25,17 +25,17 @@ NEAR_MM = 0.2
 """Wire changes between blocks, whose ends are rounded, and which other curve forms place elsewhere by so much."""
 
 
-def wire_check(nc: NCProgram, config: Config, curves: CurveColumns | None, plan: ScanColumns | None) -> Check:
+def wire_check(nc: NCProgram, config: Config, path: Toolpath | None) -> Check:
     """Check the metal that each motion lays: wire speed times its section over the feed, against what it is to be.
 
-    With the curves and the plan of the program, every bead has its own width; without them, the limits of the wire feed
-    and of the pool hold.
+    With the path that was planned, every bead has its own width; without it, the limits of the wire feed and of the pool
+    hold.
     """
     rows = np.flatnonzero(nc.deposit & (nc.layer >= 0))
     bead_mm2 = _bead_mm2(nc, rows, config)
-    if curves is None or plan is None:
+    if path is None:
         return _within_limits(nc, rows, bead_mm2, config)
-    wanted = _wanted_mm2(nc, rows, curves, plan, config)
+    wanted = _wanted_mm2(nc, rows, path)
     if wanted is None:
         text = "beads of the program are not those of the plan: their wire cannot be compared"
         where = nc.where(int(rows[0])) if rows.size else f"{nc.files[0].name}:1"
@@ -47,9 +47,8 @@ def wire_check(nc: NCProgram, config: Config, curves: CurveColumns | None, plan:
 
 def _bead_mm2(nc: NCProgram, rows: Ints, config: Config) -> Floats:
     """Section of the bead that each motion lays, (n,) mm2; NaN where wire or feed is not known."""
-    wire_mm2 = 0.25 * math.pi * config.process.wire_diameter_mm**2
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(nc.wire_mm_s[rows] * wire_mm2 / (nc.feed_mm_min[rows] / 60.0), np.float64)
+        return np.asarray(nc.wire_mm_s[rows] * wire_mm2(config) / (nc.feed_mm_min[rows] / 60.0), np.float64)
 
 
 def _within_limits(nc: NCProgram, rows: Ints, bead_mm2: Floats, config: Config) -> Check:
@@ -69,13 +68,8 @@ def _within_limits(nc: NCProgram, rows: Ints, bead_mm2: Floats, config: Config) 
     return worst_check(NAME, nc, rows, off, WIRE_TOLERANCE, "of the bead", what)
 
 
-def _wanted_mm2(
-    nc: NCProgram, rows: Ints, curves: CurveColumns, plan: ScanColumns, config: Config
-) -> Floats | None:
+def _wanted_mm2(nc: NCProgram, rows: Ints, path: Toolpath) -> Floats | None:
     """Sections that the plan asks for at and just beside the middle of each motion, (n, 3) mm2; None where beads differ."""
-    path = driven_path(
-        curves, plan, config, config.machine.printed_decimals, "cubics", config.machine.line_tolerance_mm
-    )
     planned = segment_lengths(path.kind, path_points(path))
     ends = np.cumsum(planned)
     bounds = np.concatenate([[0.0], ends])[

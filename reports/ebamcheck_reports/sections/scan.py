@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from ebamcheck.scan import ScanPlan
@@ -53,12 +56,24 @@ def _metrics(run: RunData, plan: ScanPlan) -> Markup:
             ("covered by beads, all layers", figure(mean, text=percent(mean))),
             ("covered by beads, least layer", figure(covered.min(), text=percent(covered.min()))),
             ("hatch lines", figure(record["hatch_mm"], "mm")),
-            ("jumps between lines", figure(record["travel_mm"], "mm")),
+            *_further_lengths(record),
+            ("moves with the beam off", figure(record["travel_mm"], "mm")),
             ("starts of the wire", figure(record["starts"])),
-            ("time of hatching and jumps", figure(record["time_s"], text=duration(record["time_s"]))),
+            ("time of beads, moves and waits", figure(record["time_s"], text=duration(record["time_s"]))),
             ("least time between neighbours", _least(metrics["interval_min_s"])),
         ]
     )
+
+
+def _further_lengths(record: Mapping[str, Any]) -> list[tuple[str, Markup]]:
+    """Lengths of the other beads; runs of earlier versions have none of them."""
+    names = {
+        "contour_mm": "contours",
+        "turn_mm": "turns between lines",
+        "wall_mm": "beads of thin walls",
+        "gap_mm": "beads over gaps",
+    }
+    return [(text, figure(record[name], "mm")) for name, text in names.items() if name in record]
 
 
 def _extent(low: float, high: float) -> Markup:
