@@ -1,0 +1,232 @@
+"""The metal of programs: right on parts of any shape, and planted faults that shut the gate."""
+
+import re
+
+import numpy as np
+import pytest
+import shapely
+
+from ebamcheck.config import Config
+from ebamcheck.curves import Curves
+from ebamcheck.layers import from_polygons
+from ebamcheck.pipeline.gates import deposit_gate
+from ebamcheck.pipeline.programming import bead_paths
+from ebamcheck.program import program_summary, read_program, write_program
+from ebamcheck.program.bead_ends import planned_path
+from ebamcheck.program.deposit import deposit
+from ebamcheck.program.deposit_checks import DEPOSIT_CHECKS, deposit_checks
+from ebamcheck.program.events import COLUMNS, event_totals, process_events
+from ebamcheck.program.inputs import deposition_heights
+from ebamcheck.program.wire_checks import wire_check
+from ebamcheck.scan import plan_stack
+
+CONFIG = Config().changed(scan={"order": "raster"}, process={"interpass": "off"})
+DISC = shapely.Point(3, -8).buffer(45, 64)
+PARTS = {
+    "square": shapely.box(0, 0, 100, 100),
+    "ring": DISC.difference(shapely.Point(0, -5).buffer(14, 32)),
+    "frame": shapely.box(0, 0, 90, 60).difference(shapely.box(14, 14, 76, 46)),
+    "wedge": shapely.Polygon([(0, 0), (120, 0), (0, 40)]),
+    "wall of two beads": shapely.box(0, 0, 100, 11),
+    "wall of one bead": shapely.box(0, 0, 100, 6),
+    "far away": shapely.affinity.translate(shapely.box(0, 0, 50, 40), 700, -650),
+    "two": shapely.MultiPolygon([shapely.box(0, 0, 40, 40), shapely.box(60, 0, 100, 25)]),
+}
+
+
+class Made:
+    """A program of a prism, and all that it was made from."""
+
+    def __init__(self, folder, section, config=CONFIG, layers=4):
+        self.config = config
+        heights = (np.arange(layers) + 0.5) * config.layer_height_mm
+        self.layers = from_polygons(heights, [[section]] * layers)
+        self.plan = plan_stack(self.layers, config)
+        self.beads: Curves = bead_paths(self.layers, self.plan, config)
+        self.files = write_program(self.beads, self.plan, config, folder / "program")
+        self.z = deposition_heights(heights, config.layer_height_mm)
+
+    def read(self):
+        return read_program(self.files.main, self.config)
+
+    def checks(self, layers=None):
+        nc = self.read()
+        found = deposit(nc, layers or self.layers, self.z, self.config)
+        return {check.name: check for check in deposit_checks(nc, found, self.config)}
+
+    def failed(self, layers=None):
+        return {name for name, check in self.checks(layers).items() if not check.passed}
+
+    def edit(self, name, change):
+        path = self.files.folder / name
+        lines = path.read_text().split("\n")
+        change(lines)
+        path.write_text("\n".join(lines))
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_the_metal_of_a_program_is_that_of_the_part(name, tmp_path):
+    made = Made(tmp_path, PARTS[name])
+    checks = made.checks()
+    assert tuple(checks) == DEPOSIT_CHECKS
+    assert [check for check in checks.values() if not check.passed] == []
+    assert deposit_gate(checks.values(), made.config).passed
+    # The mass by the summary of the text is the mass by the field.
+    kg = program_summary(made.read(), made.config)["wire_kg"].sum()
+    part = PARTS[name].area * made.z[-1] * made.config.material.density_kg_m3 * 1e-9
+    assert kg == pytest.approx(part, rel=0.02)
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_plan_and_program_are_one_process(name, tmp_path):
+    config = CONFIG.changed(process={"interpass": "both", "layer_pause_s": 20.0, "overlap_mm": 3.0})
+    made = Made(tmp_path, PARTS[name], config, layers=3)
+    path = planned_path(made.beads, made.plan, config)
+    events = process_events(path, made.plan, config)
+    assert list(events.columns) == list(COLUMNS)
+    plan, text = event_totals(events, 3, config), program_summary(made.read(), config)
+    for ours, theirs in {"contour_mm": "contour_mm", "travel_mm": "travel_mm", "wire_mm": "wire_mm"}.items():
+        assert plan[ours].to_numpy() == pytest.approx(text[theirs].to_numpy(), rel=1e-5, abs=1e-3)
+    hatch = plan[["hatch_mm", "turn_mm", "wall_mm", "gap_mm"]].sum(axis=1)
+    assert hatch.to_numpy() == pytest.approx(text["hatch_mm"].to_numpy(), rel=1e-6, abs=1e-4)
+    assert plan["deposit_s"].to_numpy() == pytest.approx(text["deposit_s"].to_numpy(), rel=1e-6)
+    assert plan["wait_s"].sum() == pytest.approx(text["pause_s"].sum(), abs=1e-6)
+    nc = made.read()
+    assert plan["starts"].sum() == sum(event == "wire_start" for event in nc.events.name)
+    assert wire_check(nc, config, path).passed
+    # The plan's own rows count the same lines and turns.
+    metrics = made.plan.metrics
+    assert (metrics["hatch_length_mm"] + metrics["turn_length_mm"]).to_numpy() == pytest.approx(
+        hatch.to_numpy(), rel=1e-5
+    )
+
+
+@pytest.fixture
+def square(tmp_path):
+    return Made(tmp_path, PARTS["frame"], layers=6)
+
+
+LAYER = "MAIN_L0003.SPF"
+
+
+def test_the_square_is_sound(square):
+    assert square.failed() == set()
+
+
+def test_too_much_wire_is_found(square):
+    def more(lines):
+        for i, line in enumerate(lines):
+            lines[i] = re.sub(r"H3=([\d.]+)", lambda m: f"H3={1.05 * float(m[1]):.6f}", line)
+
+    square.edit(LAYER, more)
+    assert square.checks()["metal of layers"].where.startswith(LAYER)
+    assert "metal of layers" in square.failed()
+    for k in (1, 2, 4, 5, 6):
+        square.edit(f"MAIN_L{k:04d}.SPF", more)
+    assert {"metal", "metal of layers"} <= square.failed()
+    assert not deposit_gate(square.checks().values(), square.config).passed
+
+
+def test_feed_at_half_speed_lays_twice_the_metal(square):
+    def slower(lines):
+        for i, line in enumerate(lines):
+            lines[i] = line.replace("F600", "F300")
+
+    square.edit(LAYER, slower)
+    assert "metal of layers" in square.failed()
+
+
+def test_a_bead_beside_the_part_is_found_whatever_a_comment_says(square):
+    def astray(lines):
+        i = next(n for n, line in enumerate(lines) if "M62" in line)
+        # Before the first ring is named, in a chain of turns, 40 mm beside the part and back.
+        x, y = re.search(r"G0 X(\S+) Y(\S+)", "\n".join(lines[:i])).groups()
+        lines[i + 1 : i + 1] = [f"N1 G1 X{float(x):.3f} Y-40.000 F600 ; TURN", f"N2 G1 X{x} Y{y} ; TURN"]
+
+    square.edit(LAYER, astray)
+    failed = square.failed()
+    assert "reach of metal" in failed
+    assert square.checks()["reach of metal"].value == pytest.approx(40.0 + 3.0, abs=2.0)
+
+
+def test_a_contour_laid_twice_is_found(square):
+    def twice(lines):
+        i = next(n for n, line in enumerate(lines) if line.startswith("; RING"))
+        j = next(n for n, line in enumerate(lines) if "M61" in line)
+        lines[j + 1 : j + 1] = [re.sub(r"^N\d+ ", "", line) for line in lines[i : j + 1]]
+
+    square.edit(LAYER, twice)
+    assert {"metal of layers"} <= square.failed()
+
+
+def test_missing_metal_is_found(square):
+    def without_half(lines):
+        islands = [n for n, line in enumerate(lines) if line.startswith("; ISLAND")]
+        del lines[islands[1] : islands[len(islands) // 2]]
+
+    square.edit(LAYER, without_half)
+    assert "metal of layers" in square.failed()
+
+
+def test_a_layer_left_out_every_time_lowers_the_surface(square):
+    def without_a_corner(lines):
+        islands = [n for n, line in enumerate(lines) if line.startswith("; ISLAND")]
+        del lines[islands[0] : islands[2]]
+
+    for k in range(1, 7):
+        square.edit(f"MAIN_L{k:04d}.SPF", without_a_corner)
+    assert square.failed() & {"surface", "metal", "metal of layers"}
+
+
+def test_a_hole_that_closes_is_found(square):
+    """The same program against a part that has a hole where beads lie."""
+    holed = PARTS["frame"].difference(shapely.Point(45, 7).buffer(2.5))
+    layers = from_polygons(square.layers.heights, [[holed]] * len(square.layers))
+    assert "reach of metal" in square.failed(layers)
+    assert "narrower than the bead" in square.checks(layers)["reach of metal"].text
+
+
+@pytest.mark.parametrize("thickness", [0.3, 2.0, 3.0])
+def test_walls_under_a_bead_shut_the_gate(thickness, tmp_path):
+    made = Made(tmp_path, shapely.box(0, 0, 80, thickness), layers=2)
+    checks = made.checks()
+    assert not checks["metal outside"].passed
+    assert not checks["reach of metal"].passed
+    gate = deposit_gate(checks.values(), made.config)
+    assert not gate.passed
+    assert "beside the part" in gate.text or "metal" in gate.text
+
+
+def test_an_allowance_for_machining_makes_room_for_a_thin_wall(tmp_path):
+    config = CONFIG.changed(process={"machining_allowance_mm": 2.0})
+    made = Made(tmp_path, shapely.box(0, 0, 80, 4.0), config, layers=3)
+    assert made.failed() == set()
+
+
+def test_limits_are_those_of_the_user(square):
+    strict = square.config.changed(process={"surface_tolerance_mm": 0.01, "mass_tolerance": 1e-6})
+    nc = square.read()
+    found = deposit(nc, square.layers, square.z, strict)
+    failed = {c.name for c in deposit_checks(nc, found, strict) if not c.passed}
+    assert {"surface", "metal"} <= failed
+
+
+def test_no_check_no_gate():
+    assert not deposit_gate([], CONFIG).passed
+
+
+@pytest.mark.parametrize("control", ["linuxcnc", "plain-gcode"])
+def test_other_controls_lay_the_same_metal(control, tmp_path):
+    from ebamcheck import registry
+
+    config = CONFIG.changed(machine={"control": control})
+    made = Made(tmp_path, PARTS["ring"], layers=2)
+    files = registry.plugin(registry.POSTS, control)(made.beads, made.plan, config, tmp_path / control)
+    nc = read_program(files.main, config)
+    found = deposit(nc, made.layers, made.z, config)
+    theirs = deposit(made.read(), made.layers, made.z, made.config)
+    assert found.layers["laid_mm3"].to_numpy() == pytest.approx(
+        theirs.layers["laid_mm3"].to_numpy(), rel=1e-4
+    )
+    assert [c for c in deposit_checks(nc, found, config) if not c.passed] == []
+    assert wire_check(nc, config, planned_path(made.beads, made.plan, config)).passed
