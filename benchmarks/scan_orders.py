@@ -21,7 +21,7 @@ from benchmarks.machine import machine
 from ebamcheck.config import Config
 from ebamcheck.model import models
 from ebamcheck.scan.comparing import COMPARED, RANDOM, OrderComparison, OrderResult
-from ebamcheck.scan.refereed import referee_of, refereed
+from ebamcheck.scan.refereed import referee_of, refereed_entries
 from ebamcheck.scan.regions import layer_section
 
 BUILD_SIZE = ("bulkhead", "nozzle")
@@ -56,11 +56,14 @@ DEFAULT_OUTPUT = Path("reports/scan")
 FIGURES = (
     "entry_max_k",
     "entry_sd_k",
+    "entry_point_max_k",
+    "touching",
     "excess_uniformity",
     "interval_p10_s",
     "travel_mm",
     "time_s",
     "referee_max_k",
+    "referee_point_max_k",
 )
 
 
@@ -74,15 +77,25 @@ class Ratio(NamedTuple):
 
 
 RATIOS = (
-    Ratio("entry temperature rise, greatest", "entry_max_k", "farthest", 0.5),
+    Ratio("entry temperature rise, greatest", "entry_max_k", "farthest", 0.45),
     Ratio("entry temperature rise, greatest", "entry_max_k", "raster", 0.2),
-    Ratio("the same by the nonlinear referee", "referee_max_k", "farthest", 0.7),
+    Ratio("the same by the nonlinear referee", "referee_max_k", "farthest", 0.5),
     Ratio("the same by the nonlinear referee", "referee_max_k", "raster", 0.25),
+    Ratio("hottest spot at entry", "entry_point_max_k", "farthest", 0.5),
+    Ratio("hottest spot at entry", "entry_point_max_k", "raster"),
+    Ratio("hottest spot at entry by the nonlinear referee", "referee_point_max_k", "farthest", 0.5),
+    Ratio("hottest spot at entry by the nonlinear referee", "referee_point_max_k", "raster"),
     Ratio("jump travel", "travel_mm", "farthest", 0.5),
     Ratio("jump travel", "travel_mm", "raster"),
     Ratio("layer time", "time_s", "farthest"),
     Ratio("layer time", "time_s", "raster", 1.1),
 )
+
+MOST_TOUCHING = 0.01
+"""Share of the islands of all layers that may follow one that they touch, while another is left."""
+
+RANKED_ORDERS = 5
+"""Orders from which on their ranks are worth a correlation."""
 
 LEAST_TAU = 0.9
 """Rank agreement of the linear model and the referee over a cooled base."""
@@ -105,8 +118,12 @@ def compared(
         rows, by_island = [], []
         for order in orders:
             for result in comparison.results(order, SEEDS):
-                found = refereed(judge, result.plan, profile).entry_k
-                rows.append({"order": order, **result.figures(), "referee_max_k": float(np.nanmax(found))})
+                found, points = refereed_entries(judge, result.plan, profile)
+                by_referee = {
+                    "referee_max_k": float(np.nanmax(found)),
+                    "referee_point_max_k": float(np.nanmax(points)),
+                }
+                rows.append({"order": order, **result.figures(), **by_referee})
                 by_island.append(agreement(result, found))
         table = pd.DataFrame(rows)
         place: dict[str, Any] = {"model": name, "height_mm": height_mm, "islands": len(comparison.islands)}
@@ -164,6 +181,10 @@ def ratio_rows(base: str, plans: pd.DataFrame, suffix: str) -> list[dict[str, An
         values = wide[(ratio.figure, "thermal")] / wide[(ratio.figure, ratio.other)]
         what = f"{ratio.what}: thermal over {ratio.other}{suffix}"
         rows.append(target_row(base, what, values.to_numpy(), ratio.most, at_most=True))
+    thermal = plans[plans["order"] == "thermal"]
+    share = float((thermal["touching"] * thermal["islands"]).sum() / thermal["islands"].sum())
+    what = f"thermal: islands of all layers that follow one they touch, though another is left{suffix}"
+    rows.append(target_row(base, what, np.array([share]), MOST_TOUCHING, at_most=True))
     return rows
 
 
@@ -194,7 +215,7 @@ def target_row(
     return {
         "base": base,
         "what": what,
-        "median": f"{middle:.2f}",
+        "median": f"{middle:.3f}" if middle < 0.05 else f"{middle:.2f}",
         "10 % to 90 %": f"{low:.2f} to {high:.2f}",
         "target": "-" if limit is None else f"{sign} {limit:g}",
         "result": verdict,
@@ -211,7 +232,7 @@ def markdown(table: pd.DataFrame) -> str:
 def figures_table(plans: pd.DataFrame) -> pd.DataFrame:
     """Medians over the layers of the figures of every order."""
     medians = by_layer(plans).groupby("order", sort=False)[list(FIGURES)].median()
-    digits = {name: 2 if name == "excess_uniformity" else 0 for name in FIGURES}
+    digits = {name: 2 if name in ("excess_uniformity", "touching") else 0 for name in FIGURES}
     texts = {name: medians[name].map(f"{{:.{digits[name]}f}}".format) for name in FIGURES}
     return pd.DataFrame(texts).reset_index()
 
@@ -240,16 +261,22 @@ def main() -> None:
         plans, ranks = (pd.read_csv(file) for file in files)
         for suffix, some in groups(plans).items():
             rows += ratio_rows(base, some, suffix)
-        rows += tau_rows(base, ranks)
+        if plans["order"].nunique() >= RANKED_ORDERS:
+            rows += tau_rows(base, ranks)
         count, islands = len(ranks), ranks["islands"].median()
         title = f"## {base} base: medians of {count} layers of {ranks['model'].nunique()} models, {islands:.0f} islands"
         tables.append(f"{title}\n\n{markdown(figures_table(plans))}")
-    here = machine()
+    here, ran = machine(), ",".join(plans["order"].unique())
+    what = (
+        "Temperatures are rises over the chamber, K: `entry` of whole islands when the beam enters them, `entry_point` under "
+        "the beam there (hottest spot at entry); `referee` by the nonlinear referee. `touching` is the share of islands "
+        "that follow one they touch, though another is left.\n"
+    )
     text = "\n".join(
         [
             "# Scan orders by heat\n",
-            f"By `python -m benchmarks.scan_orders` on {here['cores']} cores of {here['cpu']}.\n",
-            "Temperatures are rises over the chamber, K; `referee_max_k` is by the nonlinear referee.\n",
+            f"By `python -m benchmarks.scan_orders --orders {ran}` on {here['cores']} cores of {here['cpu']}.\n",
+            what,
             markdown(pd.DataFrame(rows)),
             *tables,
         ]

@@ -20,6 +20,7 @@ from ebamcheck.heat.one_blas_thread import one_blas_thread
 from ebamcheck.scan import ORDERS, LayerIslands, plan_scan
 from ebamcheck.scan.annealing import (
     HOTTEST_EVERY,
+    TOUCH_SHARE,
     WARMTH,
     annealed,
     drive_from,
@@ -29,18 +30,22 @@ from ebamcheck.scan.annealing import (
     new_log,
 )
 from ebamcheck.scan.comparing import COMPARED, FIGURES, OrderComparison
-from ebamcheck.scan.driving import clocked, entered, entry_temperatures
+from ebamcheck.scan.driving import clocked, entered, entry_points, entry_temperatures
 from ebamcheck.scan.influence import influence
 from ebamcheck.scan.island_heat import island_heat
 from ebamcheck.scan.laying import lay_islands
 from ebamcheck.scan.order import scan_order
 from ebamcheck.scan.regions import layer_section
 from ebamcheck.scan.thermal import greedy_order, own_rise
+from ebamcheck.scan.touching import touching, touching_successors
 from ebamcheck.scan.ways import ways_between
 from ebamcheck.settings.scan import SCAN_ORDERS
 
 PROFILE = Config()
 RAPID = PROFILE.machine.rapid_mm_s
+FREE = touching(np.zeros((0, 2), np.int64), 1000)
+"""No island touches another: none is kept from following any."""
+
 PLATE = shapely.box(0, 0, 160, 110).difference(shapely.Point(95, 60).buffer(22, 32))
 
 
@@ -63,7 +68,7 @@ def test_every_name_is_in_the_settings_and_in_the_table():
 
 def test_driven_islands_are_the_heat_model_step_by_step(laid, choices):
     drive = choices.driven
-    heat = choices.heat
+    heat = replace(choices.heat, near=None)
     order = np.random.default_rng(3).permutation(len(choices))
     start, end, _ = clocked(order, drive.entry, drive.leave, drive.time_s, RAPID)
     entry_k, excess = entry_temperatures(heat, choices.area_mm2, order, start, end)
@@ -114,7 +119,7 @@ def test_heat_of_a_thin_plate_is_energy_over_heat_capacity():
 def test_greedy_takes_the_best_score_at_every_step(choices):
     drive, heat = choices.driven, choices.heat
     price, start_k = 0.7, 5.0
-    order = greedy_order(heat, drive, RAPID, 4, price, start_k)
+    order = greedy_order(heat, drive, FREE, RAPID, 4, price, start_k)
     assert order[0] == 4
     assert np.array_equal(np.sort(order), np.arange(len(choices)))
     start, end, _ = clocked(order, drive.entry, drive.leave, drive.time_s, RAPID)
@@ -129,7 +134,8 @@ def test_greedy_takes_the_best_score_at_every_step(choices):
             begin, stop = start.copy(), end.copy()
             begin[j] = end[order[n]] + reach[j].min() / RAPID
             stop[j] = begin[j] + drive.time_s[j]
-            score[j] = entered(heat, tried, begin, stop)[0][j] + price * reach[j].min() + start_k
+            warm = np.maximum(*entry_points(heat, drive, tried, begin, stop))[j]
+            score[j] = warm + price * reach[j].min() + start_k
         # Between the earliest and the latest entry the kernel takes temperature as linear: 3 % at most.
         assert score[order[n + 1]] <= 1.03 * score.min() + 1.0
         way = int(np.argmin(reach[order[n + 1]]))
@@ -147,6 +153,7 @@ def test_own_rise_is_that_of_one_island_alone(choices):
     # Entered again the moment it is left, it has its own rise: drive a copy of it second.
     doubled = replace(
         heat,
+        near=None,
         mean=np.hstack([heat.mean, heat.mean[:, [island]]]),
         source_k_s=np.append(heat.source_k_s, 0.0),
     )
@@ -179,7 +186,7 @@ def test_travel_is_paid_for(choices):
     drive = choices.driven
     travel = []
     for price in (0.0, 1.0, 100.0):
-        order = greedy_order(choices.heat, drive, RAPID, 0, price, 0.0)
+        order = greedy_order(choices.heat, drive, FREE, RAPID, 0, price, 0.0)
         travel.append(clocked(order, drive.entry, drive.leave, drive.time_s, RAPID)[2])
     assert travel[0] > travel[1] > travel[2]
 
@@ -279,14 +286,14 @@ def test_the_table_of_influences_is_the_heat_model(base):
     heat = replace(heat, start_k=300.0 * before)
     order = np.random.default_rng(4).permutation(len(choices))
     start, end, travel = clocked(order, drive.entry, drive.leave, drive.time_s, RAPID)
-    exact, _ = entered(heat, order, start, end)
+    exact = np.maximum(*entry_points(heat, drive, order, start, end))
     table, ways = influence(heat, drive.time_s, float(end.max())), ways_between(drive)
     log = new_log(len(order))
-    drive_from(0, order, ways.jump_mm, ways.way, drive.time_s, RAPID, log)
+    drive_from(0, order, ways.jump_mm, ways.way, FREE, drive.time_s, RAPID, log)
     assert log.start_s == pytest.approx(start[order])
     assert log.travel_mm[-1] == pytest.approx(travel)
     found = [
-        entry_temperature(n, order, table.rise_k, table.nodes_per_root_s, drive.time_s, log.start_s)
+        entry_temperature(n, order, table.rise_k, table.nodes_per_root_s, table.fresh, drive.time_s, log)
         for n in range(len(order))
     ]
     assert found == pytest.approx(exact[order], rel=0.02, abs=0.02 * np.abs(exact).max())
@@ -320,19 +327,25 @@ def test_moves_keep_every_island(kind):
 
 def test_annealing_keeps_to_the_travel_that_is_allowed(choices):
     drive, heat = choices.driven, choices.heat
-    order = greedy_order(heat, drive, RAPID, 0, 1.0, 0.0)
+    order = greedy_order(heat, drive, FREE, RAPID, 0, 1.0, 0.0)
     start, end, travel = clocked(order, drive.entry, drive.leave, drive.time_s, RAPID)
     table = influence(heat, drive.time_s, 2 * float(end.max()))
     ways, random = ways_between(drive), np.random.default_rng(0)
-    better = annealed(table, ways, drive.time_s, RAPID, order, travel, 100.0, 3000, random)
+    beside = touching(choices.neighbours, len(choices))
+    better = annealed(table, ways, beside, drive.time_s, RAPID, order, travel, 100.0, 3000, random)
     begin, stop, way = clocked(better, drive.entry, drive.leave, drive.time_s, RAPID)
     assert way <= travel + 1e-6
-    assert entered(heat, better, begin, stop)[0].max() < entered(heat, order, start, end)[0].max()
+    hottest = [
+        np.maximum(*entry_points(heat, drive, *plan)).max()
+        for plan in ((better, begin, stop), (order, start, end))
+    ]
+    assert hottest[0] < hottest[1]
+    assert not touching_successors(beside, better).any()
 
 
 def test_giving_moves_up_early_changes_nothing(choices):
     drive, heat, steps, price = choices.driven, choices.heat, 300, 0.5
-    count = len(choices)
+    count, beside = len(choices), touching(choices.neighbours, len(choices))
     order = np.random.default_rng(2).permutation(count)
     *_, end, travel = clocked(order, drive.entry, drive.leave, drive.time_s, RAPID)
     table, ways, allowed_mm = (
@@ -343,17 +356,23 @@ def test_giving_moves_up_early_changes_nothing(choices):
 
     def driven(tried):
         log = new_log(count)
-        drive_from(0, tried, ways.jump_mm, ways.way, drive.time_s, RAPID, log)
+        drive_from(0, tried, ways.jump_mm, ways.way, beside, drive.time_s, RAPID, log)
         for n in range(count):
             log.entry_k[n] = entry_temperature(
-                n, tried, table.rise_k, table.nodes_per_root_s, drive.time_s, log.start_s
+                n, tried, table.rise_k, table.nodes_per_root_s, table.fresh, drive.time_s, log
             )
-        return log, high_mean(log.entry_k) + price * max(0.0, log.travel_mm[-1] - allowed_mm)
+        warm, far = high_mean(log.entry_k), max(0.0, log.travel_mm[-1] - allowed_mm)
+        return log, warm, price * far, int(log.touches[-1])
+
+    def cost_of(warm, far, touches):
+        return warm + far + touches * TOUCH_SHARE * first_warm
 
     random = np.random.default_rng(7)
     places = random.integers(0, count, (steps, 2))
     leniency = random.exponential(size=steps) * np.linspace(1.0, 0.0, steps)
-    kept, (log, cost) = order, driven(order)
+    kept, (log, *parts) = order, driven(order)
+    first_warm = parts[0]
+    cost = cost_of(*parts)
     best, least, warmth = kept, cost, WARMTH * cost
     for step, (a, b) in enumerate(places):
         a = int(np.argmax(log.entry_k)) if step % HOTTEST_EVERY == 0 else a
@@ -361,13 +380,14 @@ def test_giving_moves_up_early_changes_nothing(choices):
             continue
         tried = np.empty_like(kept)
         move(kept, a, b, step % 3, tried)
-        tried_log, new_cost = driven(tried)
+        tried_log, *parts = driven(tried)
+        new_cost = cost_of(*parts)
         if new_cost < cost + warmth * leniency[step]:
             kept, log, cost = tried, tried_log, new_cost
             if cost < least:
                 best, least = kept, cost
     found = annealed(
-        table, ways, drive.time_s, RAPID, order, allowed_mm, price, steps, np.random.default_rng(7)
+        table, ways, beside, drive.time_s, RAPID, order, allowed_mm, price, steps, np.random.default_rng(7)
     )
     assert np.array_equal(found, best)
     assert not np.array_equal(found, order)

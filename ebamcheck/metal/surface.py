@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
-from ebamcheck.metal.target import Target, cell_mm
+from ebamcheck.metal.target import REACHED, Target, cell_mm
 from ebamcheck.rings import Floats
 
 LEVELLED_BEADS = 0.5
@@ -23,10 +23,6 @@ HALF = 0.5
 
 FILM = 0.25
 """Height of metal over that of the layer from which on a bead has reached a place: its flank is thinner."""
-
-
-REACHED = 0.1
-"""Height of metal over that of the layer under which a place is bare: the tip of a corner, which no bead builds."""
 
 
 class Surface:

@@ -15,6 +15,9 @@ from ebamcheck.rings import Floats
 CELLS_PER_BEAD = 6
 """Cells across a bead: a third of the half bead that a height field has to resolve."""
 
+REACHED = 0.07
+"""Height of metal over that of the layer under which a place is bare: the tip of a corner, which no bead builds."""
+
 MOST_CELLS = 4_000_000
 """Cells of one layer at most; a larger one gets coarser cells."""
 

@@ -50,6 +50,10 @@ RIM_BEADS, RIM_WEIGHT = 0.25, 0.4
 """Width of the rim, over the bead width, and how much it counts where wire is worked out: a bead is a dome, whose flank
 along a contour is low whatever wire it gets."""
 
+MASS_ROOM = 0.9
+"""Share of the tolerance on the mass of a layer that mending may use: tips of corners that no bead reaches stay bare, and
+their metal would raise the rest, layer by layer."""
+
 PLACE_SHARE = 1.0 / 6.0
 """Distance, over the bead width, of the places along beads at which their metal is laid."""
 
@@ -120,27 +124,31 @@ def _flat(
     if not (target.share.size and beads.every.size):
         surface.add(target, target.share, thickness_mm)
         return division.stretches(tracks, beads.every, beads.every, nominal)
-    over = MENDED * surface.over_mm(target) / thickness_mm
-    wanted = target.share * np.clip(1.0 - over, 1.0 - MOST_MENDED, 1.0 + MOST_MENDED)
-    # Metal is moved, not more or less of it laid.
-    wanted *= target.share.sum() / max(wanted.sum(), np.finfo(float).tiny)
+    wanted, weight = _wanted(target, surface, thickness_mm, config)
     limits = width_limits_mm(config, thickness_mm)
-    rim = (
-        ndimage.distance_transform_edt(target.share > HALF) * surface.step_mm
-        <= RIM_BEADS * config.process.bead_width_mm
-    )
-    weight = np.where(rim & (target.share > 0.0), RIM_WEIGHT, 1.0)
     width = balanced_widths(beads.footprints, wanted, weight, cell_mm2, nominal, limits)
     first = np.flatnonzero(runs_alike(division.track(beads.every), width, ALIKE))
     runs = beads.footprints.joined(first)
-    mean = np.add.reduceat(width, first) / np.diff(np.append(first, width.size))
-    width = np.asarray(
-        np.round(balanced_widths(runs, wanted, weight, cell_mm2, mean, limits), WIDTH_DIGITS), np.float64
-    )
+    width = np.add.reduceat(width, first) / np.diff(np.append(first, width.size))
+    width = balanced_widths(runs, wanted, weight, cell_mm2, width, limits)
+    width = np.asarray(np.round(width, WIDTH_DIGITS), np.float64)
     laid = runs.laid(width, wanted.size, cell_mm2).reshape(wanted.shape)
     surface.add(target, laid * thickness_mm, thickness_mm)
     last = np.append(first[1:], beads.every.size) - 1
     return division.stretches(tracks, beads.every[first], beads.every[last], width)
+
+
+def _wanted(target: Target, surface: Surface, thickness_mm: float, config: Config) -> tuple[Floats, Floats]:
+    """Metal that each cell of a layer is to get, layers high, and how much the cell counts."""
+    over = MENDED * surface.over_mm(target) / thickness_mm
+    wanted = target.share * np.clip(1.0 - over, 1.0 - MOST_MENDED, 1.0 + MOST_MENDED)
+    # Metal is moved; in all, the layer gets as much more or less as its tolerance leaves room for.
+    most = MASS_ROOM * config.process.mass_tolerance
+    mean = float(np.average(over, weights=target.share))
+    wanted *= target.share.sum() * min(max(1.0 - mean, 1.0 - most), 1.0 + most) / wanted.sum()
+    depth_mm = ndimage.distance_transform_edt(target.share > HALF) * surface.step_mm
+    rim = (target.share > 0.0) & (depth_mm <= RIM_BEADS * config.process.bead_width_mm)
+    return wanted, np.where(rim, RIM_WEIGHT, 1.0)
 
 
 class _Division:

@@ -12,11 +12,16 @@ import numpy as np
 
 from ebamcheck.kernels import kernel
 from ebamcheck.rings import Floats, Ints
-from ebamcheck.scan.influence import Influence, Table, looked_up
+from ebamcheck.scan.influence import FreshTable, Influence, Table, looked_up
+from ebamcheck.scan.near_field import at_root
+from ebamcheck.scan.touching import Touching, touch
 from ebamcheck.scan.ways import Ways
 
 WARMTH = 0.005
-"""Worsening, as a share of the first cost, that is taken at the beginning about every third time."""
+"""Worsening taken at the beginning, unless another is asked for."""
+
+TOUCH_SHARE = 100.0
+"""Price of an island that touches the one before, over the first cost: no gain in heat or travel is worth it."""
 
 HOTTEST_EVERY = 10
 """One move in so many starts at the hottest island; the others anywhere."""
@@ -26,12 +31,14 @@ HIGH = 12
 
 
 class Log(NamedTuple):
-    """An order driven, by place (I,): begin of the island, s, way of entry, travel so far, mm, entry temperature, K."""
+    """An order driven, by place (I,): begin of the island, s, way of entry, travel so far, mm, entry temperature, K,
+    and how many islands so far touch the one before them."""
 
     start_s: Floats
     way: Ints
     travel_mm: Floats
     entry_k: Floats
+    touches: Ints
 
 
 def high_mean(entry_k: Floats) -> float:
@@ -42,6 +49,7 @@ def high_mean(entry_k: Floats) -> float:
 def annealed(
     table: Influence,
     ways: Ways,
+    beside: Touching,
     time_s: Floats,
     rapid_mm_s: float,
     order: Ints,
@@ -49,13 +57,16 @@ def annealed(
     price_k_mm: float,
     steps: int,
     random: np.random.Generator,
+    warmth: float = WARMTH,
 ) -> Ints:
     """Exchange, move and turn around islands of an order.
 
-    The cost is :func:`high_mean`, K, plus a price on travel that is too long.
+    The cost is :func:`high_mean`, K, plus prices on travel that is too long, and on islands that touch the one before.
 
     Parameters
     ----------
+    beside
+        Islands that touch.
     time_s
         (I,) time in which each island is scanned.
     order
@@ -66,6 +77,8 @@ def annealed(
         Cost of travel beyond it.
     steps
         Moves tried.
+    warmth
+        Worsening, as a share of the first cost, that is taken at the beginning about every third time.
     """
     count = len(order)
     if steps == 0 or count < 2:
@@ -75,8 +88,10 @@ def annealed(
     return improved(
         table.rise_k,
         table.nodes_per_root_s,
+        table.fresh,
         ways.jump_mm,
         ways.way,
+        beside,
         time_s,
         rapid_mm_s,
         np.asarray(order, np.int64),
@@ -84,6 +99,7 @@ def annealed(
         price_k_mm,
         places,
         leniency,
+        warmth,
     )
 
 
@@ -91,8 +107,10 @@ def annealed(
 def improved(
     rise: Table,
     nodes: float,
+    fresh: FreshTable,
     jump: Floats,
     way: Ints,
+    beside: Touching,
     time: Floats,
     rapid: float,
     order: Ints,
@@ -100,15 +118,18 @@ def improved(
     price: float,
     places: Ints,
     leniency: Floats,
+    warm_share: float,
 ) -> Ints:
     """Return the best order met."""
     count = len(order)
     kept, tried, best = order.copy(), order.copy(), order.copy()
     log, tried_log = new_log(count), new_log(count)
-    drive_from(0, kept, jump, way, time, rapid, log)
-    total = powers_from(0, 0, 0, np.arange(count), kept, rise, nodes, time, np.inf, log)
-    cost = (total / count) ** (1.0 / HIGH) + price * max(0.0, log.travel_mm[-1] - longest)
-    best_cost, warmth = cost, WARMTH * cost
+    drive_from(0, kept, jump, way, beside, time, rapid, log)
+    total = powers_from(0, 0, 0, np.arange(count), kept, rise, nodes, fresh, time, np.inf, log)
+    cost = (total / count) ** (1.0 / HIGH)
+    touch_price = TOUCH_SHARE * cost
+    cost += price * max(0.0, log.travel_mm[-1] - longest) + touch_price * log.touches[-1]
+    best_cost, warmth = cost, warm_share * cost
     by_heat = np.argsort(-log.entry_k)
     for step in range(len(places)):
         a, b = places[step]
@@ -119,13 +140,13 @@ def improved(
         first = min(a, b)
         move(kept, a, b, step % 3, tried)
         copy_start(log, first, tried_log)
-        drive_from(first, tried, jump, way, time, rapid, tried_log)
-        too_far = price * max(0.0, tried_log.travel_mm[-1] - longest)
+        drive_from(first, tried, jump, way, beside, time, rapid, tried_log)
+        too_far = price * max(0.0, tried_log.travel_mm[-1] - longest) + touch_price * tried_log.touches[-1]
         allowed = cost + warmth * leniency[step]
         if too_far >= allowed:
             continue
         most = count * power(allowed - too_far)
-        total = powers_from(first, a, b, by_heat, tried, rise, nodes, time, most, tried_log)
+        total = powers_from(first, a, b, by_heat, tried, rise, nodes, fresh, time, most, tried_log)
         if total > most:
             continue
         cost = (total / count) ** (1.0 / HIGH) + too_far
@@ -146,6 +167,7 @@ def powers_from(
     order: Ints,
     rise: Table,
     nodes: float,
+    fresh: FreshTable,
     time: Floats,
     most: float,
     log: Log,
@@ -161,7 +183,7 @@ def powers_from(
         place = a if n == -2 else b if n == -1 else by_heat[n]
         if place < first or (n == -1 and a == b) or (n >= 0 and place in (a, b)):
             continue
-        log.entry_k[place] = entry_temperature(place, order, rise, nodes, time, log.start_s)
+        log.entry_k[place] = entry_temperature(place, order, rise, nodes, fresh, time, log)
         total += power(log.entry_k[place])
         if total > most:
             break
@@ -173,12 +195,19 @@ def copy_start(log: Log, stop: int, result: Log) -> None:
     """Copy what a log says of the places before one."""
     result.start_s[:stop], result.way[:stop] = log.start_s[:stop], log.way[:stop]
     result.travel_mm[:stop], result.entry_k[:stop] = log.travel_mm[:stop], log.entry_k[:stop]
+    result.touches[:stop] = log.touches[:stop]
 
 
 @kernel
 def new_log(count: int) -> Log:
     """Room for a log."""
-    return Log(np.zeros(count), np.zeros(count, np.int64), np.zeros(count), np.zeros(count))
+    return Log(
+        np.zeros(count),
+        np.zeros(count, np.int64),
+        np.zeros(count),
+        np.zeros(count),
+        np.zeros(count, np.int64),
+    )
 
 
 @kernel
@@ -208,28 +237,47 @@ def move(order: Ints, a: int, b: int, kind: int, result: Ints) -> None:
 
 @kernel
 def drive_from(
-    first: int, order: Ints, jump: Floats, way: Ints, time: Floats, rapid: float, log: Log
+    first: int,
+    order: Ints,
+    jump: Floats,
+    way: Ints,
+    beside: Touching,
+    time: Floats,
+    rapid: float,
+    log: Log,
 ) -> None:
     """Time the islands from a place on, entering each by the nearest way."""
     for n in range(first, len(order)):
         if n == 0:
-            log.start_s[0], log.way[0], log.travel_mm[0] = 0.0, 0, 0.0
+            log.start_s[0], log.way[0], log.travel_mm[0], log.touches[0] = 0.0, 0, 0.0, 0
             continue
         last, island, left_by = order[n - 1], order[n], log.way[n - 1]
         distance = jump[last, left_by, island]
         log.start_s[n] = log.start_s[n - 1] + time[last] + distance / rapid
         log.way[n] = way[last, left_by, island]
         log.travel_mm[n] = log.travel_mm[n - 1] + distance
+        log.touches[n] = log.touches[n - 1] + touch(beside, last, island)
 
 
 @kernel
 def entry_temperature(
-    place: int, order: Ints, rise: Table, nodes: float, time: Floats, start: Floats
+    place: int, order: Ints, rise: Table, nodes: float, fresh: FreshTable, time: Floats, log: Log
 ) -> float:
-    """Mean temperature rise of the island at a place when the beam enters it."""
-    island, now = order[place], start[place]
+    """Rise of the island at a place when the beam enters it: its mean, or that of its entry if it is more."""
+    island, now = order[place], log.start_s[place]
     temperature = looked_up(rise, nodes, island, len(order), now)
     for earlier in range(place):
         source = order[earlier]
-        temperature += looked_up(rise, nodes, island, source, now - start[earlier] - time[source])
-    return temperature
+        temperature += looked_up(rise, nodes, island, source, now - log.start_s[earlier] - time[source])
+    mean, entry = 0.0, 0.0
+    for earlier in range(place - 1, -1, -1):
+        source = order[earlier]
+        since = now - log.start_s[earlier] - time[source]
+        if since >= fresh.horizon_s:
+            break
+        row = fresh.slot[island, source]
+        if row >= 0:
+            root = np.sqrt(max(since, 0.0) / fresh.horizon_s)
+            mean += at_root(fresh.mean_k[row], root)
+            entry += at_root(fresh.entry_k[row, log.way[place], log.way[earlier]], root)
+    return temperature + max(mean, entry)

@@ -12,8 +12,8 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.config import Config
 from ebamcheck.errors import SettingsError
-from ebamcheck.rings import Floats, Ints
-from ebamcheck.scan.driving import entry_temperatures
+from ebamcheck.rings import Bools, Floats, Ints
+from ebamcheck.scan.driving import entry_points, entry_temperatures
 from ebamcheck.scan.island_heat import IslandHeat, island_heat
 from ebamcheck.scan.laying import LaidLayer, lay_islands
 from ebamcheck.scan.order import ORDERS, LayerIslands, scan_order
@@ -21,6 +21,7 @@ from ebamcheck.scan.plan import ScanPlan
 from ebamcheck.scan.regions import layer_section
 from ebamcheck.scan.simulate import simulate_order
 from ebamcheck.scan.stacking import in_order, stack_plans
+from ebamcheck.scan.touching import touching, touching_successors
 from ebamcheck.scan.whole_part import OrderedLayer
 
 COMPARED = tuple(name for name in ORDERS if name != "nearest")
@@ -37,6 +38,8 @@ FIGURES = {
     "islands": "islands of the layer",
     "entry_max_k": "greatest mean temperature rise of an island when the beam enters it",
     "entry_sd_k": "standard deviation of it over the islands",
+    "entry_point_max_k": "greatest temperature rise under the beam, where it enters an island",
+    "touching": "share of islands that touch the one before them, though another was left that does not",
     "excess_uniformity": "spread of the temperature without the island's own heat, over the mean; mean of all islands",
     "interval_p10_s": "time between the ends of neighbouring islands, shortest tenth",
     "interval_min_s": "the same, least",
@@ -49,14 +52,32 @@ FIGURES = {
 
 @dataclass(frozen=True, eq=False)
 class OrderResult:
-    """One order driven on a layer: `plan`, and by island (I,) `rank`, `start_s`, `end_s`, `entry_k` and `excess`."""
+    """One order driven on a layer.
+
+    Parameters
+    ----------
+    plan
+        The plan.
+    rank, start_s, end_s
+        (I,) place in the order and times by island.
+    entry_k, point_k
+        (I,) temperature rises when the beam enters: of the whole island, and under the beam.
+    excess
+        (I,) excess uniformity.
+    touching
+        (I,) whether it touches the one before it, though another was left that does not.
+    travel_mm
+        Jumps between islands.
+    """
 
     plan: ScanPlan
     rank: Ints
     start_s: Floats
     end_s: Floats
     entry_k: Floats
+    point_k: Floats
     excess: Floats
+    touching: Bools
     travel_mm: float
 
     def figures(self) -> dict[str, float]:
@@ -67,6 +88,8 @@ class OrderResult:
             "islands": float(row["islands"]),
             "entry_max_k": float(self.entry_k.max()) if some else np.nan,
             "entry_sd_k": float(self.entry_k.std()) if some else np.nan,
+            "entry_point_max_k": float(self.point_k.max()) if some else np.nan,
+            "touching": float(self.touching.mean()) if some else np.nan,
             "excess_uniformity": float(self.excess.mean()) if some else np.nan,
             "interval_p10_s": float(row["interval_p10_s"]),
             "interval_min_s": float(row["interval_min_s"]),
@@ -135,9 +158,10 @@ class OrderComparison:
         heat = None
         if len(islands):
             drive = islands.driven
-            heat = island_heat(
+            modes = island_heat(
                 section, laid.islands, drive.beam_s, drive.time_s, profile, height_mm, fine=True
             )
+            heat = islands.with_fresh_heat(modes)
         return cls(laid, islands, heat, profile)
 
     def results(self, name: str, seeds: int) -> Iterator[OrderResult]:
@@ -158,17 +182,17 @@ class OrderComparison:
         rank[order] = np.arange(count)
         if self.heat is None:
             nothing = np.zeros(0)
-            return OrderResult(plan, rank, nothing, nothing, nothing, nothing, 0.0)
+            return OrderResult(
+                plan, rank, nothing, nothing, nothing, nothing, nothing, np.zeros(0, np.bool_), 0.0
+            )
         # An island without lines is passed in no time.
         end_s = driven["end_s"].ffill().fillna(0.0)
         start_s = driven["start_s"].fillna(end_s)
         by_island = np.argsort(driven["island"].to_numpy())
         begins, ends = start_s.to_numpy()[by_island], end_s.to_numpy()[by_island]
-        entry_k, excess = entry_temperatures(
-            self.heat,
-            islands.area_mm2,
-            order,
-            begins,
-            ends,
-        )
-        return OrderResult(plan, rank, begins, ends, entry_k, excess, float(driven["travel_mm"].sum()))
+        entry_k, excess = entry_temperatures(self.heat, islands.area_mm2, order, begins, ends)
+        _, point_k = entry_points(self.heat, islands.driven, order, begins, ends)
+        hot = np.empty(count, np.bool_)
+        hot[order] = touching_successors(touching(islands.neighbours, count), order)
+        travel_mm = float(driven["travel_mm"].sum())
+        return OrderResult(plan, rank, begins, ends, entry_k, point_k, excess, hot, travel_mm)

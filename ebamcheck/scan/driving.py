@@ -6,7 +6,9 @@ import numpy as np
 
 from ebamcheck.kernels import kernel
 from ebamcheck.rings import Floats, Ints
+from ebamcheck.scan.drive import IslandDrive
 from ebamcheck.scan.island_heat import IslandHeat
+from ebamcheck.scan.near_field import NearField, fresh_rise
 from ebamcheck.scan.ways import nearest_way
 
 LEAST_DECAY = 1e-9
@@ -33,13 +35,56 @@ def entry_temperatures(
         (I,) by island: spread of the temperature over the layer when the beam leaves it, without the
         island's own heat, over the mean temperature (excess uniformity).
     """
-    return driven(*heat.columns, area_mm2 / area_mm2.sum(), order, start_s, end_s, heat.start_k.copy())
+    share = area_mm2 / area_mm2.sum()
+    entry_k, excess = driven(*heat.columns, share, order, start_s, end_s, heat.start_k.copy())
+    return entry_k + _fresh_means(heat, order, start_s, end_s), excess
 
 
 def entered(heat: IslandHeat, order: Ints, start_s: Floats, end_s: Floats) -> tuple[Floats, Floats]:
     """Entry temperatures (I,) by island alone, which is far less work, and the amplitudes (K, N) at the end."""
     state = heat.start_k.copy()
-    return entered_into(*heat.columns, order, start_s, end_s, state), state
+    entry_k = entered_into(*heat.columns, order, start_s, end_s, state)
+    return entry_k + _fresh_means(heat, order, start_s, end_s), state
+
+
+def entry_points(
+    heat: IslandHeat, drive: IslandDrive, order: Ints, start_s: Floats, end_s: Floats
+) -> tuple[Floats, Floats]:
+    """Mean temperature rise of each island, and that under the beam, when the beam enters it, (I,) K by island."""
+    modes_k = entered_into(*heat.columns, order, start_s, end_s, heat.start_k.copy())
+    way = ways_driven(order, drive.entry, drive.leave)
+    means, points = freshly_heated(heat.fresh, heat.source_k_s, order, start_s, end_s, way)
+    return modes_k + means, modes_k + points
+
+
+def _fresh_means(heat: IslandHeat, order: Ints, start_s: Floats, end_s: Floats) -> Floats:
+    """What the mean temperatures by the modes lack, (I,) K; nothing where that is not known."""
+    if heat.near is None:
+        return np.zeros(len(start_s))
+    way = np.zeros(len(start_s), np.int64)
+    return freshly_heated(heat.near, heat.source_k_s, order, start_s, end_s, way)[0]
+
+
+@kernel
+def freshly_heated(
+    near: NearField, source: Floats, order: Ints, start: Floats, end: Floats, way: Ints
+) -> tuple[Floats, Floats]:
+    """What fresh heat adds to the temperatures by the modes, (I,) K: to those of islands, and to those of entries."""
+    means, points = np.zeros(len(start)), np.zeros(len(start))
+    place = np.full(len(start), -1)
+    for n in range(len(order)):
+        place[order[n]] = n
+    for i in order:
+        for p in range(near.first[i], near.first[i + 1]):
+            j = near.other[p]
+            since = start[i] - end[j]
+            if place[j] >= place[i] or place[j] < 0 or since > near.horizon_s:
+                continue
+            time = end[j] - start[j]
+            mean, point = fresh_rise(near, near.pair[p], i, way[i], j, way[j], since, time)
+            means[i] += source[j] * mean
+            points[i] += source[j] * point
+    return means, points
 
 
 @kernel
@@ -166,6 +211,16 @@ def field(mean: Floats, amplitudes: Floats) -> Floats:
         for j in range(mean.shape[1]):
             result[j] += amplitudes[k] * mean[k, j]
     return result
+
+
+@kernel
+def ways_driven(order: Ints, entry: Floats, leave: Floats) -> Ints:
+    """Way by which each island is driven, by island (I,), entering each the nearest way."""
+    ways = np.zeros(len(entry), np.int64)
+    for n in range(1, len(order)):
+        x, y = leave[order[n - 1], ways[order[n - 1]]]
+        ways[order[n]] = nearest_way(entry[order[n]], x, y)[1]
+    return ways
 
 
 @kernel

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,9 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.config import Config
 from ebamcheck.heat import HeatModel, Medium, contour_modes, depth_modes
 from ebamcheck.rings import Floats
+from ebamcheck.scan.drive import IslandDrive
+from ebamcheck.scan.hatch import Vectors
+from ebamcheck.scan.near_field import NearField, near_field
 
 SIMULATION_WAVE = 2.0 / 3.0
 """Shortest wave of a simulation, in widths of an island."""
@@ -25,6 +28,9 @@ made on finer cells were no cooler in a finer simulation."""
 
 PLANNING_MODES = 400
 """Modes of the section that a plan uses at most: beyond, only the longest waves count."""
+
+PLANNING_WORK = 4e9
+"""Modes times the square of the islands in a plan at most: over 3000 islands it knows fewer modes."""
 
 SIMULATION_MODES = 800
 """Modes of the section that a simulation uses at most."""
@@ -51,6 +57,10 @@ class IslandHeat:
         (K, N) amplitudes when the layer begins.
     model
         The heat model whose modes these are.
+    complete
+        Eigenvalue up to which these are all modes of section and depth, 1/mm^2.
+    near
+        Fresh heat between islands that are near each other, which the modes lack; None: by the modes alone.
     """
 
     mean: Floats
@@ -60,6 +70,14 @@ class IslandHeat:
     source_k_s: Floats
     start_k: Floats
     model: HeatModel
+    complete: float
+    near: NearField | None = None
+
+    @property
+    def fresh(self) -> NearField:
+        """What the modes lack, where it is known."""
+        assert self.near is not None, "the fresh heat of this model was not set up: see with_fresh_heat"
+        return self.near
 
     @property
     def columns(self) -> tuple[Floats, Floats, Floats, Floats, Floats]:
@@ -94,10 +112,9 @@ def island_heat(
     medium, process = Medium.of(profile), profile.process
     width_mm = math.sqrt(section.area / max(len(islands), 1))
     largest = (2.0 * math.pi / (width_mm * (SIMULATION_WAVE if fine else PLANNING_WAVE))) ** 2
-    if fine:
-        plane = contour_modes(section, largest, SIMULATION_MODES, SIMULATION_CELLS)
-    else:
-        plane = contour_modes(section, largest, PLANNING_MODES, PLANNING_CELLS)
+    planned = max(1, min(PLANNING_MODES, int(PLANNING_WORK / max(len(islands), 1) ** 2)))
+    most, cells = (SIMULATION_MODES, SIMULATION_CELLS) if fine else (planned, PLANNING_CELLS)
+    plane = contour_modes(section, largest, most, cells)
     depth_mm = max(height_mm, 0.0) + process.base_plate_mm
     waves = min(MOST_DEPTH_MODES, math.ceil(depth_mm * math.sqrt(largest) / math.pi) + 1)
     loss = medium.radiation_w_mm2k / medium.conductivity_w_mmk
@@ -113,4 +130,25 @@ def island_heat(
         source_k_s=np.asarray(power_w / medium.heat_capacity_j_mm3k, np.float64),
         start_k=model.cold(),
         model=model,
+        complete=min(
+            largest if len(plane.eigenvalue) < most else float(plane.eigenvalue[-1]),
+            float(depth.wave_number[-1]) ** 2,
+        ),
     )
+
+
+def with_fresh_heat(
+    heat: IslandHeat,
+    drive: IslandDrive,
+    lines: Vectors,
+    section: BaseGeometry,
+    centroid: Floats,
+    area_mm2: Floats,
+    profile: Config,
+) -> IslandHeat:
+    """Add the fresh heat that the modes lack to the heat model of a layer: see :mod:`ebamcheck.scan.near_field`."""
+    bead_mm = profile.process.bead_width_mm
+    near = near_field(
+        heat.model, heat.mean, heat.complete, drive, lines, section, centroid, area_mm2, bead_mm
+    )
+    return replace(heat, near=near)

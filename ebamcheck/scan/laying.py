@@ -54,6 +54,7 @@ class LaidLayer:
             section=self.regions.section,
             polygons=self.islands,
             drive=island_drive(self.lines, self.chained, profile),
+            lines=self.lines,
         )
 
 

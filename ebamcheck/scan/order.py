@@ -37,11 +37,15 @@ from ebamcheck.kernels import kernel
 from ebamcheck.rings import Floats, Ints
 from ebamcheck.scan.drive import IslandDrive
 from ebamcheck.scan.driving import clocked
-from ebamcheck.scan.island_heat import IslandHeat, island_heat
+from ebamcheck.scan.hatch import Vectors
+from ebamcheck.scan.island_heat import IslandHeat, island_heat, with_fresh_heat
 from ebamcheck.scan.thermal import greedy_order, thermal_order
+from ebamcheck.scan.touching import touching
 
 LAST, ANY, SUM, FARTHEST = 0, 1, 2, 3
 """Rules of :func:`greedy`."""
+
+NO_LINES = Vectors(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)))
 
 TIE_MM = 1e-6
 """Distances closer than this are equal: a lattice is full of ties, which rounding must not decide."""
@@ -73,6 +77,8 @@ class LayerIslands:
         (I,) the islands.
     drive
         How each is driven. Without it, orders that ask for times or heat cannot be used.
+    lines
+        Lines of the islands, sorted by island; None: each counts as a blob of its area.
     before
         From the heat model of the layer, the amplitudes (K, N) at which it begins; None: cold.
     """
@@ -87,6 +93,7 @@ class LayerIslands:
     section: BaseGeometry = field(default_factory=shapely.Polygon)
     polygons: NDArray[np.object_] = field(default_factory=lambda: np.zeros(0, object))
     drive: IslandDrive | None = None
+    lines: Vectors | None = None
     before: Callable[[HeatModel], Floats] | None = None
 
     def __len__(self) -> int:
@@ -117,8 +124,16 @@ class LayerIslands:
     def cold_heat(self) -> IslandHeat:
         """The heat model of the layer on a cold part, set up when it is first asked for."""
         drive = self.driven
-        return island_heat(
+        modes = island_heat(
             self.section, self.polygons, drive.beam_s, drive.time_s, self.profile, self.height_mm
+        )
+        return self.with_fresh_heat(modes)
+
+    def with_fresh_heat(self, modes: IslandHeat) -> IslandHeat:
+        """Add the fresh heat between these islands to a heat model of the layer that has its modes alone."""
+        lines = NO_LINES if self.lines is None else self.lines
+        return with_fresh_heat(
+            modes, self.driven, lines, self.section, self.centroid, self.area_mm2, self.profile
         )
 
 
@@ -204,7 +219,8 @@ def shuffled(islands: LayerIslands) -> Ints:
 def least_heat(islands: LayerIslands) -> Ints:
     """Next the island that is coolest when the beam gets there, however far it is."""
     rapid = islands.profile.machine.rapid_mm_s
-    return greedy_order(islands.heat, islands.driven, rapid, _seeded_start(islands), 0.0, 0.0)
+    beside = touching(islands.neighbours, len(islands))
+    return greedy_order(islands.heat, islands.driven, beside, rapid, _seeded_start(islands), 0.0, 0.0)
 
 
 def thermal(islands: LayerIslands) -> Ints:
@@ -217,6 +233,7 @@ def thermal(islands: LayerIslands) -> Ints:
     return thermal_order(
         islands.heat,
         drive,
+        islands.neighbours,
         rapid,
         width_mm=float(np.sqrt(islands.area_mm2.mean())),
         longest_mm=settings.travel_share * travel,

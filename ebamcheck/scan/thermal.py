@@ -1,31 +1,42 @@
 """Orders by heat: at every step the island that is coolest when the beam gets there, and not too far away.
 
-The score of an island is its mean temperature at the time it would be entered, plus the travel to it and the
-start of the wire, each at its price in kelvin. A low price of travel makes cool but long ways; so plans for
-several prices are made, the coolest is kept among those whose way is short enough, and that one is improved
-(:mod:`~ebamcheck.scan.annealing`).
+The score of an island is its temperature at the time it would be entered, plus the travel to it and the start of the
+wire, each at its price in kelvin. Its temperature is its mean, or that under the beam where it would be entered
+(:mod:`~ebamcheck.scan.near_field`), whichever is more. No island follows one that it touches while another is left. A
+low price of travel makes cool but long ways; so plans for several prices are made, and the coolest of those whose way
+is short enough are improved (:mod:`~ebamcheck.scan.annealing`). Of a few islands all orders are tried
+(:mod:`~ebamcheck.scan.all_orders`).
 """
 
 from __future__ import annotations
 
 import itertools
-import math
 
 import numpy as np
 
 from ebamcheck.kernels import kernel, run_blocks
-from ebamcheck.rings import Floats, Ints
+from ebamcheck.rings import Bools, Floats, Ints
+from ebamcheck.scan.all_orders import MOST_LISTED, best_of_all
 from ebamcheck.scan.annealing import annealed, high_mean
 from ebamcheck.scan.drive import IslandDrive
-from ebamcheck.scan.driving import at_surface, clocked, decay, entered, heat_island
+from ebamcheck.scan.driving import at_surface, clocked, decay, entry_points, heat_island
 from ebamcheck.scan.influence import MOST_ISLANDS, influence
 from ebamcheck.scan.island_heat import IslandHeat
+from ebamcheck.scan.near_field import NearField, fresh_rise
 from ebamcheck.scan.path import JOINED_MM
+from ebamcheck.scan.touching import Touching, touching, touching_successors
 from ebamcheck.scan.ways import nearest_way, ways_between
 
 PRICES = (0.005, 0.01, 0.0025, 0.02, 0.04, 0.08, 0.16)
 """Prices of travel that are tried: in temperature rises of an island by its own heat, over widths of an island.
 The best one differs from layer to layer by chance; on the largest layers, which can afford few, it is the first."""
+
+MOST_MOVES = 1e7
+"""Moves times islands in the improvement of plans: enough for three plans of 80 islands, for all of 20, for one of 300."""
+
+WARMTHS = (0.005, 0.005, 0.05)
+"""Worsening taken at first when a plan is improved, as a share of its cost; for the first plan, the second, and so on
+from the beginning. Plans of many islands lose what they have by more; those of few find no way out by less."""
 
 STARTS = 2
 """Islands from which each price is tried."""
@@ -33,11 +44,11 @@ STARTS = 2
 MOST_WORK = 4e9
 """Multiplications in one search, which limits the plans tried on a layer of thousands of islands: to two of 2100."""
 
-MOST_GREEDY_WORK = 4e9
-"""Multiplications in one plan: on a layer of over 3000 islands it looks at fewer modes, the slowest to die out first."""
-
 MOVES_AN_ISLAND = 800
 """Moves tried for each island when a plan is improved: on layers of few, more find nothing."""
+
+Rank = tuple[int, float, float]
+"""Rank of a plan, see :func:`ranked`: the less the better."""
 
 TIE_K = 1e-6
 """Scores closer than this are equal: rounding must not decide between islands that mirror each other."""
@@ -46,6 +57,7 @@ TIE_K = 1e-6
 def thermal_order(
     heat: IslandHeat,
     drive: IslandDrive,
+    neighbours: Ints,
     rapid_mm_s: float,
     width_mm: float,
     longest_mm: float,
@@ -55,8 +67,12 @@ def thermal_order(
 ) -> Ints:
     """Order islands by heat: the coolest of several greedy plans whose travel is not too long, improved.
 
+    Of a few islands all orders are tried.
+
     Parameters
     ----------
+    neighbours
+        (P, 2) pairs of islands that touch.
     width_mm
         Width of an island.
     longest_mm
@@ -70,22 +86,26 @@ def thermal_order(
     """
     count = len(drive)
     price_k_mm = float(np.mean(own_rise(heat, drive))) / width_mm
-    best, best_rank = np.arange(count), (math.inf, math.inf)
+    beside = touching(neighbours, count)
+    if count <= MOST_LISTED:
+        ways = ways_between(drive)
+        latest_s = float(drive.time_s.sum() + (count - 1) * ways.jump_mm.max() / rapid_mm_s)
+        table = influence(heat, drive.time_s, latest_s)
+        return best_of_all(table, ways, beside, drive.time_s, rapid_mm_s, longest_mm)
     tries = _tries(count, len(heat.plane_rate))
 
-    def plans(start: int, stop: int) -> list[tuple[Ints, tuple[float, float]]]:
+    def plans(start: int, stop: int) -> list[tuple[Ints, Rank]]:
         done = []
         for price, first in tries[start:stop]:
             paid = price * price_k_mm
-            order = greedy_order(heat, drive, rapid_mm_s, first, paid, paid * start_travel_mm)
-            done.append((order, ranked(heat, drive, rapid_mm_s, order, longest_mm)))
+            order = greedy_order(heat, drive, beside, rapid_mm_s, first, paid, paid * start_travel_mm)
+            done.append((order, ranked(heat, drive, beside, rapid_mm_s, order, longest_mm)))
         return done
 
     # Threads pay on layers of many islands only.
     found = run_blocks(plans, len(tries), smallest=1 if count > MOST_ISLANDS else len(tries))
-    for order, rank in itertools.chain(*found):
-        if better(rank, best_rank):
-            best, best_rank = order, rank
+    plans_made = sorted(itertools.chain(*found), key=lambda plan: plan[1])
+    best, best_rank = plans_made[0]
     if count > MOST_ISLANDS or steps == 0:
         return best
     *_, end_s, travel = clocked(best, drive.entry, drive.leave, drive.time_s, rapid_mm_s)
@@ -93,8 +113,15 @@ def thermal_order(
     table = influence(heat, drive.time_s, float(end_s.max()) + max(travel, longest_mm) / rapid_mm_s)
     ways = ways_between(drive)
     most = min(steps, MOVES_AN_ISLAND * count)
-    tried = annealed(table, ways, drive.time_s, rapid_mm_s, best, longest_mm, price_k_mm, most, random)
-    return tried if better(ranked(heat, drive, rapid_mm_s, tried, longest_mm), best_rank) else best
+    for n, (start, _) in enumerate(plans_made[: max(1, int(MOST_MOVES / (most * count)))]):
+        warmth = WARMTHS[n % len(WARMTHS)]
+        tried = annealed(
+            table, ways, beside, drive.time_s, rapid_mm_s, start, longest_mm, price_k_mm, most, random, warmth
+        )
+        rank = ranked(heat, drive, beside, rapid_mm_s, tried, longest_mm)
+        if better(rank, best_rank):
+            best, best_rank = tried, rank
+    return best
 
 
 def _tries(count: int, modes: int) -> list[tuple[float, int]]:
@@ -104,9 +131,9 @@ def _tries(count: int, modes: int) -> list[tuple[float, int]]:
     return tries[: max(1, int(MOST_WORK / (count**2 * modes)))]
 
 
-def better(rank: tuple[float, float], than: tuple[float, float]) -> bool:
-    """Whether a plan has less travel too much, or is as short and cooler."""
-    return rank[0] < than[0] or (rank[0] == than[0] and rank[1] < than[1] - TIE_K)
+def better(rank: Rank, than: Rank) -> bool:
+    """Whether a plan has fewer touching successors, or less travel too much, or is as good in both and cooler."""
+    return rank[:2] < than[:2] or (rank[:2] == than[:2] and rank[2] < than[2] - TIE_K)
 
 
 def own_rise(heat: IslandHeat, drive: IslandDrive) -> Floats:
@@ -121,22 +148,28 @@ def own_rise(heat: IslandHeat, drive: IslandDrive) -> Floats:
 
 
 def ranked(
-    heat: IslandHeat, drive: IslandDrive, rapid_mm_s: float, order: Ints, longest_mm: float
-) -> tuple[float, float]:
-    """Rank of a plan: travel beyond what is allowed, mm; then the high mean of the entry temperatures, K."""
+    heat: IslandHeat, drive: IslandDrive, beside: Touching, rapid_mm_s: float, order: Ints, longest_mm: float
+) -> Rank:
+    """Rank of a plan: touching successors; travel beyond what is allowed, mm; high mean of the entry temperatures, K."""
     start_s, end_s, travel = clocked(order, drive.entry, drive.leave, drive.time_s, rapid_mm_s)
-    entry_k, _ = entered(heat, order, start_s, end_s)
-    return max(0.0, travel - longest_mm), high_mean(entry_k)
+    means_k, points_k = entry_points(heat, drive, order, start_s, end_s)
+    too_near = int(touching_successors(beside, order).sum())
+    return too_near, max(0.0, travel - longest_mm), high_mean(np.maximum(means_k, points_k))
 
 
 def greedy_order(
-    heat: IslandHeat, drive: IslandDrive, rapid_mm_s: float, first: int, price_k_mm: float, start_k: float
+    heat: IslandHeat,
+    drive: IslandDrive,
+    beside: Touching,
+    rapid_mm_s: float,
+    first: int,
+    price_k_mm: float,
+    start_k: float,
 ) -> Ints:
     """Order islands by heat for one price of travel (K/mm) and of a wire start (K)."""
-    modes = max(1, min(len(heat.plane_rate), int(MOST_GREEDY_WORK / len(drive) ** 2)))
     return coolest_first(
-        heat.mean[:modes].copy(),
-        heat.plane_rate[:modes],
+        heat.mean.copy(),
+        heat.plane_rate,
         heat.depth_rate,
         heat.in_layer,
         heat.source_k_s,
@@ -147,7 +180,9 @@ def greedy_order(
         first,
         price_k_mm,
         start_k,
-        heat.start_k[:modes].copy(),
+        heat.start_k.copy(),
+        heat.fresh,
+        beside,
     )
 
 
@@ -166,19 +201,26 @@ def coolest_first(
     price: float,
     start_price: float,
     state: Floats,
+    near: NearField,
+    beside: Touching,
 ) -> Ints:
     """Order by score; `mean` (K, I) and `state` (K, N) are used up. Between the earliest and the latest entry temperature is linear."""
     modes, count = mean.shape
     order = np.empty(count, np.int64)
     left = np.arange(count)
     now, soon = np.empty(count), np.empty(count)
-    latest = 0.0
+    ways, end, scanned = np.empty(count, np.int64), np.empty(count), np.zeros(count, np.bool_)
+    jumps, by = np.empty(count), np.empty(count, np.int64)
+    means, points, touches = np.zeros(count), np.zeros(count), np.full(count, -1)
+    clock, latest = 0.0, 0.0
     for axis in range(2):
         latest += np.ptp(entry[:, :, axis]) / rapid
     place, way, jump = first, 0, 0.0
     for n in range(count):
         island = left[place]
         order[n] = island
+        clock += jump / rapid + time[island]
+        ways[island], end[island], scanned[island] = way, clock, True
         x, y = leave[island, way, 0], leave[island, way, 1]
         decay(state, plane_rate, depth_rate, jump / rapid + time[island])
         heat_island(state, mean[:, place], plane_rate, depth_rate, in_layer, source[island], time[island])
@@ -198,15 +240,60 @@ def coolest_first(
             for j in range(rest):
                 now[j] += e * row[j]
                 soon[j] += s * row[j]
-        best, best_island = np.inf, -1
+        for candidate in left[:rest]:
+            jumps[candidate], by[candidate] = nearest_way(entry[candidate], x, y)
+        add_fresh(near, source, time, order[: n + 1], ways, end, scanned, jumps, by, rapid, means, points)
+        for m in range(beside.first[island], beside.first[island + 1]):
+            touches[beside.other[m]] = n
+        best, best_island, best_touches = np.inf, -1, True
         for j in range(rest):
             candidate = left[j]
-            nearest, by = nearest_way(entry[candidate], x, y)
+            nearest = jumps[candidate]
             share = nearest / rapid / latest if latest > 0.0 else 0.0
-            score = now[j] + (soon[j] - now[j]) * share + price * nearest
+            score = now[j] + (soon[j] - now[j]) * share + max(means[candidate], points[candidate])
+            score += price * nearest
+            means[candidate], points[candidate] = 0.0, 0.0
             if nearest > JOINED_MM:
                 score += start_price
-            if score < best - TIE_K or (score < best + TIE_K and candidate < best_island):
-                best, best_island = score, candidate
-                place, way, jump = j, by, nearest
+            hot = touches[candidate] == n
+            if hot and not best_touches:
+                continue
+            cooler = score < best - TIE_K or (score < best + TIE_K and candidate < best_island)
+            if cooler or (best_touches and not hot):
+                best, best_island, best_touches = score, candidate, hot
+                place, way, jump = j, by[candidate], nearest
     return order
+
+
+@kernel
+def add_fresh(
+    near: NearField,
+    source: Floats,
+    time: Floats,
+    order: Ints,
+    ways: Ints,
+    end: Floats,
+    scanned: Bools,
+    jumps: Floats,
+    by: Ints,
+    rapid: float,
+    means: Floats,
+    points: Floats,
+) -> None:
+    """Add what fresh heat does to the islands (I,) that are left: to their means, and where each would be entered.
+
+    `order`, `ways`, `end` are the islands scanned so far; `jumps`, `by` the travel to each of the others and its way.
+    """
+    now = end[order[-1]]
+    for n in range(len(order) - 1, -1, -1):
+        last = order[n]
+        if now - end[last] > near.horizon_s:
+            break
+        for p in range(near.first[last], near.first[last + 1]):
+            i = near.other[p]
+            if scanned[i]:
+                continue
+            since = now - end[last] + jumps[i] / rapid
+            mean, point = fresh_rise(near, near.pair[p], i, by[i], last, ways[last], since, time[last])
+            means[i] += source[last] * mean
+            points[i] += source[last] * point

@@ -49,7 +49,8 @@ class ScanSettings(Section):
     stride: Annotated[int, Field(ge=2)] = 7
     """The order `stride` takes every so many islands of the raster."""
     travel_share: Positive = 0.5
-    """The order `thermal` travels at most this share of what `farthest` does."""
+    """The order `thermal` travels at most this share of what `farthest` does; more only where an island would else follow
+    one that it touches."""
     start_travel_mm: NotNegative = 10.0
     """Travel that weighs as much as one start of the wire, for `thermal`."""
     annealing_steps: Annotated[int, Field(ge=0)] = 40000

@@ -1,0 +1,156 @@
+"""Temperatures of 2000 islands against a converged reference: ``python -m benchmarks.island_temperatures``.
+
+The layer is a rectangle, whose modes are known in closed form: the reference takes all of them down to waves of a
+fraction of an island, and the depth's down to a fraction of a layer, and integrates them over every island. The model
+takes its few hundred, with and without the fresh heat of near islands.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import shapely
+from numpy.typing import NDArray
+
+from benchmarks.machine import machine
+from benchmarks.scan_orders import markdown
+from ebamcheck.config import Config
+from ebamcheck.heat import depth_modes
+from ebamcheck.heat.rectangle import rectangle_modes
+from ebamcheck.rings import Floats, Ints
+from ebamcheck.scan.driving import clocked, entered, entered_into
+from ebamcheck.scan.island_heat import IslandHeat
+from ebamcheck.scan.laying import lay_islands
+from ebamcheck.scan.order import LayerIslands, scan_order
+from ebamcheck.scan.regions import layer_section
+
+SIDES_MM, HEXAGON_MM, HEIGHT_MM = (400.0, 230.0), 4.0, 10.0
+
+WAVES = (1.4, 1.0, 0.7)
+"""Shortest waves of the references, in widths of an island: the finest is the reference, the others show that it
+has converged."""
+
+WAVES_A_LAYER = 4.0
+"""Waves of the depth in the thickness of a layer."""
+
+BLOCK = 1000
+"""Modes at a time."""
+
+ORDERS = ("raster", "farthest", "random", "thermal")
+
+QUADRATURE = np.array([[1.0, 1.0, 4.0], [1.0, 4.0, 1.0], [4.0, 1.0, 1.0]]) / 6.0
+"""Barycentric coordinates of the points of equal weight that integrate polynomials of degree 2 over a triangle."""
+
+Driven = tuple[Ints, Floats, Floats]
+"""An order, and begin and end of each island."""
+
+
+def sampled(islands: NDArray[np.object_]) -> tuple[Floats, Floats, Ints]:
+    """Points (P, 2) and weights (P,) that stand for the mean over islands, and the island of each."""
+    triangles, owner = shapely.get_parts(shapely.constrained_delaunay_triangles(islands), return_index=True)
+    corners = shapely.get_coordinates(triangles).reshape(-1, 4, 2)[:, :3]
+    points = np.einsum("qb,tbx->tqx", QUADRATURE, corners).reshape(-1, 2)
+    weight, island = np.repeat(shapely.area(triangles), 3), np.repeat(owner, 3)
+    return points, weight / np.bincount(island, weight)[island], island
+
+
+def references(
+    heat: IslandHeat, choices: LayerIslands, driven: Sequence[Driven], waves: Sequence[float]
+) -> list[list[Floats]]:
+    """Entry temperatures (I,) of orders by all modes of a rectangle from (0, 0) down to some waves.
+
+    Waves are in widths of an island, falling; the result has a list for each, with the temperatures of each order.
+    """
+    model, count = heat.model, len(choices)
+    loss = model.medium.radiation_w_mm2k / model.medium.conductivity_w_mmk
+    deep = int(WAVES_A_LAYER * model.depth.depth_mm / model.layer_mm)
+    depth = depth_modes(model.depth.depth_mm, deep, model.depth.cooled, loss)
+    width_mm = float(np.sqrt(choices.area_mm2.mean()))
+    largest = [(2.0 * np.pi / (wave * width_mm)) ** 2 for wave in waves]
+    *_, right, top = choices.section.bounds
+    plane = rectangle_modes(right, top, largest[-1])
+    points, weight, island = sampled(choices.polygons)
+    alpha, totals = model.medium.diffusivity_mm2_s, [np.zeros(count) for _ in driven]
+    found = []
+    edges = [0, *np.searchsorted(plane.eigenvalue, largest, side="right").tolist()]
+    for low, high in itertools.pairwise(edges):
+        for first in range(low, high, BLOCK):
+            some = slice(first, min(first + BLOCK, high))
+            block = replace(plane, wave_x=plane.wave_x[some], wave_y=plane.wave_y[some])
+            mean = np.zeros((count, len(block.wave_x)))
+            np.add.at(mean, island, weight[:, None] * block.at(points))
+            columns = (
+                np.ascontiguousarray(mean.T),
+                alpha * block.eigenvalue,
+                alpha * depth.wave_number**2,
+                depth.mean_of_layer(model.layer_mm),
+                heat.source_k_s,
+            )
+            for total, (order, start_s, end_s) in zip(totals, driven, strict=True):
+                total += entered_into(*columns, order, start_s, end_s, np.zeros((len(block.wave_x), deep)))
+        found.append([total.copy() for total in totals])
+    return found
+
+
+def compared(profile: Config, sides_mm: tuple[float, float], waves: tuple[float, ...]) -> pd.DataFrame:
+    """Entry temperatures of several orders on a rectangle, by the model and by references of some waves."""
+    section = layer_section(shapely.box(0.0, 0.0, *sides_mm))
+    choices = lay_islands(section, profile, 0, HEIGHT_MM).choices(profile, 0)
+    heat, drive, rapid = choices.heat, choices.driven, profile.machine.rapid_mm_s
+    orders = [scan_order(name, choices) for name in ORDERS]
+    driven = [(order, *clocked(order, drive.entry, drive.leave, drive.time_s, rapid)[:2]) for order in orders]
+    converging = references(heat, choices, driven, waves)
+    rows = []
+    for n, (name, times) in enumerate(zip(ORDERS, driven, strict=True)):
+        found = {
+            "modes alone": entered(replace(heat, near=None), *times)[0],
+            "with fresh heat": entered(heat, *times)[0],
+            **{f"reference, {wave:g} w": of[n] for wave, of in zip(waves, converging, strict=True)},
+        }
+        true = converging[-1][n]
+        for model, entry_k in found.items():
+            rows.append(
+                {
+                    "order": name,
+                    "model": model,
+                    "islands": len(choices),
+                    "mean_k": entry_k.mean(),
+                    "max_k": entry_k.max(),
+                    "rms_error_over_rms": np.sqrt(np.mean((entry_k - true) ** 2) / np.mean(true**2)),
+                    "error_of_max": entry_k.max() / true.max() - 1.0,
+                }
+            )
+    return pd.DataFrame(rows)
+
+
+def main() -> None:
+    """Compare, print, and write a table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("-o", "--output", type=Path, default=Path("reports/scan"))
+    options = parser.parse_args()
+    profile = Config().changed(scan={"hexagon_side_mm": HEXAGON_MM})
+    table = compared(profile, SIDES_MM, WAVES)
+    digits = {"mean_k": 0, "max_k": 0, "rms_error_over_rms": 3, "error_of_max": 3}
+    for column, places in digits.items():
+        table[column] = table[column].map(f"{{:.{places}f}}".format)
+    here = machine()
+    what = (
+        f"A rectangle of {SIDES_MM[0]:g} x {SIDES_MM[1]:g} mm, hexagons of {HEXAGON_MM:g} mm; mean temperature rises of "
+        "the islands when the beam enters them, K. A reference of `w` has all modes of the rectangle down to waves of "
+        "that many widths of an island; errors are against the finest.\n"
+    )
+    by = f"By `python -m benchmarks.island_temperatures` on {here['cores']} cores of {here['cpu']}.\n"
+    lines = ["# Temperatures of islands against a converged reference\n", by, what, markdown(table)]
+    options.output.mkdir(parents=True, exist_ok=True)
+    (options.output / "islands.md").write_text("\n".join(lines), encoding="utf-8")
+    print("\n".join(lines))
+
+
+if __name__ == "__main__":
+    main()
