@@ -161,7 +161,8 @@ def test_carried_heat_changes_the_order_alone_and_makes_it_cooler():
 
     driven = list(scan_part(sections_of(layers), layers.heights, free, as_planned, 0))
     planned_k = np.array([row["entry_max_k"] for row in driven])
-    assert np.median(warm_plan.metrics["entry_max_k"] / planned_k) < 0.95
+    # Both contain the mean of the section, which no order changes.
+    assert warm_plan.metrics["entry_max_k"].mean() < 0.95 * planned_k.mean()
 
 
 def test_orders_that_ask_no_heat_have_no_heat_in_their_metrics():
