@@ -10,7 +10,7 @@ import shapely
 from scipy.integrate import quad
 
 from ebamcheck.config import Config
-from ebamcheck.heat import balance
+from ebamcheck.heat import HeatModel, Medium, balance, contour_modes, depth_modes
 from ebamcheck.heat.balance import (
     Deposits,
     HeatColumn,
@@ -148,6 +148,23 @@ def test_cells_are_joined_in_the_depth_and_not_over_a_step_of_the_outline():
     assert joined.size < 120
     under = joined.sum() - np.cumsum(joined)
     assert (joined <= np.maximum(0.05 * (under + joined), 0.5) + 1e-9).all()
+
+
+@pytest.mark.parametrize("base", ["cooled", "insulated"])
+def test_the_mean_of_the_modes_is_the_column(base, monkeypatch):
+    for name, value in (("STEPS", 300), ("FEW_STEPS", 300), ("LARGEST_CELL_MM", 0.5)):
+        monkeypatch.setattr(balance, name, value)
+    config = profile(emissivity=0.0, base=base)
+    section = shapely.box(0, 0, 50, 30).difference(shapely.box(10, 10, 20, 18))
+    plane, depth = contour_modes(section, 0.05, 60), depth_modes(29.0, 150, base == "cooled")
+    modes = HeatModel(plane, depth, Medium.of(config), 2.0)
+    column = laid(config, LayerShape.of(section, 2.0), LayerShape.of(section, 2.0))
+    state, whole = modes.cold(), plane.means(np.array([section], object))
+    for power_w, duration_s in ((900.0, 40.0), (0.0, 60.0), (500.0, 8.0)):
+        state = modes.after_source(state, whole[0], power_w, duration_s)
+        column.advance(duration_s, power_w * duration_s)
+        rise = float(modes.over(state, whole)[0])
+        assert column.surface_k - AMBIENT_K == pytest.approx(rise, rel=0.015)
 
 
 # -- channels ----------------------------------------------------------------------------------------

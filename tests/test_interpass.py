@@ -280,6 +280,7 @@ def test_a_part_that_melts_shuts_the_gate_without_any_measure(tmp_path):
 def test_no_figure_is_over_the_boiling_point(plans, tmp_path):
     config, plan = plans["off"]
     config, curves, files = written(config, plan, tmp_path / "p")
+    assert plan.metrics["leave_k"].max() <= config.material.boiling_k
     metrics = plan.metrics.assign(entry_max_k=5000.0)
     gate = heat_gate(judged(config, files, plan, curves)[1].values(), metrics, config)
     assert gate.figure == config.material.boiling_k

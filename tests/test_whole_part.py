@@ -7,14 +7,12 @@ import threading
 import numpy as np
 import pytest
 import shapely
-from scipy.integrate import solve_ivp
 
 import ebamcheck
 from ebamcheck.config import Config
 from ebamcheck.errors import SettingsError
 from ebamcheck.heat import HeatModel, Medium, carried, contour_modes, depth_modes
 from ebamcheck.heat.carry import overlap_of_depths
-from ebamcheck.heat.medium import cooled_by_radiation_k
 from ebamcheck.layers import from_polygons
 from ebamcheck.scan import order, plan_stack
 from ebamcheck.scan.order import GEOMETRIC
@@ -99,22 +97,6 @@ def test_layers_get_warmer_until_they_lose_what_they_get(base):
     assert all(row["stored_j"] < other["stored_j"] for row, other in zip(rows, kept, strict=True))
 
 
-@pytest.mark.parametrize("ambient_k", [0.0, 293.0])
-def test_radiation_alone_cools_as_its_law_says(ambient_k):
-    rate, rise_k = 1e-12, 1500.0
-    found = [cooled_by_radiation_k(rise_k, ambient_k, rate, t) for t in (0.0, 10.0, 300.0, 1e9)]
-    assert found[0] == rise_k
-    solved = solve_ivp(
-        lambda _, t: -rate * (t**4 - ambient_k**4),
-        (0, 300),
-        [ambient_k + rise_k],
-        rtol=1e-9,
-        t_eval=[10, 300],
-    )
-    assert found[1:3] == pytest.approx(solved.y[0] - ambient_k, rel=5e-3)
-    assert 0.0 <= found[3] < 0.02 * rise_k
-
-
 def test_a_pause_lets_it_cool_and_an_empty_layer_passes_heat_on():
     profile = Config().changed(scan={"order": "raster"}, process={"interpass": "off"})
     sections = [layer_section(PLATE), shapely.Polygon(), layer_section(PLATE)]
@@ -161,7 +143,8 @@ def test_carried_heat_changes_the_order_alone_and_makes_it_cooler():
 
     driven = list(scan_part(sections_of(layers), layers.heights, free, as_planned, 0))
     planned_k = np.array([row["entry_max_k"] for row in driven])
-    assert np.median(warm_plan.metrics["entry_max_k"] / planned_k) < 0.95
+    # Both contain the mean of the section, which no order changes.
+    assert warm_plan.metrics["entry_max_k"].mean() < 0.95 * planned_k.mean()
 
 
 def test_orders_that_ask_no_heat_have_no_heat_in_their_metrics():

@@ -2,40 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-
-import numpy as np
 
 from ebamcheck.config import Config
 
 STEFAN_BOLTZMANN_W_M2K4 = 5.670374419e-8
 """Radiation of a black body over T^4 (CODATA 2018)."""
-
-
-RADIATION_STEPS = 256
-"""Steps of :func:`cooled_by_radiation_k`: each is exact for a loss that goes with the temperature."""
-
-
-def cooled_by_radiation_k(rise_k: float, ambient_k: float, rate_per_k3_s: float, time_s: float) -> float:
-    """Temperature rise over ambient of a body that radiates alone, dT/dt = -rate (T^4 - Ta^4), after a time, K.
-
-    Each step falls off by the secant of the law at its own beginning; the steps grow from short ones.
-
-    Examples
-    --------
-    Far over ambient, T^-3 grows by 3 rate t:
-
-    >>> round((1000.0**-3 + 3 * 1e-12 * 500.0) ** (-1 / 3), 1)
-    736.8
-    >>> round(cooled_by_radiation_k(1000.0, 0.0, 1e-12, 500.0), 1)
-    736.5
-    """
-    edges = time_s * (np.arange(RADIATION_STEPS + 1) / RADIATION_STEPS) ** 2
-    for step_s in np.diff(edges).tolist():
-        hot_k = ambient_k + rise_k
-        rise_k *= math.exp(-rate_per_k3_s * (hot_k**2 + ambient_k**2) * (hot_k + ambient_k) * step_s)
-    return rise_k
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,7 @@ METRICS = {
     "ring_wait_s": "wait before each further contour of it",
     "power_share": "share of the beam's power",
     "enter_k": "temperature of the surface when the layer begins, absolute; NaN likewise",
-    "leave_k": "the same when it is done",
+    "leave_k": "the same when it is done, at most the boiling point, the end of the model's range, as the other temperatures",
 }
 """Columns of :attr:`ScanPlan.metrics` and what they are."""
 

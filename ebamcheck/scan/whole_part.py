@@ -244,7 +244,9 @@ def _knowing(
 
 
 def _figures(drive: Drive, travel_mm: float, beads: Beads, islands: int, profile: Config) -> LayerHeat:
-    rise_k = drive.bed_k - profile.process.ambient_temperature_k
+    # Beyond the boiling point the model says that it is too hot, not how hot.
+    boiling_k, ambient_k = profile.material.boiling_k, profile.process.ambient_temperature_k
+    rise_k = np.minimum(drive.bed_k, boiling_k) - ambient_k
     entry_k = rise_k if rise_k.size else np.zeros(1)
     island_wait_s = np.zeros(islands)
     island_wait_s[beads.islands] = drive.bead_wait_s[beads.rings :]
@@ -256,8 +258,8 @@ def _figures(drive: Drive, travel_mm: float, beads: Beads, islands: int, profile
         time_s=drive.time_s,
         wait_s=drive.wait_s,
         power_share=drive.power_share,
-        enter_k=drive.enter_k,
-        leave_k=drive.leave_k,
+        enter_k=min(drive.enter_k, boiling_k),
+        leave_k=min(drive.leave_k, boiling_k),
         stored_j=drive.after.column.stored_j,
         ring_wait_s=drive.ring_wait_s,
         island_wait_s=island_wait_s,

@@ -161,7 +161,7 @@ def _heat(run: RunData, plan: ScanPlan) -> list[Markup]:
         limit=solidus if limit is None else limit,
         limit_name="solidus" if limit is None else "limit of entry",
     )
-    over = int((np.maximum(entry, metrics["leave_k"].fillna(0.0)) > boiling).sum())
+    over = int((np.maximum(entry, metrics["leave_k"].fillna(0.0)) >= boiling).sum())
     caption = (
         "Temperatures by the heat model: the balance of the whole part, and what differs across each section. A bead may be "
         "entered up to the limit; the surface gets warmer while a layer is laid."
