@@ -41,7 +41,7 @@ class Deposit:
         One row a layer: ``layer``, ``z_mm``, ``wanted_mm3``, ``laid_mm3``, ``outside_mm3`` (beside section and allowance),
         ``inside_mm2`` and ``edge_mm2`` (cells further than a bead width from the border, and the others), ``inside`` and
         ``edge`` (mean height of the metal there over that of the layer; NaN without any), ``low_mm`` and ``high_mm``
-        (the surface under and over its height when the layer is done), ``reach_mm`` (how far from the section there
+        (the surface under its height where beads run, and over it anywhere, when the layer is done), ``reach_mm`` (how far from the section there
         is metal of :data:`~ebamcheck.metal.surface.FILM`), and where these three are, ``low_x_mm`` ... ``reach_y_mm``.
     first_row
         (L,) first motion of each layer that lays metal, -1 without one.
@@ -107,7 +107,8 @@ class _Field:
         step = self._surface.step_mm
         target = target_of(section, step, 2.0 * self._bead_mm)
         share, inside = target.share, target.share >= HALF
-        laid = ndimage.convolve(_spread(target, places, volume) / step**2, self._pool, mode="constant")
+        melted = _spread(target, places, volume) / step**2
+        laid = ndimage.convolve(melted, self._pool, mode="constant")
         self._surface.add(target, laid, thickness_mm)
         deep = inside & (_distance(inside) * step > self._bead_mm)
         rim = inside & ~deep
@@ -125,7 +126,8 @@ class _Field:
             "edge_mm2": float(rim.sum() * step**2),
             "inside": _ratio(laid, wanted, deep),
             "edge": _ratio(laid, wanted, rim),
-            **_extreme("low", -over, target),
+            # Too low matters where the wire runs; the tip of a wedge, which no bead reaches, stays bare.
+            **_extreme("low", np.where(melted > 0.0, -over, 0.0), target),
             **_extreme("high", over, target),
             **_extreme("reach", reach, target),
         }

@@ -57,7 +57,7 @@ class FilledLayer:
 def fill_layer(regions: Regions, found: cells.Cells, profile: Config, layer: int) -> FilledLayer:
     """Fill the cells of the solids and the walls of a layer, and close the gaps that are left."""
     walls = [*regions.narrow_fills, *regions.bare_walls]
-    lines, chained = fill_islands(found, walls, profile, layer)
+    lines, chained = fill_islands(found, walls, len(regions.narrow_fills), profile, layer)
     filled = FilledLayer(
         islands=np.concatenate([found.polygons, cells.column(walls)]),
         kind=np.concatenate([found.kind, np.full(len(walls), cells.THIN_WALL)]).astype(np.str_),
@@ -68,9 +68,12 @@ def fill_layer(regions: Regions, found: cells.Cells, profile: Config, layer: int
 
 
 def fill_islands(
-    found: cells.Cells, walls: Sequence[shapely.Polygon], profile: Config, layer: int
+    found: cells.Cells, walls: Sequence[shapely.Polygon], narrow: int, profile: Config, layer: int
 ) -> tuple[Vectors, Bools]:
-    """Lines of all islands, sorted by island, and which islands' lines follow each other."""
+    """Lines of all islands, sorted by island, and which islands' lines follow each other.
+
+    The first `narrow` of the walls lie between contour beads, with which their beads meet; the others are bare.
+    """
     width, spacing = profile.process.bead_width_mm, profile.process.hatch_spacing_mm
     turn = profile.scan.first_angle_deg + layer * profile.scan.layer_angle_deg
     angle = hatch_directions(found, spacing, turn, profile.scan.island_angle_deg)
@@ -79,7 +82,7 @@ def fill_islands(
     count = len(found.polygons)
     owner, start, end = [hatched.island], [hatched.start], [hatched.end]
     for number, wall in enumerate(walls, count):
-        lines = wall_lines(wall, width, spacing)
+        lines = wall_lines(wall, width, spacing, to_the_end=number < count + narrow)
         if lines:
             along = Vectors(
                 np.full(sum(len(line) - 1 for line in lines), number, np.int64),

@@ -31,8 +31,8 @@ PRICES = (0.005, 0.01, 0.0025, 0.02, 0.04, 0.08, 0.16)
 """Prices of travel that are tried: in temperature rises of an island by its own heat, over widths of an island.
 The best one differs from layer to layer by chance; on the largest layers, which can afford few, it is the first."""
 
-MOST_MOVES = 1e7
-"""Moves times islands in the improvement of plans: enough for three plans of 80 islands, for all of 20, for one of 300."""
+MOST_MOVES = 2e6
+"""Moves times islands in the improvement of plans: enough for four plans of 25 islands, for all of 12, for one of 50."""
 
 WARMTHS = (0.005, 0.005, 0.05)
 """Worsening taken at first when a plan is improved, as a share of its cost; for the first plan, the second, and so on
@@ -113,11 +113,19 @@ def thermal_order(
     table = influence(heat, drive.time_s, float(end_s.max()) + max(travel, longest_mm) / rapid_mm_s)
     ways = ways_between(drive)
     most = min(steps, MOVES_AN_ISLAND * count)
-    for n, (start, _) in enumerate(plans_made[: max(1, int(MOST_MOVES / (most * count)))]):
-        warmth = WARMTHS[n % len(WARMTHS)]
-        tried = annealed(
-            table, ways, beside, drive.time_s, rapid_mm_s, start, longest_mm, price_k_mm, most, random, warmth
-        )
+    begun = [start for start, _ in plans_made[: max(1, int(MOST_MOVES / (most * count)))]]
+    sources = random.spawn(len(begun))
+
+    def improved(start: int, stop: int) -> list[Ints]:
+        return [
+            annealed(
+                table, ways, beside, drive.time_s, rapid_mm_s, begun[n], longest_mm, price_k_mm, most,
+                sources[n], WARMTHS[n % len(WARMTHS)],
+            )
+            for n in range(start, stop)
+        ]  # fmt: skip
+
+    for tried in itertools.chain(*run_blocks(improved, len(begun))):
         rank = ranked(heat, drive, beside, rapid_mm_s, tried, longest_mm)
         if better(rank, best_rank):
             best, best_rank = tried, rank

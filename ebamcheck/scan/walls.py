@@ -50,6 +50,11 @@ LEAST_RUN = 1.0
 """Length over the bead width for which a wall must be wider, or narrower, before its beads change in number: junctions
 are wider than their walls."""
 
+WHOLE_END, ROUND_END = 2.0, 0.25
+"""Length, over the wall's width, by which a bead goes on beyond the end of the centre line, which lies half a width before
+that of the wall: to the end and beyond, where the wall is cut from other metal; else half-way, so that the round end of
+the bead covers the corners of the wall and hardly reaches over it."""
+
 STEP = 0.25
 """Distance, over the bead width, of the points where the width of a wall is measured."""
 
@@ -71,10 +76,13 @@ WEED_MM = 1e-7
 """Corners of the Voronoi diagram closer than this are one."""
 
 
-def wall_lines(wall: shapely.Polygon, bead_width_mm: float, spacing_mm: float) -> list[Floats]:
+def wall_lines(
+    wall: shapely.Polygon, bead_width_mm: float, spacing_mm: float, to_the_end: bool = True
+) -> list[Floats]:
     """Polylines (k, 2), mm, along which beads fill a thin wall, side by side where it is wide enough.
 
-    Every line lies in the wall; a line reaches the end of the wall, or that of its taper. No two are nearer
+    Every line lies in the wall; a line reaches the end of the wall, or that of its taper, unless it is not `to_the_end`:
+    then the round end of its bead does, as where there is no other metal around the wall. No two are nearer
     than :data:`LEAST_APART`, and none is shorter than :data:`LEAST_BEAD` where there is another one. The list
     is empty only where the wall is so crooked, so short, or so much a hair, that it has no centre line.
     """
@@ -87,7 +95,7 @@ def wall_lines(wall: shapely.Polygon, bead_width_mm: float, spacing_mm: float) -
     found = []
     for path in paths:
         free = [ends[end] == 1 and not path.is_ring for end in _ends(path)]
-        found += _side_by_side(path, free, wall, bead_width_mm, spacing_mm)
+        found += _side_by_side(path, free, wall, bead_width_mm, spacing_mm, to_the_end)
     inside = shapely.intersection(np.asarray(found, object), wall) if found else np.zeros(0, object)
     pieces = [part for part in shapely.get_parts(inside) if part.length > 0]
     kept = _apart(pieces, LEAST_APART * spacing_mm, LEAST_BEAD * bead_width_mm)
@@ -223,6 +231,7 @@ def _side_by_side(
     wall: shapely.Polygon,
     bead_width_mm: float,
     spacing_mm: float,
+    to_the_end: bool,
 ) -> list[shapely.LineString]:
     """Lines along a path, as many at each place as the wall is wide there; free ends reach the end of the wall."""
     points, local = _measured(path, wall, STEP * bead_width_mm)
@@ -253,8 +262,9 @@ def _side_by_side(
     lines = [
         shapely.simplify(shapely.LineString(line), STRAIGHTNESS * float(local.mean())) for line, _ in done
     ]
+    beyond_mm = (WHOLE_END if to_the_end else ROUND_END) * float(local.max())
     return [
-        _extended(line, [reached[0] and at[0], reached[1] and at[1]], 2.0 * float(local.max()))
+        _extended(line, [reached[0] and at[0], reached[1] and at[1]], beyond_mm)
         for line, (_, at) in zip(lines, done, strict=True)
     ]
 
