@@ -9,6 +9,7 @@ distance; what is still too high or too low then is where the next layer begins.
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,6 +33,25 @@ STEP_SHARE = 1.0 / 12.0
 
 
 @dataclass(frozen=True, eq=False)
+class LayerField:
+    """The metal of one layer in the cells of its target, (rows, columns).
+
+    Parameters
+    ----------
+    target
+        Cells, and the share of each that lies in the section.
+    laid_mm
+        Height of the metal that the layer lays.
+    over_mm
+        Height of the surface over that of the layer when it is done; 0 without metal.
+    """
+
+    target: Target
+    laid_mm: Floats
+    over_mm: Floats
+
+
+@dataclass(frozen=True, eq=False)
 class Deposit:
     """What the metal of a program comes to.
 
@@ -45,13 +65,18 @@ class Deposit:
         is metal of :data:`~ebamcheck.metal.surface.FILM`), and where these three are, ``low_x_mm`` ... ``reach_y_mm``.
     first_row
         (L,) first motion of each layer that lays metal, -1 without one.
+    fields
+        Layers that were asked for, by their index.
     """
 
     layers: pd.DataFrame
     first_row: Ints
+    fields: dict[int, LayerField]
 
 
-def deposit(nc: NCProgram, layers: Layers, z_of: Floats, config: Config) -> Deposit:
+def deposit(
+    nc: NCProgram, layers: Layers, z_of: Floats, config: Config, keep: Collection[int] = ()
+) -> Deposit:
     """Lay the metal of a program, layer by layer.
 
     Parameters
@@ -60,6 +85,8 @@ def deposit(nc: NCProgram, layers: Layers, z_of: Floats, config: Config) -> Depo
         (L,) sections by a slicer, best by one that did not make the program.
     z_of
         (L,) Z of each in the program, mm.
+    keep
+        Layers whose fields are returned, too.
     """
     process = config.process
     rows = np.flatnonzero(nc.deposit & nc.wire)
@@ -72,14 +99,17 @@ def deposit(nc: NCProgram, layers: Layers, z_of: Floats, config: Config) -> Depo
     with np.errstate(divide="ignore", invalid="ignore"):
         bead_mm2 = np.nan_to_num(nc.wire_mm_s * wire_mm2(config) / (nc.feed_mm_min / 60.0), posinf=0.0)
     found, first = [], np.full(len(layers), -1, np.int64)
+    fields: dict[int, LayerField] = {}
     for k, section in enumerate(sections):
         mine = rows[index == k]
         if mine.size:
             first[k] = mine[0]
         places, volume = _metal(nc, mine, bead_mm2, process.bead_width_mm * STEP_SHARE)
-        figures = field.add(section, places, volume, float(thickness[k]))
+        figures, laid = field.add(section, places, volume, float(thickness[k]))
+        if k in keep:
+            fields[k] = laid
         found.append({"layer": k, "z_mm": float(z_of[k]), **figures})
-    return Deposit(pd.DataFrame(found), first)
+    return Deposit(pd.DataFrame(found), first, fields)
 
 
 def _metal(nc: NCProgram, rows: Ints, bead_mm2: Floats, step_mm: float) -> tuple[Floats, Floats]:
@@ -102,8 +132,8 @@ class _Field:
 
     def add(
         self, section: BaseGeometry, places: Floats, volume: Floats, thickness_mm: float
-    ) -> dict[str, float]:
-        """Lay one layer; its figures by name."""
+    ) -> tuple[dict[str, float], LayerField]:
+        """Lay one layer; its figures by name, and its metal."""
         step = self._surface.step_mm
         target = target_of(section, step, 2.0 * self._bead_mm)
         share, inside = target.share, target.share >= HALF
@@ -117,7 +147,7 @@ class _Field:
         reach = np.where(film, (_distance(~inside) - 0.5) * step, 0.0) if film.any() else np.zeros_like(laid)
         wanted = share * thickness_mm
         over = self._surface.over_mm(target)
-        return {
+        figures = {
             "wanted_mm3": float(wanted.sum() * step**2),
             "laid_mm3": float(volume.sum()),
             # What falls beside all cells is outside, too.
@@ -131,6 +161,7 @@ class _Field:
             **_extreme("high", over, target),
             **_extreme("reach", reach, target),
         }
+        return figures, LayerField(target, laid, over)
 
 
 def _distance(cells: Bools) -> Floats:
