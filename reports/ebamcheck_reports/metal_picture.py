@@ -32,7 +32,7 @@ COLOURS[0] = 255
 """(256, 3) colours of the cells; the first is the ground, for cells beside the section without metal."""
 
 BARE = 0.01
-"""Height of metal over that of the layer under which a cell beside the section counts as without."""
+"""Share of a cell, and height of metal over that of the layer, under which it is no part of the picture."""
 
 
 def draw(field: LayerField, section: BaseGeometry, thickness_mm: float, limit_mm: float, title: str) -> str:
@@ -63,7 +63,7 @@ def draw(field: LayerField, section: BaseGeometry, thickness_mm: float, limit_mm
             (f"{limit_mm:g} mm too low", "right", f"{limit_mm:g} mm too high"),
         ),
     )  # fmt: skip
-    ground = (field.target.share == 0.0) & (field.laid_mm < BARE * thickness_mm)
+    ground = (field.target.share < BARE) & (field.laid_mm < BARE * thickness_mm)
     body = []
     for number, (name, values, most, told) in enumerate(fields):
         top_px = number * panel_px + TITLE_PX
