@@ -237,3 +237,11 @@ def test_other_controls_lay_the_same_metal(control, tmp_path):
     )
     assert [c for c in deposit_checks(nc, found, config) if not c.passed] == []
     assert wire_check(nc, config, planned_path(made.beads, made.plan, config)).passed
+
+
+def test_the_field_of_a_layer_is_that_of_its_figures(square):
+    found = deposit(square.read(), square.layers, square.z, square.config, keep={3})
+    assert list(found.fields) == [3]
+    field, figures = found.fields[3], found.layers.iloc[3]
+    assert field.laid_mm.sum() * field.target.step_mm**2 == pytest.approx(figures["laid_mm3"], rel=1e-6)
+    assert field.over_mm.max() == pytest.approx(figures["high_mm"])
