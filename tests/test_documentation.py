@@ -51,6 +51,10 @@ WITHOUT_UNIT = {
     "bead_spacing",  # over the bead width
     "layer_over_bead",  # over the height of one bead
     "least_coverage",  # fraction of an area
+    "mass_tolerance",  # of the metal of a part
+    "outside_share",  # of the metal
+    "inside_tolerance",  # of the height of a layer
+    "edge_tolerance",  # of the height of a layer
     "gap_width",  # over the bead width
     "seed",
     "stride",  # islands

@@ -9,6 +9,7 @@ distance; what is still too high or too low then is where the next layer begins.
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,6 +47,25 @@ CLOSED = 0.5
 
 
 @dataclass(frozen=True, eq=False)
+class LayerField:
+    """The metal of one layer in the cells of its target, (rows, columns).
+
+    Parameters
+    ----------
+    target
+        Cells, and the share of each that lies in the section.
+    laid_mm
+        Height of the metal that the layer lays.
+    over_mm
+        Height of the surface over that of the layer when it is done; 0 without metal.
+    """
+
+    target: Target
+    laid_mm: Floats
+    over_mm: Floats
+
+
+@dataclass(frozen=True, eq=False)
 class Deposit:
     """What the metal of a program comes to.
 
@@ -62,14 +82,19 @@ class Deposit:
     holes
         Holes of sections of which metal covers more than :data:`CLOSED`: ``layer``, ``x_mm``, ``y_mm`` (centroid), ``width_mm``
         (of a disc of the same area) and ``covered`` (share of the area).
+    fields
+        Layers that were asked for, by their index.
     """
 
     layers: pd.DataFrame
     first_row: Ints
     holes: pd.DataFrame
+    fields: dict[int, LayerField]
 
 
-def deposit(nc: NCProgram, layers: Layers, z_of: Floats, config: Config) -> Deposit:
+def deposit(
+    nc: NCProgram, layers: Layers, z_of: Floats, config: Config, keep: Collection[int] = ()
+) -> Deposit:
     """Lay the metal of a program, layer by layer.
 
     Parameters
@@ -78,6 +103,8 @@ def deposit(nc: NCProgram, layers: Layers, z_of: Floats, config: Config) -> Depo
         (L,) sections by a slicer, best by one that did not make the program.
     z_of
         (L,) Z of each in the program, mm.
+    keep
+        Layers whose fields are returned, too.
     """
     process = config.process
     rows = np.flatnonzero(nc.deposit & nc.wire)
@@ -90,15 +117,19 @@ def deposit(nc: NCProgram, layers: Layers, z_of: Floats, config: Config) -> Depo
     with np.errstate(divide="ignore", invalid="ignore"):
         bead_mm2 = np.nan_to_num(nc.wire_mm_s * wire_mm2(config) / (nc.feed_mm_min / 60.0), posinf=0.0)
     found, holes, first = [], [], np.full(len(layers), -1, np.int64)
+    fields: dict[int, LayerField] = {}
     for k, section in enumerate(sections):
         mine = rows[index == k]
         if mine.size:
             first[k] = mine[0]
         places, volume = _metal(nc, mine, bead_mm2, process.bead_width_mm * STEP_SHARE)
-        figures, closed = field.add(section, places, volume, float(thickness[k]))
+        figures, laid = field.add(section, places, volume, float(thickness[k]))
+        if k in keep:
+            fields[k] = laid
         found.append({"layer": k, "z_mm": float(z_of[k]), **figures})
-        holes += [{"layer": k, **hole} for hole in closed]
-    return Deposit(pd.DataFrame(found), first, pd.DataFrame(holes, columns=list(HOLE_COLUMNS)))
+        if figures["reach_mm"] > 0.0:
+            holes += [{"layer": k, **hole} for hole in _closed_holes(section, laid, float(thickness[k]))]
+    return Deposit(pd.DataFrame(found), first, pd.DataFrame(holes, columns=list(HOLE_COLUMNS)), fields)
 
 
 def _metal(nc: NCProgram, rows: Ints, bead_mm2: Floats, step_mm: float) -> tuple[Floats, Floats]:
@@ -121,13 +152,14 @@ class _Field:
 
     def add(
         self, section: BaseGeometry, places: Floats, volume: Floats, thickness_mm: float
-    ) -> tuple[dict[str, float], list[dict[str, float]]]:
-        """Lay one layer; its figures by name, and its holes that metal covers."""
+    ) -> tuple[dict[str, float], LayerField]:
+        """Lay one layer; its figures by name, and its metal."""
         step = self._surface.step_mm
         target = target_of(section, step, 2.0 * self._bead_mm)
         if not target.share.size:
             self._surface.add(target, target.share, thickness_mm)
-            return {**NO_SECTION, "laid_mm3": float(volume.sum()), "outside_mm3": float(volume.sum())}, []
+            figures = {**NO_SECTION, "laid_mm3": float(volume.sum()), "outside_mm3": float(volume.sum())}
+            return figures, LayerField(target, target.share, target.share)
         share, inside = target.share, target.share >= HALF
         melted = _spread(target, places, volume) / step**2
         laid = ndimage.convolve(melted, self._pool, mode="constant")
@@ -153,16 +185,17 @@ class _Field:
             **_extreme("high", over, target),
             **_extreme("reach", reach, target),
         }
-        return figures, _closed_holes(section, laid >= FILM * thickness_mm, target) if film.any() else []
+        return figures, LayerField(target, laid, over)
 
 
-def _closed_holes(section: BaseGeometry, metal: Bools, target: Target) -> list[dict[str, float]]:
+def _closed_holes(section: BaseGeometry, laid: LayerField, thickness_mm: float) -> list[dict[str, float]]:
     """Holes of a section that metal covers for the most part."""
-    found = []
+    found, whole = [], laid.target
+    metal = laid.laid_mm >= FILM * thickness_mm
     for ring in [ring for part in valid_polygons(section) for ring in part.interiors]:
         hole = shapely.Polygon(ring)
-        cells = target_of(hole, target.step_mm, 0.0)
-        column, row = np.round((cells.origin - target.origin) / target.step_mm).astype(np.int64)
+        cells = target_of(hole, whole.step_mm, 0.0)
+        column, row = np.round((cells.origin - whole.origin) / whole.step_mm).astype(np.int64)
         rows, columns = cells.share.shape
         covered = (cells.share * metal[row : row + rows, column : column + columns]).sum() / cells.share.sum()
         if covered > CLOSED:

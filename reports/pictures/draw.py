@@ -8,14 +8,16 @@ from pathlib import Path
 from ebamcheck.config import Config
 from ebamcheck.layer_svg import overlay_svg, sheet_svg
 from ebamcheck.layers import Layers
-from ebamcheck.program import read_program
+from ebamcheck.program import NCProgram, read_program
+from ebamcheck.program.deposit import deposit
 from ebamcheck.scan import ScanPlan
 from ebamcheck.scan.comparing import COMPARED, SEEDS, OrderComparison, figures_of
 from ebamcheck.scan.pareto_svg import pareto_svg
+from ebamcheck.scan.regions import layer_section
 from ebamcheck.scan.scan_svg import islands_svg
 from ebamcheck.scan.scene import Scene
 from ebamcheck.store import RunFolder
-from ebamcheck_reports import overlays, program_picture, scan_picture
+from ebamcheck_reports import metal_picture, overlays, program_picture, scan_picture
 from ebamcheck_reports.run_data import RunData, layer_name
 
 ROOT_LAYER, BLADE_LAYER = 20, 57
@@ -53,6 +55,9 @@ def draw(folder: Path, target: Path) -> None:
         "partition-root": scan_picture.draw(plan, exact, ROOT_LAYER, bead_mm, root),
         "partition-blade": scan_picture.draw(plan, exact, BLADE_LAYER, bead_mm, blade),
         "program-blade": program_picture.draw(program, f"{blade}, read back from the program", BLADE_LAYER),
+        "metal-root": metal(
+            program, RunFolder(folder).read_layers(run.manifest["program"]["witness"]), run.config, root
+        ),
         **orders(exact, run.config, root),
     }
     for name, picture in pictures.items():
@@ -60,6 +65,15 @@ def draw(folder: Path, target: Path) -> None:
         if NAMESPACE not in text:
             text = text.replace("<svg ", f"<svg{NAMESPACE} ", 1)
         (target / f"{name}.svg").write_text(text + "\n", encoding="utf-8")
+
+
+def metal(program: NCProgram, witness: Layers, config: Config, what: str) -> str:
+    """The metal of the root layer, laid from the program's text on those below it."""
+    z_of = program.layer_heights
+    field = deposit(program, witness, z_of, config, keep={ROOT_LAYER}).fields[ROOT_LAYER]
+    section = layer_section(witness.polygons(ROOT_LAYER))
+    thickness_mm = float(z_of[ROOT_LAYER] - z_of[ROOT_LAYER - 1])
+    return metal_picture.draw(field, section, thickness_mm, config.process.largest_unevenness_mm, what)
 
 
 def orders(exact: Layers, config: Config, what: str) -> dict[str, str]:

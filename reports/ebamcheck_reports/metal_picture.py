@@ -1,0 +1,120 @@
+"""Picture of the metal that a program's text lays in one layer: its height, and the surface when the layer is done."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from html import escape
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely.geometry.base import BaseGeometry
+
+from ebamcheck.program.deposit import LayerField
+from ebamcheck.rings import Floats
+from ebamcheck.scan.png import png_address
+from ebamcheck.scan.scan_svg import ring_path
+
+WIDTH_PX, MARGIN_PX, TITLE_PX, SCALE_PX, BAR_PX = 880, 16, 28, 40, 240
+"""Width of the picture, its margin, and the room for the title of a field and for its colour scale."""
+
+BLUE, WHITE, RED = (33, 102, 172), (247, 247, 247), (178, 24, 43)
+"""Too low, right, too high: ends and middle of ColorBrewer's RdBu, which colour-blind readers tell apart."""
+
+COLOURS: NDArray[np.uint8] = np.array(
+    [
+        [np.interp(n, [0, 127.5, 255], [a, b, c]) for a, b, c in zip(BLUE, WHITE, RED, strict=True)]
+        for n in range(256)
+    ],
+    np.uint8,
+)
+COLOURS[0] = 255
+"""(256, 3) colours of the cells; the first is the ground, for cells beside the section without metal."""
+
+BARE = 0.01
+"""Share of a cell, and height of metal over that of the layer, under which it is no part of the picture."""
+
+
+def draw(field: LayerField, section: BaseGeometry, thickness_mm: float, limit_mm: float, title: str) -> str:
+    """Draw one layer.
+
+    Parameters
+    ----------
+    field
+        What :func:`ebamcheck.program.deposit.deposit` keeps of the layer.
+    section
+        The section that is drawn over it.
+    thickness_mm
+        Height of the layer.
+    limit_mm
+        How far the surface may lie off its height: the end of its scale.
+    """
+    step_mm, cells = field.target.step_mm, np.array(field.laid_mm.shape[::-1], np.float64)
+    px_per_mm = (WIDTH_PX - 2 * MARGIN_PX) / (cells[0] * step_mm)
+    low = field.target.origin
+    tall_px = px_per_mm * cells[1] * step_mm
+    panel_px = TITLE_PX + tall_px + SCALE_PX
+    fields = (
+        (f"{title}: metal of the layer", field.laid_mm / thickness_mm - 1.0, 1.0, ("none", "one layer high", "two")),
+        (
+            f"{title}: surface when the layer is done",
+            field.over_mm,
+            limit_mm,
+            (f"{limit_mm:g} mm too low", "right", f"{limit_mm:g} mm too high"),
+        ),
+    )  # fmt: skip
+    ground = (field.target.share < BARE) & (field.laid_mm < BARE * thickness_mm)
+    body = []
+    for number, (name, values, most, told) in enumerate(fields):
+        top_px = number * panel_px + TITLE_PX
+
+        def place(points: Floats, top_px: float = top_px) -> Floats:
+            x, y = px_per_mm * (points - low).T
+            return np.column_stack([MARGIN_PX + x, top_px + tall_px - y])
+
+        body += [
+            f'<text x="{MARGIN_PX}" y="{top_px - 10:.1f}" font-size="14" fill="#222">{escape(name)}</text>',
+            _cells(np.where(ground, np.nan, values), most, top_px, tall_px),
+            _outline(section, place),
+            *_scale(told, top_px + tall_px + 6.0, number),
+        ]
+    height_px = int(np.ceil(len(fields) * panel_px))
+    head = (
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH_PX}" height="{height_px}" '
+        f'viewBox="0 0 {WIDTH_PX} {height_px}" font-family="Helvetica, Arial, sans-serif">'
+    )
+    return "\n".join([head, f'<rect width="{WIDTH_PX}" height="{height_px}" fill="#fff"/>', *body, "</svg>"])
+
+
+def _cells(values: Floats, most: float, top_px: float, tall_px: float) -> str:
+    """Cells (rows, columns) coloured from -most to most; those that are NaN have the colour of the ground."""
+    share = np.clip(0.5 + 0.5 * values[::-1] / most, 0.0, 1.0)
+    pixels = np.where(np.isnan(share), 0.0, np.rint(1.0 + 254.0 * np.nan_to_num(share)))
+    image = png_address(pixels.astype(np.uint8), COLOURS)
+    return (
+        f'<image x="{MARGIN_PX}" y="{top_px:.1f}" width="{WIDTH_PX - 2 * MARGIN_PX}" height="{tall_px:.1f}" '
+        f'preserveAspectRatio="none" href="{image}"/>'
+    )
+
+
+def _outline(section: BaseGeometry, place: Callable[[Floats], Floats]) -> str:
+    data = "".join(ring_path(part, place) for part in shapely.get_parts(section))
+    return f'<path d="{data}" fill="none" stroke="#222" stroke-width="1"/>'
+
+
+def _scale(told: tuple[str, str, str], top_px: float, number: int) -> list[str]:
+    """Colours from left to right with their ends and middle named."""
+    stops = "".join(
+        f'<stop offset="{offset}" stop-color="rgb{colour}"/>'
+        for offset, colour in ((0, BLUE), (0.5, WHITE), (1, RED))
+    )
+    places = ((0.0, "start"), (0.5, "middle"), (1.0, "end"))
+    return [
+        f'<linearGradient id="scale{number}">{stops}</linearGradient>',
+        f'<rect x="{MARGIN_PX}" y="{top_px:.1f}" width="{BAR_PX * 2}" height="8" fill="url(#scale{number})" stroke="#888" stroke-width="0.5"/>',
+        *(
+            f'<text x="{MARGIN_PX + 2 * BAR_PX * share:.1f}" y="{top_px + 21:.1f}" font-size="11" fill="#222" '
+            f'text-anchor="{anchor}">{text}</text>'
+            for (share, anchor), text in zip(places, told, strict=True)
+        ),
+    ]
