@@ -10,6 +10,7 @@ from ebamcheck.config import Config
 from ebamcheck.curves import Curves
 from ebamcheck.layers import from_polygons
 from ebamcheck.pipeline.gates import deposit_gate
+from ebamcheck.pipeline.noticed import of_metal
 from ebamcheck.pipeline.programming import bead_paths
 from ebamcheck.program import program_summary, read_program, write_program
 from ebamcheck.program.bead_ends import planned_path
@@ -190,8 +191,31 @@ def test_a_hole_that_closes_is_found(square):
     """The same program against a part that has a hole where beads lie."""
     holed = square.layers.polygons(0)[0].difference(shapely.Point(20, 30).buffer(2.5))
     layers = from_polygons(square.layers.heights, [[holed]] * len(square.layers))
-    assert "reach of metal" in square.failed(layers)
-    assert "narrower than the bead" in square.checks(layers)["reach of metal"].text
+    assert {"reach of metal", "holes"} <= square.failed(layers)
+    checks = square.checks(layers)
+    assert "narrower than the bead" in checks["reach of metal"].text
+    assert checks["holes"].value == len(layers)
+    found = {finding.code: finding for finding in of_metal(checks.values())}
+    assert {"hole-closed", "bead-out-of-section"} <= set(found)
+    assert found["hole-closed"].severity == "fault"
+    assert "(20.0, 30.0)" in found["hole-closed"].text
+    assert found["hole-closed"].remedy
+
+
+@pytest.mark.parametrize(("factor", "code"), [(1.2, "metal-excess"), (0.8, "metal-missing")])
+def test_findings_tell_too_much_metal_from_too_little(square, factor, code):
+    def change(lines):
+        for i, line in enumerate(lines):
+            lines[i] = re.sub(r"H3=([\d.]+)", lambda m: f"H3={factor * float(m[1]):.6f}", line)
+
+    square.edit(LAYER, change)
+    assert code in {finding.code for finding in of_metal(square.checks().values())}
+
+
+def test_metal_where_the_part_has_none_is_outside(square):
+    empty = [[] if k == 2 else square.layers.polygons(k) for k in range(len(square.layers))]
+    layers = from_polygons(square.layers.heights, empty)
+    assert "metal outside" in square.failed(layers)
 
 
 @pytest.mark.parametrize("thickness", [0.3, 2.0, 3.0])

@@ -36,7 +36,7 @@ ROOT = Path(__file__).resolve().parent.parent
 FAST = {"backends": ("planecut", "manifold")}
 
 LATER = {
-    "bead-out-of-section", "hole-closed", "interpass-limit", "metal-excess", "metal-missing", "wall-under-bead",
+    "interpass-limit",
 }  # fmt: skip
 """Codes that stand in the table and that no stage uses yet."""
 

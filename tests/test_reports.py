@@ -300,6 +300,8 @@ def test_program_picture_is_the_path_of_the_text(whole: RunFolder) -> None:
 
 def test_failed_backend_and_gate_show_everywhere(copy: RunFolder) -> None:
     record = copy.manifest()
+    # Layers of 8 mm ask for more wire than there is, and melt too little: these gates are shut before.
+    shut_before = int(render(copy)[2].get("failures", "0"))
     backends = record["backends"]
     backends["stencil"] |= {
         "status": "timed out",
@@ -345,7 +347,7 @@ def test_failed_backend_and_gate_show_everywhere(copy: RunFolder) -> None:
     assert pair is not None
     assert "0.5" in pair.get("message", "")
     assert "thin feature" in (pair.text or "")
-    assert (root.get("errors"), int(root.get("failures", "0"))) == ("1", 2)
+    assert (root.get("errors"), int(root.get("failures", "0"))) == ("1", shut_before + 2)
 
 
 def test_inside_out_part_without_contours(tmp_path: Path) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
 import pandas as pd
@@ -11,6 +12,7 @@ from ebamcheck.config import Config
 from ebamcheck.findings import Finding, at_layer
 from ebamcheck.inspection import Inspection
 from ebamcheck.isolate import Outcome
+from ebamcheck.program import Check
 from ebamcheck.program.dialects import STOCK
 from ebamcheck.program.inputs import deposition_heights
 from ebamcheck.program.motions import NCProgram
@@ -159,6 +161,45 @@ def of_profile(config: Config) -> Iterator[Finding]:
 
 
 # -- plan and program --------------------------------------------------------------------------------
+
+
+NARROWER = (
+    "allow for machining (process.machining_allowance_mm), use a narrower bead, or build in another direction"
+)
+
+METAL: Mapping[str, tuple[str, str]] = {
+    "metal outside": ("wall-under-bead", NARROWER),
+    "reach of metal": ("bead-out-of-section", NARROWER),
+    "holes": ("hole-closed", "machine the hole afterwards and close it in the model, or use a narrower bead"),
+    "metal": ("metal-excess", "look at the sections with the most metal beside them in deposit.csv"),
+    "metal of layers": ("metal-excess", "look at that layer in deposit.csv"),
+    "height inside": ("metal-excess", "change the bead spacing, or the side of the hexagons"),
+    "height at edges": ("metal-excess", "change the inset of the contour beads (scan.contour_offset_mm)"),
+    "surface": ("metal-excess", "turn the cells and the hatch from layer to layer, or use a narrower bead"),
+}
+"""Code and remedy of each check of the metal that fails."""
+
+
+def of_metal(checks: Iterable[Check]) -> Iterator[Finding]:
+    """What is wrong with the metal of a program, each with its place."""
+    for check in checks:
+        if check.passed:
+            continue
+        code, remedy = METAL[check.name]
+        # Excess and lack of metal are one check; its words say which.
+        lacks = code == "metal-excess" and (
+            "too low" in check.text.split("(at most")[0] or _lacks(check.text)
+        )
+        yield Finding(
+            "fault", "metal-missing" if lacks else code, check.text, check.where, check.value, check.limit,
+            check.unit, remedy,
+        )  # fmt: skip
+
+
+def _lacks(text: str) -> bool:
+    """Whether the words of a check tell a share of metal under one."""
+    share = re.search(r"(?:has|furthest off) (\d+\.\d+)", text)
+    return share is not None and float(share[1]) < 1.0
 
 
 def of_heat(plan: ScanPlan, config: Config) -> Iterator[Finding]:

@@ -21,7 +21,11 @@ from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.work import Job
 from ebamcheck.program import Check, mark_validated, program_summary, read_program, verify_program
 from ebamcheck.program.bead_ends import planned_path
+from ebamcheck.program.deposit import deposit
+from ebamcheck.program.deposit_checks import deposit_checks
 from ebamcheck.program.events import event_totals, process_events
+from ebamcheck.program.inputs import deposition_heights
+from ebamcheck.program.motions import NCProgram
 from ebamcheck.program.text_heat import build_times_s, known_sections
 from ebamcheck.program.toolpath import Toolpath
 from ebamcheck.scan import ScanPlan, plan_stack
@@ -123,6 +127,16 @@ def _write_events(job: Job, path: Toolpath, plan: ScanPlan) -> dict[str, float]:
     return {**sums, "time_s": sums["deposit_s"] + sums["travel_s"] + sums["wait_s"]}
 
 
+def _weighed(job: Job, program: NCProgram, witness: Layers) -> list[Check]:
+    """Lay the metal of the program over the sections of the witness, and check it."""
+    z_of = deposition_heights(witness.heights, job.config.layer_height_mm)
+    found = deposit(program, witness, z_of, job.config)
+    found.layers.to_csv(job.folder.path / "deposit.csv", index=False)
+    checks = deposit_checks(program, found, job.config)
+    job.add_finding(*noticed.of_metal(checks))
+    return checks
+
+
 def _write_and_verify(
     job: Job,
     beads: Curves,
@@ -147,10 +161,10 @@ def _write_and_verify(
             plan=plan,
             path=path,
             layers=witness,
-            metal=True,
             sha256=files.sha256,
             section_tolerance_mm=gates.section_tolerance_mm(fit_mm),
         )
+    checks += _weighed(job, program, witness)
     summary = program_summary(program, job.config)
     summary.to_csv(job.folder.path / "program.csv", index=False)
     job.add_finding(*noticed.of_interpass(summary, plan, job.config))

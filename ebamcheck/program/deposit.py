@@ -19,7 +19,7 @@ from scipy import ndimage
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.config import Config
-from ebamcheck.layers import Layers
+from ebamcheck.layers import Layers, valid_polygons
 from ebamcheck.metal import Surface, Target, target_of
 from ebamcheck.metal.surface import FILM, HALF
 from ebamcheck.program.motions import NCProgram
@@ -30,6 +30,20 @@ from ebamcheck.scan.regions import layer_section
 
 STEP_SHARE = 1.0 / 12.0
 """Distance of the places at which metal is laid, over the bead width: half a cell."""
+
+
+HOLE_COLUMNS = ("layer", "x_mm", "y_mm", "width_mm", "covered")
+"""Columns of the holes that are closed."""
+
+NO_SECTION = {
+    "wanted_mm3": 0.0, "inside_mm2": 0.0, "edge_mm2": 0.0, "inside": math.nan, "edge": math.nan,
+    **{f"{name}_mm": 0.0 for name in ("low", "high", "reach")},
+    **{f"{name}_{axis}_mm": math.nan for name in ("low", "high", "reach") for axis in "xy"},
+}  # fmt: skip
+"""Figures of a layer without a section."""
+
+CLOSED = 0.5
+"""Share of a hole's area under metal from which on it counts as closed: what is left is no hole that a tool finds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,12 +79,16 @@ class Deposit:
         is metal of :data:`~ebamcheck.metal.surface.FILM`), and where these three are, ``low_x_mm`` ... ``reach_y_mm``.
     first_row
         (L,) first motion of each layer that lays metal, -1 without one.
+    holes
+        Holes of sections of which metal covers more than :data:`CLOSED`: ``layer``, ``x_mm``, ``y_mm`` (centroid), ``width_mm``
+        (of a disc of the same area) and ``covered`` (share of the area).
     fields
         Layers that were asked for, by their index.
     """
 
     layers: pd.DataFrame
     first_row: Ints
+    holes: pd.DataFrame
     fields: dict[int, LayerField]
 
 
@@ -98,7 +116,7 @@ def deposit(
     field = _Field(bounds, process.bead_width_mm)
     with np.errstate(divide="ignore", invalid="ignore"):
         bead_mm2 = np.nan_to_num(nc.wire_mm_s * wire_mm2(config) / (nc.feed_mm_min / 60.0), posinf=0.0)
-    found, first = [], np.full(len(layers), -1, np.int64)
+    found, holes, first = [], [], np.full(len(layers), -1, np.int64)
     fields: dict[int, LayerField] = {}
     for k, section in enumerate(sections):
         mine = rows[index == k]
@@ -109,7 +127,9 @@ def deposit(
         if k in keep:
             fields[k] = laid
         found.append({"layer": k, "z_mm": float(z_of[k]), **figures})
-    return Deposit(pd.DataFrame(found), first, fields)
+        if figures["reach_mm"] > 0.0:
+            holes += [{"layer": k, **hole} for hole in _closed_holes(section, laid, float(thickness[k]))]
+    return Deposit(pd.DataFrame(found), first, pd.DataFrame(holes, columns=list(HOLE_COLUMNS)), fields)
 
 
 def _metal(nc: NCProgram, rows: Ints, bead_mm2: Floats, step_mm: float) -> tuple[Floats, Floats]:
@@ -136,6 +156,10 @@ class _Field:
         """Lay one layer; its figures by name, and its metal."""
         step = self._surface.step_mm
         target = target_of(section, step, 2.0 * self._bead_mm)
+        if not target.share.size:
+            self._surface.add(target, target.share, thickness_mm)
+            figures = {**NO_SECTION, "laid_mm3": float(volume.sum()), "outside_mm3": float(volume.sum())}
+            return figures, LayerField(target, target.share, target.share)
         share, inside = target.share, target.share >= HALF
         melted = _spread(target, places, volume) / step**2
         laid = ndimage.convolve(melted, self._pool, mode="constant")
@@ -162,6 +186,23 @@ class _Field:
             **_extreme("reach", reach, target),
         }
         return figures, LayerField(target, laid, over)
+
+
+def _closed_holes(section: BaseGeometry, laid: LayerField, thickness_mm: float) -> list[dict[str, float]]:
+    """Holes of a section that metal covers for the most part."""
+    found, whole = [], laid.target
+    metal = laid.laid_mm >= FILM * thickness_mm
+    for ring in [ring for part in valid_polygons(section) for ring in part.interiors]:
+        hole = shapely.Polygon(ring)
+        cells = target_of(hole, whole.step_mm, 0.0)
+        column, row = np.round((cells.origin - whole.origin) / whole.step_mm).astype(np.int64)
+        rows, columns = cells.share.shape
+        covered = (cells.share * metal[row : row + rows, column : column + columns]).sum() / cells.share.sum()
+        if covered > CLOSED:
+            width_mm = 2.0 * math.sqrt(hole.area / math.pi)
+            values = (hole.centroid.x, hole.centroid.y, width_mm, float(covered))
+            found.append(dict(zip(HOLE_COLUMNS[1:], values, strict=True)))
+    return found
 
 
 def _distance(cells: Bools) -> Floats:

@@ -18,7 +18,7 @@ from ebamcheck.program.motions import NCProgram
 from ebamcheck.rings import Bools, Floats
 
 DEPOSIT_CHECKS = (
-    "metal", "metal of layers", "metal outside", "reach of metal", "height inside", "height at edges", "surface",
+    "metal", "metal of layers", "metal outside", "reach of metal", "holes", "height inside", "height at edges", "surface",
 )  # fmt: skip
 """Names of the checks, in their order."""
 
@@ -44,6 +44,7 @@ def deposit_checks(nc: NCProgram, found: Deposit, config: Config) -> list[Check]
         _of_layers(solid, config, places),
         _outside(solid, config, places),
         _reach(solid, config, places),
+        _holes(found, places),
         _zone(solid, "inside", "height inside", config.process.inside_tolerance, config, places),
         _zone(solid, "edge", "height at edges", config.process.edge_tolerance, config, places),
         _surface(solid, config, places),
@@ -119,6 +120,20 @@ def _reach(solid: pd.DataFrame, config: Config, places: _Places) -> Check:
     return Check(
         "reach of metal", bool(row["reach_mm"] <= limit), float(row["reach_mm"]), limit, "mm", where, text
     )
+
+
+def _holes(found: Deposit, places: _Places) -> Check:
+    """Holes of the sections that beads close, however little metal that is."""
+    holes = found.holes
+    if not len(holes):
+        return Check("holes", True, 0.0, 0.0, "holes", "", "no hole of the part is closed by beads")
+    first = holes.iloc[0]
+    layer = int(first["layer"])
+    text = (
+        f"{len(holes)} holes on {holes['layer'].nunique()} layers are closed by beads, first one {first['width_mm']:.1f} mm wide: "
+        f"{100 * first['covered']:.0f} % of it, layer {layer + 1}, at ({first['x_mm']:.1f}, {first['y_mm']:.1f})"
+    )
+    return Check("holes", False, float(len(holes)), 0.0, "holes", places.of(layer), text)
 
 
 def _zone(solid: pd.DataFrame, zone: str, name: str, limit: float, config: Config, places: _Places) -> Check:

@@ -15,6 +15,7 @@ from ebamcheck_reports.sections import (
     agreement,
     certificate,
     fit,
+    metal,
     part,
     program,
     reproduce,
@@ -32,12 +33,13 @@ SECTIONS: tuple[tuple[str, str, Callable[[RunData], Markup]], ...] = (
     ("agreement", "Agreement", agreement.render),
     ("fit", "Fit", fit.render),
     ("scan", "Partition and order", scan.render),
+    ("metal", "Metal", metal.render),
     ("program", "Program", program.render),
     ("certificate", "Certificate", certificate.render),
     ("reproduce", "Reproduce", reproduce.render),
 )
 
-OF_THE_PROGRAM = ("fit", "scan", "program", "certificate")
+OF_THE_PROGRAM = ("fit", "scan", "metal", "program", "certificate")
 """Sections that a cross-check alone has nothing for."""
 
 

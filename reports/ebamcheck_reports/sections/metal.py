@@ -1,0 +1,114 @@
+"""The metal that the program lays, layer by layer, against that of the part."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+
+from ebamcheck_reports.charts import Series, line_chart
+from ebamcheck_reports.figures import percent
+from ebamcheck_reports.markup import Markup, element, facts, figure, paragraph, section
+from ebamcheck_reports.run_data import RunData
+
+QUESTION = (
+    "The text of the program is run over a height field: every motion with beam and wire on lays the metal that its wire "
+    "speed and feed give, whatever a comment says. Good is as much metal as the part has, where the part is, and flat."
+)
+
+
+def render(run: RunData) -> Markup:
+    """Build the section; runs of earlier versions have no table of it."""
+    if not (run.folder.path / "deposit.csv").is_file():
+        return section(
+            "metal", "Metal", QUESTION, paragraph("This run did not weigh its metal.", class_="note")
+        )
+    table = run.table("deposit.csv")
+    solid = table[table["wanted_mm3"] > 0.0]
+    checks = [check for check in run.checks if check["name"] in CHECKS]
+    rows = [
+        element(
+            "tr",
+            element("td", check["name"]),
+            element("td", "pass" if check["passed"] else "FAIL"),
+            element("td", check["text"]),
+        )
+        for check in checks
+    ]
+    return section(
+        "metal",
+        "Metal",
+        QUESTION,
+        _totals(solid),
+        element(
+            "table",
+            element("thead", element("tr", *(element("th", t) for t in ("check", "", "found")))),
+            element("tbody", *rows),
+        ),
+        *_charts(solid),
+    )
+
+
+CHECKS = (
+    "metal", "metal of layers", "metal outside", "reach of metal", "holes", "height inside", "height at edges", "surface",
+    "mass balance",
+)  # fmt: skip
+"""Checks of the program that are about its metal."""
+
+
+def _totals(solid: pd.DataFrame) -> Markup:
+    laid, wanted = float(solid["laid_mm3"].sum()), float(solid["wanted_mm3"].sum())
+    ratio = (solid["laid_mm3"] / solid["wanted_mm3"]).to_numpy()
+    outside = float(solid["outside_mm3"].sum()) / max(laid, 1e-9)
+    return facts(
+        [
+            ("metal over part", figure(laid / max(wanted, 1e-9), text=percent(laid / max(wanted, 1e-9)))),
+            (
+                "least layer",
+                figure(ratio.min(initial=np.inf), text=percent(float(ratio.min(initial=np.inf)))),
+            ),
+            ("greatest layer", figure(ratio.max(initial=0.0), text=percent(float(ratio.max(initial=0.0))))),
+            ("beside the part", figure(outside, text=percent(outside))),
+            ("surface too low, at most", figure(float(solid["low_mm"].max()), "mm")),
+            ("surface too high, at most", figure(float(solid["high_mm"].max()), "mm")),
+        ]
+    )
+
+
+def _charts(solid: pd.DataFrame) -> list[Markup]:
+    layer = solid["layer"]
+    mass = line_chart(
+        [
+            Series("metal over part", layer, solid["laid_mm3"] / solid["wanted_mm3"]),
+            Series("height inside", layer, solid["inside"]),
+            Series("height at edges", layer, solid["edge"]),
+        ],
+        "layer",
+        "over that of the part",
+    )
+    surface = line_chart(
+        [
+            Series("too high", layer, solid["high_mm"]),
+            Series("too low", layer, -solid["low_mm"]),
+            Series("reach beside the part", layer, solid["reach_mm"]),
+        ],
+        "layer",
+        "mm",
+    )
+    return [
+        element(
+            "figure",
+            mass,
+            element(
+                "figcaption",
+                "Metal of each layer, and its mean height further and nearer than a bead width from the border.",
+            ),
+        ),
+        element(
+            "figure",
+            surface,
+            element(
+                "figcaption",
+                "The surface over and under its height while it is built, and how far metal reaches beside the part.",
+            ),
+        ),
+    ]
