@@ -363,7 +363,7 @@ def test_a_stack_is_its_layers():
     assert plan.metrics["islands"].tolist() == np.bincount(plan.island_layer, minlength=7).tolist()
     assert plan.metrics["islands"][3] == 0
     for k in (0, 5):
-        alone = plan_scan(layers.polygons(k), PROFILE, layer=k, height_mm=layers.heights[k])
+        alone = plan_scan(layers.polygons(k), cold, layer=k, height_mm=layers.heights[k])
         base = np.searchsorted(plan.island_layer, k)
         assert np.array_equal(plan.islands_of(k) - base, alone.order)
         columns = ["x0", "y0", "x1", "y1", "angle"]

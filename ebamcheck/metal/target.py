@@ -15,6 +15,9 @@ from ebamcheck.rings import Floats
 CELLS_PER_BEAD = 6
 """Cells across a bead: a third of the half bead that a height field has to resolve."""
 
+ROUNDING = 1e-9
+"""Shares under this are the rounding of a sum along a row of cells."""
+
 REACHED = 0.07
 """Height of metal over that of the layer under which a place is bare: the tip of a corner, which no bead builds."""
 
@@ -65,4 +68,5 @@ def target_of(section: BaseGeometry, step_mm: float, margin_mm: float) -> Target
     origin = low * step_mm
     points, (ring_starts, _) = oriented_rings(polygons, origin, np.full(2, step_mm))
     share = np.clip(cell_shares(points, ring_starts, rows, columns), 0.0, 1.0)
+    share[share < ROUNDING] = 0.0
     return Target(origin, step_mm, share)

@@ -161,6 +161,7 @@ def _write_and_verify(
             plan=plan,
             path=path,
             layers=witness,
+            heat=True,
             sha256=files.sha256,
             section_tolerance_mm=gates.section_tolerance_mm(fit_mm),
         )

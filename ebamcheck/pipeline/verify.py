@@ -118,6 +118,7 @@ def _verify(run: RunFolder, manifest: dict[str, Any], part: Path | None) -> list
         plan=ScanPlan.from_parquet(run.path / "scan.parquet"),
         layers=run.read_layers(record["witness"]),
         metal=True,
+        heat=True,
         sha256=recorded,
         section_tolerance_mm=section_tolerance_mm(
             max(float(manifest["fit"]["max_points_mm"]), float(manifest["fit"]["max_bulge_mm"]))
@@ -182,6 +183,7 @@ def verify_against_part(program: Path, part_path: Path, config: Config) -> list[
         smooth=curves.sample_tolerance(SMOOTH_MM) if config.curves.method in LIFTED else None,
         beads=True,
         metal=True,
+        heat=True,
         heights=heights,
         section_tolerance_mm=section_tolerance_mm(fit_distance_mm(fit_deviation(curves, layers))),
     )

@@ -37,9 +37,10 @@ def _power(nc: NCProgram, config: Config, shares: Floats) -> Check:
     rows = np.flatnonzero(nc.deposit)
     share = nc.power_w[rows] / process.power_w
     wanted, step = _expected_power(nc, rows, config)
-    of_layer = (
-        np.where(nc.layer[rows] >= 0, shares[nc.layer[rows]], 1.0) if shares.size else np.ones(rows.size)
-    )
+    # A program may have layers that the plan does not know.
+    known = (nc.layer[rows] >= 0) & (nc.layer[rows] < shares.size)
+    of_layer = np.ones(rows.size)
+    of_layer[known] = shares[nc.layer[rows[known]]]
     wanted, step = wanted * of_layer, step * of_layer
     off = np.maximum(np.abs(share - wanted) - step, 0.0)
     off[np.isnan(share)] = np.nan

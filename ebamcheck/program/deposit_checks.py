@@ -111,6 +111,8 @@ def _reach(solid: pd.DataFrame, config: Config, places: _Places) -> Check:
     limit = config.process.outside_reach_mm
     k = int(np.argmax(solid["reach_mm"].to_numpy()))
     row = solid.iloc[k]
+    if row["reach_mm"] <= 0.0:
+        return Check("reach of metal", True, 0.0, limit, "mm", "", "no metal reaches beside the part")
     text = f"metal reaches {row['reach_mm']:.2f} mm beside the part: {_named(row, 'reach')}"
     if row["reach_mm"] > limit:
         text += (

@@ -15,7 +15,7 @@ from ebamcheck.program.inputs import Interpass
 from ebamcheck.program.motions import NCProgram
 from ebamcheck.program.state_checks import event_place
 from ebamcheck.program.text_heat import TextBeads, text_beads, text_bed_k, text_shapes
-from ebamcheck.rings import Floats
+from ebamcheck.rings import Floats, Ints
 
 INTERPASS, MELTING = "interpass temperature", "melting power"
 """Names of the checks that the heat gate reads."""
@@ -30,25 +30,28 @@ OVER_RANGE = "over the model's range: metal would boil"
 """Mark of a figure that is clipped to the boiling point."""
 
 
-def interpass_checks(
-    nc: NCProgram, config: Config, heat: Interpass | None, sections: Sequence[BaseGeometry] | None
-) -> list[Check]:
-    """Check waits and power of each layer, and the temperature at which beads are entered.
+def wait_check(nc: NCProgram, config: Config, heat: Interpass | None) -> Check:
+    """Check the waits of a program.
 
     Parameters
     ----------
     heat
         Waits and power of the plan; None where it is not known: then the least wait between layers is that of the
         settings.
+    """
+    return _waits(nc, text_beads(nc, config), config, heat)
+
+
+def heat_checks(nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] | None) -> list[Check]:
+    """Check that the power of each layer melts its wire, and the temperature at which beads are entered.
+
+    Parameters
+    ----------
     sections
         Sections of the part, for the balance of its heat; None: what the contours of the program enclose.
     """
     beads, shapes = text_beads(nc, config), text_shapes(nc, config, sections)
-    return [
-        _waits(nc, beads, config, heat),
-        _melting(nc, config, shapes),
-        _entries(nc, beads, config, shapes),
-    ]
+    return [_melting(nc, config, shapes), _entries(nc, beads, config, shapes)]
 
 
 def layer_shares(nc: NCProgram, power_w: float) -> Floats:
@@ -70,10 +73,10 @@ def _waits(nc: NCProgram, beads: TextBeads, config: Config, heat: Interpass | No
         if config.process.interpass in ("off", "power"):
             bad |= beads.wait_s > wanted + PAUSE_TOLERANCE_S
     else:
-        wanted = np.where(beads.ring >= 0, heat.ring_wait_s[beads.layer], 0.0)
+        wanted = np.where(beads.ring >= 0, _of(heat.ring_wait_s, beads.layer), 0.0)
         inner = beads.island >= 0
-        wanted[inner] = heat.island_wait_s[beads.island[inner]]
-        wanted[first] = heat.wait_s[beads.layer[first]] + np.where(inner, wanted, 0.0)[first]
+        wanted[inner] = _of(heat.island_wait_s, beads.island[inner])
+        wanted[first] = _of(heat.wait_s, beads.layer[first]) + np.where(inner, wanted, 0.0)[first]
         wanted[:1] = np.where(inner, wanted, 0.0)[:1]
         bad = np.abs(beads.wait_s - wanted) > PAUSE_TOLERANCE_S
     faults += [
@@ -86,6 +89,14 @@ def _waits(nc: NCProgram, beads: TextBeads, config: Config, heat: Interpass | No
     within = float(beads.wait_s[~first].sum())
     good = f"waits {beads.wait_s[first].sum():.6g} s between layers and {within:.6g} s within them"
     return count_check("layer pause", faults, good)
+
+
+def _of(values: Floats, number: Ints) -> Floats:
+    """Values (n,) of layers or islands by their number; 0 for those that the plan does not know."""
+    known = (number >= 0) & (number < values.size)
+    result = np.zeros(number.size)
+    result[known] = values[number[known]]
+    return result
 
 
 def _named(beads: TextBeads, n: int) -> str:

@@ -18,7 +18,7 @@ from ebamcheck.program.checks import Check
 from ebamcheck.program.deposit import deposit
 from ebamcheck.program.deposit_checks import deposit_checks
 from ebamcheck.program.inputs import CurveColumns, ScanColumns, deposition_heights, interpass_of
-from ebamcheck.program.interpass_checks import interpass_checks, layer_shares
+from ebamcheck.program.interpass_checks import heat_checks, layer_shares, wait_check
 from ebamcheck.program.motions import NCProgram
 from ebamcheck.program.path_checks import closure_check, contour_checks, hatch_checks, layer_checks
 from ebamcheck.program.process_checks import process_checks
@@ -50,6 +50,7 @@ def verify_program(
     smooth: Layers | None = None,
     beads: bool = False,
     metal: bool = False,
+    heat: bool = False,
     heights: ArrayLike | None = None,
     sha256: Mapping[str, str] | None = None,
     contour_offset_mm: float | None = None,
@@ -76,6 +77,8 @@ def verify_program(
         plan is not known; against a plan its vectors are compared one by one.
     metal
         Lay the metal of the program over the `layers`, and check its mass and where it lies.
+    heat
+        Drive a balance of the part's heat by the times, waits and power of the text, and check each bead's entry.
     heights
         (L,) heights of the cuts; None: those of `curves`, `plan` or `layers`.
     sha256
@@ -95,11 +98,15 @@ def verify_program(
     if path is None and curves is not None and plan is not None:
         path = planned_path(curves, plan, config)
     checks.append(wire_check(nc, config, path))
-    heat = None if plan is None else interpass_of(plan, config)
-    shares = np.minimum(layer_shares(nc, config.process.power_w), 1.0) if heat is None else heat.power_share
+    planned = None if plan is None else interpass_of(plan, config)
+    shares = (
+        np.minimum(layer_shares(nc, config.process.power_w), 1.0) if planned is None else planned.power_share
+    )
     checks += [*bead_end_checks(nc, config, shares), closure_check(nc, curves, tolerance_mm)]
     checks += [repeated_blocks(nc), window_check(nc, config), *process_checks(nc, config)]
-    checks += interpass_checks(nc, config, heat, known_sections(plan, smooth, layers))
+    checks.append(wait_check(nc, config, planned))
+    if heat:
+        checks += heat_checks(nc, config, known_sections(plan, smooth, layers))
     known = (
         heights
         if heights is not None

@@ -60,7 +60,8 @@ def plan_scan(
     name, number = order or profile.scan.order, profile.scan.seed if seed is None else seed
     stack = Stack([layer_section(polygons)], np.array([height_mm], np.float64), [layer])
     asked = name not in GEOMETRIC
-    planned = ordered_layers(stack, profile, name, number, carry=asked, driven=asked)
+    carry = asked and profile.scan.carry_heat
+    planned = ordered_layers(stack, profile, name, number, carry=carry, driven=asked)
     return stack_plans([in_order(done) for done in planned], profile, name, number)
 
 
