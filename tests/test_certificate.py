@@ -75,6 +75,7 @@ def test_the_certificate_says_what_was_made_from_what(copy):
         "agreement",
         "fit",
         "coverage",
+        "deposit",
         "heat",
         "program",
     }

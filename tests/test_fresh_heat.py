@@ -153,16 +153,16 @@ def test_the_entry_is_as_hot_as_an_integral_over_the_moving_beam(choices, since)
 
 
 def test_nothing_passes_a_gap():
-    apart = islands_of(shapely.union_all([shapely.box(0, 0, 60, 60), shapely.box(64, 0, 124, 60)]))
+    apart = islands_of(shapely.union_all([shapely.box(0, 0, 60, 60), shapely.box(60.5, 0, 120.5, 60)]))
     near = apart.heat.fresh
     island = np.repeat(np.arange(len(apart)), np.diff(near.first))
-    across = (apart.centroid[island, 0] < 62.0) != (apart.centroid[near.other, 0] < 62.0)
+    across = (apart.centroid[island, 0] < 60.25) != (apart.centroid[near.other, 0] < 60.25)
     assert across.any()
     assert not near.exact[near.pair[across]].any()
     order = np.lexsort((apart.centroid[:, 1], apart.centroid[:, 0]))
     start, end, _ = times_of(apart, order)
     _, points = entry_points(apart.heat, apart.driven, order, start, end)
-    first_beyond = order[np.searchsorted(apart.centroid[order, 0], 62.0)]
+    first_beyond = order[np.searchsorted(apart.centroid[order, 0], 60.25)]
     assert abs(points[first_beyond]) < 5.0
 
 

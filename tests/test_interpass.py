@@ -188,7 +188,7 @@ def written(config, plan, folder, control="sinumerik-840d-sl"):
 def judged(config, files, plan=None, curves=None):
     nc = read_program(files.main, config)
     layers = tube(config)
-    checks = verify_program(nc, config=config, plan=plan, curves=curves, layers=layers)
+    checks = verify_program(nc, config=config, plan=plan, curves=curves, layers=layers, heat=True)
     return nc, {check.name: check for check in checks}
 
 

@@ -459,4 +459,10 @@ def test_hatch_and_contours_of_a_planned_part_pass(tmp_path):
         files.main, config=config, curves=curves, plan=plan, layers=layers, sha256=files.sha256
     )
     assert failed(checks) == []
+    # Contours whose wire changes are cut there, and compared as shapes: by chords that keep to 2 % of the limit.
+    assert value(checks, "contour path") < 2.5e-5
+    whole = replace(plan, sections=None)
+    files = write_program(curves, whole, config, tmp_path / "one wire")
+    checks = verify_file(files.main, config=config, curves=curves, plan=whole, layers=layers)
+    assert failed(checks) == []
     assert value(checks, "contour path") < 2e-6

@@ -15,6 +15,7 @@ from ebamcheck.errors import GeometryError, InputError, SettingsError
 from ebamcheck.layers import from_polygons, from_rings
 from ebamcheck.scan import ORDERS, ScanPlan, contour_paths, plan_scan, plan_stack, simulate_order
 from ebamcheck.scan.coverage import covered_fraction
+from ebamcheck.scan.filling import TRIM
 from ebamcheck.scan.islands import clip_lattice, partition
 from ebamcheck.scan.lattice import hexagon_lattice
 from ebamcheck.scan.order import LayerIslands, scan_order
@@ -157,10 +158,11 @@ def test_columns_fit_together(planned):
 
 
 def test_deposited_area_is_the_area_to_fill():
-    # Lines and turns times spacing are the area of the islands: the law behind the place of lines in an island.
+    # Lines times spacing are the area of the islands, before they are shortened: the law behind the place of lines.
     plan = plan_scan(shapely.box(0, 0, 300, 200), PROFILE)
-    row = plan.metrics.iloc[0]
-    laid = (row["hatch_length_mm"] + row["turn_length_mm"]) * PROFILE.process.hatch_spacing_mm
+    spacing = PROFILE.process.hatch_spacing_mm
+    whole = plan.metrics["hatch_length_mm"][0] + 2.0 * TRIM * spacing * len(plan.vectors)
+    laid = whole * spacing
     assert laid == pytest.approx(plan.island_area_mm2.sum(), rel=0.06)
 
 

@@ -38,6 +38,7 @@ from ebamcheck.scan.order import scan_order
 from ebamcheck.scan.regions import layer_section
 from ebamcheck.scan.thermal import greedy_order, own_rise
 from ebamcheck.scan.touching import touching, touching_successors
+from ebamcheck.scan.turns import turns_and_jumps_mm
 from ebamcheck.scan.ways import ways_between
 from ebamcheck.settings.scan import SCAN_ORDERS
 
@@ -94,7 +95,11 @@ def test_an_island_is_heated_by_the_power_that_the_part_takes_up(laid, choices):
     heat, drive = choices.heat, choices.driven
     medium = Medium.of(PROFILE)
     energy = heat.source_k_s * drive.time_s * medium.heat_capacity_j_mm3k
-    length = np.hypot(*(laid.lines.end - laid.lines.start).T).sum()
+    lines, spacing = laid.lines, PROFILE.process.hatch_spacing_mm
+    length = np.hypot(*(lines.end - lines.start).T).sum()
+    # The turns at either side of an island count by their mean.
+    either = [(lines.start, lines.end), (lines.end, lines.start)]
+    length += 0.5 * sum(turns_and_jumps_mm(lines.island, a, b, spacing)[0].sum() for a, b in either)
     process = PROFILE.process
     wanted = length / process.travel_speed_mm_s * process.power_w * PROFILE.material.absorptivity
     assert energy.sum() == pytest.approx(wanted, rel=1e-9)

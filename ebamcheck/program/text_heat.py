@@ -110,12 +110,18 @@ def text_beads(nc: NCProgram, config: Config) -> TextBeads:
         island=island,
         row=first,
         wait_s=waits,
-        move_s=clock[first] - np.concatenate([[0.0], clock[last[:-1] + 1]])[: first.size],
-        time_s=clock[last + 1] - clock[first],
+        move_s=_between(clock[first], np.concatenate([[0.0], clock[last[:-1] + 1]])[: first.size]),
+        time_s=_between(clock[last + 1], clock[first]),
         energy_j=np.bincount(bead, power_w * seconds[rows], minlength=first.size).astype(np.float64),
         peak_w=np.maximum.reduceat(power_w, np.flatnonzero(changes)) if first.size else np.zeros(0),
         stray=tuple(stray),
     )
+
+
+def _between(late_s: Floats, early_s: Floats) -> Floats:
+    """Time between (n,) s; endless where a feed of nothing never ends."""
+    known = np.isfinite(late_s) & np.isfinite(early_s)
+    return np.subtract(late_s, early_s, out=np.full(late_s.size, np.inf), where=known)
 
 
 def text_bed_k(beads: TextBeads, config: Config, shapes: Sequence[LayerShape]) -> tuple[Floats, Floats]:
