@@ -10,7 +10,7 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.config import Config
 from ebamcheck.layers import Layers
 from ebamcheck.program.checks import Check, count_check, row_faults
-from ebamcheck.program.motions import NCProgram
+from ebamcheck.program.motions import STRAIGHT, NCProgram
 from ebamcheck.rings import Bools, Floats, Ints
 from ebamcheck.scan.coverage import covered_fraction
 from ebamcheck.scan.regions import CRUMB, inset, layer_section
@@ -127,8 +127,9 @@ def _offsets(nc: NCProgram, rows: Ints) -> tuple[Ints, Floats, Bools]:
 
 
 def _once(nc: NCProgram) -> Check:
-    """Whether a line of the hatch lies on another of its layer."""
-    rows = _hatch_rows(nc)
+    """Whether a line, of the hatch or of a contour, lies on another of its layer; contours may overlap their start."""
+    contour = (nc.ring >= 0) & (nc.kind == STRAIGHT) & ~nc.overlap
+    rows = np.flatnonzero(nc.deposit & ~nc.turn & ((nc.island >= 0) | contour) & (nc.lengths > SAME_LINE_MM))
     ends = np.hstack([nc.start[rows, :2], nc.end[rows, :2]])
     swap = (ends[:, 0] > ends[:, 2]) | ((ends[:, 0] == ends[:, 2]) & (ends[:, 1] > ends[:, 3]))
     ends[swap] = ends[swap][:, [2, 3, 0, 1]]

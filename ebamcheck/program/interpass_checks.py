@@ -26,6 +26,10 @@ PAUSE_TOLERANCE_S = 1e-6
 SHARE_TOLERANCE = 1e-3
 """Beam power in the program over that of the plan: the decimals of voltage and current."""
 
+ROOM, PERCENT = 0.85, 0.01
+"""Share of the limit's rise under which a layer has room for more power, and the step of the power: the balance of a text
+and the plan differ by less."""
+
 OVER_RANGE = "over the model's range: metal would boil"
 """Mark of a figure that is clipped to the boiling point."""
 
@@ -60,6 +64,30 @@ def layer_shares(nc: NCProgram, power_w: float) -> Floats:
     shares = np.full(len(nc.layer_files), -np.inf)
     np.fmax.at(shares, nc.layer[rows], nc.power_w[rows] / power_w)
     return np.where(np.isinf(shares), np.nan, shares)
+
+
+def shares_of_text(nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] | None) -> Floats:
+    """Share of the power that each layer is to have where no plan is known, (L,): its own, but full where nothing asks for less.
+
+    Power is taken back only where a bead would else be entered above the limit: a layer whose beads would all stay well
+    under it with more power has too little.
+    """
+    shares = np.minimum(layer_shares(nc, config.process.power_w), 1.0)
+    if config.process.power_schedule != "taper":
+        return shares
+    if config.process.interpass not in ("power", "both"):
+        return np.where(np.isnan(shares), np.nan, 1.0)
+    beads = text_beads(nc, config)
+    if not len(beads) or not np.isfinite(beads.time_s).all():
+        return shares
+    bed_k, _ = text_bed_k(beads, config, text_shapes(nc, config, sections))
+    hottest_k = np.full(shares.size, -np.inf)
+    np.maximum.at(hottest_k, beads.layer, bed_k - config.process.ambient_temperature_k)
+    allowed_k = ROOM * (entry_limit_k(config) - config.process.ambient_temperature_k)
+    # What lies below does not get hotter with the layer's own power: all of it counts as if it did.
+    with np.errstate(invalid="ignore"):
+        could_have_more = hottest_k * (shares + PERCENT) / shares < allowed_k
+    return np.where(could_have_more, 1.0, shares)
 
 
 def _waits(nc: NCProgram, beads: TextBeads, config: Config, heat: Interpass | None) -> Check:

@@ -121,7 +121,9 @@ def text_beads(nc: NCProgram, config: Config) -> TextBeads:
 def _between(late_s: Floats, early_s: Floats) -> Floats:
     """Time between (n,) s; endless where a feed of nothing never ends."""
     known = np.isfinite(late_s) & np.isfinite(early_s)
-    return np.subtract(late_s, early_s, out=np.full(late_s.size, np.inf), where=known)
+    result: Floats = np.full(late_s.size, np.inf)
+    result[known] = late_s[known] - early_s[known]
+    return result
 
 
 def text_bed_k(beads: TextBeads, config: Config, shapes: Sequence[LayerShape]) -> tuple[Floats, Floats]:

@@ -18,7 +18,7 @@ from ebamcheck.program.checks import Check
 from ebamcheck.program.deposit import deposit
 from ebamcheck.program.deposit_checks import deposit_checks
 from ebamcheck.program.inputs import CurveColumns, ScanColumns, deposition_heights, interpass_of
-from ebamcheck.program.interpass_checks import heat_checks, layer_shares, wait_check
+from ebamcheck.program.interpass_checks import heat_checks, layer_shares, shares_of_text, wait_check
 from ebamcheck.program.motions import NCProgram
 from ebamcheck.program.path_checks import closure_check, contour_checks, hatch_checks, layer_checks
 from ebamcheck.program.process_checks import process_checks
@@ -99,14 +99,18 @@ def verify_program(
         path = planned_path(curves, plan, config)
     checks.append(wire_check(nc, config, path))
     planned = None if plan is None else interpass_of(plan, config)
-    shares = (
-        np.minimum(layer_shares(nc, config.process.power_w), 1.0) if planned is None else planned.power_share
-    )
+    sections = known_sections(plan, smooth, layers)
+    if planned is not None:
+        shares = planned.power_share
+    elif heat:
+        shares = shares_of_text(nc, config, sections)
+    else:
+        shares = np.minimum(layer_shares(nc, config.process.power_w), 1.0)
     checks += [*bead_end_checks(nc, config, shares), closure_check(nc, curves, tolerance_mm)]
     checks += [repeated_blocks(nc), window_check(nc, config), *process_checks(nc, config)]
     checks.append(wait_check(nc, config, planned))
     if heat:
-        checks += heat_checks(nc, config, known_sections(plan, smooth, layers))
+        checks += heat_checks(nc, config, sections)
     known = (
         heights
         if heights is not None
