@@ -199,8 +199,11 @@ def shifted_ring(p):
 
 
 def doubled_hatch_line(p):
-    lines, i = p.lines(), p.find(r"G1 X.*\d$", 12)
-    back = lines[i - 1].split(" ", 1)[1].split(" ;")[0]
+    lines = p.lines()
+    begin = next(n for n, line in enumerate(lines) if line.startswith("; ISLAND"))
+    plain = [bool(re.search(r"G1 X.*\d$", line)) for line in lines]
+    i = next(n for n in range(begin + 1, len(lines)) if plain[n - 1] and plain[n])
+    back = lines[i - 1].split(" ", 1)[1].split(" ;")[0].split(" F")[0]
     lines.insert(i + 1, f"{lines[i].split()[0]}1 {back}")
     p.write(lines)
     return f"{SECOND}:{i + 2}"
@@ -280,7 +283,10 @@ FAULTS = {
     "number repeated": (lambda p: p.replace(r"^N200 ", "N190 "), "block numbers"),
     "carriage returns": (carriage_returns, "line ends"),
     "wrong encoding": (wrong_encoding, "readable"),
-    "wrong power": (lambda p: (p.replace("H2=120", "H2=100", name=MAIN), "MAIN_L0001.SPF:")[1], "power"),
+    "wrong power": (
+        lambda p: (p.replace(r"H2=\S+", "H2=60", name="MAIN_L0001.SPF"), "MAIN_L0001.SPF:")[1],
+        "power",
+    ),
 }
 
 
