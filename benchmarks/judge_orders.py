@@ -178,7 +178,7 @@ def layer_table(table: pd.DataFrame, profile: Config) -> pd.DataFrame:
         by_order = some.set_index("order")
         row = {"model": model, "height, mm": f"{height_mm:.0f}", "islands": int(some["islands"].max())}
         for figure, what in (("thesis_max_k", "mean"), ("thesis_spot_max_k", "place")):
-            row |= {f"{what}, {order}": told(by_order.loc[order, figure]) for order in ORDERS}
+            row |= {f"{what}, {order}": told(float(by_order[figure][order])) for order in ORDERS}
         rows.append(row)
     return pd.DataFrame(rows)
 
