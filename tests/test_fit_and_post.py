@@ -81,12 +81,12 @@ def test_post_of_a_control_or_folder_that_is_not_there(stl: Path, tmp_path: Path
 
 
 def test_post_writes_one_layer_for_a_simulator_alone(stl: Path, tmp_path: Path) -> None:
-    arguments = ("post", stl, "--layer-height", 20, "--layer", 1, "-o", tmp_path / "p", "--control")
+    arguments = ("post", stl, "--layer-height", 3, "--layer", 1, "-o", tmp_path / "p", "--control")
     code, text = run(*arguments, "3dthesis")
     assert code == ExitCode.PASS, text
     assert f"{tmp_path / 'p' / 'run.sh'} runs it" in text
     heights = {line.split()[3] for line in (tmp_path / "p" / "Path.txt").read_text().splitlines()[1:]}
-    assert heights == {"40.000000"}
+    assert heights == {"6.000000"}
     code, text = run(*arguments, "linuxcnc")
     assert code == ExitCode.USAGE
     assert "linuxcnc takes a whole program" in text

@@ -31,8 +31,8 @@ PRICES = (0.005, 0.01, 0.0025, 0.02, 0.04, 0.08, 0.16)
 """Prices of travel that are tried: in temperature rises of an island by its own heat, over widths of an island.
 The best one differs from layer to layer by chance; on the largest layers, which can afford few, it is the first."""
 
-MOST_MOVES = 2e6
-"""Moves times islands in the improvement of plans: enough for four plans of 25 islands, for all of 12, for one of 50."""
+MOST_MOVES = 1e7
+"""Moves times islands in the improvement of plans: enough for three plans of 80 islands, for all of 20, for one of 300."""
 
 WARMTHS = (0.005, 0.005, 0.05)
 """Worsening taken at first when a plan is improved, as a share of its cost; for the first plan, the second, and so on
