@@ -12,7 +12,7 @@ from ebamcheck.layers import from_polygons
 from ebamcheck.pipeline.gates import deposit_gate
 from ebamcheck.pipeline.noticed import of_metal
 from ebamcheck.pipeline.programming import bead_paths
-from ebamcheck.program import program_summary, read_program, write_program
+from ebamcheck.program import Check, program_summary, read_program, write_program
 from ebamcheck.program.bead_ends import planned_path
 from ebamcheck.program.deposit import deposit
 from ebamcheck.program.deposit_checks import DEPOSIT_CHECKS, deposit_checks
@@ -210,6 +210,28 @@ def test_findings_tell_too_much_metal_from_too_little(square, factor, code):
 
     square.edit(LAYER, change)
     assert code in {finding.code for finding in of_metal(square.checks().values())}
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "code"),
+    [
+        ("metal", "9.700 kg of metal for 9.937 kg of part", "metal-missing"),
+        ("metal", "10.300 kg of metal for 9.937 kg of part", "metal-excess"),
+        (
+            "height inside",
+            "metal is 0.940 layers high on average, furthest off 1.080: layer 1",
+            "metal-missing",
+        ),
+        (
+            "height inside",
+            "metal is 1.060 layers high on average, furthest off 0.900: layer 1",
+            "metal-excess",
+        ),
+    ],
+)
+def test_findings_of_the_whole_metal_go_by_its_sign(name, text, code):
+    check = Check(name, False, 0.05, 0.02, "of the part", "", text)
+    assert [finding.code for finding in of_metal([check])] == [code]
 
 
 def test_metal_where_the_part_has_none_is_outside(square):

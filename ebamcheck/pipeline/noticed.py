@@ -197,8 +197,10 @@ def of_metal(checks: Iterable[Check]) -> Iterator[Finding]:
 
 
 def _lacks(text: str) -> bool:
-    """Whether the words of a check tell a share of metal under one."""
-    share = re.search(r"(?:has|furthest off) (\d+\.\d+)", text)
+    """Whether the words of a check tell less metal than there is to be: in all, of a layer, or as a mean height."""
+    if whole := re.search(r"(\d+\.\d+) kg of metal for (\d+\.\d+) kg", text):
+        return float(whole[1]) < float(whole[2])
+    share = re.search(r"(?:has|metal is) (\d+\.\d+)", text)
     return share is not None and float(share[1]) < 1.0
 
 
