@@ -13,7 +13,7 @@ PROVED: Mapping[str, str] = {
     "agreement": "independent slicers find the same contours on every layer",
     "fit": "the curves stay near the contours",
     "coverage": "the beads leave nothing of the sections bare",
-    "deposit": "the metal laid is that of the sections, in all and at every place",
+    "deposit": "the metal laid is that of the sections within its tolerances, by a model of the melt pool",
     "heat": "no bead is entered above the limit, by the heat model",
     "program": "the program's path, read back from its text, is that of the part, within the limits of machine and process",
 }

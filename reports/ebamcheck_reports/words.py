@@ -7,7 +7,7 @@ GATE_QUESTIONS = {
     "agreement": "Do independent slicing methods find the same contours on every layer?",
     "fit": "Do the fitted curves stay near the contours?",
     "coverage": "Do the beads fill the section of every layer?",
-    "deposit": "Is the metal laid that of the sections, in all and at every place?",
+    "deposit": "Is the metal laid that of the sections, in all and at every place within its tolerances, by a model of the melt pool?",
     "heat": "Is no bead entered above the interpass limit, and does the wire still melt?",
     "program": "Is the NC program, read back from its text, still the part?",
 }
