@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ebamcheck.config import Config
 from ebamcheck.errors import InputError
@@ -19,10 +19,12 @@ from ebamcheck.program.deposit import deposit
 from ebamcheck.program.deposit_checks import deposit_checks
 from ebamcheck.program.inputs import CurveColumns, ScanColumns, deposition_heights, interpass_of
 from ebamcheck.program.interpass_checks import heat_checks, layer_shares, shares_of_text, wait_check
+from ebamcheck.program.matching import matched, matching_checks, tracks_known
 from ebamcheck.program.motions import NCProgram
 from ebamcheck.program.path_checks import closure_check, contour_checks, hatch_checks, layer_checks
 from ebamcheck.program.process_checks import process_checks
 from ebamcheck.program.reader import read_program
+from ebamcheck.program.roles import by_height, by_section
 from ebamcheck.program.section_check import section_check
 from ebamcheck.program.state_checks import state_checks
 from ebamcheck.program.text_checks import text_checks
@@ -30,6 +32,7 @@ from ebamcheck.program.text_heat import known_sections
 from ebamcheck.program.toolpath import Toolpath
 from ebamcheck.program.window_checks import window_check
 from ebamcheck.program.wire_checks import wire_check
+from ebamcheck.rings import Bools
 from ebamcheck.scan.turns import TURN_SPACINGS
 
 PATH_TOLERANCE_MM = 1e-3
@@ -93,10 +96,21 @@ def verify_program(
     list of Check
         In a fixed order; one that fails names the file and line of the first or worst place.
     """
-    turn_limit_mm = TURN_SPACINGS * config.process.hatch_spacing_mm
-    checks = text_checks(nc, sha256) + state_checks(nc, config, turn_limit_mm)
+    known = heights
+    if known is None:
+        known = next((x.heights for x in (curves, plan, layers) if x is not None), None)
+    z_of = deposition_heights(np.asarray(() if known is None else known, np.float64), config.layer_height_mm)
+    offset = config.contour_offset_mm if contour_offset_mm is None else contour_offset_mm
     if path is None and curves is not None and plan is not None:
         path = planned_path(curves, plan, config)
+    nc = by_height(nc, z_of)
+    tracks, match = path or tracks_known(curves, plan, config), None
+    if tracks is not None:
+        nc, match = matched(nc, tracks)
+    elif layers is not None:
+        nc = by_section(nc, layers, z_of, offset, section_tolerance_mm)
+    turn_limit_mm = TURN_SPACINGS * config.process.hatch_spacing_mm
+    checks = text_checks(nc, sha256) + state_checks(nc, config, turn_limit_mm)
     checks.append(wire_check(nc, config, path))
     planned = None if plan is None else interpass_of(plan, config)
     sections = known_sections(plan, smooth, layers)
@@ -111,21 +125,17 @@ def verify_program(
     checks.append(wait_check(nc, config, planned))
     if heat:
         checks += heat_checks(nc, config, sections)
-    known = (
-        heights
-        if heights is not None
-        else next((x.heights for x in (curves, plan, layers) if x is not None), None)
-    )
     if known is None:
         return checks
-    z_of = deposition_heights(np.asarray(known, dtype=np.float64), config.layer_height_mm)
-    checks += layer_checks(nc, z_of, _where_called(nc))
+    checks += layer_checks(nc, z_of, _filled(tracks, layers, len(z_of)))
+    if match is not None:
+        # A plan of contours or of islands alone knows nothing of the other beads.
+        checks += matching_checks(nc, match, tolerance_mm) if path is not None else []
     if curves is not None:
         checks += contour_checks(nc, curves, config, tolerance_mm, z_of)
     if plan is not None:
         checks += hatch_checks(nc, plan, config, tolerance_mm, z_of)
     if layers is not None:
-        offset = config.contour_offset_mm if contour_offset_mm is None else contour_offset_mm
         checks.append(section_check(nc, layers, z_of, offset, section_tolerance_mm))
         if smooth is not None:
             limit = smooth_tolerance_mm(config)
@@ -160,12 +170,11 @@ def verify_file(path: str | Path, *, config: Config, **given: object) -> list[Ch
     return [readable, *verify_program(nc, config=config, **given)]  # type: ignore[arg-type]
 
 
-def _where_called(nc: NCProgram) -> NDArray[np.object_]:
-    """Place of the call of each layer (L,); of its first deposit in a program without calls."""
-    calls = [
-        i for i, name in enumerate(nc.events.name) if name.startswith("call ") and nc.events.file[i] == 0
-    ]
-    if len(calls) == len(nc.layer_files):
-        return np.array([f"{nc.files[0].name}:{nc.events.line[i]}" for i in calls], dtype=np.object_)
-    first = [int(np.argmax(nc.layer == k)) for k in range(len(nc.layer_files))]
-    return np.array([nc.where(row) for row in first], dtype=np.object_)
+def _filled(path: Toolpath | None, layers: Layers | None, count: int) -> Bools:
+    """Which layers (L,) are to have metal, as far as is known: all of them, if nothing is."""
+    if path is not None:
+        ends = path.track_starts[path.layer_starts]
+        return np.asarray(np.diff(ends) > 0)
+    if layers is not None:
+        return np.array([any(p.area > 0.0 for p in layers.polygons(k)) for k in range(count)], np.bool_)
+    return np.ones(count, np.bool_)
