@@ -288,7 +288,7 @@ def test_the_sampled_path_of_a_square_is_the_square(tmp_path):
     assert layers.ring_lengths.sum() == pytest.approx(41)
     assert np.linalg.norm(np.diff(layers.ring(0), axis=0), axis=1).max() <= 0.5 + 1e-12
     assert nc.contours(0.5).open_counts().tolist() == [0]
-    assert nc.vectors()[["island", "x0", "x1"]].to_numpy().tolist() == [[3, 20, 25]]
+    assert nc.vectors()[["island", "x0", "x1"]].to_numpy().tolist() == [[0, 20, 25]]
 
 
 def test_the_sampled_program_is_the_sampled_curve(tmp_path):

@@ -18,6 +18,7 @@ from scipy.interpolate import BSpline
 from ebamcheck.config import Config
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.program import mark_validated, read_program, write_program
+from ebamcheck.program.matching import as_planned
 from ebamcheck.program.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT
 
 CONTROLS = ("sinumerik-840d-sl", "linuxcnc", "plain-gcode", "3dthesis", "adamantine", "additivefoam")
@@ -93,6 +94,7 @@ def spans_at(curves, t):
 def same_parameters(nc, curves):
     """Largest distance of the contour motions from the curves at the same parameters."""
     t = np.linspace(0, 1, 11)
+    nc = as_planned(nc, curves, None, Config())
     rows = np.flatnonzero(nc.deposit & (nc.ring >= 0))
     wanted = spans_at(curves, t)
     assert rows.size == len(wanted)
@@ -108,6 +110,7 @@ def away(points, polyline):
 def deviation(nc, curves):
     """Largest distance, both ways, of the driven rings from the curves as shapes."""
     worst = 0.0
+    nc = as_planned(nc, curves, None, Config())
     for ring in range(len(curves.closed)):
         first, last = curves.ring_starts[ring : ring + 2]
         rows = np.flatnonzero((nc.ring == ring) & nc.deposit)
@@ -180,7 +183,7 @@ def test_arcs_of_every_quadrant_and_sense(control, sweep, tmp_path):
     curves = make_curves([0.8], [[[(arc, None)] for arc in arcs]], [False] * len(arcs))
     curves = with_arcs(curves)
     files, config = wrote(tmp_path, {"control": control}, curves)
-    nc = read_program(files.main, config)
+    nc = as_planned(read_program(files.main, config), curves, None, config)
     t = np.linspace(0, 1, 33)
     for ring, arc in enumerate(arcs):
         rows = np.flatnonzero((nc.ring == ring) & nc.deposit)

@@ -149,9 +149,11 @@ def dropped_line(text):
 
 
 def ring_again(text):
-    i = text.find(FIRST, "; RING 1")
-    text.lines[FIRST][i] = "; RING 0"
-    return f"{FIRST}:{text.find(FIRST, 'G1', nth=text_before(text.lines[FIRST], i)) + 1}"
+    """The beads of the first ring once more, behind themselves: whatever a comment says, they are there twice."""
+    i, j = text.find(FIRST, "G0 X"), text.find(FIRST, r"M61 ; beam off")
+    again = [re.sub(r"^N(\d+)", r"N\g<1>5", line) for line in text.lines[FIRST][i : j + 1]]
+    text.lines[FIRST][j + 1 : j + 1] = ["; RING 77", *again]
+    return f"{FIRST}:{text.find(FIRST, 'POLY', nth=0) + 2 + len(again)}"
 
 
 def shifted_layer(text):
@@ -259,7 +261,7 @@ FAULTS = {
         "smoothing",
     ),
     "beyond the travel": (edit(FIRST, r"G1 X-?\d+\.\d+ (Y.* ; TURN)", r"G1 X1000.5 \1"), "travel"),
-    "turn too long": (edit(FIRST, r"(G1 X-?\d+\.\d+ Y-?\d+\.\d+)$", r"\1 ; TURN", nth=8), "turns"),
+    "turn 40 mm out": (edit(FIRST, r"G1 X(-?\d+)(\.\d+ Y.* ; TURN)", lambda m: f"G1 X{int(m[1]) + 40}{m[2]}"), "hatch path"),
     # -- path
     "flipped sign of a coefficient": (edit(FIRST, r"(PO\[X\]=\([^,]*,)-?", r"\1-9", nth=1), "contour path"),
     "contour 0.1 mm off": (

@@ -25,6 +25,7 @@ from ebamcheck.program.deposit import deposit
 from ebamcheck.program.deposit_checks import deposit_checks
 from ebamcheck.program.events import event_totals, process_events
 from ebamcheck.program.inputs import deposition_heights
+from ebamcheck.program.matching import matched
 from ebamcheck.program.motions import NCProgram
 from ebamcheck.program.text_heat import build_times_s, known_sections
 from ebamcheck.program.toolpath import Toolpath
@@ -150,7 +151,7 @@ def _write_and_verify(
     header = {"PART SHA-256": job.part.source_sha256 or job.part.sha256}
     write_program = registry.plugin(registry.POSTS, job.config.machine.control)
     files = write_program(beads, plan, job.config, job.folder.program_folder, header=header)
-    program = read_program(files.main, job.config)
+    program, _ = matched(read_program(files.main, job.config), path)
     job.add_finding(*noticed.of_seams(program, contours.heights, job.config))
     with ThreadPoolExecutor(1) as aside:
         feeds = aside.submit(side_by_side, program, contours, job.config)

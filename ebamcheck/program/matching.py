@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ebamcheck.config import Config
-from ebamcheck.program.bead_ends import with_bead_ends
+from ebamcheck.program.bead_ends import planned_path, with_bead_ends
 from ebamcheck.program.checks import Check, count_check, worst_check
 from ebamcheck.program.inputs import CurveColumns, ScanColumns
 from ebamcheck.program.motions import NCProgram
@@ -29,6 +29,9 @@ SAME_MM = 2e-3
 
 APART_MM = 1e6
 """Distance of layers in the space in which ends are compared: no bead is like one of another layer."""
+
+END_COUNTS = 4.0
+"""Ends of motions count so many times as much as their middles: where one is left out, the next still ends in its place."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,6 +139,16 @@ def matched(nc: NCProgram, path: Toolpath) -> tuple[NCProgram, Matching]:
     )
 
 
+def as_planned(
+    nc: NCProgram, curves: CurveColumns | None, plan: ScanColumns | None, config: Config
+) -> NCProgram:
+    """Return the program with the roles of the plan that it was made from: contours, islands, or both."""
+    if curves is not None and plan is not None:
+        return matched(nc, planned_path(curves, plan, config))[0]
+    path = tracks_known(curves, plan, config)
+    return nc if path is None else matched(nc, path)[0]
+
+
 def _placed(ends: Floats, layer: Ints) -> Floats:
     """Ends (n, 4) as points (n, 5) that are far apart in different layers."""
     return np.nan_to_num(np.column_stack([ends, APART_MM * layer]), nan=-APART_MM)
@@ -223,10 +236,10 @@ def _one_by_one(match: Matching) -> tuple[Bools, Ints, Ints]:
 
 
 def _nearest_segment(nc: NCProgram, rows: Ints, start: Floats, end: Floats) -> Ints:
-    """Segment (n,) whose end and middle lie nearest to those of each motion."""
+    """Segment (n,) whose end, and then whose middle, lie nearest to those of each motion."""
     middle = 0.5 * (nc.start + nc.end)[rows, :2]
-    points = np.hstack([nc.end[rows, :2], middle])
-    wanted = np.hstack([end, 0.5 * (start + end)])
+    points = np.hstack([END_COUNTS * nc.end[rows, :2], middle])
+    wanted = np.hstack([END_COUNTS * end, 0.5 * (start + end)])
     _, nearest = cKDTree(wanted).query(np.nan_to_num(points))
     return np.asarray(nearest, np.int64)
 

@@ -15,6 +15,7 @@ from ebamcheck.program.bead_checks import bead_checks, repeated_blocks
 from ebamcheck.program.bead_end_checks import bead_end_checks
 from ebamcheck.program.bead_ends import planned_path
 from ebamcheck.program.checks import Check
+from ebamcheck.program.clearance import clearance_checks
 from ebamcheck.program.deposit import deposit
 from ebamcheck.program.deposit_checks import deposit_checks
 from ebamcheck.program.inputs import CurveColumns, ScanColumns, deposition_heights, interpass_of
@@ -125,6 +126,7 @@ def verify_program(
     checks.append(wait_check(nc, config, planned))
     if heat:
         checks += heat_checks(nc, config, sections)
+    checks += clearance_checks(nc, z_of, config, layers)
     if known is None:
         return checks
     checks += layer_checks(nc, z_of, _filled(tracks, layers, len(z_of)))

@@ -49,6 +49,12 @@ class MachineSettings(Section):
     """Settable work offset in which the program runs."""
     safe_height_mm: Positive = 20.0
     """Rise above the current layer for moves over more than one island gap, and at the end."""
+    clearance_mm: Positive = 5.0
+    """What a travel longer than a hop keeps over all that stands: base plate, clamps, beads."""
+    head_radius_mm: NotNegative = 20.0
+    """Radius of the head, gun nozzle and wire guide, as a cylinder around the axis of the tool."""
+    head_above_tip_mm: NotNegative = 15.0
+    """Height of the head's lower face over the tip of the wire."""
     rapid_mm_s: Positive = 100.0
     """Speed of rapid moves, for times only; G0 itself carries no feed."""
     feed_min_mm_s: Positive = 1.0
@@ -125,6 +131,8 @@ class MachineSettings(Section):
     def _consistent(self) -> Self:
         if any(a >= b for a, b in zip(self.travel_min_mm, self.travel_max_mm, strict=True)):
             raise ValueError("travel_min_mm must be under travel_max_mm on every axis")
+        if self.safe_height_mm < self.clearance_mm:
+            raise ValueError("safe_height_mm must be at least clearance_mm: travel would not clear the beads")
         if self.feed_min_mm_s >= self.feed_max_mm_s:
             raise ValueError("feed_min_mm_s must be under feed_max_mm_s")
         if (self.curve_form == "poly" and not self.poly_licensed) or (
