@@ -66,7 +66,7 @@ def make_program(
         path = planned_path(beads, plan, config)
         totals = _write_events(job, path, plan)
         witness = _witness(job, layers, checked.done)
-        checks = _write_and_verify(job, beads, plan, path, layers, witness, gates.fit_distance_mm(deviation))
+        checks = _write_and_verify(job, beads, plan, path, layers, witness, smooth)
     made = [
         gates.fit_gate(deviation, config),
         gates.coverage_gate(plan.metrics, config),
@@ -145,7 +145,7 @@ def _write_and_verify(
     path: Toolpath,
     contours: Layers,
     witness: Layers,
-    fit_mm: float,
+    smooth: Layers,
 ) -> list[Check]:
     """Write the program, read its text back and check it against what it was made from."""
     header = {"PART SHA-256": job.part.source_sha256 or job.part.sha256}
@@ -164,7 +164,7 @@ def _write_and_verify(
             layers=witness,
             heat=True,
             sha256=files.sha256,
-            section_tolerance_mm=gates.section_tolerance_mm(fit_mm),
+            smooth=smooth if job.config.curves.method in LIFTED else None,
         )
     checks += _weighed(job, program, witness)
     summary = program_summary(program, job.config)

@@ -7,10 +7,11 @@ from typing import Any
 
 from ebamcheck import mesh_files, registry
 from ebamcheck.config import Config, validated
-from ebamcheck.curves import LIFTED, Curves, fit, fit_deviation
+from ebamcheck.curves import LIFTED, Curves, fit
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.heights import checked_heights, layer_heights
 from ebamcheck.inspection import inspect
+from ebamcheck.layers import Layers
 from ebamcheck.pipeline.certificate import (
     certificate_checks,
     find_certificate,
@@ -18,7 +19,6 @@ from ebamcheck.pipeline.certificate import (
     run_certificate_checks,
     told_once,
 )
-from ebamcheck.pipeline.gates import fit_distance_mm, section_tolerance_mm
 from ebamcheck.program import Check, verify_file
 from ebamcheck.scan import ScanPlan
 from ebamcheck.slicing import slice_part
@@ -117,12 +117,10 @@ def _verify(run: RunFolder, manifest: dict[str, Any], part: Path | None) -> list
         curves=Curves.from_parquet(run.path / "beads.parquet"),
         plan=ScanPlan.from_parquet(run.path / "scan.parquet"),
         layers=run.read_layers(record["witness"]),
+        smooth=_smooth(Curves.from_parquet(run.path / "curves.parquet"), config),
         metal=True,
         heat=True,
         sha256=recorded,
-        section_tolerance_mm=section_tolerance_mm(
-            max(float(manifest["fit"]["max_points_mm"]), float(manifest["fit"]["max_bulge_mm"]))
-        ),
     )
     return checks
 
@@ -180,15 +178,19 @@ def verify_against_part(program: Path, part_path: Path, config: Config) -> list[
         program,
         config=config,
         layers=slice_part(part, heights, witness_backend(maker)),
-        smooth=curves.sample_tolerance(SMOOTH_MM) if config.curves.method in LIFTED else None,
+        smooth=_smooth(curves, config),
         beads=True,
         metal=True,
         heat=True,
         heights=heights,
-        section_tolerance_mm=section_tolerance_mm(fit_distance_mm(fit_deviation(curves, layers))),
     )
     certified = certificate_checks(paper, program, part_path, config) if paper else []
     return [*certified, sound, *made]
+
+
+def _smooth(curves: Curves, config: Config) -> Layers | None:
+    """Sections with the curves that their chords stand for, where the method of the fit makes such."""
+    return curves.sample_tolerance(SMOOTH_MM) if config.curves.method in LIFTED else None
 
 
 def witness_backend(maker: str) -> str:

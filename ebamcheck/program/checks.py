@@ -23,6 +23,11 @@ class Check:
     where: str
     """``FILE:line`` of the worst or first place; empty where the whole program is meant."""
     text: str
+    layer: int | None = None
+    """Layer of the worst place, from 0, where there is one."""
+    x_mm: float | None = None
+    """Where the worst place is, to draw it."""
+    y_mm: float | None = None
 
 
 def count_check(name: str, places: list[tuple[str, str]], good: str) -> Check:

@@ -13,10 +13,11 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
+from ebamcheck.kernels import run_blocks
 from ebamcheck.layers import Layers
 from ebamcheck.program.motions import RAPID, STRAIGHT, NCProgram
 from ebamcheck.rings import Bools, Floats, Ints
-from ebamcheck.scan.regions import layer_section
+from ebamcheck.scan.regions import inset, layer_section
 
 CLOSED_MM = 1e-3
 """A bead that comes this near to its start has come back: the decimals of a program, at their coarsest."""
@@ -24,14 +25,17 @@ CLOSED_MM = 1e-3
 PARALLEL = 1e-3
 """Sine of the angle between lines of one direction."""
 
+WAIT = "layer_pause_s"
+"""Event of a wait, named by its placeholder."""
+
 JOINT_MM = 2e-5
 """Where the power changes along a line, the joint leaves it by the rounding of six decimals, and by nothing else."""
 
 STEP_MM = 0.5
-"""Distance of the places at which a bead's depth in a section is looked at."""
+"""Distance of the places at which a bead's distance from the inset is looked at."""
 
 MOST = 0.5
-"""Share of a bead's length at the depth of the contour bead from which on it is one."""
+"""Share of a bead's length along the inset from which on it is a contour."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,32 +87,41 @@ def by_shape(nc: NCProgram) -> NCProgram:
     return with_contours(nc, beads, _comes_back(nc, beads))
 
 
-def by_section(nc: NCProgram, layers: Layers, z_of: Floats, offset_mm: float, limit_mm: float) -> NCProgram:
-    """Give every bead its role by the sections of a part: contours lie as deep in them as contour beads do.
+def by_section(nc: NCProgram, layers: Layers, z_of: Floats, offset_mm: float, near_mm: float) -> NCProgram:
+    """Give every bead its role by the sections of a part: contours run along the inset of the section.
+
+    In a layer where none does, the beads that come back to their start are taken for contours.
 
     Parameters
     ----------
     z_of
         (L,) Z of each of the `layers` in the program.
-    offset_mm, limit_mm
-        Depth of a contour bead, and by how much it may lie deeper or less deep.
+    offset_mm, near_mm
+        Inset of contour beads, and how near to it a bead runs that is one for most of its length.
     """
     beads = beads_of(nc)
-    contour = np.zeros(len(beads), np.bool_)
+    contour, back = np.zeros(len(beads), np.bool_), _comes_back(nc, beads)
     layer = nearest_layer(nc.end[beads.first, 2], z_of)
-    for k in range(len(layers)):
-        mine = np.flatnonzero(layer == k)
-        section = layer_section(layers.polygons(k)) if mine.size else shapely.Polygon()
-        if section.is_empty:
-            continue
-        rows = beads.rows[np.isin(beads.bead, mine)]
-        row, at = nc.samples(rows, STEP_MM)
-        near = np.abs(_depth(at, section) - offset_mm) <= limit_mm
-        # Each sample stands for its share of the motion.
-        weight = (np.nan_to_num(nc.lengths) / np.maximum(np.bincount(row, minlength=len(nc)), 1))[row]
-        bead = np.searchsorted(beads.first, row, side="right") - 1
-        whole = np.bincount(bead, weight, minlength=len(beads))[mine]
-        contour[mine] = np.bincount(bead, weight * near, minlength=len(beads))[mine] >= MOST * whole
+    pieces = np.zeros(len(nc), np.int64)
+
+    def work(start: int, stop: int) -> None:
+        for k in range(start, stop):
+            mine = np.flatnonzero(layer == k)
+            border = inset(layer_section(layers.polygons(k)), offset_mm).boundary if mine.size else None
+            if border is None or border.is_empty:
+                continue
+            row, at = nc.samples(beads.rows[np.isin(beads.bead, mine)], STEP_MM)
+            near = _away(at, border) <= near_mm
+            # Each sample stands for its share of the motion.
+            np.add.at(pieces, row, 1)
+            weight = np.nan_to_num(nc.lengths[row]) / pieces[row]
+            bead = np.searchsorted(beads.first, row, side="right") - 1
+            whole = np.bincount(bead, weight, minlength=len(beads))[mine]
+            contour[mine] = np.bincount(bead, weight * near, minlength=len(beads))[mine] >= MOST * whole
+            if not contour[mine].any():
+                contour[mine] = back[mine]
+
+    run_blocks(work, len(layers))
     return with_contours(nc, beads, contour)
 
 
@@ -134,13 +147,23 @@ def _comes_back(nc: NCProgram, beads: Beads) -> Bools:
 
 
 def _begins_island(nc: NCProgram, beads: Beads, contour: Bools) -> Bools:
-    """Hatch beads (P,) that the tool comes to from above, or from a contour; the others go on in the island before."""
+    """Hatch beads (P,) that begin an island.
+
+    The others follow the bead before at its height, or from above in the same direction: islands that touch never share
+    one. After a wait an island begins in any case.
+    """
     if not len(beads):
         return np.zeros(0, np.bool_)
+    waits = nc.events.row[[name == WAIT for name in nc.events.name]]
     rises = np.concatenate([[0], np.cumsum(nc.end[:, 2] != nc.start[:, 2])])
+    before, after = beads.last[:-1], beads.first[1:]
+    way = nc.end[:, :2] - nc.start[:, :2]
+    length = np.hypot(way[before, 0], way[before, 1]) * np.hypot(way[after, 0], way[after, 1])
+    turned = ~(np.abs(_cross(way[before], way[after])) <= PARALLEL * length)
+    waited = np.searchsorted(waits, before, side="right") != np.searchsorted(waits, after, side="right")
     begins = np.ones(len(beads), np.bool_)
-    begins[1:] = rises[beads.first[1:]] != rises[beads.last[:-1] + 1]
-    begins[1:] |= contour[:-1] | (nc.end[beads.first[1:], 2] != nc.end[beads.first[:-1], 2])
+    begins[1:] = (turned & (rises[after] != rises[before + 1])) | waited
+    begins[1:] |= contour[:-1] | (nc.end[after, 2] != nc.end[before, 2])
     return begins & ~contour
 
 
@@ -186,19 +209,15 @@ def _cross(a: Floats, b: Floats) -> Floats:
     return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
 
 
-def _depth(at: Floats, section: BaseGeometry) -> Floats:
-    """Distance of places (n, 2) from the border of a section; of those outside, less than nothing."""
-    shapely.prepare(section)
-    inside = shapely.intersects_xy(section, at[:, 0], at[:, 1])
-    border = shapely.STRtree(_sides(section))
-    _, away = border.query_nearest(np.asarray(shapely.points(at)), return_distance=True, all_matches=False)
-    return np.where(inside, away, -away)
-
-
-def _sides(section: BaseGeometry) -> np.ndarray:
-    points, line = shapely.get_coordinates(shapely.get_parts(section.boundary), return_index=True)
+def _away(at: Floats, lines: BaseGeometry) -> Floats:
+    """Distance (n,) of places (n, 2) from lines, by a search tree of their sides."""
+    points, line = shapely.get_coordinates(shapely.get_parts(lines), return_index=True)
     joined = np.flatnonzero(line[1:] == line[:-1])
-    return np.atleast_1d(shapely.linestrings(np.stack([points[joined], points[joined + 1]], axis=1)))
+    sides = np.atleast_1d(shapely.linestrings(np.stack([points[joined], points[joined + 1]], axis=1)))
+    _, away = shapely.STRtree(sides).query_nearest(
+        np.asarray(shapely.points(at)), return_distance=True, all_matches=False
+    )
+    return np.asarray(away, np.float64)
 
 
 # -- layers ------------------------------------------------------------------------------------------

@@ -79,14 +79,12 @@ def run_over(nc: NCProgram, beads: Beads, below_mm: Floats, config: Config, hop_
     sides = np.concatenate([[np.inf], z, [np.inf]])
     floor = np.minimum(sides[ahead], sides[ahead + 1]) if len(beads) else np.full(len(nc), -np.inf)
     out = np.zeros((6, len(nc)))
-    path = _Path(
-        nc.kind, nc.start, nc.end, nc.coefficients, nc.arc, np.nan_to_num(nc.lengths), beads.first, beads.last, floor, below_mm
-    )  # fmt: skip
     tall = float(fixed.max())
     tool = _Tool(
         0.5 * bead_mm / cell, machine.head_radius_mm / cell, machine.head_above_tip_mm, machine.clearance_mm, hop_mm
     )  # fmt: skip
-    _run(path, _Ground(np.zeros(shape), fixed, around, origin, cell, tall), tool, out)
+    ground = _Ground(np.zeros(shape), fixed, around, origin, cell, tall)
+    _run(columns_of(nc), _Beads(beads.first, beads.last, floor, below_mm), ground, tool, out)
     return Standing(*out)
 
 
@@ -133,8 +131,8 @@ def standing_of(
 # -- kernels -----------------------------------------------------------------------------------------
 
 
-class _Path(NamedTuple):
-    """Columns of a program's motions, and of its beads."""
+class Columns(NamedTuple):
+    """Columns of a program's motions, as :class:`~ebamcheck.program.motions.NCProgram` has them."""
 
     kind: Ints
     start: Floats
@@ -142,10 +140,20 @@ class _Path(NamedTuple):
     coefficients: Floats
     arc: Floats
     length: Floats
+
+
+def columns_of(nc: NCProgram) -> Columns:
+    """Columns of a program for kernels; motions of unknown length have none."""
+    return Columns(nc.kind, nc.start, nc.end, nc.coefficients, nc.arc, np.nan_to_num(nc.lengths))
+
+
+class _Beads(NamedTuple):
+    """Where beads begin and end, and heights around each motion (B,)."""
+
     first: Ints
     last: Ints
     floor: Floats
-    """(B,) Z of the lower of the beads before and after each motion."""
+    """Z of the lower of the beads before and after."""
     below: Floats
 
 
@@ -175,7 +183,7 @@ class _Tool(NamedTuple):
 
 
 @kernel
-def place_on(path: _Path, m: int, t: float) -> tuple[float, float]:
+def place_on(path: Columns, m: int, t: float) -> tuple[float, float]:
     """Position on one motion at a parameter from 0 to 1."""
     start, end, kind = path.start[m], path.end[m], path.kind[m]
     if kind == ARC:
@@ -215,7 +223,7 @@ def _under(top: Floats, fixed: Floats, x: float, y: float) -> float:
 
 
 @kernel
-def _lay(path: _Path, m: int, ground: _Ground, radius: float) -> None:
+def _lay(path: Columns, m: int, ground: _Ground, radius: float) -> None:
     """Raise the cells under a bead to its height."""
     rows, columns = ground.top.shape
     z = path.end[m, 2]
@@ -248,10 +256,12 @@ def _touch(ground: _Ground, tool: _Tool, x: float, y: float, z: float, highest: 
 
 
 @kernel
-def _meet(path: _Path, m: int, ground: _Ground, tool: _Tool, highest: float, out: Floats) -> None:
+def _meet(
+    path: Columns, m: int, below: float, ground: _Ground, tool: _Tool, highest: float, out: Floats
+) -> None:
     """Look at what one motion of a bead meets, and what it lies on."""
     z = min(path.start[m, 2], path.end[m, 2])
-    support = path.below[m] - TOUCH_MM
+    support = below - TOUCH_MM
     parts = max(1, int(math.ceil(path.length[m] / ground.cell)))
     for p in range(parts):
         x, y = place_on(path, m, (p + 0.5) / parts)
@@ -265,7 +275,9 @@ def _meet(path: _Path, m: int, ground: _Ground, tool: _Tool, highest: float, out
 
 
 @kernel
-def _travel(path: _Path, m: int, ground: _Ground, tool: _Tool, highest: float, low_mm: float, out: Floats) -> float:
+def _travel(
+    path: Columns, m: int, floor: float, ground: _Ground, tool: _Tool, highest: float, low_mm: float, out: Floats
+) -> float:
     """Look at what one travel meets; for how long travel has run under the clearance by then, mm."""
     start, end = path.start[m], path.end[m]
     # Axes that move at once need not arrive at once: the lower end counts for the whole way.
@@ -276,8 +288,8 @@ def _travel(path: _Path, m: int, ground: _Ground, tool: _Tool, highest: float, l
     if not (math.isfinite(z) and math.isfinite(start[0]) and math.isfinite(start[1])):
         out[4, m] = 1.0
         return low_mm
-    if z < path.floor[m] - TOUCH_MM:
-        out[2, m] = path.floor[m] - z
+    if z < floor - TOUCH_MM:
+        out[2, m] = floor - z
     way = math.hypot(end[0] - start[0], end[1] - start[1])
     if path.kind[m] > STRAIGHT:
         way = path.length[m]
@@ -297,14 +309,14 @@ def _travel(path: _Path, m: int, ground: _Ground, tool: _Tool, highest: float, l
 
 
 @kernel
-def _run(path: _Path, ground: _Ground, tool: _Tool, out: Floats) -> None:
+def _run(path: Columns, beads: _Beads, ground: _Ground, tool: _Tool, out: Floats) -> None:
     """Run all motions; `out` (6, B) are the columns of :class:`Standing`."""
     highest, low_mm, bead, row = 0.0, 0.0, 0, 0
     while row < path.kind.size:
-        if bead < path.first.size and row == path.first[bead]:
-            stop = path.last[bead] + 1
+        if bead < beads.first.size and row == beads.first[bead]:
+            stop = beads.last[bead] + 1
             for m in range(row, stop):
-                _meet(path, m, ground, tool, highest, out)
+                _meet(path, m, beads.below[m], ground, tool, highest, out)
             for m in range(row, stop):
                 _lay(path, m, ground, tool.bead)
                 if path.end[m, 2] > highest:
@@ -312,5 +324,5 @@ def _run(path: _Path, ground: _Ground, tool: _Tool, out: Floats) -> None:
             row, low_mm = stop, 0.0
             bead += 1
         else:
-            low_mm = _travel(path, row, ground, tool, highest, low_mm, out)
+            low_mm = _travel(path, row, beads.floor[row], ground, tool, highest, low_mm, out)
             row += 1

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ebamcheck.config import Config
+from ebamcheck.curves import LIFTED
 from ebamcheck.errors import InputError
 from ebamcheck.layers import Layers
 from ebamcheck.program.bead_checks import bead_checks, repeated_blocks
@@ -22,11 +23,13 @@ from ebamcheck.program.inputs import CurveColumns, ScanColumns, deposition_heigh
 from ebamcheck.program.interpass_checks import heat_checks, layer_shares, shares_of_text, wait_check
 from ebamcheck.program.matching import matched, matching_checks, tracks_known
 from ebamcheck.program.motions import NCProgram
+from ebamcheck.program.outside_check import outside_check
+from ebamcheck.program.overfill import overfill_check
 from ebamcheck.program.path_checks import closure_check, contour_checks, hatch_checks, layer_checks
 from ebamcheck.program.process_checks import process_checks
 from ebamcheck.program.reader import read_program
 from ebamcheck.program.roles import by_height, by_section
-from ebamcheck.program.section_check import section_check
+from ebamcheck.program.section_check import Evidence, section_check
 from ebamcheck.program.state_checks import state_checks
 from ebamcheck.program.text_checks import text_checks
 from ebamcheck.program.text_heat import known_sections
@@ -41,6 +44,9 @@ PATH_TOLERANCE_MM = 1e-3
 
 SECTION_TOLERANCE_MM = 0.05
 """Contour path against the section: the fit of the curves and the roundness of the inset's corners."""
+
+CONTOUR_SHARE = 0.125
+"""Of the bead's width: a bead that runs this near to the inset of the section is a contour."""
 
 
 def verify_program(
@@ -59,7 +65,7 @@ def verify_program(
     sha256: Mapping[str, str] | None = None,
     contour_offset_mm: float | None = None,
     tolerance_mm: float = PATH_TOLERANCE_MM,
-    section_tolerance_mm: float = SECTION_TOLERANCE_MM,
+    section_tolerance_mm: float | None = None,
 ) -> list[Check]:
     """Check a program that was read; every check is made that its inputs allow.
 
@@ -89,8 +95,10 @@ def verify_program(
         Recorded hash of each file by name, as :class:`ProgramFiles` gives it.
     contour_offset_mm
         Inset of the contour path from the section; None: that of the settings.
-    tolerance_mm, section_tolerance_mm
-        Largest distance of the path from the fitted curve, and from the inset section.
+    tolerance_mm
+        Largest distance of the path from the fitted curve.
+    section_tolerance_mm
+        Largest distance of the path from the inset section, whatever the evidence for it; None: that of the settings.
 
     Returns
     -------
@@ -109,7 +117,7 @@ def verify_program(
     if tracks is not None:
         nc, match = matched(nc, tracks)
     elif layers is not None:
-        nc = by_section(nc, layers, z_of, offset, section_tolerance_mm)
+        nc = by_section(nc, layers, z_of, offset, CONTOUR_SHARE * config.process.bead_width_mm)
     turn_limit_mm = TURN_SPACINGS * config.process.hatch_spacing_mm
     checks = text_checks(nc, sha256) + state_checks(nc, config, turn_limit_mm)
     checks.append(wire_check(nc, config, path))
@@ -138,12 +146,19 @@ def verify_program(
     if plan is not None:
         checks += hatch_checks(nc, plan, config, tolerance_mm, z_of)
     if layers is not None:
-        checks.append(section_check(nc, layers, z_of, offset, section_tolerance_mm))
+        most = config.curves.section_tolerance_mm if section_tolerance_mm is None else section_tolerance_mm
+        base = SECTION_TOLERANCE_MM if smooth is None else smooth_tolerance_mm(config)
+        if config.curves.method not in LIFTED:
+            base = most  # An interpolating spline goes its own way between points, twice: no place tells how far.
+        checks.append(section_check(nc, layers, z_of, offset, most, evidence=Evidence(base, most, smooth)))
+        checks.append(outside_check(nc, layers, z_of, config, most))
         if smooth is not None:
             limit = smooth_tolerance_mm(config)
             checks.append(section_check(nc, smooth, z_of, offset, limit, "smooth section"))
         if metal:
             checks += deposit_checks(nc, deposit(nc, layers, z_of, config), config)
+    if path is None and layers is not None:
+        checks.append(overfill_check(nc, z_of, config, layers))
     if beads:
         checks += bead_checks(nc, config, z_of, layers)
     return checks
