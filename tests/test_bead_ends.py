@@ -11,8 +11,8 @@ from nc_stack import make_curves, make_plan, stack
 from ebamcheck.config import Config
 from ebamcheck.errors import SettingsError
 from ebamcheck.program import read_program, verify_program, write_program
-from ebamcheck.program.matching import as_planned
 from ebamcheck.program.cuts import segment_lengths, segment_parts
+from ebamcheck.program.matching import as_planned
 from ebamcheck.program.segments import CIRCULAR, CUBIC, STRAIGHT
 
 WIDE = {"travel_min_mm": (-2000.0, -2000.0, 0.0), "travel_max_mm": (2000.0, 2000.0, 2000.0)}

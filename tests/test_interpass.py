@@ -18,10 +18,10 @@ from ebamcheck.layers import from_polygons
 from ebamcheck.pipeline.gates import heat_gate
 from ebamcheck.pipeline.programming import bead_paths
 from ebamcheck.program import program_summary, read_program, verify_program
-from ebamcheck.program.matching import as_planned
 from ebamcheck.program.gcode_posts import write_linuxcnc, write_plain_gcode
 from ebamcheck.program.inputs import interpass_of
 from ebamcheck.program.interpass_checks import INTERPASS, MELTING, OVER_RANGE, layer_shares
+from ebamcheck.program.matching import as_planned
 from ebamcheck.program.sinumerik import write_program
 from ebamcheck.program.text_heat import sections_of, text_beads, text_bed_k, text_shapes
 from ebamcheck.scan import ScanPlan, plan_stack

@@ -145,7 +145,7 @@ def dropped_line(text):
     i = text.find(FIRST, r"G1 X.*\d$", nth=9)
     assert "TURN" in text.lines[FIRST][i + 1]
     del text.lines[FIRST][i]
-    return f"{FIRST}:{i + 2}"
+    return f"{FIRST}:{i + 1}"
 
 
 def ring_again(text):

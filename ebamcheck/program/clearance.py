@@ -21,7 +21,9 @@ STEP_MM = 0.5
 """Distance of the places at which a bead without support is looked at."""
 
 
-def clearance_checks(nc: NCProgram, z_of: Floats, config: Config, layers: Layers | None = None) -> list[Check]:
+def clearance_checks(
+    nc: NCProgram, z_of: Floats, config: Config, layers: Layers | None = None
+) -> list[Check]:
     """Run a program over what stands, and check what it meets.
 
     Parameters
@@ -49,7 +51,9 @@ def _collision(nc: NCProgram, found: Standing) -> Check:
     depth = np.stack([found.into_mm, found.head_mm, found.under_mm])
     rows = np.flatnonzero(depth.max(axis=0) > 0.0)
     if not rows.size:
-        return Check("collision", True, 0.0, 0.0, "mm", "", "tip and head stay clear of plate, clamps and beads")
+        return Check(
+            "collision", True, 0.0, 0.0, "mm", "", "tip and head stay clear of plate, clamps and beads"
+        )
     row = int(rows[0])
     which = int(np.argmax(depth[:, row]))
     worst = float(depth[which, row])
@@ -71,7 +75,9 @@ def _clearance(nc: NCProgram, found: Standing, config: Config) -> Check:
     row = int(rows[0])
     what = f"travel lacks {found.short_mm[row]:.4g} mm of the clearance of {limit:g} mm"
     if found.lost[row] > 0.0:
-        what = "travel from a place or height that no block has given, lower than what stands and the clearance"
+        what = (
+            "travel from a place or height that no block has given, lower than what stands and the clearance"
+        )
     worst = float(np.where(found.lost > 0.0, np.inf, found.short_mm).max())
     return Check("clearance", False, worst, 0.0, "mm", nc.where(row), f"{what}{_more(rows)}")
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
@@ -29,9 +30,6 @@ SAME_MM = 2e-3
 
 APART_MM = 1e6
 """Distance of layers in the space in which ends are compared: no bead is like one of another layer."""
-
-END_COUNTS = 4.0
-"""Ends of motions count so many times as much as their middles: where one is left out, the next still ends in its place."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +57,7 @@ class _NoIslands:
     island_kind: NDArray[np.str_] = field(default_factory=lambda: np.zeros(0, np.str_))
     sections: NDArray[np.object_] | None = None
     vectors: SimpleNamespace = field(
-        default_factory=lambda: SimpleNamespace(**{n: () for n in ("island", "x0", "y0", "x1", "y1")})
+        default_factory=lambda: SimpleNamespace(**dict.fromkeys(("island", "x0", "y0", "x1", "y1"), ()))
     )
 
 
@@ -118,7 +116,9 @@ def matched(nc: NCProgram, path: Toolpath) -> tuple[NCProgram, Matching]:
     layer = np.repeat(np.arange(len(path.z)), np.diff(path.layer_starts))[known]
     ends = np.hstack([path.start[known], path.end[path.track_starts[known + 1] - 1]])
     found = np.hstack([nc.start[beads.first, :2], nc.end[beads.last, :2]])
-    found_layer = nearest_layer(nc.end[beads.first, 2], path.z) if path.z.size else np.zeros(len(beads), np.int64)
+    found_layer = (
+        nearest_layer(nc.end[beads.first, 2], path.z) if path.z.size else np.zeros(len(beads), np.int64)
+    )
     if len(found) == len(ends) and (layer == found_layer).all() and (np.abs(found - ends) <= SAME_MM).all():
         pick, again = np.arange(len(ends)), np.zeros(len(ends), np.bool_)
     else:
@@ -161,7 +161,8 @@ def _pairs(found: Floats, wanted: Floats) -> tuple[Ints, Bools]:
         return pick, again
     taken = np.zeros(len(wanted), np.bool_)
     tree = cKDTree(wanted)
-    for i, near in enumerate(tree.query_ball_point(found, SAME_MM, p=np.inf, return_sorted=True)):
+    every: list[list[int]] = list(tree.query_ball_point(found, SAME_MM, p=np.inf, return_sorted=True))
+    for i, near in enumerate(every):
         free = [t for t in near if not taken[t]]
         if free:
             pick[i] = free[0]
@@ -214,12 +215,11 @@ def _marks(nc: NCProgram, match: Matching) -> tuple[Bools, Bools]:
     other = np.flatnonzero(~one_by_one & (match.track >= 0))
     for i in other[np.append(path.island, -1)[match.track[other]] >= 0].tolist():
         mine = np.arange(beads.first[i], beads.last[i] + 1)
-        a, b = path.track_starts[match.track[i] : match.track[i] + 2]
-        near = _nearest_segment(nc, mine, path.segment_start[a:b], path.end[a:b]) + a
-        turn[mine] = path.turn[near]
-        goes_on[mine] = path.goes_on[near] | (np.diff(near, prepend=-1) == 0)
-        goes_on[mine] &= ~turn[mine]
-        goes_on[mine[0]] = False
+        a, b = (int(n) for n in path.track_starts[match.track[i] : match.track[i] + 2])
+        begins = np.append(np.flatnonzero(~path.goes_on[a:b]), b - a) + a
+        line = _nearest_line(nc, mine, path.segment_start[begins[:-1]], path.end[begins[1:] - 1])
+        turn[mine] = path.turn[begins[line]]
+        goes_on[mine] = (np.diff(line, prepend=-1) == 0) & ~turn[mine]
     return turn, goes_on
 
 
@@ -235,13 +235,13 @@ def _one_by_one(match: Matching) -> tuple[Bools, Ints, Ints]:
     return alike, rows, first[bead] + rows - beads.first[bead]
 
 
-def _nearest_segment(nc: NCProgram, rows: Ints, start: Floats, end: Floats) -> Ints:
-    """Segment (n,) whose end, and then whose middle, lie nearest to those of each motion."""
-    middle = 0.5 * (nc.start + nc.end)[rows, :2]
-    points = np.hstack([END_COUNTS * nc.end[rows, :2], middle])
-    wanted = np.hstack([END_COUNTS * end, 0.5 * (start + end)])
-    _, nearest = cKDTree(wanted).query(np.nan_to_num(points))
-    return np.asarray(nearest, np.int64)
+def _nearest_line(nc: NCProgram, rows: Ints, start: Floats, end: Floats) -> Ints:
+    """Line (n,) from which the start, the middle and the end of each motion are least away in all."""
+    lines = shapely.linestrings(np.stack([start, end], axis=1))
+    away = np.zeros((rows.size, len(lines)))
+    for place in (nc.start, 0.5 * (nc.start + nc.end), nc.end):
+        away += shapely.distance(shapely.points(np.nan_to_num(place[rows, :2]))[:, None], lines[None, :])
+    return np.asarray(away.argmin(axis=1), np.int64)
 
 
 # -- checks ------------------------------------------------------------------------------------------
@@ -255,9 +255,7 @@ def matching_checks(nc: NCProgram, match: Matching, limit_mm: float) -> list[Che
 def _bead_faults(nc: NCProgram, match: Matching) -> Check:
     beads, track, path = match.beads, match.track, match.path
     known = np.flatnonzero(np.diff(path.track_starts) > 0)
-    faults = [
-        (int(beads.first[i]), "a bead that nobody planned") for i in np.flatnonzero(track < 0).tolist()
-    ]
+    faults = [(int(beads.first[i]), "a bead that nobody planned") for i in np.flatnonzero(track < 0).tolist()]
     faults += [
         (int(beads.first[i]), f"{_named(path, int(track[i]))} is laid a second time")
         for i in np.flatnonzero(match.again).tolist()

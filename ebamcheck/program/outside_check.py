@@ -31,7 +31,9 @@ def outside_check(nc: NCProgram, layers: Layers, z_of: Floats, config: Config, l
     z_of
         (L,) Z of each of the `layers` in the program.
     """
-    rows = np.flatnonzero((nc.beam | nc.wire) & np.isfinite(nc.start).all(axis=1) & np.isfinite(nc.end).all(axis=1))
+    rows = np.flatnonzero(
+        (nc.beam | nc.wire) & np.isfinite(nc.start).all(axis=1) & np.isfinite(nc.end).all(axis=1)
+    )
     layer = nearest_layer(nc.end[rows, 2], z_of)
 
     def work(start: int, stop: int) -> list[tuple[float, int, int, float, float]]:

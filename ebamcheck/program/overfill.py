@@ -88,7 +88,14 @@ def overfill_check(nc: NCProgram, z_of: Floats, config: Config, layers: Layers) 
 
 
 def _fullest(
-    nc: NCProgram, beads: Beads, rows: Ints, mm2: Floats, k: int, thickness_mm: float, layers: Layers, config: Config
+    nc: NCProgram,
+    beads: Beads,
+    rows: Ints,
+    mm2: Floats,
+    k: int,
+    thickness_mm: float,
+    layers: Layers,
+    config: Config,
 ) -> _Spot:
     bead_mm = config.process.bead_width_mm
     cell = bead_mm / CELLS

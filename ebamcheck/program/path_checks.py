@@ -292,7 +292,9 @@ def layer_checks(nc: NCProgram, z_of: Floats, filled: Bools) -> list[Check]:
     called = np.array([name.startswith("call ") for name in nc.events.name], np.bool_)
     calls = nc.events.row[called & (nc.events.file == 0)]
     part = np.searchsorted(calls, rows, side="right")
-    begins = rows[np.flatnonzero((np.diff(nc.layer[rows], prepend=-1) != 0) | (np.diff(part, prepend=-1) != 0))]
+    begins = rows[
+        np.flatnonzero((np.diff(nc.layer[rows], prepend=-1) != 0) | (np.diff(part, prepend=-1) != 0))
+    ]
     laid, wanted = nc.layer[begins], np.flatnonzero(filled)
     size = min(laid.size, wanted.size)
     order = np.flatnonzero(laid[:size] != wanted[:size])

@@ -213,7 +213,8 @@ def _away(at: Floats, lines: BaseGeometry) -> Floats:
     """Distance (n,) of places (n, 2) from lines, by a search tree of their sides."""
     points, line = shapely.get_coordinates(shapely.get_parts(lines), return_index=True)
     joined = np.flatnonzero(line[1:] == line[:-1])
-    sides = np.atleast_1d(shapely.linestrings(np.stack([points[joined], points[joined + 1]], axis=1)))
+    pairs = np.stack([points[joined], points[joined + 1]], axis=1)
+    sides = np.atleast_1d(np.asarray(shapely.linestrings(pairs), dtype=np.object_))
     _, away = shapely.STRtree(sides).query_nearest(
         np.asarray(shapely.points(at)), return_distance=True, all_matches=False
     )

@@ -91,7 +91,9 @@ def section_check(
     known = evidence or Evidence(limit_mm, limit_mm)
 
     def work(start: int, stop: int) -> list[_Worst]:
-        return [_layer(nc, rows[index == k], layers, k, offset_mm, limit_mm, known) for k in range(start, stop)]
+        return [
+            _layer(nc, rows[index == k], layers, k, offset_mm, limit_mm, known) for k in range(start, stop)
+        ]
 
     found = [layer for block in run_blocks(work, len(layers)) for layer in block] if len(layers) else []
     text = f"contour path against the {name} inset by {offset_mm:g} mm"
@@ -102,7 +104,9 @@ def section_check(
     at = "" if math.isnan(worst.x) else f", in layer {worst.layer + 1} at ({worst.x:.3f}, {worst.y:.3f})"
     text += f": at most {worst.value:.6g} mm{at}, where {worst.limit:.4g} mm are allowed"
     place = (None, None) if math.isnan(worst.x) else (worst.x, worst.y)
-    return Check(name, worst.value <= worst.limit, worst.value, worst.limit, "mm", where, text, worst.layer, *place)
+    return Check(
+        name, worst.value <= worst.limit, worst.value, worst.limit, "mm", where, text, worst.layer, *place
+    )
 
 
 def _layer(
@@ -160,7 +164,9 @@ def _sagitta(at: Floats, section: BaseGeometry) -> Floats:
         way = np.roll(points, -1, axis=0) - points
         length = np.hypot(way[:, 0], way[:, 1])
         before = np.roll(way, 1, axis=0)
-        turn = np.abs(np.arctan2(before[:, 0] * way[:, 1] - before[:, 1] * way[:, 0], (before * way).sum(axis=1)))
+        turn = np.abs(
+            np.arctan2(before[:, 0] * way[:, 1] - before[:, 1] * way[:, 0], (before * way).sum(axis=1))
+        )
         turn[turn > CORNER_RAD] = 0.0
         share = turn / np.maximum(length + np.roll(length, 1), np.finfo(float).tiny)
         bounds.append(0.25 * length**2 * (share + np.roll(share, -1)))

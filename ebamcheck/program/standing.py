@@ -191,7 +191,7 @@ def place_on(path: Columns, m: int, t: float) -> tuple[float, float]:
         c, s = math.cos(arc[2] * t), math.sin(arc[2] * t)
         dx, dy = start[0] - arc[0], start[1] - arc[1]
         return arc[0] + c * dx - s * dy, arc[1] + s * dx + c * dy
-    if kind == POLYNOMIAL or kind == SPLINE_SPAN:
+    if kind in (POLYNOMIAL, SPLINE_SPAN):
         a, b = path.coefficients[m, 0], path.coefficients[m, 1]
         return ((a[3] * t + a[2]) * t + a[1]) * t + a[0], ((b[3] * t + b[2]) * t + b[1]) * t + b[0]
     return start[0] + t * (end[0] - start[0]), start[1] + t * (end[1] - start[1])
@@ -202,21 +202,21 @@ def _highest(top: Floats, fixed: Floats, x: float, y: float, radius: float, enou
     """Height of the highest cell within a radius (cells) of a place (cells); the search ends at one over `enough`."""
     rows, columns = top.shape
     best = 0.0
-    for j in range(max(0, int(math.floor(y - radius))), min(rows, int(math.floor(y + radius)) + 1)):
-        for i in range(max(0, int(math.floor(x - radius))), min(columns, int(math.floor(x + radius)) + 1)):
+    for j in range(max(0, math.floor(y - radius)), min(rows, math.floor(y + radius) + 1)):
+        for i in range(max(0, math.floor(x - radius)), min(columns, math.floor(x + radius) + 1)):
             dx, dy = i + 0.5 - x, j + 0.5 - y
             if dx * dx + dy * dy <= radius * radius:
                 best = max(best, top[j, i], fixed[j, i])
                 if best > enough:
-                    return best
-    return best
+                    return float(best)
+    return float(best)
 
 
 @kernel
 def _under(top: Floats, fixed: Floats, x: float, y: float) -> float:
     """Height under a place; beside the grid there is the base plate."""
     rows, columns = top.shape
-    i, j = int(math.floor(x)), int(math.floor(y))
+    i, j = math.floor(x), math.floor(y)
     if i < 0 or j < 0 or i >= columns or j >= rows:
         return 0.0
     return float(max(top[j, i], fixed[j, i]))
@@ -227,21 +227,23 @@ def _lay(path: Columns, m: int, ground: _Ground, radius: float) -> None:
     """Raise the cells under a bead to its height."""
     rows, columns = ground.top.shape
     z = path.end[m, 2]
-    parts = max(1, int(math.ceil(path.length[m] / ground.cell)))
+    parts = max(1, math.ceil(path.length[m] / ground.cell))
     for p in range(parts + 1):
         x, y = place_on(path, m, p / parts)
         if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
             return
         x, y = (x - ground.origin[0]) / ground.cell, (y - ground.origin[1]) / ground.cell
-        for j in range(max(0, int(math.floor(y - radius))), min(rows, int(math.floor(y + radius)) + 1)):
-            for i in range(max(0, int(math.floor(x - radius))), min(columns, int(math.floor(x + radius)) + 1)):
+        for j in range(max(0, math.floor(y - radius)), min(rows, math.floor(y + radius) + 1)):
+            for i in range(max(0, math.floor(x - radius)), min(columns, math.floor(x + radius) + 1)):
                 dx, dy = i + 0.5 - x, j + 0.5 - y
                 if dx * dx + dy * dy <= radius * radius and ground.top[j, i] < z:
                     ground.top[j, i] = z
 
 
 @kernel
-def _touch(ground: _Ground, tool: _Tool, x: float, y: float, z: float, highest: float, m: int, out: Floats) -> float:
+def _touch(
+    ground: _Ground, tool: _Tool, x: float, y: float, z: float, highest: float, m: int, out: Floats
+) -> float:
     """Note how deep tip and head go into what stands at a place (cells); the height under it."""
     under = _under(ground.top, ground.fixed, x, y)
     if under > z + TOUCH_MM:
@@ -262,21 +264,29 @@ def _meet(
     """Look at what one motion of a bead meets, and what it lies on."""
     z = min(path.start[m, 2], path.end[m, 2])
     support = below - TOUCH_MM
-    parts = max(1, int(math.ceil(path.length[m] / ground.cell)))
+    parts = max(1, math.ceil(path.length[m] / ground.cell))
     for p in range(parts):
         x, y = place_on(path, m, (p + 0.5) / parts)
         if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
             return
         x, y = (x - ground.origin[0]) / ground.cell, (y - ground.origin[1]) / ground.cell
         under = _touch(ground, tool, x, y, z, highest, m, out)
-        if support > 0.0 and under < support:
-            if _highest(ground.top, ground.fixed, x, y, tool.bead, support) < support:
-                out[5, m] += path.length[m] / parts
+        if under >= support:
+            continue
+        if _highest(ground.top, ground.fixed, x, y, tool.bead, support) < support:
+            out[5, m] += path.length[m] / parts
 
 
 @kernel
 def _travel(
-    path: Columns, m: int, floor: float, ground: _Ground, tool: _Tool, highest: float, low_mm: float, out: Floats
+    path: Columns,
+    m: int,
+    floor: float,
+    ground: _Ground,
+    tool: _Tool,
+    highest: float,
+    low_mm: float,
+    out: Floats,
 ) -> float:
     """Look at what one travel meets; for how long travel has run under the clearance by then, mm."""
     start, end = path.start[m], path.end[m]
@@ -293,7 +303,7 @@ def _travel(
     way = math.hypot(end[0] - start[0], end[1] - start[1])
     if path.kind[m] > STRAIGHT:
         way = path.length[m]
-    parts = max(1, int(math.ceil(way / ground.cell)))
+    parts = max(1, math.ceil(way / ground.cell))
     for p in range(parts + 1):
         x, y = place_on(path, m, p / parts)
         x, y = (x - ground.origin[0]) / ground.cell, (y - ground.origin[1]) / ground.cell

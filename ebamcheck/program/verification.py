@@ -21,7 +21,7 @@ from ebamcheck.program.deposit import deposit
 from ebamcheck.program.deposit_checks import deposit_checks
 from ebamcheck.program.inputs import CurveColumns, ScanColumns, deposition_heights, interpass_of
 from ebamcheck.program.interpass_checks import heat_checks, layer_shares, shares_of_text, wait_check
-from ebamcheck.program.matching import matched, matching_checks, tracks_known
+from ebamcheck.program.matching import Matching, matched, matching_checks, tracks_known
 from ebamcheck.program.motions import NCProgram
 from ebamcheck.program.outside_check import outside_check
 from ebamcheck.program.overfill import overfill_check
@@ -36,7 +36,7 @@ from ebamcheck.program.text_heat import known_sections
 from ebamcheck.program.toolpath import Toolpath
 from ebamcheck.program.window_checks import window_check
 from ebamcheck.program.wire_checks import wire_check
-from ebamcheck.rings import Bools
+from ebamcheck.rings import Bools, Floats
 from ebamcheck.scan.turns import TURN_SPACINGS
 
 PATH_TOLERANCE_MM = 1e-3
@@ -112,12 +112,8 @@ def verify_program(
     offset = config.contour_offset_mm if contour_offset_mm is None else contour_offset_mm
     if path is None and curves is not None and plan is not None:
         path = planned_path(curves, plan, config)
-    nc = by_height(nc, z_of)
-    tracks, match = path or tracks_known(curves, plan, config), None
-    if tracks is not None:
-        nc, match = matched(nc, tracks)
-    elif layers is not None:
-        nc = by_section(nc, layers, z_of, offset, CONTOUR_SHARE * config.process.bead_width_mm)
+    tracks = path or tracks_known(curves, plan, config)
+    nc, match = _with_roles(nc, tracks, layers, z_of, offset, config)
     turn_limit_mm = TURN_SPACINGS * config.process.hatch_spacing_mm
     checks = text_checks(nc, sha256) + state_checks(nc, config, turn_limit_mm)
     checks.append(wire_check(nc, config, path))
@@ -147,20 +143,53 @@ def verify_program(
         checks += hatch_checks(nc, plan, config, tolerance_mm, z_of)
     if layers is not None:
         most = config.curves.section_tolerance_mm if section_tolerance_mm is None else section_tolerance_mm
-        base = SECTION_TOLERANCE_MM if smooth is None else smooth_tolerance_mm(config)
-        if config.curves.method not in LIFTED:
-            base = most  # An interpolating spline goes its own way between points, twice: no place tells how far.
-        checks.append(section_check(nc, layers, z_of, offset, most, evidence=Evidence(base, most, smooth)))
-        checks.append(outside_check(nc, layers, z_of, config, most))
-        if smooth is not None:
-            limit = smooth_tolerance_mm(config)
-            checks.append(section_check(nc, smooth, z_of, offset, limit, "smooth section"))
+        checks += _section_checks(nc, layers, smooth, z_of, offset, config, most)
         if metal:
             checks += deposit_checks(nc, deposit(nc, layers, z_of, config), config)
-    if path is None and layers is not None:
-        checks.append(overfill_check(nc, z_of, config, layers))
+        if path is None:
+            checks.append(overfill_check(nc, z_of, config, layers))
     if beads:
         checks += bead_checks(nc, config, z_of, layers)
+    return checks
+
+
+def _with_roles(
+    nc: NCProgram,
+    tracks: Toolpath | None,
+    layers: Layers | None,
+    z_of: Floats,
+    offset_mm: float,
+    config: Config,
+) -> tuple[NCProgram, Matching | None]:
+    """Layers and roles of all motions by who knows most of them: a plan, sections, or their shape alone."""
+    nc = by_height(nc, z_of)
+    if tracks is not None:
+        return matched(nc, tracks)
+    if layers is not None:
+        nc = by_section(nc, layers, z_of, offset_mm, CONTOUR_SHARE * config.process.bead_width_mm)
+    return nc, None
+
+
+def _section_checks(
+    nc: NCProgram,
+    layers: Layers,
+    smooth: Layers | None,
+    z_of: Floats,
+    offset_mm: float,
+    config: Config,
+    most_mm: float,
+) -> list[Check]:
+    """Contours against the sections, by chords and with the curves that these stand for; and all beads within them."""
+    near_mm = smooth_tolerance_mm(config)
+    base = SECTION_TOLERANCE_MM if smooth is None else near_mm
+    if config.curves.method not in LIFTED:
+        base = (
+            most_mm  # An interpolating spline goes its own way between points, twice: no place tells how far.
+        )
+    checks = [section_check(nc, layers, z_of, offset_mm, most_mm, evidence=Evidence(base, most_mm, smooth))]
+    checks.append(outside_check(nc, layers, z_of, config, most_mm))
+    if smooth is not None:
+        checks.append(section_check(nc, smooth, z_of, offset_mm, near_mm, "smooth section"))
     return checks
 
 
