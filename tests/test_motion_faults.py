@@ -150,14 +150,14 @@ def contour_left_out(text):
     name, i = text.find(2, r"beam on", nth=1)
     _, j = text.find(2, r"beam off", nth=1)
     del text.lines[name][i : j + 1]
-    return None
+    return
 
 
 def hatch_left_out(text):
     name, i = text.find(2, r"beam on", nth=3)
     _, j = text.find(2, r"beam off", nth=3)
     del text.lines[name][i : j + 1]
-    return None
+    return
 
 
 def bead_cold(text):
@@ -166,7 +166,7 @@ def bead_cold(text):
     del text.lines[name][i : i + 3]
     _, j = text.find(2, r"wire off", nth=3)
     del text.lines[name][j : j + 2]
-    return None
+    return
 
 
 def bead_of_the_main_program(text):
