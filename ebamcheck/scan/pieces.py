@@ -5,6 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+import shapely
+from numpy.typing import NDArray
 
 from ebamcheck.rings import Floats, Ints
 from ebamcheck.scan.hatch import Vectors
@@ -79,3 +81,39 @@ def line_pieces(lines: Vectors, centroid: Floats, area_mm2: Floats, longest_mm: 
         passed=np.stack([forward, turned, 1.0 - forward, 1.0 - turned]),
         variance=share * area_mm2[owner] / 12.0,
     )
+
+
+def spread_over(pieces: Pieces, islands: NDArray[np.object_]) -> Pieces:
+    """Pieces moved and scaled as a whole, so that those of an island have the centroid and the polar moment of its area."""
+    owner = np.repeat(np.arange(len(islands)), np.diff(pieces.first))
+    centroid, moment_mm2 = shapely.get_coordinates(shapely.centroid(islands)), polar_moment_mm2(islands)
+
+    def total(values: Floats) -> Floats:
+        return np.bincount(owner, pieces.share * values, len(islands)).astype(np.float64)
+
+    middle = np.column_stack([total(pieces.place[:, 0]), total(pieces.place[:, 1])])
+    away = pieces.place - middle[owner]
+    scale = np.sqrt(moment_mm2 / total((away**2).sum(axis=1) + 2.0 * pieces.variance))[owner]
+    return pieces._replace(
+        place=np.ascontiguousarray(centroid[owner] + scale[:, None] * away),
+        variance=scale**2 * pieces.variance,
+    )
+
+
+def polar_moment_mm2(islands: NDArray[np.object_]) -> Floats:
+    """Mean of the squared distance from the centroid over the area of polygons, (I,) mm^2.
+
+    The integral over a polygon is that over the triangles of its edges with the origin, here the centroid:
+    (a x b) (a^2 + a b + b^2) / 12, holes turning the other way.
+    """
+    centroid = shapely.get_coordinates(shapely.centroid(islands))
+    parts, owner = shapely.get_parts(islands, return_index=True)
+    rings, part = shapely.get_rings(shapely.orient_polygons(parts), return_index=True)
+    points, ring = shapely.get_coordinates(rings, return_index=True)
+    island = owner[part][ring]
+    points = points - centroid[island]
+    a, b, same = points[:-1], points[1:], ring[1:] == ring[:-1]
+    cross = (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) * same
+    square = (a**2 + a * b + b**2).sum(axis=1)
+    whole = np.bincount(island[:-1], cross * square, len(islands)) / 12.0
+    return np.asarray(whole / shapely.area(islands), np.float64)
