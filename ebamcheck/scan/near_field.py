@@ -33,7 +33,7 @@ from ebamcheck.rings import Bools, Floats, Ints
 from ebamcheck.scan.drive import IslandDrive
 from ebamcheck.scan.enclosed import enclosed_share
 from ebamcheck.scan.hatch import Vectors
-from ebamcheck.scan.pieces import WAYS, Pieces, line_pieces, spread_over
+from ebamcheck.scan.pieces import WAYS, Pieces, Tiles, island_tiles, line_pieces
 
 DIED_OUT = 3.0
 """Exponent by which the shortest wave of the modes has fallen at the horizon, at least: to 5 %."""
@@ -153,9 +153,9 @@ def near_field(
     depth = of_layer(exact_depth(model), model, age)
     spread = 2.0 * alpha * age
     # Means are those of whole islands, as the modes have them; lines end short of their borders.
-    whole = spread_over(pieces, islands)
-    free = between_pieces(*whole, pairs, spread)
-    inside = of_islands(section, whole, spread)
+    tiles = island_tiles(islands)
+    free = between_pieces(*tiles, pairs, spread)
+    inside = of_islands(section, tiles, spread)
     free /= 0.5 * (inside[pairs[:, 0]] + inside[pairs[:, 1]])
     free[hidden(section, pieces, pairs, centroid, bead_mm)] = 0.0
     shown = between_modes(model.plane.eigenvalue, mean, pairs, alpha * age)
@@ -189,7 +189,7 @@ def near_pairs(pieces: Pieces, count: int, reach_mm: float) -> Ints:
     return np.column_stack([keys // count, keys % count]).astype(np.int64)
 
 
-def of_islands(section: BaseGeometry, pieces: Pieces, spread_mm2: Floats) -> Floats:
+def of_islands(section: BaseGeometry, pieces: Tiles, spread_mm2: Floats) -> Floats:
     """Share of the heat of each island that stays in the metal in sight when it has spread by a variance, (I, Q)."""
     share = enclosed_share(section, pieces.place, np.add.outer(2.0 * pieces.variance, spread_mm2))
     return np.add.reduceat(pieces.share[:, None] * share, pieces.first[:-1])
@@ -257,7 +257,7 @@ def cumulated(values: Floats, horizon_s: float) -> Floats:
 
 @kernel
 def between_pieces(
-    first: Ints, place: Floats, share: Floats, passed: Floats, variance: Floats, pairs: Ints, spread: Floats
+    first: Ints, place: Floats, share: Floats, variance: Floats, pairs: Ints, spread: Floats
 ) -> Floats:
     """Share of the heat of one island of each pair in a unit area of the other in an endless plane, (U, Q) 1/mm^2."""
     result = np.zeros((len(pairs), len(spread)))

@@ -15,6 +15,10 @@ WAYS = 4
 """Ways of driving an island, as in :class:`~ebamcheck.scan.drive.IslandDrive`."""
 
 
+HALVED = 1
+"""Times that the triangles of an island are halved: a hexagon has 8 tiles then, each a Gaussian of its moment."""
+
+
 class Pieces(NamedTuple):
     """Pieces of lines, side by side those of one island.
 
@@ -83,37 +87,38 @@ def line_pieces(lines: Vectors, centroid: Floats, area_mm2: Floats, longest_mm: 
     )
 
 
-def spread_over(pieces: Pieces, islands: NDArray[np.object_]) -> Pieces:
-    """Pieces moved and scaled as a whole, so that those of an island have the centroid and the polar moment of its area."""
-    owner = np.repeat(np.arange(len(islands)), np.diff(pieces.first))
-    centroid, moment_mm2 = shapely.get_coordinates(shapely.centroid(islands)), polar_moment_mm2(islands)
+class Tiles(NamedTuple):
+    """Islands in tiles that cover them, as :class:`Pieces` has their lines: first, place, share and variance alike."""
 
-    def total(values: Floats) -> Floats:
-        return np.bincount(owner, pieces.share * values, len(islands)).astype(np.float64)
+    first: Ints
+    place: Floats
+    share: Floats
+    variance: Floats
 
-    middle = np.column_stack([total(pieces.place[:, 0]), total(pieces.place[:, 1])])
-    away = pieces.place - middle[owner]
-    scale = np.sqrt(moment_mm2 / total((away**2).sum(axis=1) + 2.0 * pieces.variance))[owner]
-    return pieces._replace(
-        place=np.ascontiguousarray(centroid[owner] + scale[:, None] * away),
-        variance=scale**2 * pieces.variance,
+
+def island_tiles(islands: NDArray[np.object_]) -> Tiles:
+    """Cut polygons (I,) into triangles, each halved :data:`HALVED` times across its longest edge."""
+    parts, island = shapely.get_parts(shapely.constrained_delaunay_triangles(islands), return_index=True)
+    corners = shapely.get_coordinates(parts).reshape(-1, 4, 2)[:, :3]
+    for _ in range(HALVED):
+        corners, island = _halved(corners), np.repeat(island, 2)
+    edge = np.diff(corners, axis=1)
+    area = 0.5 * np.abs(edge[:, 0, 0] * edge[:, 1, 1] - edge[:, 0, 1] * edge[:, 1, 0])
+    place = corners.mean(axis=1)
+    # The mean squared distance from the centroid of a triangle is a twelfth of the sum of those of its corners.
+    variance = ((corners - place[:, None]) ** 2).sum(axis=(1, 2)) / 24.0
+    return Tiles(
+        first=np.concatenate([[0], np.cumsum(np.bincount(island, minlength=len(islands)))]).astype(np.int64),
+        place=place,
+        share=area / np.bincount(island, area, len(islands))[island],
+        variance=variance,
     )
 
 
-def polar_moment_mm2(islands: NDArray[np.object_]) -> Floats:
-    """Mean of the squared distance from the centroid over the area of polygons, (I,) mm^2.
-
-    The integral over a polygon is that over the triangles of its edges with the origin, here the centroid:
-    (a x b) (a^2 + a b + b^2) / 12, holes turning the other way.
-    """
-    centroid = shapely.get_coordinates(shapely.centroid(islands))
-    parts, owner = shapely.get_parts(islands, return_index=True)
-    rings, part = shapely.get_rings(shapely.orient_polygons(parts), return_index=True)
-    points, ring = shapely.get_coordinates(rings, return_index=True)
-    island = owner[part][ring]
-    points = points - centroid[island]
-    a, b, same = points[:-1], points[1:], ring[1:] == ring[:-1]
-    cross = (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) * same
-    square = (a**2 + a * b + b**2).sum(axis=1)
-    whole = np.bincount(island[:-1], cross * square, len(islands)) / 12.0
-    return np.asarray(whole / shapely.area(islands), np.float64)
+def _halved(corners: Floats) -> Floats:
+    """Both halves (2 T, 3, 2) of triangles (T, 3, 2), side by side."""
+    longest = ((np.roll(corners, -1, axis=1) - corners) ** 2).sum(axis=2).argmax(axis=1)
+    turned = np.take_along_axis(corners, (longest[:, None] + np.arange(3))[:, :, None] % 3, axis=1)
+    a, b, c = turned[:, 0], turned[:, 1], turned[:, 2]
+    middle = 0.5 * (a + b)
+    return np.stack([a, middle, c, middle, b, c], axis=1).reshape(-1, 3, 2)
