@@ -19,6 +19,10 @@ HALVED = 1
 """Times that the triangles of an island are halved: a hexagon has 8 tiles then, each a Gaussian of its moment."""
 
 
+DECIMALS = 6
+"""Of the corners of islands, mm, by which they are cut into tiles."""
+
+
 class Pieces(NamedTuple):
     """Pieces of lines, side by side those of one island.
 
@@ -98,7 +102,11 @@ class Tiles(NamedTuple):
 
 def island_tiles(islands: NDArray[np.object_]) -> Tiles:
     """Cut polygons (I,) into triangles, each halved :data:`HALVED` times across its longest edge."""
-    parts, island = shapely.get_parts(shapely.constrained_delaunay_triangles(islands), return_index=True)
+    # The triangles of a regular hexagon are a matter of rounding: seen from its centroid it is the same wherever it lies.
+    points, owner = shapely.get_coordinates(islands, return_index=True)
+    centroid = shapely.get_coordinates(shapely.centroid(islands))
+    at_origin = shapely.set_coordinates(islands.copy(), np.round(points - centroid[owner], DECIMALS))
+    parts, island = shapely.get_parts(shapely.constrained_delaunay_triangles(at_origin), return_index=True)
     corners = shapely.get_coordinates(parts).reshape(-1, 4, 2)[:, :3]
     for _ in range(HALVED):
         corners, island = _halved(corners), np.repeat(island, 2)
@@ -109,7 +117,7 @@ def island_tiles(islands: NDArray[np.object_]) -> Tiles:
     variance = ((corners - place[:, None]) ** 2).sum(axis=(1, 2)) / 24.0
     return Tiles(
         first=np.concatenate([[0], np.cumsum(np.bincount(island, minlength=len(islands)))]).astype(np.int64),
-        place=place,
+        place=place + centroid[island],
         share=area / np.bincount(island, area, len(islands))[island],
         variance=variance,
     )
