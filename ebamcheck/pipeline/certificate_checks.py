@@ -44,16 +44,20 @@ def run_certificate_checks(
     return [
         _sealed(path, found),
         _faults("certificate", differ),
-        *_files(run, found.get("files")),
+        *_files(run, found.get("files"), manifest["files"]),
         signature_check(path, trusted),
     ]
 
 
-def _files(run: RunFolder, listed: Any) -> list[Check]:
-    """Check every file of the run by the hashes of the certificate; none is missing, none was added."""
+def _files(run: RunFolder, listed: Any, recorded: Mapping[str, str]) -> list[Check]:
+    """Check every file of the run by the hashes of the certificate; none is missing, none was added.
+
+    Those that the record lists with the same hash are checked by it.
+    """
     if not isinstance(listed, dict):
         raise InputError(f"{run.path / CERTIFICATE}: is not whole: it lists no files")
-    checks = [file_check(run.path / name, name, sha256) for name, sha256 in listed.items()]
+    alone = {name: sha256 for name, sha256 in listed.items() if recorded.get(name) != sha256}
+    checks = [file_check(run.path / name, name, sha256) for name, sha256 in alone.items()]
     added = [
         Check("file unchanged", False, 1.0, 0.0, "faults", name, "the certificate does not know this file")
         for name in file_names(run.path)
