@@ -22,6 +22,9 @@ SPOT_BEADS = 0.25
 HALF = 0.5
 """Share of a cell in the section from which on it counts as inside."""
 
+BESIDE = 1.5
+"""Cells apart up to which one touches another, be it at a corner."""
+
 FILM = 0.25
 """Height of metal over that of the layer from which on a bead has reached a place: its flank is thinner."""
 
@@ -92,10 +95,13 @@ class Surface:
         if target.share.size:
             at = self._window(target)
             inside = target.share >= HALF
-            metal = (laid_mm >= REACHED * thickness_mm) | reachable(inside, self._bead)
-            share = np.where(inside & metal, target.share, 0.0)
+            metal = inside & ((laid_mm >= REACHED * thickness_mm) | reachable(inside, self._bead))
             before = np.where(self._share[at] > 0.0, self._over_mm[at], 0.0)
-            raised = before + laid_mm / np.maximum(target.share, HALF) - thickness_mm
+            share, excess = (
+                gathered(field, target.share, metal)
+                for field in (target.share, laid_mm - thickness_mm * target.share)
+            )
+            raised = before + np.divide(excess, share, out=np.zeros_like(share), where=metal)
             built[at] = share
             over[at] = levelled(raised, share, self._bead)
         self._over_mm, self._share = over, built
@@ -104,6 +110,21 @@ class Surface:
         """Where the cells of a layer lie in the grid."""
         column, row = (np.round(target.origin / self.step_mm).astype(np.int64) - self._corner).tolist()
         return slice(row, row + target.share.shape[0]), slice(column, column + target.share.shape[1])
+
+
+def gathered(field: Floats, share: Floats, metal: Bools) -> Floats:
+    """A field (rows, columns) on the cells of metal alone, each with that of the cells under :data:`HALF` that are nearest to it.
+
+    So the rim of a section, where cells lie in it in part, loses neither area nor metal.
+    """
+    found = np.where(metal, field, 0.0)
+    parts = (share > 0.0) & (share < HALF)
+    if metal.any() and parts.any():
+        row, column = ndimage.distance_transform_edt(~metal, return_distances=False, return_indices=True)
+        near = np.hypot(row - np.arange(len(row))[:, None], column - np.arange(row.shape[1])) < BESIDE
+        of = parts & near
+        np.add.at(found, (row[of], column[of]), field[of])
+    return found
 
 
 def levelled(height: Floats, share: Floats, bead_cells: float) -> Floats:
