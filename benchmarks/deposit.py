@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import shapely
+from shapely.geometry.base import BaseGeometry
 
 from benchmarks.chance_parts import chance_part, kind_of
 from benchmarks.machine import machine
@@ -81,18 +82,28 @@ def scaled(part: Part) -> Part:
     return replace(part, vertices=part.vertices * (CORPUS_MM / part.size.max()))
 
 
-def buildable(layers: Layers, config: Config) -> str:
-    """What of the sections is under two beads: empty, or walls, holes and their least width in words."""
+def under_two_beads(layers: Layers, config: Config) -> str:
+    """Layers with walls, and with holes, narrower than two beads, in words; empty where an engineer would build the part.
+
+    A wall is a long thin piece of the section, or a neck without which there is one part, or one hole, more or less.
+    """
     least_mm = BUILDABLE_BEADS * config.process.bead_width_mm
     walls = holes = 0
     for k in range(len(layers)):
         section = layer_section(layers.polygons(k))
         _, thin = split_thin(section, least_mm, CORNER * least_mm**2)
+        opened = shapely.buffer(shapely.buffer(section, -0.5 * least_mm), 0.5 * least_mm)
         rings = [shapely.Polygon(ring) for part in valid_polygons(section) for ring in part.interiors]
-        walls += bool(thin)
+        walls += bool(thin) or shape_of(section) != shape_of(opened)
         holes += any(2.0 * shapely.maximum_inscribed_circle(hole).length < least_mm for hole in rings)
     parts = [f"{count} {what}" for count, what in ((walls, "walls"), (holes, "holes")) if count]
     return ", ".join(parts)
+
+
+def shape_of(section: BaseGeometry) -> tuple[int, int]:
+    """Number of parts and of holes."""
+    parts = valid_polygons(section)
+    return len(parts), sum(len(part.interiors) for part in parts)
 
 
 def measured(result: RunResult, config: Config) -> dict[str, Any]:
@@ -123,7 +134,7 @@ def measured(result: RunResult, config: Config) -> dict[str, Any]:
         **{name: solid[name].max() for name in ("reach_mm", "low_mm", "high_mm")},
         **zones,
         "entry_k": gates["heat"].figure,
-        "under two beads": buildable(result.folder.read_layers(BACKENDS[0]), config),
+        "under two beads": under_two_beads(result.folder.read_layers(BACKENDS[0]), config),
     }
     return found
 

@@ -5,23 +5,18 @@ import re
 import numpy as np
 import pytest
 import shapely
+from prism_program import CONFIG, Made
 
-from ebamcheck.config import Config
-from ebamcheck.curves import Curves
 from ebamcheck.layers import from_polygons
 from ebamcheck.pipeline.gates import deposit_gate
 from ebamcheck.pipeline.noticed import of_metal
-from ebamcheck.pipeline.programming import bead_paths
-from ebamcheck.program import Check, program_summary, read_program, write_program
+from ebamcheck.program import Check, program_summary, read_program
 from ebamcheck.program.bead_ends import planned_path
 from ebamcheck.program.deposit import deposit
 from ebamcheck.program.deposit_checks import DEPOSIT_CHECKS, deposit_checks
 from ebamcheck.program.events import COLUMNS, event_totals, process_events
-from ebamcheck.program.inputs import deposition_heights
 from ebamcheck.program.wire_checks import wire_check
-from ebamcheck.scan import plan_stack
 
-CONFIG = Config().changed(scan={"order": "raster"}, process={"interpass": "off"})
 DISC = shapely.Point(3, -8).buffer(45, 64)
 PARTS = {
     "square": shapely.box(0, 0, 80, 80),
@@ -33,36 +28,6 @@ PARTS = {
     "far away": shapely.affinity.translate(shapely.box(0, 0, 50, 40), 700, -650),
     "two": shapely.MultiPolygon([shapely.box(0, 0, 40, 40), shapely.box(60, 0, 100, 25)]),
 }
-
-
-class Made:
-    """A program of a prism, and all that it was made from."""
-
-    def __init__(self, folder, section, config=CONFIG, layers=4):
-        self.config = config
-        heights = (np.arange(layers) + 0.5) * config.layer_height_mm
-        self.layers = from_polygons(heights, [[section]] * layers)
-        self.plan = plan_stack(self.layers, config)
-        self.beads: Curves = bead_paths(self.layers, self.plan, config)
-        self.files = write_program(self.beads, self.plan, config, folder / "program")
-        self.z = deposition_heights(heights, config.layer_height_mm)
-
-    def read(self):
-        return read_program(self.files.main, self.config)
-
-    def checks(self, layers=None):
-        nc = self.read()
-        found = deposit(nc, layers or self.layers, self.z, self.config)
-        return {check.name: check for check in deposit_checks(nc, found, self.config)}
-
-    def failed(self, layers=None):
-        return {name for name, check in self.checks(layers).items() if not check.passed}
-
-    def edit(self, name, change):
-        path = self.files.folder / name
-        lines = path.read_text().split("\n")
-        change(lines)
-        path.write_text("\n".join(lines))
 
 
 @pytest.mark.parametrize("name", PARTS)

@@ -33,8 +33,8 @@ DOME = 0.5**0.5
 """Distance from its line, over half its width, up to which a bead is at least half as high as in its middle."""
 
 
-def reachable(inside: Bools, bead_cells: float) -> Bools:
-    """Cells of a section that some bead inside of it builds: all but what only flanks reach, and walls under a bead.
+def bead_centres(inside: Bools, bead_cells: float) -> Bools:
+    """Cells of a section on which the middle of a bead can lie without reaching over the border.
 
     Parameters
     ----------
@@ -45,14 +45,27 @@ def reachable(inside: Bools, bead_cells: float) -> Bools:
 
     Examples
     --------
+    >>> int(bead_centres(np.pad(np.ones((8, 9), bool), 1), 6.0).sum())
+    20
+    """
+    return np.asarray(ndimage.distance_transform_edt(inside) >= 0.5 * bead_cells, np.bool_)
+
+
+def reachable(inside: Bools, bead_cells: float) -> Bools:
+    """Cells of a section that some bead inside of it builds: all but what only flanks reach, and walls under a bead.
+
+    Parameters as of :func:`bead_centres`.
+
+    Examples
+    --------
     >>> reachable(np.pad(np.ones((8, 9), bool), 1), 6.0)[1:-1, 1:-1].sum(axis=1)
     array([5, 7, 9, 9, 9, 9, 7, 5])
     """
-    radius = 0.5 * bead_cells
-    centres = ndimage.distance_transform_edt(inside) >= radius
+    centres = bead_centres(inside, bead_cells)
     if not centres.any():
         return centres
-    return np.asarray(inside & (ndimage.distance_transform_edt(~centres) <= DOME * radius), np.bool_)
+    away = ndimage.distance_transform_edt(~centres)
+    return np.asarray(inside & (away <= DOME * 0.5 * bead_cells), np.bool_)
 
 
 class Surface:

@@ -20,7 +20,7 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.config import Config
 from ebamcheck.layers import Layers, valid_polygons
-from ebamcheck.metal import Surface, Target, reachable, target_of
+from ebamcheck.metal import Surface, Target, bead_centres, target_of
 from ebamcheck.metal.surface import FILM, HALF
 from ebamcheck.program.metal_zones import NO_ZONES, zone_figures
 from ebamcheck.program.motions import NCProgram
@@ -178,7 +178,7 @@ class _Field:
         reach = np.where(film, (_distance(~inside) - 0.5) * step, 0.0) if film.any() else np.zeros_like(laid)
         wanted = share * thickness_mm
         over = self._surface.over_mm(target)
-        runs = (melted > 0.0) | reachable(inside, self._bead_mm / step)
+        runs = (melted > 0.0) | bead_centres(inside, self._bead_mm / step)
         figures = {
             "wanted_mm3": float(wanted.sum() * step**2),
             "laid_mm3": float(volume.sum()),
@@ -246,4 +246,3 @@ def _extreme(name: str, height: Floats, target: Target) -> dict[str, float]:
         f"{name}_x_mm": float(x),
         f"{name}_y_mm": float(y),
     }
-

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
+from ebamcheck.program.deposit_checks import DEPOSIT_CHECKS
 from ebamcheck_reports.charts import Series, line_chart
 from ebamcheck_reports.figures import percent
 from ebamcheck_reports.markup import Markup, element, facts, figure, paragraph, section
@@ -48,10 +49,7 @@ def render(run: RunData) -> Markup:
     )
 
 
-CHECKS = (
-    "metal", "metal of layers", "metal outside", "reach of metal", "holes", "height inside", "height at edges", "surface",
-    "mass balance",
-)  # fmt: skip
+CHECKS = (*DEPOSIT_CHECKS, "mass balance")
 """Checks of the program that are about its metal."""
 
 
