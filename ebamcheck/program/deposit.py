@@ -22,7 +22,8 @@ from ebamcheck.config import Config
 from ebamcheck.layers import Layers, valid_polygons
 from ebamcheck.metal import Surface, Target, bead_centres, target_of
 from ebamcheck.metal.surface import FILM, HALF
-from ebamcheck.program.metal_zones import NO_ZONES, zone_figures
+from ebamcheck.program.metal_field import LayerField
+from ebamcheck.program.metal_zones import NO_ZONES, zone_figures, zone_limit, zone_off
 from ebamcheck.program.motions import NCProgram
 from ebamcheck.program.templates import wire_mm2
 from ebamcheck.program.wire import metal_region
@@ -49,25 +50,6 @@ CLOSED = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class LayerField:
-    """The metal of one layer in the cells of its target, (rows, columns).
-
-    Parameters
-    ----------
-    target
-        Cells, and the share of each that lies in the section.
-    laid_mm
-        Height of the metal that the layer lays.
-    over_mm
-        Height of the surface over that of the layer when it is done; 0 without metal.
-    """
-
-    target: Target
-    laid_mm: Floats
-    over_mm: Floats
-
-
-@dataclass(frozen=True, eq=False)
 class Deposit:
     """What the metal of a program comes to.
 
@@ -88,13 +70,16 @@ class Deposit:
         Holes of sections of which metal covers more than :data:`CLOSED`: ``layer``, ``x_mm``, ``y_mm`` (centroid), ``width_mm``
         (of a disc of the same area) and ``covered`` (share of the area).
     fields
-        Layers that were asked for, by their index.
+        Layers that were asked for, and the worst one, by their index.
+    worst
+        The layer of which surface, reach or a window comes nearest to its limit, or is furthest over it; -1 without any.
     """
 
     layers: pd.DataFrame
     first_row: Ints
     holes: pd.DataFrame
     fields: dict[int, LayerField]
+    worst: int
 
 
 def deposit(
@@ -123,18 +108,36 @@ def deposit(
         bead_mm2 = np.nan_to_num(nc.wire_mm_s * wire_mm2(config) / (nc.feed_mm_min / 60.0), posinf=0.0)
     found, holes, first = [], [], np.full(len(layers), -1, np.int64)
     fields: dict[int, LayerField] = {}
+    worst, most = -1, -math.inf
     for k, section in enumerate(sections):
         mine = rows[index == k]
         if mine.size:
             first[k] = mine[0]
         places, volume = _metal(nc, mine, bead_mm2, process.bead_width_mm * STEP_SHARE)
         figures, laid = field.add(section, places, volume, float(thickness[k]))
-        if k in keep:
+        badness = over_limits(figures, process) if section.area > 0.0 else -math.inf
+        if badness > most:
+            if worst not in keep:
+                fields.pop(worst, None)
+            worst, most = k, badness
+        if k in keep or k == worst:
             fields[k] = laid
         found.append({"layer": k, "z_mm": float(z_of[k]), **figures})
         if figures["reach_mm"] > 0.0:
             holes += [{"layer": k, **hole} for hole in _closed_holes(section, laid, float(thickness[k]))]
-    return Deposit(pd.DataFrame(found), first, pd.DataFrame(holes, columns=list(HOLE_COLUMNS)), fields)
+    table = pd.DataFrame(holes, columns=list(HOLE_COLUMNS))
+    return Deposit(pd.DataFrame(found), first, table, fields, worst)
+
+
+def over_limits(figures: dict[str, float], process: ProcessSettings) -> float:
+    """Surface, reach and worst window of a layer over their limits: the greatest of the three."""
+    off = zone_off(figures["zone_settled"], figures["zone_owed"])
+    zone = float(off / zone_limit(figures["zone_tolerance"], figures["zone_mm2"], process))
+    return max(
+        max(figures["low_mm"], figures["high_mm"]) / process.largest_unevenness_mm,
+        figures["reach_mm"] / process.outside_reach_mm,
+        0.0 if math.isnan(zone) else zone,
+    )
 
 
 def _metal(nc: NCProgram, rows: Ints, bead_mm2: Floats, step_mm: float) -> tuple[Floats, Floats]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from html import escape
 
 import numpy as np
@@ -10,7 +10,7 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.program.deposit import LayerField
+from ebamcheck.program.metal_field import LayerField
 from ebamcheck.rings import Floats
 from ebamcheck.scan.png import png_address
 from ebamcheck.scan.scan_svg import ring_path
@@ -31,11 +31,25 @@ COLOURS: NDArray[np.uint8] = np.array(
 COLOURS[0] = 255
 """(256, 3) colours of the cells; the first is the ground, for cells beside the section without metal."""
 
+RING_PX = 9
+"""Radius of the ring around a place that is named."""
+
 BARE = 0.01
 """Share of a cell, and height of metal over that of the layer, under which it is no part of the picture."""
 
 
-def draw(field: LayerField, section: BaseGeometry, thickness_mm: float, limit_mm: float, title: str) -> str:
+Place = tuple[float, float, str]
+"""X and Y of a place, mm, and what it is."""
+
+
+def draw(
+    field: LayerField,
+    section: BaseGeometry,
+    thickness_mm: float,
+    limit_mm: float,
+    title: str,
+    places: tuple[Sequence[Place], Sequence[Place]] = ((), ()),
+) -> str:
     """Draw one layer.
 
     Parameters
@@ -48,6 +62,8 @@ def draw(field: LayerField, section: BaseGeometry, thickness_mm: float, limit_mm
         Height of the layer.
     limit_mm
         How far the surface may lie off its height: the end of its scale.
+    places
+        Places that are ringed and named on the metal, and on the surface.
     """
     step_mm, cells = field.target.step_mm, np.array(field.laid_mm.shape[::-1], np.float64)
     px_per_mm = (WIDTH_PX - 2 * MARGIN_PX) / (cells[0] * step_mm)
@@ -76,6 +92,7 @@ def draw(field: LayerField, section: BaseGeometry, thickness_mm: float, limit_mm
             f'<text x="{MARGIN_PX}" y="{top_px - 10:.1f}" font-size="14" fill="#222">{escape(name)}</text>',
             _cells(np.where(ground, np.nan, values), most, top_px, tall_px),
             _outline(section, place),
+            *_rings(places[number], place),
             *_scale(told, top_px + tall_px + 6.0, number),
         ]
     height_px = int(np.ceil(len(fields) * panel_px))
@@ -100,6 +117,21 @@ def _cells(values: Floats, most: float, top_px: float, tall_px: float) -> str:
 def _outline(section: BaseGeometry, place: Callable[[Floats], Floats]) -> str:
     data = "".join(ring_path(part, place) for part in shapely.get_parts(section))
     return f'<path d="{data}" fill="none" stroke="#222" stroke-width="1"/>'
+
+
+def _rings(places: Sequence[Place], place: Callable[[Floats], Floats]) -> list[str]:
+    """Rings around places with their names beside them, on the side where there is more room."""
+    found = []
+    for x_mm, y_mm, name in places:
+        x, y = place(np.array([[x_mm, y_mm]]))[0]
+        right = x < 0.5 * WIDTH_PX
+        at, anchor = (x + RING_PX + 4, "start") if right else (x - RING_PX - 4, "end")
+        found += [
+            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{RING_PX}" fill="none" stroke="#000" stroke-width="2"/>',
+            f'<text x="{at:.1f}" y="{y + 4:.1f}" font-size="12" fill="#000" stroke="#fff" stroke-width="3" '
+            f'paint-order="stroke" text-anchor="{anchor}">{escape(name)}</text>',
+        ]
+    return found
 
 
 def _scale(told: tuple[str, str, str], top_px: float, number: int) -> list[str]:
