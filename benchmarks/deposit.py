@@ -162,12 +162,12 @@ def row(group: str, name: str, make: Callable[[], Part], config: Config, keep: P
 
 def rendered(table: pd.DataFrame) -> str:
     """The report: rates, medians and worst figures of each group, then every part."""
-    lines = [
-        "# The metal of whole programs",
+    how = (
         f"By `python -m benchmarks.deposit`, default settings, backends {' and '.join(BACKENDS)}, on {machine()['cpu']}. "
-        "*under two beads*: layers with walls, or with holes, narrower than two beads; the other parts are *buildable*.",
-        markdown(pd.DataFrame([rates(group, rows) for group, rows in table.groupby("group", sort=False)])),
-    ]
+        "*under two beads*: layers with walls, or with holes, narrower than two beads; the other parts are *buildable*."
+    )
+    groups = [rates(group, rows) for group, rows in table.groupby("group", sort=False)]
+    lines = ["# The metal of whole programs", how, markdown(pd.DataFrame(groups))]
     shown = table.copy()
     for name in FIGURES:
         digits = 0 if name == "entry_k" else 2 if name.endswith("_mm") else 3

@@ -26,6 +26,7 @@ from ebamcheck.program.metal_field import LayerField
 from ebamcheck.program.metal_zones import NO_ZONES, zone_figures, zone_limit, zone_off
 from ebamcheck.program.motions import NCProgram
 from ebamcheck.program.templates import wire_mm2
+from ebamcheck.program.thin_walls import thinnest_wall
 from ebamcheck.program.wire import metal_region
 from ebamcheck.rings import Bools, Floats, Ints
 from ebamcheck.scan.regions import layer_section
@@ -63,7 +64,8 @@ class Deposit:
         worst window (:mod:`ebamcheck.program.metal_zones`), ``inside_owed`` ... ``zone_owed`` (the height that would make the
         surface right), ``low_mm`` and ``high_mm`` (the surface under its height where beads run or could, and over it
         anywhere, when the layer is done), ``reach_mm`` (how far from the section there is metal of
-        :data:`~ebamcheck.metal.surface.FILM`), and where these four are, ``zone_x_mm`` ... ``reach_y_mm``.
+        :data:`~ebamcheck.metal.surface.FILM`), ``wall_mm`` (the thinnest wall under a bead, on layers with too much metal
+        beside them; else NaN), and where these five are, ``zone_x_mm`` ... ``wall_y_mm``.
     first_row
         (L,) first motion of each layer that lays metal, -1 without one.
     holes
@@ -122,11 +124,22 @@ def deposit(
             worst, most = k, badness
         if k in keep or k == worst:
             fields[k] = laid
-        found.append({"layer": k, "z_mm": float(z_of[k]), **figures})
+        found.append({"layer": k, "z_mm": float(z_of[k]), **figures, **_wall(section, figures, process)})
         if figures["reach_mm"] > 0.0:
             holes += [{"layer": k, **hole} for hole in _closed_holes(section, laid, float(thickness[k]))]
     table = pd.DataFrame(holes, columns=list(HOLE_COLUMNS))
     return Deposit(pd.DataFrame(found), first, table, fields, worst)
+
+
+def _wall(section: BaseGeometry, figures: dict[str, float], process: ProcessSettings) -> dict[str, float]:
+    """Thinnest wall under a bead of a layer with too much metal beside it, and where it is; else NaN."""
+    beside = figures["outside_mm3"] > process.outside_share * figures["laid_mm3"]
+    wall = None
+    if beside or figures["reach_mm"] > process.outside_reach_mm:
+        wall = thinnest_wall(section, process.bead_width_mm)
+    if wall is None:
+        return {"wall_mm": math.nan, "wall_x_mm": math.nan, "wall_y_mm": math.nan}
+    return {"wall_mm": wall.width_mm, "wall_x_mm": wall.x_mm, "wall_y_mm": wall.y_mm}
 
 
 def over_limits(figures: dict[str, float], process: ProcessSettings) -> float:

@@ -16,6 +16,7 @@ from ebamcheck.program.checks import Check
 from ebamcheck.program.deposit import Deposit
 from ebamcheck.program.metal_zones import tolerances, zone_limit, zone_off
 from ebamcheck.program.motions import NCProgram
+from ebamcheck.program.thin_walls import narrow_bead
 from ebamcheck.settings.process import ProcessSettings
 
 DEPOSIT_CHECKS = (
@@ -108,6 +109,8 @@ def _outside(solid: pd.DataFrame, config: Config, places: _Places) -> Check:
         f"{100 * whole:.2f} % of the metal lies beside the part, most {100 * share[k]:.2f} % of a layer: "
         f"{_named(solid.iloc[k])}"
     )
+    if worst > limit:
+        text += _of_wall(solid, k, config)
     where = places.of(int(solid["layer"].iloc[k]))
     return Check("metal outside", worst <= limit, worst, limit, "of the metal", where, text)
 
@@ -123,10 +126,21 @@ def _reach(solid: pd.DataFrame, config: Config, places: _Places) -> Check:
         text += (
             "; a wall or a hole there is narrower than the bead: allow for machining, or use a narrower bead"
         )
+        text += _of_wall(solid, k, config)
     where = places.of(int(row["layer"]))
     return Check(
         "reach of metal", bool(row["reach_mm"] <= limit), float(row["reach_mm"]), limit, "mm", where, text
     )
+
+
+def _of_wall(solid: pd.DataFrame, k: int, config: Config) -> str:
+    """What a bead takes that is as narrow as the thinnest wall of a layer, row `k`; empty where beads fit its walls."""
+    row = solid.iloc[k]
+    if not math.isfinite(row["wall_mm"]):
+        return ""
+    thickness = float(np.diff(solid["z_mm"].to_numpy(), prepend=0.0)[k])
+    bead = narrow_bead(float(row["wall_mm"]), thickness, config)
+    return f"; the wall at ({row['wall_x_mm']:.1f}, {row['wall_y_mm']:.1f}) is {row['wall_mm']:.1f} mm thick: {bead}"
 
 
 def _holes(found: Deposit, places: _Places) -> Check:

@@ -128,8 +128,10 @@ def _rings(places: Sequence[Place], place: Callable[[Floats], Floats]) -> list[s
         at, anchor = (x + RING_PX + 4, "start") if right else (x - RING_PX - 4, "end")
         found += [
             f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{RING_PX}" fill="none" stroke="#000" stroke-width="2"/>',
-            f'<text x="{at:.1f}" y="{y + 4:.1f}" font-size="12" fill="#000" stroke="#fff" stroke-width="3" '
-            f'paint-order="stroke" text-anchor="{anchor}">{escape(name)}</text>',
+            (
+                f'<text x="{at:.1f}" y="{y + 4:.1f}" font-size="12" fill="#000" stroke="#fff" stroke-width="3" '
+                f'paint-order="stroke" text-anchor="{anchor}">{escape(name)}</text>'
+            ),
         ]
     return found
 
