@@ -171,6 +171,7 @@ def _write_and_verify(
             sha256=files.sha256,
             section_tolerance_mm=gates.section_tolerance_mm(fit_mm),
         )
+    job.add_finding(*noticed.of_limit(checks, plan, job.config))
     checks += _weighed(job, program, witness)
     summary = program_summary(program, job.config)
     summary.to_csv(job.folder.path / "program.csv", index=False)
