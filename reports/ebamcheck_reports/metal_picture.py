@@ -31,6 +31,8 @@ COLOURS: NDArray[np.uint8] = np.array(
 COLOURS[0] = 255
 """(256, 3) colours of the cells; the first is the ground, for cells beside the section without metal."""
 
+NAMESPACE = ' xmlns="http://www.w3.org/2000/svg"'
+
 RING_PX = 9
 """Radius of the ring around a place that is named."""
 
@@ -97,7 +99,7 @@ def draw(
         ]
     height_px = int(np.ceil(len(fields) * panel_px))
     head = (
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH_PX}" height="{height_px}" '
+        f'<svg{NAMESPACE} width="{WIDTH_PX}" height="{height_px}" '
         f'viewBox="0 0 {WIDTH_PX} {height_px}" font-family="Helvetica, Arial, sans-serif">'
     )
     return "\n".join([head, f'<rect width="{WIDTH_PX}" height="{height_px}" fill="#fff"/>', *body, "</svg>"])

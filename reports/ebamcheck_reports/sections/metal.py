@@ -96,7 +96,9 @@ def _worst(run: RunData, table: pd.DataFrame) -> list[Markup]:
         f"The layer that comes nearest to a limit, {name}, as the program's text lays it on those below: its own metal, and the "
         "surface when it is done. Rings mark the places that the checks name."
     )
-    return [picture(Markup(svg), caption, name="metal-worst")]
+    # Inside of a page a picture has the name space of the page.
+    inline = Markup(svg.replace(metal_picture.NAMESPACE, "", 1))
+    return [picture(inline, caption, name="metal-worst")]
 
 
 def _places(found: pd.Series, thickness_mm: float) -> tuple[list[metal_picture.Place], ...]:
