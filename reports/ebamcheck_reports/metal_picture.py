@@ -95,7 +95,7 @@ def draw(
             _cells(np.where(ground, np.nan, values), most, top_px, tall_px),
             _outline(section, place),
             *_rings(places[number], place),
-            *_scale(told, top_px + tall_px + 6.0, number),
+            *_scale(told, top_px + tall_px + 6.0),
         ]
     height_px = int(np.ceil(len(fields) * panel_px))
     head = (
@@ -138,16 +138,14 @@ def _rings(places: Sequence[Place], place: Callable[[Floats], Floats]) -> list[s
     return found
 
 
-def _scale(told: tuple[str, str, str], top_px: float, number: int) -> list[str]:
+def _scale(told: tuple[str, str, str], top_px: float) -> list[str]:
     """Colours from left to right with their ends and middle named."""
-    stops = "".join(
-        f'<stop offset="{offset}" stop-color="rgb{colour}"/>'
-        for offset, colour in ((0, BLUE), (0.5, WHITE), (1, RED))
-    )
+    strip = png_address(np.arange(1, 256, dtype=np.uint8)[None], COLOURS)
+    wide = f'x="{MARGIN_PX}" y="{top_px:.1f}" width="{BAR_PX * 2}" height="8"'
     places = ((0.0, "start"), (0.5, "middle"), (1.0, "end"))
     return [
-        f'<linearGradient id="scale{number}">{stops}</linearGradient>',
-        f'<rect x="{MARGIN_PX}" y="{top_px:.1f}" width="{BAR_PX * 2}" height="8" fill="url(#scale{number})" stroke="#888" stroke-width="0.5"/>',
+        f'<rect {wide} fill="none" stroke="#888" stroke-width="0.5"/>',
+        f'<g class="scale"><image {wide} preserveAspectRatio="none" href="{strip}"/></g>',
         *(
             f'<text x="{MARGIN_PX + 2 * BAR_PX * share:.1f}" y="{top_px + 21:.1f}" font-size="11" fill="#222" '
             f'text-anchor="{anchor}">{text}</text>'
