@@ -17,8 +17,8 @@ from ebamcheck.scan.regions import layer_section
 HOP_SPACINGS = 2.0
 """Bead spacings of a hop: to the line after the next one, over beads that were laid in the same plane just before."""
 
-STEP_MM = 0.5
-"""Distance of the places at which a bead without support is looked at."""
+PLACES = 32
+"""Places on each motion without support that are looked at."""
 
 
 def clearance_checks(
@@ -93,7 +93,7 @@ def _support(nc: NCProgram, beads: Beads, found: Standing, config: Config, layer
     hangs = float(found.bare_mm.sum())
     missing = np.zeros(len(nc))
     if layers is not None and bare.size:
-        missing[bare] = found.bare_mm[bare] * _over_metal(nc, bare, layers)
+        missing[bare] = found.bare_mm[bare] * _over_metal(nc, bare, found, layers)
         hangs -= float(missing.sum())
     of_bead = np.bincount(beads.bead, missing[beads.rows], minlength=len(beads))
     over = np.flatnonzero(of_bead > limit)
@@ -107,18 +107,19 @@ def _support(nc: NCProgram, beads: Beads, found: Standing, config: Config, layer
     return Check("support", False, value, limit, "mm", nc.where(row), f"{what}; {text}")
 
 
-def _over_metal(nc: NCProgram, rows: Ints, layers: Layers) -> Floats:
-    """Share (n,) of each motion that lies over the section of the layer below."""
+def _over_metal(nc: NCProgram, rows: Ints, found: Standing, layers: Layers) -> Floats:
+    """Share (n,) of what hangs of each motion that lies over the section of the layer below."""
     share = np.zeros(rows.size)
+    t = (np.arange(PLACES) + 0.5) / PLACES
     for k in np.unique(nc.layer[rows]).tolist():
         mine = np.flatnonzero(nc.layer[rows] == k)
         section = layer_section(layers.polygons(k - 1)) if 0 < k <= len(layers) else shapely.Polygon()
         if section.is_empty:
             continue
-        row, at = nc.samples(rows[mine], STEP_MM)
+        row = np.repeat(rows[mine], PLACES)
+        along = found.bare_from[row] + np.tile(t, mine.size) * (found.bare_to - found.bare_from)[row]
+        at = nc.evaluate(row, along)
         shapely.prepare(section)
         inside = shapely.intersects_xy(section, at[:, 0], at[:, 1])
-        place = np.searchsorted(rows[mine], row)
-        count = np.bincount(place, minlength=mine.size)
-        share[mine] = np.bincount(place, inside, minlength=mine.size) / np.maximum(count, 1)
+        share[mine] = inside.reshape(-1, PLACES).mean(axis=1)
     return share

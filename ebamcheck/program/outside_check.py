@@ -59,4 +59,4 @@ def outside_check(nc: NCProgram, layers: Layers, z_of: Floats, config: Config, l
     away, row, k, x, y = min(wrong, key=lambda place: place[1]) if wrong else max(every)
     text = f"a bead runs {away:.4g} mm outside of the part, in layer {k + 1} at ({x:.3f}, {y:.3f})"
     value = max(place[0] for place in every)
-    return Check(NAME, not wrong, value, limit_mm, "mm", nc.where(row), text, k, x, y)
+    return Check(NAME, not wrong, value, limit_mm, "mm", nc.where(row), text, k, float(x), float(y))

@@ -103,7 +103,7 @@ def section_check(
     where = nc.where(worst.row) if len(nc) else ""
     at = "" if math.isnan(worst.x) else f", in layer {worst.layer + 1} at ({worst.x:.3f}, {worst.y:.3f})"
     text += f": at most {worst.value:.6g} mm{at}, where {worst.limit:.4g} mm are allowed"
-    place = (None, None) if math.isnan(worst.x) else (worst.x, worst.y)
+    place = (None, None) if math.isnan(worst.x) else (float(worst.x), float(worst.y))
     return Check(
         name, worst.value <= worst.limit, worst.value, worst.limit, "mm", where, text, worst.layer, *place
     )
@@ -138,16 +138,20 @@ def _layer(
 
 def _allowed(at: Floats, off: Floats, section: BaseGeometry, k: int, known: Evidence) -> Floats:
     """Limit (n,) of the deviation `off` (n,) of each place: what there is evidence for, and no more than the user's."""
-    if known.base_mm >= known.most_mm:
-        return np.full(len(at), known.most_mm)
+    base = min(known.base_mm, known.most_mm)
+    allowed = np.full(len(at), base)
+    beyond = np.flatnonzero(np.abs(off) > base)
+    if not beyond.size or base == known.most_mm:
+        return allowed
     smooth = None if known.smooth is None else layer_section(known.smooth.polygons(k))
     if smooth is None or smooth.is_empty:
-        leaves = _sagitta(at, section)
+        leaves = _sagitta(at[beyond], section)
     else:
         # A curve that lies outside of its chords makes places less deep in them, and the other way round.
-        lift = _depths(at, section) - _depths(at, smooth)
-        leaves = np.maximum(lift * np.sign(off), 0.0)
-    return np.minimum(known.base_mm + leaves, known.most_mm)
+        lift = _depths(at[beyond], section) - _depths(at[beyond], smooth)
+        leaves = np.maximum(lift * np.sign(off[beyond]), 0.0)
+    allowed[beyond] = np.minimum(base + leaves, known.most_mm)
+    return allowed
 
 
 def _sagitta(at: Floats, section: BaseGeometry) -> Floats:

@@ -50,6 +50,8 @@ class Standing:
         Travels from or to a place that no block has given, lower than all that stands and the clearance.
     bare_mm
         Length of a bead within half a width of which nothing stands as high as the layer below.
+    bare_from, bare_to
+        Parameters of the motion between which that is.
     """
 
     into_mm: Floats
@@ -58,6 +60,8 @@ class Standing:
     short_mm: Floats
     lost: Floats
     bare_mm: Floats
+    bare_from: Floats
+    bare_to: Floats
 
 
 def run_over(nc: NCProgram, beads: Beads, below_mm: Floats, config: Config, hop_mm: float) -> Standing:
@@ -78,7 +82,7 @@ def run_over(nc: NCProgram, beads: Beads, below_mm: Floats, config: Config, hop_
     ahead = np.searchsorted(beads.first, np.arange(len(nc)))
     sides = np.concatenate([[np.inf], z, [np.inf]])
     floor = np.minimum(sides[ahead], sides[ahead + 1]) if len(beads) else np.full(len(nc), -np.inf)
-    out = np.zeros((6, len(nc)))
+    out = np.zeros((8, len(nc)))
     tall = float(fixed.max())
     tool = _Tool(
         0.5 * bead_mm / cell, machine.head_radius_mm / cell, machine.head_above_tip_mm, machine.clearance_mm, hop_mm
@@ -274,7 +278,10 @@ def _meet(
         if under >= support:
             continue
         if _highest(ground.top, ground.fixed, x, y, tool.bead, support) < support:
+            if out[5, m] == 0.0:
+                out[6, m] = p / parts
             out[5, m] += path.length[m] / parts
+            out[7, m] = (p + 1.0) / parts
 
 
 @kernel
@@ -320,7 +327,7 @@ def _travel(
 
 @kernel
 def _run(path: Columns, beads: _Beads, ground: _Ground, tool: _Tool, out: Floats) -> None:
-    """Run all motions; `out` (6, B) are the columns of :class:`Standing`."""
+    """Run all motions; `out` (8, B) are the columns of :class:`Standing`."""
     highest, low_mm, bead, row = 0.0, 0.0, 0, 0
     while row < path.kind.size:
         if bead < beads.first.size and row == beads.first[bead]:
