@@ -281,6 +281,16 @@ def test_a_clamp_near_the_path_is_met_by_the_head(parts, tmp_path):
             assert found.value == pytest.approx(30.0 - 15.0 - part.config.layer_height_mm, abs=0.01)
 
 
+def test_a_zone_without_a_height_is_no_body(parts, tmp_path):
+    part = parts("cube")
+    zone = {"name": "probe", "outline_mm": ((-30, 5), (-12, 5), (-12, 25), (-30, 25))}
+    other = type(part)(
+        part.config.changed(process={"keep_out": (zone,)}), part.sections, part.plan, part.beads
+    )
+    text = written(other, "linuxcnc", tmp_path / "p")
+    assert all(c.passed for c in checks_of(text, other, False).values())
+
+
 def test_a_layer_over_nothing_is_found(parts, tmp_path):
     part = parts("cube")
     text = written(part, "linuxcnc", tmp_path / "p")

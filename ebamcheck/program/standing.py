@@ -28,6 +28,9 @@ CELLS_PER_BEAD = 6
 MOST_CELLS = 16_000_000
 """Cells of a grid at most, 256 MiB in all; a larger plate gets coarser ones."""
 
+NO_HEIGHT = KeepOut.model_fields["z_mm"].default
+"""Heights of a keep-out zone for which nobody gave any."""
+
 TOUCH_MM = 1e-3
 """Heights nearer than this are one: the decimals of a program, at their coarsest."""
 
@@ -76,8 +79,10 @@ def run_over(nc: NCProgram, beads: Beads, below_mm: Floats, config: Config, hop_
     """
     machine, bead_mm = config.machine, config.process.bead_width_mm
     origin, shape, cell = _grid(nc, beads, config)
-    fixed = standing_of(config.process.keep_out, origin, shape, cell, 0.0)
-    around = standing_of(config.process.keep_out, origin, shape, cell, machine.head_radius_mm)
+    # A zone of the default height is one to stay out of, and no body of which the height is known.
+    bodies = [zone for zone in config.process.keep_out if zone.z_mm != NO_HEIGHT]
+    fixed = standing_of(bodies, origin, shape, cell, 0.0)
+    around = standing_of(bodies, origin, shape, cell, machine.head_radius_mm)
     z = nc.end[beads.first, 2]
     ahead = np.searchsorted(beads.first, np.arange(len(nc)))
     sides = np.concatenate([[np.inf], z, [np.inf]])
