@@ -267,6 +267,21 @@ def test_an_honest_program_passes_and_comments_change_nothing(parts, tmp_path, s
             assert verdict(text, part, planned) == before[planned]
 
 
+@pytest.mark.parametrize("control", POSTS)
+def test_ramps_and_overlaps_are_no_faults(parts, tmp_path, control):
+    """Lines whose power changes along them, in wire that changes as well, stay one line."""
+    part = parts("block with a channel")
+    process = {"ramp_up_mm": 4.0, "crater_fill_mm": 6.0, "overlap_mm": 4.0, "seam_shift_mm": 9.0}
+    machine = {"curve_form": "arcs" if control == "linuxcnc" else "lines"}
+    other = type(part)(
+        part.config.changed(process=process, machine=machine), part.sections, part.plan, part.beads
+    )
+    text = written(other, control, tmp_path / "p")
+    for planned in (True, False):
+        failed = {n: (c.where, c.text) for n, c in checks_of(text, other, planned).items() if not c.passed}
+        assert failed == {}
+
+
 def test_a_clamp_near_the_path_is_met_by_the_head(parts, tmp_path):
     part = parts("cube")
     clamp = {"name": "clamp", "outline_mm": ((-30, 5), (-12, 5), (-12, 25), (-30, 25)), "z_mm": (0.0, 30.0)}

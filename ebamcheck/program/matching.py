@@ -161,8 +161,8 @@ def _pairs(found: Floats, wanted: Floats) -> tuple[Ints, Bools]:
         return pick, again
     taken = np.zeros(len(wanted), np.bool_)
     tree = cKDTree(wanted)
-    every: list[list[int]] = list(tree.query_ball_point(found, SAME_MM, p=np.inf, return_sorted=True))
-    for i, near in enumerate(every):
+    for i, place in enumerate(found):
+        near = np.sort(np.asarray(tree.query_ball_point(place, SAME_MM, p=np.inf), np.int64)).tolist()
         free = [t for t in near if not taken[t]]
         if free:
             pick[i] = free[0]
@@ -237,10 +237,11 @@ def _one_by_one(match: Matching) -> tuple[Bools, Ints, Ints]:
 
 def _nearest_line(nc: NCProgram, rows: Ints, start: Floats, end: Floats) -> Ints:
     """Line (n,) from which the start, the middle and the end of each motion are least away in all."""
-    lines = shapely.linestrings(np.stack([start, end], axis=1))
-    away = np.zeros((rows.size, len(lines)))
+    lines = np.atleast_1d(np.asarray(shapely.linestrings(np.stack([start, end], axis=1)), dtype=np.object_))
+    away = np.zeros((rows.size, lines.size))
     for place in (nc.start, 0.5 * (nc.start + nc.end), nc.end):
-        away += shapely.distance(shapely.points(np.nan_to_num(place[rows, :2]))[:, None], lines[None, :])
+        points = np.atleast_1d(np.asarray(shapely.points(np.nan_to_num(place[rows, :2])), dtype=np.object_))
+        away += np.asarray(shapely.distance(points[:, None], lines[None, :]))
     return np.asarray(away.argmin(axis=1), np.int64)
 
 

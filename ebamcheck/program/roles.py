@@ -186,7 +186,7 @@ def _turns(nc: NCProgram, beads: Beads, contour: Bools) -> tuple[Bools, Bools]:
     lines = np.flatnonzero(~further)
     end = rows[np.append(lines[1:], rows.size) - 1]
     turn[_between_opposite(nc, rows[lines], end, bead[lines], rows)] = True
-    return turn, goes_on
+    return turn, goes_on & ~turn
 
 
 def _between_opposite(nc: NCProgram, first: Ints, last: Ints, bead: Ints, rows: Ints) -> Ints:
