@@ -28,7 +28,7 @@ def entered_with_aged(
 
     Heat comes to the modes late by that age, and as small as it has become by then. `state` (K, N) is used up.
     """
-    fallen = mean * np.exp(-plane_rate * age).reshape(-1, 1)
+    fallen = by_island(mean * np.exp(-plane_rate * age).reshape(-1, 1))
     in_layer_late = in_layer * np.exp(-depth_rate * age)
     entry_k = np.zeros(mean.shape[1])
     clock, place = 0.0, 0
@@ -42,6 +42,12 @@ def entered_with_aged(
             for n in range(len(depth_rate)):
                 entry_k[island] += mean[k, island] * in_layer[n] * state[k, n]
     return entry_k
+
+
+@kernel
+def by_island(mean: Floats) -> Floats:
+    """Return means (K, I) with those of each island side by side in memory."""
+    return np.ascontiguousarray(mean.T).T
 
 
 @kernel

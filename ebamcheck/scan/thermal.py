@@ -16,7 +16,7 @@ import numpy as np
 
 from ebamcheck.kernels import kernel, run_blocks
 from ebamcheck.rings import Bools, Floats, Ints
-from ebamcheck.scan.aged_heat import with_late_heat
+from ebamcheck.scan.aged_heat import by_island, with_late_heat
 from ebamcheck.scan.all_orders import MOST_LISTED, best_of_all
 from ebamcheck.scan.annealing import annealed, high_mean
 from ebamcheck.scan.drive import IslandDrive
@@ -223,7 +223,7 @@ def coolest_first(
     now, soon = np.empty(count), np.empty(count)
     ways, scanned = np.empty(count, np.int64), np.zeros(count, np.bool_)
     begin, end = np.empty(count), np.empty(count)
-    fallen = mean * np.exp(-plane_rate * near.horizon_s).reshape(-1, 1)
+    fallen = by_island(mean * np.exp(-plane_rate * near.horizon_s).reshape(-1, 1))
     in_layer_late = in_layer * np.exp(-depth_rate * near.horizon_s)
     jumps, by = np.empty(count), np.empty(count, np.int64)
     means, points, touches = np.zeros(count), np.zeros(count), np.full(count, -1)
