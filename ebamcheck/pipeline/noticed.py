@@ -177,6 +177,11 @@ METAL: Mapping[str, tuple[str, str]] = {
     "metal of layers": ("metal-excess", "look at that layer in deposit.csv"),
     "height inside": ("metal-excess", "change the bead spacing, or the side of the hexagons"),
     "height at edges": ("metal-excess", "change the inset of the contour beads (scan.contour_offset_mm)"),
+    "height of layers": ("metal-excess", "look at that layer in deposit.csv"),
+    "height of zones": (
+        "metal-excess",
+        "look at that place in the picture of the metal; turn the cells, or use a narrower bead",
+    ),
     "surface": ("metal-excess", "turn the cells and the hatch from layer to layer, or use a narrower bead"),
 }
 """Code and remedy of each check of the metal that fails."""
