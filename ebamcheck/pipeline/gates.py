@@ -86,11 +86,6 @@ def fit_tolerance_mm(config: Config) -> float:
     return curves.largest_bulge_mm + curves.near_point_mm + curves.collinear_mm
 
 
-def fit_distance_mm(deviation: pd.DataFrame) -> float:
-    """Greatest distance between curves and their contours, of what :func:`ebamcheck.curves.fit_deviation` found."""
-    return float(deviation[["points_mm", "bulge_mm"]].to_numpy().max(initial=0.0))
-
-
 def fit_gate(deviation: pd.DataFrame, config: Config) -> Gate:
     """The fitted curves stay near the contours that they were fitted to."""
     limit = fit_tolerance_mm(config)

@@ -97,11 +97,6 @@ class Matching:
     again: Bools
     path: Toolpath
 
-    @property
-    def layer_of_track(self) -> Ints:
-        """(T,) layer of each track of the plan."""
-        return np.repeat(np.arange(len(self.path.z)), np.diff(self.path.layer_starts))
-
 
 def matched(nc: NCProgram, path: Toolpath) -> tuple[NCProgram, Matching]:
     """Give every bead the role of the track that it follows.
