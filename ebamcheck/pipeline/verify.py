@@ -20,6 +20,7 @@ from ebamcheck.pipeline.certificate import (
 )
 from ebamcheck.pipeline.gates import fit_distance_mm, section_tolerance_mm
 from ebamcheck.program import Check, verify_file
+from ebamcheck.program.header_checks import Truth
 from ebamcheck.scan import ScanPlan
 from ebamcheck.slicing import slice_part
 from ebamcheck.store import MANIFEST, RunFolder, sha256_of_file, sha256_of_json
@@ -120,6 +121,9 @@ def _verify(run: RunFolder, manifest: dict[str, Any], part: Path | None) -> list
         metal=True,
         heat=True,
         sha256=recorded,
+        truth=Truth(
+            bool(record["validated"]), manifest["part"]["sha256"], sha256_of_json(config.model_dump())
+        ),
         section_tolerance_mm=section_tolerance_mm(
             max(float(manifest["fit"]["max_points_mm"]), float(manifest["fit"]["max_bulge_mm"]))
         ),
@@ -185,6 +189,7 @@ def verify_against_part(program: Path, part_path: Path, config: Config) -> list[
         metal=True,
         heat=True,
         heights=heights,
+        truth=Truth(read_certificate(paper).get("validated") if paper else None, _file_hash(part_path)),
         section_tolerance_mm=section_tolerance_mm(fit_distance_mm(fit_deviation(curves, layers))),
     )
     certified = certificate_checks(paper, program, part_path, config) if paper else []

@@ -5,8 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from ebamcheck.config import Config
+from ebamcheck.program.dialects import SINUMERIK
 from ebamcheck.store import sha256_of_json
 from ebamcheck.version import __version__
+
+CONTROL_NAMES: Mapping[str, str] = {SINUMERIK: "SINUMERIK 840D sl"}
+"""What a header calls a control, where it is not the name of its post-processor."""
 
 
 def header_lines(config: Config, control: str, layers: int, form: Mapping[str, str]) -> dict[str, str]:
