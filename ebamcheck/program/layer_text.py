@@ -154,6 +154,8 @@ class _Layer:
         self, start: Floats, end: Floats, motions: Sequence[str], power: Floats, wire: Floats
     ) -> None:
         """Travel to `start`, beam and wire on, `motions` each at its power and wire, wire and beam off at `end`."""
+        if not any(motions):
+            return  # all of it lies within a rounding: the beam would stand
         self._travel(start)
         self._wire = float(wire[0])
         self.set_power(float(power[0]))
