@@ -39,8 +39,8 @@ STOCK_CODES: Mapping[str, Mapping[str, str]] = {
     },
     LINUXCNC: {
         "M64 P0": "beam_on", "M65 P0": "beam_off", "M64 P1": "wire_start", "M65 P1": "wire_stop",
-        "M68 E0 Q": "voltage_kv", "M68 E1 Q": "current_ma", "M67 E1 Q": "current_ma",
-        "M68 E2 Q": "wire_mm_s", "M67 E2 Q": "wire_mm_s", "M68 E3 Q": "wire_retract_mm",
+        "M68 E0 Q": "voltage_kv", "M67 E0 Q": "voltage_kv", "M68 E1 Q": "current_ma", "M67 E1 Q": "current_ma",
+        "M68 E2 Q": "wire_mm_s", "M67 E2 Q": "wire_mm_s", "M68 E3 Q": "wire_retract_mm", "M67 E3 Q": "wire_retract_mm",
     },
     PLAIN: {
         "M3": "beam_on", "M5": "beam_off", "M8": "wire_start", "M9": "wire_stop",

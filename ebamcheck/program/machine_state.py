@@ -162,7 +162,7 @@ def _uneven_entries(nc: NCProgram) -> Faults:
     usual = [name for name, count in found.items() if 2 * count >= len(begins)]
     faults = []
     for i, names in begins:
-        where = f"{nc.events.name[i].removeprefix('call ')}.SPF:1"
+        where = next(iter(names.values()), f"{nc.events.name[i].removeprefix('call ')}.SPF:1")
         for name in usual:
             if name not in names:
                 faults.append((where, f"{name} is not set where the layer begins, as it is in the others"))
