@@ -57,8 +57,6 @@ def test_every_mode_is_established_by_the_main_program(control, tmp_path):
         text = ProgramText(control, tmp_path / "p")
         pattern, begin = rf"(?<![\w.]){re.escape(word)}(?![\w.])( P[\d.]+)?", text.find(text.main, "G17")
         place = text.edit(text.main, pattern, "", begin=begin)
-        if control != SINUMERIK:  # in one file the first layer has its modes before the first motion, too
-            text.edit(text.main, pattern, "", begin=begin)
         found = text.failed_by_text()
         named = [found[n] for n in ("modes", "smoothing") if n in found]
         assert any(near(check.where, place) for check in named), (word, found)
@@ -144,11 +142,19 @@ def test_a_beam_that_stands_is_found(control, tmp_path):
     assert near(text.failed_by_text()["order of events"].where, place)
 
 
-def test_a_layer_without_its_modes_is_found(tmp_path):
-    for word in ("G17 G710 G90 G94", "G40 D0", "TRANS", "G54", "SOFT FFWON G642", "H2=120"):
-        text = ProgramText(SINUMERIK, tmp_path / "p")
-        place = text.drop("MAIN_L0002.SPF", rf"N\d+ {word}")
-        assert near(text.failed_by_text()["modes"].where, place), word
+ENTRY = {
+    SINUMERIK: ("G17 G710 G90 G94", "G40 D0", "TRANS", "G54", "SOFT FFWON G642", "H2=120"),
+    LINUXCNC: ("G40 G49 G80", "G54", "G64 P0.05", "G92.1", "M68 E1 Q120"),
+    PLAIN: ("G54",),
+}
+
+
+@pytest.mark.parametrize(("control", "word"), [(c, w) for c, words in ENTRY.items() for w in words])
+def test_a_layer_without_its_modes_is_found(control, word, tmp_path):
+    text = ProgramText(control, tmp_path / "p")
+    name, begin = text.layer(2)
+    place = text.drop(name, rf"^(N\d+ )?{word}", begin=begin)
+    assert near(text.failed_by_text()["modes"].where, place)
 
 
 @pytest.mark.parametrize("control", CONTROLS)

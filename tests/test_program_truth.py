@@ -64,6 +64,8 @@ LIES = {
     "WIRE": (r"; WIRE: Ti-6Al-4V", "; WIRE: 316L"),
     "layer 2": (r"; LAYER: 2 OF 2", "; LAYER: 1 OF 2"),
     "CONTROL": (r"; CONTROL: .*", "; CONTROL: another"),
+    "CURVES": (r"; CURVES: .*", "; CURVES: lines, within 1 mm"),
+    "COORDINATES": (r"; COORDINATES: .*", "; COORDINATES: X Y of the machine, inches"),
 }
 
 
@@ -74,6 +76,23 @@ def test_a_header_that_is_not_true_is_found(control, name, tmp_path):
     place = text.edit_all(*LIES[name])
     found = text.failed_by_text()
     assert near(found["header"].where, place)
+
+
+@pytest.mark.parametrize("control", CONTROLS)
+@pytest.mark.parametrize(
+    ("pattern", "lie"), [(r"CUT AT [\d.]+", "CUT AT 77.000000"), (r" Z [\d.]+$", " Z 99.000000")]
+)
+def test_a_layer_at_another_height_than_it_says_is_found(control, pattern, lie, tmp_path):
+    text = ProgramText(control, tmp_path / "p")
+    name, begin = text.layer(2)
+    place = text.edit(name, rf"(?<=LAYER: 2 OF 2)(.*){pattern}", rf"\1{lie}", begin=begin)
+    assert text.failed()["header"].where == place
+
+
+def test_a_file_without_a_status_is_found(tmp_path):
+    text = ProgramText(SINUMERIK, tmp_path / "p")
+    place = text.edit("MAIN_L0002.SPF", "; NOT VALIDATED", "; RELEASED")
+    assert near(text.failed_by_text()["status"].where, place)
 
 
 @pytest.mark.parametrize("control", CONTROLS)
@@ -121,7 +140,15 @@ def test_nothing_rests_on_comments_of_the_header(control, tmp_path):
         kept = [line for line in lines if not line.startswith(";") or line.startswith(";$PATH")]
         text.lines[name] = [re.sub(r"\s*;(?!\$).*", "", line) for line in kept]
     found = text.failed_by_text()
-    assert not {"header", "status", "modes", "start state", "safe end", "order of events", "process values"} & set(found)
+    assert not {
+        "header",
+        "status",
+        "modes",
+        "start state",
+        "safe end",
+        "order of events",
+        "process values",
+    } & set(found)
 
 
 def test_the_size_of_a_program_has_a_limit(tmp_path):

@@ -13,6 +13,8 @@ from ebamcheck.settings.machine import MachineSettings
 SINUMERIK, LINUXCNC, PLAIN = "sinumerik-840d-sl", "linuxcnc", "plain-gcode"
 """Controls whose programs are text that the reader reads."""
 
+TEXT_CONTROLS = (SINUMERIK, LINUXCNC, PLAIN)
+
 TEMPLATES = (
     "beam_on", "beam_off", "wire_start", "wire_stop", "wire_retract",
     "set_beam", "set_power", "set_wire", "layer_begin", "layer_end", "layer_pause",

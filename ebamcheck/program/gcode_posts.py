@@ -14,7 +14,7 @@ from ebamcheck.program.bead_ends import driven_path
 from ebamcheck.program.blocks import BlockFormat
 from ebamcheck.program.dialects import LINUXCNC, PLAIN
 from ebamcheck.program.files import NOT_VALIDATED, VALIDATED, ProgramFiles, write_files
-from ebamcheck.program.header import header_lines
+from ebamcheck.program.header import form_lines, header_lines
 from ebamcheck.program.inputs import CurveColumns, ScanColumns, interpass_of
 from ebamcheck.program.layer_text import comment, layer_blocks, motion_text
 from ebamcheck.program.safe_states import end_blocks, start_blocks
@@ -40,10 +40,7 @@ def write_linuxcnc(
     forms: Mapping[str, Form] = {"arcs": "arcs", "lines": "chords"}
     form = forms.get(machine.curve_form, "cubics")
     tolerance = plain(machine.smoothing_tolerance_mm)
-    known = {
-        "CURVES": "G5, exactly" if form == "cubics" else _within(form, machine.line_tolerance_mm),
-        "SMOOTHING": f"G64 P{tolerance}, path may leave the program by {tolerance} mm",
-    }
+    known = form_lines(machine, LINUXCNC)
     modes = ["G17 G21 G90 G91.1 G94", "G40 G49 G80", "G92.1", machine.work_offset, f"G64 P{tolerance}"]
     return _write(curves, plan, config, Path(folder), LINUXCNC, "ngc", form, known, modes, validated, header)
 
@@ -63,13 +60,9 @@ def write_plain_gcode(
     """
     machine = config.machine
     form: Form = "chords" if machine.curve_form == "lines" else "arcs"
-    known = {"CURVES": _within(form, machine.line_tolerance_mm)}
+    known = form_lines(machine, PLAIN)
     modes = ["G17 G21 G90 G94", machine.work_offset]
     return _write(curves, plan, config, Path(folder), PLAIN, "gcode", form, known, modes, validated, header)
-
-
-def _within(form: Form, tolerance_mm: float) -> str:
-    return f"{'G1' if form == 'chords' else 'G2 and G3'}, within {tolerance_mm:g} mm"
 
 
 def _write(

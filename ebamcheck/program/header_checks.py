@@ -9,18 +9,26 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from ebamcheck.config import Config
 from ebamcheck.program.checks import Check, count_check
 from ebamcheck.program.dialects import SINUMERIK
 from ebamcheck.program.files import STATUS, STATUS_LINES, VALIDATED
-from ebamcheck.program.header import CONTROL_NAMES, header_lines
+from ebamcheck.program.header import CONTROL_NAMES, form_lines, header_lines
+from ebamcheck.program.inputs import deposition_heights
 from ebamcheck.program.layer_text import comment
 from ebamcheck.program.motions import NCProgram, SourceFile
+from ebamcheck.rings import Floats
 
-CHECKED = ("CONTROL", "MACHINE", "LAYERS", "COORDINATES", "BEAM", "WIRE")
-"""Lines of the header that follow from the settings and the program's own text."""
+FREE = ("SOFTWARE", "SETTINGS SHA-256")
+"""Lines of the header that do not follow from the settings and the program's own text."""
 
-_LAYER = re.compile(rb"^; LAYER: (\d+) OF (\d+)\b", re.MULTILINE)
+_LAYER = re.compile(rb"^; LAYER: (\d+) OF (\d+)(?:, CUT AT (-?[\d.]+), Z (-?[\d.]+))?", re.MULTILINE)
+
+PRINTED_MM = 1e-6
+"""Decimals of the heights in comments."""
 
 MEGABYTE = 1e6
 
@@ -34,11 +42,17 @@ class Truth:
     settings_sha256: str | None = None
 
 
-def header_checks(nc: NCProgram, config: Config, truth: Truth) -> list[Check]:
-    """Check status and header of a program against settings, text, and what is known of it from elsewhere."""
+def header_checks(
+    nc: NCProgram, config: Config, truth: Truth, heights: ArrayLike | None = None
+) -> list[Check]:
+    """Check status and header of a program against settings, text, and what is known of it from elsewhere.
+
+    `heights` (L,) are those of the cuts; None where they are not known.
+    """
+    layers = _layers(nc, None if heights is None else np.asarray(heights, np.float64), config)
     return [
         count_check("status", _status(nc, truth), "the same in every file, and as recorded"),
-        count_check("header", [*_header(nc, config, truth), *_layers(nc), *_paths(nc, config)], "true"),
+        count_check("header", [*_header(nc, config, truth), *layers, *_paths(nc, config)], "true"),
         _size(nc, config),
     ]
 
@@ -47,13 +61,18 @@ def _status(nc: NCProgram, truth: Truth) -> list[tuple[str, str]]:
     """Status of every file that has one: all are to say the same, and what was recorded."""
     said = [(file, *_status_of(file)) for file in nc.files]
     told = [(file, status, line) for file, status, line in said if status is not None]
+    faults = [
+        (f"{file.name}:1", "has comments and no status in its first lines")
+        for file, status, _ in said
+        if status is None and _LAYER.search(file.data) is not None
+    ]
     if not told:
-        return []
+        return faults
     wanted = truth.validated
     if wanted is None:
         wanted = 2 * sum(status for _, status, _ in told) > len(told)
     word = "VALIDATED" if wanted else "NOT VALIDATED"
-    return [
+    return faults + [
         (f"{file.name}:{line}", f"says {'VALIDATED' if status else 'NOT VALIDATED'}, the program is {word}")
         for file, status, line in told
         if status != wanted
@@ -74,8 +93,9 @@ def _header(nc: NCProgram, config: Config, truth: Truth) -> list[tuple[str, str]
     told = sum(len(_LAYER.findall(file.data)) for file in nc.files)
     if nc.header.get("LAYERS") == str(told):
         layers = told  # a layer without a bead is no level of Z
-    known = header_lines(config, CONTROL_NAMES.get(nc.dialect, nc.dialect), layers, {})
-    wanted = {key: _printed(key, known[key]) for key in CHECKED} | {
+    forms = form_lines(config.machine, nc.dialect)
+    known = header_lines(config, CONTROL_NAMES.get(nc.dialect, nc.dialect), layers, forms)
+    wanted = {key: _printed(key, value) for key, value in known.items() if key not in FREE} | {
         "PART SHA-256": truth.part_sha256,
         "SETTINGS SHA-256": truth.settings_sha256,
     }
@@ -102,18 +122,22 @@ def _place(file: SourceFile, offset: int) -> str:
     return f"{file.name}:{line}"
 
 
-def _layers(nc: NCProgram) -> list[tuple[str, str]]:
-    """Comments that number the layers, against the order in which they come."""
-    said = [
-        (_place(file, found.start()), int(found[1]), int(found[2]))
-        for file in _in_order(nc)
-        for found in _LAYER.finditer(file.data)
-    ]
-    return [
-        (where, f"says layer {number} of {count}, it is layer {k} of {len(said)}")
-        for k, (where, number, count) in enumerate(said, start=1)
-        if (number, count) != (k, len(said))
-    ]
+def _layers(nc: NCProgram, heights: Floats | None, config: Config) -> list[tuple[str, str]]:
+    """Comments at the head of layers: their number, in the order in which they come, their cut and their Z."""
+    found = [(file, layer) for file in _in_order(nc) for layer in _LAYER.finditer(file.data)]
+    z = None if heights is None else deposition_heights(heights, config.layer_height_mm)
+    faults = []
+    for k, (file, layer) in enumerate(found):
+        said = f"layer {int(layer[1])} of {int(layer[2])}"
+        true = f"layer {k + 1} of {len(found)}"
+        if said == true and layer[3] and heights is not None and z is not None and k < heights.size:
+            cut_off, z_off = abs(float(layer[3]) - heights[k]), abs(float(layer[4]) - z[k])
+            if max(cut_off, z_off) > PRINTED_MM:
+                said += f" cut at {float(layer[3]):g} mm, Z {float(layer[4]):g} mm"
+                true += f" cut at {heights[k]:g} mm, Z {z[k]:g} mm"
+        if said != true:
+            faults.append((_place(file, layer.start()), f"says {said}, it is {true}"))
+    return faults
 
 
 def _in_order(nc: NCProgram) -> list[SourceFile]:

@@ -13,13 +13,16 @@ import numpy as np
 
 from ebamcheck.config import Config
 from ebamcheck.program.checks import Check, count_check, event_place
-from ebamcheck.program.codes import BEAM_VALUES, DWELL
+from ebamcheck.program.codes import BEAM_VALUES, DWELL, SWITCHES
 from ebamcheck.program.dialects import LINUXCNC, PLAIN, templates_of
 from ebamcheck.program.modal_groups import Group, group_of, wanted_words
 from ebamcheck.program.motions import NCProgram
 
 FLOW = "program flow"
 """Group whose words have checks of their own: ends of programs, stops."""
+
+FEWEST_ENTRIES = 3
+"""First blocks of a program and of two layers: of fewer there is none that the others could be held against."""
 
 WAITS = ("layer_pause_s", DWELL)
 
@@ -32,7 +35,7 @@ Faults = list[tuple[str, str]]
 def machine_state_checks(nc: NCProgram, config: Config) -> list[Check]:
     """Check modes and smoothing at every motion, start state, order of events, and safe end."""
     modes, paths = _broken_groups(nc, config)
-    modes += _uneven_entries(nc)
+    modes += _uneven_entries(nc, list(wanted_words(nc.dialect, config.machine).values()))
     return [
         _modes(nc, config, modes),
         _smoothing(nc, config, paths),
@@ -150,24 +153,41 @@ def _tolerance_of(nc: NCProgram, i: int) -> bool:
     return False
 
 
-def _uneven_entries(nc: NCProgram) -> Faults:
+def _uneven_entries(nc: NCProgram, wanted: list[str]) -> Faults:
     """Layers that lack a mode or value with which others begin: the control could not enter the program there."""
-    begins: list[tuple[int, dict[str, str]]] = []
-    for i, name in enumerate(nc.events.name):
-        if name.startswith("call ") and nc.events.file[i] == 0:
-            begins.append((i, {}))
-        elif begins and nc.events.row[i] == nc.events.row[begins[-1][0]] and nc.events.file[i] > 0:
-            begins[-1][1].setdefault(name, event_place(nc, i))
-    found = Counter(name for _, names in begins for name in names)
-    usual = [name for name, count in found.items() if 2 * count >= len(begins)]
+    begins = _entries(nc, set(wanted))
+    if len(begins) < FEWEST_ENTRIES:
+        return []
+    found = Counter(name for names in begins for name in names)
+    usual = [name for name in (*wanted, *BEAM_VALUES) if 2 * found[name] > len(begins)]
     faults = []
-    for i, names in begins:
-        where = next(iter(names.values()), f"{nc.events.name[i].removeprefix('call ')}.SPF:1")
+    for names in begins:
+        where = next(iter(names.values()))
         for name in usual:
             if name not in names:
                 faults.append((where, f"{name} is not set where the layer begins, as it is in the others"))
             where = names.get(name, where)
     return faults
+
+
+def _entries(nc: NCProgram, wanted: set[str]) -> list[dict[str, str]]:
+    """Names and places of the modes and values with which the program and its layers begin.
+
+    A row of blocks that set modes ends with the next motion, and where a mode follows a switch or a value: in one file
+    the first blocks of the program are followed by those of its first layer.
+    """
+    runs: list[dict[str, str]] = []
+    here, ended = (-1, -1), True
+    for i, name in enumerate(nc.events.name):
+        place = (int(nc.events.file[i]), int(nc.events.row[i]))
+        mode = name in wanted
+        if mode and (ended or place != here):
+            runs.append({})
+        ended = (ended or name in SWITCHES or name in BEAM_VALUES) and not mode
+        if (mode or name in BEAM_VALUES) and runs and (mode or place == here):
+            runs[-1].setdefault(name, event_place(nc, i))
+        here = place if mode or place == here else here
+    return runs
 
 
 # -- start and end -------------------------------------------------------------------------------------

@@ -18,7 +18,7 @@ from ebamcheck.program.bead_ends import driven_path
 from ebamcheck.program.blocks import BlockFormat, numbered
 from ebamcheck.program.dialects import SINUMERIK
 from ebamcheck.program.files import NOT_VALIDATED, VALIDATED, ProgramFiles, legal_name, write_files
-from ebamcheck.program.header import CONTROL_NAMES, header_lines
+from ebamcheck.program.header import CONTROL_NAMES, form_lines, header_lines
 from ebamcheck.program.inputs import SPLINE, CurveColumns, ScanColumns, interpass_of
 from ebamcheck.program.layer_text import comment, layer_blocks, motion_text
 from ebamcheck.program.safe_states import end_blocks, start_blocks
@@ -156,9 +156,9 @@ def _main_program(
     machine = config.machine
     first, top = (float(path.z[0]), float(path.z[-1])) if len(path.z) else (0.0, 0.0)
     values = process_values(config, 1, first, first)
-    known = header_lines(config, CONTROL_NAMES[SINUMERIK], len(layer_names), _curve_header(machine)) | dict(
-        header
-    )
+    known = header_lines(
+        config, CONTROL_NAMES[SINUMERIK], len(layer_names), form_lines(machine, SINUMERIK)
+    ) | dict(header)
     lines = [
         *_opening(machine.program_name, "MPF", config, status),
         *(comment(f"{key}: {value}") for key, value in known.items()),
@@ -180,24 +180,3 @@ def modes(machine: MachineSettings) -> list[str]:
         *([" ".join(machine.smoothing)] if machine.smoothing else []),
         f"CTOL={plain(machine.smoothing_tolerance_mm)}",
     ]
-
-
-def _curve_header(machine: MachineSettings) -> dict[str, str]:
-    values = {
-        "CURVES": machine.curve_form,
-        "POLY": "PL=1 in every block, coefficients over 0 .. 1",
-        "SMOOTHING": f"{' '.join(machine.smoothing)}, path may leave the program by "
-        f"{machine.smoothing_tolerance_mm:g} mm",
-    }
-    if machine.curve_form in ("arcs", "lines"):
-        values["CURVES"] += f", within {machine.line_tolerance_mm:g} mm"
-    elif machine.curve_form == "bspline" and machine.bspline_shift == "uniform":
-        values["BSPLINE CONVENTION"] = "uniform, no PL, U clamped with even intervals, other splines as POLY"
-    elif machine.curve_form == "bspline":
-        s = machine.bspline_shift
-        values["BSPLINE CONVENTION"] = f"s={s}, block i carries PL = U(i+{s}) - U(i+{int(s) - 1}), U clamped"
-        values["BSPLINE NOTE"] = (
-            "PL=0 in the end blocks and at repeated knots is outside the range documented for PL, "
-            "prove on the control"
-        )
-    return values

@@ -33,6 +33,7 @@ FREE = ("layer", "height_mm", "feed_mm_min")
 NEEDED: Mapping[str, tuple[str, ...]] = {
     "set_power": ("current_ma", "power_w"),
     "set_wire": ("wire_mm_s",),
+    "wire_start": ("wire_mm_s",),
     "wire_retract": ("wire_retract_mm",),
 }
 """Values of which a template sets one, if it is not empty."""
@@ -134,3 +135,10 @@ def _check_values(templates: Programmed) -> None:
         filled = [action.placeholder for _, actions in templates[name] for action in actions]
         if templates[name] and not any(value in filled for value in wanted):
             raise SettingsError(f"machine.{name} sets none of {', '.join(wanted)}, which is what it is for")
+    filled = [
+        a.placeholder for name in ("set_beam", "beam_on") for _, actions in templates[name] for a in actions
+    ]
+    if "power_w" not in filled and not {"voltage_kv", "current_ma"} <= set(filled):
+        raise SettingsError(
+            "machine.set_beam and beam_on set no power: give {voltage_kv} and {current_ma}, or {power_w}"
+        )

@@ -98,10 +98,15 @@ def verify_program(
     list of Check
         In a fixed order; one that fails names the file and line of the first or worst place.
     """
+    known = (
+        heights
+        if heights is not None
+        else next((x.heights for x in (curves, plan, layers) if x is not None), None)
+    )
     turn_limit_mm = TURN_SPACINGS * config.process.hatch_spacing_mm
     checks = (
         text_checks(nc, sha256)
-        + header_checks(nc, config, truth or Truth())
+        + header_checks(nc, config, truth or Truth(), known)
         + state_checks(nc, config, turn_limit_mm)
     )
     if path is None and curves is not None and plan is not None:
@@ -125,11 +130,6 @@ def verify_program(
     checks.append(wait_check(nc, config, planned))
     if heat:
         checks += heat_checks(nc, config, sections)
-    known = (
-        heights
-        if heights is not None
-        else next((x.heights for x in (curves, plan, layers) if x is not None), None)
-    )
     if known is None:
         return checks
     z_of = deposition_heights(np.asarray(known, dtype=np.float64), config.layer_height_mm)
