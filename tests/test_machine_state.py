@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from program_text import CONTROLS, ProgramText, near
 
-from ebamcheck.program import read_program
+from ebamcheck.program import read_program, verify_file
 from ebamcheck.program.modal_groups import GROUPS, group_of, wanted_words
 
 SINUMERIK, LINUXCNC, PLAIN = CONTROLS
@@ -179,6 +179,37 @@ def test_a_program_can_be_entered_at_a_layer(control, tmp_path):
         assert np.array_equal(a, b), column
     words = set(wanted_words(control, text.config.machine).values())
     assert words <= {n for n, row in zip(entered.events.name, entered.events.row, strict=True) if row == 0}
+
+
+@pytest.mark.parametrize("control", CONTROLS)
+def test_a_program_from_a_layer_on_has_its_blocks_as_they_were(control, tmp_path):
+    from ebamcheck.errors import SettingsError
+    from ebamcheck.program.entry import begin_at_layer
+
+    text = ProgramText(control, tmp_path / "p")
+    whole = read_program(text.files.main, text.config)
+    last = whole.layer == whole.layer.max()
+    before = {name: (text.files.folder / name).read_text() for name in text.files.names}
+    with pytest.raises(SettingsError, match="has layers 1 to 2"):
+        begin_at_layer(text.files, 3)
+    files = begin_at_layer(text.files, 2)
+    nc = read_program(files.main, text.config)
+    assert np.array_equal(nc.end[nc.deposit], whole.end[whole.deposit & last])
+    assert np.array_equal(nc.end[-2:], whole.end[-2:])
+    if control == SINUMERIK:
+        assert files.names == ("MAIN.MPF", "MAIN_L0002.SPF")
+        assert (files.folder / files.names[1]).read_text() == before[files.names[1]]
+    checks = {c.name: c for c in verify_file(files.main, config=text.config, sha256=files.sha256)}
+    for name in (
+        "unchanged",
+        "modes",
+        "smoothing",
+        "start state",
+        "order of events",
+        "safe end",
+        "subprograms",
+    ):
+        assert checks[name].passed, checks[name]
 
 
 def test_no_word_belongs_to_two_groups():
