@@ -21,12 +21,12 @@ IN_A_BEAD = {
         "G55", "G500", "G505", "G53", "G18", "G19", "G70", "G700", "G71", "G91", "G93", "G95", "G96",
         "G60", "G64", "G641", "G641 ADIS=5", "G643", "G644", "G645", "CTOL=0.5", "ADIS=0.01", "BRISK", "DRIVE", "FFWOF",
         "COMPCAD", "FLIN", "OVR=50", "TRANS X5", "ATRANS X5", "ROT RPL=5", "SCALE X2", "MIRROR X0", "G41", "D1", "T1",
-        "M0", "M1", "M3 S100", "M8", "GOTOF ENDE", "REPEAT ANFANG", "IF R1==1", "POS[X]=5", "G4 F2", "G75 FP=1 X0",
+        "M0", "M1", "M3 S100", "M8", "GOTOF ENDE", "REPEAT ANFANG", "IF R1==1", "POS[X]=5", "G4 F2", "G75 FP=1 X0", "CTOL=0.0001",
     ),
     LINUXCNC: (
         "G55", "G59.3", "G10 L2 P1 X5", "G92 X5", "G52 X5", "G18", "G20", "G91", "G90.1", "G93", "G95", "G61", "G61.1",
         "G64", "G64 P0.5", "G41 D1", "G43 H1", "G81", "M0", "M1", "M50 P0", "M3 S100", "M8", "T1 M6", "O100 CALL", "%",
-        "G4 P2", "G28", "M60",
+        "G4 P2", "G28", "M60", "(py, x)", ";py, x", "G64 P0.001",
     ),
     PLAIN: (
         "G55", "G92 X5", "G18", "G20", "G91", "G93", "G95", "G41", "G43", "M0", "M1", "M220 S50", "T1", "%", "G28",

@@ -57,6 +57,16 @@ def test_a_value_over_those_of_the_process_is_found_where_it_is_set(control, tmp
     assert near(text.failed_by_text()["process values"].where, place)
 
 
+@pytest.mark.parametrize("control", CONTROLS)
+def test_wire_drawn_back_that_the_process_does_not_ask_for_is_found(control, tmp_path):
+    text = ProgramText(control, tmp_path / "p")
+    name, begin = text.layer(2)
+    off = text.find(name, "; wire off", begin=begin)
+    block = {SINUMERIK: "H4=500", LINUXCNC: "M68 E3 Q500", PLAIN: "M42 P2 S500"}[control]
+    place = text.insert(name, off + 1, block)
+    assert near(text.failed_by_text()["process values"].where, place)
+
+
 LIES = {
     "LAYERS": (r"; LAYERS: 2", "; LAYERS: 3"),
     "MACHINE": (r"; MACHINE: wire", "; MACHINE: another"),

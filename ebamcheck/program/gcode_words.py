@@ -10,6 +10,8 @@ from ebamcheck.program.modal_groups import refusal
 from ebamcheck.program.words import NUMBER, Block, UnknownWord, WordError
 
 _WORD = re.compile(rf"\s*(?:(?P<letter>[A-Z])\s*(?P<number>{NUMBER})|(?P<bad>\S.*))")
+_RUN = re.compile(r"\s*(?:PY|LOG\w*|PROBE\w*|ABORT)\s*,|\s*PROBECLOSE|\s*LOGCLOSE", re.IGNORECASE)
+"""Comments that LinuxCNC runs, beside those that only show something."""
 _COMMENT = re.compile(r"\(([^()]*)\)")
 
 MOTIONS = frozenset(("G0", "G1", "G2", "G3"))
@@ -30,7 +32,7 @@ def without_comments(text: str) -> tuple[str, list[str]]:
     Raises
     ------
     WordError
-        For a parenthesis without its other half.
+        For a parenthesis without its other half, and for a comment that the control runs.
     """
     code, mark, tail = text.partition(";")
     comments = [found[1] for found in _COMMENT.finditer(code)]
@@ -39,7 +41,11 @@ def without_comments(text: str) -> tuple[str, list[str]]:
     for column, character in enumerate(code):
         if character in "()":
             raise WordError("a parenthesis without its other half", column)
-    return code, comments + ([tail] if mark else [])
+    comments += [tail] if mark else []
+    for comment in comments:
+        if _RUN.match(comment):
+            raise WordError(f"the control runs the comment {comment.strip()!r}", 0)
+    return code, comments
 
 
 def read_gcode_block(code: str, codes: Set[str], dialect: str = LINUXCNC) -> Block:

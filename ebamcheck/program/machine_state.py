@@ -29,6 +29,9 @@ WAITS = ("layer_pause_s", DWELL)
 PLACE_MM = 1e-3
 """Places nearer than this are one: three decimals are the fewest of a program."""
 
+PRINTED_SHARE = 1e-3
+"""Rounding of a tolerance to the decimals of a value. A lesser tolerance is a fault, too: the beam lingers in corners."""
+
 Faults = list[tuple[str, str]]
 
 
@@ -129,8 +132,8 @@ def _tolerances(nc: NCProgram, config: Config, tolerances: list[int]) -> Iterato
     limit = config.machine.smoothing_tolerance_mm
     names, values = nc.events.name, nc.events.value
     for i in tolerances:
-        if not values[i] <= limit:
-            yield event_place(nc, i), f"{names[i]} {values[i]:g} mm is over the {limit:g} mm set"
+        if not abs(values[i] - limit) <= PRINTED_SHARE * limit:
+            yield event_place(nc, i), f"{names[i]} {values[i]:g} mm in place of {limit:g} mm"
         elif names[i] == "ADIS" and "G641" not in config.machine.smoothing:
             yield event_place(nc, i), "ADIS belongs to G641, which the profile does not set"
     if not tolerances or nc.events.row[tolerances[0]] > 0:

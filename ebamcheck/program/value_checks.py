@@ -21,7 +21,7 @@ VALUE_TOLERANCE = 1e-3
 def value_check(nc: NCProgram, config: Config) -> Check:
     """Every value that is set, and the feed of every motion that lays metal, against the settings of the process.
 
-    The voltage and the feed are those of the settings, or 0 volts where the beam is off; current and power are at most
+    Voltage, feed and length of wire drawn back are those of the settings, or 0 where beam or wire are off; current and power are at most
     those of the settings, since ramps and the heat of the part take from them; the wire is within the feeder's limits.
     """
     faults = [*_set_values(nc, config), *_feeds(nc, config)]
@@ -35,7 +35,10 @@ def value_check(nc: NCProgram, config: Config) -> Check:
 
 def _set_values(nc: NCProgram, config: Config) -> Iterator[tuple[int, str, str]]:
     process = config.process
-    fixed = {"voltage_kv": (process.voltage_kv, "kV")}
+    fixed = {
+        "voltage_kv": (process.voltage_kv, "kV"),
+        "wire_retract_mm": (process.wire_retract_mm, "mm of wire drawn back"),
+    }
     greatest = {
         "current_ma": (process.current_ma, "mA"),
         "power_w": (process.power_w, "W"),
@@ -45,7 +48,7 @@ def _set_values(nc: NCProgram, config: Config) -> Iterator[tuple[int, str, str]]
         value, row = float(nc.events.value[i]), int(nc.events.row[i])
         if name in fixed:
             wanted, unit = fixed[name]
-            if value != 0.0 and not abs(value / wanted - 1.0) <= VALUE_TOLERANCE:
+            if value != 0.0 and not abs(value - wanted) <= VALUE_TOLERANCE * wanted:
                 yield row, event_place(nc, i), f"{value:g} {unit} in place of {wanted:g} {unit}"
         elif name in greatest:
             limit, unit = greatest[name]
