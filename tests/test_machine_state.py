@@ -119,6 +119,16 @@ def test_blocks_out_of_order_are_found(control, first, second, tmp_path):
 
 
 @pytest.mark.parametrize("control", CONTROLS)
+def test_a_power_that_is_set_after_the_beam_is_on_is_found(control, tmp_path):
+    text = ProgramText(control, tmp_path / "p", process={"ramp_up_mm": 4.0})
+    name, begin = text.layer(2)
+    on = text.find(name, ON[control][0], begin=begin)
+    power = {SINUMERIK: "H2=67.5", LINUXCNC: "M68 E1 Q67.5", PLAIN: "S3600"}[control]
+    place = text.insert(name, on + 1, power)
+    assert near(text.failed_by_text()["order of events"].where, place)
+
+
+@pytest.mark.parametrize("control", CONTROLS)
 def test_a_beam_without_its_power_is_found(control, tmp_path):
     text = ProgramText(control, tmp_path / "p")
     zero = {SINUMERIK: "H2=0", LINUXCNC: "M68 E1 Q0", PLAIN: "M3 S0"}[control]

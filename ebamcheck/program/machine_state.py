@@ -250,7 +250,7 @@ def _order(nc: NCProgram, config: Config) -> Iterator[tuple[str, str]]:
     """Blocks that come before what they need: values, then the beam, then the wire, and no wait under the beam."""
     values: dict[str, float] = {}
     beam = wire = False
-    lit = -1
+    lit = fed = -1
     for i, name in enumerate(nc.events.name):
         value, row = float(nc.events.value[i]), int(nc.events.row[i])
         what = ""
@@ -265,7 +265,7 @@ def _order(nc: NCProgram, config: Config) -> Iterator[tuple[str, str]]:
             what = what or (
                 "" if values.get("wire_mm_s", 0.0) > 0.0 else "the wire is started before its speed is set"
             )
-            wire = True
+            wire, fed = True, row
         elif name == "wire_stop":
             wire = False
         elif name in WAITS:
@@ -283,6 +283,10 @@ def _order(nc: NCProgram, config: Config) -> Iterator[tuple[str, str]]:
             what = "stops with beam or wire on" if beam or wire else stop
         else:
             values[name] = value
+            late = (beam and name in BEAM_VALUES and row == lit) or (
+                wire and name == "wire_mm_s" and row == fed
+            )
+            what = f"{name} {value:g} is set after the switch, and before the first motion" if late else ""
         if what:
             yield event_place(nc, i), what
 

@@ -60,6 +60,7 @@ def checked_templates(machine: MachineSettings, dialect: str) -> Programmed:
     for name, blocks in templates.items():
         where = f"machine.{name}"
         found = tuple((block, tuple(codes.actions(where, block))) for block in blocks)
+        _check_values_come_first(name, [actions for _, actions in found])
         _check_switches(name, [action for _, actions in found for action in actions])
         for block, actions in found:
             for action in actions:
@@ -103,6 +104,16 @@ def _check_switches(name: str, actions: Sequence[Action]) -> None:
                 f"machine.{name}: {action.word!r} lets the beam stand: wait with the beam off"
             )
         beam_on = action.meaning == "beam_on" or (beam_on and action.meaning != "beam_off")
+
+
+def _check_values_come_first(name: str, blocks: Sequence[Sequence[Action]]) -> None:
+    """What is switched on has its value by then, at the latest in the same block."""
+    switched = False
+    for actions in blocks:
+        late = next((action for action in actions if action.meaning in VALUES), None)
+        if switched and late is not None:
+            raise SettingsError(f"machine.{name}: {late.word!r} comes after the switch: set values before it")
+        switched = switched or (name in ("beam_on", "wire_start") and any(a.meaning == name for a in actions))
 
 
 def _check_value(name: str, block: str, action: Action) -> None:
