@@ -49,11 +49,12 @@ def layer_blocks(
 ) -> list[str]:
     """Blocks of layer `k`: contour rings and islands, each track between beam on and beam off, and the waits.
 
-    `entry` are the modes that hold in it, with which it begins, so that the control can enter the program there.
+    `entry` are the modes that hold in it. It begins with them and with its own power, so that the control can enter the
+    program there.
     """
     values = process_values(config, k + 1, float(path.z[k]), float(path.thickness[k]))
-    layer = _Layer(config, form, float(path.z[k]), values, templates)
     share = float(heat.power_share[k])
+    layer = _Layer(config, form, float(path.z[k]), values, templates, share)
     layer.rise()
     if config.machine.optional_stop:
         layer.lines.append("M1")
@@ -71,13 +72,12 @@ def layer_blocks(
         if b > a:
             power = share * path.power[a:b]
             layer.deposit(path.start[t], path.end[b - 1], motions[a:b], power, wire[a:b])
-    layer.set_power(1.0)
     layer.rise()
     above = path.layer_starts[k + 1 : k + 3]
     wait_s = heat.before_layer_s(k + 1) if above.size == 2 and above[1] > above[0] else 0.0
     return [
         comment(f"LAYER: {k + 1} OF {len(path.z)}, CUT AT {path.cut[k]:.6f}, Z {path.z[k]:.6f}"),
-        *entry_blocks(entry, values, templates),
+        *entry_blocks(entry, values.at(share, 1.0), templates),
         *values.fill("layer_begin", templates["layer_begin"]),
         *layer.lines,
         *values.fill("layer_end", templates["layer_end"]),
@@ -96,7 +96,13 @@ class _Layer:
     """Blocks of one layer, and where the tool is while they are written."""
 
     def __init__(
-        self, config: Config, form: BlockFormat, z_mm: float, values: ProcessValues, templates: Templates
+        self,
+        config: Config,
+        form: BlockFormat,
+        z_mm: float,
+        values: ProcessValues,
+        templates: Templates,
+        power: float,
     ) -> None:
         self.lines: list[str] = []
         self._near_mm = NEAR_SPACINGS * config.process.hatch_spacing_mm
@@ -112,7 +118,7 @@ class _Layer:
         )
         self._values, self._templates = values, templates
         self._blocks: dict[tuple[float, float], tuple[list[str], ...]] = {}
-        self._power, self._wire = 1.0, 1.0
+        self._power, self._wire = power, 1.0
         self._position: Floats | None = None
 
     def _switches(self) -> tuple[list[str], ...]:
