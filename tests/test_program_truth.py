@@ -7,6 +7,7 @@ import re
 import pytest
 from program_text import CONTROLS, ProgramText, near
 
+from ebamcheck.program import mark_validated, verify_file
 from ebamcheck.program.header_checks import Truth
 
 SINUMERIK, LINUXCNC, PLAIN = CONTROLS
@@ -166,3 +167,16 @@ def test_the_size_of_a_program_has_a_limit(tmp_path):
     assert "size on the control" in text.failed()
     roomy = ProgramText(SINUMERIK, tmp_path / "q", {"program_limit_mb": 1.0})
     assert "size on the control" not in roomy.failed()
+
+
+def test_the_size_is_that_of_the_validated_program(tmp_path):
+    text = ProgramText(SINUMERIK, tmp_path / "p")
+
+    def size():
+        checks = verify_file(text.files.main, config=text.config)
+        return next(check.value for check in checks if check.name == "size on the control")
+
+    before = size()
+    mark_validated(text.files)
+    assert size() == before
+    assert size() == sum((text.files.folder / name).stat().st_size for name in text.files.names) / 1e6

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from ebamcheck.config import Config
 from ebamcheck.program.checks import Check, count_check
 from ebamcheck.program.dialects import SINUMERIK
-from ebamcheck.program.files import STATUS, STATUS_LINES, VALIDATED
+from ebamcheck.program.files import NOT_VALIDATED, STATUS, STATUS_LINES, VALIDATED
 from ebamcheck.program.header import CONTROL_NAMES, form_lines, header_lines
 from ebamcheck.program.inputs import deposition_heights
 from ebamcheck.program.layer_text import comment
@@ -162,8 +162,10 @@ def _paths(nc: NCProgram, config: Config) -> list[tuple[str, str]]:
 
 
 def _size(nc: NCProgram, config: Config) -> Check:
-    """Bytes of all files against the room on the control."""
-    megabytes = sum(len(file.data) for file in nc.files) / MEGABYTE
+    """Bytes of all files, as they are when they are validated, against the room on the control."""
+    longer = len(NOT_VALIDATED) - len(VALIDATED)
+    size = sum(len(file.data) - longer * (_status_of(file)[0] is False) for file in nc.files)
+    megabytes = size / MEGABYTE
     limit = config.machine.program_limit_mb
     text = f"{megabytes:.3g} MB in {len(nc.files)} files"
     if limit is None:
