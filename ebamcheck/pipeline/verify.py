@@ -22,10 +22,11 @@ from ebamcheck.pipeline.certificate_checks import (
     told_once,
 )
 from ebamcheck.pipeline.choice import witness_backend
-from ebamcheck.pipeline.gates_again import SMOOTH_MM, compared, work_again
+from ebamcheck.pipeline.gates_again import SMOOTH_MM, compared, truth_of, work_again
 from ebamcheck.pipeline.placement import cut_heights, placed_part
 from ebamcheck.pipeline.signing import trusted_keys
 from ebamcheck.program import Check, verify_file
+from ebamcheck.program.header_checks import Truth
 from ebamcheck.scan import ScanPlan
 from ebamcheck.slicing import slice_part
 from ebamcheck.store import MANIFEST, RunFolder, sha256_of_json
@@ -188,6 +189,7 @@ def _text_alone(run: RunFolder, manifest: dict[str, Any], config: Config) -> lis
         metal=True,
         heat=True,
         sha256={file["name"]: file["sha256"] for file in record["files"]},
+        truth=truth_of(manifest, config),
     )
 
 
@@ -247,6 +249,7 @@ def verify_against_part(
         metal=True,
         heat=True,
         heights=heights,
+        truth=Truth(read_certificate(paper).get("validated") if paper else None, file_hash(part_path)),
     )
     certified = certificate_checks(paper, program, part_path, config, trusted) if paper else []
     return [*certified, sound, *made]

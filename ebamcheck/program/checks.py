@@ -64,3 +64,8 @@ def worst_check(
         nc.where(int(rows[worst])),
         f"{what}: at most {value:.6g} {unit}",
     )
+
+
+def event_place(nc: NCProgram, event: int) -> str:
+    """``FILE:line`` of an event."""
+    return f"{nc.files[int(nc.events.file[event])].name}:{int(nc.events.line[event])}"

@@ -8,11 +8,12 @@ from pathlib import Path
 from ebamcheck.config import Config
 from ebamcheck.program.arcs import arc
 from ebamcheck.program.comments import read_header
-from ebamcheck.program.dialects import LINUXCNC, templates_of
+from ebamcheck.program.dialects import LINUXCNC
 from ebamcheck.program.gcode_words import ENDS, MODES, MOTIONS, read_gcode_block, without_comments
 from ebamcheck.program.motions import ARC, POLYNOMIAL, RAPID, STRAIGHT
 from ebamcheck.program.recognition import Templates
 from ebamcheck.program.recorder import Recorder
+from ebamcheck.program.template_rules import checked_templates
 from ebamcheck.program.words import NUMBER, Block, UnknownWord, WordError
 
 _BLOCK_NUMBER = re.compile(r"\s*N(\d+)(?![\d.])\s*", re.IGNORECASE)
@@ -31,11 +32,12 @@ class GcodeReader:
 
     def __init__(self, folder: Path, config: Config, dialect: str) -> None:
         self.out = Recorder(folder, dialect)
-        self._templates = Templates(templates_of(config.machine, dialect))
+        self._templates = Templates(checked_templates(config.machine, dialect))
         self._codes = MOTIONS | MODES | ENDS | ({"G5"} if dialect == LINUXCNC else frozenset())
         self._cubics = dialect == LINUXCNC
         self._mode = ""
         self._tangent: tuple[float, float] | None = None
+        self._begun = False
 
     def run(self, path: Path) -> None:
         """Run a file to its end."""
@@ -51,7 +53,8 @@ class GcodeReader:
                 raise out.error(error.what, error.column) from None
             if code and not end_line:
                 end_line, end_code = number, code
-            elif end_line and code is not None:
+            elif end_line and code not in (None, "%"):
+                out.line = end_line if end_code == "%" else number
                 raise out.error(f"a block after the end of the program by {end_code} in line {end_line}", 0)
         out.close(end_line, end_code)
 
@@ -91,8 +94,11 @@ class GcodeReader:
         if not code.strip() and not self.out.started:
             for comment in comments:
                 read_header(comment, self.out)
-        if not code.strip() or code.strip() == "%":
+        if not code.strip():
             return None
+        if code.strip() == "%":
+            return self._run_percent()
+        self._begun = True
         number = _BLOCK_NUMBER.match(code)
         column = 0
         if number:
@@ -104,11 +110,18 @@ class GcodeReader:
         except WordError as error:
             raise WordError(error.what, column + error.column) from None
 
+    def _run_percent(self) -> str | None:
+        """A lone ``%`` begins a program before its first block; anywhere else the control stops reading there."""
+        if self._begun or self.out.started:
+            return "%"
+        self._begun = True
+        return None
+
     # -- blocks ------------------------------------------------------------------------------------
 
     def _run_block(self, code: str) -> str:
         try:
-            block = read_gcode_block(code, self._codes)
+            block = read_gcode_block(code, self._codes, self.out.dialect)
         except UnknownWord:
             change = self._templates.find(code)
             if change is None:
@@ -123,6 +136,7 @@ class GcodeReader:
                 self._mode = word
             elif word == "G80":
                 self._mode = ""
+                self.out.event(word)
             else:
                 self.out.event(word)
         self._run_values(block)

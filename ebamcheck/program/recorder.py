@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ebamcheck.errors import InputError
+from ebamcheck.program.codes import DWELL, SWITCHES
 from ebamcheck.program.motions import ARC, RAPID, Events, NCProgram, SourceFile
 from ebamcheck.program.recognition import StateChange
 from ebamcheck.program.roles import by_shape, with_travel
@@ -39,6 +40,8 @@ class Recorder:
         self._beam = self._wire = False
         self._set: dict[str, float] = {}
         self._layer = -1
+        self._templates: list[str] = []
+        self._templates_at = (-1, -1)
 
     # -- files -------------------------------------------------------------------------------------
 
@@ -87,15 +90,27 @@ class Recorder:
     def change(self, change: StateChange) -> None:
         """Do what a block of a template does."""
         self._state = -1
-        for name, value in change.values:
-            self._set[name] = value
+        self._follow(change)
+        # The control takes the values of a block before it switches.
+        for name, value in sorted(change.actions, key=lambda action: action[0] in SWITCHES):
+            if name in SWITCHES:
+                if name.startswith("beam"):
+                    self._beam = name == "beam_on"
+                else:
+                    self._wire = name == "wire_start"
+            elif name != DWELL:
+                self._set[name] = value
             self.event(name, value)
-        for switch in change.switches:
-            if switch.startswith("beam"):
-                self._beam = switch == "beam_on"
-            else:
-                self._wire = switch == "wire_start"
-            self.event(switch)
+
+    def _follow(self, change: StateChange) -> None:
+        """Note where a block that switches does not follow the blocks before it in its template."""
+        here = (self.file, len(self._rows))
+        if self._templates_at != here:
+            self._templates, self._templates_at = [], here
+        count = len(change.before)
+        if count and tuple(self._templates[-count:]) != change.before:
+            self.event(f"lacks {change.before[-1]}")
+        self._templates.append(change.block)
 
     def event(self, name: str, value: float = NAN) -> None:
         """Note a change of the state."""

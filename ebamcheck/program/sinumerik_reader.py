@@ -11,11 +11,12 @@ import numpy as np
 from ebamcheck.config import Config
 from ebamcheck.program.arcs import arc
 from ebamcheck.program.comments import read_header
-from ebamcheck.program.dialects import SINUMERIK, templates_of
+from ebamcheck.program.dialects import SINUMERIK
 from ebamcheck.program.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT
 from ebamcheck.program.recognition import Templates
 from ebamcheck.program.recorder import LINE_OF_T, NAN, NO_CENTRE, Recorder
 from ebamcheck.program.spline_blocks import spline_spans
+from ebamcheck.program.template_rules import checked_templates
 from ebamcheck.program.words import AXES, END_CODES, NUMBER, Block, UnknownWord, WordError, read_block
 
 DEEPEST_CALL = 8
@@ -24,6 +25,8 @@ DEEPEST_CALL = 8
 Shift = Literal[2, 3, "uniform"]
 
 _BLOCK_NUMBER = re.compile(r"\s*N(\d+)(?!\w)\s*", re.IGNORECASE)
+_MESSAGE = re.compile(r'MSG\s*\(\s*"[^"]*"\s*\)|MSG\s*\(\s*\)')
+"""A line for the operator; it changes nothing."""
 _HEADER = re.compile(r"%[A-Z0-9_ ]*", re.IGNORECASE)
 _CONVENTION = re.compile(
     r"BSPLINE CONVENTION:\s*(?:s\s*=\s*([23])\b|(uniform)\b)|BSPLINE.*\bs\s*=\s*([23])\b", re.I
@@ -44,7 +47,7 @@ class SinumerikReader:
 
     def __init__(self, folder: Path, config: Config, shift: Shift | None) -> None:
         self.out = Recorder(folder, SINUMERIK)
-        self._templates = Templates(templates_of(config.machine, SINUMERIK))
+        self._templates = Templates(checked_templates(config.machine, SINUMERIK))
         self._given_shift = shift
         self._shift: Shift = shift or config.machine.bspline_shift
         self._mode = ""
@@ -137,6 +140,9 @@ class SinumerikReader:
     # -- blocks ------------------------------------------------------------------------------------
 
     def _run_block(self, code: str, depth: int) -> str:
+        if _MESSAGE.fullmatch(code):
+            self._end_spline()
+            return ""
         try:
             block = read_block(code)
         except UnknownWord:

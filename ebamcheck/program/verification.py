@@ -19,6 +19,7 @@ from ebamcheck.program.checks import Check
 from ebamcheck.program.clearance import clearance_checks
 from ebamcheck.program.deposit import deposit
 from ebamcheck.program.deposit_checks import deposit_checks
+from ebamcheck.program.header_checks import Truth, header_checks
 from ebamcheck.program.inputs import CurveColumns, ScanColumns, deposition_heights, interpass_of
 from ebamcheck.program.interpass_checks import heat_checks, layer_shares, shares_of_text, wait_check
 from ebamcheck.program.matching import Matching, matched, matching_checks, tracks_known
@@ -34,6 +35,7 @@ from ebamcheck.program.state_checks import state_checks
 from ebamcheck.program.text_checks import text_checks
 from ebamcheck.program.text_heat import known_sections
 from ebamcheck.program.toolpath import Toolpath
+from ebamcheck.program.value_checks import value_check
 from ebamcheck.program.window_checks import window_check
 from ebamcheck.program.wire_checks import wire_check
 from ebamcheck.rings import Bools, Floats
@@ -63,6 +65,7 @@ def verify_program(
     heat: bool = False,
     heights: ArrayLike | None = None,
     sha256: Mapping[str, str] | None = None,
+    truth: Truth | None = None,
     contour_offset_mm: float | None = None,
     tolerance_mm: float = PATH_TOLERANCE_MM,
     section_tolerance_mm: float | None = None,
@@ -93,6 +96,8 @@ def verify_program(
         (L,) heights of the cuts; None: those of `curves`, `plan` or `layers`.
     sha256
         Recorded hash of each file by name, as :class:`ProgramFiles` gives it.
+    truth
+        What is known of the program from elsewhere, against which its header is held.
     contour_offset_mm
         Inset of the contour path from the section; None: that of the settings.
     tolerance_mm
@@ -115,7 +120,8 @@ def verify_program(
     tracks = path or tracks_known(curves, plan, config)
     nc, match = _with_roles(nc, tracks, layers, z_of, offset, config)
     turn_limit_mm = TURN_SPACINGS * config.process.hatch_spacing_mm
-    checks = text_checks(nc, sha256) + state_checks(nc, config, turn_limit_mm)
+    checks = text_checks(nc, sha256) + header_checks(nc, config, truth or Truth(), known)
+    checks += state_checks(nc, config, turn_limit_mm)
     checks.append(wire_check(nc, config, path))
     planned = None if plan is None else interpass_of(plan, config)
     sections = known_sections(plan, smooth, layers)
@@ -126,7 +132,12 @@ def verify_program(
     else:
         shares = np.minimum(layer_shares(nc, config.process.power_w), 1.0)
     checks += [*bead_end_checks(nc, config, shares), closure_check(nc, curves, tolerance_mm)]
-    checks += [repeated_blocks(nc), window_check(nc, config), *process_checks(nc, config)]
+    checks += [
+        repeated_blocks(nc),
+        window_check(nc, config),
+        value_check(nc, config),
+        *process_checks(nc, config),
+    ]
     checks.append(wait_check(nc, config, planned))
     if heat:
         checks += heat_checks(nc, config, sections)
