@@ -6,6 +6,7 @@ Both start from the contour alone, and part it at corners. They know no mesh, an
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -61,7 +62,7 @@ def _runs(ring: Floats) -> list[Floats]:
     first = int(corners[0]) if corners.size else 0
     closed = np.concatenate([np.roll(ring, -first, axis=0), ring[first : first + 1]])
     cuts = [0, *(corners[1:] - first).tolist(), len(ring)]
-    return [closed[a : b + 1] for a, b in zip(cuts[:-1], cuts[1:], strict=True)]
+    return [closed[a : b + 1] for a, b in pairwise(cuts)]
 
 
 def _welded(run: Floats, tolerance_mm: float) -> tuple[Floats, int]:
