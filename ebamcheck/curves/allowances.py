@@ -82,6 +82,10 @@ class Allowing:
             )  # fmt: skip
 
         run_blocks(work, count, POINTS_A_BLOCK)
+        # What both segments at a point allow, the point may do, too: it is where a curve along them passes.
+        least = found.limit_mm[:, 1].copy()
+        least[following] = np.minimum(found.limit_mm[:, 1][following], found.limit_mm[:, 1])
+        np.maximum(found.limit_mm[:, 0], least, out=found.limit_mm[:, 0])
         return found
 
 

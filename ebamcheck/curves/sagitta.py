@@ -4,7 +4,7 @@ A chord of length l over which a curve turns by phi leaves it by l / 2 tan(phi /
 chords belongs to which of them is told by what comes after: on a curve of even curvature a joint turns by half of what
 both of its chords span, so that a chord spans twice the turn at its end less what the neighbour spans, and that follows
 from the joint beyond it. A flat side beside a fillet spans nothing by that; the chord of a circle all of its arc. Both
-ends of a chord must say so: the lesser span counts.
+ends of a chord tell a span, and the greater counts: a flat side spans nothing by either.
 
 For an edge of the mesh the chords are those in which a plane through the edge and across the facets cuts them: straight
 ahead over the facets beyond each end. A crease runs along the creases beyond its ends. None of this reads the normals
@@ -23,8 +23,9 @@ from ebamcheck.part import Part
 from ebamcheck.rings import Bools, Floats
 from ebamcheck.topology import NO_TWIN, Index, edge_groups, split_corners, twins
 
-ALONE_RATIO = 3.0
-"""A chord this many times shorter than both of its neighbours is a rounding by itself: it takes the turns at its ends."""
+WIDTH_RATIO = 3.0
+"""A chord this many times longer than its neighbour is a flat side beside a rounding; see `curves.straight_run_mm`. A chord
+that many times shorter than both of its neighbours is a rounding by itself: it takes the turns at its ends."""
 
 LARGEST_SPAN_RAD = np.deg2rad(160.0)
 """Span of a chord at most; sagittas of more mean nothing."""
@@ -146,30 +147,37 @@ def _of_edges(surface: Surface, flat: float, first: int, last: int, of_edge: Flo
 
 @kernel
 def _sagitta(length: float, way: Way) -> float:
-    """Height of the arc over an edge by the lesser of the spans that its two ends tell; 0 where they tell none."""
+    """Height of the arc over an edge by the greater of the spans that its two ends tell; 0 where they tell none."""
     if way.joints[0] + way.joints[1] < 2:
         return 0.0
     chord = length + way.lengths[0, 0] + way.lengths[1, 0]
-    span = np.inf
+    span = 0.0
     for end in range(2):
         if way.joints[end] > 0:
-            span = min(span, _span(chord, end, way))
+            span = max(span, _span(chord, end, way))
     return float(0.5 * chord * np.tan(0.25 * min(span, LARGEST_SPAN_RAD)))
 
 
 @kernel
 def _span(chord: float, end: int, way: Way) -> float:
-    """What a chord spans: twice the turn at its end less what the surface beyond turns from there to its first middle."""
+    """What a chord spans: twice the turn at its end less what the surface beyond turns from there to its first middle.
+
+    A far longer chord beyond is a flat side, and turns nothing: where it did, it would turn many times as much.
+    """
     own, centre, near = way.turns[end, 0], way.centres[end, 0], way.lengths[end, 1]
+    if near >= WIDTH_RATIO * chord:
+        return 2.0 * abs(own)
     side = 1.0 if own > 0.0 else -1.0
     bend = turned = 0.0
     for k in range(1, way.joints[end]):
+        if k > 1 and way.lengths[end, k + 1] >= WIDTH_RATIO * near:
+            break  # the rounding ends here
         turned += way.turns[end, k]
         apart = way.centres[end, k] - centre
         if apart >= LEAST_APART * near:
-            bend = max(bend, side * turned / apart)
+            bend = side * turned / apart
     beside = min(max(bend * centre, 0.0), abs(own))
-    if way.joints[end] > 1 and min(chord, way.lengths[end, 2]) >= ALONE_RATIO * near:
+    if way.joints[end] > 1 and min(chord, way.lengths[end, 2]) >= WIDTH_RATIO * near:
         beside = max(beside, min(0.5 * side * (own + way.turns[end, 1]), abs(own)))
     return float(2.0 * (abs(own) - beside))
 
