@@ -63,8 +63,8 @@ class Allowing:
         level = np.hypot(normals[:, 0], normals[:, 1]) / np.where(sizes > 0.0, sizes, 1.0)
         self._growth: Floats = 1.0 / np.maximum(level, FLATTEST_SURFACE)
 
-    def of(self, layers: Layers) -> Allowances:
-        """How far curves may leave contours; points without an edge may not move at all."""
+    def of(self, layers: Layers, largest_mm: float) -> Allowances:
+        """How far curves may leave contours, and never more than `largest_mm`; points without an edge not at all."""
         count = len(layers.points)
         found = Allowances(np.zeros((count, 2)), np.zeros(count, np.bool_))
         if layers.edge is None or layers.edge_t is None:
@@ -86,6 +86,7 @@ class Allowing:
         least = found.limit_mm[:, 1].copy()
         least[following] = np.minimum(found.limit_mm[:, 1][following], found.limit_mm[:, 1])
         np.maximum(found.limit_mm[:, 0], least, out=found.limit_mm[:, 0])
+        np.minimum(found.limit_mm, largest_mm, out=found.limit_mm)
         return found
 
 

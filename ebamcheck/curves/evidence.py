@@ -37,6 +37,9 @@ NESTING_MM = 0.01
 
 RINGS_A_BLOCK = 16
 
+COLUMNS = ("cause", "method", "accepted", "value_mm", "limit_mm", "at", "mean_limit_mm")
+"""Columns of the evidence, one row a ring."""
+
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
@@ -54,6 +57,8 @@ class Evidence:
         (R,) the ring as asked where it was farthest beyond what is allowed, or came nearest to it, mm.
     at
         (R, 2) that place, mm; NaN where there is none.
+    mean_limit_mm
+        (R,) mean of what is allowed along the ring, mm.
     known
         Whether the part was known. If not, curves may leave contours by the settings alone.
     """
@@ -64,18 +69,17 @@ class Evidence:
     value_mm: Floats
     limit_mm: Floats
     at: Floats
+    mean_limit_mm: Floats
     known: bool = True
 
     def of_rings(self, which: slice | Bools) -> Evidence:
         """What is known of some rings."""
-        columns = ("cause", "method", "accepted", "value_mm", "limit_mm", "at")
-        return replace(self, **{name: getattr(self, name)[which] for name in columns})
+        return replace(self, **{name: getattr(self, name)[which] for name in COLUMNS})
 
 
 def joined(blocks: Sequence[Evidence]) -> Evidence:
     """Evidence of consecutive blocks of one stack."""
-    columns = ("cause", "method", "accepted", "value_mm", "limit_mm", "at")
-    return replace(blocks[0], **{n: np.concatenate([getattr(b, n) for b in blocks]) for n in columns})
+    return replace(blocks[0], **{n: np.concatenate([getattr(b, n) for b in blocks]) for n in COLUMNS})
 
 
 def evidence(
@@ -151,6 +155,7 @@ def _distances(
         np.zeros(count),
         np.full(count, slack_mm),
         np.full((count, 2), np.nan),
+        _mean_limits(layers, allowed, slack_mm),
     )
     points = np.ascontiguousarray(layers.points)
 
@@ -162,6 +167,18 @@ def _distances(
 
     run_blocks(work, count, RINGS_A_BLOCK)
     return found
+
+
+def _mean_limits(layers: Layers, allowed: Allowances, slack_mm: float) -> Floats:
+    """Mean of what is allowed at the middles of a ring's segments, (R,) mm, each weighed by its length."""
+    sizes = np.diff(layers.ring_starts)
+    ring = np.repeat(np.arange(sizes.size), sizes)
+    following = np.arange(1, len(ring) + 1)
+    following[layers.ring_starts[1:][sizes > 0] - 1] = layers.ring_starts[:-1][sizes > 0]
+    long = np.hypot(*(layers.points[following] - layers.points).T)
+    total = np.bincount(ring, long, minlength=sizes.size)
+    weighed = np.bincount(ring, long * allowed.limit_mm[:, 1], minlength=sizes.size)
+    return slack_mm + weighed / np.where(total > 0.0, total, 1.0)
 
 
 @kernel
