@@ -16,10 +16,12 @@ from ebamcheck.errors import ExitCode
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.inspection import Inspection
 from ebamcheck.isolate import Outcome
+from ebamcheck.pipeline.fit_evidence import FitVerdict, gate_text, widened_mm
 from ebamcheck.program import Check
 from ebamcheck.program.deposit_checks import DEPOSIT_CHECKS, of_deposit
 from ebamcheck.program.interpass_checks import INTERPASS, MELTING, within_range
 from ebamcheck.program.verification import SECTION_TOLERANCE_MM
+from ebamcheck.rings import Floats
 
 
 @dataclass(frozen=True)
@@ -79,34 +81,28 @@ def _first(comparison: Comparison) -> str:
     )
 
 
-def fit_tolerance_mm(config: Config) -> float:
-    """Distance that a curve may keep from its contour: the largest lift or bulge, and what fit and cleaning may move."""
+def largest_move_mm(config: Config) -> float:
+    """How far a user lets a curve lie from its contour: the largest lift or bulge, and what fit and cleaning may move."""
     curves = config.curves
     if curves.method in LIFTED:
         return curves.largest_lift_mm + curves.tolerance_mm + curves.near_point_mm
     return curves.largest_bulge_mm + curves.near_point_mm + curves.collinear_mm
 
 
-def fit_distance_mm(deviation: pd.DataFrame) -> float:
-    """Greatest distance between curves and their contours, of what :func:`ebamcheck.curves.fit_deviation` found."""
-    return float(deviation[["points_mm", "bulge_mm"]].to_numpy().max(initial=0.0))
+def section_tolerance_mm(table: pd.DataFrame, config: Config) -> Floats:
+    """Distance (L,) that the contour path may keep from the inset section of each layer, mm.
+
+    That of the inset's arcs, and where there is evidence for its curves what they leave the section by there, up to what
+    the user lets them.
+    """
+    return SECTION_TOLERANCE_MM + widened_mm(table, largest_move_mm(config))
 
 
-def section_tolerance_mm(fit_mm: float) -> float:
-    """Distance that the contour path may keep from the inset section: that of these curves, and of the inset's arcs."""
-    return fit_mm + SECTION_TOLERANCE_MM
-
-
-def fit_gate(deviation: pd.DataFrame, config: Config) -> Gate:
-    """The fitted curves stay near the contours that they were fitted to."""
-    limit = fit_tolerance_mm(config)
-    if not len(deviation):
-        return Gate("fit", False, float("nan"), limit, "mm", "there is no contour to fit")
-    worst = deviation[["points_mm", "bulge_mm"]].max(axis=1)
-    k = int(worst.to_numpy().argmax())
-    figure = float(worst.iloc[k])
-    text = f"curves within {figure:.4f} mm of the contours (worst at layer {k}, z = {deviation['height_mm'].iloc[k]:.3f} mm)"
-    return Gate("fit", figure <= limit, figure, limit, "mm", text)
+def fit_gate(verdict: FitVerdict) -> Gate:
+    """The mesh, the other layers and the reference speak for every ring of the fitted curves."""
+    if not verdict.evidence.cause.size:
+        return Gate("fit", False, float("nan"), 0.0, "faults", "there is no contour to fit")
+    return Gate("fit", verdict.faults == 0, float(verdict.faults), 0.0, "faults", gate_text(verdict))
 
 
 def coverage_gate(metrics: pd.DataFrame, config: Config) -> Gate:

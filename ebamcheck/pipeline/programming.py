@@ -28,6 +28,7 @@ from ebamcheck.program.inputs import deposition_heights
 from ebamcheck.program.motions import NCProgram
 from ebamcheck.program.text_heat import build_times_s, known_sections
 from ebamcheck.program.toolpath import Toolpath
+from ebamcheck.rings import Floats
 from ebamcheck.scan import ScanPlan, plan_stack
 
 SAMPLING_MM = 0.002
@@ -52,9 +53,9 @@ def make_program(
 ) -> list[Gate]:
     """Fit, partition, order, write, read back and verify."""
     config, layers = job.config, job.folder.read_layers(primary)
-    curves, deviation = fitted(job, layers, checked.outcomes[primary].error_bound_mm, fine)
+    verdict, table = fitted(job, layers, checked.outcomes[primary].error_bound_mm, fine)
     with job.stage("partition and order", len(layers)):
-        smooth = smooth_layers(curves)
+        smooth = smooth_layers(verdict.curves)
         plan = plan_stack(smooth, config, progress=job.observer.advance)
         plan.to_parquet(job.folder.path / "scan.parquet")
         plan.metrics.to_csv(job.folder.path / "scan.csv", index=False)
@@ -65,9 +66,11 @@ def make_program(
         path = planned_path(beads, plan, config)
         totals = _write_events(job, path, plan)
         witness = _witness(job, layers, checked.done)
-        checks = _write_and_verify(job, beads, plan, path, layers, witness, gates.fit_distance_mm(deviation))
+        checks = _write_and_verify(
+            job, beads, plan, path, layers, witness, gates.section_tolerance_mm(table, config)
+        )
     made = [
-        gates.fit_gate(deviation, config),
+        gates.fit_gate(verdict),
         gates.coverage_gate(plan.metrics, config),
         gates.deposit_gate(checks, config),
         gates.heat_gate(checks, plan.metrics, config),
@@ -144,7 +147,7 @@ def _write_and_verify(
     path: Toolpath,
     contours: Layers,
     witness: Layers,
-    fit_mm: float,
+    section_tolerance_mm: Floats,
 ) -> list[Check]:
     """Write the program, read its text back and check it against what it was made from."""
     header = {"PART SHA-256": job.part.source_sha256 or job.part.sha256}
@@ -163,7 +166,7 @@ def _write_and_verify(
             layers=witness,
             heat=True,
             sha256=files.sha256,
-            section_tolerance_mm=gates.section_tolerance_mm(fit_mm),
+            section_tolerance_mm=section_tolerance_mm,
         )
     checks += _weighed(job, program, witness)
     summary = program_summary(program, job.config)

@@ -5,12 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+
 from ebamcheck import mesh_files, registry
 from ebamcheck.config import Config, validated
 from ebamcheck.curves import LIFTED, Curves, fit, fit_deviation
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.heights import checked_heights, layer_heights
 from ebamcheck.inspection import inspect
+from ebamcheck.pipeline import fit_evidence
 from ebamcheck.pipeline.certificate import (
     certificate_checks,
     find_certificate,
@@ -18,7 +21,8 @@ from ebamcheck.pipeline.certificate import (
     run_certificate_checks,
     told_once,
 )
-from ebamcheck.pipeline.gates import fit_distance_mm, section_tolerance_mm
+from ebamcheck.pipeline.fit_evidence import FitVerdict
+from ebamcheck.pipeline.gates import section_tolerance_mm
 from ebamcheck.program import Check, verify_file
 from ebamcheck.scan import ScanPlan
 from ebamcheck.slicing import slice_part
@@ -120,9 +124,7 @@ def _verify(run: RunFolder, manifest: dict[str, Any], part: Path | None) -> list
         metal=True,
         heat=True,
         sha256=recorded,
-        section_tolerance_mm=section_tolerance_mm(
-            max(float(manifest["fit"]["max_points_mm"]), float(manifest["fit"]["max_bulge_mm"]))
-        ),
+        section_tolerance_mm=section_tolerance_mm(pd.read_csv(run.path / "fit.csv"), config),
     )
     return checks
 
@@ -185,10 +187,18 @@ def verify_against_part(program: Path, part_path: Path, config: Config) -> list[
         metal=True,
         heat=True,
         heights=heights,
-        section_tolerance_mm=section_tolerance_mm(fit_distance_mm(fit_deviation(curves, layers))),
+        section_tolerance_mm=section_tolerance_mm(_fit_table(curves, layers), config),
     )
     certified = certificate_checks(paper, program, part_path, config) if paper else []
     return [*certified, sound, *made]
+
+
+def _fit_table(curves: Curves, layers: Layers) -> pd.DataFrame:
+    if curves.evidence is None:
+        raise ValueError("curves of a fit carry its evidence")
+    return fit_evidence.columns(
+        FitVerdict(curves, curves.evidence, None, None), fit_deviation(curves, layers)
+    )
 
 
 def witness_backend(maker: str) -> str:

@@ -19,7 +19,12 @@ STEP_MM = 0.5
 
 
 def section_check(
-    nc: NCProgram, layers: Layers, z_of: Floats, offset_mm: float, limit_mm: float, name: str = "section"
+    nc: NCProgram,
+    layers: Layers,
+    z_of: Floats,
+    offset_mm: float,
+    limit_mm: float | Floats,
+    name: str = "section",
 ) -> Check:
     """Compare the centre lines of the contour beads with the sections, layer by layer and both ways.
 
@@ -35,18 +40,28 @@ def section_check(
     ----------
     z_of
         (L,) Z of each of the `layers` in the program.
+    limit_mm
+        One for all layers, or (L,) one for each. The check is held against the least of them, and what a layer may have
+        beyond that is taken from what is found there.
     """
+    limits = np.broadcast_to(np.asarray(limit_mm, dtype=np.float64), len(layers))
+    least_mm = float(limits.min()) if len(layers) else float(np.min(limit_mm))
     rows = np.flatnonzero(nc.deposit & (nc.ring >= 0))
     between = 0.5 * (z_of[1:] + z_of[:-1])
     index = np.searchsorted(between, nc.end[rows, 2])
 
     def work(start: int, stop: int) -> list[tuple[int, float]]:
-        return [_layer(nc, rows[index == k], layers, k, offset_mm, limit_mm) for k in range(start, stop)]
+        return [
+            _layer(nc, rows[index == k], layers, k, offset_mm, float(limits[k])) for k in range(start, stop)
+        ]
 
     found = [layer for block in run_blocks(work, len(layers)) for layer in block] if len(layers) else []
     worst = np.array([row for row, _ in found], dtype=np.int64)
     text = f"contour path against the {name} inset by {offset_mm:g} mm"
-    return worst_check(name, nc, worst, [away for _, away in found], limit_mm, "mm", text)
+    away = [max(away - (limits[k] - least_mm), 0.0) for k, (_, away) in enumerate(found)]
+    if len(layers) and limits.max() > least_mm:
+        text += f", up to {limits.max() - least_mm:.4f} mm less where the curves leave it with evidence"
+    return worst_check(name, nc, worst, away, least_mm, "mm", text)
 
 
 def _layer(

@@ -30,6 +30,7 @@ from ebamcheck.program.text_heat import known_sections
 from ebamcheck.program.toolpath import Toolpath
 from ebamcheck.program.window_checks import window_check
 from ebamcheck.program.wire_checks import wire_check
+from ebamcheck.rings import Floats
 from ebamcheck.scan.turns import TURN_SPACINGS
 
 PATH_TOLERANCE_MM = 1e-3
@@ -55,7 +56,7 @@ def verify_program(
     sha256: Mapping[str, str] | None = None,
     contour_offset_mm: float | None = None,
     tolerance_mm: float = PATH_TOLERANCE_MM,
-    section_tolerance_mm: float = SECTION_TOLERANCE_MM,
+    section_tolerance_mm: float | Floats = SECTION_TOLERANCE_MM,
 ) -> list[Check]:
     """Check a program that was read; every check is made that its inputs allow.
 
