@@ -111,7 +111,7 @@ def _spline(run: Floats, tolerance_mm: float) -> tuple[Floats, int]:
     low, high, best = 0.0, len(run) * tolerance_mm**2, None
     for k in range(HALVINGS):  # of the sum of squares that splprep may leave
         s = high if k == 0 else 0.5 * (low + high)
-        tck, u = splprep(run.T, s=s, k=3, quiet=2)[:2]
+        tck, u = splprep(list(run.T), s=s, k=3, quiet=2)[:2]
         off = np.hypot(*(np.array(splev(u, tck)) - run.T)).max()
         if off <= tolerance_mm:
             low, best = s, tck

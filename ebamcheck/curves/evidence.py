@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,12 +75,14 @@ class Evidence:
 
     def of_rings(self, which: slice | Bools) -> Evidence:
         """What is known of some rings."""
-        return replace(self, **{name: getattr(self, name)[which] for name in COLUMNS})
+        columns: dict[str, Any] = {name: getattr(self, name)[which] for name in COLUMNS}
+        return replace(self, **columns)
 
 
 def joined(blocks: Sequence[Evidence]) -> Evidence:
     """Evidence of consecutive blocks of one stack."""
-    return replace(blocks[0], **{n: np.concatenate([getattr(b, n) for b in blocks]) for n in COLUMNS})
+    columns: dict[str, Any] = {n: np.concatenate([getattr(b, n) for b in blocks]) for n in COLUMNS}
+    return replace(blocks[0], **columns)
 
 
 def evidence(
@@ -251,7 +254,7 @@ def _limit(
     start, middle, end = allowed[k, 0], allowed[k, 1], allowed[following, 0]
     may = (1.0 - t) * (1.0 - 2.0 * t) * start + 4.0 * t * (1.0 - t) * middle + t * (2.0 * t - 1.0) * end
     inside = plane[k] and 0.0 < t < 1.0
-    return max(may, 0.0) + (plane_slack if inside else slack)
+    return float(max(may, 0.0) + (plane_slack if inside else slack))
 
 
 @kernel

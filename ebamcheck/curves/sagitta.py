@@ -36,6 +36,9 @@ LEAST_APART = 0.25
 FLAT_MM = 2e-5
 """Chords whose joint lies this near to the line over both are one: what 32 bits leave of a plane some hundred mm wide."""
 
+UNKNOWN = -1.0
+"""Sagitta of an edge from crease to crease: inside of a facet's plane it is that of the plane's border, else 0."""
+
 EDGES_A_BLOCK = 4096
 
 
@@ -130,7 +133,7 @@ def _of_edges(surface: Surface, flat: float, first: int, last: int, of_edge: Flo
         way.turns[:], way.centres[:], way.lengths[:], way.joints[:] = 0.0, 0.0, 0.0, 0
         if surface.sharp[h]:
             bend = along_crease(surface, a, b, along, way)
-            of_edge[h] = of_edge[g] = _sagitta(length, way)
+            of_edge[h] = of_edge[g] = max(_sagitta(length, way), 0.0)
             of_side[h] = of_edge[h] * abs(dot(bend, surface.normals[h // 3]))
             of_side[g] = of_edge[h] * abs(dot(bend, surface.normals[g // 3]))
             continue
@@ -147,8 +150,13 @@ def _of_edges(surface: Surface, flat: float, first: int, last: int, of_edge: Flo
 
 @kernel
 def _sagitta(length: float, way: Way) -> float:
-    """Height of the arc over an edge by the greater of the spans that its two ends tell; 0 where they tell none."""
-    if way.joints[0] + way.joints[1] < 2:
+    """Height of the arc over an edge by the greater of the spans that its two ends tell.
+
+    0 where there is one turn alone, which is a bend and no curve; :data:`UNKNOWN` where both ends are at creases.
+    """
+    if way.joints[0] + way.joints[1] == 0:
+        return UNKNOWN
+    if way.joints[0] + way.joints[1] == 1:
         return 0.0
     chord = length + way.lengths[0, 0] + way.lengths[1, 0]
     span = 0.0
@@ -166,7 +174,7 @@ def _span(chord: float, end: int, way: Way) -> float:
     """
     own, centre, near = way.turns[end, 0], way.centres[end, 0], way.lengths[end, 1]
     if near >= WIDTH_RATIO * chord:
-        return 2.0 * abs(own)
+        return float(2.0 * abs(own))
     side = 1.0 if own > 0.0 else -1.0
     bend = turned = 0.0
     for k in range(1, way.joints[end]):
@@ -207,9 +215,10 @@ def _limit_in_planes(surface: Surface, flat: float, of_edge: Floats, of_side: Fl
     for h in range(3 * count):
         if inner[h]:
             limit = largest[_root(root, h // 3)]
-            of_edge[h] = min(of_edge[h], limit)
-            of_side[h] = min(of_side[h], limit)
+            of_edge[h] = of_side[h] = limit if of_edge[h] < 0.0 else min(of_edge[h], limit)
             plane[h // 3] = plane[h // 3] or limit <= flat
+        elif of_edge[h] < 0.0:
+            of_edge[h] = of_side[h] = 0.0
 
 
 @kernel
@@ -219,7 +228,7 @@ def _off_plane(surface: Surface, h: int, g: int) -> float:
     if dot(surface.normals[f], surface.normals[e]) <= 0.0:
         return np.inf
     v = surface.vertices[surface.faces[e, (k + 2) % 3]] - surface.vertices[surface.faces[f, h % 3]]
-    return abs(dot(v, surface.normals[f]))
+    return float(abs(dot(v, surface.normals[f])))
 
 
 @kernel

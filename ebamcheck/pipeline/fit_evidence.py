@@ -77,7 +77,7 @@ class FitVerdict:
     def place_of(self, ring: int) -> str:
         """Layer, height and place of a ring."""
         layer = int(np.searchsorted(self.curves.layer_starts, ring, side="right")) - 1
-        x, y = self.evidence.at[ring].tolist()
+        x, y = (float(v) for v in self.evidence.at[ring])  # noqa: PD008
         where = f", ({x:.3f}, {y:.3f})" if np.isfinite(x) else ""
         return f"layer {layer}, z = {self.curves.heights[layer]:.3f} mm{where}"
 
@@ -111,7 +111,7 @@ def columns(verdict: FitVerdict, deviation: pd.DataFrame) -> pd.DataFrame:
 
 def widened_mm(table: pd.DataFrame, largest_mm: float) -> Floats:
     """How much farther than its tolerance a contour path may leave the sections, (L,) mm; no more than the user's limit."""
-    return np.minimum(table["widened_mm"].to_numpy(dtype=np.float64), largest_mm)
+    return np.asarray(np.minimum(table["widened_mm"].to_numpy(dtype=np.float64), largest_mm))
 
 
 def findings(verdict: FitVerdict) -> Iterator[Finding]:

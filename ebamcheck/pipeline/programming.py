@@ -110,7 +110,9 @@ def bead_paths(layers: Layers, plan: ScanPlan, config: Config) -> Curves:
     )
     # What lies along a bead was lifted with the contour; an inset has no edges of the mesh of its own.
     method = "bounded" if config.curves.method in LIFTED else config.curves.method
-    return fit(lines, method, config.curves)
+    # Half of a bulge's limit is a contour's own; beyond its tolerance a path would leave the curves that it follows.
+    bulge_mm = min(config.curves.largest_bulge_mm, 2.0 * config.curves.tolerance_mm)
+    return fit(lines, method, config.curves, largest_bulge_mm=bulge_mm)
 
 
 def _witness(job: Job, layers: Layers, done: Sequence[str]) -> Layers:

@@ -13,6 +13,7 @@ from ebamcheck.curves import LIFTED, Curves, fit, fit_deviation
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.heights import checked_heights, layer_heights
 from ebamcheck.inspection import inspect
+from ebamcheck.layers import Layers
 from ebamcheck.pipeline import fit_evidence
 from ebamcheck.pipeline.certificate import (
     certificate_checks,
