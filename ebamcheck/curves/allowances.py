@@ -25,6 +25,10 @@ by, to its side, is no farther from it than the contour was: this is the most th
 FLATTEST_SURFACE = 0.25
 """Sine of the slope under which a move in the layer is not let grow further; see :mod:`ebamcheck.curves.lifting`."""
 
+NEIGHBOURS = 4
+"""Segments on either side whose allowance a segment of a curved side shares: that of one, by the turns at the two ends of
+its facet's edges, scatters as the mesh is irregular, while the surface goes on evenly."""
+
 POINTS_A_BLOCK = 4096
 
 
@@ -82,12 +86,26 @@ class Allowing:
             )  # fmt: skip
 
         run_blocks(work, count, POINTS_A_BLOCK)
-        # What both segments at a point allow, the point may do, too: it is where a curve along them passes.
-        least = found.limit_mm[:, 1].copy()
-        least[following] = np.minimum(found.limit_mm[:, 1][following], found.limit_mm[:, 1])
-        np.maximum(found.limit_mm[:, 0], least, out=found.limit_mm[:, 0])
+        _share(found, following)
         np.minimum(found.limit_mm, largest_mm, out=found.limit_mm)
         return found
+
+
+def _share(found: Allowances, following: Ints) -> None:
+    """Let places on curved sides have what their neighbourhood has, and points what both of their segments have."""
+    preceding = np.empty_like(following)
+    preceding[following] = np.arange(following.size)
+    middle = found.limit_mm[:, 1]
+    own = np.where(found.plane, 0.0, middle)
+    most = own.copy()
+    for way in (following, preceding):
+        beside = own
+        for _ in range(NEIGHBOURS):
+            # A plane ends the side: what lies beyond says nothing of it.
+            beside = np.where(found.plane, 0.0, beside[way])
+            np.maximum(most, beside, out=most)
+    middle[:] = np.where(found.plane, middle, most)
+    found.limit_mm[:, 0] = np.maximum(found.limit_mm[:, 0], np.minimum(middle[preceding], middle))
 
 
 @kernel
