@@ -135,7 +135,7 @@ def test_a_strip_from_rim_to_rim_spans_what_its_rims_do() -> None:
     columns = len(layers.ring(0)) // 2  # a point on each edge of the strips, and one on each diagonal
     bulge = 20.0 * (1.0 - np.cos(np.pi / columns))
     assert bulge > 0.1
-    allowed = Allowing(part, sagittas(part, 40.0)).of(layers, 1.0)
+    allowed = Allowing(part, sagittas(part, 40.0)).of(layers)
     assert allowed.limit_mm.max() == pytest.approx(2.0 * bulge, rel=0.1)
     assert (fit(layers).evidence.method == 0).all()  # type: ignore[union-attr]
 
@@ -156,7 +156,7 @@ def box() -> tuple[Part, Layers]:
 
 
 def judged(part: Part, layers: Layers, moved: Layers) -> np.ndarray:
-    allowed = Allowing(part, sagittas(part, 40.0)).of(layers, 1.0)
+    allowed = Allowing(part, sagittas(part, 40.0)).of(layers)
     return evidence(polylines(moved), layers, allowed, SLACK_MM, PLANE_SLACK_MM).cause
 
 
@@ -188,7 +188,7 @@ def test_a_ring_that_runs_the_other_way_is_not() -> None:
     rows = np.concatenate(
         [np.arange(plain.control_starts[k + 1] - 1, plain.control_starts[k] - 1, -1) for k in (0, 1)]
     )
-    allowed = Allowing(part, sagittas(part, 40.0)).of(layers, 1.0)
+    allowed = Allowing(part, sagittas(part, 40.0)).of(layers)
     found = evidence(replace(plain, control=plain.control[rows]), layers, allowed, SLACK_MM, PLANE_SLACK_MM)
     assert (found.cause == TURNED).all()
 
@@ -266,6 +266,17 @@ def test_curves_farther_from_a_reference_than_the_contours_shut_the_gate() -> No
     gate = fit_gate(replace(same, reference=worse))
     assert not gate.passed
     assert "farther from the reference" in gate.text
+
+
+def test_curves_beyond_what_the_user_lets_them_shut_the_gate() -> None:
+    _, layers = box()
+    curves = fit(layers)
+    assert curves.evidence is not None
+    near = FitVerdict(curves, curves.evidence, None, None, farthest_mm=1.0, most_mm=1.021)
+    assert fit_gate(near).passed
+    gate = fit_gate(replace(near, farthest_mm=1.1))
+    assert not gate.passed
+    assert "1.1000 mm" in gate.text
 
 
 def test_a_ring_that_nothing_speaks_for_shuts_the_gate_and_is_named() -> None:

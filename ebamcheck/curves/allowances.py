@@ -67,8 +67,8 @@ class Allowing:
         level = np.hypot(normals[:, 0], normals[:, 1]) / np.where(sizes > 0.0, sizes, 1.0)
         self._growth: Floats = 1.0 / np.maximum(level, FLATTEST_SURFACE)
 
-    def of(self, layers: Layers, largest_mm: float) -> Allowances:
-        """How far curves may leave contours, and never more than `largest_mm`; points without an edge not at all."""
+    def of(self, layers: Layers) -> Allowances:
+        """How far curves may leave contours; points without an edge not at all."""
         count = len(layers.points)
         found = Allowances(np.zeros((count, 2)), np.zeros(count, np.bool_))
         if layers.edge is None or layers.edge_t is None:
@@ -86,13 +86,13 @@ class Allowing:
             )  # fmt: skip
 
         run_blocks(work, count, POINTS_A_BLOCK)
-        _share(found, following)
-        np.minimum(found.limit_mm, largest_mm, out=found.limit_mm)
+        _share(found, following, layers)
         return found
 
 
-def _share(found: Allowances, following: Ints) -> None:
-    """Let places on curved sides have what their neighbourhood has, and points what both of their segments have."""
+def _share(found: Allowances, following: Ints, layers: Layers) -> None:
+    """Let places on curved sides have what their neighbourhood has, or their ring on average; points what both of their
+    segments have."""
     preceding = np.empty_like(following)
     preceding[following] = np.arange(following.size)
     middle = found.limit_mm[:, 1]
@@ -104,7 +104,12 @@ def _share(found: Allowances, following: Ints) -> None:
             # A plane ends the side: what lies beyond says nothing of it.
             beside = np.where(found.plane, 0.0, beside[way])
             np.maximum(most, beside, out=most)
-    middle[:] = np.where(found.plane, middle, most)
+    sizes = np.diff(layers.ring_starts)
+    ring = np.repeat(np.arange(sizes.size), sizes)
+    long = np.hypot(*(layers.points[following] - layers.points).T)
+    total = np.bincount(ring, long, minlength=sizes.size)
+    mean = np.bincount(ring, long * own, minlength=sizes.size) / np.where(total > 0.0, total, 1.0)
+    middle[:] = np.where(found.plane, middle, np.maximum(most, mean[ring]))
     found.limit_mm[:, 0] = np.maximum(found.limit_mm[:, 0], np.minimum(middle[preceding], middle))
 
 

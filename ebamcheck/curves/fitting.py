@@ -122,7 +122,7 @@ def _accepted(
 ) -> Curves:
     """Curves of a block by a method, or by more cautious ones where the mesh does not speak for them."""
     if allowing is not None:
-        allowed = allowing.of(layers, settings.largest_lift_mm)
+        allowed = allowing.of(layers)
         rounding_mm = allowing.rounding_mm
     else:
         free = np.full((len(layers.points), 2), settings.largest_bulge_mm)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -9,7 +10,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from ebamcheck.curves import Curves
+from ebamcheck.config import Config
+from ebamcheck.curves import LIFTED, Curves
 from ebamcheck.curves.accuracy import CURVE_TOLERANCE_MM
 from ebamcheck.curves.evidence import CAUSES, Evidence
 from ebamcheck.curves.fallback import METHODS, POLYLINE
@@ -48,6 +50,10 @@ class FitVerdict:
     """None where the part or its edges are not known."""
     reference: Mapping[str, Any] | None
     """Errors of contours and curves against a finer mesh of the part; None without one."""
+    farthest_mm: float = 0.0
+    """Greatest distance between curves and their contours."""
+    most_mm: float = math.inf
+    """How far the user lets curves lie from contours, whatever speaks for it."""
 
     @property
     def open_rings(self) -> int:
@@ -72,7 +78,7 @@ class FitVerdict:
         layers = 0
         if self.stack is not None:
             layers = int(((self.stack.jump_excess_mm > 0.0) | (self.stack.volume_excess_mm3 > 0.0)).sum())
-        return self.open_rings + layers + len(self.worse)
+        return self.open_rings + layers + len(self.worse) + (self.farthest_mm > self.most_mm)
 
     def place_of(self, ring: int) -> str:
         """Layer, height and place of a ring."""
@@ -80,6 +86,14 @@ class FitVerdict:
         x, y = (float(v) for v in self.evidence.at[ring])  # noqa: PD008
         where = f", ({x:.3f}, {y:.3f})" if np.isfinite(x) else ""
         return f"layer {layer}, z = {self.curves.heights[layer]:.3f} mm{where}"
+
+
+def largest_move_mm(config: Config) -> float:
+    """How far a user lets a curve lie from its contour: the largest lift or bulge, and what fit and cleaning may move."""
+    curves = config.curves
+    if curves.method in LIFTED:
+        return curves.largest_lift_mm + curves.tolerance_mm + curves.near_point_mm
+    return curves.largest_bulge_mm + curves.near_point_mm + curves.collinear_mm
 
 
 def columns(verdict: FitVerdict, deviation: pd.DataFrame) -> pd.DataFrame:
@@ -162,6 +176,11 @@ def gate_text(verdict: FitVerdict) -> str:
         text += (
             f"; layer {k}, z = {verdict.curves.heights[k]:.3f} mm, does not agree with the one below or with the mesh "
             "between them: set curves.method = 'chord'"
+        )
+    if verdict.farthest_mm > verdict.most_mm:
+        text += (
+            f"; curves leave their contours by {verdict.farthest_mm:.4f} mm, over {verdict.most_mm:.4f} mm: give a finer mesh, "
+            "or raise curves.largest_lift_mm"
         )
     if verdict.worse:
         text += (

@@ -18,7 +18,7 @@ from ebamcheck.curves.stack_evidence import stack_evidence
 from ebamcheck.layers import Layers
 from ebamcheck.part import Part
 from ebamcheck.pipeline import fit_evidence
-from ebamcheck.pipeline.fit_evidence import FitVerdict
+from ebamcheck.pipeline.fit_evidence import FitVerdict, largest_move_mm
 from ebamcheck.pipeline.work import Job
 from ebamcheck.settings.curves import CurveSettings
 from ebamcheck.slicing import slice_part
@@ -38,7 +38,10 @@ def fitted(
         curves = fit(layers, settings.method, settings, job.observer.advance, job.part)
         curves.to_parquet(job.folder.path / "curves.parquet")
         deviation = fit_deviation(curves, layers)
-        verdict = _verdict(job, curves, layers)
+        far_mm = float(deviation[["points_mm", "bulge_mm"]].to_numpy().max(initial=0.0))
+        verdict = replace(
+            _verdict(job, curves, layers), farthest_mm=far_mm, most_mm=largest_move_mm(job.config)
+        )
         table = fit_evidence.columns(verdict, deviation)
         table.to_csv(job.folder.path / "fit.csv", index=False)
         of_methods = {curves.method: curves, **_other_fits(job, layers, settings)}

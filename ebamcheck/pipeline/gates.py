@@ -11,12 +11,11 @@ import pandas as pd
 
 from ebamcheck.comparison import Comparison
 from ebamcheck.config import Config
-from ebamcheck.curves import LIFTED
 from ebamcheck.errors import ExitCode
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.inspection import Inspection
 from ebamcheck.isolate import Outcome
-from ebamcheck.pipeline.fit_evidence import FitVerdict, gate_text, widened_mm
+from ebamcheck.pipeline.fit_evidence import FitVerdict, gate_text, largest_move_mm, widened_mm
 from ebamcheck.program import Check
 from ebamcheck.program.deposit_checks import DEPOSIT_CHECKS, of_deposit
 from ebamcheck.program.interpass_checks import INTERPASS, MELTING, within_range
@@ -79,14 +78,6 @@ def _first(comparison: Comparison) -> str:
         f"first {f.backend} against {f.against} at layer {f.layer}, z = {f.height_mm:.3f} mm, "
         f"{f.metric} {f.value:.4g} over {f.limit:.4g} at ({f.x_mm:.3f}, {f.y_mm:.3f}): {f.cause}"
     )
-
-
-def largest_move_mm(config: Config) -> float:
-    """How far a user lets a curve lie from its contour: the largest lift or bulge, and what fit and cleaning may move."""
-    curves = config.curves
-    if curves.method in LIFTED:
-        return curves.largest_lift_mm + curves.tolerance_mm + curves.near_point_mm
-    return curves.largest_bulge_mm + curves.near_point_mm + curves.collinear_mm
 
 
 def section_tolerance_mm(table: pd.DataFrame, config: Config) -> Floats:
