@@ -11,12 +11,14 @@ import numpy as np
 import pandas as pd
 
 from ebamcheck.config import Config
-from ebamcheck.curves import LIFTED, Curves
+from ebamcheck.curves import LIFTED, Curves, fit_deviation
 from ebamcheck.curves.accuracy import CURVE_TOLERANCE_MM
 from ebamcheck.curves.evidence import CAUSES, Evidence
 from ebamcheck.curves.fallback import METHODS, POLYLINE
-from ebamcheck.curves.stack_evidence import StackEvidence
+from ebamcheck.curves.stack_evidence import StackEvidence, stack_evidence
 from ebamcheck.findings import Finding
+from ebamcheck.layers import Layers
+from ebamcheck.part import Part
 from ebamcheck.rings import Floats
 
 WHY: Mapping[str, str] = {
@@ -94,6 +96,18 @@ def largest_move_mm(config: Config) -> float:
     if curves.method in LIFTED:
         return curves.largest_lift_mm + curves.tolerance_mm + curves.near_point_mm
     return curves.largest_bulge_mm + curves.near_point_mm + curves.collinear_mm
+
+
+def judged(curves: Curves, layers: Layers, part: Part, config: Config) -> tuple[FitVerdict, pd.DataFrame]:
+    """What speaks for the curves of a fit, and its table, one row a layer."""
+    found = curves.evidence
+    if found is None:
+        raise ValueError("curves of a fit carry its evidence")
+    deviation = fit_deviation(curves, layers)
+    far_mm = float(deviation[["points_mm", "bulge_mm"]].to_numpy().max(initial=0.0))
+    stack = stack_evidence(curves, layers, part, found) if found.known else None
+    verdict = FitVerdict(curves, found, stack, None, far_mm, largest_move_mm(config))
+    return verdict, columns(verdict, deviation)
 
 
 def columns(verdict: FitVerdict, deviation: pd.DataFrame) -> pd.DataFrame:

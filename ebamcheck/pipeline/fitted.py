@@ -14,11 +14,10 @@ from ebamcheck import layer_files
 from ebamcheck.curves import METHODS, Curves, contour_error, error_reduction, fit, fit_deviation
 from ebamcheck.curves.edges import with_edges
 from ebamcheck.curves.fallback import METHODS as FALLBACKS
-from ebamcheck.curves.stack_evidence import stack_evidence
 from ebamcheck.layers import Layers
 from ebamcheck.part import Part
 from ebamcheck.pipeline import fit_evidence
-from ebamcheck.pipeline.fit_evidence import FitVerdict, largest_move_mm
+from ebamcheck.pipeline.fit_evidence import FitVerdict
 from ebamcheck.pipeline.work import Job
 from ebamcheck.settings.curves import CurveSettings
 from ebamcheck.slicing import slice_part
@@ -37,12 +36,7 @@ def fitted(
     with job.stage("fit", len(layers)):
         curves = fit(layers, settings.method, settings, job.observer.advance, job.part)
         curves.to_parquet(job.folder.path / "curves.parquet")
-        deviation = fit_deviation(curves, layers)
-        far_mm = float(deviation[["points_mm", "bulge_mm"]].to_numpy().max(initial=0.0))
-        verdict = replace(
-            _verdict(job, curves, layers), farthest_mm=far_mm, most_mm=largest_move_mm(job.config)
-        )
-        table = fit_evidence.columns(verdict, deviation)
+        verdict, table = fit_evidence.judged(curves, layers, job.part, job.config)
         table.to_csv(job.folder.path / "fit.csv", index=False)
         of_methods = {curves.method: curves, **_other_fits(job, layers, settings)}
         job.record["fit"] = {
@@ -53,9 +47,9 @@ def fitted(
                 name: int((verdict.evidence.method == k).sum()) for k, name in enumerate(FALLBACKS) if k
             },
             "open_rings": verdict.open_rings,
-            **_figures(curves, deviation),
+            **_figures(curves, table),
             "methods": {
-                name: _figures(other, deviation if other is curves else fit_deviation(other, layers))
+                name: _figures(other, table if other is curves else fit_deviation(other, layers))
                 for name, other in of_methods.items()
             },
         }
@@ -65,14 +59,6 @@ def fitted(
             verdict = replace(verdict, reference=job.record["reference"])
     job.add_finding(*fit_evidence.findings(verdict))
     return verdict, table
-
-
-def _verdict(job: Job, curves: Curves, layers: Layers) -> FitVerdict:
-    found = curves.evidence
-    if found is None:
-        raise ValueError("curves of a fit carry its evidence")
-    stack = stack_evidence(curves, layers, job.part, found) if found.known else None
-    return FitVerdict(curves, found, stack, None)
 
 
 def _other_fits(job: Job, layers: Layers, settings: CurveSettings) -> dict[str, Curves]:
