@@ -6,6 +6,7 @@ Both start from the contour alone, and part it at corners. They know no mesh, an
 from __future__ import annotations
 
 import math
+import warnings
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -111,7 +112,9 @@ def _spline(run: Floats, tolerance_mm: float) -> tuple[Floats, int]:
     low, high, best = 0.0, len(run) * tolerance_mm**2, None
     for k in range(HALVINGS):  # of the sum of squares that splprep may leave
         s = high if k == 0 else 0.5 * (low + high)
-        tck, u = splprep(list(run.T), s=s, k=3, quiet=2)[:2]
+        with warnings.catch_warnings():  # a sum that it cannot reach is told by the distance below
+            warnings.simplefilter("ignore", RuntimeWarning)
+            tck, u = splprep(list(run.T), s=s, k=3, quiet=2)[:2]
         off = np.hypot(*(np.array(splev(u, tck)) - run.T)).max()
         if off <= tolerance_mm:
             low, best = s, tck
