@@ -24,6 +24,7 @@ from ebamcheck.errors import EbamcheckError, SettingsError
 from ebamcheck.layers import Layers, from_polygons
 from ebamcheck.model import models
 from ebamcheck.part import Part, from_arrays
+from ebamcheck.settings.curves import CurveSettings
 from ebamcheck.slicing import slice_part
 
 MODELS = models()
@@ -353,7 +354,7 @@ def test_bezier_spans_of_an_arc_stay_on_it() -> None:
 
 def test_normals_of_a_sphere_are_its_radii() -> None:
     part = MODELS["sphere"].tessellate(0.2)
-    found = surface_normals(part, 40.0)
+    found = surface_normals(part, CurveSettings())
     centre = part.bounds.mean(axis=0)
     corners = part.vertices[part.faces.reshape(-1)] - centre
     radii = corners / np.linalg.norm(corners, axis=1)[:, None]
@@ -364,7 +365,7 @@ def test_normals_of_a_sphere_are_its_radii() -> None:
 
 def test_a_cube_has_three_normals_at_each_corner() -> None:
     part = MODELS["cube"].tessellate(0.1)
-    found = surface_normals(part, 40.0)
+    found = surface_normals(part, CurveSettings())
     assert len(found.normals) == 24
     assert np.allclose(np.sort(np.abs(found.normals), axis=1), [0.0, 0.0, 1.0])
     assert found.flat.all()

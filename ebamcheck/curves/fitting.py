@@ -12,7 +12,7 @@ from ebamcheck.curves.bulge import bulges
 from ebamcheck.curves.cleaning import clean
 from ebamcheck.curves.columns import Curves
 from ebamcheck.curves.interpolation import CENTRIPETAL, CHORD_LENGTH, interpolate
-from ebamcheck.curves.lifting import Lifting, Sides
+from ebamcheck.curves.lifting import Lifting, as_they_are
 from ebamcheck.curves.reduction import reduced_segments, smooth_segments
 from ebamcheck.curves.segments import Segments, pieces_of
 from ebamcheck.curves.splitting import LINE, split
@@ -101,7 +101,7 @@ def _lifting(layers: Layers, part: Part | None, method: str, settings: CurveSett
             f"layers were cut from another mesh than {part.name!r}: give the part that was sliced"
         )
     if part is not None and layers.edge is not None:
-        return Lifting(part, surface_normals(part, settings.crease_angle_deg))
+        return Lifting(part, surface_normals(part, settings))
     if method == "surface" and len(layers.points):
         lacking = (
             "part=" if part is None else f"edges, which {layers.backend or 'their slicer'} does not tell"
@@ -171,10 +171,7 @@ def _strands(layers: Layers, settings: CurveSettings, lifting: Lifting | None) -
     cleaned = clean(
         layers.points, layers.ring_starts, layers.closed, settings.near_point_mm, settings.collinear_mm
     )
-    points = np.ascontiguousarray(layers.points)[cleaned.rows]
-    unknown = np.full(points.shape, np.nan)
-    nowhere, anywhere = np.zeros(len(points), np.bool_), np.ones(len(points), np.bool_)
-    sides = Sides(points, unknown, unknown, nowhere, anywhere)
+    sides = as_they_are(np.ascontiguousarray(layers.points)[cleaned.rows])
     return strands(sides, cleaned.starts, layers.closed, settings, SHARE_OF_BULGE * settings.largest_bulge_mm)
 
 

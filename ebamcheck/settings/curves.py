@@ -19,6 +19,14 @@ class CurveSettings(Section):
     """Distance that `bounded` may keep from the smooth curve."""
     crease_angle_deg: Annotated[float, Field(gt=0, lt=180)] = 40.0
     """Edges of the mesh whose facets differ by this angle are sharp, for `bounded` and `surface`."""
+    regions: Literal["on", "off"] = "on"
+    """Find planes, strips with straight rulings and freely curved regions before the normals, for `bounded` and `surface`:
+    planes stay planes, a bend between two planes is sharp whatever its angle. "off" tells flat sides by their width
+    alone."""
+    polygon_angle_deg: Annotated[float, Field(gt=0, lt=180)] = 12.0
+    """Flat strips that turn by more than this from one to the next are the sides of a polygon, not of a cylinder or a
+    cone, unless a rounding's tangent plane beside them shows otherwise: a mesh of two rims does not tell them apart. A
+    polygon of 30 sides turns by 12 degrees."""
     corner_angle_deg: Annotated[float, Field(gt=0, lt=180)] = 140.0
     """A contour splits where the angle between its segments is under this (paper, section 3.2)."""
     near_point_mm: NotNegative = 0.001
