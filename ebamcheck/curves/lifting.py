@@ -44,13 +44,12 @@ LARGEST_INFLECTION = np.sin(np.deg2rad(5.0))
 LEAST_CREASE = 0.1
 """Sine of the angle between the normals on the two sides of a crease under which its direction is not known."""
 
-MOST_OF_TURN = 1.5
-"""An edge bends at an end by at most this many times what a circle through it and what lies beyond would: the mesh beyond
-is crossed where it lies under the surface, which on even triangles makes the turn seem a seventh too large."""
+MOST_OF_TURN = 3.0
+"""An edge bends at an end by at most this many times what a circle through it and what lies beyond would."""
 
-JUMP = 3.0
-"""An edge this many times longer than what lies beyond its end is in another region than that; one that is so at both
-ends has nothing of its own that tells how it bends."""
+JUMP = 5.0
+"""An edge this many times longer than what lies beyond one of its ends is in another region than that: what the normal
+there says of the finer side is nothing to the edge."""
 
 NO_PLANE = -1
 """In place of a plane's number: the segment is in none."""
@@ -189,12 +188,14 @@ def _lift(
             bend_low, bend_high = _bends(mesh, up, down, chord, smooth)
             flat = mesh.flat[up // 3] and mesh.flat[down // 3]
             if _bends_alike(chord, bend_low, bend_high, flat):
-                lesser = min(_dot(bend_low, bend_low), _dot(bend_high, bend_high))
-                bend_low = _scaled(bend_low, np.sqrt(lesser / _dot(bend_low, bend_low)))
-                bend_high = _scaled(bend_high, np.sqrt(lesser / _dot(bend_high, bend_high)))
+                if not (smooth and mesh.kind[up // 3] == STRIP and mesh.kind[down // 3] == STRIP):
+                    lesser = min(_dot(bend_low, bend_low), _dot(bend_high, bend_high))
+                    bend_low = _scaled(bend_low, np.sqrt(lesser / _dot(bend_low, bend_low)))
+                    bend_high = _scaled(bend_high, np.sqrt(lesser / _dot(bend_high, bend_high)))
                 t = _place(mesh.vertices[low, 2], chord[2], bend_low[2], bend_high[2], heights[i], t)
                 # The cubic leaves its chord by at most a quarter of the bend.
-                found.bound[i] = 0.25 * np.sqrt(lesser) / FLATTEST_SURFACE
+                greater = max(_dot(bend_low, bend_low), _dot(bend_high, bend_high))
+                found.bound[i] = 0.25 * np.sqrt(greater) / FLATTEST_SURFACE
                 _move(
                     found.points[i],
                     _vector(mesh.vertices, low),
@@ -246,9 +247,9 @@ def _bends(
         return bend_low, bend_high
     if mesh.kind[up // 3] != FREEFORM or mesh.kind[down // 3] != FREEFORM:
         return bend_low, bend_high
-    most_low, jump_low = _most(mesh, up, up % 3, chord, up_low)
-    most_high, jump_high = _most(mesh, up, (up % 3 + 1) % 3, _scaled(chord, -1.0), up_high)
-    if jump_low and jump_high:
+    most_low, jump_low = _most(mesh, up, up % 3, chord)
+    most_high, jump_high = _most(mesh, up, (up % 3 + 1) % 3, _scaled(chord, -1.0))
+    if jump_low or jump_high:
         most_low = most_high = 0.0
     return _limited(bend_low, most_low), _limited(bend_high, most_high)
 
@@ -260,7 +261,7 @@ def _limited(bend: _Vector, most: float) -> _Vector:
 
 
 @kernel
-def _most(mesh: _Mesh, up: int, corner: int, chord: _Vector, normal: _Vector) -> tuple[float, bool]:
+def _most(mesh: _Mesh, up: int, corner: int, chord: _Vector) -> tuple[float, bool]:
     """How far an edge may bend at one end, mm, by what lies beyond it; and whether that is far finer than the edge.
 
     The edge is drawn on over its end, into the facet of the same smooth fan that it comes to lie over: how far that
@@ -293,11 +294,7 @@ def _most(mesh: _Mesh, up: int, corner: int, chord: _Vector, normal: _Vector) ->
             turn = _dot(back, _vector(mesh.facet_normals, e)) / length
     if best == 0.0:
         return np.inf, False
-    asked = -_dot(chord, normal)
-    jump = length >= JUMP * reach
-    if asked * turn <= 0.0:
-        return 0.0, jump
-    return MOST_OF_TURN * abs(turn) * length * length / (length + reach), jump
+    return MOST_OF_TURN * abs(turn) * length * length / (length + reach), length >= JUMP * reach
 
 
 @kernel

@@ -71,7 +71,7 @@ def surface_normals(part: Part, settings: CurveSettings) -> SurfaceNormals:
     twin = twins(part.vertices, part.faces, groups.half_edges, groups.starts)
     if settings.regions == "off":
         return _plain_normals(part, twin, settings.crease_angle_deg)
-    regions = find_regions(part, twin, settings.crease_angle_deg, settings.polygon_angle_deg)
+    regions = find_regions(part, twin, settings)
     label = regions.groups.label
     found = region_normals(part, twin, regions)
     return SurfaceNormals(

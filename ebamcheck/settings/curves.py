@@ -24,9 +24,12 @@ class CurveSettings(Section):
     planes stay planes, a bend between two planes is sharp whatever its angle. "off" tells flat sides by their width
     alone."""
     polygon_angle_deg: Annotated[float, Field(gt=0, lt=180)] = 12.0
-    """Flat strips that turn by more than this from one to the next are the sides of a polygon, not of a cylinder or a
-    cone, unless a rounding's tangent plane beside them shows otherwise: a mesh of two rims does not tell them apart. A
-    polygon of 30 sides turns by 12 degrees."""
+    """Flat strips between two rims are a cylinder or cone where they turn by less than this from one to the next (30 sides
+    around)."""
+    polygon_sagitta_mm: NotNegative = 0.45
+    """Strips that turn by more are still a cylinder where they leave it by less than this, times the square of the ratio of
+    the angle above and theirs: 0.29 mm for 24 sides, 0.07 mm for 12. Else they are the sides of a polygon and stay so,
+    unless roundings of the part that touch their flat sides as tangents are as coarse. 0: go by the angle alone."""
     corner_angle_deg: Annotated[float, Field(gt=0, lt=180)] = 140.0
     """A contour splits where the angle between its segments is under this (paper, section 3.2)."""
     near_point_mm: NotNegative = 0.001

@@ -1,9 +1,9 @@
 """Jets: polynomials through a vertex, fitted to the vertices about it, from which its normal and the noise follow.
 
 A cubic over two rings of neighbours where they tell one, else a quadric, else the mean normal (Cazals, Pouget 2005,
-"Estimating differential quantities using polynomial fitting of osculating jets"). What a polynomial of degree k leaves out
-grows with the power k + 1 of the distance, and a neighbour is trusted as much: so near ones decide where fine facets meet
-coarse ones, and no normal crosses a jump in size.
+"Estimating differential quantities using polynomial fitting of osculating jets"). Distances are taken in units of the first
+ring's own extents along its two axes: a mesh is long where its surface is straight, and there a far neighbour says as much
+of the slope as a near one says across.
 """
 
 from __future__ import annotations
@@ -29,8 +29,11 @@ LEAST_PIVOT = 1e-5
 """A pivot of the normal equations, scaled to a diagonal of 1, under which neighbours do not tell a jet."""
 
 NEAREST = 0.3
-"""Of the mean distance of the first ring: nearer neighbours are trusted no more than at that distance, since the
-rounding of their coordinates tilts what they say."""
+"""Of the extent of the first ring: nearer neighbours are trusted no more than at that distance, since the rounding of
+their coordinates tilts what they say."""
+
+FLATTEST_RING = 1e-6
+"""Ratio of the extents of a first ring under which its vertices lie on a line."""
 
 SECTORS_A_BLOCK = 512
 
@@ -82,7 +85,7 @@ def _jets(
     rows = np.empty((MOST_NEIGHBOURS, 3))
     around = np.empty(MOST_NEIGHBOURS, np.int32)
     equations = np.empty((CUBIC, CUBIC + 1))
-    u, w = np.empty(3), np.empty(3)
+    u, w, scales = np.empty(3), np.empty(3), np.empty(2)
     for s in range(first, last):
         if least_cosines[s] >= 1.0 - 1e-15 or corners.starts[s + 1] == corners.starts[s]:
             continue
@@ -93,31 +96,28 @@ def _jets(
         _frame(n, u, w)
         corner = corners.corners[corners.starts[s]]
         here = vertices[faces[corner // 3, corner % 3]]
-        unit = 0.0
         for i in range(count):
             p = vertices[around[i]]
             x, y, z = p[0] - here[0], p[1] - here[1], p[2] - here[2]
             rows[i, 0] = x * u[0] + y * u[1] + z * u[2]
             rows[i, 1] = x * w[0] + y * w[1] + z * w[2]
             rows[i, 2] = x * n[0] + y * n[1] + z * n[2]
-            if i < near:
-                unit += np.sqrt(x * x + y * y + z * z) / near
-        if unit == 0.0:
+        if not _even_out(rows, near, count, u, w, scales):
             continue
         for attempt in range(3):
             size = CUBIC if attempt == 0 else QUADRIC
             used = count if attempt < 2 else near
             if used < size + (SPARE if attempt < 2 else 0):
                 continue
-            if not _solved(rows, used, unit, size, equations):
+            if not _solved(rows, used, size, equations):
                 continue
-            a, b = equations[0, size], equations[1, size]
+            a, b = equations[0, size] / scales[0], equations[1, size] / scales[1]
             length = np.sqrt(1.0 + a * a + b * b)
             if 1.0 / length < least_cosines[s]:
                 continue
             found.normals[s] = (n - a * u - b * w) / length
             if used > size:
-                found.noise[s] = _residual(rows, used, unit, size, equations)
+                found.noise[s] = _residual(rows, used, size, equations)
             break
 
 
@@ -181,23 +181,45 @@ def _terms(x: float, y: float, size: int, row: Floats) -> None:
 
 
 @kernel
-def _weight(x: float, y: float, size: int) -> float:
-    """Square of one over the distance to the power that the jet leaves out."""
-    square = x * x + y * y + NEAREST * NEAREST
-    return float(1.0 / (square * square * square * (square if size == CUBIC else 1.0)))
+def _even_out(rows: Floats, near: int, count: int, u: Floats, w: Floats, scales: Floats) -> bool:
+    """Turn the frame to the axes of the first ring, and divide by its extents along them, mm."""
+    xx = xy = yy = 0.0
+    for i in range(near):
+        xx += rows[i, 0] * rows[i, 0] / near
+        xy += rows[i, 0] * rows[i, 1] / near
+        yy += rows[i, 1] * rows[i, 1] / near
+    angle = 0.5 * np.arctan2(2.0 * xy, xx - yy)
+    c, s = np.cos(angle), np.sin(angle)
+    scales[0] = np.sqrt(max(c * c * xx + 2.0 * c * s * xy + s * s * yy, 0.0))
+    scales[1] = np.sqrt(max(s * s * xx - 2.0 * c * s * xy + c * c * yy, 0.0))
+    if not scales[1] > FLATTEST_RING * scales[0]:
+        return False
+    for i in range(3):
+        u[i], w[i] = c * u[i] + s * w[i], c * w[i] - s * u[i]
+    for i in range(count):
+        x, y = rows[i, 0], rows[i, 1]
+        rows[i, 0], rows[i, 1] = (c * x + s * y) / scales[0], (c * y - s * x) / scales[1]
+    return True
 
 
 @kernel
-def _solved(rows: Floats, count: int, unit: float, size: int, A: Floats) -> bool:
-    """Coefficients in units of `unit`, in the last column of A; false where the neighbours do not tell them all."""
+def _weight(x: float, y: float) -> float:
+    """Weight of a neighbour: one over its squared distance twice, so that the second ring helps and the first decides."""
+    square = x * x + y * y + NEAREST * NEAREST
+    return float(1.0 / (square * square))
+
+
+@kernel
+def _solved(rows: Floats, count: int, size: int, A: Floats) -> bool:
+    """Coefficients in the units of the rows, in the last column of A; false where the neighbours do not tell them all."""
     row = np.empty(CUBIC)
     for i in range(size):
         for j in range(size + 1):
             A[i, j] = 0.0
     for k in range(count):
-        x, y, z = rows[k, 0] / unit, rows[k, 1] / unit, rows[k, 2] / unit
+        x, y, z = rows[k, 0], rows[k, 1], rows[k, 2]
         _terms(x, y, size, row)
-        weight = _weight(x, y, size)
+        weight = _weight(x, y)
         for i in range(size):
             for j in range(i, size):
                 A[i, j] += weight * row[i] * row[j]
@@ -231,16 +253,16 @@ def _eliminated(A: Floats, n: int) -> bool:
 
 
 @kernel
-def _residual(rows: Floats, count: int, unit: float, size: int, A: Floats) -> float:
+def _residual(rows: Floats, count: int, size: int, A: Floats) -> float:
     """Root mean square of what a jet leaves of its neighbours, weighed as in the fit, per degree of freedom, mm."""
     row = np.empty(CUBIC)
     total = weights = 0.0
     for k in range(count):
-        weight = _weight(rows[k, 0] / unit, rows[k, 1] / unit, size)
-        _terms(rows[k, 0] / unit, rows[k, 1] / unit, size, row)
-        off = rows[k, 2] / unit
+        weight = _weight(rows[k, 0], rows[k, 1])
+        _terms(rows[k, 0], rows[k, 1], size, row)
+        off = rows[k, 2]
         for i in range(size):
             off -= A[i, size] * row[i]
         total += weight * off * off
         weights += weight
-    return float(unit * np.sqrt(total / weights * count / (count - size)))
+    return float(np.sqrt(total / weights * count / (count - size)))

@@ -22,10 +22,14 @@ from ebamcheck.curves.regions.rounding import plane_tolerance_mm
 from ebamcheck.kernels import kernel
 from ebamcheck.part import Part
 from ebamcheck.rings import Bools, Floats
+from ebamcheck.settings.curves import CurveSettings
 from ebamcheck.topology import NO_TWIN, Index
 
 FREEFORM, PLANE, STRIP = 0, 1, 2
 """Kinds of region: freely curved, flat, and flat between straight rulings across which the surface goes on turning."""
+
+PROVEN = 1.5
+"""Times the sagitta of strips that are a rounding's for certain: as coarse as that, other strips of the part are no polygon."""
 
 Kinds = NDArray[np.uint8]
 
@@ -46,9 +50,7 @@ class Regions(NamedTuple):
     """How far a vertex may lie from its plane."""
 
 
-def find_regions(
-    part: Part, twin: Index, crease_angle_deg: float, polygon_angle_deg: float
-) -> Regions:
+def find_regions(part: Part, twin: Index, settings: CurveSettings) -> Regions:
     """Find the regions of a part; `twin` (3 F,) loses the half-edges at which the surface is sharp.
 
     Parameters
@@ -57,21 +59,23 @@ def find_regions(
         The mesh.
     twin
         Half-edge across each half-edge.
-    crease_angle_deg
-        Edges whose planes differ by at least this angle are sharp. So is any edge between two planes that no third
-        strip goes on from.
-    polygon_angle_deg
-        Strips that turn by more than this from one to the next, with nothing but their two rims to tell whether they are
-        the sides of a polygon or of a cylinder, are sides of a polygon; a flat side that such a row of strips touches as
-        the tangent plane of a rounding would is evidence for the cylinder.
+    settings
+        Edges whose planes differ by at least the crease angle are sharp. So is any edge between two planes that no third
+        strip goes on from. Strips that turn by more than the polygon angle, and leave a cylinder by more than the polygon
+        sagitta, are sides of a polygon: two rims of vertices do not tell. A flat side that such a row of strips touches
+        as the tangent plane of a rounding would is evidence for the cylinder, and so is one elsewhere in the part that
+        was made as coarse.
     """
     tolerance_mm = plane_tolerance_mm(part)
     vertices, faces = part.vertices, part.faces
     groups = planar_groups(vertices, faces, twin, tolerance_mm)
-    borders = find_borders(vertices, faces, twin, groups, float(np.cos(np.deg2rad(crease_angle_deg))))
+    borders = find_borders(vertices, faces, twin, groups, float(np.cos(np.deg2rad(settings.crease_angle_deg))))
     _make_sharp(twin, part_bends(vertices, faces, twin, groups, borders))
     kind = _kinds(vertices, faces, twin, groups, borders)
-    polygons = _polygon_edges(vertices, faces, twin, groups, borders, kind, np.deg2rad(polygon_angle_deg))
+    polygons = _polygon_edges(
+        vertices, faces, twin, groups, borders, kind,
+        np.deg2rad(settings.polygon_angle_deg), settings.polygon_sagitta_mm,
+    )  # fmt: skip
     if polygons.any():
         _make_sharp(twin, polygons)
         kind = _kinds(vertices, faces, twin, groups, borders)
@@ -156,9 +160,10 @@ def _polygon_edges(
     groups: PlanarGroups,
     borders: Borders,
     kind: Kinds,
-    largest_turn: float,
+    angle: float,
+    sagitta: float,
 ) -> Bools:
-    """Half-edges between strips that are the sides of a polygon: they turn far, and no tangent plane speaks for a rounding."""
+    """Half-edges between strips that are the sides of a polygon: they turn far, and nothing speaks for a rounding."""
     count = len(kind)
     root = np.arange(count).astype(np.int32)
     rounding = np.zeros(count, np.bool_)
@@ -177,15 +182,32 @@ def _polygon_edges(
     for group in range(count):
         if rounding[group]:
             rounding[_root(root, group)] = True
+    proven = 0.0
+    for h in range(twin.size):
+        if _joins_strips(twin, groups.label, kind, h) and rounding[_root(root, groups.label[h // 3])]:
+            proven = max(proven, _sagitta(twin, borders, h))
     result = np.zeros(twin.size, np.bool_)
     for h in range(twin.size):
-        g = twin[h]
-        if g == NO_TWIN:
-            continue
-        a, b = groups.label[h // 3], groups.label[g // 3]
-        if a != b and kind[a] == STRIP and kind[b] == STRIP and abs(borders.turn[h]) > largest_turn:
-            result[h] = not rounding[_root(root, a)]
+        if _joins_strips(twin, groups.label, kind, h) and not rounding[_root(root, groups.label[h // 3])]:
+            turn = abs(borders.turn[h])
+            allowed = max(sagitta * (angle / turn) ** 2, PROVEN * proven)
+            result[h] = turn > angle and _sagitta(twin, borders, h) > allowed
     return result
+
+
+@kernel
+def _joins_strips(twin: Index, label: Index, kind: Kinds, h: int) -> bool:
+    """Whether two strips meet smoothly at a half-edge."""
+    if twin[h] == NO_TWIN:
+        return False
+    a, b = label[h // 3], label[twin[h] // 3]
+    return bool(a != b and kind[a] == STRIP and kind[b] == STRIP)
+
+
+@kernel
+def _sagitta(twin: Index, borders: Borders, h: int) -> float:
+    """Height of the arc over strips as wide as the two at a half-edge, mm."""
+    return float(abs(borders.turn[h]) * (borders.width[h] + borders.width[twin[h]]) / 16.0)
 
 
 @kernel
