@@ -6,7 +6,7 @@ edge between two vertices is replaced by a cubic that starts and ends across the
 crosses the layer. The edge bends at both ends by the lesser of the two angles that the normals ask for, and not at
 all where they ask for much to different sides: so a normal spoilt by a neighbour of another curvature does not
 make it overshoot. Edges of planes and the rulings of strips do not bend. Any other bends, at each end, by no more than
-the mesh itself turns there from the edge to what lies beyond: an error d of a normal lifts an edge of length l by l d / 8,
+the mesh itself turns there from the edge to what lies behind: an error d of a normal lifts an edge of length l by l d / 8,
 which is much for a long edge beside fine facets.
 """
 
@@ -44,12 +44,16 @@ LARGEST_INFLECTION = np.sin(np.deg2rad(5.0))
 LEAST_CREASE = 0.1
 """Sine of the angle between the normals on the two sides of a crease under which its direction is not known."""
 
-MOST_OF_TURN = 3.0
-"""An edge bends at an end by at most this many times what a circle through it and what lies beyond would."""
+MOST_OF_TURN = 2.0
+"""An edge bends at an end by at most this many times what a circle along it and through the neighbours behind would; on a
+mesh of triangles those lie to both sides of its line, where the surface may curve otherwise."""
 
-JUMP = 5.0
-"""An edge this many times longer than what lies beyond one of its ends is in another region than that: what the normal
-there says of the finer side is nothing to the edge."""
+JUMP = 4.0
+"""An edge this many times longer than those behind one of its ends is in another region than they: what the normal there
+says of the finer side is nothing to the edge."""
+
+BEHIND_COSINE = 0.3
+"""A neighbour lies behind the end of an edge where the cosine of its angle to the edge's line is greater than this."""
 
 NO_PLANE = -1
 """In place of a plane's number: the segment is in none."""
@@ -112,7 +116,6 @@ class _Mesh(NamedTuple):
     kind: NDArray[np.uint8]
     region: Index
     fans: Index
-    facet_normals: Floats
     rough: Bools
     corner_starts: Ints
     corners: Index
@@ -142,7 +145,6 @@ class Lifting:
             normals.kind,
             normals.region,
             normals.fans,
-            normals.facet_normals,
             normals.rough,
             starts,
             corners,
@@ -247,8 +249,8 @@ def _bends(
         return bend_low, bend_high
     if mesh.kind[up // 3] != FREEFORM or mesh.kind[down // 3] != FREEFORM:
         return bend_low, bend_high
-    most_low, jump_low = _most(mesh, up, up % 3, chord)
-    most_high, jump_high = _most(mesh, up, (up % 3 + 1) % 3, _scaled(chord, -1.0))
+    most_low, jump_low = _most(mesh, up, up % 3, chord, up_low)
+    most_high, jump_high = _most(mesh, up, (up % 3 + 1) % 3, _scaled(chord, -1.0), up_high)
     if jump_low or jump_high:
         most_low = most_high = 0.0
     return _limited(bend_low, most_low), _limited(bend_high, most_high)
@@ -261,40 +263,36 @@ def _limited(bend: _Vector, most: float) -> _Vector:
 
 
 @kernel
-def _most(mesh: _Mesh, up: int, corner: int, chord: _Vector) -> tuple[float, bool]:
-    """How far an edge may bend at one end, mm, by what lies beyond it; and whether that is far finer than the edge.
+def _most(mesh: _Mesh, up: int, corner: int, chord: _Vector, normal: _Vector) -> tuple[float, bool]:
+    """How far an edge may bend at one end, mm, by what lies behind it; and whether that is far finer than the edge.
 
-    The edge is drawn on over its end, into the facet of the same smooth fan that it comes to lie over: how far that
-    facet reaches, and how much it turns away. Without one, at a crease, nothing limits it.
+    Edge and neighbours behind, in the same smooth fan, drop from the tangent plane by angles whose sum does not depend on
+    how the plane is tilted: the turn of the mesh along the edge, of which a circle gives the edge its share by length.
+    Without a neighbour behind, at a crease, nothing limits it.
     """
     f = up // 3
     fan, vertex = mesh.fans[f, corner], mesh.faces[f, corner]
     here = _vector(mesh.vertices, vertex)
-    back = _scaled(chord, -1.0)
     length = np.sqrt(_dot(chord, chord))
-    best, reach, turn = 0.0, 0.0, 0.0
+    weights = reach = drop = 0.0
     for place in range(mesh.corner_starts[vertex], mesh.corner_starts[vertex + 1]):
         e, k = mesh.corners[place] // 3, mesh.corners[place] % 3
         if mesh.fans[e, k] != fan:
             continue
-        p = _minus(_vector(mesh.vertices, mesh.faces[e, (k + 1) % 3]), here)
-        q = _minus(_vector(mesh.vertices, mesh.faces[e, (k + 2) % 3]), here)
-        pp, pq, qq = _dot(p, p), _dot(p, q), _dot(q, q)
-        determinant = pp * qq - pq * pq
-        if determinant <= 0.0:
-            continue
-        a = (_dot(back, p) * qq - _dot(back, q) * pq) / determinant
-        b = (_dot(back, q) * pp - _dot(back, p) * pq) / determinant
-        if a < 0.0 or b < 0.0 or a + b <= 0.0:
-            continue
-        inside = np.sqrt(pp * qq) / (length * length) * (a + b)
-        if best == 0.0 or inside > best:
-            best = inside
-            reach = length / (a + b)
-            turn = _dot(back, _vector(mesh.facet_normals, e)) / length
-    if best == 0.0:
+        for step in (1, 2):
+            p = _minus(_vector(mesh.vertices, mesh.faces[e, (k + step) % 3]), here)
+            far = np.sqrt(_dot(p, p))
+            cosine = -_dot(p, chord) / max(far * length, 1e-300)
+            if cosine > BEHIND_COSINE:
+                weight = cosine * cosine
+                weights += weight
+                reach += weight * cosine * far
+                drop -= weight * _dot(p, normal) / far
+    if weights == 0.0:
         return np.inf, False
-    return MOST_OF_TURN * abs(turn) * length * length / (length + reach), length >= JUMP * reach
+    reach /= weights
+    turn = abs(drop / weights - _dot(chord, normal) / length)
+    return MOST_OF_TURN * turn * length * length / (length + reach), length >= JUMP * reach
 
 
 @kernel

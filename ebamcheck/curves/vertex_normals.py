@@ -48,8 +48,6 @@ class SurfaceNormals(NamedTuple):
     """(F,) planar group of the facet; its own number without regions."""
     fans: Index
     """(F, 3) smooth fan about the vertex that each corner belongs to, whatever the regions in it."""
-    facet_normals: Floats
-    """(F, 3) unit normals of the facets; those of slivers in a plane are the plane's."""
     rough: Bools
     """(S,) the noise of the vertices about exceeds what lifting could win there."""
     with_regions: bool
@@ -82,7 +80,6 @@ def surface_normals(part: Part, settings: CurveSettings) -> SurfaceNormals:
         regions.kind[label],
         label,
         found.fans,
-        regions.groups.normals[label],
         rough_rows(part.vertices, part.faces, found),
         True,
     )
@@ -109,7 +106,6 @@ def _plain_normals(part: Part, twin: Index, crease_angle_deg: float) -> SurfaceN
         np.full(len(faces), FREEFORM, np.uint8),
         np.arange(len(faces), dtype=np.int32),
         sectors,
-        facet_normals,
         np.zeros(count, np.bool_),
         False,
     )

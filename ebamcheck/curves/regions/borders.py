@@ -70,6 +70,13 @@ def edge_direction(vertices: Floats, faces: Index, h: int) -> tuple[float, float
 
 
 @kernel
+def edge_length(vertices: Floats, faces: Index, h: int) -> float:
+    """Length of a half-edge, mm."""
+    p, q = vertices[faces[h // 3, h % 3]], vertices[faces[h // 3, (h % 3 + 1) % 3]]
+    return float(np.sqrt((p[0] - q[0]) ** 2 + (p[1] - q[1]) ** 2 + (p[2] - q[2]) ** 2))
+
+
+@kernel
 def _measure(
     vertices: Floats,
     faces: Index,
@@ -144,8 +151,8 @@ def part_bends(
 ) -> Bools:
     """Half-edges (3 F,) at which two planes meet in a bend and not in a rounding: no third strip goes on turning.
 
-    Asked where a plane of several facets meets another, or something far narrower; two single facets are pieces of a
-    freely curved surface up to the crease angle.
+    Asked where a plane of several facets meets another, or something far narrower, or at the end of a long strip; two single
+    facets are pieces of a freely curved surface up to the crease angle.
     """
     bend = np.zeros(twin.size, np.bool_)
     for h in range(twin.size):
@@ -157,7 +164,11 @@ def part_bends(
             continue
         several = groups.sizes[mine] > 1, groups.sizes[other] > 1
         uneven = borders.width[h] >= LIKE * borders.width[g] or borders.width[g] >= LIKE * borders.width[h]
-        if not ((several[0] and several[1]) or ((several[0] or several[1]) and uneven)):
+        length = edge_length(vertices, faces, h)
+        rim = (several[0] and borders.width[h] >= LIKE * length) or (
+            several[1] and borders.width[g] >= LIKE * length
+        )
+        if not ((several[0] and several[1]) or ((several[0] or several[1]) and uneven) or rim):
             continue
         ahead = _support(vertices, faces, twin, groups, borders, g)
         back = _support(vertices, faces, twin, groups, borders, h)

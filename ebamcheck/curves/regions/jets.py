@@ -1,6 +1,6 @@
 """Jets: polynomials through a vertex, fitted to the vertices about it, from which its normal and the noise follow.
 
-A cubic over two rings of neighbours where they tell one, else a quadric, else the mean normal (Cazals, Pouget 2005,
+A quadric over the first ring of neighbours, and where it agrees a cubic over two, else the mean normal (Cazals, Pouget 2005,
 "Estimating differential quantities using polynomial fitting of osculating jets"). Distances are taken in units of the first
 ring's own extents along its two axes: a mesh is long where its surface is straight, and there a far neighbour says as much
 of the slope as a near one says across.
@@ -31,6 +31,13 @@ LEAST_PIVOT = 1e-5
 NEAREST = 0.3
 """Of the extent of the first ring: nearer neighbours are trusted no more than at that distance, since the rounding of
 their coordinates tilts what they say."""
+
+OFF_CENTRE = 0.5
+"""Of the extents of a first ring: one whose mean lies farther off is at a border."""
+
+AGREE = 0.35
+"""Of the angle over which the facets' normals spread: two jets that differ by more know the surface badly, and the one of
+the first ring decides."""
 
 FLATTEST_RING = 1e-6
 """Ratio of the extents of a first ring under which its vertices lie on a line."""
@@ -85,7 +92,7 @@ def _jets(
     rows = np.empty((MOST_NEIGHBOURS, 3))
     around = np.empty(MOST_NEIGHBOURS, np.int32)
     equations = np.empty((CUBIC, CUBIC + 1))
-    u, w, scales = np.empty(3), np.empty(3), np.empty(2)
+    u, w, scales, normal = np.empty(3), np.empty(3), np.empty(2), np.empty(3)
     for s in range(first, last):
         if least_cosines[s] >= 1.0 - 1e-15 or corners.starts[s + 1] == corners.starts[s]:
             continue
@@ -104,21 +111,55 @@ def _jets(
             rows[i, 2] = x * n[0] + y * n[1] + z * n[2]
         if not _even_out(rows, near, count, u, w, scales):
             continue
-        for attempt in range(3):
-            size = CUBIC if attempt == 0 else QUADRIC
-            used = count if attempt < 2 else near
-            if used < size + (SPARE if attempt < 2 else 0):
-                continue
-            if not _solved(rows, used, size, equations):
-                continue
-            a, b = equations[0, size] / scales[0], equations[1, size] / scales[1]
-            length = np.sqrt(1.0 + a * a + b * b)
-            if 1.0 / length < least_cosines[s]:
-                continue
-            found.normals[s] = (n - a * u - b * w) / length
-            if used > size:
-                found.noise[s] = _residual(rows, used, size, equations)
-            break
+        own = _normal(rows, near, QUADRIC, 0, equations, scales, n, u, w, least_cosines[s], normal)
+        if own:
+            found.normals[s] = normal
+        size = CUBIC if _is_centred(rows, near) else QUADRIC
+        if not _normal(rows, count, size, SPARE, equations, scales, n, u, w, least_cosines[s], normal):
+            continue
+        found.noise[s] = _residual(rows, count, size, equations)
+        spread = np.arccos(min(max(least_cosines[s], -1.0), 1.0))
+        if not own or _dot(normal, found.normals[s]) >= np.cos(AGREE * spread):
+            found.normals[s] = normal
+
+
+@kernel
+def _dot(a: Floats, b: Floats) -> float:
+    return float(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+
+
+@kernel
+def _is_centred(rows: Floats, near: int) -> bool:
+    """Whether the first ring lies about the vertex, and not to one side: a cubic is not drawn on beyond what it knows."""
+    x = y = 0.0
+    for i in range(near):
+        x += rows[i, 0] / near
+        y += rows[i, 1] / near
+    return bool(x * x + y * y < OFF_CENTRE * OFF_CENTRE)
+
+
+@kernel
+def _normal(
+    rows: Floats,
+    count: int,
+    size: int,
+    spare: int,
+    equations: Floats,
+    scales: Floats,
+    n: Floats,
+    u: Floats,
+    w: Floats,
+    least_cosine: float,
+    normal: Floats,
+) -> bool:
+    """Fit a jet of some size to the first `count` rows and write its normal; false where there is none."""
+    if count < size + spare or not _solved(rows, count, size, equations):
+        return False
+    a, b = equations[0, size] / scales[0], equations[1, size] / scales[1]
+    length = np.sqrt(1.0 + a * a + b * b)
+    for i in range(3):
+        normal[i] = (n[i] - a * u[i] - b * w[i]) / length
+    return bool(1.0 / length >= least_cosine)
 
 
 @kernel
