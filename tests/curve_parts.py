@@ -56,7 +56,10 @@ def extruded(rings: list[Array], height: float, rows: int = 1) -> Part:
         b = first + np.roll(np.arange(len(ring)), -1)
         for row in range(rows):
             low, high = row * count, (row + 1) * count
-            faces += [np.column_stack([a + low, b + low, b + high]), np.column_stack([a + low, b + high, a + high])]
+            faces += [
+                np.column_stack([a + low, b + low, b + high]),
+                np.column_stack([a + low, b + high, a + high]),
+            ]
         first += len(ring)
     return from_arrays(vertices, np.concatenate(faces))
 
@@ -75,7 +78,10 @@ def revolved(profile: Array, chord_mm: float) -> Part:
     faces = [np.column_stack([np.full(n, rows * n), b, a])]
     for r in range(rows - 1):
         low, high = r * n, (r + 1) * n
-        faces += [np.column_stack([a + low, b + low, b + high]), np.column_stack([a + low, b + high, a + high])]
+        faces += [
+            np.column_stack([a + low, b + low, b + high]),
+            np.column_stack([a + low, b + high, a + high]),
+        ]
     faces.append(np.column_stack([np.full(n, rows * n + 1), a + (rows - 1) * n, b + (rows - 1) * n]))
     return from_arrays(np.concatenate([grid, ends]), np.concatenate(faces))
 
@@ -100,7 +106,10 @@ def rounded_box(size: ArrayLike, radius: float, chord_mm: float) -> Part:
     a, b = np.arange(m), np.roll(np.arange(m), -1)
     for r in range(len(rows) - 1):
         low, high = r * m, (r + 1) * m
-        faces += [np.column_stack([a + low, b + low, b + high]), np.column_stack([a + low, b + high, a + high])]
+        faces += [
+            np.column_stack([a + low, b + low, b + high]),
+            np.column_stack([a + low, b + high, a + high]),
+        ]
     top = (len(rows) - 1) * m
     corners = np.arange(4) * (n + 1)
     faces += [
@@ -119,7 +128,12 @@ def cleaned(vertices: Array, faces: NDArray[np.int64]) -> Part:
 
 
 def rounded_rectangle(x: float, y: float, radius: float, chord_mm: float) -> Array:
-    corners = [(x - radius, y - radius), (radius - x, y - radius), (radius - x, radius - y), (x - radius, radius - y)]
+    corners = [
+        (x - radius, y - radius),
+        (radius - x, y - radius),
+        (radius - x, radius - y),
+        (x - radius, radius - y),
+    ]
     return np.concatenate(
         [arc(cx, cy, radius, 90.0 * k, 90.0 * k + 90.0, chord_mm) for k, (cx, cy) in enumerate(corners)]
     )
@@ -154,7 +168,14 @@ def bent_plate(degrees: float, chord_mm: float = 0.1) -> Part:
     far = np.array([np.cos(a), np.sin(a)])
     half = np.tan(0.5 * a)
     up = np.array([-np.sin(a), np.cos(a)])
-    below = [(-40.0, 0.0), (0.0, 0.0), tuple(40.0 * far), tuple(40.0 * far + 6.0 * up), (-6.0 * half, 6.0), (-40.0, 6.0)]
+    below = [
+        (-40.0, 0.0),
+        (0.0, 0.0),
+        tuple(40.0 * far),
+        tuple(40.0 * far + 6.0 * up),
+        (-6.0 * half, 6.0),
+        (-40.0, 6.0),
+    ]
     return extruded([np.array(below)], 50.0)
 
 

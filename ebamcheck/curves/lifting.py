@@ -45,12 +45,18 @@ LEAST_CREASE = 0.1
 """Sine of the angle between the normals on the two sides of a crease under which its direction is not known."""
 
 MOST_OF_TURN = 2.0
-"""An edge bends at an end by at most this many times what a circle along it and through the neighbours behind would; on a
-mesh of triangles those lie to both sides of its line, where the surface may curve otherwise."""
+"""An edge longer than what lies behind its end bends there by at most this many times what a circle along it and through
+the neighbours behind would; those lie to both sides of its line, where the surface may curve otherwise."""
+
+LONGER = 1.5
+"""Ratio of an edge and what lies behind from which it is longer."""
 
 JUMP = 4.0
-"""An edge this many times longer than those behind one of its ends is in another region than they: what the normal there
-says of the finer side is nothing to the edge."""
+"""An edge this many times longer than those behind one of its ends is in another region than they, unless it bends as they
+do: what the normal there says of the finer side is nothing to the edge."""
+
+ALIKE = 2.0
+"""Curvatures of an edge and of what lies behind that differ by less than this factor are those of one surface."""
 
 BEHIND_COSINE = 0.3
 """A neighbour lies behind the end of an edge where the cosine of its angle to the edge's line is greater than this."""
@@ -235,9 +241,7 @@ def _is_straight(mesh: _Mesh, up: int, down: int, smooth: bool) -> bool:
 
 
 @kernel
-def _bends(
-    mesh: _Mesh, up: int, down: int, chord: _Vector, smooth: bool
-) -> tuple[_Vector, _Vector]:
+def _bends(mesh: _Mesh, up: int, down: int, chord: _Vector, smooth: bool) -> tuple[_Vector, _Vector]:
     """Bends at the lower and the upper end of an edge, as far as the mesh bears them out."""
     up_low, up_high = _normals_of(mesh, up)
     down_high, down_low = _normals_of(mesh, down)
@@ -290,9 +294,14 @@ def _most(mesh: _Mesh, up: int, corner: int, chord: _Vector, normal: _Vector) ->
                 drop -= weight * _dot(p, normal) / far
     if weights == 0.0:
         return np.inf, False
-    reach /= weights
-    turn = abs(drop / weights - _dot(chord, normal) / length)
-    return MOST_OF_TURN * turn * length * length / (length + reach), length >= JUMP * reach
+    reach, behind = reach / weights, drop / weights
+    ahead = -_dot(chord, normal) / length
+    most = np.inf
+    if length >= LONGER * reach:
+        most = MOST_OF_TURN * abs(behind + ahead) * length * length / (length + reach)
+    # On one surface edge and neighbours bend alike: their drops go with their lengths.
+    alike = ahead * behind > 0.0 and 1.0 / ALIKE < (ahead * reach) / (behind * length) < ALIKE
+    return most, length >= JUMP * reach and not alike
 
 
 @kernel

@@ -121,7 +121,13 @@ def _strands(
             after[a : a + n], straight[a : a + n],
         )  # fmt: skip
         _keep_rough(
-            sides, kept, closed[r], corner[a : a + n], before[a : a + n], after[a : a + n], straight[a : a + n]
+            sides,
+            kept,
+            closed[r],
+            corner[a : a + n],
+            before[a : a + n],
+            after[a : a + n],
+            straight[a : a + n],
         )
         _keep_near(
             sides.points, kept, closed[r], largest_bulge, corner[a : a + n], before[a : a + n],

@@ -146,9 +146,7 @@ def _by_group(twin: Index, label: Index, starts: Index) -> Index:
 
 
 @kernel
-def part_bends(
-    vertices: Floats, faces: Index, twin: Index, groups: PlanarGroups, borders: Borders
-) -> Bools:
+def part_bends(vertices: Floats, faces: Index, twin: Index, groups: PlanarGroups, borders: Borders) -> Bools:
     """Half-edges (3 F,) at which two planes meet in a bend and not in a rounding: no third strip goes on turning.
 
     Asked where a plane of several facets meets another, or something far narrower, or at the end of a long strip; two single

@@ -42,9 +42,10 @@ def regions_svg(part: Part, found: list[Surface]) -> str:
     scale = (WIDTH_PX - 2.0 * MARGIN_PX) / max(float((high - low).max()), 1e-9)
     names = [k for k in COLOURS if any(s.kind == k for s in found)]
     height = float(scale * (high - low)[1]) + 2.0 * MARGIN_PX + KEY_PX * (len(names) + 1)
+    head = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH_PX:g} {height:.1f}"'
     lines = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH_PX:g} {height:.1f}" font-family="sans-serif" '
-        f'font-size="13"><title>Regions of {_escaped(part.name)}</title>'
+        f'{head} font-family="sans-serif" font-size="13">',
+        f"<title>Regions of {_escaped(part.name)}</title>",
     ]
     for i in seen:
         x = MARGIN_PX + scale * (corners[i, :, 0] - low[0])

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ebamcheck.kernels import kernel
-from ebamcheck.rings import Bools, Floats
+from ebamcheck.rings import Floats
 from ebamcheck.topology import NO_TWIN, Index
 
 MOST_REACH = 10.0
@@ -74,6 +74,7 @@ def area_vectors(vertices: Floats, faces: Index) -> Floats:
 
 @kernel
 def longest_edge(vertices: Floats, faces: Index, f: int) -> float:
+    """Length of the longest edge of a facet, mm."""
     longest = 0.0
     for k in range(3):
         p, q = vertices[faces[f, k]], vertices[faces[f, (k + 1) % 3]]
@@ -93,15 +94,19 @@ def _off(point: Floats, middle: Floats, normal: Floats) -> float:
 @kernel
 def _away(point: Floats, middle: Floats) -> float:
     return float(
-        np.sqrt(
-            (point[0] - middle[0]) ** 2 + (point[1] - middle[1]) ** 2 + (point[2] - middle[2]) ** 2
-        )
+        np.sqrt((point[0] - middle[0]) ** 2 + (point[1] - middle[1]) ** 2 + (point[2] - middle[2]) ** 2)
     )
 
 
 @kernel
 def _grow(
-    vertices: Floats, faces: Index, twin: Index, vectors: Floats, areas: Floats, order: Index, tolerance: float
+    vertices: Floats,
+    faces: Index,
+    twin: Index,
+    vectors: Floats,
+    areas: Floats,
+    order: Index,
+    tolerance: float,
 ) -> tuple[Index, int]:
     """Label facets by plane, largest seed first; a group's plane follows all that it has taken up."""
     label = np.full(len(faces), -1, np.int32)
@@ -199,7 +204,9 @@ def _put_out(
         off = 0.0
         for k in range(3):
             p = vertices[faces[f, k]]
-            off = max(off, abs(p[0] * normals[g, 0] + p[1] * normals[g, 1] + p[2] * normals[g, 2] - offsets[g]))
+            off = max(
+                off, abs(p[0] * normals[g, 0] + p[1] * normals[g, 1] + p[2] * normals[g, 2] - offsets[g])
+            )
         if off > allowed:
             label[f] = count
             count += 1

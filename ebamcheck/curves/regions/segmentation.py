@@ -31,6 +31,10 @@ FREEFORM, PLANE, STRIP = 0, 1, 2
 PROVEN = 1.5
 """Times the sagitta of strips that are a rounding's for certain: as coarse as that, other strips of the part are no polygon."""
 
+MUCH = 0.25
+"""Of the surface of a part, from which its freely curved facets tell how coarse its mesh is; roundings of a polygon's rims
+are less."""
+
 Kinds = NDArray[np.uint8]
 
 RULING_COSINE = 0.9
@@ -63,13 +67,15 @@ def find_regions(part: Part, twin: Index, settings: CurveSettings) -> Regions:
         Edges whose planes differ by at least the crease angle are sharp. So is any edge between two planes that no third
         strip goes on from. Strips that turn by more than the polygon angle, and leave a cylinder by more than the polygon
         sagitta, are sides of a polygon: two rims of vertices do not tell. A flat side that such a row of strips touches
-        as the tangent plane of a rounding would is evidence for the cylinder, and so is one elsewhere in the part that
-        was made as coarse.
+        as the tangent plane of a rounding would is evidence for the cylinder, and so are others of the part, or freely
+        curved surfaces where they are much of it, that are as coarse.
     """
     tolerance_mm = plane_tolerance_mm(part)
     vertices, faces = part.vertices, part.faces
     groups = planar_groups(vertices, faces, twin, tolerance_mm)
-    borders = find_borders(vertices, faces, twin, groups, float(np.cos(np.deg2rad(settings.crease_angle_deg))))
+    borders = find_borders(
+        vertices, faces, twin, groups, float(np.cos(np.deg2rad(settings.crease_angle_deg)))
+    )
     _make_sharp(twin, part_bends(vertices, faces, twin, groups, borders))
     kind = _kinds(vertices, faces, twin, groups, borders)
     polygons = _polygon_edges(
@@ -99,9 +105,7 @@ def _between_planes(twin: Index, label: Index, kind: Kinds) -> Bools:
 
 
 @kernel
-def _kinds(
-    vertices: Floats, faces: Index, twin: Index, groups: PlanarGroups, borders: Borders
-) -> Kinds:
+def _kinds(vertices: Floats, faces: Index, twin: Index, groups: PlanarGroups, borders: Borders) -> Kinds:
     """Kind of each group (G,) by its borders.
 
     A plane is flat up to each. A strip is flat but for borders that run alike, its rulings; a single facet is no strip.
@@ -141,7 +145,7 @@ def is_link(twin: Index, label: Index, kind: Kinds, borders: Borders, h: int) ->
     if g == NO_TWIN or label[h // 3] == label[g // 3]:
         return False
     other = kind[label[g // 3]]
-    return bool(other == STRIP or other == PLANE or borders.width[h] < LIKE * borders.width[g])
+    return bool(other in (STRIP, PLANE) or borders.width[h] < LIKE * borders.width[g])
 
 
 @kernel
@@ -186,6 +190,7 @@ def _polygon_edges(
     for h in range(twin.size):
         if _joins_strips(twin, groups.label, kind, h) and rounding[_root(root, groups.label[h // 3])]:
             proven = max(proven, _sagitta(twin, borders, h))
+    proven = max(proven, _curved_sagitta(twin, groups, borders, kind))
     result = np.zeros(twin.size, np.bool_)
     for h in range(twin.size):
         if _joins_strips(twin, groups.label, kind, h) and not rounding[_root(root, groups.label[h // 3])]:
@@ -193,6 +198,26 @@ def _polygon_edges(
             allowed = max(sagitta * (angle / turn) ** 2, PROVEN * proven)
             result[h] = turn > angle and _sagitta(twin, borders, h) > allowed
     return result
+
+
+@kernel
+def _curved_sagitta(twin: Index, groups: PlanarGroups, borders: Borders, kind: Kinds) -> float:
+    """Median sagitta of freely curved facets, mm, where they are much of the part: what is curved both ways is no polygon."""
+    curved = 0.0
+    for group in range(len(kind)):
+        if kind[group] == FREEFORM:
+            curved += groups.areas[group]
+    if curved < MUCH * np.sum(groups.areas):
+        return 0.0
+    sagittas = np.empty(twin.size)
+    count = 0
+    for h in range(twin.size):
+        if twin[h] < h or groups.label[h // 3] == groups.label[twin[h] // 3]:
+            continue
+        if kind[groups.label[h // 3]] == FREEFORM and kind[groups.label[twin[h] // 3]] == FREEFORM:
+            sagittas[count] = _sagitta(twin, borders, h)
+            count += 1
+    return float(np.median(sagittas[:count])) if count else 0.0
 
 
 @kernel

@@ -81,7 +81,9 @@ def table(found: list[Surface]) -> str:
     lines.append("")
     for s in found[:MOST_LISTED]:
         size = " x ".join(f"{x:.4g}" for x in s.size_mm)
-        lines.append(f"{s.kind:10} {s.area_mm2:12.6g} mm2 {len(s.facets):8} facets  {size} mm  {s.figure}".rstrip())
+        lines.append(
+            f"{s.kind:10} {s.area_mm2:12.6g} mm2 {len(s.facets):8} facets  {size} mm  {s.figure}".rstrip()
+        )
     if len(found) > MOST_LISTED:
         lines.append(f"and {len(found) - MOST_LISTED} smaller ones")
     return "\n".join(lines)
@@ -114,7 +116,9 @@ def _connected(twin: Index, regions: Regions) -> Ints:
 
 def _surface(part: Part, regions: Regions, twin: Index, facets: Ints) -> Surface:
     corners = part.vertices[part.faces[facets]]
-    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    area = 0.5 * np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
     points = np.unique(corners.reshape(-1, 3), axis=0)
     x, y, z = np.ptp(points, axis=0).tolist()
     kind = regions.kind[regions.groups.label[facets[0]]]
@@ -152,9 +156,7 @@ def _rulings(part: Part, regions: Regions, twin: Index, facets: Ints) -> tuple[F
     return start, along
 
 
-def _ruled(
-    part: Part, regions: Regions, twin: Index, facets: Ints, points: Floats
-) -> tuple[str, str]:
+def _ruled(part: Part, regions: Regions, twin: Index, facets: Ints, points: Floats) -> tuple[str, str]:
     """Cylinder, cone or another ruled surface."""
     allowed = FIT * regions.tolerance_mm
     start, along = _rulings(part, regions, twin, facets)
