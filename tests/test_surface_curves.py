@@ -177,7 +177,8 @@ def test_a_crease_is_what_the_angle_says(sides: int) -> None:
     assert set(sharp.kind) == {LINE}
     assert sharp.block_count() == 3 * sides
     if sides >= 8:  # and smooth, it is the cylinder through its edges
-        smooth = fit(layers, "surface", part=part, crease_angle_deg=360.0 / sides + 1.0)
+        wide = 360.0 / sides + 1.0
+        smooth = fit(layers, "surface", part=part, crease_angle_deg=wide, polygon_angle_deg=wide)
         radii = np.hypot(*smooth.sample(0.1).points.T)
         assert np.abs(radii - 10.0).max() < 0.15 * 10.0 * (1.0 - np.cos(np.pi / sides))
 

@@ -58,6 +58,9 @@ do: what the normal there says of the finer side is nothing to the edge."""
 ALIKE = 2.0
 """Curvatures of an edge and of what lies behind that differ by less than this factor are those of one surface."""
 
+NOISE_LIFT = 0.5
+"""Vertices that lie s off their surface tilt a normal so that it lifts an edge by a quarter to half of s."""
+
 BEHIND_COSINE = 0.3
 """A neighbour lies behind the end of an edge where the cosine of its angle to the edge's line is greater than this."""
 
@@ -123,6 +126,7 @@ class _Mesh(NamedTuple):
     region: Index
     fans: Index
     rough: Bools
+    noise: Floats
     corner_starts: Ints
     corners: Index
     limited: bool
@@ -152,6 +156,7 @@ class Lifting:
             normals.region,
             normals.fans,
             normals.rough,
+            normals.noise,
             starts,
             corners,
             normals.with_regions,
@@ -195,7 +200,7 @@ def _lift(
         if not (found.rough[i] or _is_straight(mesh, up, down, smooth)):
             bend_low, bend_high = _bends(mesh, up, down, chord, smooth)
             flat = mesh.flat[up // 3] and mesh.flat[down // 3]
-            if _bends_alike(chord, bend_low, bend_high, flat):
+            if _bends_alike(chord, bend_low, bend_high, flat) and _is_worth(mesh, up, bend_low, bend_high):
                 if not (smooth and mesh.kind[up // 3] == STRIP and mesh.kind[down // 3] == STRIP):
                     lesser = min(_dot(bend_low, bend_low), _dot(bend_high, bend_high))
                     bend_low = _scaled(bend_low, np.sqrt(lesser / _dot(bend_low, bend_low)))
@@ -255,9 +260,18 @@ def _bends(mesh: _Mesh, up: int, down: int, chord: _Vector, smooth: bool) -> tup
         return bend_low, bend_high
     most_low, jump_low = _most(mesh, up, up % 3, chord, up_low)
     most_high, jump_high = _most(mesh, up, (up % 3 + 1) % 3, _scaled(chord, -1.0), up_high)
-    if jump_low or jump_high:
+    if jump_low and jump_high:
         most_low = most_high = 0.0
     return _limited(bend_low, most_low), _limited(bend_high, most_high)
+
+
+@kernel
+def _is_worth(mesh: _Mesh, up: int, bend_low: _Vector, bend_high: _Vector) -> bool:
+    """Whether the sagitta of an edge exceeds what the noise of its ends' normals would lift it by."""
+    f, k = up // 3, up % 3
+    noise = max(mesh.noise[mesh.sectors[f, k]], mesh.noise[mesh.sectors[f, (k + 1) % 3]])
+    lesser = min(_dot(bend_low, bend_low), _dot(bend_high, bend_high))
+    return bool(0.25 * np.sqrt(lesser) >= NOISE_LIFT * noise)
 
 
 @kernel

@@ -50,6 +50,8 @@ class SurfaceNormals(NamedTuple):
     """(F, 3) smooth fan about the vertex that each corner belongs to, whatever the regions in it."""
     rough: Bools
     """(S,) the noise of the vertices about exceeds what lifting could win there."""
+    noise: Floats
+    """(S,) what the surface about leaves of the vertices there, mm; 0 where it is not told."""
     with_regions: bool
     """Whether the mesh was segmented."""
 
@@ -81,6 +83,7 @@ def surface_normals(part: Part, settings: CurveSettings) -> SurfaceNormals:
         label,
         found.fans,
         rough_rows(part.vertices, part.faces, found),
+        np.nan_to_num(found.noise),
         True,
     )
 
@@ -107,6 +110,7 @@ def _plain_normals(part: Part, twin: Index, crease_angle_deg: float) -> SurfaceN
         np.arange(len(faces), dtype=np.int32),
         sectors,
         np.zeros(count, np.bool_),
+        np.zeros(count),
         False,
     )
 

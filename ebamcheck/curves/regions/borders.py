@@ -17,7 +17,7 @@ LIKE = 3.0
 BEYOND_COSINE = 0.45
 """A border of a group lies beyond another where it runs along it, or at the angle of an even triangle's sides at most."""
 
-SUPPORTED = 2.5
+SUPPORTED = 5.0
 """A turn this many times that of its like beside it stands out, and is a bend of its own."""
 
 INFLECTION = 0.5

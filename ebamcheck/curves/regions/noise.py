@@ -14,17 +14,19 @@ ROUGH = 1.5
 of a contour two thirds of s off; the normals that they tell lift it by about a quarter of s to a wrong place, and seem to
 ask for such sagittas where there are none."""
 
-PASSES = 2
-"""Rings over which noise and sagitta are averaged: one residual of few degrees of freedom says little."""
-
 
 def rough_rows(vertices: Floats, faces: Index, found: RegionNormals) -> Bools:
-    """Rows of normals (rows,) about which the noise exceeds what lifting could win."""
-    noise, sagitta = found.noise.copy(), _sagittas(vertices, faces, found.rows, found.normals)
-    for _ in range(PASSES):
-        noise, sagitta = _averaged(found.rows, noise), _averaged(found.rows, sagitta)
-    rough: Bools = np.nan_to_num(noise) > ROUGH * sagitta
-    return rough
+    """Rows of normals (rows,) of a part whose noise exceeds what lifting could win: all of them, or none.
+
+    The medians over the freely curved part of the mesh decide: a single residual of few degrees of freedom says little, and
+    what noise there is was made by one scanner.
+    """
+    told = np.isfinite(found.noise)
+    rough = False
+    if told.any():
+        sagitta = _sagittas(vertices, faces, found.rows, found.normals)[told]
+        rough = bool(np.median(found.noise[told]) > ROUGH * np.median(sagitta))
+    return np.full(len(found.noise), rough)
 
 
 @kernel
@@ -42,21 +44,3 @@ def _sagittas(vertices: Floats, faces: Index, rows: Index, normals: Floats) -> F
                 total[row] += 0.25 * abs(off)
                 count[row] += 1.0
     return total / np.maximum(count, 1.0)
-
-
-@kernel
-def _averaged(rows: Index, values: Floats) -> Floats:
-    """Mean of each row and those of the corners of its facets, of what is not NaN."""
-    total, count = np.zeros(len(values)), np.zeros(len(values))
-    for f in range(len(rows)):
-        for k in range(3):
-            for j in range(3):
-                value = values[rows[f, j]]
-                if not np.isnan(value):
-                    total[rows[f, k]] += value
-                    count[rows[f, k]] += 1.0
-    result = np.full(len(values), np.nan)
-    for row in range(len(values)):
-        if count[row] > 0.0:
-            result[row] = total[row] / count[row]
-    return result
