@@ -194,13 +194,12 @@ def test_slivers_in_a_plane_belong_to_it() -> None:
     assert kinds_of(box) == {"plane": 6}
 
 
-@pytest.mark.parametrize(("off_mm", "planes"), [(1e-5, 6), (0.01, 10)])
+@pytest.mark.parametrize(("off_mm", "planes"), [(1e-5, 6), (0.01, 4)])
 def test_a_vertex_off_its_plane_by_more_than_the_rounding_is_seen(off_mm: float, planes: int) -> None:
     part = extruded([polygon(4, 40.0)], 30.0, rows=2)
     vertices = part.vertices.copy()
     vertices[4, 1] += off_mm  # half-way up the edge between two sides
-    found = surfaces(Part(vertices, part.faces), SETTINGS)
-    assert (len(found) == 6) == (planes == 6)
+    assert kinds_of(Part(vertices, part.faces))["plane"] == planes
 
 
 def test_decimals_and_bits_tell_the_tolerance() -> None:

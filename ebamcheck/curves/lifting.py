@@ -45,11 +45,8 @@ LEAST_CREASE = 0.1
 """Sine of the angle between the normals on the two sides of a crease under which its direction is not known."""
 
 MOST_OF_TURN = 2.0
-"""An edge longer than what lies behind its end bends there by at most this many times what a circle along it and through
-the neighbours behind would; those lie to both sides of its line, where the surface may curve otherwise."""
-
-LONGER = 1.5
-"""Ratio of an edge and what lies behind from which it is longer."""
+"""An edge far longer than what lies behind its end bends there by at most this many times what a circle along it and
+through the neighbours behind would; those lie to both sides of its line, where the surface may curve otherwise."""
 
 JUMP = 4.0
 """An edge this many times longer than those behind one of its ends is in another region than they, unless it bends as they
@@ -200,7 +197,7 @@ def _lift(
         if not (found.rough[i] or _is_straight(mesh, up, down, smooth)):
             bend_low, bend_high = _bends(mesh, up, down, chord, smooth)
             flat = mesh.flat[up // 3] and mesh.flat[down // 3]
-            if _bends_alike(chord, bend_low, bend_high, flat) and _is_worth(mesh, up, bend_low, bend_high):
+            if _bends_alike(chord, bend_low, bend_high, flat):
                 if not (smooth and mesh.kind[up // 3] == STRIP and mesh.kind[down // 3] == STRIP):
                     lesser = min(_dot(bend_low, bend_low), _dot(bend_high, bend_high))
                     bend_low = _scaled(bend_low, np.sqrt(lesser / _dot(bend_low, bend_low)))
@@ -260,18 +257,20 @@ def _bends(mesh: _Mesh, up: int, down: int, chord: _Vector, smooth: bool) -> tup
         return bend_low, bend_high
     most_low, jump_low = _most(mesh, up, up % 3, chord, up_low)
     most_high, jump_high = _most(mesh, up, (up % 3 + 1) % 3, _scaled(chord, -1.0), up_high)
-    if jump_low and jump_high:
-        most_low = most_high = 0.0
+    nowhere = jump_low and jump_high
+    if jump_low and not jump_high:
+        nowhere = not _is_worth(mesh, up // 3, (up % 3 + 1) % 3, bend_high)
+    elif jump_high and not jump_low:
+        nowhere = not _is_worth(mesh, up // 3, up % 3, bend_low)
+    if nowhere:
+        return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     return _limited(bend_low, most_low), _limited(bend_high, most_high)
 
 
 @kernel
-def _is_worth(mesh: _Mesh, up: int, bend_low: _Vector, bend_high: _Vector) -> bool:
-    """Whether the sagitta of an edge exceeds what the noise of its ends' normals would lift it by."""
-    f, k = up // 3, up % 3
-    noise = max(mesh.noise[mesh.sectors[f, k]], mesh.noise[mesh.sectors[f, (k + 1) % 3]])
-    lesser = min(_dot(bend_low, bend_low), _dot(bend_high, bend_high))
-    return bool(0.25 * np.sqrt(lesser) >= NOISE_LIFT * noise)
+def _is_worth(mesh: _Mesh, f: int, corner: int, bend: _Vector) -> bool:
+    """Whether the only end that tells how an edge bends tells more than the noise about it would."""
+    return bool(0.25 * np.sqrt(_dot(bend, bend)) >= NOISE_LIFT * mesh.noise[mesh.sectors[f, corner]])
 
 
 @kernel
@@ -310,12 +309,11 @@ def _most(mesh: _Mesh, up: int, corner: int, chord: _Vector, normal: _Vector) ->
         return np.inf, False
     reach, behind = reach / weights, drop / weights
     ahead = -_dot(chord, normal) / length
-    most = np.inf
-    if length >= LONGER * reach:
-        most = MOST_OF_TURN * abs(behind + ahead) * length * length / (length + reach)
     # On one surface edge and neighbours bend alike: their drops go with their lengths.
     alike = ahead * behind > 0.0 and 1.0 / ALIKE < (ahead * reach) / (behind * length) < ALIKE
-    return most, length >= JUMP * reach and not alike
+    if length < JUMP * reach or alike:
+        return np.inf, False
+    return MOST_OF_TURN * abs(behind + ahead) * length * length / (length + reach), True
 
 
 @kernel

@@ -24,6 +24,10 @@ FLAT_MM = 2e-5
 """A smooth point this near to the chord of its neighbours, in both its place and its direction, goes: it is where a
 flat side's facets meet. What 32-bit coordinates of some hundred mm leave of a plane."""
 
+IN_PLANE_MM = 1e-3
+"""A point inside of a plane goes if it lies this near to the chord of its neighbours: what the decimals of a file leave, and
+the least distance of contour points. A layer that touches a level plane runs around it, and turns."""
+
 STRAIGHT_RATIO = 3.0
 """A straight run is this many times longer than any of the two segments on either side of it, up to a corner."""
 
@@ -193,9 +197,8 @@ def _drop_flat(sides: Sides, rows: Ints, closed: bool) -> int:
 @kernel
 def _is_flat(sides: Sides, p: int, i: int, q: int) -> bool:
     """Whether a point lies inside of a plane, or a smooth one on the chord of its neighbours in place and direction."""
-    if sides.plane_after[i] != NO_PLANE and sides.plane_before[i] == sides.plane_after[i]:
-        return True
-    if not sides.smooth[i] or np.isnan(sides.before[i, 0]):
+    in_plane = sides.plane_after[i] != NO_PLANE and sides.plane_before[i] == sides.plane_after[i]
+    if not in_plane and (not sides.smooth[i] or np.isnan(sides.before[i, 0])):
         return False
     x, y = sides.points[q, 0] - sides.points[p, 0], sides.points[q, 1] - sides.points[p, 1]
     long = np.hypot(x, y)
@@ -203,6 +206,8 @@ def _is_flat(sides: Sides, p: int, i: int, q: int) -> bool:
     off = abs(x * v - y * u)
     tilt = abs(x * sides.before[i, 1] - y * sides.before[i, 0])
     ahead = x * u + y * v
+    if in_plane:
+        return bool(0.0 < ahead < long * long and off < IN_PLANE_MM * long)
     return bool(0.0 < ahead < long * long and off < FLAT_MM * long and 0.25 * tilt < FLAT_MM)
 
 
