@@ -51,7 +51,7 @@ class SurfaceNormals(NamedTuple):
     rough: Bools
     """(S,) the noise of the vertices about exceeds what lifting could win there."""
     noise: Floats
-    """(S,) what the surface about leaves of the vertices there, mm; 0 where it is not told."""
+    """(S,) what the surface about leaves of the vertices there, mm; infinite where it is not told."""
     with_regions: bool
     """Whether the mesh was segmented."""
 
@@ -83,7 +83,7 @@ def surface_normals(part: Part, settings: CurveSettings) -> SurfaceNormals:
         label,
         found.fans,
         rough_rows(part.vertices, part.faces, found),
-        np.nan_to_num(found.noise),
+        np.nan_to_num(found.noise, nan=np.inf),
         True,
     )
 

@@ -39,6 +39,10 @@ AGREE = 0.35
 """Of the angle over which the facets' normals spread: two jets that differ by more know the surface badly, and the one of
 the first ring decides."""
 
+LONGEST_RING = 3.0
+"""Ratio of the extents of a first ring from which the second tells nothing: what a cubic gets wrong across tilts it along,
+and long edges rise by it."""
+
 FLATTEST_RING = 1e-6
 """Ratio of the extents of a first ring under which its vertices lie on a line."""
 
@@ -114,6 +118,10 @@ def _jets(
         own = _normal(rows, near, QUADRIC, 0, equations, scales, n, u, w, least_cosines[s], normal)
         if own:
             found.normals[s] = normal
+            if near > QUADRIC:
+                found.noise[s] = _residual(rows, near, QUADRIC, equations)
+            if scales[0] > LONGEST_RING * scales[1] or scales[1] > LONGEST_RING * scales[0]:
+                continue
         size = CUBIC if _is_centred(rows, near) else QUADRIC
         if not _normal(rows, count, size, SPARE, equations, scales, n, u, w, least_cosines[s], normal):
             continue
