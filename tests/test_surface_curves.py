@@ -25,6 +25,7 @@ from ebamcheck.errors import EbamcheckError, SettingsError
 from ebamcheck.layers import Layers, from_polygons
 from ebamcheck.model import models
 from ebamcheck.part import Part, from_arrays
+from ebamcheck.settings.curves import CurveSettings
 from ebamcheck.slicing import slice_part
 
 MODELS = models()
@@ -177,7 +178,8 @@ def test_a_crease_is_what_the_angle_says(sides: int) -> None:
     assert set(sharp.kind) == {LINE}
     assert sharp.block_count() == 3 * sides
     if sides >= 8:  # and smooth, it is the cylinder through its edges
-        smooth = fit(layers, "surface", part=part, crease_angle_deg=360.0 / sides + 1.0)
+        wide = 360.0 / sides + 1.0
+        smooth = fit(layers, "surface", part=part, crease_angle_deg=wide, polygon_angle_deg=wide)
         radii = np.hypot(*smooth.sample(0.1).points.T)
         assert np.abs(radii - 10.0).max() < 0.15 * 10.0 * (1.0 - np.cos(np.pi / sides))
 
@@ -354,7 +356,7 @@ def test_bezier_spans_of_an_arc_stay_on_it() -> None:
 
 def test_normals_of_a_sphere_are_its_radii() -> None:
     part = MODELS["sphere"].tessellate(0.2)
-    found = surface_normals(part, 40.0)
+    found = surface_normals(part, CurveSettings())
     centre = part.bounds.mean(axis=0)
     corners = part.vertices[part.faces.reshape(-1)] - centre
     radii = corners / np.linalg.norm(corners, axis=1)[:, None]
@@ -365,7 +367,7 @@ def test_normals_of_a_sphere_are_its_radii() -> None:
 
 def test_a_cube_has_three_normals_at_each_corner() -> None:
     part = MODELS["cube"].tessellate(0.1)
-    found = surface_normals(part, 40.0)
+    found = surface_normals(part, CurveSettings())
     assert len(found.normals) == 24
     assert np.allclose(np.sort(np.abs(found.normals), axis=1), [0.0, 0.0, 1.0])
     assert found.flat.all()

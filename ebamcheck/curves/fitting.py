@@ -17,7 +17,7 @@ from ebamcheck.curves.edges import with_edges
 from ebamcheck.curves.evidence import joined
 from ebamcheck.curves.fallback import with_fallback
 from ebamcheck.curves.interpolation import CENTRIPETAL, CHORD_LENGTH, interpolate
-from ebamcheck.curves.lifting import Lifting, Sides
+from ebamcheck.curves.lifting import Lifting, as_they_are
 from ebamcheck.curves.reduction import reduced_segments, smooth_segments
 from ebamcheck.curves.sagitta import sagittas
 from ebamcheck.curves.segments import Segments, pieces_of
@@ -145,7 +145,7 @@ def _accepted(
 def _lifting(layers: Layers, part: Part | None, method: str, settings: CurveSettings) -> Lifting | None:
     """Lifting of the contours of a part, or None where part or edges are not known and not needed."""
     if part is not None and layers.edge is not None:
-        return Lifting(part, surface_normals(part, settings.crease_angle_deg))
+        return Lifting(part, surface_normals(part, settings))
     if method == "surface" and len(layers.points):
         lacking = (
             "part="
@@ -217,10 +217,7 @@ def _strands(layers: Layers, settings: CurveSettings, lifting: Lifting | None) -
     cleaned = clean(
         layers.points, layers.ring_starts, layers.closed, settings.near_point_mm, settings.collinear_mm
     )
-    points = np.ascontiguousarray(layers.points)[cleaned.rows]
-    unknown = np.full(points.shape, np.nan)
-    nowhere, anywhere = np.zeros(len(points), np.bool_), np.ones(len(points), np.bool_)
-    sides = Sides(points, unknown, unknown, nowhere, anywhere)
+    sides = as_they_are(np.ascontiguousarray(layers.points)[cleaned.rows])
     return strands(sides, cleaned.starts, layers.closed, settings, SHARE_OF_BULGE * settings.largest_bulge_mm)
 
 
