@@ -161,7 +161,7 @@ def _normal(
     normal: Floats,
 ) -> bool:
     """Fit a jet of some size to the first `count` rows and write its normal; false where there is none."""
-    if count < size + spare or not _solved(rows, count, size, equations):
+    if count < size + spare or not _solved(rows, count, size, equations, scales, spare == 0):
         return False
     a, b = equations[0, size] / scales[0], equations[1, size] / scales[1]
     length = np.sqrt(1.0 + a * a + b * b)
@@ -259,8 +259,11 @@ def _weight(x: float, y: float) -> float:
 
 
 @kernel
-def _solved(rows: Floats, count: int, size: int, A: Floats) -> bool:
-    """Coefficients in the units of the rows, in the last column of A; false where the neighbours do not tell them all."""
+def _solved(rows: Floats, count: int, size: int, A: Floats, scales: Floats, first_ring: bool) -> bool:
+    """Coefficients in the units of the rows, in the last column of A; false where the neighbours do not tell them all.
+
+    In the first ring alone each neighbour counts by its slope, whatever its distance.
+    """
     row = np.empty(CUBIC)
     for i in range(size):
         for j in range(size + 1):
@@ -269,6 +272,8 @@ def _solved(rows: Floats, count: int, size: int, A: Floats) -> bool:
         x, y, z = rows[k, 0], rows[k, 1], rows[k, 2]
         _terms(x, y, size, row)
         weight = _weight(x, y)
+        if first_ring:
+            weight = 1.0 / max((x * scales[0]) ** 2 + (y * scales[1]) ** 2, 1e-300)
         for i in range(size):
             for j in range(i, size):
                 A[i, j] += weight * row[i] * row[j]
