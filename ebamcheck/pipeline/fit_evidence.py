@@ -19,7 +19,6 @@ from ebamcheck.curves.stack_evidence import StackEvidence, stack_evidence
 from ebamcheck.findings import Finding
 from ebamcheck.layers import Layers
 from ebamcheck.part import Part
-from ebamcheck.rings import Floats
 
 WHY: Mapping[str, str] = {
     "sagitta": "the mesh does not speak for so much",
@@ -114,8 +113,7 @@ def columns(verdict: FitVerdict, deviation: pd.DataFrame) -> pd.DataFrame:
     """The table of the fit with what speaks for it, one row a layer.
 
     Adds ``allowed_mm`` (mean of what is allowed), ``lift_mm`` (mean lift), ``chord_rings``, ``polyline_rings`` and
-    ``open_rings`` (rings that fell back, or that nothing was found for), and ``widened_mm``, how much farther than its
-    own tolerance a contour path may leave the section for these curves: what they leave it by, where evidence is.
+    ``open_rings`` (rings that fell back, or that nothing was found for).
     """
     of_ring, found = verdict.curves.ring_layer, verdict.evidence
     count = len(verdict.curves)
@@ -132,14 +130,7 @@ def columns(verdict: FitVerdict, deviation: pd.DataFrame) -> pd.DataFrame:
         if fallen:
             table[f"{name}_rings"] = rings(found.method == fallen)
     table["open_rings"] = rings(~found.accepted)
-    far = deviation[["points_mm", "bulge_mm"]].max(axis=1).to_numpy()
-    table["widened_mm"] = np.where(table["open_rings"] > 0, 0.0, far)
     return table
-
-
-def widened_mm(table: pd.DataFrame, largest_mm: float) -> Floats:
-    """How much farther than its tolerance a contour path may leave the sections, (L,) mm; no more than the user's limit."""
-    return np.asarray(np.minimum(table["widened_mm"].to_numpy(dtype=np.float64), largest_mm))
 
 
 def findings(verdict: FitVerdict) -> Iterator[Finding]:

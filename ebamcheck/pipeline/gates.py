@@ -15,12 +15,10 @@ from ebamcheck.errors import ExitCode
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.inspection import Inspection
 from ebamcheck.isolate import Outcome
-from ebamcheck.pipeline.fit_evidence import FitVerdict, gate_text, largest_move_mm, widened_mm
+from ebamcheck.pipeline.fit_evidence import FitVerdict, gate_text
 from ebamcheck.program import Check
 from ebamcheck.program.deposit_checks import DEPOSIT_CHECKS, of_deposit
 from ebamcheck.program.interpass_checks import INTERPASS, MELTING, within_range
-from ebamcheck.program.verification import SECTION_TOLERANCE_MM
-from ebamcheck.rings import Floats
 
 
 @dataclass(frozen=True)
@@ -78,15 +76,6 @@ def _first(comparison: Comparison) -> str:
         f"first {f.backend} against {f.against} at layer {f.layer}, z = {f.height_mm:.3f} mm, "
         f"{f.metric} {f.value:.4g} over {f.limit:.4g} at ({f.x_mm:.3f}, {f.y_mm:.3f}): {f.cause}"
     )
-
-
-def section_tolerance_mm(table: pd.DataFrame, config: Config) -> Floats:
-    """Distance (L,) that the contour path may keep from the inset section of each layer, mm.
-
-    That of the inset's arcs, and where there is evidence for its curves what they leave the section by there, up to what
-    the user lets them.
-    """
-    return SECTION_TOLERANCE_MM + widened_mm(table, largest_move_mm(config))
 
 
 def fit_gate(verdict: FitVerdict) -> Gate:

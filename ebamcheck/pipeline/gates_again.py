@@ -31,9 +31,10 @@ from ebamcheck.pipeline.fit_evidence import FitVerdict, judged
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.placement import cut_heights
 from ebamcheck.program import Check, verify_file
+from ebamcheck.program.header_checks import Truth
 from ebamcheck.scan import ScanPlan
 from ebamcheck.slicing import slice_part
-from ebamcheck.store import RunFolder, plain
+from ebamcheck.store import RunFolder, plain, sha256_of_json
 
 SMOOTH_MM = 0.002
 """Chords of the smooth sections: far under the tolerance of the fit."""
@@ -72,7 +73,7 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
     record = manifest.get("program")
     if record is None:
         return Again(witness, tuple(made), ())
-    verdict, table = _fitted(run, manifest, config, part)
+    verdict, _ = _fitted(run, manifest, config, part)
     plan = ScanPlan.from_parquet(run.path / "scan.parquet")
     checks = verify_file(
         run.program_folder / record["files"][0]["name"],
@@ -86,7 +87,7 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
         heat=True,
         heights=heights,
         sha256={file["name"]: file["sha256"] for file in record["files"]},
-        section_tolerance_mm=gates.section_tolerance_mm(table, config),
+        truth=truth_of(manifest, config),
     )
     made += [
         gates.fit_gate(verdict),
@@ -96,6 +97,12 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
         gates.program_gate(checks),
     ]
     return Again(witness, tuple(made), tuple(checks))
+
+
+def truth_of(manifest: Mapping[str, Any], config: Config) -> Truth:
+    """What a run's record tells of its program, against which the program's header is held."""
+    validated = bool(manifest["program"]["validated"])
+    return Truth(validated, manifest["part"]["sha256"], sha256_of_json(config.model_dump()))
 
 
 def _agreement(

@@ -27,11 +27,11 @@ from ebamcheck.program.deposit import deposit
 from ebamcheck.program.deposit_checks import deposit_checks
 from ebamcheck.program.events import event_totals, process_events
 from ebamcheck.program.inputs import deposition_heights
+from ebamcheck.program.matching import matched
 from ebamcheck.program.metal_field import FIELD_FILE, write_field
 from ebamcheck.program.motions import NCProgram
 from ebamcheck.program.text_heat import build_times_s, known_sections
 from ebamcheck.program.toolpath import Toolpath
-from ebamcheck.rings import Floats
 from ebamcheck.scan import ScanPlan, plan_stack
 
 SAMPLING_MM = 0.002
@@ -56,7 +56,7 @@ def make_program(
 ) -> list[Gate]:
     """Fit, partition, order, write, read back and verify."""
     config, layers = job.config, job.folder.read_layers(primary)
-    verdict, table = fitted(job, layers, checked.outcomes[primary].error_bound_mm, fine)
+    verdict, _ = fitted(job, layers, checked.outcomes[primary].error_bound_mm, fine)
     with job.stage("partition and order", len(layers)):
         smooth = smooth_layers(verdict.curves)
         plan = plan_stack(smooth, config, progress=job.observer.advance)
@@ -69,9 +69,7 @@ def make_program(
         path = planned_path(beads, plan, config)
         totals = _write_events(job, path, plan)
         witness = _witness(job, layers, checked.done)
-        checks = _write_and_verify(
-            job, beads, plan, path, layers, witness, gates.section_tolerance_mm(table, config)
-        )
+        checks = _write_and_verify(job, beads, plan, path, layers, witness, smooth)
     made = [
         gates.fit_gate(verdict),
         gates.coverage_gate(plan.metrics, config),
@@ -155,13 +153,13 @@ def _write_and_verify(
     path: Toolpath,
     contours: Layers,
     witness: Layers,
-    section_tolerance_mm: Floats,
+    smooth: Layers,
 ) -> list[Check]:
     """Write the program, read its text back and check it against what it was made from."""
     header = {"PART SHA-256": job.part.source_sha256 or job.part.sha256}
     write_program = registry.plugin(registry.POSTS, job.config.machine.control)
     files = write_program(beads, plan, job.config, job.folder.program_folder, header=header)
-    program = read_program(files.main, job.config)
+    program, _ = matched(read_program(files.main, job.config), path)
     job.add_finding(*noticed.of_seams(program, contours.heights, job.config))
     with ThreadPoolExecutor(1) as aside:
         feeds = aside.submit(side_by_side, program, contours, job.config)
@@ -174,7 +172,7 @@ def _write_and_verify(
             layers=witness,
             heat=True,
             sha256=files.sha256,
-            section_tolerance_mm=section_tolerance_mm,
+            smooth=smooth if job.config.curves.method in LIFTED else None,
         )
     job.add_finding(*noticed.of_limit(checks, plan, job.config))
     checks += _weighed(job, program, witness)
