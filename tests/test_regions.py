@@ -82,7 +82,7 @@ CASES: dict[str, tuple[Callable[[float], Part], float, int, Change, float]] = {
     "bracket, tilted otherwise": (bracket, 0.05, 2, as_float32, 0.80),
     "frustum, tilted": (frustum, 0.1, 7, as_float32, 0.80),
     "cylinder into fillet": (knob, 0.1, 0, same, 0.0),
-    "cylinder into fillet, tilted": (knob, 0.05, 1, as_float32, 0.70),
+    "cylinder into fillet, tilted": (knob, 0.05, 1, as_float32, 0.60),
     "slivers": (knob, 0.05, 3, lambda p: as_float32(split_edges(p, 200, 0.0, near=0.02)), 0.0),
     "decimated": (knob, 0.02, 8, lambda p: decimated(p, 0.5), 0.0),
 }
@@ -234,10 +234,10 @@ def test_points_of_planes_stay_and_say_so() -> None:
 def test_without_regions_it_is_done_as_before() -> None:
     part = bent_plate(10.0)
     cut = slice_part(part, [25.0])
-    off = fit(cut, part=part, regions="off")
-    on = fit(cut, part=part)
-    assert contour_error(on, cut)["normal_max_abs_mm"].max() <= EXACT_MM
-    assert contour_error(off, cut)["normal_max_abs_mm"].max() > 0.1
+    on, off = (surface_normals(part, SETTINGS.model_copy(update={"regions": r})) for r in ("on", "off"))
+    # Without them the bend counts as a rounding; the evidence of the fit then finds that it is none.
+    assert on.smooth.sum() < off.smooth.sum()
+    assert contour_error(fit(cut, part=part, regions="off"), cut)["normal_max_abs_mm"].max() <= EXACT_MM
 
 
 def test_arcs_close_on_their_ends() -> None:

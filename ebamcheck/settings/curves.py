@@ -26,10 +26,12 @@ class CurveSettings(Section):
     polygon_angle_deg: Annotated[float, Field(gt=0, lt=180)] = 12.0
     """Flat strips between two rims are a cylinder or cone where they turn by less than this from one to the next (30 sides
     around)."""
-    polygon_sagitta_mm: NotNegative = 0.45
+    polygon_sagitta_mm: NotNegative = 0.1
     """Strips that turn by more are still a cylinder where they leave it by less than this, times the square of the ratio of
-    the angle above and theirs: 0.29 mm for 24 sides, 0.07 mm for 12. Else they are the sides of a polygon and stay so,
-    unless roundings of the part that touch their flat sides as tangents are as coarse. 0: go by the angle alone."""
+    the angle above and theirs: 0.064 mm for 24 sides, 0.016 mm for 12. 0.1 mm is as coarse as CAD systems export by
+    default; who rounds a polygon leaves its part, who keeps one loses no more than the export has. Else they are the sides
+    of a polygon and stay so, unless roundings of the part that touch their flat sides as tangents are as coarse. 0: go by
+    the angle alone."""
     corner_angle_deg: Annotated[float, Field(gt=0, lt=180)] = 140.0
     """A contour splits where the angle between its segments is under this (paper, section 3.2)."""
     near_point_mm: NotNegative = 0.001
