@@ -1,115 +1,142 @@
 """How much of a part its curves give back, and how many blocks they take: ``python -m benchmarks.curves``.
 
-The ladder's part at its tolerances against its closed form, as a regular mesh and as one of irregular triangles, some
-of whose vertices lie off the surface; each method on the same contours. The paper gives 34.2 % for one part.
+Parts of every kind (:mod:`benchmarks.curve_parts`) against what they stand for: the normal distance of all rings, of the
+contour, of each method, and of what other programs make of the same contour within the same tolerance
+(:mod:`benchmarks.curve_peers`). Medians over the parts of a kind, and the worst by name.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import shapely
-from scipy.spatial import Delaunay
+import pandas as pd
 
+from benchmarks.curve_parts import CurvePart, heights_of, parts
+from benchmarks.curve_peers import arc_welded, splines
 from benchmarks.machine import machine
-from ebamcheck.curves import METHODS, contour_error, error_reduction, fit
-from ebamcheck.layers import Layers, from_polygons
-from ebamcheck.part import Part, from_arrays
+from ebamcheck.curves import METHODS, Curves, contour_error, fit
+from ebamcheck.curves.crossings import crossings
+from ebamcheck.curves.fallback import polylines
+from ebamcheck.layers import Layers
 from ebamcheck.settings.curves import CurveSettings
 from ebamcheck.slicing import slice_part
 from ebamcheck.store import write_json
 from ebamcheck_models import LADDER
 
-COARSE_MM = (1.0, 0.8, 0.4, 0.2, 0.1)
+LAYERS = 12
 FINE_MM = 0.01
-"""Mesh of the count of blocks, and of the time of a whole stack."""
+"""Mesh of the time of a whole stack."""
 
-LAYERS = 20
 STACK = 4488
-TRUTH_MM = 1e-5
-"""Chord error of the closed form's rings."""
+EXACT_MM = 1e-5
+"""Contours nearer than this to their part are exact: what is left is how curves are sampled, and gains mean nothing."""
 
-IRREGULAR = {"irregular": 0.0, "irregular, 0.05 mm off": 0.05}
-"""Irregular meshes, and how far their vertices lie off the surface (standard deviation, mm)."""
+PEERS = {"arc welder": arc_welded, "splprep": splines}
 
-POINTS = 4000
-AS_WRITTEN = CurveSettings(largest_bulge_mm=1e9)
-"""The interpolating fits as the paper has them, however far they leave their chords; by default such runs stay polylines."""
-
-FIGURES = ("polar_rms", "polar_max", "normal_rms", "normal_max")
+HEADINGS = (
+    *("kind", "method", "parts", "median gain", "worst gain", "worst part", "largest error / contour's"),
+    *("where contours are exact, mm", "points a block", "rings fallen back", "rings that cross"),
+)
 
 DEFAULT_OUTPUT = Path("reports/curves")
 
 
-def irregular_mesh(points: int, noise_mm: float, seed: int = 1) -> Part:
-    """Outer and inner wall of the ladder, by Delaunay's triangles over random places."""
-    rng = np.random.default_rng(seed)
-    around, tall = 2.0 * np.pi * LADDER.radius_mm, LADDER.height_mm
-    vertices, faces, first = [], [], 0
-    for side in (1.0, -1.0):
-        rim = np.arange(64) / 64
-        u = np.concatenate([rng.random(points), rim, rim])
-        z = np.concatenate(
-            [15.0 + rng.random(points) * (tall - 30.0), np.full(64, 5.0), np.full(64, tall - 5.0)]
-        )
-        wide = np.concatenate([u - 1.0, u, u + 1.0])
-        flat = np.column_stack([wide * around, np.tile(z, 3)])
-        triangles = Delaunay(flat).simplices
-        middle = wide[triangles].mean(axis=1)
-        triangles = triangles[(middle >= 0.0) & (middle < 1.0)]
-        a, b, c = (flat[triangles[:, k]] for k in range(3))
-        turn = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
-        triangles[turn < 0.0] = triangles[turn < 0.0][:, ::-1]
-        vertices.append(LADDER.wall_point(u, z, np.ones_like(u), side).T)
-        faces.append(np.tile(np.arange(u.size), 3)[triangles][:, :: int(side)] + first)
-        first += u.size
-    corners = np.concatenate(vertices)
-    return from_arrays(corners + noise_mm * rng.normal(size=corners.shape), np.concatenate(faces))
+def measure(layers: int, quick: bool) -> list[dict[str, Any]]:
+    """One row for each part and method."""
+    return [row for part in parts(quick) for row in _rows(part, layers)]
 
 
-def measure(layers: int) -> list[dict[str, Any]]:
-    """One row for each mesh and method."""
-    heights = LADDER.height_mm * (np.arange(layers) + 0.5) / layers
-    sections = [LADDER.section(z, TRUTH_MM) for z in heights]
-    walls = [[shapely.Polygon(p.exterior, p.interiors[:1]) for p in section] for section in sections]
-    truth, of_walls = from_polygons(heights, sections), from_polygons(heights, walls)
-    rows = []
-    for mesh_mm in (*COARSE_MM, FINE_MM):
-        rows += _rows(f"{mesh_mm:g} mm", LADDER.tessellate(mesh_mm), truth)
-    for name, noise_mm in IRREGULAR.items():
-        rows += _rows(name, irregular_mesh(POINTS, noise_mm), of_walls)
-    return rows
-
-
-def _rows(name: str, part: Part, truth: Layers) -> list[dict[str, Any]]:
-    layers = slice_part(part, truth.heights)
-    before = contour_error(layers, truth)
-    rows = []
+def _rows(case: CurvePart, count: int) -> list[dict[str, Any]]:
+    part = case.mesh()
+    layers = slice_part(part, heights_of(part, count))
+    truth = case.truth(layers.heights)
+    common = {
+        "part": case.name,
+        "kind": case.kind,
+        "facets": len(part.faces),
+        "points": len(layers.points),
+        "rings": layers.closed.size,
+    }
+    rms, largest = _errors(layers, truth)
+    rows = [
+        {
+            **common,
+            "method": "contour",
+            "rms_mm": rms,
+            "max_mm": largest,
+            "blocks": polylines(layers).block_count(),
+        }
+    ]
     for method in METHODS:
-        curves = fit(layers, method, AS_WRITTEN, part=part)
-        gain = error_reduction(before, contour_error(curves, truth))
+        curves = fit(layers, method, part=part)
+        rms, largest = _errors(curves, truth)
         rows.append(
             {
-                "mesh": name,
-                "facets": len(part.faces),
-                "contour_rms_mm": float(np.sqrt((before["polar_rms_mm"] ** 2).mean())),
+                **common,
                 "method": method,
-                "points": len(layers.points),
+                "rms_mm": rms,
+                "max_mm": largest,
                 "blocks": curves.block_count(),
-                **{figure: float(gain[figure]) for figure in FIGURES},
+                "fallen": 0 if curves.evidence is None else int((curves.evidence.method > 0).sum()),
+                "crossing": int(crossings(curves).crossed.sum()),
             }
         )
+    for name, peer in PEERS.items():
+        made = peer(layers, CurveSettings().tolerance_mm)
+        rms, largest = _errors(made.sampled, truth)
+        rows.append({**common, "method": name, "rms_mm": rms, "max_mm": largest, "blocks": made.blocks})
     return rows
+
+
+def _errors(stack: Layers | Curves, truth: Layers) -> tuple[float, float]:
+    """Root mean square and greatest normal distance over all rings."""
+    found = contour_error(stack, truth)
+    known = found[found["rings"] > 0]
+    square = np.average(known["normal_rms_mm"] ** 2, weights=known["rings"])
+    return math.sqrt(float(square)), float(known["normal_max_abs_mm"].max())
+
+
+def summary(rows: Sequence[dict[str, Any]]) -> pd.DataFrame:
+    """One row for each kind and method: median and worst gain, worst growth of the largest error, blocks."""
+    table = pd.DataFrame(rows)
+    contour = table[table["method"] == "contour"].set_index("part")
+    own = table[table["method"] != "contour"].copy()
+    before, largest = (own["part"].map(contour[c]).to_numpy() for c in ("rms_mm", "max_mm"))
+    exact = before < EXACT_MM
+    own["gain"] = np.where(exact, np.nan, 1.0 - own["rms_mm"] / np.where(exact, 1.0, before))
+    own["growth"] = np.where(exact, np.nan, own["max_mm"] / np.where(exact, 1.0, largest))
+    own["exact_mm"] = np.where(exact, own["max_mm"], np.nan)
+    own["points a block"] = own["points"] / own["blocks"]
+    found = []
+    for (kind, method), some in own.groupby(["kind", "method"], sort=False):
+        worst = some["part"][some["gain"].idxmin()] if some["gain"].notna().any() else ""
+        found.append(
+            {
+                "kind": kind,
+                "method": method,
+                "parts": len(some),
+                "median gain": some["gain"].median(),
+                "worst gain": some["gain"].min(),
+                "worst part": worst,
+                "growth": some["growth"].max(),
+                "exact_mm": some["exact_mm"].max(),
+                "points a block": some["points a block"].median(),
+                "fallen rings": some["fallen"].sum() / some["rings"].sum() if method in METHODS else np.nan,
+                "crossing rings": some["crossing"].sum() if method in METHODS else np.nan,
+            }
+        )
+    return pd.DataFrame(found)
 
 
 def time_stack(count: int) -> list[dict[str, Any]]:
-    """Seconds that each method takes for a whole stack; kernels are compiled before."""
+    """Seconds that each method takes for a whole stack, its evidence included; kernels are compiled before."""
     part = LADDER.tessellate(FINE_MM)
     layers = slice_part(part, LADDER.height_mm * (np.arange(count) + 0.5) / count)
     rows = []
@@ -133,39 +160,65 @@ def as_markdown(record: dict[str, Any]) -> str:
     lines = [
         "# Curves",
         "",
-        "Made by `python -m benchmarks.curves`. How much smaller the error against the closed form is than that of the",
-        "contour, over all layers; polar: outer contours about the centre of their box (paper, 5.2); normal: all rings,",
-        "channels of 2.2 mm included. Blocks: contour points for each NC block.",
+        f"Made by `{record['command']}`. Normal distance of all rings from the part that the mesh stands for: closed forms by",
+        "formula, CAD solids by a tessellation of the same generator with a chord error of 1e-4 mm. Gain: how much smaller",
+        "the RMS is than the contour's. Arc welder and splprep see the contour alone, at the same tolerance.",
         "",
-        "| mesh | facets | contour RMS, mm | method | polar RMS | polar max | normal RMS | points a block |",
-        "|---|---|---|---|---|---|---|---|",
+        f"| {' | '.join(HEADINGS)} |",
+        "|" + "---|" * len(HEADINGS),
     ]
     lines += [
-        f"| {row['mesh']} | {row['facets']:,} | {row['contour_rms_mm']:.4f} | {row['method']} | "
-        + " | ".join(f"{100.0 * row[f]:.1f} %" for f in ("polar_rms", "polar_max", "normal_rms"))
-        + f" | {row['points'] / row['blocks']:.1f} |"
-        for row in record["gains"]
+        f"| {row['kind']} | {row['method']} | {row['parts']} | {_percent(row['median gain'])} | "
+        f"{_percent(row['worst gain'])} | {row['worst part']} | {_number(row['growth'])} | "
+        f"{_number(row['exact_mm'])} | {_number(row['points a block'])} | {_percent(row['fallen rings'])} | "
+        f"{_number(row['crossing rings'])} |"
+        for row in record["summary"]
     ]
+    lines += ["", "| part | facets | method | RMS, mm | largest, mm | blocks |", "|---|---|---|---|---|---|"]
+    for row in record["parts"]:
+        if row["method"] in ("contour", "bounded"):
+            lines.append(
+                f"| {row['part']} | {row['facets']:,} | {row['method']} | {row['rms_mm']:.6f} | {row['max_mm']:.6f} | "
+                f"{row['blocks']:,} |"
+            )
     lines += ["", "| method | layers | contour points | seconds |", "|---|---|---|---|"]
     for row in record["stack"]:
         lines.append(f"| {row['method']} | {row['layers']} | {row['points']:,} | {row['seconds']:.1f} |")
     return "\n".join(lines) + "\n"
 
 
+def _percent(value: float | None) -> str:
+    return "" if value is None or math.isnan(value) else f"{100.0 * value:.1f} %"
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None or math.isnan(value) else f"{value:.3g}"
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure, and write ``curves.json`` and ``curves.md``."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.curves", description=__doc__)
     parser.add_argument("-o", "--output", type=Path, default=DEFAULT_OUTPUT, help="folder of the tables")
-    parser.add_argument("--quick", action="store_true", help="a few layers only")
+    parser.add_argument("--quick", action="store_true", help="one part of each kind, a few layers")
+    parser.add_argument("--layers", type=int, default=LAYERS, help="layers of each part")
+    parser.add_argument("--stack", type=int, default=STACK, help="layers of the stack that is timed")
     asked = parser.parse_args(arguments)
+    rows = measure(2 if asked.quick else asked.layers, asked.quick)
+    command = "python -m benchmarks.curves"
+    if asked.quick:
+        command += " --quick"
+    elif asked.layers != LAYERS:
+        command += f" --layers {asked.layers}"
     record = {
+        "command": command,
         "machine": machine(),
-        "gains": measure(4 if asked.quick else LAYERS),
-        "stack": time_stack(40 if asked.quick else STACK),
+        "summary": summary(rows).to_dict(orient="records"),
+        "parts": rows,
+        "stack": time_stack(20 if asked.quick else asked.stack),
     }
     asked.output.mkdir(parents=True, exist_ok=True)
     write_json(record, asked.output / "curves.json")
-    (asked.output / "curves.md").write_text(as_markdown(json.loads(json.dumps(record))))
+    (asked.output / "curves.md").write_text(as_markdown(json.loads(json.dumps(record, default=float))))
 
 
 if __name__ == "__main__":

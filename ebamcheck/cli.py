@@ -38,6 +38,7 @@ from ebamcheck.options import (
 )
 
 if TYPE_CHECKING:
+    from ebamcheck.curves.regions.surfaces import Surface
     from ebamcheck.pipeline import RunResult
 
 app = typer.Typer(
@@ -162,15 +163,39 @@ def _told(result: RunResult, as_json: bool) -> ExitCode:
     return result.exit_code
 
 
-@command(epilog="Example: ebamcheck inspect part.stl --json")
-def inspect(part: PartArgument, units: UnitsOption = "mm", as_json: JsonOption = False) -> ExitCode:
+@command(epilog="Example: ebamcheck inspect part.stl --regions --picture regions.svg")
+def inspect(
+    part: PartArgument,
+    units: UnitsOption = "mm",
+    regions: Annotated[
+        bool,
+        typer.Option("--regions", help="List the surfaces that the curves see: planes, cylinders, freeform."),
+    ] = False,
+    picture: Annotated[
+        Path | None, typer.Option(help="Draw the surfaces into FILE.svg; with --regions.")
+    ] = None,
+    config: ConfigOption = None,
+    as_json: JsonOption = False,
+) -> ExitCode:
     """Count the defects of a part and judge whether it can be sliced; exit code 1 where it should not."""
     from ebamcheck.inspection import inspect as inspect_part
     from ebamcheck.mesh_files import load
 
-    found = inspect_part(load(part, units))
+    if picture is not None and (not regions or picture.suffix.lower() != ".svg"):
+        raise SettingsError(f"--picture {picture}: it draws regions as SVG; give --regions and FILE.svg")
+    loaded_part = load(part, units)
+    found = inspect_part(loaded_part)
+    listed: list[Surface] = []
+    if regions:
+        from ebamcheck.curves.regions.picture import regions_svg
+        from ebamcheck.curves.regions.surfaces import surfaces
+
+        listed = surfaces(loaded_part, settings_of(config, "", "", None).curves)
+        if picture is not None:
+            picture.write_text(regions_svg(loaded_part, listed), encoding="utf-8")
     if as_json:
-        print_json(found.as_dict())
+        figures = found.as_dict()
+        print_json({**figures, "regions": [s.as_dict() for s in listed]} if regions else figures)
     else:
         figures = found.as_dict()
         for key in ("name", "verdict", "why", "notes", "passed"):
@@ -184,6 +209,10 @@ def inspect(part: PartArgument, units: UnitsOption = "mm", as_json: JsonOption =
                 else f"{key.replace('_', ' '):20} {value}"
             )
         print(f"{'verdict':20} {found.verdict}: {found.why}")
+        if regions:
+            from ebamcheck.curves.regions.surfaces import table
+
+            print(f"\n{table(listed)}")
     return ExitCode.PASS if found.passed else ExitCode.OUT_OF_TOLERANCE
 
 

@@ -23,6 +23,8 @@ CODES: Mapping[str, str] = {
     "backend-lost": "A slicer crashed, hung, ran out of memory or refused the part; the others went on.",
     "backend-unavailable": "A slicer or witness of this installation cannot run on this machine.",
     "bead-out-of-section": "Beads lay metal outside of the section: walls under a bead, closed holes.",
+    "curve-fell-back": "Rings were fitted by a more cautious method, because the mesh does not speak for the one asked for.",
+    "curves-not-lifted": "The curves follow the contours: these do not lie on the edges of the part's mesh.",
     "facets-turned-over": "Facets were turned over because the settings ask for it (part.fix_orientation).",
     "heat-above-solidus": "The heat model finds islands above the solidus when the beam enters them.",
     "hole-closed": "A hole is so narrow that beads close it.",

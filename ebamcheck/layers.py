@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import shapely
@@ -17,6 +17,9 @@ from ebamcheck import canonical_form, rings
 from ebamcheck.errors import SettingsError
 from ebamcheck.kernels import run_blocks
 from ebamcheck.rings import Bools, Floats, Ints
+
+if TYPE_CHECKING:
+    from ebamcheck.part import Part
 
 UP = (0.0, 0.0, 1.0)
 """The slicing direction of a part that is not turned."""
@@ -57,6 +60,8 @@ class Layers:
         Name and settings of the slicer.
     dropped
         (L,) rings without area that were left out of each layer.
+    mesh
+        The part itself, where the layers were cut from one in this process; files do not hold it.
     """
 
     heights: Floats
@@ -71,6 +76,7 @@ class Layers:
     backend: str = ""
     settings: Mapping[str, Any] = field(default_factory=dict)
     dropped: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
+    mesh: Part | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         if self.dropped.size != self.heights.size:

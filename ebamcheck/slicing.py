@@ -81,7 +81,8 @@ def slice_part(
     else:
         with registry.available_slicer(name).prepare(part, checked) as prepared:
             layers = prepared.slice(increasing, progress)
-    return layers if np.array_equal(increasing, wanted) else layers.take(where)
+    layers = layers if np.array_equal(increasing, wanted) else layers.take(where)
+    return layers.labelled(mesh=part)
 
 
 def slice_to_file(

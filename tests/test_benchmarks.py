@@ -374,14 +374,22 @@ def test_one_command_measures_and_writes_figures_tables_and_a_plot(
     assert "turn 1" in capsys.readouterr().err
 
 
-def test_the_tables_of_the_curves_name_every_mesh_and_method(tmp_path: Path) -> None:
+def test_the_tables_of_the_curves_name_every_kind_and_method(tmp_path: Path) -> None:
     curves.main(["--quick", "-o", str(tmp_path)])
     record = json.loads((tmp_path / "curves.json").read_text())
-    meshes = [f"{t:g} mm" for t in (*curves.COARSE_MM, curves.FINE_MM)] + list(curves.IRREGULAR)
-    assert [(row["mesh"], row["method"]) for row in record["gains"]] == [
-        (mesh, method) for mesh in meshes for method in METHODS
-    ]
+    kinds = {row["kind"] for row in record["parts"]}
+    assert kinds == {
+        *(f"regular {mm:g}" for mm in (1.0, 0.3, 0.1)),
+        "irregular",
+        "cad",
+        "flat",
+        "decimated",
+        "noise",
+    }
+    methods = {*METHODS, *curves.PEERS}
+    assert {(row["kind"], row["method"]) for row in record["summary"]} == {
+        (k, m) for k in kinds for m in methods
+    }
     text = (tmp_path / "curves.md").read_text()
-    assert all(f"| {mesh} |" in text for mesh in meshes)
-    gains = {(row["mesh"], row["method"]): row["polar_rms"] for row in record["gains"]}
-    assert all(gains[mesh, "bounded"] > gains[mesh, "paper"] for mesh in meshes)
+    assert all(f"| {row['part']} |" in text for row in record["parts"])
+    assert all(row["crossing"] == 0 for row in record["parts"] if row["method"] in METHODS)

@@ -13,10 +13,11 @@ import pytest
 from geomdl import BSpline as GeomdlBSpline
 from scipy.interpolate import BSpline, make_interp_spline
 
-from ebamcheck.curves import LINE, SPLINE, Curves, fit, fit_deviation
+from ebamcheck.curves import LINE, METHODS, SPLINE, Curves, fit, fit_deviation
 from ebamcheck.curves.interpolation import BULGE_LIMIT
 from ebamcheck.errors import GeometryError, InputError, SettingsError
 from ebamcheck.layers import Layers, concatenate, from_rings
+from ebamcheck.settings.curves import CurveSettings
 
 paper_fit = partial(fit, method="paper")
 
@@ -344,9 +345,9 @@ def test_uneven_points_never_make_the_curve_leave_its_chords_far() -> None:
         chords = 10.0 ** rng.uniform(-3, 2, 30)
         heading = np.cumsum(turns)
         paths.append(np.cumsum(chords[:, None] * np.column_stack([np.cos(heading), np.sin(heading)]), axis=0))
-    spans = paper_fit(
-        from_rings([0.0], [[]], [paths]), near_point_mm=0, collinear_mm=0, largest_bulge_mm=1e6
-    ).bezier_spans()
+    # The interpolation by itself: paths that cross themselves, as these do, are polylines of a whole fit.
+    settings = CurveSettings(near_point_mm=0, collinear_mm=0, largest_bulge_mm=1e6)
+    spans = METHODS["paper"](from_rings([0.0], [[]], [paths]), settings, None).bezier_spans()
     B = spans.points[spans.kind == SPLINE]
     chord = B[:, 3] - B[:, 0]
     length = np.hypot(*chord.T)
@@ -539,6 +540,10 @@ def test_parquet_brings_back_every_bit(tmp_path: Path) -> None:
         back = Curves.from_parquet(tmp_path / "c.parquet")
         for field in fields(Curves):
             ours, theirs = getattr(curves, field.name), getattr(back, field.name)
+            if (
+                field.name == "evidence"
+            ):  # the file holds curves; what speaks for them stands in the record of a run
+                continue
             if isinstance(ours, np.ndarray):
                 assert ours.dtype == theirs.dtype, field.name
                 assert np.array_equal(ours, theirs), field.name

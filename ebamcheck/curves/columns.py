@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,6 +20,9 @@ from ebamcheck.errors import SettingsError
 from ebamcheck.kernels import run_blocks
 from ebamcheck.layers import UP, Layers
 from ebamcheck.rings import Bools, Floats, Ints
+
+if TYPE_CHECKING:
+    from ebamcheck.curves.evidence import Evidence
 
 MOST_SAMPLES = 2**31
 """More points than this are a mistyped step, not a sampling."""
@@ -76,6 +79,8 @@ class Curves:
         How the curves were fitted.
     part, direction, backend
         Labels of the layers that were fitted.
+    evidence
+        What speaks for each ring, where the curves come from a fit in this process; files do not hold it.
     """
 
     heights: Floats
@@ -92,6 +97,7 @@ class Curves:
     part: str = ""
     direction: tuple[float, float, float] = UP
     backend: str = ""
+    evidence: Evidence | None = field(default=None, repr=False)
 
     def __len__(self) -> int:
         """Return the number of layers."""
@@ -156,6 +162,7 @@ class Curves:
             control=self.control[c:d],
             knot_starts=self.knot_starts[p : q + 1] - k,
             knots=self.knots[k:m],
+            evidence=None if self.evidence is None else self.evidence.of_rings(slice(a, b)),
         )
 
     # -- measures ----------------------------------------------------------------------------------

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
 
 from ebamcheck.backend import Progress
 from ebamcheck.config import Config
+from ebamcheck.curves.allowances import Allowances, Allowing
 from ebamcheck.curves.bulge import bulges
 from ebamcheck.curves.cleaning import clean
 from ebamcheck.curves.columns import Curves
+from ebamcheck.curves.edges import with_edges
+from ebamcheck.curves.evidence import joined
+from ebamcheck.curves.fallback import with_fallback
 from ebamcheck.curves.interpolation import CENTRIPETAL, CHORD_LENGTH, interpolate
-from ebamcheck.curves.lifting import Lifting, Sides
+from ebamcheck.curves.lifting import Lifting, as_they_are
 from ebamcheck.curves.reduction import reduced_segments, smooth_segments
+from ebamcheck.curves.sagitta import sagittas
 from ebamcheck.curves.segments import Segments, pieces_of
 from ebamcheck.curves.splitting import LINE, split
 from ebamcheck.curves.strands import Strands, strands
@@ -84,27 +90,67 @@ def fit(
         raise SettingsError(f"curve method {method!r} is unknown: choose one of {', '.join(METHODS)}")
     checked = Config(curves=settings).changed(curves=changes).curves
     _check_finite(layers)
-    lifting = _lifting(layers, part, method, checked) if method in LIFTED else None
+    part = _part_of(layers, part)
+    known = None if part is None else with_edges(layers, part, checked.near_point_mm)
+    lifting = _lifting(known or layers, part, method, checked) if method in LIFTED else None
+    allowing = (
+        None if part is None or known is None else Allowing(part, sagittas(part, checked.crease_angle_deg))
+    )
+    contours = known or layers
     blocks = []
     for start in range(0, max(len(layers), 1), LAYERS_A_STEP):
         stop = min(start + LAYERS_A_STEP, len(layers))
-        blocks.append(METHODS[method](layers.block(start, stop), checked, lifting))
+        blocks.append(_accepted(contours.block(start, stop), method, checked, lifting, allowing))
         if progress is not None and stop > start:
             progress(stop - start)
     return _join(blocks, layers, method, checked)
 
 
-def _lifting(layers: Layers, part: Part | None, method: str, settings: CurveSettings) -> Lifting | None:
-    """Lifting of the contours of a part, or None where part or edges are not known and not needed."""
-    if part is not None and layers.part and layers.part != part.sha256:
+def _part_of(layers: Layers, part: Part | None) -> Part | None:
+    """The part that layers were cut from: the one that is given, or else the one that they know."""
+    if part is None:
+        return layers.mesh
+    if layers.part and layers.part != part.sha256:
         raise SettingsError(
             f"layers were cut from another mesh than {part.name!r}: give the part that was sliced"
         )
+    return part
+
+
+def _accepted(
+    layers: Layers, method: str, settings: CurveSettings, lifting: Lifting | None, allowing: Allowing | None
+) -> Curves:
+    """Curves of a block by a method, or by more cautious ones where the mesh does not speak for them."""
+    if allowing is not None:
+        allowed = allowing.of(layers)
+        rounding_mm = allowing.rounding_mm
+    else:
+        free = np.full((len(layers.points), 2), settings.largest_bulge_mm)
+        allowed = Allowances(free, np.zeros(len(layers.points), np.bool_))
+        rounding_mm = 0.0
+    slack_mm = settings.tolerance_mm + settings.near_point_mm + settings.collinear_mm
+    curves = with_fallback(
+        METHODS[method](layers, settings, lifting),
+        layers,
+        allowed,
+        slack_mm,
+        settings.near_point_mm + settings.collinear_mm + rounding_mm,
+        None if method in INTERPOLATING else lambda some: METHODS["chord"](some, settings, None),
+    )
+    if allowing is None and curves.evidence is not None:
+        curves = replace(curves, evidence=replace(curves.evidence, known=False))
+    return curves
+
+
+def _lifting(layers: Layers, part: Part | None, method: str, settings: CurveSettings) -> Lifting | None:
+    """Lifting of the contours of a part, or None where part or edges are not known and not needed."""
     if part is not None and layers.edge is not None:
-        return Lifting(part, surface_normals(part, settings.crease_angle_deg))
+        return Lifting(part, surface_normals(part, settings))
     if method == "surface" and len(layers.points):
         lacking = (
-            "part=" if part is None else f"edges, which {layers.backend or 'their slicer'} does not tell"
+            "part="
+            if part is None
+            else f"contours on the edges of the part: those of {layers.backend or 'their slicer'} are not"
         )
         raise SettingsError(f"curve method 'surface' needs {lacking}: use 'bounded', or slice with planecut")
     return None
@@ -171,10 +217,7 @@ def _strands(layers: Layers, settings: CurveSettings, lifting: Lifting | None) -
     cleaned = clean(
         layers.points, layers.ring_starts, layers.closed, settings.near_point_mm, settings.collinear_mm
     )
-    points = np.ascontiguousarray(layers.points)[cleaned.rows]
-    unknown = np.full(points.shape, np.nan)
-    nowhere, anywhere = np.zeros(len(points), np.bool_), np.ones(len(points), np.bool_)
-    sides = Sides(points, unknown, unknown, nowhere, anywhere)
+    sides = as_they_are(np.ascontiguousarray(layers.points)[cleaned.rows])
     return strands(sides, cleaned.starts, layers.closed, settings, SHARE_OF_BULGE * settings.largest_bulge_mm)
 
 
@@ -192,6 +235,9 @@ METHODS: dict[str, _Method] = {
     "paper": _fit_paper,
 }
 """Fits by name; each takes a block of layers and returns its curves."""
+
+INTERPOLATING = ("chord", "paper")
+"""Methods whose curves go through the points of contours; they fall back to polylines at once."""
 
 LIFTED = ("bounded", "surface")
 """Methods that lift the points of contours where they can."""
@@ -230,4 +276,5 @@ def _join(blocks: list[Curves], layers: Layers, method: str, settings: CurveSett
         part=layers.part,
         direction=layers.direction,
         backend=layers.backend,
+        evidence=joined([block.evidence for block in blocks if block.evidence is not None]),
     )

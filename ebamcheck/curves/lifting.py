@@ -5,7 +5,9 @@ edge between two vertices is replaced by a cubic that starts and ends across the
 (a Hermite edge, as in Vlachos et al. 2001, "Curved PN triangles"), and the point goes to where that cubic
 crosses the layer. The edge bends at both ends by the lesser of the two angles that the normals ask for, and not at
 all where they ask for much to different sides: so a normal spoilt by a neighbour of another curvature does not
-make it overshoot.
+make it overshoot. Edges of planes and the rulings of strips do not bend. Any other bends, at each end, by no more than
+the mesh itself turns there from the edge to what lies behind: an error d of a normal lifts an edge of length l by l d / 8,
+which is much for a long edge beside fine facets.
 """
 
 from __future__ import annotations
@@ -13,7 +15,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ebamcheck.curves.regions import FREEFORM, PLANE, STRIP
 from ebamcheck.curves.vertex_normals import SurfaceNormals, corners_of_vertices
 from ebamcheck.kernels import kernel, run_blocks
 from ebamcheck.layers import Layers
@@ -40,6 +44,26 @@ LARGEST_INFLECTION = np.sin(np.deg2rad(5.0))
 LEAST_CREASE = 0.1
 """Sine of the angle between the normals on the two sides of a crease under which its direction is not known."""
 
+MOST_OF_TURN = 2.0
+"""An edge far longer than what lies behind its end bends there by at most this many times what a circle along it and
+through the neighbours behind would; those lie to both sides of its line, where the surface may curve otherwise."""
+
+JUMP = 4.0
+"""An edge this many times longer than those behind one of its ends is in another region than they, unless it bends as they
+do: what the normal there says of the finer side is nothing to the edge."""
+
+ALIKE = 2.0
+"""Curvatures of an edge and of what lies behind that differ by less than this factor are those of one surface."""
+
+NOISE_LIFT = 0.5
+"""Vertices that lie s off their surface tilt a normal so that it lifts an edge by a quarter to half of s."""
+
+BEHIND_COSINE = 0.3
+"""A neighbour lies behind the end of an edge where the cosine of its angle to the edge's line is greater than this."""
+
+NO_PLANE = -1
+"""In place of a plane's number: the segment is in none."""
+
 POINTS_A_BLOCK = 4096
 
 
@@ -59,6 +83,31 @@ class Sides(NamedTuple):
     """(N,) the contour has no corner there."""
     flat: Bools
     """(N,) the segment after the point may be a flat side: its facet has a neighbour in its plane, or is not known."""
+    plane_before: Index
+    """(N,) plane in which the segment that ends at the point lies; :data:`NO_PLANE` for none."""
+    plane_after: Index
+    """(N,) plane in which the segment that begins at the point lies."""
+    bound: Floats
+    """(N,) how far the point may have been moved, mm: the sagitta of its edge, over the sine of the flattest slope."""
+    rough: Bools
+    """(N,) the noise of the mesh there exceeds what a lift could win: the point was left, and so should its chords be."""
+
+
+def as_they_are(points: Floats) -> Sides:
+    """Sides of points of which nothing is known but their places (N, 2)."""
+    count = len(points)
+    unknown = np.full((count, 2), np.nan)
+    return Sides(
+        points,
+        unknown,
+        unknown.copy(),
+        np.zeros(count, np.bool_),
+        np.ones(count, np.bool_),
+        np.full(count, NO_PLANE, np.int32),
+        np.full(count, NO_PLANE, np.int32),
+        np.zeros(count),
+        np.zeros(count, np.bool_),
+    )
 
 
 class _Mesh(NamedTuple):
@@ -70,8 +119,14 @@ class _Mesh(NamedTuple):
     normals: Floats
     smooth: Bools
     flat: Bools
+    kind: NDArray[np.uint8]
+    region: Index
+    fans: Index
+    rough: Bools
+    noise: Floats
     corner_starts: Ints
     corners: Index
+    limited: bool
 
 
 class Lifting:
@@ -94,20 +149,19 @@ class Lifting:
             normals.normals,
             normals.smooth,
             normals.flat,
+            normals.kind,
+            normals.region,
+            normals.fans,
+            normals.rough,
+            normals.noise,
             starts,
             corners,
+            normals.with_regions,
         )
 
     def lift(self, layers: Layers) -> Sides:
         """Lift the points of layers that carry their edges; points without one stay where they are."""
-        count = len(layers.points)
-        found = Sides(
-            np.ascontiguousarray(layers.points).copy(),
-            np.full((count, 2), np.nan),
-            np.full((count, 2), np.nan),
-            np.zeros(count, np.bool_),
-            np.ones(count, np.bool_),
-        )
+        found = as_they_are(np.ascontiguousarray(layers.points).copy())
         if layers.edge is None or layers.edge_t is None:
             raise ValueError("layers without edges cannot be lifted")
         ring_heights = np.repeat(layers.heights, np.diff(layers.layer_starts))
@@ -117,7 +171,7 @@ class Lifting:
         def work(first: int, last: int) -> None:
             _lift(self._mesh, edge, edge_t, heights, first, last, found)
 
-        run_blocks(work, count, POINTS_A_BLOCK)
+        run_blocks(work, len(layers.points), POINTS_A_BLOCK)
         return found
 
 
@@ -138,20 +192,128 @@ def _lift(
         down_high, down_low = _normals_of(mesh, down)
         chord = _minus(_vector(mesh.vertices, high), _vector(mesh.vertices, low))
         smooth = mesh.smooth[up] and mesh.smooth[down]
-        bend_low = _bend(chord, up_low, down_low, smooth)
-        bend_high = _bend(chord, up_high, down_high, smooth)
         t = edge_t[i]
-        flat = mesh.flat[up // 3] and mesh.flat[down // 3]
-        if _bends_alike(chord, bend_low, bend_high, flat):
-            lesser = min(_dot(bend_low, bend_low), _dot(bend_high, bend_high))
-            bend_low = _scaled(bend_low, np.sqrt(lesser / _dot(bend_low, bend_low)))
-            bend_high = _scaled(bend_high, np.sqrt(lesser / _dot(bend_high, bend_high)))
-            t = _place(mesh.vertices[low, 2], chord[2], bend_low[2], bend_high[2], heights[i], t)
-            _move(found.points[i], _vector(mesh.vertices, low), chord, bend_low, bend_high, t)
+        found.rough[i] = _is_rough(mesh, up) or _is_rough(mesh, down)
+        if not (found.rough[i] or _is_straight(mesh, up, down, smooth)):
+            bend_low, bend_high = _bends(mesh, up, down, chord, smooth)
+            flat = mesh.flat[up // 3] and mesh.flat[down // 3]
+            if _bends_alike(chord, bend_low, bend_high, flat):
+                if not (smooth and mesh.kind[up // 3] == STRIP and mesh.kind[down // 3] == STRIP):
+                    lesser = min(_dot(bend_low, bend_low), _dot(bend_high, bend_high))
+                    bend_low = _scaled(bend_low, np.sqrt(lesser / _dot(bend_low, bend_low)))
+                    bend_high = _scaled(bend_high, np.sqrt(lesser / _dot(bend_high, bend_high)))
+                t = _place(mesh.vertices[low, 2], chord[2], bend_low[2], bend_high[2], heights[i], t)
+                # The cubic leaves its chord by at most a quarter of the bend.
+                greater = max(_dot(bend_low, bend_low), _dot(bend_high, bend_high))
+                found.bound[i] = 0.25 * np.sqrt(greater) / FLATTEST_SURFACE
+                _move(
+                    found.points[i],
+                    _vector(mesh.vertices, low),
+                    chord,
+                    bend_low,
+                    bend_high,
+                    t,
+                    found.bound[i],
+                )
         _set_direction(up_low, up_high, t, found.before[i])
         _set_direction(down_low, down_high, t, found.after[i])
         found.smooth[i] = smooth
         found.flat[i] = mesh.flat[down // 3]
+        if mesh.kind[up // 3] == PLANE:
+            found.plane_before[i] = mesh.region[up // 3]
+        if mesh.kind[down // 3] == PLANE:
+            found.plane_after[i] = mesh.region[down // 3]
+
+
+@kernel
+def _is_rough(mesh: _Mesh, half_edge: int) -> bool:
+    f, k = half_edge // 3, half_edge % 3
+    return bool(mesh.rough[mesh.sectors[f, k]] or mesh.rough[mesh.sectors[f, (k + 1) % 3]])
+
+
+@kernel
+def _is_straight(mesh: _Mesh, up: int, down: int, smooth: bool) -> bool:
+    """Whether an edge is a straight line of the part: in or along a plane, or a ruling between two strips."""
+    kind, other = mesh.kind[up // 3], mesh.kind[down // 3]
+    if smooth:
+        if kind == PLANE or other == PLANE:
+            return True
+        return bool(kind == STRIP and other == STRIP and mesh.region[up // 3] != mesh.region[down // 3])
+    return bool(kind == PLANE and other == PLANE)
+
+
+@kernel
+def _bends(mesh: _Mesh, up: int, down: int, chord: _Vector, smooth: bool) -> tuple[_Vector, _Vector]:
+    """Bends at the lower and the upper end of an edge, as far as the mesh bears them out."""
+    up_low, up_high = _normals_of(mesh, up)
+    down_high, down_low = _normals_of(mesh, down)
+    if smooth and mesh.kind[down // 3] == STRIP:
+        up_low, up_high = down_low, down_high  # a strip's normals stand across its rulings
+    bend_low = _bend(chord, up_low, down_low, smooth)
+    bend_high = _bend(chord, up_high, down_high, smooth)
+    if not mesh.limited or not smooth:
+        return bend_low, bend_high
+    if mesh.kind[up // 3] != FREEFORM or mesh.kind[down // 3] != FREEFORM:
+        return bend_low, bend_high
+    most_low, jump_low = _most(mesh, up, up % 3, chord, up_low)
+    most_high, jump_high = _most(mesh, up, (up % 3 + 1) % 3, _scaled(chord, -1.0), up_high)
+    nowhere = jump_low and jump_high
+    if jump_low and not jump_high:
+        nowhere = not _is_worth(mesh, up // 3, (up % 3 + 1) % 3, bend_high)
+    elif jump_high and not jump_low:
+        nowhere = not _is_worth(mesh, up // 3, up % 3, bend_low)
+    if nowhere:
+        return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    return _limited(bend_low, most_low), _limited(bend_high, most_high)
+
+
+@kernel
+def _is_worth(mesh: _Mesh, f: int, corner: int, bend: _Vector) -> bool:
+    """Whether the only end that tells how an edge bends tells more than the noise about it would."""
+    return bool(0.25 * np.sqrt(_dot(bend, bend)) >= NOISE_LIFT * mesh.noise[mesh.sectors[f, corner]])
+
+
+@kernel
+def _limited(bend: _Vector, most: float) -> _Vector:
+    length = np.sqrt(_dot(bend, bend))
+    return bend if length <= most else _scaled(bend, most / length)
+
+
+@kernel
+def _most(mesh: _Mesh, up: int, corner: int, chord: _Vector, normal: _Vector) -> tuple[float, bool]:
+    """How far an edge may bend at one end, mm, by what lies behind it; and whether that is far finer than the edge.
+
+    Edge and neighbours behind, in the same smooth fan, drop from the tangent plane by angles whose sum does not depend on
+    how the plane is tilted: the turn of the mesh along the edge, of which a circle gives the edge its share by length.
+    Without a neighbour behind, at a crease, nothing limits it.
+    """
+    f = up // 3
+    fan, vertex = mesh.fans[f, corner], mesh.faces[f, corner]
+    here = _vector(mesh.vertices, vertex)
+    length = np.sqrt(_dot(chord, chord))
+    weights = reach = drop = 0.0
+    for place in range(mesh.corner_starts[vertex], mesh.corner_starts[vertex + 1]):
+        e, k = mesh.corners[place] // 3, mesh.corners[place] % 3
+        if mesh.fans[e, k] != fan:
+            continue
+        for step in (1, 2):
+            p = _minus(_vector(mesh.vertices, mesh.faces[e, (k + step) % 3]), here)
+            far = np.sqrt(_dot(p, p))
+            cosine = -_dot(p, chord) / max(far * length, 1e-300)
+            if cosine > BEHIND_COSINE:
+                weight = cosine * cosine
+                weights += weight
+                reach += weight * cosine * far
+                drop -= weight * _dot(p, normal) / far
+    if weights == 0.0:
+        return np.inf, False
+    reach, behind = reach / weights, drop / weights
+    ahead = -_dot(chord, normal) / length
+    # On one surface edge and neighbours bend alike: their drops go with their lengths.
+    alike = ahead * behind > 0.0 and 1.0 / ALIKE < (ahead * reach) / (behind * length) < ALIKE
+    if length < JUMP * reach or alike:
+        return np.inf, False
+    return MOST_OF_TURN * abs(behind + ahead) * length * length / (length + reach), True
 
 
 @kernel
@@ -255,14 +417,18 @@ def _place(
 
 @kernel
 def _move(
-    point: Floats, low: _Vector, chord: _Vector, bend_low: _Vector, bend_high: _Vector, t: float
+    point: Floats,
+    low: _Vector,
+    chord: _Vector,
+    bend_low: _Vector,
+    bend_high: _Vector,
+    t: float,
+    farthest: float,
 ) -> None:
-    """Move a contour point to its place on the curved edge, as far as :data:`FLATTEST_SURFACE` lets it."""
+    """Move a contour point to its place on the curved edge, as far as its bound lets it."""
     a, b = t * (1.0 - t) * (1.0 - t), t * t * (1.0 - t)
     dx = low[0] + chord[0] * t + a * bend_low[0] - b * bend_high[0] - point[0]
     dy = low[1] + chord[1] * t + a * bend_low[1] - b * bend_high[1] - point[1]
-    # The cubic leaves its chord by at most a quarter of the bend.
-    farthest = 0.25 * np.sqrt(_dot(bend_low, bend_low)) / FLATTEST_SURFACE
     moved = np.hypot(dx, dy)
     share = 1.0 if moved <= farthest else farthest / moved
     point[0] += share * dx

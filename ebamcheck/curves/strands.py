@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.curves.lifting import Sides
+from ebamcheck.curves.lifting import NO_PLANE, Sides
 from ebamcheck.kernels import kernel, run_blocks
 from ebamcheck.rings import Bools, Floats, Ints
 from ebamcheck.settings.curves import CurveSettings
@@ -23,6 +23,10 @@ LARGEST_TURN_RAD = np.deg2rad(60.0)
 FLAT_MM = 2e-5
 """A smooth point this near to the chord of its neighbours, in both its place and its direction, goes: it is where a
 flat side's facets meet. What 32-bit coordinates of some hundred mm leave of a plane."""
+
+IN_PLANE_MM = 1e-3
+"""A point inside of a plane goes if it lies this near to the chord of its neighbours: what the decimals of a file leave, and
+the least distance of contour points. A layer that touches a level plane runs around it, and turns."""
 
 STRAIGHT_RATIO = 3.0
 """A straight run is this many times longer than any of the two segments on either side of it, up to a corner."""
@@ -120,6 +124,15 @@ def _strands(
             sides, kept, closed[r], straight_run, corner[a : a + n], before[a : a + n],
             after[a : a + n], straight[a : a + n],
         )  # fmt: skip
+        _keep_rough(
+            sides,
+            kept,
+            closed[r],
+            corner[a : a + n],
+            before[a : a + n],
+            after[a : a + n],
+            straight[a : a + n],
+        )
         _keep_near(
             sides.points, kept, closed[r], largest_bulge, corner[a : a + n], before[a : a + n],
             after[a : a + n], straight[a : a + n],
@@ -168,7 +181,7 @@ def _keep(sides: Sides, a: int, b: int, closed: bool, near: float, rows: Ints) -
 
 @kernel
 def _drop_flat(sides: Sides, rows: Ints, closed: bool) -> int:
-    """Leave out smooth points inside of straight sides; three points stay."""
+    """Leave out points inside of planes, and smooth ones inside of other straight sides; three points stay."""
     size = rows.size
     n = 0
     for k in range(size):
@@ -183,8 +196,9 @@ def _drop_flat(sides: Sides, rows: Ints, closed: bool) -> int:
 
 @kernel
 def _is_flat(sides: Sides, p: int, i: int, q: int) -> bool:
-    """Whether a smooth point lies on the chord of its neighbours, in place and in direction."""
-    if not sides.smooth[i] or np.isnan(sides.before[i, 0]):
+    """Whether a point lies inside of a plane, or a smooth one on the chord of its neighbours in place and direction."""
+    in_plane = sides.plane_after[i] != NO_PLANE and sides.plane_before[i] == sides.plane_after[i]
+    if not in_plane and (not sides.smooth[i] or np.isnan(sides.before[i, 0])):
         return False
     x, y = sides.points[q, 0] - sides.points[p, 0], sides.points[q, 1] - sides.points[p, 1]
     long = np.hypot(x, y)
@@ -192,6 +206,8 @@ def _is_flat(sides: Sides, p: int, i: int, q: int) -> bool:
     off = abs(x * v - y * u)
     tilt = abs(x * sides.before[i, 1] - y * sides.before[i, 0])
     ahead = x * u + y * v
+    if in_plane:
+        return bool(0.0 < ahead < long * long and off < IN_PLANE_MM * long)
     return bool(0.0 < ahead < long * long and off < FLAT_MM * long and 0.25 * tilt < FLAT_MM)
 
 
@@ -306,8 +322,8 @@ def _mark_straight(
 ) -> None:
     """Mark straight segments, and turn what lies beside them to their direction.
 
-    A segment is straight if it does not bend between two corners, or if it is long, far longer than those beside it,
-    and may be part of a flat side.
+    A segment is straight if it lies in a plane, if it does not bend between two corners, or if it is long, far longer
+    than those beside it, and may be part of a flat side.
     """
     n = rows.size
     lengths = np.empty(n)
@@ -329,7 +345,9 @@ def _mark_straight(
             if not corner[k - 1]:
                 longest = max(longest, lengths[k - 2])
         long = lengths[k] >= straight_run and lengths[k] >= STRAIGHT_RATIO * longest
-        straight[k] = alone or (long and sides.flat[rows[k]])
+        plane = sides.plane_after[rows[k]]
+        in_plane = plane != NO_PLANE and plane == sides.plane_before[rows[m]]
+        straight[k] = in_plane or alone or (long and sides.flat[rows[k]])
     for k in range(n if closed else n - 1):
         if not straight[k]:
             continue
@@ -339,6 +357,19 @@ def _mark_straight(
         if not corner[m]:
             after[m] += before[m]
         after[k] = before[m] = 0.0
+
+
+@kernel
+def _keep_rough(
+    sides: Sides, rows: Ints, closed: bool, corner: Bools, before: Floats, after: Floats, straight: Bools
+) -> None:
+    """Leave segments between points of a rough mesh as they are: a curve through noise is noisier than its chords."""
+    n = rows.size
+    for k in range(n if closed else n - 1):
+        m = (k + 1) % n
+        if sides.rough[rows[k]] and sides.rough[rows[m]]:
+            corner[k] = corner[m] = straight[k] = True
+            after[k] = before[m] = 0.0
 
 
 @kernel

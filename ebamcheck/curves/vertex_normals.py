@@ -14,9 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.curves.flat_sides import flat_sides, keep_flat
+from ebamcheck.curves.regions import FREEFORM, PLANE, find_regions
+from ebamcheck.curves.regions.noise import rough_rows
+from ebamcheck.curves.regions.normals import region_normals
 from ebamcheck.kernels import kernel
 from ebamcheck.part import Part
 from ebamcheck.rings import Bools, Floats
+from ebamcheck.settings.curves import CurveSettings
 from ebamcheck.topology import NO_TWIN, Index, edge_groups, split_corners, twins
 
 COEFFICIENTS = 5
@@ -31,29 +35,62 @@ class SurfaceNormals(NamedTuple):
     """Normals of the smooth surface at the corners of facets."""
 
     sectors: Index
-    """(F, 3) sector of each corner of each facet."""
+    """(F, 3) row of the normal of each corner of each facet."""
     normals: Floats
-    """(S, 3) unit normal of each sector."""
+    """(S, 3) unit normals."""
     smooth: Bools
     """(3 F,) whether the surface goes on across half-edge ``3 f + i`` without a crease."""
     flat: Bools
     """(F,) the facet lies in one plane with a neighbour: a strip of a cylinder, or a flat side."""
+    kind: NDArray[np.uint8]
+    """(F,) kind of region of the facet; all :data:`FREEFORM` without regions."""
+    region: Index
+    """(F,) planar group of the facet; its own number without regions."""
+    fans: Index
+    """(F, 3) smooth fan about the vertex that each corner belongs to, whatever the regions in it."""
+    rough: Bools
+    """(S,) the noise of the vertices about exceeds what lifting could win there."""
+    noise: Floats
+    """(S,) what the surface about leaves of the vertices there, mm; infinite where it is not told."""
+    with_regions: bool
+    """Whether the mesh was segmented."""
 
 
-def surface_normals(part: Part, crease_angle_deg: float) -> SurfaceNormals:
+def surface_normals(part: Part, settings: CurveSettings) -> SurfaceNormals:
     """Estimate the normals of the surface that a mesh was made from.
 
     Parameters
     ----------
     part
         The mesh.
-    crease_angle_deg
-        Edges whose facets' normals differ by at least this angle are sharp; so are edges with one facet, or with
-        facets that do not run opposite ways along it.
+    settings
+        With its crease angle: edges whose facets' normals differ by at least this angle are sharp; so are edges with one
+        facet, or with facets that do not run opposite ways along it. With regions, so is every bend between two planes.
     """
+    groups = edge_groups(part.faces, len(part.vertices))
+    twin = twins(part.vertices, part.faces, groups.half_edges, groups.starts)
+    if settings.regions == "off":
+        return _plain_normals(part, twin, settings.crease_angle_deg)
+    regions = find_regions(part, twin, settings)
+    label = regions.groups.label
+    found = region_normals(part, twin, regions)
+    return SurfaceNormals(
+        found.rows,
+        found.normals,
+        twin != NO_TWIN,
+        regions.kind[label] == PLANE,
+        regions.kind[label],
+        label,
+        found.fans,
+        rough_rows(part.vertices, part.faces, found),
+        np.nan_to_num(found.noise, nan=np.inf),
+        True,
+    )
+
+
+def _plain_normals(part: Part, twin: Index, crease_angle_deg: float) -> SurfaceNormals:
+    """Normals without regions: by quadrics and widths of flat sides."""
     vertices, faces = part.vertices, part.faces
-    groups = edge_groups(faces, len(vertices))
-    twin = twins(vertices, faces, groups.half_edges, groups.starts)
     facet_normals = _facet_normals(vertices, faces)
     sides = flat_sides(vertices, faces, facet_normals, twin)
     _part_at_creases(faces, facet_normals, twin, np.cos(np.deg2rad(crease_angle_deg)))
@@ -64,7 +101,18 @@ def surface_normals(part: Part, crease_angle_deg: float) -> SurfaceNormals:
     equations = _equations(vertices, faces, sectors, means, scales)
     _tilt_by_quadrics(means, equations, _least_cosines(facet_normals, sectors, means), normals)
     keep_flat(vertices, faces, twin, sectors, sides, normals)
-    return SurfaceNormals(sectors, normals, twin != NO_TWIN, sides.flat[sides.groups])
+    return SurfaceNormals(
+        sectors,
+        normals,
+        twin != NO_TWIN,
+        sides.flat[sides.groups],
+        np.full(len(faces), FREEFORM, np.uint8),
+        np.arange(len(faces), dtype=np.int32),
+        sectors,
+        np.zeros(count, np.bool_),
+        np.zeros(count),
+        False,
+    )
 
 
 @kernel

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,43 +12,59 @@ import pandas as pd
 
 from ebamcheck import layer_files
 from ebamcheck.curves import METHODS, Curves, contour_error, error_reduction, fit, fit_deviation
+from ebamcheck.curves.edges import with_edges
+from ebamcheck.curves.fallback import METHODS as FALLBACKS
 from ebamcheck.layers import Layers
 from ebamcheck.part import Part
+from ebamcheck.pipeline import fit_evidence
+from ebamcheck.pipeline.fit_evidence import FitVerdict
 from ebamcheck.pipeline.work import Job
 from ebamcheck.settings.curves import CurveSettings
 from ebamcheck.slicing import slice_part
 
 
-def fitted(job: Job, layers: Layers, error_bound_mm: float, fine: Part | None) -> tuple[Curves, pd.DataFrame]:
-    """Fit the contours, measure the fit, and both against the reference where there is one."""
+def fitted(
+    job: Job, layers: Layers, error_bound_mm: float, fine: Part | None
+) -> tuple[FitVerdict, pd.DataFrame]:
+    """Fit the contours, measure the fit, and both against the reference where there is one.
+
+    Returns what speaks for the curves, and a table of one row a layer (`fit.csv`).
+    """
     # What a slicer's own error makes of a contour, a staircase of pixels say, is no shape: no corners come of it.
     settings = job.config.curves
     settings = settings.model_copy(update={"collinear_mm": max(settings.collinear_mm, error_bound_mm)})
     with job.stage("fit", len(layers)):
         curves = fit(layers, settings.method, settings, job.observer.advance, job.part)
         curves.to_parquet(job.folder.path / "curves.parquet")
-        deviation = fit_deviation(curves, layers)
-        deviation.to_csv(job.folder.path / "fit.csv", index=False)
+        verdict, table = fit_evidence.judged(curves, layers, job.part, job.config)
+        table.to_csv(job.folder.path / "fit.csv", index=False)
         of_methods = {curves.method: curves, **_other_fits(job, layers, settings)}
         job.record["fit"] = {
             "method": curves.method,
             "points": len(layers.points),
-            **_figures(curves, deviation),
+            "rings": verdict.evidence.cause.size,
+            "fallen_rings": {
+                name: int((verdict.evidence.method == k).sum()) for k, name in enumerate(FALLBACKS) if k
+            },
+            "open_rings": verdict.open_rings,
+            **_figures(curves, table),
             "methods": {
-                name: _figures(other, deviation if other is curves else fit_deviation(other, layers))
+                name: _figures(other, table if other is curves else fit_deviation(other, layers))
                 for name, other in of_methods.items()
             },
         }
     if fine is not None:
         with job.stage("reference", len(layers)):
             job.record["reference"] = _against_reference(job, layers, of_methods, fine)
-    return curves, deviation
+            verdict = replace(verdict, reference=job.record["reference"])
+    job.add_finding(*fit_evidence.findings(verdict))
+    return verdict, table
 
 
 def _other_fits(job: Job, layers: Layers, settings: CurveSettings) -> dict[str, Curves]:
     """Curves by the methods that were not chosen, to be compared with those of the one that was."""
     others = [name for name in METHODS if name != settings.method]
-    if layers.edge is None and "surface" in others:
+    if "surface" in others and with_edges(layers, job.part, settings.near_point_mm) is None:
         others.remove("surface")
     return {name: fit(layers, name, settings, part=job.part) for name in others}
 
@@ -73,7 +90,7 @@ def _against_reference(
     pd.concat([before.assign(of="contour"), after.assign(of="curve")]).to_csv(
         job.folder.path / "reference.csv", index=False
     )
-    figures = ("polar_min_mm", "polar_max_mm", "normal_min_mm", "normal_max_mm")
+    figures = ("polar_min_mm", "polar_max_mm", "normal_min_mm", "normal_max_mm", "normal_max_abs_mm")
     return {
         "part": {"source": Path(fine.source).name, "sha256": fine.source_sha256, "facets": len(fine.faces)},
         "contour": {f: _extreme(before[f], f) for f in figures} | _rms(before),

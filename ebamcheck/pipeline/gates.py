@@ -11,11 +11,11 @@ import pandas as pd
 
 from ebamcheck.comparison import Comparison
 from ebamcheck.config import Config
-from ebamcheck.curves import LIFTED
 from ebamcheck.errors import ExitCode
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.inspection import Inspection
 from ebamcheck.isolate import Outcome
+from ebamcheck.pipeline.fit_evidence import FitVerdict, gate_text
 from ebamcheck.program import Check
 from ebamcheck.program.deposit_checks import DEPOSIT_CHECKS, of_deposit
 from ebamcheck.program.interpass_checks import INTERPASS, MELTING, within_range
@@ -78,24 +78,11 @@ def _first(comparison: Comparison) -> str:
     )
 
 
-def fit_tolerance_mm(config: Config) -> float:
-    """Distance that a curve may keep from its contour: the largest lift or bulge, and what fit and cleaning may move."""
-    curves = config.curves
-    if curves.method in LIFTED:
-        return curves.largest_lift_mm + curves.tolerance_mm + curves.near_point_mm
-    return curves.largest_bulge_mm + curves.near_point_mm + curves.collinear_mm
-
-
-def fit_gate(deviation: pd.DataFrame, config: Config) -> Gate:
-    """The fitted curves stay near the contours that they were fitted to."""
-    limit = fit_tolerance_mm(config)
-    if not len(deviation):
-        return Gate("fit", False, float("nan"), limit, "mm", "there is no contour to fit")
-    worst = deviation[["points_mm", "bulge_mm"]].max(axis=1)
-    k = int(worst.to_numpy().argmax())
-    figure = float(worst.iloc[k])
-    text = f"curves within {figure:.4f} mm of the contours (worst at layer {k}, z = {deviation['height_mm'].iloc[k]:.3f} mm)"
-    return Gate("fit", figure <= limit, figure, limit, "mm", text)
+def fit_gate(verdict: FitVerdict) -> Gate:
+    """The mesh, the other layers and the reference speak for every ring of the fitted curves."""
+    if not verdict.evidence.cause.size:
+        return Gate("fit", False, float("nan"), 0.0, "faults", "there is no contour to fit")
+    return Gate("fit", verdict.faults == 0, float(verdict.faults), 0.0, "faults", gate_text(verdict))
 
 
 def coverage_gate(metrics: pd.DataFrame, config: Config) -> Gate:

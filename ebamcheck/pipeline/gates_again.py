@@ -12,12 +12,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from ebamcheck import registry
 from ebamcheck.comparison import compare_all
 from ebamcheck.comparison.sources import LayerSource
 from ebamcheck.config import Config
-from ebamcheck.curves import LIFTED, Curves, fit, fit_deviation
+from ebamcheck.curves import LIFTED, Curves, fit
 from ebamcheck.findings import from_record, has_fault
 from ebamcheck.inspection import inspect
 from ebamcheck.isolate import Outcome
@@ -26,6 +27,7 @@ from ebamcheck.layers import Layers
 from ebamcheck.part import Part
 from ebamcheck.pipeline import gates
 from ebamcheck.pipeline.choice import witness_backend
+from ebamcheck.pipeline.fit_evidence import FitVerdict, judged
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.placement import cut_heights
 from ebamcheck.program import Check, verify_file
@@ -71,7 +73,7 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
     record = manifest.get("program")
     if record is None:
         return Again(witness, tuple(made), ())
-    curves, deviation_gate = _fitted(run, manifest, config, part)
+    verdict, _ = _fitted(run, manifest, config, part)
     plan = ScanPlan.from_parquet(run.path / "scan.parquet")
     checks = verify_file(
         run.program_folder / record["files"][0]["name"],
@@ -79,7 +81,7 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
         curves=Curves.from_parquet(run.path / "beads.parquet"),
         plan=plan,
         layers=fresh,
-        smooth=curves.sample_tolerance(SMOOTH_MM) if config.curves.method in LIFTED else None,
+        smooth=verdict.curves.sample_tolerance(SMOOTH_MM) if config.curves.method in LIFTED else None,
         beads=True,
         metal=True,
         heat=True,
@@ -88,7 +90,7 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
         truth=truth_of(manifest, config),
     )
     made += [
-        deviation_gate,
+        gates.fit_gate(verdict),
         _coverage(checks),
         gates.deposit_gate(checks, config),
         gates.heat_gate(checks, plan.metrics, config),
@@ -137,7 +139,9 @@ def _agreement(
     return gates.agreement_gate(comparison, outcomes, len(fresh))
 
 
-def _fitted(run: RunFolder, manifest: Mapping[str, Any], config: Config, part: Part) -> tuple[Curves, Gate]:
+def _fitted(
+    run: RunFolder, manifest: Mapping[str, Any], config: Config, part: Part
+) -> tuple[FitVerdict, pd.DataFrame]:
     """Fit the contours of the primary slicer anew, as the run did, and judge the fit."""
     primary = str(manifest["primary"])
     slicer = registry.slicer(primary)
@@ -146,7 +150,7 @@ def _fitted(run: RunFolder, manifest: Mapping[str, Any], config: Config, part: P
     of_curves = config.curves.model_copy(update={"collinear_mm": max(config.curves.collinear_mm, bound_mm)})
     layers = run.read_layers(primary)
     curves = fit(layers, of_curves.method, of_curves, part=part)
-    return curves, gates.fit_gate(fit_deviation(curves, layers), config)
+    return judged(curves, layers, part, config)
 
 
 def _coverage(checks: Sequence[Check]) -> Gate:

@@ -56,9 +56,9 @@ def make_program(
 ) -> list[Gate]:
     """Fit, partition, order, write, read back and verify."""
     config, layers = job.config, job.folder.read_layers(primary)
-    curves, deviation = fitted(job, layers, checked.outcomes[primary].error_bound_mm, fine)
+    verdict, _ = fitted(job, layers, checked.outcomes[primary].error_bound_mm, fine)
     with job.stage("partition and order", len(layers)):
-        smooth = smooth_layers(curves)
+        smooth = smooth_layers(verdict.curves)
         plan = plan_stack(smooth, config, progress=job.observer.advance)
         plan.to_parquet(job.folder.path / "scan.parquet")
         plan.metrics.to_csv(job.folder.path / "scan.csv", index=False)
@@ -71,7 +71,7 @@ def make_program(
         witness = _witness(job, layers, checked.done)
         checks = _write_and_verify(job, beads, plan, path, layers, witness, smooth)
     made = [
-        gates.fit_gate(deviation, config),
+        gates.fit_gate(verdict),
         gates.coverage_gate(plan.metrics, config),
         gates.deposit_gate(checks, config),
         gates.heat_gate(checks, plan.metrics, config),
@@ -111,7 +111,9 @@ def bead_paths(layers: Layers, plan: ScanPlan, config: Config) -> Curves:
     )
     # What lies along a bead was lifted with the contour; an inset has no edges of the mesh of its own.
     method = "bounded" if config.curves.method in LIFTED else config.curves.method
-    return fit(lines, method, config.curves)
+    # Half of a bulge's limit is a contour's own; beyond its tolerance a path would leave the curves that it follows.
+    bulge_mm = min(config.curves.largest_bulge_mm, 2.0 * config.curves.tolerance_mm)
+    return fit(lines, method, config.curves, largest_bulge_mm=bulge_mm)
 
 
 def _witness(job: Job, layers: Layers, done: Sequence[str]) -> Layers:

@@ -19,6 +19,19 @@ class CurveSettings(Section):
     """Distance that `bounded` may keep from the smooth curve."""
     crease_angle_deg: Annotated[float, Field(gt=0, lt=180)] = 40.0
     """Edges of the mesh whose facets differ by this angle are sharp, for `bounded` and `surface`."""
+    regions: Literal["on", "off"] = "on"
+    """Find planes, strips with straight rulings and freely curved regions before the normals, for `bounded` and `surface`:
+    planes stay planes, a bend between two planes is sharp whatever its angle. "off" tells flat sides by their width
+    alone."""
+    polygon_angle_deg: Annotated[float, Field(gt=0, lt=180)] = 12.0
+    """Flat strips between two rims are a cylinder or cone where they turn by less than this from one to the next (30 sides
+    around)."""
+    polygon_sagitta_mm: NotNegative = 0.1
+    """Strips that turn by more are still a cylinder where they leave it by less than this, times the square of the ratio of
+    the angle above and theirs: 0.064 mm for 24 sides, 0.016 mm for 12. 0.1 mm is as coarse as CAD systems export by
+    default; who rounds a polygon leaves its part, who keeps one loses no more than the export has. Else they are the sides
+    of a polygon and stay so, unless roundings of the part that touch their flat sides as tangents are as coarse. 0: go by
+    the angle alone."""
     corner_angle_deg: Annotated[float, Field(gt=0, lt=180)] = 140.0
     """A contour splits where the angle between its segments is under this (paper, section 3.2)."""
     near_point_mm: NotNegative = 0.001

@@ -1,0 +1,92 @@
+"""Edges of a mesh at the points of contours that do not tell them, by geometry.
+
+A layer cuts an edge of the mesh where its lower end is not above it and its upper end is. A contour point is on the edge
+whose cut is nearest to it, and within a tolerance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ebamcheck.kernels import kernel, run_blocks
+from ebamcheck.layers import Layers
+from ebamcheck.part import Part
+from ebamcheck.rings import Floats, Ints
+from ebamcheck.topology import Index
+
+LEAST_SHARE = 0.5
+"""Of a stack's points, so many must lie on edges of the part: else they are not its contours, but a raster's."""
+
+
+def with_edges(layers: Layers, part: Part, tolerance_mm: float) -> Layers | None:
+    """Layers with the edges that their points lie on; None where they are not the contours of the part.
+
+    Parameters
+    ----------
+    layers
+        Contours; those that tell their edges are returned as they are.
+    part
+        The mesh that was cut.
+    tolerance_mm
+        How far a point may be from the place where the layer cuts its edge. Others have no edge.
+    """
+    if layers.edge is not None:
+        return layers
+    count = len(layers.points)
+    edge, edge_t = np.full((count, 2), -1, np.int32), np.zeros(count)
+    ends = _edges(part)
+    low, high = part.vertices[ends[:, 0], 2], part.vertices[ends[:, 1], 2]
+    by_low = np.argsort(low, kind="stable")
+    sorted_low = low[by_low]
+    starts = layers.ring_starts[layers.layer_starts]
+
+    def work(first: int, last: int) -> None:
+        for k in range(first, last):
+            z = float(layers.heights[k])
+            begun = by_low[: int(np.searchsorted(sorted_low, z, side="right"))]
+            cut = begun[high[begun] > z]
+            a, b = int(starts[k]), int(starts[k + 1])
+            _match(part.vertices, ends[cut], layers.points[a:b], z, tolerance_mm, edge[a:b], edge_t[a:b])
+
+    run_blocks(work, len(layers))
+    if count and np.count_nonzero(edge[:, 0] >= 0) < LEAST_SHARE * count:
+        return None
+    return replace(layers, edge=edge, edge_t=edge_t)
+
+
+def _edges(part: Part) -> Index:
+    """Edges of the mesh that are not level, each once, lower vertex first, (E, 2)."""
+    pairs = np.concatenate([part.faces[:, [0, 1]], part.faces[:, [1, 2]], part.faces[:, [2, 0]]])
+    z = part.vertices[:, 2]
+    turned = z[pairs[:, 0]] > z[pairs[:, 1]]
+    pairs[turned] = pairs[turned][:, ::-1]
+    pairs = pairs[z[pairs[:, 0]] < z[pairs[:, 1]]]
+    key = pairs[:, 0].astype(np.int64) * len(part.vertices) + pairs[:, 1]
+    return np.ascontiguousarray(pairs[np.unique(key, return_index=True)[1]], dtype=np.int32)
+
+
+@kernel
+def _match(
+    vertices: Floats, ends: Index, points: Floats, z: float, tolerance: float, edge: Index, edge_t: Floats
+) -> None:
+    """Give each point the edge whose cut is nearest, of those within the tolerance: by their x, in order."""
+    n = len(ends)
+    places = np.empty((n, 3))
+    for i in range(n):
+        a, b = vertices[ends[i, 0]], vertices[ends[i, 1]]
+        t = (z - a[2]) / (b[2] - a[2])
+        places[i, 0], places[i, 1], places[i, 2] = a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1]), t
+    order: Ints = np.argsort(places[:, 0], kind="mergesort")
+    x = places[order, 0]
+    for i in range(len(points)):
+        best = tolerance
+        k = np.searchsorted(x, points[i, 0] - tolerance)
+        while k < n and x[k] <= points[i, 0] + tolerance:
+            j = order[k]
+            away = np.hypot(places[j, 0] - points[i, 0], places[j, 1] - points[i, 1])
+            if away <= best:
+                best = away
+                edge[i, 0], edge[i, 1], edge_t[i] = ends[j, 0], ends[j, 1], places[j, 2]
+            k += 1

@@ -1,0 +1,276 @@
+"""Evidence that curves may leave their contours as they do, ring by ring.
+
+A ring of curves is accepted if no place of it is farther from its contour, nor any place of the contour from it, than
+the mesh allows there and the fit's tolerance; if a planar facet moved by no more than the rounding of its file and the
+cleaning; if it crosses neither itself nor another; and if it runs the way its contour does, inside of the same ring.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ebamcheck import rings
+from ebamcheck.curves.allowances import Allowances
+from ebamcheck.curves.bezier import evaluate_bezier
+from ebamcheck.curves.columns import Curves
+from ebamcheck.curves.crossings import crossings
+from ebamcheck.curves.nearest import boxed, closed_points, nearest
+from ebamcheck.kernels import kernel, run_blocks
+from ebamcheck.layers import Layers
+from ebamcheck.rings import Bools, Floats, Ints
+
+CAUSES = ("", "sagitta", "plane", "crossing", "turned", "nesting")
+"""Why a ring is not accepted, by number; "" where it is."""
+
+ACCEPTED, SAGITTA, PLANE, CROSSING, TURNED, NESTING = range(len(CAUSES))
+
+CHORDS_A_SPAN = 4
+"""Chords of a span at whose ends its distance from the contour is taken; a span is no more than a cubic."""
+
+NESTING_MM = 0.01
+"""Sampling of rings when it is asked which lies in which: they cross nowhere then, so that a point tells."""
+
+RINGS_A_BLOCK = 16
+
+COLUMNS = ("cause", "method", "accepted", "value_mm", "limit_mm", "at", "mean_limit_mm")
+"""Columns of the evidence, one row a ring."""
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What speaks for the rings of curves, and what was done about those that nothing spoke for.
+
+    Parameters
+    ----------
+    cause
+        (R,) why the ring as asked was not accepted, of :data:`CAUSES`.
+    method
+        (R,) 0 as asked, 1 the interpolating fit by chord length, 2 the polyline of the contour.
+    accepted
+        (R,) whether the ring as it is now is.
+    value_mm, limit_mm
+        (R,) the ring as asked where it was farthest beyond what is allowed, or came nearest to it, mm.
+    at
+        (R, 2) that place, mm; NaN where there is none.
+    mean_limit_mm
+        (R,) mean of what is allowed along the ring, mm.
+    known
+        Whether the part was known. If not, curves may leave contours by the settings alone.
+    """
+
+    cause: NDArray[np.uint8]
+    method: NDArray[np.uint8]
+    accepted: Bools
+    value_mm: Floats
+    limit_mm: Floats
+    at: Floats
+    mean_limit_mm: Floats
+    known: bool = True
+
+    def of_rings(self, which: slice | Bools) -> Evidence:
+        """What is known of some rings."""
+        columns: dict[str, Any] = {name: getattr(self, name)[which] for name in COLUMNS}
+        return replace(self, **columns)
+
+
+def joined(blocks: Sequence[Evidence]) -> Evidence:
+    """Evidence of consecutive blocks of one stack."""
+    columns: dict[str, Any] = {n: np.concatenate([getattr(b, n) for b in blocks]) for n in COLUMNS}
+    return replace(blocks[0], **columns)
+
+
+def evidence(
+    curves: Curves, layers: Layers, allowed: Allowances, slack_mm: float, plane_slack_mm: float
+) -> Evidence:
+    """Judge each ring of curves.
+
+    Parameters
+    ----------
+    curves, layers
+        Curves and the contours that they were fitted to.
+    allowed
+        How far they may leave each place of the contours.
+    slack_mm
+        What the fit may leave beyond that: its tolerance, and that of the cleaning.
+    plane_slack_mm
+        The same in planes of the part.
+    """
+    found = _distances(curves, layers, allowed, slack_mm, plane_slack_mm)
+    cause = found.cause
+    crossed = crossings(curves)
+    fresh = crossed.crossed & (cause == ACCEPTED)
+    cause[fresh] = CROSSING
+    found.at[fresh] = crossed.at[fresh]
+    cause[(np.sign(ring_areas(curves)) != np.sign(layers.ring_areas)) & (cause == ACCEPTED)] = TURNED
+    cause[_moved_out(curves, layers) & (cause == ACCEPTED)] = NESTING
+    return replace(found, accepted=cause == ACCEPTED)
+
+
+def ring_areas(curves: Curves) -> Floats:
+    """Exact signed area of each closed ring, (R,) mm2; 0 for open paths. Arcs are cubics within 1e-9 of them."""
+    spans = curves.bezier_spans()
+    P = spans.points
+
+    def cross(i: int, j: int) -> Floats:
+        return np.asarray(P[:, i, 0] * P[:, j, 1] - P[:, i, 1] * P[:, j, 0])
+
+    area = (
+        6.0 * cross(0, 1)
+        + 3.0 * cross(0, 2)
+        + cross(0, 3)
+        + 3.0 * cross(1, 2)
+        + 3.0 * cross(1, 3)
+        + 6.0 * cross(2, 3)
+    )
+    total = np.bincount(spans.ring, area / 20.0, minlength=curves.closed.size)
+    return np.where(curves.closed, total, 0.0)
+
+
+def _moved_out(curves: Curves, layers: Layers) -> Bools:
+    """Rings that lie in another ring than their contour does."""
+    several = np.repeat(np.diff(layers.layer_starts) > 1, np.diff(layers.layer_starts))
+    moved = np.zeros(curves.closed.size, np.bool_)
+    if not several.any():
+        return moved
+    sampled = curves.sampled_rings(NESTING_MM)
+    areas = rings.signed_areas(sampled.points, sampled.ring_starts, curves.closed)
+    boxes = rings.bounds(sampled.points, sampled.ring_starts)
+    parents = rings.parents(sampled.points, sampled.ring_starts, layers.layer_starts, areas, boxes)
+    return np.asarray(several & (parents != layers.parents))
+
+
+def _distances(
+    curves: Curves, layers: Layers, allowed: Allowances, slack_mm: float, plane_slack_mm: float
+) -> Evidence:
+    count = curves.closed.size
+    spans = curves.bezier_spans()
+    starts = np.concatenate([[0], np.cumsum(np.bincount(spans.ring, minlength=count))]).astype(np.int64)
+    found = Evidence(
+        np.zeros(count, np.uint8),
+        np.zeros(count, np.uint8),
+        np.ones(count, np.bool_),
+        np.zeros(count),
+        np.full(count, slack_mm),
+        np.full((count, 2), np.nan),
+        _mean_limits(layers, allowed, slack_mm),
+    )
+    points = np.ascontiguousarray(layers.points)
+
+    def work(first: int, last: int) -> None:
+        _measure_rings(
+            points, layers.ring_starts, layers.closed, allowed.limit_mm, allowed.plane, slack_mm, plane_slack_mm,
+            spans.points, starts, first, last, found.value_mm, found.limit_mm, found.at, found.cause,
+        )  # fmt: skip
+
+    run_blocks(work, count, RINGS_A_BLOCK)
+    return found
+
+
+def _mean_limits(layers: Layers, allowed: Allowances, slack_mm: float) -> Floats:
+    """Mean of what is allowed at the middles of a ring's segments, (R,) mm, each weighed by its length."""
+    sizes = np.diff(layers.ring_starts)
+    ring = np.repeat(np.arange(sizes.size), sizes)
+    following = np.arange(1, len(ring) + 1)
+    following[layers.ring_starts[1:][sizes > 0] - 1] = layers.ring_starts[:-1][sizes > 0]
+    long = np.hypot(*(layers.points[following] - layers.points).T)
+    total = np.bincount(ring, long, minlength=sizes.size)
+    weighed = np.bincount(ring, long * allowed.limit_mm[:, 1], minlength=sizes.size)
+    return slack_mm + weighed / np.where(total > 0.0, total, 1.0)
+
+
+@kernel
+def _measure_rings(
+    points: Floats,
+    ring_starts: Ints,
+    closed: Bools,
+    allowed: Floats,
+    plane: Bools,
+    slack: float,
+    plane_slack: float,
+    spans: Floats,
+    span_starts: Ints,
+    first: int,
+    last: int,
+    value: Floats,
+    limit: Floats,
+    at: Floats,
+    cause: NDArray[np.uint8],
+) -> None:
+    for r in range(first, last):
+        a, b = ring_starts[r], ring_starts[r + 1]
+        B = spans[span_starts[r] : span_starts[r + 1]]
+        if b - a < 2 or len(B) == 0:
+            continue
+        along = _along(B)
+        contour = boxed(closed_points(points[a:b], closed[r]))
+        curve = boxed(along)
+        excess, guess = -np.inf, 0
+        for i in range(len(along)):
+            found = nearest(contour, along[i, 0], along[i, 1], guess)
+            guess = found.segment
+            may = _limit(allowed, plane, a, b, guess, found.t, slack, plane_slack)
+            if found.distance - may > excess:
+                excess, value[r], limit[r] = found.distance - may, found.distance, may
+                at[r, 0], at[r, 1] = along[i, 0], along[i, 1]
+                cause[r] = (PLANE if plane[a + guess] else SAGITTA) if excess > 0.0 else ACCEPTED
+        guess = 0
+        for i in range(a, b):
+            found = nearest(curve, points[i, 0], points[i, 1], guess)
+            guess = found.segment
+            may = allowed[i, 0] + slack
+            distance = found.distance
+            if distance > may:
+                distance = _refined(B, found.segment, found.t, points[i, 0], points[i, 1])
+            if distance - may > excess:
+                excess, value[r], limit[r] = distance - may, distance, may
+                at[r, 0], at[r, 1] = points[i, 0], points[i, 1]
+                cause[r] = SAGITTA if excess > 0.0 else ACCEPTED
+
+
+@kernel
+def _along(B: Floats) -> Floats:
+    """Points along spans, CHORDS_A_SPAN chords each, and the end."""
+    along = np.empty((len(B) * CHORDS_A_SPAN + 1, 2))
+    for i in range(len(along) - 1):
+        for axis in range(2):
+            along[i, axis] = evaluate_bezier(B[i // CHORDS_A_SPAN], (i % CHORDS_A_SPAN) / CHORDS_A_SPAN, axis)
+    along[len(along) - 1] = B[len(B) - 1, 3]
+    return along
+
+
+@kernel
+def _limit(
+    allowed: Floats, plane: Bools, a: int, b: int, segment: int, t: float, slack: float, plane_slack: float
+) -> float:
+    """What is allowed at a place of a contour's segment; in a plane, at its inside alone."""
+    k = a + segment
+    following = k + 1 if k + 1 < b else a
+    start, middle, end = allowed[k, 0], allowed[k, 1], allowed[following, 0]
+    may = (1.0 - t) * (1.0 - 2.0 * t) * start + 4.0 * t * (1.0 - t) * middle + t * (2.0 * t - 1.0) * end
+    inside = plane[k] and 0.0 < t < 1.0
+    return float(max(may, 0.0) + (plane_slack if inside else slack))
+
+
+@kernel
+def _refined(B: Floats, segment: int, t: float, x: float, y: float) -> float:
+    """Distance of (x, y) from the span of a chord, by the least of finer chords about the nearest place."""
+    span = B[segment // CHORDS_A_SPAN]
+    middle = (segment % CHORDS_A_SPAN + t) / CHORDS_A_SPAN
+    best = np.inf
+    width = 1.0 / CHORDS_A_SPAN
+    for _ in range(12):
+        chosen = middle
+        for k in range(-4, 5):
+            u = min(max(middle + 0.25 * k * width, 0.0), 1.0)
+            away = math.hypot(evaluate_bezier(span, u, 0) - x, evaluate_bezier(span, u, 1) - y)
+            if away < best:
+                best, chosen = away, u
+        middle = chosen
+        width *= 0.5
+    return best

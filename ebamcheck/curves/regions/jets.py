@@ -1,0 +1,322 @@
+"""Jets: polynomials through a vertex, fitted to the vertices about it, from which its normal and the noise follow.
+
+A quadric over the first ring of neighbours, and where it agrees a cubic over two, else the mean normal (Cazals, Pouget 2005,
+"Estimating differential quantities using polynomial fitting of osculating jets"). Distances are taken in units of the first
+ring's own extents along its two axes: a mesh is long where its surface is straight, and there a far neighbour says as much
+of the slope as a near one says across.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ebamcheck.kernels import kernel, run_blocks
+from ebamcheck.rings import Bools, Floats
+from ebamcheck.topology import Index
+
+CUBIC, QUADRIC = 9, 5
+"""Coefficients of jets through the vertex: slopes, curvatures, and for the cubic their changes."""
+
+MOST_NEIGHBOURS = 48
+"""Vertices taken about one; two rings of an even mesh hold 18."""
+
+SPARE = 3
+"""Neighbours beyond the coefficients from which a jet is more than an interpolation."""
+
+LEAST_PIVOT = 1e-5
+"""A pivot of the normal equations, scaled to a diagonal of 1, under which neighbours do not tell a jet."""
+
+NEAREST = 0.3
+"""Of the extent of the first ring: nearer neighbours are trusted no more than at that distance, since the rounding of
+their coordinates tilts what they say."""
+
+OFF_CENTRE = 0.5
+"""Of the extents of a first ring: one whose mean lies farther off is at a border."""
+
+AGREE = 0.35
+"""Of the angle over which the facets' normals spread: two jets that differ by more know the surface badly, and the one of
+the first ring decides."""
+
+LONGEST_RING = 3.0
+"""Ratio of the extents of a first ring from which the second tells nothing: what a cubic gets wrong across tilts it along,
+and long edges rise by it."""
+
+FLATTEST_RING = 1e-6
+"""Ratio of the extents of a first ring under which its vertices lie on a line."""
+
+SECTORS_A_BLOCK = 512
+
+
+class Corners(NamedTuple):
+    """Which corners of facets belong to which sector, and which facets may be looked at."""
+
+    sectors: Index
+    """(F, 3)."""
+    starts: Index
+    """(S + 1,)"""
+    corners: Index
+    """(3 F,) corners 3 f + i by sector."""
+    seen: Bools
+    """(F,) facets that are not of a plane."""
+
+
+class Jets(NamedTuple):
+    """What jets say of each sector."""
+
+    normals: Floats
+    """(S, 3) unit normals."""
+    noise: Floats
+    """(S,) root mean square of what the jet leaves of its neighbours, per degree of freedom, mm; NaN without a jet."""
+
+
+def jets(vertices: Floats, faces: Index, corners: Corners, means: Floats, least_cosines: Floats) -> Jets:
+    """Fit jets to all sectors; the normal stays the mean where none is told or it leaves the facets' normals."""
+    found = Jets(means.copy(), np.full(len(means), np.nan))
+
+    def work(first: int, last: int) -> None:
+        _jets(vertices, faces, corners, means, least_cosines, first, last, found)
+
+    run_blocks(work, len(means), SECTORS_A_BLOCK)
+    return found
+
+
+@kernel
+def _jets(
+    vertices: Floats,
+    faces: Index,
+    corners: Corners,
+    means: Floats,
+    least_cosines: Floats,
+    first: int,
+    last: int,
+    found: Jets,
+) -> None:
+    rows = np.empty((MOST_NEIGHBOURS, 3))
+    around = np.empty(MOST_NEIGHBOURS, np.int32)
+    equations = np.empty((CUBIC, CUBIC + 1))
+    u, w, scales, normal = np.empty(3), np.empty(3), np.empty(2), np.empty(3)
+    for s in range(first, last):
+        if least_cosines[s] >= 1.0 - 1e-15 or corners.starts[s + 1] == corners.starts[s]:
+            continue
+        near, count = _neighbours(faces, corners, s, around)
+        if near < 3:
+            continue
+        n = means[s]
+        _frame(n, u, w)
+        corner = corners.corners[corners.starts[s]]
+        here = vertices[faces[corner // 3, corner % 3]]
+        for i in range(count):
+            p = vertices[around[i]]
+            x, y, z = p[0] - here[0], p[1] - here[1], p[2] - here[2]
+            rows[i, 0] = x * u[0] + y * u[1] + z * u[2]
+            rows[i, 1] = x * w[0] + y * w[1] + z * w[2]
+            rows[i, 2] = x * n[0] + y * n[1] + z * n[2]
+        if not _even_out(rows, near, count, u, w, scales):
+            continue
+        own = _normal(rows, near, QUADRIC, 0, equations, scales, n, u, w, least_cosines[s], normal)
+        if own:
+            found.normals[s] = normal
+            if near > QUADRIC:
+                found.noise[s] = _residual(rows, near, QUADRIC, equations)
+            if scales[0] > LONGEST_RING * scales[1] or scales[1] > LONGEST_RING * scales[0]:
+                continue
+        size = CUBIC if _is_centred(rows, near) else QUADRIC
+        if not _normal(rows, count, size, SPARE, equations, scales, n, u, w, least_cosines[s], normal):
+            continue
+        found.noise[s] = _residual(rows, count, size, equations)
+        spread = np.arccos(min(max(least_cosines[s], -1.0), 1.0))
+        if not own or _dot(normal, found.normals[s]) >= np.cos(AGREE * spread):
+            found.normals[s] = normal
+
+
+@kernel
+def _dot(a: Floats, b: Floats) -> float:
+    return float(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+
+
+@kernel
+def _is_centred(rows: Floats, near: int) -> bool:
+    """Whether the first ring lies about the vertex, and not to one side: a cubic is not drawn on beyond what it knows."""
+    x = y = 0.0
+    for i in range(near):
+        x += rows[i, 0] / near
+        y += rows[i, 1] / near
+    return bool(x * x + y * y < OFF_CENTRE * OFF_CENTRE)
+
+
+@kernel
+def _normal(
+    rows: Floats,
+    count: int,
+    size: int,
+    spare: int,
+    equations: Floats,
+    scales: Floats,
+    n: Floats,
+    u: Floats,
+    w: Floats,
+    least_cosine: float,
+    normal: Floats,
+) -> bool:
+    """Fit a jet of some size to the first `count` rows and write its normal; false where there is none."""
+    if count < size + spare or not _solved(rows, count, size, equations, scales, spare == 0):
+        return False
+    a, b = equations[0, size] / scales[0], equations[1, size] / scales[1]
+    length = np.sqrt(1.0 + a * a + b * b)
+    for i in range(3):
+        normal[i] = (n[i] - a * u[i] - b * w[i]) / length
+    return bool(1.0 / length >= least_cosine)
+
+
+@kernel
+def _neighbours(faces: Index, corners: Corners, s: int, around: Index) -> tuple[int, int]:
+    """Vertices of the first ring, then of the second; returns how many are in the first and in both."""
+    count = 0
+    corner = corners.corners[corners.starts[s]]
+    own = faces[corner // 3, corner % 3]
+    for place in range(corners.starts[s], corners.starts[s + 1]):
+        c = corners.corners[place]
+        for step in (1, 2):
+            count = _add(around, count, own, faces[c // 3, (c % 3 + step) % 3])
+    near = count
+    for place in range(corners.starts[s], corners.starts[s + 1]):
+        c = corners.corners[place]
+        if not corners.seen[c // 3]:
+            continue
+        for step in (1, 2):
+            ring = corners.sectors[c // 3, (c % 3 + step) % 3]
+            for at in range(corners.starts[ring], corners.starts[ring + 1]):
+                other = corners.corners[at]
+                if not corners.seen[other // 3]:
+                    continue
+                for side in (1, 2):
+                    count = _add(around, count, own, faces[other // 3, (other % 3 + side) % 3])
+    return near, count
+
+
+@kernel
+def _add(around: Index, count: int, own: int, vertex: int) -> int:
+    if vertex == own or count == MOST_NEIGHBOURS:
+        return count
+    for i in range(count):
+        if around[i] == vertex:
+            return count
+    around[count] = vertex
+    return count + 1
+
+
+@kernel
+def _frame(n: Floats, u: Floats, w: Floats) -> None:
+    """Two unit vectors that span the plane across a unit normal."""
+    k = 0
+    for i in range(3):
+        if abs(n[i]) < abs(n[k]):
+            k = i
+    for i in range(3):
+        u[i] = (1.0 if i == k else 0.0) - n[i] * n[k]
+    length = np.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
+    for i in range(3):
+        u[i] /= max(length, 1e-300)
+    w[0], w[1], w[2] = n[1] * u[2] - n[2] * u[1], n[2] * u[0] - n[0] * u[2], n[0] * u[1] - n[1] * u[0]
+
+
+@kernel
+def _terms(x: float, y: float, size: int, row: Floats) -> None:
+    row[0], row[1], row[2], row[3], row[4] = x, y, 0.5 * x * x, x * y, 0.5 * y * y
+    if size == CUBIC:
+        row[5], row[6], row[7], row[8] = x * x * x / 6.0, 0.5 * x * x * y, 0.5 * x * y * y, y * y * y / 6.0
+
+
+@kernel
+def _even_out(rows: Floats, near: int, count: int, u: Floats, w: Floats, scales: Floats) -> bool:
+    """Turn the frame to the axes of the first ring, and divide by its extents along them, mm."""
+    xx = xy = yy = 0.0
+    for i in range(near):
+        xx += rows[i, 0] * rows[i, 0] / near
+        xy += rows[i, 0] * rows[i, 1] / near
+        yy += rows[i, 1] * rows[i, 1] / near
+    angle = 0.5 * np.arctan2(2.0 * xy, xx - yy)
+    c, s = np.cos(angle), np.sin(angle)
+    scales[0] = np.sqrt(max(c * c * xx + 2.0 * c * s * xy + s * s * yy, 0.0))
+    scales[1] = np.sqrt(max(s * s * xx - 2.0 * c * s * xy + c * c * yy, 0.0))
+    if not scales[1] > FLATTEST_RING * scales[0]:
+        return False
+    for i in range(3):
+        u[i], w[i] = c * u[i] + s * w[i], c * w[i] - s * u[i]
+    for i in range(count):
+        x, y = rows[i, 0], rows[i, 1]
+        rows[i, 0], rows[i, 1] = (c * x + s * y) / scales[0], (c * y - s * x) / scales[1]
+    return True
+
+
+@kernel
+def _weight(x: float, y: float) -> float:
+    """Weight of a neighbour: one over its squared distance twice, so that the second ring helps and the first decides."""
+    square = x * x + y * y + NEAREST * NEAREST
+    return float(1.0 / (square * square))
+
+
+@kernel
+def _solved(rows: Floats, count: int, size: int, A: Floats, scales: Floats, first_ring: bool) -> bool:
+    """Coefficients in the units of the rows, in the last column of A; false where the neighbours do not tell them all.
+
+    In the first ring alone each neighbour counts by its slope, whatever its distance.
+    """
+    row = np.empty(CUBIC)
+    for i in range(size):
+        for j in range(size + 1):
+            A[i, j] = 0.0
+    for k in range(count):
+        x, y, z = rows[k, 0], rows[k, 1], rows[k, 2]
+        _terms(x, y, size, row)
+        weight = _weight(x, y)
+        if first_ring:
+            weight = 1.0 / max((x * scales[0]) ** 2 + (y * scales[1]) ** 2, 1e-300)
+        for i in range(size):
+            for j in range(i, size):
+                A[i, j] += weight * row[i] * row[j]
+            A[i, size] += weight * row[i] * z
+    for i in range(size):
+        if not A[i, i] > 0.0:
+            return False
+        for j in range(i):
+            A[i, j] = A[j, i]
+    return _eliminated(A, size)
+
+
+@kernel
+def _eliminated(A: Floats, n: int) -> bool:
+    """Solve symmetric equations (n, n + 1) in place; false where a pivot is lost."""
+    diagonal = np.empty(CUBIC)
+    for i in range(n):
+        diagonal[i] = A[i, i]
+    for i in range(n):
+        if not A[i, i] > LEAST_PIVOT * diagonal[i]:
+            return False
+        for j in range(i + 1, n):
+            factor = A[j, i] / A[i, i]
+            for k in range(i, n + 1):
+                A[j, k] -= factor * A[i, k]
+    for i in range(n - 1, -1, -1):
+        for k in range(i + 1, n):
+            A[i, n] -= A[i, k] * A[k, n]
+        A[i, n] /= A[i, i]
+    return True
+
+
+@kernel
+def _residual(rows: Floats, count: int, size: int, A: Floats) -> float:
+    """Root mean square of what a jet leaves of its neighbours, weighed as in the fit, per degree of freedom, mm."""
+    row = np.empty(CUBIC)
+    total = weights = 0.0
+    for k in range(count):
+        weight = _weight(rows[k, 0], rows[k, 1])
+        _terms(rows[k, 0], rows[k, 1], size, row)
+        off = rows[k, 2]
+        for i in range(size):
+            off -= A[i, size] * row[i]
+        total += weight * off * off
+        weights += weight
+    return float(np.sqrt(total / weights * count / (count - size)))

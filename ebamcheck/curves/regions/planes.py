@@ -1,0 +1,214 @@
+"""Planar groups of facets, grown from the largest facet over neighbours whose vertices lie in the group's plane.
+
+Vertices are judged, not normals: the normal of a sliver is uncertain by the rounding over its height, its vertices are not.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ebamcheck.kernels import kernel
+from ebamcheck.rings import Floats
+from ebamcheck.topology import NO_TWIN, Index
+
+MOST_REACH = 10.0
+"""While a group is small its plane is uncertain far away; a vertex is taken up to this many tolerances then, and looked at
+again once the group is whole."""
+
+SURE_HEIGHT = 8.0
+"""A facet this many tolerances high has a normal that tells its sides apart: the rounding tilts it by a few degrees."""
+
+IN_PLANE = 2.0
+"""Tolerances that a vertex may lie from the plane of its whole group: one of its own, one of the plane's."""
+
+
+class PlanarGroups(NamedTuple):
+    """Facets in groups of one plane each; a facet that shares its plane with no neighbour is a group."""
+
+    label: Index
+    """(F,) group of each facet."""
+    normals: Floats
+    """(G, 3) unit normal of each group, from the sum of its facets' area vectors."""
+    sizes: Index
+    """(G,) facets."""
+    areas: Floats
+    """(G,) mm2."""
+    starts: Index
+    """(G + 1,) first facet of each group in `facets`."""
+    facets: Index
+    """(F,) facets by group."""
+
+
+def planar_groups(vertices: Floats, faces: Index, twin: Index, tolerance_mm: float) -> PlanarGroups:
+    """Group the facets that lie in one plane with their neighbours to the tolerance."""
+    vectors = area_vectors(vertices, faces)
+    areas = np.sqrt((vectors * vectors).sum(axis=1))
+    order = np.argsort(-areas, kind="stable").astype(np.int32)
+    label, count = _grow(vertices, faces, twin, vectors, areas, order, tolerance_mm)
+    normals, group_areas, offsets = _measured(vertices, faces, vectors, areas, label, count)
+    count = _put_out(vertices, faces, twin, label, count, normals, offsets, IN_PLANE * tolerance_mm)
+    if count > len(normals):
+        normals, group_areas, offsets = _measured(vertices, faces, vectors, areas, label, count)
+    sizes = np.bincount(label, minlength=count).astype(np.int32)
+    starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32)
+    return PlanarGroups(
+        label, normals, sizes, group_areas, starts, np.argsort(label, kind="stable").astype(np.int32)
+    )
+
+
+@kernel
+def area_vectors(vertices: Floats, faces: Index) -> Floats:
+    """Normal of each facet times its area (F, 3), mm2."""
+    result = np.empty((len(faces), 3))
+    for f in range(len(faces)):
+        a, b, c = vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]]
+        ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+        vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+        result[f, 0] = 0.5 * (uy * vz - uz * vy)
+        result[f, 1] = 0.5 * (uz * vx - ux * vz)
+        result[f, 2] = 0.5 * (ux * vy - uy * vx)
+    return result
+
+
+@kernel
+def longest_edge(vertices: Floats, faces: Index, f: int) -> float:
+    """Length of the longest edge of a facet, mm."""
+    longest = 0.0
+    for k in range(3):
+        p, q = vertices[faces[f, k]], vertices[faces[f, (k + 1) % 3]]
+        longest = max(longest, (p[0] - q[0]) ** 2 + (p[1] - q[1]) ** 2 + (p[2] - q[2]) ** 2)
+    return float(np.sqrt(longest))
+
+
+@kernel
+def _off(point: Floats, middle: Floats, normal: Floats) -> float:
+    return float(
+        (point[0] - middle[0]) * normal[0]
+        + (point[1] - middle[1]) * normal[1]
+        + (point[2] - middle[2]) * normal[2]
+    )
+
+
+@kernel
+def _away(point: Floats, middle: Floats) -> float:
+    return float(
+        np.sqrt((point[0] - middle[0]) ** 2 + (point[1] - middle[1]) ** 2 + (point[2] - middle[2]) ** 2)
+    )
+
+
+@kernel
+def _grow(
+    vertices: Floats,
+    faces: Index,
+    twin: Index,
+    vectors: Floats,
+    areas: Floats,
+    order: Index,
+    tolerance: float,
+) -> tuple[Index, int]:
+    """Label facets by plane, largest seed first; a group's plane follows all that it has taken up."""
+    label = np.full(len(faces), -1, np.int32)
+    stack = np.empty(len(faces), np.int32)
+    groups = 0
+    total, normal, middle = np.empty(3), np.empty(3), np.empty(3)
+    for seed in order:
+        if label[seed] >= 0:
+            continue
+        label[seed] = groups
+        total[:] = vectors[seed]
+        area = areas[seed]
+        reach = longest_edge(vertices, faces, seed)
+        middle[:] = (vertices[faces[seed, 0]] + vertices[faces[seed, 1]] + vertices[faces[seed, 2]]) / 3.0
+        normal[:] = total / max(area, 1e-300)
+        depth = 0
+        if area > 0.0:
+            stack[0], depth = seed, 1
+        while depth > 0:
+            depth -= 1
+            f = stack[depth]
+            for k in range(3):
+                g = twin[3 * f + k]
+                if g == NO_TWIN or label[g // 3] >= 0:
+                    continue
+                e = g // 3
+                tip = vertices[faces[e, (g % 3 + 2) % 3]]
+                away = _away(tip, middle)
+                allowed = tolerance * min(1.0 + away * reach / area, MOST_REACH)
+                if abs(_off(tip, middle, normal)) > allowed:
+                    continue
+                sure = 2.0 * areas[e] > SURE_HEIGHT * tolerance * longest_edge(vertices, faces, e)
+                if sure and _off(vectors[e], 0.0 * middle, normal) <= 0.0:
+                    continue
+                label[e] = groups
+                stack[depth] = e
+                depth += 1
+                total += vectors[e]
+                centre = (vertices[faces[e, 0]] + vertices[faces[e, 1]] + vertices[faces[e, 2]]) / 3.0
+                area += areas[e]
+                middle += (centre - middle) * (areas[e] / area)
+                length = np.sqrt(np.sum(total * total))
+                if length > 0.0:
+                    normal[:] = total / length
+                reach = max(reach, away)
+        groups += 1
+    return label, groups
+
+
+@kernel
+def _measured(
+    vertices: Floats, faces: Index, vectors: Floats, areas: Floats, label: Index, count: int
+) -> tuple[Floats, Floats, Floats]:
+    """Normals (G, 3), areas (G,), and distances (G,) of the planes from the first vertex of each group, mm."""
+    normals, group_areas = np.zeros((count, 3)), np.zeros(count)
+    offsets, corners = np.zeros(count), np.zeros(count)
+    first = np.full(count, -1, np.int32)
+    for f in range(len(faces)):
+        g = label[f]
+        normals[g] += vectors[f]
+        group_areas[g] += areas[f]
+        if first[g] < 0:
+            first[g] = faces[f, 0]
+    for g in range(count):
+        length = np.sqrt(np.sum(normals[g] * normals[g]))
+        if length > 0.0:
+            normals[g] /= length
+    for f in range(len(faces)):
+        g = label[f]
+        for k in range(3):
+            offsets[g] += _off(vertices[faces[f, k]], vertices[first[g]], normals[g])
+            corners[g] += 1.0
+    for g in range(count):
+        offsets[g] = offsets[g] / corners[g] + _off(vertices[first[g]], 0.0 * normals[g], normals[g])
+    return normals, group_areas, offsets
+
+
+@kernel
+def _put_out(
+    vertices: Floats,
+    faces: Index,
+    twin: Index,
+    label: Index,
+    count: int,
+    normals: Floats,
+    offsets: Floats,
+    allowed: float,
+) -> int:
+    """Give facets that do not lie in the plane of their whole group groups of their own; returns the number of groups."""
+    sizes = np.bincount(label, minlength=count)
+    for f in range(len(faces)):
+        g = label[f]
+        if g >= normals.shape[0] or sizes[g] < 2:
+            continue
+        off = 0.0
+        for k in range(3):
+            p = vertices[faces[f, k]]
+            off = max(
+                off, abs(p[0] * normals[g, 0] + p[1] * normals[g, 1] + p[2] * normals[g, 2] - offsets[g])
+            )
+        if off > allowed:
+            label[f] = count
+            count += 1
+            sizes[g] -= 1
+    return count

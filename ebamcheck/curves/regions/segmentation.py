@@ -1,0 +1,258 @@
+"""Segmentation of a mesh into regions: what is a plane, what a strip with straight rulings, and what is freely curved."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ebamcheck.curves.regions.borders import (
+    HALF_TURN,
+    LIKE,
+    MOST_BORDERS,
+    Borders,
+    edge_direction,
+    find_borders,
+    flat_against,
+    part_bends,
+)
+from ebamcheck.curves.regions.planes import PlanarGroups, planar_groups
+from ebamcheck.curves.regions.rounding import plane_tolerance_mm
+from ebamcheck.kernels import kernel
+from ebamcheck.part import Part
+from ebamcheck.rings import Bools, Floats
+from ebamcheck.settings.curves import CurveSettings
+from ebamcheck.topology import NO_TWIN, Index
+
+FREEFORM, PLANE, STRIP = 0, 1, 2
+"""Kinds of region: freely curved, flat, and flat between straight rulings across which the surface goes on turning."""
+
+PROVEN = 1.5
+"""Times the sagitta of strips that are a rounding's for certain: as coarse as that, other strips of the part are no polygon."""
+
+MUCH = 0.25
+"""Of the surface of a part, from which its freely curved facets tell how coarse its mesh is; roundings of a polygon's rims
+are less."""
+
+Kinds = NDArray[np.uint8]
+
+RULING_COSINE = 0.9
+"""Rulings of one strip differ by less than this cosine's angle, 26 degrees: those of a cone of few strips converge."""
+
+
+class Regions(NamedTuple):
+    """Regions of a mesh."""
+
+    groups: PlanarGroups
+    """Facets in groups of one plane."""
+    borders: Borders
+    """Where groups go over into each other."""
+    kind: Kinds
+    """(G,) kind of each group."""
+    tolerance_mm: float
+    """How far a vertex may lie from its plane."""
+
+
+def find_regions(part: Part, twin: Index, settings: CurveSettings) -> Regions:
+    """Find the regions of a part; `twin` (3 F,) loses the half-edges at which the surface is sharp.
+
+    Parameters
+    ----------
+    part
+        The mesh.
+    twin
+        Half-edge across each half-edge.
+    settings
+        Edges whose planes differ by at least the crease angle are sharp. So is any edge between two planes that no third
+        strip goes on from. Strips that turn by more than the polygon angle, and leave a cylinder by more than the polygon
+        sagitta, are sides of a polygon: two rims of vertices do not tell. A flat side that such a row of strips touches
+        as the tangent plane of a rounding would is evidence for the cylinder, and so are others of the part, or freely
+        curved surfaces where they are much of it, that are as coarse.
+    """
+    tolerance_mm = plane_tolerance_mm(part)
+    vertices, faces = part.vertices, part.faces
+    groups = planar_groups(vertices, faces, twin, tolerance_mm)
+    borders = find_borders(
+        vertices, faces, twin, groups, float(np.cos(np.deg2rad(settings.crease_angle_deg)))
+    )
+    _make_sharp(twin, part_bends(vertices, faces, twin, groups, borders))
+    kind = _kinds(vertices, faces, twin, groups, borders)
+    polygons = _polygon_edges(
+        vertices, faces, twin, groups, borders, kind,
+        np.deg2rad(settings.polygon_angle_deg), settings.polygon_sagitta_mm,
+    )  # fmt: skip
+    if polygons.any():
+        _make_sharp(twin, polygons)
+        kind = _kinds(vertices, faces, twin, groups, borders)
+    _make_sharp(twin, _between_planes(twin, groups.label, kind))
+    return Regions(groups, borders, kind, tolerance_mm)
+
+
+def _make_sharp(twin: Index, sharp: Bools) -> None:
+    twin[sharp] = NO_TWIN
+
+
+@kernel
+def _between_planes(twin: Index, label: Index, kind: Kinds) -> Bools:
+    """Half-edges between two different planes: whatever their angle, they meet in a bend."""
+    result = np.zeros(twin.size, np.bool_)
+    for h in range(twin.size):
+        if twin[h] != NO_TWIN:
+            a, b = label[h // 3], label[twin[h] // 3]
+            result[h] = a != b and kind[a] == PLANE and kind[b] == PLANE
+    return result
+
+
+@kernel
+def _kinds(vertices: Floats, faces: Index, twin: Index, groups: PlanarGroups, borders: Borders) -> Kinds:
+    """Kind of each group (G,) by its borders.
+
+    A plane is flat up to each. A strip is flat but for borders that run alike, its rulings; a single facet is no strip.
+    """
+    count = len(groups.normals)
+    kind = np.zeros(count, np.uint8)
+    for group in range(count):
+        first, last = borders.starts[group], borders.starts[group + 1]
+        if last - first > MOST_BORDERS:
+            kind[group] = PLANE
+            continue
+        links = 0
+        parallel = True
+        x = y = z = 0.0
+        for place in range(first, last):
+            h = borders.half_edges[place]
+            if twin[h] == NO_TWIN or flat_against(vertices, faces, twin, groups, borders, h):
+                continue
+            u, v, w = edge_direction(vertices, faces, h)
+            if links == 0:
+                x, y, z = u, v, w
+            parallel = parallel and abs(x * u + y * v + z * w) >= RULING_COSINE
+            links += 1
+            if groups.sizes[group] < 2 or not parallel:
+                break
+        if links == 0:
+            kind[group] = PLANE
+        elif groups.sizes[group] > 1 and parallel:
+            kind[group] = STRIP
+    return kind
+
+
+@kernel
+def is_link(twin: Index, label: Index, kind: Kinds, borders: Borders, h: int) -> bool:
+    """Whether a half-edge of a strip is one of its rulings: what lies beyond is no plane end, and not far narrower."""
+    g = twin[h]
+    if g == NO_TWIN or label[h // 3] == label[g // 3]:
+        return False
+    other = kind[label[g // 3]]
+    return bool(other in (STRIP, PLANE) or borders.width[h] < LIKE * borders.width[g])
+
+
+@kernel
+def _root(root: Index, i: int) -> int:
+    while root[i] != i:
+        root[i] = root[root[i]]
+        i = root[i]
+    return i
+
+
+@kernel
+def _polygon_edges(
+    vertices: Floats,
+    faces: Index,
+    twin: Index,
+    groups: PlanarGroups,
+    borders: Borders,
+    kind: Kinds,
+    angle: float,
+    sagitta: float,
+) -> Bools:
+    """Half-edges between strips that are the sides of a polygon: they turn far, and nothing speaks for a rounding."""
+    count = len(kind)
+    root = np.arange(count).astype(np.int32)
+    rounding = np.zeros(count, np.bool_)
+    for h in range(twin.size):
+        g = twin[h]
+        if g == NO_TWIN:
+            continue
+        a, b = groups.label[h // 3], groups.label[g // 3]
+        if a == b or kind[a] != STRIP:
+            continue
+        if kind[b] == STRIP:
+            r, s = _root(root, a), _root(root, b)
+            root[max(r, s)] = min(r, s)
+        elif kind[b] == PLANE and not rounding[a]:
+            rounding[a] = _is_tangent(vertices, faces, twin, groups, borders, h)
+    for group in range(count):
+        if rounding[group]:
+            rounding[_root(root, group)] = True
+    proven = 0.0
+    for h in range(twin.size):
+        if _joins_strips(twin, groups.label, kind, h) and rounding[_root(root, groups.label[h // 3])]:
+            proven = max(proven, _sagitta(twin, borders, h))
+    proven = max(proven, _curved_sagitta(twin, groups, borders, kind))
+    result = np.zeros(twin.size, np.bool_)
+    for h in range(twin.size):
+        if _joins_strips(twin, groups.label, kind, h) and not rounding[_root(root, groups.label[h // 3])]:
+            turn = abs(borders.turn[h])
+            allowed = max(sagitta * (angle / turn) ** 2, PROVEN * proven)
+            result[h] = turn > angle and _sagitta(twin, borders, h) > allowed
+    return result
+
+
+@kernel
+def _curved_sagitta(twin: Index, groups: PlanarGroups, borders: Borders, kind: Kinds) -> float:
+    """Median sagitta of freely curved facets, mm, where they are much of the part: what is curved both ways is no polygon."""
+    curved = 0.0
+    for group in range(len(kind)):
+        if kind[group] == FREEFORM:
+            curved += groups.areas[group]
+    if curved < MUCH * np.sum(groups.areas):
+        return 0.0
+    sagittas = np.empty(twin.size)
+    count = 0
+    for h in range(twin.size):
+        if twin[h] < h or groups.label[h // 3] == groups.label[twin[h] // 3]:
+            continue
+        if kind[groups.label[h // 3]] == FREEFORM and kind[groups.label[twin[h] // 3]] == FREEFORM:
+            sagittas[count] = _sagitta(twin, borders, h)
+            count += 1
+    return float(np.median(sagittas[:count])) if count else 0.0
+
+
+@kernel
+def _joins_strips(twin: Index, label: Index, kind: Kinds, h: int) -> bool:
+    """Whether two strips meet smoothly at a half-edge."""
+    if twin[h] == NO_TWIN:
+        return False
+    a, b = label[h // 3], label[twin[h] // 3]
+    return bool(a != b and kind[a] == STRIP and kind[b] == STRIP)
+
+
+@kernel
+def _sagitta(twin: Index, borders: Borders, h: int) -> float:
+    """Height of the arc over strips as wide as the two at a half-edge, mm."""
+    return float(abs(borders.turn[h]) * (borders.width[h] + borders.width[twin[h]]) / 16.0)
+
+
+@kernel
+def _is_tangent(
+    vertices: Floats, faces: Index, twin: Index, groups: PlanarGroups, borders: Borders, h: int
+) -> bool:
+    """Whether a strip meets the plane across half-edge h in half of the turn that it takes to the strip on its other side."""
+    group, plane = groups.label[h // 3], groups.label[twin[h] // 3]
+    along = edge_direction(vertices, faces, h)
+    for place in range(borders.starts[group], borders.starts[group + 1]):
+        k = borders.half_edges[place]
+        if twin[k] == NO_TWIN or groups.label[twin[k] // 3] == plane:
+            continue
+        other = edge_direction(vertices, faces, k)
+        parallel = abs(along[0] * other[0] + along[1] * other[1] + along[2] * other[2])
+        mine, beyond = borders.width[k], borders.width[twin[k]]
+        if parallel < RULING_COSINE or beyond >= LIKE * mine or mine >= LIKE * beyond:
+            continue
+        expected = borders.turn[k] * mine / (mine + beyond)
+        if expected * borders.turn[h] > 0.0:
+            ratio = borders.turn[h] / expected
+            return bool(HALF_TURN[0] <= ratio <= HALF_TURN[1])
+    return False

@@ -1,0 +1,239 @@
+"""Sagittas: how far the surface that a mesh stands for can leave its edges and facets, by the mesh alone.
+
+A chord of length l over which a curve turns by phi leaves it by l / 2 tan(phi / 4). How much of the turn between two
+chords belongs to which of them is told by what comes after: on a curve of even curvature a joint turns by half of what
+both of its chords span, so that a chord spans twice the turn at its end less what the neighbour spans, and that follows
+from the joint beyond it. A flat side beside a fillet spans nothing by that; the chord of a circle all of its arc. Both
+ends of a chord tell a span, and the greater counts: a flat side spans nothing by either.
+
+For an edge of the mesh the chords are those in which a plane through the edge and across the facets cuts them: straight
+ahead over the facets beyond each end. A crease runs along the creases beyond its ends. None of this reads the normals
+by which contours are lifted: it is evidence of another kind.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ebamcheck.curves.ways_ahead import Surface, Way, along_crease, dot, no_way, norm, walk
+from ebamcheck.kernels import kernel, run_blocks
+from ebamcheck.part import Part
+from ebamcheck.rings import Bools, Floats
+from ebamcheck.topology import NO_TWIN, Index, edge_groups, split_corners, twins
+
+WIDTH_RATIO = 3.0
+"""A chord this many times longer than its neighbour is a flat side beside a rounding; see `curves.straight_run_mm`. A chord
+that many times shorter than both of its neighbours is a rounding by itself: it takes the turns at its ends."""
+
+LARGEST_SPAN_RAD = np.deg2rad(160.0)
+"""Span of a chord at most; sagittas of more mean nothing."""
+
+LEAST_APART = 0.25
+"""Middles of chords nearer to each other than this share of a chord's length do not tell how the surface bends."""
+
+FLAT_MM = 2e-5
+"""Chords whose joint lies this near to the line over both are one: what 32 bits leave of a plane some hundred mm wide."""
+
+UNKNOWN = -1.0
+"""Sagitta of an edge from crease to crease: inside of a facet's plane it is that of the plane's border, else 0."""
+
+EDGES_A_BLOCK = 4096
+
+
+class Sagittas(NamedTuple):
+    """How far the surface can leave the edges of a mesh, mm."""
+
+    of_edge: Floats
+    """(3 F,) of the edge of each half-edge: how far a contour point on it may move."""
+    of_side: Floats
+    """(3 F,) what of that lies across the half-edge's own facet: how far the facet's points may move."""
+    plane: Bools
+    """(F,) the facet is part of a plane: of several facets that the surface does not leave, to rounding."""
+    rounding_mm: float
+    """What the numbers of the mesh's file leave of a plane."""
+
+
+def sagittas(part: Part, crease_angle_deg: float) -> Sagittas:
+    """Bound how far the surface that a mesh stands for leaves its edges.
+
+    Parameters
+    ----------
+    part
+        The mesh.
+    crease_angle_deg
+        Edges whose facets differ by this angle or more are sharp.
+    """
+    surface = _surface_of(part, np.cos(np.deg2rad(crease_angle_deg)))
+    count = 3 * len(part.faces)
+    flat_mm = max(FLAT_MM, 4.0 * coordinate_rounding_mm(part.vertices))
+    plane = np.zeros(len(part.faces), np.bool_)
+    found = Sagittas(np.zeros(count), np.zeros(count), plane, flat_mm)
+
+    def work(first: int, last: int) -> None:
+        _of_edges(surface, flat_mm, first, last, found.of_edge, found.of_side)
+
+    run_blocks(work, count, EDGES_A_BLOCK)
+    _limit_in_planes(surface, flat_mm, found.of_edge, found.of_side, plane)
+    return found
+
+
+def _surface_of(part: Part, least_cosine: float) -> Surface:
+    vertices, faces = part.vertices, part.faces
+    groups = edge_groups(faces, len(vertices))
+    twin = twins(vertices, faces, groups.half_edges, groups.starts)
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    normals = np.cross(b - a, c - a)
+    sizes = np.linalg.norm(normals, axis=1)
+    normals /= np.where(sizes > 0.0, sizes, 1.0)[:, None]
+    other = np.where(twin == NO_TWIN, 0, twin)
+    mine = np.arange(twin.size)
+    level = np.einsum("ij,ij->i", normals[mine // 3], normals[other // 3])
+    same_way = faces[mine // 3, mine % 3] == faces[other // 3, other % 3]
+    sharp = (twin == NO_TWIN) | same_way | (level <= least_cosine)
+    corners = np.argsort(faces.reshape(-1), kind="stable").astype(np.int32)
+    starts = np.concatenate([[0], np.cumsum(np.bincount(faces.reshape(-1), minlength=len(vertices)))])
+    sectors = split_corners(faces, np.where(sharp, np.int32(NO_TWIN), twin))
+    return Surface(vertices, faces, twin, sharp, sectors, normals, starts.astype(np.int32), corners)
+
+
+def coordinate_rounding_mm(vertices: Floats) -> float:
+    """Greatest error that the file's numbers leave of a coordinate: of so many decimals, of 32 bits, else of 64."""
+    largest = float(np.abs(vertices).max(initial=0.0))
+    if not np.array_equal(vertices, vertices.astype(np.float32)):
+        return largest * 2.0**-53
+    single = largest * 2.0**-24
+    for decimals in range(7):
+        rounding = 0.5 * 10.0**-decimals
+        if rounding <= single:
+            break
+        if np.abs(vertices - np.round(vertices, decimals)).max(initial=0.0) <= single:
+            return rounding
+    return single
+
+
+# -- edges -------------------------------------------------------------------------------------------------
+
+
+@kernel
+def _of_edges(surface: Surface, flat: float, first: int, last: int, of_edge: Floats, of_side: Floats) -> None:
+    """Sagittas of edges, each by the lesser of its half-edges."""
+    way = no_way()
+    for h in range(first, last):
+        g = surface.twin[h]
+        if g == NO_TWIN or g < h:
+            continue
+        a, b = surface.faces[h // 3, h % 3], surface.faces[h // 3, (h % 3 + 1) % 3]
+        along = surface.vertices[b] - surface.vertices[a]
+        length = norm(along)
+        if length == 0.0:
+            continue
+        along /= length
+        way.turns[:], way.centres[:], way.lengths[:], way.joints[:] = 0.0, 0.0, 0.0, 0
+        if surface.sharp[h]:
+            bend = along_crease(surface, a, b, along, way)
+            of_edge[h] = of_edge[g] = max(_sagitta(length, way), 0.0)
+            of_side[h] = of_edge[h] * abs(dot(bend, surface.normals[h // 3]))
+            of_side[g] = of_edge[h] * abs(dot(bend, surface.normals[g // 3]))
+            continue
+        up = surface.normals[h // 3] + surface.normals[g // 3]
+        up = up - along * dot(up, along)
+        size = norm(up)
+        if size == 0.0:
+            continue
+        up /= size
+        walk(surface, h, b, along, up, length, flat, 0, way)
+        walk(surface, h, a, -along, up, length, flat, 1, way)
+        of_edge[h] = of_edge[g] = of_side[h] = of_side[g] = _sagitta(length, way)
+
+
+@kernel
+def _sagitta(length: float, way: Way) -> float:
+    """Height of the arc over an edge by the greater of the spans that its two ends tell.
+
+    0 where there is one turn alone, which is a bend and no curve; :data:`UNKNOWN` where both ends are at creases.
+    """
+    if way.joints[0] + way.joints[1] == 0:
+        return UNKNOWN
+    if way.joints[0] + way.joints[1] == 1:
+        return 0.0
+    chord = length + way.lengths[0, 0] + way.lengths[1, 0]
+    span = 0.0
+    for end in range(2):
+        if way.joints[end] > 0:
+            span = max(span, _span(chord, end, way))
+    return float(0.5 * chord * np.tan(0.25 * min(span, LARGEST_SPAN_RAD)))
+
+
+@kernel
+def _span(chord: float, end: int, way: Way) -> float:
+    """What a chord spans: twice the turn at its end less what the surface beyond turns from there to its first middle.
+
+    A far longer chord beyond is a flat side, and turns nothing: where it did, it would turn many times as much.
+    """
+    own, centre, near = way.turns[end, 0], way.centres[end, 0], way.lengths[end, 1]
+    if near >= WIDTH_RATIO * chord:
+        return float(2.0 * abs(own))
+    side = 1.0 if own > 0.0 else -1.0
+    bend = turned = 0.0
+    for k in range(1, way.joints[end]):
+        if k > 1 and way.lengths[end, k + 1] >= WIDTH_RATIO * near:
+            break  # the rounding ends here
+        turned += way.turns[end, k]
+        apart = way.centres[end, k] - centre
+        if apart >= LEAST_APART * near:
+            bend = side * turned / apart
+    beside = min(max(bend * centre, 0.0), abs(own))
+    if way.joints[end] > 1 and min(chord, way.lengths[end, 2]) >= WIDTH_RATIO * near:
+        beside = max(beside, min(0.5 * side * (own + way.turns[end, 1]), abs(own)))
+    return float(2.0 * (abs(own) - beside))
+
+
+# -- planes ------------------------------------------------------------------------------------------------
+
+
+@kernel
+def _limit_in_planes(surface: Surface, flat: float, of_edge: Floats, of_side: Floats, plane: Bools) -> None:
+    """Edges inside of a plane leave it by no more than the edges of its border do; mark planes that none leaves."""
+    count = len(surface.faces)
+    root = np.arange(count).astype(np.int32)
+    inner = np.zeros(3 * count, np.bool_)
+    for h in range(3 * count):
+        g = surface.twin[h]
+        if g == NO_TWIN or g < h or surface.sharp[h]:
+            continue
+        if _off_plane(surface, h, g) <= flat or _off_plane(surface, g, h) <= flat:
+            inner[h] = inner[g] = True
+            p, q = _root(root, h // 3), _root(root, g // 3)
+            root[max(p, q)] = min(p, q)
+    largest = np.zeros(count)
+    for h in range(3 * count):
+        if not inner[h]:
+            r = _root(root, h // 3)
+            largest[r] = max(largest[r], of_side[h])
+    for h in range(3 * count):
+        if inner[h]:
+            limit = largest[_root(root, h // 3)]
+            of_edge[h] = of_side[h] = limit if of_edge[h] < 0.0 else min(of_edge[h], limit)
+            plane[h // 3] = plane[h // 3] or limit <= flat
+        elif of_edge[h] < 0.0:
+            of_edge[h] = of_side[h] = 0.0
+
+
+@kernel
+def _off_plane(surface: Surface, h: int, g: int) -> float:
+    """Distance of the corner that the facet of g has off their edge from the plane of the facet of h."""
+    f, e, k = h // 3, g // 3, g % 3
+    if dot(surface.normals[f], surface.normals[e]) <= 0.0:
+        return np.inf
+    v = surface.vertices[surface.faces[e, (k + 2) % 3]] - surface.vertices[surface.faces[f, h % 3]]
+    return float(abs(dot(v, surface.normals[f])))
+
+
+@kernel
+def _root(root: Index, f: int) -> int:
+    while root[f] != f:
+        root[f] = root[root[f]]
+        f = root[f]
+    return f

@@ -1,0 +1,338 @@
+"""Evidence for curves: never farther from the part than the contour was, and what shuts the gate of the fit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.curve_parts import CAD, CAD_MM, FLAT, TRUTH_MM, heights_of, part_of
+from benchmarks.curve_parts_meshes import as_file, split_edges, turned
+from benchmarks.curve_parts_solids import Solid, frustum, lathe, regular_prism
+from ebamcheck.curves import contour_error, fit
+from ebamcheck.curves.allowances import Allowing
+from ebamcheck.curves.crossings import crossings
+from ebamcheck.curves.edges import with_edges
+from ebamcheck.curves.evidence import CROSSING, PLANE, SAGITTA, TURNED, evidence
+from ebamcheck.curves.fallback import POLYLINE, polylines, with_rings
+from ebamcheck.curves.sagitta import coordinate_rounding_mm, sagittas
+from ebamcheck.curves.stack_evidence import stack_evidence, volumes_between
+from ebamcheck.errors import SettingsError
+from ebamcheck.layers import Layers, from_rings
+from ebamcheck.part import Part
+from ebamcheck.pipeline.fit_evidence import FitVerdict, findings
+from ebamcheck.pipeline.gates import fit_gate
+from ebamcheck.slicing import slice_part
+from ebamcheck_models import BLADE, SPHERE, TORUS
+
+SLACK_MM, PLANE_SLACK_MM = 0.022, 0.0021
+ROUNDING_MM = 1e-6
+
+
+def errors(
+    solid: Solid, mesh: Part, seed: int, layers: int = 5
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """RMS and largest normal distance of contours and of the curves fitted to them."""
+    contours = slice_part(mesh, heights_of(mesh, layers))
+    truth = slice_part(part_of(turned(solid(TRUTH_MM), seed), "truth"), contours.heights)
+    found = []
+    for stack in (contours, fit(contours)):
+        table = contour_error(stack, truth)
+        assert not table["unmatched"].any()
+        rms = np.sqrt(np.average(table["normal_rms_mm"] ** 2, weights=table["rings"]))
+        found.append((float(rms), float(table["normal_max_abs_mm"].max())))
+    return found[0], found[1]
+
+
+# -- the cases of the first table ---------------------------------------------------------------------------
+
+
+def assert_not_farther(solid: Solid, mesh: Part, seed: int) -> None:
+    before, after = errors(solid, mesh, seed)
+    assert after[0] <= before[0] + ROUNDING_MM
+    assert after[1] <= 1.05 * before[1] + ROUNDING_MM
+
+
+def test_leaning_box_rounded_by_2_5_in_a_binary_stl() -> None:
+    solid = frustum((35.0, 25.0), (35.0, 25.0), 20.0, 2.5)
+    assert_not_farther(solid, part_of(as_file(turned(solid(CAD_MM), 11), "float32"), "box"), 11)
+
+
+def test_draft_box_rounded_by_5_in_text_of_four_decimals() -> None:
+    solid = CAD["draft box r 5"]
+    assert_not_farther(solid, part_of(as_file(turned(solid(CAD_MM), 0), "ascii4"), "box"), 0)
+
+
+def test_upright_box_rounded_by_5_with_120_edges_split_off_by_a_hair() -> None:
+    solid = CAD["box r 5"]
+    assert_not_farther(solid, part_of(split_edges(solid(CAD_MM), 120, 1e-5, 3), "box"), 0)
+
+
+@pytest.mark.parametrize("seed", [11, 12])
+def test_tilted_bracket(seed: int) -> None:
+    solid = CAD["bracket"]
+    assert_not_farther(solid, part_of(as_file(turned(solid(CAD_MM), seed), "float32"), "bracket"), seed)
+
+
+@pytest.mark.parametrize("seed", [0, 11])
+def test_plate_of_6_mm_with_a_sharp_bend_of_10_degrees(seed: int) -> None:
+    solid = FLAT["plate bent sharply by 10 degrees"]
+    assert_not_farther(solid, part_of(turned(solid(CAD_MM), seed), "plate"), seed)
+
+
+@pytest.mark.parametrize("sides", [9, 10, 12, 16, 24])
+def test_true_prism(sides: int) -> None:
+    solid = regular_prism(sides, 20.0, 30.0)
+    assert_not_farther(solid, part_of(solid(CAD_MM), "prism"), 0)
+
+
+# -- sagittas ------------------------------------------------------------------------------------------------
+
+
+def test_sagittas_of_a_sphere_are_those_of_its_chords() -> None:
+    part = SPHERE.tessellate(0.1)
+    radius = SPHERE.radius_mm
+    ends = part.vertices[part.faces], part.vertices[np.roll(part.faces, -1, axis=1)]
+    chords = np.linalg.norm(ends[1] - ends[0], axis=2).reshape(-1)
+    heights = radius - np.sqrt(radius**2 - 0.25 * chords**2)
+    away = np.abs(np.concatenate([ends[0], ends[1]]).mean()) < radius
+    found = sagittas(part, 40.0).of_edge / heights
+    assert away
+    assert 0.9 < np.median(found) < 1.1
+    assert np.mean((found > 0.5) & (found < 2.0)) > 0.9
+
+
+@pytest.mark.parametrize("kept", ["float64", "float32", "ascii4"])
+@pytest.mark.parametrize("seed", [0, 11, 12])
+def test_planes_of_a_rounded_box_leave_nothing(seed: int, kept: str) -> None:
+    part = part_of(as_file(turned(CAD["box r 5"](CAD_MM), seed), kept), "box")
+    found = sagittas(part, 40.0)
+    corners = part.triangles
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    sides = areas > 0.5 * 20.0 * 25.0  # the facets of the six sides are by far the largest
+    assert sides.sum() == 12
+    assert found.of_side.reshape(-1, 3)[sides].max() <= found.rounding_mm
+    assert found.plane[sides].all()
+
+
+def test_a_straight_wall_leaves_nothing_along_its_axis() -> None:
+    part = part_of(lathe([(0.0, 0.0), (20.0, 0.0), (20.0, 30.0), (0.0, 30.0)])(0.1), "cylinder")
+    found = sagittas(part, 40.0)
+    up = np.abs(np.diff(part.triangles[:, [0, 1, 2, 0]], axis=1))
+    along = (up[:, :, 2] > 1.0) & (np.hypot(up[:, :, 0], up[:, :, 1]) < 1e-9)
+    assert along.any()
+    assert found.of_edge.reshape(-1, 3)[along].max() <= 1e-9
+
+
+def test_a_strip_from_rim_to_rim_spans_what_its_rims_do() -> None:
+    part = part_of(lathe([(0.0, 0.0), (20.0, 0.0), (20.0, 30.0), (0.0, 30.0)])(0.4), "cylinder")
+    layers = slice_part(part, [7.0, 15.0])
+    columns = len(layers.ring(0)) // 2  # a point on each edge of the strips, and one on each diagonal
+    bulge = 20.0 * (1.0 - np.cos(np.pi / columns))
+    assert bulge > 0.1
+    allowed = Allowing(part, sagittas(part, 40.0)).of(layers)
+    assert allowed.limit_mm.max() == pytest.approx(2.0 * bulge, rel=0.1)
+    assert (fit(layers).evidence.method == 0).all()  # type: ignore[union-attr]
+
+
+def test_the_rounding_of_a_file_is_read_from_its_numbers() -> None:
+    numbers = np.random.default_rng(1).uniform(-50.0, 50.0, (200, 3))
+    assert coordinate_rounding_mm(numbers) < 1e-14
+    assert coordinate_rounding_mm(numbers.astype(np.float32).astype(float)) == pytest.approx(3e-6, rel=0.1)
+    assert coordinate_rounding_mm(np.round(numbers, 3).astype(np.float32).astype(float)) == 5e-4
+
+
+# -- planted faults ------------------------------------------------------------------------------------------
+
+
+def box() -> tuple[Part, Layers]:
+    part = part_of(CAD["box r 5"](CAD_MM), "box")
+    return part, slice_part(part, [8.0, 10.0])
+
+
+def judged(part: Part, layers: Layers, moved: Layers) -> np.ndarray:
+    allowed = Allowing(part, sagittas(part, 40.0)).of(layers)
+    return evidence(polylines(moved), layers, allowed, SLACK_MM, PLANE_SLACK_MM).cause
+
+
+def test_the_contour_itself_is_accepted() -> None:
+    part, layers = box()
+    assert not judged(part, layers, layers).any()
+
+
+def test_a_flat_side_that_bulges_by_a_hundredth_is_not() -> None:
+    part, layers = box()
+    ring = layers.ring(0)
+    k = int(np.argmax(np.hypot(*(np.roll(ring, -1, axis=0) - ring).T)))
+    ahead = np.roll(ring, -1, axis=0)[k] - ring[k]
+    out = np.array([ahead[1], -ahead[0]]) / np.hypot(*ahead)
+    bulging = np.insert(ring, k + 1, ring[k] + 0.5 * ahead + 0.01 * out, axis=0)
+    moved = from_rings(layers.heights, [[bulging], [layers.ring(1)]])
+    assert judged(part, layers, moved).tolist() == [PLANE, 0]
+
+
+def test_a_ring_beyond_the_sagitta_of_its_fillets_is_not() -> None:
+    part, layers = box()
+    moved = replace(layers, points=layers.points * 1.02)
+    assert set(judged(part, layers, moved)) <= {PLANE, SAGITTA}
+
+
+def test_a_ring_that_runs_the_other_way_is_not() -> None:
+    part, layers = box()
+    plain = polylines(layers)
+    rows = np.concatenate(
+        [np.arange(plain.control_starts[k + 1] - 1, plain.control_starts[k] - 1, -1) for k in (0, 1)]
+    )
+    allowed = Allowing(part, sagittas(part, 40.0)).of(layers)
+    found = evidence(replace(plain, control=plain.control[rows]), layers, allowed, SLACK_MM, PLANE_SLACK_MM)
+    assert (found.cause == TURNED).all()
+
+
+def test_rings_that_cross_are_found_and_those_that_do_not_are_not() -> None:
+    square = np.array([(0, 0), (10, 0), (10, 10), (0, 10)], float)
+    layers = from_rings([1.0, 2.0], [[square, square + 5.0], [square, 0.5 * square[::-1] + 2.5]])
+    assert crossings(polylines(layers)).crossed.tolist() == [True, True, False, False]
+    t = np.linspace(0.0, 2.0 * np.pi, 60, endpoint=False)
+    eight = np.column_stack([30.0 * np.sin(t), 15.0 * np.sin(2.0 * t) + 4.0 * np.cos(t)])
+    assert crossings(fit(from_rings([1.0], [[eight]]), "chord")).crossed.tolist() == [True]
+
+
+def test_curves_that_cross_fall_back_to_contours_that_do_not() -> None:
+    # Two slender blades beside each other, whose roundings would meet.
+    t = np.linspace(-1.0, 1.0, 5)
+    low = np.column_stack([20.0 * t, -0.02 - 0.3 * t**2])
+    one = np.concatenate([low, [[20.0, -5.0], [-20.0, -5.0]]])[::-1]
+    other = one * [1.0, -1.0]
+    layers = from_rings([1.0], [[one, other[::-1]]])
+    curves = fit(layers, "chord")
+    assert not crossings(curves).crossed.any()
+    assert curves.evidence is not None
+    assert curves.evidence.accepted.all()
+
+
+def test_rings_are_taken_from_other_curves() -> None:
+    _, layers = box()
+    chord, plain = fit(layers, "chord"), polylines(layers)
+    mixed = with_rings(chord, replace(plain.block(1, 2)), np.array([False, True]))
+    assert np.array_equal(mixed.block(0, 1).control, chord.block(0, 1).control)
+    assert np.array_equal(mixed.block(1, 2).control, plain.block(1, 2).control)
+
+
+# -- layers --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("model", [SPHERE, TORUS, BLADE], ids=lambda m: m.name)
+def test_volumes_between_layers_add_up_to_the_mesh(model: object) -> None:
+    part = model.tessellate(0.3)  # type: ignore[attr-defined]
+    low, high = part.bounds[:, 2]
+    heights = np.concatenate(
+        [[low - 1.0], np.sort(np.random.default_rng(2).uniform(low, high, 30)), [high + 1.0]]
+    )
+    assert volumes_between(part, heights).sum() == pytest.approx(part.volume, rel=1e-9)
+
+
+def test_a_layer_that_stands_out_is_seen() -> None:
+    part = SPHERE.tessellate(0.1)
+    layers = slice_part(part, np.linspace(-20.0, 20.0, 21))
+    curves = fit(layers)
+    assert curves.evidence is not None
+    assert stack_evidence(curves, layers, part, curves.evidence).accepted
+    rows = np.repeat(curves.ring_layer[curves.piece_ring], np.diff(curves.control_starts)) == 10
+    swollen = replace(curves, control=np.where(rows[:, None], 1.03 * curves.control, curves.control))
+    found = stack_evidence(swollen, layers, part, curves.evidence)
+    assert found.jump_excess_mm[10] > 0.0
+    assert found.volume_excess_mm3[10] > 0.0
+    gate = fit_gate(FitVerdict(swollen, curves.evidence, found, None))
+    assert not gate.passed
+    assert "layer 10" in gate.text or "layer 11" in gate.text
+
+
+# -- gate and findings ---------------------------------------------------------------------------------------
+
+
+def test_curves_farther_from_a_reference_than_the_contours_shut_the_gate() -> None:
+    _, layers = box()
+    curves = fit(layers)
+    assert curves.evidence is not None
+    errors_mm = {"normal_rms_mm": 0.01, "normal_max_abs_mm": 0.05}
+    same = FitVerdict(curves, curves.evidence, None, {"contour": errors_mm, "curve": errors_mm})
+    assert fit_gate(same).passed
+    worse = {"contour": errors_mm, "curve": {**errors_mm, "normal_rms_mm": 0.3}}
+    gate = fit_gate(replace(same, reference=worse))
+    assert not gate.passed
+    assert "farther from the reference" in gate.text
+
+
+def test_curves_beyond_what_the_user_lets_them_shut_the_gate() -> None:
+    _, layers = box()
+    curves = fit(layers)
+    assert curves.evidence is not None
+    near = FitVerdict(curves, curves.evidence, None, None, farthest_mm=1.0, most_mm=1.021)
+    assert fit_gate(near).passed
+    gate = fit_gate(replace(near, farthest_mm=1.1))
+    assert not gate.passed
+    assert "1.1000 mm" in gate.text
+
+
+def test_a_ring_that_nothing_speaks_for_shuts_the_gate_and_is_named() -> None:
+    _, layers = box()
+    curves = fit(layers)
+    assert curves.evidence is not None
+    lost = replace(curves.evidence, accepted=np.array([True, False]), cause=np.array([0, CROSSING], np.uint8))
+    gate = fit_gate(FitVerdict(curves, lost, None, None))
+    assert not gate.passed
+    assert "layer 1, z = 10.000 mm" in gate.text
+    assert "crosses" in gate.text
+
+
+def test_what_fell_back_is_told_with_place_cause_and_remedy() -> None:
+    _, layers = box()
+    curves = fit(layers)
+    assert curves.evidence is not None
+    fallen = replace(
+        curves.evidence,
+        cause=np.array([0, PLANE], np.uint8),
+        method=np.array([0, POLYLINE], np.uint8),
+        at=np.array([[np.nan, np.nan], [3.0, 4.0]]),
+    )
+    (told,) = findings(FitVerdict(curves, fallen, None, None))
+    assert told.code == "curve-fell-back"
+    assert told.place == "layer 1, z = 10.000 mm, (3.000, 4.000)"
+    assert told.remedy
+
+
+# -- edges ---------------------------------------------------------------------------------------------------
+
+
+def test_layers_that_know_their_part_are_lifted_without_it() -> None:
+    part = TORUS.tessellate(0.3)
+    layers = slice_part(part, [1.0, 7.0])
+    plain, given = fit(layers), fit(layers, part=part)
+    assert np.array_equal(plain.control, given.control)
+    assert not np.array_equal(plain.control, fit(replace(layers, mesh=None)).control)
+
+
+def test_edges_are_found_by_geometry() -> None:
+    part = BLADE.tessellate(0.3)
+    layers = slice_part(part, part.bounds[0, 2] + np.array([11.3, 40.1, 77.7]))
+    bare = replace(layers, edge=None, edge_t=None)
+    found = with_edges(bare, part, 0.001)
+    assert found is not None
+    assert found.edge is not None
+    assert layers.edge is not None
+    assert np.mean((np.sort(found.edge, axis=1) == np.sort(layers.edge, axis=1)).all(axis=1)) > 0.99
+    assert np.abs(contour_error(fit(bare), fit(layers))["normal_max_abs_mm"]).max() < 0.05
+
+
+def test_contours_that_are_not_on_edges_say_so() -> None:
+    part = TORUS.tessellate(0.3)
+    layers = slice_part(part, [1.0, 7.0])
+    off = replace(layers, points=layers.points + 0.3, edge=None, edge_t=None)
+    curves = fit(off)
+    assert curves.evidence is not None
+    assert not curves.evidence.known
+    (told,) = findings(FitVerdict(curves, curves.evidence, None, None))
+    assert told.code == "curves-not-lifted"
+    with pytest.raises(SettingsError, match="on the edges of the part"):
+        fit(off, "surface")
