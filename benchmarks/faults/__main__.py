@@ -8,13 +8,13 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmarks.faults import tables
+from benchmarks.faults import quick, tables
 from benchmarks.faults.finished import Workshop, code_digest, plant_digest
 from benchmarks.faults.honest import honest_runs
 from benchmarks.faults.kinds import NotHereError
 from benchmarks.faults.planting import Fault, Planter, faults
-from benchmarks.faults.profiles import judged_profile, profile_faults
 from benchmarks.faults.results import Ledger, Result
+from benchmarks.faults.settings_faults import SettingFault, judged_setting, setting_faults
 from benchmarks.faults.subjects import CONTROLS
 from benchmarks.watch import ROOT
 from ebamcheck.atomic_file import replacing
@@ -30,14 +30,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _options(arguments)
     workshop = Workshop(options.work)
     workshop.forget_outdated()
+    if options.quick:
+        return _quick(workshop, options)
     digest = f"{code_digest()}-{plant_digest()}-{options.seed}"
     ledger = Ledger(options.work / "results.jsonl", digest)
     controls = (options.control,) if options.control else CONTROLS
+    results = planted(workshop, ledger, options, controls)
     honest = None
     if options.honest or not (options.kind or options.control):
-        honest = [(h.name, h.alarm) for h in honest_runs(workshop, options.work)]
+        honest = list(honest_runs(workshop, options.work, code_digest()))
         _note(f"{sum(bool(said) for _, said in honest)} of {len(honest)} honest runs raise an alarm")
-    results = planted(workshop, ledger, options.seed, options.kind, controls)
     if options.output is not None:
         write(results, honest, options.seed, options.output)
         _note(f"written: {options.output}")
@@ -47,25 +49,31 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def planted(
-    workshop: Workshop, ledger: Ledger, seed: int, kinds: str, controls: tuple[str, ...]
+    workshop: Workshop, ledger: Ledger, options: argparse.Namespace, controls: tuple[str, ...]
 ) -> list[Result]:
-    """Judge every fault that is not in the ledger yet; all results in order."""
-    planter = Planter(workshop, seed)
+    """Judge every fault that is not in the ledger yet; all results in order. Tables are written now and then."""
+    planter = Planter(workshop, options.seed)
     begin = time.monotonic()
     results = []
-    for fault in [*faults(kinds, controls), *profile_faults(kinds, controls)]:
+    every: list[Fault | SettingFault] = [
+        *faults(options.kind, controls),
+        *setting_faults(options.kind, controls),
+    ]
+    for fault in every:
         if fault.name not in ledger:
             try:
                 if isinstance(fault, Fault):
                     found = planter.judged(fault, workshop.folder)
                 else:
-                    found = judged_profile(fault, workshop, workshop.folder)
+                    found = judged_setting(fault, workshop, workshop.folder)
             except NotHereError:
                 continue
             ledger.add(found)
         results.append(ledger[fault.name])
         if len(results) % NOTED_EVERY == 0:
             _note(f"{len(results)} faults, {time.monotonic() - begin:.0f} s")
+            if options.output is not None:
+                write(results, None, options.seed, options.output)
     return results
 
 
@@ -80,6 +88,20 @@ def write(
             temporary.write_text(text, encoding="utf-8")
 
 
+def _quick(workshop: Workshop, options: argparse.Namespace) -> int:
+    """Print the quick faults; 1 where one is missed that is not on the list."""
+    missed = []
+    for result in quick.quick_results(workshop, options.seed):
+        print(_line(result), flush=True)
+        missed += quick.misses(result)
+    if options.shorten:
+        quick.shorten(missed)
+    known = quick.known_misses()
+    for line in missed:
+        print(f"missed: {line}{'' if line in known else ', which is not on the list'}")
+    return int(any(line not in known for line in missed))
+
+
 def _line(result: Result) -> str:
     marks = "".join(
         ("r" if result.run_found else ".", "t" if result.text_found else "u" if result.unseen else ".")
@@ -92,6 +114,10 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.faults", description=__doc__)
     parser.add_argument("--kind", default="", help="kinds whose name contains this; printed, not written")
     parser.add_argument("--control", choices=CONTROLS, help="faults for one control alone")
+    parser.add_argument("--quick", action="store_true", help="a few dozen faults on one part, printed")
+    parser.add_argument(
+        "--shorten", action="store_true", help="with --quick: take what is found off the list of the missed"
+    )
     parser.add_argument("--seed", type=int, default=SEED, help="seed of the places (default 13)")
     parser.add_argument(
         "--honest", action="store_true", help="honest runs, too, where --kind or --control is given"

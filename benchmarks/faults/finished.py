@@ -12,7 +12,7 @@ from typing import Any
 
 import ebamcheck
 from benchmarks.faults.program_text import ProgramText
-from benchmarks.faults.subjects import SUBJECTS, TESSELLATION_MM, Subject
+from benchmarks.faults.subjects import TESSELLATION_MM, Subject
 from ebamcheck.config import Config
 from ebamcheck.pipeline import run_job
 from ebamcheck_models import write_stl
@@ -68,11 +68,6 @@ class Workshop:
             for run in self.folder.glob("*/run.json"):
                 shutil.rmtree(run.parent)
         mark.write_text(code_digest())
-
-
-def named(name: str) -> Subject:
-    """A part by its name."""
-    return SUBJECTS[name]
 
 
 def _digest(value: Any) -> str:

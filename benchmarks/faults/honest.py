@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +12,12 @@ from benchmarks.faults.finished import Workshop
 from benchmarks.faults.judging import Said, failures, strip
 from benchmarks.faults.subjects import CONTROLS, SUBJECTS
 from ebamcheck.pipeline.verify import verify_against_part, verify_run
+from ebamcheck.program import Check
 
 SINUMERIK, LINUXCNC, PLAIN = CONTROLS
+
+LETTERS = 90
+"""Letters of what a check says that are kept."""
 
 SETTINGS: dict[str, dict[str, dict[str, Any]]] = {
     "bspline": {"machine": {"curve_form": "bspline"}},
@@ -45,34 +49,27 @@ LISTED: tuple[tuple[str, str, str], ...] = (
 """Part, control and settings of each honest run."""
 
 
-@dataclass(frozen=True)
-class Honest:
-    """An honest run, and what is said against it."""
-
-    name: str
-    said: dict[str, tuple[Said, ...]] = field(default_factory=dict)
-    """By way of verification, and `run` for the gates of the run itself."""
-
-    @property
-    def alarm(self) -> str:
-        """The false alarms in words; empty if there is none."""
-        return "; ".join(
-            f"{way}: {', '.join(f'{s.check} ({s.where} {s.text[:90]})' for s in said)}"
-            for way, said in self.said.items()
-            if said
-        )
-
-
-def honest_runs(workshop: Workshop, folder: Path) -> Iterator[Honest]:
-    """Make each run, and verify it three ways."""
+def honest_runs(workshop: Workshop, folder: Path, digest: str) -> Iterator[tuple[str, str]]:
+    """Name of each honest run, and the false alarms of it in words; what is known of this code is not made again."""
+    memory = folder / "honest.jsonl"
+    lines = memory.read_text(encoding="utf-8").splitlines() if memory.is_file() else []
+    known = {name: said for name, code, said in map(json.loads, lines) if code == digest}
     for part, control, how in LISTED:
         name = f"{part}/{control}/{how or 'default'}"
-        error: list[Said] = failures(lambda: _made(workshop, part, control, how))  # noqa: B023
-        if error:
-            yield Honest(name, {"run": tuple(error)})
-            continue
-        made = workshop.finished(SUBJECTS[part], control, **SETTINGS.get(how, {}))
-        said = {"verify": failures(lambda: verify_run(made.run, made.part))}  # noqa: B023
+        if name not in known:
+            known[name] = _alarms(workshop, folder, part, control, how)
+            with memory.open("a", encoding="utf-8") as file:
+                file.write(json.dumps([name, digest, known[name]]) + "\n")
+        yield name, known[name]
+
+
+def _alarms(workshop: Workshop, folder: Path, part: str, control: str, how: str) -> str:
+    """What is said against a run by its own gates, and by its verification in three ways."""
+    settings = SETTINGS.get(how, {})
+    said: dict[str, list[Said]] = {"run": failures(lambda: _made(workshop, part, control, settings))}
+    if not said["run"]:
+        made = workshop.finished(SUBJECTS[part], control, **settings)
+        said["verify"] = failures(lambda: verify_run(made.run, made.part))
         for way in ("text", "bare text"):
             alone = folder / "honest" / "program"
             shutil.rmtree(alone.parent, ignore_errors=True)
@@ -80,9 +77,14 @@ def honest_runs(workshop: Workshop, folder: Path) -> Iterator[Honest]:
             if way == "bare text":
                 strip(alone)
             said[way] = failures(lambda: verify_against_part(alone, made.part, made.config))  # noqa: B023
-        yield Honest(name, {way: tuple(some) for way, some in said.items()})
+    return "; ".join(
+        f"{way}: {', '.join(f'{s.check} ({s.where} {s.text[:LETTERS]})' for s in some)}"
+        for way, some in said.items()
+        if some
+    )
 
 
-def _made(workshop: Workshop, part: str, control: str, how: str) -> list[Any]:
-    workshop.finished(SUBJECTS[part], control, **SETTINGS.get(how, {}))
+def _made(workshop: Workshop, part: str, control: str, settings: dict[str, dict[str, Any]]) -> list[Check]:
+    """Make the run; errors of it are alarms."""
+    workshop.finished(SUBJECTS[part], control, **settings)
     return []

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -17,6 +17,8 @@ Changes = Literal["metal", "motion", "state", "record"]
 """What a fault changes: the metal laid, other motions, the state or the values of the machine, what is said of the program."""
 
 SINUMERIK, LINUXCNC, PLAIN = CONTROLS
+
+T = TypeVar("T")
 
 
 class NotHereError(Exception):
@@ -52,7 +54,7 @@ class Ground:
     other_part: str = ""
     """Part whose file is handed to the verification of the run, and whose hash the record is given."""
 
-    def pick(self, some: Sequence[Any]) -> Any:
+    def pick(self, some: Sequence[T]) -> T:
         """One of several, at random."""
         if not len(some):
             raise NotHereError
@@ -96,7 +98,7 @@ KINDS: dict[str, Kind] = {}
 def kind(
     name: str,
     changes: Changes,
-    variants: Sequence[Any] | dict[str, Sequence[Any]] = (None,),
+    variants: Sequence[Any] | Mapping[str, Sequence[Any]] = (None,),
     *,
     controls: Sequence[str] = CONTROLS,
     unseen: str = "",
@@ -106,7 +108,7 @@ def kind(
     """Put a function that plants a fault on the list of kinds; `variants` for every control, or by control."""
 
     def register(plant: Callable[[Ground], list[Place]]) -> Callable[[Ground], list[Place]]:
-        by_control = variants if isinstance(variants, dict) else dict.fromkeys(controls, variants)
+        by_control = variants if isinstance(variants, Mapping) else dict.fromkeys(controls, variants)
         every = tuple((control, variant) for control, some in by_control.items() for variant in some)
         KINDS[name] = Kind(name, changes, plant, every, unseen, in_comments, subjects)
         return plant

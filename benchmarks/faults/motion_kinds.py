@@ -14,7 +14,8 @@ LEAST_HOP_MM = 12.0
 
 def _hops(ground: Ground, least_layer: int = 1) -> list[tuple[Layer, int, int, int]]:
     """Layer, and lines of retract, way in X and Y, and descent, of every long way within a layer."""
-    text, found = ground.text, []
+    text = ground.text
+    found: list[tuple[Layer, int, int, int]] = []
     layers = {layer.number: layer for layer in text.layers()}
     for before, bead in zip(text.beads(), text.beads()[1:], strict=False):
         layer = layers[bead.layer]
@@ -26,7 +27,7 @@ def _hops(ground: Ground, least_layer: int = 1) -> list[tuple[Layer, int, int, i
             continue
         x, y = text.position(bead.file, rows[1])
         if math.dist((x, y), bead.start) >= LEAST_HOP_MM:
-            found.append((layer, *rows))
+            found.append((layer, rows[0], rows[1], rows[2]))
     return found
 
 
@@ -109,7 +110,7 @@ def plunge(ground: Ground) -> list[Place]:
 @kind("rapid into a clamp", "motion")
 def into_clamp(ground: Ground) -> list[Place]:
     """Rapid through the place to keep out of, at the layer's height."""
-    layer, _, way, down = ground.pick(_hops(ground))
+    layer, _, way, _ = ground.pick(_hops(ground))
     ground.text.insert(layer.file, way, f"G0 Z{layer.safe_z:.6f}", "G0 X60 Y-20", f"G0 Z{layer.z:.6f}", "G0 X60 Y20",
                        f"G0 Z{layer.safe_z:.6f}")  # fmt: skip
     ground.what = "G0 through the clamp at the layer's height"

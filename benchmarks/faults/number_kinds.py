@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 
 import numpy as np
 
 from benchmarks.faults.kinds import LINUXCNC, SINUMERIK, Ground, NotHereError, Place, kind
-from benchmarks.faults.program_text import Bead, with_word, word
+from benchmarks.faults.program_text import Bead, end_of, with_word, word
 from benchmarks.faults.shapes import swapped
 
 LEAST_CHANGE_MM = 0.05
@@ -54,7 +55,7 @@ def _slip(number: str, edit: str, random: np.random.Generator) -> str | None:
     if edit == "digit":
         k = places[int(random.integers(len(places)))]
         return f"{sign}{whole[:k]}{(int(whole[k]) + int(random.integers(1, 10))) % 10}{whole[k + 1 :]}"
-    swaps = [(a, b) for a, b in zip(places, places[1:], strict=False) if whole[a] != whole[b]]
+    swaps = [(a, b) for a, b in itertools.pairwise(places) if whole[a] != whole[b]]
     if not swaps:
         return None
     a, b = swaps[int(random.integers(len(swaps)))]
@@ -218,10 +219,11 @@ def coefficient(ground: Ground) -> list[Place]:
     bead, i = _motion(ground, "POLY")
     axis, k = "XY"[int(ground.random.integers(2))], 1 if ground.variant == "second" else 2
     code = text.code(bead.file, i)
-    found = re.search(rf"PO\[{axis}\]=\(([^)]*)\)", code)
-    values = [float(v) for v in found[1].split(",")] if found else []
+    begin = code.index(f"PO[{axis}]=(") + len(f"PO[{axis}]=(")
+    end = code.index(")", begin)
+    values = [float(v) for v in code[begin:end].split(",")]
     values[k] += 0.8
-    text.set(bead.file, i, code.replace(found[0], f"PO[{axis}]=({','.join(f'{v:.6f}' for v in values)})"))
+    text.set(bead.file, i, f"{code[:begin]}{','.join(f'{v:.6f}' for v in values)}{code[end:]}")
     ground.what = f"the {ground.variant} coefficient of {axis} is 0.8 greater"
     return ground.line(bead.file, i)
 
@@ -265,8 +267,8 @@ def chord(ground: Ground) -> list[Place]:
             code = text.code(b.file, i)
             if re.match(r"G5 |POLY", code):
                 numbers = [float(v) for v in re.findall(r"-?\d+\.\d+", code)]
-                x, y = (word(code, a, word(code, f"PO[{a}]=(")) for a in "XY")
                 here = text.position(b.file, i)
+                x, y = end_of(code, here)
                 length = float(np.hypot(x - here[0], y - here[1]))
                 bent = abs(numbers[1]) + abs(numbers[4]) if code.startswith("POLY") else length
                 found.append((bent, b, i, f"G1 X{x:.6f} Y{y:.6f}"))

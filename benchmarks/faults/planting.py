@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.faults import (  # noqa: F401  (each puts its kinds on the list)
+    layer_kinds,
     metal_kinds,
     motion_kinds,
     number_kinds,
@@ -20,11 +21,11 @@ from benchmarks.faults import (  # noqa: F401  (each puts its kinds on the list)
     text_kinds,
 )
 from benchmarks.faults.finished import Finished, Workshop
-from benchmarks.faults.judging import Said, Verdict, judged_run, judged_text, verdict
+from benchmarks.faults.judging import Verdict, judged_run, judged_text, verdict
 from benchmarks.faults.kinds import KINDS, Ground, Kind, NotHereError, Place
 from benchmarks.faults.program_text import ProgramText
-from benchmarks.faults.results import Result
-from benchmarks.faults.subjects import CONTROLS, SUBJECTS
+from benchmarks.faults.results import Result, noted
+from benchmarks.faults.subjects import CONTROLS, EVERY, SUBJECTS
 
 
 @dataclass(frozen=True)
@@ -48,17 +49,20 @@ class Fault:
 
 def faults(kinds: str = "", controls: tuple[str, ...] = CONTROLS) -> Iterator[Fault]:
     """All faults, or those whose kind's name contains a text."""
+    found = []
     for kind in KINDS.values():
-        for control, variant in kind.variants:
-            if kinds in kind.name and control in controls:
-                yield Fault(kind, control, variant)
+        for control in controls:
+            some = [variant for c, variant in kind.variants if c == control and kinds in kind.name]
+            found += [(n, Fault(kind, control, variant)) for n, variant in enumerate(some)]
+    # The first of every kind first: a run that is cut short has seen all kinds.
+    return (fault for _, fault in sorted(found, key=lambda entry: entry[0]))
 
 
 class Planter:
     """Plants faults into the programs of finished runs, and has them judged."""
 
-    def __init__(self, workshop: Workshop, seed: int) -> None:
-        self._workshop, self._seed = workshop, seed
+    def __init__(self, workshop: Workshop, seed: int, parts: tuple[str, ...] = tuple(SUBJECTS)) -> None:
+        self._workshop, self._seed, self._parts = workshop, seed, parts
         self._sound: dict[tuple[str, str, str], frozenset[str]] = {}
 
     def planted(self, fault: Fault) -> tuple[Ground, Finished, list[Place]]:
@@ -70,12 +74,12 @@ class Planter:
             If none has.
         """
         random = np.random.default_rng([self._seed, zlib.crc32(fault.name.encode())])
-        names = list(fault.kind.subjects or SUBJECTS)
+        names = _of(fault.kind.subjects, self._parts)
         for k in random.permutation(len(names)):
-            made = self._workshop.finished(SUBJECTS[names[k]], fault.control)
+            made = self._workshop.finished(EVERY[names[k]], fault.control)
 
             def other(name: str, **changes: Any) -> ProgramText:
-                return self._workshop.finished(SUBJECTS[name], fault.control, **changes).text()
+                return self._workshop.finished(EVERY[name], fault.control, **changes).text()
 
             ground = Ground(made.text(), made.subject, made.config, random, fault.variant, other)
             try:
@@ -87,7 +91,7 @@ class Planter:
     def judged(self, fault: Fault, folder: Path) -> Result:
         """Plant a fault, and verify run and text."""
         ground, made, places = self.planted(fault)
-        part = self._workshop.part(SUBJECTS[ground.other_part]) if ground.other_part else None
+        part = self._workshop.part(EVERY[ground.other_part]) if ground.other_part else None
         run = verdict(judged_run(ground, made, folder, part), self._of_sound("run", made, folder), places)
         text = Verdict((), False)
         if ground.forge is None:
@@ -110,7 +114,7 @@ class Planter:
             text_checks=tuple(s.check for s in text.said),
             text_found=text.found,
             text_right=text.right,
-            notes=tuple(_noted(v.said) for v in (run, text)),
+            notes=(noted(run.said), noted(text.said)),
         )
 
     def _of_sound(self, way: str, made: Finished, folder: Path) -> frozenset[str]:
@@ -126,5 +130,6 @@ class Planter:
         return self._sound[key]
 
 
-def _noted(said: tuple[Said, ...]) -> str:
-    return " | ".join(f"{s.check} {s.where} {s.text[:80]}" for s in said[:6])
+def _of(wanted: tuple[str, ...], parts: tuple[str, ...]) -> list[str]:
+    """Names of the parts that serve for a kind: those that it wants, if the usual ones will not do."""
+    return [name for name in parts if name in wanted or not wanted] or list(wanted)

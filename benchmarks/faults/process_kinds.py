@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 
 from benchmarks.faults.kinds import LINUXCNC, PLAIN, SINUMERIK, Ground, NotHereError, Place, kind
 from benchmarks.faults.program_text import NUMBER, Bead
-
-FIRST_WORDS = {SINUMERIK: "H3={:g}", LINUXCNC: "M68 E2 Q{:g}", PLAIN: "M42 P1 S{:g}"}
 
 
 def _numbers(ground: Ground, pattern: str) -> list[tuple[str, int, float]]:
@@ -144,8 +143,11 @@ def wire_step_deleted(ground: Ground) -> list[Place]:
     found = []
     for bead in text.beads():
         rows = _of_bead(ground, text.codes.wire_speed, bead)
-        found += [(bead, b) for a, b in zip(rows, rows[1:], strict=False)
-                  if b[1] > bead.first and abs(numbers[b] / max(numbers[a], 1e-9) - 1.0) > 0.1]  # fmt: skip
+        found += [
+            (bead, b)
+            for a, b in itertools.pairwise(rows)
+            if b[1] > bead.first and abs(numbers[b] / max(numbers[a], 1e-9) - 1.0) > 0.1
+        ]
     bead, (file, i) = ground.pick(found)
     text.delete(file, i)
     ground.what = "a change of the wire speed is missing"
@@ -180,13 +182,10 @@ def power_step_deleted(ground: Ground) -> list[Place]:
     found = []
     before: float | None = None
     for file, i, value in _numbers(ground, text.codes.power):
-        if (
-            text.find(text.codes.beam_on, file, i + 1)
-            and before is not None
-            and abs(value / before - 1.0) > 0.05
-        ):
-            if not re.fullmatch(text.codes.beam_on, text.code(file, i)):
-                found.append((file, i))
+        alone = not re.fullmatch(text.codes.beam_on, text.code(file, i))
+        changes = before is not None and abs(value / before - 1.0) > 0.05
+        if alone and changes and text.find(text.codes.beam_on, file, i + 1):
+            found.append((file, i))
         before = value
     file, i = ground.pick(found)
     text.delete(file, i)

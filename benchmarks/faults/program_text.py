@@ -180,16 +180,16 @@ class ProgramText:
                     motions.append(i)
                 elif travel < 0:
                     travel = i
-                here = (word(code, "X", here[0]), word(code, "Y", here[1]))
+                here = end_of(code, here)
 
     def position(self, file: str, i: int) -> tuple[float, float]:
         """Place in X and Y before a line."""
-        x = y = 0.0
+        here = (0.0, 0.0)
         for line in self.files[file][:i]:
             code = code_of(line)
             if _MOTION.match(code):
-                x, y = word(code, "X", x), word(code, "Y", y)
-        return x, y
+                here = end_of(code, here)
+        return here
 
     def is_turn(self, file: str, i: int) -> bool:
         """Whether a motion joins two lines of a hatch."""
@@ -242,6 +242,13 @@ def word(code: str, address: str, otherwise: float | None = None) -> float | Non
     return float(found[1]) if found else otherwise
 
 
+def end_of(code: str, here: tuple[float, float]) -> tuple[float, float]:
+    """Place in X and Y after a motion from `here`."""
+    ends = [word(code, axis, word(code, f"PO[{axis}]=(")) for axis in "XY"]
+    x, y = (at if end is None else end for end, at in zip(ends, here, strict=True))
+    return x, y
+
+
 def with_word(code: str, address: str, value: float) -> str:
     """Return a block with another number behind an address."""
     decimals = 0 if address in "FS" and value == int(value) else 6
@@ -254,7 +261,7 @@ def numbered(lines: list[str]) -> list[str]:
     """Return lines with their blocks numbered by tens; numbers that were planted stay."""
     result, number = [], 10
     for line in lines:
-        if not code_of(line) or line.startswith("%") or line.startswith("!"):
+        if not code_of(line) or line.startswith(("%", "!")):
             result.append(line.removeprefix("!"))
             continue
         result.append(f"N{number} {_BLOCK_NUMBER.sub('', line)}")

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
+
+from benchmarks.faults.judging import Said
+
+NOTES, NOTED = 6, 80
+"""Checks that are noted of a fault, and letters of what each says."""
 
 
 @dataclass(frozen=True)
@@ -65,8 +70,10 @@ class Ledger:
         return (self[name] for name in self._known)
 
     def __getitem__(self, name: str) -> Result:
-        row = self._known[name]
-        return Result(**{k: tuple(v) if isinstance(v, list) else v for k, v in row.items()})
+        row: dict[str, Any] = {
+            k: tuple(v) if isinstance(v, list) else v for k, v in self._known[name].items()
+        }
+        return Result(**row)
 
     def add(self, result: Result) -> None:
         """Keep a result."""
@@ -74,3 +81,8 @@ class Ledger:
         self._known[result.name] = row
         with self._path.open("a", encoding="utf-8") as file:
             file.write(json.dumps({**row, "digest": self._digest}) + "\n")
+
+
+def noted(said: Iterable[Said]) -> str:
+    """What checks said, in short."""
+    return " | ".join(f"{s.check} {s.where} {s.text[:NOTED]}" for s in list(said)[:NOTES])

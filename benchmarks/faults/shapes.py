@@ -15,11 +15,12 @@ VECTORS = (("I", "J"), ("P", "Q"))
 """Words that are relative to an end of their motion."""
 
 
+MOTION = r"G[01235]\b|POLY\b"
+
+
 def moved(code: str, matrix: ArrayLike, offset: ArrayLike = (0.0, 0.0)) -> str:
-    """Return a motion's block with its path mapped by ``matrix p + offset``; blocks without X and Y stay."""
+    """Return a motion's block with its path mapped by ``matrix p + offset``; one without X and Y stays."""
     a, b = np.asarray(matrix, float), np.asarray(offset, float)
-    if not re.match(r"G[01235]\b|POLY\b", code):
-        return code
     if code.startswith("POLY"):
         return _polynomial(code, a, b)
     x, y = word(code, "X"), word(code, "Y")
@@ -47,8 +48,8 @@ def _with(code: str, names: tuple[str, str], values: Floats) -> str:
 
 
 def _polynomial(code: str, a: Floats, b: Floats) -> str:
-    lists = [[float(v) for v in re.search(rf"PO\[{axis}\]=\(([^)]*)\)", code)[1].split(",")] for axis in "XY"]
-    values = a @ np.array(lists)
+    lists = re.findall(r"PO\[[XY]\]=\(([^)]*)\)", code)
+    values = a @ np.array([[float(v) for v in some.split(",")] for some in lists])
     values[:, 0] += b
     for axis, row in zip("XY", values, strict=True):
         code = re.sub(rf"PO\[{axis}\]=\([^)]*\)", f"PO[{axis}]=({','.join(f'{v:.6f}' for v in row)})", code)
@@ -60,7 +61,9 @@ def move_lines(
 ) -> None:
     """Map the motions of some lines."""
     for i in lines:
-        text.set(file, i, moved(text.code(file, i), matrix, offset))
+        code = text.code(file, i)
+        if re.match(MOTION, code):
+            text.set(file, i, moved(code, matrix, offset))
 
 
 def turn(angle_deg: float) -> Floats:
@@ -72,7 +75,7 @@ def turn(angle_deg: float) -> Floats:
 def about(matrix: ArrayLike, centre: ArrayLike) -> Floats:
     """Offset by which a matrix leaves a centre where it is."""
     c = np.asarray(centre, float)
-    return c - np.asarray(matrix, float) @ c
+    return np.asarray(c - np.asarray(matrix, float) @ c)
 
 
 def ends(text: ProgramText, file: str, lines: range | tuple[int, ...]) -> Floats:
@@ -89,7 +92,7 @@ def ends(text: ProgramText, file: str, lines: range | tuple[int, ...]) -> Floats
 def centre(text: ProgramText, file: str, lines: range | tuple[int, ...]) -> Floats:
     """Middle of the box around the ends of some lines."""
     points = ends(text, file, lines)
-    return 0.5 * (points.min(axis=0) + points.max(axis=0))
+    return np.asarray(0.5 * (points.min(axis=0) + points.max(axis=0)))
 
 
 def bounds(text: ProgramText) -> tuple[Floats, Floats]:

@@ -33,7 +33,7 @@ def _after_modes(text: ProgramText) -> int:
     return max(i for i in text.find(r"G5[4-7]|G64.*|CTOL=.*|" + MODE_LINE)) + 1
 
 
-IN_A_LAYER = {
+IN_A_LAYER: dict[str, dict[str, tuple[str, ...]]] = {
     "work offset": {SINUMERIK: ("G55", "G500", "G53"), LINUXCNC: ("G55", "G92 X1", "G10 L2 P1 X1"), PLAIN: ("G55", "G92 X0", "G92 E0 X5")},
     "plane": {SINUMERIK: ("G18", "G19"), LINUXCNC: ("G18",), PLAIN: ("G18", "G19")},
     "units": {SINUMERIK: ("G70", "G700"), LINUXCNC: ("G20",), PLAIN: ("G20",)},

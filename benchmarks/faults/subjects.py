@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -96,15 +97,24 @@ SUBJECTS = {
     )
 }
 
+RADIUS_MM = 29.0
+"""Twelve sides in a circle of this radius lie up to 0.988 mm inside of it."""
+
 TWELVE = Subject(
     "twelve-sides",
     prism(
         "twelve-sides",
         "prism of twelve sides, which no circle is",
-        polygon([(29.0 * float(np.cos(a)), 29.0 * float(np.sin(a))) for a in np.arange(12) * np.pi / 6]),
+        polygon([(RADIUS_MM * math.cos(a), RADIUS_MM * math.sin(a)) for a in np.arange(12) * math.pi / 6]),
         TALL_MM,
     ),
+    {"curves": {"crease_angle_deg": 20.0}},
 )
-"""Its sections are near to circles: a fit that smooths its edges makes another part of it."""
+"""Its edges are kept; with the default angle of a crease they are not."""
 
-ROUND = Subject("round", prism("round", "the circle about the twelve sides", circle(0, 0, 29.0), TALL_MM))
+ROUND = Subject(
+    "round", prism("round", "the circle about the twelve sides", circle(0, 0, RADIUS_MM), TALL_MM)
+)
+
+EVERY = {**SUBJECTS, TWELVE.name: TWELVE, ROUND.name: ROUND}
+"""All parts; those of :data:`SUBJECTS` serve for every kind of fault."""
