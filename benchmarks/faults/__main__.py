@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import re
+import shutil
 import sys
 import time
 from collections.abc import Sequence
@@ -60,7 +62,7 @@ def planted(
         *setting_faults(options.kind, controls),
     ]
     for fault in every:
-        if fault.name not in ledger:
+        if fault.name not in ledger or options.keep is not None:
             try:
                 if isinstance(fault, Fault):
                     found = planter.judged(fault, workshop.folder)
@@ -69,12 +71,22 @@ def planted(
             except NotHereError:
                 continue
             ledger.add(found)
+            if options.keep is not None:
+                _keep(workshop.folder, options.keep / re.sub(r"[^A-Za-z0-9]+", "-", fault.name))
         results.append(ledger[fault.name])
         if len(results) % NOTED_EVERY == 0:
             _note(f"{len(results)} faults, {time.monotonic() - begin:.0f} s")
             if options.output is not None:
                 write(results, None, options.seed, options.output)
     return results
+
+
+def _keep(work: Path, folder: Path) -> None:
+    """Keep the run with the fault in it, and the bare text."""
+    shutil.rmtree(folder, ignore_errors=True)
+    for name in ("run", "spoiled", "alone"):
+        if (work / name).is_dir():
+            shutil.move(work / name, folder / name)
 
 
 def write(
@@ -124,6 +136,9 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     )
     parser.add_argument(
         "--work", type=Path, default=WORK, help="folder of finished runs and results, kept between runs"
+    )
+    parser.add_argument(
+        "--keep", type=Path, help="folder for the runs and texts with the faults in them, to look at"
     )
     parser.add_argument("-o", "--output", type=Path, help="folder of the tables (default reports/faults)")
     options = parser.parse_args(arguments)
