@@ -7,6 +7,7 @@ import numpy as np
 from benchmarks.faults.kinds import Ground, NotHereError, Place, kind
 from benchmarks.faults.metal_kinds import bead_end
 from benchmarks.faults.motion_kinds import layer_places
+from benchmarks.faults.program_text import Bead
 from benchmarks.faults.shapes import Floats, about, bounds, centre, ends, move_lines, turn
 
 # -- layers ------------------------------------------------------------------------------------------------
@@ -145,16 +146,32 @@ def hatch_turned(ground: Ground) -> list[Place]:
     return ground.line(bead.file, bead.travel, bead.off)
 
 
-@kind("bead shifted", "metal", (0.3, 1.5))
-def bead_shifted(ground: Ground) -> list[Place]:
-    """Shift one bead as a whole."""
-    text, bead = ground.text, ground.bead()
+def _bead_shifted(ground: Ground, bead: Bead) -> list[Place]:
+    text = ground.text
     angle = ground.random.uniform(0.0, 2.0 * np.pi)
     way = [i for i in range(bead.travel, bead.on) if text.code(bead.file, i).startswith("G0 X")]
     offset = ground.variant * np.array([np.cos(angle), np.sin(angle)])
     move_lines(text, bead.file, (*way, *bead.motions), np.eye(2), offset)
     ground.what = f"a bead of {'a contour' if bead.contour else 'an island'} shifted by {ground.variant:g} mm"
     return ground.line(bead.file, bead.travel, bead.off)
+
+
+@kind("contour shifted", "metal", (0.3, 1.5))
+def contour_shifted(ground: Ground) -> list[Place]:
+    """Shift a contour as a whole."""
+    return _bead_shifted(ground, ground.bead(contour=True))
+
+
+@kind("island shifted", "metal", (2.0, 4.0))
+def island_shifted(ground: Ground) -> list[Place]:
+    """Shift the lines of an island as a whole."""
+    return _bead_shifted(ground, ground.bead(contour=False, motions=3))
+
+
+@kind("island shifted a little", "metal", (0.3,), unseen="a twentieth of a bead, which gaps and overlaps of a hatch may differ by")  # fmt: skip
+def island_shifted_a_little(ground: Ground) -> list[Place]:
+    """Shift the lines of an island by less than what the text's metal shows."""
+    return _bead_shifted(ground, ground.bead(contour=False))
 
 
 # -- order -------------------------------------------------------------------------------------------------

@@ -11,8 +11,11 @@ from benchmarks.faults.kinds import LINUXCNC, SINUMERIK, Ground, NotHereError, P
 from benchmarks.faults.program_text import Bead, end_of, with_word, word
 from benchmarks.faults.shapes import swapped
 
-LEAST_CHANGE_MM = 0.05
-"""Smaller changes of a path are within what slicers and fits may differ by."""
+LEAST_CHANGE_MM = 0.15
+"""Smaller changes of a contour are within what slicers and fits may differ by."""
+
+LEAST_HATCH_MM = 1.5
+"""Smaller changes of a hatch line, a quarter of a bead, are within what its gaps and overlaps may differ by."""
 
 
 def _motion(
@@ -31,13 +34,14 @@ def _motion(
 def _change(ground: Ground, edit: str, contour: bool) -> list[Place]:
     """Change X or Y of a straight motion by a slip of the hand."""
     text = ground.text
-    for _ in range(200):
+    least_mm = LEAST_CHANGE_MM if contour else LEAST_HATCH_MM
+    for _ in range(500):
         bead, i = _motion(ground, r"G[123] ", contour)
         axis = "XY"[int(ground.random.integers(2))]
         code = text.code(bead.file, i)
         digits = re.search(rf"(?<![A-Z]){axis}({r'-?'}\d+\.\d+)", code)
         changed = _slip(digits[1], edit, ground.random) if digits else None
-        if digits and changed and abs(float(changed) - float(digits[1])) >= LEAST_CHANGE_MM:
+        if digits and changed and abs(float(changed) - float(digits[1])) >= least_mm:
             text.set(bead.file, i, code.replace(digits[0], f"{axis}{changed}", 1))
             ground.what = f"{axis}{changed} in place of {axis}{digits[1]} ({edit})"
             return ground.line(bead.file, i, i + 2)
@@ -101,7 +105,7 @@ def motion_deleted(ground: Ground) -> list[Place]:
         )
         along = (c - a) / max(float(np.hypot(*(c - a))), 1e-9)
         off = b - a - along * float(along @ (b - a))
-        if float(np.hypot(*off)) > 0.3:
+        if float(np.hypot(*off)) > LEAST_HATCH_MM:
             text.delete(bead.file, i)
             ground.what = "a motion is missing"
             return ground.line(bead.file, i - 1, i + 1)
@@ -151,7 +155,7 @@ def word_deleted(ground: Ground) -> list[Place]:
         bead, i = _motion(ground, "G1 ")
         here = text.position(bead.file, i)["XY".index(ground.variant)]
         code = text.code(bead.file, i)
-        if abs((word(code, ground.variant) or 0.0) - here) > LEAST_CHANGE_MM:
+        if abs((word(code, ground.variant) or 0.0) - here) > LEAST_HATCH_MM:
             text.set(bead.file, i, re.sub(rf" {ground.variant}-?[\d.]+", "", code))
             ground.what = f"{ground.variant} is missing in a motion"
             return ground.line(bead.file, i, i + 2)
@@ -164,7 +168,7 @@ def word_deleted(ground: Ground) -> list[Place]:
 @kind("arc the other way round", "metal", subjects=("bored", "torus", "two-spheres"))
 def arc_swapped(ground: Ground) -> list[Place]:
     """G2 for G3."""
-    bead, i = _motion(ground, r"G[23] ")
+    bead, i = _motion(ground, r"G[23] ", contour=True)
     ground.text.set(bead.file, i, swapped(ground.text.code(bead.file, i)))
     ground.what = "G2 and G3 exchanged in an arc"
     return ground.line(bead.file, i)
@@ -175,7 +179,7 @@ def centre_mirrored(ground: Ground) -> list[Place]:
     """Mirror the centre of an arc about its chord: the radius stays."""
     text = ground.text
     for _ in range(100):
-        bead, i = _motion(ground, r"G[23] ")
+        bead, i = _motion(ground, r"G[23] ", contour=True)
         code = text.code(bead.file, i)
         chord = np.array([word(code, "X"), word(code, "Y")]) - text.position(bead.file, i)
         spoke = np.array([word(code, "I"), word(code, "J")])
@@ -197,7 +201,7 @@ def arc_radius(ground: Ground) -> list[Place]:
     """Move the centre of an arc along the bisector of its chord."""
     text = ground.text
     for _ in range(200):
-        bead, i = _motion(ground, r"G[23] ")
+        bead, i = _motion(ground, r"G[23] ", contour=True)
         code = text.code(bead.file, i)
         half = 0.5 * (np.array([word(code, "X"), word(code, "Y")]) - text.position(bead.file, i))
         spoke = np.array([word(code, "I"), word(code, "J")])
@@ -216,7 +220,7 @@ def arc_radius(ground: Ground) -> list[Place]:
 def coefficient(ground: Ground) -> list[Place]:
     """Change a coefficient of a POLY block."""
     text = ground.text
-    bead, i = _motion(ground, "POLY")
+    bead, i = _motion(ground, "POLY", contour=True)
     axis, k = "XY"[int(ground.random.integers(2))], 1 if ground.variant == "second" else 2
     code = text.code(bead.file, i)
     begin = code.index(f"PO[{axis}]=(") + len(f"PO[{axis}]=(")
@@ -250,7 +254,7 @@ def parameter_length(ground: Ground) -> list[Place]:
 def handle(ground: Ground) -> list[Place]:
     """Pull at a handle of a Bezier span."""
     text = ground.text
-    bead, i = _motion(ground, "G5 ")
+    bead, i = _motion(ground, "G5 ", contour=True)
     code = text.code(bead.file, i)
     text.set(bead.file, i, with_word(code, ground.variant, (word(code, ground.variant) or 0.0) + 0.8))
     ground.what = f"{ground.variant} of a G5 is 0.8 mm greater"

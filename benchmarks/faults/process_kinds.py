@@ -119,13 +119,19 @@ def feed_lost(ground: Ground) -> list[Place]:
     return ground.line(bead.file, bead.first, bead.off)
 
 
-@kind("wire speed of one bead", "metal", (0.7, 0.9, 1.1, 1.3, 0.0))
+@kind("wire speed of one bead", "metal", (0.5, 0.7, 1.3, 2.0, 0.0))
 def wire_of_bead(ground: Ground) -> list[Place]:
     """Change the wire speed of one bead."""
     text, bead = ground.text, ground.bead(motions=2)
     ground.what = f"wire of a bead times {ground.variant:g}"
     _scale(ground, text.codes.wire_speed, ground.variant, _of_bead(ground, text.codes.wire_speed, bead))
     return ground.line(bead.file, bead.travel, bead.off)
+
+
+@kind("wire speed of one bead by a tenth", "metal", (0.9, 1.1), unseen="a tenth of the metal of one bead, which layers may be uneven by")  # fmt: skip
+def wire_of_bead_a_little(ground: Ground) -> list[Place]:
+    """Change the wire speed of one bead by less than what the text's metal shows."""
+    return wire_of_bead(ground)
 
 
 @kind("wire speed everywhere", "metal", (0.9, 1.1))
