@@ -221,8 +221,10 @@ def coefficient(ground: Ground) -> list[Place]:
     """Change a coefficient of a POLY block."""
     text = ground.text
     bead, i = _motion(ground, "POLY", contour=True)
-    axis, k = "XY"[int(ground.random.integers(2))], 1 if ground.variant == "second" else 2
     code = text.code(bead.file, i)
+    way = np.subtract(end_of(code, (0.0, 0.0)), text.position(bead.file, i))
+    # Across its way: along it, the same path would be driven unevenly.
+    axis, k = "XY"[int(np.argmin(np.abs(way)))], 1 if ground.variant == "second" else 2
     begin = code.index(f"PO[{axis}]=(") + len(f"PO[{axis}]=(")
     end = code.index(")", begin)
     values = [float(v) for v in code[begin:end].split(",")]
@@ -256,8 +258,10 @@ def handle(ground: Ground) -> list[Place]:
     text = ground.text
     bead, i = _motion(ground, "G5 ", contour=True)
     code = text.code(bead.file, i)
-    text.set(bead.file, i, with_word(code, ground.variant, (word(code, ground.variant) or 0.0) + 0.8))
-    ground.what = f"{ground.variant} of a G5 is 0.8 mm greater"
+    way = np.subtract(end_of(code, (0.0, 0.0)), text.position(bead.file, i))
+    name = {"I": "IJ", "P": "PQ"}[ground.variant][int(np.argmin(np.abs(way)))]
+    text.set(bead.file, i, with_word(code, name, (word(code, name) or 0.0) + 0.8))
+    ground.what = f"{name} of a G5 is 0.8 mm greater"
     return ground.line(bead.file, i, i + 2)
 
 

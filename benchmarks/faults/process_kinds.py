@@ -164,12 +164,13 @@ def wire_step_deleted(ground: Ground) -> list[Place]:
 def power_of_bead(ground: Ground) -> list[Place]:
     """Set another power before a bead, and the old one after it."""
     text = ground.text
-    file, i, value = ground.pick(_numbers(ground, text.codes.power))
+    every = text.beads()
+    settings = _numbers(ground, text.codes.power)
+    file, i, value = ground.pick(
+        [x for x in settings if x[2] and any(b.file == x[0] and b.on > x[1] for b in every)]
+    )
     blocks = {SINUMERIK: "H2={:g}", LINUXCNC: "M67 E1 Q{:g}", PLAIN: "S{:g}"}
-    beads = [b for b in text.beads() if b.file == file and b.on > i]
-    if not beads:
-        raise NotHereError
-    bead = beads[0]
+    bead = next(b for b in every if b.file == file and b.on > i)
     rows = [x for x in _of_bead(ground, text.codes.power, bead) if x[1] < bead.first]
     if rows:
         _scale(ground, text.codes.power, ground.variant, rows)

@@ -146,14 +146,21 @@ class ProgramText:
         else:
             lines = self.files[self.main]
             begins = [i for i, line in enumerate(lines) if _LAYER.match(line)]
-            last = max(self.find("M2"))
-            spans = [(self.main, a, b) for a, b in zip(begins, [*begins[1:], last], strict=True)]
+            spans = [
+                (self.main, a, b) for a, b in zip(begins, [*begins[1:], self._end_of_layers()], strict=True)
+            ]
         return [self._layer(k, *span) for k, span in enumerate(spans)]
 
+    def _end_of_layers(self) -> int:
+        """Line after the last rise of the last layer, and the waits behind it, in a program in one file."""
+        off = self.find(self.codes.beam_off, end=self.find(r"G[1235] .*")[-1] + 4)[-1]
+        rise = self.find(rf"G0 Z{NUMBER}", first=off)[0]
+        return max([rise, *self.find(self.codes.pause, first=rise, end=rise + 2)]) + 1
+
     def _layer(self, number: int, file: str, first: int, end: int) -> Layer:
-        rises = [word(self.code(file, i), "Z") for i in self.find(rf"G0 Z{NUMBER}", file, first, end)]
-        heights = [z for z in rises if z is not None]
-        return Layer(number, file, first, end, min(heights), max(heights))
+        rises = {word(self.code(file, i), "Z") for i in self.find(rf"G0 Z{NUMBER}", file, first, end)}
+        z, safe_z = sorted(z for z in rises if z is not None)[:2]
+        return Layer(number, file, first, end, z, safe_z)
 
     def beads(self, contour: bool | None = None) -> list[Bead]:
         """All beads, or those of contours or of islands alone."""

@@ -22,6 +22,14 @@ def _header_line(ground: Ground, key: str) -> tuple[str, int]:
     raise NotHereError
 
 
+def _status(ground: Ground, file: str) -> int:
+    """Line of the status of a file that is validated."""
+    lines = ground.text.files[file]
+    if "; VALIDATED" not in lines:
+        raise NotHereError
+    return lines.index("; VALIDATED")
+
+
 @kind("header says not validated", "record", ("every file", "one file"), in_comments=True)
 def not_validated(ground: Ground) -> list[Place]:
     """Change the status of files."""
@@ -29,7 +37,7 @@ def not_validated(ground: Ground) -> list[Place]:
     files = list(text.files) if ground.variant == "every file" else [ground.pick(list(text.files))]
     places = []
     for file in files:
-        i = text.files[file].index("; VALIDATED")
+        i = _status(ground, file)
         text.files[file][i] = "; NOT VALIDATED"
         places += ground.line(file, i)
     ground.what = f"NOT VALIDATED in {ground.variant}"
@@ -41,7 +49,7 @@ def no_status(ground: Ground) -> list[Place]:
     """Take the status out."""
     text = ground.text
     file = ground.pick(list(text.files))
-    i = text.files[file].index("; VALIDATED")
+    i = _status(ground, file)
     text.files[file][i] = "; RELEASED"
     ground.what = "no status"
     return ground.line(file, i)

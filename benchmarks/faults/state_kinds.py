@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import re
 
-from benchmarks.faults.kinds import LINUXCNC, PLAIN, SINUMERIK, Ground, Place, kind
+from benchmarks.faults.kinds import LINUXCNC, PLAIN, SINUMERIK, Ground, NotHereError, Place, kind
 from benchmarks.faults.program_text import ProgramText
 
-MODE_LINE = r"G17 .*"
+MODES = r"G17 .*|G5[4-7]|G64.*|CTOL=.*|G40.*|TRANS"
 
 
 def _insert(ground: Ground, block: str) -> list[Place]:
@@ -28,9 +28,13 @@ def _insert_in_bead(ground: Ground, block: str) -> list[Place]:
     return ground.line(bead.file, i, i + 2)
 
 
-def _after_modes(text: ProgramText) -> int:
-    """Line of the main program behind its modes and offset."""
-    return max(i for i in text.find(r"G5[4-7]|G64.*|CTOL=.*|" + MODE_LINE)) + 1
+def _after_modes(text: ProgramText, layer: bool = False) -> tuple[str, int]:
+    """File and line behind the modes of the first blocks; or of those of the first layer, where it has some."""
+    first = text.layers()[0]
+    if layer and text.find(MODES, first.file, first.first, text.beads()[0].travel):
+        return first.file, text.find(MODES, first.file, first.first, text.beads()[0].travel)[-1] + 1
+    end = len(text.files[text.main]) if text.sinumerik else first.first
+    return text.main, text.find(MODES, end=end)[-1] + 1
 
 
 IN_A_LAYER: dict[str, dict[str, tuple[str, ...]]] = {
@@ -88,37 +92,56 @@ AT_THE_START = {
 def at_the_start(ground: Ground) -> list[Place]:
     """Undo a mode right after it is set."""
     text = ground.text
-    i = _after_modes(text)
-    text.insert(text.main, i, ground.variant)
+    file, i = _after_modes(text, layer=True)
+    text.insert(file, i, ground.variant)
     ground.what = f"{ground.variant} after the modes of the first blocks"
     first = text.beads()[0]
-    return [*ground.line(text.main, i, i + 3), *ground.line(first.file, first.travel, first.travel + 3)]
+    return [*ground.line(file, i, i + 3), *ground.line(first.file, first.travel, first.travel + 3)]
 
 
 MISSING = {
-    SINUMERIK: ("G17", "G71", "G90", "G94", "G54", "SOFT", "FFWON", "G642", "CTOL=0.05"),
+    SINUMERIK: (
+        "G17",
+        "G71",
+        "G90",
+        "G94",
+        "G54",
+        "SOFT",
+        "FFWON",
+        "G642",
+        "CTOL=0.05",
+        "G40",
+        "D0",
+        "TRANS",
+    ),
     LINUXCNC: ("G17", "G21", "G90", "G91.1", "G94", "G40", "G49", "G80", "G54", "G64 P0.05"),
     PLAIN: ("G17", "G21", "G90", "G94", "G54"),
 }
 
 
+def _replaced(ground: Ground, old: str, new: str) -> list[Place]:
+    """Put other words in the place of some wherever they stand, or nothing."""
+    text, places = ground.text, []
+    pattern = re.compile(rf"(?<!\S){'G710?' if old == 'G71' else re.escape(old)}(?!\S)")
+    for file, lines in text.files.items():
+        for i in reversed(range(len(lines))):
+            code = text.code(file, i)
+            if pattern.search(code):
+                text.set(file, i, " ".join(pattern.sub(new, code).split()))
+                places += ground.line(file, max(i - 4, 0), i + 5)
+                if not text.code(file, i):
+                    text.delete(file, i)
+    if not places:
+        raise NotHereError
+    first = text.beads()[0]
+    return [*places, *ground.line(first.file, first.travel, first.travel + 3)]
+
+
 @kind("mode missing", "state", MISSING)
 def mode_missing(ground: Ground) -> list[Place]:
-    """Take a word out of the first blocks."""
-    text = ground.text
-    pattern = re.compile(rf"(?<!\S){re.escape(ground.variant)}(?!\S)")
-    i = next(i for i in range(len(text.files[text.main])) if pattern.search(text.code(text.main, i)))
-    code = " ".join(pattern.sub("", text.code(text.main, i)).split())
-    if code:
-        text.set(text.main, i, code)
-    else:
-        text.delete(text.main, i)
+    """Take a word out of the program."""
     ground.what = f"{ground.variant} is missing"
-    first = text.beads()[0]
-    return [
-        *ground.line(text.main, max(i - 4, 0), i + 6),
-        *ground.line(first.file, first.travel, first.travel + 3),
-    ]
+    return _replaced(ground, ground.variant, "")
 
 
 OTHER = {
@@ -131,30 +154,79 @@ OTHER = {
 @kind("another mode", "state", OTHER)
 def another_mode(ground: Ground) -> list[Place]:
     """Put another word of the same group in the first blocks."""
-    text = ground.text
     old, new = ground.variant
-    pattern = re.compile(rf"(?<!\S){re.escape(old)}(?!\S)")
-    i = next(i for i in range(len(text.files[text.main])) if pattern.search(text.code(text.main, i)))
-    text.set(text.main, i, pattern.sub(new, text.code(text.main, i)))
     ground.what = f"{new} in place of {old}"
-    first = text.beads()[0]
-    return [
-        *ground.line(text.main, max(i - 3, 0), i + 4),
-        *ground.line(first.file, first.travel, first.travel + 3),
-    ]
+    return _replaced(ground, old, new)
 
 
 @kind("beam on before the first layer", "state")
 def early_beam(ground: Ground) -> list[Place]:
     """Switch the beam on in the first blocks."""
     text = ground.text
-    i = _after_modes(text)
+    file, i = _after_modes(text)
     on = {SINUMERIK: "M60", LINUXCNC: "M64 P0", PLAIN: "M3 S7200"}[text.control]
     off = {SINUMERIK: "M61", LINUXCNC: "M65 P0", PLAIN: "M5"}[text.control]
     blocks = [on, text.codes.pause_block.format(1.0), off]
-    text.insert(text.main, i, *blocks)
+    text.insert(file, i, *blocks)
     ground.what = "the beam burns for a second before the first motion"
-    return ground.line(text.main, i, i + 4)
+    return ground.line(file, i, i + 4)
+
+
+@kind("safe start deleted", "state", ("beam_off", "wire_off"))
+def no_safe_start(ground: Ground) -> list[Place]:
+    """Take out a switching off before the first layer."""
+    return _switch_deleted(ground, 0)
+
+
+@kind("safe end deleted", "state", ("beam_off", "wire_off"))
+def no_safe_end(ground: Ground) -> list[Place]:
+    """Take out a switching off after the last layer."""
+    return _switch_deleted(ground, -1)
+
+
+def _switch_deleted(ground: Ground, which: int) -> list[Place]:
+    text = ground.text
+    found = text.find(getattr(text.codes, ground.variant))
+    layers, beads = text.layers(), text.beads()
+    before = len(text.files[text.main]) if text.sinumerik else beads[0].on
+    outside = [i for i in found if text.sinumerik or i < before or i >= layers[-1].end]
+    calls = text.find(r"MAIN_L\d+") if text.sinumerik else [layers[0].first, layers[-1].end]
+    some = [i for i in outside if (i < calls[0] if which == 0 else i > calls[-1] - 1)]
+    if not some:
+        raise NotHereError
+    i = some[which]
+    text.delete(text.main, i)
+    ground.what = f"{ground.variant} is missing {'at the start' if which == 0 else 'at the end'}"
+    first = beads[0]
+    places = ground.line(text.main, i - 3, i + 8)
+    return places + (ground.line(first.file, first.travel, first.on) if which == 0 else [])
+
+
+@kind("value left at the end", "state", ("power", "wire_speed", "voltage"))
+def value_left(ground: Ground) -> list[Place]:
+    """Leave beam or wire at a value after the last bead."""
+    text = ground.text
+    pattern = getattr(text.codes, ground.variant)
+    last = text.layers()[-1].end if not text.sinumerik else text.find(r"MAIN_L\d+")[-1]
+    found = [i for i in text.find(pattern) if i >= last]
+    if not found:
+        raise NotHereError
+    text.delete(text.main, found[-1])
+    ground.what = f"{ground.variant} is not set to zero at the end"
+    return ground.line(text.main, last, len(text.files[text.main]))
+
+
+@kind("ends beside its park position", "state")
+def other_park(ground: Ground) -> list[Place]:
+    """End elsewhere than the profile says."""
+    text = ground.text
+    last = text.layers()[-1].end if not text.sinumerik else text.find(r"MAIN_L\d+")[-1]
+    found = [i for i in text.find(r"G0 X.*") if i >= last]
+    if not found:
+        raise NotHereError
+    text.set(text.main, found[-1], "G0 X300 Y300")
+    ground.what = "the program ends at X 300 Y 300"
+    return ground.line(text.main, last, len(text.files[text.main]))
 
 
 @kind("unknown auxiliary function", "state", {SINUMERIK: ("M77", "H9=1"), LINUXCNC: ("M64 P7", "M68 E5 Q1", "M110"), PLAIN: ("M42 P7 S1", "M80")})  # fmt: skip

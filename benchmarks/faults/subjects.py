@@ -24,7 +24,7 @@ TESSELLATION_MM = 0.05
 TALL_MM = 5.0
 """Three layers of one bead each."""
 
-CLAMP = {"name": "clamp", "outline_mm": ((50, -10), (70, -10), (70, 10), (50, 10)), "z_mm": (0, 60)}
+CLAMP = {"name": "clamp", "outline_mm": ((50, -10), (70, -10), (70, 10), (50, 10)), "z_mm": (0, 15)}
 """A place to keep out of, beside every part."""
 
 BACKENDS = ("planecut", "manifold")
