@@ -55,17 +55,15 @@ def no_retract(ground: Ground) -> list[Place]:
 @kind("every retract deleted", "motion")
 def no_retracts(ground: Ground) -> list[Place]:
     """Take out every rise but the first."""
-    text, places, first = ground.text, [], True
-    for layer in text.layers():
-        for i in reversed(text.find(rf"G0 Z{NUMBER}", layer.file)):
-            z = word(text.code(layer.file, i), "Z")
-            if z == layer.safe_z and not (first and i == min(text.find(rf"G0 Z{NUMBER}", layer.file))):
-                text.delete(layer.file, i)
-        first = False
+    text = ground.text
+    heights = {layer.safe_z for layer in text.layers()}
+    rows = [
+        (file, i) for file, i in text.everywhere(rf"G0 Z{NUMBER}") if word(text.code(file, i), "Z") in heights
+    ]
+    for file, i in reversed(rows[1:]):
+        text.delete(file, i)
     ground.what = "no rise at all after the first"
-    for layer in text.layers():
-        places += [p for i in text.find(r"G0 X.*", layer.file) for p in ground.line(layer.file, i)]
-    return places
+    return [p for file, i in text.everywhere(r"G0 X.*") for p in ground.line(file, i)]
 
 
 @kind("X, Y and Z in one rapid", "motion")
