@@ -309,21 +309,28 @@ def on_at_end(ground: Ground) -> list[Place]:
 # -- waits -----------------------------------------------------------------------------------------------
 
 
-@kind("wait changed", "state", ("deleted", "negative", "a day", "a tenth"))
-def wait_changed(ground: Ground) -> list[Place]:
-    """Spoil a wait of at least 10 s."""
+@kind("wait of no sense", "state", ("negative", "a day"))
+def senseless_wait(ground: Ground) -> list[Place]:
+    """Let a wait be negative, or longer than any part needs."""
+    return _wait(ground, {"negative": -10.0, "a day": 86400.0}[ground.variant])
+
+
+@kind("wait shortened", "state", ("deleted", "a tenth"), unseen="a part that stays under its limit all the same needs no such wait")  # fmt: skip
+def short_wait(ground: Ground) -> list[Place]:
+    """Spoil one wait of at least 10 s."""
+    return _wait(ground, {"deleted": None, "a tenth": 1.5}[ground.variant])
+
+
+def _wait(ground: Ground, seconds: float | None) -> list[Place]:
     text = ground.text
-    long = [
-        x
-        for x in _numbers(ground, text.codes.pause)
-        if x[2] >= 10.0 and text.find(text.codes.beam_on, x[0], x[1])
-    ]
-    file, i, value = ground.pick(long)
-    if ground.variant == "deleted":
+    waits = _numbers(ground, text.codes.pause)
+    file, i, value = ground.pick(
+        [x for x in waits if x[2] >= 10.0 and text.find(text.codes.beam_on, x[0], x[1])]
+    )
+    if seconds is None:
         text.delete(file, i)
     else:
-        new = {"negative": -value, "a day": 86400.0, "a tenth": 0.1 * value}[ground.variant]
-        text.set(file, i, text.codes.pause_block.format(new))
+        text.set(file, i, text.codes.pause_block.format(seconds))
     on = text.find(text.codes.beam_on, file, i)[0]
     ground.what = f"a wait of {value:g} s: {ground.variant}"
     return ground.line(file, i - 1, on + 6)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from benchmarks.faults.kinds import LINUXCNC, SINUMERIK, Ground, NotHereError, Place, kind
+from benchmarks.faults.kinds import LINUXCNC, SINUMERIK, Ground, Place, kind
 from benchmarks.faults.program_text import Bead
 
 
@@ -194,16 +194,3 @@ def wrong_name(ground: Ground) -> list[Place]:
     lines[0] = lines[0].replace("_L", "_K")
     ground.what = "the first line names another program"
     return ground.line(layer.file, 0)
-
-
-@kind("words without a blank", "record", unseen="the same words, which every control reads alike")
-def no_blanks(ground: Ground) -> list[Place]:
-    """Write a block without blanks between its words."""
-    text = ground.text
-    beads = [(b, i) for b in text.beads() for i in b.motions if text.code(b.file, i).startswith("G1 ")]
-    if not beads:
-        raise NotHereError
-    bead, i = ground.pick(beads)
-    text.set(bead.file, i, text.code(bead.file, i).replace(" ", ""))
-    ground.what = "a block without blanks"
-    return ground.line(bead.file, i)
