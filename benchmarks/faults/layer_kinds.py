@@ -135,7 +135,7 @@ def contour_inset(ground: Ground) -> list[Place]:
     return ground.line(bead.file, bead.travel, bead.off)
 
 
-@kind("hatch turned", "metal", (20.0, 90.0))
+@kind("hatch turned", "metal", (45.0, 90.0))
 def hatch_turned(ground: Ground) -> list[Place]:
     """Turn the lines of an island about its middle."""
     text, bead = ground.text, ground.bead(contour=False, motions=4)
@@ -162,13 +162,13 @@ def contour_shifted(ground: Ground) -> list[Place]:
     return _bead_shifted(ground, ground.bead(contour=True))
 
 
-@kind("island shifted", "metal", (2.0, 4.0))
+@kind("island shifted", "metal", (4.0, 6.0))
 def island_shifted(ground: Ground) -> list[Place]:
     """Shift the lines of an island as a whole."""
     return _bead_shifted(ground, ground.bead(contour=False, motions=3))
 
 
-@kind("island shifted a little", "metal", (0.3,), unseen="a twentieth of a bead, which gaps and overlaps of a hatch may differ by")  # fmt: skip
+@kind("island shifted a little", "metal", (0.3, 2.0), unseen="beads overlap by more, so that no gap over the limit opens")  # fmt: skip
 def island_shifted_a_little(ground: Ground) -> list[Place]:
     """Shift the lines of an island by less than what the text's metal shows."""
     return _bead_shifted(ground, ground.bead(contour=False))

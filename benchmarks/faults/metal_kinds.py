@@ -137,7 +137,7 @@ def no_island(ground: Ground) -> list[Place]:
     return _omit(ground, ground.bead(contour=False, motions=3))
 
 
-@kind("short bead omitted", "metal")
+@kind("short bead omitted", "metal", unseen="spots as narrow as those that it fills may stay bare")
 def no_gap_bead(ground: Ground) -> list[Place]:
     """Leave out a bead of one motion: of a gap, or the rest of an island."""
     text = ground.text
@@ -165,9 +165,15 @@ def no_line(ground: Ground) -> list[Place]:
     return ground.line(bead.file, bead.motions[k - 1], bead.motions[k] + 1)
 
 
-@kind("bead cut short", "metal", (3.0,))
+@kind("bead cut short", "metal", (8.0,))
 def cut_short(ground: Ground) -> list[Place]:
-    """End a bead before its end."""
+    """End a bead before its end by more than its width."""
+    return _stretched(ground, -ground.variant)
+
+
+@kind("bead cut short a little", "metal", (3.0,), unseen="the round end of a bead covers half its width")
+def cut_short_a_little(ground: Ground) -> list[Place]:
+    """End a bead before its end by half its width."""
     return _stretched(ground, -ground.variant)
 
 
@@ -183,7 +189,7 @@ def _stretched(ground: Ground, by_mm: float) -> list[Place]:
     for bead in text.beads(contour=False):
         start, end = text.position(bead.file, bead.last), bead_end(text, bead)
         length = float(np.hypot(end[0] - start[0], end[1] - start[1]))
-        if text.code(bead.file, bead.last).startswith("G1 ") and length > 4.0:
+        if text.code(bead.file, bead.last).startswith("G1 ") and length > max(4.0, 1.1 * -by_mm):
             found.append((bead, np.array(start), np.array(end), length))
     bead, begin, stop, length = ground.pick(found)
     place = stop + by_mm / length * (stop - begin)

@@ -152,20 +152,19 @@ def slow_travel(ground: Ground) -> list[Place]:
 
 @kind("no rise at the end", "motion", ("deleted", "stays on the part"))
 def no_end_rise(ground: Ground) -> list[Place]:
-    """Spoil the last rise of the program."""
-    text = ground.text
-    layer = text.layers()[-1]
+    """Spoil every rise after the last bead."""
+    text, last = ground.text, ground.text.beads()[-1]
+    z = text.layers()[-1].z
+    calls = text.find(r"MAIN_L\d+") if text.sinumerik else []
+    spans = [(last.file, last.off), *([(text.main, calls[-1])] if calls else [])]
     places = []
-    for file, first in ((layer.file, layer.first), (text.main, 0)):
-        last = text.find(rf"G0 Z{NUMBER}", file, first)[-1:]
-        for i in last:
+    for file, first in spans:
+        for i in reversed(text.find(rf"G0 Z{NUMBER}", file, first)):
             if ground.variant == "deleted":
                 text.delete(file, i)
             else:
-                text.set_word(file, i, "Z", layer.z)
-            places += ground.line(file, i, min(i + 3, len(text.files[file])))
-        if not text.sinumerik:
-            break
+                text.set_word(file, i, "Z", z)
+        places += ground.line(file, first, len(text.files[file]))
     ground.what = "the tool stays on the part at the end"
     return places
 
