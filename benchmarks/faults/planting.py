@@ -28,6 +28,10 @@ from benchmarks.faults.results import Result, noted
 from benchmarks.faults.subjects import CONTROLS, EVERY, SUBJECTS
 
 
+PLAIN_PARTS = ("cube", "prism")
+"""Parts for faults of state and record, which do not depend on the shape: they are verified soonest."""
+
+
 @dataclass(frozen=True)
 class Fault:
     """One fault to be planted: its kind, for which control, and which variant of it."""
@@ -74,7 +78,7 @@ class Planter:
             If none has.
         """
         random = np.random.default_rng([self._seed, zlib.crc32(fault.name.encode())])
-        names = _of(fault.kind.subjects, self._parts)
+        names = self._parts_for(fault.kind)
         for k in random.permutation(len(names)):
             made = self._workshop.finished(EVERY[names[k]], fault.control)
 
@@ -87,6 +91,13 @@ class Planter:
             except NotHereError:
                 continue
         raise NotHereError(f"{fault.name}: no part has a place for it")
+
+    def _parts_for(self, kind: Kind) -> list[str]:
+        """Names of the parts that serve for a kind: those that it wants, where the usual ones will not do."""
+        usual = self._parts
+        if not kind.subjects and kind.changes in ("state", "record"):
+            usual = tuple(name for name in usual if name in PLAIN_PARTS) or usual
+        return [name for name in usual if name in kind.subjects or not kind.subjects] or list(kind.subjects)
 
     def judged(self, fault: Fault, folder: Path) -> Result:
         """Plant a fault, and verify run and text."""
@@ -128,8 +139,3 @@ class Planter:
                 said = judged_text(ground, made, folder, keep_comments=way == "commented")
             self._sound[key] = frozenset(s.check for s in said)
         return self._sound[key]
-
-
-def _of(wanted: tuple[str, ...], parts: tuple[str, ...]) -> list[str]:
-    """Names of the parts that serve for a kind: those that it wants, if the usual ones will not do."""
-    return [name for name in parts if name in wanted or not wanted] or list(wanted)
