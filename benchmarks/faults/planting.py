@@ -27,7 +27,6 @@ from benchmarks.faults.program_text import ProgramText
 from benchmarks.faults.results import Result, noted
 from benchmarks.faults.subjects import CONTROLS, EVERY, SUBJECTS
 
-
 PLAIN_PARTS = ("cube", "prism")
 """Parts for faults of state and record, which do not depend on the shape: they are verified soonest."""
 
