@@ -169,7 +169,7 @@ def test_what_fails_for_a_sound_program_finds_no_fault_and_neither_does_a_crash(
 def some_result(**changes: object) -> Result:
     values = {
         "name": "a/linuxcnc", "kind": "a", "changes": "metal", "control": "linuxcnc", "part": "cube", "variant": "",
-        "what": "something", "where": "MAIN.ngc:7", "unseen": "", "run_found": True, "run_right": True,
+        "what": "something", "where": "MAIN.ngc:7", "unseen": "", "run_found": True, "run_by": ("beam",),
     }  # fmt: skip
     return Result(**{**values, **changes})  # type: ignore[arg-type]
 
@@ -190,6 +190,6 @@ def test_tables_name_what_is_missed_and_count_the_rest():
 
 def test_results_are_kept_for_the_code_that_made_them(tmp_path):
     path = tmp_path / "results.jsonl"
-    Ledger(path, "one").add(some_result(run_checks=("beam",)))
-    assert list(Ledger(path, "one")) == [some_result(run_checks=("beam",))]
+    Ledger(path, "one").add(some_result(run_checks=("beam", "wire")))
+    assert list(Ledger(path, "one")) == [some_result(run_checks=("beam", "wire"))]
     assert list(Ledger(path, "two")) == []

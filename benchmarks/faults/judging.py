@@ -47,8 +47,8 @@ class Verdict:
     """What one way of verification says of a fault."""
 
     said: tuple[Said, ...]
-    right: bool
-    """Whether any of it names the right place."""
+    by: tuple[str, ...] = ()
+    """Names of the checks that name the right place."""
 
     @property
     def found(self) -> bool:
@@ -69,7 +69,7 @@ def verdict(said: Sequence[Said], sound: frozenset[str], places: Sequence[Place]
         Where the fault may be told.
     """
     new = tuple(s for s in said if s.check not in sound)
-    return Verdict(new, any(is_right(s, places) for s in new))
+    return Verdict(new, tuple(dict.fromkeys(s.check for s in new if is_right(s, places))))
 
 
 def is_right(said: Said, places: Sequence[Place]) -> bool:

@@ -103,7 +103,7 @@ class Planter:
         ground, made, places = self.planted(fault)
         part = self._workshop.part(EVERY[ground.other_part]) if ground.other_part else None
         run = verdict(judged_run(ground, made, folder, part), self._of_sound("run", made, folder), places)
-        text = Verdict((), False)
+        text = Verdict(())
         if ground.forge is None:
             way = "commented" if fault.kind.in_comments else "bare"
             said = judged_text(ground, made, folder, fault.kind.in_comments)
@@ -120,10 +120,10 @@ class Planter:
             unseen=fault.kind.unseen,
             run_checks=tuple(s.check for s in run.said),
             run_found=run.found,
-            run_right=run.right,
+            run_by=run.by,
             text_checks=tuple(s.check for s in text.said),
             text_found=text.found,
-            text_right=text.right,
+            text_by=text.by,
             notes=(noted(run.said), noted(text.said)),
         )
 

@@ -32,13 +32,23 @@ class Result:
     run_checks: tuple[str, ...] = ()
     """Checks that failed in the verification of the run."""
     run_found: bool = False
-    run_right: bool = False
-    """Whether one of them names the right line."""
+    run_by: tuple[str, ...] = ()
+    """Those of them that name the right line."""
     text_checks: tuple[str, ...] = ()
     text_found: bool = False
-    text_right: bool = False
+    text_by: tuple[str, ...] = ()
     notes: tuple[str, ...] = field(default=())
     """What the checks said."""
+
+    @property
+    def run_right(self) -> bool:
+        """Whether a check of the run names the right line."""
+        return bool(self.run_by)
+
+    @property
+    def text_right(self) -> bool:
+        """Whether a check of the text names the right line."""
+        return bool(self.text_by)
 
     @property
     def run_missed(self) -> bool:

@@ -137,10 +137,10 @@ def judged_setting(fault: SettingFault, workshop: Workshop, folder: Path) -> Res
         unseen="",
         run_checks=tuple(s.check for s in run.said),
         run_found=run.found,
-        run_right=run.right,
+        run_by=run.by,
         text_checks=tuple(s.check for s in text.said),
         text_found=text.found,
-        text_right=text.right,
+        text_by=text.by,
         notes=(noted(run.said), noted(text.said)),
     )
 
@@ -185,4 +185,5 @@ def _text(sound: Finished, spoiled: Path, config: Config) -> list[Check]:
 
 
 def _verdict(fault: SettingFault, said: list[Said]) -> Verdict:
-    return Verdict(tuple(said), any(name in f"{s.where} {s.text}" for name in fault.names for s in said))
+    right = [s.check for s in said if any(name in f"{s.where} {s.text}" for name in fault.names)]
+    return Verdict(tuple(said), tuple(dict.fromkeys(right)))
