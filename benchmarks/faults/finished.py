@@ -57,8 +57,6 @@ class Workshop:
         part = self.part(subject)
         if not (run / "run.json").is_file():
             run_job(part, run, config)
-            for report in run.glob("*.html"):
-                report.unlink()
         return Finished(subject, control, config, run, part)
 
     def forget_outdated(self) -> None:
