@@ -316,25 +316,40 @@ def warm() -> ExitCode:
 
 
 @command(
-    epilog="Examples: ebamcheck verify blade.run; ebamcheck verify blade.run/program/MAIN.MPF --part blade.stl",
+    epilog="Examples: ebamcheck verify blade.run --trusted keys/; "
+    "ebamcheck verify blade.run/program/MAIN.MPF --part blade.stl",
 )
 def verify(
     target: Annotated[Path, typer.Argument(help="A run folder, or a program (with --part).")],
-    part: Annotated[Path | None, typer.Option(help="The part that the program should make.")] = None,
+    part: Annotated[
+        Path | None,
+        typer.Option(help="The part that the program should make; of a run: if it is not where it was."),
+    ] = None,
+    quick: Annotated[
+        bool,
+        typer.Option("--quick", help="Of a run: believe its recorded layers and gates, slice nothing anew."),
+    ] = False,
+    trusted: Annotated[
+        list[Path] | None,
+        typer.Option(help="Public key, or a folder of them; one must have signed. May be given again."),
+    ] = None,
     config: ConfigOption = None,
     layer_height: LayerHeightOption = None,
     units: UnitsOption = "",
     as_json: JsonOption = False,
 ) -> ExitCode:
-    """Check a finished run, or a program against a part, from the program's text."""
+    """Work every gate of a finished run out again, or check a program against a part, from the program's text."""
     from ebamcheck.pipeline import verify as verification
+    from ebamcheck.pipeline.certificate import find_record
     from ebamcheck.store import MANIFEST
     from ebamcheck.tables import text_table
 
-    # A run folder has its own settings: a file that lies about does not matter to it.
+    # A run has its own settings: a file that lies about does not matter to it, nor to a program in it.
     own = (target / MANIFEST).is_file()
+    if not own and target.exists() and not (config or units or layer_height):
+        own = find_record(target) is not None
     settings = None if own else settings_of(config, units, "", layer_height)
-    checks = verification.verify(target, part, settings)
+    checks = verification.verify(target, part, settings, quick=quick, trusted=trusted or ())
     if as_json:
         print_json([vars(check) for check in checks])
     else:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
 
+import numpy as np
 import pytest
 from command_line import WIDE, frame, write_stl
 from parts import box
@@ -13,15 +13,9 @@ from parts import box
 from ebamcheck.config import Config
 from ebamcheck.errors import InputError
 from ebamcheck.pipeline import run_job
-from ebamcheck.pipeline.certificate import (
-    CERTIFICATE,
-    certificate,
-    commit,
-    read_certificate,
-    run_certificate_checks,
-    write_certificate,
-)
-from ebamcheck.pipeline.verify import verify_against_part, witness_backend
+from ebamcheck.pipeline.certificate import CERTIFICATE, RELEASE, read_certificate
+from ebamcheck.pipeline.choice import witness_backend
+from ebamcheck.pipeline.verify import settings_beside, verify, verify_against_part
 from ebamcheck.store import RunFolder, sha256_of_file, write_json
 from ebamcheck_reports import html
 
@@ -36,9 +30,7 @@ def made(tmp_path_factory):
     """A finished run of a plate with a hole, with its certificate, and the part's file."""
     folder = tmp_path_factory.mktemp("made")
     path = write_stl(frame(), folder / "frame.stl")
-    result = run_job(path, folder / "frame.run", SETTINGS)
-    write_certificate(result.folder)
-    return result.folder.path, path
+    return run_job(path, folder / "frame.run", SETTINGS).folder.path, path
 
 
 @pytest.fixture
@@ -67,49 +59,56 @@ def test_the_certificate_says_what_was_made_from_what(copy):
     run, part = copy
     found = read_certificate(run.path / CERTIFICATE)
     assert found["part"]["sha256"] == sha256_of_file(part)
+    assert found["part"]["units"] == "mm"
     for file in found["programs"]:
         assert sha256_of_file(run.path / "program" / file["name"]) == file["sha256"]
     assert found["validated"] is True
-    assert {gate["name"] for gate in found["gates"]} == {
-        "input",
-        "agreement",
-        "fit",
-        "coverage",
-        "deposit",
-        "heat",
-        "program",
-    }
-    assert found["approver"] == {"name": "", "date": "", "signature": ""}
-    assert found["deviations"] == []
+    assert [gate["name"] for gate in found["gates"]] == [
+        "input", "agreement", "fit", "coverage", "deposit", "heat", "program",
+    ]  # fmt: skip
+    for check in found["checks"]:
+        assert {"name", "passed", "value", "limit", "unit", "where", "text"} == set(check)
+    assert {"path", "metal", "interpass temperature"} & {c["name"] for c in found["checks"]}
+    assert found["release"] == RELEASE
     assert found["smoothing"]["tolerance_mm"] == SETTINGS.machine.smoothing_tolerance_mm
-    assert found["software"]["dependencies"]["numpy"]
-    assert re.fullmatch(r"([0-9a-f]{40,64})?", commit())
+    assert found["not_proved"]
 
 
-def test_it_is_the_same_again(copy):
+def test_it_tells_the_whole_toolchain(copy):
+    made_by = read_certificate(copy[0].path / CERTIFICATE)["software"]
+    # What is required by what is required counts, too: llvmlite comes with numba.
+    assert {"numpy", "numba", "llvmlite", "shapely", "manifold3d"} <= set(made_by["dependencies"])
+    assert made_by["dependencies"]["numpy"] == np.__version__
+    assert re.fullmatch(r"([0-9a-f]{40})?", made_by["source"]["commit"])
+    assert made_by["source"]["dirty"] in ("yes", "no", "unknown")
+    assert re.fullmatch(r"[0-9a-f]{64}", made_by["source"]["sha256"])
+    assert set(made_by["backends"]) == {"planecut", "manifold"}
+    assert "Linux" in made_by["system"]
+
+
+def test_it_lists_every_file_of_the_run(copy):
     run, _ = copy
-    assert certificate(run.manifest()) == read_certificate(run.path / CERTIFICATE)
+    listed = read_certificate(run.path / CERTIFICATE)["files"]
+    there = {p.relative_to(run.path).as_posix() for p in run.path.rglob("*") if p.is_file()}
+    assert set(listed) == there - {CERTIFICATE}
+    assert {"run.json", "report.html", "junit.xml"} <= set(listed)
 
 
-def test_an_approver_may_sign_and_note_deviations(copy):
+def test_an_earlier_format_is_refused_with_its_number(copy):
     run, part = copy
-    found = json.loads((run.path / CERTIFICATE).read_text())
-    found["approver"]["name"] = "A. Engineer"
-    found["deviations"] = ["layer 2 was re-made"]
-    (run.path / CERTIFICATE).write_text(json.dumps(found))
-    assert failures(run, part) == {}
-    assert all(c.passed for c in run_certificate_checks(run, run.manifest()))
+    (run.path / CERTIFICATE).write_text('{"format": 1}')
+    with pytest.raises(InputError, match="is not a certificate of format 2"):
+        failures(run, part)
 
 
-def test_a_run_of_a_version_without_some_settings_is_verified_and_shown(copy):
+def test_a_run_of_a_version_without_some_settings_is_shown(copy):
     run, _ = copy
     manifest = run.manifest()
     del manifest["settings"]["process"]["layer_pause_s"]
     del manifest["settings"]["machine"]["layer_pause"]
     del manifest["program"]["totals"]["pause_s"]
     write_json(manifest, run.path / "run.json")
-    write_certificate(run)
-    assert all(c.passed for c in run_certificate_checks(run, run.manifest()))
+    (run.path / CERTIFICATE).unlink()
     html.write(run)
     page = (run.path / "report.html").read_text()
     assert "cannot be shown" not in page
@@ -137,23 +136,11 @@ def test_other_settings_are_named(copy):
     assert set(failures(run, part, other)) == {"settings unchanged", "profile unchanged"}
 
 
-def test_a_changed_certificate_breaks_its_seal(copy):
+def test_a_program_in_a_run_is_verified_with_the_settings_of_the_run(copy):
     run, part = copy
-    path = run.path / CERTIFICATE
-    path.write_text(path.read_text().replace('"validated": true', '"validated": false'))
-    assert set(failures(run, part)) == {"certificate seal"}
-    checks = run_certificate_checks(run, run.manifest())
-    assert ["validated" in c.text for c in checks if c.name == "certificate"] == [True]
-    path.write_text("{}")
-    with pytest.raises(InputError, match="is not a certificate"):
-        failures(run, part)
-
-
-def test_a_certificate_that_the_record_names_must_be_there(copy):
-    run, _ = copy
-    (run.path / CERTIFICATE).unlink()
-    named = {**run.manifest(), "certificate": CERTIFICATE}
-    assert [c.passed for c in run_certificate_checks(run, named)] == [False]
+    assert settings_beside(run.path / "program" / MAIN) == SETTINGS
+    checks = verify(run.path / "program" / MAIN, part)
+    assert [c for c in checks if not c.passed] == []
 
 
 def test_another_exact_backend_than_the_maker_is_the_witness():

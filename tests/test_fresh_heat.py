@@ -27,7 +27,7 @@ from ebamcheck.scan.influence import influence
 from ebamcheck.scan.laying import lay_islands
 from ebamcheck.scan.near_field import entry_rise, exact_depth, of_layer
 from ebamcheck.scan.order import scan_order
-from ebamcheck.scan.pieces import WAYS, line_pieces
+from ebamcheck.scan.pieces import WAYS, island_tiles, line_pieces
 from ebamcheck.scan.regions import layer_section
 from ebamcheck.scan.thermal import ranked
 from ebamcheck.scan.touching import touching, touching_successors
@@ -76,6 +76,20 @@ def test_an_island_without_lines_is_one_piece_at_its_centroid():
     assert pieces.first.tolist() == [0, 1, 2]
     assert pieces.place.tolist() == [[7.0, 8.0], [1.5, 0.0]]
     assert pieces.share.tolist() == [1.0, 1.0]
+
+
+def test_tiles_cover_their_islands_with_the_moments_of_their_areas():
+    hexagon = shapely.Polygon([(math.cos(t) * 4, math.sin(t) * 4) for t in np.arange(6) * math.pi / 3])
+    square = shapely.box(-3, -3, 3, 3)
+    with_hole = square.difference(shapely.box(-1, -1, 1, 1))
+    # Mean squares of the distance from the centroid: of a regular hexagon 5/12 of its side's, of a square a^2 / 6.
+    moments = [5 / 12 * 16, 6.0, (36 * 6.0 - 4 * 4 / 6) / 32]
+    for shift in ((0.0, 0.0), (300.0, -70.0)):
+        islands = np.array([affinity.translate(p, *shift) for p in (hexagon, square, with_hole)], object)
+        tiles = island_tiles(islands)
+        away2 = ((tiles.place - shift) ** 2).sum(axis=1) + 2.0 * tiles.variance
+        assert np.add.reduceat(tiles.share, tiles.first[:-1]) == pytest.approx(1.0)
+        assert np.add.reduceat(tiles.share * away2, tiles.first[:-1]) == pytest.approx(moments)
 
 
 def layer_in_half_space(age_s):

@@ -263,6 +263,11 @@ def test_a_lower_limit_shuts_the_gate(plans, tmp_path):
     # What the plan alone finds shuts it as well.
     warm = plan.metrics.assign(entry_max_k=plan.metrics["entry_max_k"] + 30.0)
     assert not heat_gate(judged(config, files)[1].values(), warm, config).passed
+    # Nor is a layer with beads of which the plan knows no temperature taken for a cool one.
+    unknown = plan.metrics.assign(entry_max_k=plan.metrics["entry_max_k"].mask(plan.metrics.index == 1))
+    gate = heat_gate(judged(config, files)[1].values(), unknown, config)
+    assert not gate.passed
+    assert "no temperature for layer 2" in gate.text
     assert not heat_gate([], plan.metrics, config).passed
 
 

@@ -12,7 +12,7 @@ import shapely
 from PIL import Image
 
 from ebamcheck.metal import target_of
-from ebamcheck.program.deposit import LayerField
+from ebamcheck.program.metal_field import LayerField
 from ebamcheck_reports.metal_picture import BLUE, COLOURS, RED, draw
 
 WHITE = (255, 255, 255)
@@ -21,7 +21,8 @@ WHITE = (255, 255, 255)
 def images(picture: str) -> list[np.ndarray]:
     """Pixels (rows, columns, 3) of the images of a picture, read by another reader."""
     ET.fromstring(picture)
-    found = re.findall(r"base64,([^\"]+)", picture)
+    fields = re.sub(r'<g class="scale">.*?</g>', "", picture)
+    found = re.findall(r"base64,([^\"]+)", fields)
     return [np.asarray(Image.open(io.BytesIO(base64.b64decode(data))).convert("RGB")) for data in found]
 
 

@@ -315,8 +315,8 @@ def test_verify_finds_one_changed_byte(copy, name):
 
 
 def test_verify_finds_other_settings_a_lost_file_and_another_part(copy, plate):
-    write_stl(box(), copy / "other.stl")
-    assert [c.name for c in verify_run(copy, copy / "other.stl") if not c.passed] == ["part unchanged"]
+    other = write_stl(box(), copy.parent / "other.stl")
+    assert [c.name for c in verify_run(copy, other) if not c.passed] == ["part unchanged"]
     os.remove(copy / "beads.parquet")
     assert [(c.where, c.text) for c in verify_run(copy) if not c.passed] == [
         ("beads.parquet", "the file is missing")

@@ -75,7 +75,7 @@ def test_a_program_waits_between_its_layers_and_after_none_else(tmp_path, contro
     assert text.count(CONTROLS[control]) == 2
     check, nc = pause_check(files, config)
     assert check.passed, check.text
-    assert program_summary(nc, config)["pause_s"].tolist() == [30.0, 30.0, 0.0]
+    assert program_summary(nc, config)["pause_s"].tolist() == [0.0, 30.0, 30.0]
     short = config.changed(process={"layer_pause_s": 20.0})
     assert not pause_check(files, short)[0].passed
     assert "waits 30 s before layer 2 in place of 20 s" in pause_check(files, short)[0].text

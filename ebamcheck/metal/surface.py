@@ -1,7 +1,8 @@
 """The surface that a part has while it is built: what the layers so far have laid too much or too little.
 
 A place stays molten while the beam is within a bead width of it, and levels over that distance with the molten metal
-around it; none flows over the border. What is still too high or too low then is where the next layer begins.
+around it; none flows over the border. What is still too high or too low then is where the next layer begins. A place that
+a bead could have reached and that none did stays where it was, a layer deeper than it should be.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import numpy as np
 from scipy import ndimage
 
 from ebamcheck.metal.target import REACHED, Target, cell_mm
-from ebamcheck.rings import Floats
+from ebamcheck.rings import Bools, Floats
 
 LEVELLED_BEADS = 0.5
 """Standard deviation, over the bead width, of the Gaussian that levels: that of a disc of one bead width's radius."""
@@ -21,8 +22,50 @@ SPOT_BEADS = 0.25
 HALF = 0.5
 """Share of a cell in the section from which on it counts as inside."""
 
+BESIDE = 1.5
+"""Cells apart up to which one touches another, be it at a corner."""
+
 FILM = 0.25
 """Height of metal over that of the layer from which on a bead has reached a place: its flank is thinner."""
+
+
+DOME = 0.5**0.5
+"""Distance from its line, over half its width, up to which a bead is at least half as high as in its middle."""
+
+
+def bead_centres(inside: Bools, bead_cells: float) -> Bools:
+    """Cells of a section on which the middle of a bead can lie without reaching over the border.
+
+    Parameters
+    ----------
+    inside
+        (rows, columns) cells of the section, with at least one beside it that is none.
+    bead_cells
+        Width of a bead, in cells.
+
+    Examples
+    --------
+    >>> int(bead_centres(np.pad(np.ones((8, 9), bool), 1), 6.0).sum())
+    20
+    """
+    return np.asarray(ndimage.distance_transform_edt(inside) >= 0.5 * bead_cells, np.bool_)
+
+
+def reachable(inside: Bools, bead_cells: float) -> Bools:
+    """Cells of a section that some bead inside of it builds: all but what only flanks reach, and walls under a bead.
+
+    Parameters as of :func:`bead_centres`.
+
+    Examples
+    --------
+    >>> reachable(np.pad(np.ones((8, 9), bool), 1), 6.0)[1:-1, 1:-1].sum(axis=1)
+    array([5, 7, 9, 9, 9, 9, 7, 5])
+    """
+    centres = bead_centres(inside, bead_cells)
+    if not centres.any():
+        return centres
+    away = ndimage.distance_transform_edt(~centres)
+    return np.asarray(inside & (away <= DOME * 0.5 * bead_cells), np.bool_)
 
 
 class Surface:
@@ -64,18 +107,46 @@ class Surface:
         over, built = np.zeros_like(self._over_mm), np.zeros_like(self._share)
         if target.share.size:
             at = self._window(target)
-            share = np.where((target.share >= HALF) & (laid_mm >= REACHED * thickness_mm), target.share, 0.0)
+            inside = target.share >= HALF
+            metal = inside & ((laid_mm >= REACHED * thickness_mm) | reachable(inside, self._bead))
             before = np.where(self._share[at] > 0.0, self._over_mm[at], 0.0)
-            raised = before + laid_mm / np.maximum(target.share, HALF) - thickness_mm
-            flown, weight = _spread(raised, share, LEVELLED_BEADS * self._bead)
+            share, excess = (
+                gathered(field, target.share, metal)
+                for field in (target.share, laid_mm - thickness_mm * target.share)
+            )
+            raised = before + np.divide(excess, share, out=np.zeros_like(share), where=metal)
             built[at] = share
-            over[at] = np.where(share > 0.0, flown + (1.0 - weight) * raised, 0.0)
+            over[at] = levelled(raised, share, self._bead)
         self._over_mm, self._share = over, built
 
     def _window(self, target: Target) -> tuple[slice, slice]:
         """Where the cells of a layer lie in the grid."""
         column, row = (np.round(target.origin / self.step_mm).astype(np.int64) - self._corner).tolist()
         return slice(row, row + target.share.shape[0]), slice(column, column + target.share.shape[1])
+
+
+def gathered(field: Floats, share: Floats, metal: Bools) -> Floats:
+    """A field (rows, columns) on the cells of metal alone, each with that of the cells under :data:`HALF` that are nearest to it.
+
+    So the rim of a section, where cells lie in it in part, loses neither area nor metal.
+    """
+    found = np.where(metal, field, 0.0)
+    parts = (share > 0.0) & (share < HALF)
+    if metal.any() and parts.any():
+        row, column = ndimage.distance_transform_edt(~metal, return_distances=False, return_indices=True)
+        near = np.hypot(row - np.arange(len(row))[:, None], column - np.arange(row.shape[1])) < BESIDE
+        of = parts & near
+        np.add.at(found, (row[of], column[of]), field[of])
+    return found
+
+
+def levelled(height: Floats, share: Floats, bead_cells: float) -> Floats:
+    """Heights of molten metal (rows, columns) when it has levelled over a bead width; 0 where the share of metal is 0.
+
+    None flows over the border, and where all cells are whole the volume stays.
+    """
+    flown, weight = _spread(height, share, LEVELLED_BEADS * bead_cells)
+    return np.asarray(np.where(share > 0.0, flown + (1.0 - weight) * height, 0.0), np.float64)
 
 
 def _spread(height: Floats, share: Floats, sigma: float) -> tuple[Floats, Floats]:

@@ -89,3 +89,17 @@ def _witnesses(config: Config) -> list[str]:
 
 def _reason(probe: Probe) -> str:
     return f"{probe.why}; {probe.hint}" if probe.hint else probe.why
+
+
+def witness_backend(maker: str) -> str:
+    """Available exact backend of the highest priority that did not make a program; `maker` if there is no other.
+
+    Where the maker is not known it is taken to be the default one.
+    """
+    maker = maker or registry.default_backend()
+    others = [
+        name
+        for name in registry.house_slicers()
+        if name != maker and registry.slicer(name).exact and registry.probe(name).available
+    ]
+    return max(others, key=lambda name: registry.slicer(name).priority, default=maker)

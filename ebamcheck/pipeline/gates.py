@@ -160,7 +160,12 @@ def heat_gate(checks: Iterable[Check], metrics: pd.DataFrame, config: Config) ->
         over = f", over {limit_k:.0f} K" if planned_k > limit_k else ""
         layer = int(planned.argmax()) + 1
         said = f"a bead of layer {layer} is planned to be entered at {figure_k:.0f} K{mark}{over}"
-    passed = text.passed and planned_k <= limit_k and melting.passed
+    # A plan without a heat model has no figure at all; one with a model has one for every layer that is laid.
+    laid = metrics[["contour_length_mm", "hatch_length_mm"]].sum(axis=1) > 0.0
+    unknown = np.flatnonzero(laid & planned.isna()) if planned.notna().any() else np.zeros(0, np.int64)
+    passed = text.passed and planned_k <= limit_k and melting.passed and not unknown.size
+    if unknown.size:
+        said = f"the plan has no temperature for layer {int(unknown[0]) + 1}, which has beads; {said}"
     if not melting.passed:
         said = f"{melting.text}; {said}"
     return Gate("heat", passed, figure_k, limit_k, "K", said)

@@ -11,20 +11,18 @@ from ebamcheck import __version__, inspection, mesh_files, registry
 from ebamcheck.backend import BackendSettings
 from ebamcheck.config import Config
 from ebamcheck.errors import ExitCode, SettingsError
-from ebamcheck.findings import Finding, has_fault
-from ebamcheck.heights import checked_heights, is_rising, layer_heights
-from ebamcheck.part import Part
+from ebamcheck.findings import has_fault
 from ebamcheck.pipeline import gates, noticed
 from ebamcheck.pipeline.certificate import write_certificate
 from ebamcheck.pipeline.choice import chosen_backends, primary_backend, unavailable_backends
 from ebamcheck.pipeline.cross_check import CrossCheck, cross_check
 from ebamcheck.pipeline.gates import Gate
+from ebamcheck.pipeline.placement import cut_heights, placed_part
 from ebamcheck.pipeline.programming import make_program
 from ebamcheck.pipeline.record import manifest as make_manifest
 from ebamcheck.pipeline.work import Job, Observer, Silent
 from ebamcheck.process_window import checked_window, outside_window, unusual_layers
 from ebamcheck.program.heat_paths import PATH_FILES
-from ebamcheck.rings import Floats
 from ebamcheck.store import FINGERPRINT, MANIFEST, RunFolder, sha256_of_json, start_run, write_json
 
 
@@ -111,15 +109,17 @@ def _job(
 ) -> RunResult:
     """Cross-check a part in a run folder, and make the program where one is wanted."""
     observer = observer or Silent()
-    part, turned = _placed_part(part_path, config)
-    heights = _heights(part, config)
+    part, turned, facets = placed_part(part_path, config)
+    heights = cut_heights(part, config)
     backends = chosen_backends(config)
     fingerprint = sha256_of_json(
         [kind, part.sha256, config.model_dump(), heights, list(backends), __version__, *inputs]
     )
     found = inspection.inspect(part)
     job = Job(kind, config, observer, part, found, heights, start_run(Path(target), fingerprint, resume))
-    job.add_finding(*turned, *noticed.of_part(found, config))
+    if turned:
+        job.add_finding(noticed.turned_over(turned, facets))
+    job.add_finding(*noticed.of_part(found, config))
     # A job without a program may cut layers that no process can lay.
     job.add_finding(*outside_window(config, "warning"), *unusual_layers(config))
     try:
@@ -149,9 +149,10 @@ def _finished(
         code = ExitCode.OUT_OF_TOLERANCE
     manifest = make_manifest(job, outcomes, checked.comparison, shut, _primary(job, checked), code)
     write_json(manifest, job.folder.path / MANIFEST)
-    if program is not None:
-        write_certificate(RunFolder(job.folder.path))
     _write_reports(job)
+    if program is not None:
+        # Last of all: it lists every file, and so finds any byte that is changed after it.
+        write_certificate(RunFolder(job.folder.path))
     (job.folder.path / FINGERPRINT).unlink()
     return RunResult(job.folder.finish(), tuple(shut), code, manifest)
 
@@ -160,24 +161,6 @@ def _primary(job: Job, checked: CrossCheck) -> str:
     """Backend whose contours go on; none where it has found no contour."""
     name = primary_backend(job.config, checked.done)
     return name if name and checked.comparison.stacks[name]["rings"].any() else ""
-
-
-def _placed_part(path: str | Path, config: Config) -> tuple[Part, list[Finding]]:
-    """Read the part, mend it if asked to, and turn it; and what was mended."""
-    part, turned = mesh_files.load(path, config.part.units), 0
-    if config.part.fix_orientation:
-        part, turned = inspection.fix_orientation(part)
-    mended = [noticed.turned_over(turned, len(part.faces))] if turned else []
-    return part.along(config.part.direction), mended
-
-
-def _heights(part: Part, config: Config) -> Floats:
-    if config.layers.heights_mm:
-        heights = checked_heights(config.layers.heights_mm)
-        if not is_rising(heights):
-            raise SettingsError("layers.heights_mm must rise from layer to layer: sort them and drop repeats")
-        return heights
-    return layer_heights(part, config.layer_height_mm)
 
 
 def _write_reports(job: Job) -> None:

@@ -10,11 +10,13 @@ import pandas as pd
 
 from ebamcheck.config import Config
 from ebamcheck.findings import Finding, at_layer
+from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.inspection import Inspection
 from ebamcheck.isolate import Outcome
 from ebamcheck.program import Check
 from ebamcheck.program.dialects import STOCK
 from ebamcheck.program.inputs import deposition_heights
+from ebamcheck.program.interpass_checks import INTERPASS, within_range
 from ebamcheck.program.motions import NCProgram
 from ebamcheck.program.seam_corners import seam_turns
 from ebamcheck.rings import Floats
@@ -175,6 +177,11 @@ METAL: Mapping[str, tuple[str, str]] = {
     "metal of layers": ("metal-excess", "look at that layer in deposit.csv"),
     "height inside": ("metal-excess", "change the bead spacing, or the side of the hexagons"),
     "height at edges": ("metal-excess", "change the inset of the contour beads (scan.contour_offset_mm)"),
+    "height of layers": ("metal-excess", "look at that layer in deposit.csv"),
+    "height of zones": (
+        "metal-excess",
+        "look at that place in the picture of the metal; turn the cells, or use a narrower bead",
+    ),
     "surface": ("metal-excess", "turn the cells and the hatch from layer to layer, or use a narrower bead"),
 }
 """Code and remedy of each check of the metal that fails."""
@@ -256,6 +263,49 @@ def of_interpass(summary: pd.DataFrame, plan: ScanPlan, config: Config) -> Itera
             power_w,
             "W",
         )
+
+
+def of_limit(checks: Iterable[Check], plan: ScanPlan, config: Config) -> Iterator[Finding]:
+    """Layers that the plan, or the balance of the program's text, enters above the interpass limit; see the gate `heat`."""
+    limit_k, metrics = entry_limit_k(config), plan.metrics
+    at_bead = config.process.interpass_at == "bead"
+    planned_k = (
+        metrics["entry_max_k"] + config.process.ambient_temperature_k if at_bead else metrics["enter_k"]
+    )
+    hot = np.flatnonzero(planned_k.to_numpy(np.float64) > limit_k)
+    what = "beads" if at_bead else "layers"
+    if hot.size:
+        k = int(hot[planned_k.to_numpy()[hot].argmax()])
+        figure_k, mark = within_range(float(planned_k[k]), config)
+        yield Finding(
+            "fault",
+            "interpass-limit",
+            f"the plan enters {what} above {limit_k:.0f} K in {hot.size} of {len(plan)} layers, the hottest at "
+            f"{figure_k:.0f} K{mark}",
+            at_layer(k, float(plan.heights[k])),
+            figure_k,
+            limit_k,
+            "K",
+            _cooler(config),
+        )
+        return
+    for check in checks:
+        if check.name == INTERPASS and not check.passed:
+            yield Finding(
+                "fault", "interpass-limit", check.text, check.where, check.value, limit_k, check.unit,
+                "wait and lower the power as the plan has it: make the program again",
+            )  # fmt: skip
+
+
+def _cooler(config: Config) -> str:
+    """What is left to keep a layer under the limit, by the settings that it has been planned with."""
+    process = config.process
+    if process.interpass == "off":
+        return 'wait and lower the power (process.interpass = "both")'
+    if process.interpass == "power":
+        return 'wait as well (process.interpass = "both"): the least power that melts the wire is too much'
+    base = ", cool the table (process.base)" if process.base != "cooled" else ""
+    return f"no wait is long enough: raise the limit (process.interpass_limit_k){base}, or lower the power further"
 
 
 def of_seams(program: NCProgram, heights: Floats, config: Config) -> Iterator[Finding]:

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 
+import numpy as np
+
 from ebamcheck import registry
 from ebamcheck.config import Config
 from ebamcheck.curves import LIFTED, Curves, fit
@@ -25,6 +27,7 @@ from ebamcheck.program.deposit import deposit
 from ebamcheck.program.deposit_checks import deposit_checks
 from ebamcheck.program.events import event_totals, process_events
 from ebamcheck.program.inputs import deposition_heights
+from ebamcheck.program.metal_field import FIELD_FILE, write_field
 from ebamcheck.program.motions import NCProgram
 from ebamcheck.program.text_heat import build_times_s, known_sections
 from ebamcheck.program.toolpath import Toolpath
@@ -132,6 +135,9 @@ def _weighed(job: Job, program: NCProgram, witness: Layers) -> list[Check]:
     z_of = deposition_heights(witness.heights, job.config.layer_height_mm)
     found = deposit(program, witness, z_of, job.config)
     found.layers.to_csv(job.folder.path / "deposit.csv", index=False)
+    if found.worst >= 0:
+        thickness_mm = float(np.diff(z_of, prepend=0.0)[found.worst])
+        write_field(job.folder.path / FIELD_FILE, found.fields[found.worst], found.worst, thickness_mm)
     checks = deposit_checks(program, found, job.config)
     job.add_finding(*noticed.of_metal(checks))
     return checks
@@ -165,6 +171,7 @@ def _write_and_verify(
             sha256=files.sha256,
             section_tolerance_mm=gates.section_tolerance_mm(fit_mm),
         )
+    job.add_finding(*noticed.of_limit(checks, plan, job.config))
     checks += _weighed(job, program, witness)
     summary = program_summary(program, job.config)
     summary.to_csv(job.folder.path / "program.csv", index=False)

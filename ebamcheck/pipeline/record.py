@@ -76,6 +76,7 @@ def manifest(
         "timings": {
             "finished": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
             "machine": platform.machine(),
+            "part_path": str(Path(job.part.source).resolve()),
             "stages_s": job.timings,
             "backends": {
                 name: {"prepare_s": o.prepare_s, "slice_s": o.slice_s, "peak_mb": o.peak_mb}

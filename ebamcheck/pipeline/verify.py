@@ -2,43 +2,58 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ebamcheck import mesh_files, registry
 from ebamcheck.config import Config, validated
 from ebamcheck.curves import LIFTED, Curves, fit, fit_deviation
-from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.heights import checked_heights, layer_heights
+from ebamcheck.errors import EbamcheckError, InputError, SettingsError
 from ebamcheck.inspection import inspect
-from ebamcheck.pipeline.certificate import (
+from ebamcheck.part import Part
+from ebamcheck.pipeline.certificate import find_certificate, find_record, read_certificate
+from ebamcheck.pipeline.certificate_checks import (
     certificate_checks,
-    find_certificate,
-    read_certificate,
+    file_check,
+    file_hash,
+    hash_check,
     run_certificate_checks,
     told_once,
 )
+from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.gates import fit_distance_mm, section_tolerance_mm
+from ebamcheck.pipeline.gates_again import SMOOTH_MM, compared, work_again
+from ebamcheck.pipeline.placement import cut_heights, placed_part
+from ebamcheck.pipeline.signing import trusted_keys
 from ebamcheck.program import Check, verify_file
 from ebamcheck.scan import ScanPlan
 from ebamcheck.slicing import slice_part
-from ebamcheck.store import MANIFEST, RunFolder, sha256_of_file, sha256_of_json
-
-SMOOTH_MM = 0.002
-"""Chords of the smooth sections: far under the tolerance of the fit."""
+from ebamcheck.store import MANIFEST, RunFolder, sha256_of_json
 
 
-def verify(target: str | Path, part: str | Path | None = None, config: Config | None = None) -> list[Check]:
-    """Check a finished run, or a program against a part, from the program's text.
+def verify(
+    target: str | Path,
+    part: str | Path | None = None,
+    config: Config | None = None,
+    *,
+    quick: bool = False,
+    trusted: Sequence[str | Path] = (),
+) -> list[Check]:
+    """Check a finished run, or a program against a part, from part, settings and the program's text.
 
     Parameters
     ----------
     target
         A run folder, or a program: the file that is started, or its folder.
     part
-        File of the part; a program by itself needs it.
+        File of the part; a program by itself needs it, and a run whose part is no longer where it was.
     config
-        Settings for a program by itself; the default ones if None. A run folder has its own.
+        Settings for a program by itself; None: those of the run that it lies in, else the default ones. A run
+        folder has its own.
+    quick
+        Of a run: believe its recorded layers and gates, as far as their hashes hold, and slice nothing anew.
+    trusted
+        Files and folders of public keys (``*.pub``); if any are given, one of them must have signed the certificate.
 
     Returns
     -------
@@ -48,70 +63,123 @@ def verify(target: str | Path, part: str | Path | None = None, config: Config | 
     Raises
     ------
     InputError
-        If there is no such target, or it cannot be read.
+        If there is no such target, it cannot be read, or a trusted key is none.
     SettingsError
-        If the target is no run folder and no part is given.
+        If the target is no run folder and no part is given, or the part of a run is not found.
     """
     place, made_from = Path(target), None if part is None else Path(part)
+    keys = trusted_keys(trusted) if trusted else None
     if (place / MANIFEST).is_file():
-        return verify_run(place, made_from)
+        return verify_run(place, made_from, quick=quick, trusted=keys)
     if not place.exists():
         raise InputError(f"{place}: there is no such run folder or program")
     if made_from is None:
         raise SettingsError(f"{place}: is no run folder: to verify a program, name its part with --part")
-    return verify_against_part(place, made_from, config or Config())
+    return verify_against_part(place, made_from, config or settings_beside(place), keys)
 
 
-def verify_run(folder: Path, part: Path | None = None) -> list[Check]:
-    """Check that a run folder is what it says: hashes of settings, programs and part, and the programs anew.
+def settings_beside(program: Path) -> Config:
+    """Settings of the run that a program lies in; the default ones where it lies in none."""
+    record = find_record(program)
+    if record is None:
+        return Config()
+    return validated(RunFolder(record.parent).manifest()["settings"], f"{record}: settings")
+
+
+# -- a run -------------------------------------------------------------------------------------------
+
+
+def verify_run(
+    folder: Path,
+    part: Path | None = None,
+    *,
+    quick: bool = False,
+    trusted: dict[bytes, str] | None = None,
+) -> list[Check]:
+    """Check that a run folder is what it says: its hashes and certificate, and every gate worked out again.
 
     Parameters
     ----------
     folder
         A finished run folder.
     part
-        The part's file; without it, the part's hash is not checked.
+        The part's file; None: where it was when the run was made, or beside the run folder.
+    quick
+        Believe recorded layers and gates, as far as their hashes hold.
+    trusted
+        Raw public keys with their names, of which one must have signed; None: no signature is asked for.
 
     Raises
     ------
     InputError
         If the folder is no run folder, or its record lacks something.
+    SettingsError
+        If the part is not found.
     """
     run = RunFolder(folder)
     manifest = run.manifest()
     try:
-        return _verify(run, manifest, part)
+        return _verify(run, manifest, part, quick, trusted)
     except (KeyError, TypeError, IndexError) as error:
         raise InputError(f"{folder / MANIFEST}: is not whole: {type(error).__name__} at {error}") from None
 
 
-def _verify(run: RunFolder, manifest: dict[str, Any], part: Path | None) -> list[Check]:
-    checks = [
-        _hash_check(
-            "settings unchanged",
-            sha256_of_json(manifest["settings"]),
-            manifest["settings_sha256"],
-            "run.json",
-        )
-    ]
-    checks += run_certificate_checks(run, manifest)
-    files = [_file_check(run.path / name, name, sha256) for name, sha256 in manifest["files"].items()]
-    checks += told_once(files)
-    untouched = all(check.passed for check in checks)
+def _verify(
+    run: RunFolder,
+    manifest: dict[str, Any],
+    part: Path | None,
+    quick: bool,
+    trusted: dict[bytes, str] | None,
+) -> list[Check]:
+    recorded = sha256_of_json(manifest["settings"])
+    checks = [hash_check("settings unchanged", recorded, manifest["settings_sha256"], MANIFEST)]
+    checks += run_certificate_checks(run, manifest, trusted)
+    checks += told_once([file_check(run.path / name, name, h) for name, h in manifest["files"].items()])
+    # Checked by other settings or against other layers, the program would say nothing about this run.
+    untouched = all(check.passed for check in checks if check.name != "signature")
+    config = validated(manifest["settings"], f"{MANIFEST}: settings")
+    if not quick:
+        path = part or _part_file(run, manifest)
+        checks.append(hash_check("part unchanged", file_hash(path), manifest["part"]["sha256"], path.name))
+        if not (untouched and checks[-1].passed):
+            return checks
+        return checks + compared_again(run, manifest, config, placed_part(path, config)[0])
     if part is not None:
-        checks.append(_hash_check("part unchanged", _file_hash(part), manifest["part"]["sha256"], part.name))
-    checks += _recorded_gates(manifest)
-    if not untouched:
-        # Checked by other settings or against other layers, the program would say nothing about this run.
-        return checks
+        checks.append(hash_check("part unchanged", file_hash(part), manifest["part"]["sha256"], part.name))
+    return checks + _recorded_gates(manifest) + (_text_alone(run, manifest, config) if untouched else [])
+
+
+def compared_again(run: RunFolder, manifest: dict[str, Any], config: Config, part: Part) -> list[Check]:
+    """Work every gate out again, and compare with the record; what does not fit the part at all is a failed check."""
+    try:
+        again = work_again(run, manifest, config, part)
+    except EbamcheckError as error:
+        return [Check("worked out again", False, 1.0, 0.0, "faults", str(run.path), str(error))]
+    if manifest.get("program") is None and manifest.get("job") != "check":
+        return [*compared(again, manifest), _no_program()]
+    return [*compared(again, manifest), *again.checks]
+
+
+def _part_file(run: RunFolder, manifest: dict[str, Any]) -> Path:
+    """File of the part of a run: where it was when the run was made, else beside the run folder."""
+    source = str(manifest["part"]["source"])
+    places = [Path(str(manifest["timings"].get("part_path", source))), run.path.resolve().parent / source]
+    for path in places:
+        if path.is_file():
+            return path
+    raise SettingsError(
+        f"{run.path}: its part {source!r} is neither at {places[0]} nor beside the run: name it with --part, "
+        "or ask for --quick, which slices nothing anew"
+    )
+
+
+def _text_alone(run: RunFolder, manifest: dict[str, Any], config: Config) -> list[Check]:
+    """Check the program's text against the layers, curves and plan that the run recorded."""
     record = manifest.get("program")
-    if record is None and manifest.get("job") == "check":
-        return checks
     if record is None:
-        return [*checks, Check("program", False, 1.0, 0.0, "faults", "", "the run wrote no program")]
-    config = validated(manifest["settings"], "run.json: settings")
-    recorded = {file["name"]: file["sha256"] for file in record["files"]}
-    checks += verify_file(
+        return [] if manifest.get("job") == "check" else [_no_program()]
+    fit_mm = max(float(manifest["fit"]["max_points_mm"]), float(manifest["fit"]["max_bulge_mm"]))
+    return verify_file(
         run.program_folder / record["files"][0]["name"],
         config=config,
         curves=Curves.from_parquet(run.path / "beads.parquet"),
@@ -119,16 +187,17 @@ def _verify(run: RunFolder, manifest: dict[str, Any], part: Path | None) -> list
         layers=run.read_layers(record["witness"]),
         metal=True,
         heat=True,
-        sha256=recorded,
-        section_tolerance_mm=section_tolerance_mm(
-            max(float(manifest["fit"]["max_points_mm"]), float(manifest["fit"]["max_bulge_mm"]))
-        ),
+        sha256={file["name"]: file["sha256"] for file in record["files"]},
+        section_tolerance_mm=section_tolerance_mm(fit_mm),
     )
-    return checks
+
+
+def _no_program() -> Check:
+    return Check("program", False, 1.0, 0.0, "faults", "", "the run wrote no program")
 
 
 def _recorded_gates(manifest: dict[str, Any]) -> list[Check]:
-    """The gates as the run recorded them."""
+    """The gates as the run recorded them, which a quick check does not work out again."""
     return [
         Check(
             f"gate {g['name']}",
@@ -136,14 +205,19 @@ def _recorded_gates(manifest: dict[str, Any]) -> list[Check]:
             float(g["figure"]),
             float(g["limit"]),
             g["unit"],
-            "run.json",
-            g["text"],
+            MANIFEST,
+            f"as recorded: {g['text']}",
         )
         for g in manifest["gates"]
     ]
 
 
-def verify_against_part(program: Path, part_path: Path, config: Config) -> list[Check]:
+# -- a program ---------------------------------------------------------------------------------------
+
+
+def verify_against_part(
+    program: Path, part_path: Path, config: Config, trusted: dict[bytes, str] | None = None
+) -> list[Check]:
     """Check a program from its text alone against the part that it should make.
 
     The part is sliced anew at the layers of the settings, by an exact backend that did not make the program where
@@ -156,22 +230,11 @@ def verify_against_part(program: Path, part_path: Path, config: Config) -> list[
     """
     if not program.exists():
         raise InputError(f"{program}: there is no such program")
-    part = mesh_files.load(part_path, config.part.units).along(config.part.direction)
+    part, _, _ = placed_part(part_path, config)
     found = inspect(part)
-    sound = Check(
-        "part sound",
-        found.passed,
-        float(not found.passed),
-        0.0,
-        "faults",
-        part_path.name,
-        f"{found.verdict}: {found.why}",
-    )
-    heights = checked_heights(
-        layer_heights(part, config.layer_height_mm)
-        if not config.layers.heights_mm
-        else config.layers.heights_mm
-    )
+    said = f"{found.verdict}: {found.why}"
+    sound = Check("part sound", found.passed, float(not found.passed), 0.0, "faults", part_path.name, said)
+    heights = cut_heights(part, config)
     paper = find_certificate(program)
     maker = str(read_certificate(paper).get("primary", "")) if paper else ""
     layers = slice_part(part, heights)
@@ -187,43 +250,5 @@ def verify_against_part(program: Path, part_path: Path, config: Config) -> list[
         heights=heights,
         section_tolerance_mm=section_tolerance_mm(fit_distance_mm(fit_deviation(curves, layers))),
     )
-    certified = certificate_checks(paper, program, part_path, config) if paper else []
+    certified = certificate_checks(paper, program, part_path, config, trusted) if paper else []
     return [*certified, sound, *made]
-
-
-def witness_backend(maker: str) -> str:
-    """Available exact backend of the highest priority that did not make a program; `maker` if there is no other.
-
-    Where the maker is not known it is taken to be the default one.
-    """
-    maker = maker or registry.default_backend()
-    others = [
-        name
-        for name in registry.house_slicers()
-        if name != maker and registry.slicer(name).exact and registry.probe(name).available
-    ]
-    return max(others, key=lambda name: registry.slicer(name).priority, default=maker)
-
-
-def _file_check(path: Path, name: str, recorded: str) -> Check:
-    """Check that a file of a run is there and is as the run wrote it."""
-    if not path.is_file():
-        return Check("file unchanged", False, 1.0, 0.0, "faults", name, "the file is missing")
-    return _hash_check("file unchanged", _file_hash(path), recorded, name)
-
-
-def _file_hash(path: Path) -> str:
-    try:
-        return sha256_of_file(path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
-
-
-def _hash_check(name: str, found: str, recorded: str, where: str) -> Check:
-    same = found == recorded
-    text = (
-        f"SHA-256 {recorded[:16]}..."
-        if same
-        else f"SHA-256 is {found[:16]}..., recorded is {recorded[:16]}..."
-    )
-    return Check(name, same, float(not same), 0.0, "faults", where, text)

@@ -20,13 +20,17 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.config import Config
 from ebamcheck.layers import Layers, valid_polygons
-from ebamcheck.metal import Surface, Target, target_of
+from ebamcheck.metal import Surface, Target, bead_centres, target_of
 from ebamcheck.metal.surface import FILM, HALF
+from ebamcheck.program.metal_field import LayerField
+from ebamcheck.program.metal_zones import NO_ZONES, zone_figures, zone_limit, zone_off
 from ebamcheck.program.motions import NCProgram
 from ebamcheck.program.templates import wire_mm2
+from ebamcheck.program.thin_walls import thinnest_wall
 from ebamcheck.program.wire import metal_region
 from ebamcheck.rings import Bools, Floats, Ints
 from ebamcheck.scan.regions import layer_section
+from ebamcheck.settings.process import ProcessSettings
 
 STEP_SHARE = 1.0 / 12.0
 """Distance of the places at which metal is laid, over the bead width: half a cell."""
@@ -36,7 +40,7 @@ HOLE_COLUMNS = ("layer", "x_mm", "y_mm", "width_mm", "covered")
 """Columns of the holes that are closed."""
 
 NO_SECTION = {
-    "wanted_mm3": 0.0, "inside_mm2": 0.0, "edge_mm2": 0.0, "inside": math.nan, "edge": math.nan,
+    "wanted_mm3": 0.0, **NO_ZONES,
     **{f"{name}_mm": 0.0 for name in ("low", "high", "reach")},
     **{f"{name}_{axis}_mm": math.nan for name in ("low", "high", "reach") for axis in "xy"},
 }  # fmt: skip
@@ -44,25 +48,6 @@ NO_SECTION = {
 
 CLOSED = 0.5
 """Share of a hole's area under metal from which on it counts as closed: what is left is no hole that a tool finds."""
-
-
-@dataclass(frozen=True, eq=False)
-class LayerField:
-    """The metal of one layer in the cells of its target, (rows, columns).
-
-    Parameters
-    ----------
-    target
-        Cells, and the share of each that lies in the section.
-    laid_mm
-        Height of the metal that the layer lays.
-    over_mm
-        Height of the surface over that of the layer when it is done; 0 without metal.
-    """
-
-    target: Target
-    laid_mm: Floats
-    over_mm: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,22 +59,29 @@ class Deposit:
     layers
         One row a layer: ``layer``, ``z_mm``, ``wanted_mm3``, ``laid_mm3``, ``outside_mm3`` (beside section and allowance),
         ``inside_mm2`` and ``edge_mm2`` (cells further than a bead width from the border, and the others), ``inside`` and
-        ``edge`` (mean height of the metal there over that of the layer; NaN without any), ``low_mm`` and ``high_mm``
-        (the surface under its height where beads run, and over it anywhere, when the layer is done), ``reach_mm`` (how far from the section there
-        is metal of :data:`~ebamcheck.metal.surface.FILM`), and where these three are, ``low_x_mm`` ... ``reach_y_mm``.
+        ``edge`` (mean height of the metal there over that of the layer; NaN without any), ``inside_settled`` and
+        ``edge_settled`` (the same when the metal has levelled), ``zone_settled``, ``zone_mm2`` and ``zone_tolerance`` of the
+        worst window (:mod:`ebamcheck.program.metal_zones`), ``inside_owed`` ... ``zone_owed`` (the height that would make the
+        surface right), ``low_mm`` and ``high_mm`` (the surface under its height where beads run or could, and over it
+        anywhere, when the layer is done), ``reach_mm`` (how far from the section there is metal of
+        :data:`~ebamcheck.metal.surface.FILM`), ``wall_mm`` (the thinnest wall under a bead, on layers with too much metal
+        beside them; else NaN), and where these five are, ``zone_x_mm`` ... ``wall_y_mm``.
     first_row
         (L,) first motion of each layer that lays metal, -1 without one.
     holes
         Holes of sections of which metal covers more than :data:`CLOSED`: ``layer``, ``x_mm``, ``y_mm`` (centroid), ``width_mm``
         (of a disc of the same area) and ``covered`` (share of the area).
     fields
-        Layers that were asked for, by their index.
+        Layers that were asked for, and the worst one, by their index.
+    worst
+        The layer of which surface, reach or a window comes nearest to its limit, or is furthest over it; -1 without any.
     """
 
     layers: pd.DataFrame
     first_row: Ints
     holes: pd.DataFrame
     fields: dict[int, LayerField]
+    worst: int
 
 
 def deposit(
@@ -113,23 +105,52 @@ def deposit(
     sections = [metal_region(layer_section(layers.polygons(k)), config) for k in range(len(layers))]
     some = [s for s in sections if not s.is_empty]
     bounds = np.asarray(shapely.total_bounds(some), np.float64) if some else np.zeros(4)
-    field = _Field(bounds, process.bead_width_mm)
+    field = _Field(bounds, process)
     with np.errstate(divide="ignore", invalid="ignore"):
         bead_mm2 = np.nan_to_num(nc.wire_mm_s * wire_mm2(config) / (nc.feed_mm_min / 60.0), posinf=0.0)
     found, holes, first = [], [], np.full(len(layers), -1, np.int64)
     fields: dict[int, LayerField] = {}
+    worst, most = -1, -math.inf
     for k, section in enumerate(sections):
         mine = rows[index == k]
         if mine.size:
             first[k] = mine[0]
         places, volume = _metal(nc, mine, bead_mm2, process.bead_width_mm * STEP_SHARE)
         figures, laid = field.add(section, places, volume, float(thickness[k]))
-        if k in keep:
+        badness = over_limits(figures, process) if section.area > 0.0 else -math.inf
+        if badness > most:
+            if worst not in keep:
+                fields.pop(worst, None)
+            worst, most = k, badness
+        if k in keep or k == worst:
             fields[k] = laid
-        found.append({"layer": k, "z_mm": float(z_of[k]), **figures})
+        found.append({"layer": k, "z_mm": float(z_of[k]), **figures, **_wall(section, figures, process)})
         if figures["reach_mm"] > 0.0:
             holes += [{"layer": k, **hole} for hole in _closed_holes(section, laid, float(thickness[k]))]
-    return Deposit(pd.DataFrame(found), first, pd.DataFrame(holes, columns=list(HOLE_COLUMNS)), fields)
+    table = pd.DataFrame(holes, columns=list(HOLE_COLUMNS))
+    return Deposit(pd.DataFrame(found), first, table, fields, worst)
+
+
+def _wall(section: BaseGeometry, figures: dict[str, float], process: ProcessSettings) -> dict[str, float]:
+    """Thinnest wall under a bead of a layer with too much metal beside it, and where it is; else NaN."""
+    beside = figures["outside_mm3"] > process.outside_share * figures["laid_mm3"]
+    wall = None
+    if beside or figures["reach_mm"] > process.outside_reach_mm:
+        wall = thinnest_wall(section, process.bead_width_mm)
+    if wall is None:
+        return {"wall_mm": math.nan, "wall_x_mm": math.nan, "wall_y_mm": math.nan}
+    return {"wall_mm": wall.width_mm, "wall_x_mm": wall.x_mm, "wall_y_mm": wall.y_mm}
+
+
+def over_limits(figures: dict[str, float], process: ProcessSettings) -> float:
+    """Surface, reach and worst window of a layer over their limits: the greatest of the three."""
+    off = zone_off(figures["zone_settled"], figures["zone_owed"])
+    zone = float(off / zone_limit(figures["zone_tolerance"], figures["zone_mm2"], process))
+    return max(
+        max(figures["low_mm"], figures["high_mm"]) / process.largest_unevenness_mm,
+        figures["reach_mm"] / process.outside_reach_mm,
+        0.0 if math.isnan(zone) else zone,
+    )
 
 
 def _metal(nc: NCProgram, rows: Ints, bead_mm2: Floats, step_mm: float) -> tuple[Floats, Floats]:
@@ -142,7 +163,8 @@ def _metal(nc: NCProgram, rows: Ints, bead_mm2: Floats, step_mm: float) -> tuple
 class _Field:
     """Metal laid on the surface of a part, layer by layer."""
 
-    def __init__(self, bounds: Floats, bead_width_mm: float) -> None:
+    def __init__(self, bounds: Floats, process: ProcessSettings) -> None:
+        self._process, bead_width_mm = process, process.bead_width_mm
         self._surface = Surface(bounds, bead_width_mm)
         self._bead_mm = bead_width_mm
         radius = 0.5 * bead_width_mm / self._surface.step_mm
@@ -163,6 +185,7 @@ class _Field:
         share, inside = target.share, target.share >= HALF
         melted = _spread(target, places, volume) / step**2
         laid = ndimage.convolve(melted, self._pool, mode="constant")
+        before = self._surface.over_mm(target)
         self._surface.add(target, laid, thickness_mm)
         deep = inside & (_distance(inside) * step > self._bead_mm)
         rim = inside & ~deep
@@ -171,17 +194,15 @@ class _Field:
         reach = np.where(film, (_distance(~inside) - 0.5) * step, 0.0) if film.any() else np.zeros_like(laid)
         wanted = share * thickness_mm
         over = self._surface.over_mm(target)
+        runs = (melted > 0.0) | bead_centres(inside, self._bead_mm / step)
         figures = {
             "wanted_mm3": float(wanted.sum() * step**2),
             "laid_mm3": float(volume.sum()),
             # What falls beside all cells is outside, too.
             "outside_mm3": float(volume.sum() - (laid * share).sum() * step**2),
-            "inside_mm2": float(deep.sum() * step**2),
-            "edge_mm2": float(rim.sum() * step**2),
-            "inside": _ratio(laid, wanted, deep),
-            "edge": _ratio(laid, wanted, rim),
-            # Too low matters where the wire runs; the tip of a wedge, which no bead reaches, stays bare.
-            **_extreme("low", np.where(melted > 0.0, -over, 0.0), target),
+            **zone_figures(target, laid, before, (deep, rim), thickness_mm, self._process),
+            # Too low matters where a bead runs or could; the tip of a wedge, which none reaches, stays bare.
+            **_extreme("low", np.where(runs, -over, 0.0), target),
             **_extreme("high", over, target),
             **_extreme("reach", reach, target),
         }
@@ -241,8 +262,3 @@ def _extreme(name: str, height: Floats, target: Target) -> dict[str, float]:
         f"{name}_x_mm": float(x),
         f"{name}_y_mm": float(y),
     }
-
-
-def _ratio(laid: Floats, wanted: Floats, zone: Bools) -> float:
-    whole = float(wanted[zone].sum())
-    return float(laid[zone].sum()) / whole if whole > 0.0 else math.nan

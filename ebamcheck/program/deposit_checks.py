@@ -14,11 +14,14 @@ import pandas as pd
 from ebamcheck.config import Config
 from ebamcheck.program.checks import Check
 from ebamcheck.program.deposit import Deposit
+from ebamcheck.program.metal_zones import tolerances, zone_limit, zone_off
 from ebamcheck.program.motions import NCProgram
-from ebamcheck.rings import Bools, Floats
+from ebamcheck.program.thin_walls import narrow_bead
+from ebamcheck.settings.process import ProcessSettings
 
 DEPOSIT_CHECKS = (
-    "metal", "metal of layers", "metal outside", "reach of metal", "holes", "height inside", "height at edges", "surface",
+    "metal", "metal of layers", "metal outside", "reach of metal", "holes", "height inside", "height at edges",
+    "height of layers", "height of zones", "surface",
 )  # fmt: skip
 """Names of the checks, in their order."""
 
@@ -26,11 +29,12 @@ LEAST_SPOTS = 1.0
 """Bead spots (a bead width squared, one layer high) by which the metal of a layer may be off in any case: the starts and
 ends of its beads."""
 
+LEAST_ZONE = 25.0
+"""Zones of a layer under this many squared bead widths do not count for the mean over all layers; each layer's own, however
+small, has a limit by its size."""
+
 LAYER_OUTSIDE = 3.0
 """A single layer may have so many times the share of metal outside that the whole program may."""
-
-LEAST_ZONE = 25.0
-"""Zones of a layer under this many squared bead widths have no mean height worth a check: a few beads."""
 
 
 def deposit_checks(nc: NCProgram, found: Deposit, config: Config) -> list[Check]:
@@ -45,8 +49,10 @@ def deposit_checks(nc: NCProgram, found: Deposit, config: Config) -> list[Check]
         _outside(solid, config, places),
         _reach(solid, config, places),
         _holes(found, places),
-        _zone(solid, "inside", "height inside", config.process.inside_tolerance, config, places),
-        _zone(solid, "edge", "height at edges", config.process.edge_tolerance, config, places),
+        _zone(solid, "inside", "height inside", config, places),
+        _zone(solid, "edge", "height at edges", config, places),
+        _of_zones(solid, ("inside", "edge"), "height of layers", config, places),
+        _of_zones(solid, ("zone",), "height of zones", config, places),
         _surface(solid, config, places),
     ]
 
@@ -103,6 +109,8 @@ def _outside(solid: pd.DataFrame, config: Config, places: _Places) -> Check:
         f"{100 * whole:.2f} % of the metal lies beside the part, most {100 * share[k]:.2f} % of a layer: "
         f"{_named(solid.iloc[k])}"
     )
+    if worst > limit:
+        text += _of_wall(solid, k, config)
     where = places.of(int(solid["layer"].iloc[k]))
     return Check("metal outside", worst <= limit, worst, limit, "of the metal", where, text)
 
@@ -118,10 +126,21 @@ def _reach(solid: pd.DataFrame, config: Config, places: _Places) -> Check:
         text += (
             "; a wall or a hole there is narrower than the bead: allow for machining, or use a narrower bead"
         )
+        text += _of_wall(solid, k, config)
     where = places.of(int(row["layer"]))
     return Check(
         "reach of metal", bool(row["reach_mm"] <= limit), float(row["reach_mm"]), limit, "mm", where, text
     )
+
+
+def _of_wall(solid: pd.DataFrame, k: int, config: Config) -> str:
+    """What a bead takes that is as narrow as the thinnest wall of a layer, row `k`; empty where beads fit its walls."""
+    row = solid.iloc[k]
+    if not math.isfinite(row["wall_mm"]):
+        return ""
+    thickness = float(np.diff(solid["z_mm"].to_numpy(), prepend=0.0)[k])
+    bead = narrow_bead(float(row["wall_mm"]), thickness, config)
+    return f"; the wall at ({row['wall_x_mm']:.1f}, {row['wall_y_mm']:.1f}) is {row['wall_mm']:.1f} mm thick: {bead}"
 
 
 def _holes(found: Deposit, places: _Places) -> Check:
@@ -138,23 +157,50 @@ def _holes(found: Deposit, places: _Places) -> Check:
     return Check("holes", False, float(len(holes)), 0.0, "holes", places.of(layer), text)
 
 
-def _zone(solid: pd.DataFrame, zone: str, name: str, limit: float, config: Config, places: _Places) -> Check:
+def _zone(solid: pd.DataFrame, zone: str, name: str, config: Config, places: _Places) -> Check:
     """Mean height of the metal in a zone over all layers, and the layer where it is furthest off."""
     area, height = solid[f"{zone}_mm2"].to_numpy(), solid[zone].to_numpy()
-    wide: Bools = area >= LEAST_ZONE * config.process.bead_width_mm**2
+    limit = float(tolerances(solid[:1], zone, config.process)[0])
+    wide = area >= LEAST_ZONE * config.process.bead_width_mm**2
     if not wide.any():
         return Check(
-            name, True, 0.0, limit, "of the height", "", f"no layer is wide enough to have one ({zone})"
+            name, True, 0.0, limit, "of the height", "", f"no layer is wide enough for a mean ({zone})"
         )
     mean = float(np.average(height[wide], weights=area[wide]))
-    off: Floats = np.where(wide, np.abs(height - 1.0), -1.0)
-    k = int(np.argmax(off))
+    k = int(np.argmax(np.where(wide, np.abs(height - 1.0), -1.0)))
     text = (
         f"metal is {mean:.3f} layers high on average, furthest off {height[k]:.3f}: {_named(solid.iloc[k])}"
     )
     worst = abs(mean - 1.0)
     where = places.of(int(solid["layer"].iloc[k]))
     return Check(name, worst <= limit, worst, limit, "of the height", where, text)
+
+
+def _of_zones(
+    solid: pd.DataFrame, zones: tuple[str, ...], name: str, config: Config, places: _Places
+) -> Check:
+    """Mean heights of zones on every single layer: the one furthest off for its size."""
+    process = config.process
+    rows = [
+        (float(share), k, zone, float(off), float(limit))
+        for zone in zones
+        for k, (off, limit, share) in enumerate(_judged(solid, zone, process))
+        if math.isfinite(share)
+    ]
+    if not rows:
+        return Check(name, True, 0.0, process.edge_tolerance, "of the height", "", "no layer has metal")
+    _, k, zone, off, limit = max(rows)
+    row = solid.iloc[k]
+    what = {"inside": "inside", "edge": "at its edges", "zone": f"on {row[f'{zone}_mm2']:.0f} mm2"}[zone]
+    text = f"a layer's metal is {row[f'{zone}_settled']:.3f} layers high {what}: {_named(row, 'zone' if zone == 'zone' else '')}"
+    return Check(name, off <= limit, off, limit, "of the height", places.of(int(row["layer"])), text)
+
+
+def _judged(solid: pd.DataFrame, zone: str, process: ProcessSettings) -> np.ndarray:
+    """How far a zone is off on each layer, its limit, and one over the other, (n, 3); NaN where the layer has none."""
+    off = zone_off(solid[f"{zone}_settled"], solid[f"{zone}_owed"])
+    limit = zone_limit(tolerances(solid, zone, process), solid[f"{zone}_mm2"], process)
+    return np.column_stack([off, limit, off / limit])
 
 
 def _surface(solid: pd.DataFrame, config: Config, places: _Places) -> Check:

@@ -216,7 +216,7 @@ def event_totals(events: pd.DataFrame, layers: int, config: Config) -> pd.DataFr
     -------
     DataFrame
         Columns `layer`, `contour_mm`, `hatch_mm`, `turn_mm`, `wall_mm`, `gap_mm`, `travel_mm`, `starts`, `deposit_s`,
-        `travel_s`, `wait_s`, `wire_mm`, `wire_kg`.
+        `travel_s`, `wait_s` (before it and within it), `wire_mm`, `wire_kg`.
     """
     layer, role = events["layer"].to_numpy(), events["role"].to_numpy()
     metal = ~np.isin(role, (MOVE, WAIT))

@@ -14,14 +14,18 @@ from ebamcheck.rings import Floats
 
 
 def layer_pauses_s(nc: NCProgram) -> Floats:
-    """Time that the program waits within each layer, and after it before the next, (L,) s."""
+    """Time that the program waits before each layer and within it, (L,) s: a wait is of the layer of the metal after it.
+
+    What no metal follows is of the last layer that has any.
+    """
     paused = np.array([name == PAUSE for name in nc.events.name], np.bool_)
-    # An event stands after as many motions as its row says: the last of them in a layer tells which.
-    known = np.concatenate([[-1], np.maximum.accumulate(nc.layer)])
-    after = known[nc.events.row[paused]]
-    seconds = np.where(after >= 0, nc.events.value[paused], 0.0)
+    laid = np.flatnonzero(nc.deposit & (nc.layer >= 0))
     count = len(nc.layer_files)
-    return np.bincount(np.maximum(after, 0), seconds, minlength=count).astype(np.float64)[:count]
+    if not laid.size:
+        return np.zeros(count)
+    following = np.searchsorted(laid, nc.events.row[paused])
+    layer = nc.layer[laid[np.minimum(following, laid.size - 1)]]
+    return np.bincount(layer, nc.events.value[paused], minlength=count).astype(np.float64)
 
 
 def program_summary(nc: NCProgram, config: Config) -> pd.DataFrame:
@@ -34,7 +38,7 @@ def program_summary(nc: NCProgram, config: Config) -> pd.DataFrame:
     -------
     DataFrame
         Columns `layer`, `file`, `z_mm`, `motions`, `contour_mm`, `hatch_mm` (turns included), `travel_mm`,
-        `deposit_s`, `travel_s`, `pause_s` (the waits within it and after it), `wire_mm`, `wire_kg`.
+        `deposit_s`, `travel_s`, `pause_s` (the waits before it and within it), `wire_mm`, `wire_kg`.
     """
     process = config.process
     count = len(nc.layer_files)

@@ -145,8 +145,7 @@ def text_bed_k(beads: TextBeads, config: Config, shapes: Sequence[LayerShape]) -
     bed_k, leave_k = np.zeros(len(beads)), np.full(len(shapes), np.nan)
     enters = beads.enters_layer
     for n in range(len(beads)):
-        column.advance(float(beads.move_s[n]))
-        column.advance(float(beads.wait_s[n]))
+        column.advance(float(beads.move_s[n] + beads.wait_s[n]))
         bed_k[n] = column.bed_k
         layer = int(beads.layer[n])
         if enters[n] and shapes[layer].area_mm2 > 0.0:

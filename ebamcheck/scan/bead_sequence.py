@@ -1,4 +1,8 @@
-"""The beads of a layer in the sequence in which they are laid: contours, then islands; and the time that each takes."""
+"""The beads of a layer in the sequence in which they are laid: contours, then islands; and the time that each takes.
+
+Where a contour starts is not known before its curve is fitted: the ways to it and from it are counted by the shortest
+ones, so that the program never comes sooner, and finds the part no warmer, than planned.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +47,7 @@ def bead_sequence(laid: LaidLayer, islands: LayerIslands, order: Ints) -> tuple[
     count = np.array([_pieces(ring.length, profile) for ring in rings], np.int64)
     ring_s = np.array([ring.length for ring in rings]) / speed
     model = islands.cold_heat.model if len(islands) else None
-    entry, leave = (np.array([ring.coords[0] for ring in rings]).reshape(-1, 2) for _ in range(2))
+    entry = leave = np.zeros((0, 2))
     columns, times = [_along(rings, count, model)], [np.repeat(ring_s / np.maximum(count, 1), count)]
     shares, taken = [np.ones(int(count.sum()))], np.zeros(0, np.int64)
     if len(order):
@@ -52,16 +56,17 @@ def bead_sequence(laid: LaidLayer, islands: LayerIslands, order: Ints) -> tuple[
         columns.append(uneven(islands.cold_heat.mean[:, taken], islands.cold_heat.model))
         times.append(path.beam_s + path.off_s)
         shares.append(path.beam_s / times[-1])
-        entry, leave = np.vstack([entry, path.entry]), np.vstack([leave, path.leave])
-    # Where the beam comes from is not known of the first: it comes down there.
-    move_mm = np.concatenate([np.zeros(len(entry[:1])), np.hypot(*(entry[1:] - leave[:-1]).T)])
+        entry, leave = path.entry, path.leave
+    move_mm = np.concatenate([_to_rings(rings, entry), np.hypot(*(entry[1:] - leave[:-1]).T)])
+    up_and_down_mm = 2.0 * profile.machine.safe_height_mm
     rises = _rises(move_mm, profile)
-    rises[:1] = 2.0 * profile.machine.safe_height_mm
+    rises[:1] = up_and_down_mm
     sizes = np.concatenate([count, np.ones(len(taken), np.int64)])
     beads = Beads(
         pieces=np.ascontiguousarray(np.concatenate(columns, axis=1)),
         first=np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
         move_s=(move_mm + rises) / rapid,
+        rise_s=(up_and_down_mm - rises) / rapid,
         time_s=np.concatenate(times),
         on=np.concatenate(shares),
         rings=len(rings),
@@ -106,6 +111,13 @@ def _rises(move_mm: Floats, profile: Config) -> Floats:
     """Way up and down on moves with the beam off, mm."""
     far = move_mm > NEAR_SPACINGS * profile.process.hatch_spacing_mm
     return np.where(far, 2.0 * profile.machine.safe_height_mm, 0.0)
+
+
+def _to_rings(rings: list[shapely.LinearRing], entry: Floats) -> Floats:
+    """Shortest ways to each contour and from the last one to the first island, mm; to the first bead none is known."""
+    stops = [*rings, *(shapely.Point(place) for place in entry[:1])]
+    ways = shapely.distance(np.array(stops[:-1], object), np.array(stops[1:], object))
+    return np.concatenate([np.zeros(len(stops[:1])), np.asarray(ways, np.float64)])
 
 
 def _rings(laid: LaidLayer) -> list[shapely.LinearRing]:

@@ -6,9 +6,10 @@ import numpy as np
 
 from ebamcheck.kernels import kernel
 from ebamcheck.rings import Floats, Ints
+from ebamcheck.scan.aged_heat import entered_with_aged
 from ebamcheck.scan.drive import IslandDrive
 from ebamcheck.scan.island_heat import IslandHeat
-from ebamcheck.scan.near_field import NearField, fresh_rise
+from ebamcheck.scan.near_field import NearField, young_rise
 from ebamcheck.scan.ways import nearest_way
 
 LEAST_DECAY = 1e-9
@@ -37,39 +38,51 @@ def entry_temperatures(
     """
     share = area_mm2 / area_mm2.sum()
     entry_k, excess = driven(*heat.columns, share, order, start_s, end_s, heat.start_k.copy())
-    return entry_k + _fresh_means(heat, order, start_s, end_s), excess
+    if heat.near is None:
+        return entry_k, excess
+    return _old_k(heat, heat.near, order, start_s, end_s) + _young_k(heat, heat.near, order, start_s, end_s)[
+        0
+    ], excess
 
 
 def entered(heat: IslandHeat, order: Ints, start_s: Floats, end_s: Floats) -> tuple[Floats, Floats]:
     """Entry temperatures (I,) by island alone, which is far less work, and the amplitudes (K, N) at the end."""
     state = heat.start_k.copy()
     entry_k = entered_into(*heat.columns, order, start_s, end_s, state)
-    return entry_k + _fresh_means(heat, order, start_s, end_s), state
+    if heat.near is not None:
+        entry_k = _old_k(heat, heat.near, order, start_s, end_s)
+        entry_k += _young_k(heat, heat.near, order, start_s, end_s)[0]
+    return entry_k, state
 
 
 def entry_points(
     heat: IslandHeat, drive: IslandDrive, order: Ints, start_s: Floats, end_s: Floats
 ) -> tuple[Floats, Floats]:
     """Mean temperature rise of each island, and that under the beam, when the beam enters it, (I,) K by island."""
-    modes_k = entered_into(*heat.columns, order, start_s, end_s, heat.start_k.copy())
+    old_k = _old_k(heat, heat.fresh, order, start_s, end_s)
     way = ways_driven(order, drive.entry, drive.leave)
-    means, points = freshly_heated(heat.fresh, heat.source_k_s, order, start_s, end_s, way)
-    return modes_k + means, modes_k + points
+    means_k, points_k = _young_k(heat, heat.fresh, order, start_s, end_s, way)
+    return old_k + means_k, old_k + points_k
 
 
-def _fresh_means(heat: IslandHeat, order: Ints, start_s: Floats, end_s: Floats) -> Floats:
-    """What the mean temperatures by the modes lack, (I,) K; nothing where that is not known."""
-    if heat.near is None:
-        return np.zeros(len(start_s))
-    way = np.zeros(len(start_s), np.int64)
-    return freshly_heated(heat.near, heat.source_k_s, order, start_s, end_s, way)[0]
+def _old_k(heat: IslandHeat, near: NearField, order: Ints, start_s: Floats, end_s: Floats) -> Floats:
+    """Entry temperatures (I,) by heat older than the horizon, of which the modes have all."""
+    return entered_with_aged(*heat.columns, order, start_s, end_s, near.horizon_s, heat.start_k.copy())
+
+
+def _young_k(
+    heat: IslandHeat, near: NearField, order: Ints, start_s: Floats, end_s: Floats, way: Ints | None = None
+) -> tuple[Floats, Floats]:
+    """What younger heat adds, (I,) K: to the means of islands, and to the places where they are entered by a way."""
+    ways = np.zeros(len(start_s), np.int64) if way is None else way
+    return freshly_heated(near, heat.source_k_s, order, start_s, end_s, ways)
 
 
 @kernel
 def freshly_heated(
     near: NearField, source: Floats, order: Ints, start: Floats, end: Floats, way: Ints
 ) -> tuple[Floats, Floats]:
-    """What fresh heat adds to the temperatures by the modes, (I,) K: to those of islands, and to those of entries."""
+    """Rises by heat younger than the horizon, (I,) K: of the means of islands, and of their entries."""
     means, points = np.zeros(len(start)), np.zeros(len(start))
     place = np.full(len(start), -1)
     for n in range(len(order)):
@@ -81,7 +94,7 @@ def freshly_heated(
             if place[j] >= place[i] or place[j] < 0 or since > near.horizon_s:
                 continue
             time = end[j] - start[j]
-            mean, point = fresh_rise(near, near.pair[p], i, way[i], j, way[j], since, time)
+            mean, point = young_rise(near, near.pair[p], i, way[i], j, way[j], since, time)
             means[i] += source[j] * mean
             points[i] += source[j] * point
     return means, points

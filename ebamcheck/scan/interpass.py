@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -43,8 +44,8 @@ class Drive:
         Wait before the layer, and before each further contour.
     bead_wait_s
         (B,) waits before the beads, those of the contours included but for the first.
-    bed_k
-        (B,) what each bead finds when it is entered, absolute, K.
+    bed_k, mean_k
+        (B,) what each bead finds at its place when it is entered, and the mean over the section then, absolute, K.
     body_k
         Mean temperature rise of the part under the layer when it is begun, K.
     enter_k, leave_k
@@ -60,6 +61,7 @@ class Drive:
     ring_wait_s: float
     bead_wait_s: Floats
     bed_k: Floats
+    mean_k: Floats
     body_k: float
     enter_k: float
     leave_k: float
@@ -157,38 +159,43 @@ def drive(
     limit_k -= MARGIN * max(limit_k - ambient_k, 0.0)
     power_w = share * process.power_w * profile.material.absorptivity
     part = found.copy()
-    wait_s = 0.0 if job.lowest else process.layer_pause_s
-    part.rest(wait_s)
-    bed_k, bead_wait_s = np.zeros(len(beads)), np.zeros(len(beads))
-    body_k = enter_k = time_s = 0.0
+    pause_s = 0.0 if job.lowest else process.layer_pause_s
+    bed_k, mean_k, bead_wait_s = (np.zeros(len(beads)) for _ in range(3))
+    body_k = enter_k = time_s = wait_s = 0.0
     for bead in range(len(beads)):
         first = bead == 0
         checked = first or process.interpass_at == "bead"
-        part.rest(float(beads.move_s[bead]))
-        shape = beads.shape(bead)
-        bed_k[bead] = part.bed_k(shape)
-        if checked and bed_k[bead] > limit_k and keep:
-            return None
+        away_s, rise_s = float(beads.move_s[bead]) + (pause_s if first else 0.0), float(beads.rise_s[bead])
+        found_k = partial(_found_k, part, beads.shape(bead), away_s, rise_s)
         wait = 0.0
         if checked and waits and not (first and job.lowest):
-            wait = shortest_wait_s(lambda w, s=shape: part.bed_k(s, w), limit_k)  # type: ignore[misc]
+            wait = shortest_wait_s(found_k, limit_k)
         if 0 < bead < beads.rings:
             ring_wait_s = wait = max(wait, ring_wait_s)
-        if wait > 0.0:
-            part.rest(wait)
-            bed_k[bead] = part.bed_k(shape)
+        away_s += wait + rise_s if wait > 0.0 else 0.0
+        # All at once, as the balance of the text has it: the same steps of time give the same figures.
+        part.rest(away_s)
+        bed_k[bead], mean_k[bead] = part.bed_k(beads.shape(bead)), part.column.bed_k
+        if keep and checked and bed_k[bead] > limit_k:
+            return None
         if first:
-            wait_s += wait
+            wait_s = pause_s + wait
             body_k, enter_k = part.column.mean_rise_k, part.column.bed_k
             part.column.lay(job.shape)
         else:
             bead_wait_s[bead] = wait
-            time_s += wait
+        time_s += away_s - (wait_s if first else 0.0)
         part.lay_bead(beads, bead, power_w)
-        time_s += float(beads.move_s[bead] + beads.time_s[beads.first[bead] : beads.first[bead + 1]].sum())
+        time_s += float(beads.time_s[beads.first[bead] : beads.first[bead + 1]].sum())
     return Drive(
-        share, wait_s, ring_wait_s, bead_wait_s, bed_k, body_k, enter_k, part.column.surface_k, time_s, part
-    )
+        share, wait_s, ring_wait_s, bead_wait_s, bed_k, mean_k, body_k, enter_k, part.column.surface_k, time_s,
+        part,
+    )  # fmt: skip
+
+
+def _found_k(part: PartHeat, shape: Floats, away_s: float, rise_s: float, wait_s: float) -> float:
+    """What a bead finds after the way to it and a wait, for which the beam rises."""
+    return part.bed_k(shape, away_s + (wait_s + rise_s if wait_s > 0.0 else 0.0))
 
 
 def shortest_wait_s(bed_k: Callable[[float], float], limit_k: float) -> float:

@@ -142,13 +142,10 @@ def with_fresh_heat(
     drive: IslandDrive,
     lines: Vectors,
     section: BaseGeometry,
-    centroid: Floats,
-    area_mm2: Floats,
+    islands: NDArray[np.object_],
     profile: Config,
 ) -> IslandHeat:
     """Add the fresh heat that the modes lack to the heat model of a layer: see :mod:`ebamcheck.scan.near_field`."""
     bead_mm = profile.process.bead_width_mm
-    near = near_field(
-        heat.model, heat.mean, heat.complete, drive, lines, section, centroid, area_mm2, bead_mm
-    )
+    near = near_field(heat.model, heat.mean, heat.complete, drive, lines, section, islands, bead_mm)
     return replace(heat, near=near)

@@ -2,7 +2,9 @@
 
 The temperature of an island by the modes of its section is right for heat that is old: waves shorter than an island
 die out within seconds. For heat younger than a horizon the modes are therefore exchanged, between islands that are
-near each other, for Green's functions of the conduction itself: a Gaussian in the plane, times the exact function of
+near each other, for Green's functions of the conduction itself; of islands farther apart it has not arrived yet, what
+the modes have of it is the ripple of those that they lack, and a reading (:mod:`ebamcheck.scan.driving`) leaves it out.
+The Green's function is a Gaussian in the plane, times the exact function of
 the depth. What the free Gaussian would lose through the outline stays in the metal: it is divided by its own share in
 the metal in sight (:mod:`ebamcheck.scan.enclosed`), which is exact far from the outline, on a straight border, in a
 corner, and in a thin wall. No heat of this kind passes a gap.
@@ -19,6 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
@@ -30,7 +33,7 @@ from ebamcheck.rings import Bools, Floats, Ints
 from ebamcheck.scan.drive import IslandDrive
 from ebamcheck.scan.enclosed import enclosed_share
 from ebamcheck.scan.hatch import Vectors
-from ebamcheck.scan.pieces import WAYS, Pieces, line_pieces
+from ebamcheck.scan.pieces import WAYS, Pieces, Tiles, island_tiles, line_pieces
 
 DIED_OUT = 3.0
 """Exponent by which the shortest wave of the modes has fallen at the horizon, at least: to 5 %."""
@@ -115,8 +118,7 @@ def near_field(
     drive: IslandDrive,
     lines: Vectors,
     section: BaseGeometry,
-    centroid: Floats,
-    area_mm2: Floats,
+    islands: NDArray[np.object_],
     bead_mm: float,
 ) -> NearField:
     """Tabulate the fresh heat of a layer.
@@ -133,11 +135,12 @@ def near_field(
         Lines of the islands, sorted by island.
     section
         Solid region of the layer.
-    centroid, area_mm2
-        (I, 2) and (I,) of the islands.
+    islands
+        (I,) polygons.
     bead_mm
         Width of a bead.
     """
+    centroid, area_mm2 = shapely.get_coordinates(shapely.centroid(islands)), shapely.area(islands)
     alpha = model.medium.diffusivity_mm2_s
     count, width2 = len(area_mm2), float(area_mm2.mean())
     longest_mm2 = 0.5 * width2 * (MOST_REACH / SIGMAS) ** 2
@@ -149,8 +152,10 @@ def near_field(
     age = horizon_s * root**2
     depth = of_layer(exact_depth(model), model, age)
     spread = 2.0 * alpha * age
-    free = between_pieces(*pieces, pairs, spread)
-    inside = of_islands(section, pieces, spread)
+    # Means are those of whole islands, as the modes have them; lines end short of their borders.
+    tiles = island_tiles(islands)
+    free = between_pieces(*tiles, pairs, spread)
+    inside = of_islands(section, tiles, spread)
     free /= 0.5 * (inside[pairs[:, 0]] + inside[pairs[:, 1]])
     free[hidden(section, pieces, pairs, centroid, bead_mm)] = 0.0
     shown = between_modes(model.plane.eigenvalue, mean, pairs, alpha * age)
@@ -184,7 +189,7 @@ def near_pairs(pieces: Pieces, count: int, reach_mm: float) -> Ints:
     return np.column_stack([keys // count, keys % count]).astype(np.int64)
 
 
-def of_islands(section: BaseGeometry, pieces: Pieces, spread_mm2: Floats) -> Floats:
+def of_islands(section: BaseGeometry, pieces: Tiles, spread_mm2: Floats) -> Floats:
     """Share of the heat of each island that stays in the metal in sight when it has spread by a variance, (I, Q)."""
     share = enclosed_share(section, pieces.place, np.add.outer(2.0 * pieces.variance, spread_mm2))
     return np.add.reduceat(pieces.share[:, None] * share, pieces.first[:-1])
@@ -252,7 +257,7 @@ def cumulated(values: Floats, horizon_s: float) -> Floats:
 
 @kernel
 def between_pieces(
-    first: Ints, place: Floats, share: Floats, passed: Floats, variance: Floats, pairs: Ints, spread: Floats
+    first: Ints, place: Floats, share: Floats, variance: Floats, pairs: Ints, spread: Floats
 ) -> Floats:
     """Share of the heat of one island of each pair in a unit area of the other in an endless plane, (U, Q) 1/mm^2."""
     result = np.zeros((len(pairs), len(spread)))
@@ -289,6 +294,20 @@ def fresh_rise(
 ) -> tuple[float, float]:
     """What an island's mean temperature, and that of its entry, are over its mean by the modes; over K mm^3/s of heating.
 
+    Parameters are those of :func:`young_rise`.
+    """
+    mean, point = young_rise(near, pair, island, way, source, left_by, since, time)
+    late, early = root_of(near, since + time), root_of(near, since)
+    shown = at_root(near.modes[pair], late) - at_root(near.modes[pair], early)
+    return mean - shown, point - shown
+
+
+@kernel
+def young_rise(
+    near: NearField, pair: int, island: int, way: int, source: int, left_by: int, since: float, time: float
+) -> tuple[float, float]:
+    """Rise of an island's mean temperature, and of that of its entry, by heat younger than the horizon; over K mm^3/s.
+
     Parameters
     ----------
     pair
@@ -301,9 +320,8 @@ def fresh_rise(
         Time since the end of its heating, and the time that took, s.
     """
     late, early = root_of(near, since + time), root_of(near, since)
-    shown = at_root(near.modes[pair], late) - at_root(near.modes[pair], early)
     mean = at_root(near.exact[pair], late) - at_root(near.exact[pair], early)
-    return mean - shown, entry_rise(near, island, way, source, left_by, since, time) - shown
+    return mean, entry_rise(near, island, way, source, left_by, since, time)
 
 
 @kernel

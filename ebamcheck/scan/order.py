@@ -132,9 +132,7 @@ class LayerIslands:
     def with_fresh_heat(self, modes: IslandHeat) -> IslandHeat:
         """Add the fresh heat between these islands to a heat model of the layer that has its modes alone."""
         lines = NO_LINES if self.lines is None else self.lines
-        return with_fresh_heat(
-            modes, self.driven, lines, self.section, self.centroid, self.area_mm2, self.profile
-        )
+        return with_fresh_heat(modes, self.driven, lines, self.section, self.polygons, self.profile)
 
 
 Order = Callable[[LayerIslands], Ints]

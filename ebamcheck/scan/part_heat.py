@@ -28,11 +28,12 @@ class Beads:
     Parameters
     ----------
     pieces
-        (K, P) means of the modes over their pieces, less those over the section.
+        (K, P) means of the modes over their pieces, less those over the section; none where the layer has no islands,
+        and so no modes.
     first
         (B + 1,) first piece of each bead.
-    move_s
-        (B,) time with the beam off before each.
+    move_s, rise_s
+        (B,) time with the beam off before each, and what a wait there adds to it: the beam waits at the safe height.
     time_s, on
         (P,) time of each piece, and the share of it with the beam on.
     rings
@@ -44,6 +45,7 @@ class Beads:
     pieces: Floats
     first: Ints
     move_s: Floats
+    rise_s: Floats
     time_s: Floats
     on: Floats
     rings: int
@@ -68,7 +70,8 @@ class PartHeat:
     column
         The mean over every section.
     model
-        Modes of the uppermost layer; None before there is one with modes.
+        Modes of the uppermost layer that has islands; None before there is one. What is laid on it without islands,
+        the tip of a dome for instance, heats the column alone, and is read there.
     state
         (K, N) amplitudes of what differs across the section.
     """
@@ -83,7 +86,7 @@ class PartHeat:
         return PartHeat(self.column.copy(), self.model, self.state.copy(), self._rates)
 
     def under(self, model: HeatModel | None) -> PartHeat:
-        """Return the same heat in the modes of the next layer, before that is laid."""
+        """Return the same heat in the modes of the next layer, before that is laid; None: it has none, the old ones stay."""
         after = self.copy()
         if model is None:
             return after
@@ -101,9 +104,11 @@ class PartHeat:
     def lay_bead(self, beads: Beads, bead: int, power_w: float) -> None:
         """Lay a bead; `power_w` is what the part takes up."""
         a, b = (int(n) for n in beads.first[bead : bead + 2])
-        on_s = float(beads.time_s[a:b] @ beads.on[a:b])
-        self.column.advance(float(beads.time_s[a:b].sum()), power_w * on_s)
-        if self.model is not None and len(self.state):
+        on_s, whole_s = float(beads.time_s[a:b] @ beads.on[a:b]), float(beads.time_s[a:b].sum())
+        self.column.advance(whole_s, power_w * on_s)
+        if not len(beads.pieces):
+            decayed(self.state, *self._rates, whole_s)
+        elif self.model is not None:
             source = power_w / self.model.medium.heat_capacity_j_mm3k * beads.on[a:b]
             pieces, in_layer = np.ascontiguousarray(beads.pieces[:, a:b]), self.model.in_layer
             driven_bead(self.state, pieces, *self._rates, in_layer, source, beads.time_s[a:b])
@@ -115,7 +120,7 @@ class PartHeat:
             column = column.copy()
             column.advance(wait_s)
         mean_k = column.bed_k
-        if self.model is None or not len(self.state):
+        if self.model is None or not len(shape):
             return mean_k
         away = differing_k(self.state, shape, *self._rates, self._reading, wait_s)
         return float(mean_k + max(away, 0.0))

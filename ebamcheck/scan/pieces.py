@@ -5,12 +5,22 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+import shapely
+from numpy.typing import NDArray
 
 from ebamcheck.rings import Floats, Ints
 from ebamcheck.scan.hatch import Vectors
 
 WAYS = 4
 """Ways of driving an island, as in :class:`~ebamcheck.scan.drive.IslandDrive`."""
+
+
+HALVED = 1
+"""Times that the triangles of an island are halved: a hexagon has 8 tiles then, each a Gaussian of its moment."""
+
+
+DECIMALS = 6
+"""Of the corners of islands, mm, by which they are cut into tiles."""
 
 
 class Pieces(NamedTuple):
@@ -79,3 +89,44 @@ def line_pieces(lines: Vectors, centroid: Floats, area_mm2: Floats, longest_mm: 
         passed=np.stack([forward, turned, 1.0 - forward, 1.0 - turned]),
         variance=share * area_mm2[owner] / 12.0,
     )
+
+
+class Tiles(NamedTuple):
+    """Islands in tiles that cover them, as :class:`Pieces` has their lines: first, place, share and variance alike."""
+
+    first: Ints
+    place: Floats
+    share: Floats
+    variance: Floats
+
+
+def island_tiles(islands: NDArray[np.object_]) -> Tiles:
+    """Cut polygons (I,) into triangles, each halved :data:`HALVED` times across its longest edge."""
+    # The triangles of a regular hexagon are a matter of rounding: seen from its centroid it is the same wherever it lies.
+    points, owner = shapely.get_coordinates(islands, return_index=True)
+    centroid = shapely.get_coordinates(shapely.centroid(islands))
+    at_origin = shapely.set_coordinates(islands.copy(), np.round(points - centroid[owner], DECIMALS))
+    parts, island = shapely.get_parts(shapely.constrained_delaunay_triangles(at_origin), return_index=True)
+    corners = shapely.get_coordinates(parts).reshape(-1, 4, 2)[:, :3]
+    for _ in range(HALVED):
+        corners, island = _halved(corners), np.repeat(island, 2)
+    edge = np.diff(corners, axis=1)
+    area = 0.5 * np.abs(edge[:, 0, 0] * edge[:, 1, 1] - edge[:, 0, 1] * edge[:, 1, 0])
+    place = corners.mean(axis=1)
+    # The mean squared distance from the centroid of a triangle is a twelfth of the sum of those of its corners.
+    variance = ((corners - place[:, None]) ** 2).sum(axis=(1, 2)) / 24.0
+    return Tiles(
+        first=np.concatenate([[0], np.cumsum(np.bincount(island, minlength=len(islands)))]).astype(np.int64),
+        place=place + centroid[island],
+        share=area / np.bincount(island, area, len(islands))[island],
+        variance=variance,
+    )
+
+
+def _halved(corners: Floats) -> Floats:
+    """Both halves (2 T, 3, 2) of triangles (T, 3, 2), side by side."""
+    longest = ((np.roll(corners, -1, axis=1) - corners) ** 2).sum(axis=2).argmax(axis=1)
+    turned = np.take_along_axis(corners, (longest[:, None] + np.arange(3))[:, :, None] % 3, axis=1)
+    a, b, c = turned[:, 0], turned[:, 1], turned[:, 2]
+    middle = 0.5 * (a + b)
+    return np.stack([a, middle, c, middle, b, c], axis=1).reshape(-1, 3, 2)

@@ -66,6 +66,8 @@ class LayerHeat:
     ring_wait_s: float
     island_wait_s: Floats
     """(I,) wait before each island"""
+    mean_k: Floats
+    """(B,) mean temperature of the surface when each bead is entered, contours first, absolute"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,4 +265,5 @@ def _figures(drive: Drive, travel_mm: float, beads: Beads, islands: int, profile
         stored_j=drive.after.column.stored_j,
         ring_wait_s=drive.ring_wait_s,
         island_wait_s=island_wait_s,
+        mean_k=drive.mean_k,
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from html import escape
 
 import numpy as np
@@ -10,7 +10,7 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.program.deposit import LayerField
+from ebamcheck.program.metal_field import LayerField
 from ebamcheck.rings import Floats
 from ebamcheck.scan.png import png_address
 from ebamcheck.scan.scan_svg import ring_path
@@ -31,11 +31,27 @@ COLOURS: NDArray[np.uint8] = np.array(
 COLOURS[0] = 255
 """(256, 3) colours of the cells; the first is the ground, for cells beside the section without metal."""
 
+NAMESPACE = ' xmlns="http://www.w3.org/2000/svg"'
+
+RING_PX = 9
+"""Radius of the ring around a place that is named."""
+
 BARE = 0.01
 """Share of a cell, and height of metal over that of the layer, under which it is no part of the picture."""
 
 
-def draw(field: LayerField, section: BaseGeometry, thickness_mm: float, limit_mm: float, title: str) -> str:
+Place = tuple[float, float, str]
+"""X and Y of a place, mm, and what it is."""
+
+
+def draw(
+    field: LayerField,
+    section: BaseGeometry,
+    thickness_mm: float,
+    limit_mm: float,
+    title: str,
+    places: tuple[Sequence[Place], Sequence[Place]] = ((), ()),
+) -> str:
     """Draw one layer.
 
     Parameters
@@ -48,6 +64,8 @@ def draw(field: LayerField, section: BaseGeometry, thickness_mm: float, limit_mm
         Height of the layer.
     limit_mm
         How far the surface may lie off its height: the end of its scale.
+    places
+        Places that are ringed and named on the metal, and on the surface.
     """
     step_mm, cells = field.target.step_mm, np.array(field.laid_mm.shape[::-1], np.float64)
     px_per_mm = (WIDTH_PX - 2 * MARGIN_PX) / (cells[0] * step_mm)
@@ -76,11 +94,12 @@ def draw(field: LayerField, section: BaseGeometry, thickness_mm: float, limit_mm
             f'<text x="{MARGIN_PX}" y="{top_px - 10:.1f}" font-size="14" fill="#222">{escape(name)}</text>',
             _cells(np.where(ground, np.nan, values), most, top_px, tall_px),
             _outline(section, place),
-            *_scale(told, top_px + tall_px + 6.0, number),
+            *_rings(places[number], place),
+            *_scale(told, top_px + tall_px + 6.0),
         ]
     height_px = int(np.ceil(len(fields) * panel_px))
     head = (
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH_PX}" height="{height_px}" '
+        f'<svg{NAMESPACE} width="{WIDTH_PX}" height="{height_px}" '
         f'viewBox="0 0 {WIDTH_PX} {height_px}" font-family="Helvetica, Arial, sans-serif">'
     )
     return "\n".join([head, f'<rect width="{WIDTH_PX}" height="{height_px}" fill="#fff"/>', *body, "</svg>"])
@@ -102,16 +121,31 @@ def _outline(section: BaseGeometry, place: Callable[[Floats], Floats]) -> str:
     return f'<path d="{data}" fill="none" stroke="#222" stroke-width="1"/>'
 
 
-def _scale(told: tuple[str, str, str], top_px: float, number: int) -> list[str]:
+def _rings(places: Sequence[Place], place: Callable[[Floats], Floats]) -> list[str]:
+    """Rings around places with their names beside them, on the side where there is more room."""
+    found = []
+    for x_mm, y_mm, name in places:
+        x, y = place(np.array([[x_mm, y_mm]]))[0]
+        right = x < 0.5 * WIDTH_PX
+        at, anchor = (x + RING_PX + 4, "start") if right else (x - RING_PX - 4, "end")
+        found += [
+            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{RING_PX}" fill="none" stroke="#000" stroke-width="2"/>',
+            (
+                f'<text x="{at:.1f}" y="{y + 4:.1f}" font-size="12" fill="#000" stroke="#fff" stroke-width="3" '
+                f'paint-order="stroke" text-anchor="{anchor}">{escape(name)}</text>'
+            ),
+        ]
+    return found
+
+
+def _scale(told: tuple[str, str, str], top_px: float) -> list[str]:
     """Colours from left to right with their ends and middle named."""
-    stops = "".join(
-        f'<stop offset="{offset}" stop-color="rgb{colour}"/>'
-        for offset, colour in ((0, BLUE), (0.5, WHITE), (1, RED))
-    )
+    strip = png_address(np.arange(1, 256, dtype=np.uint8)[None], COLOURS)
+    wide = f'x="{MARGIN_PX}" y="{top_px:.1f}" width="{BAR_PX * 2}" height="8"'
     places = ((0.0, "start"), (0.5, "middle"), (1.0, "end"))
     return [
-        f'<linearGradient id="scale{number}">{stops}</linearGradient>',
-        f'<rect x="{MARGIN_PX}" y="{top_px:.1f}" width="{BAR_PX * 2}" height="8" fill="url(#scale{number})" stroke="#888" stroke-width="0.5"/>',
+        f'<rect {wide} fill="none" stroke="#888" stroke-width="0.5"/>',
+        f'<g class="scale"><image {wide} preserveAspectRatio="none" href="{strip}"/></g>',
         *(
             f'<text x="{MARGIN_PX + 2 * BAR_PX * share:.1f}" y="{top_px + 21:.1f}" font-size="11" fill="#222" '
             f'text-anchor="{anchor}">{text}</text>'

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ebamcheck.pipeline.certificate import CERTIFICATE, read_certificate
+from ebamcheck.pipeline.certificate import CERTIFICATE, RELEASE, certificate, read_certificate
 from ebamcheck_reports.markup import (
     Markup,
     collapsed,
     element,
     facts,
     figure,
+    join,
     mark,
     paragraph,
     section,
@@ -20,9 +21,10 @@ from ebamcheck_reports.markup import (
 from ebamcheck_reports.run_data import RunData
 
 WHAT = (
-    "The page to print and sign. It names part, settings, machine profile and every file of the program by its SHA-256, so that ebamcheck "
-    "verify finds any byte that was changed since. Good is a certificate whose gates all passed and whose seal verifies. Name, date, "
-    "signature and deviations are written by hand, or into certificate.json."
+    "What certificate.json holds. It names part, settings, machine profile and every file of the run by its SHA-256, so that ebamcheck "
+    "verify finds any byte that was changed since. Good is a certificate whose gates all passed, whose seal verifies, and that "
+    "somebody you trust has signed: ebamcheck sign adds approver, part number, lots and deviations and signs them, or they are "
+    "written on this page by hand."
 )
 
 BLANK = "_" * 32
@@ -32,11 +34,7 @@ BLANK = "_" * 32
 def render(run: RunData) -> Markup:
     """Hashes, gates, versions, and room for the approver."""
     path = run.folder.path / CERTIFICATE
-    if not path.is_file():
-        return section(
-            "certificate", "Certificate", WHAT, paragraph("The run wrote no certificate.", class_="note bad")
-        )
-    found = read_certificate(path)
+    found = read_certificate(path) if path.is_file() else certificate(run.manifest)
     return section(
         "certificate",
         "Certificate",
@@ -69,8 +67,7 @@ def render(run: RunData) -> Markup:
             ),
         ),
         element("h3", "Approval"),
-        facts([(name, found["approver"].get(name) or BLANK) for name in ("name", "date", "signature")]),
-        facts([("deviations", "; ".join(map(str, found["deviations"])) or BLANK)]),
+        facts([(name.replace("_", " "), BLANK) for name in (*RELEASE, "signature")]),
     )
 
 
@@ -78,7 +75,7 @@ def _findings(found: Mapping[str, Any]) -> list[Markup]:
     """What is proved and left to do, and the findings; none in a certificate of an earlier version."""
     said = [
         (head, "; ".join(found[name]))
-        for head, name in (("proved", "proved"), ("left to you", "left_to_do"))
+        for head, name in (("proved", "proved"), ("left to you", "left_to_do"), ("not proved", "not_proved"))
         if found.get(name)
     ]
     rows = [
@@ -96,7 +93,6 @@ def _hashes(found: Mapping[str, Any]) -> list[tuple[str, Markup]]:
         ("settings", found["settings_sha256"]),
         ("machine profile", found["profile_sha256"]),
         ("record of the run", found["record_sha256"]),
-        ("seal of this certificate", found["seal"]),
     )
     return [(name, element("code", value)) for name, value in names]
 
@@ -106,6 +102,17 @@ def _smoothing(found: Mapping[str, Any]) -> str:
 
 
 def _software(found: Mapping[str, Any]) -> Markup:
-    versions = {"ebamcheck": found["ebamcheck"], "Python": found["python"], **found["dependencies"]}
-    text = ", ".join(f"{name} {version}" for name, version in versions.items())
-    return paragraph(f"Made by {text}" + (f"; commit {found['commit']}." if found.get("commit") else "."))
+    source = found["source"]
+    state = {"yes": "changed since", "no": "unchanged"}.get(source["dirty"], "state unknown")
+    of_commit = f"commit {source['commit']} ({state})" if source["commit"] else "an installed package"
+    text = ", ".join(f"{name} {version}" for name, version in found["dependencies"].items())
+    return join(
+        [
+            paragraph(
+                f"Made by ebamcheck {found['ebamcheck']} of {of_commit}, sources ",
+                element("code", source["sha256"]),
+                f", on {found['python']}, {found['system']}.",
+            ),
+            collapsed(f"{len(found['dependencies'])} packages", paragraph(text)),
+        ]
+    )

@@ -5,9 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
+from ebamcheck.program.deposit_checks import DEPOSIT_CHECKS
+from ebamcheck.program.metal_field import FIELD_FILE, read_field
+from ebamcheck.scan.regions import layer_section
+from ebamcheck_reports import metal_picture
 from ebamcheck_reports.charts import Series, line_chart
 from ebamcheck_reports.figures import percent
-from ebamcheck_reports.markup import Markup, element, facts, figure, paragraph, section
+from ebamcheck_reports.markup import Markup, element, facts, figure, paragraph, picture, section
 from ebamcheck_reports.run_data import RunData
 
 QUESTION = (
@@ -44,14 +48,12 @@ def render(run: RunData) -> Markup:
             element("thead", element("tr", *(element("th", t) for t in ("check", "", "found")))),
             element("tbody", *rows),
         ),
+        *_worst(run, table),
         *_charts(solid),
     )
 
 
-CHECKS = (
-    "metal", "metal of layers", "metal outside", "reach of metal", "holes", "height inside", "height at edges", "surface",
-    "mass balance",
-)  # fmt: skip
+CHECKS = (*DEPOSIT_CHECKS, "mass balance")
 """Checks of the program that are about its metal."""
 
 
@@ -71,6 +73,48 @@ def _totals(solid: pd.DataFrame) -> Markup:
             ("surface too low, at most", figure(float(solid["low_mm"].max()), "mm")),
             ("surface too high, at most", figure(float(solid["high_mm"].max()), "mm")),
         ]
+    )
+
+
+def _worst(run: RunData, table: pd.DataFrame) -> list[Markup]:
+    """Picture of the worst layer, its places ringed; none in a run of an earlier version."""
+    file = run.folder.path / FIELD_FILE
+    if not file.is_file():
+        return []
+    field, layer, thickness_mm = read_field(file)
+    found = table.set_index("layer").loc[layer]
+    name = f"layer {layer + 1}, Z {found['z_mm']:.3f}"
+    svg = metal_picture.draw(
+        field,
+        layer_section(run.folder.read_layers(run.part_of("program")["witness"]).polygons(layer)),
+        thickness_mm,
+        run.config.process.largest_unevenness_mm,
+        name,
+        _places(found, thickness_mm),
+    )
+    caption = (
+        f"The layer that comes nearest to a limit, {name}, as the program's text lays it on those below: its own metal, and the "
+        "surface when it is done. Rings mark the places that the checks name."
+    )
+    # Inside of a page a picture has the name space of the page.
+    inline = Markup(svg.replace(metal_picture.NAMESPACE, "", 1))
+    return [picture(inline, caption, name="metal-worst")]
+
+
+def _places(found: pd.Series, thickness_mm: float) -> tuple[list[metal_picture.Place], ...]:
+    """Worst places of a layer on its metal and on its surface, with their figures."""
+    metal = {
+        "zone": f"window {found['zone_settled']:.2f} of {thickness_mm:.2f} mm",
+        "reach": f"{found['reach_mm']:.2f} mm beside the part",
+    }
+    surface = {"low": f"{found['low_mm']:.2f} mm too low", "high": f"{found['high_mm']:.2f} mm too high"}
+    return tuple(
+        [
+            (float(found[f"{key}_x_mm"]), float(found[f"{key}_y_mm"]), text)
+            for key, text in names.items()
+            if np.isfinite(found[f"{key}_x_mm"]) and found.get(f"{key}_mm", 1.0) > 0.0
+        ]
+        for names in (metal, surface)
     )
 
 

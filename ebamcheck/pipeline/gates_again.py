@@ -1,0 +1,230 @@
+"""Every gate of a finished run, worked out again from part, settings and the program's text.
+
+Nothing that the run recorded is believed: the part is inspected and sliced anew, by another exact slicer than the one
+whose contours became the program; curves are fitted anew; and the text is laid, heated and measured against these.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ebamcheck import registry
+from ebamcheck.comparison import compare_all
+from ebamcheck.comparison.sources import LayerSource
+from ebamcheck.config import Config
+from ebamcheck.curves import LIFTED, Curves, fit, fit_deviation
+from ebamcheck.findings import from_record, has_fault
+from ebamcheck.inspection import inspect
+from ebamcheck.isolate import Outcome
+from ebamcheck.layer_files import LayerFile
+from ebamcheck.layers import Layers
+from ebamcheck.part import Part
+from ebamcheck.pipeline import gates
+from ebamcheck.pipeline.choice import witness_backend
+from ebamcheck.pipeline.gates import Gate
+from ebamcheck.pipeline.placement import cut_heights
+from ebamcheck.program import Check, verify_file
+from ebamcheck.scan import ScanPlan
+from ebamcheck.slicing import slice_part
+from ebamcheck.store import RunFolder, plain
+
+SMOOTH_MM = 0.002
+"""Chords of the smooth sections: far under the tolerance of the fit."""
+
+SAME_FIGURE = 1e-6
+"""Figures that differ by less, relative to the greater or to 1, are the same: sums in another order."""
+
+
+@dataclass(frozen=True)
+class Again:
+    """What a run came to when it was worked out again."""
+
+    witness: str
+    """Slicer that cut the part anew."""
+    gates: tuple[Gate, ...]
+    checks: tuple[Check, ...]
+    """Checks of the program; empty for a run without one."""
+
+
+def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part: Part) -> Again:
+    """Work every gate of a run out again.
+
+    Parameters
+    ----------
+    run, manifest
+        The run folder and its record, of which only names of files and backends are used.
+    config
+        Settings of the run.
+    part
+        The part as placed.
+    """
+    heights = cut_heights(part, config)
+    witness = witness_backend(str(manifest["primary"]))
+    fresh = slice_part(part, heights, witness)
+    made = [gates.input_gate(inspect(part)), _agreement(run, manifest, config, part, fresh, witness)]
+    record = manifest.get("program")
+    if record is None:
+        return Again(witness, tuple(made), ())
+    curves, deviation_gate = _fitted(run, manifest, config, part)
+    plan = ScanPlan.from_parquet(run.path / "scan.parquet")
+    checks = verify_file(
+        run.program_folder / record["files"][0]["name"],
+        config=config,
+        curves=Curves.from_parquet(run.path / "beads.parquet"),
+        plan=plan,
+        layers=fresh,
+        smooth=curves.sample_tolerance(SMOOTH_MM) if config.curves.method in LIFTED else None,
+        beads=True,
+        metal=True,
+        heat=True,
+        heights=heights,
+        sha256={file["name"]: file["sha256"] for file in record["files"]},
+        section_tolerance_mm=gates.section_tolerance_mm(deviation_gate.figure),
+    )
+    made += [
+        deviation_gate,
+        _coverage(checks),
+        gates.deposit_gate(checks, config),
+        gates.heat_gate(checks, plan.metrics, config),
+        gates.program_gate(checks),
+    ]
+    return Again(witness, tuple(made), tuple(checks))
+
+
+def _agreement(
+    run: RunFolder, manifest: Mapping[str, Any], config: Config, part: Part, fresh: Layers, witness: str
+) -> Gate:
+    """Compare the recorded layers of every slicer with layers cut anew; bounds are what the slicers declare now."""
+    outcomes: dict[str, Outcome] = {}
+    with ExitStack() as opened:
+        stacks: dict[str, LayerSource] = {}
+        for name, found in manifest["backends"].items():
+            if found["status"] != "done":
+                outcomes[name] = Outcome(name, found["status"], found["why"])
+            elif name == witness or name in registry.slicers():
+                file = run.layers_file(name)
+                outcomes[name] = Outcome(name, file=file)
+                stacks[name] = (
+                    fresh if name == witness else opened.enter_context(LayerFile(file, edges=False))
+                )
+        outcomes.setdefault(witness, Outcome(witness, file=run.layers_file(witness)))
+        stacks.setdefault(witness, fresh)
+        slicers = {name: registry.slicer(name) for name in stacks}
+        settings = {n: registry.slicer_settings(n, config.slicing.settings.get(n, {})) for n in stacks}
+        comparison = compare_all(
+            stacks,
+            part,
+            bounds={
+                n: (s.error_bound_mm(part, settings[n]), s.height_bound_mm(part, settings[n]))
+                for n, s in slicers.items()
+            },
+            exact={n: s.exact for n, s in slicers.items()},
+            rules={n: s.coplanar_rule for n, s in slicers.items()},
+            settings=config.comparison,
+        )
+    return gates.agreement_gate(comparison, outcomes, len(fresh))
+
+
+def _fitted(run: RunFolder, manifest: Mapping[str, Any], config: Config, part: Part) -> tuple[Curves, Gate]:
+    """Fit the contours of the primary slicer anew, as the run did, and judge the fit."""
+    primary = str(manifest["primary"])
+    slicer = registry.slicer(primary)
+    settings = registry.slicer_settings(primary, config.slicing.settings.get(primary, {}))
+    bound_mm = slicer.error_bound_mm(part, settings)
+    of_curves = config.curves.model_copy(update={"collinear_mm": max(config.curves.collinear_mm, bound_mm)})
+    layers = run.read_layers(primary)
+    curves = fit(layers, of_curves.method, of_curves, part=part)
+    return curves, gates.fit_gate(fit_deviation(curves, layers), config)
+
+
+def _coverage(checks: Sequence[Check]) -> Gate:
+    """Coverage as the text has it; a program that cannot be read covers nothing."""
+    found = next((check for check in checks if check.name == "coverage"), None)
+    if found is None:
+        return Gate("coverage", False, 0.0, 0.0, "of the area", "the program cannot be read")
+    return Gate("coverage", found.passed, found.value, found.limit, found.unit, found.text)
+
+
+# -- against the record ------------------------------------------------------------------------------
+
+
+def compared(again: Again, manifest: Mapping[str, Any]) -> list[Check]:
+    """Checks of the gates as they were found again, and of what the record says of them."""
+    recorded = {g["name"]: g for g in manifest["gates"]}
+    checks = [_gate_check(gate, recorded.get(gate.name)) for gate in again.gates]
+    unknown = sorted(set(recorded) - {gate.name for gate in again.gates})
+    checks += [
+        Check(
+            f"gate {name}",
+            False,
+            1.0,
+            0.0,
+            "faults",
+            "run.json",
+            "the record has a gate that is none of ours",
+        )
+        for name in unknown
+    ]
+    record = manifest.get("program")
+    if record is not None:
+        checks += [_figures(again, record), _verdict(again, manifest)]
+    return checks
+
+
+def _gate_check(gate: Gate, recorded: Mapping[str, Any] | None) -> Check:
+    """A gate as it was found again; shut, too, where the record tells another verdict."""
+    text, where, passed = gate.text, "", gate.passed
+    if recorded is None:
+        text, where, passed = f"the record lacks this gate; found: {gate.text}", "run.json", False
+    elif bool(recorded["passed"]) != gate.passed:
+        said = "passed" if recorded["passed"] else "shut"
+        text, where, passed = (
+            f"recorded as {said}, found {'open' if gate.passed else 'shut'}: {gate.text}",
+            "run.json",
+            False,
+        )
+    return Check(f"gate {gate.name}", passed, gate.figure, gate.limit, gate.unit, where, text)
+
+
+def _figures(again: Again, record: Mapping[str, Any]) -> Check:
+    """Figures of the program's checks against those of the record, where both had the same sections."""
+    found = {check.name: check for check in again.checks}
+    if record["witness"] != again.witness:
+        text = f"the run used sections by {record['witness']}, these are by {again.witness}: not compared"
+        return Check("recorded figures", True, 0.0, 0.0, "faults", "", text)
+    differ = [
+        f"{c['name']}: recorded {c['value']:g}, found {found[c['name']].value:g}"
+        if c["name"] in found and isinstance(c["value"], float)
+        else f"{c['name']}: recorded as {c['value']}, not found"
+        for c in record["checks"]
+        if c["name"] not in found or not _same_check(c, found[c["name"]])
+    ]
+    text = "; ".join(differ[:3]) or f"{len(record['checks'])} figures of checks are those of the record"
+    return Check("recorded figures", not differ, float(len(differ)), 0.0, "faults", "run.json", text)
+
+
+def _same_check(recorded: Mapping[str, Any], found: Check) -> bool:
+    return bool(recorded["passed"]) == found.passed and all(
+        _same(recorded[key], plain(value)) for key, value in (("value", found.value), ("limit", found.limit))
+    )
+
+
+def _same(recorded: Any, found: Any) -> bool:
+    if isinstance(recorded, str) or isinstance(found, str):  # infinities and NaN
+        return bool(recorded == found)
+    return bool(np.isclose(recorded, found, rtol=SAME_FIGURE, atol=SAME_FIGURE))
+
+
+def _verdict(again: Again, manifest: Mapping[str, Any]) -> Check:
+    """Whether the program is called validated exactly where every gate is open and no finding is a fault."""
+    said = bool(manifest["program"]["validated"])
+    found = all(gate.passed for gate in again.gates) and not has_fault(
+        from_record(f) for f in manifest["findings"]
+    )
+    text = f"recorded as {'validated' if said else 'not validated'}, found {'validated' if found else 'not validated'}"
+    return Check("verdict", said == found, float(said != found), 0.0, "faults", "run.json", text)
