@@ -84,7 +84,7 @@ def test_a_sound_program_raises_no_alarm_with_or_without_comments(control, works
 
 @pytest.mark.parametrize("control", CONTROLS)
 def test_the_same_seed_plants_the_same_fault(control, workshop):
-    fault = next(f for f in faults("bead shifted", (control,)))
+    fault = next(f for f in faults("island shifted", (control,)))
     texts = [Planter(workshop, seed, (quick.PART,)).planted(fault)[0].text.files for seed in (1, 1, 2)]
     assert texts[0] == texts[1]
     assert texts[0] != texts[2]
