@@ -179,8 +179,9 @@ def test_tables_name_what_is_missed_and_count_the_rest():
         some_result(),
         some_result(name="b/linuxcnc", kind="b", unseen="an order that changes no metal"),
     ]
-    text = tables.as_markdown(results, [("cube", ""), ("prism", "text: beam (A:1)")], 13)
+    text = tables.as_markdown(results, [("cube", ""), ("prism", "text: beam (A:1)")], 13, 3)
     assert "2 faults of 2 kinds" in text
+    assert "(2 of 3 were judged)" in text
     assert "1 of 2 raise a false alarm" in text
     assert "| metal | all | 2 | 2 of 2 | 2 of 2 | 0 of 1 | - |" in text
     assert "## Missed by text and part: 1\n\n- `a/linuxcnc` (cube, MAIN.ngc:7): something" in text
@@ -193,3 +194,4 @@ def test_results_are_kept_for_the_code_that_made_them(tmp_path):
     Ledger(path, "one").add(some_result(run_checks=("beam", "wire")))
     assert list(Ledger(path, "one")) == [some_result(run_checks=("beam", "wire"))]
     assert list(Ledger(path, "two")) == []
+    assert list(Ledger(path, "")) == list(Ledger(path, "one"))

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from benchmarks.faults import quick, tables
 from benchmarks.faults.finished import Workshop, code_digest, plant_digest
-from benchmarks.faults.honest import honest_runs
+from benchmarks.faults.honest import honest_runs, known_alarms
 from benchmarks.faults.kinds import NotHereError
 from benchmarks.faults.planting import Fault, Planter, faults
 from benchmarks.faults.results import Ledger, Result
@@ -37,6 +37,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     digest = f"{code_digest()}-{plant_digest()}-{options.seed}"
     ledger = Ledger(options.work / "results.jsonl", digest)
     controls = (options.control,) if options.control else CONTROLS
+    if options.render:
+        known = Ledger(options.work / "results.jsonl", "")
+        write(list(known), known_alarms(options.work), options.seed, options.output or OUTPUT)
+        return 0
     results = planted(workshop, ledger, options, controls)
     honest = None
     if options.honest or not (options.kind or options.control):
@@ -94,7 +98,11 @@ def write(
 ) -> None:
     """Write table and rows."""
     folder.mkdir(parents=True, exist_ok=True)
-    texts = {"faults.md": tables.as_markdown(results, honest, seed), "faults.csv": tables.as_csv(results)}
+    planned = sum(1 for _ in faults()) + sum(1 for _ in setting_faults())
+    texts = {
+        "faults.md": tables.as_markdown(results, honest, seed, planned),
+        "faults.csv": tables.as_csv(results),
+    }
     for name, text in texts.items():
         with replacing(folder / name) as temporary:
             temporary.write_text(text, encoding="utf-8")
@@ -133,6 +141,9 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=SEED, help="seed of the places (default 13)")
     parser.add_argument(
         "--honest", action="store_true", help="honest runs, too, where --kind or --control is given"
+    )
+    parser.add_argument(
+        "--render", action="store_true", help="tables of what was measured last, and nothing new"
     )
     parser.add_argument(
         "--work", type=Path, default=WORK, help="folder of finished runs and results, kept between runs"

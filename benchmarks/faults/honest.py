@@ -63,6 +63,17 @@ def honest_runs(workshop: Workshop, folder: Path, digest: str) -> Iterator[tuple
         yield name, known[name]
 
 
+def known_alarms(folder: Path) -> list[tuple[str, str]]:
+    """Name of each honest run of the code that was measured last, and its false alarms."""
+    memory = folder / "honest.jsonl"
+    rows = (
+        [json.loads(line) for line in memory.read_text(encoding="utf-8").splitlines()]
+        if memory.is_file()
+        else []
+    )
+    return [(name, said) for name, code, said in rows if code == rows[-1][1]]
+
+
 def _alarms(workshop: Workshop, folder: Path, part: str, control: str, how: str) -> str:
     """What is said against a run by its own gates, and by its verification in three ways."""
     settings = SETTINGS.get(how, {})

@@ -62,16 +62,15 @@ class Result:
 
 
 class Ledger:
-    """Results on disk, a line each, of one state of the code."""
+    """Results on disk, a line each, of one state of the code; of the last one where its digest is empty."""
 
     def __init__(self, path: Path, digest: str) -> None:
         self._path, self._digest = path, digest
         self._known: dict[str, dict[str, Any]] = {}
         if path.is_file():
-            for line in path.read_text(encoding="utf-8").splitlines():
-                row = json.loads(line)
-                if row.pop("digest") == digest:
-                    self._known[row["name"]] = row
+            rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+            wanted = digest or (rows[-1]["digest"] if rows else "")
+            self._known = {row["name"]: row for row in rows if row.pop("digest") == wanted}
 
     def __contains__(self, name: str) -> bool:
         return name in self._known

@@ -37,12 +37,15 @@ def _plain(value: object) -> object:
     return int(value) if isinstance(value, bool) else value
 
 
-def as_markdown(results: Sequence[Result], honest: Sequence[tuple[str, str]] | None, seed: int) -> str:
+def as_markdown(
+    results: Sequence[Result], honest: Sequence[tuple[str, str]] | None, seed: int, planned: int
+) -> str:
     """Totals by what is changed, figures by kind and control, what is missed, and what cannot be seen."""
     kinds = list(dict.fromkeys(r.kind for r in results))
+    cut = f" ({len(results)} of {planned} were judged)" if len(results) < planned else ""
     said = (
         f"By `python -m benchmarks.faults --seed {seed}`: {len(results)} faults of {len(kinds)} kinds in finished programs of "
-        f"{len({r.part for r in results})} small parts, hashes and certificate worked out anew. *Run*: `verify RUN`. *Text*: "
+        f"{len({r.part for r in results})} small parts{cut}, hashes and certificate worked out anew. *Run*: `verify RUN`. *Text*: "
         "`verify PROGRAM --part` with all comments taken out, of the faults that a text can show. A fault is found if a check "
         "fails that passes for the sound program; its line is right within 3."
     )
