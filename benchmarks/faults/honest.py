@@ -14,7 +14,7 @@ from benchmarks.faults.subjects import CONTROLS, SUBJECTS
 from ebamcheck.pipeline.verify import verify_against_part, verify_run
 from ebamcheck.program import Check
 
-SINUMERIK, LINUXCNC, PLAIN = CONTROLS
+SINUMERIK = CONTROLS[0]
 
 LETTERS = 90
 """Letters of what a check says that are kept."""
@@ -35,15 +35,20 @@ SETTINGS: dict[str, dict[str, dict[str, Any]]] = {
 }
 """Settings beside the default ones."""
 
+PARTS = {
+    **dict.fromkeys(("arcs", "lines", "ramps", "overlap", "allowance"), "bored"),
+    **dict.fromkeys(("retract", "dwell"), "cube"),
+    **dict.fromkeys(("stripes", "whole", "decimals", "offset"), "prism"),
+}
+"""Part on which each of the other settings is tried, for every control."""
+
 LISTED: tuple[tuple[str, str, str], ...] = (
     *((part, control, "") for part in SUBJECTS for control in CONTROLS),
     *(
-        ("bored", control, how)
-        for control in CONTROLS
-        for how in ("arcs", "lines", "ramps", "overlap", "allowance")
+        (part, CONTROLS[(turn + n) % len(CONTROLS)], how)
+        for turn in range(len(CONTROLS))
+        for n, (how, part) in enumerate(PARTS.items())
     ),
-    *(("two-spheres", control, how) for control in CONTROLS for how in ("retract", "dwell")),
-    *(("prism", control, how) for control in CONTROLS for how in ("stripes", "whole", "decimals", "offset")),
     *((part, SINUMERIK, "bspline") for part in ("bored", "torus", "two-spheres")),
 )
 """Part, control and settings of each honest run."""
