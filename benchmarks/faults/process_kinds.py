@@ -190,7 +190,7 @@ def power_step_deleted(ground: Ground) -> list[Place]:
     before: float | None = None
     for file, i, value in _numbers(ground, text.codes.power):
         alone = not re.fullmatch(text.codes.beam_on, text.code(file, i))
-        changes = before is not None and abs(value / before - 1.0) > 0.05
+        changes = bool(before) and abs(value / before - 1.0) > 0.05
         if alone and changes and text.find(text.codes.beam_on, file, i + 1):
             found.append((file, i))
         before = value
