@@ -187,10 +187,10 @@ def power_step_deleted(ground: Ground) -> list[Place]:
     """Take out the power of a layer, so that the one before stays."""
     text = ground.text
     found = []
-    before: float | None = None
+    before = 0.0
     for file, i, value in _numbers(ground, text.codes.power):
         alone = not re.fullmatch(text.codes.beam_on, text.code(file, i))
-        changes = bool(before) and abs(value / before - 1.0) > 0.05
+        changes = before > 0.0 and abs(value / before - 1.0) > 0.05
         if alone and changes and text.find(text.codes.beam_on, file, i + 1):
             found.append((file, i))
         before = value
