@@ -122,7 +122,7 @@ def feed_lost(ground: Ground) -> list[Place]:
 @kind("wire speed of one bead", "metal", (0.5, 0.7, 1.3, 2.0, 0.0))
 def wire_of_bead(ground: Ground) -> list[Place]:
     """Change the wire speed of one bead."""
-    text, bead = ground.text, ground.bead(motions=2)
+    text, bead = ground.text, ground.bead(motions=5)
     ground.what = f"wire of a bead times {ground.variant:g}"
     _scale(ground, text.codes.wire_speed, ground.variant, _of_bead(ground, text.codes.wire_speed, bead))
     return ground.line(bead.file, bead.travel, bead.off)
@@ -141,7 +141,7 @@ def wire_everywhere(ground: Ground) -> list[Place]:
     return _scale(ground, ground.text.codes.wire_speed, ground.variant)
 
 
-@kind("step of the wire deleted", "metal")
+@kind("step of the wire deleted", "metal", unseen="a share of the metal of part of a bead, which layers may be uneven by")  # fmt: skip
 def wire_step_deleted(ground: Ground) -> list[Place]:
     """Take out a change of the wire speed along a bead of more than a tenth."""
     text = ground.text
@@ -187,13 +187,17 @@ def power_step_deleted(ground: Ground) -> list[Place]:
     """Take out the power of a layer, so that the one before stays."""
     text = ground.text
     found = []
-    before = 0.0
-    for file, i, value in _numbers(ground, text.codes.power):
+    settings = _numbers(ground, text.codes.power)
+    for (f, _, before), (file, i, value), (_, following, _) in zip(
+        settings, settings[1:], [*settings[2:], ("", 10**9, 0.0)], strict=False
+    ):
         alone = not re.fullmatch(text.codes.beam_on, text.code(file, i))
-        changes = before > 0.0 and abs(value / before - 1.0) > 0.05
-        if alone and changes and text.find(text.codes.beam_on, file, i + 1):
+        counts = text.find(
+            text.codes.beam_on, file, i + 1, max(following + 1, i + 1) if following > i else None
+        )
+        changes = f == file and before > 0.0 and abs(value / before - 1.0) > 0.05
+        if alone and changes and counts:
             found.append((file, i))
-        before = value
     file, i = ground.pick(found)
     text.delete(file, i)
     if text.control == PLAIN:  # M3 carries the power, too

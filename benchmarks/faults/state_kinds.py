@@ -175,31 +175,18 @@ def early_beam(ground: Ground) -> list[Place]:
 @kind("safe start deleted", "state", ("beam_off", "wire_off"))
 def no_safe_start(ground: Ground) -> list[Place]:
     """Take out a switching off before the first layer."""
-    return _switch_deleted(ground, 0)
-
-
-@kind("safe end deleted", "state", ("beam_off", "wire_off"))
-def no_safe_end(ground: Ground) -> list[Place]:
-    """Take out a switching off after the last layer."""
-    return _switch_deleted(ground, -1)
-
-
-def _switch_deleted(ground: Ground, which: int) -> list[Place]:
-    text = ground.text
-    found = text.find(getattr(text.codes, ground.variant))
-    layers, beads = text.layers(), text.beads()
-    before = len(text.files[text.main]) if text.sinumerik else beads[0].on
-    outside = [i for i in found if text.sinumerik or i < before or i >= layers[-1].end]
-    calls = text.find(r"MAIN_L\d+") if text.sinumerik else [layers[0].first, layers[-1].end]
-    some = [i for i in outside if (i < calls[0] if which == 0 else i > calls[-1] - 1)]
-    if not some:
+    text, first = ground.text, ground.text.beads()[0]
+    layer = text.layers()[0]
+    end = text.find(r"MAIN_L\d+")[0] if text.sinumerik else layer.first
+    found = text.find(getattr(text.codes, ground.variant), end=end)
+    if not found:
         raise NotHereError
-    i = some[which]
-    text.delete(text.main, i)
-    ground.what = f"{ground.variant} is missing {'at the start' if which == 0 else 'at the end'}"
-    first = beads[0]
-    places = ground.line(text.main, i - 3, i + 8)
-    return places + (ground.line(first.file, first.travel, first.on) if which == 0 else [])
+    text.delete(text.main, found[0])
+    ground.what = f"{ground.variant} is missing at the start"
+    return [
+        *ground.line(text.main, found[0] - 3, found[0] + 8),
+        *ground.line(first.file, first.travel, first.on),
+    ]
 
 
 @kind("value left at the end", "state", ("power", "wire_speed", "voltage"))

@@ -143,7 +143,7 @@ def hidden_word(ground: Ground) -> list[Place]:
     bead: Bead = ground.bead(motions=3)
     if ground.variant == "Y":
         found = [(b, i) for b in text.beads() for i in b.motions if text.code(b.file, i).startswith("G1 ")
-                 and abs(text.position(b.file, i)[1] - text.position(b.file, i + 1)[1]) > 0.5]  # fmt: skip
+                 and abs(text.position(b.file, i)[1] - text.position(b.file, i + 1)[1]) > 3.0]  # fmt: skip
         bead, i = ground.pick(found)
         text.files[bead.file][i] = re.sub(r" Y", " ; Y", text.files[bead.file][i], count=1)
     elif ground.variant == "feed":
