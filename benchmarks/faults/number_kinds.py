@@ -234,7 +234,7 @@ def coefficient(ground: Ground) -> list[Place]:
     return ground.line(bead.file, i)
 
 
-@kind("parameter length of a polynomial", "metal", (0.5, 2.0), controls=(SINUMERIK,), subjects=("torus", "bored", "two-spheres"))  # fmt: skip
+@kind("parameter length of a polynomial", "metal", (0.5, 2.0), controls=(SINUMERIK,), subjects=("torus", "two-spheres"))  # fmt: skip
 def parameter_length(ground: Ground) -> list[Place]:
     """Change PL of the POLY block that it bends most."""
     text = ground.text
