@@ -188,13 +188,12 @@ def power_step_deleted(ground: Ground) -> list[Place]:
     text = ground.text
     found = []
     settings = _numbers(ground, text.codes.power)
-    for (f, _, before), (file, i, value), (_, following, _) in zip(
-        settings, settings[1:], [*settings[2:], ("", 10**9, 0.0)], strict=False
+    for (f, _, before), (file, i, value), (g, following, _) in zip(
+        settings, settings[1:], [*settings[2:], ("", 0, 0.0)], strict=False
     ):
         alone = not re.fullmatch(text.codes.beam_on, text.code(file, i))
-        counts = text.find(
-            text.codes.beam_on, file, i + 1, max(following + 1, i + 1) if following > i else None
-        )
+        end = following + 1 if g == file else len(text.files[file])
+        counts = text.find(text.codes.beam_on, file, i + 1, end)
         changes = f == file and before > 0.0 and abs(value / before - 1.0) > 0.05
         if alone and changes and counts:
             found.append((file, i))
