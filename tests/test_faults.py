@@ -157,7 +157,7 @@ def test_places_are_right_within_three_lines_in_their_file():
 def test_what_fails_for_a_sound_program_finds_no_fault_and_neither_does_a_crash():
     said = [Said("coverage", "A:1", "")]
     assert not verdict(said, frozenset({"coverage"}), [Place("A", 1, 1)]).found
-    assert verdict(said, frozenset(), [Place("A", 1, 1)]).right
+    assert verdict(said, frozenset(), [Place("A", 1, 1)]).by == ("coverage",)
 
     def crash() -> list[Check]:
         raise ZeroDivisionError("planted")
@@ -167,7 +167,7 @@ def test_what_fails_for_a_sound_program_finds_no_fault_and_neither_does_a_crash(
 
     assert not verdict(failures(crash), frozenset(), []).found
     refused = failures(refuse)
-    assert verdict(refused, frozenset(), [Place("MAIN.MPF", 5, 5)]).right
+    assert verdict(refused, frozenset(), [Place("MAIN.MPF", 5, 5)]).by == ("refused",)
 
 
 def some_result(**changes: object) -> Result:
