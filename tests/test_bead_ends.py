@@ -12,6 +12,7 @@ from ebamcheck.config import Config
 from ebamcheck.errors import SettingsError
 from ebamcheck.program import read_program, verify_program, write_program
 from ebamcheck.program.cuts import segment_lengths, segment_parts
+from ebamcheck.program.matching import as_planned
 from ebamcheck.program.segments import CIRCULAR, CUBIC, STRAIGHT
 
 WIDE = {"travel_min_mm": (-2000.0, -2000.0, 0.0), "travel_max_mm": (2000.0, 2000.0, 2000.0)}
@@ -31,7 +32,7 @@ def made(tmp_path, process, **machine):
     config = Config().changed(process=process, machine={**WIDE, **machine})
     curves, plan = stack()
     files = write_program(curves, plan, config, tmp_path / "p")
-    return config, curves, plan, files, read_program(files.main, config)
+    return config, curves, plan, files, as_planned(read_program(files.main, config), curves, plan, config)
 
 
 def checks_of(config, curves, plan, nc):
@@ -123,7 +124,7 @@ def squares(tmp_path, process, layers=6, side=40.0, shift=(0.0, 0.0)):
     curves, plan = make_curves(heights, rings, [True] * layers), make_plan(heights, [])
     config = Config().changed(process=process)
     files = write_program(curves, plan, config, tmp_path / "p")
-    return config, curves, plan, files, read_program(files.main, config)
+    return config, curves, plan, files, as_planned(read_program(files.main, config), curves, plan, config)
 
 
 def starts_of(nc):

@@ -125,7 +125,7 @@ def test_a_changed_byte_is_named(copy):
     data = bytearray(part.read_bytes())
     data[10] ^= 1
     part.write_bytes(data)
-    assert set(failures(run, part)) == {"part unchanged"}
+    assert set(failures(run, part)) == {"part unchanged", "header"}
 
 
 def test_other_settings_are_named(copy):
@@ -133,7 +133,7 @@ def test_other_settings_are_named(copy):
     other = SETTINGS.changed(slicing={"time_limit_s": 500.0})
     assert set(failures(run, part, other)) == {"settings unchanged"}
     other = SETTINGS.changed(machine={"name": "another"})
-    assert set(failures(run, part, other)) == {"settings unchanged", "profile unchanged"}
+    assert set(failures(run, part, other)) == {"settings unchanged", "profile unchanged", "header"}
 
 
 def test_a_program_in_a_run_is_verified_with_the_settings_of_the_run(copy):

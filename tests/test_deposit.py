@@ -16,6 +16,7 @@ from ebamcheck.program.bead_ends import planned_path
 from ebamcheck.program.deposit import deposit
 from ebamcheck.program.deposit_checks import DEPOSIT_CHECKS, deposit_checks
 from ebamcheck.program.events import COLUMNS, event_totals, process_events
+from ebamcheck.program.matching import matched
 from ebamcheck.program.thin_walls import narrow_bead
 from ebamcheck.program.wire_checks import wire_check
 
@@ -52,7 +53,8 @@ def test_plan_and_program_are_one_process(name, tmp_path):
     path = planned_path(made.beads, made.plan, config)
     events = process_events(path, made.plan, config)
     assert list(events.columns) == list(COLUMNS)
-    plan, text = event_totals(events, 3, config), program_summary(made.read(), config)
+    nc, _ = matched(made.read(), path)
+    plan, text = event_totals(events, 3, config), program_summary(nc, config)
     for ours, theirs in {"contour_mm": "contour_mm", "travel_mm": "travel_mm", "wire_mm": "wire_mm"}.items():
         assert plan[ours].to_numpy() == pytest.approx(text[theirs].to_numpy(), rel=1e-5, abs=1e-3)
     hatch = plan[["hatch_mm", "turn_mm", "wall_mm", "gap_mm"]].sum(axis=1)
@@ -61,7 +63,6 @@ def test_plan_and_program_are_one_process(name, tmp_path):
     # Waits are of the layer that they come before, or within which they are.
     assert plan["wait_s"].to_numpy() == pytest.approx(text["pause_s"].to_numpy(), abs=1e-6)
     assert plan["wait_s"][1:].min() >= 20.0
-    nc = made.read()
     assert plan["starts"].sum() == sum(event == "wire_start" for event in nc.events.name)
     assert wire_check(nc, config, path).passed
     # The plan's own rows count the same lines and turns.

@@ -92,6 +92,65 @@ def test_tiles_cover_their_islands_with_the_moments_of_their_areas():
         assert np.add.reduceat(tiles.share * away2, tiles.first[:-1]) == pytest.approx(moments)
 
 
+def slivers(kind, random):
+    """Polygons hard to cut: needles, tapers between arcs, notched strips, hairs beside holes, and halves of them."""
+    thin = 10.0 ** random.uniform(-9, -1)
+    if kind == "needle":
+        length = 10.0 ** random.uniform(-1, 2)
+        body = shapely.Polygon([(0, 0), (length, thin * random.uniform(-1, 1)), (0.7 * length, thin)])
+    elif kind == "taper":
+        disc = shapely.Point(0, 0).buffer(6.0, quad_segs=16)
+        body = disc.difference(
+            shapely.Point(10.0 * thin, 0).buffer(6.0, quad_segs=int(random.integers(8, 33)))
+        )
+    elif kind == "strip":
+        x = np.sort(random.uniform(0, 10, 40))
+        edges = np.c_[x, thin * random.normal(size=40)], np.c_[x[::-1], 0.5 + thin * random.normal(size=40)]
+        body = shapely.make_valid(shapely.Polygon(np.concatenate(edges)))
+    elif kind == "hole":
+        holed = shapely.box(0, 0, 8, 8).difference(shapely.box(thin, 1, 7, 8 - thin))
+        body = holed.difference(shapely.Point(7.5, 0.5).buffer(0.5 - thin))
+    else:
+        whole = shapely.make_valid(shapely.Polygon(random.uniform(0, 10, (7, 2))))
+        body = whole.difference(affinity.translate(whole, *(thin * random.normal(size=2))))
+    placed = affinity.translate(affinity.rotate(body, random.uniform(0, 360)), *random.uniform(-300, 300, 2))
+    parts = shapely.get_parts(placed)
+    return [p for p in parts if p.geom_type == "Polygon" and p.is_valid and p.area > 0.0]
+
+
+@pytest.mark.parametrize("kind", ["needle", "taper", "strip", "hole", "cut"])
+def test_slivers_are_cut_into_tiles_of_their_own_size(kind):
+    random = np.random.default_rng(11)
+    found = [p for _ in range(60) for p in slivers(kind, random)]
+    islands = np.empty(len(found), object)
+    islands[:] = found
+    assert len(islands) >= 60
+    tiles = island_tiles(islands)
+    starts, owner = tiles.first[:-1], np.repeat(np.arange(len(islands)), np.diff(tiles.first))
+    assert (np.diff(tiles.first) > 0).all()
+    assert (tiles.share >= 0.0).all()
+    assert (tiles.variance >= 0.0).all()
+    assert np.add.reduceat(tiles.share, starts) == pytest.approx(1.0)
+    size = shapely.minimum_bounding_radius(islands)
+    assert (shapely.distance(shapely.convex_hull(islands)[owner], shapely.points(tiles.place)) < 2e-6).all()
+    assert (tiles.variance <= (size[owner] + 2e-6) ** 2).all()
+    # Where the corners are many roundings apart, the middle of the tiles is that of the island.
+    middle = np.add.reduceat(tiles.share[:, None] * tiles.place, starts)
+    away = np.hypot(*(middle - shapely.get_coordinates(shapely.centroid(islands))).T)
+    wide = shapely.area(islands) > 1e-3 * shapely.length(islands)
+    assert (away[wide] < 1e-2 * size[wide]).all()
+    assert (away < 2.0 * size + 2e-6).all()
+
+
+def test_a_polygon_that_cannot_be_cut_counts_as_its_hull():
+    # Not valid, so not an island: what a failure of the triangulation would leave.
+    crossed = shapely.Polygon([(0, 0), (6, 4), (0, 4), (6, 0)])
+    tiles = island_tiles(np.array([crossed], object))
+    away2 = ((tiles.place - (3.0, 2.0)) ** 2).sum(axis=1) + 2.0 * tiles.variance
+    assert tiles.share.sum() == pytest.approx(1.0)
+    assert (tiles.share * away2).sum() == pytest.approx((6.0**2 + 4.0**2) / 12.0)
+
+
 def layer_in_half_space(age_s):
     """Mean temperature of the layer by heat in it: a slab of 2 h in an endless body, averaged over half of it."""
     h = PROFILE.layer_height_mm

@@ -21,6 +21,7 @@ from ebamcheck.program import program_summary, read_program, verify_program
 from ebamcheck.program.gcode_posts import write_linuxcnc, write_plain_gcode
 from ebamcheck.program.inputs import interpass_of
 from ebamcheck.program.interpass_checks import INTERPASS, MELTING, OVER_RANGE, layer_shares
+from ebamcheck.program.matching import as_planned
 from ebamcheck.program.sinumerik import write_program
 from ebamcheck.program.text_heat import sections_of, text_beads, text_bed_k, text_shapes
 from ebamcheck.scan import ScanPlan, plan_stack
@@ -186,7 +187,7 @@ def written(config, plan, folder, control="sinumerik-840d-sl"):
 
 
 def judged(config, files, plan=None, curves=None):
-    nc = read_program(files.main, config)
+    nc = as_planned(read_program(files.main, config), curves, plan, config)
     layers = tube(config)
     checks = verify_program(nc, config=config, plan=plan, curves=curves, layers=layers, heat=True)
     return nc, {check.name: check for check in checks}
@@ -211,8 +212,8 @@ def test_waits_and_power_are_written_and_read_back(plans, tmp_path, control):
 
 def test_the_text_is_as_warm_as_the_plan(plans, tmp_path):
     config, plan = plans["both"]
-    config, _, files = written(config, plan, tmp_path / "p")
-    nc = read_program(files.main, config)
+    config, curves, files = written(config, plan, tmp_path / "p")
+    nc = as_planned(read_program(files.main, config), curves, plan, config)
     beads = text_beads(nc, config)
     shapes = text_shapes(nc, config, sections_of(tube(config)))
     bed_k, leave_k = text_bed_k(beads, config, shapes)

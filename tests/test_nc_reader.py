@@ -260,7 +260,7 @@ def test_templates_are_state_changes(tmp_path):
     nc = read(tmp_path, text, config)
     assert nc.beam[1:].tolist() == [False, True, True, True, False]
     assert nc.wire[1:].tolist() == [False, False, True, False, False]
-    assert nc.power_w[1:].tolist() == [7200.0] * 5
+    assert nc.power_w[1:].tolist() == [7200.0] * 4 + [0.0]  # H2=0 of the template is read as any other H2
     assert nc.wire_mm_s[3:5].tolist() == [33.5, 33.5]
     assert ("layer", 12.0) in list(zip(nc.events.name, nc.events.value, strict=True))
 
@@ -288,7 +288,7 @@ def test_the_sampled_path_of_a_square_is_the_square(tmp_path):
     assert layers.ring_lengths.sum() == pytest.approx(41)
     assert np.linalg.norm(np.diff(layers.ring(0), axis=0), axis=1).max() <= 0.5 + 1e-12
     assert nc.contours(0.5).open_counts().tolist() == [0]
-    assert nc.vectors()[["island", "x0", "x1"]].to_numpy().tolist() == [[3, 20, 25]]
+    assert nc.vectors()[["island", "x0", "x1"]].to_numpy().tolist() == [[0, 20, 25]]
 
 
 def test_the_sampled_program_is_the_sampled_curve(tmp_path):

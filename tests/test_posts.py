@@ -18,6 +18,7 @@ from scipy.interpolate import BSpline
 from ebamcheck.config import Config
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.program import mark_validated, read_program, write_program
+from ebamcheck.program.matching import as_planned
 from ebamcheck.program.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT
 
 CONTROLS = ("sinumerik-840d-sl", "linuxcnc", "plain-gcode", "3dthesis", "adamantine", "additivefoam")
@@ -93,6 +94,7 @@ def spans_at(curves, t):
 def same_parameters(nc, curves):
     """Largest distance of the contour motions from the curves at the same parameters."""
     t = np.linspace(0, 1, 11)
+    nc = as_planned(nc, curves, None, Config())
     rows = np.flatnonzero(nc.deposit & (nc.ring >= 0))
     wanted = spans_at(curves, t)
     assert rows.size == len(wanted)
@@ -108,6 +110,7 @@ def away(points, polyline):
 def deviation(nc, curves):
     """Largest distance, both ways, of the driven rings from the curves as shapes."""
     worst = 0.0
+    nc = as_planned(nc, curves, None, Config())
     for ring in range(len(curves.closed)):
         first, last = curves.ring_starts[ring : ring + 2]
         rows = np.flatnonzero((nc.ring == ring) & nc.deposit)
@@ -180,7 +183,7 @@ def test_arcs_of_every_quadrant_and_sense(control, sweep, tmp_path):
     curves = make_curves([0.8], [[[(arc, None)] for arc in arcs]], [False] * len(arcs))
     curves = with_arcs(curves)
     files, config = wrote(tmp_path, {"control": control}, curves)
-    nc = read_program(files.main, config)
+    nc = as_planned(read_program(files.main, config), curves, None, config)
     t = np.linspace(0, 1, 33)
     for ring, arc in enumerate(arcs):
         rows = np.flatnonzero((nc.ring == ring) & nc.deposit)
@@ -429,36 +432,45 @@ def test_the_text_of_a_linuxcnc_program(tmp_path):
     lines = files.main.read_text().splitlines()
     assert files.names == ("MAIN.ngc",)
     assert lines[:2] == ["; MAIN", "; NOT VALIDATED"]
-    assert [line for line in lines[2:] if ": " not in line] == [
-        "G17 G21 G90 G91.1 G94",
-        "G40 G49 G80",
-        "G54",
-        "G64 P0.05",
-        "M68 E0 Q60 ; accelerating voltage, kV",
+    modes = ["G17 G21 G90 G91.1 G94", "G40 G49 G80", "G92.1", "G54", "G64 P0.05"]
+    off = ["M65 P1 ; wire off", "M65 P0 ; beam off"]
+    beam = ["M68 E0 Q60 ; accelerating voltage, kV", "M68 E1 Q120 ; beam current, mA"]
+    on = [
         "M68 E1 Q120 ; beam current, mA",
+        "M64 P0 ; beam on",
+        "M68 E2 Q33.333333 ; wire speed, mm/s",
+        "M64 P1 ; wire on",
+    ]
+    assert [line for line in lines[2:] if ": " not in line] == [
+        *modes,
+        *off,
+        *beam,
+        *modes,
+        "(MSG, LAYER 1 OF 1)",
+        *beam,
         "G0 Z21.676",
         "; RING 0",
         "G0 X0.000 Y0.000",
         "G0 Z1.676",
-        "M64 P0 ; beam on",
-        "M68 E2 Q33.333333 ; wire speed, mm/s",
-        "M64 P1 ; wire on",
+        *on,
         "G1 X10.000 Y0.000 F600",
         "G1 X10.000 Y10.000",
         "G1 X0.000 Y0.000",
-        "M65 P1 ; wire off",
-        "M65 P0 ; beam off",
+        *off,
         "; ISLAND 0",
         "G0 X2.000 Y2.000",
-        "M64 P0 ; beam on",
-        "M68 E2 Q33.333333 ; wire speed, mm/s",
-        "M64 P1 ; wire on",
+        *on,
         "G1 X8.000 Y2.000 F600",
         "G1 X8.000 Y6.320 ; TURN",
         "G1 X2.000 Y6.320",
-        "M65 P1 ; wire off",
-        "M65 P0 ; beam off",
+        *off,
         "G0 Z21.676",
+        *off,
+        "M67 E2 Q0 ; wire speed, mm/s",
+        "M68 E0 Q0 ; accelerating voltage, kV",
+        "M68 E1 Q0 ; beam current, mA",
+        "G0 Z21.676",
+        "G0 X0.000 Y0.000",
         "M2",
     ]
 

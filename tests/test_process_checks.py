@@ -137,19 +137,6 @@ def test_a_missing_line_is_named_by_the_one_after_it(tmp_path):
     assert "1 gaps" in found["coverage"].text
 
 
-def test_an_island_that_comes_again_is_named(tmp_path):
-    config = Config()
-    curves = make_curves([0.75], [[[(SQUARE, None)]]], [True])
-    islands = [(0, hatch(3.0, 3.2, 2, 10.0)), (0, hatch(20.0, 3.2, 2, 10.0)), (0, hatch(3.0, 20.0, 2, 10.0))]
-    files = write_program(curves, make_plan([0.75], islands), config, tmp_path / "p")
-    path = files.folder / "MAIN_L0001.SPF"
-    path.write_text(path.read_text().replace("; ISLAND 2", "; ISLAND 0"))
-    nc = read_program(files.main, config)
-    found = {c.name: c for c in verify_program(nc, config=config, heights=[0.75], beads=True)}
-    assert not found["islands once"].passed
-    assert "island 0 comes a second time" in found["islands once"].text
-
-
 def test_a_line_laid_twice_is_named(tmp_path):
     some = lines()
     found, files = filled(tmp_path, [*some, some[2]])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -177,8 +178,10 @@ def test_moving_the_part_moves_the_program(tmp_path):
     there = write_program(moved, replace(plan, vectors=vectors), Config(), tmp_path / "there")
     here = write_program(curves, plan, Config(), tmp_path / "here")
     a, b = read_program(here.main), read_program(there.main)
-    # The closing rise of the main program has no X and Y of its own; it moves with the rest.
+    # The closing rise of the main program has no X and Y of its own; it moves with the rest. The tool is parked at one place.
     known = np.isfinite(a.end).all(axis=1)
+    assert b.end[-1].tolist() == a.end[-1].tolist()
+    known[-1] = False
     assert np.abs(b.end[known] - a.end[known] - [*shift, 0]).max() <= 1e-6 + 1e-9
 
 
@@ -189,51 +192,75 @@ def test_the_text_of_a_square_and_an_island(tmp_path):
     files = write_program(curves, plan, config, tmp_path / "program")
     assert files.names == ("MAIN.MPF", "MAIN_L0001.SPF", "MAIN_L0002.SPF")
     text = (files.folder / "MAIN_L0001.SPF").read_text()
-    assert text.splitlines() == [
+    lines = text.splitlines()
+    assert lines[:4] == [
         "%_N_MAIN_L0001_SPF",
         ";$PATH=/_N_WKS_DIR/_N_EBAMCHECK_WPD",
         "; NOT VALIDATED",
         "; LAYER: 1 OF 2, CUT AT 0.800000, Z 1.600000",
-        "N10 G0 Z21.600",
-        "; RING 0",
-        "N20 G0 X0.000 Y0.000",
-        "N30 G0 Z1.600",
-        "N40 M60 ; beam on",
-        "N50 H3=31.830989 ; wire speed, mm/s",
-        "N60 M62 ; wire on",
-        "N70 G1 X10.000 Y0.000 F600",
-        "N80 G1 X10.000 Y10.000",
-        "N90 G1 X0.000 Y10.000",
-        "N100 G1 X0.000 Y0.000",
-        "N110 M63 ; wire off",
-        "N120 M61 ; beam off",
-        "; ISLAND 0",
-        "N130 G0 X2.000 Y2.000",
-        "N140 M60 ; beam on",
-        "N150 H3=31.830989 ; wire speed, mm/s",
-        "N160 M62 ; wire on",
-        "N170 G1 X8.000 Y2.000 F600",
-        "N180 G1 X8.000 Y6.320 ; TURN",
-        "N190 G1 X2.000 Y6.320",
-        "N200 M63 ; wire off",
-        "N210 M61 ; beam off",
-        "N220 G0 Z21.600",
-        "N230 M17",
     ]
-    empty = (files.folder / "MAIN_L0002.SPF").read_text().splitlines()
-    assert empty[4:] == ["N10 G0 Z23.200", "N20 G0 Z23.200", "N30 M17"]
-    main = (files.folder / "MAIN.MPF").read_text().splitlines()
-    assert main[0] == "%_N_MAIN_MPF"
-    assert [line.split(" ", 1)[1] for line in main if line.startswith("N")] == [
-        "G17 G71 G90 G94",
+    numbers = [int(line.split()[0][1:]) for line in lines if line.startswith("N")]
+    assert numbers == list(range(10, 10 * len(numbers) + 1, 10))
+    assert [re.sub(r"^N\d+ ", "", line) for line in lines[4:]] == [
+        "G17 G710 G90 G94",
+        "G40 D0",
+        "TRANS",
         "G54",
         "SOFT FFWON G642",
         "CTOL=0.05",
+        'MSG("LAYER 1 OF 2")',
+        "H1=60 ; accelerating voltage, kV",
+        "H2=120 ; beam current, mA",
+        "G0 Z21.600",
+        "; RING 0",
+        "G0 X0.000 Y0.000",
+        "G0 Z1.600",
+        "M60 ; beam on",
+        "H3=31.830989 ; wire speed, mm/s",
+        "M62 ; wire on",
+        "G1 X10.000 Y0.000 F600",
+        "G1 X10.000 Y10.000",
+        "G1 X0.000 Y10.000",
+        "G1 X0.000 Y0.000",
+        "M63 ; wire off",
+        "M61 ; beam off",
+        "; ISLAND 0",
+        "G0 X2.000 Y2.000",
+        "M60 ; beam on",
+        "H3=31.830989 ; wire speed, mm/s",
+        "M62 ; wire on",
+        "G1 X8.000 Y2.000 F600",
+        "G1 X8.000 Y6.320 ; TURN",
+        "G1 X2.000 Y6.320",
+        "M63 ; wire off",
+        "M61 ; beam off",
+        "G0 Z21.600",
+        "M17",
+    ]
+    empty = (files.folder / "MAIN_L0002.SPF").read_text().splitlines()
+    assert empty[13:] == ["N100 G0 Z23.200", "N110 G0 Z23.200", "N120 M17"]
+    main = (files.folder / "MAIN.MPF").read_text().splitlines()
+    assert main[0] == "%_N_MAIN_MPF"
+    assert [line.split(" ", 1)[1] for line in main if line.startswith("N")] == [
+        "G17 G710 G90 G94",
+        "G40 D0",
+        "TRANS",
+        "G54",
+        "SOFT FFWON G642",
+        "CTOL=0.05",
+        "M63 ; wire off",
+        "M61 ; beam off",
         "H1=60 ; accelerating voltage, kV",
         "H2=120 ; beam current, mA",
         "MAIN_L0001",
         "MAIN_L0002",
+        "M63 ; wire off",
+        "M61 ; beam off",
+        "H3=0 ; wire speed, mm/s",
+        "H1=0 ; accelerating voltage, kV",
+        "H2=0 ; beam current, mA",
         "G0 Z23.200",
+        "G0 X0.000 Y0.000",
         "M30",
     ]
 
@@ -349,11 +376,16 @@ def test_curves_and_plan_of_different_stacks_are_refused(tmp_path):
 
 
 def test_templates_carry_the_values_of_their_layer(tmp_path):
-    machine = {"layer_begin": ["H9={layer} H8={height_mm:.2f} ; layer"], "set_beam": ["H7={power_w}"]}
+    machine = {
+        "layer_begin": ["H9={layer} H8={height_mm:.2f} ; layer"],
+        "set_beam": ["H7={power_w}"],
+        "set_power": ["H7={power_w}"],
+        "aux_codes": ["H8", "H9"],
+    }
     config = Config().changed(machine=machine)
     curves, plan = stack(count=2)
     files = write_program(curves, plan, config, tmp_path / "program")
-    assert "N10 H9=2 H8=3.00 ; layer" in (files.folder / "MAIN_L0002.SPF").read_text()
+    assert "N90 H9=2 H8=3.00 ; layer" in (files.folder / "MAIN_L0002.SPF").read_text()
     nc = read_program(files.main, config)
     assert set(nc.power_w[nc.deposit]) == {7200.0}
     assert failed(verify_program(nc, config=config, curves=curves, plan=plan)) == []

@@ -75,7 +75,7 @@ def layer_twice(text):
 
 def missing_file(text):
     del text.lines[SECOND]
-    return f"{MAIN}:{text.find(MAIN, 'MAIN_L0002') + 1}:5"
+    return f"{MAIN}:{text.find(MAIN, 'MAIN_L0002') + 1}:6"
 
 
 def later_rapid(text):
@@ -145,13 +145,15 @@ def dropped_line(text):
     i = text.find(FIRST, r"G1 X.*\d$", nth=9)
     assert "TURN" in text.lines[FIRST][i + 1]
     del text.lines[FIRST][i]
-    return f"{FIRST}:{i + 2}"
+    return f"{FIRST}:{i + 1}"
 
 
 def ring_again(text):
-    i = text.find(FIRST, "; RING 1")
-    text.lines[FIRST][i] = "; RING 0"
-    return f"{FIRST}:{text.find(FIRST, 'G1', nth=text_before(text.lines[FIRST], i)) + 1}"
+    """The beads of the first ring once more, behind themselves: whatever a comment says, they are there twice."""
+    i, j = text.find(FIRST, "G0 X"), text.find(FIRST, r"M61 ; beam off")
+    again = [re.sub(r"^N(\d+)", r"N\g<1>5", line) for line in text.lines[FIRST][i : j + 1]]
+    text.lines[FIRST][j + 1 : j + 1] = ["; RING 77", *again]
+    return f"{FIRST}:{text.find(FIRST, 'POLY', nth=0) + 2 + len(again)}"
 
 
 def shifted_layer(text):
@@ -181,12 +183,12 @@ def drop(name, pattern, nth=0):
     return lambda text: text.drop(name, pattern, nth)
 
 
-def first_motion(plant):
-    """The fault is named at the first motion of the program."""
+def line_before(plant):
+    """The fault is named at the line before the one that is missing."""
 
     def planted_before(text):
-        plant(text)
-        return f"{FIRST}:{text.find(FIRST, 'G0 Z') + 1}"
+        name, line = plant(text).split(":")
+        return f"{name}:{int(line) - 1}"
 
     return planted_before
 
@@ -235,12 +237,9 @@ FAULTS = {
     ),
     "feed 0": (edit(FIRST, "F600", "F0"), "feed"),
     "feed too high": (edit(SECOND, "F600", "F6000", nth=2), "feed"),
-    "current over the limit": (
-        lambda text: (text.edit(MAIN, "H2=120", "H2=300"), f"{FIRST}:{text.find(FIRST, 'POLY') + 1}")[1],
-        "power",
-    ),
+    "current over the limit": (edit(MAIN, "H2=120", "H2=300"), "process values"),
     "current under the one set": (
-        lambda text: (text.edit(MAIN, "H2=120", "H2=100"), f"{FIRST}:{text.find(FIRST, 'POLY') + 1}")[1],
+        lambda text: (text.edit(FIRST, "H2=120", "H2=100"), f"{FIRST}:{text.find(FIRST, 'POLY') + 1}")[1],
         "power",
     ),
     "half the wire": (
@@ -250,16 +249,13 @@ FAULTS = {
         )[1],
         "mass balance",
     ),
-    "no G90": (first_motion(edit(MAIN, " G90", "")), "modes"),
-    "no work offset": (first_motion(drop(MAIN, "G54")), "modes"),
-    "other work offset": (first_motion(edit(MAIN, "G54", "G55")), "modes"),
+    "no G90": (edit(MAIN, " G90", ""), "modes"),
+    "no work offset": (line_before(drop(MAIN, "G54")), "modes"),
+    "other work offset": (edit(MAIN, "G54", "G55"), "modes"),
     "wide smoothing": (edit(MAIN, "CTOL=0.05", "CTOL=0.5"), "smoothing"),
-    "other smoothing": (
-        lambda text: (text.edit(MAIN, "FFWON G642$", "FFWON G64"), f"{MAIN}:{text.find(MAIN, 'CTOL') + 1}")[1],
-        "smoothing",
-    ),
+    "other smoothing": (edit(MAIN, "FFWON G642$", "FFWON G64"), "smoothing"),
     "beyond the travel": (edit(FIRST, r"G1 X-?\d+\.\d+ (Y.* ; TURN)", r"G1 X1000.5 \1"), "travel"),
-    "turn too long": (edit(FIRST, r"(G1 X-?\d+\.\d+ Y-?\d+\.\d+)$", r"\1 ; TURN", nth=8), "turns"),
+    "turn 40 mm out": (edit(FIRST, r"G1 X(-?\d+)(\.\d+ Y.* ; TURN)", lambda m: f"G1 X{int(m[1]) + 40}{m[2]}"), "hatch path"),
     # -- path
     "flipped sign of a coefficient": (edit(FIRST, r"(PO\[X\]=\([^,]*,)-?", r"\1-9", nth=1), "contour path"),
     "contour 0.1 mm off": (

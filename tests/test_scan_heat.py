@@ -31,7 +31,7 @@ from ebamcheck.scan.annealing import (
 )
 from ebamcheck.scan.comparing import COMPARED, FIGURES, OrderComparison
 from ebamcheck.scan.driving import clocked, entered, entry_points, entry_temperatures
-from ebamcheck.scan.influence import influence
+from ebamcheck.scan.influence import influence, looked_up
 from ebamcheck.scan.island_heat import island_heat
 from ebamcheck.scan.laying import lay_islands
 from ebamcheck.scan.order import scan_order
@@ -302,6 +302,32 @@ def test_the_table_of_influences_is_the_heat_model(base):
         for n in range(len(order))
     ]
     assert found == pytest.approx(exact[order], rel=0.02, abs=0.02 * np.abs(exact).max())
+
+
+@pytest.mark.parametrize("base", ["cooled", "insulated"])
+def test_a_rise_of_the_table_is_that_of_two_islands_driven_alone(base):
+    profile = PROFILE.changed(process={"base": base})
+    choices = lay_islands(layer_section(PLATE), profile, 0, 10.0).choices(profile, 0)
+    drive, heat, count = choices.driven, choices.heat, len(choices)
+    horizon_s = heat.fresh.horizon_s
+    table = influence(heat, drive.time_s, 300.0)
+    pairs = [*choices.neighbours[::9].tolist(), *np.random.default_rng(8).integers(0, count, (8, 2)).tolist()]
+    for source, island in pairs:
+        if source == island:
+            continue
+        before = 0.0
+        for since in horizon_s * np.array([0.0, 0.3, 0.7, 0.999, 1.001, 1.5, 3.0, 12.0]):
+            start, end = np.zeros(count), np.zeros(count)
+            start[island] = end[source] = drive.time_s[source]
+            start[island] += since
+            end[island] = start[island] + drive.time_s[island]
+            exact = entered(heat, np.array([source, island]), start, end)[0][island]
+            found = looked_up(
+                table.rise_k, table.nodes_per_root_s, table.fresh.horizon_s, island, source, since
+            )
+            assert found == pytest.approx(exact, rel=0.02, abs=1.0)
+            before = max(before, abs(exact))
+        assert before > 0.0
 
 
 def test_ways_are_the_nearest_ones(choices):

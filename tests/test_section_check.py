@@ -10,7 +10,7 @@ from nc_stack import make_curves, make_plan
 from ebamcheck.config import Config
 from ebamcheck.layers import from_polygons
 from ebamcheck.program import read_program, write_program
-from ebamcheck.program.section_check import section_check
+from ebamcheck.program.section_check import Evidence, section_check
 from ebamcheck.scan.regions import inset
 
 INSET_MM, LIMIT_MM = 3.0, 0.25
@@ -72,3 +72,51 @@ def test_a_path_that_leaves_out_a_part_of_the_section_fails(tmp_path):
     hole = shapely.box(0, 0, 40, 40) - shapely.Point(20, 20).buffer(6)
     assert not checked(tmp_path, shapely.box(0, 0, 40, 40), hole).passed
     assert not checked(tmp_path, hole, shapely.box(0, 0, 40, 40)).passed
+
+
+def regular(corners, radius=29.0):
+    """A polygon of equal sides, whose corners lie on a circle."""
+    angle = 2.0 * np.pi * np.arange(corners) / corners
+    return shapely.Polygon(radius * np.column_stack([np.cos(angle), np.sin(angle)]))
+
+
+def round_path(tmp_path, section, evidence, most=LIMIT_MM):
+    """Check a path along a circle against a section."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 721)
+    circle = 26.0 * np.column_stack([np.cos(angle), np.sin(angle)])
+    circle[-1] = circle[0]
+    curves = make_curves([HEIGHT_MM], [[[(circle, None)]]], [True])
+    files = write_program(curves, make_plan([HEIGHT_MM], []), Config(), tmp_path / "p")
+    layers = from_polygons(np.array([HEIGHT_MM]), [[section]])
+    nc = read_program(files.main, Config())
+    return section_check(nc, layers, np.array([1.5]), INSET_MM, most, evidence=evidence)
+
+
+def test_a_prism_of_twelve_sides_is_no_circle_whatever_the_fit_says(tmp_path):
+    circle = from_polygons(np.array([HEIGHT_MM]), [[shapely.Point(0, 0).buffer(29, 720)]])
+    for smooth in (None, circle):
+        check = round_path(tmp_path, regular(12), Evidence(0.05, LIMIT_MM, smooth))
+        assert not check.passed
+        assert check.limit == LIMIT_MM
+        assert check.value == pytest.approx(29.0 * (1.0 - np.cos(np.pi / 12.0)), abs=0.02)
+        assert check.layer == 0
+        assert np.hypot(check.x_mm, check.y_mm) == pytest.approx(26.0, abs=0.01)
+
+
+@pytest.mark.parametrize("corners", [40, 80])
+def test_chords_of_a_circle_are_evidence_for_it_and_a_path_beside_it_has_none(tmp_path, corners):
+    for move, passed in ((0.0, True), (0.12, False)):
+        section = shapely.affinity.translate(regular(corners), move, 0.0)
+        circle = shapely.affinity.translate(shapely.Point(0, 0).buffer(29, 720), move, 0.0)
+        for smooth in (None, from_polygons(np.array([HEIGHT_MM]), [[circle]])):
+            check = round_path(tmp_path, section, Evidence(0.01, LIMIT_MM, smooth))
+            assert check.passed == passed, check.text
+
+
+def test_evidence_counts_at_its_place_alone(tmp_path):
+    """Where one side is one long chord and the others are short, only the path along that one may leave it."""
+    angle = np.concatenate([np.linspace(0.2, 2.0 * np.pi - 0.2, 300), [2.0 * np.pi + 0.2]])[:-1]
+    section = shapely.Polygon(29.0 * np.column_stack([np.cos(angle), np.sin(angle)]))
+    assert round_path(tmp_path, section, Evidence(0.05, 1.0), most=1.0).passed
+    shifted = shapely.affinity.translate(section, 0.0, 0.2)
+    assert not round_path(tmp_path, shifted, Evidence(0.05, 1.0), most=1.0).passed

@@ -19,7 +19,6 @@ from ebamcheck.isolate import Outcome
 from ebamcheck.program import Check
 from ebamcheck.program.deposit_checks import DEPOSIT_CHECKS, of_deposit
 from ebamcheck.program.interpass_checks import INTERPASS, MELTING, within_range
-from ebamcheck.program.verification import SECTION_TOLERANCE_MM
 
 
 @dataclass(frozen=True)
@@ -85,16 +84,6 @@ def fit_tolerance_mm(config: Config) -> float:
     if curves.method in LIFTED:
         return curves.largest_lift_mm + curves.tolerance_mm + curves.near_point_mm
     return curves.largest_bulge_mm + curves.near_point_mm + curves.collinear_mm
-
-
-def fit_distance_mm(deviation: pd.DataFrame) -> float:
-    """Greatest distance between curves and their contours, of what :func:`ebamcheck.curves.fit_deviation` found."""
-    return float(deviation[["points_mm", "bulge_mm"]].to_numpy().max(initial=0.0))
-
-
-def section_tolerance_mm(fit_mm: float) -> float:
-    """Distance that the contour path may keep from the inset section: that of these curves, and of the inset's arcs."""
-    return fit_mm + SECTION_TOLERANCE_MM
 
 
 def fit_gate(deviation: pd.DataFrame, config: Config) -> Gate:

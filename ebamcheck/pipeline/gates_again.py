@@ -29,9 +29,10 @@ from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.placement import cut_heights
 from ebamcheck.program import Check, verify_file
+from ebamcheck.program.header_checks import Truth
 from ebamcheck.scan import ScanPlan
 from ebamcheck.slicing import slice_part
-from ebamcheck.store import RunFolder, plain
+from ebamcheck.store import RunFolder, plain, sha256_of_json
 
 SMOOTH_MM = 0.002
 """Chords of the smooth sections: far under the tolerance of the fit."""
@@ -84,7 +85,7 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
         heat=True,
         heights=heights,
         sha256={file["name"]: file["sha256"] for file in record["files"]},
-        section_tolerance_mm=gates.section_tolerance_mm(deviation_gate.figure),
+        truth=truth_of(manifest, config),
     )
     made += [
         deviation_gate,
@@ -94,6 +95,12 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
         gates.program_gate(checks),
     ]
     return Again(witness, tuple(made), tuple(checks))
+
+
+def truth_of(manifest: Mapping[str, Any], config: Config) -> Truth:
+    """What a run's record tells of its program, against which the program's header is held."""
+    validated = bool(manifest["program"]["validated"])
+    return Truth(validated, manifest["part"]["sha256"], sha256_of_json(config.model_dump()))
 
 
 def _agreement(

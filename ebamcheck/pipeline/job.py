@@ -22,7 +22,9 @@ from ebamcheck.pipeline.programming import make_program
 from ebamcheck.pipeline.record import manifest as make_manifest
 from ebamcheck.pipeline.work import Job, Observer, Silent
 from ebamcheck.process_window import checked_window, outside_window, unusual_layers
+from ebamcheck.program.dialects import TEXT_CONTROLS
 from ebamcheck.program.heat_paths import PATH_FILES
+from ebamcheck.program.templates import usable_templates
 from ebamcheck.store import FINGERPRINT, MANIFEST, RunFolder, sha256_of_json, start_run, write_json
 
 
@@ -75,6 +77,8 @@ def run_job(
             f"run for a control, then `ebamcheck post RUN --control {config.machine.control} -o FOLDER`"
         )
     checked_window(config)
+    if config.machine.control in TEXT_CONTROLS:
+        usable_templates(config, config.machine.control)
     fine = mesh_files.load(reference, config.part.units).along(config.part.direction) if reference else None
 
     def program(job: Job, checked: CrossCheck, sound: bool) -> list[Gate]:

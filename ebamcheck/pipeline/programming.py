@@ -27,6 +27,7 @@ from ebamcheck.program.deposit import deposit
 from ebamcheck.program.deposit_checks import deposit_checks
 from ebamcheck.program.events import event_totals, process_events
 from ebamcheck.program.inputs import deposition_heights
+from ebamcheck.program.matching import matched
 from ebamcheck.program.metal_field import FIELD_FILE, write_field
 from ebamcheck.program.motions import NCProgram
 from ebamcheck.program.text_heat import build_times_s, known_sections
@@ -68,7 +69,7 @@ def make_program(
         path = planned_path(beads, plan, config)
         totals = _write_events(job, path, plan)
         witness = _witness(job, layers, checked.done)
-        checks = _write_and_verify(job, beads, plan, path, layers, witness, gates.fit_distance_mm(deviation))
+        checks = _write_and_verify(job, beads, plan, path, layers, witness, smooth)
     made = [
         gates.fit_gate(deviation, config),
         gates.coverage_gate(plan.metrics, config),
@@ -150,13 +151,13 @@ def _write_and_verify(
     path: Toolpath,
     contours: Layers,
     witness: Layers,
-    fit_mm: float,
+    smooth: Layers,
 ) -> list[Check]:
     """Write the program, read its text back and check it against what it was made from."""
     header = {"PART SHA-256": job.part.source_sha256 or job.part.sha256}
     write_program = registry.plugin(registry.POSTS, job.config.machine.control)
     files = write_program(beads, plan, job.config, job.folder.program_folder, header=header)
-    program = read_program(files.main, job.config)
+    program, _ = matched(read_program(files.main, job.config), path)
     job.add_finding(*noticed.of_seams(program, contours.heights, job.config))
     with ThreadPoolExecutor(1) as aside:
         feeds = aside.submit(side_by_side, program, contours, job.config)
@@ -169,7 +170,7 @@ def _write_and_verify(
             layers=witness,
             heat=True,
             sha256=files.sha256,
-            section_tolerance_mm=gates.section_tolerance_mm(fit_mm),
+            smooth=smooth if job.config.curves.method in LIFTED else None,
         )
     job.add_finding(*noticed.of_limit(checks, plan, job.config))
     checks += _weighed(job, program, witness)

@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from ebamcheck.config import Config, validated
-from ebamcheck.curves import LIFTED, Curves, fit, fit_deviation
+from ebamcheck.curves import LIFTED, Curves, fit
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
 from ebamcheck.inspection import inspect
+from ebamcheck.layers import Layers
 from ebamcheck.part import Part
 from ebamcheck.pipeline.certificate import find_certificate, find_record, read_certificate
 from ebamcheck.pipeline.certificate_checks import (
@@ -21,11 +22,11 @@ from ebamcheck.pipeline.certificate_checks import (
     told_once,
 )
 from ebamcheck.pipeline.choice import witness_backend
-from ebamcheck.pipeline.gates import fit_distance_mm, section_tolerance_mm
-from ebamcheck.pipeline.gates_again import SMOOTH_MM, compared, work_again
+from ebamcheck.pipeline.gates_again import SMOOTH_MM, compared, truth_of, work_again
 from ebamcheck.pipeline.placement import cut_heights, placed_part
 from ebamcheck.pipeline.signing import trusted_keys
 from ebamcheck.program import Check, verify_file
+from ebamcheck.program.header_checks import Truth
 from ebamcheck.scan import ScanPlan
 from ebamcheck.slicing import slice_part
 from ebamcheck.store import MANIFEST, RunFolder, sha256_of_json
@@ -178,17 +179,17 @@ def _text_alone(run: RunFolder, manifest: dict[str, Any], config: Config) -> lis
     record = manifest.get("program")
     if record is None:
         return [] if manifest.get("job") == "check" else [_no_program()]
-    fit_mm = max(float(manifest["fit"]["max_points_mm"]), float(manifest["fit"]["max_bulge_mm"]))
     return verify_file(
         run.program_folder / record["files"][0]["name"],
         config=config,
         curves=Curves.from_parquet(run.path / "beads.parquet"),
         plan=ScanPlan.from_parquet(run.path / "scan.parquet"),
         layers=run.read_layers(record["witness"]),
+        smooth=_smooth(Curves.from_parquet(run.path / "curves.parquet"), config),
         metal=True,
         heat=True,
         sha256={file["name"]: file["sha256"] for file in record["files"]},
-        section_tolerance_mm=section_tolerance_mm(fit_mm),
+        truth=truth_of(manifest, config),
     )
 
 
@@ -243,12 +244,17 @@ def verify_against_part(
         program,
         config=config,
         layers=slice_part(part, heights, witness_backend(maker)),
-        smooth=curves.sample_tolerance(SMOOTH_MM) if config.curves.method in LIFTED else None,
+        smooth=_smooth(curves, config),
         beads=True,
         metal=True,
         heat=True,
         heights=heights,
-        section_tolerance_mm=section_tolerance_mm(fit_distance_mm(fit_deviation(curves, layers))),
+        truth=Truth(read_certificate(paper).get("validated") if paper else None, file_hash(part_path)),
     )
     certified = certificate_checks(paper, program, part_path, config, trusted) if paper else []
     return [*certified, sound, *made]
+
+
+def _smooth(curves: Curves, config: Config) -> Layers | None:
+    """Sections with the curves that their chords stand for, where the method of the fit makes such."""
+    return curves.sample_tolerance(SMOOTH_MM) if config.curves.method in LIFTED else None

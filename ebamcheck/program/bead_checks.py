@@ -45,7 +45,7 @@ def bead_checks(nc: NCProgram, config: Config, z_of: Floats, layers: Layers | No
     z_of
         (L,) Z of each of the `layers` in the program.
     """
-    checks = [_islands(nc), _spacing(nc, config, z_of, layers), _once(nc)]
+    checks = [_spacing(nc, config, z_of, layers), _once(nc)]
     if layers is not None:
         checks += [_coverage(nc, config, z_of, layers), _gaps(nc, config, z_of, layers)]
     return checks
@@ -58,20 +58,8 @@ def _hatch_rows(nc: NCProgram) -> Ints:
     return np.flatnonzero(nc.deposit & (nc.island >= 0) & ~nc.turn & (nc.lengths > 0.0))
 
 
-def _islands(nc: NCProgram) -> Check:
-    """Whether every island is scanned in one go and in one layer; one that is missing leaves its area bare."""
-    rows = np.flatnonzero(nc.deposit & (nc.island >= 0))
-    new = (np.diff(nc.island[rows], prepend=-1) != 0) | (np.diff(nc.layer[rows], prepend=-1) != 0)
-    begins = rows[new]
-    number = nc.island[begins]
-    again = np.ones(begins.size, np.bool_)
-    again[np.unique(number, return_index=True)[1]] = False
-    faults = [(nc.where(int(row)), f"island {nc.island[row]} comes a second time") for row in begins[again]]
-    return count_check("islands once", faults, f"{begins.size} islands, each in one go")
-
-
 def _spacing(nc: NCProgram, config: Config, z_of: Floats, layers: Layers | None) -> Check:
-    """Distance between neighbouring parallel lines of an island, where nothing else covers what lies between."""
+    """Distance between neighbouring parallel lines that are driven one after the other, where nothing else covers what lies between."""
     rows = _hatch_rows(nc)
     limit = SPACING_SHARE * config.process.hatch_spacing_mm
     group, offset, parallel = _offsets(nc, rows)
@@ -90,7 +78,7 @@ def _spacing(nc: NCProgram, config: Config, z_of: Floats, layers: Layers | None)
         return Check("hatch spacing", True, worst, limit, "mm", "", text)
     # The later of both lines stands where the missing one should have come before.
     row = int(np.maximum(rows[order[wide]], rows[order[wide + 1]]).min())
-    text = f"lines of island {nc.island[row]} lie {worst:.6g} mm apart: one is missing between"
+    text = f"neighbouring lines lie {worst:.6g} mm apart: one is missing between"
     return Check("hatch spacing", False, worst, limit, "mm", nc.where(row), text)
 
 
@@ -111,11 +99,11 @@ def _is_bare(nc: NCProgram, pair: Ints, config: Config, z_of: Floats, layers: La
 
 
 def _offsets(nc: NCProgram, rows: Ints) -> tuple[Ints, Floats, Bools]:
-    """Island in its layer (n,), offset (n,) mm across the island's first line, and whether parallel to it."""
-    group = np.unique(np.column_stack([nc.layer[rows], nc.island[rows]]), axis=0, return_inverse=True)[1]
-    group = np.asarray(group, dtype=np.int64).reshape(-1)
+    """Group (n,) of lines of one direction that follow each other, offset (n,) mm across the longest, and whether parallel to it."""
     way = (nc.end - nc.start)[rows, :2]
     unit = way / np.hypot(way[:, 0], way[:, 1])[:, None]
+    turned = np.abs(unit[1:, 0] * unit[:-1, 1] - unit[1:, 1] * unit[:-1, 0]) > PARALLEL_RAD
+    group = np.cumsum(np.append(False, turned | (np.diff(nc.layer[rows]) != 0))[: rows.size])
     longest = np.zeros(int(group.max(initial=-1)) + 1, np.int64)
     by_length = np.argsort(nc.lengths[rows], kind="stable")
     longest[group[by_length]] = by_length

@@ -6,9 +6,8 @@ import numpy as np
 
 from ebamcheck.config import Config
 from ebamcheck.program.bead_parts import SHORTEST_BLOCK_MM
-from ebamcheck.program.checks import Check, count_check, worst_check
+from ebamcheck.program.checks import Check, count_check, event_place, worst_check
 from ebamcheck.program.motions import NCProgram
-from ebamcheck.program.state_checks import event_place
 from ebamcheck.rings import Floats, Ints
 
 POWER_TOLERANCE = 1e-3
@@ -129,7 +128,7 @@ def _retract(nc: NCProgram, config: Config) -> Check:
     """Every stop of the wire is followed by its retract, before the beam or the wire is switched again."""
     wanted = config.process.wire_retract_mm
     faults = []
-    waiting = -1
+    waiting, running = -1, False
     for i, name in enumerate([*nc.events.name, "end"]):
         if name == "wire_retract_mm" and waiting >= 0:
             value = float(nc.events.value[i])
@@ -143,6 +142,7 @@ def _retract(nc: NCProgram, config: Config) -> Check:
                 (event_place(nc, waiting), f"the wire stops and is not drawn back by {wanted:g} mm")
             )
             waiting = -1
-        if name == "wire_stop":
+        if name == "wire_stop" and running:
             waiting = i
+        running = name == "wire_start" or (running and name != "wire_stop")
     return count_check("wire retract", faults, f"the wire is drawn back by {wanted:g} mm after each bead")

@@ -19,12 +19,14 @@ from ebamcheck.program.bead_parts import (
     snapped,
 )
 from ebamcheck.program.cuts import segment_lengths
+from ebamcheck.program.dialects import PLAIN
 from ebamcheck.program.inputs import CurveColumns, ScanColumns
 from ebamcheck.program.seams import seam_shifts
 from ebamcheck.program.segments import Form
 from ebamcheck.program.toolpath import Toolpath, toolpath
 from ebamcheck.program.wire import with_wire
 from ebamcheck.rings import Floats
+from ebamcheck.settings.machine import MachineSettings
 from ebamcheck.settings.process import ProcessSettings
 
 
@@ -37,9 +39,19 @@ def driven_path(
 
 
 def planned_path(curves: CurveColumns, plan: ScanColumns, config: Config) -> Toolpath:
-    """Lay out the tracks of a stack with exact curves, whatever form of them a control has."""
+    """Lay out the tracks of a stack in the form of curves that the control gets.
+
+    Lengths of curves differ by their form, if little, and with them where the wire of a bead changes.
+    """
     machine = config.machine
-    return driven_path(curves, plan, config, machine.printed_decimals, "cubics", machine.line_tolerance_mm)
+    form = written_form(machine)
+    return driven_path(curves, plan, config, machine.printed_decimals, form, machine.line_tolerance_mm)
+
+
+def written_form(machine: MachineSettings) -> Form:
+    """What becomes of splines in the program for a control: plain G-code knows none."""
+    forms: dict[str, Form] = {"arcs": "arcs", "lines": "chords"}
+    return forms.get(machine.curve_form, "arcs" if machine.control == PLAIN else "cubics")
 
 
 def with_bead_ends(path: Toolpath, process: ProcessSettings, decimals: int) -> Toolpath:

@@ -143,8 +143,8 @@ def cut(path: Toolpath, points: Floats, lengths: Floats, parts: Parts, decimals:
     ring = (path.ring >= 0)[parts.track]
     back = ring & (np.abs(end - start[parts.track]).max(axis=1) <= 2.0 * 10.0**-decimals)
     end[back] = start[parts.track[back]]
-    goes_on = np.zeros(segment.size, np.bool_)
-    goes_on[1:] = (np.diff(segment) == 0) & (parts.low[1:] > 0.0) & ~(ring | path.turn[segment])[1:]
+    goes_on = path.goes_on[segment]
+    goes_on[1:] |= (np.diff(segment) == 0) & (parts.low[1:] > 0.0) & ~(ring | path.turn[segment])[1:]
     made = replace(
         path,
         track_starts=track_starts,

@@ -23,6 +23,11 @@ class Check:
     where: str
     """``FILE:line`` of the worst or first place; empty where the whole program is meant."""
     text: str
+    layer: int | None = None
+    """Layer of the worst place, from 0, where there is one."""
+    x_mm: float | None = None
+    """Where the worst place is, to draw it."""
+    y_mm: float | None = None
 
 
 def count_check(name: str, places: list[tuple[str, str]], good: str) -> Check:
@@ -59,3 +64,8 @@ def worst_check(
         nc.where(int(rows[worst])),
         f"{what}: at most {value:.6g} {unit}",
     )
+
+
+def event_place(nc: NCProgram, event: int) -> str:
+    """``FILE:line`` of an event."""
+    return f"{nc.files[int(nc.events.file[event])].name}:{int(nc.events.line[event])}"

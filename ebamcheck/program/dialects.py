@@ -13,6 +13,8 @@ from ebamcheck.settings.machine import MachineSettings
 SINUMERIK, LINUXCNC, PLAIN = "sinumerik-840d-sl", "linuxcnc", "plain-gcode"
 """Controls whose programs are text that the reader reads."""
 
+TEXT_CONTROLS = (SINUMERIK, LINUXCNC, PLAIN)
+
 TEMPLATES = (
     "beam_on", "beam_off", "wire_start", "wire_stop", "wire_retract",
     "set_beam", "set_power", "set_wire", "layer_begin", "layer_end", "layer_pause",
@@ -20,9 +22,10 @@ TEMPLATES = (
 """Templates of the machine profile."""
 
 STOCK: Mapping[str, Mapping[str, tuple[str, ...]]] = {
-    # LinuxCNC: M64, M65 switch digital outputs at once, M68 sets analog ones, M67 does with the motion that follows.
+    # LinuxCNC: M64, M65 switch digital outputs at once, M68 sets analog ones, M67 does with the motion that follows: the
+    # beam is given its current at once before it is switched on, or it would stand at that of before.
     LINUXCNC: {
-        "beam_on": ("M64 P0 ; beam on",),
+        "beam_on": ("M68 E1 Q{current_ma} ; beam current, mA", "M64 P0 ; beam on"),
         "beam_off": ("M65 P0 ; beam off",),
         "set_beam": (
             "M68 E0 Q{voltage_kv} ; accelerating voltage, kV",

@@ -104,9 +104,14 @@ def write_files(texts: Mapping[str, str], folder: Path, *, validated: bool) -> P
         folder=folder,
         names=tuple(texts),
         sha256={name: hashlib.sha256(text.encode("ascii")).hexdigest() for name, text in texts.items()},
-        blocks={name: len(re.findall(r"^[^;%\n]", text, re.MULTILINE)) for name, text in texts.items()},
+        blocks={name: block_count(text) for name, text in texts.items()},
         validated=validated,
     )
+
+
+def block_count(text: str) -> int:
+    """Lines of a file that are no comment and no header."""
+    return len(re.findall(r"^[^;%\n]", text, re.MULTILINE))
 
 
 def _refuse_foreign_files(folder: Path) -> None:

@@ -12,13 +12,14 @@ from pathlib import Path
 from ebamcheck.config import Config
 from ebamcheck.program.bead_ends import driven_path
 from ebamcheck.program.blocks import BlockFormat
-from ebamcheck.program.dialects import LINUXCNC, PLAIN, templates_of
+from ebamcheck.program.dialects import LINUXCNC, PLAIN
 from ebamcheck.program.files import NOT_VALIDATED, VALIDATED, ProgramFiles, write_files
-from ebamcheck.program.header import header_lines
+from ebamcheck.program.header import form_lines, header_lines
 from ebamcheck.program.inputs import CurveColumns, ScanColumns, interpass_of
 from ebamcheck.program.layer_text import comment, layer_blocks, motion_text
+from ebamcheck.program.safe_states import end_blocks, start_blocks
 from ebamcheck.program.segments import CUBIC, Form
-from ebamcheck.program.templates import plain, process_values
+from ebamcheck.program.templates import plain, process_values, usable_templates
 from ebamcheck.program.toolpath import Toolpath
 
 
@@ -39,11 +40,8 @@ def write_linuxcnc(
     forms: Mapping[str, Form] = {"arcs": "arcs", "lines": "chords"}
     form = forms.get(machine.curve_form, "cubics")
     tolerance = plain(machine.smoothing_tolerance_mm)
-    known = {
-        "CURVES": "G5, exactly" if form == "cubics" else _within(form, machine.line_tolerance_mm),
-        "SMOOTHING": f"G64 P{tolerance}, path may leave the program by {tolerance} mm",
-    }
-    modes = ["G17 G21 G90 G91.1 G94", "G40 G49 G80", machine.work_offset, f"G64 P{tolerance}"]
+    known = form_lines(machine, LINUXCNC)
+    modes = ["G17 G21 G90 G91.1 G94", "G40 G49 G80", "G92.1", machine.work_offset, f"G64 P{tolerance}"]
     return _write(curves, plan, config, Path(folder), LINUXCNC, "ngc", form, known, modes, validated, header)
 
 
@@ -62,13 +60,9 @@ def write_plain_gcode(
     """
     machine = config.machine
     form: Form = "chords" if machine.curve_form == "lines" else "arcs"
-    known = {"CURVES": _within(form, machine.line_tolerance_mm)}
+    known = form_lines(machine, PLAIN)
     modes = ["G17 G21 G90 G94", machine.work_offset]
     return _write(curves, plan, config, Path(folder), PLAIN, "gcode", form, known, modes, validated, header)
-
-
-def _within(form: Form, tolerance_mm: float) -> str:
-    return f"{'G1' if form == 'chords' else 'G2 and G3'}, within {tolerance_mm:g} mm"
 
 
 def _write(
@@ -85,22 +79,23 @@ def _write(
     header: Mapping[str, str] | None,
 ) -> ProgramFiles:
     machine = config.machine
+    templates = usable_templates(config, control)
     form = BlockFormat(machine.printed_decimals)
     path = driven_path(curves, plan, config, form.decimals, splines, machine.line_tolerance_mm)
     at = path.kind == CUBIC
     motions = motion_text(path, form, form.beziers(path.bezier, path.segment_start[at], path.end[at]))
     heat = interpass_of(plan, config)
-    templates = templates_of(machine, control)
+    values, top = process_values(config, 1, *_first(path)), float(path.z[-1]) if len(path.z) else 0.0
     lines = [
         comment(machine.program_name),
         VALIDATED if validated else NOT_VALIDATED,
         *_comments(config, control, path, {**known, **(header or {})}),
-        *modes,
-        *process_values(config, 1, *_first(path)).fill("set_beam", templates["set_beam"]),
+        *start_blocks(modes, values, templates),
     ]
     for k in range(len(path.z)):
-        lines += layer_blocks(path, k, motions, config, form, templates, heat)
-    lines.append("M2")
+        message = [f"(MSG, LAYER {k + 1} OF {len(path.z)})"] if control == LINUXCNC else []
+        lines += layer_blocks(path, k, motions, config, form, templates, heat, [*modes, *message])
+    lines += [*end_blocks(top, values, config, form, templates), "M2"]
     text = "\n".join(lines) + "\n"
     return write_files({f"{machine.program_name}.{suffix}": text}, folder, validated=validated)
 

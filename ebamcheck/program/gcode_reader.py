@@ -7,21 +7,21 @@ from pathlib import Path
 
 from ebamcheck.config import Config
 from ebamcheck.program.arcs import arc
-from ebamcheck.program.comments import goes_on, is_turn, read_header, role_of
-from ebamcheck.program.dialects import LINUXCNC, templates_of
+from ebamcheck.program.comments import read_header
+from ebamcheck.program.dialects import LINUXCNC
 from ebamcheck.program.gcode_words import ENDS, MODES, MOTIONS, read_gcode_block, without_comments
 from ebamcheck.program.motions import ARC, POLYNOMIAL, RAPID, STRAIGHT
 from ebamcheck.program.recognition import Templates
 from ebamcheck.program.recorder import Recorder
+from ebamcheck.program.template_rules import checked_templates
 from ebamcheck.program.words import NUMBER, Block, UnknownWord, WordError
 
 _BLOCK_NUMBER = re.compile(r"\s*N(\d+)(?![\d.])\s*", re.IGNORECASE)
-_LAYER = re.compile(r"\s*LAYER:?\s*(\d+)(?: OF (\d+))?\b.*")
 _KINDS = {"G0": RAPID, "G1": STRAIGHT, "G2": ARC, "G3": ARC}
 
 _N = rf"({NUMBER})"
 _PLAIN_BLOCK = re.compile(
-    rf"G1 X{_N} Y{_N}(?: ; (TURN))?(?P<line>)|G5 I{_N} J{_N} P{_N} Q{_N} X{_N} Y{_N}(?P<cubic>)"
+    rf"G1 X{_N} Y{_N}(?: ; [A-Z ]+)?(?P<line>)|G5 I{_N} J{_N} P{_N} Q{_N} X{_N} Y{_N}(?P<cubic>)"
     rf"|(G[23]) X{_N} Y{_N} I{_N} J{_N}(?P<arc>)"
 )
 """The blocks of which a program mostly consists; all others are read word by word."""
@@ -32,11 +32,12 @@ class GcodeReader:
 
     def __init__(self, folder: Path, config: Config, dialect: str) -> None:
         self.out = Recorder(folder, dialect)
-        self._templates = Templates(templates_of(config.machine, dialect))
+        self._templates = Templates(checked_templates(config.machine, dialect))
         self._codes = MOTIONS | MODES | ENDS | ({"G5"} if dialect == LINUXCNC else frozenset())
         self._cubics = dialect == LINUXCNC
         self._mode = ""
         self._tangent: tuple[float, float] | None = None
+        self._begun = False
 
     def run(self, path: Path) -> None:
         """Run a file to its end."""
@@ -52,7 +53,8 @@ class GcodeReader:
                 raise out.error(error.what, error.column) from None
             if code and not end_line:
                 end_line, end_code = number, code
-            elif end_line and code is not None:
+            elif end_line and code not in (None, "%"):
+                out.line = end_line if end_code == "%" else number
                 raise out.error(f"a block after the end of the program by {end_code} in line {end_line}", 0)
         out.close(end_line, end_code)
 
@@ -64,12 +66,12 @@ class GcodeReader:
         part = found.groups()
         if found.lastgroup == "line":
             self._mode, self._tangent = "G1", None
-            self.out.move(STRAIGHT, float(part[0]), float(part[1]), self.out.z, turn=part[2] is not None)
+            self.out.move(STRAIGHT, float(part[0]), float(part[1]), self.out.z)
         elif found.lastgroup == "arc":
-            return self._run_plain_arc(part[11], *map(float, part[12:16]))
+            return self._run_plain_arc(part[10], *map(float, part[11:15]))
         elif self._cubics:
             self._mode = "G5"
-            i, j, p, q, x, y = map(float, part[4:10])
+            i, j, p, q, x, y = map(float, part[3:9])
             self._bezier(i, j, p, q, x, y)
         else:
             return False
@@ -89,11 +91,14 @@ class GcodeReader:
     def _run_line(self, text: str) -> str | None:
         """Run one line; its end code, an empty string for another block, None where there is no block."""
         code, comments = without_comments(text)
-        for comment in comments:
-            if not code.strip():
-                self._note(comment.strip())
-        if not code.strip() or code.strip() == "%":
+        if not code.strip() and not self.out.started:
+            for comment in comments:
+                read_header(comment, self.out)
+        if not code.strip():
             return None
+        if code.strip() == "%":
+            return self._run_percent()
+        self._begun = True
         number = _BLOCK_NUMBER.match(code)
         column = 0
         if number:
@@ -101,30 +106,22 @@ class GcodeReader:
             column = number.end()
         code = code[column:].rstrip().upper()
         try:
-            return self._run_block(code, comments) if code else ""
+            return self._run_block(code) if code else ""
         except WordError as error:
             raise WordError(error.what, column + error.column) from None
 
-    def _note(self, comment: str) -> None:
-        """Read what a comment says: layer or role of the motions that follow, or a line of the header."""
-        out = self.out
-        layer = _LAYER.fullmatch(comment)
-        if layer:
-            count = max(int(layer[1]), int(layer[2] or 0), len(out.layer_files))
-            out.layer_files += [out.files[0].name] * (count - len(out.layer_files))
-            out.layer(int(layer[1]) - 1)
-            return
-        role = role_of(comment)
-        if role:
-            out.role(*role)
-        elif not out.started:
-            read_header(comment, out)
+    def _run_percent(self) -> str | None:
+        """A lone ``%`` begins a program before its first block; anywhere else the control stops reading there."""
+        if self._begun or self.out.started:
+            return "%"
+        self._begun = True
+        return None
 
     # -- blocks ------------------------------------------------------------------------------------
 
-    def _run_block(self, code: str, comments: list[str]) -> str:
+    def _run_block(self, code: str) -> str:
         try:
-            block = read_gcode_block(code, self._codes)
+            block = read_gcode_block(code, self._codes, self.out.dialect)
         except UnknownWord:
             change = self._templates.find(code)
             if change is None:
@@ -139,27 +136,27 @@ class GcodeReader:
                 self._mode = word
             elif word == "G80":
                 self._mode = ""
+                self.out.event(word)
             else:
                 self.out.event(word)
-        self._run_values(block, comments)
+        self._run_values(block)
         if end:
             self.out.event(end)
         return end
 
-    def _run_values(self, block: Block, comments: list[str]) -> None:
+    def _run_values(self, block: Block) -> None:
         values = block.values
         if "F" in values:
             self.out.feed(values.pop("F"))
         if "G64" in block.codes and "P" in values:
             self.out.event("CTOL", values.pop("P"))
         if any(axis in values for axis in "XYZ"):
-            self._move(values, comments)
+            self._move(values)
         elif values:
             raise WordError(f"a block without an axis has nothing to use {', '.join(values)} for", 0)
 
-    def _move(self, values: dict[str, float], comments: list[str]) -> None:
+    def _move(self, values: dict[str, float]) -> None:
         out, mode = self.out, self._mode
-        turn, further = any(map(is_turn, comments)), any(map(goes_on, comments))
         if not mode:
             raise WordError(
                 "an axis before any of " + ", ".join((*_KINDS, *(("G5",) if self._cubics else ()))), 0
@@ -180,11 +177,11 @@ class GcodeReader:
                 centre = arc((out.x, out.y), (x, y), values, counter_clockwise=mode == "G3")
             except ValueError as error:
                 raise WordError(str(error).replace("CR=", "R"), 0) from None
-            out.move(ARC, x, y, z, centre=centre, turn=turn, goes_on=further)
+            out.move(ARC, x, y, z, centre=centre)
         elif values:
             raise WordError(f"{', '.join(values)} under {mode}: it takes axes and F alone", 0)
         else:
-            out.move(_KINDS[mode], x, y, z, turn=turn, goes_on=further)
+            out.move(_KINDS[mode], x, y, z)
 
     def _cubic(self, values: dict[str, float], x: float, y: float) -> None:
         """G5: I and J may be left out where the motion before is a G5, which goes on tangentially then."""

@@ -10,10 +10,9 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.config import Config
 from ebamcheck.heat.balance import LayerShape
 from ebamcheck.heat.melting import entry_limit_k, least_power_share
-from ebamcheck.program.checks import Check, count_check
+from ebamcheck.program.checks import Check, count_check, event_place
 from ebamcheck.program.inputs import Interpass
 from ebamcheck.program.motions import NCProgram
-from ebamcheck.program.state_checks import event_place
 from ebamcheck.program.text_heat import TextBeads, text_beads, text_bed_k, text_shapes
 from ebamcheck.rings import Floats, Ints
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from ebamcheck.config import Config
 from ebamcheck.program.blocks import BlockFormat
 from ebamcheck.program.inputs import Interpass
+from ebamcheck.program.safe_states import Templates, entry_blocks
 from ebamcheck.program.segments import CIRCULAR, CUBIC, STRAIGHT
 from ebamcheck.program.templates import ProcessValues, plain, process_values
 from ebamcheck.program.toolpath import Toolpath
@@ -18,9 +19,6 @@ from ebamcheck.rings import Floats
 
 NEAR_SPACINGS = 2.0
 """A beam-off move of at most this many bead spacings stays at the layer's height; a longer one rises."""
-
-Templates = Mapping[str, tuple[str, ...]]
-"""Blocks of each template."""
 
 
 def motion_text(path: Toolpath, form: BlockFormat, cubics: Sequence[str]) -> list[str]:
@@ -47,12 +45,19 @@ def layer_blocks(
     form: BlockFormat,
     templates: Templates,
     heat: Interpass,
+    entry: Sequence[str],
 ) -> list[str]:
-    """Blocks of layer `k`: contour rings and islands, each track between beam on and beam off, and the waits."""
+    """Blocks of layer `k`: contour rings and islands, each track between beam on and beam off, and the waits.
+
+    `entry` are the modes that hold in it. It begins with them and with its own power, so that the control can enter the
+    program there.
+    """
     values = process_values(config, k + 1, float(path.z[k]), float(path.thickness[k]))
-    layer = _Layer(config, form, float(path.z[k]), values, templates)
     share = float(heat.power_share[k])
+    layer = _Layer(config, form, float(path.z[k]), values, templates, share)
     layer.rise()
+    if config.machine.optional_stop:
+        layer.lines.append("M1")
     wire = path.width / config.process.bead_metal_mm
     island = -1
     for t in range(int(path.layer_starts[k]), int(path.layer_starts[k + 1])):
@@ -67,12 +72,12 @@ def layer_blocks(
         if b > a:
             power = share * path.power[a:b]
             layer.deposit(path.start[t], path.end[b - 1], motions[a:b], power, wire[a:b])
-    layer.set_power(1.0)
     layer.rise()
     above = path.layer_starts[k + 1 : k + 3]
     wait_s = heat.before_layer_s(k + 1) if above.size == 2 and above[1] > above[0] else 0.0
     return [
         comment(f"LAYER: {k + 1} OF {len(path.z)}, CUT AT {path.cut[k]:.6f}, Z {path.z[k]:.6f}"),
+        *entry_blocks(entry, values.at(share, 1.0), templates),
         *values.fill("layer_begin", templates["layer_begin"]),
         *layer.lines,
         *values.fill("layer_end", templates["layer_end"]),
@@ -91,7 +96,13 @@ class _Layer:
     """Blocks of one layer, and where the tool is while they are written."""
 
     def __init__(
-        self, config: Config, form: BlockFormat, z_mm: float, values: ProcessValues, templates: Templates
+        self,
+        config: Config,
+        form: BlockFormat,
+        z_mm: float,
+        values: ProcessValues,
+        templates: Templates,
+        power: float,
     ) -> None:
         self.lines: list[str] = []
         self._near_mm = NEAR_SPACINGS * config.process.hatch_spacing_mm
@@ -107,7 +118,7 @@ class _Layer:
         )
         self._values, self._templates = values, templates
         self._blocks: dict[tuple[float, float], tuple[list[str], ...]] = {}
-        self._power, self._wire = 1.0, 1.0
+        self._power, self._wire = power, 1.0
         self._position: Floats | None = None
 
     def _switches(self) -> tuple[list[str], ...]:
@@ -149,6 +160,8 @@ class _Layer:
         self, start: Floats, end: Floats, motions: Sequence[str], power: Floats, wire: Floats
     ) -> None:
         """Travel to `start`, beam and wire on, `motions` each at its power and wire, wire and beam off at `end`."""
+        if not any(motions):
+            return  # all of it lies within a rounding: the beam would stand
         self._travel(start)
         self._wire = float(wire[0])
         self.set_power(float(power[0]))
@@ -159,8 +172,8 @@ class _Layer:
             self.set_power(float(power[a]))
             self.set_wire(float(wire[a]))
             blocks = [line for text in motions[a:b] if text for line in text.split("\n")]
-            self.lines += [blocks[0] + feed, *blocks[1:]]
-            feed = ""
+            self.lines += [_with_feed(blocks[0], feed), *blocks[1:]] if blocks else []
+            feed = "" if blocks else feed
         self.lines += self._switches()[3]
         self._position = end
 
@@ -172,6 +185,12 @@ class _Layer:
             self.lines += [f"G0 Z{self._safe_z}", x_y, f"G0 Z{self._z}"]
         elif (to != self._position).any():
             self.lines.append(x_y)
+
+
+def _with_feed(block: str, feed: str) -> str:
+    """Put the feed into a block, before the comment that it may end with."""
+    code, mark, note = block.partition(" ;")
+    return code + feed + mark + note
 
 
 LONGEST_COMMENT = 199

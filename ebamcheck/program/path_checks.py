@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from ebamcheck.config import Config
@@ -281,25 +280,54 @@ def _vectors(nc: NCProgram, rows: Ints, driven: Floats, island: Ints, ends: Floa
 # -- layers ----------------------------------------------------------------------------------------
 
 
-def layer_checks(nc: NCProgram, z_of: Floats, where_called: NDArray[np.object_]) -> list[Check]:
-    """Check the number of layers and their Z against the heights expected; empty layers have no Z to check."""
-    found = nc.layer_heights
-    flat_faults = _not_flat(nc)
-    size = min(found.size, z_of.size)
-    wrong = np.flatnonzero(np.abs(found[:size] - z_of[:size]) > HEIGHT_TOLERANCE_MM)
-    faults = [
-        (str(where_called[k]), f"layer {k + 1} at Z {found[k]:g} in place of {z_of[k]:g}") for k in wrong
+def layer_checks(nc: NCProgram, z_of: Floats, filled: Bools) -> list[Check]:
+    """Check the layers that are laid, in the order in which they are, against the heights expected.
+
+    Parameters
+    ----------
+    z_of, filled
+        (L,) Z of each layer, and whether it is to have metal.
+    """
+    rows = np.flatnonzero(nc.deposit & (nc.layer >= 0))
+    called = np.array([name.startswith("call ") for name in nc.events.name], np.bool_)
+    calls = nc.events.row[called & (nc.events.file == 0)]
+    part = np.searchsorted(calls, rows, side="right")
+    begins = rows[
+        np.flatnonzero((np.diff(nc.layer[rows], prepend=-1) != 0) | (np.diff(part, prepend=-1) != 0))
     ]
+    laid, wanted = nc.layer[begins], np.flatnonzero(filled)
+    size = min(laid.size, wanted.size)
+    order = np.flatnonzero(laid[:size] != wanted[:size])
+    off = np.abs(nc.end[begins, 2] - z_of[laid])
+    faults = [(i, f"layer {laid[i] + 1} comes in place of layer {wanted[i] + 1}") for i in order[:1].tolist()]
+    faults += [
+        (i, f"layer {laid[i] + 1} at Z {nc.end[begins[i], 2]:g} in place of {z_of[laid[i]]:g}")
+        for i in np.flatnonzero(~(off <= HEIGHT_TOLERANCE_MM)).tolist()
+    ]
+    faults.sort(key=lambda fault: fault[0])
+    last = [_where_called(nc, int(begins[order[0] if order.size else -1]))] if begins.size else [""]
     count = Check(
-        "layer count", found.size == z_of.size, float(found.size), float(z_of.size), "layers",
-        faults[0][0] if found.size != z_of.size and faults else str(where_called[-1]) if found.size else "",
-        f"{found.size} layers in the program, {z_of.size} expected",
+        "layer count", laid.size == wanted.size, float(laid.size), float(wanted.size), "layers",
+        "" if laid.size == wanted.size else last[0],
+        f"{laid.size} layers in the program, {wanted.size} expected",
     )  # fmt: skip
+    heights = [(_where_called(nc, int(begins[i])), what) for i, what in faults]
     return [
         count,
-        count_check("layer heights", faults, "steps of Z are those of the layers"),
-        count_check("flat layers", flat_faults, "every deposit of a layer at its Z"),
+        count_check("layer heights", heights, "steps of Z are those of the layers"),
+        count_check("flat layers", _not_flat(nc), "every deposit of a layer at its Z"),
     ]
+
+
+def _where_called(nc: NCProgram, row: int) -> str:
+    """Place of the call by which a motion is run; of the motion itself in a program without calls."""
+    calls = [
+        i for i, name in enumerate(nc.events.name) if name.startswith("call ") and nc.events.file[i] == 0
+    ]
+    before = [i for i in calls if nc.events.row[i] <= row]
+    if not before or nc.file[row] == 0:
+        return nc.where(row)
+    return f"{nc.files[0].name}:{nc.events.line[before[-1]]}"
 
 
 def _not_flat(nc: NCProgram) -> list[tuple[str, str]]:

@@ -1,60 +1,52 @@
-"""Recognising the beam and wire templates of the machine profile in the text of a program."""
+"""Recognising the templates of the machine profile in the text of a program, and what their codes do."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from string import Formatter
 
-from ebamcheck.errors import SettingsError
+from ebamcheck.program.codes import AUXILIARY, DWELL, SWITCHES, Action
+from ebamcheck.program.template_rules import Programmed
 from ebamcheck.program.words import NUMBER
-
-SWITCHES = ("beam_on", "beam_off", "wire_start", "wire_stop")
-"""Templates whose last block changes the state of the beam or the wire."""
 
 
 @dataclass(frozen=True)
 class StateChange:
     """What a block of a template does."""
 
-    switches: tuple[str, ...]
-    """Of :data:`SWITCHES`; empty for a block that only prepares."""
-    values: tuple[tuple[str, float], ...]
-    """Placeholders and the numbers found in their places."""
+    block: str
+    """The block as it stands in the profile."""
+    actions: tuple[tuple[str, float], ...]
+    """Switches (NaN) and values that it sets, in the order of its codes."""
+    before: tuple[str, ...] = ()
+    """Blocks of the same template that come before one that switches."""
 
 
 class Templates:
     """All template blocks of a profile, as patterns of text."""
 
-    def __init__(self, templates: Mapping[str, tuple[str, ...]]) -> None:
+    def __init__(self, templates: Programmed) -> None:
         self._literal: dict[str, StateChange] = {}
-        self._patterns: list[tuple[re.Pattern[str], tuple[str, ...]]] = []
+        self._patterns: list[tuple[re.Pattern[str], StateChange]] = []
         self._memory: dict[str, StateChange | None] = {}
-        ends: dict[str, str] = {}
-        for name, lines in templates.items():
-            blocks = [code for code in map(_code, lines) if code]
-            if name in SWITCHES:
-                if not blocks:
-                    raise SettingsError(
-                        f"machine.{name} has no block: its state could not be told from the text"
-                    )
-                if blocks[-1] in ends:
-                    raise SettingsError(
-                        f"machine.{name} and machine.{ends[blocks[-1]]} end with the same block {blocks[-1]!r}"
-                    )
-                ends[blocks[-1]] = name
-            for i, block in enumerate(blocks):
-                self._add(block, (name,) if name in SWITCHES and i == len(blocks) - 1 else ())
+        for name, blocks in templates.items():
+            for i, (block, actions) in enumerate(blocks):
+                switches = any(action.meaning in SWITCHES for action in actions)
+                before = tuple(text for text, _ in blocks[:i]) if name in SWITCHES and switches else ()
+                self._add(block, actions, before)
+        # A block that switches is looked for before one that fits the same text and does not.
+        self._patterns.sort(key=lambda entry: not any(name in SWITCHES for name, _ in entry[1].actions))
 
-    def _add(self, block: str, switches: tuple[str, ...]) -> None:
+    def _add(self, block: str, actions: tuple[Action, ...], before: tuple[str, ...]) -> None:
+        done = tuple((_event(action), action.number) for action in actions if action.meaning != AUXILIARY)
+        known = tuple((name, float("nan") if number is None else number) for name, number in done)
+        change = StateChange(block, known, before)
         if "{" not in block:
-            known = self._literal.get(block)
-            self._literal[block] = StateChange(switches or (known.switches if known else ()), ())
+            self._literal.setdefault(block, change)
             return
-        pattern = re.compile("".join(_pattern_parts(block)), re.IGNORECASE)
-        self._patterns.append((pattern, switches))
-        self._patterns.sort(key=lambda entry: not entry[1])
+        self._patterns.append((re.compile("".join(_pattern_parts(block)), re.IGNORECASE), change))
 
     def find(self, code: str) -> StateChange | None:
         """Return what the block does, if it is of a template; words set apart by any number of blanks."""
@@ -65,20 +57,18 @@ class Templates:
     def _search(self, code: str) -> StateChange | None:
         if code in self._literal:
             return self._literal[code]
-        for pattern, switches in self._patterns:
+        for pattern, change in self._patterns:
             found = pattern.fullmatch(code)
             if found:
-                values = tuple(
-                    (group.rsplit("__", 1)[0], float(text)) for group, text in found.groupdict().items()
-                )
-                return StateChange(switches, values)
+                filled = {group.rsplit("__", 1)[0]: float(text) for group, text in found.groupdict().items()}
+                actions = [(name, filled.pop(name, value)) for name, value in change.actions]
+                return StateChange(change.block, (*actions, *filled.items()), change.before)
         return None
 
 
-def _code(line: str) -> str:
-    """Return the block of a template line, without its comment, in upper case but for the placeholders."""
-    code = " ".join(line.split(";", 1)[0].split())
-    return re.sub(r"(\{[^}]*\})|([^{]+)", lambda m: m[1] or m[2].upper(), code)
+def _event(action: Action) -> str:
+    """Name of the event: what is filled in, else what the code means."""
+    return action.placeholder if action.meaning == DWELL and action.placeholder else action.meaning
 
 
 def _pattern_parts(block: str) -> Iterator[str]:

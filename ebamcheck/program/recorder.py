@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from ebamcheck.errors import InputError
+from ebamcheck.program.codes import DWELL, SWITCHES
 from ebamcheck.program.motions import ARC, RAPID, Events, NCProgram, SourceFile
 from ebamcheck.program.recognition import StateChange
+from ebamcheck.program.roles import by_shape, with_travel
 from ebamcheck.rings import Bools, Floats, Ints
 
 NAN = float("nan")
@@ -37,7 +39,9 @@ class Recorder:
         self._feed = NAN
         self._beam = self._wire = False
         self._set: dict[str, float] = {}
-        self._layer = self._ring = self._island = -1
+        self._layer = -1
+        self._templates: list[str] = []
+        self._templates_at = (-1, -1)
 
     # -- files -------------------------------------------------------------------------------------
 
@@ -79,27 +83,34 @@ class Recorder:
         """Set the feed."""
         self._feed, self._state = mm_min, -1
 
-    def role(self, ring: int = -1, island: int = -1) -> None:
-        """Say which contour ring or island the motions are of that follow."""
-        self._ring, self._island, self._state = ring, island, -1
-
     def layer(self, index: int) -> None:
         """Say which layer the motions are of that follow; -1 for none."""
         self._layer, self._state = index, -1
-        self.role()
 
     def change(self, change: StateChange) -> None:
         """Do what a block of a template does."""
         self._state = -1
-        for name, value in change.values:
-            self._set[name] = value
+        self._follow(change)
+        # The control takes the values of a block before it switches.
+        for name, value in sorted(change.actions, key=lambda action: action[0] in SWITCHES):
+            if name in SWITCHES:
+                if name.startswith("beam"):
+                    self._beam = name == "beam_on"
+                else:
+                    self._wire = name == "wire_start"
+            elif name != DWELL:
+                self._set[name] = value
             self.event(name, value)
-        for switch in change.switches:
-            if switch.startswith("beam"):
-                self._beam = switch == "beam_on"
-            else:
-                self._wire = switch == "wire_start"
-            self.event(switch)
+
+    def _follow(self, change: StateChange) -> None:
+        """Note where a block that switches does not follow the blocks before it in its template."""
+        here = (self.file, len(self._rows))
+        if self._templates_at != here:
+            self._templates, self._templates_at = [], here
+        count = len(change.before)
+        if count and tuple(self._templates[-count:]) != change.before:
+            self.event(f"lacks {change.before[-1]}")
+        self._templates.append(change.block)
 
     def event(self, name: str, value: float = NAN) -> None:
         """Note a change of the state."""
@@ -119,14 +130,12 @@ class Recorder:
         z: float,
         curve: tuple[float, ...] = LINE_OF_T,
         centre: tuple[float, ...] = NO_CENTRE,
-        turn: bool = False,
-        goes_on: bool = False,
         line: int = 0,
     ) -> None:
         """Note a motion to x, y, z; `line` where it is not the present one."""
         if self._state < 0:
             self._keep_state()
-        self._rows.append((line or self.line, self._state, kind, x, y, z, *curve, *centre, turn, goes_on))
+        self._rows.append((line or self.line, self._state, kind, x, y, z, *curve, *centre))
         self.x, self.y, self.z = x, y, z
 
     def _keep_state(self) -> None:
@@ -136,7 +145,7 @@ class Recorder:
             (
                 self.file, self._layer, self._feed, self._beam, self._wire,
                 values.get("voltage_kv", NAN) * values.get("current_ma", NAN),
-                values.get("power_w", NAN), values.get("wire_mm_s", NAN), self._ring, self._island,
+                values.get("power_w", NAN), values.get("wire_mm_s", NAN),
             )
         )  # fmt: skip
 
@@ -144,17 +153,17 @@ class Recorder:
 
     def program(self) -> NCProgram:
         """Gather all that was read into columns."""
-        table = np.array(self._rows, dtype=np.float64).reshape(len(self._rows), 16).T
+        table = np.array(self._rows, dtype=np.float64).reshape(len(self._rows), 14).T
         line, state, kind = table[:3].astype(np.int64)
-        states = np.array(self._states, dtype=np.float64).reshape(len(self._states), 10)[state].T
+        states = np.array(self._states, dtype=np.float64).reshape(len(self._states), 8)[state].T
         file, layer = states[:2].astype(np.int64)
         beam = states[3] > 0
         end = np.ascontiguousarray(table[3:6].T)
         start = np.vstack([np.full((1, 3), np.nan), end[:-1]])[: len(end)]
-        ring, island = states[8:].astype(np.int64)
+        nothing = np.full(len(end), -1, np.int64)
         layer, layer_files = self._layers(layer, end[:, 2], beam & (kind != RAPID))
         events = self._events
-        return NCProgram(
+        made = NCProgram(
             files=tuple(self.files),
             header=self.header,
             folder=self.folder,
@@ -171,10 +180,10 @@ class Recorder:
             wire=states[4] > 0,
             power_w=np.where(np.isnan(states[6]), states[5], states[6]),
             wire_mm_s=states[7],
-            ring=ring,
-            island=island,
-            turn=table[14] > 0,
-            goes_on=table[15] > 0,
+            ring=nothing,
+            island=nothing,
+            turn=nothing > 0,
+            goes_on=nothing > 0,
             events=Events(
                 file=np.array([e[0] for e in events], dtype=np.int64),
                 line=np.array([e[1] for e in events], dtype=np.int64),
@@ -186,16 +195,17 @@ class Recorder:
             layer_files=layer_files,
             dialect=self.dialect,
         )
+        return by_shape(made)
 
     def _layers(self, layer: Ints, z: Floats, deposit: Bools) -> tuple[Ints, tuple[str, ...]]:
-        """Layers as the program names them; where it names none, by the levels of Z of its deposits."""
+        """Layers as subprograms are called for them; in a program without calls, by the levels of Z of its deposits."""
         if self.layer_files:
             return layer, tuple(self.layer_files)
         rows = np.flatnonzero(deposit)
         layer = np.full(layer.size, -1, dtype=np.int64)
         layer[rows] = np.cumsum(np.diff(z[rows], prepend=z[rows[:1]]) != 0.0)
         count = int(layer.max(initial=-1)) + 1
-        return layer, (self.files[0].name,) * count
+        return with_travel(layer), (self.files[0].name,) * count
 
 
 def _coefficients(kind: Ints, start: Floats, end: Floats, curve: Floats) -> Floats:

@@ -16,14 +16,15 @@ from ebamcheck.config import Config
 from ebamcheck.errors import SettingsError
 from ebamcheck.program.bead_ends import driven_path
 from ebamcheck.program.blocks import BlockFormat, numbered
-from ebamcheck.program.dialects import SINUMERIK, templates_of
+from ebamcheck.program.dialects import SINUMERIK
 from ebamcheck.program.files import NOT_VALIDATED, VALIDATED, ProgramFiles, legal_name, write_files
-from ebamcheck.program.header import header_lines
+from ebamcheck.program.header import CONTROL_NAMES, form_lines, header_lines
 from ebamcheck.program.inputs import SPLINE, CurveColumns, ScanColumns, interpass_of
 from ebamcheck.program.layer_text import comment, layer_blocks, motion_text
+from ebamcheck.program.safe_states import end_blocks, start_blocks
 from ebamcheck.program.segments import CUBIC, Form
 from ebamcheck.program.spline_writing import even, spline_blocks
-from ebamcheck.program.templates import plain, process_values
+from ebamcheck.program.templates import plain, process_values, usable_templates
 from ebamcheck.program.toolpath import Toolpath
 from ebamcheck.settings.machine import MachineSettings
 
@@ -66,6 +67,7 @@ def write_program(
         makes no block, or the control does not have the form of curves that is asked for.
     """
     machine = config.machine
+    templates = usable_templates(config, SINUMERIK)
     form = BlockFormat(machine.printed_decimals)
     path = driven_path(
         curves, plan, config, form.decimals, _licensed_form(curves, machine), machine.line_tolerance_mm
@@ -75,12 +77,16 @@ def write_program(
     digits = max(4, len(str(layers)))
     layer_names = [legal_name(f"{name}_L{k + 1:0{digits}d}") for k in range(layers)]
     status = VALIDATED if validated else NOT_VALIDATED
-    texts = {f"{legal_name(name)}.MPF": _main_program(config, form, status, path, layer_names, header or {})}
+    texts = {
+        f"{legal_name(name)}.MPF": _main_program(
+            config, form, status, path, layer_names, templates, header or {}
+        )
+    }
     motions = motion_text(path, form, _cubics(path, curves, machine, form))
     heat = interpass_of(plan, config)
-    templates = templates_of(machine, SINUMERIK)
     for k, layer_name in enumerate(layer_names):
-        blocks = layer_blocks(path, k, motions, config, form, templates, heat)
+        entry = [*modes(machine), f'MSG("LAYER {k + 1} OF {layers}")']
+        blocks = layer_blocks(path, k, motions, config, form, templates, heat, entry)
         texts[f"{layer_name}.SPF"] = numbered([*_opening(layer_name, "SPF", config, status), *blocks, "M17"])
     return write_files(texts, Path(folder), validated=validated)
 
@@ -144,43 +150,33 @@ def _main_program(
     status: str,
     path: Toolpath,
     layer_names: list[str],
+    templates: Mapping[str, tuple[str, ...]],
     header: Mapping[str, str],
 ) -> str:
     machine = config.machine
     first, top = (float(path.z[0]), float(path.z[-1])) if len(path.z) else (0.0, 0.0)
     values = process_values(config, 1, first, first)
-    known = header_lines(config, "SINUMERIK 840D sl", len(layer_names), _curve_header(machine)) | dict(header)
+    known = header_lines(
+        config, CONTROL_NAMES[SINUMERIK], len(layer_names), form_lines(machine, SINUMERIK)
+    ) | dict(header)
     lines = [
         *_opening(machine.program_name, "MPF", config, status),
         *(comment(f"{key}: {value}") for key, value in known.items()),
-        "G17 G71 G90 G94",
-        machine.work_offset,
-        *([" ".join(machine.smoothing)] if machine.smoothing else []),
-        f"CTOL={plain(machine.smoothing_tolerance_mm)}",
-        *values.fill("set_beam", machine.set_beam),
+        *start_blocks(modes(machine), values, templates),
         *layer_names,
-        f"G0 Z{form.value(top + machine.safe_height_mm)}",
+        *end_blocks(top, values, config, form, templates),
         "M30",
     ]
     return numbered(lines)
 
 
-def _curve_header(machine: MachineSettings) -> dict[str, str]:
-    values = {
-        "CURVES": machine.curve_form,
-        "POLY": "PL=1 in every block, coefficients over 0 .. 1",
-        "SMOOTHING": f"{' '.join(machine.smoothing)}, path may leave the program by "
-        f"{machine.smoothing_tolerance_mm:g} mm",
-    }
-    if machine.curve_form in ("arcs", "lines"):
-        values["CURVES"] += f", within {machine.line_tolerance_mm:g} mm"
-    elif machine.curve_form == "bspline" and machine.bspline_shift == "uniform":
-        values["BSPLINE CONVENTION"] = "uniform, no PL, U clamped with even intervals, other splines as POLY"
-    elif machine.curve_form == "bspline":
-        s = machine.bspline_shift
-        values["BSPLINE CONVENTION"] = f"s={s}, block i carries PL = U(i+{s}) - U(i+{int(s) - 1}), U clamped"
-        values["BSPLINE NOTE"] = (
-            "PL=0 in the end blocks and at repeated knots is outside the range documented for PL, "
-            "prove on the control"
-        )
-    return values
+def modes(machine: MachineSettings) -> list[str]:
+    """Blocks of the modes that hold in a program: plane, units, offsets and frames taken back, smoothing."""
+    return [
+        f"G17 {machine.length_unit} G90 G94",
+        "G40 D0",
+        "TRANS",
+        machine.work_offset,
+        *([" ".join(machine.smoothing)] if machine.smoothing else []),
+        f"CTOL={plain(machine.smoothing_tolerance_mm)}",
+    ]

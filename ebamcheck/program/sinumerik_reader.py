@@ -10,12 +10,13 @@ import numpy as np
 
 from ebamcheck.config import Config
 from ebamcheck.program.arcs import arc
-from ebamcheck.program.comments import goes_on, is_turn, read_header, role_of
-from ebamcheck.program.dialects import SINUMERIK, templates_of
+from ebamcheck.program.comments import read_header
+from ebamcheck.program.dialects import SINUMERIK
 from ebamcheck.program.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT
 from ebamcheck.program.recognition import Templates
 from ebamcheck.program.recorder import LINE_OF_T, NAN, NO_CENTRE, Recorder
 from ebamcheck.program.spline_blocks import spline_spans
+from ebamcheck.program.template_rules import checked_templates
 from ebamcheck.program.words import AXES, END_CODES, NUMBER, Block, UnknownWord, WordError, read_block
 
 DEEPEST_CALL = 8
@@ -24,6 +25,8 @@ DEEPEST_CALL = 8
 Shift = Literal[2, 3, "uniform"]
 
 _BLOCK_NUMBER = re.compile(r"\s*N(\d+)(?!\w)\s*", re.IGNORECASE)
+_MESSAGE = re.compile(r'MSG\s*\(\s*"[^"]*"\s*\)|MSG\s*\(\s*\)')
+"""A line for the operator; it changes nothing."""
 _HEADER = re.compile(r"%[A-Z0-9_ ]*", re.IGNORECASE)
 _CONVENTION = re.compile(
     r"BSPLINE CONVENTION:\s*(?:s\s*=\s*([23])\b|(uniform)\b)|BSPLINE.*\bs\s*=\s*([23])\b", re.I
@@ -33,7 +36,7 @@ _KINDS = {"G0": RAPID, "G1": STRAIGHT, "POLY": POLYNOMIAL, "BSPLINE": SPLINE_SPA
 _N = rf"({NUMBER})"
 _LIST = rf"=\({_N},{_N},{_N}\)"
 _PLAIN_BLOCK = re.compile(
-    rf"N(\d+) (?:G1 X{_N} Y{_N}( ; TURN)?(?P<line>)|POLY PO\[X\]{_LIST} PO\[Y\]{_LIST} PL=1(?P<poly>)"
+    rf"N(\d+) (?:G1 X{_N} Y{_N}( ; [A-Z ]+)?(?P<line>)|POLY PO\[X\]{_LIST} PO\[Y\]{_LIST} PL=1(?P<poly>)"
     rf"|X{_N} Y{_N} PL={_N}(?P<control>)|(G[23]) X{_N} Y{_N} I{_N} J{_N}(?P<arc>))"
 )
 """The blocks of which a program mostly consists, in the spelling of most posts; all others are read word by word."""
@@ -44,7 +47,7 @@ class SinumerikReader:
 
     def __init__(self, folder: Path, config: Config, shift: Shift | None) -> None:
         self.out = Recorder(folder, SINUMERIK)
-        self._templates = Templates(templates_of(config.machine, SINUMERIK))
+        self._templates = Templates(checked_templates(config.machine, SINUMERIK))
         self._given_shift = shift
         self._shift: Shift = shift or config.machine.bspline_shift
         self._mode = ""
@@ -85,7 +88,7 @@ class SinumerikReader:
             return False
         elif found.lastgroup == "line":
             self._mode = "G1"
-            out.move(STRAIGHT, float(part[1]), float(part[2]), out.z, turn=part[3] is not None)
+            out.move(STRAIGHT, float(part[1]), float(part[2]), out.z)
         elif found.lastgroup == "arc":
             return self._run_plain_arc(int(part[0]), part[16], *map(float, part[17:21]))
         else:
@@ -121,19 +124,13 @@ class SinumerikReader:
             column = number.end()
         code = code[column:].rstrip().upper()
         try:
-            return self._run_block(code, depth, comment) if code else ""
+            return self._run_block(code, depth) if code else ""
         except WordError as error:
             raise self.out.error(error.what, column + error.column) from None
 
     def _note(self, comment: str, code: str) -> None:
-        """Read what a comment says: the role of the motions that follow, or a line of the header."""
-        if code.strip():
-            return
-        role = role_of(comment)
-        if role:
-            self._end_spline()
-            self.out.role(*role)
-        elif self.out.file == 0 and not self.out.started:
+        """Read what a comment says in the header; what one says of motions counts for nothing."""
+        if not code.strip() and self.out.file == 0 and not self.out.started:
             read_header(comment, self.out)
             convention = _CONVENTION.search(comment)
             if convention and not self._given_shift:
@@ -142,7 +139,10 @@ class SinumerikReader:
 
     # -- blocks ------------------------------------------------------------------------------------
 
-    def _run_block(self, code: str, depth: int, comment: str) -> str:
+    def _run_block(self, code: str, depth: int) -> str:
+        if _MESSAGE.fullmatch(code):
+            self._end_spline()
+            return ""
         try:
             block = read_block(code)
         except UnknownWord:
@@ -163,7 +163,7 @@ class SinumerikReader:
             else:
                 self.out.event(word)
         if block.values or block.lists:
-            self._run_values(block, comment)
+            self._run_values(block)
         if self._mode == "BSPLINE" and "BSPLINE" in block.codes and not self._spline:
             self._begin_spline()
         if end:
@@ -171,7 +171,7 @@ class SinumerikReader:
             self.out.event(end)
         return end
 
-    def _run_values(self, block: Block, comment: str) -> None:
+    def _run_values(self, block: Block) -> None:
         values = block.values
         if "F" in values:
             self.out.feed(values["F"])
@@ -187,7 +187,7 @@ class SinumerikReader:
         elif "SD" in values:
             raise WordError("SD belongs to the block with BSPLINE", 0)
         if block.lists or any(axis in values for axis in AXES):
-            self._move(block, comment)
+            self._move(block)
         elif "I" in values or "J" in values or "CR" in values or "PL" in values:
             raise WordError("a block without an axis has nothing to use I, J, CR or PL for", 0)
 
@@ -206,7 +206,6 @@ class SinumerikReader:
             out.layer(len(out.layer_files))
             out.layer_files.append(path.name)
         file, line = out.file, out.line
-        out.role()
         self.run(path, depth + 1)
         out.enter(file, line)
         if depth == 0:
@@ -215,7 +214,7 @@ class SinumerikReader:
 
     # -- motions -----------------------------------------------------------------------------------
 
-    def _move(self, block: Block, comment: str) -> None:
+    def _move(self, block: Block) -> None:
         mode, out = self._mode, self.out
         if not mode:
             raise WordError("an axis before any of G0, G1, G2, G3, POLY, BSPLINE", 0)
@@ -242,7 +241,7 @@ class SinumerikReader:
                 raise WordError(str(error), 0) from None
         elif "I" in values or "J" in values or "CR" in values:
             raise WordError(f"I, J or CR under {mode}: they belong to G2 and G3", 0)
-        out.move(_KINDS[mode], x, y, z, curve, centre, is_turn(comment), goes_on(comment))
+        out.move(_KINDS[mode], x, y, z, curve, centre)
 
     def _polynomial(self, block: Block) -> tuple[float, float, float, float, float]:
         """Coefficients of t^2 and t^3 in X and Y, and the length of the parameter."""

@@ -7,17 +7,10 @@ import math
 import numpy as np
 
 from ebamcheck.config import Config
-from ebamcheck.program.checks import Check, count_check, row_faults, worst_check
-from ebamcheck.program.dialects import LINUXCNC, PLAIN, SINUMERIK
+from ebamcheck.program.checks import Check, count_check, event_place, row_faults, worst_check
+from ebamcheck.program.machine_state import machine_state_checks
 from ebamcheck.program.motions import ARC, RAPID, NCProgram
 from ebamcheck.rings import Floats
-
-MODES = {
-    SINUMERIK: ("G17", "G71", "G90", "G94"),
-    LINUXCNC: ("G17", "G21", "G90", "G94"),
-    PLAIN: ("G17", "G21", "G90", "G94"),
-}
-"""Plane, millimetres, absolute positions and feed a minute in each language."""
 
 LEAST_SPLINE_BLOCKS = 6
 """Spline blocks that the control wants among any 10 (NC Programming manual, BSPLINE)."""
@@ -29,8 +22,7 @@ LIMIT_ROUNDING_MM = 1e-9
 def state_checks(nc: NCProgram, config: Config, turn_limit_mm: float) -> list[Check]:
     """Check the state of the machine in every motion; `turn_limit_mm` is the longest turn under beam."""
     return [
-        _modes(nc, config),
-        _smoothing(nc, config),
+        *machine_state_checks(nc, config),
         _feed(nc, config),
         _known_positions(nc),
         _splines(nc),
@@ -40,33 +32,6 @@ def state_checks(nc: NCProgram, config: Config, turn_limit_mm: float) -> list[Ch
         _wire(nc),
         _turns(nc, turn_limit_mm),
     ]
-
-
-def _modes(nc: NCProgram, config: Config) -> Check:
-    before = {name for name, row in zip(nc.events.name, nc.events.row, strict=True) if row == 0}
-    wanted = (*MODES[nc.dialect], config.machine.work_offset)
-    missing = [m for m in wanted if m not in before]
-    where = nc.where(0) if len(nc) else f"{nc.files[0].name}:1"
-    faults = [(where, f"{mode} is not set before the first motion") for mode in missing]
-    return count_check("modes", faults, f"{' '.join(wanted)} before the first motion")
-
-
-def _smoothing(nc: NCProgram, config: Config) -> Check:
-    machine = config.machine
-    known = dict(zip(nc.events.name, nc.events.line, strict=True))
-    tolerances = nc.events.value[[name == "CTOL" for name in nc.events.name]]
-    value = float(np.max(tolerances)) if tolerances.size else math.inf
-    if nc.dialect == PLAIN:
-        return Check(
-            "smoothing", True, 0.0, 0.0, "mm", "", "plain G-code has no word for it: the control's own"
-        )
-    # LinuxCNC has one word for all, G64 with its tolerance.
-    missing = [word for word in machine.smoothing if word not in known and nc.dialect == SINUMERIK]
-    where = f"{nc.files[0].name}:{known.get('CTOL', 1)}"
-    words = f"{' '.join(machine.smoothing)} CTOL=" if nc.dialect == SINUMERIK else "G64 P"
-    text = f"lacks {' '.join(missing)}" if missing else f"{words}{value:g}"
-    passed = not missing and value <= machine.smoothing_tolerance_mm
-    return Check("smoothing", passed, value, machine.smoothing_tolerance_mm, "mm", where, text)
 
 
 def _feed(nc: NCProgram, config: Config) -> Check:
@@ -177,11 +142,6 @@ def _wire(nc: NCProgram) -> Check:
         elif name == "beam_off" and wire:
             faults.append((event_place(nc, i), "beam goes off before the wire stops"))
     return count_check("wire", faults, "runs under the beam alone, stops before it")
-
-
-def event_place(nc: NCProgram, event: int) -> str:
-    """``FILE:line`` of an event."""
-    return f"{nc.files[int(nc.events.file[event])].name}:{int(nc.events.line[event])}"
 
 
 def _switching(nc: NCProgram, on: str, off: str, what: str) -> list[tuple[str, str]]:

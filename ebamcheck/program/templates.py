@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 
 from ebamcheck.config import Config
 from ebamcheck.errors import SettingsError
+from ebamcheck.program.dialects import templates_of
+from ebamcheck.program.template_rules import checked_templates
 
 LONGEST_BLOCK = 200
 """Characters of a block that every software version of the control takes."""
@@ -76,6 +78,25 @@ def _filled(where: str, line: str, values: Mapping[str, object]) -> str:
             f"{where}: {line!r} is not one line of under {LONGEST_BLOCK - 10} ASCII characters"
         )
     return text
+
+
+def usable_templates(config: Config, control: str) -> dict[str, tuple[str, ...]]:
+    """Templates of a control as they are written, each held to its name.
+
+    Raises
+    ------
+    SettingsError
+        For a template that makes no block, or holds what it must not; see :mod:`ebamcheck.program.template_rules`.
+    """
+    templates = templates_of(config.machine, control)
+    sample = process_values(config, 1, config.layer_height_mm, config.layer_height_mm)
+    for name, lines in templates.items():
+        sample.fill(name, lines)
+    checked_templates(config.machine, control)
+    if config.machine.trailing_comments:
+        return templates
+    bare = {name: [line.split(";", 1)[0].rstrip() for line in lines] for name, lines in templates.items()}
+    return {name: tuple(line for line in lines if line) for name, lines in bare.items()}
 
 
 def wire_speed_mm_s(config: Config, width_mm: float, thickness_mm: float) -> float:

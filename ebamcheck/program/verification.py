@@ -6,30 +6,39 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ebamcheck.config import Config
+from ebamcheck.curves import LIFTED
 from ebamcheck.errors import InputError
 from ebamcheck.layers import Layers
 from ebamcheck.program.bead_checks import bead_checks, repeated_blocks
 from ebamcheck.program.bead_end_checks import bead_end_checks
 from ebamcheck.program.bead_ends import planned_path
 from ebamcheck.program.checks import Check
+from ebamcheck.program.clearance import clearance_checks
 from ebamcheck.program.deposit import deposit
 from ebamcheck.program.deposit_checks import deposit_checks
+from ebamcheck.program.header_checks import Truth, header_checks
 from ebamcheck.program.inputs import CurveColumns, ScanColumns, deposition_heights, interpass_of
 from ebamcheck.program.interpass_checks import heat_checks, layer_shares, shares_of_text, wait_check
+from ebamcheck.program.matching import Matching, matched, matching_checks, tracks_known
 from ebamcheck.program.motions import NCProgram
+from ebamcheck.program.outside_check import outside_check
+from ebamcheck.program.overfill import overfill_check
 from ebamcheck.program.path_checks import closure_check, contour_checks, hatch_checks, layer_checks
 from ebamcheck.program.process_checks import process_checks
 from ebamcheck.program.reader import read_program
-from ebamcheck.program.section_check import section_check
+from ebamcheck.program.roles import by_height, by_section
+from ebamcheck.program.section_check import Evidence, section_check
 from ebamcheck.program.state_checks import state_checks
 from ebamcheck.program.text_checks import text_checks
 from ebamcheck.program.text_heat import known_sections
 from ebamcheck.program.toolpath import Toolpath
+from ebamcheck.program.value_checks import value_check
 from ebamcheck.program.window_checks import window_check
 from ebamcheck.program.wire_checks import wire_check
+from ebamcheck.rings import Bools, Floats
 from ebamcheck.scan.turns import TURN_SPACINGS
 
 PATH_TOLERANCE_MM = 1e-3
@@ -37,6 +46,9 @@ PATH_TOLERANCE_MM = 1e-3
 
 SECTION_TOLERANCE_MM = 0.05
 """Contour path against the section: the fit of the curves and the roundness of the inset's corners."""
+
+CONTOUR_SHARE = 0.125
+"""Of the bead's width: a bead that runs this near to the inset of the section is a contour."""
 
 
 def verify_program(
@@ -53,9 +65,10 @@ def verify_program(
     heat: bool = False,
     heights: ArrayLike | None = None,
     sha256: Mapping[str, str] | None = None,
+    truth: Truth | None = None,
     contour_offset_mm: float | None = None,
     tolerance_mm: float = PATH_TOLERANCE_MM,
-    section_tolerance_mm: float = SECTION_TOLERANCE_MM,
+    section_tolerance_mm: float | None = None,
 ) -> list[Check]:
     """Check a program that was read; every check is made that its inputs allow.
 
@@ -83,20 +96,32 @@ def verify_program(
         (L,) heights of the cuts; None: those of `curves`, `plan` or `layers`.
     sha256
         Recorded hash of each file by name, as :class:`ProgramFiles` gives it.
+    truth
+        What is known of the program from elsewhere, against which its header is held.
     contour_offset_mm
         Inset of the contour path from the section; None: that of the settings.
-    tolerance_mm, section_tolerance_mm
-        Largest distance of the path from the fitted curve, and from the inset section.
+    tolerance_mm
+        Largest distance of the path from the fitted curve.
+    section_tolerance_mm
+        Largest distance of the path from the inset section, whatever the evidence for it; None: that of the settings.
 
     Returns
     -------
     list of Check
         In a fixed order; one that fails names the file and line of the first or worst place.
     """
-    turn_limit_mm = TURN_SPACINGS * config.process.hatch_spacing_mm
-    checks = text_checks(nc, sha256) + state_checks(nc, config, turn_limit_mm)
+    known = heights
+    if known is None:
+        known = next((x.heights for x in (curves, plan, layers) if x is not None), None)
+    z_of = deposition_heights(np.asarray(() if known is None else known, np.float64), config.layer_height_mm)
+    offset = config.contour_offset_mm if contour_offset_mm is None else contour_offset_mm
     if path is None and curves is not None and plan is not None:
         path = planned_path(curves, plan, config)
+    tracks = path or tracks_known(curves, plan, config)
+    nc, match = _with_roles(nc, tracks, layers, z_of, offset, config)
+    turn_limit_mm = TURN_SPACINGS * config.process.hatch_spacing_mm
+    checks = text_checks(nc, sha256) + header_checks(nc, config, truth or Truth(), known)
+    checks += state_checks(nc, config, turn_limit_mm)
     checks.append(wire_check(nc, config, path))
     planned = None if plan is None else interpass_of(plan, config)
     sections = known_sections(plan, smooth, layers)
@@ -107,33 +132,75 @@ def verify_program(
     else:
         shares = np.minimum(layer_shares(nc, config.process.power_w), 1.0)
     checks += [*bead_end_checks(nc, config, shares), closure_check(nc, curves, tolerance_mm)]
-    checks += [repeated_blocks(nc), window_check(nc, config), *process_checks(nc, config)]
+    checks += [
+        repeated_blocks(nc),
+        window_check(nc, config),
+        value_check(nc, config),
+        *process_checks(nc, config),
+    ]
     checks.append(wait_check(nc, config, planned))
     if heat:
         checks += heat_checks(nc, config, sections)
-    known = (
-        heights
-        if heights is not None
-        else next((x.heights for x in (curves, plan, layers) if x is not None), None)
-    )
+    checks += clearance_checks(nc, z_of, config, layers)
     if known is None:
         return checks
-    z_of = deposition_heights(np.asarray(known, dtype=np.float64), config.layer_height_mm)
-    checks += layer_checks(nc, z_of, _where_called(nc))
+    checks += layer_checks(nc, z_of, _filled(tracks, layers, len(z_of)))
+    if match is not None:
+        # A plan of contours or of islands alone knows nothing of the other beads.
+        checks += matching_checks(nc, match, tolerance_mm) if path is not None else []
     if curves is not None:
         checks += contour_checks(nc, curves, config, tolerance_mm, z_of)
     if plan is not None:
         checks += hatch_checks(nc, plan, config, tolerance_mm, z_of)
     if layers is not None:
-        offset = config.contour_offset_mm if contour_offset_mm is None else contour_offset_mm
-        checks.append(section_check(nc, layers, z_of, offset, section_tolerance_mm))
-        if smooth is not None:
-            limit = smooth_tolerance_mm(config)
-            checks.append(section_check(nc, smooth, z_of, offset, limit, "smooth section"))
+        most = config.curves.section_tolerance_mm if section_tolerance_mm is None else section_tolerance_mm
+        checks += _section_checks(nc, layers, smooth, z_of, offset, config, most)
         if metal:
             checks += deposit_checks(nc, deposit(nc, layers, z_of, config), config)
+        if path is None:
+            checks.append(overfill_check(nc, z_of, config, layers))
     if beads:
         checks += bead_checks(nc, config, z_of, layers)
+    return checks
+
+
+def _with_roles(
+    nc: NCProgram,
+    tracks: Toolpath | None,
+    layers: Layers | None,
+    z_of: Floats,
+    offset_mm: float,
+    config: Config,
+) -> tuple[NCProgram, Matching | None]:
+    """Layers and roles of all motions by who knows most of them: a plan, sections, or their shape alone."""
+    nc = by_height(nc, z_of)
+    if tracks is not None:
+        return matched(nc, tracks)
+    if layers is not None:
+        nc = by_section(nc, layers, z_of, offset_mm, CONTOUR_SHARE * config.process.bead_width_mm)
+    return nc, None
+
+
+def _section_checks(
+    nc: NCProgram,
+    layers: Layers,
+    smooth: Layers | None,
+    z_of: Floats,
+    offset_mm: float,
+    config: Config,
+    most_mm: float,
+) -> list[Check]:
+    """Contours against the sections, by chords and with the curves that these stand for; and all beads within them."""
+    near_mm = smooth_tolerance_mm(config)
+    base = SECTION_TOLERANCE_MM if smooth is None else near_mm
+    if config.curves.method not in LIFTED:
+        base = (
+            most_mm  # An interpolating spline goes its own way between points, twice: no place tells how far.
+        )
+    checks = [section_check(nc, layers, z_of, offset_mm, most_mm, evidence=Evidence(base, most_mm, smooth))]
+    checks.append(outside_check(nc, layers, z_of, config, most_mm))
+    if smooth is not None:
+        checks.append(section_check(nc, smooth, z_of, offset_mm, near_mm, "smooth section"))
     return checks
 
 
@@ -160,12 +227,11 @@ def verify_file(path: str | Path, *, config: Config, **given: object) -> list[Ch
     return [readable, *verify_program(nc, config=config, **given)]  # type: ignore[arg-type]
 
 
-def _where_called(nc: NCProgram) -> NDArray[np.object_]:
-    """Place of the call of each layer (L,); of its first deposit in a program without calls."""
-    calls = [
-        i for i, name in enumerate(nc.events.name) if name.startswith("call ") and nc.events.file[i] == 0
-    ]
-    if len(calls) == len(nc.layer_files):
-        return np.array([f"{nc.files[0].name}:{nc.events.line[i]}" for i in calls], dtype=np.object_)
-    first = [int(np.argmax(nc.layer == k)) for k in range(len(nc.layer_files))]
-    return np.array([nc.where(row) for row in first], dtype=np.object_)
+def _filled(path: Toolpath | None, layers: Layers | None, count: int) -> Bools:
+    """Which layers (L,) are to have metal, as far as is known: all of them, if nothing is."""
+    if path is not None:
+        ends = path.track_starts[path.layer_starts]
+        return np.asarray(np.diff(ends) > 0)
+    if layers is not None:
+        return np.array([any(p.area > 0.0 for p in layers.polygons(k)) for k in range(count)], np.bool_)
+    return np.ones(count, np.bool_)

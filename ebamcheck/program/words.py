@@ -5,6 +5,9 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
+from ebamcheck.program.dialects import SINUMERIK
+from ebamcheck.program.modal_groups import refusal
+
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)"
 
 _WORD = re.compile(
@@ -18,15 +21,17 @@ _WORD = re.compile(
     re.VERBOSE,
 )
 
-G_CODES = {
-    "G0": "motion", "G1": "motion", "G2": "motion", "G3": "motion", "POLY": "motion", "BSPLINE": "motion",
-    "G17": "plane", "G71": "unit", "G90": "dimension", "G94": "feed",
-    "G54": "offset", "G55": "offset", "G56": "offset", "G57": "offset",
-    "SOFT": "jerk", "BRISK": "jerk", "FFWON": "feedforward", "FFWOF": "feedforward",
-    "G60": "smoothing", "G64": "smoothing", "G641": "smoothing", "G642": "smoothing",
-    "G643": "smoothing", "G644": "smoothing", "G645": "smoothing",
-}  # fmt: skip
-"""Modal words and their groups. G18, G19, G70, G91, G95 are refused: a program here has none of them."""
+G_CODES = frozenset(
+    {
+        "G0", "G1", "G2", "G3", "POLY", "BSPLINE",
+        "G17", "G71", "G710", "G90", "G94", "G40", "D0", "TRANS", "G54", "G55", "G56", "G57",
+        "SOFT", "BRISK", "FFWON", "FFWOF", "G60", "G64", "G641", "G642", "G643", "G644", "G645", "M1",
+    }
+)  # fmt: skip
+"""Words that are read. Those that would bend the path (G18, G70, G91, G95 and others) are refused: a program has none."""
+
+ALONE = ("TRANS",)
+"""Words that stand by themselves in their block: without an axis, TRANS takes back every programmable frame."""
 
 END_CODES = ("M30", "M17", "RET", "M2")
 AXES = ("X", "Y", "Z")
@@ -72,7 +77,7 @@ def read_block(code: str) -> Block:
         kind = found.lastgroup
         if kind == "number":
             letter, digits = found.group("letter", "number")
-            if letter in ("G", "M"):
+            if letter in ("G", "M", "D"):
                 _add_code(block, letter + (digits.lstrip("0") or "0"), found)
             else:
                 _add_value(block, letter, digits, found)
@@ -84,19 +89,25 @@ def read_block(code: str) -> Block:
             _add_code(block, found["identifier"], found)
         else:
             raise UnknownWord(f"unknown word {found['bad'].split()[0]!r}", found.start("bad"))
+    if len(block.codes) + len(block.values) + len(block.lists) > 1:
+        for word in block.codes:
+            if word in ALONE:
+                raise WordError(
+                    f"{word} with other words: by itself it takes back every frame, else it sets one", 0
+                )
     return block
 
 
 def _add_code(block: Block, word: str, found: re.Match[str]) -> None:
     if word not in G_CODES and word not in END_CODES:
-        raise UnknownWord(f"unknown word {word!r}", found.end() - len(found[0].lstrip()))
+        raise UnknownWord(refusal(SINUMERIK, word), found.end() - len(found[0].lstrip()))
     block.codes.append(word)
 
 
 def _add_value(block: Block, address: str, digits: str, found: re.Match[str]) -> None:
     if address not in NUMBERS:
         text = found[0].lstrip()
-        raise UnknownWord(f"unknown word {text!r}", found.end() - len(text))
+        raise UnknownWord(refusal(SINUMERIK, text), found.end() - len(text))
     if address in block.values:
         raise WordError(f"{address} stands twice in one block", found.start())
     block.values[address] = float(digits)

@@ -28,7 +28,7 @@ def entered_with_aged(
 
     Heat comes to the modes late by that age, and as small as it has become by then. `state` (K, N) is used up.
     """
-    fallen = mean * np.exp(-plane_rate * age).reshape(-1, 1)
+    fallen = by_island(mean * np.exp(-plane_rate * age).reshape(-1, 1))
     in_layer_late = in_layer * np.exp(-depth_rate * age)
     entry_k = np.zeros(mean.shape[1])
     clock, place = 0.0, 0
@@ -42,6 +42,12 @@ def entered_with_aged(
             for n in range(len(depth_rate)):
                 entry_k[island] += mean[k, island] * in_layer[n] * state[k, n]
     return entry_k
+
+
+@kernel
+def by_island(mean: Floats) -> Floats:
+    """Return means (K, I) with those of each island side by side in memory."""
+    return np.ascontiguousarray(mean.T).T
 
 
 @kernel
@@ -71,13 +77,7 @@ def with_late_heat(
         else:
             time = min(ends, until) - clock
             heating = source[island]
-        through = np.exp(-depth_rate * time)
-        for k in range(state.shape[0]):
-            across = np.exp(-plane_rate[k] * time)
-            for n in range(state.shape[1]):
-                rate, fall = plane_rate[k] + depth_rate[n], across * through[n]
-                held = time if rate * time < LEAST_DECAY else (1.0 - fall) / rate
-                state[k, n] = state[k, n] * fall + heating * held * mean[k, island] * in_layer[n]
+        age_state(state, mean[:, island], plane_rate, depth_rate, in_layer, heating, time)
         # The very end of a stretch, not a sum that may miss it by rounding.
         if begins > clock:
             clock = min(begins, until)
@@ -86,3 +86,27 @@ def with_late_heat(
             if ends <= until:
                 place += 1
     return place
+
+
+@kernel
+def age_state(
+    state: Floats,
+    mean: Floats,
+    plane_rate: Floats,
+    depth_rate: Floats,
+    in_layer: Floats,
+    heating: float,
+    time: float,
+) -> None:
+    """Age amplitudes (K, N) while an island with mode means (K,) heats them."""
+    through = np.exp(-depth_rate * time)
+    for k in range(state.shape[0]):
+        across, gain = np.exp(-plane_rate[k] * time), heating * mean[k]
+        if heating == 0.0:
+            for n in range(state.shape[1]):
+                state[k, n] *= across * through[n]
+            continue
+        for n in range(state.shape[1]):
+            rate, fall = plane_rate[k] + depth_rate[n], across * through[n]
+            held = time if rate * time < LEAST_DECAY else (1.0 - fall) / rate
+            state[k, n] = state[k, n] * fall + gain * held * in_layer[n]

@@ -265,11 +265,12 @@ def entry_temperature(
 ) -> float:
     """Rise of the island at a place when the beam enters it: its mean, or that of its entry if it is more."""
     island, now = order[place], log.start_s[place]
-    temperature = looked_up(rise, nodes, island, len(order), now)
+    temperature = looked_up(rise, nodes, fresh.horizon_s, island, len(order), now)
     for earlier in range(place):
         source = order[earlier]
-        temperature += looked_up(rise, nodes, island, source, now - log.start_s[earlier] - time[source])
-    mean, entry = 0.0, 0.0
+        since = now - log.start_s[earlier] - time[source]
+        temperature += looked_up(rise, nodes, fresh.horizon_s, island, source, since)
+    excess = 0.0
     for earlier in range(place - 1, -1, -1):
         source = order[earlier]
         since = now - log.start_s[earlier] - time[source]
@@ -278,6 +279,5 @@ def entry_temperature(
         row = fresh.slot[island, source]
         if row >= 0:
             root = np.sqrt(max(since, 0.0) / fresh.horizon_s)
-            mean += at_root(fresh.mean_k[row], root)
-            entry += at_root(fresh.entry_k[row, log.way[place], log.way[earlier]], root)
-    return temperature + max(mean, entry)
+            excess += at_root(fresh.excess_k[row, log.way[place], log.way[earlier]], root)
+    return temperature + max(excess, 0.0)

@@ -15,14 +15,18 @@ from numpy.typing import NDArray
 from ebamcheck.kernels import kernel
 from ebamcheck.rings import Floats
 from ebamcheck.scan.island_heat import IslandHeat
-from ebamcheck.scan.near_field import NearField, fresh_rise
+from ebamcheck.scan.near_field import NearField, entry_rise, young_mean
 from ebamcheck.scan.pieces import WAYS
 
 NODES = 96
-"""Times of the table. Their spacing grows with the time, as heat changes ever more slowly: node n lies at n^2."""
+"""Times of the table."""
 
-FRESH_NODES = 12
-"""Times of the table of fresh heat, until its horizon."""
+YOUNG_NODES = 12
+"""Times of these until the horizon of young heat, and of what it does at entries. Their spacing grows with the time, as
+heat changes ever more slowly: node n of N lies at horizon (n / (N - 1))^2, and m after the horizon at m^2."""
+
+LEAST_RATE = 1e-9
+"""Decay, 1/s, that an amplitude has at least: nothing within any layer, but there is an inverse of it."""
 
 MOST_ISLANDS = 500
 """Beyond, the table is too large: 500 islands take 96 MB."""
@@ -31,24 +35,21 @@ Table = NDArray[np.float32]
 
 
 class FreshTable(NamedTuple):
-    """What fresh heat adds to the rises of islands that are near each other.
+    """What young heat does to entries beyond the rises of islands that are near each other.
 
     Parameters
     ----------
     horizon_s
         Time after which it is nothing; node n of N lies at horizon (n / (N - 1))^2.
     slot
-        (I, I) row of the next tables for an island and the source, or -1.
-    mean_k
-        (P, N) to the mean of the island.
-    entry_k
-        (P, 4, 4, N) to the temperature of its entry, by its way and that of the source.
+        (I, I) row of the next table for an island and the source, or -1.
+    excess_k
+        (P, 4, 4, N) of the temperature of its entry over its mean, by its way and that of the source.
     """
 
     horizon_s: float
     slot: NDArray[np.int32]
-    mean_k: Table
-    entry_k: Table
+    excess_k: Table
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,9 +62,9 @@ class Influence:
         (I, I + 1, Q) mean rise of an island by another one that was scanned from cold, a time after its end;
         the last column is what the layer's first temperature leaves, a time after the beginning.
     nodes_per_root_s
-        A time t lies at node nodes_per_root_s sqrt(t).
+        A time t after the horizon lies nodes_per_root_s sqrt(t) nodes after the node of the horizon.
     fresh
-        What the modes lack.
+        What entries have beyond the means.
     """
 
     rise_k: Table
@@ -72,7 +73,7 @@ class Influence:
 
 
 def influence(heat: IslandHeat, time_s: Floats, longest_s: float) -> Influence:
-    """Tabulate the heat model of a layer.
+    """Tabulate the heat model of a layer: old heat by its modes, young heat as in :mod:`ebamcheck.scan.near_field`.
 
     Parameters
     ----------
@@ -81,53 +82,70 @@ def influence(heat: IslandHeat, time_s: Floats, longest_s: float) -> Influence:
     longest_s
         Longest time between two islands.
     """
-    spacing = longest_s / (NODES - 1) ** 2
-    since = spacing * np.arange(NODES) ** 2
-    rate = np.add.outer(heat.plane_rate, heat.depth_rate)
-    across = np.exp(-np.multiply.outer(heat.plane_rate, since))
-    through = np.exp(-np.multiply.outer(heat.depth_rate, since))
-    count, mean = len(time_s), np.asarray(heat.mean, np.float32)
+    near, count, young = heat.fresh, len(time_s), YOUNG_NODES - 1
+    spacing = max(longest_s - near.horizon_s, 0.0) / (NODES - YOUNG_NODES) ** 2
+    since = np.concatenate([
+        near.horizon_s * (np.arange(young) / young) ** 2,
+        near.horizon_s + spacing * np.arange(NODES - young) ** 2,
+    ])  # fmt: skip
     rise = np.empty((count, count + 1, NODES), np.float32)
-    still = rate <= 0.0
-    per_s = 1.0 / np.where(still, 1.0, rate)
-    for j, (time, source) in enumerate(zip(time_s.tolist(), heat.source_k_s.tolist(), strict=True)):
-        held = np.where(still, time, -np.expm1(-rate * time) * per_s)
-        of_mode = heat.mean[:, j, None] * across * (((source * heat.in_layer**2) * held) @ through)
-        rise[:, j] = mean.T @ of_mode.astype(np.float32)
-    rise[:, count] = heat.mean.T @ (across * ((heat.start_k * heat.in_layer) @ through))
-    per_root = spacing**-0.5 if spacing > 0.0 else 0.0
+    old_heat(heat, time_s, near.horizon_s, since, rise)
     slot = np.full((count, count), -1, np.int32)
-    near = heat.fresh
     slot[np.repeat(np.arange(count), np.diff(near.first)), near.other] = np.arange(len(near.other))
-    mean_k, entry_k = fresh_table(near, heat.source_k_s, time_s)
-    return Influence(rise, per_root, FreshTable(near.horizon_s, slot, mean_k, entry_k))
+    excess_k = young_heat(near, heat.source_k_s, time_s, since[:YOUNG_NODES], rise)
+    per_root = spacing**-0.5 if spacing > 0.0 else 0.0
+    return Influence(rise, per_root, FreshTable(near.horizon_s, slot, excess_k))
+
+
+def old_heat(heat: IslandHeat, time_s: Floats, horizon_s: float, since_s: Floats, rise: Table) -> None:
+    """Write the rises :attr:`Influence.rise_k` by heat older than the horizon, at times (Q,) after the end of a source."""
+    depth_rate = np.maximum(heat.depth_rate, LEAST_RATE)
+    rate = np.add.outer(heat.plane_rate, depth_rate)
+    across = np.exp(-np.multiply.outer(heat.plane_rate, since_s))
+    through = np.exp(-np.multiply.outer(depth_rate, since_s))
+    mean, weight = np.asarray(heat.mean, np.float32), heat.in_layer**2 / rate
+    at_horizon = (weight * np.exp(-rate * horizon_s)).sum(axis=1)[:, None]
+    # Of a source that ended less than a horizon ago only what it began with is old.
+    young = slice(0, int(np.searchsorted(since_s, horizon_s)))
+    old = slice(young.stop, None)
+    of_mode = np.empty_like(across)
+    for j, (time, source) in enumerate(zip(time_s.tolist(), heat.source_k_s.tolist(), strict=True)):
+        fallen = np.exp(-rate * time)
+        of_mode[:, old] = across[:, old] * ((weight * (1.0 - fallen)) @ through[:, old])
+        begun = at_horizon - across[:, young] * ((weight * fallen) @ through[:, young])
+        of_mode[:, young] = np.where(since_s[young] + time > horizon_s, begun, 0.0)
+        scaled = of_mode * (source * heat.mean[:, j, None])
+        rise[:, j] = mean.T @ scaled.astype(np.float32)
+    rise[:, len(time_s)] = heat.mean.T @ (across * ((heat.start_k * heat.in_layer) @ through))
 
 
 @kernel
-def fresh_table(near: NearField, source: Floats, time: Floats) -> tuple[Table, Table]:
-    """Return the last two columns of :class:`FreshTable`."""
-    rows = len(near.other)
-    mean = np.zeros((rows, FRESH_NODES), np.float32)
-    entry = np.zeros((rows, WAYS, WAYS, FRESH_NODES), np.float32)
+def young_heat(near: NearField, source: Floats, time: Floats, since: Floats, rise: Table) -> Table:
+    """Add young heat to the rises of means; returns its excess at entries (P, 4, 4, N) over the means, as in :class:`FreshTable`."""
+    excess = np.zeros((len(near.other), WAYS, WAYS, len(since)), np.float32)
     for i in range(len(near.first) - 1):
         for p in range(near.first[i], near.first[i + 1]):
-            j, pair = near.other[p], near.pair[p]
+            j = near.other[p]
             if i == j:
                 continue
-            for n in range(FRESH_NODES):
-                since = near.horizon_s * (n / (FRESH_NODES - 1)) ** 2
+            for n in range(len(since)):
+                mean = young_mean(near, near.pair[p], since[n], time[j])
+                rise[i, j, n] += source[j] * mean
                 for way in range(WAYS):
                     for left_by in range(WAYS):
-                        fresh = fresh_rise(near, pair, i, way, j, left_by, since, time[j])
-                        mean[p, n] = source[j] * fresh[0]
-                        entry[p, way, left_by, n] = source[j] * fresh[1]
-    return mean, entry
+                        entry = entry_rise(near, i, way, j, left_by, since[n], time[j])
+                        excess[p, way, left_by, n] = source[j] * (entry - mean)
+    return excess
 
 
 @kernel
-def looked_up(rise: Table, nodes: float, island: int, source: int, since: float) -> float:
+def looked_up(rise: Table, nodes: float, horizon: float, island: int, source: int, since: float) -> float:
     """Rise of an island by a source a time after its end, linear between nodes in the root of the time."""
-    place = nodes * np.sqrt(max(since, 0.0))
+    young = YOUNG_NODES - 1
+    if since < horizon:
+        place = young * np.sqrt(max(since, 0.0) / horizon)
+    else:
+        place = young + nodes * np.sqrt(since - horizon)
     node = min(int(place), rise.shape[2] - 2)
     share = min(place - node, 1.0)
     low, high = rise[island, source, node], rise[island, source, node + 1]

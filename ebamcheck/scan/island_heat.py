@@ -60,7 +60,7 @@ class IslandHeat:
     complete
         Eigenvalue up to which these are all modes of section and depth, 1/mm^2.
     near
-        Fresh heat between islands that are near each other, which the modes lack; None: by the modes alone.
+        Young heat between islands that are near each other, which the modes lack; None: by the modes alone.
     """
 
     mean: Floats
@@ -147,5 +147,5 @@ def with_fresh_heat(
 ) -> IslandHeat:
     """Add the fresh heat that the modes lack to the heat model of a layer: see :mod:`ebamcheck.scan.near_field`."""
     bead_mm = profile.process.bead_width_mm
-    near = near_field(heat.model, heat.mean, heat.complete, drive, lines, section, islands, bead_mm)
+    near = near_field(heat.model, heat.complete, drive, lines, section, islands, bead_mm)
     return replace(heat, near=near)

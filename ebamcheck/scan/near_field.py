@@ -1,15 +1,16 @@
 """The fresh heat that truncated modes cannot show: where the beam enters, and in islands beside the last ones.
 
 The temperature of an island by the modes of its section is right for heat that is old: waves shorter than an island
-die out within seconds. For heat younger than a horizon the modes are therefore exchanged, between islands that are
-near each other, for Green's functions of the conduction itself; of islands farther apart it has not arrived yet, what
-the modes have of it is the ripple of those that they lack, and a reading (:mod:`ebamcheck.scan.driving`) leaves it out.
+die out within seconds. Heat younger than a horizon is therefore left out of the modes
+(:mod:`ebamcheck.scan.aged_heat`), and comes, between islands that are near each other, from Green's functions of the
+conduction itself; at islands farther apart it has not arrived yet, and what the modes would have of it is the ripple of
+those that they lack.
 The Green's function is a Gaussian in the plane, times the exact function of
 the depth. What the free Gaussian would lose through the outline stays in the metal: it is divided by its own share in
 the metal in sight (:mod:`ebamcheck.scan.enclosed`), which is exact far from the outline, on a straight border, in a
 corner, and in a thin wall. No heat of this kind passes a gap.
 
-Two figures come from it, both on top of the modes: the mean temperature of an island, heated by islands that are warm
+Two figures come from it, both on top of the old heat: the mean temperature of an island, heated by islands that are warm
 as a whole; and the temperature under the beam at the point of entry, heated by the lines of islands in the sequence
 in which they were driven.
 """
@@ -65,9 +66,6 @@ MOST_DEPTH_WAVES = 2000
 FAR = 16.0
 """Squared distances over this times the variance bring nothing: exp(-8)."""
 
-CHUNK = 4096
-"""Pairs whose products of modes are in memory at a time."""
-
 
 class NearField(NamedTuple):
     """Fresh heat between islands that are near each other.
@@ -77,16 +75,16 @@ class NearField(NamedTuple):
     Parameters
     ----------
     horizon_s
-        Age of heat from which on the modes are left alone.
+        Age of heat from which on the modes have it.
     spread_mm2_s
         Growth of the variance of a Gaussian along one axis, 2 alpha.
     beam_mm2
         Variance of the beam and of its reading at an entry.
     first, other, pair
         (I + 1,), (P,), (P,) islands near each island, itself among them, and the rows of both in the next tables.
-    exact, modes
+    exact
         (U, Q + 1) rise of the mean temperature of an island by heat of up to an age in the other one, over K mm^3/s
-        of heating: by Green's functions, and by the modes.
+        of heating.
     depth
         (2 Q + 1,) mean of the layer's temperature by heat in it at ages horizon (n / 2 Q)^2, 1/mm.
     inside
@@ -104,7 +102,6 @@ class NearField(NamedTuple):
     other: Ints
     pair: Ints
     exact: Floats
-    modes: Floats
     depth: Floats
     inside: Floats
     pieces: Pieces
@@ -113,7 +110,6 @@ class NearField(NamedTuple):
 
 def near_field(
     model: HeatModel,
-    mean: Floats,
     complete: float,
     drive: IslandDrive,
     lines: Vectors,
@@ -127,8 +123,6 @@ def near_field(
     ----------
     model
         The heat model.
-    mean
-        (K, I) means of its modes over the islands.
     complete
         Eigenvalue up to which it has all modes, 1/mm^2.
     lines
@@ -158,7 +152,6 @@ def near_field(
     inside = of_islands(section, tiles, spread)
     free /= 0.5 * (inside[pairs[:, 0]] + inside[pairs[:, 1]])
     free[hidden(section, pieces, pairs, centroid, bead_mm)] = 0.0
-    shown = between_modes(model.plane.eigenvalue, mean, pairs, alpha * age)
     beam_mm2, entry = 2.0 * (BEAM_SHARE * bead_mm) ** 2, np.ascontiguousarray(drive.entry)
     around = beam_mm2 + float(pieces.variance.mean()) + spread[::2]
     return NearField(
@@ -169,7 +162,6 @@ def near_field(
         other=other,
         pair=pair,
         exact=cumulated(free * depth, horizon_s),
-        modes=cumulated(shown * of_layer(model.depth, model, age), horizon_s),
         depth=depth,
         inside=enclosed_share(section, entry.reshape(-1, 2), np.tile(around, (WAYS * count, 1))).reshape(
             count, WAYS, -1
@@ -236,17 +228,6 @@ def of_layer(depth: DepthModes, model: HeatModel, age_s: Floats) -> Floats:
     return np.asarray(np.exp(-np.multiply.outer(age_s, rate)) @ square, np.float64)
 
 
-def between_modes(eigenvalue: Floats, mean: Floats, pairs: Ints, spread_mm2: Floats) -> Floats:
-    """Share of the heat of one island of each pair in a unit area of the other by the modes, (U, Q) 1/mm^2.
-
-    `spread_mm2` (Q,) is alpha times the ages.
-    """
-    fall = np.exp(-np.multiply.outer(eigenvalue, spread_mm2))
-    by_island = np.ascontiguousarray(mean.T)
-    blocks = [pairs[n : n + CHUNK] for n in range(0, len(pairs), CHUNK)]
-    return np.concatenate([(by_island[some[:, 0]] * by_island[some[:, 1]]) @ fall for some in blocks])
-
-
 def cumulated(values: Floats, horizon_s: float) -> Floats:
     """Integrals (U, Q + 1) of values at ages horizon (n / 2 Q)^2 from 0 to every other age, by Simpson's rule."""
     root = np.linspace(0.0, 1.0, values.shape[1])
@@ -289,20 +270,6 @@ def at_root(table: Floats, root: float) -> float:
 
 
 @kernel
-def fresh_rise(
-    near: NearField, pair: int, island: int, way: int, source: int, left_by: int, since: float, time: float
-) -> tuple[float, float]:
-    """What an island's mean temperature, and that of its entry, are over its mean by the modes; over K mm^3/s of heating.
-
-    Parameters are those of :func:`young_rise`.
-    """
-    mean, point = young_rise(near, pair, island, way, source, left_by, since, time)
-    late, early = root_of(near, since + time), root_of(near, since)
-    shown = at_root(near.modes[pair], late) - at_root(near.modes[pair], early)
-    return mean - shown, point - shown
-
-
-@kernel
 def young_rise(
     near: NearField, pair: int, island: int, way: int, source: int, left_by: int, since: float, time: float
 ) -> tuple[float, float]:
@@ -319,16 +286,22 @@ def young_rise(
     since, time
         Time since the end of its heating, and the time that took, s.
     """
-    late, early = root_of(near, since + time), root_of(near, since)
-    mean = at_root(near.exact[pair], late) - at_root(near.exact[pair], early)
+    mean = young_mean(near, pair, since, time)
     return mean, entry_rise(near, island, way, source, left_by, since, time)
+
+
+@kernel
+def young_mean(near: NearField, pair: int, since: float, time: float) -> float:
+    """Rise of an island's mean temperature by the other one of a pair, over K mm^3/s: see :func:`young_rise`."""
+    late, early = root_of(near, since + time), root_of(near, since)
+    return at_root(near.exact[pair], late) - at_root(near.exact[pair], early)
 
 
 @kernel
 def entry_rise(
     near: NearField, island: int, way: int, source: int, left_by: int, since: float, time: float
 ) -> float:
-    """Rise of the temperature at an entry by another island, over K mm^3/s of heating: see :func:`fresh_rise`."""
+    """Rise of the temperature at an entry by another island, over K mm^3/s of heating: see :func:`young_rise`."""
     pieces = near.pieces
     x, y = near.entry[island, way]
     total = 0.0

@@ -102,12 +102,9 @@ class Tiles(NamedTuple):
 
 def island_tiles(islands: NDArray[np.object_]) -> Tiles:
     """Cut polygons (I,) into triangles, each halved :data:`HALVED` times across its longest edge."""
-    # The triangles of a regular hexagon are a matter of rounding: seen from its centroid it is the same wherever it lies.
-    points, owner = shapely.get_coordinates(islands, return_index=True)
     centroid = shapely.get_coordinates(shapely.centroid(islands))
-    at_origin = shapely.set_coordinates(islands.copy(), np.round(points - centroid[owner], DECIMALS))
-    parts, island = shapely.get_parts(shapely.constrained_delaunay_triangles(at_origin), return_index=True)
-    corners = shapely.get_coordinates(parts).reshape(-1, 4, 2)[:, :3]
+    cut = [_triangles(polygon) for polygon in _at_origin(islands, centroid)]
+    corners, island = np.concatenate(cut), np.repeat(np.arange(len(cut)), [len(own) for own in cut])
     for _ in range(HALVED):
         corners, island = _halved(corners), np.repeat(island, 2)
     edge = np.diff(corners, axis=1)
@@ -121,6 +118,32 @@ def island_tiles(islands: NDArray[np.object_]) -> Tiles:
         share=area / np.bincount(island, area, len(islands))[island],
         variance=variance,
     )
+
+
+def _at_origin(islands: NDArray[np.object_], centroid: Floats) -> NDArray[np.object_]:
+    """Shift islands (I,) to their centroids, their corners rounded unless that makes them invalid.
+
+    The triangles of a regular hexagon are a matter of rounding: seen from its centroid it is the same wherever it lies.
+    A hair thinner than :data:`DECIMALS` falls onto itself by that.
+    """
+    points, owner = shapely.get_coordinates(islands, return_index=True)
+    seen = points - centroid[owner]
+    rounded = shapely.set_coordinates(islands.copy(), np.round(seen, DECIMALS))
+    broken = ~shapely.is_valid(rounded) | (shapely.area(rounded) <= 0.0)
+    rounded[broken] = shapely.set_coordinates(islands.copy(), seen)[broken]
+    return rounded
+
+
+def _triangles(polygon: shapely.Polygon) -> Floats:
+    """Corners (T, 3, 2) of triangles that cover a polygon; those of its hull where it cannot be cut into its own."""
+    try:
+        parts = shapely.get_parts(shapely.constrained_delaunay_triangles(polygon))
+    except shapely.GEOSException:
+        parts = np.zeros(0, object)
+    if shapely.area(parts).sum() > 0.0:
+        return np.asarray(shapely.get_coordinates(parts).reshape(-1, 4, 2)[:, :3], np.float64)
+    ring = shapely.get_coordinates(shapely.convex_hull(polygon))[:-1]
+    return np.stack([np.broadcast_to(ring[0], ring[2:].shape), ring[1:-1], ring[2:]], axis=1)
 
 
 def _halved(corners: Floats) -> Floats:

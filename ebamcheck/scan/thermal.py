@@ -16,13 +16,14 @@ import numpy as np
 
 from ebamcheck.kernels import kernel, run_blocks
 from ebamcheck.rings import Bools, Floats, Ints
+from ebamcheck.scan.aged_heat import by_island, with_late_heat
 from ebamcheck.scan.all_orders import MOST_LISTED, best_of_all
 from ebamcheck.scan.annealing import annealed, high_mean
 from ebamcheck.scan.drive import IslandDrive
-from ebamcheck.scan.driving import at_surface, clocked, decay, entry_points, heat_island
+from ebamcheck.scan.driving import at_surface, clocked, entry_points
 from ebamcheck.scan.influence import MOST_ISLANDS, influence
 from ebamcheck.scan.island_heat import IslandHeat
-from ebamcheck.scan.near_field import NearField, fresh_rise
+from ebamcheck.scan.near_field import NearField, young_rise
 from ebamcheck.scan.path import JOINED_MM
 from ebamcheck.scan.touching import Touching, touching, touching_successors
 from ebamcheck.scan.ways import nearest_way, ways_between
@@ -212,26 +213,35 @@ def coolest_first(
     near: NearField,
     beside: Touching,
 ) -> Ints:
-    """Order by score; `mean` (K, I) and `state` (K, N) are used up. Between the earliest and the latest entry temperature is linear."""
+    """Order by score; `mean` (K, I) and `state` (K, N) are used up.
+
+    Old heat, of which the modes have all, is linear between the earliest and the latest entry.
+    """
     modes, count = mean.shape
     order = np.empty(count, np.int64)
     left = np.arange(count)
     now, soon = np.empty(count), np.empty(count)
-    ways, end, scanned = np.empty(count, np.int64), np.empty(count), np.zeros(count, np.bool_)
+    ways, scanned = np.empty(count, np.int64), np.zeros(count, np.bool_)
+    begin, end = np.empty(count), np.empty(count)
+    fallen = by_island(mean * np.exp(-plane_rate * near.horizon_s).reshape(-1, 1))
+    in_layer_late = in_layer * np.exp(-depth_rate * near.horizon_s)
     jumps, by = np.empty(count), np.empty(count, np.int64)
     means, points, touches = np.zeros(count), np.zeros(count), np.full(count, -1)
-    clock, latest = 0.0, 0.0
+    clock, latest, aged = 0.0, 0.0, 0
     for axis in range(2):
         latest += np.ptp(entry[:, :, axis]) / rapid
     place, way, jump = first, 0, 0.0
     for n in range(count):
         island = left[place]
         order[n] = island
-        clock += jump / rapid + time[island]
+        last, begin[island] = clock, clock + jump / rapid
+        clock = begin[island] + time[island]
         ways[island], end[island], scanned[island] = way, clock, True
         x, y = leave[island, way, 0], leave[island, way, 1]
-        decay(state, plane_rate, depth_rate, jump / rapid + time[island])
-        heat_island(state, mean[:, place], plane_rate, depth_rate, in_layer, source[island], time[island])
+        aged = with_late_heat(
+            state, fallen, plane_rate, depth_rate, in_layer_late, source, order[: n + 1], begin, end, near.horizon_s,
+            last, clock, aged,
+        )  # fmt: skip
         rest = count - n - 1
         if rest == 0:
             break
@@ -239,7 +249,12 @@ def coolest_first(
         left[place] = left[rest]
         mean[:, place] = mean[:, rest]
         early = at_surface(state, plane_rate, depth_rate, in_layer, 0.0)
-        late = at_surface(state, plane_rate, depth_rate, in_layer, latest)
+        ahead = state.copy()
+        with_late_heat(
+            ahead, fallen, plane_rate, depth_rate, in_layer_late, source, order[: n + 1], begin, end, near.horizon_s,
+            clock, clock + latest, aged,
+        )  # fmt: skip
+        late = at_surface(ahead, plane_rate, depth_rate, in_layer, 0.0)
         now[:rest] = 0.0
         soon[:rest] = 0.0
         for k in range(modes):
@@ -288,7 +303,7 @@ def add_fresh(
     means: Floats,
     points: Floats,
 ) -> None:
-    """Add what fresh heat does to the islands (I,) that are left: to their means, and where each would be entered.
+    """Add what young heat does to the islands (I,) that are left: to their means, and where each would be entered.
 
     `order`, `ways`, `end` are the islands scanned so far; `jumps`, `by` the travel to each of the others and its way.
     """
@@ -302,6 +317,6 @@ def add_fresh(
             if scanned[i]:
                 continue
             since = now - end[last] + jumps[i] / rapid
-            mean, point = fresh_rise(near, near.pair[p], i, by[i], last, ways[last], since, time[last])
+            mean, point = young_rise(near, near.pair[p], i, by[i], last, ways[last], since, time[last])
             means[i] += source[last] * mean
             points[i] += source[last] * point

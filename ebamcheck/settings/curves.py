@@ -34,3 +34,6 @@ class CurveSettings(Section):
     largest_bulge_mm: Positive = 0.2
     """A curved run that leaves the chords of its contour by more than this stays a polyline: the mesh is too coarse
     there to tell the curve that it stands for. For `paper` and `chord` it is the limit of the fit's gate, too."""
+    section_tolerance_mm: Positive = 0.25
+    """How far the contour path may leave the section of the mesh at any place, whatever the fit has evidence for: the largest
+    bulge of a run that the mesh can tell, and what fit and inset leave."""

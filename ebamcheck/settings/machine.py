@@ -47,8 +47,25 @@ class MachineSettings(Section):
     """Software limits of X, Y and Z in the work offset."""
     work_offset: Literal["G54", "G55", "G56", "G57"] = "G54"
     """Settable work offset in which the program runs."""
+    length_unit: Literal["G71", "G710"] = "G710"
+    """Millimetres on a SINUMERIK: G710 for positions and feeds alike; G71 for positions alone, where feeds are in the unit
+    that the control was set up in. G70 and G700 (inches) are refused."""
     safe_height_mm: Positive = 20.0
     """Rise above the current layer for moves over more than one island gap, and at the end."""
+    clearance_mm: Positive = 5.0
+    """What a travel longer than a hop keeps over all that stands: base plate, clamps, beads."""
+    head_radius_mm: NotNegative = 20.0
+    """Radius of the head, gun nozzle and wire guide, as a cylinder around the axis of the tool."""
+    head_above_tip_mm: NotNegative = 15.0
+    """Height of the head's lower face over the tip of the wire."""
+    park_mm: tuple[Finite, Finite] = (0.0, 0.0)
+    """X and Y at which the program ends, over all that stands; the nearest place of the travel where it is beyond it."""
+    optional_stop: bool = False
+    """Stop before each layer where the operator asks for it (M1), over the part, beam and wire off."""
+    trailing_comments: bool = True
+    """Write the comments that stand behind the codes of the templates."""
+    program_limit_mb: Positive | None = None
+    """Room for the program on the control, of 10^6 bytes; None: not known, and not checked."""
     rapid_mm_s: Positive = 100.0
     """Speed of rapid moves, for times only; G0 itself carries no feed."""
     feed_min_mm_s: Positive = 1.0
@@ -63,6 +80,15 @@ class MachineSettings(Section):
     """Name of the WPD folder on the control."""
     program_name: str = "MAIN"
     """Base name of the main program; the part's name is not a legal NC name in general."""
+    beam_codes: tuple[str, ...] | None = None
+    """What the codes of the beam mean, "CODE: MEANING" with on, off, voltage_kv, current_ma or power_w; such as "M60: on",
+    "H2: current_ma", "M68 E1 Q: current_ma". None: the stock codes of the control, and those of the templates below, by
+    the placeholder that they carry. A template whose codes mean something else than its name says is refused."""
+    wire_codes: tuple[str, ...] | None = None
+    """The same of the wire, with on, off, wire_mm_s or wire_retract_mm."""
+    aux_codes: tuple[str, ...] = ()
+    """Other codes that templates may hold: M and H codes that move nothing and change neither beam nor wire, such as "M77"
+    or "H9". All else in a template is refused."""
     # Templates: {power_w} {voltage_kv} {current_ma} {wire_mm_s} {wire_retract_mm} {feed_mm_min} {layer_pause_s}
     # {layer} {height_mm} are filled in.
     beam_on: tuple[str, ...] = ("M60 ; beam on",)
@@ -99,6 +125,15 @@ class MachineSettings(Section):
         least_mm = min(PRINTED_PATH_MM, self.smoothing_tolerance_mm, self.line_tolerance_mm)
         return min(max(math.ceil(-math.log10(0.1 * least_mm / ROUNDING_UNITS)), 3), 8)
 
+    @property
+    def park_position_mm(self) -> tuple[float, float]:
+        """X and Y at which the program ends, within the travel."""
+        x, y = (
+            min(max(place, low), high)
+            for place, low, high in zip(self.park_mm, self.travel_min_mm, self.travel_max_mm, strict=False)
+        )
+        return x, y
+
     @field_validator("layer_pause")
     @classmethod
     def _one_wait(cls, value: tuple[str, ...]) -> tuple[str, ...]:
@@ -125,6 +160,8 @@ class MachineSettings(Section):
     def _consistent(self) -> Self:
         if any(a >= b for a, b in zip(self.travel_min_mm, self.travel_max_mm, strict=True)):
             raise ValueError("travel_min_mm must be under travel_max_mm on every axis")
+        if self.safe_height_mm < self.clearance_mm:
+            raise ValueError("safe_height_mm must be at least clearance_mm: travel would not clear the beads")
         if self.feed_min_mm_s >= self.feed_max_mm_s:
             raise ValueError("feed_min_mm_s must be under feed_max_mm_s")
         if (self.curve_form == "poly" and not self.poly_licensed) or (

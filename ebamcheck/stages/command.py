@@ -27,6 +27,8 @@ from ebamcheck.part import Part
 from ebamcheck.pipeline.programming import bead_paths, smooth_layers
 from ebamcheck.process_window import checked_window
 from ebamcheck.program import write_program
+from ebamcheck.program.dialects import TEXT_CONTROLS
+from ebamcheck.program.entry import begin_at_layer
 from ebamcheck.program.heat_paths import PATH_FILES, SCRIPTS, case_post
 from ebamcheck.scan import plan_stack
 from ebamcheck.slicing import slice_part
@@ -107,6 +109,12 @@ def post_command(
     layer: Annotated[
         int | None, typer.Option(help=f"Case of one layer, counted from 0, for {', '.join(PATH_FILES)}.")
     ] = None,
+    from_layer: Annotated[
+        int,
+        typer.Option(
+            min=1, help="Leave out the layers before this one, counted from 1: to go on after a break."
+        ),
+    ] = 1,
     layer_height: LayerHeightOption = None,
     config: ConfigOption = None,
     units: UnitsOption = "",
@@ -128,9 +136,15 @@ def post_command(
         beads, sha256 = bead_paths(smooth, plan, settings), placed.source_sha256
     if control:
         settings = settings.changed(machine={"control": control})
+    if from_layer > 1 and settings.machine.control not in TEXT_CONTROLS:
+        raise SettingsError(
+            f"--from-layer: {settings.machine.control} is no control; give one of {', '.join(TEXT_CONTROLS)}"
+        )
     header = {"PART SHA-256": sha256}
     if layer is None:
         files = write_program(beads, plan, settings, output, header=header)
+        if from_layer > 1:
+            files = begin_at_layer(files, from_layer)
     else:
         post = case_post(settings.machine.control)
         files = post(beads, plan, settings, output, header=header, layer=layer)
