@@ -11,7 +11,7 @@ from dataclasses import fields
 from benchmarks.faults.results import Result
 from benchmarks.faults.subjects import CONTROLS
 
-COLUMNS = tuple(f.name for f in fields(Result))
+COLUMNS = tuple(f.name for f in fields(Result) if f.name not in ("notes", "run_checks", "text_checks"))
 CHANGES = ("metal", "motion", "state", "record")
 NAMED = 3
 """Checks that are named of a kind: those that tell its faults at the right line most often."""
