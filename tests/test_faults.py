@@ -78,12 +78,25 @@ def test_the_list_of_missed_faults_holds_none_that_is_found(found):
     assert not now_found, "take them off the list: python -m benchmarks.faults --quick --shorten"
 
 
-@pytest.mark.parametrize("control", CONTROLS)
-def test_a_sound_program_raises_no_alarm_with_or_without_comments(control, workshop):
-    made = workshop.finished(SUBJECTS[quick.PART], control)
+@pytest.mark.parametrize(
+    ("part", "control"),
+    [
+        *((quick.PART, control) for control in CONTROLS),
+        pytest.param(
+            "bored",
+            CONTROLS[1],
+            marks=pytest.mark.xfail(
+                strict=True, reason="the text's heat counts short beads after a hop as entries of their own"
+            ),
+        ),
+    ],
+)
+def test_a_sound_program_raises_no_alarm_with_or_without_comments(part, control, workshop):
+    made = workshop.finished(SUBJECTS[part], control)
     ground = Ground(made.text(), made.subject, made.config, np.random.default_rng(0))
     assert judged_run(ground, made, workshop.folder) == []
     assert judged_text(ground, made, workshop.folder, keep_comments=True) == []
+    assert judged_text(ground, made, workshop.folder, keep_comments=False) == []
 
 
 @pytest.mark.parametrize("control", CONTROLS)

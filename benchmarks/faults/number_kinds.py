@@ -216,7 +216,7 @@ def arc_radius(ground: Ground) -> list[Place]:
     raise NotHereError
 
 
-@kind("coefficient of a polynomial", "metal", ("second", "third"), controls=(SINUMERIK,), subjects=("torus", "bored", "two-spheres"))  # fmt: skip
+@kind("coefficient of a polynomial", "metal", ("second", "third"), controls=(SINUMERIK,), subjects=("bored", "torus", "two-spheres"))  # fmt: skip
 def coefficient(ground: Ground) -> list[Place]:
     """Change a coefficient of a POLY block."""
     text = ground.text
@@ -252,7 +252,7 @@ def parameter_length(ground: Ground) -> list[Place]:
     return ground.line(bead.file, i)
 
 
-@kind("handle of a G5", "metal", ("I", "P"), controls=(LINUXCNC,), subjects=("torus", "bored", "two-spheres"))
+@kind("handle of a G5", "metal", ("I", "P"), controls=(LINUXCNC,), subjects=("bored", "torus", "two-spheres"))
 def handle(ground: Ground) -> list[Place]:
     """Pull at a handle of a Bezier span."""
     text = ground.text

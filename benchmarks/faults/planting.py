@@ -92,11 +92,13 @@ class Planter:
         raise NotHereError(f"{fault.name}: no part has a place for it")
 
     def _parts_for(self, kind: Kind) -> list[str]:
-        """Names of the parts that serve for a kind: those that it wants, where the usual ones will not do."""
+        """Names of the parts that serve for a kind: the first that it wants, where the usual ones will not do."""
         usual = self._parts
         if not kind.subjects and kind.changes in ("state", "record"):
             usual = tuple(name for name in usual if name in PLAIN_PARTS) or usual
-        return [name for name in usual if name in kind.subjects or not kind.subjects] or list(kind.subjects)
+        return [name for name in usual if name in kind.subjects or not kind.subjects] or list(
+            kind.subjects[:1]
+        )
 
     def judged(self, fault: Fault, folder: Path) -> Result:
         """Plant a fault, and verify run and text."""
