@@ -237,7 +237,8 @@ def near(found, planted):
     return other == name and abs(int(at or 0) - int(line)) <= 3
 
 
-NAMES = ("names and headers", "end of program", "block length", "blank")
+NAMES = ("names and headers", "end of program", "block length", "blank", "size on the control", "header")
+"""Checks of the text itself, in which comments count."""
 
 
 def verdict(text, part, planned):
