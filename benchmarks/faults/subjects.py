@@ -1,0 +1,120 @@
+"""The parts into whose programs faults are planted: small, of few layers, each with something that the others lack."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ebamcheck.config import Config
+from ebamcheck_models import Model
+from ebamcheck_models.outlines import circle, polygon, rounded_rectangle
+from ebamcheck_models.prisms import prism
+from ebamcheck_models.revolved import Torus
+from ebamcheck_models.two_spheres import TwoSpheres
+
+CONTROLS = ("sinumerik-840d-sl", "linuxcnc", "plain-gcode")
+
+TESSELLATION_MM = 0.05
+"""Chord error of the parts' meshes."""
+
+TALL_MM = 5.0
+"""Three layers of one bead each."""
+
+CLAMP = {"name": "clamp", "outline_mm": ((50, -10), (70, -10), (70, 10), (50, 10)), "z_mm": (0, 15)}
+"""A place to keep out of, beside every part."""
+
+BACKENDS = ("planecut", "manifold")
+"""Two exact slicers that start quickly."""
+
+LAYER_MM = Config().layer_height_mm
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A part, and the settings of the run that makes its program."""
+
+    name: str
+    model: Model
+    settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+    def config(self, control: str, **changes: Mapping[str, Any]) -> Config:
+        """Settings of a run for a control; `changes` by section."""
+        sections: dict[str, dict[str, Any]] = {
+            "slicing": {"backends": BACKENDS},
+            "process": {"keep_out": (CLAMP,)},
+            "machine": {"control": control},
+        }
+        for some in (self.settings, changes):
+            for section, values in some.items():
+                sections[section] = {**sections.get(section, {}), **values}
+        return Config().changed(**sections)
+
+
+def _layers(lowest_mm: float, count: int) -> dict[str, dict[str, Any]]:
+    """Settings that cut some layers alone: those of a round part that are wide enough for beads."""
+    heights = tuple(round(lowest_mm + LAYER_MM * k, 6) for k in range(count))
+    return {"layers": {"heights_mm": heights}}
+
+
+SUBJECTS = {
+    s.name: s
+    for s in (
+        Subject("cube", prism("cube", "cube", polygon([(0, 0), (24, 0), (24, 24), (0, 24)]), TALL_MM)),
+        Subject(
+            "prism",
+            prism(
+                "prism",
+                "an L, which no mirror brings to itself",
+                polygon([(0, 0), (38, 0), (38, 16), (18, 16), (18, 30), (0, 30)]),
+                TALL_MM,
+            ),
+        ),
+        Subject(
+            "bored",
+            prism(
+                "bored",
+                "rounded plate with two bores",
+                rounded_rectangle(26, 18, 8),
+                TALL_MM,
+                (circle(-10, 0, 8.0), circle(14, 0, 5.0)),
+            ),
+        ),
+        Subject("torus", Torus("torus", "torus, its lower half", 24.0, 11.0), _layers(0.5 * LAYER_MM, 4)),
+        Subject(
+            "two-spheres",
+            TwoSpheres(
+                "two-spheres",
+                "two spheres that overlap, about their middle",
+                np.array([[0, 0, 0], [16, 4, 3]]),
+                (14.0, 12.0),
+            ),
+            _layers(-6.0, 4),
+        ),
+    )
+}
+
+RADIUS_MM = 29.0
+"""Twelve sides in a circle of this radius lie up to 0.988 mm inside of it."""
+
+TWELVE = Subject(
+    "twelve-sides",
+    prism(
+        "twelve-sides",
+        "prism of twelve sides, which no circle is",
+        polygon([(RADIUS_MM * math.cos(a), RADIUS_MM * math.sin(a)) for a in np.arange(12) * math.pi / 6]),
+        TALL_MM,
+    ),
+    {"curves": {"crease_angle_deg": 20.0}},
+)
+"""Its edges are kept; with the default angle of a crease they are not."""
+
+ROUND = Subject(
+    "round", prism("round", "the circle about the twelve sides", circle(0, 0, RADIUS_MM), TALL_MM)
+)
+
+EVERY = {**SUBJECTS, TWELVE.name: TWELVE, ROUND.name: ROUND}
+"""All parts; those of :data:`SUBJECTS` serve for every kind of fault."""
