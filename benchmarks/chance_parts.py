@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
+from typing import Any, TypeAlias
 
 import manifold3d as m3
 import numpy as np
@@ -18,7 +19,8 @@ from ebamcheck.rings import Floats
 CIRCLE_SEGMENTS = 96
 
 Rng = np.random.Generator
-Solid = m3.Manifold
+Solid: TypeAlias = Any
+"""A manifold of manifold3d, which has no types."""
 
 
 def chance_part(name: str) -> Part:
@@ -70,7 +72,7 @@ def rounded_block(rng: Rng) -> Solid:
     """Box whose edges are all rounded."""
     size = np.array([rng.uniform(40.0, 120.0), rng.uniform(40.0, 120.0), rng.uniform(20.0, 45.0)])
     round_mm = float(rng.uniform(3.0, 0.3 * size.min()))
-    ball = Solid.sphere(round_mm, CIRCLE_SEGMENTS)
+    ball = m3.Manifold.sphere(round_mm, CIRCLE_SEGMENTS)
     corners = [ball.translate(tuple(s * (0.5 * size - round_mm))) for s in _signs()]
     return Solid.batch_hull(corners)
 

@@ -47,7 +47,8 @@ def split_edges(mesh: Triangles, count: int, off_mm: float, seed: int) -> Triang
     faces = mesh.faces.tolist()
     facet_of = {(f[k], f[(k + 1) % 3]): i for i, f in enumerate(faces) for k in range(3)}
     edges = sorted(edge for edge in facet_of if edge[0] < edge[1])
-    points, used = mesh.vertices.tolist(), set()
+    points = mesh.vertices.tolist()
+    used: set[int] = set()
     done = 0
     for place in rng.permutation(len(edges)).tolist():
         a, b = edges[place]

@@ -285,11 +285,13 @@ def lathe(profile: Profile, closed: bool = False) -> Solid:
 def revolved(rows: Floats, columns: int, closed: bool) -> Triangles:
     """Mesh of revolution of a polyline (r, z); points on the axis become single vertices."""
     angle = 2.0 * np.pi * np.arange(columns) / columns
-    ids, vertices, count = [], [], 0
+    ids: list[Ints] = []
+    vertices: list[Floats] = []
+    count = 0
     for r, z in rows.tolist():
         if r < 1e-9:
             ids.append(np.full(columns, count))
-            vertices.append([[0.0, 0.0, z]])
+            vertices.append(np.array([[0.0, 0.0, z]]))
         else:
             ids.append(count + np.arange(columns))
             vertices.append(np.column_stack([r * np.cos(angle), r * np.sin(angle), np.full(columns, z)]))

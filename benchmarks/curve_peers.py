@@ -114,7 +114,7 @@ def _spline(run: Floats, tolerance_mm: float) -> tuple[Floats, int]:
         s = high if k == 0 else 0.5 * (low + high)
         with warnings.catch_warnings():  # a sum that it cannot reach is told by the distance below
             warnings.simplefilter("ignore", RuntimeWarning)
-            tck, u = splprep(list(run.T), s=s, k=3, quiet=2)[:2]
+            tck, u = splprep(list(run.T), s=s, k=3, quiet=2)[:2]  # type: ignore[call-overload]
         off = np.hypot(*(np.array(splev(u, tck)) - run.T)).max()
         if off <= tolerance_mm:
             low, best = s, tck

@@ -116,7 +116,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> pd.DataFrame:
     own["points a block"] = own["points"] / own["blocks"]
     found = []
     for (kind, method), some in own.groupby(["kind", "method"], sort=False):
-        worst = some["part"][some["gain"].idxmin()] if some["gain"].notna().any() else ""
+        worst = some["part"].iloc[int(np.nanargmin(some["gain"]))] if some["gain"].notna().any() else ""
         found.append(
             {
                 "kind": kind,

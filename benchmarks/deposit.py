@@ -13,6 +13,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -73,16 +74,24 @@ def chosen(groups: list[str], large: bool) -> Iterator[tuple[str, str, Callable[
     if "models" in groups:
         for name, model in models().items():
             if large or model.volume <= LARGEST_MM3:
-                yield "models", name, lambda model=model: model.tessellate(MODEL_TOLERANCE_MM)
+                yield "models", name, partial(model.tessellate, MODEL_TOLERANCE_MM)
     for series in groups:
         if series in SERIES:
             for number in range(PARTS_IN_SERIES):
                 name = f"{series}-{number:02}"
-                yield series, name, lambda name=name: chance_part(name)
+                yield series, name, partial(chance_part, name)
     folder = os.environ.get(CORPUS)
     if "corpus" in groups and folder:
         for file in sorted((Path(folder) / CORPUS_FOLDER).glob("*.stl")):
-            yield "corpus", file.stem, lambda file=file: scaled(load(file))
+            yield "corpus", file.stem, partial(_scaled_file, file)
+
+
+def _rows_of(file: Path) -> list[dict[str, Any]]:
+    return [{str(k): v for k, v in found.items()} for found in pd.read_csv(file).to_dict("records")]
+
+
+def _scaled_file(file: Path) -> Part:
+    return scaled(load(file))
 
 
 def scaled(part: Part) -> Part:
@@ -278,13 +287,12 @@ def main() -> None:
     config = Config().changed(slicing={"backends": BACKENDS})
     options.output.mkdir(parents=True, exist_ok=True)
     file = options.output / "deposit.csv"
-    rows = pd.read_csv(file).to_dict("records") if file.is_file() else []
+    rows: list[dict[str, Any]] = _rows_of(file) if file.is_file() else []
     if options.keep:
         options.keep.mkdir(parents=True, exist_ok=True)
     if options.again:
         group, runs = options.again
-        made = list(again(group, Path(runs)))
-        rows = [r for r in rows if r["group"] != group] + made
+        rows = [r for r in rows if r["group"] != group] + list(again(group, Path(runs)))
         pd.DataFrame(rows).to_csv(file, index=False)
     for group, name, make in [] if options.again else chosen(options.groups.split(","), options.large):
         if options.parts is not None and name not in options.parts:

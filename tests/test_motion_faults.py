@@ -315,7 +315,11 @@ def test_a_layer_over_nothing_is_found(parts, tmp_path):
     text.save()
     found = checks_of(text, part, False)["support"]
     assert not found.passed
-    assert near(found.where, f"{name}:{text.find(1, 'G1|G5|G2|G3')[1] + 1}")
+    # The first bead of what is the second layer now: after the rapids that lead to it.
+    first_rapid = text.find(1, "G0 X")[1]
+    lines = text.lines[name]
+    first_bead = next(i for i in range(first_rapid, len(lines)) if re.search(r"\b(G1|G5|G2|G3) ", lines[i]))
+    assert near(found.where, f"{name}:{first_bead + 1}")
 
 
 def test_the_worst_place_of_the_section_check_can_be_drawn(parts, tmp_path):

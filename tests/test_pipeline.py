@@ -112,7 +112,7 @@ def test_a_sphere_is_validated(tmp_path):
 
 
 def test_runs_differ_in_timings_alone(tmp_path):
-    write_stl(sphere(12.0, 12, 24), tmp_path / "ball.stl")
+    write_stl(sphere(12.0, 24, 48), tmp_path / "ball.stl")
     (tmp_path / "ebamcheck.toml").write_text(f"slicing.backends = {FAST.split(',')}")
     for threads in ("1", "2"):
         done = ebamcheck("run", "ball.stl", "-o", threads, cwd=tmp_path, EBAMCHECK_THREADS=threads)
@@ -123,7 +123,7 @@ def test_runs_differ_in_timings_alone(tmp_path):
 
 @pytest.mark.slow
 def test_all_backends_give_the_same_bytes_again(tmp_path):
-    write_stl(sphere(12.0, 12, 24), tmp_path / "ball.stl")
+    write_stl(sphere(12.0, 24, 48), tmp_path / "ball.stl")
     for threads in ("1", "2"):
         done = ebamcheck("run", "ball.stl", "-o", threads, cwd=tmp_path, EBAMCHECK_THREADS=threads)
         assert done.returncode == 0, done.stdout + done.stderr
