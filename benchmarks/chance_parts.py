@@ -74,7 +74,7 @@ def rounded_block(rng: Rng) -> Solid:
     round_mm = float(rng.uniform(3.0, 0.3 * size.min()))
     ball = m3.Manifold.sphere(round_mm, CIRCLE_SEGMENTS)
     corners = [ball.translate(tuple(s * (0.5 * size - round_mm))) for s in _signs()]
-    return Solid.batch_hull(corners)
+    return m3.Manifold.batch_hull(corners)
 
 
 def turned(rng: Rng) -> Solid:
@@ -102,16 +102,16 @@ def loft(rng: Rng) -> Solid:
     size, height = rng.uniform(60.0, 130.0), rng.uniform(20.0, 45.0)
     low, high = star(rng, size), star(rng, size * rng.uniform(0.6, 1.0)) + rng.uniform(-6.0, 6.0, 2)
     points = np.concatenate([np.c_[low, np.zeros(len(low))], np.c_[high, np.full(len(high), height)]])
-    return Solid.hull_points(points)
+    return m3.Manifold.hull_points(points)
 
 
 def block_with_bores(rng: Rng) -> Solid:
     """Box with one to three bores, each inclined by up to 30 degrees from the vertical."""
     size = np.array([rng.uniform(60.0, 140.0), rng.uniform(60.0, 120.0), rng.uniform(20.0, 40.0)])
-    block = Solid.cube(tuple(size), True)
+    block = m3.Manifold.cube(tuple(size), True)
     for _ in range(int(rng.integers(1, 4))):
         radius = rng.uniform(6.0, 16.0)
-        bore = Solid.cylinder(4.0 * size.max(), radius, radius, CIRCLE_SEGMENTS, True)
+        bore = m3.Manifold.cylinder(4.0 * size.max(), radius, radius, CIRCLE_SEGMENTS, True)
         bore = bore.rotate((float(rng.uniform(-30, 30)), float(rng.uniform(-30, 30)), 0.0))
         room = np.maximum(0.5 * size[:2] - radius - 20.0, 0.0)
         block = block - bore.translate((*(rng.uniform(-1.0, 1.0, 2) * room), 0.0))

@@ -44,7 +44,11 @@ def polar(*arguments: object) -> tuple[int, str]:
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("polar")
     coarse, fine = (write_stl(prism(n), folder / f"{n}.stl") for n in (SIDES, 40 * SIDES))
-    settings = Config().changed(slicing={"backends": tuple(FAST.split(","))}, layers={"layer_height_mm": 3.0})
+    settings = Config().changed(
+        slicing={"backends": tuple(FAST.split(","))},
+        layers={"layer_height_mm": 3.0},
+        curves={"polygon_sagitta_mm": 1.0},
+    )
     return run_job(coarse, folder / "run", settings, fine).folder.path
 
 

@@ -284,6 +284,28 @@ def test_a_figure_that_is_improved_is_found(run):
     assert set(failed(run)) == {"recorded figures"}
 
 
+FORGED = {
+    "figure of a gate": (lambda m: m["gates"][2].update(figure=-1.0), "gate fit"),
+    "limit of a gate": (lambda m: m["gates"][4].update(limit=0.5), "gate deposit"),
+    "figure under its limit": (lambda m: m["gates"][3].update(figure=0.5), "gate coverage"),
+    "checks left out": (lambda m: m["program"].update(checks=[]), "recorded figures"),
+    "findings left out": (lambda m: m.update(findings=[]), "record"),
+    "comparison": (lambda m: m["comparison"].update(passed=False), "record"),
+    "name of the part": (lambda m: m["part"].update(name="turbine blade"), "record"),
+    "its own witness": (lambda m: m["program"].update(witness=m["primary"]), "record"),
+}
+
+
+@pytest.mark.parametrize("what", FORGED)
+def test_a_record_that_was_changed_and_sealed_again_is_found(run, what):
+    change, check = FORGED[what]
+    manifest = RunFolder(run).manifest()
+    change(manifest)
+    write_json(manifest, run / "run.json")
+    resealed(run)
+    assert check in failed(run)
+
+
 def test_a_run_relabelled_as_another_part_is_found(run, tmp_path):
     other = write_stl(box((0, 0, 0), (40, 40, 12)), tmp_path / "other.stl")
     manifest = RunFolder(run).manifest()

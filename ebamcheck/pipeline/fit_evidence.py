@@ -43,7 +43,7 @@ REFERENCE_FIGURES = ("normal_rms_mm", "normal_max_abs_mm")
 
 @dataclass(frozen=True)
 class FitVerdict:
-    """Whether the curves may be used, with what a person has to know of it."""
+    """What speaks for the curves of a fit and what against them, and what a person has to know of it."""
 
     curves: Curves
     evidence: Evidence

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,17 +20,18 @@ from ebamcheck.comparison import compare_all
 from ebamcheck.comparison.sources import LayerSource
 from ebamcheck.config import Config
 from ebamcheck.curves import LIFTED, Curves, fit
-from ebamcheck.findings import from_record, has_fault
+from ebamcheck.findings import Finding, from_record, has_fault
 from ebamcheck.inspection import inspect
 from ebamcheck.isolate import Outcome
 from ebamcheck.layer_files import LayerFile
 from ebamcheck.layers import Layers
 from ebamcheck.part import Part
-from ebamcheck.pipeline import gates
+from ebamcheck.pipeline import gates, noticed
 from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.fit_evidence import FitVerdict, judged
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.placement import cut_heights
+from ebamcheck.process_window import outside_window, unusual_layers
 from ebamcheck.program import Check, verify_file
 from ebamcheck.program.header_checks import Truth
 from ebamcheck.scan import ScanPlan
@@ -43,6 +45,13 @@ SAME_FIGURE = 1e-6
 """Figures that differ by less, relative to the greater or to 1, are the same: sums in another order."""
 
 
+PROGRAM = "program"
+"""The gate whose figure counts checks, of which more are made here than in a run."""
+
+OF_TEXT_ALONE = ("readable", "coverage", "gaps", "hatch spacing", "lines laid once")
+"""Checks that are made here and not by a run, which has its plan to compare with."""
+
+
 @dataclass(frozen=True)
 class Again:
     """What a run came to when it was worked out again."""
@@ -50,8 +59,12 @@ class Again:
     witness: str
     """Slicer that cut the part anew."""
     gates: tuple[Gate, ...]
-    checks: tuple[Check, ...]
-    """Checks of the program; empty for a run without one."""
+    agrees: bool
+    """The slicers agree, the one that cut anew among them."""
+    findings: tuple[Finding, ...]
+    """Findings of part and settings, which follow from these alone."""
+    checks: tuple[Check, ...] = ()
+    """Checks of the program; none for a run without one."""
 
 
 def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part: Part) -> Again:
@@ -69,10 +82,13 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
     heights = cut_heights(part, config)
     witness = witness_backend(str(manifest["primary"]))
     fresh = slice_part(part, heights, witness)
-    made = [gates.input_gate(inspect(part)), _agreement(run, manifest, config, part, fresh, witness)]
+    sound = inspect(part)
+    agreement, agrees = _agreement(run, manifest, config, part, fresh, witness)
+    made = [gates.input_gate(sound), agreement]
+    told = [*noticed.of_part(sound, config), *outside_window(config, "warning"), *unusual_layers(config)]
     record = manifest.get("program")
     if record is None:
-        return Again(witness, tuple(made), ())
+        return Again(witness, tuple(made), agrees, tuple(told))
     verdict, _ = _fitted(run, manifest, config, part)
     plan = ScanPlan.from_parquet(run.path / "scan.parquet")
     checks = verify_file(
@@ -91,12 +107,13 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
     )
     made += [
         gates.fit_gate(verdict),
-        _coverage(checks),
+        _coverage(checks, gates.coverage_gate(plan.metrics, config)),
         gates.deposit_gate(checks, config),
         gates.heat_gate(checks, plan.metrics, config),
         gates.program_gate(checks),
     ]
-    return Again(witness, tuple(made), tuple(checks))
+    told += [*noticed.of_profile(config), *noticed.of_metal(checks)]
+    return Again(witness, tuple(made), agrees, tuple(told), tuple(checks))
 
 
 def truth_of(manifest: Mapping[str, Any], config: Config) -> Truth:
@@ -107,7 +124,7 @@ def truth_of(manifest: Mapping[str, Any], config: Config) -> Truth:
 
 def _agreement(
     run: RunFolder, manifest: Mapping[str, Any], config: Config, part: Part, fresh: Layers, witness: str
-) -> Gate:
+) -> tuple[Gate, bool]:
     """Compare the recorded layers of every slicer with layers cut anew; bounds are what the slicers declare now."""
     outcomes: dict[str, Outcome] = {}
     with ExitStack() as opened:
@@ -136,7 +153,7 @@ def _agreement(
             rules={n: s.coplanar_rule for n, s in slicers.items()},
             settings=config.comparison,
         )
-    return gates.agreement_gate(comparison, outcomes, len(fresh))
+    return gates.agreement_gate(comparison, outcomes, len(fresh)), comparison.passed
 
 
 def _fitted(
@@ -153,12 +170,12 @@ def _fitted(
     return judged(curves, layers, part, config)
 
 
-def _coverage(checks: Sequence[Check]) -> Gate:
-    """Coverage as the text has it; a program that cannot be read covers nothing."""
+def _coverage(checks: Sequence[Check], planned: Gate) -> Gate:
+    """Coverage by the plan, and shut, too, where the text leaves something bare or cannot be read."""
     found = next((check for check in checks if check.name == "coverage"), None)
     if found is None:
-        return Gate("coverage", False, 0.0, 0.0, "of the area", "the program cannot be read")
-    return Gate("coverage", found.passed, found.value, found.limit, found.unit, found.text)
+        return replace(planned, passed=False, text="the program cannot be read")
+    return planned if found.passed else replace(planned, passed=False, text=f"by the text: {found.text}")
 
 
 # -- against the record ------------------------------------------------------------------------------
@@ -184,7 +201,24 @@ def compared(again: Again, manifest: Mapping[str, Any]) -> list[Check]:
     record = manifest.get("program")
     if record is not None:
         checks += [_figures(again, record), _verdict(again, manifest)]
-    return checks
+    return [*checks, _record(again, manifest)]
+
+
+def _record(again: Again, manifest: Mapping[str, Any]) -> Check:
+    """What else the record says that follows from part, settings and text."""
+    part, faults = manifest["part"], []
+    if part["name"] != Path(part["source"]).stem:
+        faults.append(f"the part is called {part['name']!r}, its file {part['source']!r}")
+    if bool(manifest["comparison"]["passed"]) != again.agrees:
+        faults.append("comparison.passed is not what was found")
+    record = manifest.get("program")
+    if record is not None and record["witness"] == manifest["primary"] != again.witness:
+        faults.append(f"{record['witness']} is named as its own witness")
+    codes = {finding["code"] for finding in manifest["findings"]}
+    lacking = sorted({finding.code for finding in again.findings} - codes)
+    faults += [f"the finding {code} is left out" for code in lacking]
+    text = "; ".join(faults[:3]) or "name, comparison, witness and findings are those that follow"
+    return Check("record", not faults, float(len(faults)), 0.0, "faults", "run.json", text)
 
 
 def _gate_check(gate: Gate, recorded: Mapping[str, Any] | None) -> Check:
@@ -196,6 +230,15 @@ def _gate_check(gate: Gate, recorded: Mapping[str, Any] | None) -> Check:
         said = "passed" if recorded["passed"] else "shut"
         text, where, passed = (
             f"recorded as {said}, found {'open' if gate.passed else 'shut'}: {gate.text}",
+            "run.json",
+            False,
+        )
+    elif gate.name != PROGRAM and not (
+        _same(recorded["limit"], plain(gate.limit)) and _same(recorded["figure"], plain(gate.figure))
+    ):
+        said = f"{recorded['figure']} of {recorded['limit']}"
+        text, where, passed = (
+            f"recorded as {said}, found {gate.figure:g} of {gate.limit:g}: {gate.text}",
             "run.json",
             False,
         )
@@ -215,6 +258,8 @@ def _figures(again: Again, record: Mapping[str, Any]) -> Check:
         for c in record["checks"]
         if c["name"] not in found or not _same_check(c, found[c["name"]])
     ]
+    recorded = {c["name"] for c in record["checks"]}
+    differ += [f"{name}: not in the record" for name in found if name not in (*recorded, *OF_TEXT_ALONE)]
     text = "; ".join(differ[:3]) or f"{len(record['checks'])} figures of checks are those of the record"
     return Check("recorded figures", not differ, float(len(differ)), 0.0, "faults", "run.json", text)
 
