@@ -33,6 +33,7 @@ from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.placement import cut_heights
 from ebamcheck.process_window import outside_window, unusual_layers
 from ebamcheck.program import Check, verify_file
+from ebamcheck.program.deposit_checks import of_deposit
 from ebamcheck.program.header_checks import Truth
 from ebamcheck.scan import ScanPlan
 from ebamcheck.slicing import slice_part
@@ -112,7 +113,7 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
         gates.heat_gate(checks, plan.metrics, config),
         gates.program_gate(checks),
     ]
-    told += [*noticed.of_profile(config), *noticed.of_metal(checks)]
+    told += [*noticed.of_profile(config), *noticed.of_metal(of_deposit(checks))]
     return Again(witness, tuple(made), agrees, tuple(told), tuple(checks))
 
 
