@@ -88,6 +88,8 @@ def bead_outside(text):
 
 def bead_before_the_first_ring(text):
     name, i = text.find(1, r"beam on")
+    while "G0 " not in text.lines[name][i]:  # the beam's current may come before it goes on
+        i -= 1
     while "G0" in text.lines[name][i - 1] or ";" in text.lines[name][i - 1][:1]:
         i -= 1
     z = re.search(r"Z([\d.]+)", text.lines[name][text.find(1, r"G0 Z", nth=1)[1]])[1]
@@ -143,7 +145,15 @@ def layer_left_out(text):
         return f"MAIN.MPF:{i + 1}"
     name, a, b = text.layer(1)
     del text.lines[name][a:b]
-    return f"{name}:{text.find(1, 'G1|G2|G3|G5 ')[1] + 1}"
+    return first_bead(text, 1)
+
+
+def first_bead(text, k):
+    """Place of the first feed motion of a layer: after the modes that it sets and the rapids that lead to it."""
+    name, i = text.find(k, "G0 X")
+    lines = text.lines[name]
+    found = next(n for n in range(i, len(lines)) if re.search(r"\b(G1|G5|G2|G3) ", lines[n]))
+    return f"{name}:{found + 1}"
 
 
 def contour_left_out(text):
@@ -315,11 +325,7 @@ def test_a_layer_over_nothing_is_found(parts, tmp_path):
     text.save()
     found = checks_of(text, part, False)["support"]
     assert not found.passed
-    # The first bead of what is the second layer now: after the rapids that lead to it.
-    first_rapid = text.find(1, "G0 X")[1]
-    lines = text.lines[name]
-    first_bead = next(i for i in range(first_rapid, len(lines)) if re.search(r"\b(G1|G5|G2|G3) ", lines[i]))
-    assert near(found.where, f"{name}:{first_bead + 1}")
+    assert near(found.where, first_bead(text, 1))
 
 
 def test_the_worst_place_of_the_section_check_can_be_drawn(parts, tmp_path):
