@@ -59,7 +59,7 @@ benchmark-scale: setup ## Ten million facets, ten thousand layers, under a watch
 	@$(BIN)/ebamcheck warm
 	@$(BIN)/python -m benchmarks --scale
 
-benchmark-curves: setup ## How much of a part its curves give back; tables in reports/curves (a minute)
+benchmark-curves: setup ## How much of a part its curves give back; tables in reports/curves (a quarter of an hour)
 	@$(BIN)/python -m benchmarks.curves
 
 clean: ## Remove what the targets made
