@@ -237,6 +237,16 @@ def test_any_byte_of_the_certificate_is_found(run, spoil):
     assert "certificate seal" in failed(run)
 
 
+@pytest.mark.parametrize("release", [None, [], {}, {"approver": "Jane Doe"}])
+def test_a_certificate_without_its_release_is_refused_in_one_line(run, release):
+    found = read_certificate(run / CERTIFICATE)
+    write_sealed(run / CERTIFICATE, {**found, "release": release})
+    with pytest.raises(InputError, match="is not whole: its release"):
+        verify_run(run, quick=True)
+    with pytest.raises(InputError, match="is not whole: its release"):
+        released(run / CERTIFICATE, {"approver": "Jane Doe"})
+
+
 def test_a_file_that_is_added_is_found(run):
     (run / "program" / "MAIN_L9999.SPF").write_text("M17\n")
     assert failed(run)["file unchanged"].where == "program/MAIN_L9999.SPF"

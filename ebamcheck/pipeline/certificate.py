@@ -199,6 +199,8 @@ def read_certificate(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: cannot be read: {error}") from None
     if not isinstance(found, dict) or found.get("format") != CERTIFICATE_FORMAT:
         raise InputError(f"{path}: is not a certificate of format {CERTIFICATE_FORMAT}")
+    if not isinstance(found.get("release"), dict) or set(found["release"]) != set(RELEASE):
+        raise InputError(f"{path}: is not whole: its release lacks {', '.join(RELEASE)}, or holds more")
     return found
 
 
