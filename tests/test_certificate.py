@@ -11,10 +11,14 @@ from command_line import WIDE, frame, write_stl
 from parts import box
 
 from ebamcheck.errors import InputError
+from ebamcheck.json_values import (
+    sha256_of_file,
+    write_json,
+)
 from ebamcheck.pipeline import run_job
 from ebamcheck.pipeline.certificate import CERTIFICATE, RELEASE, read_certificate
 from ebamcheck.pipeline.choice import witness_backend
-from ebamcheck.pipeline.run_folder import RunFolder, sha256_of_file, write_json
+from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.pipeline.verify import settings_beside, verify, verify_against_part
 from ebamcheck.settings.config import Config
 from ebamcheck_reports import html

@@ -23,11 +23,15 @@ from ebamcheck.commands.summaries import run_summary
 from ebamcheck.errors import ExitCode
 from ebamcheck.findings import CODES, SEVERITIES, Finding, from_record, has_fault, ordered, records
 from ebamcheck.heat.melting import entry_limit_k
+from ebamcheck.json_values import (
+    plain,
+    write_json,
+)
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.pipeline import noticed, run_job
 from ebamcheck.pipeline.certificate import certificate, seal, write_certificate
 from ebamcheck.pipeline.certificate_checks import run_certificate_checks
-from ebamcheck.pipeline.run_folder import RunFolder, plain, write_json
+from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.pipeline.statement import APPROVAL, CODES_OF_THE_MAKER, DRY_RUN, PROVED, statement
 from ebamcheck.program import Check, read_program, write_program
 from ebamcheck.program.checking.interpass_checks import INTERPASS

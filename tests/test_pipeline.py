@@ -17,10 +17,11 @@ from command_line import FAST, WIDE, WIDE_TOML, command, ebamcheck, frame, write
 from parts import box, join, moved, sphere
 
 from ebamcheck.errors import ExitCode, InputError, SettingsError
+from ebamcheck.json_values import sha256_of_file
 from ebamcheck.layers.files import LayerFile
 from ebamcheck.mesh.part import from_arrays
 from ebamcheck.pipeline import check_job, run_job
-from ebamcheck.pipeline.run_folder import RunFolder, sha256_of_file
+from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.pipeline.verify import verify_against_part, verify_run
 from ebamcheck.settings.config import Config
 

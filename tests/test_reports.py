@@ -19,10 +19,11 @@ from parts import box, join, moved, sphere
 
 from ebamcheck import load
 from ebamcheck.curves import Curves, contour_error
+from ebamcheck.json_values import write_json
 from ebamcheck.layers import files as layer_files
 from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline import run_job
-from ebamcheck.pipeline.run_folder import RunFolder, write_json
+from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.program import read_program
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config

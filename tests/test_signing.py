@@ -15,6 +15,10 @@ from command_line import WIDE, ebamcheck, frame, write_stl
 from parts import box
 
 from ebamcheck.errors import InputError, SettingsError
+from ebamcheck.json_values import (
+    sha256_of_file,
+    write_json,
+)
 from ebamcheck.layers.files import write_parquet
 from ebamcheck.pipeline import run_job
 from ebamcheck.pipeline.certificate import (
@@ -25,7 +29,7 @@ from ebamcheck.pipeline.certificate import (
     released,
     write_sealed,
 )
-from ebamcheck.pipeline.run_folder import RunFolder, sha256_of_file, write_json
+from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.pipeline.signing import (
     SIGNATURES,
     make_key,

@@ -10,13 +10,15 @@ import numpy as np
 import pytest
 
 from ebamcheck.errors import InputError, SettingsError
+from ebamcheck.json_values import (
+    plain,
+    sha256_of_json,
+    write_json,
+)
 from ebamcheck.pipeline.run_folder import (
     MANIFEST,
     RunFolder,
-    plain,
-    sha256_of_json,
     start_run,
-    write_json,
 )
 
 

@@ -13,8 +13,13 @@ from benchmarks.faults.finished import Finished
 from benchmarks.faults.kinds import Ground, Place
 from benchmarks.faults.program_text import without_comments
 from ebamcheck.errors import EbamcheckError
+from ebamcheck.json_values import (
+    sha256_of_file,
+    sha256_of_json,
+    write_json,
+)
 from ebamcheck.pipeline.certificate import write_certificate
-from ebamcheck.pipeline.run_folder import RunFolder, sha256_of_file, sha256_of_json, write_json
+from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.pipeline.verify import verify_against_part, verify_run
 from ebamcheck.program import Check
 

@@ -16,8 +16,12 @@ from benchmarks.faults.judging import Said, Verdict, failures, reseal, strip
 from benchmarks.faults.results import Result, noted
 from benchmarks.faults.subjects import CONTROLS, SUBJECTS, TWELVE, Subject
 from ebamcheck.curves import Curves
+from ebamcheck.json_values import write_json
 from ebamcheck.pipeline import run_job
-from ebamcheck.pipeline.run_folder import MANIFEST, RunFolder, write_json
+from ebamcheck.pipeline.run_folder import (
+    MANIFEST,
+    RunFolder,
+)
 from ebamcheck.pipeline.verify import verify_against_part, verify_run
 from ebamcheck.plugins import registry
 from ebamcheck.program import Check, ProgramFiles, mark_validated

@@ -18,8 +18,8 @@ from ebamcheck.commands.options import (
     settings_of,
 )
 from ebamcheck.commands.run_stack import stack_of_run
-from ebamcheck.commands.tables import text_table
 from ebamcheck.curves import METHODS, Curves, contour_error, error_reduction, fit, fit_deviation
+from ebamcheck.drawing.tables import text_table
 from ebamcheck.errors import ExitCode, InputError, SettingsError
 from ebamcheck.layers.heights import checked_heights, layer_heights
 from ebamcheck.layers.stack import Layers

@@ -12,7 +12,7 @@ from ebamcheck.atomic_file import made_folder, replacing
 from ebamcheck.commands.options import ConfigOption, JsonOption, print_json
 from ebamcheck.commands.progress import watched
 from ebamcheck.commands.run_stack import stack_of_run
-from ebamcheck.commands.tables import text_table
+from ebamcheck.drawing.tables import text_table
 from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.judge import BEADS, BODIES, THESIS, JudgedLayer, LayerCase, judge_layer
 from ebamcheck.pipeline.run_folder import RunFolder

@@ -285,8 +285,8 @@ def compare(
 ) -> ExitCode:
     """Compare two slice files layer by layer; exit code 1 where they differ by more than the tolerance."""
     from ebamcheck.atomic_file import replacing
-    from ebamcheck.commands.tables import text_table
     from ebamcheck.comparison import compare as compare_layers
+    from ebamcheck.drawing.tables import text_table
     from ebamcheck.layers.files import read_layers
 
     if not tolerance >= 0.0:
@@ -368,7 +368,7 @@ def verify(
     as_json: JsonOption = False,
 ) -> ExitCode:
     """Work every gate of a finished run out again, or check a program against a part, from the program's text."""
-    from ebamcheck.commands.tables import text_table
+    from ebamcheck.drawing.tables import text_table
     from ebamcheck.pipeline import verify as verification
     from ebamcheck.pipeline.certificate import find_record
     from ebamcheck.pipeline.run_folder import MANIFEST

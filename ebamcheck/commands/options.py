@@ -114,7 +114,7 @@ def assignments(assignments: list[str]) -> dict[str, Any]:
 
 def print_json(value: Any) -> None:
     """Print a value as JSON with sorted keys."""
-    from ebamcheck.pipeline.run_folder import plain
+    from ebamcheck.json_values import plain
 
     # ASCII alone, so that it is valid JSON under every encoding of the terminal.
     typer.echo(json.dumps(plain(value), indent=2, sort_keys=True, allow_nan=False))

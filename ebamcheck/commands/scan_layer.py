@@ -17,13 +17,13 @@ from ebamcheck.atomic_file import made_folder, replacing
 from ebamcheck.commands.options import print_json
 from ebamcheck.commands.progress import watched
 from ebamcheck.commands.scan_pictures import order_pictures
-from ebamcheck.commands.tables import text_table
+from ebamcheck.drawing.tables import text_table
 from ebamcheck.errors import ExitCode
+from ebamcheck.json_values import plain
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.mesh.part import Part
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline.programming import bead_paths
-from ebamcheck.pipeline.run_folder import plain
 from ebamcheck.program import write_program
 from ebamcheck.scan import ScanPlan
 from ebamcheck.scan.plan.comparing import RANDOM, OrderComparison, OrderResult, figures_of

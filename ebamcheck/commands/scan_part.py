@@ -15,7 +15,7 @@ import typer
 from ebamcheck.atomic_file import made_folder
 from ebamcheck.commands.options import print_json
 from ebamcheck.commands.progress import watched
-from ebamcheck.commands.tables import text_table
+from ebamcheck.drawing.tables import text_table
 from ebamcheck.errors import ExitCode
 from ebamcheck.layers.heights import checked_heights, layer_heights
 from ebamcheck.layers.stack import Layers

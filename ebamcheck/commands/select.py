@@ -8,10 +8,10 @@ from typing import Annotated, Any
 
 import typer
 
-from ebamcheck.commands.tables import text_table
+from ebamcheck.drawing.tables import text_table
 from ebamcheck.errors import BackendMissing, ExitCode, SettingsError
+from ebamcheck.json_values import plain
 from ebamcheck.mesh.files import load
-from ebamcheck.pipeline.run_folder import plain
 from ebamcheck.plugins.model import models
 from ebamcheck.selection.choice import RULES, Choice, choose
 from ebamcheck.selection.trial import (

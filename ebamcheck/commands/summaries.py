@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ebamcheck.commands.tables import text_table
+from ebamcheck.drawing.tables import text_table
 from ebamcheck.findings import in_words
 from ebamcheck.mesh.part import from_arrays
 from ebamcheck.pipeline.statement import statement

@@ -28,7 +28,7 @@ from ebamcheck.curves import Curves
 from ebamcheck.errors import NothingCompared, SettingsError
 from ebamcheck.judge.thesis import rises_k
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.program.files import ProgramFiles
+from ebamcheck.program.language.files import ProgramFiles
 from ebamcheck.program.simulators.heat_paths import HeatPath, heat_path, write_thesis
 from ebamcheck.program.simulators.thesis_case import Mirrors, physics, readings
 from ebamcheck.program.toolpath.inputs import CurveColumns, deposition_heights

@@ -14,10 +14,10 @@ from ebamcheck.kinematics.limits import Cells, cells_of
 from ebamcheck.kinematics.look_ahead import look_ahead
 from ebamcheck.kinematics.path import DrivenPath, polyline_path, program_path
 from ebamcheck.kinematics.ramps import speeds_along
-from ebamcheck.layers.heights import PARABOLA
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.program import NCProgram
+from ebamcheck.settings.bead import PARABOLA
 from ebamcheck.settings.config import Config
 
 

@@ -16,23 +16,6 @@ LARGEST_STACK = 1_000_000
 LARGEST_BLOCK = 1024
 """Layers of a block at most, however little the part has on them: rasters take memory for empty layers, too."""
 
-PARABOLA = 2.0 / 3.0
-"""Area of a parabolic bead over its width times its height (Pixner et al. 2020, Materials 13:3310)."""
-
-
-def bead_height_mm(
-    wire_diameter_mm: float, wire_speed_mm_s: float, travel_speed_mm_s: float, bead_width_mm: float
-) -> float:
-    """Height of one bead from the mass balance ``v_wire pi d^2 / 4 = v_travel A`` with ``A = 2/3 w h``.
-
-    Examples
-    --------
-    >>> round(bead_height_mm(1.6, 2000 / 60, 10.0, 6.0), 2)
-    1.68
-    """
-    area_mm2 = wire_speed_mm_s * math.pi * wire_diameter_mm**2 / 4.0 / travel_speed_mm_s
-    return area_mm2 / (PARABOLA * bead_width_mm)
-
 
 def layer_heights(part: Part, layer_height: float) -> NDArray[np.float64]:
     """Middle heights of uniform layers from the part's lowest point up, (L,) mm.

@@ -13,14 +13,16 @@ from pathlib import Path
 from typing import Any
 
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.pipeline.run_folder import (
-    MANIFEST,
-    RunFolder,
+from ebamcheck.json_values import (
     json_text,
     plain,
     sha256_of_file,
     sha256_of_json,
     write_json,
+)
+from ebamcheck.pipeline.run_folder import (
+    MANIFEST,
+    RunFolder,
 )
 from ebamcheck.pipeline.signing import SIGNATURES
 from ebamcheck.pipeline.statement import statement

@@ -8,6 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from ebamcheck.errors import InputError
+from ebamcheck.json_values import (
+    plain,
+    sha256_of_file,
+    sha256_of_json,
+)
 from ebamcheck.pipeline.certificate import (
     CERTIFICATE,
     certificate,
@@ -16,7 +21,7 @@ from ebamcheck.pipeline.certificate import (
     profile_sha256,
     read_certificate,
 )
-from ebamcheck.pipeline.run_folder import RunFolder, plain, sha256_of_file, sha256_of_json
+from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.pipeline.signing import signature_check
 from ebamcheck.program import Check
 from ebamcheck.settings.config import Config

@@ -19,6 +19,10 @@ from ebamcheck.comparison import compare_all
 from ebamcheck.comparison.sources import LayerSource
 from ebamcheck.curves import LIFTED, Curves, fit
 from ebamcheck.findings import Finding, from_record, has_fault
+from ebamcheck.json_values import (
+    plain,
+    sha256_of_json,
+)
 from ebamcheck.layers.files import LayerFile
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.inspection import inspect
@@ -28,7 +32,7 @@ from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.fit_evidence import FitVerdict, judged
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.placement import cut_heights
-from ebamcheck.pipeline.run_folder import RunFolder, plain, sha256_of_json
+from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.plugins import registry
 from ebamcheck.program import Check, verify_file
 from ebamcheck.program.checking.deposit_checks import of_deposit

@@ -11,6 +11,10 @@ from ebamcheck import __version__
 from ebamcheck.backend import BackendSettings
 from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.findings import has_fault
+from ebamcheck.json_values import (
+    sha256_of_json,
+    write_json,
+)
 from ebamcheck.mesh import files as mesh_files
 from ebamcheck.mesh import inspection
 from ebamcheck.pipeline import gates, noticed
@@ -25,9 +29,7 @@ from ebamcheck.pipeline.run_folder import (
     FINGERPRINT,
     MANIFEST,
     RunFolder,
-    sha256_of_json,
     start_run,
-    write_json,
 )
 from ebamcheck.pipeline.work import Job, Observer, Silent
 from ebamcheck.plugins import registry

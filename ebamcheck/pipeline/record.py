@@ -16,14 +16,16 @@ from ebamcheck import __version__
 from ebamcheck.comparison import Comparison
 from ebamcheck.errors import ExitCode
 from ebamcheck.findings import records
+from ebamcheck.json_values import (
+    sha256_of_file,
+    sha256_of_json,
+)
 from ebamcheck.layers.files import LayerFile
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.run_folder import (
     FINGERPRINT,
     FORMAT_VERSION,
     MANIFEST,
-    sha256_of_file,
-    sha256_of_json,
 )
 from ebamcheck.pipeline.work import Job
 from ebamcheck.plugins import registry

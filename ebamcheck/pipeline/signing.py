@@ -24,7 +24,7 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.pipeline.run_folder import write_json
+from ebamcheck.json_values import write_json
 from ebamcheck.program import Check
 
 SIGNATURES = "signatures"

@@ -8,6 +8,7 @@ from typing import Any
 
 from ebamcheck.curves import LIFTED, Curves, fit
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
+from ebamcheck.json_values import sha256_of_json
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
@@ -23,7 +24,10 @@ from ebamcheck.pipeline.certificate_checks import (
 from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.gates_again import SMOOTH_MM, compared, truth_of, work_again
 from ebamcheck.pipeline.placement import cut_heights, placed_part
-from ebamcheck.pipeline.run_folder import MANIFEST, RunFolder, sha256_of_json
+from ebamcheck.pipeline.run_folder import (
+    MANIFEST,
+    RunFolder,
+)
 from ebamcheck.pipeline.signing import trusted_keys
 from ebamcheck.program import Check, verify_file
 from ebamcheck.program.checking.header_checks import Truth

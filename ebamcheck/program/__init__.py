@@ -4,8 +4,8 @@ from ebamcheck.program.checking.checks import Check as Check
 from ebamcheck.program.checking.summary import program_summary as program_summary
 from ebamcheck.program.checking.verification import verify_file as verify_file
 from ebamcheck.program.checking.verification import verify_program as verify_program
-from ebamcheck.program.files import ProgramFiles as ProgramFiles
-from ebamcheck.program.files import mark_validated as mark_validated
+from ebamcheck.program.language.files import ProgramFiles as ProgramFiles
+from ebamcheck.program.language.files import mark_validated as mark_validated
 from ebamcheck.program.reading.motions import NCProgram as NCProgram
 from ebamcheck.program.reading.reader import read_program as read_program
 from ebamcheck.program.writing.posts import write_program as write_program

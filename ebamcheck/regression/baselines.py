@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 from ebamcheck.atomic_file import replacing
 from ebamcheck.errors import InputError
-from ebamcheck.pipeline.run_folder import plain
+from ebamcheck.json_values import plain
 from ebamcheck.regression.measurement import MEASURED, REFUSED, Measured
 
 FORMAT_VERSION = 1

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from ebamcheck import __version__
 from ebamcheck.errors import InputError
-from ebamcheck.pipeline.run_folder import sha256_of_json
+from ebamcheck.json_values import sha256_of_json
 from ebamcheck.regression.baselines import Key
 from ebamcheck.regression.job import Regression
 

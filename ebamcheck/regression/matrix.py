@@ -14,7 +14,7 @@ from pydantic import Field
 
 from ebamcheck.backend import BackendSettings
 from ebamcheck.errors import SettingsError
-from ebamcheck.pipeline.run_folder import sha256_of_json
+from ebamcheck.json_values import sha256_of_json
 from ebamcheck.plugins import registry
 from ebamcheck.plugins.model import Model, models
 from ebamcheck.regression.settings import checked, read_toml

@@ -13,7 +13,7 @@ from tomlkit.items import Table
 from ebamcheck import __version__
 from ebamcheck.atomic_file import replacing
 from ebamcheck.errors import SettingsError
-from ebamcheck.pipeline.run_folder import plain
+from ebamcheck.json_values import plain
 from ebamcheck.selection.choice import Choice
 from ebamcheck.selection.trial import Trial
 

@@ -7,8 +7,11 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from ebamcheck.layers.heights import PARABOLA, bead_height_mm
 from ebamcheck.settings.base import Finite, NotNegative, Positive, Range, Section
+from ebamcheck.settings.bead import (
+    PARABOLA,
+    bead_height_mm,
+)
 
 Share = Annotated[float, Field(gt=0, le=1)]
 PowerTable = Annotated[tuple[tuple[NotNegative, Share], ...], Field(min_length=1)]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ebamcheck.backend import Slicer
-from ebamcheck.commands.tables import text_table
+from ebamcheck.drawing.tables import text_table
 from ebamcheck.plugins import registry
 from ebamcheck.plugins.model import models as installed_models
 from ebamcheck.testing.checks import CHECKS, Check

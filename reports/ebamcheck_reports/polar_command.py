@@ -10,7 +10,7 @@ import typer
 
 from ebamcheck.atomic_file import replacing
 from ebamcheck.commands.options import print_json
-from ebamcheck.commands.tables import text_table
+from ebamcheck.drawing.tables import text_table
 from ebamcheck.errors import ExitCode, InputError, SettingsError
 from ebamcheck.pipeline.run_folder import MANIFEST, RunFolder
 

@@ -24,13 +24,13 @@ from ebamcheck.metal.surface import FILM, HALF
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program.checking.metal_field import LayerField
 from ebamcheck.program.checking.metal_zones import NO_ZONES, zone_figures, zone_limit, zone_off
-from ebamcheck.program.language.templates import wire_mm2
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.toolpath.thin_walls import thinnest_wall
 from ebamcheck.program.toolpath.wire import metal_region
 from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process import ProcessSettings
+from ebamcheck.settings.wire_speed import wire_mm2
 
 STEP_SHARE = 1.0 / 12.0
 """Distance of the places at which metal is laid, over the bead width: half a cell."""

@@ -14,12 +14,12 @@ from numpy.typing import ArrayLike
 
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.program.checking.checks import Check, count_check
-from ebamcheck.program.files import NOT_VALIDATED, STATUS, STATUS_LINES, VALIDATED
+from ebamcheck.program.language.comments import comment
 from ebamcheck.program.language.dialects import SINUMERIK
+from ebamcheck.program.language.files import NOT_VALIDATED, STATUS, STATUS_LINES, VALIDATED
 from ebamcheck.program.language.header import CONTROL_NAMES, form_lines, header_lines
 from ebamcheck.program.reading.motions import NCProgram, SourceFile
 from ebamcheck.program.toolpath.inputs import deposition_heights
-from ebamcheck.program.writing.layer_text import comment
 from ebamcheck.settings.config import Config
 
 FREE = ("SOFTWARE", "SETTINGS SHA-256")

@@ -15,6 +15,7 @@ from ebamcheck.program.checking.checks import Check, count_check, event_place
 from ebamcheck.program.language.codes import BEAM_VALUES, DWELL, SWITCHES
 from ebamcheck.program.language.dialects import LINUXCNC, PLAIN, templates_of
 from ebamcheck.program.language.modal_groups import Group, group_of, wanted_words
+from ebamcheck.program.language.safe_end import safe_end_mm
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.settings.config import Config
 
@@ -235,12 +236,6 @@ def _end(nc: NCProgram, config: Config) -> Faults:
         place = "X {:g} Y {:g}".format(*config.machine.park_position_mm)
         faults.append((nc.where(len(nc) - 1), f"ends at X {x:g} Y {y:g}, to be parked at {place}"))
     return faults
-
-
-def safe_end_mm(top_mm: float, config: Config) -> float:
-    """Z at which a program ends: over its last layer by the safe height, and over clamps, within the travel."""
-    tops = [top_mm + config.machine.safe_height_mm, *(zone.z_mm[1] for zone in config.process.keep_out)]
-    return max(tops[0], min(max(tops), config.machine.travel_max_mm[2]))
 
 
 # -- order of events -----------------------------------------------------------------------------------

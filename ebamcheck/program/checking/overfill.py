@@ -17,11 +17,11 @@ from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.kernels import run_blocks
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.program.checking.checks import Check
-from ebamcheck.program.language.templates import wire_mm2
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.reading.roles import Beads, beads_of
 from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.settings.config import Config
+from ebamcheck.settings.wire_speed import wire_mm2
 
 NAME = "metal laid once"
 

@@ -8,13 +8,13 @@ import numpy as np
 
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.program.checking.checks import Check, worst_check
-from ebamcheck.program.language.templates import wire_mm2
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.toolpath.bead_parts import path_points
 from ebamcheck.program.toolpath.cuts import segment_lengths
 from ebamcheck.program.toolpath.tracks import Toolpath
 from ebamcheck.program.toolpath.wire import width_limits_mm
 from ebamcheck.settings.config import Config
+from ebamcheck.settings.wire_speed import wire_mm2
 
 NAME = "mass balance"
 

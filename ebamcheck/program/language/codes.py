@@ -12,9 +12,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from ebamcheck.errors import SettingsError
-from ebamcheck.program.controls.sinumerik.words import NUMBER
 from ebamcheck.program.language.dialects import LINUXCNC, PLAIN, SINUMERIK, templates_of
 from ebamcheck.program.language.modal_groups import group_of
+from ebamcheck.program.language.words import NUMBER
 from ebamcheck.settings.machine import MachineSettings
 
 SWITCHES = ("beam_on", "beam_off", "wire_start", "wire_stop")

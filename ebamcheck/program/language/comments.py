@@ -1,16 +1,12 @@
-"""What the comments of a program say: its header, and nothing of its motions."""
+"""Comments as every control takes them."""
 
 from __future__ import annotations
 
-import re
-
-from ebamcheck.program.reading.recorder import Recorder
-
-_KEY = re.compile(r"\s*([^:]+):\s*(.*?)\s*")
+LONGEST_COMMENT = 199
+"""Characters of a comment line; a SINUMERIK takes blocks of under 200."""
 
 
-def read_header(comment: str, into: Recorder) -> None:
-    """Read ``KEY: VALUE``; the first value of a key counts."""
-    key = _KEY.fullmatch(comment)
-    if key:
-        into.header.setdefault(key[1], key[2])
+def comment(text: str) -> str:
+    """Return one comment line: ASCII, without the reserved characters ! and ?, cut to the length of a block."""
+    allowed = "".join(c if c.isascii() and c.isprintable() and c not in "!?;" else "_" for c in text)
+    return f"; {allowed}"[:LONGEST_COMMENT]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from ebamcheck.pipeline.run_folder import sha256_of_json
+from ebamcheck.json_values import sha256_of_json
 from ebamcheck.program.language.dialects import LINUXCNC, SINUMERIK
 from ebamcheck.program.language.templates import plain
 from ebamcheck.settings.config import Config

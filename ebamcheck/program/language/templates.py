@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
@@ -10,6 +9,7 @@ from ebamcheck.errors import SettingsError
 from ebamcheck.program.language.dialects import templates_of
 from ebamcheck.program.language.template_rules import checked_templates
 from ebamcheck.settings.config import Config
+from ebamcheck.settings.wire_speed import wire_speed_mm_s
 
 LONGEST_BLOCK = 200
 """Characters of a block that every software version of the control takes."""
@@ -97,22 +97,6 @@ def usable_templates(config: Config, control: str) -> dict[str, tuple[str, ...]]
         return templates
     bare = {name: [line.split(";", 1)[0].rstrip() for line in lines] for name, lines in templates.items()}
     return {name: tuple(line for line in lines if line) for name, lines in bare.items()}
-
-
-def wire_speed_mm_s(config: Config, width_mm: float, thickness_mm: float) -> float:
-    """Wire speed of a bead that lays a width times the layer's height: ``v_wire pi d^2 / 4 = v_travel b h``.
-
-    Examples
-    --------
-    >>> round(wire_speed_mm_s(Config(), 4.0, 1.6755), 2)
-    33.33
-    """
-    return config.process.travel_speed_mm_s * width_mm * thickness_mm / wire_mm2(config)
-
-
-def wire_mm2(config: Config) -> float:
-    """Section of the wire."""
-    return 0.25 * math.pi * config.process.wire_diameter_mm**2
 
 
 def process_values(config: Config, layer: int, height_mm: float, thickness_mm: float) -> ProcessValues:

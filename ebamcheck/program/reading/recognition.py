@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from string import Formatter
 
-from ebamcheck.program.controls.sinumerik.words import NUMBER
 from ebamcheck.program.language.codes import AUXILIARY, DWELL, SWITCHES, Action
 from ebamcheck.program.language.template_rules import Programmed
+from ebamcheck.program.language.words import NUMBER
 
 
 @dataclass(frozen=True)

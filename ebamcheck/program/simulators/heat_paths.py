@@ -20,7 +20,7 @@ import numpy as np
 from ebamcheck.errors import SettingsError
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.plugins import registry
-from ebamcheck.program.files import NOT_VALIDATED, VALIDATED, ProgramFiles, write_files
+from ebamcheck.program.language.files import NOT_VALIDATED, VALIDATED, ProgramFiles, write_files
 from ebamcheck.program.simulators import adamantine_case, additivefoam_case
 from ebamcheck.program.simulators.adamantine_case import adamantine_files
 from ebamcheck.program.simulators.additivefoam_case import additivefoam_files

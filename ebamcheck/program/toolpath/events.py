@@ -13,14 +13,16 @@ import numpy as np
 import pandas as pd
 
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.program.language.templates import wire_mm2, wire_speed_mm_s
 from ebamcheck.program.toolpath.bead_parts import path_points
 from ebamcheck.program.toolpath.cuts import segment_lengths
 from ebamcheck.program.toolpath.inputs import Interpass, ScanColumns, interpass_of
 from ebamcheck.program.toolpath.tracks import Toolpath
-from ebamcheck.program.writing.layer_text import NEAR_SPACINGS
 from ebamcheck.scan.islands.clipping import GAP, THIN_WALL
 from ebamcheck.settings.config import Config
+from ebamcheck.settings.wire_speed import (
+    wire_mm2,
+    wire_speed_mm_s,
+)
 
 CONTOUR, HATCH, WALL, FILLING, TURN, MOVE, WAIT = (
     "contour", "hatch", "wall", "gap", "turn", "move", "wait",
@@ -247,3 +249,7 @@ def event_totals(events: pd.DataFrame, layers: int, config: Config) -> pd.DataFr
             "wire_kg": wire_mm * kg_mm,
         }
     )
+
+
+NEAR_SPACINGS = 2.0
+"""A beam-off move of at most this many bead spacings stays at the layer's height; a longer one rises."""

@@ -15,10 +15,10 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.heat.melting import least_power_share
 from ebamcheck.layers.stack import valid_polygons
-from ebamcheck.program.language.templates import wire_speed_mm_s
 from ebamcheck.scan.islands.regions import CRUMB, mean_width_mm, split_thin
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import line_energy_j_mm
+from ebamcheck.settings.wire_speed import wire_speed_mm_s
 
 
 @dataclass(frozen=True)

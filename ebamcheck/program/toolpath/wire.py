@@ -20,7 +20,6 @@ from ebamcheck.metal import Footprints, Surface, Target, balanced_widths, footpr
 from ebamcheck.metal.surface import HALF
 from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
-from ebamcheck.program.language.templates import wire_speed_mm_s
 from ebamcheck.program.toolpath.bead_parts import (
     ROUNDING_MM,
     Stretches,
@@ -36,6 +35,7 @@ from ebamcheck.program.toolpath.tracks import Toolpath
 from ebamcheck.scan.islands.clipping import THIN_WALL
 from ebamcheck.scan.islands.regions import ARC_SEGMENTS
 from ebamcheck.settings.config import Config
+from ebamcheck.settings.wire_speed import wire_speed_mm_s
 
 STRETCH_BEADS = 1.0
 """Length of contour, in bead widths, over which its wire is worked out: shorter ones would follow single hatch lines."""

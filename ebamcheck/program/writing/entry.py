@@ -10,7 +10,7 @@ import re
 from dataclasses import replace
 
 from ebamcheck.errors import SettingsError
-from ebamcheck.program.files import ProgramFiles, block_count
+from ebamcheck.program.language.files import ProgramFiles, block_count
 
 _CALL = re.compile(r"N\d+ (\S+_L\d+)")
 _LAYER = re.compile(r"; LAYER: (\d+) OF (\d+)\b.*")

@@ -9,16 +9,15 @@ from dataclasses import replace
 import numpy as np
 
 from ebamcheck.numeric.rings import Floats
+from ebamcheck.program.language.comments import comment
 from ebamcheck.program.language.templates import ProcessValues, plain, process_values
+from ebamcheck.program.toolpath.events import NEAR_SPACINGS
 from ebamcheck.program.toolpath.inputs import Interpass
 from ebamcheck.program.toolpath.segments import CIRCULAR, CUBIC, STRAIGHT
 from ebamcheck.program.toolpath.tracks import Toolpath
 from ebamcheck.program.writing.blocks import BlockFormat
 from ebamcheck.program.writing.safe_states import Templates, entry_blocks
 from ebamcheck.settings.config import Config
-
-NEAR_SPACINGS = 2.0
-"""A beam-off move of at most this many bead spacings stays at the layer's height; a longer one rises."""
 
 
 def motion_text(path: Toolpath, form: BlockFormat, cubics: Sequence[str]) -> list[str]:
@@ -191,13 +190,3 @@ def _with_feed(block: str, feed: str) -> str:
     """Put the feed into a block, before the comment that it may end with."""
     code, mark, note = block.partition(" ;")
     return code + feed + mark + note
-
-
-LONGEST_COMMENT = 199
-"""Characters of a comment line; a SINUMERIK takes blocks of under 200."""
-
-
-def comment(text: str) -> str:
-    """Return one comment line: ASCII, without the reserved characters ! and ?, cut to the length of a block."""
-    allowed = "".join(c if c.isascii() and c.isprintable() and c not in "!?;" else "_" for c in text)
-    return f"; {allowed}"[:LONGEST_COMMENT]

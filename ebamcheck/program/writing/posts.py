@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from ebamcheck.plugins import registry
-from ebamcheck.program.files import ProgramFiles
+from ebamcheck.program.language.files import ProgramFiles
 from ebamcheck.program.toolpath.inputs import CurveColumns, ScanColumns
 from ebamcheck.settings.config import Config
 

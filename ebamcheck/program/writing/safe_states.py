@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from ebamcheck.program.checking.machine_state import safe_end_mm
 from ebamcheck.program.language.codes import BEAM_VALUES
+from ebamcheck.program.language.safe_end import safe_end_mm
 from ebamcheck.program.language.templates import ProcessValues
 from ebamcheck.program.writing.blocks import BlockFormat
 from ebamcheck.settings.config import Config

@@ -13,8 +13,7 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.layers.stack import valid_polygons
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.scan.filling.hatch import ring_columns
-from ebamcheck.scan.islands.regions import mean_width_mm
+from ebamcheck.scan.islands.regions import mean_width_mm, ring_columns
 
 SAMPLES_PER_BEAD = 24
 """Samples across a bead: the tip that a round bead leaves of a square corner then has thirty of them."""

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.islands.rectangle import minimum_rectangle
-from ebamcheck.scan.islands.regions import equivalent_rectangles_mm
+from ebamcheck.scan.islands.regions import equivalent_rectangles_mm, ring_columns
 
 WIDEST_PITCH = 0.9
 """Largest distance of neighbouring beads over their width: a bead's edge must lie on the next bead."""
@@ -113,17 +113,6 @@ def _scan(
         points, ring_starts, island_rings, angles, spacing_mm, widest_mm, shortest_mm
     )
     return Vectors(island, start, end)
-
-
-def ring_columns(islands: NDArray[np.object_]) -> tuple[Floats, tuple[Ints, Ints]]:
-    """Points (N, 2) of all rings, first row of each ring (R + 1,), first ring of each polygon (I + 1,)."""
-    if not islands.size:
-        return np.zeros((0, 2)), (np.zeros(1, np.int64), np.zeros(1, np.int64))
-    kind, points, offsets = shapely.to_ragged_array(islands)
-    if kind == shapely.GeometryType.MULTIPOLYGON:  # pragma: no cover - islands are polygons
-        raise TypeError("islands must be polygons")
-    ring_starts, island_rings = (np.asarray(o, np.int64) for o in offsets)
-    return np.ascontiguousarray(points, np.float64), (ring_starts, island_rings)
 
 
 @kernel

@@ -8,7 +8,6 @@ from __future__ import annotations
 import numpy as np
 
 from ebamcheck.numeric.rings import Bools, Floats, Ints
-from ebamcheck.scan.order.path import JOINED_MM
 
 TURN_SPACINGS = 1.5
 """Lines of one island whose ends are at most this many bead spacings apart are joined with the beam on: the turn is
@@ -59,3 +58,7 @@ def turns_and_jumps_mm(island: Ints, start: Floats, end: Floats, spacing_mm: flo
     gaps = np.where(inside, gaps_mm(start, end), 0.0)
     gaps[gaps <= JOINED_MM] = 0.0
     return np.where(on, gaps, 0.0), np.where(on, 0.0, gaps)
+
+
+JOINED_MM = 1e-6
+"""A line that starts within this of the end of the last one goes on without a jump or a wire start."""

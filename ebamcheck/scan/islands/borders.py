@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.scan.filling.hatch import ring_columns
+from ebamcheck.scan.islands.regions import ring_columns
 
 TOUCH_MM = 1e-6
 """Borders nearer than this coincide: islands are cut from one region, so only rounding parts them."""

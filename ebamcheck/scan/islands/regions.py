@@ -24,7 +24,7 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.errors import GeometryError
 from ebamcheck.layers.stack import Layers, from_polygons, valid_polygons
-from ebamcheck.numeric.rings import Floats
+from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.settings.config import Config
 
 ARC_SEGMENTS = 16
@@ -227,3 +227,14 @@ def aspect(polygon: BaseGeometry) -> float:
 
 def _offset(region: BaseGeometry, distance_mm: float) -> BaseGeometry:
     return shapely.buffer(region, distance_mm, quad_segs=ARC_SEGMENTS)
+
+
+def ring_columns(islands: NDArray[np.object_]) -> tuple[Floats, tuple[Ints, Ints]]:
+    """Points (N, 2) of all rings, first row of each ring (R + 1,), first ring of each polygon (I + 1,)."""
+    if not islands.size:
+        return np.zeros((0, 2)), (np.zeros(1, np.int64), np.zeros(1, np.int64))
+    kind, points, offsets = shapely.to_ragged_array(islands)
+    if kind == shapely.GeometryType.MULTIPOLYGON:  # pragma: no cover - islands are polygons
+        raise TypeError("islands must be polygons")
+    ring_starts, island_rings = (np.asarray(o, np.int64) for o in offsets)
+    return np.ascontiguousarray(points, np.float64), (ring_starts, island_rings)

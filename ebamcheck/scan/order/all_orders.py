@@ -6,10 +6,10 @@ import numpy as np
 
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.scan.filling.turns import JOINED_MM
 from ebamcheck.scan.heat.influence import FreshTable, Influence, Table
 from ebamcheck.scan.order.annealing import drive_from, entry_temperature, new_log, power
 from ebamcheck.scan.order.entry_options import Ways
-from ebamcheck.scan.order.path import JOINED_MM
 from ebamcheck.scan.order.touching import Touching, touching_successors
 
 MOST_LISTED = 8

@@ -9,7 +9,7 @@ import numpy as np
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.filling.schedule import IslandDrive
-from ebamcheck.scan.order.path import JOINED_MM
+from ebamcheck.scan.filling.turns import JOINED_MM
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,9 +6,7 @@ import numpy as np
 
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
-
-JOINED_MM = 1e-6
-"""A line that starts within this of the end of the last one goes on without a jump or a wire start."""
+from ebamcheck.scan.filling.turns import JOINED_MM
 
 
 @kernel

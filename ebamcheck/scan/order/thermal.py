@@ -17,6 +17,7 @@ import numpy as np
 from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.filling.schedule import IslandDrive
+from ebamcheck.scan.filling.turns import JOINED_MM
 from ebamcheck.scan.heat.aged_heat import by_island, with_late_heat
 from ebamcheck.scan.heat.influence import MOST_ISLANDS, influence
 from ebamcheck.scan.heat.island_heat import IslandHeat
@@ -24,7 +25,6 @@ from ebamcheck.scan.heat.near_field import NearField, young_rise
 from ebamcheck.scan.order.all_orders import MOST_LISTED, best_of_all
 from ebamcheck.scan.order.annealing import annealed, high_mean
 from ebamcheck.scan.order.entry_options import nearest_way, ways_between
-from ebamcheck.scan.order.path import JOINED_MM
 from ebamcheck.scan.order.simulation import at_surface, clocked, entry_points
 from ebamcheck.scan.order.touching import Touching, touching, touching_successors
 

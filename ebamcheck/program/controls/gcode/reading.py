@@ -12,11 +12,16 @@ from ebamcheck.program.controls.gcode.words import (
     read_gcode_block,
     without_comments,
 )
-from ebamcheck.program.controls.sinumerik.words import NUMBER, Block, UnknownWord, WordError
-from ebamcheck.program.language.comments import read_header
 from ebamcheck.program.language.dialects import LINUXCNC
 from ebamcheck.program.language.template_rules import checked_templates
+from ebamcheck.program.language.words import (
+    NUMBER,
+    Block,
+    UnknownWord,
+    WordError,
+)
 from ebamcheck.program.reading.arcs import arc
+from ebamcheck.program.reading.comments import read_header
 from ebamcheck.program.reading.motions import ARC, POLYNOMIAL, RAPID, STRAIGHT
 from ebamcheck.program.reading.recognition import Templates
 from ebamcheck.program.reading.recorder import Recorder

@@ -5,9 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Set
 
-from ebamcheck.program.controls.sinumerik.words import NUMBER, Block, UnknownWord, WordError
 from ebamcheck.program.language.dialects import LINUXCNC
 from ebamcheck.program.language.modal_groups import refusal
+from ebamcheck.program.language.words import (
+    NUMBER,
+    Block,
+    UnknownWord,
+    WordError,
+)
 
 _WORD = re.compile(rf"\s*(?:(?P<letter>[A-Z])\s*(?P<number>{NUMBER})|(?P<bad>\S.*))")
 _RUN = re.compile(r"\s*(?:PY|LOG\w*|PROBE\w*|ABORT)\s*,|\s*PROBECLOSE|\s*LOGCLOSE", re.IGNORECASE)

@@ -9,8 +9,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from ebamcheck.program.files import NOT_VALIDATED, VALIDATED, ProgramFiles, write_files
+from ebamcheck.program.language.comments import comment
 from ebamcheck.program.language.dialects import LINUXCNC, PLAIN
+from ebamcheck.program.language.files import NOT_VALIDATED, VALIDATED, ProgramFiles, write_files
 from ebamcheck.program.language.header import form_lines, header_lines
 from ebamcheck.program.language.templates import plain, process_values, usable_templates
 from ebamcheck.program.toolpath.bead_ends import driven_path
@@ -18,7 +19,10 @@ from ebamcheck.program.toolpath.inputs import CurveColumns, ScanColumns, interpa
 from ebamcheck.program.toolpath.segments import CUBIC, Form
 from ebamcheck.program.toolpath.tracks import Toolpath
 from ebamcheck.program.writing.blocks import BlockFormat
-from ebamcheck.program.writing.layer_text import comment, layer_blocks, motion_text
+from ebamcheck.program.writing.layer_text import (
+    layer_blocks,
+    motion_text,
+)
 from ebamcheck.program.writing.safe_states import end_blocks, start_blocks
 from ebamcheck.settings.config import Config
 

@@ -12,16 +12,18 @@ from ebamcheck.program.controls.sinumerik.spline_blocks import spline_spans
 from ebamcheck.program.controls.sinumerik.words import (
     AXES,
     END_CODES,
+    read_block,
+)
+from ebamcheck.program.language.dialects import SINUMERIK
+from ebamcheck.program.language.template_rules import checked_templates
+from ebamcheck.program.language.words import (
     NUMBER,
     Block,
     UnknownWord,
     WordError,
-    read_block,
 )
-from ebamcheck.program.language.comments import read_header
-from ebamcheck.program.language.dialects import SINUMERIK
-from ebamcheck.program.language.template_rules import checked_templates
 from ebamcheck.program.reading.arcs import arc
+from ebamcheck.program.reading.comments import read_header
 from ebamcheck.program.reading.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT
 from ebamcheck.program.reading.recognition import Templates
 from ebamcheck.program.reading.recorder import LINE_OF_T, NAN, NO_CENTRE, Recorder

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 
 from ebamcheck.program.language.dialects import SINUMERIK
 from ebamcheck.program.language.modal_groups import refusal
-
-NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)"
+from ebamcheck.program.language.words import NUMBER, Block, UnknownWord, WordError
 
 _WORD = re.compile(
     rf"""\s*(?:
@@ -38,28 +36,6 @@ AXES = ("X", "Y", "Z")
 NUMBERS = (*AXES, "F", "I", "J", "CR", "PL", "PW", "SD", "CTOL", "ADIS")
 DEGREE = 3
 """Highest degree of a POLY block that is read; the control knows up to 5."""
-
-
-@dataclass(slots=True)
-class Block:
-    """One block: its values by address, and its words without value in order."""
-
-    values: dict[str, float]
-    lists: dict[str, tuple[float, ...]]
-    codes: list[str]
-
-
-class WordError(Exception):
-    """A word that makes no sense where it stands; columns count from 0."""
-
-    def __init__(self, what: str, column: int) -> None:
-        super().__init__(what)
-        self.what = what
-        self.column = column
-
-
-class UnknownWord(WordError):
-    """A word outside the language; the interpreter may still know the block as a template or a call."""
 
 
 def read_block(code: str) -> Block:

@@ -14,8 +14,9 @@ import numpy as np
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.program.controls.sinumerik.spline_writing import even, spline_blocks
-from ebamcheck.program.files import NOT_VALIDATED, VALIDATED, ProgramFiles, legal_name, write_files
+from ebamcheck.program.language.comments import comment
 from ebamcheck.program.language.dialects import SINUMERIK
+from ebamcheck.program.language.files import NOT_VALIDATED, VALIDATED, ProgramFiles, legal_name, write_files
 from ebamcheck.program.language.header import CONTROL_NAMES, form_lines, header_lines
 from ebamcheck.program.language.templates import plain, process_values, usable_templates
 from ebamcheck.program.toolpath.bead_ends import driven_path
@@ -23,7 +24,10 @@ from ebamcheck.program.toolpath.inputs import SPLINE, CurveColumns, ScanColumns,
 from ebamcheck.program.toolpath.segments import CUBIC, Form
 from ebamcheck.program.toolpath.tracks import Toolpath
 from ebamcheck.program.writing.blocks import BlockFormat, numbered
-from ebamcheck.program.writing.layer_text import comment, layer_blocks, motion_text
+from ebamcheck.program.writing.layer_text import (
+    layer_blocks,
+    motion_text,
+)
 from ebamcheck.program.writing.safe_states import end_blocks, start_blocks
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import MachineSettings
