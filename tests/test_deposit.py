@@ -15,6 +15,7 @@ from ebamcheck.program.checking.deposit import deposit
 from ebamcheck.program.checking.deposit_checks import DEPOSIT_CHECKS, deposit_checks
 from ebamcheck.program.checking.matching import matched
 from ebamcheck.program.checking.wire_checks import wire_check
+from ebamcheck.program.language.control import control as control_named
 from ebamcheck.program.toolpath.bead_ends import planned_path
 from ebamcheck.program.toolpath.events import COLUMNS, event_totals, process_events
 from ebamcheck.program.toolpath.thin_walls import narrow_bead
@@ -269,11 +270,10 @@ def test_no_check_no_gate():
 
 @pytest.mark.parametrize("control", ["linuxcnc", "plain-gcode"])
 def test_other_controls_lay_the_same_metal(control, tmp_path):
-    from ebamcheck.plugins import registry
 
     config = CONFIG.changed(machine={"control": control})
     made = Made(tmp_path, PARTS["ring"], layers=2)
-    files = registry.plugin(registry.POSTS, control)(made.beads, made.plan, config, tmp_path / control)
+    files = control_named(control).load("writer")(made.beads, made.plan, config, tmp_path / control)
     nc = read_program(files.main, config)
     found = deposit(nc, made.layers, made.z, config)
     theirs = deposit(made.read(), made.layers, made.z, made.config)

@@ -206,7 +206,7 @@ def test_every_entry_point_group_is_documented():
         group
         for path in (ROOT / "ebamcheck").rglob("*.py")
         for group in re.findall(
-            r'"(ebamcheck\.(?:backends|models|posts|reports|commands|orders))"', text(path)
+            r'"(ebamcheck\.(?:backends|models|controls|reports|commands|orders))"', text(path)
         )
     }
     groups = set(project["entry-points"]) | asked_for

@@ -36,7 +36,7 @@ GROUPS = {
     "ebamcheck.backends",
     "ebamcheck.commands",
     "ebamcheck.models",
-    "ebamcheck.posts",
+    "ebamcheck.controls",
     "ebamcheck.reports",
 }
 

@@ -23,8 +23,8 @@ from ebamcheck.pipeline.run_folder import (
     RunFolder,
 )
 from ebamcheck.pipeline.verify import verify_against_part, verify_run
-from ebamcheck.plugins import registry
 from ebamcheck.program import Check, ProgramFiles, mark_validated
+from ebamcheck.program.language.control import control
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config
 
@@ -170,7 +170,7 @@ def _posted(sound: Finished, folder: Path, config: Config) -> list[Check]:
 
 def _write(sound: Finished, config: Config, folder: Path) -> ProgramFiles:
     """Write a program by a profile from curves and plan of a sound run."""
-    post = registry.plugin(registry.POSTS, config.machine.control)
+    post = control(config.machine.control).load("writer")
     curves = Curves.from_parquet(sound.run / "beads.parquet")
     written: ProgramFiles = post(curves, ScanPlan.from_parquet(sound.run / "scan.parquet"), config, folder)
     return written

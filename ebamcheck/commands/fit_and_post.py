@@ -28,8 +28,8 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline.programming import bead_paths, smooth_layers
 from ebamcheck.pipeline.run_folder import MANIFEST
 from ebamcheck.program import write_program
-from ebamcheck.program.language.dialects import TEXT_CONTROLS
-from ebamcheck.program.simulators.heat_paths import PATH_FILES, SCRIPTS, case_post
+from ebamcheck.program.language.control import control as control_named
+from ebamcheck.program.simulators.heat_paths import SCRIPTS, case_post
 from ebamcheck.program.writing.entry import begin_at_layer
 from ebamcheck.scan import plan_stack
 from ebamcheck.settings.config import Config
@@ -107,7 +107,7 @@ def post_command(
         str, typer.Option(help="Post-processor; default: machine.control of the settings.")
     ] = "",
     layer: Annotated[
-        int | None, typer.Option(help=f"Case of one layer, counted from 0, for {', '.join(PATH_FILES)}.")
+        int | None, typer.Option(help="Case of one layer, counted from 0, for a heat simulator.")
     ] = None,
     from_layer: Annotated[
         int,
@@ -136,10 +136,9 @@ def post_command(
         beads, sha256 = bead_paths(smooth, plan, settings), placed.source_sha256
     if control:
         settings = settings.changed(machine={"control": control})
-    if from_layer > 1 and settings.machine.control not in TEXT_CONTROLS:
-        raise SettingsError(
-            f"--from-layer: {settings.machine.control} is no control; give one of {', '.join(TEXT_CONTROLS)}"
-        )
+    is_read = control_named(settings.machine.control).is_read
+    if from_layer > 1 and not is_read:
+        raise SettingsError(f"--from-layer: {settings.machine.control} is no control but a heat simulator")
     header = {"PART SHA-256": sha256}
     if layer is None:
         files = write_program(beads, plan, settings, output, header=header)
@@ -150,7 +149,7 @@ def post_command(
         files = post(beads, plan, settings, output, header=header, layer=layer)
     blocks = sum(files.blocks.values())
     typer.echo(f"{files.main}: {len(files.names)} files, {blocks} blocks for {settings.machine.control}")
-    if settings.machine.control in PATH_FILES:
+    if not is_read:
         script = next(name for name in files.names if name in SCRIPTS)
         typer.echo(f"NOT VALIDATED: no reader proves a case; {files.folder / script} runs it")
     else:

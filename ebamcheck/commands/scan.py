@@ -21,14 +21,12 @@ from ebamcheck.commands.options import (
 from ebamcheck.commands.scan_layer import scan_layer
 from ebamcheck.commands.scan_part import scan_all
 from ebamcheck.errors import ExitCode, SettingsError
+from ebamcheck.program.language.control import simulators
 from ebamcheck.scan.plan.comparing import COMPARED, RANDOM, SEEDS
 from ebamcheck.settings.process_window import checked_window
 from ebamcheck.settings.scan import SCAN_ORDERS
 
 ALL = "all"
-
-SIMULATORS = ("3dthesis", "adamantine", "additivefoam")
-"""Posts of heat simulators, which take the path of a layer."""
 
 
 def scan_command(
@@ -51,7 +49,7 @@ def scan_command(
     export: Annotated[
         str,
         typer.Option(
-            help=f"Also write the path of each order for simulators: {', '.join(SIMULATORS)}, or all."
+            help="Also write the path of each order for heat simulators, by the names of their controls, or for all."
         ),
     ] = "",
     seeds: Annotated[int, typer.Option(help=f"Seeds over which `{RANDOM}` is averaged.")] = SEEDS,
@@ -66,10 +64,11 @@ def scan_command(
     wanted = COMPARED if orders == ALL else names(orders) or (settings.scan.order,)
     for name in wanted:
         settings.changed(scan={"order": name})  # an unknown name is refused before anything is computed
-    simulators = SIMULATORS if export == ALL else names(export)
-    if unknown := set(simulators) - set(SIMULATORS):
-        raise SettingsError(f"--export {sorted(unknown)[0]!r}: choose from {', '.join(SIMULATORS)}, or all")
-    if simulators and output is None:
+    known = simulators()
+    exported = known if export == ALL else names(export)
+    if unknown := set(exported) - set(known):
+        raise SettingsError(f"--export {sorted(unknown)[0]!r}: choose from {', '.join(known)}, or all")
+    if exported and output is None:
         raise SettingsError("--export: give the folder with -o")
     if seeds < 1:
         raise SettingsError(f"--seeds {seeds}: give at least 1")
@@ -84,4 +83,4 @@ def scan_command(
         if pause is not None:
             settings = settings.changed(process={"layer_pause_s": pause})
         return scan_all(placed, settings, wanted[0], output, as_json)
-    return scan_layer(placed, settings, height, wanted, seeds, simulators, output, as_json)
+    return scan_layer(placed, settings, height, wanted, seeds, exported, output, as_json)

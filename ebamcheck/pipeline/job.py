@@ -33,9 +33,8 @@ from ebamcheck.pipeline.run_folder import (
 )
 from ebamcheck.pipeline.work import Job, Observer, Silent
 from ebamcheck.plugins import registry
-from ebamcheck.program.language.dialects import TEXT_CONTROLS
+from ebamcheck.program.language.control import control
 from ebamcheck.program.language.templates import usable_templates
-from ebamcheck.program.simulators.heat_paths import PATH_FILES
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import checked_window, outside_window, unusual_layers
 
@@ -83,14 +82,13 @@ def run_job(
         If a required or named backend is unknown, or a required one is not available.
     """
     config = config or Config()
-    if config.machine.control in PATH_FILES:
+    if not control(config.machine.control).is_read:
         raise SettingsError(
-            f"machine.control {config.machine.control!r} is a path file for a heat simulator, which no reader can prove: "
+            f"machine.control {config.machine.control!r} writes what no reader can prove, such as a case of a heat simulator: "
             f"run for a control, then `ebamcheck post RUN --control {config.machine.control} -o FOLDER`"
         )
     checked_window(config)
-    if config.machine.control in TEXT_CONTROLS:
-        usable_templates(config, config.machine.control)
+    usable_templates(config, config.machine.control)
     fine = mesh_files.load(reference, config.part.units).along(config.part.direction) if reference else None
 
     def program(job: Job, checked: CrossCheck, sound: bool) -> list[Gate]:

@@ -15,7 +15,7 @@ from ebamcheck.numeric.rings import Floats
 from ebamcheck.program import Check
 from ebamcheck.program.checking.interpass_checks import INTERPASS, within_range
 from ebamcheck.program.checking.seam_corners import seam_turns
-from ebamcheck.program.language.dialects import STOCK
+from ebamcheck.program.language.control import control
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.scan import ScanPlan
@@ -137,7 +137,7 @@ def placeholder_codes(config: Config) -> list[str]:
     used = ["beam_on", "beam_off", "set_beam", "wire_start", "wire_stop", "set_wire"]
     used += ["set_power"] if process.ramps_beam or process.interpass in ("power", "both") else []
     used += ["wire_retract"] if process.wire_retract_mm > 0.0 else []
-    stock = STOCK.get(machine.control, {})
+    stock = control(machine.control).templates
     return [
         name
         for name in used

@@ -26,6 +26,7 @@ from ebamcheck.program.checking.deposit_checks import deposit_checks
 from ebamcheck.program.checking.matching import matched
 from ebamcheck.program.checking.metal_field import FIELD_FILE, write_field
 from ebamcheck.program.checking.text_heat import build_times_s, known_sections
+from ebamcheck.program.language.control import control
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.toolpath.bead_ends import planned_path
 from ebamcheck.program.toolpath.events import event_totals, process_events
@@ -157,7 +158,7 @@ def _write_and_verify(
 ) -> list[Check]:
     """Write the program, read its text back and check it against what it was made from."""
     header = {"PART SHA-256": job.part.source_sha256 or job.part.sha256}
-    write_program = registry.plugin(registry.POSTS, job.config.machine.control)
+    write_program = control(job.config.machine.control).load("writer")
     files = write_program(beads, plan, job.config, job.folder.program_folder, header=header)
     program, _ = matched(read_program(files.main, job.config), path)
     job.add_finding(*noticed.of_seams(program, contours.heights, job.config))

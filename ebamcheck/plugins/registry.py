@@ -1,4 +1,4 @@
-"""Discovery of slicers, models, report writers, post-processors and scan orders by entry point.
+"""Discovery of slicers, models, report writers, controls and scan orders by entry point.
 
 A plugin that does not load warns and is left out; it never stops the others.
 """
@@ -17,7 +17,7 @@ from ebamcheck.errors import BackendMissing, SettingsError
 BACKENDS = "ebamcheck.backends"
 MODELS = "ebamcheck.models"
 REPORTS = "ebamcheck.reports"
-POSTS = "ebamcheck.posts"
+CONTROLS = "ebamcheck.controls"
 ORDERS = "ebamcheck.orders"
 
 

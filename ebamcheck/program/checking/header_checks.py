@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.program.checking.checks import Check, count_check
 from ebamcheck.program.language.comments import comment
-from ebamcheck.program.language.dialects import SINUMERIK
+from ebamcheck.program.language.control import control
 from ebamcheck.program.language.files import NOT_VALIDATED, STATUS, STATUS_LINES, VALIDATED
-from ebamcheck.program.language.header import CONTROL_NAMES, form_lines, header_lines
+from ebamcheck.program.language.header import header_lines
 from ebamcheck.program.reading.motions import NCProgram, SourceFile
 from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.settings.config import Config
@@ -52,7 +52,7 @@ def header_checks(
     layers = _layers(nc, None if heights is None else np.asarray(heights, np.float64), config)
     return [
         count_check("status", _status(nc, truth), "the same in every file, and as recorded"),
-        count_check("header", [*_header(nc, config, truth), *layers, *_paths(nc, config)], "true"),
+        count_check("header", [*_header(nc, config, truth), *layers], "true"),
         _size(nc, config),
     ]
 
@@ -93,8 +93,7 @@ def _header(nc: NCProgram, config: Config, truth: Truth) -> list[tuple[str, str]
     told = sum(len(_LAYER.findall(file.data)) for file in nc.files)
     if nc.header.get("LAYERS") == str(told):
         layers = told  # a layer without a bead is no level of Z
-    forms = form_lines(config.machine, nc.dialect)
-    known = header_lines(config, CONTROL_NAMES.get(nc.dialect, nc.dialect), layers, forms)
+    known = header_lines(config, control(nc.dialect), layers)
     wanted = {key: _printed(key, value) for key, value in known.items() if key not in FREE} | {
         "PART SHA-256": truth.part_sha256,
         "SETTINGS SHA-256": truth.settings_sha256,
@@ -143,22 +142,9 @@ def _layers(nc: NCProgram, heights: Floats | None, config: Config) -> list[tuple
 def _in_order(nc: NCProgram) -> list[SourceFile]:
     """Files in the order in which they run, the main one first."""
     files = {file.name: file for file in nc.files}
-    called = [f"{name.removeprefix('call ')}.SPF" for name in nc.events.name if name.startswith("call ")]
+    suffix = control(nc.dialect).subprogram_suffix
+    called = [f"{name.removeprefix('call ')}{suffix}" for name in nc.events.name if name.startswith("call ")]
     return [nc.files[0], *(files[name] for name in dict.fromkeys(called) if name in files)]
-
-
-def _paths(nc: NCProgram, config: Config) -> list[tuple[str, str]]:
-    """Folder of the control that the files of a SINUMERIK say they belong to: the one of the profile."""
-    if nc.dialect != SINUMERIK:
-        return []
-    wanted = f";$PATH=/_N_WKS_DIR/_N_{config.machine.workpiece_directory}_WPD".encode("ascii")
-    faults = []
-    for file in nc.files:
-        lines = file.data.split(b"\n", 2)
-        said = lines[1].rstrip(b"\r") if len(lines) > 1 else b""
-        if said.startswith(b";$PATH=") and said != wanted:
-            faults.append((f"{file.name}:2", f"says {said.decode('latin-1')}, the profile {wanted.decode()}"))
-    return faults
 
 
 def _size(nc: NCProgram, config: Config) -> Check:

@@ -13,8 +13,9 @@ import numpy as np
 
 from ebamcheck.program.checking.checks import Check, count_check, event_place
 from ebamcheck.program.language.codes import BEAM_VALUES, DWELL, SWITCHES
-from ebamcheck.program.language.dialects import LINUXCNC, PLAIN, templates_of
-from ebamcheck.program.language.modal_groups import Group, group_of, wanted_words
+from ebamcheck.program.language.control import Group, control
+from ebamcheck.program.language.modal_groups import group_of, wanted_words
+from ebamcheck.program.language.profile import templates_of
 from ebamcheck.program.language.safe_end import safe_end_mm
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.settings.config import Config
@@ -108,8 +109,8 @@ def _modes(nc: NCProgram, config: Config, faults: Faults) -> Check:
 def _smoothing(nc: NCProgram, config: Config, faults: Faults) -> Check:
     """How the control may leave the path: its words at every motion, and every tolerance within the one set."""
     limit = config.machine.smoothing_tolerance_mm
-    if nc.dialect == PLAIN:
-        text = "plain G-code has no word for it: the control's own"
+    if not control(nc.dialect).tolerance_word:
+        text = f"{nc.dialect} has no word for it: the control's own"
         return Check("smoothing", True, 0.0, 0.0, "mm", "", text)
     tolerances = [i for i, name in enumerate(nc.events.name) if name in ("CTOL", "ADIS")]
     value = max((float(nc.events.value[i]) for i in tolerances), default=math.inf)
@@ -118,7 +119,7 @@ def _smoothing(nc: NCProgram, config: Config, faults: Faults) -> Check:
     if faults:
         more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
         return Check("smoothing", False, value, limit, "mm", faults[0][0], faults[0][1] + more)
-    name = "P" if nc.dialect == LINUXCNC else " CTOL="
+    name = control(nc.dialect).tolerance_word
     return Check(
         "smoothing", True, value, limit, "mm", "", f"{' '.join(words)}{name}{value:g} at every motion"
     )
@@ -140,9 +141,11 @@ def _tolerances(nc: NCProgram, config: Config, tolerances: list[int]) -> Iterato
     if not tolerances or nc.events.row[tolerances[0]] > 0:
         where = nc.where(0) if len(nc) else f"{nc.files[0].name}:1"
         yield where, "no tolerance of the path is set before the first motion"
+    bare = control(nc.dialect).smoothing_needs_tolerance
     for i, name in enumerate(names):
-        if nc.dialect == LINUXCNC and name == "G64" and not _tolerance_of(nc, i):
-            yield event_place(nc, i), "G64 without P: the path may leave its corners by any distance"
+        if name == bare and not _tolerance_of(nc, i):
+            word = control(nc.dialect).tolerance_word
+            yield event_place(nc, i), f"{name} without {word}: the path may leave its corners by any distance"
 
 
 def _tolerance_of(nc: NCProgram, i: int) -> bool:

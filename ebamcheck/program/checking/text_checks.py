@@ -3,35 +3,32 @@
 from __future__ import annotations
 
 import hashlib
-import re
 from collections import Counter
 from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from ebamcheck.program.checking.checks import Check, count_check
-from ebamcheck.program.language.dialects import SINUMERIK
+from ebamcheck.program.language.control import control
 from ebamcheck.program.reading.motions import NCProgram, SourceFile
+from ebamcheck.settings.config import Config
 
 BLOCK_LIMIT = 200
 """Characters; every software version of the control reads shorter blocks."""
 
-_NAME = re.compile(r"(?=.{1,24}\.)(?:[A-Z]{2}|_[A-Z])[A-Z0-9_]*\.(?:MPF|SPF)")
-_DEVICE = re.compile(r"(?:CON|PRN|AUX|NUL|COM\d|LPT\d)\..*")
-_PATH = re.compile(rb";\$PATH=/_N_(?:WKS_DIR/_N_[A-Z0-9_]+_WPD|MPF_DIR|SPF_DIR)\r?")
 _ENDS = {".MPF": ("M30", "M2"), ".SPF": ("M17", "RET")}
 _MAIN_ENDS = ("M30", "M2")
 
 Faults = list[tuple[str, str]]
 
 
-def text_checks(nc: NCProgram, sha256: Mapping[str, str] | None = None) -> list[Check]:
+def text_checks(nc: NCProgram, config: Config, sha256: Mapping[str, str] | None = None) -> list[Check]:
     """Check the bytes of every file that the program opened."""
     checks = [
         count_check("encoding", _each(nc, _encoding), "ASCII throughout"),
         count_check("line ends", _each(nc, _line_ends), "every block ends with LF alone"),
         _block_length(nc),
-        *_headers(nc),
+        *_headers(nc, config),
         count_check("block numbers", _numbers(nc), "N rises from block to block in every file"),
         count_check("end of program", _each(nc, _end), "one end in each file, in its last block"),
         count_check("subprograms", _calls(nc), "every subprogram in the folder is called once"),
@@ -74,26 +71,12 @@ def _block_length(nc: NCProgram) -> Check:
     return Check("block length", longest < BLOCK_LIMIT, longest, BLOCK_LIMIT - 1, "characters", where, text)
 
 
-def _headers(nc: NCProgram) -> list[Check]:
-    """Names and first lines, of which only the SINUMERIK asks something."""
-    if nc.dialect != SINUMERIK:
+def _headers(nc: NCProgram, config: Config) -> list[Check]:
+    """Names and first lines, where the control asks something of them."""
+    if not control(nc.dialect).file_faults:
         return []
-    return [
-        count_check("names and headers", _each(nc, _header), "legal names, %_N_ and ;$PATH from column 1")
-    ]
-
-
-def _header(file: SourceFile) -> Faults:
-    faults = []
-    if not _NAME.fullmatch(file.name) or _DEVICE.fullmatch(file.name):
-        faults.append((f"{file.name}:1", f"{file.name!r} is not a legal name of a program"))
-    lines = [*file.data.split(b"\n", 2), b"", b""]
-    wanted = f"%_N_{file.name.replace('.', '_')}"
-    if lines[0].rstrip(b"\r") != wanted.encode("latin-1", "replace"):
-        faults.append((f"{file.name}:1", f"first line is not {wanted}"))
-    if not _PATH.fullmatch(lines[1]):
-        faults.append((f"{file.name}:2", "second line is not ;$PATH=/_N_WKS_DIR/_N_..._WPD"))
-    return faults
+    faults = control(nc.dialect).load("file_faults")(nc, config)
+    return [count_check("names and headers", faults, "legal names, first lines and paths")]
 
 
 def _numbers(nc: NCProgram) -> Faults:
@@ -128,10 +111,12 @@ def _calls(nc: NCProgram) -> Faults:
         for name, count in Counter(calls).items()
         if count > 1
     ]
-    if calls:
-        there = {path.stem for path in nc.folder.glob("*.SPF")}
+    suffix = control(nc.dialect).subprogram_suffix
+    if calls and suffix:
+        there = {path.stem for path in nc.folder.glob(f"*{suffix}")}
         faults += [
-            (f"{main}:{_last_call(nc)}", f"{name}.SPF is never called") for name in sorted(there - set(calls))
+            (f"{main}:{_last_call(nc)}", f"{name}{suffix} is never called")
+            for name in sorted(there - set(calls))
         ]
     return faults
 

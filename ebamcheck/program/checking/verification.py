@@ -135,7 +135,7 @@ def verify_program(
     tracks = path or tracks_known(curves, plan, config)
     nc, match = _with_roles(nc, tracks, layers, z_of, offset, config)
     turn_limit_mm = TURN_SPACINGS * config.process.hatch_spacing_mm
-    checks = text_checks(nc, sha256) + header_checks(nc, config, truth or Truth(), known)
+    checks = text_checks(nc, config, sha256) + header_checks(nc, config, truth or Truth(), known)
     checks += state_checks(nc, config, turn_limit_mm)
     checks.append(wire_check(nc, config, path))
     planned = None if plan is None else interpass_of(plan, config)

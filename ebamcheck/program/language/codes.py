@@ -12,8 +12,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from ebamcheck.errors import SettingsError
-from ebamcheck.program.language.dialects import LINUXCNC, PLAIN, SINUMERIK, templates_of
+from ebamcheck.program.language.control import control
 from ebamcheck.program.language.modal_groups import group_of
+from ebamcheck.program.language.profile import templates_of
 from ebamcheck.program.language.words import NUMBER
 from ebamcheck.settings.machine import MachineSettings
 
@@ -31,26 +32,6 @@ DWELL = "dwell_s"
 
 BEAM_TEMPLATES = ("beam_on", "beam_off", "set_beam", "set_power")
 WIRE_TEMPLATES = ("wire_start", "wire_stop", "set_wire", "wire_retract")
-
-STOCK_CODES: Mapping[str, Mapping[str, str]] = {
-    SINUMERIK: {
-        "M60": "beam_on", "M61": "beam_off", "M62": "wire_start", "M63": "wire_stop",
-        "H1": "voltage_kv", "H2": "current_ma", "H3": "wire_mm_s", "H4": "wire_retract_mm",
-    },
-    LINUXCNC: {
-        "M64 P0": "beam_on", "M65 P0": "beam_off", "M64 P1": "wire_start", "M65 P1": "wire_stop",
-        "M68 E0 Q": "voltage_kv", "M67 E0 Q": "voltage_kv", "M68 E1 Q": "current_ma", "M67 E1 Q": "current_ma",
-        "M68 E2 Q": "wire_mm_s", "M67 E2 Q": "wire_mm_s", "M68 E3 Q": "wire_retract_mm", "M67 E3 Q": "wire_retract_mm",
-    },
-    PLAIN: {
-        "M3": "beam_on", "M5": "beam_off", "M8": "wire_start", "M9": "wire_stop",
-        "S": "power_w", "M42 P1 S": "wire_mm_s", "M42 P2 S": "wire_retract_mm",
-    },
-}  # fmt: skip
-"""Meanings of the codes in the stock templates of each control; those of the machine maker take their place."""
-
-DWELL_ADDRESS = {SINUMERIK: "F", LINUXCNC: "P", PLAIN: "S"}
-"""Seconds of G4."""
 
 _TOKEN = re.compile(
     rf"""(?:(?P<name>[A-Z][A-Z0-9_]*)\s*=\s*|(?P<letter>[A-Z])\s*)
@@ -105,7 +86,7 @@ class Codes:
     def __init__(self, machine: MachineSettings, dialect: str) -> None:
         self._dialect = dialect
         self._meaning: dict[Key, str] = {}
-        stock = STOCK_CODES[dialect]
+        stock = control(dialect).codes
         for kind, given, values in (
             ("beam", machine.beam_codes, BEAM_VALUES),
             ("wire", machine.wire_codes, WIRE_VALUES),
@@ -177,7 +158,10 @@ class Codes:
         return None
 
     def _dwell(self, token: Token) -> tuple[Action, int] | None:
-        if token.address != DWELL_ADDRESS[self._dialect] or token.placeholder not in ("", "layer_pause_s"):
+        if token.address != control(self._dialect).dwell_address or token.placeholder not in (
+            "",
+            "layer_pause_s",
+        ):
             return None
         number = float(token.number) if token.number else None
         return Action(DWELL, token.placeholder, number, f"G4 {token}"), 2

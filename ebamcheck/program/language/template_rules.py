@@ -24,7 +24,7 @@ from ebamcheck.program.language.codes import (
     Codes,
     blocks_of,
 )
-from ebamcheck.program.language.dialects import templates_of
+from ebamcheck.program.language.profile import templates_of
 from ebamcheck.settings.machine import MachineSettings
 
 FREE = ("layer", "height_mm", "feed_mm_min")

@@ -6,16 +6,14 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 from ebamcheck.errors import SettingsError
-from ebamcheck.program.language.dialects import templates_of
+from ebamcheck.program.language.numbers import plain
+from ebamcheck.program.language.profile import templates_of
 from ebamcheck.program.language.template_rules import checked_templates
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.wire_speed import wire_speed_mm_s
 
 LONGEST_BLOCK = 200
 """Characters of a block that every software version of the control takes."""
-
-DECIMALS = 6
-"""Decimals of a process value, trailing zeros left out."""
 
 
 class _Value(float):
@@ -25,12 +23,6 @@ class _Value(float):
         if spec:
             return float(self).__format__(spec)
         return plain(self)
-
-
-def plain(value: float) -> str:
-    """Print a process value: no exponent, no trailing zeros, no negative zero."""
-    text = f"{float(value):.{DECIMALS}f}".rstrip("0").rstrip(".")
-    return "0" if text == "-0" else text
 
 
 @dataclass(frozen=True)

@@ -6,33 +6,21 @@ column: a word that is skipped is a path that is not checked.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Literal
 
-from ebamcheck.errors import InputError
-from ebamcheck.program.controls.gcode.reading import GcodeReader
-from ebamcheck.program.controls.sinumerik.reading import Shift, SinumerikReader
-from ebamcheck.program.language.dialects import LINUXCNC, PLAIN, SINUMERIK
+from ebamcheck.errors import InputError, SettingsError
+from ebamcheck.program.language.control import Control, controls
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.settings.config import Config
-
-DIALECTS = {
-    ".MPF": SINUMERIK,
-    ".SPF": SINUMERIK,
-    ".NGC": LINUXCNC,
-    ".GCODE": PLAIN,
-    ".NC": PLAIN,
-    ".G": PLAIN,
-}
-"""Language by the suffix of the main file; a SINUMERIK's header counts for more, and is the choice for others."""
 
 TABLE_TITLES = (b"Mode\t", b"Mode X(m)", b"Number of path segments")
 """First lines of path tables."""
 
-MAIN_SUFFIXES = tuple(suffix for suffix in DIALECTS if suffix != ".SPF")
-
 
 def read_program(
-    path: str | Path, config: Config | None = None, *, bspline_shift: Shift | None = None
+    path: str | Path, config: Config | None = None, *, bspline_shift: Literal[2, 3, "uniform"] | None = None
 ) -> NCProgram:
     """Read a program from its main file, or from the folder that holds it and its subprograms.
 
@@ -52,30 +40,27 @@ def read_program(
     InputError
         ``FILE:line:column: ...`` for a word or block that is not understood; also where a file is missing.
     """
-    main = _main_file(Path(path))
     config = config or Config()
-    dialect = _dialect(main)
-    if dialect == SINUMERIK:
-        sinumerik = SinumerikReader(main.parent, config, bspline_shift)
-        sinumerik.run(main)
-        return sinumerik.out.program()
-    gcode = GcodeReader(main.parent, config, dialect)
-    gcode.run(main)
-    return gcode.out.program()
+    known = {name: control for name, control in controls().items() if control.is_read}
+    main = _main_file(Path(path), known)
+    control = _control_of(main, config, known)
+    options = {} if bspline_shift is None else {"bspline_shift": bspline_shift}
+    nc: NCProgram = control.load("reader")(main, config, **options)
+    return nc
 
 
-def _main_file(path: Path) -> Path:
+def _main_file(path: Path, controls: Mapping[str, Control]) -> Path:
     if not path.is_dir():
         return path
-    mains = sorted(p for p in path.iterdir() if p.suffix.upper() in MAIN_SUFFIXES)
+    endings = [s for c in controls.values() for s in c.suffixes if s != c.subprogram_suffix]
+    mains = sorted(p for p in path.iterdir() if p.suffix.upper() in endings)
     if len(mains) != 1:
-        raise InputError(
-            f"{path}: holds {len(mains)} main programs ({', '.join(MAIN_SUFFIXES)}); name one of them"
-        )
+        raise InputError(f"{path}: holds {len(mains)} main programs ({', '.join(endings)}); name one of them")
     return mains[0]
 
 
-def _dialect(path: Path) -> str:
+def _control_of(path: Path, config: Config, controls: Mapping[str, Control]) -> Control:
+    """The control of a file: by its first bytes, by its ending, the one of the profile first, else that of the profile."""
     try:
         with path.open("rb") as file:
             begin = file.readline(40)
@@ -85,4 +70,11 @@ def _dialect(path: Path) -> str:
         raise InputError(
             f"{path}:1:1: the path table of a heat simulator is an export, no program to be read"
         )
-    return SINUMERIK if begin.startswith(b"%_N") else DIALECTS.get(path.suffix.upper(), SINUMERIK)
+    marked = [c for c in controls.values() if c.mark and begin.startswith(c.mark)]
+    ending = [c for c in controls.values() if path.suffix.upper() in c.suffixes]
+    own = controls.get(config.machine.control)
+    if own is not None and (own in marked or not marked) and (own in ending or not ending):
+        return own
+    if found := marked or ending:
+        return found[0]
+    raise SettingsError(f"{path}: machine.control {config.machine.control!r} is none whose programs are read")

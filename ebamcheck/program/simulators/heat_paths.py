@@ -19,7 +19,7 @@ import numpy as np
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.numeric.rings import Bools, Floats, Ints
-from ebamcheck.plugins import registry
+from ebamcheck.program.language.control import control as control_named
 from ebamcheck.program.language.files import NOT_VALIDATED, VALIDATED, ProgramFiles, write_files
 from ebamcheck.program.simulators import adamantine_case, additivefoam_case
 from ebamcheck.program.simulators.adamantine_case import adamantine_files
@@ -29,9 +29,6 @@ from ebamcheck.program.toolpath.bead_ends import driven_path
 from ebamcheck.program.toolpath.inputs import CurveColumns, Interpass, ScanColumns, interpass_of
 from ebamcheck.program.toolpath.tracks import Toolpath
 from ebamcheck.settings.config import Config
-
-PATH_FILES = ("3dthesis", "adamantine", "additivefoam")
-"""Names of these posts: what they write is no program, and is not read back."""
 
 SCRIPTS = ("run.sh", "Allrun")
 """What runs a case, one of these in each."""
@@ -126,11 +123,10 @@ class CasePost(Protocol):
 
 def case_post(control: str) -> CasePost:
     """Post of a simulator; raises :class:`SettingsError` for a control, which no single layer can be written for."""
-    if control not in PATH_FILES:
-        raise SettingsError(
-            f"--layer: {control} takes a whole program; one layer is for {', '.join(PATH_FILES)}"
-        )
-    post: CasePost = registry.plugin(registry.POSTS, control)
+    found = control_named(control)
+    if found.is_read:
+        raise SettingsError(f"--layer: {control} takes a whole program; one layer is for heat simulators")
+    post: CasePost = found.load("writer")
     return post
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.program.language.dialects import PLAIN
+from ebamcheck.program.language.control import control
 from ebamcheck.program.toolpath.bead_parts import (
     ROUNDING_MM,
     SHORTEST_BLOCK_MM,
@@ -49,9 +49,9 @@ def planned_path(curves: CurveColumns, plan: ScanColumns, config: Config) -> Too
 
 
 def written_form(machine: MachineSettings) -> Form:
-    """What becomes of splines in the program for a control: plain G-code knows none."""
+    """What becomes of splines in the program for a control."""
     forms: dict[str, Form] = {"arcs": "arcs", "lines": "chords"}
-    return forms.get(machine.curve_form, "arcs" if machine.control == PLAIN else "cubics")
+    return forms.get(machine.curve_form) or control(machine.control).splines
 
 
 def with_bead_ends(path: Toolpath, process: ProcessSettings, decimals: int) -> Toolpath:

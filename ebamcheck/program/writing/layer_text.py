@@ -10,7 +10,8 @@ import numpy as np
 
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.program.language.comments import comment
-from ebamcheck.program.language.templates import ProcessValues, plain, process_values
+from ebamcheck.program.language.numbers import plain
+from ebamcheck.program.language.templates import ProcessValues, process_values
 from ebamcheck.program.toolpath.events import NEAR_SPACINGS
 from ebamcheck.program.toolpath.inputs import Interpass
 from ebamcheck.program.toolpath.segments import CIRCULAR, CUBIC, STRAIGHT

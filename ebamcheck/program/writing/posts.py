@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from ebamcheck.plugins import registry
+from ebamcheck.program.language.control import control
 from ebamcheck.program.language.files import ProgramFiles
 from ebamcheck.program.toolpath.inputs import CurveColumns, ScanColumns
 from ebamcheck.settings.config import Config
@@ -20,7 +20,7 @@ def write_program(
     validated: bool = False,
     header: Mapping[str, str] | None = None,
 ) -> ProgramFiles:
-    """Write the program of a stack for ``machine.control``, an entry point of the group ``ebamcheck.posts``.
+    """Write the program of a stack for ``machine.control``, an entry point of the group ``ebamcheck.controls``.
 
     Parameters
     ----------
@@ -43,6 +43,6 @@ def write_program(
         If no post-processor has that name, curves and plan are of different stacks, heights do not rise, a name
         is not legal, a template makes no block, or the control does not have the form of curves asked for.
     """
-    post = registry.plugin(registry.POSTS, config.machine.control)
+    post = control(config.machine.control).load("writer")
     files: ProgramFiles = post(curves, plan, config, folder, validated=validated, header=header)
     return files

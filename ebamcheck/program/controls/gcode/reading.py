@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from ebamcheck.program.controls.gcode import linuxcnc, plain
 from ebamcheck.program.controls.gcode.words import (
     ENDS,
     MODES,
@@ -12,7 +13,6 @@ from ebamcheck.program.controls.gcode.words import (
     read_gcode_block,
     without_comments,
 )
-from ebamcheck.program.language.dialects import LINUXCNC
 from ebamcheck.program.language.template_rules import checked_templates
 from ebamcheck.program.language.words import (
     NUMBER,
@@ -22,7 +22,7 @@ from ebamcheck.program.language.words import (
 )
 from ebamcheck.program.reading.arcs import arc
 from ebamcheck.program.reading.comments import read_header
-from ebamcheck.program.reading.motions import ARC, POLYNOMIAL, RAPID, STRAIGHT
+from ebamcheck.program.reading.motions import ARC, POLYNOMIAL, RAPID, STRAIGHT, NCProgram
 from ebamcheck.program.reading.recognition import Templates
 from ebamcheck.program.reading.recorder import Recorder
 from ebamcheck.settings.config import Config
@@ -38,14 +38,30 @@ _PLAIN_BLOCK = re.compile(
 """The blocks of which a program mostly consists; all others are read word by word."""
 
 
+def read_linuxcnc(main: Path, config: Config, **unused: object) -> NCProgram:
+    """Read a program of LinuxCNC, which has no BSPLINE whose knots could be told."""
+    return _read(main, config, linuxcnc.NAME)
+
+
+def read_plain_gcode(main: Path, config: Config, **unused: object) -> NCProgram:
+    """Read a program of plain G-code."""
+    return _read(main, config, plain.NAME)
+
+
+def _read(main: Path, config: Config, control: str) -> NCProgram:
+    reader = GcodeReader(main.parent, config, control)
+    reader.run(main)
+    return reader.out.program()
+
+
 class GcodeReader:
     """State of the control while it runs a program from top to bottom."""
 
     def __init__(self, folder: Path, config: Config, dialect: str) -> None:
         self.out = Recorder(folder, dialect)
         self._templates = Templates(checked_templates(config.machine, dialect))
-        self._codes = MOTIONS | MODES | ENDS | ({"G5"} if dialect == LINUXCNC else frozenset())
-        self._cubics = dialect == LINUXCNC
+        self._codes = MOTIONS | MODES | ENDS | ({"G5"} if dialect == linuxcnc.NAME else frozenset())
+        self._cubics = dialect == linuxcnc.NAME
         self._mode = ""
         self._tangent: tuple[float, float] | None = None
         self._begun = False

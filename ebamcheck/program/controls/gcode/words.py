@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Set
 
-from ebamcheck.program.language.dialects import LINUXCNC
 from ebamcheck.program.language.modal_groups import refusal
 from ebamcheck.program.language.words import (
     NUMBER,
@@ -53,7 +52,7 @@ def without_comments(text: str) -> tuple[str, list[str]]:
     return code, comments
 
 
-def read_gcode_block(code: str, codes: Set[str], dialect: str = LINUXCNC) -> Block:
+def read_gcode_block(code: str, codes: Set[str], dialect: str) -> Block:
     """Split the upper-case text of a block, without number and comment, into its words.
 
     Raises

@@ -9,11 +9,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+from ebamcheck.program.controls.gcode import linuxcnc
+from ebamcheck.program.controls.gcode import plain as plain_gcode
 from ebamcheck.program.language.comments import comment
-from ebamcheck.program.language.dialects import LINUXCNC, PLAIN
+from ebamcheck.program.language.control import Control
 from ebamcheck.program.language.files import NOT_VALIDATED, VALIDATED, ProgramFiles, write_files
-from ebamcheck.program.language.header import form_lines, header_lines
-from ebamcheck.program.language.templates import plain, process_values, usable_templates
+from ebamcheck.program.language.header import header_lines
+from ebamcheck.program.language.numbers import plain
+from ebamcheck.program.language.templates import process_values, usable_templates
 from ebamcheck.program.toolpath.bead_ends import driven_path
 from ebamcheck.program.toolpath.inputs import CurveColumns, ScanColumns, interpass_of
 from ebamcheck.program.toolpath.segments import CUBIC, Form
@@ -44,9 +47,8 @@ def write_linuxcnc(
     forms: Mapping[str, Form] = {"arcs": "arcs", "lines": "chords"}
     form = forms.get(machine.curve_form, "cubics")
     tolerance = plain(machine.smoothing_tolerance_mm)
-    known = form_lines(machine, LINUXCNC)
     modes = ["G17 G21 G90 G91.1 G94", "G40 G49 G80", "G92.1", machine.work_offset, f"G64 P{tolerance}"]
-    return _write(curves, plan, config, Path(folder), LINUXCNC, "ngc", form, known, modes, validated, header)
+    return _write(curves, plan, config, Path(folder), linuxcnc.CONTROL, form, modes, validated, header)
 
 
 def write_plain_gcode(
@@ -64,9 +66,8 @@ def write_plain_gcode(
     """
     machine = config.machine
     form: Form = "chords" if machine.curve_form == "lines" else "arcs"
-    known = form_lines(machine, PLAIN)
     modes = ["G17 G21 G90 G94", machine.work_offset]
-    return _write(curves, plan, config, Path(folder), PLAIN, "gcode", form, known, modes, validated, header)
+    return _write(curves, plan, config, Path(folder), plain_gcode.CONTROL, form, modes, validated, header)
 
 
 def _write(
@@ -74,16 +75,14 @@ def _write(
     plan: ScanColumns,
     config: Config,
     folder: Path,
-    control: str,
-    suffix: str,
+    control: Control,
     splines: Form,
-    known: Mapping[str, str],
     modes: list[str],
     validated: bool,
     header: Mapping[str, str] | None,
 ) -> ProgramFiles:
     machine = config.machine
-    templates = usable_templates(config, control)
+    templates = usable_templates(config, control.name)
     form = BlockFormat(machine.printed_decimals)
     path = driven_path(curves, plan, config, form.decimals, splines, machine.line_tolerance_mm)
     at = path.kind == CUBIC
@@ -93,19 +92,21 @@ def _write(
     lines = [
         comment(machine.program_name),
         VALIDATED if validated else NOT_VALIDATED,
-        *_comments(config, control, path, {**known, **(header or {})}),
+        *_comments(config, control, path, header or {}),
         *start_blocks(modes, values, templates),
     ]
     for k in range(len(path.z)):
-        message = [f"(MSG, LAYER {k + 1} OF {len(path.z)})"] if control == LINUXCNC else []
+        message = [f"(MSG, LAYER {k + 1} OF {len(path.z)})"] if control is linuxcnc.CONTROL else []
         lines += layer_blocks(path, k, motions, config, form, templates, heat, [*modes, *message])
     lines += [*end_blocks(top, values, config, form, templates), "M2"]
     text = "\n".join(lines) + "\n"
-    return write_files({f"{machine.program_name}.{suffix}": text}, folder, validated=validated)
+    return write_files(
+        {f"{machine.program_name}{control.suffixes[0].lower()}": text}, folder, validated=validated
+    )
 
 
-def _comments(config: Config, control: str, path: Toolpath, known: Mapping[str, str]) -> list[str]:
-    every = header_lines(config, control, len(path.z), known)
+def _comments(config: Config, control: Control, path: Toolpath, header: Mapping[str, str]) -> list[str]:
+    every = header_lines(config, control, len(path.z)) | dict(header)
     return [comment(f"{key}: {value}") for key, value in every.items()]
 
 

@@ -8,13 +8,13 @@ from typing import Literal
 
 import numpy as np
 
+from ebamcheck.program.controls.sinumerik.control import NAME
 from ebamcheck.program.controls.sinumerik.spline_blocks import spline_spans
 from ebamcheck.program.controls.sinumerik.words import (
     AXES,
     END_CODES,
     read_block,
 )
-from ebamcheck.program.language.dialects import SINUMERIK
 from ebamcheck.program.language.template_rules import checked_templates
 from ebamcheck.program.language.words import (
     NUMBER,
@@ -24,7 +24,7 @@ from ebamcheck.program.language.words import (
 )
 from ebamcheck.program.reading.arcs import arc
 from ebamcheck.program.reading.comments import read_header
-from ebamcheck.program.reading.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT
+from ebamcheck.program.reading.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT, NCProgram
 from ebamcheck.program.reading.recognition import Templates
 from ebamcheck.program.reading.recorder import LINE_OF_T, NAN, NO_CENTRE, Recorder
 from ebamcheck.settings.config import Config
@@ -52,12 +52,19 @@ _PLAIN_BLOCK = re.compile(
 """The blocks of which a program mostly consists, in the spelling of most posts; all others are read word by word."""
 
 
+def read_program(main: Path, config: Config, *, bspline_shift: Shift | None = None) -> NCProgram:
+    """Read a program from its main file; subprograms lie beside it."""
+    reader = SinumerikReader(main.parent, config, bspline_shift)
+    reader.run(main)
+    return reader.out.program()
+
+
 class SinumerikReader:
     """State of the control while it runs a program from top to bottom."""
 
     def __init__(self, folder: Path, config: Config, shift: Shift | None) -> None:
-        self.out = Recorder(folder, SINUMERIK)
-        self._templates = Templates(checked_templates(config.machine, SINUMERIK))
+        self.out = Recorder(folder, NAME)
+        self._templates = Templates(checked_templates(config.machine, NAME))
         self._given_shift = shift
         self._shift: Shift = shift or config.machine.bspline_shift
         self._mode = ""

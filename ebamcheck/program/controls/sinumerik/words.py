@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from ebamcheck.program.language.dialects import SINUMERIK
+from ebamcheck.program.controls.sinumerik.control import NAME
 from ebamcheck.program.language.modal_groups import refusal
 from ebamcheck.program.language.words import NUMBER, Block, UnknownWord, WordError
 
@@ -76,14 +76,14 @@ def read_block(code: str) -> Block:
 
 def _add_code(block: Block, word: str, found: re.Match[str]) -> None:
     if word not in G_CODES and word not in END_CODES:
-        raise UnknownWord(refusal(SINUMERIK, word), found.end() - len(found[0].lstrip()))
+        raise UnknownWord(refusal(NAME, word), found.end() - len(found[0].lstrip()))
     block.codes.append(word)
 
 
 def _add_value(block: Block, address: str, digits: str, found: re.Match[str]) -> None:
     if address not in NUMBERS:
         text = found[0].lstrip()
-        raise UnknownWord(refusal(SINUMERIK, text), found.end() - len(text))
+        raise UnknownWord(refusal(NAME, text), found.end() - len(text))
     if address in block.values:
         raise WordError(f"{address} stands twice in one block", found.start())
     block.values[address] = float(digits)

@@ -13,12 +13,13 @@ from pathlib import Path
 import numpy as np
 
 from ebamcheck.errors import SettingsError
+from ebamcheck.program.controls.sinumerik.control import CONTROL, NAME
 from ebamcheck.program.controls.sinumerik.spline_writing import even, spline_blocks
 from ebamcheck.program.language.comments import comment
-from ebamcheck.program.language.dialects import SINUMERIK
 from ebamcheck.program.language.files import NOT_VALIDATED, VALIDATED, ProgramFiles, legal_name, write_files
-from ebamcheck.program.language.header import CONTROL_NAMES, form_lines, header_lines
-from ebamcheck.program.language.templates import plain, process_values, usable_templates
+from ebamcheck.program.language.header import header_lines
+from ebamcheck.program.language.numbers import plain
+from ebamcheck.program.language.templates import process_values, usable_templates
 from ebamcheck.program.toolpath.bead_ends import driven_path
 from ebamcheck.program.toolpath.inputs import SPLINE, CurveColumns, ScanColumns, interpass_of
 from ebamcheck.program.toolpath.segments import CUBIC, Form
@@ -71,7 +72,7 @@ def write_program(
         makes no block, or the control does not have the form of curves that is asked for.
     """
     machine = config.machine
-    templates = usable_templates(config, SINUMERIK)
+    templates = usable_templates(config, NAME)
     form = BlockFormat(machine.printed_decimals)
     path = driven_path(
         curves, plan, config, form.decimals, _licensed_form(curves, machine), machine.line_tolerance_mm
@@ -160,9 +161,7 @@ def _main_program(
     machine = config.machine
     first, top = (float(path.z[0]), float(path.z[-1])) if len(path.z) else (0.0, 0.0)
     values = process_values(config, 1, first, first)
-    known = header_lines(
-        config, CONTROL_NAMES[SINUMERIK], len(layer_names), form_lines(machine, SINUMERIK)
-    ) | dict(header)
+    known = header_lines(config, CONTROL, len(layer_names)) | dict(header)
     lines = [
         *_opening(machine.program_name, "MPF", config, status),
         *(comment(f"{key}: {value}") for key, value in known.items()),
