@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from ebamcheck.program.controls.sinumerik.control import CODES, GROUPS, words
 from ebamcheck.program.language.control import Control
 
 _WRITERS = "ebamcheck.program.simulators.heat_paths:write_"
 
-THESIS = Control("3dthesis", f"{_WRITERS}3dthesis", codes=CODES, groups=GROUPS, words=words)
-ADAMANTINE = Control("adamantine", f"{_WRITERS}adamantine", codes=CODES, groups=GROUPS, words=words)
-ADDITIVEFOAM = Control("additivefoam", f"{_WRITERS}additivefoam", codes=CODES, groups=GROUPS, words=words)
+THESIS = Control("3dthesis", f"{_WRITERS}3dthesis")
+ADAMANTINE = Control("adamantine", f"{_WRITERS}adamantine")
+ADDITIVEFOAM = Control("additivefoam", f"{_WRITERS}additivefoam")
