@@ -25,7 +25,7 @@ from ebamcheck.settings.config import Config
 FREE = ("SOFTWARE", "SETTINGS SHA-256")
 """Lines of the header that do not follow from the settings and the program's own text."""
 
-_LAYER = re.compile(rb"^; LAYER: (\d+) OF (\d+)(?:, CUT AT (-?[\d.]+), Z (-?[\d.]+))?", re.MULTILINE)
+_LAYER = re.compile(rb"^(?:; |\()LAYER: (\d+) OF (\d+)(?:, CUT AT (-?[\d.]+), Z (-?[\d.]+))?", re.MULTILINE)
 
 PRINTED_MM = 1e-6
 """Decimals of the heights in comments."""
@@ -85,7 +85,7 @@ def _status_of(file: SourceFile) -> tuple[bool | None, int]:
     found = STATUS.search(head)
     if found is None:
         return None, 0
-    return found[0] == VALIDATED.encode("ascii"), head.count(b"\n", 0, found.start()) + 1
+    return found[0] == b"VALIDATED", head.count(b"\n", 0, found.start()) + 1
 
 
 def _header(nc: NCProgram, config: Config, truth: Truth) -> list[tuple[str, str]]:
@@ -94,7 +94,7 @@ def _header(nc: NCProgram, config: Config, truth: Truth) -> list[tuple[str, str]
     if nc.header.get("LAYERS") == str(told):
         layers = told  # a layer without a bead is no level of Z
     known = header_lines(config, control(nc.dialect), layers)
-    wanted = {key: _printed(key, value) for key, value in known.items() if key not in FREE} | {
+    wanted = {key: _printed(key, value, nc.dialect) for key, value in known.items() if key not in FREE} | {
         "PART SHA-256": truth.part_sha256,
         "SETTINGS SHA-256": truth.settings_sha256,
     }
@@ -105,9 +105,9 @@ def _header(nc: NCProgram, config: Config, truth: Truth) -> list[tuple[str, str]
     ]
 
 
-def _printed(key: str, value: str) -> str:
-    """A value as it stands in a comment, which has no reserved characters and ends with its block."""
-    return comment(f"{key}: {value}").removeprefix(f"; {key}:").strip()
+def _printed(key: str, value: str, name: str) -> str:
+    """A value as it stands in a comment of a control, which has no reserved characters and ends with its block."""
+    return control(name).comment_text(comment(f"{key}: {value}")).removeprefix(f"; {key}:").strip()
 
 
 def _line_of(file: SourceFile, key: str) -> str:

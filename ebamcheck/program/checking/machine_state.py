@@ -110,8 +110,9 @@ def _smoothing(nc: NCProgram, config: Config, faults: Faults) -> Check:
     """How the control may leave the path: its words at every motion, and every tolerance within the one set."""
     limit = config.machine.smoothing_tolerance_mm
     if not control(nc.dialect).tolerance_word:
-        text = f"{nc.dialect} has no word for it: the control's own"
-        return Check("smoothing", True, 0.0, 0.0, "mm", "", text)
+        return count_check(
+            "smoothing", faults, f"{nc.dialect} has no word for a tolerance: the control's own"
+        )
     tolerances = [i for i, name in enumerate(nc.events.name) if name in ("CTOL", "ADIS")]
     value = max((float(nc.events.value[i]) for i in tolerances), default=math.inf)
     faults = [*faults, *_tolerances(nc, config, tolerances)]

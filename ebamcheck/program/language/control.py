@@ -83,6 +83,8 @@ class Control:
     """How the tolerance of the path is given, as in ``CTOL=``; empty: the control knows no word for it."""
     smoothing_needs_tolerance: str = ""
     """Word that lets the path leave its corners by any distance unless a tolerance stands beside it."""
+    parentheses: bool = False
+    """Whether a comment stands in parentheses, and not behind a semicolon."""
     file_faults: str = ""
     """``module:function`` that checks names and first lines of the files: (program, settings) in, (place, text) out."""
 
@@ -90,6 +92,10 @@ class Control:
     def is_read(self) -> bool:
         """Whether programs of this control are read back, and can be validated."""
         return bool(self.reader)
+
+    def comment_text(self, text: str) -> str:
+        """A comment's text as it can stand in one: without parentheses where these are its ends."""
+        return text.translate({40: "[", 41: "]"}) if self.parentheses else text
 
     def load(self, what: Literal["writer", "reader", "file_faults"]) -> Any:
         """Import one of the functions that are named here; raises :class:`SettingsError` where that fails."""

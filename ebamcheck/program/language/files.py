@@ -20,7 +20,9 @@ VALIDATED = "; VALIDATED"
 STATUS_LINES = 3
 """Lines among which the status stands: a SINUMERIK wants a name and a path first."""
 
-STATUS = re.compile(rb"; (?:NOT )?VALIDATED$", re.MULTILINE)
+STATUS = re.compile(rb"(?<=; )(?:NOT )?VALIDATED$|(?<=\()(?:NOT )?VALIDATED(?=\)$)", re.MULTILINE)
+"""The words of the status, in a comment after a semicolon or in parentheses."""
+
 LONGEST_NAME = 24
 RESERVED_NAME = re.compile(r"CON|PRN|AUX|NUL|COM\d|LPT\d")
 SUFFIXES = (".MPF", ".SPF")
@@ -111,7 +113,7 @@ def write_files(texts: Mapping[str, str], folder: Path, *, validated: bool) -> P
 
 def block_count(text: str) -> int:
     """Lines of a file that are no comment and no header."""
-    return len(re.findall(r"^[^;%\n]", text, re.MULTILINE))
+    return len(re.findall(r"^[^;(%\n]", text, re.MULTILINE))
 
 
 def _refuse_foreign_files(folder: Path) -> None:
@@ -147,7 +149,7 @@ def mark_validated(files: ProgramFiles, validated: bool = True) -> ProgramFiles:
     InputError
         If a file is not the one that was written: its hash differs, or it has no status.
     """
-    status = (VALIDATED if validated else NOT_VALIDATED).encode("ascii")
+    status = b"VALIDATED" if validated else b"NOT VALIDATED"
     stamped: dict[str, bytes] = {}
     for name in files.names:
         path = files.folder / name

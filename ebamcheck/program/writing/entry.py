@@ -13,7 +13,7 @@ from ebamcheck.errors import SettingsError
 from ebamcheck.program.language.files import ProgramFiles, block_count
 
 _CALL = re.compile(r"N\d+ (\S+_L\d+)")
-_LAYER = re.compile(r"; LAYER: (\d+) OF (\d+)\b.*")
+_LAYER = re.compile(r"(?:; |\()LAYER: (\d+) OF (\d+)\b.*")
 
 
 def begin_at_layer(files: ProgramFiles, layer: int) -> ProgramFiles:
@@ -33,10 +33,10 @@ def begin_at_layer(files: ProgramFiles, layer: int) -> ProgramFiles:
     if not 1 <= layer <= len(begins):
         raise SettingsError(f"layer {layer}: the program has layers 1 to {len(begins)}")
     gone = {f"{lines[i].split()[1]}.SPF" for i in calls[: layer - 1]}
-    said = f"; ENTRY: AT LAYER {layer} OF {len(begins)}, THE LAYERS BEFORE IT ARE LEFT OUT"
-    at = next(i for i, line in enumerate(lines) if line.startswith("; LAYERS:"))
+    said = f"ENTRY: AT LAYER {layer} OF {len(begins)}, THE LAYERS BEFORE IT ARE LEFT OUT"
+    at = next(i for i, line in enumerate(lines) if line.startswith(("; LAYERS:", "(LAYERS:")))
     kept = [*lines[: begins[0]], *lines[begins[layer - 1] :]]
-    kept.insert(at + 1, said)
+    kept.insert(at + 1, f"({said})" if lines[at].startswith("(") else f"; {said}")
     files.main.write_text("\n".join(kept), encoding="ascii", newline="\n")
     for name in gone:
         (files.folder / name).unlink()

@@ -57,11 +57,14 @@ def _read(main: Path, config: Config, control: str) -> NCProgram:
 class GcodeReader:
     """State of the control while it runs a program from top to bottom."""
 
+    known: frozenset[str] = MOTIONS | MODES | ENDS
+    """G and M words that are read, beside G5 of LinuxCNC."""
+
     def __init__(self, folder: Path, config: Config, dialect: str) -> None:
         self.out = Recorder(folder, dialect)
         self._templates = Templates(checked_templates(config.machine, dialect))
-        self._codes = MOTIONS | MODES | ENDS | ({"G5"} if dialect == linuxcnc.NAME else frozenset())
         self._cubics = dialect == linuxcnc.NAME
+        self._codes = self.known | ({"G5"} if self._cubics else frozenset())
         self._mode = ""
         self._tangent: tuple[float, float] | None = None
         self._begun = False

@@ -81,28 +81,39 @@ def _write(
     validated: bool,
     header: Mapping[str, str] | None,
 ) -> ProgramFiles:
-    machine = config.machine
+    lines = one_file(curves, plan, config, control, splines, modes, validated, header or {})
+    name = f"{config.machine.program_name}{control.suffixes[0].lower()}"
+    text = "\n".join([comment(config.machine.program_name), *lines, "M2"]) + "\n"
+    return write_files({name: text}, folder, validated=validated)
+
+
+def one_file(
+    curves: CurveColumns,
+    plan: ScanColumns,
+    config: Config,
+    control: Control,
+    splines: Form,
+    modes: list[str],
+    validated: bool,
+    header: Mapping[str, str],
+) -> list[str]:
+    """Lines of a program that is one file, from its status to the place where the tool is parked."""
     templates = usable_templates(config, control.name)
-    form = BlockFormat(machine.printed_decimals)
-    path = driven_path(curves, plan, config, form.decimals, splines, machine.line_tolerance_mm)
+    form = BlockFormat(config.machine.printed_decimals)
+    path = driven_path(curves, plan, config, form.decimals, splines, config.machine.line_tolerance_mm)
     at = path.kind == CUBIC
     motions = motion_text(path, form, form.beziers(path.bezier, path.segment_start[at], path.end[at]))
     heat = interpass_of(plan, config)
     values, top = process_values(config, 1, *_first(path)), float(path.z[-1]) if len(path.z) else 0.0
     lines = [
-        comment(machine.program_name),
         VALIDATED if validated else NOT_VALIDATED,
-        *_comments(config, control, path, header or {}),
+        *_comments(config, control, path, header),
         *start_blocks(modes, values, templates),
     ]
     for k in range(len(path.z)):
         message = [f"(MSG, LAYER {k + 1} OF {len(path.z)})"] if control is linuxcnc.CONTROL else []
         lines += layer_blocks(path, k, motions, config, form, templates, heat, [*modes, *message])
-    lines += [*end_blocks(top, values, config, form, templates), "M2"]
-    text = "\n".join(lines) + "\n"
-    return write_files(
-        {f"{machine.program_name}{control.suffixes[0].lower()}": text}, folder, validated=validated
-    )
+    return [*lines, *end_blocks(top, values, config, form, templates)]
 
 
 def _comments(config: Config, control: Control, path: Toolpath, header: Mapping[str, str]) -> list[str]:

@@ -1,0 +1,160 @@
+"""Fanuc-like controls: one file with a program number, arcs by I and J, look-ahead off, comments in parentheses.
+
+A number without a decimal point may be read in thousandths (parameter 3401), so values of beam, wire and waits carry one.
+Beam and wire values are arguments of G codes that call custom macros (parameters 6050 to 6059); like all such codes they
+are the machine maker's. Source: Fanuc 30i operator's manual B-64484EN, preparatory functions and custom macros.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Literal
+
+from ebamcheck.program.controls.gcode import groups
+from ebamcheck.program.controls.gcode.reading import GcodeReader
+from ebamcheck.program.controls.gcode.words import ENDS, MODES, MOTIONS
+from ebamcheck.program.controls.gcode.writing import one_file
+from ebamcheck.program.language.control import Control, Group
+from ebamcheck.program.language.files import ProgramFiles, write_files
+from ebamcheck.program.language.words import WordError
+from ebamcheck.program.reading.motions import NCProgram
+from ebamcheck.program.toolpath.inputs import CurveColumns, ScanColumns
+from ebamcheck.settings.config import Config
+from ebamcheck.settings.machine import MachineSettings
+
+NAME = "fanuc"
+
+TEMPLATES = {
+    "beam_on": ("M60 ; beam on",),
+    "beam_off": ("M61 ; beam off",),
+    "set_beam": (
+        "G101 A{voltage_kv:.4f} ; accelerating voltage, kV",
+        "G102 A{current_ma:.4f} ; beam current, mA",
+    ),
+    "set_power": ("G102 A{current_ma:.4f} ; beam current, mA",),
+    "wire_start": ("G103 A{wire_mm_s:.4f} ; wire speed, mm/s", "M62 ; wire on"),
+    "set_wire": ("G103 A{wire_mm_s:.4f} ; wire speed, mm/s",),
+    "wire_stop": ("M63 ; wire off",),
+    "wire_retract": ("G104 A{wire_retract_mm:.4f} ; wire drawn back, mm",),
+    "layer_pause": ("G4 X{layer_pause_s:.3f} ; wait, s",),
+}
+
+CODES = {
+    "M60": "beam_on", "M61": "beam_off", "M62": "wire_start", "M63": "wire_stop",
+    "G101 A": "voltage_kv", "G102 A": "current_ma", "G103 A": "wire_mm_s", "G104 A": "wire_retract_mm",
+}  # fmt: skip
+
+GROUPS = (
+    *(group for group in groups.GROUPS if group.name not in ("path control", "work offset", "axis offset")),
+    Group("work offset", ("G53", "G54", "G55", "G56", "G57", "G58", "G59", "G54.1", "G10")),
+    Group("local offset", ("G52", "G92", "G92.1")),
+    Group("scaling", ("G50", "G51")),
+    Group("rotation", ("G68", "G69")),
+    Group("exact stop", ("G9", "G61", "G62", "G63", "G64"), path=True),
+    Group("look-ahead", ("G5.1", "G8"), path=True),
+)
+
+SCALES_OFF = "G50 G69"
+LOOK_AHEAD_OFF = "G5.1 Q0"
+_PROGRAM_NUMBER = re.compile(r"O\d{4,8}")
+
+
+def words(machine: MachineSettings) -> tuple[str, ...]:
+    """Words that hold at every motion."""
+    return "G17", "G21", "G90", "G94", "G40", "G49", "G80", "G50", "G69", machine.work_offset, "G64", "G5.1"
+
+
+def form_lines(machine: MachineSettings) -> dict[str, str]:
+    """Lines of the header on curves and smoothing."""
+    within = (
+        f"{'G1' if machine.curve_form == 'lines' else 'G2 and G3'}, within {machine.line_tolerance_mm:g} mm"
+    )
+    return {"CURVES": within, "SMOOTHING": "G64, look-ahead off; corners are the control's own"}
+
+
+CONTROL = Control(
+    name=NAME,
+    title="Fanuc",
+    writer="ebamcheck.program.controls.fanuc:write_program",
+    reader="ebamcheck.program.controls.fanuc:read_program",
+    suffixes=(".CNC",),
+    templates=TEMPLATES,
+    codes=CODES,
+    dwell_address="X",
+    groups=GROUPS,
+    words=words,
+    form_lines=form_lines,
+    splines="arcs",
+    parentheses=True,
+)
+
+
+# -- writing -------------------------------------------------------------------------------------------
+
+
+def write_program(
+    curves: CurveColumns,
+    plan: ScanColumns,
+    config: Config,
+    folder: str | Path,
+    *,
+    validated: bool = False,
+    header: Mapping[str, str] | None = None,
+) -> ProgramFiles:
+    """Write one ``.cnc`` file between percent signs, with arcs or lines for splines.
+
+    The program's number is ``machine.program_name`` where that is one, such as O1234, and O0001 where it is none.
+    Takes and raises what :func:`ebamcheck.write_program` does.
+    """
+    machine = config.machine
+    form: Literal["chords", "arcs"] = "chords" if machine.curve_form == "lines" else "arcs"
+    modes = ["G17 G21 G90 G94", "G40 G49 G80", SCALES_OFF, machine.work_offset, "G64", LOOK_AHEAD_OFF]
+    lines = one_file(curves, plan, config, CONTROL, form, modes, validated, header or {})
+    own = _PROGRAM_NUMBER.fullmatch(machine.program_name)
+    first = f"{machine.program_name if own else 'O0001'} ({machine.program_name})"
+    text = "\n".join(["%", first, *(_in_parentheses(line) for line in lines), "M30", "%"]) + "\n"
+    return write_files({f"{machine.program_name}.cnc": text}, Path(folder), validated=validated)
+
+
+def _in_parentheses(line: str) -> str:
+    """Turn what stands behind a semicolon into a comment in parentheses."""
+    code, mark, note = line.partition(";")
+    return f"{code}({CONTROL.comment_text(note.strip())})" if mark else line
+
+
+# -- reading -------------------------------------------------------------------------------------------
+
+
+def read_program(main: Path, config: Config, **unused: object) -> NCProgram:
+    """Read a program from its one file."""
+    reader = FanucReader(main.parent, config, NAME)
+    reader.run(main)
+    return reader.out.program()
+
+
+class FanucReader(GcodeReader):
+    """State of a Fanuc-like control while it runs a program from top to bottom."""
+
+    known = (MOTIONS | MODES | ENDS | {"G50", "G69"}) - {"G91.1", "G92.1", "G61"}
+    _numbered = False
+
+    def _run_plain(self, text: str) -> bool:
+        return ";" not in text and super()._run_plain(text)
+
+    def _run_line(self, text: str) -> str | None:
+        """Run one line; a semicolon ends a block here, and what stands behind it would be run."""
+        if ";" in text:
+            raise WordError(
+                "a semicolon ends a block on this control: comments stand in parentheses", text.index(";")
+            )
+        number = None if self._numbered else _PROGRAM_NUMBER.match(text)
+        self._numbered = self._numbered or number is not None
+        return super()._run_line(text[number.end() :] if number else text)
+
+    def _run_block(self, code: str) -> str:
+        if re.fullmatch(r"G0?5\.1\s*Q0(?:\.0*)?", code):
+            self.out.event("G5.1")
+            return ""
+        return super()._run_block(code)
