@@ -18,6 +18,7 @@ BACKENDS = "ebamcheck.backends"
 MODELS = "ebamcheck.models"
 REPORTS = "ebamcheck.reports"
 CONTROLS = "ebamcheck.controls"
+CHECKS = "ebamcheck.checks"
 ORDERS = "ebamcheck.orders"
 
 

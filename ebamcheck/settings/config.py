@@ -83,7 +83,9 @@ class Config(Section):
         """Return the settings with some values of some sections changed, checked anew."""
         values = self.model_dump()
         for section, changes in sections.items():
-            values[section] = {**values[section], **changes}
+            # Another material brings data of its own.
+            kept = values[section] if section != "material" or "name" not in changes else {}
+            values[section] = {**kept, **changes}
         return validated(values, "settings")
 
 

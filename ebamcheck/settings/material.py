@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import itertools
-from typing import Annotated
+from typing import Annotated, Any
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from ebamcheck.settings.base import NotNegative, Positive, Section
+from ebamcheck.settings.materials import names, preset
 
 DataPoints = Annotated[tuple[tuple[Positive, Positive], ...], Field(min_length=2)]
 """Temperatures and values of a material, by rising temperature; two points of one temperature make a jump."""
@@ -17,7 +18,8 @@ class MaterialSettings(Section):
     """The wire's material."""
 
     name: str = "Ti-6Al-4V"
-    """Name of the material, as it stands in the header of the program."""
+    """Name of the material, as it stands in the header of the program. That of an installed preset loads its data (Ti-6Al-4V,
+    Inconel 718, 316L, Al 2319, tantalum); any other name needs all data of this section beside it."""
     density_kg_m3: Positive = 4430.0
     """Density of the wire, for its mass, and of the part, for its heat."""
     conductivity_w_mk: Positive = 20.0
@@ -63,6 +65,23 @@ class MaterialSettings(Section):
     """Radiation of the surface over that of a black body; 0.5 to 0.7 are published for hot Ti-6Al-4V."""
     absorptivity: Annotated[float, Field(gt=0, le=1)] = 0.87
     """Share of the beam's power that the part takes up; 0.85 to 0.9 are published for electrons on titanium."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_preset(cls, given: Any) -> Any:
+        """Take the data of the preset that is named, under those that are set."""
+        if not (isinstance(given, dict) and isinstance(name := given.get("name"), str)):
+            return given
+        found = preset(name)
+        if found is not None:
+            return {**found, **given}
+        missing = [field for field in cls.model_fields if field not in given]
+        if missing:
+            raise ValueError(
+                f"unknown material {name!r}: known are {', '.join(names())}; or give all of its data, of which these are "
+                f"missing: {', '.join(missing)}"
+            )
+        return given
 
     @field_validator("conductivity_by_temperature", "heat_capacity_by_temperature")
     @classmethod

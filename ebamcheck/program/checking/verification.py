@@ -34,6 +34,7 @@ from ebamcheck.program.checking.path_checks import (
     hatch_checks,
     layer_checks,
 )
+from ebamcheck.program.checking.plugged import plugged_checks
 from ebamcheck.program.checking.process_checks import process_checks
 from ebamcheck.program.checking.section_check import Evidence, section_check
 from ebamcheck.program.checking.state_checks import state_checks
@@ -157,6 +158,7 @@ def verify_program(
     if heat:
         checks += heat_checks(nc, config, sections)
     checks += clearance_checks(nc, z_of, config, layers)
+    checks += plugged_checks(nc, config)
     if known is None:
         return checks
     checks += layer_checks(nc, z_of, _filled(tracks, layers, len(z_of)))
