@@ -47,13 +47,14 @@ from ebamcheck.testing.figures import Figure, violations
 from ebamcheck.testing.subject import Subject
 
 if TYPE_CHECKING:
-    from ebamcheck.testing.suite import SlicerSuite
+    from ebamcheck.testing.suite import ControlSuite, SlicerSuite
 
 __all__ = [
     "CHECKS",
     "BackendFailed",
     "Check",
     "Conformance",
+    "ControlSuite",
     "Figure",
     "SlicerSuite",
     "Subject",
@@ -67,7 +68,7 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     """Load the pytest class when it is asked for, so that the command line needs no pytest."""
     if name == "SlicerSuite":
-        from ebamcheck.testing.suite import SlicerSuite
+        from ebamcheck.testing.suite import ControlSuite, SlicerSuite
 
         return SlicerSuite
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

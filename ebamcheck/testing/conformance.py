@@ -133,6 +133,22 @@ def conform(
     return examine(Subject(slicer, settings, installed_models(models)), progress=progress)
 
 
+def conform_control(name: str, machine: Mapping[str, Any] | None = None) -> Conformance:
+    """Run every check of controls against an installed control, under settings of the machine section.
+
+    Raises
+    ------
+    SettingsError
+        If there is no control of that name, or a setting is wrong.
+    """
+    from ebamcheck.testing.control_checks import ControlSubject, control_figures
+
+    subject = ControlSubject(name, machine or {})
+    subject.config({})
+    found = ((check, summary, tuple(figures)) for check, summary, figures in control_figures(subject))
+    return Conformance(f"control {subject}", tuple(Outcome(*outcome) for outcome in found))
+
+
 def examine(
     subject: Subject | Slicer | type[Slicer],
     checks: Iterable[Check] = CHECKS,

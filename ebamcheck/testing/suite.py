@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
 
 import pytest
@@ -10,7 +10,8 @@ import pytest
 from ebamcheck.backend import Slicer
 from ebamcheck.plugins.model import models as installed_models
 from ebamcheck.testing.checks import CHECKS, Check
-from ebamcheck.testing.figures import violations
+from ebamcheck.testing.control_checks import CONTROL_CHECKS, ControlSubject
+from ebamcheck.testing.figures import Figure, violations
 from ebamcheck.testing.subject import Subject
 
 
@@ -48,3 +49,35 @@ class SlicerSuite:
         broken = [f"{subject}: {figure}" for subject in subjects for figure in violations(check.run(subject))]
         if broken:
             pytest.fail(f"{check.name}: {check.summary}\n" + "\n".join(broken), pytrace=False)
+
+
+class ControlSuite:
+    """Derive a class whose name begins with ``Test``, name the control, and pytest runs all checks of controls on it.
+
+    Attributes
+    ----------
+    control
+        Name of the control under test, as its entry point has it.
+    machine
+        Settings of the machine section under which it is tested.
+    """
+
+    control: ClassVar[str]
+    machine: ClassVar[Mapping[str, Any]] = {}
+
+    @pytest.fixture(scope="class")
+    @classmethod
+    def subject(cls) -> ControlSubject:
+        """The control, with curves and plan of a small stack."""
+        return ControlSubject(cls.control, cls.machine)
+
+    @pytest.mark.parametrize("check", CONTROL_CHECKS, ids=lambda check: check.__name__.replace("_", "-"))
+    def test_conformance(
+        self, subject: ControlSubject, check: Callable[[ControlSubject], list[Figure]]
+    ) -> None:
+        """Fail with every figure that is over its limit."""
+        if not subject.control.is_read and check is not CONTROL_CHECKS[0]:
+            pytest.skip(f"programs of {subject} are not read back")
+        broken = [str(figure) for figure in violations(check(subject))]
+        if broken:
+            pytest.fail("\n".join(broken), pytrace=False)

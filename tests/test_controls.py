@@ -1,0 +1,85 @@
+"""Controls as plugins: the kit on every one of the house, and a stranger's beside them."""
+
+import re
+
+import pytest
+from nc_stack import stack
+
+from ebamcheck.errors import InputError, SettingsError
+from ebamcheck.program import read_program, write_program
+from ebamcheck.program.controls import fanuc
+from ebamcheck.program.language.control import control, controls, simulators
+from ebamcheck.settings.config import Config
+from ebamcheck.testing import ControlSuite
+
+
+class TestSinumerik(ControlSuite):
+    control = "sinumerik-840d-sl"
+
+
+class TestSinumerikBspline(ControlSuite):
+    control = "sinumerik-840d-sl"
+    machine = {"curve_form": "bspline"}
+
+
+class TestLinuxcnc(ControlSuite):
+    control = "linuxcnc"
+
+
+class TestPlainGcode(ControlSuite):
+    control = "plain-gcode"
+
+
+class TestFanuc(ControlSuite):
+    control = "fanuc"
+
+
+@pytest.mark.parametrize("name", simulators())
+def test_a_simulator_is_a_control_that_is_not_read(name):
+    assert not control(name).is_read
+    assert callable(control(name).load("writer"))
+
+
+def test_an_unknown_control_is_refused_with_the_names_there_are():
+    with pytest.raises(SettingsError, match="linuxcnc"):
+        control("heidenhain")
+
+
+def test_every_control_is_registered_under_its_own_name():
+    assert all(found.name == name for name, found in controls().items())
+
+
+@pytest.fixture
+def program(tmp_path):
+    config = Config().changed(machine={"control": "fanuc", "program_name": "O0042"})
+    return write_program(*stack(count=2), config, tmp_path / "p"), config
+
+
+def test_a_fanuc_program_has_its_number_parentheses_and_decimal_points(program):
+    lines = program[0].main.read_text().splitlines()
+    assert lines[0] == lines[-1] == "%"
+    assert lines[1] == "O0042 (O0042)"
+    assert lines[2] == "(NOT VALIDATED)"
+    assert not any(";" in line for line in lines)
+    for line in lines:
+        code = re.sub(r"\([^)]*\)", "", line)
+        values = re.findall(r"[XYZIJRA](-?[\d.]+)", code)
+        assert all("." in value for value in values), line
+
+
+@pytest.mark.parametrize(
+    "text", ["G1 X5. Y5. ; G0 Z-5.", "G5.1 Q1", "G68 X0. Y0. R5.", "G51 X2.", "M98 P100", "#1=5"]
+)
+def test_what_would_change_a_fanuc_unseen_is_refused(program, text):
+    files, config = program
+    lines = files.main.read_text().splitlines()
+    at = next(i for i, line in enumerate(lines) if line.startswith("G1 X"))
+    files.main.write_text("\n".join([*lines[:at], text, *lines[at:]]) + "\n")
+    with pytest.raises(InputError, match=rf":{at + 1}:"):
+        read_program(files.main, config)
+
+
+def test_fanuc_comments_say_what_the_header_means(program):
+    nc = read_program(*program)
+    assert nc.header["CONTROL"] == fanuc.CONTROL.title
+    assert nc.dialect == "fanuc"
