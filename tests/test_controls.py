@@ -1,6 +1,7 @@
 """Controls as plugins: the kit on every one of the house, and a stranger's beside them."""
 
 import re
+from typing import ClassVar
 
 import pytest
 from nc_stack import stack
@@ -19,7 +20,7 @@ class TestSinumerik(ControlSuite):
 
 class TestSinumerikBspline(ControlSuite):
     control = "sinumerik-840d-sl"
-    machine = {"curve_form": "bspline"}
+    machine: ClassVar = {"curve_form": "bspline"}
 
 
 class TestLinuxcnc(ControlSuite):

@@ -67,8 +67,8 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     """Load the pytest class when it is asked for, so that the command line needs no pytest."""
-    if name == "SlicerSuite":
-        from ebamcheck.testing.suite import ControlSuite, SlicerSuite
+    if name in ("ControlSuite", "SlicerSuite"):
+        from ebamcheck.testing import suite
 
-        return SlicerSuite
+        return getattr(suite, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
