@@ -211,7 +211,10 @@ class _Run:
         """Wait, not less than `least_s`, and lay a bead; False where it is too hot and that ends the drive."""
         beads, first = self._job.beads, bead == 0
         checked = first or self._every
-        away_s, rise_s = float(beads.move_s[bead]) + (self._pause_s if first else 0.0), float(beads.rise_s[bead])
+        away_s, rise_s = (
+            float(beads.move_s[bead]) + (self._pause_s if first else 0.0),
+            float(beads.rise_s[bead]),
+        )
         before = self._own_apart(bead)
         wait_s = 0.0
         if checked and self._waits and not (first and self._job.lowest):
