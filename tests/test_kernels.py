@@ -65,15 +65,27 @@ def test_a_change_anywhere_below_compiles_anew(package):
     assert ask(package)[:2] == (60.0, True)
 
 
-def test_what_is_loaded_when_a_kernel_is_made_does_not_matter(package):
-    # A module that is imported below the kernel is loaded before it only where somebody else asked for it.
-    (package / "later.py").write_text("OTHER = 1.0\n")
-    (package / "caller.py").write_text(CALLER + "\n\nfrom stamped.later import OTHER\n")
+def test_what_a_kernel_does_not_see_compiles_nothing_anew(package):
     assert ask(package)[:2] == (20.0, False)
-    (package / "__init__.py").write_text("import stamped.later\n")
+    # A name beside it, a docstring, and lines above that move it down the file.
+    (package / "constants.py").write_text("SCALE = 10.0\nOTHER = 2.0\n")
+    (package / "callee.py").write_text("# A remark.\n" + CALLEE.format(step=1))
+    (package / "caller.py").write_text(
+        '"""Said."""\n' + CALLER.replace("    return", '    """Scale."""\n    return')
+    )
     assert ask(package)[:2] == (20.0, True)
-    (package / "later.py").write_text("OTHER = 2.0\n")
+
+
+def test_a_constant_seen_through_a_module_counts(package):
+    (package / "caller.py").write_text(
+        CALLER.replace("from stamped.constants import SCALE", "from stamped import constants").replace(
+            "SCALE *", "constants.SCALE *"
+        )
+    )
     assert ask(package)[:2] == (20.0, False)
+    assert ask(package)[:2] == (20.0, True)
+    (package / "constants.py").write_text("SCALE = 20.0\n")
+    assert ask(package)[:2] == (40.0, False)
 
 
 def test_a_spoilt_file_is_compiled_anew(package):

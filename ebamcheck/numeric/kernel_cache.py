@@ -1,49 +1,45 @@
 """Compiled kernels on disk, that several processes share and that follow their sources.
 
 Numba keeps a compiled function as long as the file that defines it does not change. A kernel also holds the code of
-the kernels that it calls and the constants that it reads, wherever they are defined; so what is kept here carries a
-hash over every module of this project that the kernel's module imports, and is compiled anew when one of them changes.
+the kernels that it calls and the constants that it reads, wherever they are defined; so what is kept here carries the
+stamp of :mod:`ebamcheck.numeric.kernel_stamp`, and is compiled anew when something of that changes, and only then.
 """
 
 from __future__ import annotations
 
 import contextlib
 import fcntl
-import hashlib
-import importlib.util
-import inspect
 import os
 import pickle
 import re
 import stat
+import sys
 import tempfile
 from collections.abc import Callable, Iterator
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
 from numba.core import config as numba_config
 from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
 
-_IMPORT = re.compile(rb"^(?:from|import)\s+([\w.]+)(?:\s+import\s+(\([^)]*\)|[^\n]*))?", re.MULTILINE)
-_NAME = re.compile(rb"\w+")
+from ebamcheck.numeric.kernel_stamp import kernel_stamp
+
 UNREADABLE = (OSError, EOFError, ValueError, pickle.UnpicklingError, AttributeError, ImportError)
 """A file that raises one of these counts as absent: the kernel is compiled, and written over it.
 
 The last two are those of an older version whose kernels took a type that is no longer there.
 """
 
-OUR_PACKAGES = "ebamcheck"
-"""Packages whose name begins so, and the kernel's own package, may hold kernels and constants that it sees."""
-
 
 class KernelCache(FunctionCache):
-    """Numba's cache of one function, stamped by all the sources it depends on; a full disk does not stop the work."""
+    """Numba's cache of one function, stamped by all that it is made of; a full disk does not stop the work."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)  # type: ignore[no-untyped-call]
-        stamp = sources_stamp(function.__module__, inspect.getfile(function))
-        self._cache_file = _SharedFile(self._cache_path, self._impl.filename_base, stamp)  # type: ignore[no-untyped-call]
+        name = f"{function.__module__.rpartition('.')[2]}.{function.__qualname__}"
+        base = re.sub(r"[^\w.-]", "", name) + f".{sys.implementation.cache_tag}"
+        self._cache_file = _SharedFile(self._cache_path, base, function)
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
         """Keep a compiled version; where there is no room for it, the next process compiles again."""
@@ -57,6 +53,16 @@ class _SharedFile(IndexDataCacheFile):
     Without the lock, two processes that compile different signatures at once write them to the same data file, and
     a third runs the one where it wants the other.
     """
+
+    def __init__(self, folder: str, base: str, function: Callable[..., Any]) -> None:
+        super().__init__(folder, base, "")  # type: ignore[no-untyped-call]
+        self._function = function
+        del self._source_stamp
+
+    @cached_property
+    def _source_stamp(self) -> str:
+        """Stamp of the function, worked out when it is first asked for: what it refers to is there by then."""
+        return kernel_stamp(self._function)
 
     def save(self, key: Any, data: Any) -> None:
         with self._locked(fcntl.LOCK_EX):
@@ -98,62 +104,6 @@ def kernel_cache(function: Callable[..., Any]) -> FunctionCache | NullCache:
         return NullCache()
     finally:
         config.CACHE_DIR = before
-
-
-@cache
-def sources_stamp(module: str, path: str | Path) -> str:
-    """SHA-256 over a module and all modules of this project and of its own package that it imports, at any depth."""
-    packages = (OUR_PACKAGES, module.partition(".")[0])
-    files = {module: Path(path)}
-    waiting = [module]
-    while waiting:
-        for name, imported in _imports(files[waiting.pop()], packages):
-            if name not in files:
-                files[name] = imported
-                waiting.append(name)
-    made = hashlib.sha256()
-    for name in sorted(files):
-        made.update(name.encode() + b"\0" + _source(files[name]) + b"\0")
-    return made.hexdigest()
-
-
-@cache
-def _imports(path: Path, packages: tuple[str, ...]) -> tuple[tuple[str, Path], ...]:
-    """Modules of some packages that a source file names in its imports at the top level, loaded or not."""
-    found: dict[str, Path] = {}
-    for match in _IMPORT.finditer(_source(path)):
-        module = match[1].decode()
-        if not module.startswith(packages):
-            continue
-        inner = (f"{module}.{name.decode()}" for name in _NAME.findall(match[2] or b""))
-        for name in (module, *inner):
-            if (file := _file_of(name)) is not None:
-                found[name] = file
-    return tuple(found.items())
-
-
-@cache
-def _file_of(name: str) -> Path | None:
-    """Source of a module by its name, without loading it or a package on the way: what is loaded depends on who asks."""
-    top, *rest = name.split(".")
-    try:
-        spec = importlib.util.find_spec(top)
-    except (ImportError, ValueError):
-        return None
-    if spec is None:
-        return None
-    if not rest and spec.submodule_search_locations is None:
-        return Path(spec.origin) if spec.origin and spec.origin.endswith(".py") else None
-    for folder in spec.submodule_search_locations or ():
-        for file in (Path(folder, *rest).with_suffix(".py"), Path(folder, *rest, "__init__.py")):
-            if (rest or file.name == "__init__.py") and file.is_file():
-                return file
-    return None
-
-
-@cache
-def _source(path: Path) -> bytes:
-    return path.read_bytes()
 
 
 @cache
