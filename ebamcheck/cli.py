@@ -22,6 +22,7 @@ from ebamcheck.options import (
     ConfigOption,
     DirectionOption,
     FixOption,
+    ForceOption,
     JsonOption,
     LayerHeightOption,
     PartArgument,
@@ -114,6 +115,7 @@ def run(
     direction: DirectionOption = "",
     fix_orientation: FixOption = False,
     resume: ResumeOption = False,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> ExitCode:
     """Slice, cross-check, fit, partition, order, write the NC program, verify it and report."""
@@ -122,7 +124,9 @@ def run(
 
     settings = job_settings(config, units, direction, layer_height, backends, witnesses, fix_orientation)
     with watched() as observer:
-        result = run_job(part, output or Path(f"{part.stem}.run"), settings, reference, resume, observer)
+        result = run_job(
+            part, output or Path(f"{part.stem}.run"), settings, reference, resume, observer, force
+        )
     return _told(result, as_json)
 
 
@@ -138,6 +142,7 @@ def check(
     direction: DirectionOption = "",
     fix_orientation: FixOption = False,
     resume: ResumeOption = False,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> ExitCode:
     """Slice with every backend and compare all pairs on every layer; as `run`, without a program."""
@@ -146,7 +151,7 @@ def check(
 
     settings = job_settings(config, units, direction, layer_height, backends, witnesses, fix_orientation)
     with watched() as observer:
-        result = check_job(part, output or Path(f"{part.stem}.run"), settings, resume, observer)
+        result = check_job(part, output or Path(f"{part.stem}.run"), settings, resume, observer, force)
     return _told(result, as_json)
 
 

@@ -41,6 +41,10 @@ FixOption = Annotated[
     bool, typer.Option("--fix-orientation", help="Turn flipped facets and inside-out bodies over.")
 ]
 ResumeOption = Annotated[bool, typer.Option("--resume", help="Go on with a killed job of the same input.")]
+ForceOption = Annotated[
+    bool,
+    typer.Option("--force", help="Run although OUTPUT holds a finished run; that is kept under its date."),
+]
 
 
 def job_settings(

@@ -31,11 +31,15 @@ def manifest(
     primary: str,
     code: ExitCode,
 ) -> dict[str, Any]:
-    """Everything that is known of a run; only what stands under ``timings`` differs from one run to the next."""
+    """Everything that is known of a run; only what stands under ``timings`` differs from one run to the next.
+
+    That goes into a file of its own (:meth:`~ebamcheck.store.RunFolder.write_manifest`).
+    """
     config = job.config.model_dump()
     return {
         "format": FORMAT_VERSION,
         "job": job.kind,
+        FINGERPRINT: job.fingerprint,
         "ebamcheck": __version__,
         "python": platform.python_version(),
         "part": {

@@ -54,6 +54,8 @@ class Job:
     found: Inspection
     heights: Floats
     folder: RunInProgress
+    fingerprint: str = ""
+    """Hash of part, settings and version: of what this is a run."""
     timings: dict[str, float] = field(default_factory=dict)
     record: dict[str, Any] = field(default_factory=dict)
     findings: list[Finding] = field(default_factory=list)
