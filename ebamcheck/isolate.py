@@ -10,7 +10,6 @@ import contextlib
 import json
 import selectors
 import signal
-import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
@@ -28,6 +27,7 @@ from ebamcheck.errors import BackendFailed, BackendMissing, SettingsError
 from ebamcheck.kernels import thread_count
 from ebamcheck.layers import Layers
 from ebamcheck.part import Part
+from ebamcheck.scratch import scratch_folder
 from ebamcheck.worker import write_part
 
 POLL_S = 0.05
@@ -88,8 +88,8 @@ def slice_isolated(
 ) -> Layers:
     """Slice with one backend in a process of its own; raises what its outcome says."""
     told = None if progress is None else (lambda _, done: progress(done))
-    with tempfile.TemporaryDirectory(prefix="ebamcheck-") as folder:
-        return slice_all(part, heights, {name: settings}, Path(folder), limits or Limits(), told)[name].read()
+    with scratch_folder() as folder:
+        return slice_all(part, heights, {name: settings}, folder, limits or Limits(), told)[name].read()
 
 
 def slice_all(
@@ -102,6 +102,7 @@ def slice_all(
     finished: Callable[[Outcome], None] | None = None,
     borders: NDArray[np.int64] | None = None,
     crew: Crew | None = None,
+    keep_blocks: bool = False,
 ) -> dict[str, Outcome]:
     """Slice with several backends, each in its own process.
 
@@ -124,6 +125,8 @@ def slice_all(
         other; all at once if None.
     crew
         Workers that were started ahead; started here if None.
+    keep_blocks
+        Keep every block that is cut until the file is whole, and take those that a killed process left in `target`.
 
     Returns
     -------
@@ -146,7 +149,7 @@ def slice_all(
             while waiting or running:
                 while waiting and len(running) < most:
                     name = waiting.pop(0)
-                    running.append(_started(crew, name, backends[name], target))
+                    running.append(_started(crew, name, backends[name], target, keep_blocks))
                 _listen(running, progress)
                 for worker in list(running):
                     _enforce(worker, limits)
@@ -173,7 +176,7 @@ def _write_work(
     np.save(folder / "borders.npy", np.array([0, heights.size]) if borders is None else borders)
 
 
-def _started(crew: Crew, name: str, settings: BackendSettings, target: Path) -> Worker:
+def _started(crew: Crew, name: str, settings: BackendSettings, target: Path, keep_blocks: bool) -> Worker:
     """Give the worker of a backend its order."""
     worker = crew.worker(name)
     file = target.absolute() / f"{name}.parquet"
@@ -183,6 +186,7 @@ def _started(crew: Crew, name: str, settings: BackendSettings, target: Path) -> 
             "folder": str(crew.folder),
             "file": str(file),
             "settings": settings.model_dump(mode="json"),
+            "keep_blocks": keep_blocks,
         }
     )
     return worker

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from ebamcheck import layer_files
+from ebamcheck import layer_blocks, layer_files
 from ebamcheck.atomic_file import replacing
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.former_runs import TIMINGS, dated_name, finished_at
@@ -30,6 +30,7 @@ from ebamcheck.layers import Layers
 MANIFEST = "run.json"
 FINGERPRINT = "fingerprint"
 """Marks an unfinished folder with what it is a run of; a finished run has it in its record."""
+LAYERS = "layers"
 FORMAT_VERSION = 1
 
 AT_FDCWD = -100
@@ -87,7 +88,7 @@ class RunFolder:
     @property
     def layers_folder(self) -> Path:
         """Folder of one Parquet file per backend."""
-        return self.path / "layers"
+        return self.path / LAYERS
 
     def layers_file(self, backend: str) -> Path:
         """Where a backend's layers lie."""
@@ -199,9 +200,8 @@ def start_run(target: Path, fingerprint: str, resume: bool, force: bool = False)
         lock = _locked(path, target)
         try:
             mark = path / FINGERPRINT
-            if not (resume and mark.is_file() and mark.read_text() == fingerprint):
-                _clear(path)
-            (path / "layers").mkdir(exist_ok=True)
+            _clear(path, keep_layers=resume and mark.is_file() and mark.read_text() == fingerprint)
+            (path / LAYERS).mkdir(exist_ok=True)
             mark.write_text(fingerprint)
         except OSError:
             os.close(lock)
@@ -296,14 +296,18 @@ def _locked(path: Path, target: Path) -> int:
     )
 
 
-def _clear(folder: Path) -> None:
+def _clear(folder: Path, keep_layers: bool) -> None:
+    """Remove what lies in an unfinished folder; of what can be gone on with, whole layers and blocks of layers stay."""
     if _is_whole(folder):
         raise SettingsError(f"{folder}: holds a whole run that another process has just finished: try again")
-    for entry in folder.iterdir():
+    kept = set(layer_blocks.resumable(folder / LAYERS)) if keep_layers else set()
+    for entry in [*folder.iterdir(), *(folder / LAYERS).glob("*")]:
+        if entry in kept or (kept and entry == folder / LAYERS):
+            continue
         if entry.is_dir() and not entry.is_symlink():
             shutil.rmtree(entry)
         else:
-            entry.unlink()
+            entry.unlink(missing_ok=True)
 
 
 def _exchange(new: Path, old: Path) -> None:

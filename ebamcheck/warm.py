@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import tempfile
 import time
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from ebamcheck import registry
 from ebamcheck.config import Config
+from ebamcheck.scratch import scratch_folder
 from ebamcheck.slicing import Slicing
 
 _SIDE_MM = 40.0
@@ -29,7 +29,7 @@ def warm_kernels() -> float:
     from ebamcheck.stl import FACET
 
     start = time.perf_counter()
-    with tempfile.TemporaryDirectory(prefix="ebamcheck-warm-") as folder:
+    with scratch_folder() as folder:
         path = Path(folder, "cube.stl")
         corners = _leaning_box()
         facets = np.zeros(len(corners), FACET)

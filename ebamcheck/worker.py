@@ -27,6 +27,7 @@ from ebamcheck import layer_files, registry
 from ebamcheck.backend import Prepared
 from ebamcheck.errors import BackendFailed, EbamcheckError, SettingsError
 from ebamcheck.kernels import bring_up
+from ebamcheck.layer_blocks import KeptBlocks
 from ebamcheck.layers import Layers
 from ebamcheck.part import Part
 
@@ -47,6 +48,9 @@ class Order(TypedDict):
     file: str
     """Where the layers go."""
     settings: dict[str, Any]
+
+    keep_blocks: bool
+    """Whether a block that is cut is kept beside the file until that is whole, for a run that is killed."""
 
 
 def write_part(folder: Path, part: Part) -> None:
@@ -92,17 +96,22 @@ def _work(order: Order, tell: Callable[..., None]) -> None:
         height_bound_mm=float(slicer.height_bound_mm(part, settings)),
     )
     borders = np.load(folder / "borders.npy")
+    # A single block is as good as the whole file.
+    keep = order["keep_blocks"] and borders.size > 2
+    blocks = KeptBlocks(file, part.sha256, order["backend"]) if keep else None
     start = time.perf_counter()
     try:
         with slicer.prepare(part, settings) as prepared:
             tell(prepare_s=time.perf_counter() - start)
-            _write(_blocks(prepared, heights, borders, tell), file, tell)
+            _write(_blocks(prepared, heights, borders, tell, blocks), file, tell)
     except EbamcheckError as error:
         tell(failure="refused", why=str(error))
         return
     except MemoryError:
         tell(failure="out of memory", why="an allocation failed")
         return
+    if blocks is not None:
+        blocks.remove()
     tell(peak_mb=_peak_mb())
 
 
@@ -117,17 +126,27 @@ def _write(blocks: Iterator[Layers], file: Path, tell: Callable[..., None]) -> N
 
 
 def _blocks(
-    prepared: Prepared, heights: NDArray[np.float64], borders: NDArray[np.int64], tell: Callable[..., None]
+    prepared: Prepared,
+    heights: NDArray[np.float64],
+    borders: NDArray[np.int64],
+    tell: Callable[..., None],
+    kept: KeptBlocks | None,
 ) -> Iterator[Layers]:
     """Cut one block of layers after the other and tell what they hold; the time is that of the slicer alone."""
     seconds, rings, open_paths, points = 0.0, 0, 0, 0
     for first, past in itertools.pairwise(borders.tolist()):
-        start = time.perf_counter()
-        try:
-            layers = prepared.slice(heights[first:past], lambda done: tell(done=done))
-        except (EbamcheckError, OSError) as error:
-            raise BackendFailed(str(error)) from error
-        seconds += time.perf_counter() - start
+        layers = None if kept is None else kept.read(heights[first:past])
+        if layers is not None:
+            tell(done=past - first)
+        else:
+            start = time.perf_counter()
+            try:
+                layers = prepared.slice(heights[first:past], lambda done: tell(done=done))
+            except (EbamcheckError, OSError) as error:
+                raise BackendFailed(str(error)) from error
+            seconds += time.perf_counter() - start
+            if kept is not None:
+                kept.write(layers)
         closed = int(np.count_nonzero(layers.closed))
         rings, open_paths = rings + closed, open_paths + layers.closed.size - closed
         points += len(layers.points)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from ebamcheck.backend import BackendSettings
 from ebamcheck.comparison import Comparison, compare_all
 from ebamcheck.heights import layer_blocks
 from ebamcheck.isolate import Limits, Outcome, slice_all
+from ebamcheck.layer_blocks import count_kept, kept_blocks
 from ebamcheck.layer_files import LayerFile
 from ebamcheck.pipeline.noticed import lost
 from ebamcheck.pipeline.work import Job
@@ -56,6 +58,11 @@ def _slice(
             job.add_finding(lost(outcome))
 
     waiting = {n: s for n, s in backends.items() if n not in kept}
+    for name in waiting:
+        if blocks := count_kept(job.folder.layers_file(name)):
+            job.observer.note(
+                f"{name}: {blocks} of {borders.size - 1} blocks of layers of the former run are kept"
+            )
     with job.stage("slice", len(waiting) * len(job.heights)):
         made = slice_all(
             job.part,
@@ -66,7 +73,11 @@ def _slice(
             lambda _, done: job.observer.advance(done),
             finished,
             borders,
+            keep_blocks=True,
         )
+        # Of slicers that came to no end.
+        for blocks in kept_blocks(job.folder.layers_folder):
+            shutil.rmtree(blocks, ignore_errors=True)
     return {name: kept[name] if name in kept else made[name] for name in backends}
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import platform
-import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -27,6 +26,7 @@ from ebamcheck.regression.difference import Difference, differences
 from ebamcheck.regression.matrix import Case, Matrix, Subject, chosen_models, read_matrix, rounds
 from ebamcheck.regression.measurement import Truth, measure_outcome, truth_of
 from ebamcheck.regression.settings import Tolerances
+from ebamcheck.scratch import scratch_folder
 
 CHECKOUT_BASELINES = Path("reports", "baselines")
 
@@ -161,8 +161,8 @@ def _measure(
     found: list[tuple[Entry, Mapping[str, float]]] = []
     for subjects in rounds(matrix, model, backends):
         settings = {name: subject.settings for name, subject in subjects.items()}
-        with tempfile.TemporaryDirectory(prefix="ebamcheck-") as folder:
-            outcomes = slice_all(truth.part, truth.heights, settings, Path(folder), limits)
+        with scratch_folder() as folder:
+            outcomes = slice_all(truth.part, truth.heights, settings, folder, limits)
             for name, subject in subjects.items():
                 start = time.perf_counter()
                 entry = _entry(model, truth, case, subject, outcomes[name])

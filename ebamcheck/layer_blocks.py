@@ -1,0 +1,88 @@
+"""Blocks of layers that are kept while a slicer is at work, so that a killed run need not cut them again.
+
+Each is a file of its own beside the file that is being written, whole or not there. They are Arrow's own format, without
+compression: to write one costs a copy in memory, and it comes back in the same bits.
+"""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from ebamcheck.atomic_file import replacing
+from ebamcheck.errors import InputError
+from ebamcheck.layer_batches import from_arrow, to_arrow
+from ebamcheck.layers import Layers
+
+SUFFIX, BLOCK = ".blocks", ".arrow"
+"""Of the folder of one stack's blocks, and of one block."""
+
+
+class KeptBlocks:
+    """Blocks of one stack, in a folder beside its file.
+
+    Parameters
+    ----------
+    file
+        Where the whole stack will lie.
+    part
+        Hash of the part.
+    backend
+        Name of the slicer.
+    """
+
+    def __init__(self, file: Path, part: str, backend: str) -> None:
+        self.folder = _folder_of(file)
+        self._labels = (part, backend)
+
+    def read(self, heights: NDArray[np.float64]) -> Layers | None:
+        """Return the block at these heights (L,), mm; None where it is not there, is spoilt or is of something else."""
+        path = self._path(heights)
+        try:
+            with pa.OSFile(str(path), "rb") as file, pa.ipc.open_file(file) as reader:
+                layers = from_arrow(reader.get_batch(0), str(path))
+        except (OSError, pa.ArrowException, InputError):
+            return None
+        fits = np.array_equal(layers.heights, heights) and (layers.part, layers.backend) == self._labels
+        return layers if fits else None
+
+    def write(self, layers: Layers) -> None:
+        """Keep a block."""
+        self.folder.mkdir(exist_ok=True)
+        batch = to_arrow(layers)
+        with (
+            replacing(self._path(layers.heights)) as temporary,
+            pa.OSFile(str(temporary), "wb") as file,
+            pa.ipc.new_file(file, batch.schema) as writer,
+        ):
+            writer.write_batch(batch)
+
+    def remove(self) -> None:
+        """Remove all blocks."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+    def _path(self, heights: NDArray[np.float64]) -> Path:
+        return self.folder / f"{float(heights[0]).hex()}{BLOCK}"
+
+
+def count_kept(file: Path) -> int:
+    """Blocks that are kept of the stack of a file."""
+    return sum(1 for _ in _folder_of(file).glob(f"[!.]*{BLOCK}"))
+
+
+def _folder_of(file: Path) -> Path:
+    return file.with_name(f".{file.name}{SUFFIX}")
+
+
+def kept_blocks(folder: Path) -> list[Path]:
+    """Folders of the blocks that are kept in a folder of layers."""
+    return list(folder.glob(f".*{SUFFIX}"))
+
+
+def resumable(folder: Path) -> list[Path]:
+    """What a run can go on with, in a folder of layers: whole stacks and kept blocks."""
+    return [*folder.glob("[!.]*.parquet"), *kept_blocks(folder)]
