@@ -37,6 +37,7 @@ from ebamcheck.options import (
     print_json,
     settings_of,
 )
+from ebamcheck.stages.config_command import config_command
 
 if TYPE_CHECKING:
     from ebamcheck.curves.regions.surfaces import Surface
@@ -397,20 +398,10 @@ def verify(
     return ExitCode.PASS if all(c.passed for c in checks) else ExitCode.OUT_OF_TOLERANCE
 
 
-@command(name="config", epilog="Example: ebamcheck config > ebamcheck.toml")
-def config_command(
-    config: ConfigOption = None,
-    schema: Annotated[bool, typer.Option("--schema", help="Print the JSON schema instead.")] = False,
-) -> ExitCode:
-    """Print all settings in force, with their explanations, as TOML."""
-    from ebamcheck.config import Config
-    from ebamcheck.config_text import as_toml
-
-    if schema:
-        print_json(Config.model_json_schema())
-    else:
-        print(as_toml(settings_of(config, "", "", None)), end="")
-    return ExitCode.PASS
+command(
+    name="config",
+    epilog="Examples: ebamcheck config -o ebamcheck.toml; ebamcheck config --merge ebamcheck.toml",
+)(config_command)
 
 
 def main() -> None:

@@ -76,8 +76,8 @@ def _slice(
             keep_blocks=True,
         )
         # Of slicers that came to no end.
-        for blocks in kept_blocks(job.folder.layers_folder):
-            shutil.rmtree(blocks, ignore_errors=True)
+        for left in kept_blocks(job.folder.layers_folder):
+            shutil.rmtree(left, ignore_errors=True)
     return {name: kept[name] if name in kept else made[name] for name in backends}
 
 

@@ -10,6 +10,7 @@ import typer
 from ebamcheck.atomic_file import made_folder, replacing
 from ebamcheck.config import load_config
 from ebamcheck.errors import ExitCode, SettingsError
+from ebamcheck.isolate import Limits
 from ebamcheck.regression.baselines import UpdateMode, strict_json
 from ebamcheck.regression.history import HISTORY, record
 from ebamcheck.regression.job import Regression, accepted, default_baselines, run_regression, updated
@@ -45,7 +46,9 @@ def regress(
     config: Annotated[
         Path | None,
         typer.Option(
-            "-c", "--config", help="Settings (TOML), table [regression]; default: ./ebamcheck.toml."
+            "-c",
+            "--config",
+            help="Settings (TOML), table [regression] and [slicing.settings.NAME]; default: ./ebamcheck.toml.",
         ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")] = False,
@@ -56,9 +59,16 @@ def regress(
     timings, history.sqlite the results over time.
     """
     path = config or (DEFAULT_CONFIG if DEFAULT_CONFIG.is_file() else None)
-    settings = load_config(path).regression
+    wanted = load_config(path)
+    settings = wanted.regression
     if update_baseline not in ("", "failed", "all"):
         raise SettingsError(f"--update-baseline {update_baseline!r}: give failed or all")
+    own = {name: values for name, values in wanted.slicing.settings.items() if values}
+    if update_baseline and own:
+        raise SettingsError(
+            f"--update-baseline: {path} has slicing.settings.{next(iter(own))}, under which no baseline is made: leave it "
+            "out, or put it into the matrix as a variant"
+        )
     table = (
         checked(Tolerances, settings.tolerances, f"{path}: regression.tolerances")
         if tolerances is None
@@ -69,7 +79,9 @@ def regress(
         _names(models),
         _names(backends),
         table,
+        limits=Limits(wanted.slicing.time_limit_s, wanted.slicing.memory_limit_mb),
         note=lambda text: typer.echo(f"ebamcheck: {text}", err=True),
+        settings=own,
     )
     _write(found, output, history or (Path(settings.history) if settings.history else output / HISTORY))
     typer.echo(strict_json(found.record()) if as_json else "\n".join(summary(found)))
