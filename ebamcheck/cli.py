@@ -47,9 +47,9 @@ app = typer.Typer(
     name="ebamcheck",
     cls=CommandGroup,
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
+    epilog="Examples: ebamcheck run blade.stl -o blade.run; ebamcheck --install-completion",
     help="Slice a part with independent slicers, prove that they agree, and write a validated NC program.\n\n"
     "Exit codes: 0 pass, 1 out of tolerance, 2 usage, configuration or unreadable input, 3 internal error, "
     "4 a required backend is missing, 5 nothing compared, 130 interrupted.",
@@ -339,7 +339,7 @@ def backends(as_json: JsonOption = False) -> ExitCode:
     return ExitCode.PASS
 
 
-@command()
+@command(epilog="Example: ebamcheck warm")
 def warm() -> ExitCode:
     """Compile the kernels once, so that no later command has to wait for it."""
     from ebamcheck.warm import warm_kernels

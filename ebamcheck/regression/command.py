@@ -57,6 +57,8 @@ def regress(
 
     Writes results.json, junit.xml and regress.html, the same bytes for the same figures; timings.json holds all
     timings, history.sqlite the results over time.
+
+    Example: ebamcheck regress --models cube,sphere --backends planecut -o regress
     """
     path = config or (DEFAULT_CONFIG if DEFAULT_CONFIG.is_file() else None)
     wanted = load_config(path)
