@@ -61,11 +61,13 @@ SLICE_SUFFIXES = (".parquet", ".cli", ".svg")
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
 
-def command(name: str | None = None, **options: Any) -> Callable[[_Command], _Command]:
-    """Register a command whose errors become one line and an exit code."""
+def command(
+    name: str | None = None, compiles: bool = False, **options: Any
+) -> Callable[[_Command], _Command]:
+    """Register a command whose errors become one line and an exit code; `compiles` has it tell of kernels."""
 
     def register(function: _Command) -> _Command:
-        app.command(name, **options)(guarded(function))
+        app.command(name, **options)(guarded(function, compiles))
         return function
 
     return register
@@ -169,7 +171,7 @@ def _told(result: RunResult, as_json: bool) -> ExitCode:
     return result.exit_code
 
 
-@command(epilog="Example: ebamcheck inspect part.stl --regions --picture regions.svg")
+@command(compiles=True, epilog="Example: ebamcheck inspect part.stl --regions --picture regions.svg")
 def inspect(
     part: PartArgument,
     units: UnitsOption = "mm",
@@ -257,28 +259,30 @@ def slice_command(
         from ebamcheck import registry
         from ebamcheck.heights import checked_heights, layer_heights
         from ebamcheck.isolate import Limits
+        from ebamcheck.progress import announced
         from ebamcheck.slicing import slice_to_file
 
         settings = settings_of(config, units, direction, layer_height)
         name = backend or settings.slicing.primary or registry.default_backend()
         values = {**settings.slicing.settings.get(name, {}), **assignments(setting or [])}
         registry.slicer_settings(name, values)
-        placed = loaded(part, settings)
-        wanted = (
-            checked_heights(numbers(heights, "--heights"))
-            if heights
-            else layer_heights(placed, settings.layer_height_mm)
-        )
-        limits = Limits(settings.slicing.time_limit_s, settings.slicing.memory_limit_mb)
-        points = settings.slicing.block_points
-        made = slice_to_file(placed, wanted, output, name, limits, points, crew, **values)
+        with announced():
+            placed = loaded(part, settings)
+            wanted = (
+                checked_heights(numbers(heights, "--heights"))
+                if heights
+                else layer_heights(placed, settings.layer_height_mm)
+            )
+            limits = Limits(settings.slicing.time_limit_s, settings.slicing.memory_limit_mb)
+            points = settings.slicing.block_points
+            made = slice_to_file(placed, wanted, output, name, limits, points, crew, **values)
     print(
         f"{len(wanted)} layers, {made.rings} rings, {made.open_paths} open paths, {made.points} points: {output}"
     )
     return ExitCode.PASS
 
 
-@command(epilog="Example: ebamcheck compare a.parquet b.parquet --tolerance 0.01")
+@command(compiles=True, epilog="Example: ebamcheck compare a.parquet b.parquet --tolerance 0.01")
 def compare(
     a: Annotated[Path, typer.Argument(help="Layers of one slicer (.parquet or .cli).")],
     b: Annotated[Path, typer.Argument(help="Layers of another, at the same heights.")],
@@ -339,7 +343,7 @@ def backends(as_json: JsonOption = False) -> ExitCode:
     return ExitCode.PASS
 
 
-@command(epilog="Example: ebamcheck warm")
+@command(compiles=True, epilog="Example: ebamcheck warm")
 def warm() -> ExitCode:
     """Compile the kernels once, so that no later command has to wait for it."""
     from ebamcheck.warm import warm_kernels
@@ -351,6 +355,7 @@ def warm() -> ExitCode:
 
 
 @command(
+    compiles=True,
     epilog="Examples: ebamcheck verify blade.run --trusted keys/; "
     "ebamcheck verify blade.run/program/MAIN.MPF --part blade.stl",
 )

@@ -23,7 +23,7 @@ from typing import Any, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck import layer_files, registry
+from ebamcheck import compiling, layer_files, registry
 from ebamcheck.backend import Prepared
 from ebamcheck.errors import BackendFailed, EbamcheckError, SettingsError
 from ebamcheck.kernels import bring_up
@@ -99,10 +99,10 @@ def _work(order: Order, tell: Callable[..., None]) -> None:
     # A single block is as good as the whole file.
     keep = order["keep_blocks"] and borders.size > 2
     blocks = KeptBlocks(file, part.sha256, order["backend"]) if keep else None
-    start = time.perf_counter()
+    start = slicer_time()
     try:
         with slicer.prepare(part, settings) as prepared:
-            tell(prepare_s=time.perf_counter() - start)
+            tell(prepare_s=slicer_time() - start)
             _write(_blocks(prepared, heights, borders, tell, blocks), file, tell)
     except EbamcheckError as error:
         tell(failure="refused", why=str(error))
@@ -139,12 +139,12 @@ def _blocks(
         if layers is not None:
             tell(done=past - first)
         else:
-            start = time.perf_counter()
+            start = slicer_time()
             try:
                 layers = prepared.slice(heights[first:past], lambda done: tell(done=done))
             except (EbamcheckError, OSError) as error:
                 raise BackendFailed(str(error)) from error
-            seconds += time.perf_counter() - start
+            seconds += slicer_time() - start
             if kept is not None:
                 kept.write(layers)
         closed = int(np.count_nonzero(layers.closed))
@@ -153,6 +153,11 @@ def _blocks(
         tell(slice_s=seconds, rings=rings, open_paths=open_paths, points=points)
         yield layers
         del layers  # so that there are never two blocks in memory
+
+
+def slicer_time() -> float:
+    """Seconds of a clock that stands still while this process compiles kernels."""
+    return time.perf_counter() - compiling.seconds()
 
 
 def _peak_mb() -> float:
@@ -186,6 +191,18 @@ def _teller(pipe: int) -> Iterator[Callable[..., None]]:
         yield tell
 
 
+@contextlib.contextmanager
+def _compiling_told(tell: Callable[..., None]) -> Iterator[None]:
+    """Tell of every kernel that is compiled here, and of the time that it took."""
+    compiling.when_ended(lambda seconds: tell(compile_s=seconds))
+
+    def begun(number: int, _most: int, name: str) -> None:
+        tell(compiling=name, missing=compiling.missing() if number == 1 else [])
+
+    with compiling.heard_by(begun):
+        yield
+
+
 def _die_with(parent: int) -> None:
     """Have the kernel end this process when its parent ends, however that ends."""
     libc = ctypes.CDLL(None)
@@ -199,12 +216,13 @@ def main(arguments: Sequence[str]) -> int:
     """Entry point: a label, descriptor of the event pipe, the parent's id; one order comes on standard input."""
     _, pipe, parent = arguments
     _die_with(int(parent))
+    compiling.watch()
     # Whoever starts this process ahead is still reading the part.
     bring_up()
     line = sys.stdin.readline()
     # A worker whose parent is gone, or has no order for it, gets no answer any more and must not run on.
     if line:
-        with _teller(int(pipe)) as tell, contextlib.suppress(BrokenPipeError):
+        with _teller(int(pipe)) as tell, contextlib.suppress(BrokenPipeError), _compiling_told(tell):
             _work(json.loads(line), tell)
     return 0
 

@@ -82,8 +82,14 @@ def manifest(
             "machine": platform.machine(),
             "part_path": str(Path(job.part.source).resolve()),
             "stages_s": job.timings,
+            "compile_s": job.compile_s,
             "backends": {
-                name: {"prepare_s": o.prepare_s, "slice_s": o.slice_s, "peak_mb": o.peak_mb}
+                name: {
+                    "prepare_s": o.prepare_s,
+                    "slice_s": o.slice_s,
+                    "compile_s": o.compile_s,
+                    "peak_mb": o.peak_mb,
+                }
                 for name, o in outcomes.items()
             },
         },

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+from ebamcheck import compiling
 from ebamcheck.config import Config
 from ebamcheck.findings import Finding
 from ebamcheck.inspection import Inspection
@@ -56,6 +57,8 @@ class Job:
     folder: RunInProgress
     fingerprint: str = ""
     """Hash of part, settings and version: of what this is a run."""
+    compile_s: float = 0.0
+    """Time in which this process compiled kernels; it is in none of the stages."""
     timings: dict[str, float] = field(default_factory=dict)
     record: dict[str, Any] = field(default_factory=dict)
     findings: list[Finding] = field(default_factory=list)
@@ -68,6 +71,8 @@ class Job:
     def stage(self, name: str, total: int) -> Iterator[None]:
         """Time a stage and tell the observer of it."""
         self.observer.stage(name, total)
-        start = time.perf_counter()
+        start, compiled = time.perf_counter(), compiling.seconds()
         yield
-        self.timings[name] = time.perf_counter() - start
+        compiled = compiling.seconds() - compiled
+        self.timings[name] = time.perf_counter() - start - compiled
+        self.compile_s += compiled
