@@ -18,6 +18,7 @@ from ebamcheck import __version__
 from ebamcheck.command_group import CommandGroup, guarded, tell
 from ebamcheck.errors import ExitCode, NothingCompared, SettingsError
 from ebamcheck.options import (
+    DEFAULT_CONFIG,
     BackendsOption,
     ConfigOption,
     DirectionOption,
@@ -388,7 +389,8 @@ def verify(
     own = (target / MANIFEST).is_file()
     if not own and target.exists() and not (config or units or layer_height):
         own = find_record(target) is not None
-    settings = None if own else settings_of(config, units, "", layer_height)
+    default = not (config or units or layer_height or DEFAULT_CONFIG.is_file())
+    settings = None if own or default else settings_of(config, units, "", layer_height)
     checks = verification.verify(target, part, settings, quick=quick, trusted=trusted or ())
     if as_json:
         print_json([vars(check) for check in checks])

@@ -1,12 +1,14 @@
 """Blocks of layers that are kept while a slicer is at work, so that a killed run need not cut them again.
 
 Each is a file of its own beside the file that is being written, whole or not there. They are Arrow's own format, without
-compression: to write one costs a copy in memory, and it comes back in the same bits.
+compression: to write one costs a copy in memory, and it comes back in the same bits. A slicer that cuts hardly slower
+than a block is written has its first block kept only.
 """
 
 from __future__ import annotations
 
 import shutil
+import time
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +22,9 @@ from ebamcheck.layers import Layers
 
 SUFFIX, BLOCK = ".blocks", ".arrow"
 """Of the folder of one stack's blocks, and of one block."""
+
+WORTH = 5.0
+"""A block is kept that takes this many times as long to cut as to write: so keeping costs a fifth of the slicing at most."""
 
 
 class KeptBlocks:
@@ -38,6 +43,7 @@ class KeptBlocks:
     def __init__(self, file: Path, part: str, backend: str) -> None:
         self.folder = _folder_of(file)
         self._labels = (part, backend)
+        self._write_s = 0.0
 
     def read(self, heights: NDArray[np.float64]) -> Layers | None:
         """Return the block at these heights (L,), mm; None where it is not there, is spoilt or is of something else."""
@@ -50,8 +56,13 @@ class KeptBlocks:
         fits = np.array_equal(layers.heights, heights) and (layers.part, layers.backend) == self._labels
         return layers if fits else None
 
+    def is_worth(self, cut_s: float) -> bool:
+        """Whether a block that took so long to cut is better kept than cut again, by the time that the last one took."""
+        return cut_s >= WORTH * self._write_s
+
     def write(self, layers: Layers) -> None:
         """Keep a block."""
+        start = time.perf_counter()
         self.folder.mkdir(exist_ok=True)
         batch = to_arrow(layers)
         with (
@@ -60,6 +71,7 @@ class KeptBlocks:
             pa.ipc.new_file(file, batch.schema) as writer,
         ):
             writer.write_batch(batch)
+        self._write_s = time.perf_counter() - start
 
     def remove(self) -> None:
         """Remove all blocks."""

@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from ebamcheck.config import Config
     from ebamcheck.part import Part
 
+DEFAULT_CONFIG = Path("ebamcheck.toml")
+"""Settings that are taken where none are named, if there are some in the working folder."""
+
 ConfigOption = Annotated[
     Path | None,
     typer.Option("-c", "--config", help="Settings (TOML); default: ./ebamcheck.toml where there is one."),
@@ -71,8 +74,7 @@ def settings_of(config: Path | None, units: str, direction: str, layer_height: f
     """Settings of the file, with what the command line says on top."""
     from ebamcheck.config import load_config
 
-    default = Path("ebamcheck.toml")
-    settings = load_config(config or (default if default.is_file() else None))
+    settings = load_config(config or (DEFAULT_CONFIG if DEFAULT_CONFIG.is_file() else None))
     if units:
         settings = settings.changed(part={"units": units})
     if direction:

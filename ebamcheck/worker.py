@@ -144,8 +144,9 @@ def _blocks(
                 layers = prepared.slice(heights[first:past], lambda done: tell(done=done))
             except (EbamcheckError, OSError) as error:
                 raise BackendFailed(str(error)) from error
-            seconds += slicer_time() - start
-            if kept is not None:
+            took = slicer_time() - start
+            seconds += took
+            if kept is not None and kept.is_worth(took):
                 kept.write(layers)
         closed = int(np.count_nonzero(layers.closed))
         rings, open_paths = rings + closed, open_paths + layers.closed.size - closed

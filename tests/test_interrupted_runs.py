@@ -21,6 +21,7 @@ from ebamcheck.heights import layer_blocks
 from ebamcheck.isolate import slice_all
 from ebamcheck.layer_blocks import KeptBlocks, count_kept
 from ebamcheck.layer_files import read_parquet
+from ebamcheck.mesh_files import load
 from ebamcheck.slicing import slice_part
 
 SETTINGS = f"slicing.backends = {FAST.split(',')}\nslicing.block_points = 1000\n"
@@ -140,6 +141,15 @@ def test_blocks_that_are_kept_are_not_cut_again(ball, tmp_path):
     assert found.dropped.tolist() == [7 if borders[1] <= k < borders[2] else 0 for k in range(heights.size)]
 
 
+def test_what_is_cut_as_fast_as_it_is_written_is_not_kept(ball, tmp_path):
+    part, heights, borders = ball
+    kept = KeptBlocks(tmp_path / "a.parquet", part.sha256, "planecut")
+    assert kept.is_worth(0.0), "nothing is known yet"
+    kept.write(slice_part(part, heights[: borders[1]], "planecut"))
+    assert not kept.is_worth(0.0)
+    assert kept.is_worth(60.0)
+
+
 @pytest.mark.parametrize("spoil", ["truncated", "other part", "other heights"])
 def test_a_block_that_does_not_fit_is_cut_anew(ball, tmp_path, spoil):
     part, heights, borders = ball
@@ -161,23 +171,27 @@ def test_a_block_that_does_not_fit_is_cut_anew(ball, tmp_path, spoil):
 
 def test_a_run_killed_while_it_slices_keeps_its_blocks(tmp_path):
     write_stl(sphere(12.0, 24, 48), tmp_path / "part.stl")
-    (tmp_path / "ebamcheck.toml").write_text(SETTINGS + "layers.layer_height_mm = 0.1")
+    slow = "slicing.backends = ['planecut', 'embree']\nslicing.block_points = 1000\n"
+    (tmp_path / "ebamcheck.toml").write_text(slow + "layers.layer_height_mm = 0.1")
     layers = tmp_path / ".a.run.unfinished" / "layers"
     run = subprocess.Popen(
         command("check", "part.stl", "-o", "a.run"), cwd=tmp_path, start_new_session=True,
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip
-    while count_kept(layers / "manifold.parquet") < 2:
+    while count_kept(layers / "embree.parquet") < 2:
         assert run.poll() is None
         time.sleep(0.002)
     os.killpg(run.pid, signal.SIGKILL)
     run.wait()
     done = ebamcheck("check", "part.stl", "-o", "a.run", "--resume", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "manifold: " in done.stderr
+    assert "embree: " in done.stderr
     assert "blocks of layers of the former run are kept" in done.stderr
-    assert ebamcheck("check", "part.stl", "-o", "b.run", cwd=tmp_path).returncode == 0
-    assert whole(tmp_path / "a.run") == whole(tmp_path / "b.run")
+    kept = read_parquet(tmp_path / "a.run" / "layers" / "embree.parquet")
+    anew = slice_part(load(tmp_path / "part.stl"), kept.heights, "embree")
+    assert [getattr(kept, name).tobytes() for name in ("points", "ring_starts", "layer_starts")] == [
+        getattr(anew, name).tobytes() for name in ("points", "ring_starts", "layer_starts")
+    ]
 
 
 # -- temporary folders and files ---------------------------------------------------------------------------
