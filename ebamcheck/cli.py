@@ -39,6 +39,7 @@ from ebamcheck.options import (
     settings_of,
 )
 from ebamcheck.stages.config_command import config_command
+from ebamcheck.stages.warm_command import warm_command
 
 if TYPE_CHECKING:
     from ebamcheck.curves.regions.surfaces import Surface
@@ -344,15 +345,7 @@ def backends(as_json: JsonOption = False) -> ExitCode:
     return ExitCode.PASS
 
 
-@command(compiles=True, epilog="Example: ebamcheck warm")
-def warm() -> ExitCode:
-    """Compile the kernels once, so that no later command has to wait for it."""
-    from ebamcheck.warm import warm_kernels
-
-    print("compiling the kernels where they are not yet: about three minutes the first time", flush=True)
-    seconds = warm_kernels()
-    print(f"kernels are compiled ({seconds:.1f} s)")
-    return ExitCode.PASS
+command(name="warm", compiles=True, epilog="Example: ebamcheck warm")(warm_command)
 
 
 @command(

@@ -84,9 +84,13 @@ def sweep_parts(where: Path) -> list[Path]:
 @contextmanager
 def owned_file(path: Path) -> Iterator[None]:
     """Make an empty file that nobody takes for abandoned while the block runs."""
-    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+    while True:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        if _lock(descriptor) and _is_still(path, descriptor):
+            break
+        # Another process has taken it for abandoned before it was locked.
+        os.close(descriptor)
     try:
-        _lock(descriptor)
         yield
     finally:
         os.close(descriptor)
