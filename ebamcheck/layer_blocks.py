@@ -7,6 +7,7 @@ than a block is written has its first block kept only.
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import time
 from pathlib import Path
@@ -16,7 +17,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from ebamcheck.atomic_file import replacing
-from ebamcheck.errors import InputError
+from ebamcheck.errors import EbamcheckError, InputError
 from ebamcheck.layer_batches import from_arrow, to_arrow
 from ebamcheck.layers import Layers
 
@@ -61,17 +62,21 @@ class KeptBlocks:
         return cut_s >= WORTH * self._write_s
 
     def write(self, layers: Layers) -> None:
-        """Keep a block."""
+        """Keep a block; where there is no room for it, it is cut again if need be."""
         start = time.perf_counter()
-        self.folder.mkdir(exist_ok=True)
         batch = to_arrow(layers)
+        with contextlib.suppress(OSError, EbamcheckError):
+            self.folder.mkdir(exist_ok=True)
+            self._write(layers, batch)
+        self._write_s = time.perf_counter() - start
+
+    def _write(self, layers: Layers, batch: pa.RecordBatch) -> None:
         with (
             replacing(self._path(layers.heights)) as temporary,
             pa.OSFile(str(temporary), "wb") as file,
             pa.ipc.new_file(file, batch.schema) as writer,
         ):
             writer.write_batch(batch)
-        self._write_s = time.perf_counter() - start
 
     def remove(self) -> None:
         """Remove all blocks."""

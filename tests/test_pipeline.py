@@ -206,7 +206,7 @@ def test_inside_out_is_named_and_turned_over_when_asked(tmp_path):
     assert result.exit_code is ExitCode.OUT_OF_TOLERANCE
     assert "inside-out" in result.manifest["gates"][0]["text"]
     assert result.manifest["comparison"]["verdicts"] == {"empty": 2}
-    mended = run_job(path, tmp_path / "in.run", SETTINGS.changed(part={"fix_orientation": True}))
+    mended = run_job(path, tmp_path / "mended.run", SETTINGS.changed(part={"fix_orientation": True}))
     assert mended.exit_code is ExitCode.PASS
     turned = [found for found in mended.manifest["findings"] if found["code"] == "facets-turned-over"]
     assert [found["text"] for found in turned] == ["32 of 32 facets were turned over"]
@@ -251,7 +251,7 @@ def test_units_and_direction(tmp_path):
         settings = SETTINGS.changed(
             part={"units": "m", "direction": direction}, layers={"layer_height_mm": height}
         )
-        result = run_job(path, tmp_path / "m.run", settings)
+        result = run_job(path, tmp_path / "m.run", settings, force=True)
         assert result.folder.read_layers("planecut").areas() == pytest.approx(areas, rel=1e-4)
         assert gates(result)["agreement"]
         assert result.manifest["part"]["direction"] == list(direction)
@@ -404,7 +404,7 @@ def test_settings_and_part_change_the_fingerprint(tmp_path, monkeypatch):
 def test_the_folder_is_free_again_after_a_failure(tmp_path, monkeypatch):
     from ebamcheck.pipeline import cross_check
 
-    def fail(*_):
+    def fail(*_, **__):
         raise RuntimeError("on the way")
 
     path = write_stl(frame(), tmp_path / "a.stl")
