@@ -13,7 +13,7 @@ from benchmarks.ladder import Effort, Note
 from benchmarks.methods import Method
 from benchmarks.parts import BenchmarkPart, model_file, shuffled
 from benchmarks.watch import run_task, watch
-from ebamcheck.store import RunFolder, is_run
+from ebamcheck.pipeline.run_folder import RunFolder, is_run
 
 Raw = dict[str, Any]
 

@@ -13,12 +13,13 @@ import pytest
 from parts import box
 from rich.console import Console
 
-from ebamcheck import compiling, registry
-from ebamcheck.isolate import slice_all
-from ebamcheck.progress import Announcer, _bars, announced
+from ebamcheck.commands.progress import Announcer, _bars, announced
+from ebamcheck.numeric import compiling
+from ebamcheck.plugins import registry
+from ebamcheck.slicers.isolation import slice_all
 
 KERNELS = """
-from ebamcheck.kernels import kernel
+from ebamcheck.numeric.kernels import kernel
 
 @kernel
 def inner(x):

@@ -9,10 +9,10 @@ import pytest
 import tomlkit
 from command_line import ebamcheck
 
-from ebamcheck.config import Config, load_config
-from ebamcheck.config_files import merge, merged, write_new
-from ebamcheck.config_text import as_toml
 from ebamcheck.errors import SettingsError
+from ebamcheck.settings.config import Config, load_config
+from ebamcheck.settings.files import merge, merged, write_new
+from ebamcheck.settings.text import as_toml
 
 KEYS = [
     (name, key)

@@ -11,7 +11,7 @@ import sys
 import pytest
 import typer
 
-from ebamcheck.cli import app
+from ebamcheck.commands.main import app
 
 EXAMPLE = re.compile(r"Examples?: ((?:.|\n)*?)(?:\n\n|\Z)")
 
@@ -52,7 +52,7 @@ def test_every_command_has_an_example_that_it_takes(path):
 
 
 def complete(words, **environment):
-    start = "from ebamcheck.cli import main; import sys; sys.argv[0] = 'ebamcheck'; main()"
+    start = "from ebamcheck.commands.main import main; import sys; sys.argv[0] = 'ebamcheck'; main()"
     return subprocess.run(
         [sys.executable, "-c", start],
         env={**os.environ, "_EBAMCHECK_COMPLETE": "complete_bash", "COMP_WORDS": words,
@@ -68,7 +68,7 @@ def test_the_shell_completes_commands_and_options():
 
 
 def test_completion_can_be_shown_and_installed(tmp_path):
-    start = "from ebamcheck.cli import main; import sys; sys.argv[0] = 'ebamcheck'; main()"
+    start = "from ebamcheck.commands.main import main; import sys; sys.argv[0] = 'ebamcheck'; main()"
     environment = {**os.environ, "HOME": str(tmp_path), "_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1"}
     shown = subprocess.run(
         [sys.executable, "-c", start, "--show-completion", "bash"],

@@ -15,14 +15,15 @@ import pytest
 from command_line import FAST, WIDE_TOML, command, ebamcheck, frame, write_stl
 from parts import box, sphere
 
-from ebamcheck import registry, scratch
+from ebamcheck import scratch
 from ebamcheck.atomic_file import replacing
-from ebamcheck.heights import layer_blocks
-from ebamcheck.isolate import slice_all
-from ebamcheck.layer_blocks import KeptBlocks, count_kept
-from ebamcheck.layer_files import read_parquet
-from ebamcheck.mesh_files import load
-from ebamcheck.slicing import slice_part
+from ebamcheck.layers.blocks import KeptBlocks, count_kept
+from ebamcheck.layers.files import read_parquet
+from ebamcheck.layers.heights import layer_blocks
+from ebamcheck.mesh.files import load
+from ebamcheck.plugins import registry
+from ebamcheck.slicers.isolation import slice_all
+from ebamcheck.slicers.slicing import slice_part
 
 SETTINGS = f"slicing.backends = {FAST.split(',')}\nslicing.block_points = 1000\n"
 

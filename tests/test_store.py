@@ -9,9 +9,16 @@ import os
 import numpy as np
 import pytest
 
-from ebamcheck import store
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.store import MANIFEST, RunFolder, finished_run, plain, sha256_of_json, start_run
+from ebamcheck.pipeline import run_folder as store
+from ebamcheck.pipeline.run_folder import (
+    MANIFEST,
+    RunFolder,
+    finished_run,
+    plain,
+    sha256_of_json,
+    start_run,
+)
 
 
 def finished(target, text="first", finished="2026-11-22T14:15:00Z", force=False):
