@@ -33,6 +33,8 @@ def conform_command(
     """Test backends against the protocol, the laws of sections and the reference models.
 
     Exit code 1 if a backend breaks a check, 4 if it is not available.
+
+    Example: ebamcheck conform planecut --models cube,sphere
     """
     wanted = list(names or [name for name in registry.house_slicers() if registry.probe(name).available])
     chosen = None if models is None else [m for m in models.split(",") if m and m != "none"]
