@@ -212,6 +212,25 @@ def test_two_reports_on_an_unchanged_tree_are_the_same_bytes_but_for_timings(acc
     assert all(set(seconds) == {"prepare_s", "slice_s", "measure_s"} for seconds in timed.values())
 
 
+def test_settings_of_slicers_are_honoured_and_held_against_the_same_baselines(honest, tmp_path, capsys):
+    if "embree" not in honest:
+        pytest.skip(f"embree is not available: {registry.probe('embree').why}")
+    write_baselines(tmp_path / "baselines", [honest["embree"]], ["trial-block"])
+    config = tmp_path / "ebamcheck.toml"
+    config.write_text('[slicing.settings.embree]\nmode = "vertical"\ngrid_mm = 1.0\n')
+    given = {"backends": "embree", "config": config}
+    assert _regress(tmp_path / "baselines", tmp_path / "out", **given) is ExitCode.OUT_OF_TOLERANCE
+    told = capsys.readouterr()
+    assert "embree runs with mode = vertical, grid_mm = 1.0" in told.err
+    (found,) = json.loads((tmp_path / "out" / "results.json").read_text())["differences"]
+    assert found["verdict"] == "worse"
+    with pytest.raises(SettingsError, match=r"slicing\.settings\.embree"):
+        _regress(tmp_path / "baselines", tmp_path / "out", update_baseline="all", **given)
+    config.write_text("[slicing.settings.embree]\nnosuch = 1\n")
+    with pytest.raises(SettingsError, match="nosuch"):
+        _regress(tmp_path / "baselines", tmp_path / "out", **given)
+
+
 def test_the_history_counts_a_result_that_is_seen_again(accepted_once):
     base, _ = accepted_once
     with sqlite3.connect(base / "history.sqlite") as database:

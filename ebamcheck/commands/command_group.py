@@ -50,12 +50,21 @@ def _plugins() -> dict[str, EntryPoint]:
     return {point.name: point for point in entry_points(group=COMMANDS)}
 
 
-def guarded(function: Callable[..., Any]) -> Callable[..., None]:
-    """Turn what a command raises into one line, and what it returns into the exit code of the process."""
+def guarded(function: Callable[..., Any], compiles: bool = False) -> Callable[..., None]:
+    """Turn what a command raises into one line, and what it returns into the exit code of the process.
+
+    Kernels are announced where they are compiled: in commands that say so, and in those that have loaded numba already.
+    """
 
     @functools.wraps(function)
     def run(*args: Any, **kwargs: Any) -> None:
-        raise typer.Exit(int(_run_guarded(function, *args, **kwargs)))
+        if not compiles and "numba" not in sys.modules:
+            raise typer.Exit(int(_run_guarded(function, *args, **kwargs)))
+        from ebamcheck.commands.progress import announced
+
+        with announced():
+            code = int(_run_guarded(function, *args, **kwargs))
+        raise typer.Exit(code)
 
     return run
 

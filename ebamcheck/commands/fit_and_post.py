@@ -59,7 +59,10 @@ def fit_command(
     direction: DirectionOption = "",
     as_json: JsonOption = False,
 ) -> ExitCode:
-    """Slice a part, fit curves to its contours and say how near they are and how many blocks they take."""
+    """Slice a part, fit curves to its contours and say how near they are and how many blocks they take.
+
+    Example: ebamcheck fit blade.stl --method all --reference blade-fine.stl
+    """
     settings = settings_of(config, units, direction, layer_height)
     if tolerance is not None:
         settings = settings.changed(curves={"tolerance_mm": tolerance})
@@ -120,7 +123,10 @@ def post_command(
     units: UnitsOption = "",
     direction: DirectionOption = "",
 ) -> ExitCode:
-    """Write a program for a control or a whole case for a heat simulator; `ebamcheck verify` checks it, `run` validates it."""
+    """Write a program for a control or a whole case for a heat simulator; `ebamcheck verify` checks it, `run` validates it.
+
+    Example: ebamcheck post blade.run --control linuxcnc -o blade.ngc
+    """
     if (source / MANIFEST).is_file():
         settings, beads, plan, sha256 = stack_of_run(source, config)
         checked_window(settings)

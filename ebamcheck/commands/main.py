@@ -16,11 +16,14 @@ import typer
 
 from ebamcheck import __version__
 from ebamcheck.commands.command_group import CommandGroup, guarded, tell
+from ebamcheck.commands.config import config_command
 from ebamcheck.commands.options import (
+    DEFAULT_CONFIG,
     BackendsOption,
     ConfigOption,
     DirectionOption,
     FixOption,
+    ForceOption,
     JsonOption,
     LayerHeightOption,
     PartArgument,
@@ -35,6 +38,7 @@ from ebamcheck.commands.options import (
     print_json,
     settings_of,
 )
+from ebamcheck.commands.warm_command import warm_command
 from ebamcheck.errors import ExitCode, NothingCompared, SettingsError
 
 if TYPE_CHECKING:
@@ -45,9 +49,9 @@ app = typer.Typer(
     name="ebamcheck",
     cls=CommandGroup,
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
+    epilog="Examples: ebamcheck run blade.stl -o blade.run; ebamcheck --install-completion",
     help="Slice a part with independent slicers, prove that they agree, and write a validated NC program.\n\n"
     "Exit codes: 0 pass, 1 out of tolerance, 2 usage, configuration or unreadable input, 3 internal error, "
     "4 a required backend is missing, 5 nothing compared, 130 interrupted.",
@@ -59,11 +63,13 @@ SLICE_SUFFIXES = (".parquet", ".cli", ".svg")
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
 
-def command(name: str | None = None, **options: Any) -> Callable[[_Command], _Command]:
-    """Register a command whose errors become one line and an exit code."""
+def command(
+    name: str | None = None, compiles: bool = False, **options: Any
+) -> Callable[[_Command], _Command]:
+    """Register a command whose errors become one line and an exit code; `compiles` has it tell of kernels."""
 
     def register(function: _Command) -> _Command:
-        app.command(name, **options)(guarded(function))
+        app.command(name, **options)(guarded(function, compiles))
         return function
 
     return register
@@ -114,6 +120,7 @@ def run(
     direction: DirectionOption = "",
     fix_orientation: FixOption = False,
     resume: ResumeOption = False,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> ExitCode:
     """Slice, cross-check, fit, partition, order, write the NC program, verify it and report."""
@@ -122,7 +129,9 @@ def run(
 
     settings = job_settings(config, units, direction, layer_height, backends, witnesses, fix_orientation)
     with watched() as observer:
-        result = run_job(part, output or Path(f"{part.stem}.run"), settings, reference, resume, observer)
+        result = run_job(
+            part, output or Path(f"{part.stem}.run"), settings, reference, resume, observer, force
+        )
     return _told(result, as_json)
 
 
@@ -138,6 +147,7 @@ def check(
     direction: DirectionOption = "",
     fix_orientation: FixOption = False,
     resume: ResumeOption = False,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> ExitCode:
     """Slice with every backend and compare all pairs on every layer; as `run`, without a program."""
@@ -146,7 +156,7 @@ def check(
 
     settings = job_settings(config, units, direction, layer_height, backends, witnesses, fix_orientation)
     with watched() as observer:
-        result = check_job(part, output or Path(f"{part.stem}.run"), settings, resume, observer)
+        result = check_job(part, output or Path(f"{part.stem}.run"), settings, resume, observer, force)
     return _told(result, as_json)
 
 
@@ -163,7 +173,7 @@ def _told(result: RunResult, as_json: bool) -> ExitCode:
     return result.exit_code
 
 
-@command(epilog="Example: ebamcheck inspect part.stl --regions --picture regions.svg")
+@command(compiles=True, epilog="Example: ebamcheck inspect part.stl --regions --picture regions.svg")
 def inspect(
     part: PartArgument,
     units: UnitsOption = "mm",
@@ -248,6 +258,7 @@ def slice_command(
         )
     # The worker's interpreter comes up while this one does, and while the part is read.
     with Crew(ahead=1) as crew:
+        from ebamcheck.commands.progress import announced
         from ebamcheck.layers.heights import checked_heights, layer_heights
         from ebamcheck.plugins import registry
         from ebamcheck.slicers.isolation import Limits
@@ -257,22 +268,23 @@ def slice_command(
         name = backend or settings.slicing.primary or registry.default_backend()
         values = {**settings.slicing.settings.get(name, {}), **assignments(setting or [])}
         registry.slicer_settings(name, values)
-        placed = loaded(part, settings)
-        wanted = (
-            checked_heights(numbers(heights, "--heights"))
-            if heights
-            else layer_heights(placed, settings.layer_height_mm)
-        )
-        limits = Limits(settings.slicing.time_limit_s, settings.slicing.memory_limit_mb)
-        points = settings.slicing.block_points
-        made = slice_to_file(placed, wanted, output, name, limits, points, crew, **values)
+        with announced():
+            placed = loaded(part, settings)
+            wanted = (
+                checked_heights(numbers(heights, "--heights"))
+                if heights
+                else layer_heights(placed, settings.layer_height_mm)
+            )
+            limits = Limits(settings.slicing.time_limit_s, settings.slicing.memory_limit_mb)
+            points = settings.slicing.block_points
+            made = slice_to_file(placed, wanted, output, name, limits, points, crew, **values)
     print(
         f"{len(wanted)} layers, {made.rings} rings, {made.open_paths} open paths, {made.points} points: {output}"
     )
     return ExitCode.PASS
 
 
-@command(epilog="Example: ebamcheck compare a.parquet b.parquet --tolerance 0.01")
+@command(compiles=True, epilog="Example: ebamcheck compare a.parquet b.parquet --tolerance 0.01")
 def compare(
     a: Annotated[Path, typer.Argument(help="Layers of one slicer (.parquet or .cli).")],
     b: Annotated[Path, typer.Argument(help="Layers of another, at the same heights.")],
@@ -333,18 +345,11 @@ def backends(as_json: JsonOption = False) -> ExitCode:
     return ExitCode.PASS
 
 
-@command()
-def warm() -> ExitCode:
-    """Compile the kernels once, so that no later command has to wait for it."""
-    from ebamcheck.commands.warm import warm_kernels
-
-    print("compiling the kernels where they are not yet: about three minutes the first time", flush=True)
-    seconds = warm_kernels()
-    print(f"kernels are compiled ({seconds:.1f} s)")
-    return ExitCode.PASS
+command(name="warm", compiles=True, epilog="Example: ebamcheck warm")(warm_command)
 
 
 @command(
+    compiles=True,
     epilog="Examples: ebamcheck verify blade.run --trusted keys/; "
     "ebamcheck verify blade.run/program/MAIN.MPF --part blade.stl",
 )
@@ -377,7 +382,8 @@ def verify(
     own = (target / MANIFEST).is_file()
     if not own and target.exists() and not (config or units or layer_height):
         own = find_record(target) is not None
-    settings = None if own else settings_of(config, units, "", layer_height)
+    default = not (config or units or layer_height or DEFAULT_CONFIG.is_file())
+    settings = None if own or default else settings_of(config, units, "", layer_height)
     checks = verification.verify(target, part, settings, quick=quick, trusted=trusted or ())
     if as_json:
         print_json([vars(check) for check in checks])
@@ -392,20 +398,10 @@ def verify(
     return ExitCode.PASS if all(c.passed for c in checks) else ExitCode.OUT_OF_TOLERANCE
 
 
-@command(name="config", epilog="Example: ebamcheck config > ebamcheck.toml")
-def config_command(
-    config: ConfigOption = None,
-    schema: Annotated[bool, typer.Option("--schema", help="Print the JSON schema instead.")] = False,
-) -> ExitCode:
-    """Print all settings in force, with their explanations, as TOML."""
-    from ebamcheck.settings.config import Config
-    from ebamcheck.settings.text import as_toml
-
-    if schema:
-        print_json(Config.model_json_schema())
-    else:
-        print(as_toml(settings_of(config, "", "", None)), end="")
-    return ExitCode.PASS
+command(
+    name="config",
+    epilog="Examples: ebamcheck config -o ebamcheck.toml; ebamcheck config --merge ebamcheck.toml",
+)(config_command)
 
 
 def main() -> None:

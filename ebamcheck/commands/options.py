@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from ebamcheck.mesh.part import Part
     from ebamcheck.settings.config import Config
 
+DEFAULT_CONFIG = Path("ebamcheck.toml")
+"""Settings that are taken where none are named, if there are some in the working folder."""
+
 ConfigOption = Annotated[
     Path | None,
     typer.Option("-c", "--config", help="Settings (TOML); default: ./ebamcheck.toml where there is one."),
@@ -41,6 +44,10 @@ FixOption = Annotated[
     bool, typer.Option("--fix-orientation", help="Turn flipped facets and inside-out bodies over.")
 ]
 ResumeOption = Annotated[bool, typer.Option("--resume", help="Go on with a killed job of the same input.")]
+ForceOption = Annotated[
+    bool,
+    typer.Option("--force", help="Run although OUTPUT holds a finished run; that is kept under its date."),
+]
 
 
 def job_settings(
@@ -67,8 +74,7 @@ def settings_of(config: Path | None, units: str, direction: str, layer_height: f
     """Settings of the file, with what the command line says on top."""
     from ebamcheck.settings.config import load_config
 
-    default = Path("ebamcheck.toml")
-    settings = load_config(config or (default if default.is_file() else None))
+    settings = load_config(config or (DEFAULT_CONFIG if DEFAULT_CONFIG.is_file() else None))
     if units:
         settings = settings.changed(part={"units": units})
     if direction:

@@ -58,7 +58,10 @@ def scan_command(
     direction: DirectionOption = "",
     as_json: JsonOption = False,
 ) -> ExitCode:
-    """Plan one layer in one or several scan orders, or all layers in one; say how hot, how far and how long."""
+    """Plan one layer in one or several scan orders, or all layers in one; say how hot, how far and how long.
+
+    Example: ebamcheck scan blade.stl --height 12 --orders all -o orders
+    """
     settings = settings_of(config, units, direction, layer_height)
     checked_window(settings)
     wanted = COMPARED if orders == ALL else names(orders) or (settings.scan.order,)

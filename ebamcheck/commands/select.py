@@ -56,7 +56,10 @@ def select(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
 ) -> ExitCode:
-    """Try every slicer on this machine and choose by accuracy, then speed; exit code 1 where none is fit."""
+    """Try every slicer on this machine and choose by accuracy, then speed; exit code 1 where none is fit.
+
+    Example: ebamcheck select --part blade.stl --tolerance-mm 0.05 --write
+    """
     if part is not None and model:
         raise SettingsError("give --part or --model, not both")
     if not 0.0 < tolerance_mm < float("inf"):

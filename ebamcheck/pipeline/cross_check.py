@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from ebamcheck.backend import BackendSettings
 from ebamcheck.comparison import Comparison, compare_all
+from ebamcheck.layers.blocks import count_kept, kept_blocks
 from ebamcheck.layers.files import LayerFile
 from ebamcheck.layers.heights import layer_blocks
 from ebamcheck.pipeline.noticed import lost
@@ -56,6 +58,11 @@ def _slice(
             job.add_finding(lost(outcome))
 
     waiting = {n: s for n, s in backends.items() if n not in kept}
+    for name in waiting:
+        if blocks := count_kept(job.folder.layers_file(name)):
+            job.observer.note(
+                f"{name}: {blocks} of {borders.size - 1} blocks of layers of the former run are kept"
+            )
     with job.stage("slice", len(waiting) * len(job.heights)):
         made = slice_all(
             job.part,
@@ -66,7 +73,11 @@ def _slice(
             lambda _, done: job.observer.advance(done),
             finished,
             borders,
+            keep_blocks=True,
         )
+        # Of slicers that came to no end.
+        for left in kept_blocks(job.folder.layers_folder):
+            shutil.rmtree(left, ignore_errors=True)
     return {name: kept[name] if name in kept else made[name] for name in backends}
 
 

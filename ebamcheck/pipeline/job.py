@@ -13,7 +13,6 @@ from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.findings import has_fault
 from ebamcheck.json_values import (
     sha256_of_json,
-    write_json,
 )
 from ebamcheck.mesh import files as mesh_files
 from ebamcheck.mesh import inspection
@@ -27,8 +26,8 @@ from ebamcheck.pipeline.programming import make_program
 from ebamcheck.pipeline.record import manifest as make_manifest
 from ebamcheck.pipeline.run_folder import (
     FINGERPRINT,
-    MANIFEST,
     RunFolder,
+    finished_run,
     start_run,
 )
 from ebamcheck.pipeline.work import Job, Observer, Silent
@@ -56,6 +55,7 @@ def run_job(
     reference: str | Path | None = None,
     resume: bool = False,
     observer: Observer | None = None,
+    force: bool = False,
 ) -> RunResult:
     """Slice a part with every backend, compare, fit, partition, order, write the program and verify it.
 
@@ -64,20 +64,23 @@ def run_job(
     part_path
         Mesh file of the part.
     target
-        Run folder to make; it appears when it is whole, and takes the place of a former run.
+        Run folder to make; it appears when it is whole.
     config
         Settings; the defaults if None.
     reference
         A finer tessellation of the same part, against which the errors of contours and curves are measured.
     resume
-        Go on with what a killed run of the same part and settings left behind.
+        Go on with what a killed run of the same part and settings left behind; a finished one of them is returned.
     observer
         Told of stages and progress.
+    force
+        Make the run although a finished one stands at `target`, which is kept under a name with its date.
 
     Raises
     ------
     InputError, SettingsError
-        If the part or the reference cannot be read, or settings make no sense or are outside of the process window.
+        If the part or the reference cannot be read, settings make no sense or are outside of the process window, or a
+        finished run stands at `target`.
     BackendMissing
         If a required or named backend is unknown, or a required one is not available.
     """
@@ -94,7 +97,9 @@ def run_job(
     def program(job: Job, checked: CrossCheck, sound: bool) -> list[Gate]:
         return make_program(job, _primary(job, checked), checked, fine, sound)
 
-    return _job("run", part_path, target, config, [fine.sha256 if fine else ""], resume, observer, program)
+    return _job(
+        "run", part_path, target, config, [fine.sha256 if fine else ""], resume, observer, program, force
+    )
 
 
 def check_job(
@@ -103,9 +108,10 @@ def check_job(
     config: Config | None = None,
     resume: bool = False,
     observer: Observer | None = None,
+    force: bool = False,
 ) -> RunResult:
     """Slice a part with every backend and compare them, no more; parameters and errors as in :func:`run_job`."""
-    return _job("check", part_path, target, config or Config(), [], resume, observer, None)
+    return _job("check", part_path, target, config or Config(), [], resume, observer, None, force)
 
 
 # -- stages ------------------------------------------------------------------------------------------
@@ -120,6 +126,7 @@ def _job(
     resume: bool,
     observer: Observer | None,
     program: Callable[[Job, CrossCheck, bool], list[Gate]] | None,
+    force: bool,
 ) -> RunResult:
     """Cross-check a part in a run folder, and make the program where one is wanted."""
     observer = observer or Silent()
@@ -129,8 +136,14 @@ def _job(
     fingerprint = sha256_of_json(
         [kind, part.sha256, config.model_dump(), heights, list(backends), __version__, *inputs]
     )
+    if resume and not force and (done := finished_run(Path(target), fingerprint)) is not None:
+        observer.note(f"{target}: is finished already")
+        return _result(done)
     found = inspection.inspect(part)
-    job = Job(kind, config, observer, part, found, heights, start_run(Path(target), fingerprint, resume))
+    folder = start_run(Path(target), fingerprint, resume, force)
+    if folder.former is not None:
+        observer.note(f"{target}: the former run will be kept as {folder.former.name}")
+    job = Job(kind, config, observer, part, found, heights, folder, fingerprint)
     if turned:
         job.add_finding(noticed.turned_over(turned, facets))
     job.add_finding(*noticed.of_part(found, config))
@@ -162,13 +175,20 @@ def _finished(
     if code is ExitCode.PASS and has_fault(job.findings):
         code = ExitCode.OUT_OF_TOLERANCE
     manifest = make_manifest(job, outcomes, checked.comparison, shut, _primary(job, checked), code)
-    write_json(manifest, job.folder.path / MANIFEST)
+    job.folder.write_manifest(manifest)
     _write_reports(job)
     if program is not None:
         # Last of all: it lists every file, and so finds any byte that is changed after it.
         write_certificate(RunFolder(job.folder.path))
     (job.folder.path / FINGERPRINT).unlink()
     return RunResult(job.folder.finish(), tuple(shut), code, manifest)
+
+
+def _result(run: RunFolder) -> RunResult:
+    """What a finished run came to, by its record."""
+    manifest = run.manifest()
+    found = tuple(Gate(**gate) for gate in manifest["gates"])
+    return RunResult(run, found, ExitCode(manifest["exit_code"]), manifest)
 
 
 def _primary(job: Job, checked: CrossCheck) -> str:

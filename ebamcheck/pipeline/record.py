@@ -40,11 +40,15 @@ def manifest(
     primary: str,
     code: ExitCode,
 ) -> dict[str, Any]:
-    """Everything that is known of a run; only what stands under ``timings`` differs from one run to the next."""
+    """Everything that is known of a run; only what stands under ``timings`` differs from one run to the next.
+
+    That goes into a file of its own (:meth:`~ebamcheck.pipeline.run_folder.RunFolder.write_manifest`).
+    """
     config = job.config.model_dump()
     return {
         "format": FORMAT_VERSION,
         "job": job.kind,
+        FINGERPRINT: job.fingerprint,
         "ebamcheck": __version__,
         "python": platform.python_version(),
         "part": {
@@ -87,8 +91,14 @@ def manifest(
             "machine": platform.machine(),
             "part_path": str(Path(job.part.source).resolve()),
             "stages_s": job.timings,
+            "compile_s": job.compile_s,
             "backends": {
-                name: {"prepare_s": o.prepare_s, "slice_s": o.slice_s, "peak_mb": o.peak_mb}
+                name: {
+                    "prepare_s": o.prepare_s,
+                    "slice_s": o.slice_s,
+                    "compile_s": o.compile_s,
+                    "peak_mb": o.peak_mb,
+                }
                 for name, o in outcomes.items()
             },
         },

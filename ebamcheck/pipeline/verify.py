@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -80,7 +81,8 @@ def verify(
         raise InputError(f"{place}: there is no such run folder or program")
     if made_from is None:
         raise SettingsError(f"{place}: is no run folder: to verify a program, name its part with --part")
-    return verify_against_part(place, made_from, config or settings_beside(place), keys)
+    checks = verify_against_part(place, made_from, config or settings_beside(place), keys)
+    return checks if config is not None or find_record(place) else _told_of_defaults(checks)
 
 
 def settings_beside(program: Path) -> Config:
@@ -89,6 +91,18 @@ def settings_beside(program: Path) -> Config:
     if record is None:
         return Config()
     return validated(RunFolder(record.parent).manifest()["settings"], f"{record}: settings")
+
+
+def _told_of_defaults(checks: list[Check]) -> list[Check]:
+    """Say at the first check that fails that a program may have other settings than those that were taken."""
+    first = next((k for k, check in enumerate(checks) if not check.passed), None)
+    if first is None:
+        return checks
+    said = (
+        f"{checks[first].text}; no run lies beside the program, so the default settings were taken: name those that it "
+        "was made with by --config"
+    )
+    return [*checks[:first], replace(checks[first], text=said), *checks[first + 1 :]]
 
 
 # -- a run -------------------------------------------------------------------------------------------

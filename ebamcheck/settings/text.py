@@ -33,7 +33,7 @@ def as_toml(config: Config) -> str:
             elif value is None:
                 lines.append(f"# {key} =")
             else:
-                lines.append(f"{key} = {_value(value)}")
+                lines.append(f"{key} = {value_text(value)}")
         if section.model_extra:
             named = {key: table.model_dump(mode="json") for key, table in section.model_extra.items()}
             tables += tomlkit.dumps({name: named}).removeprefix(f"[{name}]\n").splitlines()
@@ -44,13 +44,18 @@ def as_toml(config: Config) -> str:
 def _tables(path: str, values: dict[str, Any]) -> list[str]:
     lines = []
     for name, table in values.items():
-        lines += [f"[{path}.{name}]", *(f"{k} = {_value(v)}" for k, v in table.items() if v is not None), ""]
+        lines += [
+            f"[{path}.{name}]",
+            *(f"{k} = {value_text(v)}" for k, v in table.items() if v is not None),
+            "",
+        ]
     return lines
 
 
-def _value(value: Any) -> str:
+def value_text(value: Any) -> str:
+    """Value of a key as TOML."""
     if isinstance(value, tuple):
-        return str(tomlkit.array("[" + ", ".join(_value(v) for v in value) + "]").as_string())
+        return str(tomlkit.array("[" + ", ".join(value_text(v) for v in value) + "]").as_string())
     if isinstance(value, Section):
         table = tomlkit.inline_table()
         table.update(value.model_dump(mode="json"))

@@ -10,7 +10,6 @@ import contextlib
 import json
 import selectors
 import signal
-import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
@@ -26,7 +25,9 @@ from ebamcheck.errors import BackendFailed, BackendMissing, SettingsError
 from ebamcheck.layers import files as layer_files
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
+from ebamcheck.numeric import compiling
 from ebamcheck.numeric.kernels import thread_count
+from ebamcheck.scratch import scratch_folder
 from ebamcheck.slicers.worker import write_part
 from ebamcheck.slicers.worker_pool import Crew, Failure, Worker
 
@@ -64,6 +65,8 @@ class Outcome:
     points: int = 0
     prepare_s: float = 0.0
     slice_s: float = 0.0
+    compile_s: float = 0.0
+    """Time in which kernels were compiled; it is in none of the others."""
     peak_mb: float = 0.0
 
     def made(self) -> Path:
@@ -88,8 +91,8 @@ def slice_isolated(
 ) -> Layers:
     """Slice with one backend in a process of its own; raises what its outcome says."""
     told = None if progress is None else (lambda _, done: progress(done))
-    with tempfile.TemporaryDirectory(prefix="ebamcheck-") as folder:
-        return slice_all(part, heights, {name: settings}, Path(folder), limits or Limits(), told)[name].read()
+    with scratch_folder() as folder:
+        return slice_all(part, heights, {name: settings}, folder, limits or Limits(), told)[name].read()
 
 
 def slice_all(
@@ -102,6 +105,7 @@ def slice_all(
     finished: Callable[[Outcome], None] | None = None,
     borders: NDArray[np.int64] | None = None,
     crew: Crew | None = None,
+    keep_blocks: bool = False,
 ) -> dict[str, Outcome]:
     """Slice with several backends, each in its own process.
 
@@ -124,6 +128,8 @@ def slice_all(
         other; all at once if None.
     crew
         Workers that were started ahead; started here if None.
+    keep_blocks
+        Keep every block that is cut until the file is whole, and take those that a killed process left in `target`.
 
     Returns
     -------
@@ -146,7 +152,7 @@ def slice_all(
             while waiting or running:
                 while waiting and len(running) < most:
                     name = waiting.pop(0)
-                    running.append(_started(crew, name, backends[name], target))
+                    running.append(_started(crew, name, backends[name], target, keep_blocks))
                 _listen(running, progress)
                 for worker in list(running):
                     _enforce(worker, limits)
@@ -173,7 +179,7 @@ def _write_work(
     np.save(folder / "borders.npy", np.array([0, heights.size]) if borders is None else borders)
 
 
-def _started(crew: Crew, name: str, settings: BackendSettings, target: Path) -> Worker:
+def _started(crew: Crew, name: str, settings: BackendSettings, target: Path, keep_blocks: bool) -> Worker:
     """Give the worker of a backend its order."""
     worker = crew.worker(name)
     file = target.absolute() / f"{name}.parquet"
@@ -183,6 +189,7 @@ def _started(crew: Crew, name: str, settings: BackendSettings, target: Path) -> 
             "folder": str(crew.folder),
             "file": str(file),
             "settings": settings.model_dump(mode="json"),
+            "keep_blocks": keep_blocks,
         }
     )
     return worker
@@ -213,6 +220,8 @@ def _take_in(worker: Worker, progress: Callable[[str, int], None] | None) -> boo
         if "done" in event:
             if progress is not None:
                 progress(worker.name, event["done"])
+        elif "compiling" in event:
+            compiling.begun(event["compiling"], event["missing"])
         else:
             worker.told.update(event)
     return some
@@ -230,7 +239,7 @@ def _enforce(worker: Worker, limits: Limits) -> None:
         worker.why = (
             f"held {resident:.0f} MB, over the limit of {limits.memory_mb:.0f} MB (slicing.memory_limit_mb)"
         )
-    elif time.monotonic() - worker.started > limits.time_s:
+    elif time.monotonic() - worker.started - worker.told.get("compile_s", 0.0) > limits.time_s:
         worker.failure = "timed out"
         worker.why = f"took over {limits.time_s:g} s (slicing.time_limit_s)"
     if worker.failure:
@@ -263,6 +272,7 @@ def _collect(worker: Worker) -> Outcome:
         **{name: told.get(name, 0) for name in ("rings", "open_paths", "points")},
         prepare_s=told.get("prepare_s", 0.0),
         slice_s=told.get("slice_s", 0.0),
+        compile_s=told.get("compile_s", 0.0),
         peak_mb=max(worker.peak_mb, told.get("peak_mb", 0.0)),
     )
     code = worker.process.returncode

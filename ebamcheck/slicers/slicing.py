@@ -9,7 +9,6 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
@@ -23,6 +22,7 @@ from ebamcheck.layers.heights import checked_heights, is_rising, layer_blocks
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.plugins import registry
+from ebamcheck.scratch import scratch_folder
 from ebamcheck.settings.slicing import SlicingSettings
 from ebamcheck.slicers.isolation import Limits, Outcome, slice_all, slice_isolated
 from ebamcheck.slicers.worker_pool import Crew
@@ -134,9 +134,9 @@ def slice_to_file(
     borders = layer_blocks(part, increasing, block_points)
     try:
         # Beside the file, so that what is whole is moved and not copied.
-        with TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
+        with scratch_folder(f".{path.name}", path.parent) as folder:
             outcome = slice_all(
-                part, increasing, chosen, Path(folder), limits or Limits(), borders=borders, crew=crew
+                part, increasing, chosen, folder, limits or Limits(), borders=borders, crew=crew
             )[name]
             if path.suffix.lower() == ".parquet" and is_rising(wanted):
                 os.replace(outcome.made(), path)

@@ -8,12 +8,14 @@ import os
 import signal
 import subprocess
 import sys
-import tempfile
 import time
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import IO, TYPE_CHECKING, Any, Literal, Self
+
+from ebamcheck.scratch import scratch_folder
 
 if TYPE_CHECKING:
     # A crew is there to start before such imports, not after them.
@@ -84,7 +86,9 @@ class Crew:
     """
 
     def __init__(self, ahead: int = 0) -> None:
-        self._folder = tempfile.TemporaryDirectory(prefix="ebamcheck-")
+        self._opened = ExitStack()
+        self.folder = self._opened.enter_context(scratch_folder())
+        """Folder of this crew alone."""
         self._count = 0
         self._idle = [self._start(AHEAD) for _ in range(ahead)]
 
@@ -102,12 +106,7 @@ class Crew:
         for worker in self._idle:
             worker.end()
             worker.close()
-        self._folder.cleanup()
-
-    @property
-    def folder(self) -> Path:
-        """Folder of this crew alone."""
-        return Path(self._folder.name)
+        self._opened.close()
 
     def worker(self, name: str) -> Worker:
         """Take a worker for a backend: one that waits, or a new one that carries its name."""
@@ -128,7 +127,7 @@ class Crew:
                 pass_fds=(write,),
                 start_new_session=True,
                 # What a worker that is killed leaves behind goes with the crew's own folder.
-                env={**os.environ, "TMPDIR": self._folder.name},
+                env={**os.environ, "TMPDIR": str(self.folder)},
             )
         os.close(write)
         os.set_blocking(read, False)

@@ -12,7 +12,6 @@ import re
 import shutil
 import signal
 import subprocess
-import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -23,6 +22,7 @@ from pydantic import Field
 
 from ebamcheck.backend import BackendSettings, Probe
 from ebamcheck.errors import BackendFailed, BackendMissing
+from ebamcheck.scratch import scratch_folder
 
 VERSION_LIMIT_S = 20.0
 """Time that a program may take to tell its version: the first start after a boot reads it from a slow disk."""
@@ -134,8 +134,8 @@ class Program:
 @contextlib.contextmanager
 def working_folder() -> Iterator[Path]:
     """Give a new folder that is gone afterwards, with all that a program left in it."""
-    with tempfile.TemporaryDirectory(prefix="ebamcheck-", ignore_cleanup_errors=True) as folder:
-        yield Path(folder)
+    with scratch_folder() as folder:
+        yield folder
 
 
 @cache
