@@ -19,9 +19,13 @@ if TYPE_CHECKING:
     from ebamcheck.layers import Layers as Layers
     from ebamcheck.mesh_files import load as load
     from ebamcheck.part import Part as Part
+    from ebamcheck.pipeline.finished import Run as Run
+    from ebamcheck.pipeline.finished import check as check
+    from ebamcheck.pipeline.finished import run as run
     from ebamcheck.pipeline.verify import verify as verify
     from ebamcheck.program import read_program as read_program
     from ebamcheck.program import write_program as write_program
+    from ebamcheck.saving import save as save
     from ebamcheck.scan import compare_orders as compare_orders
     from ebamcheck.scan import plan_scan as plan_scan
     from ebamcheck.slicing import Slicing as Slicing
@@ -33,7 +37,9 @@ _PUBLIC = {
     "EbamcheckError": "ebamcheck.errors",
     "Layers": "ebamcheck.layers",
     "Part": "ebamcheck.part",
+    "Run": "ebamcheck.pipeline.finished",
     "Slicing": "ebamcheck.slicing",
+    "check": "ebamcheck.pipeline.finished",
     "compare": "ebamcheck.comparison",
     "compare_orders": "ebamcheck.scan",
     "fit": "ebamcheck.curves",
@@ -43,6 +49,8 @@ _PUBLIC = {
     "load_config": "ebamcheck.config",
     "plan_scan": "ebamcheck.scan",
     "read_program": "ebamcheck.program",
+    "run": "ebamcheck.pipeline.finished",
+    "save": "ebamcheck.saving",
     "slice": "ebamcheck.slicing:slice_part",
     "verify": "ebamcheck.pipeline.verify",
     "write_program": "ebamcheck.program",

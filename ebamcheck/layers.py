@@ -13,7 +13,7 @@ import shapely
 from numpy.typing import ArrayLike, NDArray
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck import canonical_form, rings
+from ebamcheck import canonical_form, rings, stack_items
 from ebamcheck.errors import SettingsError
 from ebamcheck.kernels import run_blocks
 from ebamcheck.rings import Bools, Floats, Ints
@@ -81,6 +81,13 @@ class Layers:
     def __post_init__(self) -> None:
         if self.dropped.size != self.heights.size:
             object.__setattr__(self, "dropped", np.zeros(self.heights.size, np.int64))
+
+    # How a stack shows itself, layer by layer.
+    __iter__ = stack_items.layer_iterator
+    __getitem__ = stack_items.layer_item
+    __repr__ = stack_items.layers_line
+    _repr_html_ = stack_items.layers_html
+    plot = stack_items.layers_plot
 
     # -- counts and measures -----------------------------------------------------------------------
 

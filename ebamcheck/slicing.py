@@ -16,7 +16,7 @@ from typing import Any, Self, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ebamcheck import layer_files, registry
+from ebamcheck import layer_files, registry, short_text
 from ebamcheck.backend import BackendSettings, Prepared, Progress, Turnable
 from ebamcheck.crew import Crew
 from ebamcheck.errors import SettingsError
@@ -212,6 +212,11 @@ class Slicing:
             self._thread.shutdown()
             raise
         self._release = weakref.finalize(self, _leave, self._thread, self._prepared)
+
+    def __repr__(self) -> str:
+        return short_text.line(
+            "Slicing", self.part.name, f"by {self.backend}", "" if self._open else "closed"
+        )
 
     def __enter__(self) -> Self:
         """Return itself."""

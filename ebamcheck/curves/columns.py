@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ebamcheck import layers as layer_columns
-from ebamcheck.curves import bezier
+from ebamcheck import short_text
+from ebamcheck.curves import bezier, curve_items
 from ebamcheck.curves.arcs import arc_point, arc_through
 from ebamcheck.curves.bezier import BezierSpans
 from ebamcheck.curves.splitting import ARC, LINE
@@ -39,6 +40,11 @@ class Piece(NamedTuple):
     """(m + 4,) clamped knot vector, mm; empty for a line or an arc."""
     ring: int
     layer: int
+
+    def __repr__(self) -> str:
+        kind = {LINE: "line", ARC: "arc"}.get(self.kind, "spline")
+        points = short_text.counted(len(self.control), "control point")
+        return short_text.line("Piece", kind, points, f"ring {self.ring}", f"layer {self.layer}")
 
 
 class SampledRings(NamedTuple):
@@ -102,6 +108,13 @@ class Curves:
     def __len__(self) -> int:
         """Return the number of layers."""
         return int(self.heights.size)
+
+    # How the curves show themselves, layer by layer.
+    __iter__ = curve_items.curve_iterator
+    __getitem__ = curve_items.curve_item
+    __repr__ = curve_items.curves_line
+    _repr_html_ = curve_items.curves_html
+    plot = curve_items.curves_plot
 
     @property
     def ring_layer(self) -> Ints:

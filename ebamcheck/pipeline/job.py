@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ebamcheck import __version__, inspection, mesh_files, registry
+from ebamcheck import inspection, mesh_files, registry
 from ebamcheck.backend import BackendSettings
 from ebamcheck.config import Config
 from ebamcheck.errors import ExitCode, SettingsError
@@ -26,6 +26,7 @@ from ebamcheck.program.dialects import TEXT_CONTROLS
 from ebamcheck.program.heat_paths import PATH_FILES
 from ebamcheck.program.templates import usable_templates
 from ebamcheck.store import FINGERPRINT, MANIFEST, RunFolder, sha256_of_json, start_run, write_json
+from ebamcheck.version import __version__
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from ebamcheck import __version__, registry
+from ebamcheck import registry
 from ebamcheck.comparison import Comparison
 from ebamcheck.errors import ExitCode
 from ebamcheck.findings import records
@@ -21,6 +21,7 @@ from ebamcheck.layer_files import LayerFile
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.work import Job
 from ebamcheck.store import FINGERPRINT, FORMAT_VERSION, MANIFEST, sha256_of_file, sha256_of_json
+from ebamcheck.version import __version__
 
 
 def manifest(
