@@ -47,7 +47,18 @@ def test_every_block_of_the_page_does_what_it_says(
 def test_the_page_names_every_public_name() -> None:
     text = PAGE.read_text(encoding="utf-8")
     named = set(re.findall(r"ebamcheck\.(\w+)", text))
-    wanted = {"Config", "EbamcheckError", "Run", "Slicing", "check", "compare", "fit", "inspect", "layer_heights", "load"}
+    wanted = {
+        "Config",
+        "EbamcheckError",
+        "Run",
+        "Slicing",
+        "check",
+        "compare",
+        "fit",
+        "inspect",
+        "layer_heights",
+        "load",
+    }
     assert wanted | {"load_config", "run", "save", "slice"} <= named & set(ebamcheck.__all__)
 
 
