@@ -8,9 +8,9 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from ebamcheck_models import CUBE
 
 import ebamcheck
+from ebamcheck_models import CUBE
 
 PAGE = Path(__file__).parents[1] / "docs" / "python.md"
 

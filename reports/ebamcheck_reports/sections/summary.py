@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from ebamcheck.errors import InputError
 from ebamcheck.pipeline.certificate import CERTIFICATE, RELEASE, read_certificate
 from ebamcheck_reports import part_picture, words
 from ebamcheck_reports.figures import counted, duration, number, percent, shown
@@ -62,7 +64,10 @@ def _verdict(run: RunData) -> Markup:
 
 
 def _picture(run: RunData) -> Markup:
-    layers = run.primary
+    try:
+        layers = run.primary
+    except InputError as error:
+        return paragraph(f"The part cannot be drawn: {error}", class_="note bad")
     drawn = None if layers is None else part_picture.draw(layers, f"the part {run.part_of('part')['name']}")
     if drawn is None:
         return paragraph("There is no contour to draw the part from.", class_="note bad")
@@ -155,7 +160,9 @@ def _remedy(found: Mapping[str, Any]) -> list[Markup]:
 def _approval(run: RunData) -> list[Markup]:
     """Who approves: as the certificate says, or room to write."""
     path = run.folder.path / CERTIFICATE
-    release: Mapping[str, Any] = read_certificate(path)["release"] if path.is_file() else RELEASE
+    release: Mapping[str, Any] = RELEASE
+    with suppress(InputError):  # the section of the certificate says what is wrong with it
+        release = read_certificate(path)["release"] if path.is_file() else RELEASE
     names = ("part_number", "machine_serial", "approver", "date")
     cells = [_line(name.replace("_", " "), str(release.get(name) or "")) for name in names]
     left = [text for head, said in run.statement.parts() for text in said if head != "Proved"]
