@@ -190,8 +190,8 @@ def _excerpt(run: RunData, place: Place) -> list[Markup]:
         return []
     lines = path.read_text(encoding="latin-1").splitlines()
     first = max(0, place.line - 1 - LINES_AROUND)
-    shown_lines = [
-        element("mark" if k + 1 == place.line else "span", f"{k + 1:>6}  {lines[k]}\n")
+    rows = [
+        join([element("mark" if k + 1 == place.line else "span", f"{k + 1:>6}  {lines[k]}"), "\n"])
         for k in range(first, min(len(lines), place.line + LINES_AROUND))
     ]
-    return [element("pre", *shown_lines)] if shown_lines else []
+    return [element("pre", *rows)] if rows else []
