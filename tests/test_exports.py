@@ -15,11 +15,11 @@ from parts import box
 
 import ebamcheck
 from ebamcheck.errors import SettingsError
+from ebamcheck.export.saving import CURVE_TOLERANCE_MM
 from ebamcheck.export.slices_3mf import slice_heights
-from ebamcheck.layer_files import read_layers
-from ebamcheck.layers import Layers, from_rings
-from ebamcheck.plotting import ExtraMissing
-from ebamcheck.saving import CURVE_TOLERANCE_MM
+from ebamcheck.layers.files import read_layers
+from ebamcheck.layers.stack import Layers, from_rings
+from ebamcheck.showing.plotting import ExtraMissing
 from ebamcheck_models import BLADE
 
 EXACT_MM = 1e-5

@@ -13,16 +13,16 @@ import pytest
 from parts import box
 
 import ebamcheck
-from ebamcheck import short_text
-from ebamcheck.config import Config
 from ebamcheck.curves import LIFTED
 from ebamcheck.curves.columns import Curves
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.layers import Layers, from_rings
-from ebamcheck.plotting import ExtraMissing
+from ebamcheck.layers.stack import Layers, from_rings
 from ebamcheck.program import NCProgram, read_program, write_program
 from ebamcheck.program.files import ProgramFiles
 from ebamcheck.scan import ScanPlan, plan_stack
+from ebamcheck.settings.config import Config
+from ebamcheck.showing import short_text
+from ebamcheck.showing.plotting import ExtraMissing
 from ebamcheck_models import BLADE, CUBE
 
 SQUARE = [(0.0, 0.0), (10.0, 0.0), (10.0, 10.0), (0.0, 10.0)]
@@ -76,7 +76,7 @@ def test_every_public_name_is_there() -> None:
 
 
 def test_matplotlib_is_loaded_by_a_plot_alone() -> None:
-    code = "import sys, ebamcheck.saving, ebamcheck.plotting, ebamcheck.pipeline.finished; print('matplotlib' in sys.modules)"
+    code = "import sys, ebamcheck.export.saving, ebamcheck.showing.plotting, ebamcheck.pipeline.finished; print('matplotlib' in sys.modules)"
     made = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert made.stdout.strip() == "False"
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ebamcheck.atomic_file import replacing
-from ebamcheck.layers import Layers
+from ebamcheck.layers.stack import Layers
 
 OUTER, HOLE, OPEN = 5, 1, 6
 """Colours of the AutoCAD colour index."""

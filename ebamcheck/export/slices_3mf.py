@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from ebamcheck.atomic_file import replacing
 from ebamcheck.errors import SettingsError
-from ebamcheck.layers import Layers
-from ebamcheck.plotting import missing
-from ebamcheck.rings import Floats
+from ebamcheck.layers.stack import Layers
+from ebamcheck.numeric.rings import Floats
+from ebamcheck.showing.plotting import missing
 
 
 def write_stack(layers: Layers, path: str | Path) -> None:

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.atomic_file import replacing
-from ebamcheck.layers import Layers
-from ebamcheck.part import Part
-from ebamcheck.rings import Ints
+from ebamcheck.layers.stack import Layers
+from ebamcheck.mesh.part import Part
+from ebamcheck.numeric.rings import Ints
 
 TYPES = {"<f8": "Float64", "<i8": "Int64", "<i4": "Int32", "|u1": "UInt8"}
 

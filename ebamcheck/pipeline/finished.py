@@ -6,19 +6,19 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from ebamcheck import short_text
-from ebamcheck.config import Config, load_config, validated
 from ebamcheck.curves import Curves
 from ebamcheck.errors import ExitCode, InputError
 from ebamcheck.findings import Finding
-from ebamcheck.layers import Layers
-from ebamcheck.machines import for_this_machine
+from ebamcheck.layers.stack import Layers
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.job import check_job, run_job
+from ebamcheck.pipeline.run_folder import MANIFEST, RunFolder
 from ebamcheck.pipeline.work import Observer
 from ebamcheck.program import Check, NCProgram, read_program
 from ebamcheck.scan import ScanPlan
-from ebamcheck.store import MANIFEST, RunFolder
+from ebamcheck.settings.config import Config, load_config, validated
+from ebamcheck.settings.machines import for_this_machine
+from ebamcheck.showing import short_text
 
 REPORT = "report.html"
 

@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from ebamcheck import short_text
 from ebamcheck.errors import InputError, SettingsError
+from ebamcheck.showing import short_text
 
 NOT_VALIDATED = "; NOT VALIDATED"
 VALIDATED = "; VALIDATED"

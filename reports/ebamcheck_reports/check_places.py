@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import shapely
 
-from ebamcheck.config import Config
 from ebamcheck.errors import InputError
 from ebamcheck.program import NCProgram, read_program
+from ebamcheck.settings.config import Config
 from ebamcheck_reports import program_picture
 from ebamcheck_reports.canvas import Canvas, around, outline
 from ebamcheck_reports.figures import number
