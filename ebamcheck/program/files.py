@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ebamcheck.errors import InputError, SettingsError
+from ebamcheck.showing import short_text
 
 NOT_VALIDATED = "; NOT VALIDATED"
 VALIDATED = "; VALIDATED"
@@ -53,6 +54,12 @@ class ProgramFiles:
     sha256: Mapping[str, str]
     blocks: Mapping[str, int]
     validated: bool
+
+    def __repr__(self) -> str:
+        said = "VALIDATED" if self.validated else "NOT VALIDATED"
+        return short_text.line(
+            "ProgramFiles", said, f"{self.names[0]} of {len(self.names)} files", str(self.folder)
+        )
 
     @property
     def main(self) -> Path:

@@ -34,7 +34,7 @@ def render(run: RunData) -> Markup:
             "scan", "Partition and order", WHAT, paragraph("There was no contour to fill.", class_="note bad")
         )
     return section(
-        "scan", "Partition and order", WHAT, _metrics(run, plan), scan_picture.key(), *_pictures(run, plan), _coverage(run, plan), _times(run), *_heat(run, plan)
+        "scan", "Partition and order", WHAT, _metrics(run, plan), element("div", scan_picture.key(), *_pictures(run, plan), class_="together"), _coverage(run, plan), _times(run), *_heat(run, plan)
     )  # fmt: skip
 
 
@@ -198,10 +198,13 @@ def _measures(plan: ScanPlan) -> list[Markup]:
     within = np.zeros(len(metrics))
     if len(plan.island_wait_s):
         within += np.bincount(plan.island_layer, plan.island_wait_s, minlength=len(metrics))
+    if len(plan.inner_wait_s):
+        island = plan.further_beads()
+        within += np.bincount(plan.island_layer[island], plan.inner_wait_s[island], minlength=len(metrics))
     waits = line_chart(
         [
             Series("before the layer", metrics["layer"], metrics["wait_s"]),
-            Series("before islands of it", metrics["layer"], within),
+            Series("before islands and beads of it", metrics["layer"], within),
         ],
         "layer",
         "wait, s",
