@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ebamcheck import __version__
 from ebamcheck.backend import BackendSettings
 from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.findings import has_fault
@@ -36,6 +35,7 @@ from ebamcheck.program.language.control import control
 from ebamcheck.program.language.templates import usable_templates
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import checked_window, outside_window, unusual_layers
+from ebamcheck.version import __version__
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class RunResult:
     folder: RunFolder
     gates: tuple[Gate, ...]
     exit_code: ExitCode
-    manifest: Mapping[str, Any]
+    manifest: Mapping[str, Any] = field(repr=False)
 
 
 def run_job(

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from ebamcheck import __version__
 from ebamcheck.comparison import Comparison
 from ebamcheck.errors import ExitCode
 from ebamcheck.findings import records
@@ -30,6 +29,7 @@ from ebamcheck.pipeline.run_folder import (
 from ebamcheck.pipeline.work import Job
 from ebamcheck.plugins import registry
 from ebamcheck.slicers.isolation import Outcome
+from ebamcheck.version import __version__
 
 
 def manifest(

@@ -27,6 +27,7 @@ from ebamcheck.settings.slicing import (
     PartSettings,
     SlicingSettings,
 )
+from ebamcheck.showing import short_text
 
 
 class Config(Section):
@@ -44,6 +45,19 @@ class Config(Section):
     material: MaterialSettings = MaterialSettings()
     regression: RegressionSettings = RegressionSettings()
     machines: MachineSections = MachineSections()
+
+    def __repr__(self) -> str:
+        """Name the settings that are not the default ones."""
+        base, values = Config.model_construct().model_dump(), self.model_dump()
+        changed = [
+            f"{section}.{name} = {value!r}"
+            for section, found in values.items()
+            for name, value in found.items()
+            if base.get(section, {}).get(name) != value
+        ]
+        return short_text.line("Config", *(changed or ["the default settings"]))
+
+    __str__ = __repr__
 
     @property
     def layer_height_mm(self) -> float:

@@ -24,6 +24,7 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.plugins import registry
 from ebamcheck.scratch import scratch_folder
 from ebamcheck.settings.slicing import SlicingSettings
+from ebamcheck.showing import short_text
 from ebamcheck.slicers.isolation import Limits, Outcome, slice_all, slice_isolated
 from ebamcheck.slicers.worker_pool import Crew
 
@@ -213,6 +214,11 @@ class Slicing:
             self._thread.shutdown()
             raise
         self._release = weakref.finalize(self, _leave, self._thread, self._prepared)
+
+    def __repr__(self) -> str:
+        return short_text.line(
+            "Slicing", self.part.name, f"by {self.backend}", "" if self._open else "closed"
+        )
 
     def __enter__(self) -> Self:
         """Return itself."""

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+BLANK_LINE = "\u00a0"
+"""Room to write by hand, over a drawn line."""
+
 GATE_QUESTIONS = {
     "input": "Is the part a closed solid with an inside and an outside?",
     "agreement": "Do independent slicing methods find the same contours on every layer?",

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.scratch import scratch_folder
+from ebamcheck.showing import short_text
 
 NOT_VALIDATED = "; NOT VALIDATED"
 VALIDATED = "; VALIDATED"
@@ -54,6 +55,12 @@ class ProgramFiles:
     sha256: Mapping[str, str]
     blocks: Mapping[str, int]
     validated: bool
+
+    def __repr__(self) -> str:
+        said = "VALIDATED" if self.validated else "NOT VALIDATED"
+        return short_text.line(
+            "ProgramFiles", said, f"{self.names[0]} of {len(self.names)} files", str(self.folder)
+        )
 
     @property
     def main(self) -> Path:

@@ -54,6 +54,7 @@ def render(run: RunData) -> Markup:
             ),
             [_rules(name, record) for name, record in run.backends.items()],
             numbers=("height bound",),
+            class_="onscreen",
         ),
     )
 
