@@ -16,7 +16,7 @@ import numpy as np
 from benchmarks.chance_forms import Form, Rng, chance_form
 from benchmarks.curve_parts import heights_of, part_of
 from benchmarks.curve_parts_meshes import FORMATS, as_file, decimated, noisy, split_edges, turned
-from benchmarks.curve_parts_solids import Floats, Triangles
+from benchmarks.curve_parts_solids import Triangles
 from benchmarks.quadric_decimation import quadric_decimated
 from ebamcheck.curves import Curves, contour_error, fit
 from ebamcheck.layers import Layers
@@ -131,7 +131,9 @@ def _regular(form: Form, chord_mm: float, rng: Rng) -> Triangles:
 
 
 def _slivers(form: Form, chord_mm: float, rng: Rng) -> Triangles:
-    return split_edges(form.solid(chord_mm), 120, float(10.0 ** rng.uniform(-7.0, -4.0)), int(rng.integers(1000)))
+    return split_edges(
+        form.solid(chord_mm), 120, float(10.0 ** rng.uniform(-7.0, -4.0)), int(rng.integers(1000))
+    )
 
 
 def _irregular(form: Form, chord_mm: float, rng: Rng) -> Triangles:
@@ -182,7 +184,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if asked.all or not verdict.held:
             print(f"{'held  ' if verdict.held else 'BROKEN'} {verdict}", flush=True)
     for meshing, some in sorted(gains.items()):
-        print(f"{meshing}: {len(some)} cases, median gain {100.0 * float(np.median(some)):.1f} %, worst {100.0 * min(some):.1f} %")
+        print(
+            f"{meshing}: {len(some)} cases, median gain {100.0 * float(np.median(some)):.1f} %, worst {100.0 * min(some):.1f} %"
+        )
     print(f"{broken} of {len(seeds)} seeds break the law")
 
 

@@ -141,9 +141,7 @@ def _over_a_torus(surface: Callable[[Floats, Floats], Floats], n: int, m: int) -
     i, j = np.meshgrid(np.arange(n), np.arange(m), indexing="ij")
     a, b = i * m + j, (i + 1) % n * m + j
     c, d = (i + 1) % n * m + (j + 1) % m, i * m + (j + 1) % m
-    faces = np.concatenate(
-        [np.stack(t, axis=-1).reshape(-1, 3) for t in ((a, b, c), (a, c, d))]
-    )
+    faces = np.concatenate([np.stack(t, axis=-1).reshape(-1, 3) for t in ((a, b, c), (a, c, d))])
     return Triangles(surface(u.reshape(-1), v.reshape(-1)).T, faces.astype(np.int64))
 
 
