@@ -23,7 +23,8 @@ from ebamcheck.layers import Layers
 from ebamcheck.part import Part
 from ebamcheck.slicing import slice_part
 
-LAYERS = 5
+LAYERS = 4
+SAMPLES = 1500
 
 TRUTH_SHARE = 0.01
 """Chord error of the truth over that of the mesh; and what it leaves undecided."""
@@ -115,7 +116,7 @@ def judge(case: Case, method: str = "bounded") -> Verdict:
 
 def errors_of(stack: Layers | Curves, truth: Layers) -> tuple[float, float]:
     """RMS and largest normal distance over the rings of layers whose rings all have partners; 0 without any."""
-    table = contour_error(stack, truth)
+    table = contour_error(stack, truth, rays=1, samples=SAMPLES)
     known = table[(table["rings"] > 0) & (table["unmatched"] == 0)]
     if known.empty:
         return 0.0, 0.0

@@ -191,7 +191,7 @@ def bored_part(rng: Rng) -> Form:
     body = (turned_part if rng.random() < 0.5 else rounded_box)(rng)
     r = rng.uniform(1.5, 5.0)
     pin = lathe([(0.0, -90.0), (r, -90.0), (r, 90.0), (0.0, 90.0)])
-    place, rotation = rng.uniform(-4.0, 4.0, 3) + (0.0, 0.0, 8.0), turn(int(rng.integers(1, 1000)))
+    place, rotation = rng.uniform(-4.0, 4.0, 3) + np.array([0.0, 0.0, 8.0]), turn(int(rng.integers(1, 1000)))
     return Form("bored part", bored(body.solid, pin, place, rotation))
 
 

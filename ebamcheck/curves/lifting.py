@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.curves.plausible import is_scattered, plausible_height, plausible_share
+from ebamcheck.curves.plausible import judge_ends, plausible_height, plausible_share
 from ebamcheck.curves.regions import FREEFORM, PLANE, STRIP
 from ebamcheck.curves.surface_edges import (
     SurfaceMesh,
@@ -147,7 +147,8 @@ class Lifting:
             *normals.sagittas,
             False,
         )
-        self._mesh = mesh._replace(scattered=is_scattered(mesh))
+        ends = judge_ends(mesh)
+        self._mesh = mesh._replace(scattered=ends.is_scattered, rough=mesh.rough | ends.is_rough)
 
     def lift(self, layers: Layers) -> Sides:
         """Lift the points of layers that carry their edges; points without one stay where they are."""

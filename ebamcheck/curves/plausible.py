@@ -52,6 +52,16 @@ of scattered points: there are under three fifths of them in decimated meshes.""
 LEAST_ASKED = 100
 """Edges from which such a share means something."""
 
+TELLS = 0.25
+"""Times the median sagitta from which an edge tells to which side it bends."""
+
+COHERENT_SHARE = 0.85
+"""Share of such edges that bend to one side at both ends, under which a mesh is rough: half do in noise, nineteen of twenty
+on surfaces, saddles among them, however meshed."""
+
+LEAST_TOLD = 20
+"""Edges from which that share means something."""
+
 LEAST_SAGITTA_MM = 1e-6
 """Facets that turn by less do not count among those that tell the median."""
 
@@ -162,18 +172,29 @@ def plausible_share(height: float, plausible: float) -> float:
     return float((plausible / height) ** 2)
 
 
-def is_scattered(mesh: SurfaceMesh) -> bool:
-    """Whether a mesh is one of scattered points of a smooth surface: its long edges are curved as its short ones."""
+class Ends(NamedTuple):
+    """What the two ends of the smooth edges of a mesh's freely curved facets say of each other."""
+
+    is_scattered: bool
+    """The mesh is one of scattered points of a smooth surface: its long edges are curved as its short ones."""
+    is_rough: bool
+    """At too many edges the surface would bend to one side at one end and to the other at the other: there is none."""
+
+
+def judge_ends(mesh: SurfaceMesh) -> Ends:
+    """Judge a mesh by the normals at both ends of each edge."""
     if not np.isfinite(mesh.typical):
-        return True
-    asked, alike = _alike(mesh)
-    return bool(asked >= LEAST_ASKED and alike >= SCATTERED_SHARE * asked)
+        return Ends(True, False)
+    told, coherent, asked, alike = _count_ends(mesh)
+    rough = told >= LEAST_TOLD and coherent < COHERENT_SHARE * told
+    scattered = not rough and asked >= LEAST_ASKED and alike >= SCATTERED_SHARE * asked
+    return Ends(bool(scattered), bool(rough))
 
 
 @kernel
-def _alike(mesh: SurfaceMesh) -> tuple[int, int]:
-    """Smooth edges of freely curved facets that ask for much, and those of them in one curvature with what is behind."""
-    asked = alike = 0
+def _count_ends(mesh: SurfaceMesh) -> tuple[int, int, int, int]:
+    """Edges that tell a bend, and those that bend to one side; edges that ask for much, and those that may."""
+    told = coherent = asked = alike = 0
     for h in range(mesh.smooth.size):
         f, k = h // 3, h % 3
         low, high = mesh.faces[f, k], mesh.faces[f, (k + 1) % 3]
@@ -186,12 +207,18 @@ def _alike(mesh: SurfaceMesh) -> tuple[int, int]:
         n, m = normals_of(mesh, up)
         p, q = bend_at(chord, n, n, True), bend_at(chord, m, m, True)
         height = 0.25 * np.sqrt(min(dot(p, p), dot(q, q)))
-        if dot(p, q) >= 0.0 or height < ASKS_MUCH * mesh.typical:
+        if height < TELLS * mesh.typical:
+            continue
+        told += 1
+        if dot(p, q) >= 0.0:
+            continue
+        coherent += 1
+        if height < ASKS_MUCH * mesh.typical:
             continue
         asked += 1
         if _is_alike(mesh, up, k, chord, n) and _is_alike(mesh, up, (k + 1) % 3, scaled(chord, -1.0), m):
             alike += 1
-    return asked, alike
+    return told, coherent, asked, alike
 
 
 @kernel
