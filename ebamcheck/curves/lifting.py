@@ -148,7 +148,10 @@ class Lifting:
             False,
         )
         ends = judge_ends(mesh)
-        self._mesh = mesh._replace(scattered=ends.is_scattered, rough=mesh.rough | ends.is_rough)
+        rough = mesh.rough.copy()
+        if ends.is_rough:
+            rough[mesh.sectors[mesh.kind == FREEFORM]] = True
+        self._mesh = mesh._replace(scattered=ends.is_scattered, rough=rough)
 
     def lift(self, layers: Layers) -> Sides:
         """Lift the points of layers that carry their edges; points without one stay where they are."""

@@ -33,6 +33,9 @@ from ebamcheck.topology import NO_TWIN, Index
 OF_TYPICAL = 4.0
 """Times the median sagitta of the mesh that a plausible lift may be."""
 
+ANYWHERE = 2.0
+"""Times the median sagitta that is plausible whatever lies near: slivers have no sagitta, and stand where others do."""
+
 OF_LARGEST_NEAR = 4.0
 """Times the largest sagitta at that end of an edge that has less of it."""
 
@@ -60,7 +63,7 @@ COHERENT_SHARE = 0.85
 on surfaces, saddles among them, however meshed."""
 
 LEAST_TOLD = 20
-"""Edges from which that share means something."""
+"""Edges from which that share means something: fewer do not tell a surface from what a decimation has left of one."""
 
 LEAST_SAGITTA_MM = 1e-6
 """Facets that turn by less do not count among those that tell the median."""
@@ -155,13 +158,11 @@ def plausible_height(mesh: SurfaceMesh, a: int, b: int) -> float:
     """How high a surface plausibly stands over an edge from vertex a to b, mm."""
     if mesh.scattered:
         return np.inf
-    return float(
-        min(
-            OF_TYPICAL * mesh.typical,
-            OF_LARGEST_NEAR * min(mesh.largest[a], mesh.largest[b]),
-            OF_MEAN_NEAR * max(mesh.mean[a], mesh.mean[b]),
-        )
+    near = min(
+        OF_LARGEST_NEAR * min(mesh.largest[a], mesh.largest[b]),
+        OF_MEAN_NEAR * max(mesh.mean[a], mesh.mean[b]),
     )
+    return float(min(max(near, ANYWHERE * mesh.typical), OF_TYPICAL * mesh.typical))
 
 
 @kernel
@@ -178,7 +179,8 @@ class Ends(NamedTuple):
     is_scattered: bool
     """The mesh is one of scattered points of a smooth surface: its long edges are curved as its short ones."""
     is_rough: bool
-    """At too many edges the surface would bend to one side at one end and to the other at the other: there is none."""
+    """At too many edges the surface would bend to one side at one end and to the other at the other, or too few tell: there
+    is no surface of the freely curved facets to be told."""
 
 
 def judge_ends(mesh: SurfaceMesh) -> Ends:
@@ -186,7 +188,7 @@ def judge_ends(mesh: SurfaceMesh) -> Ends:
     if not np.isfinite(mesh.typical):
         return Ends(True, False)
     told, coherent, asked, alike = _count_ends(mesh)
-    rough = told >= LEAST_TOLD and coherent < COHERENT_SHARE * told
+    rough = told < LEAST_TOLD or coherent < COHERENT_SHARE * told
     scattered = not rough and asked >= LEAST_ASKED and alike >= SCATTERED_SHARE * asked
     return Ends(bool(scattered), bool(rough))
 
