@@ -151,7 +151,7 @@ class Lifting:
         rough = mesh.rough.copy()
         if ends.is_rough:
             rough[mesh.sectors[mesh.kind == FREEFORM]] = True
-        self._mesh = mesh._replace(scattered=ends.is_scattered, rough=rough)
+        self.mesh = mesh._replace(scattered=ends.is_scattered, rough=rough)
 
     def lift(self, layers: Layers) -> Sides:
         """Lift the points of layers that carry their edges; points without one stay where they are."""
@@ -163,7 +163,7 @@ class Lifting:
         edge, edge_t = np.ascontiguousarray(layers.edge), np.ascontiguousarray(layers.edge_t)
 
         def work(first: int, last: int) -> None:
-            _lift(self._mesh, edge, edge_t, heights, first, last, found)
+            _lift(self.mesh, edge, edge_t, heights, first, last, found)
 
         run_blocks(work, len(layers.points), POINTS_A_BLOCK)
         return found
