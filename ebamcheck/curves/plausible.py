@@ -188,7 +188,8 @@ def judge_ends(mesh: SurfaceMesh) -> Ends:
     if not np.isfinite(mesh.typical):
         return Ends(True, False)
     told, coherent, asked, alike = _count_ends(mesh)
-    rough = told < LEAST_TOLD or coherent < COHERENT_SHARE * told
+    # Where no edge bends the surface is ruled, as a cone is of single facets: noise would bend some.
+    rough = 0 < told < LEAST_TOLD or coherent < COHERENT_SHARE * told
     scattered = not rough and asked >= LEAST_ASKED and alike >= SCATTERED_SHARE * asked
     return Ends(bool(scattered), bool(rough))
 
