@@ -19,9 +19,9 @@ from benchmarks.curve_parts_meshes import FORMATS, as_file, decimated, noisy, sp
 from benchmarks.curve_parts_solids import Triangles
 from benchmarks.quadric_decimation import quadric_decimated
 from ebamcheck.curves import Curves, contour_error, fit
-from ebamcheck.layers import Layers
-from ebamcheck.part import Part
-from ebamcheck.slicing import slice_part
+from ebamcheck.layers.stack import Layers
+from ebamcheck.mesh.part import Part
+from ebamcheck.slicers.slicing import slice_part
 
 LAYERS = 4
 SAMPLES = 1500

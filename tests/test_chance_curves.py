@@ -12,7 +12,7 @@ from benchmarks.curve_parts_solids import Triangles
 from ebamcheck.curves.lifting import Lifting
 from ebamcheck.curves.plausible import judge_ends, plausible_share
 from ebamcheck.curves.vertex_normals import surface_normals
-from ebamcheck.part import Part
+from ebamcheck.mesh.part import Part
 from ebamcheck.settings.curves import CurveSettings
 
 BROKE_ONCE = (1, 7, 8, 9, 10, 61)

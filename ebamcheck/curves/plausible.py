@@ -26,9 +26,9 @@ from ebamcheck.curves.surface_edges import (
     scaled,
     vector,
 )
-from ebamcheck.kernels import kernel
-from ebamcheck.rings import Floats
-from ebamcheck.topology import NO_TWIN, Index
+from ebamcheck.mesh.topology import NO_TWIN, Index
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Floats
 
 OF_TYPICAL = 4.0
 """Times the median sagitta of the mesh that a plausible lift may be."""
