@@ -34,6 +34,7 @@ from ebamcheck.pipeline.placement import cut_heights
 from ebamcheck.process_window import outside_window, unusual_layers
 from ebamcheck.program import Check, verify_file
 from ebamcheck.program.deposit_checks import of_deposit
+from ebamcheck.program.hatch_form import CROSSINGS, LINES
 from ebamcheck.program.header_checks import Truth
 from ebamcheck.scan import ScanPlan
 from ebamcheck.slicing import slice_part
@@ -49,7 +50,7 @@ SAME_FIGURE = 1e-6
 PROGRAM = "program"
 """The gate whose figure counts checks, of which more are made here than in a run."""
 
-OF_TEXT_ALONE = ("readable", "coverage", "gaps", "hatch spacing", "lines laid once")
+OF_TEXT_ALONE = ("readable", "coverage", "gaps", "hatch spacing", "lines laid once", LINES, CROSSINGS)
 """Checks that are made here and not by a run, which has its plan to compare with."""
 
 

@@ -10,6 +10,7 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.config import Config
 from ebamcheck.layers import Layers
 from ebamcheck.program.checks import Check, count_check, row_faults
+from ebamcheck.program.hatch_form import form_checks
 from ebamcheck.program.motions import STRAIGHT, NCProgram
 from ebamcheck.rings import Bools, Floats, Ints
 from ebamcheck.scan.coverage import covered_fraction
@@ -45,7 +46,7 @@ def bead_checks(nc: NCProgram, config: Config, z_of: Floats, layers: Layers | No
     z_of
         (L,) Z of each of the `layers` in the program.
     """
-    checks = [_spacing(nc, config, z_of, layers), _once(nc)]
+    checks = [_spacing(nc, config, z_of, layers), _once(nc), *form_checks(nc, config)]
     if layers is not None:
         checks += [_coverage(nc, config, z_of, layers), _gaps(nc, config, z_of, layers)]
     return checks

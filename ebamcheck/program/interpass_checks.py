@@ -13,7 +13,8 @@ from ebamcheck.heat.melting import entry_limit_k, least_power_share
 from ebamcheck.program.checks import Check, count_check, event_place
 from ebamcheck.program.inputs import Interpass
 from ebamcheck.program.motions import NCProgram
-from ebamcheck.program.text_heat import TextBeads, text_beads, text_bed_k, text_shapes
+from ebamcheck.program.codes import DWELL
+from ebamcheck.program.text_heat import PAUSE, TextBeads, text_beads, text_bed_k, text_shapes
 from ebamcheck.rings import Floats, Ints
 
 INTERPASS, MELTING = "interpass temperature", "melting power"
@@ -94,6 +95,7 @@ def _waits(nc: NCProgram, beads: TextBeads, config: Config, heat: Interpass | No
     least_s = config.process.layer_pause_s
     first = beads.enters_layer & (np.arange(len(beads)) > 0)
     faults = [(event_place(nc, event), what) for event, what in beads.stray]
+    faults += _out_of_range(nc, config.process.longest_wait_s)
     if heat is None:
         wanted = np.where(first, least_s, 0.0)
         bad = beads.wait_s < wanted - PAUSE_TOLERANCE_S
@@ -116,6 +118,15 @@ def _waits(nc: NCProgram, beads: TextBeads, config: Config, heat: Interpass | No
     within = float(beads.wait_s[~first].sum())
     good = f"waits {beads.wait_s[first].sum():.6g} s between layers and {within:.6g} s within them"
     return count_check("layer pause", faults, good)
+
+
+def _out_of_range(nc: NCProgram, longest_s: float) -> list[tuple[str, str]]:
+    """Waits, wherever they stand, that are no time or longer than any may be."""
+    return [
+        (event_place(nc, i), f"waits {value:g} s, a wait is from 0 to {longest_s:g} s (process.longest_wait_s)")
+        for i, (name, value) in enumerate(zip(nc.events.name, nc.events.value.tolist(), strict=True))
+        if name in (PAUSE, DWELL) and not 0.0 <= value <= longest_s
+    ]
 
 
 def _of(values: Floats, number: Ints) -> Floats:

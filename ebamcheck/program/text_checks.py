@@ -19,6 +19,7 @@ BLOCK_LIMIT = 200
 _NAME = re.compile(r"(?=.{1,24}\.)(?:[A-Z]{2}|_[A-Z])[A-Z0-9_]*\.(?:MPF|SPF)")
 _DEVICE = re.compile(r"(?:CON|PRN|AUX|NUL|COM\d|LPT\d)\..*")
 _PATH = re.compile(rb";\$PATH=/_N_(?:WKS_DIR/_N_[A-Z0-9_]+_WPD|MPF_DIR|SPF_DIR)\r?")
+_LAYER_NAME = re.compile(r"(.+)_L(\d+)")
 _ENDS = {".MPF": ("M30", "M2"), ".SPF": ("M17", "RET")}
 _MAIN_ENDS = ("M30", "M2")
 
@@ -34,7 +35,7 @@ def text_checks(nc: NCProgram, sha256: Mapping[str, str] | None = None) -> list[
         *_headers(nc),
         count_check("block numbers", _numbers(nc), "N rises from block to block in every file"),
         count_check("end of program", _each(nc, _end), "one end in each file, in its last block"),
-        count_check("subprograms", _calls(nc), "every subprogram in the folder is called once"),
+        count_check("subprograms", _calls(nc), "each is a layer of this program, in its order, and called once"),
     ]
     if sha256 is not None:
         checks.append(count_check("unchanged", _changed(nc, sha256), "SHA-256 of every file as recorded"))
@@ -123,7 +124,8 @@ def _end(file: SourceFile) -> Faults:
 def _calls(nc: NCProgram) -> Faults:
     calls = [name.removeprefix("call ") for name in nc.events.name if name.startswith("call ")]
     main = nc.files[0].name
-    faults = [
+    faults = _foreign(nc)
+    faults += [
         (_call_line(nc, name), f"{name} is called {count} times")
         for name, count in Counter(calls).items()
         if count > 1
@@ -133,6 +135,27 @@ def _calls(nc: NCProgram) -> Faults:
         faults += [
             (f"{main}:{_last_call(nc)}", f"{name}.SPF is never called") for name in sorted(there - set(calls))
         ]
+    return faults
+
+
+def _foreign(nc: NCProgram) -> Faults:
+    """Calls of what is no layer of this program, or of one out of its order, by their names: MAIN_L0001 and on."""
+    faults: Faults = []
+    stem = nc.files[0].name.rpartition(".")[0].upper()
+    before: int | None = None
+    for i, event in enumerate(nc.events.name):
+        if not event.startswith("call "):
+            continue
+        name = event.removeprefix("call ")
+        where = f"{nc.files[int(nc.events.file[i])].name}:{int(nc.events.line[i])}"
+        found = _LAYER_NAME.fullmatch(name)
+        if found is None or found[1] != stem or int(nc.events.file[i]) != 0:
+            faults.append((where, f"{name} is no layer of {stem}: nothing says what it is for"))
+            continue
+        number = int(found[2])
+        if before is not None and number != before + 1:
+            faults.append((where, f"{name} follows layer {before}"))
+        before = number
     return faults
 
 

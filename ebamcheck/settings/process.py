@@ -110,6 +110,9 @@ class ProcessSettings(Section):
     """Wire drawn back at the end of a bead, so that it does not freeze in."""
     layer_pause_s: NotNegative = 0.0
     """Least wait between two layers with the beam off; `interpass` makes it longer where the part is too hot."""
+    longest_wait_s: Positive = 14400.0
+    """Longest wait that a program may have in one place: four hours, after which a plan waits no further. A longer one is a slip,
+    or leaves the part colder than its power was planned for."""
     interpass: Literal["dwell", "power", "both", "off"] = "both"
     """What keeps the part cool: waits before layers and beads (dwell), less power as it gets warm (power), power first
     and waits where the least power is still too much (both), or nothing (off)."""
