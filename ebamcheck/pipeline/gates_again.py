@@ -47,6 +47,9 @@ SAME_FIGURE = 1e-6
 """Figures that differ by less, relative to the greater or to 1, are the same: sums in another order."""
 
 
+SAME_POINT_MM = 1e-6
+"""Points cut by one slicer twice, on another processor: far under what two slicers may differ by."""
+
 PROGRAM = "program"
 """The gate whose figure counts checks, of which more are made here than in a run."""
 
@@ -67,6 +70,8 @@ class Again:
     """Findings of part and settings, which follow from these alone."""
     checks: tuple[Check, ...] = ()
     """Checks of the program; none for a run without one."""
+    exchanged: tuple[str, ...] = ()
+    """Recorded layers that are not those of the slicer whose name their file has."""
 
 
 def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part: Part) -> Again:
@@ -86,11 +91,12 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
     fresh = slice_part(part, heights, witness)
     sound = inspect(part)
     agreement, agrees = _agreement(run, manifest, config, part, fresh, witness)
+    exchanged = exchanged_layers(run, manifest, fresh, witness)
     made = [gates.input_gate(sound), agreement]
     told = [*noticed.of_part(sound, config), *outside_window(config, "warning"), *unusual_layers(config)]
     record = manifest.get("program")
     if record is None:
-        return Again(witness, tuple(made), agrees, tuple(told))
+        return Again(witness, tuple(made), agrees, tuple(told), exchanged=exchanged)
     verdict, _ = _fitted(run, manifest, config, part)
     plan = ScanPlan.from_parquet(run.path / "scan.parquet")
     checks = verify_file(
@@ -115,7 +121,32 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
         gates.program_gate(checks),
     ]
     told += [*noticed.of_profile(config), *noticed.of_metal(of_deposit(checks))]
-    return Again(witness, tuple(made), agrees, tuple(told), tuple(checks))
+    return Again(witness, tuple(made), agrees, tuple(told), tuple(checks), exchanged)
+
+
+def exchanged_layers(
+    run: RunFolder, manifest: Mapping[str, Any], fresh: Layers, witness: str
+) -> tuple[str, ...]:
+    """Slicers whose recorded layers name another, and the witness where its layers are not those that it cuts now.
+
+    On plane parts exact slicers agree to the last digits, so that distances show no exchange: what the file says of itself, and
+    every coordinate, do.
+    """
+    found = []
+    for name, outcome in manifest["backends"].items():
+        if outcome["status"] != "done":
+            continue
+        recorded = run.read_layers(name)
+        same = recorded.backend == name
+        if same and name == witness:
+            same = (
+                recorded.points.shape == fresh.points.shape
+                and np.array_equal(recorded.ring_starts, fresh.ring_starts)
+                and bool((np.abs(recorded.points - fresh.points) <= SAME_POINT_MM).all())
+            )
+        if not same:
+            found.append(name)
+    return tuple(found)
 
 
 def truth_of(manifest: Mapping[str, Any], config: Config) -> Truth:
@@ -216,6 +247,7 @@ def _record(again: Again, manifest: Mapping[str, Any]) -> Check:
     record = manifest.get("program")
     if record is not None and record["witness"] == manifest["primary"] != again.witness:
         faults.append(f"{record['witness']} is named as its own witness")
+    faults += [f"layers/{name}.parquet does not hold the layers of {name}" for name in again.exchanged]
     codes = {finding["code"] for finding in manifest["findings"]}
     lacking = sorted({finding.code for finding in again.findings} - codes)
     faults += [f"the finding {code} is left out" for code in lacking]

@@ -56,7 +56,8 @@ def bead_checks(nc: NCProgram, config: Config, z_of: Floats, layers: Layers | No
 
 
 def _hatch_rows(nc: NCProgram) -> Ints:
-    return np.flatnonzero(nc.deposit & (nc.island >= 0) & ~nc.turn & (nc.lengths > 0.0))
+    moves = (nc.end[:, :2] != nc.start[:, :2]).any(axis=1)
+    return np.flatnonzero(nc.deposit & (nc.island >= 0) & ~nc.turn & moves & (nc.lengths > 0.0))
 
 
 def _spacing(nc: NCProgram, config: Config, z_of: Floats, layers: Layers | None) -> Check:

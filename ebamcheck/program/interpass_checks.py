@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.config import Config
 from ebamcheck.heat.balance import LayerShape
-from ebamcheck.heat.melting import entry_limit_k, least_power_share
+from ebamcheck.heat.melting import entry_limit_k, least_power_share, scheduled_share
 from ebamcheck.program.checks import Check, count_check, event_place
 from ebamcheck.program.inputs import Interpass
 from ebamcheck.program.motions import NCProgram
@@ -64,6 +65,18 @@ def layer_shares(nc: NCProgram, power_w: float) -> Floats:
     shares = np.full(len(nc.layer_files), -np.inf)
     np.fmax.at(shares, nc.layer[rows], nc.power_w[rows] / power_w)
     return np.where(np.isinf(shares), np.nan, shares)
+
+
+def scheduled_shares(heights: ArrayLike | None, config: Config) -> Floats | None:
+    """Share of the power of each layer, (L,), where the settings have a table of it; None where the heat decides.
+
+    `heights` (L,) are those of the cuts, of which the first lies half a layer over the plate.
+    """
+    cuts = np.asarray(() if heights is None else heights, np.float64)
+    if isinstance(config.process.power_schedule, str) or not cuts.size:
+        return None
+    plate_mm = float(cuts.min()) - 0.5 * config.layer_height_mm
+    return np.array([scheduled_share(config, float(z) - plate_mm) for z in cuts], np.float64)
 
 
 def shares_of_text(nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] | None) -> Floats:

@@ -16,6 +16,10 @@ from ebamcheck.program.motions import NCProgram, SourceFile
 BLOCK_LIMIT = 200
 """Characters; every software version of the control reads shorter blocks."""
 
+FIRST_PRINTABLE, LAST_PRINTABLE = 0x20, 0x7E
+BLANK_BYTES = tuple(b"\t\n\r")
+"""Bytes of a program: printable ASCII, tabs and ends of lines."""
+
 _NAME = re.compile(r"(?=.{1,24}\.)(?:[A-Z]{2}|_[A-Z])[A-Z0-9_]*\.(?:MPF|SPF)")
 _DEVICE = re.compile(r"(?:CON|PRN|AUX|NUL|COM\d|LPT\d)\..*")
 _PATH = re.compile(rb";\$PATH=/_N_(?:WKS_DIR/_N_[A-Z0-9_]+_WPD|MPF_DIR|SPF_DIR)\r?")
@@ -29,7 +33,7 @@ Faults = list[tuple[str, str]]
 def text_checks(nc: NCProgram, sha256: Mapping[str, str] | None = None) -> list[Check]:
     """Check the bytes of every file that the program opened."""
     checks = [
-        count_check("encoding", _each(nc, _encoding), "ASCII throughout"),
+        count_check("encoding", _each(nc, _encoding), "printable ASCII throughout"),
         count_check("line ends", _each(nc, _line_ends), "every block ends with LF alone"),
         _block_length(nc),
         *_headers(nc),
@@ -51,10 +55,13 @@ def _line_at(data: bytes, offset: int) -> int:
 
 
 def _encoding(file: SourceFile) -> Faults:
-    if file.data.isascii():
+    data = np.frombuffer(file.data, np.uint8)
+    # Carriage returns have a check of their own; what a control makes of other control characters, nobody says.
+    bad = np.flatnonzero((data > LAST_PRINTABLE) | ((data < FIRST_PRINTABLE) & ~np.isin(data, BLANK_BYTES)))
+    if not bad.size:
         return []
-    offset = int(np.argmax(np.frombuffer(file.data, np.uint8) > 127))
-    what = f"byte 0x{file.data[offset]:02X} is not ASCII"
+    offset = int(bad[0])
+    what = f"byte 0x{file.data[offset]:02X} is not {'printable' if file.data[offset] < 128 else 'ASCII'}"
     return [(f"{file.name}:{_line_at(file.data, offset)}", what)]
 
 

@@ -21,7 +21,13 @@ from ebamcheck.program.deposit import deposit
 from ebamcheck.program.deposit_checks import deposit_checks
 from ebamcheck.program.header_checks import Truth, header_checks
 from ebamcheck.program.inputs import CurveColumns, ScanColumns, deposition_heights, interpass_of
-from ebamcheck.program.interpass_checks import heat_checks, layer_shares, shares_of_text, wait_check
+from ebamcheck.program.interpass_checks import (
+    heat_checks,
+    layer_shares,
+    scheduled_shares,
+    shares_of_text,
+    wait_check,
+)
 from ebamcheck.program.matching import Matching, matched, matching_checks, tracks_known
 from ebamcheck.program.motions import NCProgram
 from ebamcheck.program.outside_check import outside_check
@@ -127,6 +133,8 @@ def verify_program(
     sections = known_sections(plan, smooth, layers)
     if planned is not None:
         shares = planned.power_share
+    elif (scheduled := scheduled_shares(known, config)) is not None:
+        shares = scheduled
     elif heat:
         shares = shares_of_text(nc, config, sections)
     else:
