@@ -99,7 +99,14 @@ def _single_values(config: Config, severity: Severity) -> Iterator[Finding]:
         if (limit := _broken(value, getattr(process, window))) is not None:
             text = f"process.{name} is {value:.4g} {unit}, {_beyond(value, limit)} {limit:g} {unit} (process.{window})"
             yield Finding(
-                severity, "process-limit", text, f"process.{name}", value, limit, unit, f"change process.{name}"
+                severity,
+                "process-limit",
+                text,
+                f"process.{name}",
+                value,
+                limit,
+                unit,
+                f"change process.{name}",
             )
 
 

@@ -20,7 +20,9 @@ def _line(ground: Ground, least_mm: float = 3.0) -> tuple[Bead, int]:
         for b in text.beads(contour=False)
         for i in b.motions[1:]
         if re.fullmatch(rf"G1 X{NUMBER} Y{NUMBER}", text.code(b.file, i))
-        and max(abs(p - q) for p, q in zip(text.position(b.file, i), text.position(b.file, i + 1), strict=True))
+        and max(
+            abs(p - q) for p, q in zip(text.position(b.file, i), text.position(b.file, i + 1), strict=True)
+        )
         > least_mm
     ]
     return ground.pick(found)
@@ -84,7 +86,15 @@ def comment_within(ground: Ground) -> list[Place]:
     return _instead(ground, ground.variant)
 
 
-TWO_WORDS = ("G0 G1 X1 Y1", "G1 G0 X1 Y1", "G2 G1 X1 Y1", "G1 X1 Y1 G1 X2 Y2", "G54 G55", "G1 X--5 Y1", "G1 X1 Y1 F600 F60")
+TWO_WORDS = (
+    "G0 G1 X1 Y1",
+    "G1 G0 X1 Y1",
+    "G2 G1 X1 Y1",
+    "G1 X1 Y1 G1 X2 Y2",
+    "G54 G55",
+    "G1 X--5 Y1",
+    "G1 X1 Y1 F600 F60",
+)
 
 
 @kind("two words of one group", "motion", TWO_WORDS)
@@ -116,7 +126,12 @@ def again(ground: Ground) -> list[Place]:
         return _before_layer(ground, *FLOW_BLOCKS[ground.variant])
     i = text.find(r"MAIN_L\d+")[1]
     call = text.code(text.main, i)
-    code = {"P2": f"{call} P2", "P=2": f"{call} P=2", "twice": f"{call} {call}", "other case": call.lower() + " "}
+    code = {
+        "P2": f"{call} P2",
+        "P=2": f"{call} P=2",
+        "twice": f"{call} {call}",
+        "other case": call.lower() + " ",
+    }
     if ground.variant == "other case":
         name = f"{call}.SPF"
         text.files[name.lower()] = text.files[name]
@@ -157,7 +172,9 @@ def feed_unit(ground: Ground) -> list[Place]:
     text, places = ground.text, []
     for file, i in text.everywhere(rf"(?:G[1235]|POLY) .* F{NUMBER}"):
         code = text.code(file, i)
-        text.set(file, i, re.sub(rf"F({NUMBER})$", lambda m: f"F{float(m[1]) * UNITS[ground.variant]:g}", code))
+        text.set(
+            file, i, re.sub(rf"F({NUMBER})$", lambda m: f"F{float(m[1]) * UNITS[ground.variant]:g}", code)
+        )
         places += ground.line(file, i, i + 2)
     ground.what = f"every feed in {ground.variant}"
     return places

@@ -28,14 +28,17 @@ from ebamcheck.layers import Layers
 from ebamcheck.part import Part
 from ebamcheck.pipeline import gates, noticed
 from ebamcheck.pipeline.choice import witness_backend
+from ebamcheck.pipeline.entry_program import checked_again
 from ebamcheck.pipeline.fit_evidence import FitVerdict, judged
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.placement import cut_heights
 from ebamcheck.process_window import outside_window, unusual_layers
 from ebamcheck.program import Check, verify_file
 from ebamcheck.program.deposit_checks import of_deposit
+from ebamcheck.program.entry_check import NAME as ENTRY
 from ebamcheck.program.hatch_form import CROSSINGS, LINES
 from ebamcheck.program.header_checks import Truth
+from ebamcheck.program.inputs import deposition_heights
 from ebamcheck.scan import ScanPlan
 from ebamcheck.slicing import slice_part
 from ebamcheck.store import RunFolder, plain, sha256_of_json
@@ -53,7 +56,7 @@ SAME_POINT_MM = 1e-6
 PROGRAM = "program"
 """The gate whose figure counts checks, of which more are made here than in a run."""
 
-OF_TEXT_ALONE = ("readable", "coverage", "gaps", "hatch spacing", "lines laid once", LINES, CROSSINGS)
+OF_TEXT_ALONE = (ENTRY, "readable", "coverage", "gaps", "hatch spacing", "lines laid once", LINES, CROSSINGS)
 """Checks that are made here and not by a run, which has its plan to compare with."""
 
 
@@ -113,6 +116,8 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
         sha256={file["name"]: file["sha256"] for file in record["files"]},
         truth=truth_of(manifest, config),
     )
+    z_of = deposition_heights(np.asarray(heights), config.layer_height_mm)
+    main = run.program_folder / record["files"][0]["name"]
     made += [
         gates.fit_gate(verdict),
         _coverage(checks, gates.coverage_gate(plan.metrics, config)),
@@ -120,6 +125,7 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
         gates.heat_gate(checks, plan.metrics, config),
         gates.program_gate(checks),
     ]
+    checks += checked_again(run.path, record, main, z_of, config)
     told += [*noticed.of_profile(config), *noticed.of_metal(of_deposit(checks))]
     return Again(witness, tuple(made), agrees, tuple(told), tuple(checks), exchanged)
 

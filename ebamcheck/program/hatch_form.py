@@ -64,7 +64,9 @@ def _lines(nc: NCProgram, config: Config) -> Check:
             UNEVEN: "lies nearer to the line before than the others of its bead, or further away",
             BACK: "turns back on the track of the one before"}  # fmt: skip
     faults = [(nc.where(int(starts[at[i]])), f"this motion {said[int(state[i])]}") for i in known.tolist()]
-    return count_check(LINES, faults, f"{first.size - 1} beads of hatch: lines to and fro are parallel and evenly apart")
+    return count_check(
+        LINES, faults, f"{first.size - 1} beads of hatch: lines to and fro are parallel and evenly apart"
+    )
 
 
 def _whole_lines(nc: NCProgram) -> tuple[Ints, Ints, Floats]:
@@ -119,7 +121,10 @@ def form_of(first: Ints, start: Floats, way: Floats, spacing: float) -> tuple[In
         a, b = first[bead], first[bead + 1]
         for i in range(a + 1, b):
             along = way[i - 1, 0] * way[i, 0] + way[i - 1, 1] * way[i, 1]
-            if along < LEAST_TURN * length[i - 1] * length[i] and min(length[i - 1], length[i]) > 10.0 * ROUNDING_MM:
+            if (
+                along < LEAST_TURN * length[i - 1] * length[i]
+                and min(length[i - 1], length[i]) > 10.0 * ROUNDING_MM
+            ):
                 state[bead], at[bead] = BACK, i
                 break
         if b - a < 3 or state[bead] != FINE:
@@ -180,7 +185,9 @@ def form_of(first: Ints, start: Floats, way: Floats, spacing: float) -> tuple[In
 
 def _crossings(nc: NCProgram) -> Check:
     """Places where the centre line of a hatch bead runs across that of a bead of its layer: metal on metal."""
-    metal = nc.deposit & (nc.kind != RAPID) & np.isfinite(nc.start).all(axis=1) & np.isfinite(nc.end).all(axis=1)
+    metal = (
+        nc.deposit & (nc.kind != RAPID) & np.isfinite(nc.start).all(axis=1) & np.isfinite(nc.end).all(axis=1)
+    )
     rows = np.flatnonzero(metal & (nc.layer >= 0))
 
     def work(start: int, stop: int) -> list[int]:
@@ -226,7 +233,9 @@ def _chords(nc: NCProgram, rows: Ints) -> tuple[Ints, Floats]:
     before = np.vstack([np.zeros((1, 2)), points[:-1]])[: len(points)]
     first = np.flatnonzero(np.diff(owner, prepend=-1))
     before[first] = nc.start[owner[first], :2]
-    segments = np.vstack([np.hstack([nc.start[straight, :2], nc.end[straight, :2]]), np.hstack([before, points])])
+    segments = np.vstack(
+        [np.hstack([nc.start[straight, :2], nc.end[straight, :2]]), np.hstack([before, points])]
+    )
     every = np.concatenate([straight, owner])
     order = np.argsort(every, kind="stable")
     moves = (segments[order, :2] != segments[order, 2:]).any(axis=1)

@@ -12,9 +12,9 @@ from ebamcheck.config import Config
 from ebamcheck.heat.balance import LayerShape
 from ebamcheck.heat.melting import entry_limit_k, least_power_share, scheduled_share
 from ebamcheck.program.checks import Check, count_check, event_place
+from ebamcheck.program.codes import DWELL
 from ebamcheck.program.inputs import Interpass
 from ebamcheck.program.motions import NCProgram
-from ebamcheck.program.codes import DWELL
 from ebamcheck.program.text_heat import PAUSE, TextBeads, text_beads, text_bed_k, text_shapes
 from ebamcheck.rings import Floats, Ints
 
@@ -136,7 +136,10 @@ def _waits(nc: NCProgram, beads: TextBeads, config: Config, heat: Interpass | No
 def _out_of_range(nc: NCProgram, longest_s: float) -> list[tuple[str, str]]:
     """Waits, wherever they stand, that are no time or longer than any may be."""
     return [
-        (event_place(nc, i), f"waits {value:g} s, a wait is from 0 to {longest_s:g} s (process.longest_wait_s)")
+        (
+            event_place(nc, i),
+            f"waits {value:g} s, a wait is from 0 to {longest_s:g} s (process.longest_wait_s)",
+        )
         for i, (name, value) in enumerate(zip(nc.events.name, nc.events.value.tolist(), strict=True))
         if name in (PAUSE, DWELL) and not 0.0 <= value <= longest_s
     ]

@@ -125,7 +125,10 @@ def _smoothing(nc: NCProgram, config: Config, faults: Faults) -> Check:
 def _own_smoothing(nc: NCProgram) -> Faults:
     """Words of the path in a program whose profile knows none: what tolerance they leave is not known."""
     return [
-        (event_place(nc, i), f"{name}: the profile of this control sets no smoothing, and knows none of its tolerances")
+        (
+            event_place(nc, i),
+            f"{name}: the profile of this control sets no smoothing, and knows none of its tolerances",
+        )
         for i, name in enumerate(nc.events.name)
         if name == "CTOL" or _is_path(nc, name)
     ]

@@ -39,7 +39,9 @@ def text_checks(nc: NCProgram, sha256: Mapping[str, str] | None = None) -> list[
         *_headers(nc),
         count_check("block numbers", _numbers(nc), "N rises from block to block in every file"),
         count_check("end of program", _each(nc, _end), "one end in each file, in its last block"),
-        count_check("subprograms", _calls(nc), "each is a layer of this program, in its order, and called once"),
+        count_check(
+            "subprograms", _calls(nc), "each is a layer of this program, in its order, and called once"
+        ),
     ]
     if sha256 is not None:
         checks.append(count_check("unchanged", _changed(nc, sha256), "SHA-256 of every file as recorded"))

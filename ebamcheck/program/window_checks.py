@@ -64,7 +64,9 @@ def _set_values(nc: NCProgram, config: Config) -> list[tuple[int, str]]:
         "current_ma": ((low, min(high, process.current_max_ma)), "mA"),
     }
     found = []
-    for name, value, row in zip(nc.events.name, nc.events.value.tolist(), nc.events.row.tolist(), strict=True):
+    for name, value, row in zip(
+        nc.events.name, nc.events.value.tolist(), nc.events.row.tolist(), strict=True
+    ):
         if name in windows and value != 0.0 and len(nc):
             window, unit = windows[name]
             found += _outside(np.array([min(row, len(nc) - 1)]), np.array([value]), window, unit)
