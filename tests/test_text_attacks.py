@@ -48,7 +48,10 @@ def test_lines_to_and_fro_are_fine_in_any_direction(angle):
 
 def test_a_missing_motion_a_moved_end_and_an_exchange_are_found_where_they_are():
     points = to_and_fro()
-    assert form([*points[:5], *points[6:]]) == (SKEW, 4)
+    assert form([*points[:5], *points[6:]]) == (BACK, 5)
+    assert form([*points[:4], *points[5:]]) == (BACK, 3)
+    longer = to_and_fro(length=10.0)
+    assert form([*longer[:4], *longer[5:]]) == (SKEW, 3)
     moved = [*points[:4], (points[4][0], points[4][1] + 3.0), *points[5:]]
     assert form(moved)[0] == SKEW
     swapped = [*points[:4], points[5], points[4], *points[6:]]

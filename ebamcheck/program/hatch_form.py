@@ -112,6 +112,80 @@ def _offset(start: Floats, way: Floats, length: Floats, j: int, i: int) -> float
 
 
 @kernel
+def _turned_back(way: Floats, length: Floats, a: int, b: int) -> int:
+    """First line of a bead that goes back on the one before; -1 for none."""
+    for i in range(a + 1, b):
+        along = way[i - 1, 0] * way[i, 0] + way[i - 1, 1] * way[i, 1]
+        known = min(length[i - 1], length[i]) > 10.0 * ROUNDING_MM
+        if known and along < LEAST_TURN * length[i - 1] * length[i]:
+            return i
+    return -1
+
+
+@kernel
+def _main_line(way: Floats, length: Floats, a: int, b: int) -> int:
+    """Longest line of the direction that most of a bead has; -1 where no direction has enough of it."""
+    best, most = a, 0.0
+    for i in range(a, b):
+        along = 0.0
+        for k in range(a, b):
+            along += length[k] if _parallel(way, length, i, k) else 0.0
+        if along > most or (along == most and length[i] > length[best]):
+            best, most = i, along
+    return best if most >= TO_AND_FRO * length[a:b].sum() else -1
+
+
+@kernel
+def _goes_to_and_fro(
+    start: Floats, way: Floats, length: Floats, a: int, b: int, j: int, spacing: float
+) -> bool:
+    """Whether two lines along line j follow each other with one turn between, in opposite directions and side by side."""
+    for i in range(a + 2, b):
+        turn = length[i - 1] <= TURN_SPACINGS * spacing + ROUNDING_MM and not _parallel(way, length, j, i - 1)
+        if turn and _parallel(way, length, j, i) and _parallel(way, length, j, i - 2):
+            opposite = way[i, 0] * way[i - 2, 0] + way[i, 1] * way[i - 2, 1] < 0.0
+            step = abs(_offset(start, way, length, j, i) - _offset(start, way, length, j, i - 2))
+            if opposite and ROUNDING_MM < step <= WIDEST_SPACINGS * spacing:
+                return True
+    return False
+
+
+@kernel
+def _skew(way: Floats, length: Floats, a: int, b: int, j: int, spacing: float) -> int:
+    """First line of a bead that is neither along line j, nor along any other, nor a turn between two; -1 for none."""
+    straight = True
+    for i in range(a, b):
+        if _parallel(way, length, j, i):
+            straight = True
+            continue
+        turn = straight and a < i < b - 1 and length[i] <= TURN_SPACINGS * spacing + ROUNDING_MM
+        mate = False
+        for k in range(a, b):
+            mate = mate or (k != i and _parallel(way, length, i, k))
+        if not turn and not mate:
+            return i
+        straight = False
+    return -1
+
+
+@kernel
+def _uneven(start: Floats, way: Floats, length: Floats, a: int, b: int, j: int) -> int:
+    """First line along line j whose distance from the one before is another than that of those before; -1 for none."""
+    before, pitch = -1, 0.0
+    for i in range(a, b):
+        if not _parallel(way, length, j, i):
+            continue
+        if before >= 0:
+            step = abs(_offset(start, way, length, j, i) - _offset(start, way, length, j, before))
+            if step > 2.0 * ROUNDING_MM:
+                if pitch > 0.0 and abs(step - pitch) > 2.0 * ROUNDING_MM + PARALLEL * length[j]:
+                    return i
+                pitch = step
+        before = i
+    return -1
+
+
+@kernel
 def form_of(first: Ints, start: Floats, way: Floats, spacing: float) -> tuple[Ints, Ints]:
     """Form of each bead: whether its lines are to and fro and evenly so, (P,), and the line where they are not (P,)."""
     count = first.size - 1
@@ -119,64 +193,15 @@ def form_of(first: Ints, start: Floats, way: Floats, spacing: float) -> tuple[In
     length = np.sqrt(way[:, 0] ** 2 + way[:, 1] ** 2)
     for bead in range(count):
         a, b = first[bead], first[bead + 1]
-        for i in range(a + 1, b):
-            along = way[i - 1, 0] * way[i, 0] + way[i - 1, 1] * way[i, 1]
-            if (
-                along < LEAST_TURN * length[i - 1] * length[i]
-                and min(length[i - 1], length[i]) > 10.0 * ROUNDING_MM
-            ):
-                state[bead], at[bead] = BACK, i
-                break
-        if b - a < 3 or state[bead] != FINE:
-            continue
-        j, most = a, 0.0
-        for i in range(a, b):
-            along = 0.0
-            for k in range(a, b):
-                along += length[k] if _parallel(way, length, i, k) else 0.0
-            if along > most or (along == most and length[i] > length[j]):
-                j, most = i, along
-        if most < TO_AND_FRO * length[a:b].sum():
-            continue
-        before, hatch, pitch = -1, False, 0.0
-        for i in range(a, b):
-            if not _parallel(way, length, j, i):
-                continue
-            if before >= 0 and i - before == 2 and length[i - 1] <= TURN_SPACINGS * spacing + ROUNDING_MM:
-                opposite = way[i, 0] * way[before, 0] + way[i, 1] * way[before, 1] < 0.0
-                step = abs(_offset(start, way, length, j, i) - _offset(start, way, length, j, before))
-                if opposite and ROUNDING_MM < step <= WIDEST_SPACINGS * spacing:
-                    hatch = True
-            before = i
-        if not hatch:
-            continue
-        straight = True
-        for i in range(a, b):
-            if _parallel(way, length, j, i):
-                straight = True
-                continue
-            turn = straight and a < i < b - 1 and length[i] <= TURN_SPACINGS * spacing + ROUNDING_MM
-            mate = False
-            for k in range(a, b):
-                mate = mate or (k != i and _parallel(way, length, i, k))
-            if not turn and not mate:
-                state[bead], at[bead] = SKEW, i
-                break
-            straight = False
-        if state[bead] != FINE:
-            continue
-        before = -1
-        for i in range(a, b):
-            if not _parallel(way, length, j, i):
-                continue
-            if before >= 0:
-                step = abs(_offset(start, way, length, j, i) - _offset(start, way, length, j, before))
-                if step > 2.0 * ROUNDING_MM:
-                    if pitch > 0.0 and abs(step - pitch) > 2.0 * ROUNDING_MM + PARALLEL * length[j]:
-                        state[bead], at[bead] = UNEVEN, i
-                        break
-                    pitch = step
-            before = i
+        kind, place = BACK, _turned_back(way, length, a, b)
+        if place < 0 and b - a >= 3:
+            j = _main_line(way, length, a, b)
+            if j >= 0 and _goes_to_and_fro(start, way, length, a, b, j, spacing):
+                kind, place = SKEW, _skew(way, length, a, b, j, spacing)
+                if place < 0:
+                    kind, place = UNEVEN, _uneven(start, way, length, a, b, j)
+        if place >= 0:
+            state[bead], at[bead] = kind, place
     return state, at
 
 
