@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from benchmarks.faults.subjects import SUBJECTS
-from ebamcheck.config import Config
 from ebamcheck.pipeline import run_job
 from ebamcheck.pipeline.gates_again import exchanged_layers
+from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.pipeline.verify import verify_against_part, verify_run
-from ebamcheck.process_window import outside_window
-from ebamcheck.program.hatch_form import BACK, FINE, SKEW, UNEVEN, form_of
-from ebamcheck.program.interpass_checks import scheduled_shares
-from ebamcheck.store import RunFolder
+from ebamcheck.program.checking.hatch_form import BACK, FINE, SKEW, UNEVEN, form_of
+from ebamcheck.program.checking.interpass_checks import scheduled_shares
+from ebamcheck.settings.config import Config
+from ebamcheck.settings.process_window import outside_window
 from ebamcheck_models import write_stl
 
 SPACING_MM = 4.32
@@ -249,7 +249,7 @@ def test_a_run_writes_and_proves_a_program_from_a_layer_on(made, control):
 )
 def test_an_entry_program_that_differs_from_the_whole_is_found(made, tmp_path, pattern, by):
     from ebamcheck.pipeline.entry_program import checked_again
-    from ebamcheck.program.inputs import deposition_heights
+    from ebamcheck.program.toolpath.inputs import deposition_heights
 
     run, _, config = made("plain-gcode")
     copy = tmp_path / "run"

@@ -8,14 +8,14 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from ebamcheck.config import Config
 from ebamcheck.errors import InputError, SettingsError
+from ebamcheck.numeric.rings import Floats
 from ebamcheck.program import Check, mark_validated, read_program
-from ebamcheck.program.entry import begin_at_layer
-from ebamcheck.program.entry_check import NAME, entry_check
+from ebamcheck.program.checking.entry_check import NAME, entry_check
 from ebamcheck.program.files import ProgramFiles
-from ebamcheck.program.motions import NCProgram
-from ebamcheck.rings import Floats
+from ebamcheck.program.reading.motions import NCProgram
+from ebamcheck.program.writing.entry import begin_at_layer
+from ebamcheck.settings.config import Config
 
 FOLDER = "entry"
 """Folder of the program within a run."""
