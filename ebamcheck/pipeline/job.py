@@ -55,6 +55,7 @@ def run_job(
     reference: str | Path | None = None,
     resume: bool = False,
     observer: Observer | None = None,
+    from_layer: int = 1,
 ) -> RunResult:
     """Slice a part with every backend, compare, fit, partition, order, write the program and verify it.
 
@@ -72,6 +73,8 @@ def run_job(
         Go on with what a killed run of the same part and settings left behind.
     observer
         Told of stages and progress.
+    from_layer
+        Write a second program, too, that begins at this layer, from 1: to go on after a break.
 
     Raises
     ------
@@ -94,7 +97,8 @@ def run_job(
     def program(job: Job, checked: CrossCheck, sound: bool) -> list[Gate]:
         return make_program(job, _primary(job, checked), checked, fine, sound)
 
-    return _job("run", part_path, target, config, [fine.sha256 if fine else ""], resume, observer, program)
+    inputs = [fine.sha256 if fine else ""]
+    return _job("run", part_path, target, config, inputs, resume, observer, program, from_layer)
 
 
 def check_job(
@@ -120,17 +124,21 @@ def _job(
     resume: bool,
     observer: Observer | None,
     program: Callable[[Job, CrossCheck, bool], list[Gate]] | None,
+    from_layer: int = 1,
 ) -> RunResult:
     """Cross-check a part in a run folder, and make the program where one is wanted."""
     observer = observer or Silent()
     part, turned, facets = placed_part(part_path, config)
     heights = cut_heights(part, config)
+    if not 1 <= from_layer <= len(heights):
+        raise SettingsError(f"--from-layer {from_layer}: the part has layers 1 to {len(heights)}")
     backends = chosen_backends(config)
     fingerprint = sha256_of_json(
         [kind, part.sha256, config.model_dump(), heights, list(backends), __version__, *inputs]
     )
     found = inspection.inspect(part)
     job = Job(kind, config, observer, part, found, heights, start_run(Path(target), fingerprint, resume))
+    job.from_layer = from_layer
     if turned:
         job.add_finding(noticed.turned_over(turned, facets))
     job.add_finding(*noticed.of_part(found, config))

@@ -108,8 +108,7 @@ def _smoothing(nc: NCProgram, config: Config, faults: Faults) -> Check:
     """How the control may leave the path: its words at every motion, and every tolerance within the one set."""
     limit = config.machine.smoothing_tolerance_mm
     if nc.dialect == PLAIN:
-        text = "plain G-code has no word for it: the control's own"
-        return Check("smoothing", True, 0.0, 0.0, "mm", "", text)
+        return count_check("smoothing", _own_smoothing(nc), "no word for it: the control's own")
     tolerances = [i for i, name in enumerate(nc.events.name) if name in ("CTOL", "ADIS")]
     value = max((float(nc.events.value[i]) for i in tolerances), default=math.inf)
     faults = [*faults, *_tolerances(nc, config, tolerances)]
@@ -121,6 +120,18 @@ def _smoothing(nc: NCProgram, config: Config, faults: Faults) -> Check:
     return Check(
         "smoothing", True, value, limit, "mm", "", f"{' '.join(words)}{name}{value:g} at every motion"
     )
+
+
+def _own_smoothing(nc: NCProgram) -> Faults:
+    """Words of the path in a program whose profile knows none: what tolerance they leave is not known."""
+    return [
+        (
+            event_place(nc, i),
+            f"{name}: the profile of this control sets no smoothing, and knows none of its tolerances",
+        )
+        for i, name in enumerate(nc.events.name)
+        if name == "CTOL" or _is_path(nc, name)
+    ]
 
 
 def _is_path(nc: NCProgram, word: str) -> bool:
