@@ -10,7 +10,6 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from ebamcheck.program.files import ProgramFiles
 from parts import box
 
 import ebamcheck
@@ -19,6 +18,7 @@ from ebamcheck.curves.columns import Curves
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.layers.stack import Layers, from_rings
 from ebamcheck.program import NCProgram, read_program, write_program
+from ebamcheck.program.language.files import ProgramFiles
 from ebamcheck.scan import ScanPlan, plan_stack
 from ebamcheck.settings.config import Config
 from ebamcheck.showing import short_text

@@ -119,6 +119,10 @@ def run(
     units: UnitsOption = "",
     direction: DirectionOption = "",
     fix_orientation: FixOption = False,
+    from_layer: Annotated[
+        int,
+        typer.Option(min=1, help="Write a program that begins at this layer, too: to go on after a break."),
+    ] = 1,
     resume: ResumeOption = False,
     force: ForceOption = False,
     as_json: JsonOption = False,
@@ -129,9 +133,8 @@ def run(
 
     settings = job_settings(config, units, direction, layer_height, backends, witnesses, fix_orientation)
     with watched() as observer:
-        result = run_job(
-            part, output or Path(f"{part.stem}.run"), settings, reference, resume, observer, force
-        )
+        folder = output or Path(f"{part.stem}.run")
+        result = run_job(part, folder, settings, reference, resume, observer, force, from_layer)
     return _told(result, as_json)
 
 

@@ -56,6 +56,7 @@ def run_job(
     resume: bool = False,
     observer: Observer | None = None,
     force: bool = False,
+    from_layer: int = 1,
 ) -> RunResult:
     """Slice a part with every backend, compare, fit, partition, order, write the program and verify it.
 
@@ -75,6 +76,8 @@ def run_job(
         Told of stages and progress.
     force
         Make the run although a finished one stands at `target`, which is kept under a name with its date.
+    from_layer
+        Write a second program, too, that begins at this layer, from 1: to go on after a break.
 
     Raises
     ------
@@ -97,9 +100,8 @@ def run_job(
     def program(job: Job, checked: CrossCheck, sound: bool) -> list[Gate]:
         return make_program(job, _primary(job, checked), checked, fine, sound)
 
-    return _job(
-        "run", part_path, target, config, [fine.sha256 if fine else ""], resume, observer, program, force
-    )
+    inputs = [fine.sha256 if fine else ""]
+    return _job("run", part_path, target, config, inputs, resume, observer, program, force, from_layer)
 
 
 def check_job(
@@ -127,11 +129,14 @@ def _job(
     observer: Observer | None,
     program: Callable[[Job, CrossCheck, bool], list[Gate]] | None,
     force: bool,
+    from_layer: int = 1,
 ) -> RunResult:
     """Cross-check a part in a run folder, and make the program where one is wanted."""
     observer = observer or Silent()
     part, turned, facets = placed_part(part_path, config)
     heights = cut_heights(part, config)
+    if not 1 <= from_layer <= len(heights):
+        raise SettingsError(f"--from-layer {from_layer}: the part has layers 1 to {len(heights)}")
     backends = chosen_backends(config)
     fingerprint = sha256_of_json(
         [kind, part.sha256, config.model_dump(), heights, list(backends), __version__, *inputs]
@@ -144,6 +149,7 @@ def _job(
     if folder.former is not None:
         observer.note(f"{target}: the former run will be kept as {folder.former.name}")
     job = Job(kind, config, observer, part, found, heights, folder, fingerprint)
+    job.from_layer = from_layer
     if turned:
         job.add_finding(noticed.turned_over(turned, facets))
     job.add_finding(*noticed.of_part(found, config))

@@ -16,6 +16,8 @@ from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline import gates, noticed
 from ebamcheck.pipeline.cross_check import CrossCheck
+from ebamcheck.pipeline.entry_program import FOLDER as ENTRY
+from ebamcheck.pipeline.entry_program import write_entry
 from ebamcheck.pipeline.fitted import fitted
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.work import Job
@@ -92,6 +94,11 @@ def make_program(
     job.record["program"]["files"] = [
         {"name": name, "sha256": files.sha256[name], "blocks": files.blocks[name]} for name in files.names
     ]
+    if job.from_layer > 1:
+        z_of = deposition_heights(layers.heights, config.layer_height_mm)
+        entry = write_entry(files, job.from_layer, z_of, config)
+        job.record["program"][ENTRY] = entry
+        job.observer.note(f"program from layer {job.from_layer} on: {entry['check']['text']}")
     return made
 
 

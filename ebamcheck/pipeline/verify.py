@@ -267,7 +267,11 @@ def verify_against_part(
         metal=True,
         heat=True,
         heights=heights,
-        truth=Truth(read_certificate(paper).get("validated") if paper else None, file_hash(part_path)),
+        truth=Truth(
+            read_certificate(paper).get("validated") if paper else None,
+            file_hash(part_path),
+            sha256_of_json(config.model_dump()),
+        ),
     )
     certified = certificate_checks(paper, program, part_path, config, trusted) if paper else []
     return [*certified, sound, *made]

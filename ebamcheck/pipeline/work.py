@@ -62,6 +62,8 @@ class Job:
     timings: dict[str, float] = field(default_factory=dict)
     record: dict[str, Any] = field(default_factory=dict)
     findings: list[Finding] = field(default_factory=list)
+    from_layer: int = 1
+    """Layer, from 1, at which a second program begins, to go on after a break; 1: none is written."""
 
     def add_finding(self, *findings: Finding) -> None:
         """Add what a person has to know of this job, whatever becomes of its gates."""

@@ -63,6 +63,17 @@ class ProcessSettings(Section):
     line_energy_j_mm: Range = (150.0, 3000.0)
     """Least and greatest energy of the beam along a bead, P / v. The corners of the published window: 60 kV and 50 mA at
     20 mm/s, 60 kV and 250 mA at 5 mm/s. Less does not melt wire and base together, more boils and drops through."""
+    voltage_window_kv: Range = (10.0, 200.0)
+    """Least and greatest accelerating voltage that a program may set; guns for wire processes run at 40 to 150 kV."""
+    current_window_ma: Range = (1.0, 1000.0)
+    """Least and greatest beam current of a bead; its ramps may go below by ramp_power. current_max_ma holds, too."""
+    travel_window_mm_s: Range = (1.0, 100.0)
+    """Least and greatest speed along a bead."""
+    bead_section_mm2: Range = (0.5, 60.0)
+    """Least and greatest metal of a bead over its length: section of the wire times wire speed over travel speed."""
+    metal_energy_j_mm3: Range = (10.0, 600.0)
+    """Least and greatest energy of the beam over the wire that it melts, P / (section of the wire x wire speed). Ten is what
+    titanium or steel needs to be molten at all."""
     least_wall_mm: Positive | None = None
     """Thinnest wall that may be built; None: bead_width_mm, or as much less as wire_speed_min_mm_s is under the wire speed
     of a layer."""
@@ -113,6 +124,9 @@ class ProcessSettings(Section):
     """Wire drawn back at the end of a bead, so that it does not freeze in."""
     layer_pause_s: NotNegative = 0.0
     """Least wait between two layers with the beam off; `interpass` makes it longer where the part is too hot."""
+    longest_wait_s: Positive = 14400.0
+    """Longest wait that a program may have in one place: four hours, after which a plan waits no further. A longer one is a slip,
+    or leaves the part colder than its power was planned for."""
     interpass: Literal["dwell", "power", "both", "off"] = "both"
     """What keeps the part cool: waits before layers and beads (dwell), less power as it gets warm (power), power first
     and waits where the least power is still too much (both), or nothing (off)."""
@@ -189,6 +203,11 @@ class ProcessSettings(Section):
             "wire_speed_min_mm_s and wire_speed_max_mm_s": wire,
             "layer_over_bead": self.layer_over_bead,
             "line_energy_j_mm": self.line_energy_j_mm,
+            "voltage_window_kv": self.voltage_window_kv,
+            "current_window_ma": self.current_window_ma,
+            "travel_window_mm_s": self.travel_window_mm_s,
+            "bead_section_mm2": self.bead_section_mm2,
+            "metal_energy_j_mm3": self.metal_energy_j_mm3,
         }.items():
             if low >= high:
                 raise ValueError(f"{name} {low:g}, {high:g}: give the lower one first")
