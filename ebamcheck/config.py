@@ -22,6 +22,7 @@ from ebamcheck.settings.process import ProcessSettings
 from ebamcheck.settings.scan import ScanSettings
 from ebamcheck.settings.selection import MachineSections, RegressionSettings
 from ebamcheck.settings.slicing import ComparisonSettings, LayerSettings, PartSettings, SlicingSettings
+from ebamcheck.settings.work import WorkSettings
 
 
 class Config(Section):
@@ -39,6 +40,7 @@ class Config(Section):
     material: MaterialSettings = MaterialSettings()
     regression: RegressionSettings = RegressionSettings()
     machines: MachineSections = MachineSections()
+    work: WorkSettings = WorkSettings()
 
     @property
     def layer_height_mm(self) -> float:
