@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from ebamcheck.errors import InputError
 from ebamcheck.part import LARGEST_EXTENT_MM, SMALLEST_EXTENT_MM, UNITS_MM, Part
 from ebamcheck.stl import read_triangles
-from ebamcheck.unread_formats import how_to_read
 from ebamcheck.units import unit_named
+from ebamcheck.unread_formats import how_to_read
 from ebamcheck.welding import weld
 
 TRIMESH_SUFFIXES = (".obj", ".ply", ".3mf")

@@ -16,8 +16,8 @@ from ebamcheck.pipeline.certificate import find_certificate, find_record, read_c
 from ebamcheck.pipeline.certificate_checks import (
     certificate_checks,
     file_check,
-    file_hash,
     hash_check,
+    part_hash,
     run_certificate_checks,
     told_once,
 )
@@ -141,12 +141,12 @@ def _verify(
     config = validated(manifest["settings"], f"{MANIFEST}: settings")
     if not quick:
         path = part or _part_file(run, manifest)
-        checks.append(hash_check("part unchanged", file_hash(path), manifest["part"]["sha256"], path.name))
+        checks.append(hash_check("part unchanged", part_hash(path), manifest["part"]["sha256"], path.name))
         if not (untouched and checks[-1].passed):
             return checks
         return checks + compared_again(run, manifest, config, placed_part(path, config)[0])
     if part is not None:
-        checks.append(hash_check("part unchanged", file_hash(part), manifest["part"]["sha256"], part.name))
+        checks.append(hash_check("part unchanged", part_hash(part), manifest["part"]["sha256"], part.name))
     return checks + _recorded_gates(manifest) + (_text_alone(run, manifest, config) if untouched else [])
 
 
@@ -249,7 +249,7 @@ def verify_against_part(
         metal=True,
         heat=True,
         heights=heights,
-        truth=Truth(read_certificate(paper).get("validated") if paper else None, file_hash(part_path)),
+        truth=Truth(read_certificate(paper).get("validated") if paper else None, part_hash(part_path)),
     )
     certified = certificate_checks(paper, program, part_path, config, trusted) if paper else []
     return [*certified, sound, *made]

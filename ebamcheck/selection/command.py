@@ -11,8 +11,8 @@ import typer
 from ebamcheck.config import Config, load_config
 from ebamcheck.errors import BackendMissing, ExitCode, SettingsError
 from ebamcheck.machines import machine_name
-from ebamcheck.mesh_files import load
 from ebamcheck.model import models
+from ebamcheck.part_source import read_part
 from ebamcheck.selection.choice import RULES, Choice, choose
 from ebamcheck.selection.trial import (
     REPEATS,
@@ -94,7 +94,7 @@ def select(
 
 def _workpiece(part: Path | None, model: str, settings: Config) -> Workpiece:
     if part is not None:
-        placed = load(part, settings.part.units).along(settings.part.direction)
+        placed, _ = read_part(part, settings.part.model_copy(update={"fix_orientation": False}))
         return workpiece_of_part(placed, settings.layer_height_mm)
     name = model or DEFAULT_MODEL
     return workpiece_of_model(models([name])[name], COARSE_MM, settings.layer_height_mm)

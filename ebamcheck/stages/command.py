@@ -7,11 +7,9 @@ from typing import Annotated, Any
 
 import typer
 
-from ebamcheck import mesh_files
-from ebamcheck.config import Config
 from ebamcheck.curves import METHODS, Curves, contour_error, error_reduction, fit, fit_deviation
+from ebamcheck.cuts import cut_heights
 from ebamcheck.errors import ExitCode, InputError, SettingsError
-from ebamcheck.heights import checked_heights, layer_heights
 from ebamcheck.layers import Layers
 from ebamcheck.options import (
     ConfigOption,
@@ -19,11 +17,13 @@ from ebamcheck.options import (
     JsonOption,
     LayerHeightOption,
     UnitsOption,
+    YesOption,
     loaded,
     print_json,
     settings_of,
+    within_work,
 )
-from ebamcheck.part import Part
+from ebamcheck.part_source import read_reference
 from ebamcheck.pipeline.programming import bead_paths, smooth_layers
 from ebamcheck.process_window import checked_window
 from ebamcheck.program import write_program
@@ -57,6 +57,7 @@ def fit_command(
     config: ConfigOption = None,
     units: UnitsOption = "",
     direction: DirectionOption = "",
+    yes: YesOption = False,
     as_json: JsonOption = False,
 ) -> ExitCode:
     """Slice a part, fit curves to its contours and say how near they are and how many blocks they take."""
@@ -67,8 +68,8 @@ def fit_command(
     if output is not None and (len(methods) > 1 or output.suffix.lower() != ".parquet"):
         raise SettingsError(f"{output}: give FILE.parquet and one method")
     placed = loaded(part, settings)
-    layers = slice_part(placed, _heights(placed, settings))
-    truth = slice_part(loaded(reference, settings), layers.heights) if reference else None
+    layers = slice_part(placed, within_work(placed, cut_heights(placed, settings), settings, yes))
+    truth = slice_part(read_reference(reference, part, settings.part), layers.heights) if reference else None
     rows = []
     for name in methods:
         curves = fit(layers, name, settings.curves, part=placed)
@@ -119,6 +120,7 @@ def post_command(
     config: ConfigOption = None,
     units: UnitsOption = "",
     direction: DirectionOption = "",
+    yes: YesOption = False,
 ) -> ExitCode:
     """Write a program for a control or a whole case for a heat simulator; `ebamcheck verify` checks it, `run` validates it."""
     if (source / MANIFEST).is_file():
@@ -129,8 +131,8 @@ def post_command(
     else:
         settings = settings_of(config, units, direction, layer_height)
         checked_window(settings)
-        placed = mesh_files.load(source, settings.part.units).along(settings.part.direction)
-        layers = slice_part(placed, _heights(placed, settings))
+        placed = loaded(source, settings)
+        layers = slice_part(placed, within_work(placed, cut_heights(placed, settings), settings, yes))
         smooth = smooth_layers(fit(layers, settings.curves.method, settings.curves, part=placed))
         plan = plan_stack(smooth, settings)
         beads, sha256 = bead_paths(smooth, plan, settings), placed.source_sha256
@@ -158,9 +160,3 @@ def post_command(
             "NOT VALIDATED: check it with `ebamcheck verify`, or let `ebamcheck run` make and validate one"
         )
     return ExitCode.PASS
-
-
-def _heights(part: Part, settings: Config) -> Any:
-    if settings.layers.heights_mm:
-        return checked_heights(settings.layers.heights_mm)
-    return layer_heights(part, settings.layer_height_mm)
