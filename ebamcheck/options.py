@@ -133,7 +133,10 @@ def begun(source: Path, settings: Config, job: str, yes: bool) -> Ready:
         If the part cannot be read, or the job cannot come to a good end.
     """
     from ebamcheck.preflight import ready
+    from ebamcheck.process_window import checked_window
 
+    if job == "run":
+        checked_window(settings)
     found = ready(source, settings, job, yes)
     found.preflight.stop(job)
     for check in found.preflight.checks:

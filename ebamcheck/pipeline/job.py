@@ -18,6 +18,7 @@ from ebamcheck.pipeline.certificate import write_certificate
 from ebamcheck.pipeline.choice import chosen_backends, primary_backend, unavailable_backends
 from ebamcheck.pipeline.cross_check import CrossCheck, cross_check
 from ebamcheck.pipeline.gates import Gate
+from ebamcheck.pipeline.plate_record import PLATE, plate_record
 from ebamcheck.pipeline.programming import make_program
 from ebamcheck.pipeline.record import manifest as make_manifest
 from ebamcheck.pipeline.work import Job, Observer, Silent
@@ -158,6 +159,8 @@ def _finished(
     outcomes = {**checked.outcomes, **unavailable_backends(job.config)}
     shut = [gates.input_gate(job.found), gates.agreement_gate(checked.comparison, outcomes, len(job.heights))]
     job.add_finding(*(noticed.unavailable(o) for o in outcomes.values() if o.failure == "unavailable"))
+    if parts := plate_record(job.part, job.config):
+        job.record[PLATE] = parts
     if program is not None and _primary(job, checked):
         job.add_finding(*noticed.of_profile(job.config))
         shut += program(job, checked, all(gate.passed for gate in shut))

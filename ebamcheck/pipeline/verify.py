@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -24,9 +25,12 @@ from ebamcheck.pipeline.certificate_checks import (
 from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.gates_again import SMOOTH_MM, compared, truth_of, work_again
 from ebamcheck.pipeline.placement import cut_heights, placed_part
+from ebamcheck.pipeline.plate_record import PLATE, plate_checks
 from ebamcheck.pipeline.signing import trusted_keys
-from ebamcheck.program import Check, verify_file
+from ebamcheck.plates import PlatePart
+from ebamcheck.program import Check, read_program, verify_file
 from ebamcheck.program.header_checks import Truth
+from ebamcheck.program.motions import NCProgram
 from ebamcheck.scan import ScanPlan
 from ebamcheck.slicing import slice_part
 from ebamcheck.store import MANIFEST, RunFolder, sha256_of_json
@@ -158,7 +162,18 @@ def compared_again(run: RunFolder, manifest: dict[str, Any], config: Config, par
         return [Check("worked out again", False, 1.0, 0.0, "faults", str(run.path), str(error))]
     if manifest.get("program") is None and manifest.get("job") != "check":
         return [*compared(again, manifest), _no_program()]
-    return [*compared(again, manifest), *again.checks]
+    text = _read_back(run, manifest, config) if isinstance(part, PlatePart) else None
+    parts = plate_checks(part, config, text, manifest.get(PLATE), MANIFEST)
+    return [*compared(again, manifest), *parts, *again.checks]
+
+
+def _read_back(run: RunFolder, manifest: dict[str, Any], config: Config) -> NCProgram | None:
+    """Program of a run, read from its text; None where the run has none, or it cannot be read (a check tells that)."""
+    record = manifest.get("program")
+    try:
+        return read_program(run.program_folder / record["files"][0]["name"], config) if record else None
+    except EbamcheckError:
+        return None
 
 
 def _part_file(run: RunFolder, manifest: dict[str, Any]) -> Path:
@@ -252,6 +267,10 @@ def verify_against_part(
         truth=Truth(read_certificate(paper).get("validated") if paper else None, part_hash(part_path)),
     )
     certified = certificate_checks(paper, program, part_path, config, trusted) if paper else []
+    if paper and isinstance(part, PlatePart):
+        with suppress(EbamcheckError):  # a program that cannot be read has a failed check of its own
+            text = read_program(program, config)
+            certified += plate_checks(part, config, text, read_certificate(paper).get(PLATE), paper.name)
     return [*certified, sound, *made]
 
 

@@ -15,12 +15,12 @@ FEW_BEADS_ACROSS = 2.0
 def sense_checks(config: Config) -> Iterator[PreflightCheck]:
     """Check layer height, wire and energy against the process window, and what else excludes itself."""
     window = [of_finding("process window", found, (RUN,)) for found in outside_window(config)]
-    window += [of_finding("layer height", found) for found in unusual_layers(config)]
     layer, bead = config.layer_height_mm, config.process.bead_height_mm
     said = (
         f"layers of {layer:.4g} mm, {layer / bead:.3g} of the height of one bead; within the process window"
     )
     yield from window or [PreflightCheck("process window", "pass", said, layer / bead, None, "of the bead")]
+    yield from (of_finding("layer height", found) for found in unusual_layers(config))
     yield _feed(config)
     yield from _cells(config)
     yield from _temperatures(config)

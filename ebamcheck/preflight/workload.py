@@ -41,6 +41,9 @@ BASE_MB, METHOD_MB, FACET_MB, POINT_MB = 450.0, 250.0, 4e-4, 1e-4
 ZONES, BEADS_ACROSS = 60, (4, 12)
 """Islands of an ordinary layer, and fewest and most beads across one (:mod:`ebamcheck.scan.lattice`)."""
 
+CUT = 0.3
+"""Islands that the border cuts off, over those that fit along it."""
+
 SQRT3 = math.sqrt(3.0)
 
 
@@ -105,7 +108,8 @@ def islands_of_layer(area_mm2: float, border_mm: float, config: Config) -> float
     if config.scan.partition == "whole":
         return 1.0
     width = _width_mm(area_mm2, border_mm, config)
-    return area_mm2 / (0.5 * SQRT3 * width**2) + 0.35 * border_mm / width
+    within_mm2 = max(area_mm2 - border_mm * config.process.bead_width_mm, 0.0)
+    return within_mm2 / (0.5 * SQRT3 * width**2) + CUT * border_mm / width
 
 
 def _width_mm(area_mm2: float, border_mm: float, config: Config) -> float:
