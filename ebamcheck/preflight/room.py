@@ -14,6 +14,9 @@ from ebamcheck.preflight.checks import RUN, PreflightCheck
 from ebamcheck.rings import Bools, Floats
 from ebamcheck.settings.process import KeepOut
 
+OFF_MIDDLE = (0.7548776662e-5, 0.5698402910e-5)
+"""Where in a zone a point is looked at, beside its middle, in shares of its extents: powers of the plastic number."""
+
 ROUNDING_MM = 1e-6
 """Placed boxes are rounded to about this."""
 
@@ -127,9 +130,10 @@ def enters(part: Part, zone: KeepOut, outline: BaseGeometry) -> bool:
         if bool(shapely.intersects(outline, shadows).any()):
             return True
     # No facet in the zone: it is wholly within the metal, or wholly outside of it.
-    point = shapely.point_on_surface(outline)
-    height = max(zone.z_mm[0], 0.0)
-    return _winding(corners[near], z[near], float(point.x), float(point.y), height) > 0
+    point, (x0, y0, x1, y1) = shapely.point_on_surface(outline), outline.bounds
+    # Off the middle by shares that no drawing has: on the edge of two facets neither would count.
+    x, y = float(point.x) + OFF_MIDDLE[0] * (x1 - x0), float(point.y) + OFF_MIDDLE[1] * (y1 - y0)
+    return _winding(corners[near], z[near], x, y, max(zone.z_mm[0], 0.0)) > 0
 
 
 def _box_meets(corners: Floats, outline: BaseGeometry) -> Bools:
