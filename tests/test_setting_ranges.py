@@ -7,7 +7,9 @@ import types
 from typing import Annotated, Any, Union, get_args, get_origin
 
 import pytest
+from pydantic import BaseModel
 
+from ebamcheck import registry
 from ebamcheck.config import Config, validated
 from ebamcheck.errors import SettingsError
 from ebamcheck.regression.matrix import Case
@@ -35,7 +37,16 @@ def bounds_in(kind: Any, metadata: tuple[Any, ...] = ()) -> list[Between | None]
 
 
 def number_fields() -> dict[str, list[Between | None]]:
-    kinds = {**SECTIONS, "process.keep_out": KeepOut, "matrix": Case, "tolerances": Tolerance}
+    slicers = {
+        name: registry.slicer(name).Settings for name in (*registry.house_slicers(), *registry.witnesses())
+    }
+    kinds: dict[str, type[BaseModel]] = {
+        **slicers,
+        **SECTIONS,
+        "process.keep_out": KeepOut,
+        "matrix": Case,
+        "tolerances": Tolerance,
+    }
     found = {}
     for section, kind in kinds.items():
         for name, field in kind.model_fields.items():
@@ -53,7 +64,7 @@ def test_the_walk_sees_the_numbers_of_all_kinds():
     for name in (
         "layers.layer_height_mm", "scan.seed", "process.power_schedule", "process.layer_over_bead", "machine.decimals",
         "material.conductivity_by_temperature", "process.keep_out.outline_mm", "kinematics.axis_jerk_mm_s3",
-        "part.place_at_mm", "process.travel_sectors_deg", "work.most_layers", "process.keep_out.z_mm",
+        "part.place_at_mm", "stencil.pixel_mm", "embree.rays_per_call", "cura.time_limit_s", "process.travel_sectors_deg", "work.most_layers", "process.keep_out.z_mm",
     ):  # fmt: skip
         assert name in FIELDS
 

@@ -58,8 +58,8 @@ NotNegative = Annotated[float, Between(0.0, 1e9)]
 Tolerance = Annotated[float, Between(0.0, 10.0)]
 """Distance that something may be off, mm."""
 
-Place = Annotated[float, Between(-1e5, 1e5)]
-"""Coordinate, mm: a machine of 200 m is none."""
+Place = Annotated[float, Between(-1e7, 1e7)]
+"""Coordinate, mm: farther out than 10 km no machine stands, and single precision keeps no millimetre."""
 
 Length = Annotated[float, Between(0.0, 1e4)]
 """Length along a bead or between places, mm."""

@@ -42,7 +42,7 @@ class CurveSettings(Section):
     largest_lift_mm: Annotated[float, Between(0.001, 1000.0)] = 1.0
     """How far a curve of `bounded` or `surface` may lie from the chords of the mesh, which it leaves for the surface behind
     them: the limit of the fit's gate. More is a mesh too coarse for its part."""
-    largest_bulge_mm: Annotated[float, Between(0.001, 1000.0)] = 0.2
+    largest_bulge_mm: Annotated[float, Between(0.001, 1e6)] = 0.2
     """A curved run that leaves the chords of its contour by more than this stays a polyline: the mesh is too coarse
     there to tell the curve that it stands for. For `paper` and `chord` it is the limit of the fit's gate, too."""
     section_tolerance_mm: Annotated[float, Between(0.001, 100.0)] = 0.25

@@ -10,7 +10,7 @@ from pydantic import field_validator, model_validator
 
 from ebamcheck.settings.base import Between, Length, Place, Section
 
-Speed = Annotated[float, Between(0.001, 1e5)]
+Speed = Annotated[float, Between(0.001, 1e6)]
 """Speed of an axis or along a path, mm/s."""
 
 Acceleration = Annotated[float, Between(0.01, 1e7)]
