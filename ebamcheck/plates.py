@@ -1,7 +1,19 @@
 """Several parts on one base plate, as ``plate.toml`` lists them: read, placed and kept apart, sliced as one part.
 
 Every part stands on the plate, its lowest point at Z 0. All of them become one mesh, whose facets are those of one part
-after the other, so that layers, islands, heat, program and gates are those of the whole plate.
+after the other, so that layers, islands, heat, program and gates are those of the whole plate. Such a file reads::
+
+    clearance_mm = 12            # between parts; 10 if left out
+    [[parts]]
+    file = "blade.stl"           # from the folder of this file
+    place_mm = [0, 0]            # of the middle of its box, in X and Y
+    rotate_deg = 45              # about the vertical; 0 if left out
+    [[parts]]
+    file = "rail.stl"
+    units = "in"                 # that of the settings if left out; so is direction = [0, 0, 1]
+    place_mm = [120, 0]
+    copies = 3
+    step_mm = [40, 0]            # from one copy to the next
 """
 
 from __future__ import annotations

@@ -50,16 +50,16 @@ def how_to_read(suffix: str) -> str:
 
     Examples
     --------
-    >>> how_to_read(".stp")[:52]
-    'is a STEP file of exact surfaces, and slicers take a'
+    >>> how_to_read(".stp")[:60]
+    'holds exact surfaces (STEP), and slicers take a closed mesh:'
     """
     known = ", ".join(READ)
     for name, suffixes in SOLIDS.items():
         if suffix in suffixes:
-            return f"is a {name} file of exact surfaces, and slicers take a closed mesh: {EXPORT}"
+            return f"holds exact surfaces ({name}), and slicers take a closed mesh: {EXPORT}"
     for name, suffixes in MESHES.items():
         if suffix in suffixes:
-            return f"is a {name} file: parts are read from {known}; convert it to one of these"
+            return f"holds a mesh in a form ({name}) that is not read: convert it to one of {known}"
     if suffix in PROGRAMS:
         return f"is a program, not a part: `ebamcheck verify` checks it; parts are read from {known}"
     return f"unknown suffix {suffix!r}: parts are read from {known}"
