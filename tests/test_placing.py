@@ -13,18 +13,18 @@ import shapely
 from command_line import FAST, WIDE, frame, write_stl
 from parts import box, sphere
 
-from ebamcheck.config import Config
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.part_source import read_part, read_reference, source_sha256
+from ebamcheck.mesh.part_source import read_part, read_reference, source_sha256
+from ebamcheck.mesh.placing import cosine_and_sine, placing_of
+from ebamcheck.mesh.plates import PlatePart, load_plate
 from ebamcheck.pipeline import run_job
 from ebamcheck.pipeline.plate_record import member_of, plate_checks, plate_record
+from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.pipeline.verify import verify
-from ebamcheck.placing import cosine_and_sine, placing_of
-from ebamcheck.plates import PlatePart, load_plate
 from ebamcheck.program import read_program
+from ebamcheck.settings.config import Config
 from ebamcheck.settings.slicing import PartSettings
-from ebamcheck.slicing import slice_part
-from ebamcheck.store import RunFolder
+from ebamcheck.slicers.slicing import slice_part
 
 SETTINGS = Config().changed(
     layers={"layer_height_mm": 6.0}, process=WIDE, slicing={"backends": tuple(FAST.split(","))}

@@ -12,19 +12,19 @@ import shapely
 from command_line import FAST, WIDE, WIDE_TOML, ebamcheck, frame, write_stl
 from parts import BOX_FACES, box, moved, sphere
 
-from ebamcheck.config import Config
-from ebamcheck.cuts import heights_within
+from ebamcheck.commands.preflight import preflight_command, preflight_text
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.heights import crossing_counts, layer_heights
-from ebamcheck.mesh_files import load
-from ebamcheck.part import from_arrays
+from ebamcheck.layers.cuts import heights_within
+from ebamcheck.layers.heights import crossing_counts, layer_heights
+from ebamcheck.mesh.files import load
+from ebamcheck.mesh.part import from_arrays
 from ebamcheck.pipeline import check_job, run_job
 from ebamcheck.preflight import ready
 from ebamcheck.preflight.room import enters
 from ebamcheck.preflight.workload import mean_section, workload
+from ebamcheck.settings.config import Config
 from ebamcheck.settings.process import KeepOut
-from ebamcheck.slicing import slice_part
-from ebamcheck.stages.preflight_command import preflight_command, preflight_text
+from ebamcheck.slicers.slicing import slice_part
 
 PLATE = {"base_plate_min_mm": (-100.0, -100.0), "base_plate_max_mm": (100.0, 100.0)}
 
@@ -381,8 +381,8 @@ def test_the_preflight_is_a_command(block, tmp_path):
 HEAVY = (
     "pandas",
     "ebamcheck.pipeline",
-    "ebamcheck.slicing",
-    "ebamcheck.registry",
+    "ebamcheck.slicers.slicing",
+    "ebamcheck.plugins.registry",
     "ebamcheck.curves",
     "ebamcheck.scan",
 )
@@ -392,7 +392,7 @@ HEAVY = (
 @pytest.mark.parametrize("arguments", [["run", "--place", "5000,0"], ["preflight"]], ids=str)
 def test_nothing_heavy_is_loaded_before_the_preflight_has_spoken(block, tmp_path, arguments):
     start = (
-        "import sys, json\nfrom ebamcheck.cli import main\n"
+        "import sys, json\nfrom ebamcheck.commands.main import main\n"
         f"sys.argv = {['ebamcheck', arguments[0], block.name, *arguments[1:]]!r}\n"
         "try:\n    main()\nexcept SystemExit as left:\n    pass\n"
         f"print(json.dumps([name for name in {HEAVY!r} if name in sys.modules]))\n"

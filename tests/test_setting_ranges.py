@@ -9,12 +9,12 @@ from typing import Annotated, Any, Union, get_args, get_origin
 import pytest
 from pydantic import BaseModel
 
-from ebamcheck import registry
-from ebamcheck.config import Config, validated
 from ebamcheck.errors import SettingsError
+from ebamcheck.plugins import registry
 from ebamcheck.regression.matrix import Case
 from ebamcheck.regression.settings import Tolerance
 from ebamcheck.settings.base import Between, Section
+from ebamcheck.settings.config import Config, validated
 from ebamcheck.settings.process import KeepOut
 
 SECTIONS: dict[str, type[Section]] = {

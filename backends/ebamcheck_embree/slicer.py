@@ -10,7 +10,7 @@ import numpy as np
 
 from ebamcheck.backend import BackendSettings, CoplanarRule, Prepared, Probe
 from ebamcheck.errors import BackendFailed
-from ebamcheck.part import Part
+from ebamcheck.mesh.part import Part
 from ebamcheck.settings.base import Between
 from ebamcheck_embree.grid import Mode, automatic_cell_mm, grid_over
 

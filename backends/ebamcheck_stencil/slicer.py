@@ -10,7 +10,7 @@ import numpy as np
 
 from ebamcheck.backend import BackendSettings, CoplanarRule, Prepared, Probe
 from ebamcheck.errors import BackendMissing, SettingsError
-from ebamcheck.part import Part
+from ebamcheck.mesh.part import Part
 from ebamcheck.settings.base import Between
 from ebamcheck_stencil import opengl
 from ebamcheck_stencil.draw_once import draw_crossings

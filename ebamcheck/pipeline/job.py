@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ebamcheck import __version__, registry
+from ebamcheck import __version__
 from ebamcheck.backend import BackendSettings
-from ebamcheck.config import Config
 from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.findings import has_fault
-from ebamcheck.part_source import read_reference
+from ebamcheck.mesh.part_source import read_reference
 from ebamcheck.pipeline import gates, noticed
 from ebamcheck.pipeline.certificate import write_certificate
 from ebamcheck.pipeline.choice import chosen_backends, primary_backend, unavailable_backends
@@ -21,13 +20,22 @@ from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.plate_record import PLATE, plate_record
 from ebamcheck.pipeline.programming import make_program
 from ebamcheck.pipeline.record import manifest as make_manifest
+from ebamcheck.pipeline.run_folder import (
+    FINGERPRINT,
+    MANIFEST,
+    RunFolder,
+    sha256_of_json,
+    start_run,
+    write_json,
+)
 from ebamcheck.pipeline.work import Job, Observer, Silent
+from ebamcheck.plugins import registry
 from ebamcheck.preflight import Ready, ready
-from ebamcheck.process_window import checked_window, outside_window, unusual_layers
-from ebamcheck.program.dialects import TEXT_CONTROLS
-from ebamcheck.program.heat_paths import PATH_FILES
-from ebamcheck.program.templates import usable_templates
-from ebamcheck.store import FINGERPRINT, MANIFEST, RunFolder, sha256_of_json, start_run, write_json
+from ebamcheck.program.language.dialects import TEXT_CONTROLS
+from ebamcheck.program.language.templates import usable_templates
+from ebamcheck.program.simulators.heat_paths import PATH_FILES
+from ebamcheck.settings.config import Config
+from ebamcheck.settings.process_window import checked_window, outside_window, unusual_layers
 
 
 @dataclass(frozen=True)

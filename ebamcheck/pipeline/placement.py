@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ebamcheck.config import Config
-from ebamcheck.cuts import cut_heights as cut_heights
-from ebamcheck.part import Part
-from ebamcheck.part_source import read_part
+from ebamcheck.layers.cuts import cut_heights as cut_heights
+from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.part_source import read_part
+from ebamcheck.settings.config import Config
 
 
 def placed_part(path: str | Path, config: Config) -> tuple[Part, int, int]:

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 import shapely
 
-from ebamcheck.config import Config
-from ebamcheck.inspection import inspect
-from ebamcheck.part import Part
-from ebamcheck.plates import PlatePart
+from ebamcheck.mesh.inspection import inspect
+from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.plates import PlatePart
+from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.pipeline.run_folder import plain
 from ebamcheck.program import Check
-from ebamcheck.program.motions import NCProgram
-from ebamcheck.program.text_heat import motion_seconds
-from ebamcheck.rings import Floats, Ints
-from ebamcheck.store import plain
+from ebamcheck.program.checking.text_heat import motion_seconds
+from ebamcheck.program.reading.motions import NCProgram
+from ebamcheck.settings.config import Config
 
 PLATE = "plate"
 """Field of the record and of the certificate: one entry a part."""

@@ -7,18 +7,18 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from ebamcheck.config import Config
-from ebamcheck.cuts import cut_heights
 from ebamcheck.errors import ExitCode, SettingsError
-from ebamcheck.inspection import Inspection, inspect
-from ebamcheck.part import Part
-from ebamcheck.part_source import read_part
+from ebamcheck.layers.cuts import cut_heights
+from ebamcheck.mesh.inspection import Inspection, inspect
+from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.part_source import read_part
+from ebamcheck.numeric.rings import Floats
 from ebamcheck.preflight.checks import RUN, PreflightCheck, of_finding
 from ebamcheck.preflight.room import room_checks
 from ebamcheck.preflight.sense import sense_checks
 from ebamcheck.preflight.suspicions import sizes, suspicions
 from ebamcheck.preflight.workload import Workload, work_checks, workload
-from ebamcheck.rings import Floats
+from ebamcheck.settings.config import Config
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,10 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.config import Config
-from ebamcheck.part import Part
+from ebamcheck.mesh.part import Part
+from ebamcheck.numeric.rings import Bools, Floats
 from ebamcheck.preflight.checks import RUN, PreflightCheck
-from ebamcheck.rings import Bools, Floats
+from ebamcheck.settings.config import Config
 from ebamcheck.settings.process import KeepOut
 
 OFF_MIDDLE = (0.7548776662e-5, 0.5698402910e-5)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from ebamcheck.config import Config
 from ebamcheck.preflight.checks import RUN, PreflightCheck, of_finding
-from ebamcheck.process_window import outside_window, unusual_layers
+from ebamcheck.settings.config import Config
+from ebamcheck.settings.process_window import outside_window, unusual_layers
 
 FEW_BEADS_ACROSS = 2.0
 """Cells narrower than this many beads are all ends and starts."""

@@ -6,10 +6,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ebamcheck.config import Config
 from ebamcheck.findings import Finding
-from ebamcheck.inspection import Inspection
-from ebamcheck.part import UNITS_MM
+from ebamcheck.mesh.inspection import Inspection
+from ebamcheck.mesh.part import UNITS_MM
+from ebamcheck.settings.config import Config
 
 FEW_BEADS = 3.0
 """A part of fewer beads than this in its greatest extent is no part of this process, or its unit is another."""

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 import psutil
 
-from ebamcheck.config import Config
 from ebamcheck.errors import SettingsError
-from ebamcheck.heights import crossing_counts
-from ebamcheck.part import Part
+from ebamcheck.layers.heights import crossing_counts
+from ebamcheck.mesh.part import Part
+from ebamcheck.numeric.rings import Floats
 from ebamcheck.preflight.checks import CHECK, EVERY, RUN, PreflightCheck
-from ebamcheck.rings import Floats
+from ebamcheck.settings.config import Config
 
 HOUSE_SLICERS = 4
 """Slicers of the house, which a job runs where the settings name none."""
@@ -39,7 +39,7 @@ BASE_MB, METHOD_MB, FACET_MB, POINT_MB = 450.0, 250.0, 4e-4, 1e-4
 """Memory of the job itself, of each method's process, of a facet and of a point, each a method."""
 
 ZONES, BEADS_ACROSS = 60, (4, 12)
-"""Islands of an ordinary layer, and fewest and most beads across one (:mod:`ebamcheck.scan.lattice`)."""
+"""Islands of an ordinary layer, and fewest and most beads across one (:mod:`ebamcheck.scan.islands.lattice`)."""
 
 CUT = 0.3
 """Islands that the border cuts off, over those that fit along it."""

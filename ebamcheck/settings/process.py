@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from ebamcheck.heights import PARABOLA, bead_height_mm
+from ebamcheck.layers.heights import PARABOLA, bead_height_mm
 from ebamcheck.settings.base import Angle, Between, Length, Place, Section, Share, Temperature
 
 Width = Annotated[float, Between(0.1, 100.0)]

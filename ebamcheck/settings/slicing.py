@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field
 
 from ebamcheck.settings.base import Angle, Between, Place, Section, Tolerance
-from ebamcheck.units import known_as
+from ebamcheck.settings.units import known_as
 
 Component = Annotated[float, Between(-1e6, 1e6)]
 """Component of a direction, of any length but 0."""

@@ -1,0 +1,189 @@
+"""Options that commands share, and what their texts mean."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ebamcheck.errors import SettingsError
+
+if TYPE_CHECKING:
+    from ebamcheck.mesh.part import Part
+    from ebamcheck.numeric.rings import Floats
+    from ebamcheck.preflight import Ready
+    from ebamcheck.settings.config import Config
+
+ConfigOption = Annotated[
+    Path | None,
+    typer.Option("-c", "--config", help="Settings (TOML); default: ./ebamcheck.toml where there is one."),
+]
+UnitsOption = Annotated[
+    str, typer.Option(help="Unit of the part's file: mm, cm, m, um, in (inch, inches), ft. Never guessed.")
+]
+DirectionOption = Annotated[str, typer.Option(help="Slicing direction in the file's coordinates, as X,Y,Z.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
+PartArgument = Annotated[Path, typer.Argument(help="Mesh file: .stl, .obj, .ply or .3mf; or plate.toml.")]
+JobPart = Annotated[Path | None, typer.Argument(help="Mesh file: .stl, .obj, .ply or .3mf; or plate.toml.")]
+PlateOption = Annotated[
+    Path | None,
+    typer.Option(help="In place of a part: plate.toml, with several parts or copies on one plate."),
+]
+PlaceOption = Annotated[
+    str,
+    typer.Option(
+        help="Where the middle of the part's box comes to lie, as X,Y; and its lowest point, as X,Y,Z."
+    ),
+]
+RotateOption = Annotated[
+    float | None, typer.Option(help="Turn about the vertical, degrees, counter-clockwise from above.")
+]
+YesOption = Annotated[
+    bool, typer.Option("--yes", help="Go on where the job is more work than the settings allow (work.*).")
+]
+LayerHeightOption = Annotated[
+    float | None, typer.Option(help="Layer height, mm; default: that of one bead of the process.")
+]
+
+RunFolderOption = Annotated[
+    Path | None, typer.Option("-o", "--output", help="Run folder; default: NAME.run.")
+]
+BackendsOption = Annotated[
+    str, typer.Option(help="Backends to run, comma-separated; default: all of the house that are available.")
+]
+WitnessesOption = Annotated[
+    str, typer.Option(help="Outside programs that slice, too, comma-separated; `all`: those installed here.")
+]
+FixOption = Annotated[
+    bool, typer.Option("--fix-orientation", help="Turn flipped facets and inside-out bodies over.")
+]
+ResumeOption = Annotated[bool, typer.Option("--resume", help="Go on with a killed job of the same input.")]
+
+
+def job_settings(
+    config: Path | None,
+    units: str,
+    direction: str,
+    layer_height: float | None,
+    backends: str,
+    witnesses: str,
+    fix_orientation: bool,
+) -> Config:
+    """Settings of a job on this machine, with what the command line says on top."""
+    from ebamcheck.settings.machines import for_this_machine
+
+    settings = for_this_machine(settings_of(config, units, direction, layer_height))
+    if backends:
+        settings = settings.changed(slicing={"backends": names(backends)})
+    if witnesses:
+        settings = settings.changed(slicing={"witnesses": names(witnesses)})
+    return settings.changed(part={"fix_orientation": True}) if fix_orientation else settings
+
+
+def settings_of(config: Path | None, units: str, direction: str, layer_height: float | None) -> Config:
+    """Settings of the file, with what the command line says on top."""
+    from ebamcheck.settings.config import load_config
+
+    default = Path("ebamcheck.toml")
+    settings = load_config(config or (default if default.is_file() else None))
+    if units:
+        settings = settings.changed(part={"units": units})
+    if direction:
+        settings = settings.changed(part={"direction": numbers(direction, "--direction")})
+    if layer_height is not None:
+        settings = settings.changed(layers={"layer_height_mm": layer_height, "heights_mm": ()})
+    return settings
+
+
+def placed_settings(settings: Config, place: str, rotate: float | None) -> Config:
+    """Settings with the place and the turn of the command line on top."""
+    if place:
+        settings = settings.changed(part={"place_at_mm": numbers(place, "--place")})
+    return settings if rotate is None else settings.changed(part={"rotate_deg": rotate})
+
+
+def part_or_plate(part: Path | None, plate: Path | None) -> Path:
+    """File of what is to be built; raises :class:`SettingsError` unless exactly one is given."""
+    if (part is None) == (plate is None):
+        raise SettingsError("give either the file of a part, or --plate with that of a plate")
+    if plate is not None and plate.suffix.lower() != ".toml":
+        raise SettingsError(
+            f"--plate {plate}: a plate is a list of parts in TOML: give a file such as plate.toml"
+        )
+    found = part or plate
+    assert found is not None
+    return found
+
+
+def loaded(path: Path, settings: Config) -> Part:
+    """Part of a file, or of a plate, as the settings read, turn and place it; facets stay as they are."""
+    from ebamcheck.mesh.part_source import read_part
+
+    return read_part(path, settings.part.model_copy(update={"fix_orientation": False}))[0]
+
+
+def begun(source: Path, settings: Config, job: str, yes: bool) -> Ready:
+    """Part of a job that may begin; what the preflight warns of is told before anything else is loaded.
+
+    Raises
+    ------
+    InputError, SettingsError
+        If the part cannot be read, or the job cannot come to a good end.
+    """
+    from ebamcheck.preflight import ready
+    from ebamcheck.settings.process_window import checked_window
+
+    if job == "run":
+        checked_window(settings)
+    found = ready(source, settings, job, yes)
+    found.preflight.stop(job)
+    for check in found.preflight.checks:
+        if check.level != "pass":
+            remedy = f": {check.remedy}" if check.remedy else ""
+            typer.echo(f"ebamcheck: preflight: {check.level}: {check.name}: {check.text}{remedy}", err=True)
+    return found
+
+
+def within_work(part: Part, heights: Floats, settings: Config, yes: bool) -> Floats:
+    """Heights, once slicing at them is no more work than the settings allow; else :class:`SettingsError`."""
+    from ebamcheck.preflight.workload import refuse_work
+
+    refuse_work(part, heights, settings, yes)
+    return heights
+
+
+def names(text: str) -> tuple[str, ...]:
+    """Names of a list with commas."""
+    return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def numbers(text: str, option: str) -> tuple[float, ...]:
+    """Numbers of a list with commas; raises :class:`SettingsError` that names the option."""
+    try:
+        return tuple(float(number) for number in text.split(","))
+    except ValueError:
+        raise SettingsError(f"{option} {text!r}: give numbers, separated by commas") from None
+
+
+def assignments(assignments: list[str]) -> dict[str, Any]:
+    """Settings given as NAME=VALUE; values are JSON where they can be, else text."""
+    values: dict[str, Any] = {}
+    for assignment in assignments:
+        name, equals, value = assignment.partition("=")
+        if not equals:
+            raise SettingsError(f"--set {assignment!r}: write it as NAME=VALUE")
+        try:
+            values[name.strip()] = json.loads(value)
+        except json.JSONDecodeError:
+            values[name.strip()] = value
+    return values
+
+
+def print_json(value: Any) -> None:
+    """Print a value as JSON with sorted keys."""
+    from ebamcheck.pipeline.run_folder import plain
+
+    # ASCII alone, so that it is valid JSON under every encoding of the terminal.
+    typer.echo(json.dumps(plain(value), indent=2, sort_keys=True, allow_nan=False))
