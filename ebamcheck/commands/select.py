@@ -10,7 +10,7 @@ import typer
 
 from ebamcheck.commands.tables import text_table
 from ebamcheck.errors import BackendMissing, ExitCode, SettingsError
-from ebamcheck.mesh.files import load
+from ebamcheck.mesh.part_source import read_part
 from ebamcheck.pipeline.run_folder import plain
 from ebamcheck.plugins.model import models
 from ebamcheck.selection.choice import RULES, Choice, choose
@@ -94,7 +94,7 @@ def select(
 
 def _workpiece(part: Path | None, model: str, settings: Config) -> Workpiece:
     if part is not None:
-        placed = load(part, settings.part.units).along(settings.part.direction)
+        placed, _ = read_part(part, settings.part.model_copy(update={"fix_orientation": False}))
         return workpiece_of_part(placed, settings.layer_height_mm)
     name = model or DEFAULT_MODEL
     return workpiece_of_model(models([name])[name], COARSE_MM, settings.layer_height_mm)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ebamcheck.errors import InputError
+from ebamcheck.mesh.part_source import source_sha256
 from ebamcheck.pipeline.certificate import (
     CERTIFICATE,
     certificate,
@@ -82,7 +83,7 @@ def certificate_checks(
     try:
         checks = [
             _sealed(path, found),
-            hash_check("part unchanged", sha256_of_file(part), found["part"]["sha256"], part.name),
+            hash_check("part unchanged", part_hash(part), found["part"]["sha256"], part.name),
             hash_check(
                 "settings unchanged",
                 sha256_of_json(config.model_dump()),
@@ -124,6 +125,14 @@ def file_hash(path: Path) -> str:
     """SHA-256 of a file; raises :class:`InputError` where it cannot be read."""
     try:
         return sha256_of_file(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+
+
+def part_hash(path: Path) -> str:
+    """SHA-256 of a part's file, or of a plate and all of its parts; raises :class:`InputError` for what cannot be read."""
+    try:
+        return source_sha256(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
 

@@ -11,14 +11,13 @@ from ebamcheck import __version__
 from ebamcheck.backend import BackendSettings
 from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.findings import has_fault
-from ebamcheck.mesh import files as mesh_files
-from ebamcheck.mesh import inspection
+from ebamcheck.mesh.part_source import read_reference
 from ebamcheck.pipeline import gates, noticed
 from ebamcheck.pipeline.certificate import write_certificate
 from ebamcheck.pipeline.choice import chosen_backends, primary_backend, unavailable_backends
 from ebamcheck.pipeline.cross_check import CrossCheck, cross_check
 from ebamcheck.pipeline.gates import Gate
-from ebamcheck.pipeline.placement import cut_heights, placed_part
+from ebamcheck.pipeline.plate_record import PLATE, plate_record
 from ebamcheck.pipeline.programming import make_program
 from ebamcheck.pipeline.record import manifest as make_manifest
 from ebamcheck.pipeline.run_folder import (
@@ -31,6 +30,7 @@ from ebamcheck.pipeline.run_folder import (
 )
 from ebamcheck.pipeline.work import Job, Observer, Silent
 from ebamcheck.plugins import registry
+from ebamcheck.preflight import Ready, ready
 from ebamcheck.program.language.dialects import TEXT_CONTROLS
 from ebamcheck.program.language.templates import usable_templates
 from ebamcheck.program.simulators.heat_paths import PATH_FILES
@@ -55,13 +55,15 @@ def run_job(
     reference: str | Path | None = None,
     resume: bool = False,
     observer: Observer | None = None,
+    begun: Ready | None = None,
+    yes: bool = False,
 ) -> RunResult:
     """Slice a part with every backend, compare, fit, partition, order, write the program and verify it.
 
     Parameters
     ----------
     part_path
-        Mesh file of the part.
+        Mesh file of the part, or ``plate.toml``.
     target
         Run folder to make; it appears when it is whole, and takes the place of a former run.
     config
@@ -72,11 +74,16 @@ def run_job(
         Go on with what a killed run of the same part and settings left behind.
     observer
         Told of stages and progress.
+    begun
+        What :func:`ebamcheck.preflight.ready` has made of the same part and settings; None: it is made here.
+    yes
+        Go on where the job is more work than the settings allow.
 
     Raises
     ------
     InputError, SettingsError
-        If the part or the reference cannot be read, or settings make no sense or are outside of the process window.
+        If the part or the reference cannot be read, settings make no sense or are outside of the process window, or the
+        preflight finds that the job cannot come to a good end.
     BackendMissing
         If a required or named backend is unknown, or a required one is not available.
     """
@@ -89,12 +96,14 @@ def run_job(
     checked_window(config)
     if config.machine.control in TEXT_CONTROLS:
         usable_templates(config, config.machine.control)
-    fine = mesh_files.load(reference, config.part.units).along(config.part.direction) if reference else None
+    part = begun or ready(part_path, config, "run", yes)
+    part.preflight.stop("run")
+    fine = read_reference(reference, part_path, config.part) if reference else None
 
     def program(job: Job, checked: CrossCheck, sound: bool) -> list[Gate]:
         return make_program(job, _primary(job, checked), checked, fine, sound)
 
-    return _job("run", part_path, target, config, [fine.sha256 if fine else ""], resume, observer, program)
+    return _job("run", part, target, config, [fine.sha256 if fine else ""], resume, observer, program)
 
 
 def check_job(
@@ -103,9 +112,14 @@ def check_job(
     config: Config | None = None,
     resume: bool = False,
     observer: Observer | None = None,
+    begun: Ready | None = None,
+    yes: bool = False,
 ) -> RunResult:
     """Slice a part with every backend and compare them, no more; parameters and errors as in :func:`run_job`."""
-    return _job("check", part_path, target, config or Config(), [], resume, observer, None)
+    config = config or Config()
+    part = begun or ready(part_path, config, "check", yes)
+    part.preflight.stop("check")
+    return _job("check", part, target, config, [], resume, observer, None)
 
 
 # -- stages ------------------------------------------------------------------------------------------
@@ -113,7 +127,7 @@ def check_job(
 
 def _job(
     kind: str,
-    part_path: str | Path,
+    begun: Ready,
     target: str | Path,
     config: Config,
     inputs: list[str],
@@ -123,16 +137,14 @@ def _job(
 ) -> RunResult:
     """Cross-check a part in a run folder, and make the program where one is wanted."""
     observer = observer or Silent()
-    part, turned, facets = placed_part(part_path, config)
-    heights = cut_heights(part, config)
+    part, found, heights = begun.part, begun.found, begun.heights
     backends = chosen_backends(config)
     fingerprint = sha256_of_json(
         [kind, part.sha256, config.model_dump(), heights, list(backends), __version__, *inputs]
     )
-    found = inspection.inspect(part)
     job = Job(kind, config, observer, part, found, heights, start_run(Path(target), fingerprint, resume))
-    if turned:
-        job.add_finding(noticed.turned_over(turned, facets))
+    if begun.turned:
+        job.add_finding(noticed.turned_over(begun.turned, len(part.faces)))
     job.add_finding(*noticed.of_part(found, config))
     # A job without a program may cut layers that no process can lay.
     job.add_finding(*outside_window(config, "warning"), *unusual_layers(config))
@@ -155,6 +167,8 @@ def _finished(
     outcomes = {**checked.outcomes, **unavailable_backends(job.config)}
     shut = [gates.input_gate(job.found), gates.agreement_gate(checked.comparison, outcomes, len(job.heights))]
     job.add_finding(*(noticed.unavailable(o) for o in outcomes.values() if o.failure == "unavailable"))
+    if parts := plate_record(job.part, job.config):
+        job.record[PLATE] = parts
     if program is not None and _primary(job, checked):
         job.add_finding(*noticed.of_profile(job.config))
         shut += program(job, checked, all(gate.passed for gate in shut))

@@ -27,6 +27,7 @@ from ebamcheck.settings.slicing import (
     PartSettings,
     SlicingSettings,
 )
+from ebamcheck.settings.work import WorkSettings
 
 
 class Config(Section):
@@ -44,6 +45,7 @@ class Config(Section):
     material: MaterialSettings = MaterialSettings()
     regression: RegressionSettings = RegressionSettings()
     machines: MachineSections = MachineSections()
+    work: WorkSettings = WorkSettings()
 
     @property
     def layer_height_mm(self) -> float:
