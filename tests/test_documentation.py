@@ -59,6 +59,9 @@ WITHOUT_UNIT = {
     "edge_tolerance",  # of the height of a layer
     "gap_width",  # over the bead width
     "seed",
+    "most_layers",  # counts
+    "most_points",
+    "most_islands",
     "stride",  # islands
     "conductivity_by_temperature",  # pairs of K and W/(m K)
     "heat_capacity_by_temperature",  # pairs of K and J/(kg K)

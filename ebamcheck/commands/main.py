@@ -17,6 +17,7 @@ import typer
 from ebamcheck import __version__
 from ebamcheck.commands.command_group import CommandGroup, guarded, tell
 from ebamcheck.commands.config import config_command
+from ebamcheck.commands.inspect import inspect
 from ebamcheck.commands.options import (
     DEFAULT_CONFIG,
     BackendsOption,
@@ -24,25 +25,33 @@ from ebamcheck.commands.options import (
     DirectionOption,
     FixOption,
     ForceOption,
+    JobPart,
     JsonOption,
     LayerHeightOption,
     PartArgument,
+    PlaceOption,
+    PlateOption,
     ResumeOption,
+    RotateOption,
     RunFolderOption,
     UnitsOption,
     WitnessesOption,
+    YesOption,
     assignments,
+    begun,
     job_settings,
     loaded,
     numbers,
+    part_or_plate,
+    placed_settings,
     print_json,
     settings_of,
+    within_work,
 )
 from ebamcheck.commands.warm_command import warm_command
 from ebamcheck.errors import ExitCode, NothingCompared, SettingsError
 
 if TYPE_CHECKING:
-    from ebamcheck.curves.regions.surfaces import Surface
     from ebamcheck.pipeline import RunResult
 
 app = typer.Typer(
@@ -109,7 +118,8 @@ def _global(
     epilog="Example: ebamcheck run blade.stl -c ebamcheck.toml -o blade.run --reference blade-fine.stl",
 )
 def run(
-    part: PartArgument,
+    part: JobPart = None,
+    plate: PlateOption = None,
     config: ConfigOption = None,
     output: RunFolderOption = None,
     layer_height: LayerHeightOption = None,
@@ -118,29 +128,45 @@ def run(
     reference: Annotated[Path | None, typer.Option(help="A finer tessellation of the same part.")] = None,
     units: UnitsOption = "",
     direction: DirectionOption = "",
+    place: PlaceOption = "",
+    rotate: RotateOption = None,
     fix_orientation: FixOption = False,
     from_layer: Annotated[
         int,
         typer.Option(min=1, help="Write a program that begins at this layer, too: to go on after a break."),
     ] = 1,
+    yes: YesOption = False,
     resume: ResumeOption = False,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> ExitCode:
-    """Slice, cross-check, fit, partition, order, write the NC program, verify it and report."""
+    """Look at the part, slice, cross-check, fit, partition, order, write the NC program, verify it and report."""
+    settings = job_settings(config, units, direction, layer_height, backends, witnesses, fix_orientation)
+    settings, source = placed_settings(settings, place, rotate), part_or_plate(part, plate)
+    part_ready = begun(source, settings, "run", yes)
     from ebamcheck.commands.progress import watched
     from ebamcheck.pipeline import run_job
 
-    settings = job_settings(config, units, direction, layer_height, backends, witnesses, fix_orientation)
+    target = output or Path(f"{source.stem}.run")
     with watched() as observer:
-        folder = output or Path(f"{part.stem}.run")
-        result = run_job(part, folder, settings, reference, resume, observer, force, from_layer)
+        result = run_job(
+            source,
+            target,
+            settings,
+            reference,
+            resume,
+            observer,
+            part_ready,
+            force=force,
+            from_layer=from_layer,
+        )
     return _told(result, as_json)
 
 
 @command(epilog="Example: ebamcheck check blade.stl --layer-height 0.2 --witnesses all -o blade.run")
 def check(
-    part: PartArgument,
+    part: JobPart = None,
+    plate: PlateOption = None,
     config: ConfigOption = None,
     output: RunFolderOption = None,
     layer_height: LayerHeightOption = None,
@@ -148,18 +174,24 @@ def check(
     witnesses: WitnessesOption = "",
     units: UnitsOption = "",
     direction: DirectionOption = "",
+    place: PlaceOption = "",
+    rotate: RotateOption = None,
     fix_orientation: FixOption = False,
+    yes: YesOption = False,
     resume: ResumeOption = False,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> ExitCode:
     """Slice with every backend and compare all pairs on every layer; as `run`, without a program."""
+    settings = job_settings(config, units, direction, layer_height, backends, witnesses, fix_orientation)
+    settings, source = placed_settings(settings, place, rotate), part_or_plate(part, plate)
+    part_ready = begun(source, settings, "check", yes)
     from ebamcheck.commands.progress import watched
     from ebamcheck.pipeline import check_job
 
-    settings = job_settings(config, units, direction, layer_height, backends, witnesses, fix_orientation)
     with watched() as observer:
-        result = check_job(part, output or Path(f"{part.stem}.run"), settings, resume, observer, force)
+        folder = output or Path(f"{source.stem}.run")
+        result = check_job(source, folder, settings, resume, observer, part_ready, force=force)
     return _told(result, as_json)
 
 
@@ -176,57 +208,7 @@ def _told(result: RunResult, as_json: bool) -> ExitCode:
     return result.exit_code
 
 
-@command(compiles=True, epilog="Example: ebamcheck inspect part.stl --regions --picture regions.svg")
-def inspect(
-    part: PartArgument,
-    units: UnitsOption = "mm",
-    regions: Annotated[
-        bool,
-        typer.Option("--regions", help="List the surfaces that the curves see: planes, cylinders, freeform."),
-    ] = False,
-    picture: Annotated[
-        Path | None, typer.Option(help="Draw the surfaces into FILE.svg; with --regions.")
-    ] = None,
-    config: ConfigOption = None,
-    as_json: JsonOption = False,
-) -> ExitCode:
-    """Count the defects of a part and judge whether it can be sliced; exit code 1 where it should not."""
-    from ebamcheck.mesh.files import load
-    from ebamcheck.mesh.inspection import inspect as inspect_part
-
-    if picture is not None and (not regions or picture.suffix.lower() != ".svg"):
-        raise SettingsError(f"--picture {picture}: it draws regions as SVG; give --regions and FILE.svg")
-    loaded_part = load(part, units)
-    found = inspect_part(loaded_part)
-    listed: list[Surface] = []
-    if regions:
-        from ebamcheck.curves.regions.surfaces import surfaces
-        from ebamcheck.drawing.regions import regions_svg
-
-        listed = surfaces(loaded_part, settings_of(config, "", "", None).curves)
-        if picture is not None:
-            picture.write_text(regions_svg(loaded_part, listed), encoding="utf-8")
-    if as_json:
-        figures = found.as_dict()
-        print_json({**figures, "regions": [s.as_dict() for s in listed]} if regions else figures)
-    else:
-        figures = found.as_dict()
-        for key in ("name", "verdict", "why", "notes", "passed"):
-            figures.pop(key)
-        figures["size_mm"] = " x ".join(f"{s:.6g}" for s in found.size_mm)
-        figures["lower_mm"] = ", ".join(f"{s:.6g}" for s in found.lower_mm)
-        for key, value in figures.items():
-            print(
-                f"{key.replace('_', ' '):20} {value:.9g}"
-                if isinstance(value, float)
-                else f"{key.replace('_', ' '):20} {value}"
-            )
-        print(f"{'verdict':20} {found.verdict}: {found.why}")
-        if regions:
-            from ebamcheck.curves.regions.surfaces import table
-
-            print(f"\n{table(listed)}")
-    return ExitCode.PASS if found.passed else ExitCode.OUT_OF_TOLERANCE
+command(compiles=True, epilog="Example: ebamcheck inspect part.stl --regions --picture regions.svg")(inspect)
 
 
 @command(
@@ -251,6 +233,7 @@ def slice_command(
     config: ConfigOption = None,
     units: UnitsOption = "",
     direction: DirectionOption = "",
+    yes: YesOption = False,
 ) -> ExitCode:
     """Slice a part with one backend and write its layers."""
     from ebamcheck.slicers.worker_pool import Crew
@@ -262,7 +245,8 @@ def slice_command(
     # The worker's interpreter comes up while this one does, and while the part is read.
     with Crew(ahead=1) as crew:
         from ebamcheck.commands.progress import announced
-        from ebamcheck.layers.heights import checked_heights, layer_heights
+        from ebamcheck.layers.cuts import heights_within
+        from ebamcheck.layers.heights import layer_heights
         from ebamcheck.plugins import registry
         from ebamcheck.slicers.isolation import Limits
         from ebamcheck.slicers.slicing import slice_to_file
@@ -274,10 +258,11 @@ def slice_command(
         with announced():
             placed = loaded(part, settings)
             wanted = (
-                checked_heights(numbers(heights, "--heights"))
+                heights_within(placed, numbers(heights, "--heights"), "--heights")
                 if heights
                 else layer_heights(placed, settings.layer_height_mm)
             )
+            within_work(placed, wanted, settings, yes)
             limits = Limits(settings.slicing.time_limit_s, settings.slicing.memory_limit_mb)
             points = settings.slicing.block_points
             made = slice_to_file(placed, wanted, output, name, limits, points, crew, **values)

@@ -11,7 +11,7 @@ import typer
 from ebamcheck.drawing.tables import text_table
 from ebamcheck.errors import BackendMissing, ExitCode, SettingsError
 from ebamcheck.json_values import plain
-from ebamcheck.mesh.files import load
+from ebamcheck.mesh.part_source import read_part
 from ebamcheck.plugins.model import models
 from ebamcheck.selection.choice import RULES, Choice, choose
 from ebamcheck.selection.trial import (
@@ -97,7 +97,7 @@ def select(
 
 def _workpiece(part: Path | None, model: str, settings: Config) -> Workpiece:
     if part is not None:
-        placed = load(part, settings.part.units).along(settings.part.direction)
+        placed, _ = read_part(part, settings.part.model_copy(update={"fix_orientation": False}))
         return workpiece_of_part(placed, settings.layer_height_mm)
     name = model or DEFAULT_MODEL
     return workpiece_of_model(models([name])[name], COARSE_MM, settings.layer_height_mm)

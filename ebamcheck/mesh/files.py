@@ -13,10 +13,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.mesh.part import LARGEST_EXTENT_MM, SMALLEST_EXTENT_MM, UNITS_MM, Part
+from ebamcheck.errors import InputError
+from ebamcheck.mesh.part import (
+    LARGEST_EXTENT_MM,
+    SMALLEST_EXTENT_MM,
+    Part,
+)
 from ebamcheck.mesh.stl import read_triangles
+from ebamcheck.mesh.unread_formats import how_to_read
 from ebamcheck.mesh.welding import weld
+from ebamcheck.settings.units import UNITS_MM, unit_named
 
 TRIMESH_SUFFIXES = (".obj", ".ply", ".3mf")
 _log = logging.getLogger(__name__)
@@ -30,7 +36,7 @@ def load(path: str | Path, units: str = "mm") -> Part:
     path
         The file; its format is told by content for STL and by suffix for the others.
     units
-        Unit of the file's numbers: mm, cm, m, um, in or ft. Never guessed.
+        Unit of the file's numbers: mm, cm, m, um, in or ft, or a longer name of one. Never guessed.
 
     Returns
     -------
@@ -44,9 +50,8 @@ def load(path: str | Path, units: str = "mm") -> Part:
     SettingsError
         If the unit is unknown.
     """
-    if units not in UNITS_MM:
-        raise SettingsError(f"unknown unit {units!r}: use one of {', '.join(UNITS_MM)}")
-    return _read(Path(path), units, UNITS_MM[units])
+    unit = unit_named(units)
+    return _read(Path(path), unit, UNITS_MM[unit])
 
 
 def _read(path: Path, units: str, millimetres: float) -> Part:
@@ -66,8 +71,7 @@ def _part_of(data: bytes | memoryview, path: Path, units: str, millimetres: floa
     elif suffix in (".stl", ""):
         triangles, notes = read_triangles(data, path.name)
     else:
-        known = ", ".join((".stl", *TRIMESH_SUFFIXES))
-        raise InputError(f"{path.name}: unknown suffix {suffix!r}: parts are read from {known}")
+        raise InputError(f"{path.name}: {how_to_read(suffix)}")
     vertices, faces = weld(triangles)
     if millimetres != 1.0:
         vertices *= millimetres

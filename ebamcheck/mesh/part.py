@@ -13,9 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.showing import short_text
 
-UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 0.001, "in": 25.4, "ft": 304.8}
-"""Millimetres in one unit of a model's file."""
-
 SMALLEST_EXTENT_MM = 1.0
 LARGEST_EXTENT_MM = 10_000.0
 """Parts outside this range are rare enough that the unit is more likely wrong than the part."""

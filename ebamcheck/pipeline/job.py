@@ -10,17 +10,14 @@ from typing import Any
 from ebamcheck.backend import BackendSettings
 from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.findings import has_fault
-from ebamcheck.json_values import (
-    sha256_of_json,
-)
-from ebamcheck.mesh import files as mesh_files
-from ebamcheck.mesh import inspection
+from ebamcheck.json_values import sha256_of_json
+from ebamcheck.mesh.part_source import read_reference
 from ebamcheck.pipeline import gates, noticed
 from ebamcheck.pipeline.certificate import write_certificate
 from ebamcheck.pipeline.choice import chosen_backends, primary_backend, unavailable_backends
 from ebamcheck.pipeline.cross_check import CrossCheck, cross_check
 from ebamcheck.pipeline.gates import Gate
-from ebamcheck.pipeline.placement import cut_heights, placed_part
+from ebamcheck.pipeline.plate_record import PLATE, plate_record
 from ebamcheck.pipeline.programming import make_program
 from ebamcheck.pipeline.record import manifest as make_manifest
 from ebamcheck.pipeline.run_folder import (
@@ -31,6 +28,7 @@ from ebamcheck.pipeline.run_folder import (
 )
 from ebamcheck.pipeline.work import Job, Observer, Silent
 from ebamcheck.plugins import registry
+from ebamcheck.preflight import Ready, ready
 from ebamcheck.program.language.control import control
 from ebamcheck.program.language.templates import usable_templates
 from ebamcheck.settings.config import Config
@@ -55,6 +53,8 @@ def run_job(
     reference: str | Path | None = None,
     resume: bool = False,
     observer: Observer | None = None,
+    begun: Ready | None = None,
+    yes: bool = False,
     force: bool = False,
     from_layer: int = 1,
 ) -> RunResult:
@@ -63,7 +63,7 @@ def run_job(
     Parameters
     ----------
     part_path
-        Mesh file of the part.
+        Mesh file of the part, or ``plate.toml``.
     target
         Run folder to make; it appears when it is whole.
     config
@@ -78,12 +78,16 @@ def run_job(
         Make the run although a finished one stands at `target`, which is kept under a name with its date.
     from_layer
         Write a second program, too, that begins at this layer, from 1: to go on after a break.
+    begun
+        What :func:`ebamcheck.preflight.ready` has made of the same part and settings; None: it is made here.
+    yes
+        Go on where the job is more work than the settings allow.
 
     Raises
     ------
     InputError, SettingsError
-        If the part or the reference cannot be read, settings make no sense or are outside of the process window, or a
-        finished run stands at `target`.
+        If the part or the reference cannot be read, settings make no sense or are outside of the process window, a
+        finished run stands at `target`, or the preflight finds that the job cannot come to a good end.
     BackendMissing
         If a required or named backend is unknown, or a required one is not available.
     """
@@ -95,13 +99,15 @@ def run_job(
         )
     checked_window(config)
     usable_templates(config, config.machine.control)
-    fine = mesh_files.load(reference, config.part.units).along(config.part.direction) if reference else None
+    part = begun or ready(part_path, config, "run", yes)
+    part.preflight.stop("run")
+    fine = read_reference(reference, part_path, config.part) if reference else None
 
     def program(job: Job, checked: CrossCheck, sound: bool) -> list[Gate]:
         return make_program(job, _primary(job, checked), checked, fine, sound)
 
     inputs = [fine.sha256 if fine else ""]
-    return _job("run", part_path, target, config, inputs, resume, observer, program, force, from_layer)
+    return _job("run", part, target, config, inputs, resume, observer, program, force, from_layer)
 
 
 def check_job(
@@ -110,10 +116,15 @@ def check_job(
     config: Config | None = None,
     resume: bool = False,
     observer: Observer | None = None,
+    begun: Ready | None = None,
+    yes: bool = False,
     force: bool = False,
 ) -> RunResult:
     """Slice a part with every backend and compare them, no more; parameters and errors as in :func:`run_job`."""
-    return _job("check", part_path, target, config or Config(), [], resume, observer, None, force)
+    config = config or Config()
+    part = begun or ready(part_path, config, "check", yes)
+    part.preflight.stop("check")
+    return _job("check", part, target, config, [], resume, observer, None, force)
 
 
 # -- stages ------------------------------------------------------------------------------------------
@@ -121,7 +132,7 @@ def check_job(
 
 def _job(
     kind: str,
-    part_path: str | Path,
+    begun: Ready,
     target: str | Path,
     config: Config,
     inputs: list[str],
@@ -133,8 +144,7 @@ def _job(
 ) -> RunResult:
     """Cross-check a part in a run folder, and make the program where one is wanted."""
     observer = observer or Silent()
-    part, turned, facets = placed_part(part_path, config)
-    heights = cut_heights(part, config)
+    part, found, heights = begun.part, begun.found, begun.heights
     if not 1 <= from_layer <= len(heights):
         raise SettingsError(f"--from-layer {from_layer}: the part has layers 1 to {len(heights)}")
     backends = chosen_backends(config)
@@ -144,14 +154,13 @@ def _job(
     if resume and not force and (done := finished_run(Path(target), fingerprint)) is not None:
         observer.note(f"{target}: is finished already")
         return _result(done)
-    found = inspection.inspect(part)
     folder = start_run(Path(target), fingerprint, resume, force)
     if folder.former is not None:
         observer.note(f"{target}: the former run will be kept as {folder.former.name}")
     job = Job(kind, config, observer, part, found, heights, folder, fingerprint)
     job.from_layer = from_layer
-    if turned:
-        job.add_finding(noticed.turned_over(turned, facets))
+    if begun.turned:
+        job.add_finding(noticed.turned_over(begun.turned, len(part.faces)))
     job.add_finding(*noticed.of_part(found, config))
     # A job without a program may cut layers that no process can lay.
     job.add_finding(*outside_window(config, "warning"), *unusual_layers(config))
@@ -174,6 +183,8 @@ def _finished(
     outcomes = {**checked.outcomes, **unavailable_backends(job.config)}
     shut = [gates.input_gate(job.found), gates.agreement_gate(checked.comparison, outcomes, len(job.heights))]
     job.add_finding(*(noticed.unavailable(o) for o in outcomes.values() if o.failure == "unavailable"))
+    if parts := plate_record(job.part, job.config):
+        job.record[PLATE] = parts
     if program is not None and _primary(job, checked):
         job.add_finding(*noticed.of_profile(job.config))
         shut += program(job, checked, all(gate.passed for gate in shut))

@@ -20,6 +20,7 @@ from ebamcheck.pipeline.entry_program import FOLDER as ENTRY
 from ebamcheck.pipeline.entry_program import write_entry
 from ebamcheck.pipeline.fitted import fitted
 from ebamcheck.pipeline.gates import Gate
+from ebamcheck.pipeline.plate_record import PLATE, plate_record
 from ebamcheck.pipeline.work import Job
 from ebamcheck.plugins import registry
 from ebamcheck.program import Check, mark_validated, program_summary, read_program, verify_program
@@ -194,6 +195,8 @@ def _write_and_verify(
         "limit_k": entry_limit_k(job.config),
         "build_s": build_times_s(program, job.config, known_sections(plan, witness)),
     }
+    if parts := plate_record(job.part, job.config, program):
+        job.record[PLATE] = parts
     job.record["files"] = files
     job.record["program"] = {
         "checks": [asdict(check) for check in checks],

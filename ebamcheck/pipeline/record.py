@@ -58,6 +58,7 @@ def manifest(
             "mesh_sha256": job.part.sha256,
             "units": job.part.units,
             "direction": list(job.part.direction),
+            **_placed(job),
             "inspection": job.found.as_dict(),
         },
         "settings": config,
@@ -103,6 +104,14 @@ def manifest(
             },
         },
     }
+
+
+def _placed(job: Job) -> dict[str, Any]:
+    """Place and turn that the settings give the part; nothing where they give none."""
+    part = job.config.part
+    if part.place_at_mm is None and not part.rotate_deg:
+        return {}
+    return {"place_at_mm": part.place_at_mm, "rotate_deg": part.rotate_deg}
 
 
 def _file_hashes(folder: Path) -> dict[str, str]:

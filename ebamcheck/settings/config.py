@@ -27,6 +27,7 @@ from ebamcheck.settings.slicing import (
     PartSettings,
     SlicingSettings,
 )
+from ebamcheck.settings.work import WorkSettings
 from ebamcheck.showing import short_text
 
 
@@ -45,6 +46,7 @@ class Config(Section):
     material: MaterialSettings = MaterialSettings()
     regression: RegressionSettings = RegressionSettings()
     machines: MachineSections = MachineSections()
+    work: WorkSettings = WorkSettings()
 
     def __repr__(self) -> str:
         """Name the settings that are not the default ones."""
