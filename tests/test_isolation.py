@@ -11,6 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
+from fake_distribution import found_here, install
 from parts import box, tilted, torus
 
 import ebamcheck
@@ -87,20 +88,13 @@ class Raising(PlaneCut):
 @pytest.fixture
 def plugins(tmp_path, monkeypatch):
     """Install the slicers above as a distribution that worker processes find, too."""
-    (tmp_path / "troubled_plugin.py").write_text(
+    text = (
         f"import sys; sys.path.insert(0, {os.path.dirname(__file__)!r})\n"
         "from test_isolation import Absent, Raising, Troubled\n"
     )
-    info = tmp_path / "troubled_plugin-1.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: troubled-plugin\nVersion: 1\n")
-    (info / "entry_points.txt").write_text(
-        "[ebamcheck.backends]\n"
-        "troubled = troubled_plugin:Troubled\nabsent = troubled_plugin:Absent\nraising = troubled_plugin:Raising\n"
-    )
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    monkeypatch.syspath_prepend(str(tmp_path))
-    registry.forget()
+    points = {name.lower(): f"troubled_plugin:{name}" for name in ("Troubled", "Absent", "Raising")}
+    install(tmp_path, "troubled-plugin", {registry.BACKENDS: points}, {"troubled_plugin": text})
+    found_here(tmp_path, monkeypatch)
     yield
     registry.forget()
 
