@@ -19,7 +19,7 @@ from ebamcheck.errors import BackendMissing, SettingsError
 from ebamcheck.plugin_answers import Answer, ask, slicer_answer
 from ebamcheck.plugin_points import BrokenPlugin, broken, is_house, sorted_out
 from ebamcheck.plugin_trial import SLICER_ATTRIBUTES as SLICER_ATTRIBUTES
-from ebamcheck.plugin_trial import checked_settings, checked_slicer, probed
+from ebamcheck.plugin_trial import checked_settings, checked_slicer, lineage, probed
 from ebamcheck.processes import one_line
 from ebamcheck.stranger import StrangerSlicer, stranger
 
@@ -48,16 +48,21 @@ def points(group: str) -> dict[str, EntryPoint]:
     return sorted_out(entry_points(group=group))[0]
 
 
+def left_out(group: str) -> list[BrokenPlugin]:
+    """Entry points of a group that bear the name of another one."""
+    return sorted_out(entry_points(group=group))[1]
+
+
 def load_plugins(group: str) -> dict[str, Any]:
     """Load every entry point of a group, sorted by name; broken ones warn and are left out."""
-    chosen, left_out = sorted_out(entry_points(group=group))
+    chosen, unusable = sorted_out(entry_points(group=group))
     found: dict[str, Any] = {}
     for point in chosen.values():
         try:
             found[point.name] = load(point)
         except SettingsError as error:
-            left_out.append(broken(point, str(error)))
-    for told in left_out:
+            unusable.append(broken(point, str(error)))
+    for told in unusable:
         _warn(told)
     return found
 
@@ -102,7 +107,7 @@ def names(group: str) -> list[str]:
 
 def broken_plugins() -> list[BrokenPlugin]:
     """Every installed plugin that cannot be used, and why; strangers are asked anew, the house's are taken as they are."""
-    found = [told for group in (BACKENDS, *IMPORTED) for told in sorted_out(entry_points(group=group))[1]]
+    found = [told for group in (BACKENDS, *IMPORTED) for told in left_out(group)]
     for name, point in _slicer_points().items():
         if isinstance(why := _slicer_or_why(name), str):
             found.append(broken(point, why))
@@ -122,8 +127,8 @@ def _warn(told: BrokenPlugin) -> None:
 @cache
 def _slicer_points() -> Mapping[str, EntryPoint]:
     """Entry points of slicers, sorted by name; a name that is there twice warns."""
-    chosen, left_out = sorted_out(entry_points(group=BACKENDS))
-    for told in left_out:
+    chosen, unusable = sorted_out(entry_points(group=BACKENDS))
+    for told in unusable:
         _warn(told)
     return chosen
 
@@ -195,6 +200,15 @@ def slicers() -> Mapping[str, Slicer]:
 def is_stranger(name: str) -> bool:
     """Whether a slicer of that name is there and comes with another distribution."""
     return name in _slicer_points() and not is_house(_slicer_points()[name])
+
+
+def one_method(a: str, b: str) -> bool:
+    """Whether two slicers are one method: the class of one is made from that of the other, or is the same."""
+    lines = [
+        list(found.answer.lineage) if isinstance(found, StrangerSlicer) else lineage(found)
+        for found in (slicer(a), slicer(b))
+    ]
+    return any(one[:1] and one[0] in other for one, other in (lines, lines[::-1]))
 
 
 def loaded_slicer(name: str) -> Slicer:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import signal
@@ -184,10 +185,12 @@ def test_killing_a_worker_from_outside_is_told(plugins, tmp_path):
     def kill_the_hanging():
         for _ in range(600):
             for child in psutil.Process().children():
-                if "troubled" in child.cmdline():
-                    time.sleep(0.3)
-                    child.kill()
-                    return
+                # One that ends while it is looked at has no command line any more.
+                with contextlib.suppress(psutil.Error):
+                    if "troubled" in child.cmdline():
+                        time.sleep(0.3)
+                        child.kill()
+                        return
             time.sleep(0.05)
 
     killer = threading.Thread(target=kill_the_hanging)

@@ -22,7 +22,7 @@ from ebamcheck.config import Config
 from ebamcheck.curves import LIFTED, Curves, fit
 from ebamcheck.findings import Finding, from_record, has_fault
 from ebamcheck.inspection import inspect
-from ebamcheck.isolate import Outcome
+from ebamcheck.isolate import Outcome, declared_bounds
 from ebamcheck.layer_files import LayerFile
 from ebamcheck.layers import Layers
 from ebamcheck.part import Part
@@ -30,6 +30,7 @@ from ebamcheck.pipeline import gates, noticed
 from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.fit_evidence import FitVerdict, judged
 from ebamcheck.pipeline.gates import Gate
+from ebamcheck.pipeline.independence import evidence_rule
 from ebamcheck.pipeline.placement import cut_heights
 from ebamcheck.process_window import outside_window, unusual_layers
 from ebamcheck.program import Check, verify_file
@@ -146,13 +147,11 @@ def _agreement(
         comparison = compare_all(
             stacks,
             part,
-            bounds={
-                n: (s.error_bound_mm(part, settings[n]), s.height_bound_mm(part, settings[n]))
-                for n, s in slicers.items()
-            },
+            bounds=declared_bounds(part, settings),
             exact={n: s.exact for n, s in slicers.items()},
             rules={n: s.coplanar_rule for n, s in slicers.items()},
             settings=config.comparison,
+            evidence=evidence_rule(config, stacks),
         )
     return gates.agreement_gate(comparison, outcomes, len(fresh)), comparison.passed
 
@@ -162,9 +161,8 @@ def _fitted(
 ) -> tuple[FitVerdict, pd.DataFrame]:
     """Fit the contours of the primary slicer anew, as the run did, and judge the fit."""
     primary = str(manifest["primary"])
-    slicer = registry.slicer(primary)
     settings = registry.slicer_settings(primary, config.slicing.settings.get(primary, {}))
-    bound_mm = slicer.error_bound_mm(part, settings)
+    bound_mm, _ = declared_bounds(part, {primary: settings})[primary]
     of_curves = config.curves.model_copy(update={"collinear_mm": max(config.curves.collinear_mm, bound_mm)})
     layers = run.read_layers(primary)
     curves = fit(layers, of_curves.method, of_curves, part=part)

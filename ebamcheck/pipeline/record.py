@@ -19,6 +19,7 @@ from ebamcheck.findings import records
 from ebamcheck.isolate import Outcome
 from ebamcheck.layer_files import LayerFile
 from ebamcheck.pipeline.gates import Gate
+from ebamcheck.pipeline.independence import evidence_records
 from ebamcheck.pipeline.work import Job
 from ebamcheck.store import FINGERPRINT, FORMAT_VERSION, MANIFEST, sha256_of_file, sha256_of_json
 
@@ -66,6 +67,8 @@ def manifest(
             "verdicts": comparison.layers["verdict"].value_counts().sort_index().to_dict(),
             "classes": comparison.layers["class"].value_counts().sort_index().to_dict(),
             "pairs": _pair_records(comparison.pairs),
+            "evidence": evidence_records(comparison),
+            "no_evidence": dict(comparison.without_weight),
             "findings": [asdict(finding) for finding in comparison.findings],
         },
         **job.record,
