@@ -81,17 +81,18 @@ def read_ply(data: bytes, name: str) -> tuple[NDArray[np.float64], list[str]]:
     if corners is None or not corners[1].size:
         what = "tristrips, which are not read: export triangles" if "tristrips" in found else "no facet (PLY)"
         raise InputError(f"{name}: holds {what}")
-    index, sizes = corners[0].astype(np.int64), corners[1]
+    told, sizes = corners
     if (sizes < 3).any():
         facet = int(np.flatnonzero(sizes < 3)[0])
         raise InputError(f"{name}: facet {facet} has {sizes[facet]} corners: a facet has three")
-    wrong = (index < 0) | (index >= len(vertices)) | (index != corners[0])
-    if wrong.any():
-        at = int(np.flatnonzero(wrong)[0])
+    good = (told >= 0) & (told < len(vertices)) & (told == np.floor(told))  # false for NaN
+    if not good.all():
+        at = int(np.flatnonzero(~good)[0])
         facet = int(np.searchsorted(np.cumsum(sizes), at, side="right"))
         raise InputError(
-            f"{name}: facet {facet} names vertex {corners[0][at]:g}, which is none of {len(vertices)} vertices"
+            f"{name}: facet {facet} names vertex {told[at]:g}, which is none of {len(vertices)} vertices"
         )
+    index = told.astype(np.int64)
     return checked_finite(polygon_corners(vertices, index, sizes), name), []
 
 

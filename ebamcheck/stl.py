@@ -146,7 +146,11 @@ def _names_ended(data: bytes) -> bytes:
 
     A facet is told from a word of the name by the number behind ``facet normal``.
     """
-    return _SOLID_BEHIND.sub(rb"\1\x0b", _NAME_END.sub(rb"\1\x0b", data))
+    return _SOLID_BEHIND.sub(_ended, _NAME_END.sub(_ended, data))
+
+
+def _ended(name: re.Match[bytes]) -> bytes:
+    return name[1] + b"\x0b"
 
 
 # -- ASCII: one compiled pass finds every number, one vectorised pass converts them ------------------
