@@ -14,7 +14,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, TYPE_CHECKING, Any, Literal, Self
 
-from ebamcheck.processes import MARK, end_with_children, has_ended, last_words, new_mark
+from ebamcheck.processes import MARK, end_with_children, has_ended, last_words, new_mark, size_of
 
 if TYPE_CHECKING:
     # A crew is there to start before such imports, not after them.
@@ -88,9 +88,7 @@ class Worker:
 
     def said_bytes(self) -> int:
         """Size of what it wrote to its standard output and error."""
-        with contextlib.suppress(OSError):
-            return self.errors.stat().st_size
-        return 0
+        return size_of(self.errors)
 
     def last_words(self) -> str:
         """Last line that the worker wrote to its standard error, for a message."""

@@ -326,7 +326,8 @@ def _collect(worker: Worker, part: Part, heights: NDArray[np.float64]) -> Outcom
     outcome = Outcome(
         worker.name,
         probe=probe_of(told),
-        **{name: _finite(told.get(name, 0.0)) for name in ("error_bound_mm", "height_bound_mm")},
+        error_bound_mm=_finite(told.get("error_bound_mm", 0.0)),
+        height_bound_mm=_finite(told.get("height_bound_mm", 0.0)),
         **{name: told.get(name, 0) for name in ("rings", "open_paths", "points")},
         prepare_s=told.get("prepare_s", 0.0),
         slice_s=told.get("slice_s", 0.0),

@@ -72,12 +72,12 @@ def probed(slicer: Slicer) -> Probe:
     return found
 
 
-def checked_settings(name: str, kind: type[BackendSettings], values: Mapping[str, Any]) -> BackendSettings:
+def checked_settings(name: str, kind: Any, values: Mapping[str, Any]) -> BackendSettings:
     """Check settings of a slicer; raises :class:`SettingsError` naming the first that is wrong."""
     from pydantic import ValidationError
 
     try:
-        return kind(**values)
+        checked: BackendSettings = kind(**values)
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(k) for k in first["loc"])
@@ -85,6 +85,7 @@ def checked_settings(name: str, kind: type[BackendSettings], values: Mapping[str
         raise SettingsError(
             f"backend {name!r}, setting {key!r}: {first['msg']} (given {first.get('input')!r}); it knows: {known}"
         ) from None
+    return checked
 
 
 def lineage(slicer: object) -> list[str]:
@@ -104,10 +105,10 @@ def _answer(question: Question, tell: Tell) -> None:
     if question["kind"] == "load":
         tell(kind=type(point.load()).__name__)
         return
-    slicer = checked_slicer(point)
-    kind: Any = slicer.Settings
     from pydantic import BaseModel
 
+    slicer = checked_slicer(point)
+    kind: Any = slicer.Settings
     if not (isinstance(kind, type) and issubclass(kind, BaseModel)):
         shown = kind.__name__ if isinstance(kind, type) else repr(kind)
         raise TypeError(f"its Settings is {one_line(shown, 60)}, not a BackendSettings")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import os
-import secrets
 import signal
 import subprocess
 import sys
@@ -26,6 +25,9 @@ POLL_S = 0.05
 LAST_WORDS_BYTES = 4096
 """How much of what a process has written to its standard error is read for a message."""
 
+LARGEST_SAID_BYTES = 64_000_000
+"""What a process may write to its standard output and error before it is ended: a flood fills the disk."""
+
 PR_SET_PDEATHSIG = 1
 """Number of Linux's request, from <linux/prctl.h>."""
 
@@ -39,7 +41,7 @@ class Ended:
 
 def new_mark() -> str:
     """A value for :data:`MARK` that no other process has."""
-    return secrets.token_hex(16)
+    return os.urandom(16).hex()
 
 
 def die_with(parent: int) -> None:
@@ -143,6 +145,13 @@ def run_limited(arguments: Sequence[str], folder: Path, time_s: float, memory_mb
     return Ended(why or _code_in_words(process.returncode, said))
 
 
+def size_of(file: Path) -> int:
+    """Bytes of a file; 0 where it has been removed."""
+    with contextlib.suppress(OSError):
+        return file.stat().st_size
+    return 0
+
+
 def _watched(process: subprocess.Popen[bytes], said: Path, time_s: float, memory_mb: float) -> str:
     """Wait for a process; the limit that it has passed, in words, or nothing."""
     import psutil
@@ -155,14 +164,10 @@ def _watched(process: subprocess.Popen[bytes], said: Path, time_s: float, memory
                 return f"it held {resident_mb:.0f} MB, over the limit of {memory_mb:g} MB"
         if time.monotonic() - started > time_s:
             return f"it took over {time_s:g} s"
-        if said.stat().st_size > LARGEST_SAID_BYTES:
+        if size_of(said) > LARGEST_SAID_BYTES:
             return f"it wrote over {LARGEST_SAID_BYTES // 1_000_000} MB to the terminal"
         time.sleep(POLL_S if time.monotonic() - started > 1.0 else POLL_S / 5.0)
     return ""
-
-
-LARGEST_SAID_BYTES = 64_000_000
-"""What a process may write to its standard output and error before it is ended: a flood fills the disk."""
 
 
 def _code_in_words(code: int, said: Path) -> str:

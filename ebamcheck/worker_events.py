@@ -112,7 +112,7 @@ def bounds_fault(told: Mapping[str, Any], extent_mm: float) -> str:
             return f"it declares an {what} of {value:g} mm: a bound is a number from 0 up".replace(
                 "an h", "a h"
             )
-        if value >= extent_mm:
+        if value >= extent_mm > 0.0:
             return (
                 f"it declares an {what} of {value:g} mm on a part of {extent_mm:g} mm: that promises nothing"
             ).replace("an h", "a h")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from itertools import combinations
 from typing import Any
@@ -61,15 +62,12 @@ def evidence_records(comparison: Comparison) -> list[dict[str, Any]]:
 
 def resting(comparison: Comparison) -> str:
     """On which two slicers the layers rest, in short."""
-    counts = comparison.layers["rests_on"].value_counts()
-    counts = counts[counts.index != ""]
-    if not len(counts):
-        return ""
-    parts = [f"{' and '.join(names.split(','))} ({count})" for names, count in counts.items()]
-    if len(parts) == 1:
-        return (
-            f"every one rests on {parts[0].rsplit(' ', 1)[0]}"
-            if counts.iloc[0] == len(comparison.layers)
-            else (f"evidence of {parts[0]}")
-        )
-    return f"evidence of {', '.join(parts)}"
+    counts = Counter(str(names) for names in comparison.layers["rests_on"] if names)
+    if len(counts) == 1 and counts.total() == len(comparison.layers):
+        return f"every one rests on {_named(*counts)}"
+    parts = [f"{_named(names)} ({count})" for names, count in counts.most_common()]
+    return f"evidence of {', '.join(parts)}" if parts else ""
+
+
+def _named(pair: str) -> str:
+    return " and ".join(pair.split(","))
