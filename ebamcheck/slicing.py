@@ -76,10 +76,12 @@ def slice_part(
     wanted = checked_heights(heights)
     increasing, where = np.unique(wanted, return_inverse=True)
     checked = registry.slicer_settings(name, settings)
+    if not isolate:
+        registry.available_slicer(name)
     if isolate or registry.is_stranger(name):
         layers = slice_isolated(name, part, increasing, checked, limits, progress)
     else:
-        with registry.available_slicer(name).prepare(part, checked) as prepared:
+        with registry.slicer(name).prepare(part, checked) as prepared:
             layers = prepared.slice(increasing, progress)
     layers = layers if np.array_equal(increasing, wanted) else layers.take(where)
     return layers.labelled(mesh=part)
