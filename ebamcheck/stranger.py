@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from importlib.metadata import EntryPoint
 from typing import Any, ClassVar, NoReturn
 
-from pydantic import ConfigDict
+from pydantic import ConfigDict, PrivateAttr
 
 from ebamcheck.backend import BackendSettings, CoplanarRule, Probe
 from ebamcheck.errors import BackendFailed, SettingsError
@@ -19,6 +19,21 @@ class StrangerSettings(BackendSettings):
     """Settings that the slicer itself has checked in a process of its own."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
+    _defaults: dict[str, Any] = PrivateAttr(default_factory=dict)
+
+    def model_dump(self, **options: Any) -> dict[str, Any]:
+        """Settings as plain values; ``exclude_defaults`` leaves out what is the slicer's own default."""
+        found = super().model_dump(**options)
+        if not options.get("exclude_defaults"):
+            return found
+        return {k: v for k, v in found.items() if k not in self._defaults or self._defaults[k] != v}
+
+
+def stranger_settings(values: Mapping[str, Any], defaults: Mapping[str, Any] | None) -> StrangerSettings:
+    """Settings that a slicer has checked, with its own defaults."""
+    made = StrangerSettings(**{str(k): v for k, v in values.items()})
+    made._defaults = dict(defaults or {})
+    return made
 
 
 @dataclass(frozen=True)
@@ -51,13 +66,13 @@ class StrangerSlicer:
     def checked(self, values: Mapping[str, Any]) -> BackendSettings:
         """Have it check settings; raises :class:`SettingsError` naming the first that is wrong."""
         if not values and self.answer.defaults is not None:
-            return StrangerSettings(**self.answer.defaults)
+            return stranger_settings(self.answer.defaults, self.answer.defaults)
         told, wrong = ask(self.point, "settings", values)
         if isinstance(told.get("wrong"), str):
             raise SettingsError(told["wrong"])
         if wrong or not isinstance(told.get("settings"), dict):
             raise SettingsError(f"backend {self.name!r} did not check its settings: {wrong or 'no answer'}")
-        return StrangerSettings(**{str(k): v for k, v in told["settings"].items()})
+        return stranger_settings(told["settings"], self.answer.defaults)
 
     def error_bound_mm(self, *_: object) -> NoReturn:
         """Refuse: see the class."""
