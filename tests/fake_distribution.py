@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from ebamcheck import registry
+from ebamcheck.plugins import registry
 
 
 def install(

@@ -17,14 +17,15 @@ from fake_distribution import environment, found_here, install
 from parts import box
 
 import ebamcheck as api
-from ebamcheck import plugin_answers, registry
 from ebamcheck.errors import BackendFailed, BackendMissing, SettingsError
-from ebamcheck.isolate import Limits, slice_all
-from ebamcheck.model import models
 from ebamcheck.pipeline.report_writers import write_reports
-from ebamcheck.processes import run_limited
-from ebamcheck.slicing import Slicing
-from ebamcheck.store import sha256_of_file
+from ebamcheck.pipeline.run_folder import sha256_of_file
+from ebamcheck.plugins import answers as plugin_answers
+from ebamcheck.plugins import registry
+from ebamcheck.plugins.model import models
+from ebamcheck.plugins.processes import run_limited
+from ebamcheck.slicers.isolation import Limits, slice_all
+from ebamcheck.slicers.slicing import Slicing
 
 TESTS = os.path.dirname(__file__)
 

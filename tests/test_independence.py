@@ -14,11 +14,11 @@ from pydantic import ValidationError
 from ebamcheck.comparison import compare_all
 from ebamcheck.comparison.consensus import agreement
 from ebamcheck.comparison.independence import EvidenceRule, best_pair
-from ebamcheck.config import Config
-from ebamcheck.isolate import Outcome
-from ebamcheck.layers import from_rings
+from ebamcheck.layers.stack import from_rings
 from ebamcheck.pipeline.gates import agreement_gate
 from ebamcheck.pipeline.independence import evidence_records, evidence_rule, resting
+from ebamcheck.settings.config import Config
+from ebamcheck.slicers.isolation import Outcome
 
 SQUARE = np.array([(0.0, 0.0), (2.0, 0.0), (2.0, 2.0), (0.0, 2.0)])
 HEIGHTS = [0.5, 1.1, 1.7]

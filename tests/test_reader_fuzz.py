@@ -11,9 +11,9 @@ from parts import box
 
 import ebamcheck
 from ebamcheck.errors import EbamcheckError, InputError
-from ebamcheck.obj import read_obj
-from ebamcheck.ply import read_ply
-from ebamcheck.stl import read_triangles
+from ebamcheck.mesh.obj import read_obj
+from ebamcheck.mesh.ply import read_ply
+from ebamcheck.mesh.stl import read_triangles
 
 PART = box()
 TRIANGLES = PART.triangles
@@ -185,7 +185,7 @@ def test_a_cut_obj_is_refused_or_told_unless_it_ends_with_a_line():
 
 
 def test_polygons_of_mixed_lengths_are_the_part():
-    want = ebamcheck.part.from_arrays(CUBE, TRIANGULAR).triangles
+    want = ebamcheck.mesh.part.from_arrays(CUBE, TRIANGULAR).triangles
     for read, data in (
         (read_obj, obj()),
         (read_ply, ply_text()),

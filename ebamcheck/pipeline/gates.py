@@ -10,16 +10,16 @@ import numpy as np
 import pandas as pd
 
 from ebamcheck.comparison import Comparison
-from ebamcheck.config import Config
 from ebamcheck.errors import ExitCode
 from ebamcheck.heat.melting import entry_limit_k
-from ebamcheck.inspection import Inspection
-from ebamcheck.isolate import Outcome
+from ebamcheck.mesh.inspection import Inspection
 from ebamcheck.pipeline.fit_evidence import FitVerdict, gate_text
 from ebamcheck.pipeline.independence import not_counted, resting
 from ebamcheck.program import Check
-from ebamcheck.program.deposit_checks import DEPOSIT_CHECKS, of_deposit
-from ebamcheck.program.interpass_checks import INTERPASS, MELTING, within_range
+from ebamcheck.program.checking.deposit_checks import DEPOSIT_CHECKS, of_deposit
+from ebamcheck.program.checking.interpass_checks import INTERPASS, MELTING, within_range
+from ebamcheck.settings.config import Config
+from ebamcheck.slicers.isolation import Outcome
 
 
 @dataclass(frozen=True)

@@ -7,11 +7,11 @@ from collections.abc import Iterable, Iterator
 from itertools import combinations
 from typing import Any
 
-from ebamcheck import registry
 from ebamcheck.comparison import Comparison
 from ebamcheck.comparison.independence import EvidenceRule
-from ebamcheck.config import Config
 from ebamcheck.findings import Finding
+from ebamcheck.plugins import registry
+from ebamcheck.settings.config import Config
 
 
 def evidence_rule(config: Config, names: Iterable[str]) -> EvidenceRule:

@@ -9,13 +9,13 @@ from collections.abc import Callable, Iterator
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
-from ebamcheck import registry
 from ebamcheck.errors import SettingsError
+from ebamcheck.pipeline.run_folder import FINGERPRINT, MANIFEST, RunFolder
 from ebamcheck.pipeline.signing import SIGNATURES
-from ebamcheck.plugin_points import distribution_of, is_house
-from ebamcheck.processes import run_limited
-from ebamcheck.report_process import DONE
-from ebamcheck.store import FINGERPRINT, MANIFEST, RunFolder
+from ebamcheck.plugins import registry
+from ebamcheck.plugins.points import distribution_of, is_house
+from ebamcheck.plugins.processes import run_limited
+from ebamcheck.plugins.report_process import DONE
 
 TIME_S = 600.0
 """Time of one report writer of another distribution."""
@@ -54,7 +54,7 @@ def _write_apart(point: EntryPoint, folder: Path, note: Note) -> None:
     with tempfile.TemporaryDirectory(prefix="ebamcheck-", ignore_cleanup_errors=True) as temporary:
         copy = Path(temporary) / "run"
         shutil.copytree(folder, copy, symlinks=True)
-        arguments = ["ebamcheck.report_process", point.name, point.value, str(copy)]
+        arguments = ["ebamcheck.plugins.report_process", point.name, point.value, str(copy)]
         ended = run_limited(arguments, Path(temporary), TIME_S, MEMORY_MB)
         if ended.why or not (Path(temporary) / DONE).is_file():
             note(f"{whose} was lost: {ended.why or 'it ended the process with code 0'}")

@@ -6,8 +6,8 @@ import numpy as np
 import shapely
 
 from ebamcheck.errors import BackendFailed
-from ebamcheck.model import Model
-from ebamcheck.part import Part
+from ebamcheck.mesh.part import Part
+from ebamcheck.plugins.model import Model
 from ebamcheck.testing.figures import NO_LAYER, Figure, truth
 from ebamcheck.testing.sections import house_rule, region, sections, winding_rule
 from ebamcheck.testing.solids import (

@@ -1,0 +1,109 @@
+"""How commands end: errors become one line and an exit code; and commands that wings add."""
+
+from __future__ import annotations
+
+import functools
+import os
+import sys
+import traceback
+from collections.abc import Callable
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, cast
+
+import typer
+from typer.core import TyperGroup
+
+from ebamcheck.errors import EbamcheckError, ExitCode
+from ebamcheck.plugins.points import is_house, sorted_out
+
+COMMANDS = "ebamcheck.commands"
+"""Entry point group of commands that wings add."""
+
+
+RESUMABLE = ("run", "check")
+"""Commands that go on with what an interrupted one left behind."""
+
+
+class CommandGroup(TyperGroup):
+    """The house's commands, and those of installed wings, each loaded when it is first asked for."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Names of all commands: the house's own first."""
+        own = super().list_commands(ctx)
+        return [*own, *(name for name in sorted(_plugins()) if name not in own)]
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Return a command; None where there is none of that name or its wing is broken."""
+        if (own := super().get_command(ctx, cmd_name)) is not None or cmd_name not in _plugins():
+            return own
+        try:
+            function = _loaded(_plugins()[cmd_name])
+        except Exception as error:
+            typer.echo(f"ebamcheck: warning: command {cmd_name!r} was left out: {error}", err=True)
+            return None
+        app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+        app.command(cmd_name)(guarded(function))
+        return typer.main.get_command(app)
+
+
+@functools.cache
+def _plugins() -> dict[str, EntryPoint]:
+    return sorted_out(entry_points(group=COMMANDS))[0]
+
+
+def _loaded(point: EntryPoint) -> Callable[..., Any]:
+    """Load a command; a stranger's once it has come through a process of its own."""
+    if is_house(point):
+        return cast(Callable[..., Any], point.load())
+    from ebamcheck.plugins import registry
+
+    return cast(Callable[..., Any], registry.load(point))
+
+
+def guarded(function: Callable[..., Any]) -> Callable[..., None]:
+    """Turn what a command raises into one line, and what it returns into the exit code of the process."""
+
+    @functools.wraps(function)
+    def run(*args: Any, **kwargs: Any) -> None:
+        raise typer.Exit(int(_run_guarded(function, *args, **kwargs)))
+
+    return run
+
+
+def _run_guarded(function: Callable[..., Any], *args: Any, **kwargs: Any) -> ExitCode:
+    """Run a command; turn what it raises into a message and an exit code."""
+    debug = bool(os.environ.get("EBAMCHECK_DEBUG"))
+    try:
+        code = ExitCode(function(*args, **kwargs) or ExitCode.PASS)
+        sys.stdout.flush()
+    except EbamcheckError as error:
+        code = error.exit_code
+        tell(f"error: {error}", debug)
+    except KeyboardInterrupt as interrupt:
+        code = ExitCode.INTERRUPTED
+        kept = "what was finished is kept for --resume" if function.__name__ in RESUMABLE else str(interrupt)
+        tell(f"interrupted; {kept}" if kept else "interrupted", debug)
+    except BrokenPipeError:
+        # The reader of our output has gone; there is nobody left to tell.
+        code = ExitCode.PASS
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except OSError as error:
+        # What the system refuses (a full disk, a folder without permission) is for the user to mend.
+        code = ExitCode.USAGE
+        where = f"{error.filename}: " if error.filename else ""
+        tell(f"error: {where}{error.strerror or error}", debug)
+    except (typer.Exit, typer.Abort):
+        raise
+    except Exception as error:
+        code = ExitCode.INTERNAL
+        tell(
+            f"internal error: {type(error).__name__}: {error} (run again with --debug for a traceback)", debug
+        )
+    return code
+
+
+def tell(message: str, debug: bool = False) -> None:
+    """Print a message as one line on standard error, after the traceback where one is wanted."""
+    if debug:
+        traceback.print_exc()
+    typer.echo(f"ebamcheck: {' '.join(message.split())}", err=True)

@@ -1,0 +1,374 @@
+"""One process per backend, with limits: a crash, a hang or a kill of one is a finding, not the end of a run.
+
+The parent writes the part once as plain columns, gives each worker its order, and watches its resident memory and its
+time; a worker writes its layers to a file, block by block.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import selectors
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+from numpy.typing import NDArray
+
+from ebamcheck.backend import BackendSettings, Probe, Progress
+from ebamcheck.errors import BackendFailed, BackendMissing, SettingsError
+from ebamcheck.layers import files as layer_files
+from ebamcheck.layers.stack import Layers
+from ebamcheck.mesh.part import Part
+from ebamcheck.numeric.kernels import thread_count
+from ebamcheck.plugins import registry
+from ebamcheck.plugins.processes import LARGEST_SAID_BYTES, code_in_words
+from ebamcheck.slicers.layer_forms import file_fault
+from ebamcheck.slicers.worker import write_part
+from ebamcheck.slicers.worker_events import (
+    CHUNK_BYTES,
+    FLOOD_BYTES,
+    FLOOD_BYTES_S,
+    LONGEST_LINE_BYTES,
+    MOST_CHUNKS,
+    NoEvent,
+    bounds_fault,
+    event_of,
+    probe_of,
+)
+from ebamcheck.slicers.worker_pool import Crew, Failure, Worker
+
+KILLS = ("SIGKILL", "SIGTERM", "SIGINT", "SIGHUP")
+"""Signals that come from outside."""
+
+POLL_S = 0.05
+"""How often memory and time of the workers are looked at."""
+
+CHILDREN_S = 1.0
+"""How often processes that a worker has started are looked for."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a backend's process may use, and how many there are at a time."""
+
+    time_s: float = 600.0
+    memory_mb: float = 8192.0
+    processes: int | None = None
+    """Processes side by side; None: as many as there are cores."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one backend."""
+
+    name: str
+    failure: Failure = ""
+    why: str = ""
+    file: Path | None = None
+    """Where its layers lie; None where it failed."""
+    probe: Probe = field(default_factory=lambda: Probe(False))
+    error_bound_mm: float = 0.0
+    height_bound_mm: float = 0.0
+    rings: int = 0
+    open_paths: int = 0
+    points: int = 0
+    prepare_s: float = 0.0
+    slice_s: float = 0.0
+    peak_mb: float = 0.0
+
+    def made(self) -> Path:
+        """File of its layers; raises what it failed of."""
+        if self.file is None:
+            kind = BackendMissing if self.failure == "unavailable" else BackendFailed
+            raise kind(f"backend {self.name!r} {self.failure}: {self.why}")
+        return self.file
+
+    def read(self) -> Layers:
+        """Read all its layers; raises what it failed of."""
+        return layer_files.read_parquet(self.made())
+
+
+def slice_isolated(
+    name: str,
+    part: Part,
+    heights: NDArray[np.float64],
+    settings: BackendSettings,
+    limits: Limits | None = None,
+    progress: Progress | None = None,
+) -> Layers:
+    """Slice with one backend in a process of its own; raises what its outcome says."""
+    told = None if progress is None else (lambda _, done: progress(done))
+    with tempfile.TemporaryDirectory(prefix="ebamcheck-") as folder:
+        return slice_all(part, heights, {name: settings}, Path(folder), limits or Limits(), told)[name].read()
+
+
+def declared_bounds(
+    part: Part, backends: Mapping[str, BackendSettings], limits: Limits = Limits()
+) -> dict[str, tuple[float, float]]:
+    """Error bound and height bound of a part, mm, by backend; strangers are asked in processes of their own.
+
+    Raises
+    ------
+    BackendFailed
+        If a stranger does not tell them, or they promise nothing.
+    """
+    asked = {name: settings for name, settings in backends.items() if registry.is_stranger(name)}
+    found: dict[str, tuple[float, float]] = {}
+    if asked:
+        with tempfile.TemporaryDirectory(prefix="ebamcheck-") as folder:
+            outcomes = slice_all(part, np.zeros(0), asked, Path(folder), limits, bounds_only=True)
+        for name, outcome in outcomes.items():
+            if outcome.failure:
+                raise BackendFailed(f"backend {name!r} {outcome.failure}: {outcome.why}")
+            found[name] = (outcome.error_bound_mm, outcome.height_bound_mm)
+    for name in backends.keys() - asked:
+        slicer = registry.slicer(name)
+        found[name] = (
+            slicer.error_bound_mm(part, backends[name]),
+            slicer.height_bound_mm(part, backends[name]),
+        )
+    return found
+
+
+def slice_all(
+    part: Part,
+    heights: NDArray[np.float64],
+    backends: Mapping[str, BackendSettings],
+    target: Path,
+    limits: Limits = Limits(),
+    progress: Callable[[str, int], None] | None = None,
+    finished: Callable[[Outcome], None] | None = None,
+    borders: NDArray[np.int64] | None = None,
+    crew: Crew | None = None,
+    bounds_only: bool = False,
+) -> dict[str, Outcome]:
+    """Slice with several backends, each in its own process.
+
+    Parameters
+    ----------
+    part, heights
+        The part as placed and strictly increasing heights (L,), mm.
+    backends
+        Settings of each backend to run, by name.
+    target
+        Folder for the layers, one file ``NAME.parquet`` a backend that comes to an end.
+    limits
+        Time and resident memory of each process, and how many run side by side.
+    progress
+        Called with a backend's name and the layers done since the last call.
+    finished
+        Called with each outcome as it comes in.
+    borders
+        Blocks of layers (:func:`~ebamcheck.layers.heights.layer_blocks`) that a backend cuts and writes one after the
+        other; all at once if None.
+    crew
+        Workers that were started ahead; started here if None.
+    bounds_only
+        Ask for the bounds of this part alone; outcomes have no file.
+
+    Returns
+    -------
+    dict
+        One outcome for every name, in the order given; none of them raises.
+
+    Raises
+    ------
+    SettingsError
+        If layers cannot be written to `target` (no permission, disk full).
+    """
+    outcomes: dict[str, Outcome] = {}
+    with ExitStack() as opened:
+        crew = crew or opened.enter_context(Crew())
+        _write_work(crew.folder, part, heights, borders)
+        waiting = list(backends)
+        running: list[Worker] = []
+        most = limits.processes or max(1, thread_count())
+        try:
+            while waiting or running:
+                while waiting and len(running) < most:
+                    name = waiting.pop(0)
+                    running.append(_started(crew, name, backends[name], target, heights.size, bounds_only))
+                _listen(running, progress)
+                for worker in list(running):
+                    _enforce(worker, limits)
+                    if worker.has_ended():
+                        running.remove(worker)
+                        outcome = _collect(worker, part, heights)
+                        outcomes[worker.name] = outcome
+                        if finished is not None:
+                            finished(outcome)
+        finally:
+            for worker in running:
+                worker.end()
+                worker.close()
+                _discard(worker)
+    return {name: outcomes[name] for name in backends}
+
+
+def _write_work(
+    folder: Path, part: Part, heights: NDArray[np.float64], borders: NDArray[np.int64] | None
+) -> None:
+    """Write what every worker needs, once."""
+    write_part(folder, part)
+    np.save(folder / "heights.npy", heights)
+    np.save(folder / "borders.npy", np.array([0, heights.size]) if borders is None else borders)
+
+
+def _started(
+    crew: Crew, name: str, settings: BackendSettings, target: Path, layers: int, bounds_only: bool
+) -> Worker:
+    """Give the worker of a backend its order."""
+    worker = crew.worker(name)
+    worker.stranger, worker.layers, worker.bounds_only = registry.is_stranger(name), layers, bounds_only
+    file = target.absolute() / f"{name}.parquet"
+    worker.begin(
+        {
+            "backend": name,
+            "folder": str(crew.folder),
+            "file": str(file),
+            "settings": settings.model_dump(mode="json"),
+            "bounds_only": bounds_only,
+        }
+    )
+    return worker
+
+
+def _listen(running: Sequence[Worker], progress: Callable[[str, int], None] | None) -> None:
+    """Wait a moment for events and take in what has come."""
+    with selectors.DefaultSelector() as selector:
+        for worker in running:
+            selector.register(worker.events, selectors.EVENT_READ, worker)
+        ready = selector.select(POLL_S)
+    # Each of them is heard, however much one tells.
+    silent = [key.data.has_ended() or not _take_in(key.data, progress) for key, _ in ready]
+    if ready and all(silent):
+        # A closed pipe is always ready; its worker is about to end.
+        time.sleep(POLL_S)
+
+
+def _take_in(worker: Worker, progress: Callable[[str, int], None] | None) -> bool:
+    """Read some of what a worker has told; false where its pipe is closed or empty.
+
+    No more than some: a worker that never stops telling must not keep the others waiting, or its limits from being
+    looked at. One that tells no events is ended.
+    """
+    some = False
+    for _ in range(MOST_CHUNKS):
+        if worker.failure or not (chunk := worker.events.read(CHUNK_BYTES)):
+            break
+        some = True
+        worker.heard_bytes += len(chunk)
+        *lines, worker.unread = (worker.unread + chunk).split(b"\n")
+        try:
+            for line in lines:
+                _take(worker, event_of(line), progress)
+        except NoEvent as error:
+            worker.lose("crashed", str(error))
+        allowed = FLOOD_BYTES + FLOOD_BYTES_S * (time.monotonic() - worker.started)
+        if len(worker.unread) > LONGEST_LINE_BYTES or worker.heard_bytes > allowed:
+            worker.lose("crashed", f"told {worker.heard_bytes} bytes of events: a flood")
+    return some
+
+
+def _take(worker: Worker, event: dict[str, Any], progress: Callable[[str, int], None] | None) -> None:
+    """Take one event in; progress beyond the work that there is counts for nothing."""
+    if "done" not in event:
+        worker.told.update(event)
+        return
+    done = min(event["done"], worker.layers - worker.done)
+    worker.done += done
+    if progress is not None and done:
+        progress(worker.name, done)
+
+
+def _enforce(worker: Worker, limits: Limits) -> None:
+    """Kill a worker that has used up its time or its memory, and note which."""
+    try:
+        resident = _resident_mb(worker)
+    except psutil.Error:
+        return
+    worker.peak_mb = max(worker.peak_mb, resident)
+    if resident > limits.memory_mb:
+        why = f"held {resident:.0f} MB, over the limit of {limits.memory_mb:.0f} MB (slicing.memory_limit_mb)"
+        worker.lose("out of memory", why)
+    elif time.monotonic() - worker.started > limits.time_s:
+        worker.lose("timed out", f"took over {limits.time_s:g} s (slicing.time_limit_s)")
+    elif worker.said_bytes() > LARGEST_SAID_BYTES:
+        worker.lose("crashed", f"wrote over {LARGEST_SAID_BYTES // 1_000_000} MB to the terminal")
+
+
+def _resident_mb(worker: Worker) -> float:
+    """Resident memory of a worker and of what it started, MB."""
+    used = psutil.Process(worker.process.pid)
+    if time.monotonic() - worker.children_seen > CHILDREN_S:
+        # A look at every process of the machine: dear, and hardly any backend starts one.
+        worker.children, worker.children_seen = used.children(recursive=True), time.monotonic()
+    total = used.memory_info().rss
+    for child in worker.children:
+        with contextlib.suppress(psutil.Error):
+            total += child.memory_info().rss
+    return float(total) / 1e6
+
+
+def _collect(worker: Worker, part: Part, heights: NDArray[np.float64]) -> Outcome:
+    """Turn an ended worker into its outcome; nothing that it has left behind runs on."""
+    worker.end()
+    while _take_in(worker, None):
+        pass
+    worker.close()
+    told = worker.told
+    outcome = Outcome(
+        worker.name,
+        probe=probe_of(told),
+        error_bound_mm=_finite(told.get("error_bound_mm", 0.0)),
+        height_bound_mm=_finite(told.get("height_bound_mm", 0.0)),
+        **{name: told.get(name, 0) for name in ("rings", "open_paths", "points")},
+        prepare_s=told.get("prepare_s", 0.0),
+        slice_s=told.get("slice_s", 0.0),
+        peak_mb=max(worker.peak_mb, told.get("peak_mb", 0.0)),
+    )
+    failure, why = _failure(worker, part, heights)
+    if "unwritable" in told and not worker.stranger:
+        _discard(worker)
+        raise SettingsError(told["unwritable"])
+    if not failure:
+        return replace(outcome, file=None if worker.bounds_only else worker.file)
+    _discard(worker)
+    worker.file.unlink(missing_ok=True)
+    return replace(outcome, failure=failure, why=why)
+
+
+def _finite(number: float) -> float:
+    return float(number) if abs(number) < math.inf else 0.0
+
+
+def _failure(worker: Worker, part: Part, heights: NDArray[np.float64]) -> tuple[Failure, str]:
+    """What became of an ended worker, and why; nothing where its layers are good."""
+    told, code = worker.told, worker.process.returncode
+    if worker.failure:
+        return worker.failure, worker.why
+    if "failure" in told:
+        return told["failure"], told["why"]
+    if code < 0:
+        ended = code_in_words(code)
+        kind: Failure = "killed" if ended.split()[-1] in KILLS else "crashed"
+        return kind, f"its process was ended {ended}{worker.last_words()}"
+    if code > 0 or not (told.get("written") or worker.bounds_only):
+        return "crashed", f"its process ended with code {code}{worker.last_words()}"
+    fault = bounds_fault(told, float(part.size.max()))
+    if not fault and not worker.bounds_only:
+        fault = file_fault(worker.file, part, heights, whole=worker.stranger)
+    return ("crashed", fault) if fault else ("", "")
+
+
+def _discard(worker: Worker) -> None:
+    """Remove what a worker that was ended had begun to write."""
+    for part in worker.file.parent.glob(f".{worker.file.name}.*.part"):
+        part.unlink(missing_ok=True)
