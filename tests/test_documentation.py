@@ -66,6 +66,7 @@ WITHOUT_UNIT = {
     "conductivity_by_temperature",  # pairs of K and W/(m K)
     "heat_capacity_by_temperature",  # pairs of K and J/(kg K)
     "melt_mixing",  # factor of the conductivity
+    "evidence_share",  # of the bead width, and of the layer height
     "travel_share",  # of another order's travel
     "annealing_steps",
     "ramp_power",  # share of the power

@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from fake_distribution import found_here, install
 from hypothesis import given
 from hypothesis import strategies as st
 from regression_plugin import ALLOWED_MM, BLOCK, BOUND_MM, ROUGH_MM, SLICERS
@@ -70,17 +71,11 @@ CAUGHT = [
 def plugins(tmp_path_factory):
     """Install the block and the slicers above as a distribution that worker processes find, too."""
     folder = tmp_path_factory.mktemp("plugins")
-    lines = [f"{name} = regression_plugin:{name.replace('-', '_')}" for name in SLICERS]
-    info = folder / "regression_plugin-1.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: regression-plugin\nVersion: 1\n")
-    (info / "entry_points.txt").write_text(
-        "[ebamcheck.models]\ntrial-block = regression_plugin:BLOCK\n[ebamcheck.backends]\n" + "\n".join(lines)
-    )
+    backends = {name: f"regression_plugin:{name.replace('-', '_')}" for name in SLICERS}
+    models = {"trial-block": "regression_plugin:BLOCK"}
+    install(folder, "regression-plugin", {registry.MODELS: models, registry.BACKENDS: backends})
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PYTHONPATH", os.pathsep.join([str(folder), os.path.dirname(__file__)]))
-        patch.syspath_prepend(str(folder))
-        registry.forget()
+        found_here(folder, patch, os.path.dirname(__file__))
         yield
     registry.forget()
 

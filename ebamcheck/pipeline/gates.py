@@ -14,6 +14,7 @@ from ebamcheck.errors import ExitCode
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.mesh.inspection import Inspection
 from ebamcheck.pipeline.fit_evidence import FitVerdict, gate_text
+from ebamcheck.pipeline.independence import not_counted, resting
 from ebamcheck.program import Check
 from ebamcheck.program.checking.deposit_checks import DEPOSIT_CHECKS, of_deposit
 from ebamcheck.program.checking.interpass_checks import INTERPASS, MELTING, within_range
@@ -43,12 +44,17 @@ def agreement_gate(comparison: Comparison, outcomes: Mapping[str, Outcome], laye
     """At least two methods agree on every layer, and no method that was asked for failed."""
     failed = [f"{o.name} {o.failure} ({o.why})" for o in outcomes.values() if o.file is None]
     lost = [o for o in outcomes.values() if o.file is None and o.failure != "unavailable"]
+    idle = not_counted(comparison)
     methods = len(outcomes) - len(failed)
     verdicts = comparison.layers["verdict"]
     bad = int(verdicts.isin(["outlier", "undecided", "empty"]).sum())
     good = int((verdicts == "agree").sum())
-    if methods < 2:
-        text = f"{methods} method left, two are needed" + (f": {'; '.join(failed)}" if failed else "")
+    independent = methods > 1 and bool(comparison.pairs["evidence"].any())
+    if not independent:
+        text = f"{methods} method left, two are needed"
+        if methods > 1:
+            text = f"{methods} methods left, no two of which are independent evidence"
+        text += f": {'; '.join([*failed, *idle])}" if failed or idle else ""
         return Gate("agreement", False, float(layers), 0.0, "layers", text)
     skipped = layers - good - bad
     text = f"{methods} methods agree on {good} of {layers} layers"
@@ -61,6 +67,7 @@ def agreement_gate(comparison: Comparison, outcomes: Mapping[str, Outcome], laye
         )
     if lost:
         text += f"; lost: {'; '.join(failed)}"
+    text += "".join(f"; {part}" for part in [*idle, resting(comparison)] if part)
     passed = comparison.passed and good == layers
     return Gate("agreement", passed, float(bad + skipped), 0.0, "layers", text)
 

@@ -32,6 +32,7 @@ from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.entry_program import checked_again
 from ebamcheck.pipeline.fit_evidence import FitVerdict, judged
 from ebamcheck.pipeline.gates import Gate
+from ebamcheck.pipeline.independence import evidence_rule
 from ebamcheck.pipeline.placement import cut_heights
 from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.plugins import registry
@@ -44,7 +45,7 @@ from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import outside_window, unusual_layers
-from ebamcheck.slicers.isolation import Outcome
+from ebamcheck.slicers.isolation import Outcome, declared_bounds
 from ebamcheck.slicers.slicing import slice_part
 
 SMOOTH_MM = 0.002
@@ -188,13 +189,11 @@ def _agreement(
         comparison = compare_all(
             stacks,
             part,
-            bounds={
-                n: (s.error_bound_mm(part, settings[n]), s.height_bound_mm(part, settings[n]))
-                for n, s in slicers.items()
-            },
+            bounds=declared_bounds(part, settings),
             exact={n: s.exact for n, s in slicers.items()},
             rules={n: s.coplanar_rule for n, s in slicers.items()},
             settings=config.comparison,
+            evidence=evidence_rule(config, stacks),
         )
     return gates.agreement_gate(comparison, outcomes, len(fresh)), comparison.passed
 
@@ -204,9 +203,8 @@ def _fitted(
 ) -> tuple[FitVerdict, pd.DataFrame]:
     """Fit the contours of the primary slicer anew, as the run did, and judge the fit."""
     primary = str(manifest["primary"])
-    slicer = registry.slicer(primary)
     settings = registry.slicer_settings(primary, config.slicing.settings.get(primary, {}))
-    bound_mm = slicer.error_bound_mm(part, settings)
+    bound_mm, _ = declared_bounds(part, {primary: settings})[primary]
     of_curves = config.curves.model_copy(update={"collinear_mm": max(config.curves.collinear_mm, bound_mm)})
     layers = run.read_layers(primary)
     curves = fit(layers, of_curves.method, of_curves, part=part)

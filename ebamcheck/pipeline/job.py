@@ -20,6 +20,7 @@ from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.plate_record import PLATE, plate_record
 from ebamcheck.pipeline.programming import make_program
 from ebamcheck.pipeline.record import manifest as make_manifest
+from ebamcheck.pipeline.report_writers import write_reports
 from ebamcheck.pipeline.run_folder import (
     FINGERPRINT,
     RunFolder,
@@ -27,7 +28,6 @@ from ebamcheck.pipeline.run_folder import (
     start_run,
 )
 from ebamcheck.pipeline.work import Job, Observer, Silent
-from ebamcheck.plugins import registry
 from ebamcheck.preflight import Ready, ready
 from ebamcheck.program.language.control import control
 from ebamcheck.program.language.templates import usable_templates
@@ -193,7 +193,7 @@ def _finished(
         code = ExitCode.OUT_OF_TOLERANCE
     manifest = make_manifest(job, outcomes, checked.comparison, shut, _primary(job, checked), code)
     job.folder.write_manifest(manifest)
-    _write_reports(job)
+    write_reports(job.folder.path, job.observer.note)
     if program is not None:
         # Last of all: it lists every file, and so finds any byte that is changed after it.
         write_certificate(RunFolder(job.folder.path))
@@ -212,12 +212,3 @@ def _primary(job: Job, checked: CrossCheck) -> str:
     """Backend whose contours go on; none where it has found no contour."""
     name = primary_backend(job.config, checked.done)
     return name if name and checked.comparison.stacks[name]["rings"].any() else ""
-
-
-def _write_reports(job: Job) -> None:
-    """Let every installed report writer render the run; a broken one is a note, not the end."""
-    for name, write in registry.load_plugins(registry.REPORTS).items():
-        try:
-            write(RunFolder(job.folder.path))
-        except Exception as error:
-            job.observer.note(f"report writer {name!r} failed: {type(error).__name__}: {error}")

@@ -21,6 +21,7 @@ from ebamcheck.json_values import (
 )
 from ebamcheck.layers.files import LayerFile
 from ebamcheck.pipeline.gates import Gate
+from ebamcheck.pipeline.independence import evidence_records
 from ebamcheck.pipeline.run_folder import (
     FINGERPRINT,
     FORMAT_VERSION,
@@ -80,6 +81,8 @@ def manifest(
             "verdicts": comparison.layers["verdict"].value_counts().sort_index().to_dict(),
             "classes": comparison.layers["class"].value_counts().sort_index().to_dict(),
             "pairs": _pair_records(comparison.pairs),
+            "evidence": evidence_records(comparison),
+            "no_evidence": dict(comparison.without_weight),
             "findings": [asdict(finding) for finding in comparison.findings],
         },
         **job.record,

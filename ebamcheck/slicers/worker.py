@@ -8,11 +8,9 @@ list processes.
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import itertools
 import json
 import os
-import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -32,12 +30,12 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.numeric import compiling
 from ebamcheck.numeric.kernels import bring_up
 from ebamcheck.plugins import registry
+from ebamcheck.plugins.processes import die_with
+from ebamcheck.plugins.trial import probed
+from ebamcheck.slicers.layer_forms import form_fault
 
 TOLD_EVERY_S = 0.05
 """Progress is told no more often than this."""
-
-PR_SET_PDEATHSIG = 1
-"""Number of Linux's request, from <linux/prctl.h>."""
 
 
 class Order(TypedDict):
@@ -50,6 +48,8 @@ class Order(TypedDict):
     file: str
     """Where the layers go."""
     settings: dict[str, Any]
+    bounds_only: bool
+    """Tell the bounds and slice nothing."""
 
     keep_blocks: bool
     """Whether a block that is cut is kept beside the file until that is whole, for a run that is killed."""
@@ -81,15 +81,19 @@ def read_part(folder: Path) -> Part:
     return part
 
 
+class NotLayers(Exception):
+    """A slicer returned what no later stage can read."""
+
+
 def _work(order: Order, tell: Callable[..., None]) -> None:
     """Slice in this process and tell the parent how it goes."""
     folder, file = Path(order["folder"]), Path(order["file"])
-    probe = registry.probe(order["backend"])
+    slicer = registry.loaded_slicer(order["backend"])
+    probe = probed(slicer)
     tell(probe={**asdict(probe), "versions": dict(probe.versions)})
     if not probe.available:
         tell(failure="unavailable", why=f"{probe.why}{f'; {probe.hint}' if probe.hint else ''}")
         return
-    slicer = registry.slicer(order["backend"])
     settings = slicer.Settings.model_validate(order["settings"])
     part = read_part(folder)
     heights = np.load(folder / "heights.npy")
@@ -97,6 +101,8 @@ def _work(order: Order, tell: Callable[..., None]) -> None:
         error_bound_mm=float(slicer.error_bound_mm(part, settings)),
         height_bound_mm=float(slicer.height_bound_mm(part, settings)),
     )
+    if order["bounds_only"]:
+        return
     borders = np.load(folder / "borders.npy")
     # A single block is as good as the whole file.
     keep = order["keep_blocks"] and borders.size > 2
@@ -105,7 +111,10 @@ def _work(order: Order, tell: Callable[..., None]) -> None:
     try:
         with slicer.prepare(part, settings) as prepared:
             tell(prepare_s=slicer_time() - start)
-            _write(_blocks(prepared, heights, borders, tell, blocks), file, tell)
+            _write(_blocks(prepared, part, heights, borders, tell, blocks), file, tell)
+    except NotLayers as error:
+        tell(failure="crashed", why=str(error))
+        return
     except EbamcheckError as error:
         tell(failure="refused", why=str(error))
         return
@@ -129,6 +138,7 @@ def _write(blocks: Iterator[Layers], file: Path, tell: Callable[..., None]) -> N
 
 def _blocks(
     prepared: Prepared,
+    part: Part,
     heights: NDArray[np.float64],
     borders: NDArray[np.int64],
     tell: Callable[..., None],
@@ -148,6 +158,8 @@ def _blocks(
                 raise BackendFailed(str(error)) from error
             took = slicer_time() - start
             seconds += took
+            if fault := form_fault(layers, part, heights[first:past]):
+                raise NotLayers(fault)
             if kept is not None and kept.is_worth(took):
                 kept.write(layers)
         closed = int(np.count_nonzero(layers.closed))
@@ -206,19 +218,10 @@ def _compiling_told(tell: Callable[..., None]) -> Iterator[None]:
         yield
 
 
-def _die_with(parent: int) -> None:
-    """Have the kernel end this process when its parent ends, however that ends."""
-    libc = ctypes.CDLL(None)
-    if hasattr(libc, "prctl"):
-        libc.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-        if os.getppid() != parent:
-            sys.exit("the parent has ended")
-
-
 def main(arguments: Sequence[str]) -> int:
     """Entry point: a label, descriptor of the event pipe, the parent's id; one order comes on standard input."""
     _, pipe, parent = arguments
-    _die_with(int(parent))
+    die_with(int(parent))
     compiling.watch()
     # Whoever starts this process ahead is still reading the part.
     bring_up()
