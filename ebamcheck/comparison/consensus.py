@@ -11,6 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from ebamcheck.comparison.classes import GENERIC, layer_classes
+from ebamcheck.comparison.doubt import allow_doubt
 from ebamcheck.comparison.findings import AGREE, EMPTY, NOT_COMPARED, OUTLIER, UNDECIDED, Finding
 from ebamcheck.comparison.naming import named_findings
 from ebamcheck.comparison.pairwise import (
@@ -106,6 +107,7 @@ def compare_all(
         rows.insert(0, "b", b)
         rows.insert(0, "a", a)
         rows["gated"] = gated
+    allow_doubt(list(stacks.values()), couples, tables, settings.doubt_mm)
     pairs = pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
     vanished = _vanished(figures, part, heights)
     consensus, verdicts = _verdicts(names, tables, vanished)

@@ -11,6 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from ebamcheck.comparison.causes import MeshFlaws, Place, declared_doubt, likely_cause
+from ebamcheck.comparison.classes import GENERIC
 from ebamcheck.comparison.diagnosis import Cause, Differing, cause_of, diagnose
 from ebamcheck.comparison.diagnosis.sheets import Reader
 from ebamcheck.comparison.findings import EMPTY, OUTLIER, UNDECIDED, Finding
@@ -36,7 +37,9 @@ class Disagreement:
     def diagnosed(
         self, stacks: Mapping[str, LayerSource], heights: Floats, flaws: MeshFlaws, origin_mm: tuple[float, float]
     ) -> tuple[Cause, ...]:
-        """Find what is systematic in it."""
+        """Find what is systematic in it; where planes pass through vertices alone, that is what they have in common."""
+        if not (self.columns["class"][self.layers] == GENERIC).any():
+            return ()
         order = ("b", "a") if self.swapped else ("a", "b")
         found = Differing(
             np.array(self.layers, np.int64),
