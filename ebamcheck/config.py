@@ -131,7 +131,9 @@ def _told(first: Mapping[str, Any], where: str) -> str:
     elif first["type"] == "value_error":
         what = str(first["msg"]).removeprefix("Value error, ") + shown
     else:
-        what = f"it takes {_wanted(loc)}" + (shown or f" (given a {'table' if isinstance(given, dict) else 'value'})")
+        what = f"it takes {_wanted(loc)}" + (
+            shown or f" (given a {'table' if isinstance(given, dict) else 'value'})"
+        )
     return f"{where}: {key}: {what}; `ebamcheck config` lists every key"
 
 
@@ -152,14 +154,20 @@ def _field(loc: tuple[int | str, ...]) -> FieldInfo | None:
     """The setting at a place; None where a section is meant."""
     section = Config.model_fields.get(str(loc[0])) if len(loc) > 1 else None
     kind = section.annotation if section else None
-    return kind.model_fields.get(str(loc[1])) if isinstance(kind, type) and issubclass(kind, BaseModel) else None
+    return (
+        kind.model_fields.get(str(loc[1])) if isinstance(kind, type) and issubclass(kind, BaseModel) else None
+    )
 
 
 def _wanted(loc: tuple[int | str, ...]) -> str:
     """What a setting takes, in a user's words."""
     info, inner = _field(loc), _inner(loc)
     if info is None:
-        return "a table of settings" if len(loc) <= 1 else "a table with " + ", ".join(MachineChoice.model_fields)
+        return (
+            "a table of settings"
+            if len(loc) <= 1
+            else "a table with " + ", ".join(MachineChoice.model_fields)
+        )
     key = next((str(k) for k in loc[2:] if _is_key(loc, k)), "")
     if inner is not None and key:
         return wanted(f"{loc[0]}.{loc[1]}", key, inner.model_fields[key])

@@ -79,15 +79,19 @@ def allow_doubt(
 
 def _agrees_beside(pair: Pair, a: Layers, b: Layers, doubts: Sequence[Doubt], added_mm: float) -> bool:
     """Whether a layer agrees within the wider limit all over, rings among it, and within its own beside the boxes."""
-    bounds = {"exact_a": pair.exact_a, "exact_b": pair.exact_b, "check_part": False}
-    wide = compare(a, b, tolerance_mm=pair.limit_mm + added_mm, **bounds)
-    if not bool(wide["agrees"].all()):
+    if not _agree(pair, a, b, pair.limit_mm + added_mm):
         return False
     boxes = shapely.union_all(
         [shapely.box(*(d.low[:2] - d.bound_mm), *(d.high[:2] + d.bound_mm)) for d in doubts]
     )
     cut_a, cut_b = (_beside(layers, boxes) for layers in (a, b))
-    return bool(compare(cut_a, cut_b, tolerance_mm=pair.limit_mm, **bounds)["agrees"].all())
+    return _agree(pair, cut_a, cut_b, pair.limit_mm)
+
+
+def _agree(pair: Pair, a: Layers, b: Layers, limit_mm: float) -> bool:
+    """Whether two layers agree within a limit."""
+    table = compare(a, b, tolerance_mm=limit_mm, exact_a=pair.exact_a, exact_b=pair.exact_b, check_part=False)
+    return bool(table["agrees"].all())
 
 
 def _beside(layers: Layers, boxes: BaseGeometry) -> Layers:

@@ -27,7 +27,9 @@ Columns = Mapping[str, NDArray[Any]]
 class Disagreement:
     """All layers on which one slicer disagrees with another."""
 
-    def __init__(self, backend: str, against: str, columns: Columns, swapped: bool, layers: list[int]) -> None:
+    def __init__(
+        self, backend: str, against: str, columns: Columns, swapped: bool, layers: list[int]
+    ) -> None:
         self.backend, self.against = backend, against
         self.columns = columns
         self.swapped = swapped
@@ -35,7 +37,11 @@ class Disagreement:
         self.layers = layers
 
     def diagnosed(
-        self, stacks: Mapping[str, LayerSource], heights: Floats, flaws: MeshFlaws, origin_mm: tuple[float, float]
+        self,
+        stacks: Mapping[str, LayerSource],
+        heights: Floats,
+        flaws: MeshFlaws,
+        origin_mm: tuple[float, float],
     ) -> tuple[Cause, ...]:
         """Find what is systematic in it; where planes pass through vertices alone, that is what they have in common."""
         if not (self.columns["class"][self.layers] == GENERIC).any():
@@ -92,7 +98,10 @@ def named_findings(
 
 
 def _disagreeing(
-    names: list[str], columns: list[dict[str, NDArray[Any]]], consensus: list[tuple[int, ...]], verdicts: list[str]
+    names: list[str],
+    columns: list[dict[str, NDArray[Any]]],
+    consensus: list[tuple[int, ...]],
+    verdicts: list[str],
 ) -> Iterator[tuple[int, str, str, Columns, bool]]:
     """Layer, slicer that differs, the one that it is held against, figures, and whether it is the second of these."""
     couples = list(combinations(range(len(names)), 2))
@@ -124,7 +133,9 @@ class _Namer:
         row = {name: values[layer] for name, values in column.items()}
         depth, limit = float(row["depth_mm"]), float(row["limit_mm"])
         deep = depth > limit
-        rings = abs(int(row["rings_a"]) - int(row["rings_b"])) or abs(int(row["holes_a"]) - int(row["holes_b"]))
+        rings = abs(int(row["rings_a"]) - int(row["rings_b"])) or abs(
+            int(row["holes_a"]) - int(row["holes_b"])
+        )
         x_mm, y_mm, height_mm = (float(row[name]) for name in ("depth_x_mm", "depth_y_mm", "height_mm"))
         place = Place(
             x_mm, y_mm, height_mm, depth, limit, str(row["class"]), bool(row["open_a"] + row["open_b"] > 0)

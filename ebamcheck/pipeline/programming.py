@@ -30,6 +30,7 @@ from ebamcheck.program.inputs import deposition_heights
 from ebamcheck.program.matching import matched
 from ebamcheck.program.metal_field import FIELD_FILE, write_field
 from ebamcheck.program.motions import NCProgram
+from ebamcheck.program.remedies import told
 from ebamcheck.program.text_heat import build_times_s, known_sections
 from ebamcheck.program.toolpath import Toolpath
 from ebamcheck.scan import ScanPlan, plan_stack
@@ -176,6 +177,7 @@ def _write_and_verify(
         )
     job.add_finding(*noticed.of_limit(checks, plan, job.config))
     checks += _weighed(job, program, witness)
+    checks = told(checks, program, contours.heights, job.config.layer_height_mm)
     summary = program_summary(program, job.config)
     summary.to_csv(job.folder.path / "program.csv", index=False)
     job.add_finding(*noticed.of_interpass(summary, plan, job.config))

@@ -20,6 +20,7 @@ from ebamcheck.isolate import Outcome
 from ebamcheck.layer_files import LayerFile
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.work import Job
+from ebamcheck.program.inputs import deposition_heights
 from ebamcheck.store import FINGERPRINT, FORMAT_VERSION, MANIFEST, sha256_of_file, sha256_of_json
 
 
@@ -66,7 +67,7 @@ def manifest(
             "verdicts": comparison.layers["verdict"].value_counts().sort_index().to_dict(),
             "classes": comparison.layers["class"].value_counts().sort_index().to_dict(),
             "pairs": _pair_records(comparison.pairs),
-            "findings": [asdict(finding) for finding in comparison.findings],
+            "findings": _disagreements(comparison, job.config.layer_height_mm),
         },
         **job.record,
         "gates": [asdict(gate) for gate in passed],
@@ -84,6 +85,16 @@ def manifest(
             },
         },
     }
+
+
+def _disagreements(comparison: Comparison, first_layer_mm: float) -> list[dict[str, Any]]:
+    """Disagreements with the layer as the program names it, and its height there."""
+    heights = comparison.layers["height_mm"].to_numpy(np.float64)
+    z_mm = deposition_heights(heights, first_layer_mm).tolist()
+    return [
+        {**asdict(f), "program_layer": f.layer + 1, "program_z_mm": z_mm[f.layer]}
+        for f in comparison.findings
+    ]
 
 
 def _file_hashes(folder: Path) -> dict[str, str]:

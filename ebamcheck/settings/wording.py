@@ -45,6 +45,7 @@ EXAMPLES: Mapping[str, str] = {
     "machine.aux_codes": '["M77", "H9"]',
     "layers.heights_mm": "[0.5, 1.5, 3.0]",
     "process.keep_out": '[{ name = "clamp", outline_mm = [[0, 0], [20, 0], [20, 10]], z_mm = [0, 50] }]',
+    "process.keep_out.outline_mm": "[[0, 0], [20, 0], [20, 10]]",
     "process.travel_sectors_deg": "[[-45, 45], [135, 225]]",
     "process.power_schedule": "[[0, 1], [60, 0.5]]",
     "slicing.backends": '["planecut", "manifold"]',
@@ -60,7 +61,7 @@ def example_of(section: str, key: str, info: FieldInfo) -> str:
     """An example of a setting as TOML; empty for one whose value shows nothing."""
     if (told := EXAMPLES.get(f"{section}.{key}")) is not None:
         return told
-    default = info.get_default(call_default_factory=True)
+    default = None if info.is_required() else info.get_default(call_default_factory=True)
     if default is None or default in ((), "", {}):
         return ""
     return _toml(default)
@@ -95,7 +96,9 @@ def _kind(annotation: Any, metadata: Sequence[Any] = ()) -> str:
         named = [_kind(one, metadata) for one in inside if one is not type(None)]
         return " or ".join(named)
     if origin is Literal:
-        return "one of " + ", ".join(_toml(value) for value in inside) if len(inside) > 1 else _toml(inside[0])
+        return (
+            "one of " + ", ".join(_toml(value) for value in inside) if len(inside) > 1 else _toml(inside[0])
+        )
     if origin is tuple:
         return _list(inside, metadata)
     if origin is dict or annotation is dict:

@@ -278,15 +278,13 @@ def _by_another_rule(
         return {}
     own, house = (sections(part, heights, by) for by in (rule, house_rule))
     other = np.flatnonzero(~np.isclose(own.areas(), house.areas(), rtol=1e-9, atol=rounding_mm(part) ** 2))
-    found = subject.differences(part, heights) if other.size else None
-    limit = subject.limit_mm(part)
+    if not other.size:
+        return {}
+    found, limit = subject.differences(part, heights), subject.limit_mm(part)
+    told = f"depth, mm, from the section by the rule {subject.inside_rule(layers)!r}, at "
     return {
-        k: Figure(
-            "reference models", part.name, k, float(found.depth_mm[k]), limit,
-            f"depth, mm, from the section by the rule {subject.inside_rule(layers)!r}, at {found.places[k]}",
-        )  # fmt: skip
+        k: Figure("reference models", part.name, k, float(found.depth_mm[k]), limit, told + found.places[k])
         for k in other.tolist()
-        if found is not None
     }
 
 

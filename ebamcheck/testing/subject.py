@@ -131,15 +131,21 @@ class Raised(Exception):
         Name of the part that it was cutting.
     """
 
-    def __init__(
-        self, subject: Subject, part: Part, planes: NDArray[np.float64], error: Exception
-    ) -> None:
+    def __init__(self, subject: Subject, part: Part, planes: NDArray[np.float64], error: Exception) -> None:
         self.model = part.name
         height = subject.failing_height(part, planes)
-        span = f"one of {len(planes)} heights from {planes.min():.9g} to {planes.max():.9g} mm" if len(planes) else ""
+        span = (
+            f"one of {len(planes)} heights from {planes.min():.9g} to {planes.max():.9g} mm"
+            if len(planes)
+            else ""
+        )
         where = f"z = {height:.9g} mm" if height is not None else span or "no heights"
         frames = traceback.extract_tb(error.__traceback__)
-        code = f", raised in {frames[-1].name} ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
+        code = (
+            f", raised in {frames[-1].name} ({Path(frames[-1].filename).name}:{frames[-1].lineno})"
+            if frames
+            else ""
+        )
         chosen = subject.settings.model_dump()
         settings = ", ".join(f"{key}={value}" for key, value in chosen.items()) or "none"
         low, high = part.bounds.round(3).tolist()

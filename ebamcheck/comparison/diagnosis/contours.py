@@ -54,7 +54,9 @@ def contours_over(segments: Floats) -> Contours:
     return Contours(kept, grid_over(kept))
 
 
-def mesh_contours(flaws: MeshFlaws, height_mm: float, origin_mm: tuple[float, float]) -> tuple[Contours, Floats]:
+def mesh_contours(
+    flaws: MeshFlaws, height_mm: float, origin_mm: tuple[float, float]
+) -> tuple[Contours, Floats]:
     """Section of the mesh, and how far it moves outward at each segment for each mm of height, (S,)."""
     segments = np.ascontiguousarray(flaws.section(height_mm) - np.array([*origin_mm, *origin_mm]))
     a, b, c = np.moveaxis(flaws.part.triangles[flaws.crossing(height_mm)], 1, 0)

@@ -109,7 +109,9 @@ def _unit(sheets: Sequence[Sheet], flaws: MeshFlaws) -> Cause | None:
     solid = [sheet for sheet in sheets if sheet.both_solid]
     if not solid:
         return None
-    ratios = [float(np.abs(s.a.ring_areas).sum() / max(float(np.abs(s.b.ring_areas).sum()), 1e-300)) for s in solid]
+    ratios = [
+        float(np.abs(s.a.ring_areas).sum() / max(float(np.abs(s.b.ring_areas).sum()), 1e-300)) for s in solid
+    ]
     if 1.0 / LARGE < math.sqrt(float(np.median(ratios))) < LARGE:
         return None
     unit = wrong_unit(solid, flaws)
@@ -172,9 +174,7 @@ def _named(fitted: Fitted, fits: Sequence[Fitted], origin_mm: tuple[float, float
     if len(names) == 2:
         first = min(alone.get(names[0], 0.0), fitted.share)
         shares = [first, fitted.share - first] if first > 0.5 * fitted.share else [0.5 * fitted.share] * 2
-    return [
-        _field_cause(name, fitted, share, origin_mm) for name, share in zip(names, shares, strict=True)
-    ]
+    return [_field_cause(name, fitted, share, origin_mm) for name, share in zip(names, shares, strict=True)]
 
 
 def _field_cause(name: str, fitted: Fitted, share: float, origin_mm: tuple[float, float]) -> Cause:

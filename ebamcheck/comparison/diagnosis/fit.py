@@ -116,15 +116,18 @@ class FieldFit:
             return []
         single = sorted((self.fit((name,)) for name in GROUPS), key=lambda f: -f.share)
         # A scale and a rotation have a translation in them: where that alone does as well, it goes on.
-        first = min((f for f in single if f.share >= single[0].share - NESTED), key=lambda f: len(GROUPS[f.names[0]]))
+        first = min(
+            (f for f in single if f.share >= single[0].share - NESTED), key=lambda f: len(GROUPS[f.names[0]])
+        )
         found = list(single)
         if PROMISING <= first.share < enough:
             bases = [first, *(f for f in single if f.names == ("translation",) and f is not first)]
-            for base in bases[: 1 + (first.names[0] in ("scale", "rotation"))]:
-                for other in (f for f in single if f not in bases):
-                    found.append(
-                        self.fit((*base.names, *other.names), [base.parameters, other.parameters])
-                    )
+            found += [
+                self.fit((*base.names, *other.names), [base.parameters, other.parameters])
+                for base in bases[: 1 + (first.names[0] in ("scale", "rotation"))]
+                for other in single
+                if other not in bases
+            ]
         return sorted(found, key=lambda f: -f.share)
 
     def fit(self, names: tuple[str, ...], starts: Sequence[Floats] = ()) -> Fitted:
@@ -132,7 +135,9 @@ class FieldFit:
         free = sorted({p for name in names for p in GROUPS[name]})
         moving = DZ in free
         nothing = np.zeros(6)
-        others = [(self._left(start, moving), k, start) for k, start in enumerate((*starts, *self._starts(names)))]
+        others = [
+            (self._left(start, moving), k, start) for k, start in enumerate((*starts, *self._starts(names)))
+        ]
         best = Fitted(names, nothing, 0.0)
         chosen = [nothing] if not starts else []
         if others and min(others)[0] < self.apart_mm2:
@@ -266,12 +271,14 @@ def _gap(a: Contours, b: Contours) -> float:
 def _turned(points: Floats, angle_rad: float) -> Floats:
     """Points (N, 2) turned about the origin, counter-clockwise."""
     c, s = math.cos(angle_rad), math.sin(angle_rad)
-    return points @ np.array([[c, s], [-s, c]])
+    turned: Floats = points @ np.array([[c, s], [-s, c]])
+    return turned
 
 
 def _moved(points: Floats, q: Floats) -> Floats:
     """Points of the other slicer where the one that differs has them, but for the offset."""
-    return math.exp(q[E]) * _turned(points, q[TURN]) + q[[TX, TY]]
+    moved: Floats = math.exp(q[E]) * _turned(points, q[TURN]) + q[[TX, TY]]
+    return moved
 
 
 def _moved_back(points: Floats, q: Floats) -> Floats:

@@ -54,6 +54,7 @@ def layer_causes(
 
 def _share(areas: Floats, rings: Ints, differing: Ints, some: Ints) -> float:
     """Share of the solid of the layers that differ that lies in some of them."""
+
     def weight(layers: Ints) -> float:
         return float(np.where(rings[1, layers] > 0, np.abs(areas[1, layers]), np.abs(areas[0, layers])).sum())
 
@@ -108,7 +109,7 @@ def _duplicated(
 def _sources(areas: Floats, rings: Ints, step: int) -> Ints:
     """First layer, from below or from above, of the run of equal ones in which each lies, (L,)."""
     count = areas.size
-    order = np.arange(count)[:: -step]
+    order = np.arange(count)[::-step]
     new = np.ones(count, np.bool_)
     one, before = order[1:], order[:-1]
     new[1:] = ~(np.isclose(areas[one], areas[before], rtol=1e-12, atol=0.0) & (rings[one] == rings[before]))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from ebamcheck.comparison.diagnosis.fit import scaled_section, share_of
 from ebamcheck.comparison.diagnosis.sheets import Sheet, apart_mm2, moved_points, total_mm2
 from ebamcheck.comparison.outline import Outline, outline
 from ebamcheck.comparison.overlap import overlap
-from ebamcheck.rings import Floats
+from ebamcheck.rings import Bools, Floats, Ints
 
 UNITS: dict[str, float] = {
     "inches taken for millimetres": 1.0 / 25.4,
@@ -47,7 +47,7 @@ TURNS: tuple[tuple[str, float, tuple[tuple[int, int], tuple[int, int]]], ...] = 
 
 MIRRORED = {0.0: "X", 90.0: "Y", 45.0: "X and Y exchanged", 135.0: "X and Y exchanged with their signs"}
 
-RULES = {
+RULES: dict[str, Callable[[Ints], Bools]] = {
     "odd": lambda w: w % 2 == 1,
     "winding != 0": lambda w: w != 0,
     "1..1": lambda w: w == 1,
@@ -79,14 +79,18 @@ def turned_over(sheets: Sequence[Sheet]) -> Cause | None:
     before = total_mm2(sheets)
     if not before > 0.0:
         return None
-    middle_a, middle_b = (_middle([getattr(s, which) for s in sheets]) for which in ("outline_a", "outline_b"))
+    middle_a, middle_b = (
+        _middle([getattr(s, which) for s in sheets]) for which in ("outline_a", "outline_b")
+    )
     best: tuple[float, str, float, Floats] | None = None
     for kind, angle, turn in TURNS:
         linear = np.array(turn, np.float64)
         after = 0.0
         for sheet in sheets:
             local = sheet.a.points - sheet.origin_mm - middle_a
-            points = local @ linear + middle_b + sheet.origin_mm  # the inverse of a turn or mirror is its transpose
+            points = (
+                local @ linear + middle_b + sheet.origin_mm
+            )  # the inverse of a turn or mirror is its transpose
             made = moved_points(sheet.a, points, kind == MIRROR)
             after += apart_mm2(outline(made, 0, sheet.origin_mm), sheet.outline_b)
         share = 1.0 - after / before
@@ -166,14 +170,19 @@ def coarse_grid(sheets: Sequence[Sheet]) -> Cause | None:
         if other.size and _on_grid(other, step, values[0]):
             return None
         shares = [
-            1.0 - sum(_apart_snapped(s, step, float(values[0]), way) for s in sheets) / before for way in _WAYS
+            1.0 - sum(_apart_snapped(s, step, float(values[0]), way) for s in sheets) / before
+            for way in _WAYS
         ]
         share = max(*shares, 0.0)
         return Cause(QUANTISATION, step, "mm", f"coordinates are rounded to a grid of {step:.6g} mm", share)
     single = values.astype(np.float32).astype(np.float64)
-    if np.array_equal(single, values) and not np.array_equal(other.astype(np.float32).astype(np.float64), other):
+    if np.array_equal(single, values) and not np.array_equal(
+        other.astype(np.float32).astype(np.float64), other
+    ):
         after = sum(
-            apart_mm2(sheet.outline_a, outline(moved_points(sheet.b, _single(sheet.b.points)), 0, sheet.origin_mm))
+            apart_mm2(
+                sheet.outline_a, outline(moved_points(sheet.b, _single(sheet.b.points)), 0, sheet.origin_mm)
+            )
             for sheet in sheets
         )
         step = float(np.spacing(np.float32(np.abs(values).max())))
@@ -199,7 +208,7 @@ def _count_elsewhere(sheet: Sheet, mesh: Contours, wrong: dict[str, float]) -> N
 
 # -- grids -------------------------------------------------------------------------------------------
 
-_WAYS = (np.round, np.floor, np.ceil, np.trunc)
+_WAYS: tuple[Callable[[Floats], Floats], ...] = (np.round, np.floor, np.ceil, np.trunc)
 
 
 def _step(values: Floats) -> float:
@@ -235,7 +244,7 @@ def _on_grid(values: Floats, step: float, first: float) -> bool:
     return bool((np.abs(count - np.round(count)) <= GRID_SHARE).all())
 
 
-def _apart_snapped(sheet: Sheet, step: float, first: float, way: np.ufunc) -> float:
+def _apart_snapped(sheet: Sheet, step: float, first: float, way: Callable[[Floats], Floats]) -> float:
     """Area that is left between what differs and the other's contours on the grid."""
     # A grid through zero is the rule; another one is known up to its steps.
     shift = first - step * float(np.round(first / step))
@@ -251,7 +260,7 @@ def _single(points: Floats) -> Floats:
 # -- areas -------------------------------------------------------------------------------------------
 
 
-def _solid(contours: Contours, places: Floats) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+def _solid(contours: Contours, places: Floats) -> Bools:
     return np.asarray(windings(contours.segments, places) > 0)
 
 

@@ -136,13 +136,15 @@ def _chosen(kind: str, sheet: Sheet, found: Matched) -> Ints:
     if kind in (ORIENTATION, NESTING):
         # Where rings that are in no hole are turned, too, it is not the nesting.
         nested = bool(found.turned.size) and bool(found.deep.all())
-        return found.turned if nested == (kind == NESTING) else found.turned[:0]
+        chosen: Ints = found.turned if nested == (kind == NESTING) else found.turned[:0]
+        return chosen
     rings, areas = (
         (found.missing, sheet.b.ring_areas)
         if kind in (MISSING_OUTER, MISSING_HOLE)
         else (found.extra, sheet.a.ring_areas)
     )
-    return rings[(areas[rings] > 0.0) == (kind in (MISSING_OUTER, EXTRA_OUTER))]
+    of_kind: Ints = rings[(areas[rings] > 0.0) == (kind in (MISSING_OUTER, EXTRA_OUTER))]
+    return of_kind
 
 
 def _mended(kind: str, sheet: Sheet, rings: Ints) -> Sheet:

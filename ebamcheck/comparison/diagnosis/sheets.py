@@ -90,7 +90,9 @@ def moved_points(layers: Layers, points: Floats, mirrored: bool = False) -> Laye
     found = replace(layers, points=np.ascontiguousarray(points))
     if not mirrored:
         return found
-    return one_layer(float(layers.heights[0]), [found.ring(r)[::-1] for r in found.rings_of(0) if found.closed[r]])
+    return one_layer(
+        float(layers.heights[0]), [found.ring(r)[::-1] for r in found.rings_of(0) if found.closed[r]]
+    )
 
 
 class Reader:
@@ -98,14 +100,15 @@ class Reader:
 
     def __init__(self, source: LayerSource) -> None:
         self._source = source
-        self._first, self._window = -1, None
+        self._first = -1
+        self._window: Layers | None = None
 
     def layer(self, layer: int) -> Layers:
         """One layer as a stack of its own."""
         first = layer - layer % WINDOW
         if self._window is None or first != self._first:
             stop = min(first + WINDOW, len(self._source))
-            self._window: Layers | None = self._source.block(first, stop)
+            self._window = self._source.block(first, stop)
             self._first = first
         assert self._window is not None
         return self._window.block(layer - first, layer - first + 1)
@@ -121,6 +124,4 @@ def sample(
     typical = max(float(np.median(points[layers])), 1.0)
     count = int(np.clip(MOST_POINTS / typical, 1, min(MOST_SHEETS, layers.size)))
     at = np.unique(np.round(np.linspace(0, layers.size - 1, count + 2)[1:-1]).astype(np.int64))
-    return [
-        Sheet(k, float(heights[k]), a.layer(k), b.layer(k), origin_mm) for k in layers[at].tolist()
-    ]
+    return [Sheet(k, float(heights[k]), a.layer(k), b.layer(k), origin_mm) for k in layers[at].tolist()]
