@@ -25,7 +25,7 @@ def parts():
     """A part of many shapes, one of free form, two bodies that overlap, and a box with a box in its hole."""
     chosen = models(["bracket", "two-spheres", "torus"])
     found = {name: model.tessellate(0.1) for name, model in chosen.items()}
-    shell = joined(box((0, 0, 0), (30, 20, 9)), box((4, 3, -1), (26, 17, 10)).reversed())
+    shell = joined(box((0, 0, 0), (30, 20, 9)), box((4, 3, 0), (26, 17, 9)).reversed())
     found["nested"] = joined(shell, mapped(box((0, 0, 0), (6, 5, 9)), shift=(9, 7, 0)))
     return found
 
@@ -158,7 +158,7 @@ def ringed(layers, function):
     [
         ("missing holes", lambda ring, area, _: [ring] if area > 0 else []),
         ("missing outer rings", lambda ring, _, depth: [ring] if depth < 2 else []),
-        ("extra outer rings", lambda ring, _, depth: [ring, ring + (60, 0)] if not depth else [ring]),
+        ("extra outer rings", lambda ring, _, depth: [ring, np.add(ring, (60, 0))] if not depth else [ring]),
         ("wrong ring direction", lambda ring, _, __: [ring[::-1]]),
         ("wrong nesting", lambda ring, _, depth: [ring[::-1]] if depth == 2 else [ring]),
     ],
@@ -207,7 +207,7 @@ def test_another_inside_rule_is_told_by_the_windings_of_the_mesh(parts):
 @pytest.mark.parametrize("name", ["bracket", "two-spheres"])
 def test_two_causes_are_told_apart(parts, stacks, name):
     exact = stacks[name]
-    _, worst = found_in(parts[name], mapped_points(offset(exact, -0.05), lambda p: p + (0.1, 0.05)), exact)
+    _, worst = found_in(parts[name], mapped_points(offset(exact, -0.05), lambda p: np.add(p, (0.1, 0.05))), exact)
     assert worst.cause in ("translation", "constant offset")
     size = {"translation": np.hypot(0.1, 0.05), "constant offset": -0.05}[worst.cause]
     assert worst.cause_size == pytest.approx(size, rel=0.05)
@@ -239,7 +239,7 @@ def test_one_odd_place_is_no_systematic_cause(parts, stacks):
 def test_every_cause_has_a_remedy_that_names_the_slicer(parts, stacks):
     assert set(KINDS) <= set(REMEDIES)
     exact = stacks["torus"]
-    _, worst = found_in(parts["torus"], mapped_points(exact, lambda p: p + (0.3, 0.0)), exact)
+    _, worst = found_in(parts["torus"], mapped_points(exact, lambda p: np.add(p, (0.3, 0.0))), exact)
     assert "slicing.settings.a" in worst.remedy
 
 

@@ -44,12 +44,13 @@ def layer_causes(
     share = _share(areas, rings, differing, rest)
     if not left or not rest.size:
         return causes, left
-    for cause in (_duplicated(left, areas, rings, rest, b), _shifted(left, areas.shape[1], b)):
-        if cause is not None:
-            causes.append(cause.scaled(share))
-            concerned = cause.layers
-            return causes, [s for s in left if concerned is not None and s.layer not in concerned]
-    return causes, left
+    # Layers that stand twice are shifted ones, too: where both explain as much, they are doubled.
+    found = [c for c in (_duplicated(left, areas, rings, rest, b), _shifted(left, areas.shape[1], b)) if c]
+    if not found:
+        return causes, left
+    cause = max(found, key=lambda c: c.share)
+    causes.append(cause.scaled(share))
+    return causes, [s for s in left if cause.layers is not None and s.layer not in cause.layers]
 
 
 def _share(areas: Floats, rings: Ints, differing: Ints, some: Ints) -> float:
