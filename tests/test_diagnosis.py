@@ -50,7 +50,8 @@ def found_in(part, a, b):
 
 
 def mapped_points(layers, function):
-    return replace(layers, points=function(layers.points))
+    moved = replace(layers, points=function(layers.points))
+    return from_rings(layers.heights, [[moved.ring(r) for r in moved.rings_of(k)] for k in range(len(moved))])
 
 
 def offset(layers, by_mm):
@@ -124,7 +125,7 @@ def test_mirrors_and_half_turns(parts, stacks):
     _, worst = found_in(part, flipped, exact)
     assert worst.cause == "mirrored"
     assert "about x = 0.000 mm" in worst.cause_text
-    _, worst = found_in(part, mapped_points(exact, lambda p: -p), exact)
+    _, worst = found_in(part, mapped_points(exact, lambda p: np.subtract((30, 20), p)), exact)
     assert worst.cause == "rotation"
     assert abs(worst.cause_size) == pytest.approx(180.0)
 
@@ -207,7 +208,9 @@ def test_another_inside_rule_is_told_by_the_windings_of_the_mesh(parts):
 @pytest.mark.parametrize("name", ["bracket", "two-spheres"])
 def test_two_causes_are_told_apart(parts, stacks, name):
     exact = stacks[name]
-    _, worst = found_in(parts[name], mapped_points(offset(exact, -0.05), lambda p: np.add(p, (0.1, 0.05))), exact)
+    _, worst = found_in(
+        parts[name], mapped_points(offset(exact, -0.05), lambda p: np.add(p, (0.1, 0.05))), exact
+    )
     assert worst.cause in ("translation", "constant offset")
     size = {"translation": np.hypot(0.1, 0.05), "constant offset": -0.05}[worst.cause]
     assert worst.cause_size == pytest.approx(size, rel=0.05)

@@ -86,12 +86,11 @@ def one_layer(height_mm: float, rings: Sequence[ArrayLike]) -> Layers:
 
 
 def moved_points(layers: Layers, points: Floats, mirrored: bool = False) -> Layers:
-    """Same rings through other points, turned round where the map mirrors them."""
+    """Same closed rings through other points, in canonical form, turned round where the map mirrors them."""
     found = replace(layers, points=np.ascontiguousarray(points))
-    if not mirrored:
-        return found
+    step = -1 if mirrored else 1
     return one_layer(
-        float(layers.heights[0]), [found.ring(r)[::-1] for r in found.rings_of(0) if found.closed[r]]
+        float(layers.heights[0]), [found.ring(r)[::step] for r in found.rings_of(0) if found.closed[r]]
     )
 
 
