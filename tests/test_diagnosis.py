@@ -249,3 +249,8 @@ def test_every_cause_has_a_remedy_that_names_the_slicer(parts, stacks):
 def test_bodies_are_counted(parts):
     assert MeshFlaws(parts["nested"]).bodies == 3
     assert MeshFlaws(parts["torus"]).bodies == 1
+
+
+def test_reports_know_what_every_cause_means():
+    words = pytest.importorskip("ebamcheck_reports.words")
+    assert set(REMEDIES) <= set(words.CAUSES)

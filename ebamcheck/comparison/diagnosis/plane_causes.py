@@ -10,7 +10,7 @@ import numpy as np
 from ebamcheck.comparison import front
 from ebamcheck.comparison.causes import MeshFlaws
 from ebamcheck.comparison.diagnosis.cause import MIRROR, QUANTISATION, ROTATION, UNIT, WINDING_RULE, Cause
-from ebamcheck.comparison.diagnosis.contours import Contours, contours_of, mesh_contours, windings
+from ebamcheck.comparison.diagnosis.contours import Contours, contours_of, contours_over, windings
 from ebamcheck.comparison.diagnosis.fit import scaled_section, share_of
 from ebamcheck.comparison.diagnosis.sheets import Sheet, apart_mm2, moved_points, total_mm2
 from ebamcheck.comparison.outline import Outline, outline
@@ -142,7 +142,8 @@ def other_rule(sheets: Sequence[Sheet], flaws: MeshFlaws) -> Cause | None:
         whole += float(area.sum())
         largest = np.argsort(-area, kind="stable")[:MOST_PIECES]
         places = np.ascontiguousarray(np.column_stack([0.5 * (left + right), y])[largest])
-        mesh, _ = mesh_contours(flaws, sheet.height_mm, sheet.origin_mm)
+        # Winding numbers are those of all segments, also of those inside of another body.
+        mesh = contours_over(flaws.section(sheet.height_mm) - np.array([*sheet.origin_mm, *sheet.origin_mm]))
         numbers = windings(mesh.segments, places)
         in_a, in_b = (_solid(contours_of(o), places) for o in (sheet.outline_a, sheet.outline_b))
         for name, rule in RULES.items():
