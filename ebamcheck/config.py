@@ -10,7 +10,7 @@ import difflib
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Self, get_args
+from typing import Any, Self, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError, model_validator
 from pydantic.fields import FieldInfo
@@ -128,6 +128,8 @@ def _told(first: Mapping[str, Any], where: str) -> str:
     shown = "" if isinstance(given, dict | BaseModel) else f" (given {given!r})"
     if first["type"] == "extra_forbidden":
         what = _unknown_key(loc)
+    elif first["type"] == "finite_number":
+        what = f"it takes a finite number{shown}"
     elif first["type"] == "value_error":
         what = str(first["msg"]).removeprefix("Value error, ") + shown
     else:
@@ -138,7 +140,10 @@ def _told(first: Mapping[str, Any], where: str) -> str:
 
 
 def _is_key(loc: tuple[int | str, ...], name: int | str) -> bool:
-    """Whether a part of a place is a key of a table in a list."""
+    """Whether a part of a place is a key of a table, by itself or in a list."""
+    info = _field(loc)
+    if info is not None and get_origin(info.annotation) is dict:
+        return name == loc[2]
     inner = _inner(loc)
     return inner is not None and name in inner.model_fields
 
