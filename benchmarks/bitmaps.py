@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from benchmarks.timing import forget_peak, some_of, status_mb
 from benchmarks.worker import Begin
-from ebamcheck import registry
-from ebamcheck.heights import layer_heights
-from ebamcheck.layers import Layers
-from ebamcheck.mesh_files import load
-from ebamcheck.part import Part
-from ebamcheck.rings import Floats
+from ebamcheck.layers.heights import layer_heights
+from ebamcheck.layers.stack import Layers
+from ebamcheck.mesh.files import load
+from ebamcheck.mesh.part import Part
+from ebamcheck.numeric.rings import Floats
+from ebamcheck.plugins import registry
 from ebamcheck_stencil.bitmaps import as_image, empty_bitmap, flip, flips_by_layer
 from ebamcheck_stencil.drawn_once import DrawnOnce
 from ebamcheck_stencil.field_of_view import FieldOfView, field_of_view

@@ -21,13 +21,13 @@ from shapely.geometry.base import BaseGeometry
 
 from benchmarks.machine import machine
 from benchmarks.scan_orders import markdown
-from ebamcheck.config import Config
 from ebamcheck.errors import EbamcheckError
-from ebamcheck.mesh_files import load
-from ebamcheck.model import models
-from ebamcheck.scan.planning import plan_scan
-from ebamcheck.scan.regions import layer_section
-from ebamcheck.slicing import slice_part
+from ebamcheck.mesh.files import load
+from ebamcheck.plugins.model import models
+from ebamcheck.scan.islands.regions import layer_section
+from ebamcheck.scan.plan.planning import plan_scan
+from ebamcheck.settings.config import Config
+from ebamcheck.slicers.slicing import slice_part
 
 SHARES = (0.03, 0.13, 0.31, 0.53, 0.77, 0.93)
 """Heights of the layers, as shares of the height of a part: none of them at a step."""

@@ -11,10 +11,10 @@ import shapely
 
 from benchmarks.timing import some_of
 from benchmarks.worker import Begin
-from ebamcheck import registry
-from ebamcheck.heights import layer_heights
-from ebamcheck.layers import Layers
-from ebamcheck.mesh_files import load
+from ebamcheck.layers.heights import layer_heights
+from ebamcheck.layers.stack import Layers
+from ebamcheck.mesh.files import load
+from ebamcheck.plugins import registry
 
 JUDGED_LAYERS = 48
 GRID_MM = 0.1

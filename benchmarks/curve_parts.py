@@ -38,9 +38,9 @@ from benchmarks.curve_parts_solids import (
     regular_prism,
     wedge,
 )
-from ebamcheck.layers import Layers, from_polygons
-from ebamcheck.part import Part, from_arrays
-from ebamcheck.slicing import slice_part
+from ebamcheck.layers.stack import Layers, from_polygons
+from ebamcheck.mesh.part import Part, from_arrays
+from ebamcheck.slicers.slicing import slice_part
 from ebamcheck_models import BLADE, IMPELLER, LADDER, TORUS, Model
 from ebamcheck_models.outlines import circle, rounded_polygon
 

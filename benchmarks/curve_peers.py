@@ -14,7 +14,7 @@ import numpy as np
 from scipy.interpolate import splev, splprep
 
 from benchmarks.curve_parts_solids import Floats
-from ebamcheck.layers import Layers, from_rings
+from ebamcheck.layers.stack import Layers, from_rings
 
 CORNER_RAD = math.radians(40.0)
 """Turn at which a contour is parted, as by `curves.corner_angle_deg`."""

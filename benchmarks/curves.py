@@ -24,10 +24,10 @@ from benchmarks.machine import machine
 from ebamcheck.curves import METHODS, Curves, contour_error, fit
 from ebamcheck.curves.crossings import crossings
 from ebamcheck.curves.fallback import polylines
-from ebamcheck.layers import Layers
+from ebamcheck.layers.stack import Layers
+from ebamcheck.pipeline.run_folder import write_json
 from ebamcheck.settings.curves import CurveSettings
-from ebamcheck.slicing import slice_part
-from ebamcheck.store import write_json
+from ebamcheck.slicers.slicing import slice_part
 from ebamcheck_models import LADDER
 
 LAYERS = 12

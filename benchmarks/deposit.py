@@ -25,23 +25,23 @@ from shapely.geometry.base import BaseGeometry
 from benchmarks.chance_parts import chance_part, kind_of
 from benchmarks.machine import machine
 from benchmarks.scan_orders import markdown
-from ebamcheck.config import Config, validated
 from ebamcheck.curves import Curves
 from ebamcheck.errors import EbamcheckError
-from ebamcheck.layers import Layers, valid_polygons
-from ebamcheck.mesh_files import load
-from ebamcheck.model import models
-from ebamcheck.part import Part
+from ebamcheck.layers.stack import Layers, valid_polygons
+from ebamcheck.mesh.files import load
+from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline import run_job
 from ebamcheck.pipeline.gates import deposit_gate
 from ebamcheck.pipeline.job import RunResult
+from ebamcheck.pipeline.run_folder import RunFolder
+from ebamcheck.plugins.model import models
 from ebamcheck.program import read_program, write_program
-from ebamcheck.program.deposit import deposit
-from ebamcheck.program.deposit_checks import deposit_checks
-from ebamcheck.program.inputs import deposition_heights
+from ebamcheck.program.checking.deposit import deposit
+from ebamcheck.program.checking.deposit_checks import deposit_checks
+from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.scan import ScanPlan
-from ebamcheck.scan.regions import CORNER, layer_section, split_thin
-from ebamcheck.store import RunFolder
+from ebamcheck.scan.islands.regions import CORNER, layer_section, split_thin
+from ebamcheck.settings.config import Config, validated
 from ebamcheck_models import write_stl
 
 BACKENDS = ("planecut", "manifold")

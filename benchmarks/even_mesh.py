@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.part import Part
+from ebamcheck.mesh.part import Part
 from ebamcheck_models.model import Floats, make_part, single
 from ebamcheck_models.ring_wall import Channel, RingWall, Rounding, levels
 

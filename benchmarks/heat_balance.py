@@ -26,19 +26,25 @@ from shapely.geometry.base import BaseGeometry
 
 from benchmarks.machine import machine
 from benchmarks.scan_orders import DEFAULT_OUTPUT, markdown
-from ebamcheck.config import Config
 from ebamcheck.heat.balance import Balance, Deposits, constant_tables, heat_balance
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.heat.referee import judged, referee
-from ebamcheck.layers import Layers, from_polygons
-from ebamcheck.model import models
+from ebamcheck.layers.stack import Layers, from_polygons
+from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline.programming import bead_paths
+from ebamcheck.plugins.model import models
 from ebamcheck.program import read_program
-from ebamcheck.program.sinumerik import write_program
-from ebamcheck.program.text_heat import TextBeads, sections_of, text_beads, text_bed_k, text_shapes
-from ebamcheck.rings import Floats
+from ebamcheck.program.checking.text_heat import (
+    TextBeads,
+    sections_of,
+    text_beads,
+    text_bed_k,
+    text_shapes,
+)
+from ebamcheck.program.controls.sinumerik.writing import write_program
 from ebamcheck.scan import ScanPlan, plan_stack
-from ebamcheck.scan.simulate import beam_lines
+from ebamcheck.scan.plan.times import beam_lines
+from ebamcheck.settings.config import Config
 
 BOX = shapely.box(0, 0, 60, 60), 40
 """A block, and its layers."""

@@ -20,15 +20,15 @@ from numpy.typing import NDArray
 
 from benchmarks.machine import machine
 from benchmarks.scan_orders import markdown
-from ebamcheck.config import Config
 from ebamcheck.heat import depth_modes
 from ebamcheck.heat.rectangle import rectangle_modes
-from ebamcheck.rings import Floats, Ints
-from ebamcheck.scan.driving import clocked, entered, entered_into
-from ebamcheck.scan.island_heat import IslandHeat
-from ebamcheck.scan.laying import lay_islands
-from ebamcheck.scan.order import LayerIslands, scan_order
-from ebamcheck.scan.regions import layer_section
+from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.scan.heat.island_heat import IslandHeat
+from ebamcheck.scan.islands.regions import layer_section
+from ebamcheck.scan.order.orders import LayerIslands, scan_order
+from ebamcheck.scan.order.simulation import clocked, entered, entered_into
+from ebamcheck.scan.plan.laying import lay_islands
+from ebamcheck.settings.config import Config
 
 SIDES_MM, HEXAGON_MM, HEIGHT_MM = (400.0, 230.0), 4.0, 10.0
 

@@ -18,9 +18,9 @@ import shapely
 
 from benchmarks.machine import machine
 from benchmarks.scan_orders import BUILD_SIZE, DEFAULT_OUTPUT, LEAST_ISLANDS, MODELS, layers, markdown
-from ebamcheck.config import Config
 from ebamcheck.judge import LayerCase, judge_layer
-from ebamcheck.scan.comparing import OrderComparison
+from ebamcheck.scan.plan.comparing import OrderComparison
+from ebamcheck.settings.config import Config
 
 ORDERS = ("thermal", "farthest", "raster")
 

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 
 from benchmarks.worker import Begin
-from ebamcheck.mesh_files import load
-from ebamcheck.slicing import Slicing
+from ebamcheck.mesh.files import load
+from ebamcheck.slicers.slicing import Slicing
 
 HEIGHTS, DIRECTIONS = 200, 5
 SEED = 5
 
 
 def latency(begin: Begin, stl: str) -> dict[str, Any]:
-    """Time :meth:`~ebamcheck.slicing.Slicing.at` at heights and :meth:`~ebamcheck.slicing.Slicing.along` along directions.
+    """Time :meth:`~ebamcheck.slicers.slicing.Slicing.at` at heights and :meth:`~ebamcheck.slicers.slicing.Slicing.along` along directions.
 
     Both are drawn at random, so that none comes twice; they take no part in the warming.
 

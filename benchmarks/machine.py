@@ -13,8 +13,9 @@ from typing import Any
 import psutil
 
 from benchmarks.watch import ROOT
-from ebamcheck import __version__, registry
-from ebamcheck.kernels import thread_count
+from ebamcheck import __version__
+from ebamcheck.numeric.kernels import thread_count
+from ebamcheck.plugins import registry
 
 PACKAGES = (
     *("numpy", "numba", "llvmlite", "scipy", "shapely", "pyarrow", "pandas", "pydantic"),

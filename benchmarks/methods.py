@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
-from ebamcheck import registry
+from ebamcheck.plugins import registry
 
 Kind = Literal["backend", "manifold3d", "prusa-stage"]
 

@@ -9,10 +9,10 @@ from typing import Any
 from benchmarks.parts import with_bar
 from benchmarks.timing import forget_peak, status_mb
 from benchmarks.worker import Begin
-from ebamcheck import registry
-from ebamcheck.heights import layer_heights
-from ebamcheck.mesh_files import load
-from ebamcheck.part import Part
+from ebamcheck.layers.heights import layer_heights
+from ebamcheck.mesh.files import load
+from ebamcheck.mesh.part import Part
+from ebamcheck.plugins import registry
 
 BACKEND = "planecut"
 ROUNDS = 3

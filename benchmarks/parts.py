@@ -22,7 +22,7 @@ import numpy as np
 import ebamcheck_models
 from benchmarks import even_mesh
 from ebamcheck.atomic_file import replacing
-from ebamcheck.part import Part, from_arrays
+from ebamcheck.mesh.part import Part, from_arrays
 from ebamcheck_models import LADDER, MODELS, write_stl
 from ebamcheck_models.ladder import LAYER_MM
 from ebamcheck_reports.paper import published

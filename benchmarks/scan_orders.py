@@ -18,11 +18,11 @@ from scipy.stats import kendalltau
 from shapely.geometry.base import BaseGeometry
 
 from benchmarks.machine import machine
-from ebamcheck.config import Config
-from ebamcheck.model import models
-from ebamcheck.scan.comparing import COMPARED, RANDOM, OrderComparison, OrderResult
-from ebamcheck.scan.refereed import referee_of, refereed_entries
-from ebamcheck.scan.regions import layer_section
+from ebamcheck.plugins.model import models
+from ebamcheck.scan.islands.regions import layer_section
+from ebamcheck.scan.plan.comparing import COMPARED, RANDOM, OrderComparison, OrderResult
+from ebamcheck.scan.plan.refereed import referee_of, refereed_entries
+from ebamcheck.settings.config import Config
 
 BUILD_SIZE = ("bulkhead", "nozzle")
 """Models of the size that wire machines build; medians are also given without them."""

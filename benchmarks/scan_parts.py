@@ -18,15 +18,15 @@ import shapely
 
 from benchmarks.machine import machine
 from benchmarks.scan_orders import DEFAULT_OUTPUT, markdown
-from ebamcheck.config import Config
-from ebamcheck.layers import from_polygons
-from ebamcheck.model import models
-from ebamcheck.rings import Ints
+from ebamcheck.layers.stack import from_polygons
+from ebamcheck.numeric.rings import Ints
+from ebamcheck.plugins.model import models
 from ebamcheck.scan import LayerIslands, ScanPlan, plan_stack
-from ebamcheck.scan.laying import lay_islands
-from ebamcheck.scan.order import scan_order
-from ebamcheck.scan.regions import layer_section
-from ebamcheck.scan.whole_part import scan_part
+from ebamcheck.scan.islands.regions import layer_section
+from ebamcheck.scan.order.orders import scan_order
+from ebamcheck.scan.plan.laying import lay_islands
+from ebamcheck.scan.plan.whole_part import scan_part
+from ebamcheck.settings.config import Config
 
 LARGE = shapely.box(0, 0, 400, 230), 4.0
 """A layer of more than 2000 islands: its outline and the side of its hexagons, mm."""

@@ -9,41 +9,41 @@ from ebamcheck.version import __version__
 
 if TYPE_CHECKING:
     from ebamcheck.comparison import compare as compare
-    from ebamcheck.config import Config as Config
-    from ebamcheck.config import load_config as load_config
     from ebamcheck.curves import Curves as Curves
     from ebamcheck.curves import fit as fit
     from ebamcheck.errors import EbamcheckError as EbamcheckError
-    from ebamcheck.heights import layer_heights as layer_heights
-    from ebamcheck.inspection import inspect as inspect
-    from ebamcheck.layers import Layers as Layers
-    from ebamcheck.mesh_files import load as load
-    from ebamcheck.part import Part as Part
+    from ebamcheck.layers.heights import layer_heights as layer_heights
+    from ebamcheck.layers.stack import Layers as Layers
+    from ebamcheck.mesh.files import load as load
+    from ebamcheck.mesh.inspection import inspect as inspect
+    from ebamcheck.mesh.part import Part as Part
     from ebamcheck.pipeline.verify import verify as verify
     from ebamcheck.program import read_program as read_program
     from ebamcheck.program import write_program as write_program
     from ebamcheck.scan import compare_orders as compare_orders
     from ebamcheck.scan import plan_scan as plan_scan
-    from ebamcheck.slicing import Slicing as Slicing
-    from ebamcheck.slicing import slice_part as slice
+    from ebamcheck.settings.config import Config as Config
+    from ebamcheck.settings.config import load_config as load_config
+    from ebamcheck.slicers.slicing import Slicing as Slicing
+    from ebamcheck.slicers.slicing import slice_part as slice
 
 _PUBLIC = {
-    "Config": "ebamcheck.config",
+    "Config": "ebamcheck.settings.config",
     "Curves": "ebamcheck.curves",
     "EbamcheckError": "ebamcheck.errors",
-    "Layers": "ebamcheck.layers",
-    "Part": "ebamcheck.part",
-    "Slicing": "ebamcheck.slicing",
+    "Layers": "ebamcheck.layers.stack",
+    "Part": "ebamcheck.mesh.part",
+    "Slicing": "ebamcheck.slicers.slicing",
     "compare": "ebamcheck.comparison",
     "compare_orders": "ebamcheck.scan",
     "fit": "ebamcheck.curves",
-    "inspect": "ebamcheck.inspection",
-    "layer_heights": "ebamcheck.heights",
-    "load": "ebamcheck.mesh_files",
-    "load_config": "ebamcheck.config",
+    "inspect": "ebamcheck.mesh.inspection",
+    "layer_heights": "ebamcheck.layers.heights",
+    "load": "ebamcheck.mesh.files",
+    "load_config": "ebamcheck.settings.config",
     "plan_scan": "ebamcheck.scan",
     "read_program": "ebamcheck.program",
-    "slice": "ebamcheck.slicing:slice_part",
+    "slice": "ebamcheck.slicers.slicing:slice_part",
     "verify": "ebamcheck.pipeline.verify",
     "write_program": "ebamcheck.program",
 }

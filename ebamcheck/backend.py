@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
-from ebamcheck.layers import Layers
-from ebamcheck.part import Part
+from ebamcheck.layers.stack import Layers
+from ebamcheck.mesh.part import Part
 
 Progress = Callable[[int], None]
 """Called with the number of layers finished since the last call."""

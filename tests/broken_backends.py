@@ -11,8 +11,8 @@ import shapely
 from pydantic import ConfigDict
 
 from ebamcheck.backend import BackendSettings
-from ebamcheck.layers import Layers, canonical, from_polygons
-from ebamcheck.part import Part
+from ebamcheck.layers.stack import Layers, canonical, from_polygons
+from ebamcheck.mesh.part import Part
 from ebamcheck_embree import Embree
 from ebamcheck_planecut import PlaneCut
 from ebamcheck_stencil import Stencil

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ebamcheck.part import Part, from_arrays
-from ebamcheck.stl import FACET
+from ebamcheck.mesh.part import Part, from_arrays
+from ebamcheck.mesh.stl import FACET
 
 FAST = "planecut,manifold"
 """Two exact backends that start quickly."""
@@ -42,7 +42,7 @@ def ebamcheck(
 
 
 def command(*arguments: object) -> list[str]:
-    start = "import sys; from ebamcheck.cli import main; sys.argv[0] = 'ebamcheck'; main()"
+    start = "import sys; from ebamcheck.commands.main import main; sys.argv[0] = 'ebamcheck'; main()"
     return [sys.executable, "-c", start, *map(str, arguments)]
 
 

@@ -14,7 +14,7 @@ import shapely
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import Delaunay
 
-from ebamcheck.part import Part, from_arrays
+from ebamcheck.mesh.part import Part, from_arrays
 
 Array = NDArray[np.float64]
 Maker = Callable[[float], Part]

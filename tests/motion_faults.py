@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import shapely
 
-from ebamcheck.config import Config
 from ebamcheck.curves import fit
-from ebamcheck.layers import Layers, from_polygons
+from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.pipeline.programming import bead_paths, smooth_layers
 from ebamcheck.program import verify_file
-from ebamcheck.program.gcode_posts import write_linuxcnc, write_plain_gcode
-from ebamcheck.program.sinumerik import write_program
+from ebamcheck.program.controls.gcode.writing import write_linuxcnc, write_plain_gcode
+from ebamcheck.program.controls.sinumerik.writing import write_program
 from ebamcheck.scan import plan_stack
+from ebamcheck.settings.config import Config
 
 POSTS = {"sinumerik-840d-sl": write_program, "linuxcnc": write_linuxcnc, "plain-gcode": write_plain_gcode}
 LAYERS = 4

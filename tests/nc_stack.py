@@ -7,7 +7,7 @@ import pandas as pd
 import shapely
 
 from ebamcheck.curves.columns import Curves
-from ebamcheck.scan.plan import ScanPlan
+from ebamcheck.scan.plan.columns import ScanPlan
 
 SPACING_MM = 4.32
 """Hatch spacing of the default process: 0.72 of a bead of 6 mm."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ebamcheck.part import Part, from_arrays
+from ebamcheck.mesh.part import Part, from_arrays
 
 BOX_FACES = np.array(
     [(0, 2, 1), (0, 3, 2), (4, 5, 6), (4, 6, 7), (0, 1, 5), (0, 5, 4),
@@ -30,7 +30,7 @@ def join(*parts: Part) -> Part:
 
 
 def welded(part: Part) -> Part:
-    from ebamcheck.mesh_files import weld
+    from ebamcheck.mesh.files import weld
 
     return from_arrays(*weld(part.triangles), part.name)
 

@@ -2,15 +2,15 @@
 
 import numpy as np
 
-from ebamcheck.config import Config
 from ebamcheck.curves import Curves
-from ebamcheck.layers import from_polygons
+from ebamcheck.layers.stack import from_polygons
 from ebamcheck.pipeline.programming import bead_paths
 from ebamcheck.program import read_program, write_program
-from ebamcheck.program.deposit import deposit
-from ebamcheck.program.deposit_checks import deposit_checks
-from ebamcheck.program.inputs import deposition_heights
+from ebamcheck.program.checking.deposit import deposit
+from ebamcheck.program.checking.deposit_checks import deposit_checks
+from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.scan import plan_stack
+from ebamcheck.settings.config import Config
 
 CONFIG = Config().changed(scan={"order": "raster"}, process={"interpass": "off"})
 

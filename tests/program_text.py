@@ -6,8 +6,8 @@ import re
 
 from nc_stack import stack
 
-from ebamcheck.config import Config
 from ebamcheck.program import verify_file, write_program
+from ebamcheck.settings.config import Config
 
 CONTROLS = ("sinumerik-840d-sl", "linuxcnc", "plain-gcode")
 MAIN = {CONTROLS[0]: "MAIN.MPF", CONTROLS[1]: "MAIN.ngc", CONTROLS[2]: "MAIN.gcode"}

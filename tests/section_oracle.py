@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 import shapely
 
-from ebamcheck.part import Part, from_arrays
+from ebamcheck.mesh.part import Part, from_arrays
 
 
 def prism(outline: shapely.Polygon, low: float, high: float) -> Part:

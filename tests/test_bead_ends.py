@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from nc_stack import make_curves, make_plan, stack
 
-from ebamcheck.config import Config
 from ebamcheck.errors import SettingsError
 from ebamcheck.program import read_program, verify_program, write_program
-from ebamcheck.program.cuts import segment_lengths, segment_parts
-from ebamcheck.program.matching import as_planned
-from ebamcheck.program.segments import CIRCULAR, CUBIC, STRAIGHT
+from ebamcheck.program.checking.matching import as_planned
+from ebamcheck.program.toolpath.cuts import segment_lengths, segment_parts
+from ebamcheck.program.toolpath.segments import CIRCULAR, CUBIC, STRAIGHT
+from ebamcheck.settings.config import Config
 
 WIDE = {"travel_min_mm": (-2000.0, -2000.0, 0.0), "travel_max_mm": (2000.0, 2000.0, 2000.0)}
 ENDS = {

@@ -9,20 +9,20 @@ import pytest
 import shapely
 
 from benchmarks.faults.program_text import without_comments
-from ebamcheck.config import Config
 from ebamcheck.heat.melting import entry_limit_k
-from ebamcheck.layers import from_polygons
+from ebamcheck.layers.stack import from_polygons
 from ebamcheck.pipeline.programming import bead_paths
 from ebamcheck.program import read_program, verify_program
-from ebamcheck.program.bead_ends import planned_path
-from ebamcheck.program.events import MOVE, WAIT, process_events
-from ebamcheck.program.gcode_posts import write_plain_gcode
-from ebamcheck.program.interpass_checks import INTERPASS
-from ebamcheck.program.text_heat import text_beads, text_bed_k, text_shapes
-from ebamcheck.scan.bead_sequence import bead_sequence
-from ebamcheck.scan.regions import layer_section
-from ebamcheck.scan.stacking import in_order, stack_plans
-from ebamcheck.scan.whole_part import Stack, ordered_layers
+from ebamcheck.program.checking.interpass_checks import INTERPASS
+from ebamcheck.program.checking.text_heat import text_beads, text_bed_k, text_shapes
+from ebamcheck.program.controls.gcode.writing import write_plain_gcode
+from ebamcheck.program.toolpath.bead_ends import planned_path
+from ebamcheck.program.toolpath.events import MOVE, WAIT, process_events
+from ebamcheck.scan.islands.regions import layer_section
+from ebamcheck.scan.plan.bead_sequence import bead_sequence
+from ebamcheck.scan.plan.stacking import in_order, stack_plans
+from ebamcheck.scan.plan.whole_part import Stack, ordered_layers
+from ebamcheck.settings.config import Config
 
 LAYERS = 4
 CONFIG = Config().changed(

@@ -26,10 +26,10 @@ from benchmarks.timing import some_of
 from benchmarks.watch import run_task, watch
 from ebamcheck.curves import METHODS
 from ebamcheck.errors import BackendFailed
-from ebamcheck.inspection import inspect
-from ebamcheck.layers import from_rings
-from ebamcheck.mesh_files import load
-from ebamcheck.slicing import slice_part
+from ebamcheck.layers.stack import from_rings
+from ebamcheck.mesh.files import load
+from ebamcheck.mesh.inspection import inspect
+from ebamcheck.slicers.slicing import slice_part
 from ebamcheck_models import LADDER, MODELS, write_stl
 from ebamcheck_stencil.field_of_view import field_of_view
 
@@ -324,7 +324,7 @@ def test_what_ran_over_the_limit_is_not_tried_on_larger_parts(monkeypatch: pytes
 
 def test_methods_hold_every_backend_and_the_yardsticks():
     found = {m.name: m for m in methods.all_methods()}
-    assert set(ebamcheck.registry.slicers()) <= set(found)
+    assert set(ebamcheck.plugins.registry.slicers()) <= set(found)
     assert {methods.LITERAL, methods.VERTICAL, methods.MANIFOLD_ALONE, methods.PRUSA_STAGE} <= set(found)
     assert found[methods.LITERAL].by_layer
     assert [m.name for m in methods.gpu_methods()] == ["stencil", methods.LITERAL]

@@ -14,7 +14,7 @@ import shapely
 from hypothesis import HealthCheck, given, settings, target
 from hypothesis import strategies as st
 
-from ebamcheck import registry
+from ebamcheck.plugins import registry
 from ebamcheck.testing import Subject, solids
 from ebamcheck.testing.accuracy import LOOSEST
 from ebamcheck.testing.laws import LARGE_OFFSET_MM

@@ -10,13 +10,13 @@ import pytest
 from command_line import WIDE, frame, write_stl
 from parts import box
 
-from ebamcheck.config import Config
 from ebamcheck.errors import InputError
 from ebamcheck.pipeline import run_job
 from ebamcheck.pipeline.certificate import CERTIFICATE, RELEASE, read_certificate
 from ebamcheck.pipeline.choice import witness_backend
+from ebamcheck.pipeline.run_folder import RunFolder, sha256_of_file, write_json
 from ebamcheck.pipeline.verify import settings_beside, verify, verify_against_part
-from ebamcheck.store import RunFolder, sha256_of_file, write_json
+from ebamcheck.settings.config import Config
 from ebamcheck_reports import html
 
 SETTINGS = Config().changed(

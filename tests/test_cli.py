@@ -17,9 +17,9 @@ import pytest
 from command_line import FAST, WIDE_TOML, command, ebamcheck, frame, write_stl
 from parts import box
 
-from ebamcheck import cli
-from ebamcheck.config import Config, load_config
-from ebamcheck.layer_files import read_layers
+from ebamcheck.commands import main as cli
+from ebamcheck.layers.files import read_layers
+from ebamcheck.settings.config import Config, load_config
 
 AREA_MM2 = 40.0 * 40.0 - 14.0 * 16.0
 
@@ -296,7 +296,7 @@ def test_names_of_any_kind(place, name):
 
 
 def workers(process):
-    return [p for p in psutil.Process(process.pid).children() if "ebamcheck.worker" in p.cmdline()]
+    return [p for p in psutil.Process(process.pid).children() if "ebamcheck.slicers.worker" in p.cmdline()]
 
 
 @pytest.mark.parametrize(

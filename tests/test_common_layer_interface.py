@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ebamcheck.common_layer_interface import read_cli, read_slice_file, write_cli
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.layers import Layers, from_rings
+from ebamcheck.layers.common_layer_interface import read_cli, read_slice_file, write_cli
+from ebamcheck.layers.stack import Layers, from_rings
 
 SQUARE = np.array([(0, 0), (4, 0), (4, 4), (0, 4)], float)
 HOLE = np.array([(1, 1), (1, 2), (2, 2), (2, 1)], float)

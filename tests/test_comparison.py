@@ -17,8 +17,8 @@ from ebamcheck.comparison.consensus import agreement
 from ebamcheck.comparison.pairwise import Pair, measure_block
 from ebamcheck.comparison.topology import thin_counts
 from ebamcheck.errors import SettingsError
-from ebamcheck.layers import from_polygons, from_rings
-from ebamcheck.part import from_arrays
+from ebamcheck.layers.stack import from_polygons, from_rings
+from ebamcheck.mesh.part import from_arrays
 from ebamcheck.settings.slicing import ComparisonSettings
 
 COLUMNS = [

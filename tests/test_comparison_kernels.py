@@ -10,11 +10,11 @@ from ebamcheck.comparison.chains import rising_order
 from ebamcheck.comparison.depth import Deepest, search
 from ebamcheck.comparison.distance import directed
 from ebamcheck.comparison.grid import nearest
-from ebamcheck.comparison.links import linked_within
+from ebamcheck.comparison.matching import linked_within
 from ebamcheck.comparison.measure import Figures, measure
 from ebamcheck.comparison.outline import outline, winding
 from ebamcheck.comparison.overlap import overlap
-from ebamcheck.layers import Layers, from_polygons, from_rings
+from ebamcheck.layers.stack import Layers, from_polygons, from_rings
 
 SQUARE = np.array([(0, 0), (10, 0), (10, 10), (0, 10)], float)
 

@@ -7,9 +7,9 @@ import tomllib
 
 import pytest
 
-from ebamcheck.config import Config, load_config
-from ebamcheck.config_text import as_toml
 from ebamcheck.errors import SettingsError
+from ebamcheck.settings.config import Config, load_config
+from ebamcheck.settings.text import as_toml
 
 
 def written(tmp_path, text, name="ebamcheck.toml"):

@@ -16,11 +16,20 @@ from broken_backends import FAULTS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ebamcheck import registry
+from ebamcheck.commands.conform import conform_command
 from ebamcheck.errors import BackendMissing, SettingsError
-from ebamcheck.model import models
-from ebamcheck.testing import CHECKS, Figure, SlicerSuite, Subject, conform, examine, markdown_table, solids
-from ebamcheck.testing.command import conform_command
+from ebamcheck.plugins import registry
+from ebamcheck.plugins.model import models
+from ebamcheck.testing import (
+    CHECKS,
+    Figure,
+    SlicerSuite,
+    Subject,
+    conform,
+    examine,
+    markdown_table,
+    solids,
+)
 from ebamcheck.testing.sections import house_rule, section, winding_rule
 from ebamcheck.testing.subject import generic_heights
 from ebamcheck_embree import Embree

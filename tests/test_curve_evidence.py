@@ -19,11 +19,11 @@ from ebamcheck.curves.fallback import POLYLINE, polylines, with_rings
 from ebamcheck.curves.sagitta import coordinate_rounding_mm, sagittas
 from ebamcheck.curves.stack_evidence import stack_evidence, volumes_between
 from ebamcheck.errors import SettingsError
-from ebamcheck.layers import Layers, from_rings
-from ebamcheck.part import Part
+from ebamcheck.layers.stack import Layers, from_rings
+from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline.fit_evidence import FitVerdict, findings
 from ebamcheck.pipeline.gates import fit_gate
-from ebamcheck.slicing import slice_part
+from ebamcheck.slicers.slicing import slice_part
 from ebamcheck_models import BLADE, SPHERE, TORUS
 
 SLACK_MM, PLANE_SLACK_MM = 0.022, 0.0021

@@ -16,7 +16,7 @@ from scipy.interpolate import BSpline, make_interp_spline
 from ebamcheck.curves import LINE, METHODS, SPLINE, Curves, fit, fit_deviation
 from ebamcheck.curves.interpolation import BULGE_LIMIT
 from ebamcheck.errors import GeometryError, InputError, SettingsError
-from ebamcheck.layers import Layers, concatenate, from_rings
+from ebamcheck.layers.stack import Layers, concatenate, from_rings
 from ebamcheck.settings.curves import CurveSettings
 
 paper_fit = partial(fit, method="paper")

@@ -7,18 +7,18 @@ import pytest
 import shapely
 from prism_program import CONFIG, Made
 
-from ebamcheck.layers import from_polygons
+from ebamcheck.layers.stack import from_polygons
 from ebamcheck.pipeline.gates import deposit_gate
 from ebamcheck.pipeline.noticed import of_metal
-from ebamcheck.process_window import checked_window
 from ebamcheck.program import Check, program_summary, read_program
-from ebamcheck.program.bead_ends import planned_path
-from ebamcheck.program.deposit import deposit
-from ebamcheck.program.deposit_checks import DEPOSIT_CHECKS, deposit_checks
-from ebamcheck.program.events import COLUMNS, event_totals, process_events
-from ebamcheck.program.matching import matched
-from ebamcheck.program.thin_walls import narrow_bead
-from ebamcheck.program.wire_checks import wire_check
+from ebamcheck.program.checking.deposit import deposit
+from ebamcheck.program.checking.deposit_checks import DEPOSIT_CHECKS, deposit_checks
+from ebamcheck.program.checking.matching import matched
+from ebamcheck.program.checking.wire_checks import wire_check
+from ebamcheck.program.toolpath.bead_ends import planned_path
+from ebamcheck.program.toolpath.events import COLUMNS, event_totals, process_events
+from ebamcheck.program.toolpath.thin_walls import narrow_bead
+from ebamcheck.settings.process_window import checked_window
 
 DISC = shapely.Point(3, -8).buffer(45, 64)
 PARTS = {
@@ -269,7 +269,7 @@ def test_no_check_no_gate():
 
 @pytest.mark.parametrize("control", ["linuxcnc", "plain-gcode"])
 def test_other_controls_lay_the_same_metal(control, tmp_path):
-    from ebamcheck import registry
+    from ebamcheck.plugins import registry
 
     config = CONFIG.changed(machine={"control": control})
     made = Made(tmp_path, PARTS["ring"], layers=2)

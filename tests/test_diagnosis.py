@@ -11,10 +11,10 @@ from ebamcheck.comparison.causes import MeshFlaws
 from ebamcheck.comparison.diagnosis import KINDS
 from ebamcheck.comparison.findings import worst_of
 from ebamcheck.comparison.remedies import REMEDIES
-from ebamcheck.layers import from_polygons, from_rings
-from ebamcheck.model import models
-from ebamcheck.part import from_arrays
-from ebamcheck.slicing import slice_part
+from ebamcheck.layers.stack import from_polygons, from_rings
+from ebamcheck.mesh.part import from_arrays
+from ebamcheck.plugins.model import models
+from ebamcheck.slicers.slicing import slice_part
 from ebamcheck.testing.solids import box, joined, mapped
 
 LAYERS = 16

@@ -14,10 +14,10 @@ from pydantic import BaseModel
 from typer.testing import CliRunner
 
 import ebamcheck
-from ebamcheck import registry
-from ebamcheck.cli import app
-from ebamcheck.config import Config
+from ebamcheck.commands.main import app
 from ebamcheck.errors import ExitCode
+from ebamcheck.plugins import registry
+from ebamcheck.settings.config import Config
 
 ROOT = Path(__file__).parents[1]
 README, ARCHITECTURE = ROOT / "README.md", ROOT / "ARCHITECTURE.md"

@@ -6,9 +6,9 @@ import shapely
 
 from ebamcheck.comparison import compare_all
 from ebamcheck.comparison.doubt import doubted_layers
-from ebamcheck.config import Config
-from ebamcheck.layers import from_polygons
+from ebamcheck.layers.stack import from_polygons
 from ebamcheck.pipeline.noticed import of_doubt
+from ebamcheck.settings.config import Config
 from ebamcheck.settings.slicing import ComparisonSettings
 from ebamcheck.testing.solids import box
 

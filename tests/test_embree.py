@@ -15,8 +15,8 @@ from section_oracle import depth_beyond, exact_section, prism, winding
 
 import ebamcheck
 from ebamcheck.errors import BackendFailed, SettingsError
-from ebamcheck.layers import concatenate
-from ebamcheck.part import from_arrays
+from ebamcheck.layers.stack import concatenate
+from ebamcheck.mesh.part import from_arrays
 from ebamcheck_embree import Embree
 from ebamcheck_embree.grid import automatic_cell_mm, grid_over
 from ebamcheck_embree.hits import borders

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from skimage.measure import find_contours
 
-from ebamcheck.layers import Layers, from_rings
+from ebamcheck.layers.stack import Layers, from_rings
 from ebamcheck_embree.raster import contours, empty_raster, turn_over
 
 

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 import shapely
 
-from ebamcheck.config import Config
 from ebamcheck.heat.melting import entry_limit_k
-from ebamcheck.layers import from_polygons
+from ebamcheck.layers.stack import from_polygons
 from ebamcheck.pipeline.programming import bead_paths
 from ebamcheck.program import read_program
-from ebamcheck.program.interpass_checks import INTERPASS, heat_checks
-from ebamcheck.program.sinumerik import write_program
-from ebamcheck.program.text_heat import text_beads, text_bed_k, text_shapes
-from ebamcheck.scan.regions import layer_section
-from ebamcheck.scan.stacking import in_order, stack_plans
-from ebamcheck.scan.whole_part import Stack, ordered_layers
+from ebamcheck.program.checking.interpass_checks import INTERPASS, heat_checks
+from ebamcheck.program.checking.text_heat import text_beads, text_bed_k, text_shapes
+from ebamcheck.program.controls.sinumerik.writing import write_program
+from ebamcheck.scan.islands.regions import layer_section
+from ebamcheck.scan.plan.stacking import in_order, stack_plans
+from ebamcheck.scan.plan.whole_part import Stack, ordered_layers
+from ebamcheck.settings.config import Config
 
 CONFIG = Config().changed(scan={"annealing_steps": 100})
 INSTANT = {"rapid_mm_s": 1e6}

@@ -19,20 +19,20 @@ from hypothesis import strategies as st
 from nc_stack import make_curves, make_plan
 from parts import box, moved
 
-from ebamcheck.config import Config
+from ebamcheck.commands.summaries import run_summary
 from ebamcheck.errors import ExitCode
 from ebamcheck.findings import CODES, SEVERITIES, Finding, from_record, has_fault, ordered, records
 from ebamcheck.heat.melting import entry_limit_k
-from ebamcheck.inspection import inspect
+from ebamcheck.mesh.inspection import inspect
 from ebamcheck.pipeline import noticed, run_job
 from ebamcheck.pipeline.certificate import certificate, seal, write_certificate
 from ebamcheck.pipeline.certificate_checks import run_certificate_checks
+from ebamcheck.pipeline.run_folder import RunFolder, plain, write_json
 from ebamcheck.pipeline.statement import APPROVAL, CODES_OF_THE_MAKER, DRY_RUN, PROVED, statement
 from ebamcheck.program import Check, read_program, write_program
-from ebamcheck.program.interpass_checks import INTERPASS
-from ebamcheck.program.seam_corners import seam_turns
-from ebamcheck.store import RunFolder, plain, write_json
-from ebamcheck.summaries import run_summary
+from ebamcheck.program.checking.interpass_checks import INTERPASS
+from ebamcheck.program.checking.seam_corners import seam_turns
+from ebamcheck.settings.config import Config
 from ebamcheck_reports import html, junit, summary
 
 ROOT = Path(__file__).resolve().parent.parent

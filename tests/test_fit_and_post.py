@@ -9,10 +9,10 @@ import pytest
 from command_line import WIDE_TOML, write_stl
 from typer.testing import CliRunner
 
-from ebamcheck.cli import app
+from ebamcheck.commands.main import app
 from ebamcheck.curves import METHODS, Curves
 from ebamcheck.errors import ExitCode
-from ebamcheck.model import models
+from ebamcheck.plugins.model import models
 from ebamcheck.program import read_program
 
 CONTROLS = {

@@ -15,23 +15,23 @@ from scipy.stats import norm
 from shapely import affinity
 
 from benchmarks.island_temperatures import compared
-from ebamcheck.config import Config
 from ebamcheck.heat import Medium
-from ebamcheck.scan import island_heat
-from ebamcheck.scan.all_orders import MOST_LISTED, best_of_all
-from ebamcheck.scan.annealing import high_mean
-from ebamcheck.scan.driving import clocked, entered, entry_points, ways_driven
-from ebamcheck.scan.enclosed import enclosed_share
-from ebamcheck.scan.hatch import Vectors
-from ebamcheck.scan.influence import influence
-from ebamcheck.scan.laying import lay_islands
-from ebamcheck.scan.near_field import entry_rise, exact_depth, of_layer
-from ebamcheck.scan.order import scan_order
-from ebamcheck.scan.pieces import WAYS, island_tiles, line_pieces
-from ebamcheck.scan.regions import layer_section
-from ebamcheck.scan.thermal import ranked
-from ebamcheck.scan.touching import touching, touching_successors
-from ebamcheck.scan.ways import ways_between
+from ebamcheck.scan.filling.hatch import Vectors
+from ebamcheck.scan.heat import island_heat
+from ebamcheck.scan.heat.enclosed import enclosed_share
+from ebamcheck.scan.heat.influence import influence
+from ebamcheck.scan.heat.near_field import entry_rise, exact_depth, of_layer
+from ebamcheck.scan.heat.pieces import WAYS, island_tiles, line_pieces
+from ebamcheck.scan.islands.regions import layer_section
+from ebamcheck.scan.order.all_orders import MOST_LISTED, best_of_all
+from ebamcheck.scan.order.annealing import high_mean
+from ebamcheck.scan.order.entry_options import ways_between
+from ebamcheck.scan.order.orders import scan_order
+from ebamcheck.scan.order.simulation import clocked, entered, entry_points, ways_driven
+from ebamcheck.scan.order.thermal import ranked
+from ebamcheck.scan.order.touching import touching, touching_successors
+from ebamcheck.scan.plan.laying import lay_islands
+from ebamcheck.settings.config import Config
 
 PROFILE = Config()
 RAPID = PROFILE.machine.rapid_mm_s

@@ -10,11 +10,17 @@ import shapely
 from section_zoo import ZOO
 from shapely import affinity
 
-from ebamcheck.config import Config
 from ebamcheck.scan import plan_scan
-from ebamcheck.scan.coverage import bare_samples
-from ebamcheck.scan.gaps import LEAST_SPOT, bare_spots, gap_beads, spot_widths_mm, spots_to_close
-from ebamcheck.scan.regions import ARC_SEGMENTS, CRUMB, JOIN_MM, layer_regions
+from ebamcheck.scan.filling.coverage import bare_samples
+from ebamcheck.scan.filling.gaps import (
+    LEAST_SPOT,
+    bare_spots,
+    gap_beads,
+    spot_widths_mm,
+    spots_to_close,
+)
+from ebamcheck.scan.islands.regions import ARC_SEGMENTS, CRUMB, JOIN_MM, layer_regions
+from ebamcheck.settings.config import Config
 
 PROFILE = Config()
 WIDTH, SPACING = PROFILE.process.bead_width_mm, PROFILE.process.hatch_spacing_mm

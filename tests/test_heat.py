@@ -11,11 +11,11 @@ from scipy.optimize import brentq
 from scipy.special import erf, jnp_zeros
 from shapely import affinity
 
-from ebamcheck.config import Config
 from ebamcheck.errors import GeometryError
 from ebamcheck.heat import HeatModel, Medium, contour_modes, depth_modes, rectangle_modes
 from ebamcheck.heat.medium import STEFAN_BOLTZMANN_W_M2K4
 from ebamcheck.heat.section_grid import section_grid
+from ebamcheck.settings.config import Config
 
 LINEAR = Medium(conductivity_w_mmk=0.020, heat_capacity_j_mm3k=4300 * 700 * 1e-9)
 ALPHA = LINEAR.diffusivity_mm2_s

@@ -9,7 +9,6 @@ import pytest
 import shapely
 from scipy.integrate import quad
 
-from ebamcheck.config import Config
 from ebamcheck.heat import HeatModel, Medium, balance, contour_modes, depth_modes
 from ebamcheck.heat.balance import (
     Deposits,
@@ -21,6 +20,7 @@ from ebamcheck.heat.balance import (
     radiating_mm2,
 )
 from ebamcheck.heat.medium import STEFAN_BOLTZMANN_W_M2K4
+from ebamcheck.settings.config import Config
 
 CONFIG = Config()
 AMBIENT_K = CONFIG.process.ambient_temperature_k

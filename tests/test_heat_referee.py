@@ -11,13 +11,13 @@ from pydantic import ValidationError
 from scipy.special import erf
 from scipy.stats import kendalltau
 
-from ebamcheck.config import Config
 from ebamcheck.errors import GeometryError
 from ebamcheck.heat import HeatModel, Medium, depth_modes, rectangle_modes
 from ebamcheck.heat.enthalpy import enthalpy_tables
 from ebamcheck.heat.referee import judged, referee
-from ebamcheck.scan.comparing import OrderComparison
-from ebamcheck.scan.refereed import referee_of, refereed
+from ebamcheck.scan.plan.comparing import OrderComparison
+from ebamcheck.scan.plan.refereed import referee_of, refereed
+from ebamcheck.settings.config import Config
 from ebamcheck.settings.material import MaterialSettings
 
 PROFILE = Config()

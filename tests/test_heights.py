@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from parts import box, join, sphere, tilted, torus
 
 import ebamcheck
-from ebamcheck.heights import LARGEST_BLOCK, crossing_counts, layer_blocks
-from ebamcheck.part import from_arrays
+from ebamcheck.layers.heights import LARGEST_BLOCK, crossing_counts, layer_blocks
+from ebamcheck.mesh.part import from_arrays
 
 PARTS = {"sphere": sphere(10.0, 24), "torus": tilted(torus()), "two": join(box(), box((0, 0, 5), (1, 1, 9)))}
 

@@ -10,8 +10,8 @@ import pytest
 from parts import box, join, moved, sphere, tilted, torus, welded
 
 import ebamcheck
-from ebamcheck.inspection import fix_orientation, inspect
-from ebamcheck.part import Part, from_arrays
+from ebamcheck.mesh.inspection import fix_orientation, inspect
+from ebamcheck.mesh.part import Part, from_arrays
 
 
 @pytest.mark.parametrize("part", [box(), sphere(), torus(), tilted(box())], ids=lambda p: p.name)

@@ -9,23 +9,33 @@ import numpy as np
 import pytest
 import shapely
 
-from ebamcheck.config import Config
 from ebamcheck.errors import SettingsError
 from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.heat.enthalpy import enthalpy_tables
-from ebamcheck.heat.melting import entry_limit_k, least_power_share, melting_heat_j_kg, scheduled_share
-from ebamcheck.layers import from_polygons
+from ebamcheck.heat.melting import (
+    entry_limit_k,
+    least_power_share,
+    melting_heat_j_kg,
+    scheduled_share,
+)
+from ebamcheck.layers.stack import from_polygons
 from ebamcheck.pipeline.gates import heat_gate
 from ebamcheck.pipeline.programming import bead_paths
 from ebamcheck.program import program_summary, read_program, verify_program
-from ebamcheck.program.gcode_posts import write_linuxcnc, write_plain_gcode
-from ebamcheck.program.inputs import interpass_of
-from ebamcheck.program.interpass_checks import INTERPASS, MELTING, OVER_RANGE, layer_shares
-from ebamcheck.program.matching import as_planned
-from ebamcheck.program.sinumerik import write_program
-from ebamcheck.program.text_heat import sections_of, text_beads, text_bed_k, text_shapes
+from ebamcheck.program.checking.interpass_checks import (
+    INTERPASS,
+    MELTING,
+    OVER_RANGE,
+    layer_shares,
+)
+from ebamcheck.program.checking.matching import as_planned
+from ebamcheck.program.checking.text_heat import sections_of, text_beads, text_bed_k, text_shapes
+from ebamcheck.program.controls.gcode.writing import write_linuxcnc, write_plain_gcode
+from ebamcheck.program.controls.sinumerik.writing import write_program
+from ebamcheck.program.toolpath.inputs import interpass_of
 from ebamcheck.scan import ScanPlan, plan_stack
-from ebamcheck.scan.interpass import shortest_wait_s
+from ebamcheck.scan.heat.interpass import shortest_wait_s
+from ebamcheck.settings.config import Config
 
 POSTS = {"sinumerik-840d-sl": write_program, "linuxcnc": write_linuxcnc, "plain-gcode": write_plain_gcode}
 LAYERS = 14

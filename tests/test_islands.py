@@ -13,15 +13,27 @@ from hypothesis import strategies as st
 from section_zoo import ZOO, crooked
 from shapely import affinity
 
-from ebamcheck.config import Config
 from ebamcheck.scan import plan_scan
-from ebamcheck.scan.borders import polygon_edges, shared_borders, shared_edges
-from ebamcheck.scan.directions import hatch_directions, least_turn_deg, long_direction_deg, turn_between_deg
-from ebamcheck.scan.hatch import hatch
-from ebamcheck.scan.islands import Cells, clip_lattice, column, least_island_mm, partition, sliver_groups
-from ebamcheck.scan.lattice import LATTICES
-from ebamcheck.scan.rectangle import rectangle_along
-from ebamcheck.scan.regions import equivalent_rectangles_mm, layer_regions
+from ebamcheck.scan.filling.hatch import hatch
+from ebamcheck.scan.islands.borders import polygon_edges, shared_borders, shared_edges
+from ebamcheck.scan.islands.clipping import (
+    Cells,
+    clip_lattice,
+    column,
+    least_island_mm,
+    partition,
+    sliver_groups,
+)
+from ebamcheck.scan.islands.directions import (
+    hatch_directions,
+    least_turn_deg,
+    long_direction_deg,
+    turn_between_deg,
+)
+from ebamcheck.scan.islands.lattice import LATTICES
+from ebamcheck.scan.islands.rectangle import rectangle_along
+from ebamcheck.scan.islands.regions import equivalent_rectangles_mm, layer_regions
+from ebamcheck.settings.config import Config
 
 PROFILE = Config()
 WIDTH, SPACING = PROFILE.process.bead_width_mm, PROFILE.process.hatch_spacing_mm

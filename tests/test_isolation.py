@@ -14,10 +14,10 @@ import pytest
 from parts import box, tilted, torus
 
 import ebamcheck
-from ebamcheck import registry
 from ebamcheck.backend import BackendSettings, Probe
 from ebamcheck.errors import BackendFailed, BackendMissing, SettingsError
-from ebamcheck.isolate import Limits, slice_all
+from ebamcheck.plugins import registry
+from ebamcheck.slicers.isolation import Limits, slice_all
 from ebamcheck_planecut import PlaneCut
 
 HEIGHTS = np.linspace(0.1, 1.9, 40)

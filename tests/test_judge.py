@@ -18,17 +18,23 @@ from scipy.integrate import quad_vec
 from scipy.stats import kendalltau
 from typer.testing import CliRunner
 
-from ebamcheck.command_group import guarded
-from ebamcheck.config import Config
-from ebamcheck.errors import BackendFailed, BackendMissing, ExitCode, NothingCompared, SettingsError
+from ebamcheck.commands.command_group import guarded
+from ebamcheck.commands.judge import judge_command
+from ebamcheck.errors import (
+    BackendFailed,
+    BackendMissing,
+    ExitCode,
+    NothingCompared,
+    SettingsError,
+)
 from ebamcheck.judge import THESIS, LayerCase, judge_layer
 from ebamcheck.judge.layer import COLUMNS, PLACES
 from ebamcheck.judge.thesis import TIMES_A_RUN, rises_k
-from ebamcheck.part import from_arrays
-from ebamcheck.program.heat_paths import LINE_MODE, HeatPath
-from ebamcheck.program.thesis_case import INPUT
-from ebamcheck.scan.comparing import OrderComparison
-from ebamcheck.stages.judge_command import judge_command
+from ebamcheck.mesh.part import from_arrays
+from ebamcheck.program.simulators.heat_paths import LINE_MODE, HeatPath
+from ebamcheck.program.simulators.thesis_case import INPUT
+from ebamcheck.scan.plan.comparing import OrderComparison
+from ebamcheck.settings.config import Config
 
 needs_thesis = pytest.mark.skipif(THESIS.find() is None, reason=f"3DThesis is not installed; {THESIS.hint}")
 

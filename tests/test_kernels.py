@@ -8,11 +8,11 @@ import sys
 
 import pytest
 
-from ebamcheck import kernels
 from ebamcheck.errors import SettingsError
+from ebamcheck.numeric import kernels
 
 CALLER = """
-from ebamcheck.kernels import kernel
+from ebamcheck.numeric.kernels import kernel
 from stamped.callee import step
 from stamped.constants import SCALE
 
@@ -21,7 +21,7 @@ def scaled(x: float) -> float:
     return SCALE * step(x)
 """
 CALLEE = """
-from ebamcheck.kernels import kernel
+from ebamcheck.numeric.kernels import kernel
 
 @kernel
 def step(x: float) -> float:
@@ -88,7 +88,7 @@ def test_a_spoilt_file_is_compiled_anew(package):
 
 TYPED = """
 from typing import NamedTuple
-from ebamcheck.kernels import kernel
+from ebamcheck.numeric.kernels import kernel
 
 class {name}(NamedTuple):
     x: float

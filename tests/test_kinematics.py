@@ -10,14 +10,14 @@ from nc_stack import make_curves, make_plan
 from scipy.integrate import quad
 from scipy.interpolate import make_interp_spline
 
-from ebamcheck.config import Config
 from ebamcheck.errors import SettingsError
 from ebamcheck.kinematics import feed_profile, polyline_profile, side_by_side
 from ebamcheck.kinematics.path import DrivenPath
 from ebamcheck.kinematics.profile import _profile
 from ebamcheck.kinematics.ramps import peak, ramp_at, ramp_length, ramp_time, reach, time_to
-from ebamcheck.layers import from_rings
+from ebamcheck.layers.stack import from_rings
 from ebamcheck.program import read_program, write_program
+from ebamcheck.settings.config import Config
 
 A, J = 300.0, 4000.0
 

@@ -12,14 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ebamcheck.errors import GeometryError, SettingsError
-from ebamcheck.scan.borders import shared_borders
-from ebamcheck.scan.lattice import (
+from ebamcheck.scan.islands.borders import shared_borders
+from ebamcheck.scan.islands.lattice import (
     BEADS_ACROSS,
     hexagon_lattice,
     hexagons_across,
     planned_side_mm,
 )
-from ebamcheck.scan.rectangle import Rectangle, minimum_rectangle
+from ebamcheck.scan.islands.rectangle import Rectangle, minimum_rectangle
 
 ROOT3 = math.sqrt(3.0)
 

@@ -15,9 +15,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
-from ebamcheck import registry
-from ebamcheck.model import models
-from ebamcheck.part import from_arrays
+from ebamcheck.mesh.part import from_arrays
+from ebamcheck.plugins import registry
+from ebamcheck.plugins.model import models
 from ebamcheck.testing import Subject, laws, protocol, solids, violations
 from ebamcheck.testing.subject import generic_heights
 

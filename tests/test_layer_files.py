@@ -12,9 +12,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ebamcheck import layer_batches, layer_files
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.layers import Layers, canonical
+from ebamcheck.layers import batches as layer_batches
+from ebamcheck.layers import files as layer_files
+from ebamcheck.layers.stack import Layers, canonical
 
 COLUMNS = ("heights", "points", "ring_starts", "layer_starts", "closed", "edge", "edge_t", "dropped")
 
@@ -156,7 +157,7 @@ def with_nan(batch):
 
 CASES = {
     "version '2'": lambda b: b.replace_schema_metadata(
-        {**b.schema.metadata, b"ebamcheck.layers.version": b"2"}
+        {**b.schema.metadata, b"ebamcheck.layers.stack.version": b"2"}
     ),
     "no version": lambda b: b.replace_schema_metadata(None),
     "labels": lambda b: b.replace_schema_metadata({layer_batches.VERSION_KEY: b"1"}),

@@ -10,8 +10,8 @@ import pytest
 import shapely
 
 from ebamcheck.errors import SettingsError
-from ebamcheck.layer_svg import COLOURS, REDUCTION_PX, layer_svg, overlay_svg, sheet_svg
-from ebamcheck.layers import from_rings
+from ebamcheck.layers.stack import from_rings
+from ebamcheck.layers.svg import COLOURS, REDUCTION_PX, layer_svg, overlay_svg, sheet_svg
 
 SQUARE = np.array([(0, 0), (40, 0), (40, 20), (0, 20)], float)
 HOLE = np.array([(10, 5), (10, 10), (15, 10), (15, 5)], float)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ebamcheck.layers import canonical, concatenate, from_polygons, from_rings
+from ebamcheck.layers.stack import canonical, concatenate, from_polygons, from_rings
 
 SQUARE = np.array([(0, 0), (4, 0), (4, 4), (0, 4)], float)
 HOLE = np.array([(1, 1), (1, 2), (2, 2), (2, 1)], float)

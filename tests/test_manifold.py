@@ -13,8 +13,8 @@ from section_oracle import depth_beyond, exact_section, prism, rational_area
 
 import ebamcheck
 from ebamcheck.errors import BackendFailed
-from ebamcheck.layers import concatenate
-from ebamcheck.part import from_arrays
+from ebamcheck.layers.stack import concatenate
+from ebamcheck.mesh.part import from_arrays
 from ebamcheck_manifold import ManifoldCut
 from ebamcheck_manifold.changes import MOST_REGIONS, _boxes
 from ebamcheck_manifold.cut import unpaired_edges
@@ -124,7 +124,7 @@ def test_inside_out_is_empty_and_a_turned_inner_shell_is_a_cavity():
 
 def test_open_mesh_is_refused_in_one_line_that_says_why():
     whole = box()
-    part = ebamcheck.part.from_arrays(whole.vertices, whole.faces[1:], "lidless")
+    part = ebamcheck.mesh.part.from_arrays(whole.vertices, whole.faces[1:], "lidless")
     with pytest.raises(BackendFailed, match=r"'lidless'.*NotManifold.*3 edges") as caught:
         SLICER.prepare(part, SETTINGS)
     assert "\n" not in str(caught.value)
@@ -189,7 +189,7 @@ def test_declared_boxes_are_few_and_hold_all_changed_facets():
 def test_facets_without_area_do_not_make_a_part_refused():
     whole = box()
     faces = np.concatenate([whole.faces, [(0, 0, 1), (3, 3, 3)]])
-    part = ebamcheck.part.from_arrays(whole.vertices, faces)
+    part = ebamcheck.mesh.part.from_arrays(whole.vertices, faces)
     assert cut(part, [1.0]).areas().tolist() == [4.0]
 
 

@@ -12,7 +12,7 @@ import shapely
 from PIL import Image
 
 from ebamcheck.metal import target_of
-from ebamcheck.program.metal_field import LayerField
+from ebamcheck.program.checking.metal_field import LayerField
 from ebamcheck_reports.metal_picture import BLUE, COLOURS, RED, draw
 
 WHITE = (255, 255, 255)

@@ -12,7 +12,7 @@ import trimesh
 
 import ebamcheck
 from ebamcheck.errors import SettingsError
-from ebamcheck.layers import from_polygons
+from ebamcheck.layers.stack import from_polygons
 from ebamcheck_models import (
     BLADE,
     BRACKET,

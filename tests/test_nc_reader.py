@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from nc_stack import clamped_knots, stack
 from scipy.integrate import quad
 
-from ebamcheck.config import Config
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.program import read_program, write_program
-from ebamcheck.program.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT
-from ebamcheck.program.state_checks import extremes
+from ebamcheck.program.checking.state_checks import extremes
+from ebamcheck.program.reading.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT
+from ebamcheck.settings.config import Config
 
 EXAMPLE = np.array([(0, 0), (5, 10), (15, 15), (28, 12), (34, 4), (40, 0)], float)
 EXAMPLE_KNOTS = np.array([0, 0, 0, 0, 2, 5, 9, 9, 9, 9], float)

@@ -13,8 +13,8 @@ from parts import box, join, moved, tilted
 from scipy.spatial import ConvexHull, cKDTree
 
 import ebamcheck
-from ebamcheck import registry
-from ebamcheck.part import Part, from_arrays
+from ebamcheck.mesh.part import Part, from_arrays
+from ebamcheck.plugins import registry
 from ebamcheck.testing.solids import revolved, sphere, steps, torus
 
 EXACT = ("planecut", "manifold")

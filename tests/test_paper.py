@@ -21,11 +21,11 @@ from command_line import frame, write_stl
 from parts import sphere
 from typer.testing import CliRunner
 
-from ebamcheck import registry
 from ebamcheck.backend import Probe
 from ebamcheck.errors import BackendFailed, ExitCode, InputError, SettingsError
-from ebamcheck.layers import from_rings
-from ebamcheck.part import from_arrays
+from ebamcheck.layers.stack import from_rings
+from ebamcheck.mesh.part import from_arrays
+from ebamcheck.plugins import registry
 from ebamcheck_reports.charts import Series
 from ebamcheck_reports.paper import bitmap, paper, partition, published, timing
 from ebamcheck_reports.paper import effort as efforts

@@ -9,12 +9,17 @@ import pytest
 import shapely
 from shapely import affinity
 
-from ebamcheck.config import Config
 from ebamcheck.scan import plan_scan, plan_stack
-from ebamcheck.scan.borders import shared_borders
-from ebamcheck.scan.lattice import LATTICES, hexagon_lattice, square_lattice, stripe_lattice
-from ebamcheck.scan.placement import layer_place, shift_shares, shifted
-from ebamcheck.scan.rectangle import Rectangle, minimum_rectangle, rectangle_along
+from ebamcheck.scan.islands.borders import shared_borders
+from ebamcheck.scan.islands.lattice import (
+    LATTICES,
+    hexagon_lattice,
+    square_lattice,
+    stripe_lattice,
+)
+from ebamcheck.scan.islands.placement import layer_place, shift_shares, shifted
+from ebamcheck.scan.islands.rectangle import Rectangle, minimum_rectangle, rectangle_along
+from ebamcheck.settings.config import Config
 
 PROFILE = Config()
 PAPER = PROFILE.changed(scan={"lattice_angle_deg": 0.0, "lattice_shift": False})
@@ -185,7 +190,7 @@ def test_partitions_are_as_wide_as_each_other():
 
 
 def test_a_stack_shifts_and_turns_as_its_layers_do():
-    from ebamcheck.layers import from_polygons
+    from ebamcheck.layers.stack import from_polygons
 
     layers = from_polygons(np.arange(4.0), [[PLATE]] * 4)
     plan = plan_stack(layers, PROFILE)

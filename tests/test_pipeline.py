@@ -16,13 +16,13 @@ import pytest
 from command_line import FAST, WIDE, WIDE_TOML, command, ebamcheck, frame, write_stl
 from parts import box, join, moved, sphere
 
-from ebamcheck.config import Config
 from ebamcheck.errors import ExitCode, InputError, SettingsError
-from ebamcheck.layer_files import LayerFile
-from ebamcheck.part import from_arrays
+from ebamcheck.layers.files import LayerFile
+from ebamcheck.mesh.part import from_arrays
 from ebamcheck.pipeline import check_job, run_job
+from ebamcheck.pipeline.run_folder import RunFolder, sha256_of_file
 from ebamcheck.pipeline.verify import verify_against_part, verify_run
-from ebamcheck.store import RunFolder, sha256_of_file
+from ebamcheck.settings.config import Config
 
 THICK = Config().changed(layers={"layer_height_mm": 6.0}, process=WIDE)
 SETTINGS = THICK.changed(slicing={"backends": tuple(FAST.split(","))})
@@ -169,7 +169,7 @@ def test_a_killed_backend_is_told_and_the_others_are_whole(plate, tmp_path):
             victims = [
                 p
                 for p in psutil.Process(run.pid).children()
-                if p.cmdline()[1:5] == ["-P", "-m", "ebamcheck.worker", "embree"]
+                if p.cmdline()[1:5] == ["-P", "-m", "ebamcheck.slicers.worker", "embree"]
             ]
     victims[0].kill()
     text = run.communicate()[0]

@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose
 from parts import box, join, moved, sphere, tilted, torus, turn_z, welded
 
 import ebamcheck
-from ebamcheck.part import Part, from_arrays
+from ebamcheck.mesh.part import Part, from_arrays
 
 
 def cut(part: Part, heights, **settings):
@@ -108,7 +108,7 @@ def test_maps_of_the_part_map_its_sections(name, kind):
     image = cut(moved(part, matrix, shift), heights * matrix[2, 2] + shift[2])
     original = cut(part, heights)
     flat = np.asarray(matrix, float)[:2, :2]
-    expected = ebamcheck.layers.from_polygons(
+    expected = ebamcheck.layers.stack.from_polygons(
         heights,
         [
             [

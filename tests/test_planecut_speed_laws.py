@@ -11,9 +11,9 @@ import shapely
 from parts import box, join, moved, sphere, tilted, torus, turn_z
 
 import ebamcheck
-from ebamcheck.layers import concatenate, from_rings
-from ebamcheck.part import Part
-from ebamcheck.topology import edge_groups
+from ebamcheck.layers.stack import concatenate, from_rings
+from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.topology import edge_groups
 from ebamcheck_planecut import PlaneCut
 from ebamcheck_planecut.box_tree import box_tree, grow, touching
 from ebamcheck_planecut.crossed_facets import crossed_mesh

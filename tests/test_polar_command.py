@@ -12,11 +12,11 @@ import pytest
 from command_line import FAST, write_stl
 from typer.testing import CliRunner
 
-from ebamcheck.cli import app
-from ebamcheck.config import Config
+from ebamcheck.commands.main import app
 from ebamcheck.errors import ExitCode, SettingsError
-from ebamcheck.part import Part, from_arrays
+from ebamcheck.mesh.part import Part, from_arrays
 from ebamcheck.pipeline import run_job
+from ebamcheck.settings.config import Config
 
 SIDES = 24
 RADIUS_MM = 30.0

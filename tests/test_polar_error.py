@@ -9,7 +9,7 @@ import shapely
 
 from ebamcheck.curves import contour_error, error_reduction, fit, polar_radius
 from ebamcheck.errors import SettingsError
-from ebamcheck.layers import Layers, from_rings
+from ebamcheck.layers.stack import Layers, from_rings
 
 SQUARE = np.array([(-5, -5), (5, -5), (5, 5), (-5, 5)], float)
 

@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 from nc_stack import hatch, make_curves, make_plan, stack
 from scipy.interpolate import BSpline
 
-from ebamcheck.config import Config
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.program import mark_validated, read_program, write_program
-from ebamcheck.program.matching import as_planned
-from ebamcheck.program.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT
+from ebamcheck.program.checking.matching import as_planned
+from ebamcheck.program.reading.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT
+from ebamcheck.settings.config import Config
 
 CONTROLS = ("sinumerik-840d-sl", "linuxcnc", "plain-gcode", "3dthesis", "adamantine", "additivefoam")
 TEXT_CONTROLS = CONTROLS[:3]

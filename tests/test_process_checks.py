@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from nc_stack import hatch, make_curves, make_plan
 
-from ebamcheck.config import Config
-from ebamcheck.layers import from_rings
+from ebamcheck.layers.stack import from_rings
 from ebamcheck.program import read_program, verify_program, write_program
-from ebamcheck.program.process_checks import outside_sectors
+from ebamcheck.program.checking.process_checks import outside_sectors
+from ebamcheck.settings.config import Config
 
 SQUARE = np.array([(0, 0), (40, 0), (40, 40), (0, 40), (0, 0)], float)
 

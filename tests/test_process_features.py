@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from nc_stack import make_plan, stack
 
-from ebamcheck.config import Config
 from ebamcheck.curves import fit
 from ebamcheck.errors import SettingsError
-from ebamcheck.layers import from_polygons, from_rings
+from ebamcheck.layers.stack import from_polygons, from_rings
 from ebamcheck.program import program_summary, read_program, verify_program, write_program
-from ebamcheck.scan.regions import layer_regions
+from ebamcheck.scan.islands.regions import layer_regions
+from ebamcheck.settings.config import Config
 
 SQUARE = np.array([(0, 0), (40, 0), (40, 40), (0, 40)], float)
 HEIGHTS = np.array([0.75, 2.25])

@@ -12,11 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from nc_stack import stack
 
-from ebamcheck import process_window
-from ebamcheck.config import Config
 from ebamcheck.errors import SettingsError
 from ebamcheck.pipeline import check_job, run_job
-from ebamcheck.process_window import (
+from ebamcheck.program import read_program, verify_program, write_program
+from ebamcheck.settings import process_window
+from ebamcheck.settings.config import Config
+from ebamcheck.settings.process_window import (
     allowed_layers_mm,
     checked_window,
     least_hole_mm,
@@ -25,7 +26,6 @@ from ebamcheck.process_window import (
     outside_window,
     unusual_layers,
 )
-from ebamcheck.program import read_program, verify_program, write_program
 
 
 def layered(height_mm, **process):

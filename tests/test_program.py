@@ -15,9 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from nc_stack import clamped_knots, hatch, make_curves, make_plan, stack
 
-from ebamcheck.config import Config
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.layers import from_polygons
+from ebamcheck.layers.stack import from_polygons
 from ebamcheck.program import (
     mark_validated,
     program_summary,
@@ -26,8 +25,9 @@ from ebamcheck.program import (
     verify_program,
     write_program,
 )
-from ebamcheck.program.motions import POLYNOMIAL
-from ebamcheck.program.polynomials import chords, refined, spans
+from ebamcheck.program.reading.motions import POLYNOMIAL
+from ebamcheck.program.toolpath.polynomials import chords, refined, spans
+from ebamcheck.settings.config import Config
 
 FORMS = {
     "poly": {"curve_form": "poly"},

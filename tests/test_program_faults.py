@@ -7,8 +7,8 @@ import re
 import pytest
 from nc_stack import stack
 
-from ebamcheck.config import Config
 from ebamcheck.program import verify_file, write_program
+from ebamcheck.settings.config import Config
 
 MAIN, FIRST, SECOND = "MAIN.MPF", "MAIN_L0001.SPF", "MAIN_L0002.SPF"
 

@@ -8,7 +8,7 @@ import pytest
 from program_text import CONTROLS, ProgramText, near
 
 from ebamcheck.program import mark_validated, verify_file
-from ebamcheck.program.header_checks import Truth
+from ebamcheck.program.checking.header_checks import Truth
 
 SINUMERIK, LINUXCNC, PLAIN = CONTROLS
 

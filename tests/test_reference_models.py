@@ -13,8 +13,8 @@ from scipy import special
 
 import ebamcheck
 from ebamcheck.errors import SettingsError
-from ebamcheck.heights import layer_heights
-from ebamcheck.layers import from_polygons
+from ebamcheck.layers.heights import layer_heights
+from ebamcheck.layers.stack import from_polygons
 from ebamcheck_models import (
     BRACKET,
     CASES,

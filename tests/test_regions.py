@@ -31,14 +31,14 @@ from curve_parts import (
 
 from ebamcheck.curves import contour_error, fit
 from ebamcheck.curves.lifting import NO_PLANE, Lifting
-from ebamcheck.curves.regions.picture import regions_svg
 from ebamcheck.curves.regions.rounding import coordinate_error_mm, plane_tolerance_mm
 from ebamcheck.curves.regions.surfaces import surfaces
 from ebamcheck.curves.vertex_normals import surface_normals
-from ebamcheck.model import models
-from ebamcheck.part import Part
+from ebamcheck.drawing.regions import regions_svg
+from ebamcheck.mesh.part import Part
+from ebamcheck.plugins.model import models
 from ebamcheck.settings.curves import CurveSettings
-from ebamcheck.slicing import slice_part
+from ebamcheck.slicers.slicing import slice_part
 
 TRUTH_MM = 1e-4
 EXACT_MM = 1e-6

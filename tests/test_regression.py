@@ -16,18 +16,32 @@ from hypothesis import given
 from hypothesis import strategies as st
 from regression_plugin import ALLOWED_MM, BLOCK, BOUND_MM, ROUGH_MM, SLICERS
 
-from ebamcheck import registry
+from ebamcheck.commands.regress import regress, summary
 from ebamcheck.errors import BackendMissing, ExitCode, InputError, SettingsError
-from ebamcheck.model import models
-from ebamcheck.regression import Measured, Tolerance, Tolerances, measure_outcome, run_regression, truth_of
+from ebamcheck.plugins import registry
+from ebamcheck.plugins.model import models
+from ebamcheck.regression import (
+    Measured,
+    Tolerance,
+    Tolerances,
+    measure_outcome,
+    run_regression,
+    truth_of,
+)
 from ebamcheck.regression.baselines import Entry, Key, read_baselines, write_baselines
-from ebamcheck.regression.command import regress, summary
 from ebamcheck.regression.difference import differences
 from ebamcheck.regression.history import record, trends
 from ebamcheck.regression.job import accepted, updated
 from ebamcheck.regression.matrix import MATRIX, Matrix, read_matrix, rounds
 from ebamcheck.regression.measurement import REFUSED
-from ebamcheck.regression.metrics import LAYER_COLUMNS, METRICS, NAMES, TOLERANCE_NAMES, rounded, summarised
+from ebamcheck.regression.metrics import (
+    LAYER_COLUMNS,
+    METRICS,
+    NAMES,
+    TOLERANCE_NAMES,
+    rounded,
+    summarised,
+)
 from ebamcheck.regression.settings import LENGTH, default_tolerance, read_tolerances
 from ebamcheck_embree import Embree
 from ebamcheck_planecut import PlaneCut
@@ -392,8 +406,8 @@ def test_planes_through_level_faces_are_among_the_heights_and_are_cut_as_the_pla
 
 @pytest.mark.parametrize("name", ["sphere", "torus", "cylinder"])
 def test_an_exact_cut_of_a_curved_model_stays_within_what_its_mesh_allows(tmp_path, name):
-    from ebamcheck.isolate import Outcome
-    from ebamcheck.layer_files import write_parquet
+    from ebamcheck.layers.files import write_parquet
+    from ebamcheck.slicers.isolation import Outcome
 
     def measured(layers):
         write_parquet(layers, tmp_path / "layers.parquet")

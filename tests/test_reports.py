@@ -17,15 +17,16 @@ import shapely
 from command_line import WIDE
 from parts import box, join, moved, sphere
 
-from ebamcheck import layer_files, load
-from ebamcheck.config import Config
+from ebamcheck import load
 from ebamcheck.curves import Curves, contour_error
-from ebamcheck.part import Part
+from ebamcheck.layers import files as layer_files
+from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline import run_job
+from ebamcheck.pipeline.run_folder import RunFolder, write_json
 from ebamcheck.program import read_program
 from ebamcheck.scan import ScanPlan
-from ebamcheck.slicing import slice_part
-from ebamcheck.store import RunFolder, write_json
+from ebamcheck.settings.config import Config
+from ebamcheck.slicers.slicing import slice_part
 from ebamcheck_reports import charts, html, junit, overlays, program_picture, summary
 from ebamcheck_reports.canvas import Canvas
 from ebamcheck_reports.markup import element, table

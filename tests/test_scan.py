@@ -10,18 +10,18 @@ import pytest
 import shapely
 from shapely import affinity
 
-from ebamcheck.config import Config
 from ebamcheck.errors import GeometryError, InputError, SettingsError
-from ebamcheck.layers import from_polygons, from_rings
+from ebamcheck.layers.stack import from_polygons, from_rings
 from ebamcheck.scan import ORDERS, ScanPlan, contour_paths, plan_scan, plan_stack, simulate_order
-from ebamcheck.scan.coverage import covered_fraction
-from ebamcheck.scan.filling import TRIM
-from ebamcheck.scan.islands import clip_lattice, partition
-from ebamcheck.scan.lattice import hexagon_lattice
-from ebamcheck.scan.order import LayerIslands, scan_order
-from ebamcheck.scan.plan import METRICS
-from ebamcheck.scan.rectangle import minimum_rectangle
-from ebamcheck.scan.regions import ARC_SEGMENTS, inset, layer_regions
+from ebamcheck.scan.filling.coverage import covered_fraction
+from ebamcheck.scan.filling.fill import TRIM
+from ebamcheck.scan.islands.clipping import clip_lattice, partition
+from ebamcheck.scan.islands.lattice import hexagon_lattice
+from ebamcheck.scan.islands.rectangle import minimum_rectangle
+from ebamcheck.scan.islands.regions import ARC_SEGMENTS, inset, layer_regions
+from ebamcheck.scan.order.orders import LayerIslands, scan_order
+from ebamcheck.scan.plan.columns import METRICS
+from ebamcheck.settings.config import Config
 
 PROFILE = Config()
 WIDTH = PROFILE.process.bead_width_mm

@@ -16,13 +16,13 @@ import shapely
 from command_line import WIDE_TOML, command, ebamcheck, write_stl
 from PIL import Image
 
-from ebamcheck.config import Config
+from ebamcheck.drawing.islands import COLOURS, field_svg, islands_svg
+from ebamcheck.drawing.orders import frontier, pareto_svg
+from ebamcheck.drawing.png import png
+from ebamcheck.drawing.scene import TemperatureScale
 from ebamcheck.heat import contour_modes
-from ebamcheck.part import from_arrays
-from ebamcheck.scan.pareto_svg import frontier, pareto_svg
-from ebamcheck.scan.png import png
-from ebamcheck.scan.scan_svg import COLOURS, field_svg, islands_svg
-from ebamcheck.scan.scene import TemperatureScale
+from ebamcheck.mesh.part import from_arrays
+from ebamcheck.settings.config import Config
 
 SVG = "{http://www.w3.org/2000/svg}"
 

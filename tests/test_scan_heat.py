@@ -12,13 +12,16 @@ import shapely
 from threadpoolctl import threadpool_info
 
 import ebamcheck
-from ebamcheck import registry
-from ebamcheck.config import Config
 from ebamcheck.errors import SettingsError
 from ebamcheck.heat import Medium
 from ebamcheck.heat.one_blas_thread import one_blas_thread
+from ebamcheck.plugins import registry
 from ebamcheck.scan import ORDERS, LayerIslands, plan_scan
-from ebamcheck.scan.annealing import (
+from ebamcheck.scan.filling.turns import turns_and_jumps_mm
+from ebamcheck.scan.heat.influence import influence, looked_up
+from ebamcheck.scan.heat.island_heat import island_heat
+from ebamcheck.scan.islands.regions import layer_section
+from ebamcheck.scan.order.annealing import (
     HOTTEST_EVERY,
     TOUCH_SHARE,
     WARMTH,
@@ -29,17 +32,14 @@ from ebamcheck.scan.annealing import (
     move,
     new_log,
 )
-from ebamcheck.scan.comparing import COMPARED, FIGURES, OrderComparison
-from ebamcheck.scan.driving import clocked, entered, entry_points, entry_temperatures
-from ebamcheck.scan.influence import influence, looked_up
-from ebamcheck.scan.island_heat import island_heat
-from ebamcheck.scan.laying import lay_islands
-from ebamcheck.scan.order import scan_order
-from ebamcheck.scan.regions import layer_section
-from ebamcheck.scan.thermal import greedy_order, own_rise
-from ebamcheck.scan.touching import touching, touching_successors
-from ebamcheck.scan.turns import turns_and_jumps_mm
-from ebamcheck.scan.ways import ways_between
+from ebamcheck.scan.order.entry_options import ways_between
+from ebamcheck.scan.order.orders import scan_order
+from ebamcheck.scan.order.simulation import clocked, entered, entry_points, entry_temperatures
+from ebamcheck.scan.order.thermal import greedy_order, own_rise
+from ebamcheck.scan.order.touching import touching, touching_successors
+from ebamcheck.scan.plan.comparing import COMPARED, FIGURES, OrderComparison
+from ebamcheck.scan.plan.laying import lay_islands
+from ebamcheck.settings.config import Config
 from ebamcheck.settings.scan import SCAN_ORDERS
 
 PROFILE = Config()

@@ -10,12 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from parts import box
 
-from ebamcheck.config import Config, load_config
-from ebamcheck.config_text import as_toml
+from ebamcheck.commands.select import select
 from ebamcheck.errors import BackendMissing, ExitCode, SettingsError
-from ebamcheck.machines import MACHINE_VARIABLE, for_this_machine, machine_name
-from ebamcheck.model import models
 from ebamcheck.pipeline import run_job
+from ebamcheck.plugins.model import models
 from ebamcheck.selection import (
     Trial,
     choose,
@@ -25,9 +23,11 @@ from ebamcheck.selection import (
     write_choice,
 )
 from ebamcheck.selection.choice import TIE_SHARE, ranked, unfit
-from ebamcheck.selection.command import select
 from ebamcheck.selection.trial import ACCURACY_LAYERS
+from ebamcheck.settings.config import Config, load_config
+from ebamcheck.settings.machines import MACHINE_VARIABLE, for_this_machine, machine_name
 from ebamcheck.settings.selection import MachineChoice
+from ebamcheck.settings.text import as_toml
 from ebamcheck_models import write_stl
 
 USER_FILE = """\

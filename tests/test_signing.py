@@ -14,9 +14,8 @@ import pytest
 from command_line import WIDE, ebamcheck, frame, write_stl
 from parts import box
 
-from ebamcheck.config import Config
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.layer_files import write_parquet
+from ebamcheck.layers.files import write_parquet
 from ebamcheck.pipeline import run_job
 from ebamcheck.pipeline.certificate import (
     CERTIFICATE,
@@ -26,6 +25,7 @@ from ebamcheck.pipeline.certificate import (
     released,
     write_sealed,
 )
+from ebamcheck.pipeline.run_folder import RunFolder, sha256_of_file, write_json
 from ebamcheck.pipeline.signing import (
     SIGNATURES,
     make_key,
@@ -35,7 +35,7 @@ from ebamcheck.pipeline.signing import (
     trusted_keys,
 )
 from ebamcheck.pipeline.verify import verify, verify_run
-from ebamcheck.store import RunFolder, sha256_of_file, write_json
+from ebamcheck.settings.config import Config
 
 SETTINGS = Config().changed(
     layers={"layer_height_mm": 4.0}, slicing={"backends": ("planecut", "manifold")}, process=WIDE

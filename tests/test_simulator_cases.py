@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from nc_stack import stack
 
-from ebamcheck.config import Config
 from ebamcheck.errors import SettingsError
 from ebamcheck.program import write_program
-from ebamcheck.program.bead_ends import driven_path
-from ebamcheck.program.heat_paths import PATH_FILES, case_post, heat_path
+from ebamcheck.program.simulators.heat_paths import PATH_FILES, case_post, heat_path
+from ebamcheck.program.toolpath.bead_ends import driven_path
+from ebamcheck.settings.config import Config
 
 FILES = {
     "3dthesis": {

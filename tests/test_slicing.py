@@ -11,8 +11,9 @@ import pytest
 from parts import box, sphere, tilted, torus
 
 import ebamcheck
-from ebamcheck import Slicing, registry
+from ebamcheck import Slicing
 from ebamcheck.errors import BackendFailed, BackendMissing, SettingsError
+from ebamcheck.plugins import registry
 
 BACKENDS = ["planecut", "manifold", "embree", "stencil"]
 COLUMNS = ("heights", "points", "ring_starts", "layer_starts", "closed", "edge", "edge_t", "dropped")
@@ -91,7 +92,7 @@ def test_errors_reach_the_caller_and_the_next_call_works():
 def test_nothing_is_left_behind():
     """Neither a refused part nor a forgotten object keeps its thread."""
     before = threading.active_count()
-    open_part = ebamcheck.part.from_arrays([(0, 0, 0), (1, 0, 0), (0, 1, 1)], [(0, 1, 2)])
+    open_part = ebamcheck.mesh.part.from_arrays([(0, 0, 0), (1, 0, 0), (0, 1, 1)], [(0, 1, 2)])
     with pytest.raises(BackendFailed):
         Slicing(open_part, "manifold")
     forgotten = Slicing(box())

@@ -18,8 +18,8 @@ from stencil_parts import box, cylinder, joined, moved, prism, reversed_mesh, to
 import ebamcheck
 from ebamcheck.backend import Slicer
 from ebamcheck.errors import BackendFailed, BackendMissing, SettingsError
-from ebamcheck.layers import Layers, concatenate, from_rings
-from ebamcheck.part import Part, from_arrays
+from ebamcheck.layers.stack import Layers, concatenate, from_rings
+from ebamcheck.mesh.part import Part, from_arrays
 from ebamcheck_stencil import Stencil, opengl
 from ebamcheck_stencil.bitmaps import Flips, as_image, empty_bitmap, flip, flips_by_layer
 from ebamcheck_stencil.crossings import Crossings

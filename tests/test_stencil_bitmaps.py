@@ -7,7 +7,7 @@ import pytest
 import shapely
 from stencil_parts import box, joined, moved, torus, turned
 
-from ebamcheck.part import Part, from_arrays
+from ebamcheck.mesh.part import Part, from_arrays
 from ebamcheck_models import LADDER
 from ebamcheck_stencil import Stencil
 from ebamcheck_stencil.field_of_view import SUBPIXELS, FieldOfView, field_of_view

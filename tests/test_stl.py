@@ -13,8 +13,8 @@ from parts import box, sphere
 
 import ebamcheck
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.stl import FACET, read_triangles
-from ebamcheck.welding import weld
+from ebamcheck.mesh.stl import FACET, read_triangles
+from ebamcheck.mesh.welding import weld
 
 
 def binary(triangles, header=b"", count=None, trailing=b""):

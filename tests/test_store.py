@@ -10,7 +10,14 @@ import numpy as np
 import pytest
 
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.store import MANIFEST, RunFolder, plain, sha256_of_json, start_run, write_json
+from ebamcheck.pipeline.run_folder import (
+    MANIFEST,
+    RunFolder,
+    plain,
+    sha256_of_json,
+    start_run,
+    write_json,
+)
 
 
 def finished(target, text="first"):

@@ -17,16 +17,25 @@ from scipy.interpolate import BSpline
 from scipy.spatial import Delaunay
 
 import ebamcheck
-from ebamcheck.curves import ARC, LINE, SPLINE, Curves, contour_error, error_reduction, fit, fit_deviation
+from ebamcheck.curves import (
+    ARC,
+    LINE,
+    SPLINE,
+    Curves,
+    contour_error,
+    error_reduction,
+    fit,
+    fit_deviation,
+)
 from ebamcheck.curves.arcs import arc_through
-from ebamcheck.curves.strands import FLAT_MM
+from ebamcheck.curves.oriented_contours import FLAT_MM
 from ebamcheck.curves.vertex_normals import surface_normals
 from ebamcheck.errors import EbamcheckError, SettingsError
-from ebamcheck.layers import Layers, from_polygons
-from ebamcheck.model import models
-from ebamcheck.part import Part, from_arrays
+from ebamcheck.layers.stack import Layers, from_polygons
+from ebamcheck.mesh.part import Part, from_arrays
+from ebamcheck.plugins.model import models
 from ebamcheck.settings.curves import CurveSettings
-from ebamcheck.slicing import slice_part
+from ebamcheck.slicers.slicing import slice_part
 
 MODELS = models()
 LADDER = MODELS["ladder"]

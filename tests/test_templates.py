@@ -6,9 +6,9 @@ import pytest
 from nc_stack import stack
 from program_text import CONTROLS, ProgramText
 
-from ebamcheck.config import Config
 from ebamcheck.errors import SettingsError
 from ebamcheck.program import read_program, write_program
+from ebamcheck.settings.config import Config
 
 SINUMERIK, LINUXCNC, PLAIN = CONTROLS
 

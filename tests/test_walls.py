@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from section_zoo import ZOO, star
 from shapely import affinity
 
-from ebamcheck.config import Config
-from ebamcheck.scan.regions import layer_regions
-from ebamcheck.scan.walls import LEAST_APART, LEAST_BEAD, TAPER, TAPER_SHARE, wall_lines
+from ebamcheck.scan.filling.walls import LEAST_APART, LEAST_BEAD, TAPER, TAPER_SHARE, wall_lines
+from ebamcheck.scan.islands.regions import layer_regions
+from ebamcheck.settings.config import Config
 
 PROFILE = Config()
 WIDTH, SPACING = PROFILE.process.bead_width_mm, PROFILE.process.hatch_spacing_mm

@@ -9,15 +9,16 @@ import pytest
 import shapely
 
 import ebamcheck
-from ebamcheck.config import Config
 from ebamcheck.errors import SettingsError
 from ebamcheck.heat import HeatModel, Medium, carried, contour_modes, depth_modes
-from ebamcheck.heat.carry import overlap_of_depths
-from ebamcheck.layers import from_polygons
-from ebamcheck.scan import order, plan_stack
-from ebamcheck.scan.order import GEOMETRIC
-from ebamcheck.scan.regions import layer_section
-from ebamcheck.scan.whole_part import WHOLE_PART, scan_part
+from ebamcheck.heat.projection import overlap_of_depths
+from ebamcheck.layers.stack import from_polygons
+from ebamcheck.scan import plan_stack
+from ebamcheck.scan.islands.regions import layer_section
+from ebamcheck.scan.order import orders as order
+from ebamcheck.scan.order.orders import GEOMETRIC
+from ebamcheck.scan.plan.whole_part import WHOLE_PART, scan_part
+from ebamcheck.settings.config import Config
 
 MEDIUM = Medium(conductivity_w_mmk=0.020, heat_capacity_j_mm3k=4300 * 700 * 1e-9)
 RING = shapely.Point(3, 4).buffer(40, 64).difference(shapely.Point(10, 4).buffer(12, 32))

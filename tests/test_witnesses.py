@@ -20,14 +20,14 @@ import shapely
 
 from ebamcheck.comparison import compare
 from ebamcheck.errors import BackendFailed, BackendMissing, SettingsError
-from ebamcheck.even_odd import directed_by_nesting
-from ebamcheck.lattices import Lattice, LatticeStack, lattices_of
-from ebamcheck.layers import Layers, from_rings
-from ebamcheck.outside_program import Program, working_folder
-from ebamcheck.part import Part
-from ebamcheck.program_placement import Placement, scale_to
-from ebamcheck.stl import read_triangles
-from ebamcheck.stl_writer import write_triangles
+from ebamcheck.layers.even_odd import directed_by_nesting
+from ebamcheck.layers.stack import Layers, from_rings
+from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.stl import read_triangles
+from ebamcheck.mesh.stl_writer import write_triangles
+from ebamcheck.slicers.outside.lattices import Lattice, LatticeStack, lattices_of
+from ebamcheck.slicers.outside.placement import Placement, scale_to
+from ebamcheck.slicers.outside.programs import Program, working_folder
 from ebamcheck.testing import SlicerSuite
 from ebamcheck.testing.sections import house_rule, sections
 from ebamcheck.testing.solids import box, joined, mapped, simple, sphere, turn

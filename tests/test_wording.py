@@ -6,10 +6,10 @@ from dataclasses import fields
 
 import pytest
 
-from ebamcheck.config import Config, validated
-from ebamcheck.config_text import as_toml
 from ebamcheck.errors import SettingsError
-from ebamcheck.program.templates import ProcessValues
+from ebamcheck.program.language.templates import ProcessValues
+from ebamcheck.settings.config import Config, validated
+from ebamcheck.settings.text import as_toml
 from ebamcheck.settings.wording import EXAMPLES, PLACEHOLDERS, TEMPLATES
 
 FIELDS = [

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.errors import BackendFailed
-from ebamcheck.kernels import kernel
-from ebamcheck.rings import Floats, Ints
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Floats, Ints
 
 LAYER_WORD = np.frombuffer(b";LAYER:", np.uint8)
 END_WORD = b";End of Gcode"

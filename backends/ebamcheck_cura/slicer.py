@@ -13,13 +13,18 @@ from typing import Any, ClassVar
 
 from ebamcheck.backend import BackendSettings, CoplanarRule, Probe
 from ebamcheck.errors import BackendMissing, SettingsError
-from ebamcheck.even_odd import INSIDE_RULE, directed_by_nesting
-from ebamcheck.lattices import Lattice, LatticeStack
-from ebamcheck.layers import Layers
-from ebamcheck.outside_program import Program, ProgramSettings, working_folder
-from ebamcheck.part import Part
-from ebamcheck.program_placement import Placement, coordinate_rounding_mm, height_rounding_mm, scale_to
-from ebamcheck.stl_writer import write_triangles
+from ebamcheck.layers.even_odd import INSIDE_RULE, directed_by_nesting
+from ebamcheck.layers.stack import Layers
+from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.stl_writer import write_triangles
+from ebamcheck.slicers.outside.lattices import Lattice, LatticeStack
+from ebamcheck.slicers.outside.placement import (
+    Placement,
+    coordinate_rounding_mm,
+    height_rounding_mm,
+    scale_to,
+)
+from ebamcheck.slicers.outside.programs import Program, ProgramSettings, working_folder
 from ebamcheck_cura.gcode import read_paths
 
 PROGRAM = Program(

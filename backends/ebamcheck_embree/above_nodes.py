@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ebamcheck.kernels import kernel
+from ebamcheck.numeric.kernels import kernel
 from ebamcheck_embree.grid import Lattice
 from ebamcheck_embree.hits import Hits, add, is_known
 from ebamcheck_embree.knots import node_after

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ebamcheck.kernels import kernel
+from ebamcheck.numeric.kernels import kernel
 from ebamcheck_embree.hits import Hits, add, is_known
 from ebamcheck_embree.scene import Bools, Facets, Floats, Ints, Singles, UnderWay, go_on
 from ebamcheck_embree.section import Mesh, Sections, segment_of

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.errors import SettingsError
-from ebamcheck.part import Part
+from ebamcheck.mesh.part import Part
 
 Mode = Literal["in-plane", "vertical"]
 

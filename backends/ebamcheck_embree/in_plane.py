@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from ebamcheck.backend import Progress
-from ebamcheck.kernels import kernel
-from ebamcheck.part import Part
+from ebamcheck.mesh.part import Part
+from ebamcheck.numeric.kernels import kernel
 from ebamcheck_embree.crossings import crossing_counts, take_crossings, take_from_segments
 from ebamcheck_embree.grid import Grid, Lattice
 from ebamcheck_embree.hits import Borders, borders, room_for, short_rays

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from ebamcheck.kernels import kernel
+from ebamcheck.numeric.kernels import kernel
 from ebamcheck_embree.grid import Lattice
 from ebamcheck_embree.knots import NO_FACET, ColumnKnots, RowKnots
 from ebamcheck_embree.scene import Bools, Facets, Floats, Ints

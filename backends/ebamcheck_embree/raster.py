@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.kernels import kernel
+from ebamcheck.numeric.kernels import kernel
 from ebamcheck_embree.grid import Lattice
 from ebamcheck_embree.marching import links
 from ebamcheck_embree.scene import Bools, Floats, Ints

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.kernels import kernel
+from ebamcheck.numeric.kernels import kernel
 from ebamcheck_embree.scene import Floats, Ints
 
 FIRST_POINTS = 4096

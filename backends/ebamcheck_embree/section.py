@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.kernels import kernel
+from ebamcheck.numeric.kernels import kernel
 from ebamcheck_embree.scene import Facets, Floats, Ints
 
 MOST_SLABS = 4096

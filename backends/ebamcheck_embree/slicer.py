@@ -11,7 +11,7 @@ from pydantic import Field
 
 from ebamcheck.backend import BackendSettings, CoplanarRule, Prepared, Probe
 from ebamcheck.errors import BackendFailed
-from ebamcheck.part import Part
+from ebamcheck.mesh.part import Part
 from ebamcheck_embree.grid import Mode, automatic_cell_mm, grid_over
 
 IN_PLANE_BOUND = math.sqrt(0.5)

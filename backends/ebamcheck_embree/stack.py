@@ -13,9 +13,9 @@ import numpy as np
 
 from ebamcheck.backend import Progress
 from ebamcheck.errors import BackendFailed
-from ebamcheck.kernels import run_blocks
-from ebamcheck.layers import Layers, canonical, concatenate
-from ebamcheck.part import Part
+from ebamcheck.layers.stack import Layers, canonical, concatenate
+from ebamcheck.mesh.part import Part
+from ebamcheck.numeric.kernels import run_blocks
 from ebamcheck_embree.grid import Grid
 from ebamcheck_embree.rings import Rings, room_for_rings
 from ebamcheck_embree.scene import Floats, Ints, Scene

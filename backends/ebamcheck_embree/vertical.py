@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ebamcheck.backend import Progress
-from ebamcheck.kernels import kernel, run_blocks
-from ebamcheck.part import Part
+from ebamcheck.mesh.part import Part
+from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck_embree.above_nodes import facet_counts, take_from_facets, take_heights
 from ebamcheck_embree.grid import Grid, Lattice
 from ebamcheck_embree.hits import Borders, borders, room_for, short_rays

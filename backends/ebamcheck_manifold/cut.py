@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from ebamcheck.backend import BackendSettings, CoplanarRule, Probe, Progress
 from ebamcheck.errors import BackendFailed
-from ebamcheck.layers import Layers, canonical, concatenate
-from ebamcheck.part import Part
-from ebamcheck.topology import edge_groups, split_corners, twins
+from ebamcheck.layers.stack import Layers, canonical, concatenate
+from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.topology import edge_groups, split_corners, twins
 from ebamcheck_manifold.changes import doubtful_regions
 from ebamcheck_manifold.placement import Floats, Placement, exact_placement
 

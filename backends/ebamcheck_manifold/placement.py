@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.part import Part
+from ebamcheck.mesh.part import Part
 
 Floats = NDArray[np.float64]
 

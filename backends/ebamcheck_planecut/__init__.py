@@ -7,7 +7,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from ebamcheck.backend import BackendSettings, CoplanarRule, Prepared, Probe
-from ebamcheck.part import Part
+from ebamcheck.mesh.part import Part
 
 
 class PlaneCutSettings(BackendSettings):

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.kernels import kernel
-from ebamcheck.rings import INSIDE, ON_BOUNDARY, OUTSIDE, Bools, Floats, Ints
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import INSIDE, ON_BOUNDARY, OUTSIDE, Bools, Floats, Ints
 
 SEGMENTS_A_LEAF = 8
 """Segments of a leaf: fewer make the tree cost more than it saves, more make leaves that overlap cost more."""
@@ -286,7 +286,7 @@ def encloses(
 ) -> bool:
     """Whether (x, y) lies inside ring `r`, whose leaves begin at `first_leaf`; on its boundary it does not.
 
-    As :func:`ebamcheck.rings.locate`, but for the leaves beside which the point does not lie.
+    As :func:`ebamcheck.numeric.rings.locate`, but for the leaves beside which the point does not lie.
     """
     inside = False
     leaf = leaves + first_leaf

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.kernels import kernel, run_blocks
-from ebamcheck.part import Part
+from ebamcheck.mesh.part import Part
+from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck_planecut.sorted_mesh import Floats, Index, SortedMesh, sorted_mesh
 
 Levels = NDArray[np.uint8]

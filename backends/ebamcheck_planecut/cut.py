@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.backend import BackendSettings, Progress
-from ebamcheck.kernels import run_blocks
-from ebamcheck.layers import Layers, canonical, concatenate
-from ebamcheck.part import Part
+from ebamcheck.layers.stack import Layers, canonical, concatenate
+from ebamcheck.mesh.part import Part
+from ebamcheck.numeric.kernels import run_blocks
 from ebamcheck_planecut import overlaps
 from ebamcheck_planecut.crossed_facets import crossed_mesh
 from ebamcheck_planecut.sorted_mesh import SortedMesh, points_at_most, sorted_mesh, turned_mesh

@@ -12,9 +12,9 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from ebamcheck.kernels import kernel
-from ebamcheck.layers import Layers
-from ebamcheck.rings import Bools, Floats, Ints, signed_area
+from ebamcheck.layers.stack import Layers
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Bools, Floats, Ints, signed_area
 from ebamcheck_planecut.box_tree import SEGMENTS_A_LEAF, BoxTree, box_tree, encloses, grow, touching
 
 CLEAN, NESTED_WRONG, TOUCHING = 0, 1, 2

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.kernels import kernel, run_blocks
-from ebamcheck.part import Part
-from ebamcheck.topology import edge_groups, twins
+from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.topology import edge_groups, twins
+from ebamcheck.numeric.kernels import kernel, run_blocks
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int32]
@@ -41,7 +41,7 @@ class SortedMesh(NamedTuple):
     numbers: Index
     """(F,) the part's number of each facet."""
     twin: Index
-    """(3 F,) half-edge across each half-edge, :data:`ebamcheck.topology.NO_TWIN` at an open one."""
+    """(3 F,) half-edge across each half-edge, :data:`ebamcheck.mesh.topology.NO_TWIN` at an open one."""
     spans: Floats
     """(F, 2) least and greatest z of each facet."""
     tallest: Floats

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.canonical_form import ring_form, sort_rings, write_numbers, write_pairs
-from ebamcheck.kernels import kernel
+from ebamcheck.layers.canonical_form import ring_form, sort_rings, write_numbers, write_pairs
+from ebamcheck.numeric.kernels import kernel
 from ebamcheck_planecut.overlaps import classify_layer, overlap_search
 from ebamcheck_planecut.sorted_mesh import Floats, Index, Ints, SortedMesh, facets_across, raise_plane
 from ebamcheck_planecut.trace import Tracks, trace_layer, tracks

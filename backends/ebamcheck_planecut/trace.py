@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.kernels import kernel
+from ebamcheck.numeric.kernels import kernel
 from ebamcheck_planecut.sorted_mesh import Floats, Index, Ints, SortedMesh
 
 FROM_ENTRY, FROM_EXIT, RINGS = 0, 1, 2

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from skimage.measure import find_contours
 
 from ebamcheck.errors import BackendFailed
-from ebamcheck.rings import Floats
+from ebamcheck.numeric.rings import Floats
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _IMAGE = re.compile(r"\D*(\d+)\.png")

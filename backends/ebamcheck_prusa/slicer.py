@@ -15,18 +15,18 @@ from pydantic import Field
 
 from ebamcheck.backend import BackendSettings, CoplanarRule, Probe
 from ebamcheck.errors import BackendFailed, SettingsError
-from ebamcheck.lattices import Lattice, LatticeStack
-from ebamcheck.layers import Layers
-from ebamcheck.outside_program import Program, ProgramSettings, working_folder
-from ebamcheck.part import Part
-from ebamcheck.program_placement import (
+from ebamcheck.layers.stack import Layers
+from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.stl_writer import write_triangles
+from ebamcheck.slicers.outside.lattices import Lattice, LatticeStack
+from ebamcheck.slicers.outside.placement import (
     Placement,
     coordinate_rounding_mm,
     height_rounding_mm,
     refuse_what_is_mended,
     scale_to,
 )
-from ebamcheck.stl_writer import write_triangles
+from ebamcheck.slicers.outside.programs import Program, ProgramSettings, working_folder
 from ebamcheck_prusa.images import archived_images, contours
 
 PROGRAM = Program(

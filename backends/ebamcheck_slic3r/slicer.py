@@ -12,20 +12,20 @@ from typing import Any, ClassVar
 
 from ebamcheck.backend import BackendSettings, CoplanarRule, Probe
 from ebamcheck.errors import SettingsError
-from ebamcheck.kernels import thread_count
-from ebamcheck.lattices import Lattice, LatticeStack
-from ebamcheck.layers import Layers
-from ebamcheck.outside_program import Program, ProgramSettings, working_folder
-from ebamcheck.part import Part
-from ebamcheck.program_placement import (
+from ebamcheck.layers.stack import Layers
+from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.stl_writer import write_triangles
+from ebamcheck.numeric.kernels import thread_count
+from ebamcheck.numeric.rings import Floats
+from ebamcheck.slicers.outside.lattices import Lattice, LatticeStack
+from ebamcheck.slicers.outside.placement import (
     Placement,
     coordinate_rounding_mm,
     height_rounding_mm,
     refuse_what_is_mended,
     scale_to,
 )
-from ebamcheck.rings import Floats
-from ebamcheck.stl_writer import write_triangles
+from ebamcheck.slicers.outside.programs import Program, ProgramSettings, working_folder
 from ebamcheck_slic3r.svg import slices
 
 PROGRAM = Program(

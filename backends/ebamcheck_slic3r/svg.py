@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ebamcheck.errors import BackendFailed
-from ebamcheck.rings import Floats
+from ebamcheck.numeric.rings import Floats
 
 HEIGHT_UNIT_MM = 1e6
 """Slic3r divides the height of a slice by a million as if it were one of its integers; so this undoes it."""

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.errors import BackendFailed
-from ebamcheck.part import Part
+from ebamcheck.mesh.part import Part
 from ebamcheck_stencil.crossings import Crossings, crossings_of_fragments, join
 from ebamcheck_stencil.field_of_view import SUBPIXELS, FieldOfView
 from ebamcheck_stencil.windows import Window, windows

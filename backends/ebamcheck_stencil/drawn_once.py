@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.backend import Progress
-from ebamcheck.kernels import run_blocks
-from ebamcheck.layers import Layers, canonical, concatenate
+from ebamcheck.layers.stack import Layers, canonical, concatenate
+from ebamcheck.numeric.kernels import run_blocks
 from ebamcheck_stencil.bitmaps import as_image, empty_bitmap, flip, flips_by_layer
 from ebamcheck_stencil.crossings import Crossings
 from ebamcheck_stencil.field_of_view import WORD_BITS, FieldOfView

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.part import Part
+from ebamcheck.mesh.part import Part
 
 SUBPIXELS = 256
 """Lattice steps in a pixel: the 8 bits of GL_SUBPIXEL_BITS that every desktop driver offers."""

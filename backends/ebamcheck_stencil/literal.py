@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from ebamcheck.backend import Progress
 from ebamcheck.errors import BackendFailed, BackendMissing
-from ebamcheck.layers import Layers, canonical
-from ebamcheck.part import Part
+from ebamcheck.layers.stack import Layers, canonical
+from ebamcheck.mesh.part import Part
 from ebamcheck_stencil.field_of_view import SUBPIXELS, FieldOfView
 from ebamcheck_stencil.windows import Window, windows
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.kernels import kernel
+from ebamcheck.numeric.kernels import kernel
 from ebamcheck_stencil.bitmaps import Flips, Words, flip
 
 FIRST_POINTS = 4096

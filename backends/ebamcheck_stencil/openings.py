@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from ebamcheck.part import Part
+from ebamcheck.mesh.part import Part
 
 
 def border(faces: NDArray[np.integer[Any]]) -> NDArray[np.int64]:

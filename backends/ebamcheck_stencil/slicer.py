@@ -11,7 +11,7 @@ from pydantic import Field
 
 from ebamcheck.backend import BackendSettings, CoplanarRule, Prepared, Probe
 from ebamcheck.errors import BackendMissing, SettingsError
-from ebamcheck.part import Part
+from ebamcheck.mesh.part import Part
 from ebamcheck_stencil import opengl
 from ebamcheck_stencil.draw_once import draw_crossings
 from ebamcheck_stencil.drawn_once import DrawnOnce

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from ebamcheck.backend import BackendSettings, CoplanarRule, Probe, Progress
 from ebamcheck.errors import BackendFailed
-from ebamcheck.even_odd import INSIDE_RULE, directed_by_nesting
-from ebamcheck.layers import Layers, canonical
-from ebamcheck.part import Part
-from ebamcheck.rings import EPSILON, Floats
+from ebamcheck.layers.even_odd import INSIDE_RULE, directed_by_nesting
+from ebamcheck.layers.stack import Layers, canonical
+from ebamcheck.mesh.part import Part
+from ebamcheck.numeric.rings import EPSILON, Floats
 
 MERGE = 1e-8
 """Distance within which trimesh takes vertices for one, and a vertex for one on the plane (``tol.merge``)."""

@@ -13,8 +13,8 @@ from typing import Any
 import ebamcheck
 from benchmarks.faults.program_text import ProgramText
 from benchmarks.faults.subjects import TESSELLATION_MM, Subject
-from ebamcheck.config import Config
 from ebamcheck.pipeline import run_job
+from ebamcheck.settings.config import Config
 from ebamcheck_models import write_stl
 
 DIGEST_LETTERS = 10

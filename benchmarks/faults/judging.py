@@ -14,9 +14,9 @@ from benchmarks.faults.kinds import Ground, Place
 from benchmarks.faults.program_text import without_comments
 from ebamcheck.errors import EbamcheckError
 from ebamcheck.pipeline.certificate import write_certificate
+from ebamcheck.pipeline.run_folder import RunFolder, sha256_of_file, sha256_of_json, write_json
 from ebamcheck.pipeline.verify import verify_against_part, verify_run
 from ebamcheck.program import Check
-from ebamcheck.store import RunFolder, sha256_of_file, sha256_of_json, write_json
 
 NEAR_LINES = 3
 """A fault is told at the right place within so many lines."""

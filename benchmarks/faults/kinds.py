@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmarks.faults.program_text import Bead, Layer, ProgramText
 from benchmarks.faults.subjects import CONTROLS, Subject
-from ebamcheck.config import Config
+from ebamcheck.settings.config import Config
 
 Changes = Literal["metal", "motion", "state", "record"]
 """What a fault changes: the metal laid, other motions, the state or the values of the machine, what is said of the program."""

@@ -15,14 +15,14 @@ from benchmarks.faults.finished import Finished, Workshop
 from benchmarks.faults.judging import Said, Verdict, failures, reseal, strip
 from benchmarks.faults.results import Result, noted
 from benchmarks.faults.subjects import CONTROLS, SUBJECTS, TWELVE, Subject
-from ebamcheck import registry
-from ebamcheck.config import Config
 from ebamcheck.curves import Curves
 from ebamcheck.pipeline import run_job
+from ebamcheck.pipeline.run_folder import MANIFEST, RunFolder, write_json
 from ebamcheck.pipeline.verify import verify_against_part, verify_run
+from ebamcheck.plugins import registry
 from ebamcheck.program import Check, ProgramFiles, mark_validated
 from ebamcheck.scan import ScanPlan
-from ebamcheck.store import MANIFEST, RunFolder, write_json
+from ebamcheck.settings.config import Config
 
 SINUMERIK, LINUXCNC, PLAIN = CONTROLS
 

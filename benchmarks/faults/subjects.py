@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ebamcheck.config import Config
+from ebamcheck.settings.config import Config
 from ebamcheck_models import Model
 from ebamcheck_models.outlines import circle, polygon, rounded_rectangle
 from ebamcheck_models.prisms import prism

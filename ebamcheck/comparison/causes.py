@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.comparison.surroundings import ROUNDING_SHARE, Surroundings, surroundings
-from ebamcheck.inspection import body_labels
-from ebamcheck.part import Part
-from ebamcheck.rings import Floats, Ints
-from ebamcheck.topology import edge_groups
+from ebamcheck.mesh.inspection import body_labels
+from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.topology import edge_groups
+from ebamcheck.numeric.rings import Floats, Ints
 
 COPLANAR_FACE = "coplanar face"
 VERTEX = "vertex on plane"

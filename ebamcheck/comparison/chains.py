@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.kernels import kernel
-from ebamcheck.rings import Floats, Ints
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Floats, Ints
 
 ADVANCE, OPEN, CLOSE = 0, 1, 2
 """Kinds of events: a chain goes on with its next segment, two chains start, or two end."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ebamcheck.part import Part
+from ebamcheck.mesh.part import Part
 
 GENERIC = "generic"
 VERTEX_ON_PLANE = "vertex-on-plane"

@@ -14,15 +14,10 @@ from ebamcheck.comparison.classes import GENERIC, layer_classes
 from ebamcheck.comparison.doubt import allow_doubt
 from ebamcheck.comparison.findings import AGREE, EMPTY, NOT_COMPARED, OUTLIER, UNDECIDED, Finding
 from ebamcheck.comparison.naming import named_findings
-from ebamcheck.comparison.pairwise import (
-    Pair,
-    check_comparable,
-    measure_stacks,
-    table,
-)
+from ebamcheck.comparison.pairwise import Pair, check_comparable, measure_stacks, table
 from ebamcheck.comparison.sources import LayerSource, blocks_of, contour_figures
-from ebamcheck.heights import crossing_counts
-from ebamcheck.part import Part
+from ebamcheck.layers.heights import crossing_counts
+from ebamcheck.mesh.part import Part
 from ebamcheck.settings.slicing import ComparisonSettings
 
 HALF_OPEN = "half-open"
@@ -74,7 +69,7 @@ def compare_all(
     progress
         Called with the number of layers measured since the last call.
     borders
-        Blocks of layers (:func:`~ebamcheck.heights.layer_blocks`) of which one at a time is in memory; None: all
+        Blocks of layers (:func:`~ebamcheck.layers.heights.layer_blocks`) of which one at a time is in memory; None: all
         layers at once. The result does not depend on it.
 
     Returns

@@ -14,11 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.comparison.front import L0, L1, LEFT_SEGMENT, R0, R1, RIGHT_SEGMENT, Y0, Y1
 from ebamcheck.comparison.grid import distance_to_segment, farthest_coordinate, nearest
 from ebamcheck.comparison.outline import Outline
-from ebamcheck.kernels import kernel
-from ebamcheck.rings import Floats, Ints
+from ebamcheck.comparison.sweep_status import L0, L1, LEFT_SEGMENT, R0, R1, RIGHT_SEGMENT, Y0, Y1
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Floats, Ints
 
 FINEST_DEPTH_MM = 1e-6
 FINE_SHARE = 0.01

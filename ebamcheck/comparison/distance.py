@@ -11,10 +11,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.comparison.grid import Grid, distance_to_segment, nearest, nearest_of, square_between
+from ebamcheck.comparison.grid import (
+    Grid,
+    distance_to_segment,
+    nearest,
+    nearest_of,
+    square_between,
+)
 from ebamcheck.comparison.outline import Outline
-from ebamcheck.kernels import kernel
-from ebamcheck.rings import Floats, Ints
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Floats, Ints
 
 RESOLUTION_MM = 1e-7
 """Hausdorff distances are found to within this: ten thousand times finer than the default tolerance."""

@@ -17,8 +17,8 @@ from ebamcheck.comparison.diagnosis.sheets import Reader
 from ebamcheck.comparison.pairwise import Pair, compare
 from ebamcheck.comparison.sources import LayerSource
 from ebamcheck.comparison.topology import region
-from ebamcheck.layers import Layers, from_polygons
-from ebamcheck.rings import Floats
+from ebamcheck.layers.stack import Layers, from_polygons
+from ebamcheck.numeric.rings import Floats
 
 DOUBT = "doubt_mm"
 """Column of a pair's table: what declared doubt added to the limit of a layer that agrees by it; else 0."""

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.kernels import kernel
-from ebamcheck.rings import Floats
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Floats
 
 CELLS_PER_SEGMENT = 12
 """Grid cells per segment: few segments in a cell, and a grid that is small to build."""

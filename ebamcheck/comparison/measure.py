@@ -11,10 +11,10 @@ from ebamcheck.comparison.depth import FINEST_DEPTH_MM as FINEST_DEPTH_MM
 from ebamcheck.comparison.depth import Deepest, enough_mm, resolution_mm, search
 from ebamcheck.comparison.distance import Directed, directed
 from ebamcheck.comparison.grid import nearest
-from ebamcheck.comparison.links import linked_within
+from ebamcheck.comparison.matching import linked_within
 from ebamcheck.comparison.outline import Outline, encloses, winding
 from ebamcheck.comparison.overlap import Overlap, overlap
-from ebamcheck.kernels import kernel
+from ebamcheck.numeric.kernels import kernel
 
 
 class Figures(NamedTuple):

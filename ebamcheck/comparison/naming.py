@@ -18,8 +18,8 @@ from ebamcheck.comparison.findings import EMPTY, OUTLIER, UNDECIDED, Finding
 from ebamcheck.comparison.outline import outline
 from ebamcheck.comparison.remedies import remedy
 from ebamcheck.comparison.sources import LayerSource
-from ebamcheck.part import Part
-from ebamcheck.rings import Floats
+from ebamcheck.mesh.part import Part
+from ebamcheck.numeric.rings import Floats
 
 Columns = Mapping[str, NDArray[Any]]
 

@@ -13,9 +13,9 @@ import numpy as np
 from ebamcheck.comparison.chains import Chains, monotone_chains
 from ebamcheck.comparison.grid import Grid, grid_over
 from ebamcheck.comparison.samples import Samples, samples_along
-from ebamcheck.kernels import kernel
-from ebamcheck.layers import Layers
-from ebamcheck.rings import EPSILON, Bools, Floats, Ints
+from ebamcheck.layers.stack import Layers
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import EPSILON, Bools, Floats, Ints
 
 ROUNDING = 4.0 * EPSILON
 """Deviation, relative to the largest coordinate, below which a point on a straight run is dropped."""

@@ -1,7 +1,7 @@
 """Exact areas of two regions and of their symmetric difference, by a sweep from below.
 
 Between two edges that are neighbours on the front of the sweep lies a trapezoid, wholly inside or outside
-either region (winding number > 0). See :mod:`ebamcheck.comparison.front` for how it goes on.
+either region (winding number > 0). See :mod:`ebamcheck.comparison.sweep_status` for how it goes on.
 """
 
 from __future__ import annotations
@@ -10,11 +10,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.comparison import front
-from ebamcheck.comparison.chains import ADVANCE, KIND, LEFT, LEFT_SEGMENT, OPEN, RIGHT, RIGHT_SEGMENT, Chains
+from ebamcheck.comparison import sweep_status as front
+from ebamcheck.comparison.chains import (
+    ADVANCE,
+    KIND,
+    LEFT,
+    LEFT_SEGMENT,
+    OPEN,
+    RIGHT,
+    RIGHT_SEGMENT,
+    Chains,
+)
 from ebamcheck.comparison.outline import Outline
-from ebamcheck.kernels import kernel
-from ebamcheck.rings import Floats, Ints
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Floats, Ints
 
 MOST_CROSSINGS = 2_000_000
 """Crossings in one sweep; beyond it the caller uses shapely instead."""
@@ -31,7 +40,7 @@ class Overlap(NamedTuple):
     area_b_mm2: float
     symmetric_difference_mm2: float
     difference: Floats
-    """(T, 8) trapezoids of the symmetric difference, if wanted; columns in :mod:`ebamcheck.comparison.front`.
+    """(T, 8) trapezoids of the symmetric difference, if wanted; columns in :mod:`ebamcheck.comparison.sweep_status`.
     Segments of the second outline are numbered after those of the first."""
     sound: bool
     """False where the crossings were too many."""

@@ -16,10 +16,10 @@ from ebamcheck.comparison.outline import outline
 from ebamcheck.comparison.sources import LayerSource
 from ebamcheck.comparison.topology import region, topologies_agree
 from ebamcheck.errors import SettingsError
-from ebamcheck.kernels import run_blocks
-from ebamcheck.layers import Layers
-from ebamcheck.part import Part
-from ebamcheck.rings import EPSILON, Floats
+from ebamcheck.layers.stack import Layers
+from ebamcheck.mesh.part import Part
+from ebamcheck.numeric.kernels import run_blocks
+from ebamcheck.numeric.rings import EPSILON, Floats
 
 SAME_HEIGHT_MM = 1e-6
 """Heights closer than this are the same: finer than any slice file writes them."""

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.kernels import kernel
-from ebamcheck.rings import Floats, Ints
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Floats, Ints
 
 PIECES = 512
 """A contour is cut into at least this many pieces of equal length; along each the distance is taken as

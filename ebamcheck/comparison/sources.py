@@ -10,11 +10,11 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from ebamcheck.layers import Layers
+from ebamcheck.layers.stack import Layers
 
 
 class LayerSource(Protocol):
-    """Anything that gives blocks of one stack: :class:`~ebamcheck.layers.Layers`, or a file of them."""
+    """Anything that gives blocks of one stack: :class:`~ebamcheck.layers.stack.Layers`, or a file of them."""
 
     def __len__(self) -> int:
         """Return the number of layers."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.rings import Floats, Ints
+from ebamcheck.numeric.rings import Floats, Ints
 
 MOST_SEGMENTS = 400
 """Segments looked at, the nearest ones: pairs of them are compared."""

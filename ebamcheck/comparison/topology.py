@@ -11,7 +11,7 @@ from __future__ import annotations
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.layers import Layers
+from ebamcheck.layers.stack import Layers
 
 ARC_SEGMENTS = 4
 """Segments a quarter circle in the offsets: their radius is right to 2 %."""

@@ -8,14 +8,14 @@ from typing import Literal, NamedTuple
 import numpy as np
 import pandas as pd
 
-from ebamcheck import rings
 from ebamcheck.curves.columns import Curves, SampledRings
 from ebamcheck.curves.nearest import boxed, closed_points, nearest, signed_distance
 from ebamcheck.curves.polar import ray_radii
 from ebamcheck.errors import SettingsError
-from ebamcheck.kernels import kernel, run_blocks
-from ebamcheck.layers import Layers
-from ebamcheck.rings import Bools, Floats, Ints
+from ebamcheck.layers.stack import Layers
+from ebamcheck.numeric import rings
+from ebamcheck.numeric.kernels import kernel, run_blocks
+from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 RAYS = 3600
 """Rays a ring: one each tenth of a degree."""

@@ -12,11 +12,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ebamcheck.curves.sagitta import Sagittas
-from ebamcheck.kernels import kernel, run_blocks
-from ebamcheck.layers import Layers
-from ebamcheck.part import Part
-from ebamcheck.rings import Bools, Floats, Ints
-from ebamcheck.topology import Index
+from ebamcheck.layers.stack import Layers
+from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.topology import Index
+from ebamcheck.numeric.kernels import kernel, run_blocks
+from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 UNEVEN = 2.0
 """How much more than that of even curvature a place may move. A move of twice what the surface really leaves the contour

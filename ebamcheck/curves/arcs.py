@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from ebamcheck.kernels import kernel
-from ebamcheck.rings import Floats
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Floats
 
 LARGEST_SPAN_RAD = math.radians(5.0)
 """Sweep of one cubic span of an arc: it leaves the circle by less than 1e-11 of the radius."""

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from ebamcheck.curves.arcs import arc_span_count, arc_spans
 from ebamcheck.curves.splitting import ARC, LINE, SPLINE
-from ebamcheck.kernels import kernel
-from ebamcheck.rings import Floats, Ints
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Floats, Ints
 
 DEGREE = 3
 

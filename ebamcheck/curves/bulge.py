@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from ebamcheck.curves.bezier import fill_spans, span_counts
 from ebamcheck.curves.splitting import LINE
-from ebamcheck.kernels import kernel
-from ebamcheck.rings import Floats, Ints
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Floats, Ints
 
 
 def bulges(

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.kernels import kernel, run_blocks
-from ebamcheck.rings import Bools, Floats, Ints
+from ebamcheck.numeric.kernels import kernel, run_blocks
+from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 RINGS_A_BLOCK = 64
 """Fewest rings worth a thread of their own."""
@@ -38,7 +38,7 @@ def clean(
     Parameters
     ----------
     points, ring_starts, closed
-        Columns of :class:`~ebamcheck.layers.Layers`: (N, 2) mm, (R + 1,), (R,).
+        Columns of :class:`~ebamcheck.layers.stack.Layers`: (N, 2) mm, (R + 1,), (R,).
     near_point_mm, collinear_mm
         Tolerances; 0 leaves out only what repeats or is collinear to rounding.
     """

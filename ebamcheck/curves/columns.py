@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ebamcheck import layers as layer_columns
 from ebamcheck.curves import bezier
 from ebamcheck.curves.arcs import arc_point, arc_through
 from ebamcheck.curves.bezier import BezierSpans
 from ebamcheck.curves.splitting import ARC, LINE
 from ebamcheck.errors import SettingsError
-from ebamcheck.kernels import run_blocks
-from ebamcheck.layers import UP, Layers
-from ebamcheck.rings import Bools, Floats, Ints
+from ebamcheck.layers import stack as layer_columns
+from ebamcheck.layers.stack import UP, Layers
+from ebamcheck.numeric.kernels import run_blocks
+from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 if TYPE_CHECKING:
     from ebamcheck.curves.evidence import Evidence

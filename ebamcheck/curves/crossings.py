@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ebamcheck.curves.columns import Curves
-from ebamcheck.kernels import kernel, run_blocks
-from ebamcheck.rings import Bools, Floats, Ints
+from ebamcheck.numeric.kernels import kernel, run_blocks
+from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 SMALLEST_MM = 1e-6
 """Hulls smaller than this that are not apart touch."""

@@ -12,9 +12,9 @@ from ebamcheck.curves.cleaning import clean
 from ebamcheck.curves.columns import Curves
 from ebamcheck.curves.nearest import boxed, closed_points, nearest
 from ebamcheck.errors import SettingsError
-from ebamcheck.kernels import kernel, run_blocks
-from ebamcheck.layers import Layers
-from ebamcheck.rings import Bools, Floats, Ints
+from ebamcheck.layers.stack import Layers
+from ebamcheck.numeric.kernels import kernel, run_blocks
+from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.curves import CurveSettings
 
 CHORDS_A_SPAN = 8

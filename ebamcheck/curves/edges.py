@@ -10,11 +10,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from ebamcheck.kernels import kernel, run_blocks
-from ebamcheck.layers import Layers
-from ebamcheck.part import Part
-from ebamcheck.rings import Floats, Ints
-from ebamcheck.topology import Index
+from ebamcheck.layers.stack import Layers
+from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.topology import Index
+from ebamcheck.numeric.kernels import kernel, run_blocks
+from ebamcheck.numeric.rings import Floats, Ints
 
 LEAST_SHARE = 0.5
 """Of a stack's points, so many must lie on edges of the part: else they are not its contours, but a raster's."""

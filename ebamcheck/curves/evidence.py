@@ -15,15 +15,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck import rings
 from ebamcheck.curves.allowances import Allowances
 from ebamcheck.curves.bezier import evaluate_bezier
 from ebamcheck.curves.columns import Curves
 from ebamcheck.curves.crossings import crossings
 from ebamcheck.curves.nearest import boxed, closed_points, nearest
-from ebamcheck.kernels import kernel, run_blocks
-from ebamcheck.layers import Layers
-from ebamcheck.rings import Bools, Floats, Ints
+from ebamcheck.layers.stack import Layers
+from ebamcheck.numeric import rings
+from ebamcheck.numeric.kernels import kernel, run_blocks
+from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 CAUSES = ("", "sagitta", "plane", "crossing", "turned", "nesting")
 """Why a ring is not accepted, by number; "" where it is."""

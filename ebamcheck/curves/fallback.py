@@ -16,8 +16,8 @@ from ebamcheck.curves.cleaning import clean
 from ebamcheck.curves.columns import Curves
 from ebamcheck.curves.evidence import CROSSING, Evidence, evidence
 from ebamcheck.curves.splitting import LINE
-from ebamcheck.layers import Layers
-from ebamcheck.rings import Bools, Ints
+from ebamcheck.layers.stack import Layers
+from ebamcheck.numeric.rings import Bools, Ints
 
 METHODS = ("", "chord", "polyline")
 """What a ring is fitted by after so many falls; "" is the method asked for."""

@@ -8,7 +8,6 @@ from typing import Any, Protocol
 import numpy as np
 
 from ebamcheck.backend import Progress
-from ebamcheck.config import Config
 from ebamcheck.curves.allowances import Allowances, Allowing
 from ebamcheck.curves.bulge import bulges
 from ebamcheck.curves.cleaning import clean
@@ -18,15 +17,16 @@ from ebamcheck.curves.evidence import joined
 from ebamcheck.curves.fallback import with_fallback
 from ebamcheck.curves.interpolation import CENTRIPETAL, CHORD_LENGTH, interpolate
 from ebamcheck.curves.lifting import Lifting, as_they_are
+from ebamcheck.curves.oriented_contours import Strands, strands
 from ebamcheck.curves.reduction import reduced_segments, smooth_segments
 from ebamcheck.curves.sagitta import sagittas
 from ebamcheck.curves.segments import Segments, pieces_of
 from ebamcheck.curves.splitting import LINE, split
-from ebamcheck.curves.strands import Strands, strands
 from ebamcheck.curves.vertex_normals import surface_normals
 from ebamcheck.errors import GeometryError, SettingsError
-from ebamcheck.layers import Layers
-from ebamcheck.part import Part
+from ebamcheck.layers.stack import Layers
+from ebamcheck.mesh.part import Part
+from ebamcheck.settings.config import Config
 from ebamcheck.settings.curves import CurveSettings
 
 LAYERS_A_STEP = 256

@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.kernels import kernel
-from ebamcheck.rings import Bools, Floats
-from ebamcheck.topology import NO_TWIN, Index
+from ebamcheck.mesh.topology import NO_TWIN, Index
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Bools, Floats
 
 ROUNDING = 2.0**-22
 """Distance from a plane, over the coordinates across it, that 32-bit coordinates leave of none: two of their steps."""

@@ -21,8 +21,8 @@ from __future__ import annotations
 import numpy as np
 
 from ebamcheck.curves.splitting import LINE, Runs
-from ebamcheck.kernels import kernel, run_blocks
-from ebamcheck.rings import Floats, Ints
+from ebamcheck.numeric.kernels import kernel, run_blocks
+from ebamcheck.numeric.rings import Floats, Ints
 
 DEGREE = 3
 

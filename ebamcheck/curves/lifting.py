@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 
 from ebamcheck.curves.regions import FREEFORM, PLANE, STRIP
 from ebamcheck.curves.vertex_normals import SurfaceNormals, corners_of_vertices
-from ebamcheck.kernels import kernel, run_blocks
-from ebamcheck.layers import Layers
-from ebamcheck.part import Part
-from ebamcheck.rings import Bools, Floats, Ints
-from ebamcheck.topology import Index
+from ebamcheck.layers.stack import Layers
+from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.topology import Index
+from ebamcheck.numeric.kernels import kernel, run_blocks
+from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 MOST_STEPS = 60
 """Steps towards the place of a layer on a curved edge; as many halvings bring it to rounding."""

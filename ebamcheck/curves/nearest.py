@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.kernels import kernel
-from ebamcheck.rings import Floats, Ints
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Floats, Ints
 
 MOST_LEVELS = 64
 """Depth of the largest tree that memory could hold, and so the most nodes a search has waiting."""

@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike
 
 from ebamcheck.curves.nearest import closed_points
 from ebamcheck.errors import SettingsError
-from ebamcheck.kernels import kernel
-from ebamcheck.rings import Floats
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Floats
 
 NEARLY_HALF_TURN_RAD = 3.1
 """A segment that spans more than this passes so near to the centre that every ray is tried on it."""

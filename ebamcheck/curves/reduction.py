@@ -11,11 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ebamcheck.curves.oriented_contours import Strands
 from ebamcheck.curves.segments import Segments, set_cubic
 from ebamcheck.curves.splitting import ARC, LINE, SPLINE
-from ebamcheck.curves.strands import Strands
-from ebamcheck.kernels import kernel, run_blocks
-from ebamcheck.rings import Bools, Floats, Ints
+from ebamcheck.numeric.kernels import kernel, run_blocks
+from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 SHARE_OF_BULGE = 0.1
 """Of the greatest distance of a ring's smooth curve from its chords, this may be given away in reducing it: the

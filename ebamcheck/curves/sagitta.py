@@ -18,10 +18,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ebamcheck.curves.ways_ahead import Surface, Way, along_crease, dot, no_way, norm, walk
-from ebamcheck.kernels import kernel, run_blocks
-from ebamcheck.part import Part
-from ebamcheck.rings import Bools, Floats
-from ebamcheck.topology import NO_TWIN, Index, edge_groups, split_corners, twins
+from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.topology import NO_TWIN, Index, edge_groups, split_corners, twins
+from ebamcheck.numeric.kernels import kernel, run_blocks
+from ebamcheck.numeric.rings import Bools, Floats
 
 WIDTH_RATIO = 3.0
 """A chord this many times longer than its neighbour is a flat side beside a rounding; see `curves.straight_run_mm`. A chord

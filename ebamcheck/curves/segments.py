@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.curves.splitting import ARC, LINE, SPLINE
-from ebamcheck.kernels import kernel
-from ebamcheck.rings import Bools, Floats, Ints
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 DEGREE = 3
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.curves.cleaning import RINGS_A_BLOCK, CleanRings
-from ebamcheck.kernels import kernel, run_blocks
-from ebamcheck.rings import Bools, Floats, Ints
+from ebamcheck.numeric.kernels import kernel, run_blocks
+from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 LINE, SPLINE, ARC = 0, 1, 2
 """Kinds of piece: a polyline of its control points, a cubic B-spline, a circular arc by three of its points."""

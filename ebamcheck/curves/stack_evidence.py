@@ -14,11 +14,11 @@ import numpy as np
 
 from ebamcheck.curves.columns import Curves
 from ebamcheck.curves.evidence import Evidence, ring_areas
-from ebamcheck.kernels import kernel
-from ebamcheck.layers import Layers
-from ebamcheck.part import Part
-from ebamcheck.rings import Floats
-from ebamcheck.topology import Index
+from ebamcheck.layers.stack import Layers
+from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.topology import Index
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Floats
 
 VOLUME_ROUNDING = 1e-9
 """Share of a volume that is rounding of its sum."""

@@ -31,7 +31,7 @@ from ebamcheck.atomic_file import replacing
 from ebamcheck.curves.columns import Curves
 from ebamcheck.curves.splitting import ARC, LINE, SPLINE
 from ebamcheck.errors import InputError
-from ebamcheck.rings import Ints
+from ebamcheck.numeric.rings import Ints
 
 VERSION = "1"
 """Version of the table; a reader refuses any other."""

@@ -17,11 +17,11 @@ from ebamcheck.curves.flat_sides import flat_sides, keep_flat
 from ebamcheck.curves.regions import FREEFORM, PLANE, find_regions
 from ebamcheck.curves.regions.noise import rough_rows
 from ebamcheck.curves.regions.normals import region_normals
-from ebamcheck.kernels import kernel
-from ebamcheck.part import Part
-from ebamcheck.rings import Bools, Floats
+from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.topology import NO_TWIN, Index, edge_groups, split_corners, twins
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Bools, Floats
 from ebamcheck.settings.curves import CurveSettings
-from ebamcheck.topology import NO_TWIN, Index, edge_groups, split_corners, twins
 
 COEFFICIENTS = 5
 """Of a quadric through the vertex: two slopes and three curvatures."""

@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.kernels import kernel
-from ebamcheck.rings import Bools, Floats, Ints
-from ebamcheck.topology import Index
+from ebamcheck.mesh.topology import Index
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 MOST_STEPS = 24
 """Facets that are crossed beyond an end of an edge: flat ones count as one chord, however many they are."""

@@ -6,11 +6,11 @@ outline (:mod:`~ebamcheck.heat.modes`, or :mod:`~ebamcheck.heat.rectangle` in cl
 (:mod:`~ebamcheck.heat.model`).
 """
 
-from ebamcheck.heat.carry import carried
 from ebamcheck.heat.depth import DepthModes, depth_modes
 from ebamcheck.heat.medium import Medium
 from ebamcheck.heat.model import HeatModel
 from ebamcheck.heat.modes import ContourModes, contour_modes
+from ebamcheck.heat.projection import carried
 from ebamcheck.heat.rectangle import RectangleModes, rectangle_modes
 
 __all__ = [

@@ -27,12 +27,12 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.config import Config
 from ebamcheck.heat.enthalpy import HOTTEST_K, EnthalpyTables, enthalpy_tables
 from ebamcheck.heat.marching import march
 from ebamcheck.heat.medium import STEFAN_BOLTZMANN_W_M2K4
-from ebamcheck.kernels import kernel
-from ebamcheck.rings import Floats, Ints
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.settings.config import Config
 
 LARGEST_CELL_MM = 2.5
 """Cells of the column at most: heat spreads over 20 times as much while a layer of a minute is laid."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ebamcheck.rings import Floats
+from ebamcheck.numeric.rings import Floats
 
 HALVINGS = 60
 """Bisections of an interval of pi/2: enough for the last bit of a double."""

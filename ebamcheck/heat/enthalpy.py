@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ebamcheck.config import Config
-from ebamcheck.rings import Floats
+from ebamcheck.numeric.rings import Floats
+from ebamcheck.settings.config import Config
 
 HOTTEST_K = 6000.0
 """End of the tables: beyond any melt. Evaporation is not modelled, so that a melt may pass the boiling point."""

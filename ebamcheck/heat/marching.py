@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from ebamcheck.kernels import kernel
-from ebamcheck.rings import Floats
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Floats
 
 NEWTON_STEPS, NEWTON_J_MM3 = 60, 1e-6
 """Iterations of a time step at most, and the change of the heat content (0.3 mK) at which it has converged."""

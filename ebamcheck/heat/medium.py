@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ebamcheck.config import Config
+from ebamcheck.settings.config import Config
 
 STEFAN_BOLTZMANN_W_M2K4 = 5.670374419e-8
 """Radiation of a black body over T^4 (CODATA 2018)."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ebamcheck.config import Config
 from ebamcheck.heat.enthalpy import enthalpy_tables
+from ebamcheck.settings.config import Config
 
 
 def melting_heat_j_kg(profile: Config) -> float:

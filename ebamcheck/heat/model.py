@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from ebamcheck.heat.depth import DepthModes
 from ebamcheck.heat.medium import Medium
 from ebamcheck.heat.rectangle import RectangleModes
-from ebamcheck.rings import Floats
+from ebamcheck.numeric.rings import Floats
 
 SERIES = 1e-4
 """Exponents under this are taken as power series, which is exact to the last digits there."""

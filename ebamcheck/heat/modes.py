@@ -19,8 +19,8 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.errors import GeometryError
 from ebamcheck.heat.one_blas_thread import one_blas_thread
 from ebamcheck.heat.section_grid import SectionGrid, section_grid
-from ebamcheck.layers import valid_polygons
-from ebamcheck.rings import Floats, Ints
+from ebamcheck.layers.stack import valid_polygons
+from ebamcheck.numeric.rings import Floats, Ints
 
 CELLS_PER_WAVE = 6.0
 """Cells in the shortest wavelength. Uncorrected, its rate would be up to 9 % low ((k h)^2 / 12)."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ebamcheck.rings import Floats
+from ebamcheck.numeric.rings import Floats
 
 
 @dataclass(frozen=True, eq=False)

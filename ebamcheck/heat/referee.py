@@ -14,13 +14,13 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.config import Config
 from ebamcheck.errors import GeometryError
 from ebamcheck.heat.enthalpy import EnthalpyTables, enthalpy_tables
 from ebamcheck.heat.medium import STEFAN_BOLTZMANN_W_M2K4
 from ebamcheck.heat.section_grid import islands_in_cells, oriented_rings
-from ebamcheck.kernels import kernel
-from ebamcheck.rings import Bools, Floats, Ints
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.settings.config import Config
 
 STABLE = 0.9
 """Share of the longest stable time step that is taken."""

@@ -15,8 +15,8 @@ import shapely
 from numpy.typing import NDArray
 from scipy import sparse
 
-from ebamcheck.kernels import kernel
-from ebamcheck.rings import Floats, Ints
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Floats, Ints
 
 LEAST_SHARE = 1e-6
 """Cells and faces with less than this share of themselves in the section are left out: rounding, for heat."""

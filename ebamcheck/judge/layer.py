@@ -24,18 +24,18 @@ from numpy.typing import NDArray
 from scipy.stats import kendalltau, spearmanr
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.config import Config
 from ebamcheck.curves import Curves
 from ebamcheck.errors import NothingCompared, SettingsError
 from ebamcheck.judge.thesis import rises_k
+from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.program.files import ProgramFiles
-from ebamcheck.program.heat_paths import HeatPath, heat_path, write_thesis
-from ebamcheck.program.inputs import CurveColumns, deposition_heights
-from ebamcheck.program.thesis_case import Mirrors, physics, readings
-from ebamcheck.rings import Floats, Ints
-from ebamcheck.scan.driving import entry_temperatures
-from ebamcheck.scan.island_heat import island_heat
-from ebamcheck.scan.plan import ScanPlan
+from ebamcheck.program.simulators.heat_paths import HeatPath, heat_path, write_thesis
+from ebamcheck.program.simulators.thesis_case import Mirrors, physics, readings
+from ebamcheck.program.toolpath.inputs import CurveColumns, deposition_heights
+from ebamcheck.scan.heat.island_heat import island_heat
+from ebamcheck.scan.order.simulation import entry_temperatures
+from ebamcheck.scan.plan.columns import ScanPlan
+from ebamcheck.settings.config import Config
 
 BEADS = ("islands", "all")
 """Beads that heat: those of the islands, which are what our model of the islands counts, or those along the contour, too."""

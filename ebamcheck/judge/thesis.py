@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ebamcheck.config import Config
-from ebamcheck.outside_program import Program, working_folder
-from ebamcheck.program.heat_paths import HeatPath, fill_case, write_thesis
-from ebamcheck.program.thesis_case import INPUT, Mirrors, physics, readings, snapshot
-from ebamcheck.rings import Floats, Ints
+from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.program.simulators.heat_paths import HeatPath, fill_case, write_thesis
+from ebamcheck.program.simulators.thesis_case import INPUT, Mirrors, physics, readings, snapshot
+from ebamcheck.settings.config import Config
+from ebamcheck.slicers.outside.programs import Program, working_folder
 
 TIMES_A_RUN = 16
 """Moments that one run of 3DThesis is asked for. It takes all places at all moments, of which only each island's own are

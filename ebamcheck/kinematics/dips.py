@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from ebamcheck.kernels import kernel
 from ebamcheck.kinematics.ramps import ramp_at, ramp_length, ramp_time, time_to
-from ebamcheck.rings import Bools, Floats, Ints
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 START, DIP, END = range(3)
 """Sorts of slow stretches: from the start of a run, within it, and to its end. A run that is slow throughout is

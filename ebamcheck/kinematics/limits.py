@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ebamcheck.config import Config
 from ebamcheck.kinematics.path import DrivenPath
-from ebamcheck.rings import Bools, Floats, Ints
+from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import KinematicsSettings, MachineSettings
 
 PLACES = 5

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ebamcheck.kernels import kernel
 from ebamcheck.kinematics.ramps import peak, ramp_length, ramp_time, reach
-from ebamcheck.rings import Bools, Floats
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Bools, Floats
 
 
 @kernel

@@ -7,12 +7,12 @@ from functools import cached_property
 
 import numpy as np
 
-from ebamcheck.config import Config
 from ebamcheck.errors import SettingsError
-from ebamcheck.layers import Layers
+from ebamcheck.layers.stack import Layers
+from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program import NCProgram
-from ebamcheck.program.motions import ARC, RAPID, STRAIGHT
-from ebamcheck.rings import Bools, Floats, Ints
+from ebamcheck.program.reading.motions import ARC, RAPID, STRAIGHT
+from ebamcheck.settings.config import Config
 
 SWITCHES = ("beam_on", "beam_off", "wire_start", "wire_stop")
 """Events at which the axes stand still: the control waits for the switch."""

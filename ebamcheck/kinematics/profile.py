@@ -9,16 +9,16 @@ from functools import cached_property
 import numpy as np
 import pandas as pd
 
-from ebamcheck.config import Config
-from ebamcheck.heights import PARABOLA
 from ebamcheck.kinematics.dips import dip_table, slow_stretches
 from ebamcheck.kinematics.limits import Cells, cells_of
 from ebamcheck.kinematics.look_ahead import look_ahead
 from ebamcheck.kinematics.path import DrivenPath, polyline_path, program_path
 from ebamcheck.kinematics.ramps import speeds_along
-from ebamcheck.layers import Layers
+from ebamcheck.layers.heights import PARABOLA
+from ebamcheck.layers.stack import Layers
+from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.program import NCProgram
-from ebamcheck.rings import Floats, Ints
+from ebamcheck.settings.config import Config
 
 
 @dataclass(frozen=True, eq=False)

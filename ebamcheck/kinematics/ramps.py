@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ebamcheck.kernels import kernel
-from ebamcheck.rings import Floats
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Floats
 
 HALVINGS = 60
 """Bisections of a speed: beyond the precision of its bits."""

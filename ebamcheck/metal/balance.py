@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ebamcheck.kernels import kernel
 from ebamcheck.metal.footprints import Footprints
-from ebamcheck.rings import Floats, Ints
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Floats, Ints
 
 MOST_RIM = 1.15
 """Factor by which all widths of a layer are changed at most so that the sum of the metal is right."""

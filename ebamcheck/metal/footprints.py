@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ebamcheck.kernels import kernel
-from ebamcheck.rings import Floats, Ints
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Floats, Ints
 
 
 @dataclass(frozen=True, eq=False)

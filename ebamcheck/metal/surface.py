@@ -11,7 +11,7 @@ import numpy as np
 from scipy import ndimage
 
 from ebamcheck.metal.target import REACHED, Target, cell_mm
-from ebamcheck.rings import Bools, Floats
+from ebamcheck.numeric.rings import Bools, Floats
 
 LEVELLED_BEADS = 0.5
 """Standard deviation, over the bead width, of the Gaussian that levels: that of a disc of one bead width's radius."""

@@ -9,8 +9,8 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.heat.section_grid import cell_shares, oriented_rings
-from ebamcheck.layers import valid_polygons
-from ebamcheck.rings import Floats
+from ebamcheck.layers.stack import valid_polygons
+from ebamcheck.numeric.rings import Floats
 
 CELLS_PER_BEAD = 6
 """Cells across a bead: a third of the half bead that a height field has to resolve."""

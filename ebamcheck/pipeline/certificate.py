@@ -12,12 +12,20 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ebamcheck.config import Config, validated
 from ebamcheck.errors import InputError, SettingsError
+from ebamcheck.pipeline.run_folder import (
+    MANIFEST,
+    RunFolder,
+    json_text,
+    plain,
+    sha256_of_file,
+    sha256_of_json,
+    write_json,
+)
 from ebamcheck.pipeline.signing import SIGNATURES
 from ebamcheck.pipeline.statement import statement
 from ebamcheck.pipeline.toolchain import software
-from ebamcheck.store import MANIFEST, RunFolder, json_text, plain, sha256_of_file, sha256_of_json, write_json
+from ebamcheck.settings.config import Config, validated
 
 CERTIFICATE = "certificate.json"
 CERTIFICATE_FORMAT = 2

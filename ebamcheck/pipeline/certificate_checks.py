@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ebamcheck.config import Config
 from ebamcheck.errors import InputError
 from ebamcheck.pipeline.certificate import (
     CERTIFICATE,
@@ -17,9 +16,10 @@ from ebamcheck.pipeline.certificate import (
     profile_sha256,
     read_certificate,
 )
+from ebamcheck.pipeline.run_folder import RunFolder, plain, sha256_of_file, sha256_of_json
 from ebamcheck.pipeline.signing import signature_check
 from ebamcheck.program import Check
-from ebamcheck.store import RunFolder, plain, sha256_of_file, sha256_of_json
+from ebamcheck.settings.config import Config
 
 OF_PEOPLE = ("release", "files", "seal", "software")
 """Fields that do not follow from the record of the run."""

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from ebamcheck import registry
 from ebamcheck.backend import BackendSettings, Probe
-from ebamcheck.config import Config
 from ebamcheck.errors import BackendMissing, SettingsError
-from ebamcheck.isolate import Outcome
+from ebamcheck.plugins import registry
+from ebamcheck.settings.config import Config
+from ebamcheck.slicers.isolation import Outcome
 
 ALL = "all"
 """Word for every installed witness."""

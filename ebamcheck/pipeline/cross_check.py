@@ -10,14 +10,14 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from ebamcheck import registry
 from ebamcheck.backend import BackendSettings
 from ebamcheck.comparison import Comparison, compare_all
-from ebamcheck.heights import layer_blocks
-from ebamcheck.isolate import Limits, Outcome, slice_all
-from ebamcheck.layer_files import LayerFile
+from ebamcheck.layers.files import LayerFile
+from ebamcheck.layers.heights import layer_blocks
 from ebamcheck.pipeline.noticed import lost
 from ebamcheck.pipeline.work import Job
+from ebamcheck.plugins import registry
+from ebamcheck.slicers.isolation import Limits, Outcome, slice_all
 
 
 @dataclass(frozen=True)

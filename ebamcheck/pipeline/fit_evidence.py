@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from ebamcheck.config import Config
 from ebamcheck.curves import LIFTED, Curves, fit_deviation
 from ebamcheck.curves.accuracy import CURVE_TOLERANCE_MM
 from ebamcheck.curves.evidence import CAUSES, Evidence
 from ebamcheck.curves.fallback import METHODS, POLYLINE
 from ebamcheck.curves.stack_evidence import StackEvidence, stack_evidence
 from ebamcheck.findings import Finding
-from ebamcheck.layers import Layers
-from ebamcheck.part import Part
+from ebamcheck.layers.stack import Layers
+from ebamcheck.mesh.part import Part
+from ebamcheck.settings.config import Config
 
 WHY: Mapping[str, str] = {
     "sagitta": "the mesh does not speak for so much",

@@ -10,17 +10,17 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from ebamcheck import layer_files
 from ebamcheck.curves import METHODS, Curves, contour_error, error_reduction, fit, fit_deviation
 from ebamcheck.curves.edges import with_edges
 from ebamcheck.curves.fallback import METHODS as FALLBACKS
-from ebamcheck.layers import Layers
-from ebamcheck.part import Part
+from ebamcheck.layers import files as layer_files
+from ebamcheck.layers.stack import Layers
+from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline import fit_evidence
 from ebamcheck.pipeline.fit_evidence import FitVerdict
 from ebamcheck.pipeline.work import Job
 from ebamcheck.settings.curves import CurveSettings
-from ebamcheck.slicing import slice_part
+from ebamcheck.slicers.slicing import slice_part
 
 
 def fitted(

@@ -13,17 +13,17 @@ from ebamcheck.comparison import Comparison
 from ebamcheck.comparison import Finding as Disagreement
 from ebamcheck.comparison.doubt import doubted_layers
 from ebamcheck.comparison.findings import worst_of
-from ebamcheck.config import Config
 from ebamcheck.errors import ExitCode
 from ebamcheck.heat.melting import entry_limit_k
-from ebamcheck.inspection import Inspection
-from ebamcheck.isolate import Outcome
+from ebamcheck.mesh.inspection import Inspection
 from ebamcheck.pipeline.fit_evidence import FitVerdict, gate_text
 from ebamcheck.program import Check
-from ebamcheck.program.deposit_checks import DEPOSIT_CHECKS, of_deposit
-from ebamcheck.program.inputs import deposition_heights
-from ebamcheck.program.interpass_checks import INTERPASS, MELTING, within_range
-from ebamcheck.program.remedies import frames
+from ebamcheck.program.checking.deposit_checks import DEPOSIT_CHECKS, of_deposit
+from ebamcheck.program.checking.interpass_checks import INTERPASS, MELTING, within_range
+from ebamcheck.program.checking.remedies import frames
+from ebamcheck.program.toolpath.inputs import deposition_heights
+from ebamcheck.settings.config import Config
+from ebamcheck.slicers.isolation import Outcome
 
 
 @dataclass(frozen=True)

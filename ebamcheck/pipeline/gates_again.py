@@ -15,29 +15,29 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from ebamcheck import registry
 from ebamcheck.comparison import compare_all
 from ebamcheck.comparison.sources import LayerSource
-from ebamcheck.config import Config
 from ebamcheck.curves import LIFTED, Curves, fit
 from ebamcheck.findings import Finding, from_record, has_fault
-from ebamcheck.inspection import inspect
-from ebamcheck.isolate import Outcome
-from ebamcheck.layer_files import LayerFile
-from ebamcheck.layers import Layers
-from ebamcheck.part import Part
+from ebamcheck.layers.files import LayerFile
+from ebamcheck.layers.stack import Layers
+from ebamcheck.mesh.inspection import inspect
+from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline import gates, noticed
 from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.fit_evidence import FitVerdict, judged
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.placement import cut_heights
-from ebamcheck.process_window import outside_window, unusual_layers
+from ebamcheck.pipeline.run_folder import RunFolder, plain, sha256_of_json
+from ebamcheck.plugins import registry
 from ebamcheck.program import Check, verify_file
-from ebamcheck.program.deposit_checks import of_deposit
-from ebamcheck.program.header_checks import Truth
+from ebamcheck.program.checking.deposit_checks import of_deposit
+from ebamcheck.program.checking.header_checks import Truth
 from ebamcheck.scan import ScanPlan
-from ebamcheck.slicing import slice_part
-from ebamcheck.store import RunFolder, plain, sha256_of_json
+from ebamcheck.settings.config import Config
+from ebamcheck.settings.process_window import outside_window, unusual_layers
+from ebamcheck.slicers.isolation import Outcome
+from ebamcheck.slicers.slicing import slice_part
 
 SMOOTH_MM = 0.002
 """Chords of the smooth sections: far under the tolerance of the fit."""

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ebamcheck import __version__, inspection, mesh_files, registry
+from ebamcheck import __version__
 from ebamcheck.backend import BackendSettings
-from ebamcheck.config import Config
 from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.findings import has_fault
+from ebamcheck.mesh import files as mesh_files
+from ebamcheck.mesh import inspection
 from ebamcheck.pipeline import gates, noticed
 from ebamcheck.pipeline.certificate import write_certificate
 from ebamcheck.pipeline.choice import chosen_backends, primary_backend, unavailable_backends
@@ -20,12 +21,21 @@ from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.placement import cut_heights, placed_part
 from ebamcheck.pipeline.programming import make_program
 from ebamcheck.pipeline.record import manifest as make_manifest
+from ebamcheck.pipeline.run_folder import (
+    FINGERPRINT,
+    MANIFEST,
+    RunFolder,
+    sha256_of_json,
+    start_run,
+    write_json,
+)
 from ebamcheck.pipeline.work import Job, Observer, Silent
-from ebamcheck.process_window import checked_window, outside_window, unusual_layers
-from ebamcheck.program.dialects import TEXT_CONTROLS
-from ebamcheck.program.heat_paths import PATH_FILES
-from ebamcheck.program.templates import usable_templates
-from ebamcheck.store import FINGERPRINT, MANIFEST, RunFolder, sha256_of_json, start_run, write_json
+from ebamcheck.plugins import registry
+from ebamcheck.program.language.dialects import TEXT_CONTROLS
+from ebamcheck.program.language.templates import usable_templates
+from ebamcheck.program.simulators.heat_paths import PATH_FILES
+from ebamcheck.settings.config import Config
+from ebamcheck.settings.process_window import checked_window, outside_window, unusual_layers
 
 
 @dataclass(frozen=True)

@@ -10,20 +10,20 @@ import numpy as np
 import pandas as pd
 
 from ebamcheck.comparison.doubt import doubted_layers
-from ebamcheck.config import Config
 from ebamcheck.findings import Finding, at_layer
 from ebamcheck.heat.melting import entry_limit_k
-from ebamcheck.inspection import Inspection
-from ebamcheck.isolate import Outcome
+from ebamcheck.mesh.inspection import Inspection
+from ebamcheck.numeric.rings import Floats
 from ebamcheck.program import Check
-from ebamcheck.program.dialects import STOCK
-from ebamcheck.program.inputs import deposition_heights
-from ebamcheck.program.interpass_checks import INTERPASS, within_range
-from ebamcheck.program.motions import NCProgram
-from ebamcheck.program.seam_corners import seam_turns
-from ebamcheck.rings import Floats
+from ebamcheck.program.checking.interpass_checks import INTERPASS, within_range
+from ebamcheck.program.checking.seam_corners import seam_turns
+from ebamcheck.program.language.dialects import STOCK
+from ebamcheck.program.reading.motions import NCProgram
+from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.scan import ScanPlan
+from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import MachineSettings
+from ebamcheck.slicers.isolation import Outcome
 
 FEW_BEADS = 3.0
 """A part of fewer beads than this in its greatest extent is no part of this process, or its unit is another."""

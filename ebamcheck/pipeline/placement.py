@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ebamcheck import inspection, mesh_files
-from ebamcheck.config import Config
 from ebamcheck.errors import SettingsError
-from ebamcheck.heights import checked_heights, is_rising, layer_heights
-from ebamcheck.part import Part
-from ebamcheck.rings import Floats
+from ebamcheck.layers.heights import checked_heights, is_rising, layer_heights
+from ebamcheck.mesh import files as mesh_files
+from ebamcheck.mesh import inspection
+from ebamcheck.mesh.part import Part
+from ebamcheck.numeric.rings import Floats
+from ebamcheck.settings.config import Config
 
 
 def placed_part(path: str | Path, config: Config) -> tuple[Part, int, int]:

@@ -8,32 +8,32 @@ from dataclasses import asdict
 
 import numpy as np
 
-from ebamcheck import registry
-from ebamcheck.config import Config
 from ebamcheck.curves import LIFTED, Curves, fit
 from ebamcheck.findings import has_fault
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.kinematics import side_by_side
-from ebamcheck.layers import Layers, from_polygons
-from ebamcheck.part import Part
+from ebamcheck.layers.stack import Layers, from_polygons
+from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline import gates, noticed
 from ebamcheck.pipeline.cross_check import CrossCheck
 from ebamcheck.pipeline.fitted import fitted
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.work import Job
+from ebamcheck.plugins import registry
 from ebamcheck.program import Check, mark_validated, program_summary, read_program, verify_program
-from ebamcheck.program.bead_ends import planned_path
-from ebamcheck.program.deposit import deposit
-from ebamcheck.program.deposit_checks import deposit_checks
-from ebamcheck.program.events import event_totals, process_events
-from ebamcheck.program.inputs import deposition_heights
-from ebamcheck.program.matching import matched
-from ebamcheck.program.metal_field import FIELD_FILE, write_field
-from ebamcheck.program.motions import NCProgram
-from ebamcheck.program.remedies import told
-from ebamcheck.program.text_heat import build_times_s, known_sections
-from ebamcheck.program.toolpath import Toolpath
+from ebamcheck.program.checking.deposit import deposit
+from ebamcheck.program.checking.deposit_checks import deposit_checks
+from ebamcheck.program.checking.matching import matched
+from ebamcheck.program.checking.metal_field import FIELD_FILE, write_field
+from ebamcheck.program.checking.remedies import told
+from ebamcheck.program.checking.text_heat import build_times_s, known_sections
+from ebamcheck.program.reading.motions import NCProgram
+from ebamcheck.program.toolpath.bead_ends import planned_path
+from ebamcheck.program.toolpath.events import event_totals, process_events
+from ebamcheck.program.toolpath.inputs import deposition_heights
+from ebamcheck.program.toolpath.tracks import Toolpath
 from ebamcheck.scan import ScanPlan, plan_stack
+from ebamcheck.settings.config import Config
 
 SAMPLING_MM = 0.002
 """Beads are planned inside of polylines this near to the fitted curves: a tenth of the fit's tolerance."""

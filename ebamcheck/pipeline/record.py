@@ -12,16 +12,23 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from ebamcheck import __version__, registry
+from ebamcheck import __version__
 from ebamcheck.comparison import Comparison
 from ebamcheck.errors import ExitCode
 from ebamcheck.findings import records
-from ebamcheck.isolate import Outcome
-from ebamcheck.layer_files import LayerFile
+from ebamcheck.layers.files import LayerFile
 from ebamcheck.pipeline.gates import Gate
+from ebamcheck.pipeline.run_folder import (
+    FINGERPRINT,
+    FORMAT_VERSION,
+    MANIFEST,
+    sha256_of_file,
+    sha256_of_json,
+)
 from ebamcheck.pipeline.work import Job
-from ebamcheck.program.inputs import deposition_heights
-from ebamcheck.store import FINGERPRINT, FORMAT_VERSION, MANIFEST, sha256_of_file, sha256_of_json
+from ebamcheck.plugins import registry
+from ebamcheck.program.toolpath.inputs import deposition_heights
+from ebamcheck.slicers.isolation import Outcome
 
 
 def manifest(

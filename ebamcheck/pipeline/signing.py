@@ -24,8 +24,8 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
 from ebamcheck.errors import InputError, SettingsError
+from ebamcheck.pipeline.run_folder import write_json
 from ebamcheck.program import Check
-from ebamcheck.store import write_json
 
 SIGNATURES = "signatures"
 """Folder of the signatures, beside the certificate."""

@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ebamcheck.config import Config, validated
 from ebamcheck.curves import LIFTED, Curves, fit
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
-from ebamcheck.inspection import inspect
-from ebamcheck.layers import Layers
-from ebamcheck.part import Part
+from ebamcheck.layers.stack import Layers
+from ebamcheck.mesh.inspection import inspect
+from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline.certificate import find_certificate, find_record, read_certificate
 from ebamcheck.pipeline.certificate_checks import (
     certificate_checks,
@@ -24,12 +23,13 @@ from ebamcheck.pipeline.certificate_checks import (
 from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.gates_again import SMOOTH_MM, compared, truth_of, work_again
 from ebamcheck.pipeline.placement import cut_heights, placed_part
+from ebamcheck.pipeline.run_folder import MANIFEST, RunFolder, sha256_of_json
 from ebamcheck.pipeline.signing import trusted_keys
 from ebamcheck.program import Check, verify_file
-from ebamcheck.program.header_checks import Truth
+from ebamcheck.program.checking.header_checks import Truth
 from ebamcheck.scan import ScanPlan
-from ebamcheck.slicing import slice_part
-from ebamcheck.store import MANIFEST, RunFolder, sha256_of_json
+from ebamcheck.settings.config import Config, validated
+from ebamcheck.slicers.slicing import slice_part
 
 
 def verify(

@@ -8,12 +8,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from ebamcheck.config import Config
 from ebamcheck.findings import Finding
-from ebamcheck.inspection import Inspection
-from ebamcheck.part import Part
-from ebamcheck.rings import Floats
-from ebamcheck.store import RunInProgress
+from ebamcheck.mesh.inspection import Inspection
+from ebamcheck.mesh.part import Part
+from ebamcheck.numeric.rings import Floats
+from ebamcheck.pipeline.run_folder import RunInProgress
+from ebamcheck.settings.config import Config
 
 
 class Observer(Protocol):

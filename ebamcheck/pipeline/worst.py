@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ebamcheck.findings import in_words
-from ebamcheck.program.remedies import frames
+from ebamcheck.program.checking.remedies import frames
 
 
 def worst_line(manifest: Mapping[str, Any]) -> str:

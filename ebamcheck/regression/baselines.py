@@ -13,8 +13,8 @@ from typing import Any, Literal
 
 from ebamcheck.atomic_file import replacing
 from ebamcheck.errors import InputError
+from ebamcheck.pipeline.run_folder import plain
 from ebamcheck.regression.measurement import MEASURED, REFUSED, Measured
-from ebamcheck.store import plain
 
 FORMAT_VERSION = 1
 

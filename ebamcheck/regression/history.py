@@ -15,9 +15,9 @@ from pathlib import Path
 
 from ebamcheck import __version__
 from ebamcheck.errors import InputError
+from ebamcheck.pipeline.run_folder import sha256_of_json
 from ebamcheck.regression.baselines import Key
 from ebamcheck.regression.job import Regression
-from ebamcheck.store import sha256_of_json
 
 HISTORY = "history.sqlite"
 

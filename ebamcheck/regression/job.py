@@ -10,11 +10,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from ebamcheck import __version__, registry
+from ebamcheck import __version__
 from ebamcheck.errors import BackendMissing, ExitCode, SettingsError
-from ebamcheck.isolate import Limits, Outcome, slice_all
-from ebamcheck.model import models as installed_models
-from ebamcheck.regression.baselines import (
+from ebamcheck.plugins import registry
+from ebamcheck.plugins.model import models as installed_models
+from ebamcheck.regression.baselines import (  # fmt: skip
     FORMAT_VERSION,
     STORED,
     Entry,
@@ -22,11 +22,12 @@ from ebamcheck.regression.baselines import (
     UpdateMode,
     read_baselines,
     write_baselines,
-)  # fmt: skip
+)
 from ebamcheck.regression.difference import Difference, differences
 from ebamcheck.regression.matrix import Case, Matrix, Subject, chosen_models, read_matrix, rounds
 from ebamcheck.regression.measurement import Truth, measure_outcome, truth_of
 from ebamcheck.regression.settings import Tolerances
+from ebamcheck.slicers.isolation import Limits, Outcome, slice_all
 
 CHECKOUT_BASELINES = Path("reports", "baselines")
 

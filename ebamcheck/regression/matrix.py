@@ -12,13 +12,13 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from ebamcheck import registry
 from ebamcheck.backend import BackendSettings
 from ebamcheck.errors import SettingsError
-from ebamcheck.model import Model, models
+from ebamcheck.pipeline.run_folder import sha256_of_json
+from ebamcheck.plugins import registry
+from ebamcheck.plugins.model import Model, models
 from ebamcheck.regression.settings import checked, read_toml
 from ebamcheck.settings.base import Positive, Section
-from ebamcheck.store import sha256_of_json
 
 MATRIX = "matrix.toml"
 

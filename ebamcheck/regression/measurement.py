@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck import registry
 from ebamcheck.comparison import GENERIC, layer_classes
 from ebamcheck.comparison.measure import FINEST_DEPTH_MM, Figures
 from ebamcheck.comparison.pairwise import Pair, measure_stacks, shared_origin
-from ebamcheck.isolate import Outcome
-from ebamcheck.layers import Layers, from_polygons
-from ebamcheck.model import Model
-from ebamcheck.part import Part
+from ebamcheck.layers.stack import Layers, from_polygons
+from ebamcheck.mesh.part import Part
+from ebamcheck.numeric.rings import Bools, Floats
+from ebamcheck.plugins import registry
+from ebamcheck.plugins.model import Model
 from ebamcheck.regression.metrics import rounded, summarised
-from ebamcheck.rings import Bools, Floats
+from ebamcheck.slicers.isolation import Outcome
 
 SECTION_TOLERANCE_MM = 1e-4
 """Chord error of the dense rings that stand for an exact section."""

@@ -11,7 +11,7 @@ from itertools import groupby
 from pathlib import Path
 
 from ebamcheck.atomic_file import replacing
-from ebamcheck.layer_svg import COLOURS, DASHES
+from ebamcheck.layers.svg import COLOURS, DASHES
 from ebamcheck.regression.difference import Difference
 from ebamcheck.regression.history import Trend, trends
 from ebamcheck.regression.job import Regression

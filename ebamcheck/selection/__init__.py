@@ -3,7 +3,13 @@
 from __future__ import annotations
 
 from ebamcheck.selection.choice import Choice, choose
-from ebamcheck.selection.trial import Trial, Workpiece, try_backends, workpiece_of_model, workpiece_of_part
+from ebamcheck.selection.trial import (
+    Trial,
+    Workpiece,
+    try_backends,
+    workpiece_of_model,
+    workpiece_of_part,
+)
 from ebamcheck.selection.writing import write_choice
 
 __all__ = [

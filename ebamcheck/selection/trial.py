@@ -11,16 +11,16 @@ from typing import Any
 
 import numpy as np
 
-from ebamcheck import registry
 from ebamcheck.backend import BackendSettings
 from ebamcheck.comparison import Comparison, compare_all
-from ebamcheck.config import Config
-from ebamcheck.heights import layer_heights
-from ebamcheck.isolate import Limits, Outcome, slice_all
-from ebamcheck.model import Model
-from ebamcheck.part import Part
+from ebamcheck.layers.heights import layer_heights
+from ebamcheck.mesh.part import Part
+from ebamcheck.numeric.rings import Floats
+from ebamcheck.plugins import registry
+from ebamcheck.plugins.model import Model
 from ebamcheck.regression.measurement import Truth, measure_outcome, truth_of
-from ebamcheck.rings import Floats
+from ebamcheck.settings.config import Config
+from ebamcheck.slicers.isolation import Limits, Outcome, slice_all
 
 ACCURACY_LAYERS = 48
 """Layers on which accuracy is judged: the exact sections of a model are dense."""

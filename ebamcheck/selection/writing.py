@@ -13,9 +13,9 @@ from tomlkit.items import Table
 from ebamcheck import __version__
 from ebamcheck.atomic_file import replacing
 from ebamcheck.errors import SettingsError
+from ebamcheck.pipeline.run_folder import plain
 from ebamcheck.selection.choice import Choice
 from ebamcheck.selection.trial import Trial
-from ebamcheck.store import plain
 
 FIGURE_DIGITS = 4
 """Significant digits of the figures kept: provenance, not input."""

@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from ebamcheck.heights import PARABOLA, bead_height_mm
+from ebamcheck.layers.heights import PARABOLA, bead_height_mm
 from ebamcheck.settings.base import Finite, NotNegative, Positive, Range, Section
 
 Share = Annotated[float, Field(gt=0, le=1)]

@@ -7,9 +7,9 @@ import shapely
 from numpy.typing import NDArray
 
 from ebamcheck.errors import BackendFailed
-from ebamcheck.layers import Layers
-from ebamcheck.model import Model
-from ebamcheck.part import Part
+from ebamcheck.layers.stack import Layers
+from ebamcheck.mesh.part import Part
+from ebamcheck.plugins.model import Model
 from ebamcheck.testing.figures import NO_LAYER, Figure, truth
 from ebamcheck.testing.sections import HOUSE_RULE, house_rule, region, sections, winding_rule
 from ebamcheck.testing.solids import (

@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ebamcheck import registry
 from ebamcheck.backend import Slicer
-from ebamcheck.model import models as installed_models
-from ebamcheck.tables import text_table
+from ebamcheck.commands.tables import text_table
+from ebamcheck.plugins import registry
+from ebamcheck.plugins.model import models as installed_models
 from ebamcheck.testing.checks import CHECKS, Check
 from ebamcheck.testing.figures import Figure, violations
 from ebamcheck.testing.subject import Subject

@@ -11,9 +11,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ebamcheck.layers import Layers, from_rings
-from ebamcheck.part import Part, from_arrays
-from ebamcheck.rings import Floats
+from ebamcheck.layers.stack import Layers, from_rings
+from ebamcheck.mesh.part import Part, from_arrays
+from ebamcheck.numeric.rings import Floats
 from ebamcheck.testing.figures import NO_LAYER, Figure, truth
 from ebamcheck.testing.sections import house_rule, sections
 from ebamcheck.testing.solids import joined, mapped, named, simple, turn

@@ -13,8 +13,8 @@ from pydantic import BaseModel, ValidationError
 
 from ebamcheck.backend import BackendSettings, CoplanarRule, Probe
 from ebamcheck.errors import BackendFailed
-from ebamcheck.layers import Layers, canonical, concatenate
-from ebamcheck.registry import SLICER_ATTRIBUTES
+from ebamcheck.layers.stack import Layers, canonical, concatenate
+from ebamcheck.plugins.registry import SLICER_ATTRIBUTES
 from ebamcheck.testing.figures import Figure, truth
 from ebamcheck.testing.sections import winding_rule
 from ebamcheck.testing.solids import box, joined, mapped, named, simple

@@ -14,8 +14,8 @@ import shapely
 from numpy.typing import ArrayLike, NDArray
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.layers import Layers, from_polygons
-from ebamcheck.part import Part
+from ebamcheck.layers.stack import Layers, from_polygons
+from ebamcheck.mesh.part import Part
 
 WindingRule = Callable[[int], bool]
 """Whether a winding number is solid."""

@@ -14,7 +14,7 @@ import shapely
 from numpy.typing import ArrayLike, NDArray
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.part import Part, from_arrays
+from ebamcheck.mesh.part import Part, from_arrays
 
 FRAME_MM = 40.0
 """Side of the box around every attacking solid: a slicer's bound, which may depend on it, is the same for all."""

@@ -14,10 +14,10 @@ from ebamcheck.backend import BackendSettings, Slicer
 from ebamcheck.comparison import compare
 from ebamcheck.comparison.measure import FINEST_DEPTH_MM
 from ebamcheck.errors import BackendFailed
-from ebamcheck.layers import Layers
-from ebamcheck.model import Model
-from ebamcheck.part import Part
-from ebamcheck.rings import EPSILON
+from ebamcheck.layers.stack import Layers
+from ebamcheck.mesh.part import Part
+from ebamcheck.numeric.rings import EPSILON
+from ebamcheck.plugins.model import Model
 from ebamcheck.testing.sections import HOUSE_RULE, house_rule, sections, winding_rule
 
 ROUNDING_STEPS = 64.0

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import pytest
 
 from ebamcheck.backend import Slicer
-from ebamcheck.model import models as installed_models
+from ebamcheck.plugins.model import models as installed_models
 from ebamcheck.testing.checks import CHECKS, Check
 from ebamcheck.testing.figures import violations
 from ebamcheck.testing.subject import Subject

@@ -10,7 +10,7 @@ import shapely
 from numpy.typing import ArrayLike, NDArray
 
 from ebamcheck.errors import SettingsError
-from ebamcheck.part import Part, from_arrays, rotation_to_z, unit_vector
+from ebamcheck.mesh.part import Part, from_arrays, rotation_to_z, unit_vector
 
 LEAST_TOLERANCE_MM = 1e-4
 """Finest tessellation: vertices are 32-bit floats, whose steps at 500 mm are 0.00003 mm."""
@@ -100,7 +100,7 @@ class TurnableModel(Model, Protocol):
     """A model whose sections are known in every direction."""
 
     def turned(self, direction: ArrayLike) -> TurnableModel:
-        """Return the solid turned so that `direction` points up, as :meth:`ebamcheck.part.Part.along` turns.
+        """Return the solid turned so that `direction` points up, as :meth:`ebamcheck.mesh.part.Part.along` turns.
 
         ``model.turned(d).section(h)`` is the section of the upright model by the plane ``d . p = h``.
 
@@ -137,7 +137,7 @@ class Solid(ABC):
 
 
 def rotation(direction: ArrayLike) -> Floats:
-    """Rotation (3, 3) that :meth:`ebamcheck.part.Part.along` turns by."""
+    """Rotation (3, 3) that :meth:`ebamcheck.mesh.part.Part.along` turns by."""
     return rotation_to_z(unit_vector(direction))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike
 
-from ebamcheck.part import Part
+from ebamcheck.mesh.part import Part
 from ebamcheck_models.model import (
     SECTION_TOLERANCE_MM,
     Floats,

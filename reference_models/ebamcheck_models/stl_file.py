@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ebamcheck.atomic_file import replacing
-from ebamcheck.part import Part
+from ebamcheck.mesh.part import Part
 
 HEADER_BYTES = 80
 

@@ -16,7 +16,7 @@ from xml.etree import ElementTree
 
 from ebamcheck.atomic_file import replacing
 from ebamcheck.findings import in_words
-from ebamcheck.store import RunFolder
+from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck_reports import words
 from ebamcheck_reports.figures import counted, number, place
 from ebamcheck_reports.markup import clean

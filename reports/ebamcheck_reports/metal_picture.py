@@ -10,10 +10,10 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.program.metal_field import LayerField
-from ebamcheck.rings import Floats
-from ebamcheck.scan.png import png_address
-from ebamcheck.scan.scan_svg import ring_path
+from ebamcheck.drawing.islands import ring_path
+from ebamcheck.drawing.png import png_address
+from ebamcheck.numeric.rings import Floats
+from ebamcheck.program.checking.metal_field import LayerField
 
 WIDTH_PX, MARGIN_PX, TITLE_PX, SCALE_PX, BAR_PX = 880, 16, 28, 40, 240
 """Width of the picture, its margin, and the room for the title of a field and for its colour scale."""
@@ -57,7 +57,7 @@ def draw(
     Parameters
     ----------
     field
-        What :func:`ebamcheck.program.deposit.deposit` keeps of the layer.
+        What :func:`ebamcheck.program.checking.deposit.deposit` keeps of the layer.
     section
         The section that is drawn over it.
     thickness_mm

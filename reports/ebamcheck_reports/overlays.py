@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 import shapely
 
-from ebamcheck.layer_svg import COLOURS, DASHES, overlay_svg
-from ebamcheck.layers import Layers
+from ebamcheck.layers.stack import Layers
+from ebamcheck.layers.svg import COLOURS, DASHES, overlay_svg
 from ebamcheck_reports.canvas import HEIGHT_LIMIT, LEAST_EXTENT_MM, Box, Canvas, around, outline
 from ebamcheck_reports.markup import Markup, element, join, picture
 from ebamcheck_reports.run_data import RunData, layer_name

@@ -9,10 +9,10 @@ import numpy as np
 import typer
 
 from ebamcheck.atomic_file import replacing
+from ebamcheck.commands.options import print_json
+from ebamcheck.commands.tables import text_table
 from ebamcheck.errors import ExitCode, InputError, SettingsError
-from ebamcheck.options import print_json
-from ebamcheck.store import MANIFEST, RunFolder
-from ebamcheck.tables import text_table
+from ebamcheck.pipeline.run_folder import MANIFEST, RunFolder
 
 
 def polar(

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ebamcheck.program.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, NCProgram
-from ebamcheck.rings import Floats, Ints
+from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.program.reading.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, NCProgram
 from ebamcheck_reports.canvas import Canvas, ramp
 from ebamcheck_reports.markup import Markup, legend
 

@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from ebamcheck import layer_files
-from ebamcheck.config import Config, validated
 from ebamcheck.curves import Curves
 from ebamcheck.errors import InputError
-from ebamcheck.layer_files import LayerFile
-from ebamcheck.layers import Layers
+from ebamcheck.layers import files as layer_files
+from ebamcheck.layers.files import LayerFile
+from ebamcheck.layers.stack import Layers
+from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.pipeline.statement import Statement, statement
 from ebamcheck.scan import ScanPlan
-from ebamcheck.store import RunFolder
+from ebamcheck.settings.config import Config, validated
 from ebamcheck_reports.figures import number
 
 GATES = ("input", "agreement", "fit", "coverage", "deposit", "heat", "program")

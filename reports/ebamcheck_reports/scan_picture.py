@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import shapely
 
-from ebamcheck.layers import Layers
-from ebamcheck.rings import Floats
+from ebamcheck.layers.stack import Layers
+from ebamcheck.numeric.rings import Floats
 from ebamcheck.scan import ScanPlan
 from ebamcheck_reports.canvas import Box, Canvas, outline, ramp
 from ebamcheck_reports.markup import Markup, legend

@@ -5,18 +5,18 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from ebamcheck.config import Config
-from ebamcheck.layer_svg import overlay_svg, sheet_svg
-from ebamcheck.layers import Layers
+from ebamcheck.drawing.islands import islands_svg
+from ebamcheck.drawing.orders import pareto_svg
+from ebamcheck.drawing.scene import Scene
+from ebamcheck.layers.stack import Layers
+from ebamcheck.layers.svg import overlay_svg, sheet_svg
+from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.program import NCProgram, read_program
-from ebamcheck.program.deposit import deposit
+from ebamcheck.program.checking.deposit import deposit
 from ebamcheck.scan import ScanPlan
-from ebamcheck.scan.comparing import COMPARED, SEEDS, OrderComparison, figures_of
-from ebamcheck.scan.pareto_svg import pareto_svg
-from ebamcheck.scan.regions import layer_section
-from ebamcheck.scan.scan_svg import islands_svg
-from ebamcheck.scan.scene import Scene
-from ebamcheck.store import RunFolder
+from ebamcheck.scan.islands.regions import layer_section
+from ebamcheck.scan.plan.comparing import COMPARED, SEEDS, OrderComparison, figures_of
+from ebamcheck.settings.config import Config
 from ebamcheck_reports import metal_picture, overlays, program_picture, scan_picture
 from ebamcheck_reports.run_data import RunData, layer_name
 

@@ -14,8 +14,8 @@ from pydantic import Field
 
 from ebamcheck.backend import BackendSettings, CoplanarRule, Prepared, Probe, Progress
 from ebamcheck.errors import BackendFailed
-from ebamcheck.layers import Layers, from_polygons
-from ebamcheck.part import Part
+from ebamcheck.layers.stack import Layers, from_polygons
+from ebamcheck.mesh.part import Part
 
 
 class RowSettings(BackendSettings):

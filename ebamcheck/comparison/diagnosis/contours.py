@@ -9,8 +9,8 @@ import numpy as np
 from ebamcheck.comparison.causes import MeshFlaws
 from ebamcheck.comparison.grid import Grid, grid_over, nearest
 from ebamcheck.comparison.outline import Outline
-from ebamcheck.kernels import kernel
-from ebamcheck.rings import Bools, Floats, Ints
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 STEEPEST = 1e4
 """Way of a contour for each mm of height, at most: a level facet has no such figure."""

@@ -9,7 +9,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ebamcheck.comparison.causes import MeshFlaws
-from ebamcheck.comparison.diagnosis.cause import HEIGHT, OFFSET, ROTATION, SCALE, TRANSLATION, Cause
+from ebamcheck.comparison.diagnosis.cause import (
+    HEIGHT,
+    OFFSET,
+    ROTATION,
+    SCALE,
+    TRANSLATION,
+    Cause,
+)
 from ebamcheck.comparison.diagnosis.fit import DZ, TURN, TX, TY, D, E, FieldFit, Fitted
 from ebamcheck.comparison.diagnosis.layer_causes import layer_causes
 from ebamcheck.comparison.diagnosis.plane_causes import (
@@ -23,7 +30,7 @@ from ebamcheck.comparison.diagnosis.plane_causes import (
 from ebamcheck.comparison.diagnosis.ring_causes import ring_causes
 from ebamcheck.comparison.diagnosis.sheets import Reader, Sheet, sample, total_mm2
 from ebamcheck.comparison.sources import LayerSource
-from ebamcheck.rings import Floats, Ints
+from ebamcheck.numeric.rings import Floats, Ints
 
 ENOUGH = 0.9
 """A cause that explains this share of a difference needs no other beside it."""

@@ -24,7 +24,7 @@ from ebamcheck.comparison.diagnosis.contours import (
     mesh_contours,
 )
 from ebamcheck.comparison.diagnosis.sheets import Sheet
-from ebamcheck.rings import Floats
+from ebamcheck.numeric.rings import Floats
 
 PLACES = 160
 """Places along the contours of each sheet."""

@@ -9,7 +9,7 @@ import numpy as np
 from ebamcheck.comparison.diagnosis.cause import DROPPED, DUPLICATED, SHIFTED, Cause
 from ebamcheck.comparison.diagnosis.sheets import Reader, Sheet, apart_mm2, total_mm2
 from ebamcheck.comparison.outline import outline
-from ebamcheck.rings import Floats, Ints
+from ebamcheck.numeric.rings import Floats, Ints
 
 FARTHEST_SHIFT = 5
 """Layers by which a stack may be shifted and be told so."""

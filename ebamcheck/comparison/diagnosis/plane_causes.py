@@ -7,15 +7,22 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from ebamcheck.comparison import front
+from ebamcheck.comparison import sweep_status as front
 from ebamcheck.comparison.causes import MeshFlaws
-from ebamcheck.comparison.diagnosis.cause import MIRROR, QUANTISATION, ROTATION, UNIT, WINDING_RULE, Cause
+from ebamcheck.comparison.diagnosis.cause import (
+    MIRROR,
+    QUANTISATION,
+    ROTATION,
+    UNIT,
+    WINDING_RULE,
+    Cause,
+)
 from ebamcheck.comparison.diagnosis.contours import Contours, contours_of, contours_over, windings
 from ebamcheck.comparison.diagnosis.fit import scaled_section, share_of
 from ebamcheck.comparison.diagnosis.sheets import Sheet, apart_mm2, moved_points, total_mm2
 from ebamcheck.comparison.outline import Outline, outline
 from ebamcheck.comparison.overlap import overlap
-from ebamcheck.rings import Bools, Floats, Ints
+from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 UNITS: dict[str, float] = {
     "inches taken for millimetres": 1.0 / 25.4,

@@ -17,8 +17,8 @@ from ebamcheck.comparison.diagnosis.cause import (
     Cause,
 )
 from ebamcheck.comparison.diagnosis.sheets import Sheet, one_layer, total_mm2
-from ebamcheck.layers import Layers
-from ebamcheck.rings import Bools, Floats, Ints
+from ebamcheck.layers.stack import Layers
+from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 LEAST_LIKENESS = 0.25
 """Rings of two slicers are the same one where the overlap of their boxes times the ratio of their areas is over this."""

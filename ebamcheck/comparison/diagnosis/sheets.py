@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from ebamcheck.comparison.outline import Outline, outline
 from ebamcheck.comparison.overlap import overlap
 from ebamcheck.comparison.sources import LayerSource
-from ebamcheck.layers import Layers, canonical
-from ebamcheck.rings import Floats, Ints
+from ebamcheck.layers.stack import Layers, canonical
+from ebamcheck.numeric.rings import Floats, Ints
 
 MOST_SHEETS = 12
 """Layers of a pair that are looked at: enough to see what they have in common."""

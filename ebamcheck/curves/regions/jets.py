@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.kernels import kernel, run_blocks
-from ebamcheck.rings import Bools, Floats
-from ebamcheck.topology import Index
+from ebamcheck.mesh.topology import Index
+from ebamcheck.numeric.kernels import kernel, run_blocks
+from ebamcheck.numeric.rings import Bools, Floats
 
 CUBIC, QUADRIC = 9, 5
 """Coefficients of jets through the vertex: slopes, curvatures, and for the cubic their changes."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ebamcheck.curves.regions.normals import RegionNormals
-from ebamcheck.kernels import kernel
-from ebamcheck.rings import Bools, Floats
-from ebamcheck.topology import Index
+from ebamcheck.mesh.topology import Index
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Bools, Floats
 
 ROUGH = 1.5
 """Noise over the sagitta of the edges about from which no lift wins. Vertices that lie s off their surface leave a point

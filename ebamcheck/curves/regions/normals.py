@@ -13,10 +13,10 @@ from ebamcheck.curves.regions.borders import Borders, edge_direction
 from ebamcheck.curves.regions.jets import Corners, jets
 from ebamcheck.curves.regions.planes import PlanarGroups
 from ebamcheck.curves.regions.segmentation import FREEFORM, PLANE, STRIP, Kinds, Regions, is_link
-from ebamcheck.kernels import kernel
-from ebamcheck.part import Part
-from ebamcheck.rings import Bools, Floats
-from ebamcheck.topology import NO_TWIN, Index, split_corners
+from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.topology import NO_TWIN, Index, split_corners
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Bools, Floats
 
 ALONG_COSINE = 0.9
 """A sharp border of a strip runs along its rulings within this cosine's angle, else across them."""

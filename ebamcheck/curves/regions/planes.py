@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.kernels import kernel
-from ebamcheck.rings import Floats
-from ebamcheck.topology import NO_TWIN, Index
+from ebamcheck.mesh.topology import NO_TWIN, Index
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Floats
 
 MOST_REACH = 10.0
 """While a group is small its plane is uncertain far away; a vertex is taken up to this many tolerances then, and looked at

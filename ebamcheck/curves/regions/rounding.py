@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ebamcheck.part import UNITS_MM, Part, rotation_to_z
-from ebamcheck.rings import Floats
+from ebamcheck.mesh.part import UNITS_MM, Part, rotation_to_z
+from ebamcheck.numeric.rings import Floats
 
 LEAST_TOLERANCE_MM = 5e-5
 """Vertices this near to a plane lie in it however finely the file is written: programs that split an edge or turn a part

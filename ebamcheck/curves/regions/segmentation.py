@@ -19,11 +19,11 @@ from ebamcheck.curves.regions.borders import (
 )
 from ebamcheck.curves.regions.planes import PlanarGroups, planar_groups
 from ebamcheck.curves.regions.rounding import plane_tolerance_mm
-from ebamcheck.kernels import kernel
-from ebamcheck.part import Part
-from ebamcheck.rings import Bools, Floats
+from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.topology import NO_TWIN, Index
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Bools, Floats
 from ebamcheck.settings.curves import CurveSettings
-from ebamcheck.topology import NO_TWIN, Index
 
 FREEFORM, PLANE, STRIP = 0, 1, 2
 """Kinds of region: freely curved, flat, and flat between straight rulings across which the surface goes on turning."""

@@ -14,10 +14,10 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from ebamcheck.curves.regions.segmentation import FREEFORM, PLANE, STRIP, Regions, find_regions
-from ebamcheck.part import Part
-from ebamcheck.rings import Floats, Ints
+from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.topology import NO_TWIN, Index, edge_groups, twins
+from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.settings.curves import CurveSettings
-from ebamcheck.topology import NO_TWIN, Index, edge_groups, twins
 
 SPARE = 3
 """Places beyond the unknowns of a fit, from which it is evidence: three points lie on one circle always."""

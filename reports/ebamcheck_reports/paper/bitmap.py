@@ -8,11 +8,11 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from ebamcheck import registry
 from ebamcheck.comparison import compare
 from ebamcheck.errors import BackendFailed, EbamcheckError
-from ebamcheck.layers import Layers
-from ebamcheck.rings import Floats
+from ebamcheck.layers.stack import Layers
+from ebamcheck.numeric.rings import Floats
+from ebamcheck.plugins import registry
 from ebamcheck_reports.canvas import Canvas, around, outline
 from ebamcheck_reports.markup import Markup, element
 from ebamcheck_reports.paper import published

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from ebamcheck.curves import SPLINE, Curves, fit, fit_deviation
-from ebamcheck.layer_svg import COLOURS
-from ebamcheck.layers import Layers
+from ebamcheck.layers.stack import Layers
+from ebamcheck.layers.svg import COLOURS
 from ebamcheck_reports.canvas import Canvas
 from ebamcheck_reports.markup import DOTS, Markup, legend
 from ebamcheck_reports.paper import published

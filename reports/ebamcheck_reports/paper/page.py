@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ebamcheck.atomic_file import replacing
-from ebamcheck.store import plain
+from ebamcheck.pipeline.run_folder import plain
 from ebamcheck_reports.markup import Markup, element, paragraph, section, table
 from ebamcheck_reports.pages import page
 from ebamcheck_reports.paper import sections

@@ -8,9 +8,9 @@ from typing import Any, Final
 import numpy as np
 import shapely
 
-from ebamcheck.config import Config
 from ebamcheck.scan import minimum_rectangle, plan_scan
-from ebamcheck.scan.lattice import HEXAGON, hexagons_across, rows_along
+from ebamcheck.scan.islands.lattice import HEXAGON, hexagons_across, rows_along
+from ebamcheck.settings.config import Config
 from ebamcheck_reports import scan_picture
 from ebamcheck_reports.markup import Markup
 from ebamcheck_reports.paper.subject import Subject

@@ -10,11 +10,11 @@ import pandas as pd
 import shapely
 
 from ebamcheck.curves import Curves, contour_error, error_reduction, fit, polar_radius
-from ebamcheck.layers import Layers
-from ebamcheck.model import models
-from ebamcheck.rings import Floats
+from ebamcheck.layers.stack import Layers
+from ebamcheck.numeric.rings import Floats
+from ebamcheck.plugins.model import models
 from ebamcheck.settings.curves import CurveSettings
-from ebamcheck.slicing import slice_part
+from ebamcheck.slicers.slicing import slice_part
 from ebamcheck_reports.canvas import Canvas
 from ebamcheck_reports.charts import Series, line_chart
 from ebamcheck_reports.markup import Markup, join, legend

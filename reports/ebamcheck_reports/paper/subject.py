@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from ebamcheck.errors import GeometryError
-from ebamcheck.heights import layer_heights
-from ebamcheck.layers import Layers
-from ebamcheck.mesh_files import load
-from ebamcheck.model import models
-from ebamcheck.part import Part
-from ebamcheck.slicing import slice_part
+from ebamcheck.layers.heights import layer_heights
+from ebamcheck.layers.stack import Layers
+from ebamcheck.mesh.files import load
+from ebamcheck.mesh.part import Part
+from ebamcheck.plugins.model import models
+from ebamcheck.slicers.slicing import slice_part
 from ebamcheck_reports.paper.published import CURVE_LAYER, LAYER_HEIGHT_MM
 
 STAND_IN, STAND_IN_TOLERANCE_MM = "blade", 0.05

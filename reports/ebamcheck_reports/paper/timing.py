@@ -8,12 +8,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ebamcheck import registry
 from ebamcheck.errors import EbamcheckError
-from ebamcheck.heights import layer_heights
-from ebamcheck.model import models
-from ebamcheck.part import Part
-from ebamcheck.rings import Floats
+from ebamcheck.layers.heights import layer_heights
+from ebamcheck.mesh.part import Part
+from ebamcheck.numeric.rings import Floats
+from ebamcheck.plugins import registry
+from ebamcheck.plugins.model import models
 from ebamcheck_reports.paper import published
 from ebamcheck_reports.paper.effort import Effort, Note
 

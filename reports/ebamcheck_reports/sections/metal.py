@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from ebamcheck.program.deposit_checks import DEPOSIT_CHECKS
-from ebamcheck.program.metal_field import FIELD_FILE, read_field
-from ebamcheck.scan.regions import layer_section
+from ebamcheck.program.checking.deposit_checks import DEPOSIT_CHECKS
+from ebamcheck.program.checking.metal_field import FIELD_FILE, read_field
+from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck_reports import metal_picture
 from ebamcheck_reports.charts import Series, line_chart
 from ebamcheck_reports.figures import percent

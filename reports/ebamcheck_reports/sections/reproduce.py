@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 
-from ebamcheck.config_text import as_toml
+from ebamcheck.settings.text import as_toml
 from ebamcheck_reports.figures import duration
 from ebamcheck_reports.markup import Markup, collapsed, element, facts, figure, paragraph, section, table
 from ebamcheck_reports.run_data import RunData

@@ -1,0 +1,58 @@
+"""The command ``ebamcheck conform``."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated, Any
+
+import typer
+
+from ebamcheck.errors import ExitCode, SettingsError
+from ebamcheck.plugins import registry
+from ebamcheck.testing.conformance import conform, markdown_table
+
+# Annotations of a command are read when it is registered, so their names must exist at run time.
+
+
+def conform_command(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="NAME", help="Backends; default: all that this machine can run."),
+    ] = None,
+    models: Annotated[
+        str | None, typer.Option(help="Reference models, as a,b; default: all installed; none for none.")
+    ] = None,
+    setting: Annotated[
+        list[str] | None, typer.Option("--set", help="A setting of the backend, as key=value; repeatable.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+    markdown: Annotated[
+        bool, typer.Option("--markdown", help="Print one table of checks and backends for a document.")
+    ] = False,
+) -> ExitCode:
+    """Test backends against the protocol, the laws of sections and the reference models.
+
+    Exit code 1 if a backend breaks a check, 4 if it is not available.
+    """
+    wanted = list(names or [name for name in registry.house_slicers() if registry.probe(name).available])
+    chosen = None if models is None else [m for m in models.split(",") if m and m != "none"]
+    values = dict(_setting(text) for text in setting or ())
+    found = [conform(name, chosen, values) for name in wanted]
+    if as_json:
+        typer.echo(json.dumps([c.to_json() for c in found], indent=2, allow_nan=True))
+    elif markdown:
+        typer.echo(markdown_table(found))
+    else:
+        typer.echo("\n\n".join(c.table() for c in found))
+    return ExitCode.PASS if all(c.passed for c in found) else ExitCode.OUT_OF_TOLERANCE
+
+
+def _setting(text: str) -> tuple[str, Any]:
+    """Read ``key=value``; the value as JSON where it is, else as text."""
+    key, equals, value = text.partition("=")
+    if not (key and equals):
+        raise SettingsError(f"--set {text!r}: give key=value")
+    try:
+        return key, json.loads(value)
+    except ValueError:
+        return key, value

@@ -1,0 +1,166 @@
+"""``ebamcheck fit`` and ``ebamcheck post``: single stages of the job, for those who want no more."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from ebamcheck.commands.options import (
+    ConfigOption,
+    DirectionOption,
+    JsonOption,
+    LayerHeightOption,
+    UnitsOption,
+    loaded,
+    print_json,
+    settings_of,
+)
+from ebamcheck.commands.run_stack import stack_of_run
+from ebamcheck.commands.tables import text_table
+from ebamcheck.curves import METHODS, Curves, contour_error, error_reduction, fit, fit_deviation
+from ebamcheck.errors import ExitCode, InputError, SettingsError
+from ebamcheck.layers.heights import checked_heights, layer_heights
+from ebamcheck.layers.stack import Layers
+from ebamcheck.mesh import files as mesh_files
+from ebamcheck.mesh.part import Part
+from ebamcheck.pipeline.programming import bead_paths, smooth_layers
+from ebamcheck.pipeline.run_folder import MANIFEST
+from ebamcheck.program import write_program
+from ebamcheck.program.language.dialects import TEXT_CONTROLS
+from ebamcheck.program.simulators.heat_paths import PATH_FILES, SCRIPTS, case_post
+from ebamcheck.program.writing.entry import begin_at_layer
+from ebamcheck.scan import plan_stack
+from ebamcheck.settings.config import Config
+from ebamcheck.settings.process_window import checked_window
+from ebamcheck.slicers.slicing import slice_part
+
+ALL = "all"
+
+PartFile = Annotated[Path, typer.Argument(help="Mesh file: .stl, .obj, .ply or .3mf.")]
+
+
+def fit_command(
+    part: PartFile,
+    method: Annotated[
+        str, typer.Option(help=f"{', '.join(METHODS)}, or all; default: curves.method of the settings.")
+    ] = "",
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="FILE.parquet for the curves of one method.")
+    ] = None,
+    tolerance: Annotated[float | None, typer.Option(help="Tolerance of `bounded`, mm.")] = None,
+    reference: Annotated[
+        Path | None, typer.Option(help="A finer mesh of the same part: errors are measured against it.")
+    ] = None,
+    layer_height: LayerHeightOption = None,
+    config: ConfigOption = None,
+    units: UnitsOption = "",
+    direction: DirectionOption = "",
+    as_json: JsonOption = False,
+) -> ExitCode:
+    """Slice a part, fit curves to its contours and say how near they are and how many blocks they take."""
+    settings = settings_of(config, units, direction, layer_height)
+    if tolerance is not None:
+        settings = settings.changed(curves={"tolerance_mm": tolerance})
+    methods = tuple(METHODS) if method == ALL else (method or settings.curves.method,)
+    if output is not None and (len(methods) > 1 or output.suffix.lower() != ".parquet"):
+        raise SettingsError(f"{output}: give FILE.parquet and one method")
+    placed = loaded(part, settings)
+    layers = slice_part(placed, _heights(placed, settings))
+    truth = slice_part(loaded(reference, settings), layers.heights) if reference else None
+    rows = []
+    for name in methods:
+        curves = fit(layers, name, settings.curves, part=placed)
+        if output is not None:
+            curves.to_parquet(output)
+        rows.append(_row(name, curves, layers, truth))
+    if as_json:
+        print_json(rows)
+    else:
+        typer.echo(f"{len(layers)} layers, {len(layers.points)} contour points\n")
+        typer.echo(text_table(list(rows[0]), [list(row.values()) for row in rows]))
+    return ExitCode.PASS
+
+
+def _row(name: str, curves: Curves, layers: Layers, truth: Layers | None) -> dict[str, Any]:
+    """Figures of one method."""
+    deviation = fit_deviation(curves, layers)
+    row: dict[str, Any] = {
+        "method": name,
+        "blocks": curves.block_count(),
+        "points a block": len(layers.points) / max(curves.block_count(), 1),
+        "from contour, mm": float(deviation[["points_mm", "bulge_mm"]].to_numpy().max(initial=0.0)),
+    }
+    if truth is not None:
+        gain = error_reduction(contour_error(layers, truth), contour_error(curves, truth))
+        for kind in ("polar", "normal"):
+            for figure in ("rms", "max"):
+                row[f"{kind} {figure} less by"] = f"{100.0 * float(gain[f'{kind}_{figure}']):.1f} %"
+    return row
+
+
+def post_command(
+    source: Annotated[Path, typer.Argument(help="A finished run folder, or a part to slice, fit and plan.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the program; replaced whole.")],
+    control: Annotated[
+        str, typer.Option(help="Post-processor; default: machine.control of the settings.")
+    ] = "",
+    layer: Annotated[
+        int | None, typer.Option(help=f"Case of one layer, counted from 0, for {', '.join(PATH_FILES)}.")
+    ] = None,
+    from_layer: Annotated[
+        int,
+        typer.Option(
+            min=1, help="Leave out the layers before this one, counted from 1: to go on after a break."
+        ),
+    ] = 1,
+    layer_height: LayerHeightOption = None,
+    config: ConfigOption = None,
+    units: UnitsOption = "",
+    direction: DirectionOption = "",
+) -> ExitCode:
+    """Write a program for a control or a whole case for a heat simulator; `ebamcheck verify` checks it, `run` validates it."""
+    if (source / MANIFEST).is_file():
+        settings, beads, plan, sha256 = stack_of_run(source, config)
+        checked_window(settings)
+    elif source.is_dir():
+        raise InputError(f"{source}: is no finished run folder: it has no {MANIFEST}")
+    else:
+        settings = settings_of(config, units, direction, layer_height)
+        checked_window(settings)
+        placed = mesh_files.load(source, settings.part.units).along(settings.part.direction)
+        layers = slice_part(placed, _heights(placed, settings))
+        smooth = smooth_layers(fit(layers, settings.curves.method, settings.curves, part=placed))
+        plan = plan_stack(smooth, settings)
+        beads, sha256 = bead_paths(smooth, plan, settings), placed.source_sha256
+    if control:
+        settings = settings.changed(machine={"control": control})
+    if from_layer > 1 and settings.machine.control not in TEXT_CONTROLS:
+        raise SettingsError(
+            f"--from-layer: {settings.machine.control} is no control; give one of {', '.join(TEXT_CONTROLS)}"
+        )
+    header = {"PART SHA-256": sha256}
+    if layer is None:
+        files = write_program(beads, plan, settings, output, header=header)
+        if from_layer > 1:
+            files = begin_at_layer(files, from_layer)
+    else:
+        post = case_post(settings.machine.control)
+        files = post(beads, plan, settings, output, header=header, layer=layer)
+    blocks = sum(files.blocks.values())
+    typer.echo(f"{files.main}: {len(files.names)} files, {blocks} blocks for {settings.machine.control}")
+    if settings.machine.control in PATH_FILES:
+        script = next(name for name in files.names if name in SCRIPTS)
+        typer.echo(f"NOT VALIDATED: no reader proves a case; {files.folder / script} runs it")
+    else:
+        typer.echo(
+            "NOT VALIDATED: check it with `ebamcheck verify`, or let `ebamcheck run` make and validate one"
+        )
+    return ExitCode.PASS
+
+
+def _heights(part: Part, settings: Config) -> Any:
+    if settings.layers.heights_mm:
+        return checked_heights(settings.layers.heights_mm)
+    return layer_heights(part, settings.layer_height_mm)

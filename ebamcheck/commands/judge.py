@@ -1,0 +1,104 @@
+"""``ebamcheck judge RUN --layer K``: the islands of one layer of a run by 3DThesis, beside our own model."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import pandas as pd
+import typer
+
+from ebamcheck.atomic_file import made_folder, replacing
+from ebamcheck.commands.options import ConfigOption, JsonOption, print_json
+from ebamcheck.commands.progress import watched
+from ebamcheck.commands.run_stack import stack_of_run
+from ebamcheck.commands.tables import text_table
+from ebamcheck.errors import ExitCode, SettingsError
+from ebamcheck.judge import BEADS, BODIES, THESIS, JudgedLayer, LayerCase, judge_layer
+from ebamcheck.pipeline.run_folder import RunFolder
+from ebamcheck.scan.islands.regions import layer_section
+from ebamcheck.settings.config import Config
+
+TABLE, CASE = "judged.csv", "case"
+
+SHOWN = {
+    "rank": "rank",
+    "island": "island",
+    "entered_s": "entered, s",
+    "model_k": "model, K",
+    "thesis_k": "3DThesis, K",
+    "thesis_spot_k": "at the entry, K",
+    "thesis_hottest_k": "hottest, K",
+}
+"""Columns of the printed table, and their headings."""
+
+FIGURES = {
+    "kendall_tau": "Kendall's tau of the islands",
+    "spearman": "Spearman's rank correlation",
+    "thesis_over_model": "3DThesis over model, all rises",
+}
+
+
+def judge_command(
+    run: Annotated[Path, typer.Argument(help="A finished run folder.")],
+    layer: Annotated[int, typer.Option(help="Layer, counted from 0.")],
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help=f"Folder for {CASE}/ and {TABLE}; default: RUN.judge."),
+    ] = None,
+    beads: Annotated[
+        str, typer.Option(help=f"Beads that heat in 3DThesis: {', '.join(BEADS)}; our model counts islands.")
+    ] = BEADS[0],
+    body: Annotated[
+        str, typer.Option(help=f"What 3DThesis heats: {', '.join(BODIES)} around the section.")
+    ] = BODIES[0],
+    config: ConfigOption = None,
+    as_json: JsonOption = False,
+) -> ExitCode:
+    """Let 3DThesis say how warm the islands of a layer are when the beam enters them, beside our model."""
+    settings, curves, plan, _ = stack_of_run(run, config)
+    if not 0 <= layer < len(plan):
+        raise SettingsError(f"--layer {layer}: the run has the layers 0 to {len(plan) - 1}")
+    folder = made_folder(output or run.with_name(f"{run.resolve().name.removesuffix('.run')}.judge"))
+    layers = RunFolder(run).read_layers(str(RunFolder(run).manifest()["primary"]))
+    section = layer_section(layers.polygons(layer))
+    case = LayerCase.of(plan, layer, section, settings, curves=curves, beads=beads, body=body)
+    case.write(folder / CASE, settings)
+    THESIS.path()
+    with watched() as observer:
+        observer.stage("3DThesis", len(case.islands))
+        judged = judge_layer(case, settings, observer.advance)
+    with replacing(folder / TABLE) as temporary:
+        judged.table.round(4).to_csv(temporary, index=False)
+    if as_json:
+        print_json(
+            {**judged.figures(), "layer": layer, "beads": beads, "body": body, "table": str(folder / TABLE)}
+        )
+    else:
+        _tell(judged, layer, body, settings, folder)
+    return ExitCode.PASS
+
+
+def _tell(judged: JudgedLayer, layer: int, body: str, settings: Config, folder: Path) -> None:
+    """Print the table and the figures."""
+    most_k = settings.material.boiling_k - settings.process.ambient_temperature_k
+    typer.echo(f"layer {layer}: rise of its {len(judged.table)} islands when the beam enters them\n")
+    rows = [[_cell(name, row[name], most_k) for name in SHOWN] for _, row in judged.table.iterrows()]
+    typer.echo(text_table(list(SHOWN.values()), rows) + "\n")
+    figures = judged.figures()
+    lines = [[what, f"{figures[name]:.2f}"] for name, what in FIGURES.items()]
+    for what, name in (("model", "model"), ("3DThesis", "thesis"), ("3DThesis at the entry", "thesis_spot")):
+        lines.append(
+            [f"greatest rise, {what}", _cell(f"{name}_max_k", figures[f"{name}_max_k"], most_k) + " K"]
+        )
+    typer.echo(text_table(["", ""], lines).strip("\n"))
+    typer.echo(f"\nBoth are linear and begin cold; 3DThesis heats a {body}. {folder / CASE} is its case.")
+
+
+def _cell(name: str, value: float, most_k: float) -> str:
+    """Write a number; over boiling, where both models end, only that it is over it."""
+    if not name.endswith("_k"):
+        return f"{value:.1f}" if name.endswith("_s") else f"{value:.0f}"
+    if pd.isna(value):
+        return "-"
+    return f"> {most_k:.0f}" if value > most_k else f"{value:.0f}"

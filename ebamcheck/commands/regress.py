@@ -1,0 +1,116 @@
+"""``ebamcheck regress``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ebamcheck.atomic_file import made_folder, replacing
+from ebamcheck.errors import ExitCode, SettingsError
+from ebamcheck.regression.baselines import UpdateMode, strict_json
+from ebamcheck.regression.history import HISTORY, record
+from ebamcheck.regression.job import (
+    Regression,
+    accepted,
+    default_baselines,
+    run_regression,
+    updated,
+)
+from ebamcheck.regression.junit import write_junit
+from ebamcheck.regression.page import write_page
+from ebamcheck.regression.settings import Tolerances, checked, read_tolerances
+from ebamcheck.settings.config import load_config
+
+RESULTS, TIMINGS = "results.json", "timings.json"
+
+DEFAULT_CONFIG = Path("ebamcheck.toml")
+
+
+def regress(
+    models: Annotated[
+        str, typer.Option(help="Models, comma-separated, or all; default: those of every day.")
+    ] = "",
+    backends: Annotated[str, typer.Option(help="Backends, comma-separated; default: all available.")] = "",
+    baselines: Annotated[
+        Path | None, typer.Option(help="Folder of the baselines; default: reports/baselines of the checkout.")
+    ] = None,
+    update_baseline: Annotated[
+        str, typer.Option(metavar="failed|all", help="Show the differences, then accept them.")
+    ] = "",
+    tolerances: Annotated[
+        Path | None, typer.Option(help="Tolerance of each metric (TOML); default: the shipped ones.")
+    ] = None,
+    history: Annotated[
+        Path | None, typer.Option(help="SQLite file of the history; default: OUTPUT/history.sqlite.")
+    ] = None,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="Folder for results, report and history.")
+    ] = Path("regress"),
+    config: Annotated[
+        Path | None,
+        typer.Option(
+            "-c", "--config", help="Settings (TOML), table [regression]; default: ./ebamcheck.toml."
+        ),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")] = False,
+) -> ExitCode:
+    """Measure the slicers on models with known sections; exit code 1 where one got worse than its baseline.
+
+    Writes results.json, junit.xml and regress.html, the same bytes for the same figures; timings.json holds all
+    timings, history.sqlite the results over time.
+    """
+    path = config or (DEFAULT_CONFIG if DEFAULT_CONFIG.is_file() else None)
+    settings = load_config(path).regression
+    if update_baseline not in ("", "failed", "all"):
+        raise SettingsError(f"--update-baseline {update_baseline!r}: give failed or all")
+    table = (
+        checked(Tolerances, settings.tolerances, f"{path}: regression.tolerances")
+        if tolerances is None
+        else read_tolerances(tolerances)
+    )
+    found = run_regression(
+        default_baselines(baselines, settings.baselines),
+        _names(models),
+        _names(backends),
+        table,
+        note=lambda text: typer.echo(f"ebamcheck: {text}", err=True),
+    )
+    _write(found, output, history or (Path(settings.history) if settings.history else output / HISTORY))
+    typer.echo(strict_json(found.record()) if as_json else "\n".join(summary(found)))
+    if not update_baseline:
+        return found.exit_code
+    mode: UpdateMode = "all" if update_baseline == "all" else "failed"
+    changed = updated(found, mode)
+    if not as_json:
+        typer.echo(f"\nbaselines written: {', '.join(map(str, changed)) or 'none, nothing changed'}")
+    return accepted(found).exit_code
+
+
+def summary(found: Regression) -> list[str]:
+    """What a report came to, for the terminal: differences first, the counts last."""
+    lines = [line for d in found.differences if d.verdict != "same" for line in d.lines()]
+    verdicts = [d.verdict for d in found.differences]
+    counts = [f"{verdicts.count(v)} {v}" for v in dict.fromkeys(sorted(verdicts))]
+    lines.append(f"{len(verdicts)} entries: {', '.join(counts) or 'none'}; baselines: {found.baselines}")
+    if any(d.fails for d in found.differences):
+        lines.append("accept what got worse, is new or vanished with --update-baseline=failed")
+    elif not found.compared:
+        lines.append("nothing was compared: make the baselines with --update-baseline=all")
+    return lines
+
+
+def _write(found: Regression, output: Path, history: Path) -> None:
+    """Write all files of the report."""
+    made_folder(output)
+    record(history, found)
+    for name, values in ((RESULTS, found.record()), (TIMINGS, found.timings)):
+        with replacing(output / name) as temporary:
+            temporary.write_text(strict_json(values) + "\n", encoding="utf-8")
+    write_junit(found, output)
+    write_page(found, history, output)
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(name.strip() for name in text.split(",") if name.strip())

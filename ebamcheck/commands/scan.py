@@ -1,0 +1,87 @@
+"""``ebamcheck scan``: one layer of a part in several scan orders, or all layers in one, on the heat model."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ebamcheck.commands.options import (
+    ConfigOption,
+    DirectionOption,
+    JsonOption,
+    LayerHeightOption,
+    PartArgument,
+    UnitsOption,
+    loaded,
+    names,
+    settings_of,
+)
+from ebamcheck.commands.scan_layer import scan_layer
+from ebamcheck.commands.scan_part import scan_all
+from ebamcheck.errors import ExitCode, SettingsError
+from ebamcheck.scan.plan.comparing import COMPARED, RANDOM, SEEDS
+from ebamcheck.settings.process_window import checked_window
+from ebamcheck.settings.scan import SCAN_ORDERS
+
+ALL = "all"
+
+SIMULATORS = ("3dthesis", "adamantine", "additivefoam")
+"""Posts of heat simulators, which take the path of a layer."""
+
+
+def scan_command(
+    part: PartArgument,
+    height: Annotated[float | None, typer.Option(help="Absolute height z of the layer, mm.")] = None,
+    all_layers: Annotated[
+        bool, typer.Option("--all", help="All layers from below, with the heat of those under them.")
+    ] = False,
+    pause: Annotated[
+        float | None,
+        typer.Option(help="With --all: wait between two layers, s; default: process.layer_pause_s.", min=0.0),
+    ] = None,
+    layer_height: LayerHeightOption = None,
+    orders: Annotated[
+        str, typer.Option(help=f"{', '.join(SCAN_ORDERS)}, or all; comma-separated. Default: scan.order.")
+    ] = "",
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Folder for orders.json and pictures.")
+    ] = None,
+    export: Annotated[
+        str,
+        typer.Option(
+            help=f"Also write the path of each order for simulators: {', '.join(SIMULATORS)}, or all."
+        ),
+    ] = "",
+    seeds: Annotated[int, typer.Option(help=f"Seeds over which `{RANDOM}` is averaged.")] = SEEDS,
+    config: ConfigOption = None,
+    units: UnitsOption = "",
+    direction: DirectionOption = "",
+    as_json: JsonOption = False,
+) -> ExitCode:
+    """Plan one layer in one or several scan orders, or all layers in one; say how hot, how far and how long."""
+    settings = settings_of(config, units, direction, layer_height)
+    checked_window(settings)
+    wanted = COMPARED if orders == ALL else names(orders) or (settings.scan.order,)
+    for name in wanted:
+        settings.changed(scan={"order": name})  # an unknown name is refused before anything is computed
+    simulators = SIMULATORS if export == ALL else names(export)
+    if unknown := set(simulators) - set(SIMULATORS):
+        raise SettingsError(f"--export {sorted(unknown)[0]!r}: choose from {', '.join(SIMULATORS)}, or all")
+    if simulators and output is None:
+        raise SettingsError("--export: give the folder with -o")
+    if seeds < 1:
+        raise SettingsError(f"--seeds {seeds}: give at least 1")
+    if all_layers == (height is not None):
+        raise SettingsError("scan: give either --height Z for one layer, or --all")
+    if pause is not None and not all_layers:
+        raise SettingsError("--pause: the wait between layers belongs to --all")
+    placed = loaded(part, settings)
+    if height is None:
+        if len(wanted) != 1:
+            raise SettingsError(f"--all plans in one order, not {len(wanted)}: give one with --orders")
+        if pause is not None:
+            settings = settings.changed(process={"layer_pause_s": pause})
+        return scan_all(placed, settings, wanted[0], output, as_json)
+    return scan_layer(placed, settings, height, wanted, seeds, simulators, output, as_json)

@@ -1,0 +1,105 @@
+"""What commands tell on the terminal: the slicers there are, and what a run came to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ebamcheck.commands.tables import text_table
+from ebamcheck.findings import in_words
+from ebamcheck.mesh.part import from_arrays
+from ebamcheck.pipeline.statement import statement
+from ebamcheck.pipeline.worst import worst_line
+from ebamcheck.plugins import registry
+
+
+def backend_record(name: str) -> dict[str, Any]:
+    """What `ebamcheck backends` knows of a slicer; bounds are those of a cube of 100 mm under default settings."""
+    cube = from_arrays(
+        [(x, y, z) for x in (0, 100) for y in (0, 100) for z in (0, 100)], [(0, 1, 3), (0, 6, 4), (7, 5, 2)]
+    )
+    slicer, probe = registry.slicer(name), registry.probe(name)
+    return {
+        "name": name,
+        "summary": slicer.summary,
+        "available": probe.available,
+        "why": probe.why,
+        "hint": probe.hint,
+        "versions": dict(probe.versions),
+        "device": probe.device,
+        "exact": slicer.exact,
+        "priority": slicer.priority,
+        "coplanar_rule": slicer.coplanar_rule,
+        "inside_rule": slicer.inside_rule,
+        "error_bound_mm": slicer.error_bound_mm(cube, slicer.Settings()),
+        "height_bound_mm": slicer.height_bound_mm(cube, slicer.Settings()),
+    }
+
+
+def backends_text(records: Sequence[Mapping[str, Any]]) -> str:
+    """Table of the slicers, and why some are not available."""
+    columns = [
+        "name",
+        "available",
+        "exact",
+        "device",
+        "plane rule",
+        "inside rule",
+        "bound mm",
+        "versions",
+        "summary",
+    ]
+    rows = [
+        [
+            r["name"], r["available"], r["exact"], r["device"], r["coplanar_rule"], r["inside_rule"],
+            r["error_bound_mm"], " ".join(f"{k} {v}" for k, v in r["versions"].items()), r["summary"],
+        ]
+        for r in records
+    ]  # fmt: skip
+    missing = [
+        f"{r['name']}: {r['why']}" + (f"\n  {r['hint']}" if r["hint"] else "")
+        for r in records
+        if not r["available"]
+    ]
+    bound = "The bound is that of a cube of 100 mm under default settings."
+    return "\n\n".join([text_table(columns, rows), *missing, bound])
+
+
+def run_summary(manifest: Mapping[str, Any]) -> str:
+    """What a run came to: slicers, pairs, gates, findings and verdict."""
+    slicers = [
+        [name, b["status"], b["rings"], b["open_paths"], b["points"], float(b["error_bound_mm"]),
+         float(manifest["timings"]["backends"][name]["slice_s"]), b["why"] or b["device"]]
+        for name, b in manifest["backends"].items()
+    ]  # fmt: skip
+    pairs = [
+        [
+            f"{p['a']} / {p['b']}",
+            f"{p['agree']} of {p['gated']}",
+            p["max_depth_mm"],
+            p["limit_mm"],
+            p["max_hausdorff_mm"],
+            p["min_iou"],
+        ]
+        for p in manifest["comparison"]["pairs"]
+    ]
+    passed = [["pass" if g["passed"] else "FAIL", g["name"], g["text"]] for g in manifest["gates"]]
+    found = [[f["severity"], f["code"], in_words(f)] for f in manifest.get("findings", [])]
+    blocks = [
+        worst_line(manifest),
+        text_table(["slicer", "status", "rings", "open", "points", "bound mm", "seconds", ""], slicers),
+        text_table(["pair", "layers agree", "depth mm", "limit mm", "Hausdorff mm", "least IoU"], pairs)
+        if pairs
+        else "",
+        text_table(["", "gate", ""], passed),
+        text_table(["", "finding", ""], found) if found else "",
+        _verdict(manifest),
+    ]
+    return "\n\n".join(block for block in blocks if block)
+
+
+def _verdict(manifest: Mapping[str, Any]) -> str:
+    """The last word on a job, of a program another than of a cross-check alone, and what it means."""
+    good, bad = ("AGREED", "NOT AGREED") if manifest.get("job") == "check" else ("VALIDATED", "NOT VALIDATED")
+    word = good if manifest["exit_code"] == 0 else f"{bad} (exit code {manifest['exit_code']})"
+    return "\n".join([word, *statement(manifest).lines()])

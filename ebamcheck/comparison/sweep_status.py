@@ -1,0 +1,221 @@
+"""The front of a sweep over two outlines: the edges that a level line crosses, and the gaps between them.
+
+An edge is the part of a chain that the line crosses. The gap of an edge lies to its right, up to the next
+edge; its winding numbers stay the same from the level where the two meet as neighbours to the one where
+either ends, turns or is crossed. Only then is the trapezoid between them taken, so that a level costs what
+changes there, not what passes through it.
+
+Neighbours are in the right order where both go on, up to rounding: when two edges become neighbours, the
+level is found at which they cross. So an order that rounding gets wrong costs the area between edges
+that coincide within rounding, and shared edges and touching rings need no care.
+
+The front is two tables with a row an edge, from left to right, and a few sums. They are handed on one by
+one: a tuple of them would cost reference counts at every call.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Floats, Ints
+
+X_LOW, Y_LOW, X_HIGH, Y_HIGH, SLOPE, SEGMENT = 0, 1, 2, 3, 4, 5
+"""Columns of `edges`: ends of the edge, mm, its change of x with y, and which segment it is."""
+
+SINCE, LEFT, RIGHT, CROSSING = 6, 7, 8, 9
+"""Columns of `edges` for its gap: level up to which its area is taken, x of its sides there, level at which they cross."""
+
+EDGE_COLUMNS = 10
+
+CHAIN, STEP_A, STEP_B, WINDING_A, WINDING_B = 0, 1, 2, 3, 4
+"""Columns of `marks`: chain of the edge, change of both winding numbers across it, those in its gap."""
+
+PLACE = 5
+"""Column of `marks` with a row a chain instead: place of its edge on the front."""
+
+MARK_COLUMNS = 6
+
+AREA_A, AREA_B, DIFFERENCE, NEXT_CROSSING, TRAPEZOIDS = 0, 1, 2, 3, 4
+"""`sums`: areas so far, mm2; a level below which no edges cross; how many trapezoids have been written down."""
+
+SUMS = 5
+
+Y0, Y1, L0, L1, R0, R1, LEFT_SEGMENT, RIGHT_SEGMENT = 0, 1, 2, 3, 4, 5, 6, 7
+"""Columns of `difference`, the trapezoids of the symmetric difference: levels, x of both sides at each, and
+the segments on which these lie. It has no rows where they are not wanted."""
+
+TRAPEZOID_COLUMNS = 8
+
+
+@kernel
+def x_at(edges: Floats, k: int, y: float) -> float:
+    """x of edge `k` at a level; exact at its ends."""
+    if y >= edges[k, Y_HIGH]:
+        return float(edges[k, X_HIGH])
+    x = edges[k, X_LOW] + (y - edges[k, Y_LOW]) * edges[k, SLOPE]
+    if edges[k, SLOPE] > 0.0:
+        return float(min(max(x, edges[k, X_LOW]), edges[k, X_HIGH]))
+    return float(max(min(x, edges[k, X_LOW]), edges[k, X_HIGH]))
+
+
+@kernel
+def set_edge(edges: Floats, k: int, segments: Floats, s: int) -> None:
+    """Let edge `k` be segment `s`."""
+    low, high = (0, 2) if segments[s, 3] > segments[s, 1] else (2, 0)
+    x0, y0, x1, y1 = segments[s, low], segments[s, low + 1], segments[s, high], segments[s, high + 1]
+    edges[k, X_LOW], edges[k, Y_LOW], edges[k, X_HIGH], edges[k, Y_HIGH] = x0, y0, x1, y1
+    edges[k, SLOPE], edges[k, SEGMENT] = np.divide(x1 - x0, y1 - y0), s
+
+
+@kernel
+def take_areas(
+    edges: Floats, marks: Ints, sums: Floats, difference: Floats, first: int, last: int, n: int, y: float
+) -> None:
+    """Add the trapezoids of gaps ``first .. last`` up to a level to the areas that they belong to."""
+    for k in range(max(first, 0), min(last + 1, n - 1)):
+        in_a, in_b = marks[k, WINDING_A] > 0, marks[k, WINDING_B] > 0
+        below = edges[k, SINCE]
+        if below == y or not (in_a or in_b):
+            continue
+        left, right = x_at(edges, k, y), x_at(edges, k + 1, y)
+        area = 0.5 * ((edges[k, RIGHT] - edges[k, LEFT]) + (right - left)) * (y - below)
+        if in_a:
+            sums[AREA_A] += area
+        if in_b:
+            sums[AREA_B] += area
+        if in_a != in_b:
+            sums[DIFFERENCE] += max(area, 0.0)
+            if len(difference):
+                _write_down(edges, sums, difference, k, y, left, right)
+        edges[k, SINCE], edges[k, LEFT], edges[k, RIGHT] = y, left, right
+
+
+@kernel
+def start_gaps(edges: Floats, sums: Floats, first: int, last: int, n: int, y: float) -> bool:
+    """Start gaps ``first .. last`` at a level and find where their edges cross; whether all are in order there."""
+    in_order = True
+    for k in range(max(first, 0), min(last + 1, n - 1)):
+        left, right = x_at(edges, k, y), x_at(edges, k + 1, y)
+        edges[k, SINCE], edges[k, LEFT], edges[k, RIGHT], edges[k, CROSSING] = y, left, right, np.inf
+        in_order = in_order and left <= right
+        top = min(edges[k, Y_HIGH], edges[k + 1, Y_HIGH])
+        over = x_at(edges, k, top) - x_at(edges, k + 1, top)
+        if over > 0.0:
+            apart = max(right - left, 0.0)
+            level = min(y + apart / (apart + over) * (top - y), top)
+            edges[k, CROSSING] = level
+            sums[NEXT_CROSSING] = min(sums[NEXT_CROSSING], level)
+    return in_order
+
+
+@kernel
+def next_crossing(edges: Floats, sums: Floats, n: int) -> int:
+    """Edge that crosses the next one before any others do; -1 for none. Its level is noted."""
+    first = -1
+    level = np.inf
+    for k in range(n - 1):
+        if edges[k, CROSSING] < level:
+            first, level = k, edges[k, CROSSING]
+    sums[NEXT_CROSSING] = level
+    return first
+
+
+@kernel
+def swap(edges: Floats, marks: Ints, k: int) -> None:
+    """Let edges `k` and `k + 1` change places."""
+    for c in range(SINCE):
+        edges[k, c], edges[k + 1, c] = edges[k + 1, c], edges[k, c]
+    for c in range(WINDING_A):
+        marks[k, c], marks[k + 1, c] = marks[k + 1, c], marks[k, c]
+    marks[marks[k, CHAIN], PLACE], marks[marks[k + 1, CHAIN], PLACE] = k, k + 1
+    _set_winding(marks, k)
+
+
+@kernel
+def settle(edges: Floats, marks: Ints, sums: Floats, difference: Floats, k: int, n: int, y: float) -> None:
+    """Move edge `k` to where its x at a level belongs."""
+    while k < n - 1 and edges[k, LEFT] > edges[k, RIGHT]:
+        _exchange(edges, marks, sums, difference, k, n, y)
+        k += 1
+    while k > 0 and edges[k - 1, LEFT] > edges[k - 1, RIGHT]:
+        _exchange(edges, marks, sums, difference, k - 1, n, y)
+        k -= 1
+
+
+@kernel
+def start_pair(
+    edges: Floats, marks: Ints, sums: Floats, difference: Floats, n: int, y: float, left: int, right: int,
+    segments: Floats, s: int, t: int, steps: Ints,
+) -> None:  # fmt: skip
+    """Let two chains start at a level, the left one with segment `s`, the other with `t`."""
+    k = 0
+    x = segments[s, 0] if segments[s, 1] < segments[s, 3] else segments[s, 2]
+    while k < n and x_at(edges, k, y) <= x:
+        k += 1
+    take_areas(edges, marks, sums, difference, k - 1, k - 1, n, y)
+    for i in range(n - 1, k - 1, -1):
+        _move(edges, marks, i, i + 2)
+    for place, chain, segment in ((k, left, s), (k + 1, right, t)):
+        set_edge(edges, place, segments, segment)
+        marks[place, CHAIN], marks[chain, PLACE] = chain, place
+        marks[place, STEP_A], marks[place, STEP_B] = steps[chain, 0], steps[chain, 1]
+        _set_winding(marks, place)
+    if not start_gaps(edges, sums, k - 1, k + 1, n + 2, y):
+        # Where a level run lies between the two, the right one belongs further to the right.
+        settle(edges, marks, sums, difference, k + 1, n + 2, y)
+
+
+@kernel
+def end_pair(
+    edges: Floats, marks: Ints, sums: Floats, difference: Floats, n: int, y: float, chain: int, other: int
+) -> None:
+    """Take out the edges of two chains that end at a level."""
+    left, right = marks[chain, PLACE], marks[other, PLACE]
+    if left > right:
+        left, right = right, left
+    for k in range(left, right - 1):
+        _exchange(edges, marks, sums, difference, k, n, y)
+    k = right - 1
+    take_areas(edges, marks, sums, difference, k - 1, k + 1, n, y)
+    for i in range(k + 2, n):
+        _move(edges, marks, i, i - 2)
+    start_gaps(edges, sums, k - 1, k - 1, n - 2, y)
+
+
+@kernel
+def _exchange(edges: Floats, marks: Ints, sums: Floats, difference: Floats, k: int, n: int, y: float) -> None:
+    """Let edges `k` and `k + 1` change places at a level."""
+    take_areas(edges, marks, sums, difference, k - 1, k + 1, n, y)
+    swap(edges, marks, k)
+    start_gaps(edges, sums, k - 1, k + 1, n, y)
+
+
+@kernel
+def _set_winding(marks: Ints, k: int) -> None:
+    """Winding numbers of gap `k` from those of the gap before it."""
+    before_a, before_b = (marks[k - 1, WINDING_A], marks[k - 1, WINDING_B]) if k > 0 else (0, 0)
+    marks[k, WINDING_A], marks[k, WINDING_B] = before_a + marks[k, STEP_A], before_b + marks[k, STEP_B]
+
+
+@kernel
+def _write_down(
+    edges: Floats, sums: Floats, difference: Floats, k: int, y: float, left: float, right: float
+) -> None:
+    """Write down the trapezoid of gap `k` up to a level."""
+    t = int(sums[TRAPEZOIDS])
+    sums[TRAPEZOIDS] = t + 1
+    difference[t, Y0], difference[t, Y1] = edges[k, SINCE], y
+    difference[t, L0], difference[t, L1] = edges[k, LEFT], left
+    difference[t, R0], difference[t, R1] = edges[k, RIGHT], right
+    difference[t, LEFT_SEGMENT], difference[t, RIGHT_SEGMENT] = edges[k, SEGMENT], edges[k + 1, SEGMENT]
+
+
+@kernel
+def _move(edges: Floats, marks: Ints, k: int, to: int) -> None:
+    """Move edge `k` and its gap to another row."""
+    for c in range(EDGE_COLUMNS):
+        edges[to, c] = edges[k, c]
+    for c in range(PLACE):
+        marks[to, c] = marks[k, c]
+    marks[marks[k, CHAIN], PLACE] = to

@@ -1,0 +1,1 @@
+"""Layers: the contours of a stack, their heights, their canonical form, and their files."""

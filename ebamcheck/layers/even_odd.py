@@ -1,0 +1,101 @@
+"""Rings of which a slicer does not tell the direction: solid is what lies within an odd number of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from ebamcheck.errors import BackendFailed
+from ebamcheck.layers.stack import Layers, canonical
+from ebamcheck.numeric.rings import Ints
+
+INSIDE_RULE = "odd"
+"""What a slicer that uses this declares."""
+
+
+def directed_by_nesting(layers: Layers, tolerance_mm: float, name: str) -> Layers:
+    """Turn rings so that outer ones run counter-clockwise, those within them clockwise, and so on inwards.
+
+    Parameters
+    ----------
+    layers
+        Layers whose rings have any direction; open paths stay as they are.
+    tolerance_mm
+        By how much rings that only touch may overlap.
+    name
+        The slicer, for messages.
+
+    Raises
+    ------
+    BackendFailed
+        If rings of a layer cross: shells overlap, and no direction of the rings tells what is solid.
+    """
+    refuse_crossing(layers, tolerance_mm, name)
+    odd = np.zeros(layers.closed.size, np.bool_)
+    above = layers.parents.copy()
+    while (above >= 0).any():
+        odd ^= above >= 0
+        above = np.where(above >= 0, layers.parents[above], -1)
+    wrong = layers.closed & ((layers.ring_areas > 0.0) == odd)
+    if not wrong.any():
+        return layers
+    sizes = np.diff(layers.ring_starts)
+    rows = np.arange(len(layers.points))
+    mirrored = np.repeat(layers.ring_starts[:-1] + layers.ring_starts[1:] - 1, sizes) - rows
+    return canonical(
+        layers.heights,
+        layers.points[np.where(np.repeat(wrong, sizes), mirrored, rows)],
+        layers.ring_starts,
+        layers.layer_starts,
+        layers.closed,
+        part=layers.part,
+        direction=layers.direction,
+        backend=layers.backend,
+        settings=layers.settings,
+    )
+
+
+def refuse_crossing(layers: Layers, tolerance_mm: float, name: str) -> None:
+    """Raise :class:`BackendFailed` where rings of a layer cross by more than a tolerance."""
+    first, second = _near_pairs(layers)
+    if not first.size:
+        return
+    used, index = np.unique(np.concatenate([first, second]), return_inverse=True)
+    sizes = np.diff(layers.ring_starts)[used]
+    ring = np.repeat(np.arange(used.size), sizes)
+    start = np.cumsum(sizes) - sizes
+    rows = np.arange(ring.size) - np.repeat(start, sizes) + np.repeat(layers.ring_starts[used], sizes)
+    polygons = shapely.polygons(shapely.linearrings(layers.points[rows], indices=ring))
+    shapely.prepare(polygons)
+    a, b = polygons[index[: first.size]], polygons[index[first.size :]]
+    crossing = shapely.overlaps(a, b)
+    a, b = shapely.make_valid(a[crossing]), shapely.make_valid(b[crossing])
+    allowed = tolerance_mm * np.minimum(shapely.length(a), shapely.length(b))
+    common = shapely.area(shapely.intersection(a, b))
+    deep = np.minimum(common, np.minimum(shapely.area(a), shapely.area(b)) - common) > allowed
+    if deep.any():
+        where = int(layers.ring_layer[first[np.flatnonzero(crossing)[deep][0]]])
+        raise BackendFailed(
+            f"{name}: rings cross at z = {layers.heights[where]:.9g} mm, where shells of the part overlap, and it does "
+            "not tell which side of a ring is solid; unite the shells or use another backend"
+        )
+
+
+def _near_pairs(layers: Layers) -> tuple[Ints, Ints]:
+    """Pairs of closed rings of one layer whose boxes overlap."""
+    boxes, layer = layers.ring_bounds, layers.ring_layer
+    most = int(np.diff(layers.layer_starts).max(initial=0))
+    found: list[NDArray[np.int64]] = [np.zeros((2, 0), np.int64)]
+    for apart in range(1, most):
+        r = np.flatnonzero(layer[apart:] == layer[:-apart])
+        s = r + apart
+        near = (
+            (boxes[r, :2] < boxes[s, 2:]).all(axis=1)
+            & (boxes[s, :2] < boxes[r, 2:]).all(axis=1)
+            & layers.closed[r]
+            & layers.closed[s]
+        )
+        found.append(np.stack([r[near], s[near]]))
+    first, second = np.concatenate(found, axis=1)
+    return first, second

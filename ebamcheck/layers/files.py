@@ -1,0 +1,244 @@
+"""Layers in files: the choice of a format by suffix, and Parquet written and read in blocks of layers.
+
+A Parquet file has the columns of :mod:`ebamcheck.layers.batches`, one row a layer, and one row group for each block
+of layers that was written at once. What does not fit in memory is written block by block and read in the same way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack, contextmanager
+from functools import cached_property
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from ebamcheck.atomic_file import replacing
+from ebamcheck.errors import InputError, SettingsError
+from ebamcheck.layers import common_layer_interface
+from ebamcheck.layers import svg as layer_svg
+from ebamcheck.layers.batches import CONTOUR_COLUMNS, column_of, from_arrow, labels_of, to_arrow
+from ebamcheck.layers.stack import Layers, concatenate
+from ebamcheck.numeric.rings import Ints
+
+# -- by suffix -------------------------------------------------------------------------------------
+
+
+def write_layers(layers: Layers, path: str | Path) -> None:
+    """Write layers in the format that the suffix names: ``.parquet``, ``.cli`` (ASCII) or ``.svg``.
+
+    Raises
+    ------
+    SettingsError
+        If the suffix is another one, or the file cannot be written.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix == ".parquet":
+        write_parquet(layers, path)
+    elif suffix == ".cli":
+        common_layer_interface.write_cli(layers, path)
+    elif suffix == ".svg":
+        with replacing(path) as temporary:
+            temporary.write_text(layer_svg.sheet_svg(layers), encoding="utf-8")
+    else:
+        raise SettingsError(f"{path}: unknown slice format {suffix!r}: use .parquet, .cli or .svg")
+
+
+def read_layers(path: str | Path) -> Layers:
+    """Read layers from a ``.parquet`` or ``.cli`` file, told apart by suffix.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or not what its suffix says.
+    SettingsError
+        If the suffix is neither of the two.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix == ".parquet":
+        return read_parquet(path)
+    if suffix == ".cli":
+        return common_layer_interface.read_cli(path)
+    raise SettingsError(f"{path}: cannot read layers from {suffix!r}: give a .parquet or .cli file")
+
+
+# -- Parquet ---------------------------------------------------------------------------------------
+
+
+def write_parquet(layers: Layers, path: str | Path) -> None:
+    """Write layers as one Parquet table; the file appears whole or not at all.
+
+    Raises
+    ------
+    SettingsError
+        If the file cannot be written.
+    """
+    write_blocks([layers], path)
+
+
+def write_blocks(blocks: Iterable[Layers], path: str | Path) -> int:
+    """Write consecutive blocks of one stack to a Parquet file; it appears when the last one is written.
+
+    Parameters
+    ----------
+    blocks
+        At least one; all of one slicer, all with cut edges or all without. One at a time is held.
+    path
+        The file.
+
+    Returns
+    -------
+    int
+        Layers written.
+
+    Raises
+    ------
+    SettingsError
+        If there is no block, the blocks differ in labels or columns, or the file cannot be written.
+    """
+    count = 0
+    with replacing(path) as temporary, ExitStack() as opened:
+        file: pq.ParquetWriter | None = None
+        for block in blocks:
+            batch = to_arrow(block)
+            if file is None:
+                file = opened.enter_context(_writer(temporary, batch.schema))
+            elif not batch.schema.equals(file.schema, check_metadata=True):
+                raise SettingsError(
+                    f"{path}: block at layer {count} differs from the first in labels or columns"
+                )
+            file.write_batch(batch, row_group_size=max(1, len(block)))
+            count += len(block)
+            del block, batch  # so that there are never two blocks in memory
+        if file is None:
+            raise SettingsError(f"{path}: no layers to write: give at least one block")
+    return count
+
+
+def _writer(path: Path, schema: pa.Schema) -> pq.ParquetWriter:
+    # Coordinates hardly repeat, so a dictionary would only cost time; checksums find flipped bits.
+    return pq.ParquetWriter(
+        path,
+        schema,
+        compression="lz4",
+        use_dictionary=False,
+        write_statistics=False,
+        write_page_checksum=True,
+    )
+
+
+def read_parquet(path: str | Path) -> Layers:
+    """Read layers from Parquet, every number in the bits it was written with.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, truncated, not Parquet, of another version, or lacks a column.
+    """
+    with LayerFile(path) as file:
+        return file.read()
+
+
+class LayerFile:
+    """A stack of layers in a Parquet file, of which only the blocks that are asked for are read.
+
+    Parameters
+    ----------
+    path
+        The file; held open until :meth:`close`.
+    edges
+        Whether to read the cut edges; contours alone are half the work.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, truncated, not Parquet or of another version; from every method, too, where
+        a column is missing or its pages are damaged.
+    """
+
+    def __init__(self, path: str | Path, edges: bool = True) -> None:
+        self.path = Path(path)
+        self._columns = None if edges else CONTOUR_COLUMNS
+        with self._readable():
+            self._file = pq.ParquetFile(self.path, page_checksum_verification=True)
+        self._labels = labels_of(self._file.schema_arrow, str(self.path))
+        groups = self._file.metadata
+        sizes = [groups.row_group(i).num_rows for i in range(groups.num_row_groups)]
+        self._starts: Ints = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close the file."""
+        self.close()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def __len__(self) -> int:
+        """Return the number of layers."""
+        return int(self._starts[-1])
+
+    @property
+    def row_groups(self) -> int:
+        """Blocks in which the layers were written."""
+        return self._starts.size - 1
+
+    @property
+    def part(self) -> str:
+        """Hash of the part."""
+        return str(self._labels["part"])
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Settings of the slicer, and what it declared of this part."""
+        return dict(self._labels["settings"])
+
+    @cached_property
+    def heights(self) -> NDArray[np.float64]:
+        """Heights of all layers, (L,) mm."""
+        name = "height_mm"
+        with self._readable():
+            table = self._file.read(columns=[name])
+        columns = [column_of(batch, name, str(self.path)) for batch in table.to_batches()]
+        return np.concatenate([np.zeros(0), *columns])
+
+    def read(self) -> Layers:
+        """Read the whole stack."""
+        return self.block(0, len(self))
+
+    def block(self, start: int, stop: int) -> Layers:
+        """Read layers ``start .. stop - 1``."""
+        first = max(0, int(np.searchsorted(self._starts, start, side="right")) - 1)
+        past = int(np.searchsorted(self._starts, stop, side="left"))
+        with self._readable():
+            table = self._file.read_row_groups(list(range(first, past)), columns=self._columns)
+        blocks = [from_arrow(batch, str(self.path)) for batch in table.to_batches()]
+        if not blocks:
+            empty = pa.RecordBatch.from_pylist([], schema=table.schema)
+            return from_arrow(empty, str(self.path))
+        joined = blocks[0] if len(blocks) == 1 else concatenate(blocks)
+        begin = int(self._starts[first])
+        return joined if len(joined) == stop - start else joined.block(start - begin, stop - begin)
+
+    @contextmanager
+    def _readable(self) -> Iterator[None]:
+        """Say which file it is that cannot be read."""
+        try:
+            yield
+        except (OSError, pa.ArrowException) as error:
+            line = (str(error).splitlines() or [type(error).__name__])[0]
+            raise InputError(f"{self.path}: cannot be read as Parquet: {line}") from None

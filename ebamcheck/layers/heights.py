@@ -1,0 +1,118 @@
+"""Heights at which a part is cut, and blocks of them that fit in memory."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ebamcheck.errors import SettingsError
+from ebamcheck.mesh.part import Part
+
+LARGEST_STACK = 1_000_000
+"""Layers beyond this count are a mistyped layer height, not a build."""
+
+LARGEST_BLOCK = 1024
+"""Layers of a block at most, however little the part has on them: rasters take memory for empty layers, too."""
+
+PARABOLA = 2.0 / 3.0
+"""Area of a parabolic bead over its width times its height (Pixner et al. 2020, Materials 13:3310)."""
+
+
+def bead_height_mm(
+    wire_diameter_mm: float, wire_speed_mm_s: float, travel_speed_mm_s: float, bead_width_mm: float
+) -> float:
+    """Height of one bead from the mass balance ``v_wire pi d^2 / 4 = v_travel A`` with ``A = 2/3 w h``.
+
+    Examples
+    --------
+    >>> round(bead_height_mm(1.6, 2000 / 60, 10.0, 6.0), 2)
+    1.68
+    """
+    area_mm2 = wire_speed_mm_s * math.pi * wire_diameter_mm**2 / 4.0 / travel_speed_mm_s
+    return area_mm2 / (PARABOLA * bead_width_mm)
+
+
+def layer_heights(part: Part, layer_height: float) -> NDArray[np.float64]:
+    """Middle heights of uniform layers from the part's lowest point up, (L,) mm.
+
+    The number of layers is the part's height over the layer height, rounded to the nearest, at least 1;
+    layer k spans ``zmin + k h .. zmin + (k + 1) h`` and is cut at its middle.
+
+    Raises
+    ------
+    SettingsError
+        If the layer height is not positive, or would give more than :data:`LARGEST_STACK` layers.
+    """
+    if not (math.isfinite(layer_height) and layer_height > 0.0):
+        raise SettingsError(f"layer height {layer_height} mm: give a positive number of millimetres")
+    bottom, top = float(part.bounds[0, 2]), float(part.bounds[1, 2])
+    count = max(1, math.ceil((top - bottom) / layer_height - 0.5 - 1e-9))
+    if count > LARGEST_STACK:
+        raise SettingsError(
+            f"layer height {layer_height} mm cuts {top - bottom:g} mm into {count} layers, "
+            f"over the limit of {LARGEST_STACK}: give a larger one, or check the unit of the part"
+        )
+    if count == 1 and top - bottom < layer_height:
+        return np.array([0.5 * (bottom + top)])
+    return np.asarray(bottom + (np.arange(count) + 0.5) * layer_height, dtype=np.float64)
+
+
+def checked_heights(heights: ArrayLike) -> NDArray[np.float64]:
+    """Heights as a float64 column; raises :class:`SettingsError` where one is not finite."""
+    column = np.asarray(heights, dtype=np.float64).reshape(-1)
+    if not np.isfinite(column).all():
+        k = int(np.flatnonzero(~np.isfinite(column))[0])
+        raise SettingsError(f"height {k} is {column[k]}: heights must be finite numbers of millimetres")
+    return column
+
+
+def is_rising(heights: NDArray[np.float64]) -> bool:
+    """Whether each height is above the one before it."""
+    return bool((np.diff(heights) > 0.0).all())
+
+
+def crossing_counts(part: Part, heights: ArrayLike) -> NDArray[np.int64]:
+    """Facets with ``min z <= h < max z`` at each height, (L,): those that a section at h + 0 cuts."""
+    planes = np.asarray(heights, dtype=np.float64).reshape(-1)
+    order = np.argsort(planes, kind="stable")
+    # The level of a vertex is the number of planes under it; a facet is cut by those between its levels.
+    levels = np.searchsorted(planes[order], part.vertices[:, 2], side="left")
+    a, b, c = levels[part.faces.T]
+    lowest, highest = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+    size = planes.size + 1
+    cut = np.cumsum(np.bincount(lowest, minlength=size) - np.bincount(highest, minlength=size))
+    counts = np.empty(planes.size, np.int64)
+    counts[order] = cut[: planes.size]
+    return counts
+
+
+def layer_blocks(part: Part, heights: ArrayLike, most_points: int) -> NDArray[np.int64]:
+    """Borders (B + 1,) of consecutive blocks of layers, each small enough to be worked on at once.
+
+    An exact contour has one point a facet that is cut, so the cut facets tell the memory of a block
+    before anything is sliced.
+
+    Parameters
+    ----------
+    part
+        The part as placed.
+    heights
+        (L,) heights, mm.
+    most_points
+        Points of a block at most; a single layer with more is a block of its own.
+
+    Returns
+    -------
+    numpy.ndarray
+        From 0 to L; ``[0, 0]`` where there is no layer.
+    """
+    ends = np.cumsum(crossing_counts(part, heights))
+    borders = [0]
+    while borders[-1] < ends.size:
+        start = borders[-1]
+        before = ends[start - 1] if start else 0
+        fitting = int(np.searchsorted(ends, before + most_points, side="right"))
+        borders.append(min(max(fitting, start + 1), start + LARGEST_BLOCK, ends.size))
+    return np.array(borders if ends.size else [0, 0], dtype=np.int64)

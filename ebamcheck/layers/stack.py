@@ -1,0 +1,389 @@
+"""Layers: the contours of a whole stack, as every slicer returns them and every later stage reads them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import shapely
+from numpy.typing import ArrayLike, NDArray
+from shapely.geometry.base import BaseGeometry
+
+from ebamcheck.errors import SettingsError
+from ebamcheck.layers import canonical_form
+from ebamcheck.numeric import rings
+from ebamcheck.numeric.kernels import run_blocks
+from ebamcheck.numeric.rings import Bools, Floats, Ints
+
+if TYPE_CHECKING:
+    from ebamcheck.mesh.part import Part
+
+UP = (0.0, 0.0, 1.0)
+"""The slicing direction of a part that is not turned."""
+
+RINGS_A_BLOCK = 256
+"""Rings that a thread brings into canonical form at least: fewer do not pay for handing them over."""
+
+
+@dataclass(frozen=True, eq=False)
+class Layers:
+    """The contours of a stack of layers, as columns.
+
+    Outer rings run counter-clockwise, holes clockwise. No ring repeats its first point at its end or has
+    consecutive equal points; each starts at its lexicographically least point, and the rings of a layer
+    are sorted by that point. Empty layers are present; open paths are kept, with ``closed`` false.
+
+    Parameters
+    ----------
+    heights
+        (L,) absolute z of each layer, mm.
+    points
+        (N, 2) contour points, mm, in build coordinates.
+    ring_starts
+        (R + 1,) first row of each ring in `points`.
+    layer_starts
+        (L + 1,) first ring of each layer.
+    closed
+        (R,) false for an open path.
+    edge
+        (N, 2) lower and upper mesh vertex of the edge cut at each point, -1 where there is none; or None.
+    edge_t
+        (N,) place of the point along that edge, 0 at the lower vertex, 1 at the upper one; or None.
+    part
+        Content hash of the part that was sliced.
+    direction
+        Slicing direction in the coordinates of the part's file.
+    backend, settings
+        Name and settings of the slicer.
+    dropped
+        (L,) rings without area that were left out of each layer.
+    mesh
+        The part itself, where the layers were cut from one in this process; files do not hold it.
+    """
+
+    heights: Floats
+    points: Floats
+    ring_starts: Ints
+    layer_starts: Ints
+    closed: Bools
+    edge: NDArray[np.int32] | None = None
+    edge_t: Floats | None = None
+    part: str = ""
+    direction: tuple[float, float, float] = UP
+    backend: str = ""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    dropped: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
+    mesh: Part | None = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        if self.dropped.size != self.heights.size:
+            object.__setattr__(self, "dropped", np.zeros(self.heights.size, np.int64))
+
+    # -- counts and measures -----------------------------------------------------------------------
+
+    def __len__(self) -> int:
+        """Return the number of layers."""
+        return int(self.heights.size)
+
+    @property
+    def ring_layer(self) -> Ints:
+        """Layer of each ring, (R,)."""
+        return np.repeat(np.arange(len(self)), np.diff(self.layer_starts))
+
+    @cached_property
+    def ring_areas(self) -> Floats:
+        """Signed area of each ring, (R,) mm2; 0 for open paths."""
+        return rings.signed_areas(self.points, self.ring_starts, self.closed)
+
+    @cached_property
+    def ring_lengths(self) -> Floats:
+        """Length of each ring, (R,) mm."""
+        return rings.lengths(self.points, self.ring_starts, self.closed)
+
+    @cached_property
+    def ring_bounds(self) -> Floats:
+        """Bounding box of each ring, (R, 4) mm: xmin, ymin, xmax, ymax."""
+        return rings.bounds(self.points, self.ring_starts)
+
+    @cached_property
+    def parents(self) -> Ints:
+        """Smallest enclosing ring of each ring, (R,); -1 for none and for open paths."""
+        return rings.parents(
+            self.points, self.ring_starts, self.layer_starts, self.ring_areas, self.ring_bounds
+        )
+
+    def _per_layer(self, weights: NDArray[Any]) -> Floats:
+        return np.bincount(self.ring_layer, weights, minlength=len(self)).astype(np.float64)
+
+    def _count(self, which: Bools) -> Ints:
+        return np.bincount(self.ring_layer[which], minlength=len(self)).astype(np.int64)
+
+    def areas(self) -> Floats:
+        """Area of each layer, (L,) mm2: outer rings less holes; open paths enclose none."""
+        return self._per_layer(self.ring_areas)
+
+    def perimeters(self) -> Floats:
+        """Length of all closed rings of each layer, (L,) mm."""
+        return self._per_layer(np.where(self.closed, self.ring_lengths, 0.0))
+
+    def ring_counts(self) -> Ints:
+        """Closed rings of each layer, outer and inner together, (L,)."""
+        return self._count(self.closed)
+
+    def outer_counts(self) -> Ints:
+        """Outer rings of each layer, (L,)."""
+        return self._count(self.closed & (self.ring_areas > 0))
+
+    def hole_counts(self) -> Ints:
+        """Holes of each layer, (L,)."""
+        return self._count(self.closed & (self.ring_areas < 0))
+
+    def open_counts(self) -> Ints:
+        """Open paths of each layer, (L,)."""
+        return self._count(~self.closed)
+
+    def bounds(self) -> tuple[float, float, float, float]:
+        """Box around all points, mm: xmin, ymin, xmax, ymax; NaN where there is no point."""
+        if not len(self.points):
+            return (np.nan, np.nan, np.nan, np.nan)
+        (x0, y0), (x1, y1) = self.points.min(axis=0), self.points.max(axis=0)
+        return float(x0), float(y0), float(x1), float(y1)
+
+    # -- parts of a stack --------------------------------------------------------------------------
+
+    def ring(self, r: int) -> Floats:
+        """Points of ring `r`, (n, 2), without a repeated end point."""
+        return self.points[self.ring_starts[r] : self.ring_starts[r + 1]]
+
+    def rings_of(self, layer: int) -> range:
+        """Indices of the rings of a layer."""
+        return range(int(self.layer_starts[layer]), int(self.layer_starts[layer + 1]))
+
+    def polygons(self, layer: int) -> list[shapely.Polygon]:
+        """Solid regions of a layer as valid shapely polygons, holes included; open paths bound none.
+
+        An outer ring is solid inside if it and the rings around it wind more than 0 times: where rounding has put an
+        outer ring into a hole with the same outline, there is nothing.
+        """
+        holes: dict[int, list[Floats]] = {}
+        for r in self.rings_of(layer):
+            if self.ring_areas[r] < 0 and self.parents[r] >= 0:
+                holes.setdefault(int(self.parents[r]), []).append(self.ring(r))
+        found = [
+            shapely.Polygon(self.ring(r), holes.get(r, []))
+            for r in self.rings_of(layer)
+            if self.ring_areas[r] > 0 and self._winding_inside(r) > 0
+        ]
+        return [part for polygon in found for part in valid_polygons(polygon)]
+
+    def _winding_inside(self, r: int) -> int:
+        """Winding number just inside ring `r`, by the directions of the rings around it."""
+        winding = 0
+        while r >= 0:
+            winding += 1 if self.ring_areas[r] > 0 else -1
+            r = int(self.parents[r])
+        return winding
+
+    def take(self, layers: ArrayLike) -> Layers:
+        """Select layers by index, in the order given (repeats allowed)."""
+        wanted = np.asarray(layers, dtype=np.int64).reshape(-1)
+        ring_index, layer_starts = _expand(self.layer_starts, wanted)
+        rows, ring_starts = _expand(self.ring_starts, ring_index)
+        return replace(
+            self,
+            heights=self.heights[wanted],
+            points=self.points.take(rows, axis=0),  # many times faster than fancy indexing of rows
+            ring_starts=ring_starts,
+            layer_starts=layer_starts,
+            closed=self.closed[ring_index],
+            edge=None if self.edge is None else self.edge.take(rows, axis=0),
+            edge_t=None if self.edge_t is None else self.edge_t[rows],
+            dropped=self.dropped[wanted],
+        )
+
+    def block(self, start: int, stop: int) -> Layers:
+        """Layers ``start .. stop - 1``, as views where possible."""
+        a, b = int(self.layer_starts[start]), int(self.layer_starts[stop])
+        p, q = int(self.ring_starts[a]), int(self.ring_starts[b])
+        return replace(
+            self,
+            heights=self.heights[start:stop],
+            points=self.points[p:q],
+            ring_starts=self.ring_starts[a : b + 1] - p,
+            layer_starts=self.layer_starts[start : stop + 1] - a,
+            closed=self.closed[a:b],
+            edge=None if self.edge is None else self.edge[p:q],
+            edge_t=None if self.edge_t is None else self.edge_t[p:q],
+            dropped=self.dropped[start:stop],
+        )
+
+    def labelled(self, **labels: Any) -> Layers:
+        """Return the same contours under other labels (`part`, `direction`, `backend`, `settings`)."""
+        return replace(self, **labels)
+
+    def labels_json(self) -> str:
+        """The labels as JSON with sorted keys, as slice files carry them."""
+        labels = {
+            "part": self.part,
+            "direction": list(self.direction),
+            "backend": self.backend,
+            "settings": dict(self.settings),
+        }
+        return json.dumps(labels, sort_keys=True)
+
+
+def canonical(
+    heights: ArrayLike,
+    points: ArrayLike,
+    ring_starts: ArrayLike,
+    layer_starts: ArrayLike,
+    closed: ArrayLike,
+    *,
+    edge: NDArray[np.int32] | None = None,
+    edge_t: Floats | None = None,
+    **labels: Any,
+) -> Layers:
+    """Bring raw rings into the canonical form of :class:`Layers`, which every backend returns.
+
+    Directions are left as they are: which side is solid is what a slicer knows.
+
+    Parameters
+    ----------
+    heights, points, ring_starts, layer_starts, closed, edge, edge_t, **labels
+        Columns as in :class:`Layers`, in any order within a layer, with repeated points allowed.
+
+    Returns
+    -------
+    Layers
+        With consecutive equal points and rings without area gone; `dropped` counts the latter.
+    """
+    heights = np.ascontiguousarray(heights, dtype=np.float64)
+    points = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 2)
+    ring_starts = np.ascontiguousarray(ring_starts, dtype=np.int64)
+    layer_starts = np.ascontiguousarray(layer_starts, dtype=np.int64)
+    closed = np.ascontiguousarray(closed, dtype=np.bool_)
+    first, size, after = (np.empty(closed.size, np.int64) for _ in range(3))
+
+    def form(start: int, stop: int) -> None:
+        canonical_form.ring_forms(points, ring_starts, closed, start, stop, first, size, after)
+
+    run_blocks(form, closed.size, RINGS_A_BLOCK)
+    order, new_layer_starts = canonical_form.ring_order(points, layer_starts, first, size, after)
+    new_ring_starts = np.concatenate([[0], np.cumsum(size[order])]).astype(np.int64)
+
+    def gathered(column: NDArray[Any]) -> NDArray[Any]:
+        out = np.empty((int(new_ring_starts[-1]), *column.shape[1:]), column.dtype)
+        gather = canonical_form.gather_pairs if column.ndim == 2 else canonical_form.gather_numbers
+
+        def fill(start: int, stop: int) -> None:
+            gather(points, ring_starts, first, order, new_ring_starts, column, out, start, stop)
+
+        run_blocks(fill, order.size, RINGS_A_BLOCK)
+        return out
+
+    return Layers(
+        heights=heights,
+        points=gathered(points),
+        ring_starts=new_ring_starts,
+        layer_starts=new_layer_starts,
+        closed=closed[order],
+        edge=None if edge is None else gathered(np.ascontiguousarray(edge)),
+        edge_t=None if edge_t is None else gathered(np.ascontiguousarray(edge_t)),
+        dropped=np.diff(layer_starts) - np.diff(new_layer_starts),
+        **labels,
+    )
+
+
+def from_rings(
+    heights: ArrayLike,
+    layers: Sequence[Iterable[ArrayLike]],
+    open_paths: Sequence[Iterable[ArrayLike]] | None = None,
+    **labels: Any,
+) -> Layers:
+    """Build layers from lists of rings, one list a layer; for small stacks and for slice files.
+
+    Examples
+    --------
+    >>> square = [(0, 0), (2, 0), (2, 2), (0, 2)]
+    >>> from_rings([0.5], [[square]]).areas().tolist()
+    [4.0]
+    """
+    arrays: list[Floats] = []
+    closed: list[bool] = []
+    layer_starts = [0]
+    for k, layer in enumerate(layers):
+        for is_closed, paths in ((True, layer), (False, open_paths[k] if open_paths else ())):
+            for path in paths:
+                arrays.append(np.asarray(path, dtype=np.float64).reshape(-1, 2))
+                closed.append(is_closed)
+        layer_starts.append(len(arrays))
+    sizes = [len(a) for a in arrays]
+    return canonical(
+        np.asarray(heights, dtype=np.float64).reshape(-1),
+        np.concatenate(arrays) if arrays else np.zeros((0, 2)),
+        np.concatenate([[0], np.cumsum(sizes)]),
+        np.asarray(layer_starts),
+        np.asarray(closed, dtype=np.bool_),
+        **labels,
+    )
+
+
+def from_polygons(heights: ArrayLike, layers: Sequence[Iterable[BaseGeometry]], **labels: Any) -> Layers:
+    """Build layers from shapely polygons (or multi-polygons), one collection a layer."""
+    stack: list[list[Floats]] = []
+    for layer in layers:
+        found: list[Floats] = []
+        for geometry in layer:
+            for polygon in valid_polygons(geometry):
+                oriented = shapely.orient_polygons(polygon)
+                found.append(shapely.get_coordinates(oriented.exterior)[:-1])
+                found.extend(shapely.get_coordinates(hole)[:-1] for hole in oriented.interiors)
+        stack.append(found)
+    return from_rings(heights, stack, **labels)
+
+
+def concatenate(blocks: Sequence[Layers]) -> Layers:
+    """Join consecutive blocks of one slicer into one stack; labels are those of the first block."""
+    if not blocks:
+        raise SettingsError("no layers to join: give at least one block")
+    first = blocks[0]
+    ring_base = np.cumsum([0] + [b.closed.size for b in blocks])
+    point_base = np.cumsum([0] + [len(b.points) for b in blocks])
+    with_edges = all(b.edge is not None and b.edge_t is not None for b in blocks)
+    return replace(
+        first,
+        heights=np.concatenate([b.heights for b in blocks]),
+        points=np.concatenate([b.points for b in blocks]),
+        ring_starts=np.concatenate(
+            [[0], *(b.ring_starts[1:] + p for b, p in zip(blocks, point_base[:-1], strict=True))]
+        ).astype(np.int64),
+        layer_starts=np.concatenate(
+            [[0], *(b.layer_starts[1:] + r for b, r in zip(blocks, ring_base[:-1], strict=True))]
+        ).astype(np.int64),
+        closed=np.concatenate([b.closed for b in blocks]),
+        edge=np.concatenate([b.edge for b in blocks if b.edge is not None]) if with_edges else None,
+        edge_t=np.concatenate([b.edge_t for b in blocks if b.edge_t is not None]) if with_edges else None,
+        dropped=np.concatenate([b.dropped for b in blocks]),
+    )
+
+
+def valid_polygons(geometry: BaseGeometry) -> list[shapely.Polygon]:
+    """Polygons with area in a geometry, made valid where they are not."""
+    if not geometry.is_valid:
+        geometry = shapely.make_valid(geometry)
+    parts = shapely.get_parts(geometry)
+    if any(part.geom_type == "GeometryCollection" or part.geom_type.startswith("Multi") for part in parts):
+        return [polygon for part in parts for polygon in valid_polygons(part)]
+    return [part for part in parts if part.geom_type == "Polygon" and part.area > 0]
+
+
+def _expand(starts: Ints, wanted: Ints) -> tuple[Ints, Ints]:
+    """Members of the `wanted` groups of a ragged column, and the starts of the new groups."""
+    sizes = np.diff(starts)[wanted]
+    new_starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+    members = np.arange(new_starts[-1]) + np.repeat(starts[:-1][wanted] - new_starts[:-1], sizes)
+    return members.astype(np.int64), new_starts

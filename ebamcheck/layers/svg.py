@@ -1,0 +1,358 @@
+"""Pictures of layers as self-contained SVG: one layer, several slicers over each other, a sheet of layers.
+
+Drawn with y up and one scale for both axes. Points nearer to the drawn line than
+:data:`REDUCTION_PX` pixels are left out, so that a layer of a million points stays a small picture.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from xml.sax.saxutils import escape
+
+import numpy as np
+import shapely
+
+from ebamcheck.errors import SettingsError
+from ebamcheck.layers.stack import Layers
+from ebamcheck.numeric.rings import Floats
+
+REDUCTION_PX = 0.2
+"""Distance that a drawn line may leave its points: well under what a screen shows."""
+MARGIN_PX = 16
+TITLE_PX = 28
+"""Room above the drawing for its title."""
+FOOT_PX = 30
+"""Room under the drawing for the scale bar."""
+SMALLEST_EXTENT_MM = 1e-6
+"""A layer of one point is drawn as if it were this large."""
+LARGEST_HEIGHT = 4.0
+"""Height over width beyond which a tall, narrow layer is drawn at a smaller scale."""
+SHEET_LAYERS = 16
+
+SOLID = "#9fc3e8"
+RING = "#1b4f82"
+OPEN = "#d1242f"
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
+"""Okabe and Ito's colours, which stay apart for colour-blind eyes."""
+DASHES = ("", "9 6", "3 7", "9 4 2 4", "1 5", "14 6", "5 5")
+"""Lines that lie on each other stay visible by their dashes."""
+
+Box = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class _View:
+    """Where millimetres lie on the picture."""
+
+    box: Box
+    px_per_mm: float
+    left_px: float
+    top_px: float
+
+    @property
+    def width_px(self) -> float:
+        return (self.box[2] - self.box[0]) * self.px_per_mm
+
+    @property
+    def height_px(self) -> float:
+        return (self.box[3] - self.box[1]) * self.px_per_mm
+
+    def path(self, points: Floats, closed: bool) -> str:
+        """SVG path data of a ring or an open path, reduced, y up."""
+        reduced = _reduced(points, closed, REDUCTION_PX / self.px_per_mm)
+        x = self.left_px + (reduced[:, 0] - self.box[0]) * self.px_per_mm
+        y = self.top_px + (self.box[3] - reduced[:, 1]) * self.px_per_mm
+        pairs = " ".join(f"{a:.2f},{b:.2f}" for a, b in zip(x.tolist(), y.tolist(), strict=True))
+        return f"M{pairs}Z" if closed else f"M{pairs}"
+
+
+def layer_svg(
+    layers: Layers,
+    layer: int,
+    *,
+    width_px: int = 800,
+    box: Box | None = None,
+    title: str | None = None,
+    points: bool = False,
+) -> str:
+    """Draw one layer: solid region, rings, open paths, scale bar and counts.
+
+    Parameters
+    ----------
+    layers
+        A stack.
+    layer
+        Index of the layer; a negative one counts from the top.
+    width_px
+        Width of the picture.
+    box
+        xmin, ymin, xmax, ymax to show, mm; None: the layer itself.
+    title
+        Text above the drawing; None: layer, height and counts.
+    points
+        Mark every contour point (of the layer as it is, not of the reduced drawing).
+
+    Returns
+    -------
+    str
+        An SVG document.
+
+    Raises
+    ------
+    SettingsError
+        If there is no such layer or the width is too small.
+    """
+    k = _index(layers, layer)
+    view = _view(box or _layer_box([(layers, k)]), width_px, MARGIN_PX, TITLE_PX)
+    body = _region(layers, k, view)
+    if points:
+        body += _marks(layers, k, view)
+    body += _scale_bar(view)
+    return _document(body, view, width_px, _title(layers, k) if title is None else title)
+
+
+def overlay_svg(
+    stacks: Mapping[str, Layers],
+    layer: int,
+    *,
+    width_px: int = 800,
+    box: Box | None = None,
+    title: str | None = None,
+) -> str:
+    """Draw one layer of several slicers over each other, each in its colour and dash, with a legend.
+
+    Parameters
+    ----------
+    stacks
+        Stacks with the same heights, by the name to show.
+    layer, width_px, box, title
+        As in :func:`layer_svg`; the box is by default that of all of them together.
+
+    Raises
+    ------
+    SettingsError
+        If there is no stack, or one of them has no such layer.
+    """
+    if not stacks:
+        raise SettingsError("no stacks to draw over each other: give at least one")
+    chosen = [(layers, _index(layers, layer)) for layers in stacks.values()]
+    view = _view(box or _layer_box(chosen), width_px, MARGIN_PX, TITLE_PX + 18)
+    body: list[str] = []
+    for n, (name, (layers, k)) in enumerate(zip(stacks, chosen, strict=True)):
+        colour, dash = COLOURS[n % len(COLOURS)], DASHES[n % len(DASHES)]
+        body += [
+            f'<g class="slicer" data-name="{_attribute(name)}">',
+            *_outlines(layers, k, view, colour, dash, n),
+            "</g>",
+        ]
+    body += _legend(list(stacks)) + _scale_bar(view)
+    first, k = chosen[0]
+    heading = f"layer {k}, z = {first.heights[k]:.3f} mm" if title is None else title
+    return _document(body, view, width_px, heading)
+
+
+def sheet_svg(layers: Layers, *, width_px: int = 1200, columns: int = 4, most: int = SHEET_LAYERS) -> str:
+    """Draw up to `most` layers, evenly chosen from the stack, side by side at one scale.
+
+    Raises
+    ------
+    SettingsError
+        If the stack has no layers.
+    """
+    if not len(layers):
+        raise SettingsError("no layers to draw: the stack is empty")
+    if len(layers) == 1:
+        return layer_svg(layers, 0, width_px=width_px)
+    count = min(most, len(layers))
+    chosen = np.unique(np.linspace(0, len(layers) - 1, count).round().astype(int)).tolist()
+    columns = min(columns, len(chosen))
+    cell_px = width_px / columns
+    box = _widened(layers.bounds())
+    first = _view(box, cell_px, MARGIN_PX / 2, TITLE_PX)
+    row_px = first.height_px + TITLE_PX + MARGIN_PX
+    body: list[str] = []
+    for n, k in enumerate(chosen):
+        left, top = (n % columns) * cell_px, TITLE_PX + (n // columns) * row_px
+        view = _View(box, first.px_per_mm, left + first.left_px, top + TITLE_PX)
+        body.append(_text(left + MARGIN_PX / 2, top + 18, _title(layers, k), 11))
+        body += _region(layers, k, view)
+    rows = math.ceil(len(chosen) / columns)
+    bottom = _View(box, first.px_per_mm, MARGIN_PX, TITLE_PX + rows * row_px - first.height_px)
+    body += _scale_bar(bottom)
+    title = f"{len(chosen)} of {len(layers)} layers" + (f", {layers.backend}" if layers.backend else "")
+    return _document(body, bottom, width_px, title)
+
+
+# -- pieces ----------------------------------------------------------------------------------------
+
+
+def _region(layers: Layers, k: int, view: _View) -> list[str]:
+    """The solid region of a layer, its rings and its open paths."""
+    # Outer rings and holes run against each other, so the nonzero rule fills what is solid, and shells
+    # that overlap stay solid where even-odd would punch a hole.
+    rings = [r for r in layers.rings_of(k) if layers.closed[r]]
+    data = "".join(view.path(layers.ring(r), True) for r in rings)
+    parts = []
+    if data:
+        parts.append(
+            f'<path class="region" d="{data}" fill="{SOLID}" fill-rule="nonzero" '
+            f'stroke="{RING}" stroke-width="1" stroke-linejoin="round"/>'
+        )
+    parts += [
+        f'<path class="open" d="{view.path(layers.ring(r), False)}" fill="none" stroke="{OPEN}" stroke-width="2"/>'
+        for r in layers.rings_of(k)
+        if not layers.closed[r]
+    ]
+    return parts
+
+
+def _outlines(layers: Layers, k: int, view: _View, colour: str, dash: str, rank: int) -> list[str]:
+    """Rings and open paths of a layer as lines; later ones are thinner, so that none hides another."""
+    width = max(1.0, 4.0 - 0.8 * rank)
+    pattern = f' stroke-dasharray="{dash}"' if dash else ""
+    return [
+        f'<path d="{view.path(layers.ring(r), bool(layers.closed[r]))}" fill="none" stroke="{colour}" '
+        f'stroke-width="{width:g}"{pattern}/>'
+        for r in layers.rings_of(k)
+    ]
+
+
+def _marks(layers: Layers, k: int, view: _View) -> list[str]:
+    """A dot at each contour point: a path of lines without length, round at their ends."""
+    dots = []
+    for r in layers.rings_of(k):
+        points = layers.ring(r)
+        x = view.left_px + (points[:, 0] - view.box[0]) * view.px_per_mm
+        y = view.top_px + (view.box[3] - points[:, 1]) * view.px_per_mm
+        dots += [f"M{a:.2f},{b:.2f}h0" for a, b in zip(x.tolist(), y.tolist(), strict=True)]
+    if not dots:
+        return []
+    return [
+        f'<path class="points" d="{"".join(dots)}" stroke="{RING}" stroke-width="3" stroke-linecap="round"/>'
+    ]
+
+
+def _scale_bar(view: _View) -> list[str]:
+    """A bar of 1, 2 or 5 times a power of ten millimetres, about a fifth of the drawing."""
+    target_mm = max(view.width_px, 60.0) / view.px_per_mm / 5.0
+    power = 10.0 ** math.floor(math.log10(target_mm))
+    length_mm = next(step * power for step in (5.0, 2.0, 1.0) if step * power <= target_mm * (1 + 1e-9))
+    x0, y = view.left_px, view.top_px + view.height_px + 18
+    x1 = x0 + length_mm * view.px_per_mm
+    bar = f"M{x0:.2f},{y - 4:.2f}v8M{x0:.2f},{y:.2f}H{x1:.2f}M{x1:.2f},{y - 4:.2f}v8"
+    return [
+        f'<path class="scale" d="{bar}" fill="none" stroke="#333" stroke-width="1.5"/>',
+        _text(x1 + 6, y + 4, f"{length_mm:g} mm", 12),
+    ]
+
+
+def _legend(names: Sequence[str]) -> list[str]:
+    parts: list[str] = []
+    x = float(MARGIN_PX)
+    for n, name in enumerate(names):
+        colour, dash = COLOURS[n % len(COLOURS)], DASHES[n % len(DASHES)]
+        pattern = f' stroke-dasharray="{dash}"' if dash else ""
+        parts.append(f'<path d="M{x:.1f},36h26" stroke="{colour}" stroke-width="3"{pattern}/>')
+        parts.append(_text(x + 31, 40, name, 12))
+        x += 31 + 8 * len(name) + 18
+    return parts
+
+
+def _text(x_px: float, y_px: float, text: str, size_px: int) -> str:
+    return f'<text x="{x_px:.1f}" y="{y_px:.1f}" font-size="{size_px}" fill="#222">{_clean(text)}</text>'
+
+
+def _document(body: list[str], view: _View, width_px: int, title: str) -> str:
+    height_px = math.ceil(view.top_px + view.height_px + FOOT_PX)
+    head = (
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width_px}" height="{height_px}" '
+        f'viewBox="0 0 {width_px} {height_px}" font-family="Helvetica, Arial, sans-serif">'
+    )
+    lines = [
+        head,
+        f"<title>{_clean(title)}</title>",
+        f'<rect width="{width_px}" height="{height_px}" fill="#ffffff"/>',
+        _text(MARGIN_PX, 20, title, 14),
+        *body,
+        "</svg>",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _clean(text: str) -> str:
+    """Text as XML may hold it: markup escaped, control characters gone."""
+    return escape("".join(c for c in text if c >= " "))
+
+
+def _attribute(text: str) -> str:
+    return _clean(text).replace('"', "&quot;")
+
+
+# -- measures --------------------------------------------------------------------------------------
+
+
+def _index(layers: Layers, layer: int) -> int:
+    if not -len(layers) <= layer < len(layers):
+        raise SettingsError(f"no layer {layer}: the stack has {len(layers)} layers")
+    return layer % len(layers)
+
+
+def _title(layers: Layers, k: int) -> str:
+    block = layers.block(k, k + 1)
+    outer, holes, lines = (
+        int(c[0]) for c in (block.outer_counts(), block.hole_counts(), block.open_counts())
+    )
+    text = f"layer {k}, z = {layers.heights[k]:.3f} mm: {outer} outer, {holes} holes"
+    return text + (f", {lines} open" if lines else "")
+
+
+def _layer_box(chosen: Sequence[tuple[Layers, int]]) -> Box:
+    boxes = [layers.block(k, k + 1).bounds() for layers, k in chosen]
+    boxes = [box for box in boxes if not math.isnan(box[0])]
+    if not boxes:
+        return _widened((math.nan,) * 4)
+    least, greatest = np.min(boxes, axis=0), np.max(boxes, axis=0)
+    return _widened((float(least[0]), float(least[1]), float(greatest[2]), float(greatest[3])))
+
+
+def _widened(box: Box) -> Box:
+    """A box that has extent in both directions; that of nothing is a millimetre about the origin."""
+    if math.isnan(box[0]):
+        return (-0.5, -0.5, 0.5, 0.5)
+    x0, y0, x1, y1 = box
+    least = max(SMALLEST_EXTENT_MM, 0.02 * max(x1 - x0, y1 - y0))
+    dx, dy = max(0.0, least - (x1 - x0)) / 2, max(0.0, least - (y1 - y0)) / 2
+    return (x0 - dx, y0 - dy, x1 + dx, y1 + dy)
+
+
+def _view(box: Box, width_px: float, margin_px: float, top_px: float) -> _View:
+    drawing_px = width_px - 2 * margin_px
+    if drawing_px <= 0:
+        raise SettingsError(f"a picture {width_px} pixels wide has no room for a drawing: give at least 100")
+    width_mm, height_mm = box[2] - box[0], box[3] - box[1]
+    if not (width_mm > 0 and height_mm > 0 and math.isfinite(width_mm + height_mm)):
+        raise SettingsError(f"box {box} has no extent: give xmin, ymin, xmax, ymax in mm")
+    scale = min(drawing_px / width_mm, LARGEST_HEIGHT * drawing_px / height_mm)
+    left_px = margin_px + 0.5 * (drawing_px - width_mm * scale)
+    return _View(box, scale, left_px, top_px)
+
+
+def _reduced(points: Floats, closed: bool, tolerance_mm: float) -> Floats:
+    """Points of a line that stays within the tolerance of all of them (Douglas and Peucker 1973)."""
+    if len(points) < 4:
+        return points
+    # A closed ring is cut at its first point and the one farthest from it, so that both stay.
+    if not closed:
+        line = shapely.LineString(points).simplify(tolerance_mm, preserve_topology=False)
+        return np.asarray(shapely.get_coordinates(line))
+    far = int(np.argmax(np.hypot(*(points - points[0]).T)))
+    halves = (points[: far + 1], np.concatenate([points[far:], points[:1]]))
+    kept = [
+        shapely.get_coordinates(shapely.LineString(half).simplify(tolerance_mm, preserve_topology=False))
+        if len(half) > 2
+        else half
+        for half in halves
+    ]
+    return np.concatenate([kept[0][:-1], kept[1][:-1]])

@@ -1,0 +1,125 @@
+"""From a mesh file to a welded part: STL by our own reader, OBJ, PLY and 3MF through trimesh."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import logging
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ebamcheck.errors import InputError, SettingsError
+from ebamcheck.mesh.part import LARGEST_EXTENT_MM, SMALLEST_EXTENT_MM, UNITS_MM, Part
+from ebamcheck.mesh.stl import read_triangles
+from ebamcheck.mesh.welding import weld
+
+TRIMESH_SUFFIXES = (".obj", ".ply", ".3mf")
+_log = logging.getLogger(__name__)
+
+
+def load(path: str | Path, units: str = "mm") -> Part:
+    """Read a part from an STL, OBJ, PLY or 3MF file.
+
+    Parameters
+    ----------
+    path
+        The file; its format is told by content for STL and by suffix for the others.
+    units
+        Unit of the file's numbers: mm, cm, m, um, in or ft. Never guessed.
+
+    Returns
+    -------
+    Part
+        Vertices equal in all bits welded, in mm.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, truncated, not what its name says, or holds NaN, inf or no facet.
+    SettingsError
+        If the unit is unknown.
+    """
+    if units not in UNITS_MM:
+        raise SettingsError(f"unknown unit {units!r}: use one of {', '.join(UNITS_MM)}")
+    return _read(Path(path), units, UNITS_MM[units])
+
+
+def _read(path: Path, units: str, millimetres: float) -> Part:
+    data = _bytes_of(path)
+    with ThreadPoolExecutor(1) as aside:  # hashing takes as long as reading does, and needs nothing of it
+        digest = aside.submit(hashlib.sha256, data)
+        part = _part_of(data, path, units, millimetres)
+        return replace(part, source_sha256=digest.result().hexdigest())
+
+
+def _part_of(data: bytes | memoryview, path: Path, units: str, millimetres: float) -> Part:
+    suffix = path.suffix.lower()
+    triangles: NDArray[np.float32] | NDArray[np.float64]
+    notes: list[str] = []
+    if suffix in TRIMESH_SUFFIXES:
+        triangles = _through_trimesh(data, suffix[1:], path.name)
+    elif suffix in (".stl", ""):
+        triangles, notes = read_triangles(data, path.name)
+    else:
+        known = ", ".join((".stl", *TRIMESH_SUFFIXES))
+        raise InputError(f"{path.name}: unknown suffix {suffix!r}: parts are read from {known}")
+    vertices, faces = weld(triangles)
+    if millimetres != 1.0:
+        vertices *= millimetres
+    part = Part(
+        vertices,
+        faces,
+        name=path.stem,
+        source=str(path),
+        units=units,
+    )
+    largest = float(part.size.max())
+    if not SMALLEST_EXTENT_MM <= largest <= LARGEST_EXTENT_MM:
+        notes.append(
+            f"the part is {largest:.4g} mm in its largest extent: check the unit of the file (read as {units}; see --units)"
+        )
+    for note in notes:
+        _log.warning("%s: %s", path.name, note)
+    return replace(part, notes=tuple(notes))
+
+
+def _bytes_of(path: Path) -> bytes | memoryview:
+    """The whole file; numpy has it in large pages, which are filled in half the time."""
+    try:
+        if not path.is_file():
+            return path.read_bytes()
+        return np.fromfile(path, np.uint8).data.toreadonly()
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such file") from None
+    except IsADirectoryError:
+        raise InputError(f"{path}: is a folder, not a mesh file") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+
+
+def _through_trimesh(data: bytes | memoryview, kind: str, name: str) -> NDArray[np.float64]:
+    """Corner points (F, 3, 3) of all meshes of a scene, as placed in it."""
+    import trimesh
+
+    try:
+        scene: Any = trimesh.load_scene(io.BytesIO(data), file_type=kind, process=False)
+        meshes = [mesh for mesh in scene.dump(concatenate=False) if isinstance(mesh, trimesh.Trimesh)]
+        triangles = [np.asarray(mesh.triangles, dtype=np.float64) for mesh in meshes if len(mesh.faces)]
+    except Exception as error:
+        why = " ".join(str(error).split())[:160]
+        raise InputError(f"{name}: cannot be read as {kind.upper()}: {type(error).__name__}: {why}") from None
+    if not triangles:
+        raise InputError(f"{name}: holds no facet ({kind.upper()})")
+    corners = np.concatenate(triangles)
+    if not np.isfinite(corners).all():
+        facet, corner, axis = np.argwhere(~np.isfinite(corners))[0]
+        raise InputError(
+            f"{name}: facet {facet}, vertex {corner}, {'xyz'[axis]} is {corners[facet, corner, axis]}: "
+            "coordinates must be finite"
+        )
+    return corners

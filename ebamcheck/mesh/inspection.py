@@ -1,0 +1,324 @@
+"""Inspection of a part: what the input gate looks at before anything is sliced."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.topology import EdgeGroups, edge_groups
+from ebamcheck.numeric.kernels import kernel
+
+Verdict = Literal["sound", "inside-out", "open", "inconsistent", "non-manifold", "flat"]
+
+NO_VOLUME = 1e-12
+"""Volume under this fraction of the bounding cube counts as none: far above rounding, far under any part."""
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """What was found on a part.
+
+    `verdict` is the first that applies of: ``open`` (edges with one facet), ``inconsistent`` (neighbouring
+    facets that run the same way along their edge), ``non-manifold`` (edges with an odd number of facets, or
+    whose facets do not pair), ``flat`` (no volume), ``inside-out`` (a closed body of negative volume outside
+    of any other), ``sound``.
+    """
+
+    name: str
+    facets: int
+    vertices: int
+    bodies: int
+    size_mm: tuple[float, float, float]
+    lower_mm: tuple[float, float, float]
+    volume_mm3: float
+    open_edges: int
+    nonmanifold_edges: int
+    inconsistent_edges: int
+    duplicate_facets: int
+    degenerate_facets: int
+    zero_area_facets: int
+    inside_out_bodies: int
+    open_bodies: int
+    notes: tuple[str, ...]
+    verdict: Verdict
+    why: str
+
+    @property
+    def passed(self) -> bool:
+        """Whether the part may be sliced for production: closed, consistent and the right way out."""
+        return self.verdict == "sound"
+
+    def as_dict(self) -> dict[str, Any]:
+        """All figures, for JSON."""
+        return {**asdict(self), "passed": self.passed}
+
+
+def inspect(part: Part) -> Inspection:
+    """Count the defects of a part and judge whether it has an inside.
+
+    Edges with more than two facets are counted, and refused only where their facets do not pair up in
+    opposite directions: bodies that touch along an edge have an inside.
+
+    Examples
+    --------
+    >>> from ebamcheck.mesh.part import from_arrays
+    >>> corners = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
+    >>> inspect(from_arrays(corners, [(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)])).verdict
+    'sound'
+    """
+    groups = edge_groups(part.faces, len(part.vertices))
+    facets_at_edge = np.diff(groups.starts)
+    balance = _direction_balance(part.faces, groups)
+    open_edges = int(np.count_nonzero(facets_at_edge == 1))
+    inconsistent = int(np.count_nonzero((facets_at_edge == 2) & (balance != 0)))
+    unpaired = int(np.count_nonzero((facets_at_edge > 2) & (balance != 0)))
+    body = body_labels(part, groups)
+    bodies = int(body.max()) + 1 if body.size and body.max() >= 0 else 0
+    volumes = body_volumes(part, body, bodies)
+    open_body = np.zeros(bodies, np.bool_)
+    open_body[body[groups.half_edges[groups.starts[:-1][facets_at_edge == 1]] // 3]] = True
+    repeated, zero_area = _degenerate(part)
+    inside_out = inside_out_bodies(part, body, volumes) & ~open_body
+    found = Inspection(
+        name=part.name,
+        facets=len(part.faces),
+        vertices=len(part.vertices),
+        bodies=bodies,
+        size_mm=_triple(part.size),
+        lower_mm=_triple(part.bounds[0]),
+        volume_mm3=float(part.volume),
+        open_edges=open_edges,
+        nonmanifold_edges=int(np.count_nonzero(facets_at_edge > 2)),
+        inconsistent_edges=inconsistent,
+        duplicate_facets=_duplicates(part.faces[~repeated]),
+        degenerate_facets=int(repeated.sum()),
+        zero_area_facets=int((zero_area & ~repeated).sum()),
+        inside_out_bodies=int(inside_out.sum()),
+        open_bodies=int(open_body.sum()),
+        notes=part.notes,
+        verdict="sound",
+        why="closed, consistently oriented, volume positive",
+    )
+    verdict, why = _judge(found, unpaired, float(np.abs(volumes).sum()))
+    return replace(found, verdict=verdict, why=why)
+
+
+def _judge(found: Inspection, unpaired: int, enclosed_mm3: float) -> tuple[Verdict, str]:
+    if found.open_edges:
+        return "open", (
+            f"{found.open_edges} open edges in {found.open_bodies} of {found.bodies} bodies: "
+            "sections have open paths and no certain inside; close the mesh"
+            + ("; the volume is negative as well: the part is inside-out" if found.volume_mm3 < 0 else "")
+        )
+    if found.inconsistent_edges:
+        return "inconsistent", (
+            f"{found.inconsistent_edges} edges whose two facets run the same way: some facets are flipped; "
+            "turn them in the model, or use --fix-orientation"
+        )
+    if unpaired:
+        return (
+            "non-manifold",
+            f"{unpaired} edges whose facets do not pair up in opposite directions: mend the model",
+        )
+    if enclosed_mm3 <= NO_VOLUME * max(found.size_mm) ** 3:
+        return "flat", f"its facets enclose no volume ({found.volume_mm3:.3g} mm3): there is nothing to build"
+    if found.inside_out_bodies:
+        return "inside-out", (
+            f"{found.inside_out_bodies} of {found.bodies} closed bodies have negative volume "
+            f"(in all {found.volume_mm3:.6g} mm3): every facet faces inwards; turn them in the model, or use --fix-orientation"
+        )
+    return "sound", "closed, consistently oriented, volume positive"
+
+
+def body_labels(part: Part, groups: EdgeGroups) -> NDArray[np.int32]:
+    """Body of each facet (F,): facets that share an edge are one body; -1 for degenerate facets."""
+    return _bodies(len(part.faces), groups.half_edges, groups.starts)
+
+
+@kernel
+def _bodies(count: int, half_edges: NDArray[np.int32], starts: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Union-find over the facets of every edge; bodies are numbered by their first facet."""
+    root = np.full(count, -1, np.int32)
+    for h in half_edges:
+        root[h // 3] = h // 3
+    for e in range(starts.size - 1):
+        for i in range(starts[e] + 1, starts[e + 1]):
+            a, b = half_edges[starts[e]] // 3, half_edges[i] // 3
+            while root[a] != a:
+                root[a] = root[root[a]]
+                a = root[a]
+            while root[b] != b:
+                root[b] = root[root[b]]
+                b = root[b]
+            # The lesser facet stays the root, so that a body's root is its first facet.
+            if a < b:
+                root[b] = a
+            else:
+                root[a] = b
+    label = np.full(count, -1, np.int32)
+    bodies = 0
+    for f in range(count):
+        if root[f] < 0:
+            continue
+        if root[f] == f:
+            label[f] = bodies
+            bodies += 1
+        else:
+            # Roots are lesser than their members, so the parent is labelled by now.
+            label[f] = label[root[f]]
+    return label
+
+
+def body_volumes(part: Part, body: NDArray[np.int32], bodies: int) -> NDArray[np.float64]:
+    """Signed volume of each body (B,), mm3, about a point of the body itself."""
+    if bodies == 0:
+        return np.zeros(0)
+    used = body >= 0
+    first = np.full(bodies, len(body))
+    np.minimum.at(first, body[used], np.flatnonzero(used))
+    origin = part.vertices[part.faces[first, 0]]
+    a, b, c = np.moveaxis(part.triangles[used] - origin[body[used], None, :], 1, 0)
+    sixfold = np.bincount(body[used], np.einsum("ij,ij->i", a, np.cross(b, c)), minlength=bodies)
+    return sixfold.astype(np.float64) / 6.0
+
+
+def inside_out_bodies(part: Part, body: NDArray[np.int32], volumes: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Bodies (B,) of negative volume that lie in no other body: those within one are its cavities.
+
+    A cavity is told by its bounding box lying inside the box of a body of positive and larger volume.
+    """
+    negative = volumes < -NO_VOLUME * float(part.size.max(initial=0.0)) ** 3
+    if not negative.any():
+        return negative
+    lower = np.full((volumes.size, 3), np.inf)
+    upper = np.full((volumes.size, 3), -np.inf)
+    used = body >= 0
+    for corner in range(3):
+        points = part.vertices[part.faces[used, corner]]
+        np.minimum.at(lower, body[used], points)
+        np.maximum.at(upper, body[used], points)
+    solid = np.flatnonzero(volumes > 0)
+    for b in np.flatnonzero(negative):
+        around = (lower[solid] <= lower[b]).all(axis=1) & (upper[solid] >= upper[b]).all(axis=1)
+        negative[b] = not (around & (volumes[solid] >= -volumes[b])).any()
+    return negative
+
+
+@kernel
+def _balance(
+    faces: NDArray[np.int32], half_edges: NDArray[np.int32], starts: NDArray[np.int32]
+) -> NDArray[np.int32]:
+    result = np.zeros(starts.size - 1, np.int32)
+    for e in range(starts.size - 1):
+        for i in range(starts[e], starts[e + 1]):
+            f, corner = half_edges[i] // 3, half_edges[i] % 3
+            result[e] += 1 if faces[f, corner] < faces[f, (corner + 1) % 3] else -1
+    return result
+
+
+def _direction_balance(faces: NDArray[np.int32], groups: EdgeGroups) -> NDArray[np.int32]:
+    """Facets that run up each edge less those that run down it (E,): 0 where they pair."""
+    return _balance(faces, groups.half_edges, groups.starts)
+
+
+def _duplicates(faces: NDArray[np.int32]) -> int:
+    """Facets that repeat the three vertices of an earlier one, whatever way they are turned."""
+    if not len(faces):
+        return 0
+    least, greatest = faces.min(axis=1).astype(np.int64), faces.max(axis=1).astype(np.int64)
+    middle = faces.sum(axis=1, dtype=np.int64) - least - greatest
+    bits = 21
+    if greatest.max() < 1 << bits:
+        keys = np.sort((least << (2 * bits)) | (middle << bits) | greatest)
+        return int(np.count_nonzero(keys[1:] == keys[:-1]))
+    return len(faces) - len(np.unique(np.stack([least, middle, greatest], axis=1), axis=0))
+
+
+def _degenerate(part: Part) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Facets (F,) with a repeated vertex, and facets without area."""
+    a, b, c = part.faces.T
+    repeated = (a == b) | (b == c) | (c == a)
+    p, q, r = np.moveaxis(part.triangles, 1, 0)
+    return repeated, (np.cross(q - p, r - p) == 0.0).all(axis=1)
+
+
+def fix_orientation(part: Part) -> tuple[Part, int]:
+    """Turn flipped facets and inside-out closed bodies over.
+
+    Facets are turned, body by body, until neighbours across every two-facet edge agree; then closed bodies
+    of negative volume that are no cavities are turned as a whole. An open body is never turned by the sign
+    of its volume.
+
+    Returns
+    -------
+    part
+        The part with facets turned; the same object where none was.
+    turned
+        Number of facets turned.
+    """
+    groups = edge_groups(part.faces, len(part.vertices))
+    flip = _consistent_flips(part.faces, groups.half_edges, groups.starts)
+    faces = np.where(flip[:, None], part.faces[:, ::-1], part.faces)
+    mended = replace(part, faces=np.ascontiguousarray(faces))
+    groups = edge_groups(mended.faces, len(mended.vertices))
+    body = body_labels(mended, groups)
+    bodies = int(body.max(initial=-1)) + 1
+    open_body = np.zeros(bodies, np.bool_)
+    open_body[body[groups.half_edges[groups.starts[:-1][np.diff(groups.starts) == 1]] // 3]] = True
+    wrong = inside_out_bodies(mended, body, body_volumes(mended, body, bodies)) & ~open_body
+    turn = (body >= 0) & wrong[body] if bodies else np.zeros(len(body), np.bool_)
+    turned = int(np.count_nonzero(flip != turn))
+    if turned == 0:
+        return part, 0
+    faces = np.where(turn[:, None], mended.faces[:, ::-1], mended.faces)
+    return replace(part, faces=np.ascontiguousarray(faces)), turned
+
+
+@kernel
+def _consistent_flips(
+    faces: NDArray[np.int32], half_edges: NDArray[np.int32], starts: NDArray[np.int32]
+) -> NDArray[np.bool_]:
+    """Facets (F,) to turn so that neighbours across two-facet edges run opposite ways; the minority of a body turns."""
+    count = faces.shape[0]
+    across = np.full(3 * count, -1, np.int32)
+    for e in range(starts.size - 1):
+        a = starts[e]
+        if starts[e + 1] - a == 2:
+            across[half_edges[a]], across[half_edges[a + 1]] = half_edges[a + 1], half_edges[a]
+    flip = np.zeros(count, np.bool_)
+    seen = np.zeros(count, np.bool_)
+    queue = np.empty(count, np.int32)
+    for seed in range(count):
+        if seen[seed]:
+            continue
+        first, last = 0, 1
+        queue[0] = seed
+        seen[seed] = True
+        flipped = 0
+        while first < last:
+            f = queue[first]
+            first += 1
+            for i in range(3):
+                h = across[3 * f + i]
+                if h < 0 or seen[h // 3]:
+                    continue
+                g = h // 3
+                same_way = faces[f, i] == faces[g, h % 3]
+                flip[g] = flip[f] != same_way
+                flipped += 1 if flip[g] else 0
+                seen[g] = True
+                queue[last] = g
+                last += 1
+        if 2 * flipped > last:
+            for n in range(last):
+                flip[queue[n]] = not flip[queue[n]]
+    return flip
+
+
+def _triple(values: NDArray[np.float64]) -> tuple[float, float, float]:
+    x, y, z = (float(v) for v in values)
+    return x, y, z

@@ -1,0 +1,297 @@
+"""Strict reader of STL files, binary and ASCII.
+
+The kind is told by content and size: a file whose size fits its facet count is binary, whatever its
+header says. Nothing is repaired and nothing is guessed: a file that is cut, counts wrong or holds a number
+that is none is refused with the place and the value.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ebamcheck.errors import InputError
+from ebamcheck.numeric.kernels import kernel, run_blocks
+
+HEADER_BYTES = 84
+FACET_BYTES = 50
+FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+NORMAL_HALVES, CORNER_HALVES = 6, 18
+"""A facet as halves of 32-bit numbers, of which the lower one comes first."""
+EXPONENT = 0x7F80
+"""Bits of the upper half of a 32-bit number that are all set where it is NaN or infinite."""
+SMALLEST_BLOCK = 16384
+"""Facets that a thread takes at least: fewer do not pay for handing them over."""
+LARGEST_FLOAT32 = float(np.finfo(np.float32).max)
+BYTE_ORDER_MARK = b"\xef\xbb\xbf"
+_ASCII_START = re.compile(rb"\s*solid[^\r\n]*[\r\n]\s*(facet|endsolid)\s", re.IGNORECASE)
+
+FOREIGN = (
+    (b"version https://git-lfs", "a Git LFS pointer, not the file it stands for: run `git lfs pull`"),
+    (b"\x1f\x8b", "a gzip archive: unpack it first"),
+    (b"PK\x03\x04", "a zip archive (a 3MF file, perhaps): unpack it, or name it .3mf"),
+    (b"<", "a page or an XML file, not a mesh: was the download answered by an error page?"),
+    (b"ply", "a PLY file: name it .ply"),
+)
+"""First bytes of what people save under the name .stl, and what to tell them."""
+
+
+def read_triangles(data: bytes | memoryview, name: str) -> tuple[NDArray[np.float32], list[str]]:
+    """Read the corner points of every facet of an STL file.
+
+    Parameters
+    ----------
+    data
+        The whole file.
+    name
+        What to call it in messages.
+
+    Returns
+    -------
+    triangles
+        (F, 3, 3) corners in the file's unit, float32: STL's numbers are 32 bits wide, and an ASCII file prints
+        such numbers, so rounding to them makes vertices meet that were printed with different digits.
+    notes
+        What was odd but harmless, one line each.
+
+    Raises
+    ------
+    InputError
+        If the file is not a whole and finite STL file with at least one facet.
+    """
+    if not data:
+        raise InputError(f"{name}: is empty (0 bytes)")
+    count = int.from_bytes(data[80:84], "little") if len(data) >= HEADER_BYTES else 0
+    expected = HEADER_BYTES + FACET_BYTES * count
+    if len(data) >= HEADER_BYTES and len(data) == expected:
+        return _binary(data, count, name), []
+    data = bytes(data)
+    if _looks_like_ascii(data):
+        return _ascii(data, name), []
+    for start, what in FOREIGN:
+        if data.removeprefix(BYTE_ORDER_MARK).lstrip().startswith(start):
+            raise InputError(f"{name}: is {what}")
+    if len(data) < HEADER_BYTES:
+        raise InputError(
+            f"{name}: is no STL file: {len(data)} bytes, under the 84 of a binary header, and no ASCII 'solid'"
+        )
+    if len(data) < expected:
+        whole = (len(data) - HEADER_BYTES) // FACET_BYTES
+        raise InputError(
+            f"{name}: truncated or not an STL file: byte 80 counts {count} facets, which need {expected} bytes, "
+            f"but there are {len(data)} (room for {whole} facets)"
+        )
+    trailing = data[expected:]
+    if len(trailing) >= FACET_BYTES and trailing.strip(b"\0 \t\r\n"):
+        raise InputError(
+            f"{name}: byte 80 counts {count} facets, but {len(trailing)} bytes follow the last one: "
+            "wrong count, or files joined end to end"
+        )
+    return _binary(data, count, name), [f"{len(trailing)} bytes after the last facet were ignored"]
+
+
+def _binary(data: bytes | memoryview, count: int, name: str) -> NDArray[np.float32]:
+    if count == 0:
+        raise InputError(f"{name}: holds no facet (binary STL with count 0)")
+    halves = np.frombuffer(data, np.uint16, count * FACET_BYTES // 2, HEADER_BYTES).reshape(count, -1)
+    corners = np.empty((count, 3, 3), np.float32)
+    target = corners.view(np.uint16).reshape(count, -1)
+    finite = run_blocks(lambda a, b: _copy_corners(halves, target, a, b), count, SMALLEST_BLOCK)
+    if not all(finite):
+        facet, corner, axis = np.argwhere(~np.isfinite(corners))[0]
+        value = corners[facet, corner, axis]
+        raise InputError(
+            f"{name}: facet {facet}, vertex {corner}, {'xyz'[axis]} is {value}: coordinates must be finite"
+        )
+    return corners
+
+
+@kernel
+def _copy_corners(facets: NDArray[np.uint16], corners: NDArray[np.uint16], start: int, stop: int) -> bool:
+    """Copy the corners of the facets ``[start, stop)``, as halves of 32-bit numbers; returns whether all are finite."""
+    finite = True
+    for f in range(start, stop):
+        for c in range(0, CORNER_HALVES, 2):
+            corners[f, c] = facets[f, NORMAL_HALVES + c]
+            high = facets[f, NORMAL_HALVES + c + 1]
+            corners[f, c + 1] = high
+            finite &= (high & EXPONENT) != EXPONENT
+    return finite
+
+
+def _looks_like_ascii(data: bytes) -> bool:
+    """Whether the first line opens a solid and the next word is one that may follow in an ASCII file.
+
+    The word ``solid`` alone says nothing: many binary files carry it in their header.
+    """
+    text = data.removeprefix(BYTE_ORDER_MARK)
+    return bool(_ASCII_START.match(text)) or (
+        len(data) < HEADER_BYTES and text.lstrip()[:5].lower() == b"solid"
+    )
+
+
+# -- ASCII: one compiled pass finds every number, one vectorised pass converts them ------------------
+
+_WORDS = (
+    b"facet", b"normal", b"", b"", b"", b"outer", b"loop",
+    b"vertex", b"", b"", b"", b"vertex", b"", b"", b"", b"vertex", b"", b"", b"", b"endloop", b"endfacet",
+)  # fmt: skip
+"""Words of one facet in order; an empty one is a number."""
+
+_WORD_TABLE = np.zeros((len(_WORDS), 8), np.uint8)
+for _row, _word in enumerate(_WORDS):
+    _WORD_TABLE[_row, : len(_word)] = np.frombuffer(_word, np.uint8)
+_WORD_SIZES = np.array([len(w) for w in _WORDS])
+_NUMBERS_PER_FACET = 9
+_SHORTEST_FACET = 75
+"""Bytes of the shortest facet that can be written; bounds the number of facets before parsing."""
+
+_DONE, _WANT_SOLID, _WANT_WORD, _BAD_NUMBER, _CUT, _CONTROL = 0, 1, 2, 3, 4, 5
+
+
+@kernel
+def _is_word(text: NDArray[np.uint8], start: int, stop: int, word: NDArray[np.uint8], size: int) -> bool:
+    """Whether ``text[start:stop]`` is the lower-case `word`, ignoring case."""
+    if stop - start != size:
+        return False
+    for i in range(size):  # noqa: SIM110 (generators do not compile)
+        if (text[start + i] | 0x20) != word[i]:
+            return False
+    return True
+
+
+@kernel
+def _scan(
+    text: NDArray[np.uint8],
+    words: NDArray[np.uint8],
+    sizes: NDArray[np.int64],
+    solid: NDArray[np.uint8],
+    endsolid: NDArray[np.uint8],
+    starts: NDArray[np.int64],
+    stops: NDArray[np.int64],
+) -> tuple[int, int, int, int]:
+    """Find the coordinates of all facets: (status, facets, position and expected word of the error)."""
+    n = text.size
+    i = 0
+    facets = 0
+    in_solid = False
+    step = 0
+    while True:
+        while i < n and (text[i] == 32 or 9 <= text[i] <= 13):
+            i += 1
+        if i == n:
+            return (_CUT if in_solid else _DONE), facets, i, step
+        start = i
+        while i < n and not (text[i] == 32 or 9 <= text[i] <= 13):
+            if text[i] < 32 or text[i] == 127:
+                return _CONTROL, facets, i, step
+            i += 1
+        if not in_solid:
+            if not _is_word(text, start, i, solid, 5):
+                return _WANT_SOLID, facets, start, step
+            in_solid = True
+            while i < n and text[i] != 10 and text[i] != 13:
+                i += 1
+            continue
+        if step == 0 and _is_word(text, start, i, endsolid, 8):
+            in_solid = False
+            while i < n and text[i] != 10 and text[i] != 13:
+                i += 1
+            continue
+        if sizes[step] > 0:
+            if not _is_word(text, start, i, words[step], sizes[step]):
+                return _WANT_WORD, facets, start, step
+        elif step > 4:
+            for j in range(start, i):
+                c = text[j]
+                if not (48 <= c <= 57 or c == 43 or c == 45 or c == 46 or c == 69 or c == 101):
+                    return _BAD_NUMBER, facets, start, step
+            # Words 8-10, 12-14 and 16-18 of a facet are the coordinates of its three vertices.
+            index = (step - 8) // 4 * 3 + (step - 8) % 4
+            starts[facets * 9 + index] = start
+            stops[facets * 9 + index] = i
+        step += 1
+        if step == sizes.size:
+            step = 0
+            facets += 1
+
+
+@kernel
+def _copy_tokens(
+    text: NDArray[np.uint8], starts: NDArray[np.int64], stops: NDArray[np.int64], table: NDArray[np.uint8]
+) -> None:
+    for row in range(starts.size):
+        for j in range(stops[row] - starts[row]):
+            table[row, j] = text[starts[row] + j]
+
+
+def _ascii(data: bytes, name: str) -> NDArray[np.float32]:
+    text = np.frombuffer(data.removeprefix(BYTE_ORDER_MARK), np.uint8)
+    room = (text.size // _SHORTEST_FACET + 1) * _NUMBERS_PER_FACET
+    starts, stops = np.zeros(room, np.int64), np.zeros(room, np.int64)
+    solid, endsolid = (np.frombuffer(word, np.uint8) for word in (b"solid", b"endsolid"))
+    status, facets, at, step = _scan(text, _WORD_TABLE, _WORD_SIZES, solid, endsolid, starts, stops)
+    if status != _DONE:
+        _refuse_ascii(text, name, status, facets, at, step)
+    if facets == 0:
+        raise InputError(f"{name}: holds no facet (ASCII STL)")
+    starts, stops = starts[: facets * 9], stops[: facets * 9]
+    width = int((stops - starts).max())
+    table = np.zeros((facets * 9, width), np.uint8)
+    _copy_tokens(text, starts, stops, table)
+    tokens = table.view(f"S{width}").reshape(-1)
+    try:
+        values = tokens.astype(np.float64)
+    except ValueError:
+        bad = next(i for i, token in enumerate(tokens) if not _is_number(token))
+        _refuse_number(text, name, int(starts[bad]), "is not a number")
+    too_large = np.flatnonzero(~(np.abs(values) <= LARGEST_FLOAT32))
+    if too_large.size:
+        _refuse_number(text, name, int(starts[too_large[0]]), "is beyond the range of STL's 32-bit numbers")
+    return values.astype(np.float32).reshape(-1, 3, 3)
+
+
+def _is_number(token: bytes) -> bool:
+    try:
+        float(token)
+    except ValueError:
+        return False
+    return True
+
+
+def _refuse_ascii(
+    text: NDArray[np.uint8], name: str, status: int, facets: int, at: int, step: int
+) -> NoReturn:
+    expected = {0: "'facet' or 'endsolid'"}.get(
+        step, f"{_WORDS[step].decode()!r}" if _WORDS[step] else "a number"
+    )
+    if status == _CUT:
+        raise InputError(
+            f"{name}: line {_line(text, at)}: truncated: the file ends after {facets} facets where {expected} should follow"
+        )
+    if status == _WANT_SOLID:
+        expected = "'solid' or the end of the file"
+    if status == _CONTROL:
+        raise InputError(
+            f"{name}: line {_line(text, at)}: byte {int(text[at]):#04x} does not belong in an ASCII STL"
+        )
+    if status == _BAD_NUMBER:
+        _refuse_number(text, name, at, "is not a finite decimal number")
+    raise InputError(f"{name}: line {_line(text, at)}: found {_token(text, at)!r}, expected {expected}")
+
+
+def _refuse_number(text: NDArray[np.uint8], name: str, at: int, why: str) -> NoReturn:
+    raise InputError(f"{name}: line {_line(text, at)}: vertex coordinate {_token(text, at)!r} {why}")
+
+
+def _token(text: NDArray[np.uint8], at: int) -> str:
+    words = text[at : at + 40].tobytes().split()
+    return words[0].decode("ascii", "replace") if words else ""
+
+
+def _line(text: NDArray[np.uint8], at: int) -> int:
+    before = text[:at].tobytes().replace(b"\r\n", b"\n")
+    return before.count(b"\n") + before.count(b"\r") + 1

@@ -1,0 +1,30 @@
+"""Triangles as binary STL, for programs that read nothing better."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ebamcheck.mesh.stl import FACET
+
+HEADER = b"binary STL, mm".ljust(80)
+"""It does not begin with "solid", which would make readers take the file for text."""
+
+
+def write_triangles(triangles: NDArray[np.floating], path: Path) -> None:
+    """Write corners (F, 3, 3), mm, rounded to the 32-bit floats of the format, with their unit normals.
+
+    Corners that are equal stay equal. The normal of a facet without area is 0.
+    """
+    facets = np.zeros(len(triangles), FACET)
+    facets["corners"] = triangles
+    corners = facets["corners"].astype(np.float64)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    facets["normal"] = np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0.0)
+    with path.open("wb") as file:
+        file.write(HEADER)
+        file.write(np.array(len(facets), "<u4").tobytes())
+        facets.tofile(file)

@@ -1,0 +1,204 @@
+"""Which facets meet at which edges.
+
+Half-edge ``3 f + i`` is the edge from corner i to corner i + 1 of facet f, in the facet's own direction.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ebamcheck.numeric.kernels import kernel
+
+Index = NDArray[np.int32]
+
+NO_TWIN = -1
+
+
+class EdgeGroups(NamedTuple):
+    """Half-edges grouped by the undirected edge that they lie on."""
+
+    half_edges: Index
+    """(H,) half-edges, those of one edge next to each other; facets with a repeated corner have none."""
+    starts: Index
+    """(E + 1,) first place of each edge's group in `half_edges`."""
+
+
+def edge_groups(faces: Index, vertex_count: int) -> EdgeGroups:
+    """Group the half-edges of all non-degenerate facets by edge; O(F), without sorting or hashing.
+
+    Examples
+    --------
+    >>> two = np.array([[0, 1, 2], [2, 1, 3]], np.int32)
+    >>> groups = edge_groups(two, 4)
+    >>> sorted(np.diff(groups.starts).tolist())
+    [1, 1, 1, 1, 2]
+    """
+    return EdgeGroups(*_group(faces, vertex_count))
+
+
+@kernel
+def _group(faces: Index, vertex_count: int) -> tuple[Index, Index]:
+    count = faces.shape[0]
+    # Bucket half-edges by their lesser vertex: there are six in a bucket on average.
+    bucket = np.zeros(vertex_count + 1, np.int32)
+    for f in range(count):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        if a == b or b == c or c == a:
+            continue
+        bucket[min(a, b)] += 1
+        bucket[min(b, c)] += 1
+        bucket[min(c, a)] += 1
+    total = 0
+    for v in range(vertex_count + 1):
+        size = bucket[v]
+        bucket[v] = total
+        total += size
+    half_edges = np.empty(total, np.int32)
+    other = np.empty(total, np.int32)
+    fill = bucket.copy()
+    for f in range(count):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        if a == b or b == c or c == a:
+            continue
+        for i in range(3):
+            tail, head = faces[f, i], faces[f, (i + 1) % 3]
+            at = fill[min(tail, head)]
+            fill[min(tail, head)] += 1
+            half_edges[at] = 3 * f + i
+            other[at] = max(tail, head)
+    starts = np.empty(total + 1, np.int32)
+    edges = 0
+    for v in range(vertex_count):
+        first, last = bucket[v], bucket[v + 1]
+        if last - first > 64:
+            order = np.argsort(other[first:last], kind="mergesort")
+            half_edges[first:last] = half_edges[first:last][order]
+            other[first:last] = other[first:last][order]
+        else:
+            for i in range(first + 1, last):
+                key, value = other[i], half_edges[i]
+                j = i - 1
+                while j >= first and other[j] > key:
+                    other[j + 1], half_edges[j + 1] = other[j], half_edges[j]
+                    j -= 1
+                other[j + 1], half_edges[j + 1] = key, value
+        for i in range(first, last):
+            if i == first or other[i] != other[i - 1]:
+                starts[edges] = i
+                edges += 1
+    starts[edges] = total
+    return half_edges, starts[: edges + 1].copy()
+
+
+@kernel
+def twins(
+    vertices: NDArray[np.float64],
+    faces: Index,
+    half_edges: Index,
+    starts: Index,
+) -> Index:
+    """Half-edge across each half-edge (3 F,), :data:`NO_TWIN` at an open one.
+
+    Two facets at an edge are each other's neighbours, whatever way they are turned. More are paired
+    around the edge so that the solid lies between the two of a pair: bodies that touch along an edge stay
+    apart. What is left over (an odd number, or sheets without an inside) stays open.
+    """
+    result = np.full(3 * faces.shape[0], NO_TWIN, np.int32)
+    for e in range(starts.size - 1):
+        a, b = starts[e], starts[e + 1]
+        if b - a == 2:
+            result[half_edges[a]] = half_edges[a + 1]
+            result[half_edges[a + 1]] = half_edges[a]
+        elif b - a > 2:
+            _pair_around(vertices, faces, half_edges[a:b], result)
+    return result
+
+
+@kernel
+def _pair_around(vertices: NDArray[np.float64], faces: Index, fan: Index, result: Index) -> None:
+    """Pair the half-edges of one edge by the angle of their facets around it."""
+    h = fan[0]
+    tail, head = faces[h // 3, h % 3], faces[h // 3, (h % 3 + 1) % 3]
+    low, high = min(tail, head), max(tail, head)
+    axis = vertices[high] - vertices[low]
+    axis = axis / np.sqrt(np.sum(axis * axis))
+    # Two directions across the edge span the plane in which angles are measured.
+    least = np.argmin(np.abs(axis))
+    u = np.zeros(3)
+    u[least] = 1.0
+    u = u - axis * np.sum(u * axis)
+    u = u / np.sqrt(np.sum(u * u))
+    w = np.array(
+        [
+            axis[1] * u[2] - axis[2] * u[1],
+            axis[2] * u[0] - axis[0] * u[2],
+            axis[0] * u[1] - axis[1] * u[0],
+        ]
+    )
+    n = fan.size
+    angle = np.empty(n)
+    forward = np.empty(n, np.bool_)
+    for i in range(n):
+        f, corner = fan[i] // 3, fan[i] % 3
+        forward[i] = faces[f, corner] == low
+        across = vertices[faces[f, (corner + 2) % 3]] - vertices[low]
+        angle[i] = np.arctan2(np.sum(across * w), np.sum(across * u))
+    order = np.argsort(angle, kind="mergesort")
+    # A facet that runs low -> high has the normal axis x across, towards growing angles: its solid lies before it,
+    # that of a backward facet behind it. Backward opens and forward closes a solid wedge; wedges nest like brackets.
+    stack = np.empty(2 * n, np.int32)
+    paired = np.zeros(n, np.bool_)
+    depth = 0
+    for step in range(2 * n):
+        i = order[step % n]
+        if paired[i]:
+            continue
+        if not forward[i]:
+            if step < n:
+                stack[depth] = i
+                depth += 1
+        elif depth > 0:
+            depth -= 1
+            k = stack[depth]
+            paired[i] = paired[k] = True
+            result[fan[i]] = fan[k]
+            result[fan[k]] = fan[i]
+
+
+@kernel
+def split_corners(faces: Index, twin: Index) -> Index:
+    """Number the corners of facets (F, 3) so that two share a number only where neighbours by `twin` do.
+
+    Bodies that touch along an edge or at a vertex come apart: each gets vertices of its own at the same places.
+    Neighbours that run the same way along their edge are left apart.
+    """
+    count = 3 * faces.shape[0]
+    root = np.arange(count)
+    for h in range(count):
+        g = twin[h]
+        if g < h or faces[h // 3, h % 3] == faces[g // 3, g % 3]:
+            continue
+        after_h, after_g = 3 * (h // 3) + (h % 3 + 1) % 3, 3 * (g // 3) + (g % 3 + 1) % 3
+        for side in range(2):
+            a, b = (h, after_g) if side == 0 else (after_h, g)
+            while root[a] != a:
+                root[a] = root[root[a]]
+                a = root[a]
+            while root[b] != b:
+                root[b] = root[root[b]]
+                b = root[b]
+            root[max(a, b)] = min(a, b)
+    label = np.full(count, -1, np.int32)
+    corners = 0
+    for c in range(count):
+        r = c
+        while root[r] != r:
+            r = root[r]
+        if label[r] < 0:
+            label[r] = corners
+            corners += 1
+        label[c] = label[r]
+    return label.reshape(-1, 3)

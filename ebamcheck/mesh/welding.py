@@ -1,0 +1,176 @@
+"""Vertices that are equal in all bits become one.
+
+Corners are dealt out by a hash of their bits, so that each share fits the processor's cache and shares go to all threads:
+what it costs does not depend on the order of the file.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ebamcheck.numeric.kernels import kernel, run_blocks
+
+SHARE = 4096
+"""Corners of a share, about: with their table they fit the second-level cache of a core."""
+
+MOST_SHARES = 1024
+"""More streams than this are slower to write than what they save."""
+
+SMALLEST_BLOCK = 16384
+"""Corners that a thread takes at least: fewer do not pay for handing them over."""
+
+EMPTY = -1
+
+Corners = NDArray[Any]
+Keys = NDArray[Any]
+Rows = NDArray[np.int32]
+
+
+def weld(
+    triangles: NDArray[np.float32] | NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Merge vertices that are equal in all bits (0 and -0 are equal).
+
+    Parameters
+    ----------
+    triangles
+        (F, 3, 3) corner points, finite.
+
+    Returns
+    -------
+    vertices
+        (V, 3) float64, in order of first appearance.
+    faces
+        (F, 3) int32 rows of `vertices`.
+    """
+    corners = np.ascontiguousarray(triangles).reshape(-1, 3)
+    index = _earliest(corners)
+    first = _number(index)
+    vertices = np.empty((first.size, 3))
+    run_blocks(lambda a, b: _copy_corners(corners, first, vertices, a, b), first.size, SMALLEST_BLOCK)
+    return vertices, index.reshape(-1, 3)
+
+
+def _earliest(corners: Corners) -> Rows:
+    """First row that equals each row, (N,)."""
+    count = len(corners)
+    keys = corners.view(np.uint32 if corners.dtype == np.float32 else np.uint64)
+    shares = min(1 << (count // SHARE).bit_length(), MOST_SHARES)
+    share = np.empty(count, np.uint16)
+    sizes: dict[int, NDArray[np.int64]] = {}
+
+    def choose(start: int, stop: int) -> None:
+        sizes[start] = _choose(corners, keys, share, shares, start, stop)
+
+    run_blocks(choose, count, SMALLEST_BLOCK)
+    # Within a share, rows of an earlier block stand before those of a later one.
+    by_block = np.stack([sizes[start] for start in sorted(sizes)])
+    starts = np.concatenate([[0], np.cumsum(by_block.sum(axis=0))])
+    places = dict(zip(sorted(sizes), starts[:-1] + np.cumsum(by_block, axis=0) - by_block, strict=True))
+    dealt = np.empty((count, 4), keys.dtype)
+    run_blocks(lambda a, b: _deal(corners, keys, share, places[a], dealt, a, b), count, SMALLEST_BLOCK)
+    result = np.empty(count, np.int32)
+    run_blocks(lambda a, b: _weld_shares(dealt, starts[a : b + 1], result), shares)
+    return result
+
+
+@kernel
+def _bits(corners: Corners, keys: Keys, i: int, c: int) -> np.uint64:
+    """Bits of a coordinate; those of 0 for -0."""
+    return np.uint64(keys[i, c]) if corners[i, c] != 0.0 else np.uint64(0)
+
+
+@kernel
+def _hash(x: np.uint64, y: np.uint64, z: np.uint64) -> np.uint64:
+    """Mix the bits of three numbers."""
+    mixed = (x * np.uint64(0x9E3779B97F4A7C15)) ^ (y * np.uint64(0xC2B2AE3D27D4EB4F))
+    mixed = (mixed ^ (mixed >> np.uint64(29))) * np.uint64(0xBF58476D1CE4E5B9)
+    mixed = (mixed ^ (z * np.uint64(0x94D049BB133111EB))) * np.uint64(0xFF51AFD7ED558CCD)
+    return mixed ^ (mixed >> np.uint64(32))
+
+
+@kernel
+def _choose(
+    corners: Corners, keys: Keys, share: NDArray[np.uint16], shares: int, start: int, stop: int
+) -> NDArray[np.int64]:
+    """Write the share of each of the rows ``[start, stop)``; returns how many fell to each share."""
+    sizes = np.zeros(shares, np.int64)
+    last = np.uint64(shares - 1)
+    for i in range(start, stop):
+        mixed = _hash(_bits(corners, keys, i, 0), _bits(corners, keys, i, 1), _bits(corners, keys, i, 2))
+        # The upper half chooses the share, the lower one the place in its table.
+        s = np.int64((mixed >> np.uint64(40)) & last)
+        share[i] = s
+        sizes[s] += 1
+    return sizes
+
+
+@kernel
+def _deal(
+    corners: Corners,
+    keys: Keys,
+    share: NDArray[np.uint16],
+    places: NDArray[np.int64],
+    dealt: Keys,
+    start: int,
+    stop: int,
+) -> None:
+    """Copy bits and number of the rows ``[start, stop)`` to the `places` of their shares, which move on."""
+    for i in range(start, stop):
+        at = places[share[i]]
+        places[share[i]] += 1
+        for c in range(3):
+            dealt[at, c] = _bits(corners, keys, i, c)
+        dealt[at, 3] = i
+
+
+@kernel
+def _weld_shares(dealt: Keys, starts: NDArray[np.int64], earliest: Rows) -> None:
+    """Find the first equal row of each row of some shares: an open-addressing hash for each share."""
+    size = 16
+    while size < 2 * np.diff(starts).max():
+        size *= 2
+    table = np.empty(size, np.int32)
+    mask = np.uint64(size - 1)
+    for s in range(starts.size - 1):
+        table[:] = EMPTY
+        for i in range(starts[s], starts[s + 1]):
+            x, y, z = np.uint64(dealt[i, 0]), np.uint64(dealt[i, 1]), np.uint64(dealt[i, 2])
+            slot = _hash(x, y, z) & mask
+            while True:
+                k = table[slot]
+                if k == EMPTY:
+                    table[slot] = k = i
+                if dealt[k, 0] == dealt[i, 0] and dealt[k, 1] == dealt[i, 1] and dealt[k, 2] == dealt[i, 2]:
+                    break
+                slot = (slot + np.uint64(1)) & mask
+            earliest[dealt[i, 3]] = dealt[k, 3]
+
+
+@kernel
+def _number(earliest: Rows) -> Rows:
+    """Number the vertices by first appearance, in place of the first equal row of each row; returns their rows (V,)."""
+    first = np.empty(earliest.size, np.int32)
+    count = 0
+    for i in range(earliest.size):
+        k = earliest[i]
+        if k == i:
+            first[count] = i
+            earliest[i] = count
+            count += 1
+        else:
+            # An earlier row, which has its number by now.
+            earliest[i] = earliest[k]
+    return first[:count].copy()
+
+
+@kernel
+def _copy_corners(
+    corners: Corners, first: Rows, vertices: NDArray[np.float64], start: int, stop: int
+) -> None:
+    for v in range(start, stop):
+        for c in range(3):
+            vertices[v, c] = corners[first[v], c] + 0.0

@@ -1,0 +1,1 @@
+"""How numeric kernels are compiled and kept, and kernels on rings of points."""

@@ -1,0 +1,62 @@
+"""The one way in which this project compiles its numeric kernels.
+
+Kernels are plain functions on numpy columns, compiled by numba, cached on disk and free of the
+interpreter lock, so that :func:`run_blocks` spreads them over threads.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, TypeVar, cast
+
+import numba
+
+from ebamcheck.errors import SettingsError
+from ebamcheck.numeric.kernel_cache import kernel_cache
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+_Result = TypeVar("_Result")
+
+
+def kernel(function: _Function) -> _Function:
+    """Compile `function` with numba: cached on disk, without the interpreter lock, IEEE arithmetic."""
+    compiled: Any = numba.njit(nogil=True, fastmath=False)(function)
+    compiled._cache = kernel_cache(function)
+    return cast(_Function, compiled)
+
+
+@kernel
+def _nothing() -> None:
+    """Do nothing; the first kernel of a process has numba set itself up."""
+
+
+def bring_up() -> None:
+    """Have numba set itself up now: it takes a quarter of a second, which else the first kernel waits for."""
+    _nothing()
+
+
+def thread_count() -> int:
+    """Threads that kernels may use: ``EBAMCHECK_THREADS``, else the cores this process may run on."""
+    if wanted := os.environ.get("EBAMCHECK_THREADS", ""):
+        if not (wanted.isdecimal() and int(wanted) > 0):
+            raise SettingsError(f"EBAMCHECK_THREADS={wanted!r}: give a positive whole number, or unset it")
+        return int(wanted)
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def run_blocks(work: Callable[[int, int], _Result], count: int, smallest: int = 1) -> list[_Result]:
+    """Run ``work(start, stop)`` over consecutive blocks that cover ``range(count)``, on all threads.
+
+    Results come back in the order of the blocks, so that they do not depend on the number of threads
+    as long as a block's result does not depend on where its borders lie.
+    """
+    threads = thread_count()
+    blocks = max(1, min(threads * 4, count // max(smallest, 1)))
+    edges = [count * i // blocks for i in range(blocks + 1)]
+    if threads == 1 or blocks == 1:
+        return [work(a, b) for a, b in itertools.pairwise(edges)]
+    with ThreadPoolExecutor(threads) as pool:
+        return list(pool.map(work, edges[:-1], edges[1:]))

@@ -1,0 +1,1 @@
+"""Checks of a program that was read back: path, state, metal, heat, text."""

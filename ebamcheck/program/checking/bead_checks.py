@@ -1,0 +1,245 @@
+"""Checks of the beads that a program lays: nothing left bare, no line missing, none laid twice."""
+
+from __future__ import annotations
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely.geometry.base import BaseGeometry
+
+from ebamcheck.layers.stack import Layers
+from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.program.checking.checks import Check, count_check, row_faults
+from ebamcheck.program.reading.motions import STRAIGHT, NCProgram
+from ebamcheck.scan.filling.coverage import covered_fraction
+from ebamcheck.scan.islands.regions import CRUMB, inset, layer_section
+from ebamcheck.settings.config import Config
+
+BEAD_STEP_MM = 0.5
+"""Chords of curved beads: at a radius of 5 mm they err by 6 um, which no bead's border shows."""
+
+SPACING_SHARE = 1.5
+"""Neighbouring lines of one island are at most this many spacings apart; where one is missing, it is two."""
+
+SAME_LINE_MM = 0.01
+"""Lines nearer than this, along one another, are one line laid twice: far under any spacing."""
+
+PARALLEL_RAD = 1e-3
+"""Lines of one island whose directions differ by more follow a wall, and have no common spacing."""
+
+WIDEST_GAP = 0.95
+"""Width of a gap between beads over that of the one which a missing line leaves."""
+
+GAP_MARGIN = 0.05
+"""Of the bead's width: by so much a gap may be wider than the plan leaves them, whose grid has samples of that size."""
+
+LEAST_GAP_LIMIT = 0.15
+"""Of the bead's width: what sound plans leave where three islands meet, however near to one another their lines lie."""
+
+
+def bead_checks(nc: NCProgram, config: Config, z_of: Floats, layers: Layers | None = None) -> list[Check]:
+    """Check the lines of a program whose plan is not known, and the coverage of the sections where `layers` are given.
+
+    Parameters
+    ----------
+    z_of
+        (L,) Z of each of the `layers` in the program.
+    """
+    checks = [_spacing(nc, config, z_of, layers), _once(nc)]
+    if layers is not None:
+        checks += [_coverage(nc, config, z_of, layers), _gaps(nc, config, z_of, layers)]
+    return checks
+
+
+# -- lines -------------------------------------------------------------------------------------------
+
+
+def _hatch_rows(nc: NCProgram) -> Ints:
+    return np.flatnonzero(nc.deposit & (nc.island >= 0) & ~nc.turn & (nc.lengths > 0.0))
+
+
+def _spacing(nc: NCProgram, config: Config, z_of: Floats, layers: Layers | None) -> Check:
+    """Distance between neighbouring parallel lines that are driven one after the other, where nothing else covers what lies between."""
+    rows = _hatch_rows(nc)
+    limit = SPACING_SHARE * config.process.hatch_spacing_mm
+    group, offset, parallel = _offsets(nc, rows)
+    order = np.lexsort((offset, group))
+    step = np.diff(offset[order])
+    same = (np.diff(group[order]) == 0) & parallel[order[1:]] & parallel[order[:-1]]
+    wide = np.flatnonzero(same & (step > limit))
+    wide = (
+        wide[[_is_bare(nc, rows[order[i : i + 2]], config, z_of, layers) for i in wide]]
+        if wide.size
+        else wide
+    )
+    worst = float(step[wide if wide.size else same & (step <= limit)].max(initial=0.0))
+    if not wide.size:
+        text = f"{rows.size} lines, neighbours at most {worst:.6g} mm apart"
+        return Check("hatch spacing", True, worst, limit, "mm", "", text)
+    # The later of both lines stands where the missing one should have come before.
+    row = int(np.maximum(rows[order[wide]], rows[order[wide + 1]]).min())
+    text = f"neighbouring lines lie {worst:.6g} mm apart: one is missing between"
+    return Check("hatch spacing", False, worst, limit, "mm", nc.where(row), text)
+
+
+def _is_bare(nc: NCProgram, pair: Ints, config: Config, z_of: Floats, layers: Layers | None) -> bool:
+    """Whether the place half-way between two lines is in the section, and under no bead."""
+    shorter, other = pair[np.argsort(nc.lengths[pair], kind="stable")]
+    middle = 0.5 * (nc.start + nc.end)[shorter, :2]
+    way = (nc.end - nc.start)[other, :2] / nc.lengths[other]
+    from_other = middle - nc.start[other, :2]
+    place = shapely.Point(middle - 0.5 * (from_other - (from_other @ way) * way))
+    if layers is not None:
+        k = int(np.searchsorted(0.5 * (z_of[1:] + z_of[:-1]), nc.end[shorter, 2]))
+        if not shapely.intersects(shapely.union_all(layers.polygons(k)), place):
+            return False
+    segments = _segments(nc, np.flatnonzero(nc.deposit & (nc.layer == nc.layer[shorter])))
+    lines = shapely.linestrings(segments.reshape(-1, 2, 2))
+    return bool(np.min(shapely.distance(lines, place)) > 0.5 * config.process.bead_width_mm)
+
+
+def _offsets(nc: NCProgram, rows: Ints) -> tuple[Ints, Floats, Bools]:
+    """Group (n,) of lines of one direction that follow each other, offset (n,) mm across the longest, and whether parallel to it."""
+    way = (nc.end - nc.start)[rows, :2]
+    unit = way / np.hypot(way[:, 0], way[:, 1])[:, None]
+    turned = np.abs(unit[1:, 0] * unit[:-1, 1] - unit[1:, 1] * unit[:-1, 0]) > PARALLEL_RAD
+    group = np.cumsum(np.append(False, turned | (np.diff(nc.layer[rows]) != 0))[: rows.size])
+    longest = np.zeros(int(group.max(initial=-1)) + 1, np.int64)
+    by_length = np.argsort(nc.lengths[rows], kind="stable")
+    longest[group[by_length]] = by_length
+    along = unit[longest[group]]
+    middle = 0.5 * (nc.start + nc.end)[rows, :2]
+    across = along[:, 0] * middle[:, 1] - along[:, 1] * middle[:, 0]
+    parallel = np.abs(along[:, 0] * unit[:, 1] - along[:, 1] * unit[:, 0]) <= PARALLEL_RAD
+    return group, across, parallel
+
+
+def _once(nc: NCProgram) -> Check:
+    """Whether a line, of the hatch or of a contour, lies on another of its layer; contours may overlap their start."""
+    contour = (nc.ring >= 0) & (nc.kind == STRAIGHT) & ~nc.overlap
+    rows = np.flatnonzero(nc.deposit & ~nc.turn & ((nc.island >= 0) | contour) & (nc.lengths > SAME_LINE_MM))
+    ends = np.hstack([nc.start[rows, :2], nc.end[rows, :2]])
+    swap = (ends[:, 0] > ends[:, 2]) | ((ends[:, 0] == ends[:, 2]) & (ends[:, 1] > ends[:, 3]))
+    ends[swap] = ends[swap][:, [2, 3, 0, 1]]
+    key = np.round(ends / SAME_LINE_MM).astype(np.int64)
+    found = np.unique(np.column_stack([nc.layer[rows], key]), axis=0, return_index=True)[1]
+    again = np.ones(rows.size, np.bool_)
+    again[found] = False
+    faults = row_faults(nc, rows[again], "this line has been laid before in its layer")
+    return count_check("lines laid once", faults, f"{rows.size} lines, none twice")
+
+
+def repeated_blocks(nc: NCProgram) -> Check:
+    """Blocks that repeat the one before: a motion to where the tool stands, or the same text again."""
+    feed = np.flatnonzero(nc.deposit)
+    still = feed[nc.lengths[feed] == 0.0]
+    faults = row_faults(nc, still, "a motion that goes nowhere: the block before says the same")
+    faults += _same_text(nc)
+    return count_check("repeated blocks", faults, "no motion repeats the block before")
+
+
+def _same_text(nc: NCProgram) -> list[tuple[str, str]]:
+    feed = np.flatnonzero(nc.deposit)
+    moving = set(zip(nc.file[feed].tolist(), nc.line[feed].tolist(), strict=True))
+    faults = []
+    for index, file in enumerate(nc.files):
+        lines = [line.split(b";")[0].split() for line in file.data.split(b"\n")]
+        plain = [words[1:] if words and words[0][:1] == b"N" else words for words in lines]
+        faults += [
+            (f"{file.name}:{i + 1}", "the same block as the one before")
+            for i in range(1, len(plain))
+            if plain[i] and plain[i] == plain[i - 1] and (index, i + 1) in moving
+        ]
+    return faults
+
+
+# -- coverage ----------------------------------------------------------------------------------------
+
+
+def _coverage(nc: NCProgram, config: Config, z_of: Floats, layers: Layers) -> Check:
+    """Least share of a section that the beads cover; the overlap of all, and the widest gap of the worst."""
+    limit = config.scan.least_coverage
+    rows = np.flatnonzero(nc.deposit)
+    index = np.searchsorted(0.5 * (z_of[1:] + z_of[:-1]), nc.end[rows, 2])
+    width = config.process.bead_width_mm
+    worst, layer, area, laid = 1.0, -1, 0.0, 0.0
+    for k in range(len(layers)):
+        section = shapely.union_all(layers.polygons(k))
+        if section.is_empty:
+            continue
+        mine = rows[index == k]
+        covered = covered_fraction(section, _segments(nc, mine), width)
+        area += covered * section.area
+        laid += float(nc.lengths[mine].sum()) * width
+        if covered < worst or layer < 0:
+            worst, layer = covered, k
+    if layer < 0:
+        return Check("coverage", True, 1.0, limit, "of the area", "", "there is no section to cover")
+    where, gap = _gap(nc, rows[index == layer], shapely.union_all(layers.polygons(layer)), width)
+    text = f"beads cover at least {100.0 * worst:.2f} % (layer {layer + 1}), overlap {100.0 * (laid / max(area, 1e-9) - 1.0):.0f} %{gap}"
+    return Check("coverage", worst >= limit, worst, limit, "of the area", where, text)
+
+
+def _segments(nc: NCProgram, rows: Ints) -> Floats:
+    """Chords (S, 4) of the motions."""
+    if not rows.size:
+        return np.zeros((0, 4))
+    owner, points = nc.samples(rows, BEAD_STEP_MM)
+    before = np.vstack([np.zeros((1, 2)), points[:-1]])
+    first = np.flatnonzero(np.diff(owner, prepend=-1))
+    before[first] = nc.start[owner[first], :2]
+    return np.hstack([before, points])
+
+
+def _gaps(nc: NCProgram, config: Config, z_of: Floats, layers: Layers) -> Check:
+    """Widest gap within the contour beads: corners that a round bead cannot fill lie outside of their middle."""
+    width = config.process.bead_width_mm
+    missing_line_mm = WIDEST_GAP * (2.0 * config.process.hatch_spacing_mm - width)
+    planned_mm = (config.scan.gap_width + GAP_MARGIN) * width
+    limit = max(min(missing_line_mm, planned_mm), LEAST_GAP_LIMIT * width)
+    rows = np.flatnonzero(nc.deposit)
+    index = np.searchsorted(0.5 * (z_of[1:] + z_of[:-1]), nc.end[rows, 2])
+    worst, where, place = 0.0, "", ""
+    for k in range(len(layers)):
+        inner = inset(layer_section(layers.polygons(k)), 0.5 * width)
+        mine = rows[index == k]
+        if inner.is_empty or not mine.size or covered_fraction(inner, _segments(nc, mine), width) == 1.0:
+            continue
+        for bare in shapely.get_parts(_bare(nc, mine, inner, width)):
+            across = 2.0 * float(shapely.length(shapely.maximum_inscribed_circle(bare)))
+            if across > worst:
+                centre = bare.representative_point()
+                worst, where = across, nc.where(_nearest(nc, mine, centre))
+                place = f" at ({centre.x:.3f}, {centre.y:.3f})"
+    text = f"widest gap between beads{place}: {worst:.4g} mm"
+    return Check("gaps", worst <= limit, worst, limit, "mm", where, text)
+
+
+def _bare(nc: NCProgram, rows: Ints, region: BaseGeometry, width_mm: float) -> BaseGeometry:
+    """What beads along motions leave of a region."""
+    lines = shapely.linestrings(_segments(nc, rows).reshape(-1, 2, 2))
+    return region.difference(shapely.union_all(shapely.buffer(lines, 0.5 * width_mm)))
+
+
+def _nearest(nc: NCProgram, rows: Ints, place: BaseGeometry) -> int:
+    return int(rows[np.argmin(shapely.distance(motion_chords(nc, rows), place))])
+
+
+def _gap(nc: NCProgram, rows: Ints, section: BaseGeometry, width_mm: float) -> tuple[str, str]:
+    """``FILE:line`` nearest to the largest gap of a layer, and the gap in words."""
+    if not rows.size:
+        return f"{nc.files[0].name}:1", "; the layer has no bead"
+    parts = [p for p in shapely.get_parts(_bare(nc, rows, section, width_mm)) if p.area > CRUMB * width_mm**2]
+    if not parts:
+        return "", "; no gap"
+    largest = max(parts, key=lambda p: float(p.area))
+    centre = largest.representative_point()
+    text = f"; {len(parts)} gaps, the largest of {largest.area:.4g} mm2 at ({centre.x:.3f}, {centre.y:.3f})"
+    return nc.where(_nearest(nc, rows, centre)), text
+
+
+def motion_chords(nc: NCProgram, rows: Ints) -> NDArray[np.object_]:
+    """Chord (n,) of each motion."""
+    return np.asarray(
+        shapely.linestrings(np.stack([nc.start[rows, :2], nc.end[rows, :2]], axis=1)), dtype=np.object_
+    )

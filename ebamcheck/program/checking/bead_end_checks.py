@@ -1,0 +1,148 @@
+"""Checks of where and how beads start and end: power along its ramps, overlap of contours, wire drawn back."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.program.checking.checks import Check, count_check, event_place, worst_check
+from ebamcheck.program.reading.motions import NCProgram
+from ebamcheck.program.toolpath.bead_parts import SHORTEST_BLOCK_MM
+from ebamcheck.settings.config import Config
+
+POWER_TOLERANCE = 1e-3
+"""Beam power in the program over that of the process: the decimals of voltage and current."""
+
+PLACE_MM = 1e-3
+"""Places nearer than this are one place, rounded to the decimals of a program."""
+
+RETRACT_TOLERANCE_MM = 1e-6
+"""Decimals of a process value."""
+
+
+def bead_end_checks(nc: NCProgram, config: Config, shares: Floats) -> list[Check]:
+    """Check power, overlap and wire at the ends of all beads; `shares` (L,) of the power are those of the layers."""
+    checks = [_power(nc, config, shares), _overlap(nc, config)]
+    if config.process.wire_retract_mm > 0.0:
+        checks.append(_retract(nc, config))
+    if nc.goes_on.any():
+        checks.append(_parts_of_lines(nc))
+    return checks
+
+
+def _power(nc: NCProgram, config: Config, shares: Floats) -> Check:
+    """Power of every deposit against that of its layer, on ramps against the straight ramp, within half a step."""
+    process = config.process
+    rows = np.flatnonzero(nc.deposit)
+    share = nc.power_w[rows] / process.power_w
+    wanted, step = _expected_power(nc, rows, config)
+    # A program may have layers that the plan does not know.
+    known = (nc.layer[rows] >= 0) & (nc.layer[rows] < shares.size)
+    of_layer = np.ones(rows.size)
+    of_layer[known] = shares[nc.layer[rows[known]]]
+    wanted, step = wanted * of_layer, step * of_layer
+    off = np.maximum(np.abs(share - wanted) - step, 0.0)
+    off[np.isnan(share)] = np.nan
+    found = worst_check(
+        "power", nc, rows, off, POWER_TOLERANCE, "of the power set", "deviation of the beam power"
+    )
+    highest = float(np.nanmax(nc.power_w[rows], initial=0.0))
+    within = highest <= process.voltage_kv * process.current_max_ma * (1.0 + POWER_TOLERANCE)
+    text = f"{highest:g} W in the program, {process.power_w:g} W set"
+    if (shares < 1.0).any():
+        text += f", {np.nanmin(shares) * process.power_w:g} W in the layer of the least"
+    if process.ramps_beam:
+        lowest = float(np.nanmin(nc.power_w[rows], initial=highest))
+        text += f", ramps from {lowest:g} W over {process.ramp_up_mm:g} mm and to it over {process.crater_fill_mm:g} mm"
+    return Check(
+        "power", found.passed and within, found.value, POWER_TOLERANCE, found.unit, found.where, text
+    )
+
+
+def _expected_power(nc: NCProgram, rows: Ints, config: Config) -> tuple[Floats, Floats]:
+    """Share of the full power in the middle of each motion, and how far a step of the ramp may be from it."""
+    process = config.process
+    if not process.ramps_beam:
+        return np.ones(rows.size), np.zeros(rows.size)
+    length = nc.lengths[rows]
+    bead = nc.tracks(rows)
+    whole = np.asarray(np.bincount(bead, length), np.float64)
+    after = np.cumsum(length)
+    before_bead = np.concatenate([[0.0], np.cumsum(whole)])[bead]
+    middle = after - 0.5 * length - before_bead
+    # Written anew here: a fault of the writer's ramps would else confirm itself.
+    share = np.minimum(1.0, whole / (process.ramp_up_mm + process.crater_fill_mm))[bead]
+    up, down = share * process.ramp_up_mm, share * process.crater_fill_mm
+    to_end = whole[bead] - middle
+    wanted = np.ones(rows.size)
+    for along, length in ((middle, up), (to_end, down)):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            risen = process.ramp_power + (1.0 - process.ramp_power) * along / length
+        wanted = np.where(along < length, np.minimum(wanted, risen), wanted)
+    # A motion may be shorter than a step, anywhere on it, and a step may begin at the end of a block that is near.
+    on_ramp = (middle < up + SHORTEST_BLOCK_MM) & (up > 0.0)
+    on_ramp |= (to_end < down + SHORTEST_BLOCK_MM) & (down > 0.0)
+    rise = 1.0 - process.ramp_power
+    shortest = np.minimum(np.where(up > 0.0, up, np.inf), np.where(down > 0.0, down, np.inf))
+    allowed = rise * (0.5 / process.ramp_steps + np.minimum(SHORTEST_BLOCK_MM / shortest, 1.0))
+    return wanted, np.where(on_ramp, allowed, 0.0)
+
+
+def _overlap(nc: NCProgram, config: Config) -> Check:
+    """Length by which each closed contour runs on over its start, against the one set or once around."""
+    rows = np.flatnonzero(nc.deposit & (nc.ring >= 0))
+    bead = nc.tracks(rows)
+    over = nc.overlap[rows]
+    length = nc.lengths[rows]
+    count = int(bead.max(initial=-1)) + 1
+    first = np.searchsorted(bead, np.arange(count))
+    driven = np.bincount(bead, np.where(over, length, 0.0), minlength=count)
+    whole = np.bincount(bead, np.where(over, 0.0, length), minlength=count)
+    last = np.searchsorted(bead, np.arange(count), side="right") - 1
+    closed = (nc.end[rows[last], :2] == nc.start[rows[first], :2]).all(axis=1)
+    closed |= driven > 0.0
+    off = np.where(closed, np.abs(driven - np.minimum(config.process.overlap_mm, whole)), 0.0)
+    what = f"off {config.process.overlap_mm:g} mm of overlap of {int(closed.sum())} closed contours"
+    return worst_check("overlap of contours", nc, rows[last], off, 2.0 * SHORTEST_BLOCK_MM, "mm", what)
+
+
+def _parts_of_lines(nc: NCProgram) -> Check:
+    """Distance of the places where hatch lines change their power from the straight line."""
+    rows = np.flatnonzero(nc.goes_on)
+    vectors = nc.vectors()
+    owner = np.searchsorted(vectors["row"].to_numpy(), rows, side="right") - 1
+    a, b = vectors[["x0", "y0"]].to_numpy()[owner], vectors[["x1", "y1"]].to_numpy()[owner]
+    way, place = b - a, nc.start[rows, :2] - a
+    whole = np.hypot(way[:, 0], way[:, 1])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        along = (place * way).sum(axis=1) / whole
+        away = np.abs(way[:, 0] * place[:, 1] - way[:, 1] * place[:, 0]) / whole
+    # A part on its own, on a ring, or beyond the line's ends is none.
+    sound = (owner >= 0) & (nc.island[rows] >= 0) & nc.deposit[rows] & nc.deposit[rows - 1]
+    sound &= (nc.island[rows] == nc.island[rows - 1]) & (along >= 0.0) & (along <= whole)
+    what = "distance of their parts from the line"
+    return worst_check("parts of hatch lines", nc, rows, np.where(sound, away, np.inf), PLACE_MM, "mm", what)
+
+
+def _retract(nc: NCProgram, config: Config) -> Check:
+    """Every stop of the wire is followed by its retract, before the beam or the wire is switched again."""
+    wanted = config.process.wire_retract_mm
+    faults = []
+    waiting, running = -1, False
+    for i, name in enumerate([*nc.events.name, "end"]):
+        if name == "wire_retract_mm" and waiting >= 0:
+            value = float(nc.events.value[i])
+            if abs(value - wanted) > RETRACT_TOLERANCE_MM:
+                faults.append(
+                    (event_place(nc, i), f"wire drawn back by {value:g} mm in place of {wanted:g} mm")
+                )
+            waiting = -1
+        elif name in ("wire_start", "beam_off", "end") and waiting >= 0:
+            faults.append(
+                (event_place(nc, waiting), f"the wire stops and is not drawn back by {wanted:g} mm")
+            )
+            waiting = -1
+        if name == "wire_stop" and running:
+            waiting = i
+        running = name == "wire_start" or (running and name != "wire_stop")
+    return count_check("wire retract", faults, f"the wire is drawn back by {wanted:g} mm after each bead")

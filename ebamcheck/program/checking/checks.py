@@ -1,0 +1,82 @@
+"""The result of one check of a program, and how the worst place of many becomes one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ebamcheck.numeric.rings import Bools, Ints
+from ebamcheck.program.reading.motions import NCProgram
+
+
+@dataclass(frozen=True)
+class Check:
+    """One check: what was measured, against which limit, and where it is worst."""
+
+    name: str
+    passed: bool
+    value: float
+    limit: float
+    unit: str
+    where: str
+    """``FILE:line`` of the worst or first place; empty where the whole program is meant."""
+    text: str
+    layer: int | None = None
+    """Layer of the worst place, from 0, where there is one."""
+    x_mm: float | None = None
+    """Where the worst place is, to draw it."""
+    y_mm: float | None = None
+    place: str = ""
+    """Of a check that fails: its layer as the program names it, and that height in part and program."""
+    remedy: str = ""
+    """Of a check that fails: what to do, without a full stop."""
+
+    def in_words(self) -> str:
+        """Name, place, what was found and what to do, as a failed check is told."""
+        where = ", ".join(text for text in (self.where, self.place) if text)
+        return f"{self.name}{f' at {where}' if where else ''}: {self.text}" + (
+            f"; {self.remedy}" if self.remedy else ""
+        )
+
+
+def count_check(name: str, places: list[tuple[str, str]], good: str) -> Check:
+    """Check that there is no fault; `places` are (where, what) of those there are, in order."""
+    if not places:
+        return Check(name, True, 0.0, 0.0, "faults", "", good)
+    where, what = places[0]
+    more = f" (and {len(places) - 1} more)" if len(places) > 1 else ""
+    return Check(name, False, float(len(places)), 0.0, "faults", where, what + more)
+
+
+def row_faults(nc: NCProgram, rows: Bools | Ints, what: str) -> list[tuple[str, str]]:
+    """Places of motions that are wrong for the same reason."""
+    index = np.flatnonzero(rows) if np.asarray(rows).dtype == np.bool_ else np.asarray(rows)
+    return [(nc.where(int(row)), what) for row in index]
+
+
+def worst_check(
+    name: str, nc: NCProgram, rows: Ints, values: ArrayLike, limit: float, unit: str, what: str
+) -> Check:
+    """Check that no value is over the limit; one that is no number counts as infinite."""
+    values = np.asarray(values, dtype=np.float64)
+    if not values.size:
+        return Check(name, True, 0.0, limit, unit, "", f"{what}: nothing to check")
+    known = np.where(np.isnan(values), np.inf, values)
+    worst = int(np.argmax(known))
+    value = float(known[worst])
+    return Check(
+        name,
+        value <= limit,
+        value,
+        limit,
+        unit,
+        nc.where(int(rows[worst])),
+        f"{what}: at most {value:.6g} {unit}",
+    )
+
+
+def event_place(nc: NCProgram, event: int) -> str:
+    """``FILE:line`` of an event."""
+    return f"{nc.files[int(nc.events.file[event])].name}:{int(nc.events.line[event])}"

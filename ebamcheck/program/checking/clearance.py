@@ -1,0 +1,125 @@
+"""Checks of the way that the tool takes: it clears what stands, wire does not plunge, and beads lie on something."""
+
+from __future__ import annotations
+
+import numpy as np
+import shapely
+
+from ebamcheck.layers.stack import Layers
+from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.program.checking.checks import Check
+from ebamcheck.program.checking.standing import Standing, run_over
+from ebamcheck.program.reading.motions import NCProgram
+from ebamcheck.program.reading.roles import Beads, beads_of
+from ebamcheck.scan.islands.regions import layer_section
+from ebamcheck.settings.config import Config
+
+HOP_SPACINGS = 2.0
+"""Bead spacings of a hop: to the line after the next one, over beads that were laid in the same plane just before."""
+
+PLACES = 32
+"""Places on each motion without support that are looked at."""
+
+
+def clearance_checks(
+    nc: NCProgram, z_of: Floats, config: Config, layers: Layers | None = None
+) -> list[Check]:
+    """Run a program over what stands, and check what it meets.
+
+    Parameters
+    ----------
+    z_of
+        (L,) Z of each layer; of none where they are not known: then those of the program count.
+    layers
+        (L,) sections of the part: where it has metal under a bead, metal has to stand.
+    """
+    beads = beads_of(nc)
+    below = _below(nc, z_of)
+    found = run_over(nc, beads, below, config, HOP_SPACINGS * config.process.hatch_spacing_mm)
+    return [_collision(nc, found), _clearance(nc, found, config), _support(nc, beads, found, config, layers)]
+
+
+def _below(nc: NCProgram, z_of: Floats) -> Floats:
+    """Z (B,) of the layer below that of each motion; 0 for the first one and outside of layers."""
+    tops = z_of if z_of.size else nc.layer_heights
+    under = np.concatenate([[0.0], tops])
+    return np.nan_to_num(np.where(nc.layer >= 0, under[np.minimum(nc.layer, tops.size)], 0.0))
+
+
+def _collision(nc: NCProgram, found: Standing) -> Check:
+    """Depth to which tip or head go into what stands, or a travel goes under the beads around it; the first place."""
+    depth = np.stack([found.into_mm, found.head_mm, found.under_mm])
+    rows = np.flatnonzero(depth.max(axis=0) > 0.0)
+    if not rows.size:
+        return Check(
+            "collision", True, 0.0, 0.0, "mm", "", "tip and head stay clear of plate, clamps and beads"
+        )
+    row = int(rows[0])
+    which = int(np.argmax(depth[:, row]))
+    worst = float(depth[which, row])
+    what = (
+        f"the tip goes {worst:.4g} mm into what stands",
+        f"the head goes {worst:.4g} mm into what stands",
+        f"the tip goes {worst:.4g} mm under the beads before and after it",
+    )[which]
+    return Check("collision", False, float(depth.max()), 0.0, "mm", nc.where(row), f"{what}{_more(rows)}")
+
+
+def _clearance(nc: NCProgram, found: Standing, config: Config) -> Check:
+    """What travel lacks of the clearance, where it is longer than a hop or leaves a place that is not known."""
+    limit = config.machine.clearance_mm
+    rows = np.flatnonzero((found.short_mm > 0.0) | (found.lost > 0.0))
+    if not rows.size:
+        text = f"travel keeps {limit:g} mm over all that stands, hops keep to the height of the beads"
+        return Check("clearance", True, 0.0, 0.0, "mm", "", text)
+    row = int(rows[0])
+    what = f"travel lacks {found.short_mm[row]:.4g} mm of the clearance of {limit:g} mm"
+    if found.lost[row] > 0.0:
+        what = (
+            "travel from a place or height that no block has given, lower than what stands and the clearance"
+        )
+    worst = float(np.where(found.lost > 0.0, np.inf, found.short_mm).max())
+    return Check("clearance", False, worst, 0.0, "mm", nc.where(row), f"{what}{_more(rows)}")
+
+
+def _more(rows: Ints) -> str:
+    return f" (and {rows.size - 1} more)" if rows.size > 1 else ""
+
+
+def _support(nc: NCProgram, beads: Beads, found: Standing, config: Config, layers: Layers | None) -> Check:
+    """Length of a bead over nothing, where the part has metal below it; over one bead width a pool bridges."""
+    limit = config.process.bead_width_mm
+    bare = np.flatnonzero(found.bare_mm > 0.0)
+    hangs = float(found.bare_mm.sum())
+    missing = np.zeros(len(nc))
+    if layers is not None and bare.size:
+        missing[bare] = found.bare_mm[bare] * _over_metal(nc, bare, found, layers)
+        hangs -= float(missing.sum())
+    of_bead = np.bincount(beads.bead, missing[beads.rows], minlength=len(beads))
+    over = np.flatnonzero(of_bead > limit)
+    value = float(of_bead.max(initial=0.0))
+    text = f"{hangs:.4g} mm of beads overhang with the part"
+    if not over.size:
+        return Check("support", True, value, limit, "mm", "", f"beads lie on metal; {text}")
+    mine = beads.rows[beads.bead == over[0]]
+    row = int(mine[np.argmax(missing[mine] > 0.0)])
+    what = f"{of_bead[over[0]]:.4g} mm of a bead lie on nothing where the part has metal{_more(over)}"
+    return Check("support", False, value, limit, "mm", nc.where(row), f"{what}; {text}")
+
+
+def _over_metal(nc: NCProgram, rows: Ints, found: Standing, layers: Layers) -> Floats:
+    """Share (n,) of what hangs of each motion that lies over the section of the layer below."""
+    share = np.zeros(rows.size)
+    t = (np.arange(PLACES) + 0.5) / PLACES
+    for k in np.unique(nc.layer[rows]).tolist():
+        mine = np.flatnonzero(nc.layer[rows] == k)
+        section = layer_section(layers.polygons(k - 1)) if 0 < k <= len(layers) else shapely.Polygon()
+        if section.is_empty:
+            continue
+        row = np.repeat(rows[mine], PLACES)
+        along = found.bare_from[row] + np.tile(t, mine.size) * (found.bare_to - found.bare_from)[row]
+        at = nc.evaluate(row, along)
+        shapely.prepare(section)
+        inside = shapely.intersects_xy(section, at[:, 0], at[:, 1])
+        share[mine] = inside.reshape(-1, PLACES).mean(axis=1)
+    return share

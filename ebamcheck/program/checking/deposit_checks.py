@@ -1,0 +1,222 @@
+"""Checks of the metal that a program lays: as much as the part has, where it has it, and flat.
+
+Their limits are settings of the process; none is taken from what the program reaches.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+import pandas as pd
+
+from ebamcheck.program.checking.checks import Check
+from ebamcheck.program.checking.deposit import Deposit
+from ebamcheck.program.checking.metal_zones import tolerances, zone_limit, zone_off
+from ebamcheck.program.reading.motions import NCProgram
+from ebamcheck.program.toolpath.thin_walls import narrow_bead
+from ebamcheck.settings.config import Config
+from ebamcheck.settings.process import ProcessSettings
+
+DEPOSIT_CHECKS = (
+    "metal", "metal of layers", "metal outside", "reach of metal", "holes", "height inside", "height at edges",
+    "height of layers", "height of zones", "surface",
+)  # fmt: skip
+"""Names of the checks, in their order."""
+
+LEAST_SPOTS = 1.0
+"""Bead spots (a bead width squared, one layer high) by which the metal of a layer may be off in any case: the starts and
+ends of its beads."""
+
+LEAST_ZONE = 25.0
+"""Zones of a layer under this many squared bead widths do not count for the mean over all layers; each layer's own, however
+small, has a limit by its size."""
+
+LAYER_OUTSIDE = 3.0
+"""A single layer may have so many times the share of metal outside that the whole program may."""
+
+
+def deposit_checks(nc: NCProgram, found: Deposit, config: Config) -> list[Check]:
+    """Check the metal of a program, see :func:`ebamcheck.program.checking.deposit.deposit`."""
+    solid = found.layers[(found.layers["wanted_mm3"] > 0.0) | (found.layers["laid_mm3"] > 0.0)]
+    if not len(solid):
+        return [Check(name, False, math.inf, 0.0, "", "", "no layer has metal") for name in DEPOSIT_CHECKS]
+    places = _Places(nc, found)
+    return [
+        _whole(solid, config),
+        _of_layers(solid, config, places),
+        _outside(solid, config, places),
+        _reach(solid, config, places),
+        _holes(found, places),
+        _zone(solid, "inside", "height inside", config, places),
+        _zone(solid, "edge", "height at edges", config, places),
+        _of_zones(solid, ("inside", "edge"), "height of layers", config, places),
+        _of_zones(solid, ("zone",), "height of zones", config, places),
+        _surface(solid, config, places),
+    ]
+
+
+class _Places:
+    """Where layers and places stand in a program."""
+
+    def __init__(self, nc: NCProgram, found: Deposit) -> None:
+        self._nc, self._first = nc, found.first_row
+
+    def of(self, layer: int) -> str:
+        """``FILE:line`` of the first bead of a layer."""
+        row = int(self._first[layer])
+        return self._nc.where(row) if row >= 0 else f"{self._nc.files[0].name}:1"
+
+
+def _named(row: pd.Series, at: str = "") -> str:
+    """Return layer, height, and place where it is known, in words."""
+    text = f"layer {int(row['layer']) + 1}, Z {row['z_mm']:.3f}"
+    return f"{text}, at ({row[f'{at}_x_mm']:.1f}, {row[f'{at}_y_mm']:.1f})" if at else text
+
+
+def _whole(solid: pd.DataFrame, config: Config) -> Check:
+    limit = config.process.mass_tolerance
+    wanted, laid = float(solid["wanted_mm3"].sum()), float(solid["laid_mm3"].sum())
+    off = abs(laid / wanted - 1.0) if wanted > 0.0 else math.inf
+    density = config.material.density_kg_m3 * 1e-9
+    text = f"{laid * density:.3f} kg of metal for {wanted * density:.3f} kg of part"
+    return Check("metal", off <= limit, off, limit, "of the part", "", text)
+
+
+def _of_layers(solid: pd.DataFrame, config: Config, places: _Places) -> Check:
+    process = config.process
+    wanted, laid = solid["wanted_mm3"].to_numpy(), solid["laid_mm3"].to_numpy()
+    thickness = np.diff(solid["z_mm"].to_numpy(), prepend=0.0)
+    spots = LEAST_SPOTS * process.bead_width_mm**2 * np.maximum(thickness, 0.0)
+    off = np.maximum(np.abs(laid - wanted) - spots, 0.0) / np.maximum(wanted, 1e-9)
+    k = int(np.argmax(off))
+    share = laid[k] / wanted[k] if wanted[k] > 0.0 else math.inf
+    text = f"a layer has {share:.3f} of its metal: {_named(solid.iloc[k])}"
+    where = places.of(int(solid["layer"].iloc[k]))
+    limit = process.mass_tolerance
+    return Check("metal of layers", bool(off[k] <= limit), float(off[k]), limit, "of the layer", where, text)
+
+
+def _outside(solid: pd.DataFrame, config: Config, places: _Places) -> Check:
+    limit = config.process.outside_share
+    outside, laid = solid["outside_mm3"].to_numpy(), solid["laid_mm3"].to_numpy()
+    whole = float(outside.sum() / max(laid.sum(), 1e-9))
+    share = np.divide(outside, laid, out=np.zeros_like(laid), where=laid > 0.0)
+    k = int(np.argmax(share))
+    worst = max(whole, float(share[k]) / LAYER_OUTSIDE)
+    text = (
+        f"{100 * whole:.2f} % of the metal lies beside the part, most {100 * share[k]:.2f} % of a layer: "
+        f"{_named(solid.iloc[k])}"
+    )
+    if worst > limit:
+        text += _of_wall(solid, k, config)
+    where = places.of(int(solid["layer"].iloc[k]))
+    return Check("metal outside", worst <= limit, worst, limit, "of the metal", where, text)
+
+
+def _reach(solid: pd.DataFrame, config: Config, places: _Places) -> Check:
+    limit = config.process.outside_reach_mm
+    k = int(np.argmax(solid["reach_mm"].to_numpy()))
+    row = solid.iloc[k]
+    if row["reach_mm"] <= 0.0:
+        return Check("reach of metal", True, 0.0, limit, "mm", "", "no metal reaches beside the part")
+    text = f"metal reaches {row['reach_mm']:.2f} mm beside the part: {_named(row, 'reach')}"
+    if row["reach_mm"] > limit:
+        text += (
+            "; a wall or a hole there is narrower than the bead: allow for machining, or use a narrower bead"
+        )
+        text += _of_wall(solid, k, config)
+    where = places.of(int(row["layer"]))
+    return Check(
+        "reach of metal", bool(row["reach_mm"] <= limit), float(row["reach_mm"]), limit, "mm", where, text
+    )
+
+
+def _of_wall(solid: pd.DataFrame, k: int, config: Config) -> str:
+    """What a bead takes that is as narrow as the thinnest wall of a layer, row `k`; empty where beads fit its walls."""
+    row = solid.iloc[k]
+    if not math.isfinite(row["wall_mm"]):
+        return ""
+    thickness = float(np.diff(solid["z_mm"].to_numpy(), prepend=0.0)[k])
+    bead = narrow_bead(float(row["wall_mm"]), thickness, config)
+    return f"; the wall at ({row['wall_x_mm']:.1f}, {row['wall_y_mm']:.1f}) is {row['wall_mm']:.1f} mm thick: {bead}"
+
+
+def _holes(found: Deposit, places: _Places) -> Check:
+    """Holes of the sections that beads close, however little metal that is."""
+    holes = found.holes
+    if not len(holes):
+        return Check("holes", True, 0.0, 0.0, "holes", "", "no hole of the part is closed by beads")
+    first = holes.iloc[0]
+    layer = int(first["layer"])
+    text = (
+        f"{len(holes)} holes on {holes['layer'].nunique()} layers are closed by beads, first one {first['width_mm']:.1f} mm wide: "
+        f"{100 * first['covered']:.0f} % of it, layer {layer + 1}, at ({first['x_mm']:.1f}, {first['y_mm']:.1f})"
+    )
+    return Check("holes", False, float(len(holes)), 0.0, "holes", places.of(layer), text)
+
+
+def _zone(solid: pd.DataFrame, zone: str, name: str, config: Config, places: _Places) -> Check:
+    """Mean height of the metal in a zone over all layers, and the layer where it is furthest off."""
+    area, height = solid[f"{zone}_mm2"].to_numpy(), solid[zone].to_numpy()
+    limit = float(tolerances(solid[:1], zone, config.process)[0])
+    wide = area >= LEAST_ZONE * config.process.bead_width_mm**2
+    if not wide.any():
+        return Check(
+            name, True, 0.0, limit, "of the height", "", f"no layer is wide enough for a mean ({zone})"
+        )
+    mean = float(np.average(height[wide], weights=area[wide]))
+    k = int(np.argmax(np.where(wide, np.abs(height - 1.0), -1.0)))
+    text = (
+        f"metal is {mean:.3f} layers high on average, furthest off {height[k]:.3f}: {_named(solid.iloc[k])}"
+    )
+    worst = abs(mean - 1.0)
+    where = places.of(int(solid["layer"].iloc[k]))
+    return Check(name, worst <= limit, worst, limit, "of the height", where, text)
+
+
+def _of_zones(
+    solid: pd.DataFrame, zones: tuple[str, ...], name: str, config: Config, places: _Places
+) -> Check:
+    """Mean heights of zones on every single layer: the one furthest off for its size."""
+    process = config.process
+    rows = [
+        (float(share), k, zone, float(off), float(limit))
+        for zone in zones
+        for k, (off, limit, share) in enumerate(_judged(solid, zone, process))
+        if math.isfinite(share)
+    ]
+    if not rows:
+        return Check(name, True, 0.0, process.edge_tolerance, "of the height", "", "no layer has metal")
+    _, k, zone, off, limit = max(rows)
+    row = solid.iloc[k]
+    what = {"inside": "inside", "edge": "at its edges", "zone": f"on {row[f'{zone}_mm2']:.0f} mm2"}[zone]
+    text = f"a layer's metal is {row[f'{zone}_settled']:.3f} layers high {what}: {_named(row, 'zone' if zone == 'zone' else '')}"
+    return Check(name, off <= limit, off, limit, "of the height", places.of(int(row["layer"])), text)
+
+
+def _judged(solid: pd.DataFrame, zone: str, process: ProcessSettings) -> np.ndarray:
+    """How far a zone is off on each layer, its limit, and one over the other, (n, 3); NaN where the layer has none."""
+    off = zone_off(solid[f"{zone}_settled"], solid[f"{zone}_owed"])
+    limit = zone_limit(tolerances(solid, zone, process), solid[f"{zone}_mm2"], process)
+    return np.column_stack([off, limit, off / limit])
+
+
+def _surface(solid: pd.DataFrame, config: Config, places: _Places) -> Check:
+    limit = config.process.largest_unevenness_mm
+    low, high = solid["low_mm"].to_numpy(), solid["high_mm"].to_numpy()
+    side, values = ("low", low) if low.max() > high.max() else ("high", high)
+    k = int(np.argmax(values))
+    row = solid.iloc[k]
+    text = (
+        f"the surface comes to lie {values[k]:.2f} mm too {side}: {_named(row, side)}"
+        f" (at most {low.max():.2f} mm too low, {high.max():.2f} mm too high)"
+    )
+    where = places.of(int(row["layer"]))
+    return Check("surface", bool(values[k] <= limit), float(values[k]), limit, "mm", where, text)
+
+
+def of_deposit(checks: Iterable[Check]) -> list[Check]:
+    """Those of some checks that are about the metal."""
+    return [check for check in checks if check.name in DEPOSIT_CHECKS]

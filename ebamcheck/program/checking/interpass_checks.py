@@ -1,0 +1,178 @@
+"""Checks of what keeps the part cool: waits and power of each layer, and how hot it is where a bead is entered."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from shapely.geometry.base import BaseGeometry
+
+from ebamcheck.heat.balance import LayerShape
+from ebamcheck.heat.melting import entry_limit_k, least_power_share
+from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.program.checking.checks import Check, count_check, event_place
+from ebamcheck.program.checking.text_heat import TextBeads, text_beads, text_bed_k, text_shapes
+from ebamcheck.program.reading.motions import NCProgram
+from ebamcheck.program.toolpath.inputs import Interpass
+from ebamcheck.settings.config import Config
+
+INTERPASS, MELTING = "interpass temperature", "melting power"
+"""Names of the checks that the heat gate reads."""
+
+PAUSE_TOLERANCE_S = 1e-6
+"""Decimals of a process value."""
+
+SHARE_TOLERANCE = 1e-3
+"""Beam power in the program over that of the plan: the decimals of voltage and current."""
+
+ROOM, PERCENT = 0.85, 0.01
+"""Share of the limit's rise under which a layer has room for more power, and the step of the power: the balance of a text
+and the plan differ by less."""
+
+OVER_RANGE = "over the model's range: metal would boil"
+"""Mark of a figure that is clipped to the boiling point."""
+
+
+def wait_check(nc: NCProgram, config: Config, heat: Interpass | None) -> Check:
+    """Check the waits of a program, before layers, contours, islands, and further beads of these.
+
+    Parameters
+    ----------
+    heat
+        Waits and power of the plan; None where it is not known: then the least wait between layers is that of the
+        settings.
+    """
+    return _waits(nc, text_beads(nc, config), config, heat)
+
+
+def heat_checks(nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] | None) -> list[Check]:
+    """Check that the power of each layer melts its wire, and the temperature at which beads are entered.
+
+    Parameters
+    ----------
+    sections
+        Sections of the part, for the balance of its heat; None: what the contours of the program enclose.
+    """
+    beads, shapes = text_beads(nc, config), text_shapes(nc, config, sections)
+    return [_melting(nc, config, shapes), _entries(nc, beads, config, shapes)]
+
+
+def layer_shares(nc: NCProgram, power_w: float) -> Floats:
+    """Share of the power in each layer, (L,): that of its strongest motion; NaN where it lays nothing."""
+    rows = np.flatnonzero(nc.deposit & (nc.layer >= 0))
+    shares = np.full(len(nc.layer_files), -np.inf)
+    np.fmax.at(shares, nc.layer[rows], nc.power_w[rows] / power_w)
+    return np.where(np.isinf(shares), np.nan, shares)
+
+
+def shares_of_text(nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] | None) -> Floats:
+    """Share of the power that each layer is to have where no plan is known, (L,): its own, but full where nothing asks for less.
+
+    Power is taken back only where a bead would else be entered above the limit: a layer whose beads would all stay well
+    under it with more power has too little.
+    """
+    shares = np.minimum(layer_shares(nc, config.process.power_w), 1.0)
+    if config.process.power_schedule != "taper":
+        return shares
+    if config.process.interpass not in ("power", "both"):
+        return np.where(np.isnan(shares), np.nan, 1.0)
+    beads = text_beads(nc, config)
+    if not len(beads) or not np.isfinite(beads.time_s).all():
+        return shares
+    bed_k, _ = text_bed_k(beads, config, text_shapes(nc, config, sections))
+    hottest_k = np.full(shares.size, -np.inf)
+    np.maximum.at(hottest_k, beads.layer, bed_k - config.process.ambient_temperature_k)
+    allowed_k = ROOM * (entry_limit_k(config) - config.process.ambient_temperature_k)
+    # What lies below does not get hotter with the layer's own power: all of it counts as if it did.
+    with np.errstate(invalid="ignore"):
+        could_have_more = hottest_k * (shares + PERCENT) / shares < allowed_k
+    return np.where(could_have_more, 1.0, shares)
+
+
+def _waits(nc: NCProgram, beads: TextBeads, config: Config, heat: Interpass | None) -> Check:
+    """Wait before every bead, exactly as planned; without a plan, before every layer but the first, at least so long."""
+    least_s = config.process.layer_pause_s
+    first = beads.enters_layer & (np.arange(len(beads)) > 0)
+    faults = [(event_place(nc, event), what) for event, what in beads.stray]
+    if heat is None:
+        wanted = np.where(first, least_s, 0.0)
+        bad = beads.wait_s < wanted - PAUSE_TOLERANCE_S
+        if config.process.interpass in ("off", "power"):
+            bad |= beads.wait_s > wanted + PAUSE_TOLERANCE_S
+    else:
+        wanted = np.where(beads.ring >= 0, _of(heat.ring_wait_s, beads.layer), 0.0)
+        inner = beads.island >= 0
+        wanted[inner] = _of(heat.island_wait_s, beads.island[inner])
+        wanted[beads.inner] = _of(heat.inner_wait_s, beads.island[beads.inner])
+        wanted[first] = _of(heat.wait_s, beads.layer[first]) + np.where(inner, wanted, 0.0)[first]
+        wanted[:1] = np.where(inner, wanted, 0.0)[:1]
+        bad = np.abs(beads.wait_s - wanted) > PAUSE_TOLERANCE_S
+    faults += [
+        (
+            nc.where(int(beads.row[n])),
+            f"waits {beads.wait_s[n]:g} s before {_named(beads, n)} in place of {wanted[n]:g} s",
+        )
+        for n in np.flatnonzero(bad).tolist()
+    ]
+    within = float(beads.wait_s[~first].sum())
+    good = f"waits {beads.wait_s[first].sum():.6g} s between layers and {within:.6g} s within them"
+    return count_check("layer pause", faults, good)
+
+
+def _of(values: Floats, number: Ints) -> Floats:
+    """Values (n,) of layers or islands by their number; 0 for those that the plan does not know."""
+    known = (number >= 0) & (number < values.size)
+    result = np.zeros(number.size)
+    result[known] = values[number[known]]
+    return result
+
+
+def _named(beads: TextBeads, n: int) -> str:
+    if beads.enters_layer[n]:
+        return f"layer {beads.layer[n] + 1}"
+    what = f"island {beads.island[n]}" if beads.island[n] >= 0 else f"ring {beads.ring[n]}"
+    what = f"a further bead of {what}" if beads.inner[n] else what
+    return f"{what} of layer {beads.layer[n] + 1}"
+
+
+def _melting(nc: NCProgram, config: Config, shapes: Sequence[LayerShape]) -> Check:
+    """Power of each layer over the least at which its wire melts."""
+    shares = layer_shares(nc, config.process.power_w)
+    least = np.array([least_power_share(config, shape.thickness_mm) for shape in shapes])
+    laid = np.flatnonzero(np.isfinite(shares))
+    if not laid.size:
+        return Check(MELTING, True, 0.0, 1.0, "of the power needed", "", "nothing is laid")
+    worst = int(laid[np.argmin(shares[laid] / least[laid])])
+    value = float(shares[worst] / least[worst])
+    row = int(np.flatnonzero(nc.deposit & (nc.layer == worst))[0])
+    full_w = config.process.power_w
+    text = (
+        f"layer {worst + 1} has {shares[worst] * full_w:.6g} W, its wire and the metal that it remelts need "
+        f"{least[worst] * full_w:.6g} W"
+    )
+    return Check(
+        MELTING, value >= 1.0 - SHARE_TOLERANCE, value, 1.0, "of the power needed", nc.where(row), text
+    )
+
+
+def _entries(nc: NCProgram, beads: TextBeads, config: Config, shapes: Sequence[LayerShape]) -> Check:
+    """Temperature of the surface when a bead is entered, by the balance, against the limit."""
+    limit_k = entry_limit_k(config)
+    bed_k, _ = text_bed_k(beads, config, shapes)
+    checked = beads.enters_layer if config.process.interpass_at == "layer" else np.ones(len(beads), np.bool_)
+    if not checked.any():
+        return Check(INTERPASS, True, 0.0, limit_k, "K", "", "nothing is laid")
+    rows = np.flatnonzero(checked)
+    worst = int(rows[np.argmax(bed_k[rows])])
+    figure_k, mark = within_range(float(bed_k[worst]), config)
+    over = int((bed_k[rows] > limit_k).sum())
+    text = f"surface at {figure_k:.0f} K{mark} when {_named(beads, worst)} is entered, by the balance of the heat"
+    if over:
+        text += f"; {over} of {rows.size} entries are over {limit_k:.0f} K"
+    return Check(INTERPASS, not over, figure_k, limit_k, "K", nc.where(int(beads.row[worst])), text)
+
+
+def within_range(temperature_k: float, config: Config) -> tuple[float, str]:
+    """Temperature clipped to the boiling point, and the mark of one that was over it."""
+    boiling_k = config.material.boiling_k
+    return (temperature_k, "") if temperature_k <= boiling_k else (boiling_k, f" ({OVER_RANGE})")

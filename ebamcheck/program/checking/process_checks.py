@@ -1,0 +1,196 @@
+"""Checks that a process engineer asks for: directions of travel, places to keep out of, seams, overhangs."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely.geometry.base import BaseGeometry
+
+from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.program.checking.checks import Check, worst_check
+from ebamcheck.program.reading.motions import ARC, RAPID, STRAIGHT, NCProgram
+from ebamcheck.settings.config import Config
+from ebamcheck.settings.process import KeepOut
+
+DIRECTIONS = 17
+"""Places along a curve at which its direction is looked at: ends of spans turn by far less than a quarter."""
+
+DIRECTION_ROUNDING_DEG = 0.01
+"""Direction of a line of a few tenths of a millimetre whose ends are rounded to the program's decimals."""
+
+KEEP_OUT_STEP_MM = 0.2
+"""Chords of curves beside a keep-out zone: at a radius of 5 mm they err by 1 um."""
+
+OUTLINE_STEP_MM = 0.25
+"""Places along the contours at which an overhang is measured."""
+
+
+def process_checks(nc: NCProgram, config: Config) -> list[Check]:
+    """Check what the settings of the process ask of the path; what they do not limit is measured all the same."""
+    checks = [_seams(nc, config), _overhang(nc, config)]
+    if config.process.travel_sectors_deg:
+        checks.append(_sectors(nc, config))
+    if config.process.keep_out:
+        checks.append(_keep_out(nc, config))
+    return checks
+
+
+# -- directions --------------------------------------------------------------------------------------
+
+
+def _sectors(nc: NCProgram, config: Config) -> Check:
+    rows = np.flatnonzero(nc.deposit & (nc.lengths > 0.0))
+    away = np.zeros(rows.size)
+    for t in np.linspace(0.0, 1.0, DIRECTIONS):
+        away = np.maximum(away, outside_sectors(directions(nc, rows, t), config.process.travel_sectors_deg))
+    what = "degrees outside of the allowed directions of travel"
+    return worst_check("travel sectors", nc, rows, away, DIRECTION_ROUNDING_DEG, "deg", what)
+
+
+def directions(nc: NCProgram, rows: Ints, t: float) -> Floats:
+    """Direction of travel (n,) in degrees counter-clockwise from +X."""
+    c = nc.coefficients[rows]
+    way = c[:, :, 1] + t * (2.0 * c[:, :, 2] + 3.0 * t * c[:, :, 3])
+    chord = (nc.end - nc.start)[rows, :2]
+    still = ~(np.hypot(way[:, 0], way[:, 1]) > 1e-9 * nc.lengths[rows])
+    way[still] = chord[still]
+    arcs = np.flatnonzero(nc.kind[rows] == ARC)
+    centre, sweep = nc.arc[rows[arcs], :2], nc.arc[rows[arcs], 2]
+    spoke = nc.start[rows[arcs], :2] - centre
+    angle = np.arctan2(spoke[:, 1], spoke[:, 0]) + t * sweep + np.copysign(0.5 * math.pi, sweep)
+    way[arcs] = np.column_stack([np.cos(angle), np.sin(angle)])
+    return np.asarray(np.degrees(np.arctan2(way[:, 1], way[:, 0])))
+
+
+def outside_sectors(direction_deg: Floats, sectors_deg: tuple[tuple[float, float], ...]) -> Floats:
+    """Degrees (n,) by which directions (n,) miss the nearest sector; each goes counter-clockwise."""
+    least = np.full(direction_deg.size, np.inf)
+    for first, last in sectors_deg:
+        width = last - first if last - first >= 360.0 else (last - first) % 360.0
+        turn = (direction_deg - first) % 360.0
+        least = np.minimum(least, np.where(turn <= width, 0.0, np.minimum(turn - width, 360.0 - turn)))
+    return least
+
+
+# -- places ------------------------------------------------------------------------------------------
+
+
+def _keep_out(nc: NCProgram, config: Config) -> Check:
+    """Depth to which the edge of a bead enters a zone, and length of a rapid within one."""
+    rows = np.flatnonzero(np.isfinite(nc.start).all(axis=1) & np.isfinite(nc.end).all(axis=1))
+    lines = motion_lines(nc, rows)
+    # Half a bead melts on either side of its line; a rapid has no width.
+    reach = np.where(nc.kind[rows] == RAPID, 0.0, 0.5 * config.process.bead_width_mm)
+    depth = np.zeros(rows.size)
+    for zone in config.process.keep_out:
+        low = np.minimum(nc.start[rows, 2], nc.end[rows, 2])
+        high = np.maximum(nc.start[rows, 2], nc.end[rows, 2])
+        crosses = np.flatnonzero((low < zone.z_mm[1]) & (high > zone.z_mm[0]))
+        depth[crosses] = np.maximum(depth[crosses], _depths(zone, lines[crosses], reach[crosses]))
+    names = ", ".join(zone.name for zone in config.process.keep_out)
+    return worst_check("keep-out zones", nc, rows, depth, 0.0, "mm", f"within {names}")
+
+
+def _depths(zone: KeepOut, lines: NDArray[np.object_], reach: Floats) -> Floats:
+    outline = shapely.make_valid(shapely.Polygon(zone.outline_mm))
+    away = np.asarray(shapely.distance(lines, outline))
+    inside = np.asarray(shapely.length(shapely.intersection(lines, outline)))
+    return np.asarray(np.where(reach > 0.0, np.maximum(reach - away, 0.0), inside))
+
+
+def motion_lines(nc: NCProgram, rows: Ints) -> NDArray[np.object_]:
+    """Polylines (n,) along motions; curves by chords of :data:`KEEP_OUT_STEP_MM`."""
+    straight = (nc.kind[rows] == STRAIGHT) | (nc.kind[rows] == RAPID)
+    result = np.empty(rows.size, dtype=np.object_)
+    flat = rows[straight]
+    result[straight] = shapely.linestrings(np.stack([nc.start[flat, :2], nc.end[flat, :2]], axis=1))
+    curved = np.flatnonzero(~straight)
+    if curved.size:
+        owner, points = nc.samples(rows[curved], KEEP_OUT_STEP_MM)
+        points = np.vstack([nc.start[rows[curved], :2], points])
+        index = np.concatenate([np.arange(curved.size), np.searchsorted(rows[curved], owner)])
+        order = np.argsort(index, kind="stable")
+        result[curved] = shapely.linestrings(points[order], indices=index[order])
+    return result
+
+
+# -- seams -------------------------------------------------------------------------------------------
+
+
+def _seams(nc: NCProgram, config: Config) -> Check:
+    """Distance of each contour's start from the nearest one in the layer below."""
+    least = config.process.least_seam_distance_mm
+    rows = np.flatnonzero(nc.deposit & (nc.ring >= 0) & (nc.layer >= 0))
+    starts = rows[np.flatnonzero(np.diff(nc.tracks(rows), prepend=-1))]
+    layer, at = nc.layer[starts], nc.start[starts, :2]
+    worst, where = math.inf, ""
+    for k in np.unique(layer).tolist():
+        above, below = np.flatnonzero(layer == k), np.flatnonzero(layer == k - 1)
+        if below.size:
+            away = np.linalg.norm(at[above][:, None] - at[below][None], axis=2).min(axis=1)
+            if away.min() < worst:
+                worst, where = float(away.min()), nc.where(int(starts[above[np.argmin(away)]]))
+    if not where:
+        return Check("seams", True, 0.0, least, "mm", "", "no contour starts over another layer's")
+    text = f"starts of contours at least {worst:.6g} mm from those of the layer below"
+    return Check("seams", worst >= least, worst, least, "mm", where, text)
+
+
+# -- overhangs ---------------------------------------------------------------------------------------
+
+
+def _overhang(nc: NCProgram, config: Config) -> Check:
+    """Greatest angle from the vertical by which the contours of a layer reach out over those below."""
+    limit = config.process.largest_overhang_deg
+    contours = nc.contours(OUTLINE_STEP_MM)
+    heights = nc.layer_heights
+    worst, row, area = 0.0, -1, 0.0
+    below: BaseGeometry = shapely.MultiPolygon()
+    for k in range(len(contours)):
+        section = shapely.union_all(contours.polygons(k))
+        if k and not section.is_empty and not below.is_empty:
+            rise = float(heights[k] - heights[k - 1])
+            angle, place = _reach_deg(section, below, rise)
+            if limit is not None and rise > 0.0:
+                held = below.buffer(rise * math.tan(math.radians(limit)))
+                area += float(section.difference(held).area)
+            if angle > worst:
+                worst, row = angle, _nearest_row(nc, k, place)
+        if not section.is_empty:
+            below = section
+    text = f"layers reach out by up to {worst:.4g} deg from the vertical over the one below"
+    if limit is not None:
+        text += f", {area:.6g} mm2 of them unsupported"
+    where = nc.where(row) if row >= 0 else ""
+    return Check("overhang", limit is None or worst <= limit, worst, limit or 90.0, "deg", where, text)
+
+
+def _reach_deg(section: BaseGeometry, below: BaseGeometry, rise_mm: float) -> tuple[float, Floats]:
+    """Angle of the farthest place of a section from the one below it, and that place (2,)."""
+    places = shapely.get_coordinates(section)
+    shapely.prepare(below)
+    outer = places[~np.asarray(shapely.intersects_xy(below, places[:, 0], places[:, 1]))]
+    if not len(outer):
+        return 0.0, places[0]
+    away = _distances(outer, below)
+    k = int(np.argmax(away))
+    return math.degrees(math.atan2(float(away[k]), max(rise_mm, 0.0))), outer[k]
+
+
+def _distances(places: Floats, region: BaseGeometry) -> Floats:
+    """Distances of places outside of a region from it, through a tree over the sides of its outline."""
+    sides = [
+        np.asarray(shapely.linestrings(np.stack([ring[:-1], ring[1:]], axis=1)))
+        for ring in map(shapely.get_coordinates, shapely.get_parts(region.boundary))
+    ]
+    tree = shapely.STRtree(np.concatenate(sides))
+    _, away = tree.query_nearest(shapely.points(places), return_distance=True, all_matches=False)
+    return np.asarray(away)
+
+
+def _nearest_row(nc: NCProgram, layer: int, place: Floats) -> int:
+    rows = np.flatnonzero(nc.deposit & (nc.ring >= 0) & (nc.layer == layer))
+    return int(rows[np.argmin(np.linalg.norm(nc.end[rows, :2] - place, axis=1))])

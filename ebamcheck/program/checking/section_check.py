@@ -1,0 +1,260 @@
+"""Check of the contour path in a program against the sections that a slicer found."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely.geometry.base import BaseGeometry
+
+from ebamcheck.layers.stack import Layers
+from ebamcheck.numeric.kernels import run_blocks
+from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.program.checking.checks import Check
+from ebamcheck.program.reading.motions import NCProgram
+from ebamcheck.scan.islands.regions import inset, layer_section
+
+STEP_MM = 0.5
+"""Distance of the places compared along the path."""
+
+COLLINEAR_MM = 1e-3
+"""Points nearer to the chord of their neighbours are made by facets that were cut in two: they end no chord."""
+
+CORNER_RAD = math.radians(40.0)
+"""Chords that turn by more meet in a corner of the part."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """By how much the contour path may leave the chords of a section, and why.
+
+    Parameters
+    ----------
+    base_mm
+        What fit, rounding and the arcs of an inset leave anywhere.
+    most_mm
+        Limit of the user: nothing allows more.
+    smooth
+        Sections with the curves that the chords stand for; the path may lie between both. None: chords allow what
+        a curve through their ends leaves them by.
+    """
+
+    base_mm: float
+    most_mm: float
+    smooth: Layers | None = None
+
+
+@dataclass(frozen=True)
+class _Worst:
+    """Worst place of a layer: motion, deviation and its limit, and where it is, mm."""
+
+    row: int
+    value: float
+    limit: float
+    layer: int
+    x: float
+    y: float
+
+
+def section_check(
+    nc: NCProgram,
+    layers: Layers,
+    z_of: Floats,
+    offset_mm: float,
+    limit_mm: float,
+    name: str = "section",
+    evidence: Evidence | None = None,
+) -> Check:
+    """Compare the centre lines of the contour beads with the sections, layer by layer and both ways.
+
+    A place on the path lies as deep in the section as the inset, within its limit: the depth moves no farther than
+    the outline does, where the inset itself, at a sharp corner or in a neck, moves farther. And the path passes every
+    place of the inset's border, so that no contour is missing: within `limit_mm`, or where outlines that near to
+    each other have insets that lie farther apart, within that.
+    A ring of the section narrower than `limit_mm` asks for no contour of its own: it is within the limit of
+    not being there, and unions leave slits of no width where shells touch, which an inset would widen to
+    holes. A path around one is not faulted either.
+
+    Parameters
+    ----------
+    z_of
+        (L,) Z of each of the `layers` in the program.
+    evidence
+        What sets the limit at each place of the path; None: it is `limit_mm` everywhere.
+    """
+    rows = np.flatnonzero(nc.deposit & (nc.ring >= 0))
+    between = 0.5 * (z_of[1:] + z_of[:-1])
+    index = np.searchsorted(between, nc.end[rows, 2])
+    known = evidence or Evidence(limit_mm, limit_mm)
+
+    def work(start: int, stop: int) -> list[_Worst]:
+        return [
+            _layer(nc, rows[index == k], layers, k, offset_mm, limit_mm, known) for k in range(start, stop)
+        ]
+
+    found = [layer for block in run_blocks(work, len(layers)) for layer in block] if len(layers) else []
+    text = f"contour path against the {name} inset by {offset_mm:g} mm"
+    if not found:
+        return Check(name, True, 0.0, limit_mm, "mm", "", f"{text}: nothing to check")
+    worst = max(found, key=lambda w: w.value / w.limit)
+    where = nc.where(worst.row) if len(nc) else ""
+    at = "" if math.isnan(worst.x) else f", in layer {worst.layer + 1} at ({worst.x:.3f}, {worst.y:.3f})"
+    text += f": at most {worst.value:.6g} mm{at}, where {worst.limit:.4g} mm are allowed"
+    place = (None, None) if math.isnan(worst.x) else (float(worst.x), float(worst.y))
+    return Check(
+        name, worst.value <= worst.limit, worst.value, worst.limit, "mm", where, text, worst.layer, *place
+    )
+
+
+def _layer(
+    nc: NCProgram, rows: Ints, layers: Layers, k: int, offset_mm: float, limit_mm: float, known: Evidence
+) -> _Worst:
+    """Worst place of a layer; infinitely far off where one has a contour and the other none."""
+    sections, wanted = _sections(layers.polygons(k), offset_mm, limit_mm)
+    if not rows.size:
+        first = int(np.argmax(nc.layer == min(k, int(nc.layer.max(initial=0))))) if len(nc) else 0
+        missing = 0.0 if not len(wanted) else math.inf
+        return _Worst(first, missing, limit_mm, k, *(wanted[0] if len(wanted) else (math.nan, math.nan)))
+    if not sections:
+        return _Worst(int(rows[0]), math.inf, limit_mm, k, *nc.end[rows[0], :2])
+    owner, at = nc.samples(rows, STEP_MM)
+    off = np.stack([_depths(at, section) - offset_mm for section in sections])
+    off = np.take_along_axis(off, np.abs(off).argmin(axis=0)[None], axis=0)[0]
+    allowed = _allowed(at, off, sections[0], k, known)
+    missed = _distances(wanted, _path(nc, rows, owner, at))
+    far = np.flatnonzero(missed > limit_mm)
+    if far.size:
+        missed[far] *= limit_mm / np.maximum(_reach(wanted[far], sections[0], offset_mm, limit_mm), limit_mm)
+    worst, farthest = int(np.argmax(np.abs(off) / allowed)), int(np.argmax(missed)) if missed.size else -1
+    value = float(abs(off[worst]))
+    if farthest < 0 or missed[farthest] / limit_mm <= value / allowed[worst]:
+        return _Worst(int(owner[worst]), value, float(allowed[worst]), k, *at[worst])
+    nearest = int(np.argmin(np.hypot(*(at - wanted[farthest]).T)))
+    return _Worst(int(owner[nearest]), float(missed[farthest]), limit_mm, k, *wanted[farthest])
+
+
+def _allowed(at: Floats, off: Floats, section: BaseGeometry, k: int, known: Evidence) -> Floats:
+    """Limit (n,) of the deviation `off` (n,) of each place: what there is evidence for, and no more than the user's."""
+    base = min(known.base_mm, known.most_mm)
+    allowed = np.full(len(at), base)
+    beyond = np.flatnonzero(np.abs(off) > base)
+    if not beyond.size or base == known.most_mm:
+        return allowed
+    smooth = None if known.smooth is None else layer_section(known.smooth.polygons(k))
+    if smooth is None or smooth.is_empty:
+        leaves = _sagitta(at[beyond], section)
+    else:
+        # A curve that lies outside of its chords makes places less deep in them, and the other way round.
+        lift = _depths(at[beyond], section) - _depths(at[beyond], smooth)
+        leaves = np.maximum(lift * np.sign(off[beyond]), 0.0)
+    allowed[beyond] = np.minimum(base + leaves, known.most_mm)
+    return allowed
+
+
+def _sagitta(at: Floats, section: BaseGeometry) -> Floats:
+    """By how much a curve through the ends of the chord nearest to each place (n,) may leave it, mm.
+
+    A circle through three neighbouring points turns at the middle one by the angle between its chords, shared between them by
+    their lengths; with angles a and b to it at its ends, a chord of length l lies under its circle by l (a + b) / 16 to
+    l (a + b) / 8 (arc, tangents), and under any curve that stays between the tangents there by up to twice that. Corners turn no curve.
+    """
+    rings = [r for p in shapely.get_parts(section) for r in (p.exterior, *p.interiors)]
+    sides, bounds = [], []
+    for ring in rings:
+        points = shapely.get_coordinates(shapely.simplify(ring, COLLINEAR_MM))[:-1]
+        way = np.roll(points, -1, axis=0) - points
+        length = np.hypot(way[:, 0], way[:, 1])
+        before = np.roll(way, 1, axis=0)
+        turn = np.abs(
+            np.arctan2(before[:, 0] * way[:, 1] - before[:, 1] * way[:, 0], (before * way).sum(axis=1))
+        )
+        turn[turn > CORNER_RAD] = 0.0
+        share = turn / np.maximum(length + np.roll(length, 1), np.finfo(float).tiny)
+        bounds.append(0.25 * length**2 * (share + np.roll(share, -1)))
+        sides.append(np.stack([points, np.roll(points, -1, axis=0)], axis=1))
+    lines = np.atleast_1d(np.asarray(shapely.linestrings(np.concatenate(sides)), dtype=np.object_))
+    _, nearest = _nearest_side(lines, at)
+    return np.asarray(np.concatenate(bounds)[nearest], np.float64)
+
+
+def _sections(
+    polygons: list[shapely.Polygon], offset_mm: float, narrow_mm: float
+) -> tuple[list[BaseGeometry], Floats]:
+    """The section, with its narrow rings and without, and the places (n, 2) where the path must pass.
+
+    It may keep the narrow rings or leave them out, and must pass where the border is there either way.
+    """
+    section = layer_section(polygons)
+    places = shapely.get_coordinates(shapely.segmentize(inset(section, offset_mm).boundary, STEP_MM))
+    wide = [_without_narrow_holes(p, narrow_mm) for p in polygons if _width_mm(p.exterior) >= narrow_mm]
+    if len(wide) == len(polygons) and all(
+        len(p.interiors) == len(q.interiors) for p, q in zip(polygons, wide, strict=True)
+    ):
+        return [s for s in (section,) if not s.is_empty], places
+    plain = layer_section(wide)
+    both = [s for s in (section, plain) if not s.is_empty]
+    border = inset(plain, offset_mm).boundary
+    if border.is_empty or not len(places):
+        return both, places[:0]
+    return both, places[_distances(places, border) <= narrow_mm]
+
+
+def _depths(at: Floats, region: BaseGeometry) -> Floats:
+    """Distance of points (n, 2) from the border of a region, negative outside."""
+    shapely.prepare(region)
+    away = _distances(at, region.boundary)
+    return np.where(shapely.intersects_xy(region, at[:, 0], at[:, 1]), away, -away)
+
+
+def _reach(places: Floats, section: BaseGeometry, offset_mm: float, limit_mm: float) -> Floats:
+    """How far (n,) the insets of outlines within `limit_mm` of a section's may lie from places on its own inset.
+
+    Such an inset holds what is deeper by the limit, and nothing that is shallower by it: its border passes between
+    both. Where nothing is that deep, it may be gone.
+    """
+    points = shapely.points(places)
+    deeper, shallower = (inset(section, offset_mm + d) for d in (limit_mm, -limit_mm))
+    inwards = np.asarray(shapely.distance(points, deeper))
+    outwards = np.asarray(shapely.distance(points, shallower.boundary))
+    return np.maximum(np.where(np.isnan(inwards), np.inf, inwards), outwards)
+
+
+def _without_narrow_holes(polygon: shapely.Polygon, narrow_mm: float) -> shapely.Polygon:
+    return shapely.Polygon(polygon.exterior, [h for h in polygon.interiors if _width_mm(h) >= narrow_mm])
+
+
+def _width_mm(ring: shapely.LinearRing) -> float:
+    """Mean width of a long ring: twice its area over its perimeter."""
+    return float(2.0 * shapely.Polygon(ring).area / ring.length) if ring.length > 0.0 else 0.0
+
+
+def _distances(at: Floats, lines: BaseGeometry) -> Floats:
+    """Distance of points (n, 2) from lines, by a search tree of their segments."""
+    return _nearest_side(_segments(lines), at)[0]
+
+
+def _nearest_side(sides: NDArray[np.object_], at: Floats) -> tuple[Floats, Ints]:
+    """Distance of points (n, 2) from the nearest of some segments, and which that is."""
+    (_, which), away = shapely.STRtree(sides).query_nearest(
+        np.asarray(shapely.points(at)), return_distance=True, all_matches=False
+    )
+    return np.asarray(away, dtype=np.float64), np.asarray(which, dtype=np.int64)
+
+
+def _segments(lines: BaseGeometry) -> NDArray[np.object_]:
+    points, line = shapely.get_coordinates(shapely.get_parts(lines), return_index=True)
+    joined = np.flatnonzero(line[1:] == line[:-1])
+    pairs = np.stack([points[joined], points[joined + 1]], axis=1)
+    return np.atleast_1d(np.asarray(shapely.linestrings(pairs), dtype=np.object_))
+
+
+def _path(nc: NCProgram, rows: Ints, owner: Ints, at: Floats) -> BaseGeometry:
+    """Sampled path, one polyline for each ring."""
+    lines = []
+    for ring in np.unique(nc.ring[rows]):
+        first = rows[nc.ring[rows] == ring][0]
+        lines.append(shapely.LineString(np.vstack([nc.start[first, :2], at[nc.ring[owner] == ring]])))
+    return shapely.MultiLineString(lines)

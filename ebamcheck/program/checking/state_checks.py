@@ -1,0 +1,176 @@
+"""Checks of what the machine does: modes, feeds, travel, beam and wire, and power."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ebamcheck.numeric.rings import Floats
+from ebamcheck.program.checking.checks import (
+    Check,
+    count_check,
+    event_place,
+    row_faults,
+    worst_check,
+)
+from ebamcheck.program.checking.machine_state import machine_state_checks
+from ebamcheck.program.reading.motions import ARC, RAPID, NCProgram
+from ebamcheck.settings.config import Config
+
+LEAST_SPLINE_BLOCKS = 6
+"""Spline blocks that the control wants among any 10 (NC Programming manual, BSPLINE)."""
+
+LIMIT_ROUNDING_MM = 1e-9
+"""Rounding of a curve's extreme."""
+
+
+def state_checks(nc: NCProgram, config: Config, turn_limit_mm: float) -> list[Check]:
+    """Check the state of the machine in every motion; `turn_limit_mm` is the longest turn under beam."""
+    return [
+        *machine_state_checks(nc, config),
+        _feed(nc, config),
+        _known_positions(nc),
+        _splines(nc),
+        _polynomials(nc),
+        _travel(nc, config),
+        _beam(nc),
+        _wire(nc),
+        _turns(nc, turn_limit_mm),
+    ]
+
+
+def _feed(nc: NCProgram, config: Config) -> Check:
+    machine = config.machine
+    rows = np.flatnonzero(nc.kind != RAPID)
+    feed = nc.feed_mm_min[rows] / 60.0
+    low, high = machine.feed_min_mm_s, machine.feed_max_mm_s
+    bad = ~((feed >= low) & (feed <= high))
+    faults = [
+        (nc.where(int(row)), f"feed {value:g} mm/s is not within {low:g} .. {high:g} mm/s")
+        for row, value in zip(rows[bad], feed[bad], strict=True)
+    ]
+    return count_check("feed", faults, f"every feed within {low:g} .. {high:g} mm/s")
+
+
+def _known_positions(nc: NCProgram) -> Check:
+    unknown = (nc.kind != RAPID) & ~(np.isfinite(nc.start).all(axis=1) & np.isfinite(nc.end).all(axis=1))
+    return count_check(
+        "start of path", row_faults(nc, unknown, "feed motion from a position that is not known"), "every feed motion starts where the one before ended"
+    )  # fmt: skip
+
+
+def _splines(nc: NCProgram) -> Check:
+    faults = [
+        (
+            event_place(nc, i),
+            f"a BSPLINE of {nc.events.value[i]:g} blocks: at least {LEAST_SPLINE_BLOCKS} are needed",
+        )
+        for i, name in enumerate(nc.events.name)
+        if name == "BSPLINE" and nc.events.value[i] < LEAST_SPLINE_BLOCKS
+    ]
+    return count_check("spline blocks", faults, f"every BSPLINE has at least {LEAST_SPLINE_BLOCKS} blocks")
+
+
+def _polynomials(nc: NCProgram) -> Check:
+    """Parameter lengths of POLY blocks, where the header says that all are 1: a wrong one bends its span a little."""
+    said = nc.header.get("POLY", "").startswith("PL=1 ")
+    faults = [
+        (
+            event_place(nc, i),
+            f"PL={nc.events.value[i]:g} in a POLY block, where the header says PL=1 in every one",
+        )
+        for i, name in enumerate(nc.events.name)
+        if name == "POLY" and said
+    ]
+    good = "PL=1 in every POLY block" if said else "the header says nothing of PL in POLY blocks"
+    return count_check("polynomial blocks", faults, good)
+
+
+def extremes(nc: NCProgram) -> tuple[Floats, Floats]:
+    """Least and greatest X, Y, Z (B, 3) on each motion, exactly: roots of the derivative, quadrants of arcs."""
+    low, high = np.fmin(nc.start, nc.end), np.fmax(nc.start, nc.end)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        c1, c2, c3 = (nc.coefficients[:, :, k] for k in (1, 2, 3))
+        root = np.sqrt(np.maximum(c2**2 - 3.0 * c3 * c1, 0.0))
+        q = -(c2 + np.copysign(root, c2))
+        for t in (q / (3.0 * c3), c1 / q):
+            inside = (t > 0.0) & (t < 1.0)
+            t = np.where(inside, t, 0.0)
+            c0 = nc.coefficients[:, :, 0]
+            value = np.where(inside, ((c3 * t + c2) * t + c1) * t + c0, nc.end[:, :2])
+            low[:, :2], high[:, :2] = np.fmin(low[:, :2], value), np.fmax(high[:, :2], value)
+    for row in np.flatnonzero(nc.kind == ARC):
+        cx, cy, sweep = nc.arc[row]
+        dx, dy = nc.start[row, 0] - cx, nc.start[row, 1] - cy
+        radius, first = math.hypot(dx, dy), math.atan2(dy, dx)
+        for k in range(4):
+            quadrant = 0.5 * math.pi * k
+            if (math.copysign(1.0, sweep) * (quadrant - first)) % (2.0 * math.pi) <= abs(sweep):
+                point = (cx + radius * math.cos(quadrant), cy + radius * math.sin(quadrant))
+                low[row, :2], high[row, :2] = np.fmin(low[row, :2], point), np.fmax(high[row, :2], point)
+    return low, high
+
+
+def _travel(nc: NCProgram, config: Config) -> Check:
+    low, high = extremes(nc)
+    over = np.fmax(
+        np.array(config.machine.travel_min_mm) - low, high - np.array(config.machine.travel_max_mm)
+    )
+    over = np.nan_to_num(over, nan=-np.inf)
+    rows = np.arange(len(nc))
+    worst = over.max(axis=1)
+    found = worst_check("travel", nc, rows, worst, LIMIT_ROUNDING_MM, "mm", "beyond the travel limits")
+    axis = "XYZ"[int(np.argmax(over[int(np.argmax(worst))]))] if len(nc) else ""
+    margin = -found.value if found.passed else found.value
+    text = f"{margin:g} mm of {axis} {'left' if found.passed else 'beyond the limits'}, on the true curve"
+    return Check("travel", found.passed, found.value, 0.0, "mm", found.where, text)
+
+
+def _beam(nc: NCProgram) -> Check:
+    faults = row_faults(nc, nc.beam & (nc.kind == RAPID), "beam is on during a rapid motion")
+    marked = (nc.ring >= 0) | (nc.island >= 0)
+    faults += row_faults(nc, ~nc.beam & (nc.kind != RAPID) & marked, "beam is off along a deposit")
+    faults += _switching(nc, "beam_on", "beam_off", "beam")
+    return count_check("beam", faults, "off in every rapid and layer change, each on has its off")
+
+
+def _wire(nc: NCProgram) -> Check:
+    faults = row_faults(nc, nc.wire & ~nc.beam, "wire runs while the beam is off")
+    faults += row_faults(nc, nc.wire & (nc.kind == RAPID), "wire runs during a rapid motion")
+    marked = (nc.ring >= 0) | (nc.island >= 0)
+    faults += row_faults(nc, ~nc.wire & (nc.kind != RAPID) & marked, "wire stands along a deposit")
+    faults += _switching(nc, "wire_start", "wire_stop", "wire")
+    wire = False
+    for i, name in enumerate(nc.events.name):
+        if name in ("wire_start", "wire_stop"):
+            wire = name == "wire_start"
+        elif name == "beam_off" and wire:
+            faults.append((event_place(nc, i), "beam goes off before the wire stops"))
+    return count_check("wire", faults, "runs under the beam alone, stops before it")
+
+
+def _switching(nc: NCProgram, on: str, off: str, what: str) -> list[tuple[str, str]]:
+    """Faults of a switch: on twice, on at a call or at the end of a file."""
+    faults = []
+    state = False
+    for i, name in enumerate(nc.events.name):
+        if name == on:
+            if state:
+                faults.append((event_place(nc, i), f"{what} is switched on while it is on"))
+            state = True
+        elif name == off:
+            state = False
+        elif state and (name in ("M30", "M2", "M17", "RET") or name.startswith("call ")):
+            faults.append((event_place(nc, i), f"{what} is still on at {name}"))
+    if state:
+        faults.append((event_place(nc, len(nc.events.name) - 1), f"{what} is never switched off"))
+    return faults
+
+
+def _turns(nc: NCProgram, limit_mm: float) -> Check:
+    rows = np.flatnonzero(nc.turn & nc.deposit)
+    # Positions are rounded to the program's decimals; six is the coarsest that matters here.
+    return worst_check(
+        "turns", nc, rows, nc.lengths[rows], limit_mm + 1e-6, "mm", "longest turn between hatch lines"
+    )

@@ -1,0 +1,161 @@
+"""Checks of a program's text: encoding, names, headers, numbers, ends, hashes. They look at bytes."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections import Counter
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from ebamcheck.program.checking.checks import Check, count_check
+from ebamcheck.program.language.dialects import SINUMERIK
+from ebamcheck.program.reading.motions import NCProgram, SourceFile
+
+BLOCK_LIMIT = 200
+"""Characters; every software version of the control reads shorter blocks."""
+
+_NAME = re.compile(r"(?=.{1,24}\.)(?:[A-Z]{2}|_[A-Z])[A-Z0-9_]*\.(?:MPF|SPF)")
+_DEVICE = re.compile(r"(?:CON|PRN|AUX|NUL|COM\d|LPT\d)\..*")
+_PATH = re.compile(rb";\$PATH=/_N_(?:WKS_DIR/_N_[A-Z0-9_]+_WPD|MPF_DIR|SPF_DIR)\r?")
+_ENDS = {".MPF": ("M30", "M2"), ".SPF": ("M17", "RET")}
+_MAIN_ENDS = ("M30", "M2")
+
+Faults = list[tuple[str, str]]
+
+
+def text_checks(nc: NCProgram, sha256: Mapping[str, str] | None = None) -> list[Check]:
+    """Check the bytes of every file that the program opened."""
+    checks = [
+        count_check("encoding", _each(nc, _encoding), "ASCII throughout"),
+        count_check("line ends", _each(nc, _line_ends), "every block ends with LF alone"),
+        _block_length(nc),
+        *_headers(nc),
+        count_check("block numbers", _numbers(nc), "N rises from block to block in every file"),
+        count_check("end of program", _each(nc, _end), "one end in each file, in its last block"),
+        count_check("subprograms", _calls(nc), "every subprogram in the folder is called once"),
+    ]
+    if sha256 is not None:
+        checks.append(count_check("unchanged", _changed(nc, sha256), "SHA-256 of every file as recorded"))
+    return checks
+
+
+def _each(nc: NCProgram, check: Callable[[SourceFile], Faults]) -> Faults:
+    return [fault for file in nc.files for fault in check(file)]
+
+
+def _line_at(data: bytes, offset: int) -> int:
+    return data.count(b"\n", 0, offset) + 1
+
+
+def _encoding(file: SourceFile) -> Faults:
+    if file.data.isascii():
+        return []
+    offset = int(np.argmax(np.frombuffer(file.data, np.uint8) > 127))
+    what = f"byte 0x{file.data[offset]:02X} is not ASCII"
+    return [(f"{file.name}:{_line_at(file.data, offset)}", what)]
+
+
+def _line_ends(file: SourceFile) -> Faults:
+    offset = file.data.find(b"\r")
+    if offset < 0:
+        return []
+    return [(f"{file.name}:{_line_at(file.data, offset)}", "carriage return: lines must end with LF alone")]
+
+
+def _block_length(nc: NCProgram) -> Check:
+    longest, where = 0, ""
+    for file in nc.files:
+        for number, line in enumerate(file.data.split(b"\n"), start=1):
+            if len(line) > longest:
+                longest, where = len(line), f"{file.name}:{number}"
+    text = f"longest block has {longest} characters"
+    return Check("block length", longest < BLOCK_LIMIT, longest, BLOCK_LIMIT - 1, "characters", where, text)
+
+
+def _headers(nc: NCProgram) -> list[Check]:
+    """Names and first lines, of which only the SINUMERIK asks something."""
+    if nc.dialect != SINUMERIK:
+        return []
+    return [
+        count_check("names and headers", _each(nc, _header), "legal names, %_N_ and ;$PATH from column 1")
+    ]
+
+
+def _header(file: SourceFile) -> Faults:
+    faults = []
+    if not _NAME.fullmatch(file.name) or _DEVICE.fullmatch(file.name):
+        faults.append((f"{file.name}:1", f"{file.name!r} is not a legal name of a program"))
+    lines = [*file.data.split(b"\n", 2), b"", b""]
+    wanted = f"%_N_{file.name.replace('.', '_')}"
+    if lines[0].rstrip(b"\r") != wanted.encode("latin-1", "replace"):
+        faults.append((f"{file.name}:1", f"first line is not {wanted}"))
+    if not _PATH.fullmatch(lines[1]):
+        faults.append((f"{file.name}:2", "second line is not ;$PATH=/_N_WKS_DIR/_N_..._WPD"))
+    return faults
+
+
+def _numbers(nc: NCProgram) -> Faults:
+    faults: Faults = []
+    for index, file in enumerate(nc.files):
+        rows = nc.numbers[nc.numbers[:, 0] == index]
+        rows = rows[np.sort(np.unique(rows[:, 1], return_index=True)[1])]
+        faults += [
+            (f"{file.name}:{rows[i + 1, 1]}", f"N{rows[i + 1, 2]} follows N{rows[i, 2]}")
+            for i in np.flatnonzero(np.diff(rows[:, 2]) <= 0)
+        ]
+    return faults
+
+
+def _end(file: SourceFile) -> Faults:
+    wanted = _ENDS.get(file.name[-4:].upper(), _MAIN_ENDS)
+    last = f"{file.name}:{file.line_count}"
+    if not file.end_line:
+        return [(last, f"no {wanted[0]} at the end: the file is cut off")]
+    if file.end_code not in wanted:
+        return [(f"{file.name}:{file.end_line}", f"ends with {file.end_code} in place of {wanted[0]}")]
+    if not file.data.endswith(b"\n"):
+        return [(last, "the last block has no LF: the file is cut off")]
+    return []
+
+
+def _calls(nc: NCProgram) -> Faults:
+    calls = [name.removeprefix("call ") for name in nc.events.name if name.startswith("call ")]
+    main = nc.files[0].name
+    faults = [
+        (_call_line(nc, name), f"{name} is called {count} times")
+        for name, count in Counter(calls).items()
+        if count > 1
+    ]
+    if calls:
+        there = {path.stem for path in nc.folder.glob("*.SPF")}
+        faults += [
+            (f"{main}:{_last_call(nc)}", f"{name}.SPF is never called") for name in sorted(there - set(calls))
+        ]
+    return faults
+
+
+def _call_line(nc: NCProgram, name: str) -> str:
+    last = max(i for i, event in enumerate(nc.events.name) if event == f"call {name}")
+    return f"{nc.files[int(nc.events.file[last])].name}:{int(nc.events.line[last])}"
+
+
+def _last_call(nc: NCProgram) -> int:
+    return int(max(nc.events.line[i] for i, e in enumerate(nc.events.name) if e.startswith("call ")))
+
+
+def _changed(nc: NCProgram, sha256: Mapping[str, str]) -> Faults:
+    faults = []
+    for file in nc.files:
+        if file.name not in sha256:
+            faults.append((f"{file.name}:1", "is not among the files recorded"))
+        elif hashlib.sha256(file.data).hexdigest() != sha256[file.name]:
+            faults.append((f"{file.name}:1", "its bytes are not those recorded"))
+    read = {file.name for file in nc.files}
+    faults += [
+        (f"{nc.files[0].name}:1", f"{name} was recorded but is not run")
+        for name in sha256
+        if name not in read
+    ]
+    return faults

@@ -1,0 +1,226 @@
+"""The heat of a program from its text: the beads that it lays, its times, waits and power, and the balance driven by them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import shapely
+from shapely.geometry.base import BaseGeometry
+
+from ebamcheck.heat.balance import HeatColumn, LayerShape
+from ebamcheck.heat.melting import entry_limit_k
+from ebamcheck.layers.stack import Layers
+from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.program.reading.motions import RAPID, NCProgram
+from ebamcheck.settings.config import Config
+
+PAUSE = "layer_pause_s"
+"""Event of a wait, named by its placeholder."""
+
+LONGEST_WAIT_S = 4.0 * 3600.0
+"""Longest wait that is looked for."""
+
+LEAST_SHARE = 1e-6
+"""Keeps a bead without power from being divided by."""
+
+OUTLINE_STEP_MM = 0.5
+"""Chords of the contours of which perimeters and areas are taken, where no section is known."""
+
+
+def motion_seconds(nc: NCProgram, config: Config) -> Floats:
+    """Time of each motion (B,): length over feed, rapids over ``machine.rapid_mm_s``."""
+    length = np.nan_to_num(nc.lengths)
+    speed = np.where(nc.kind == RAPID, config.machine.rapid_mm_s, nc.feed_mm_min / 60.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.where(length > 0.0, length / speed, 0.0), np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class TextBeads:
+    """Beads of a program in its sequence, one from where the beam comes on to where it goes off, as columns (P,).
+
+    Who reads the text alone need not know which of them are of one island: each is entered, and each finds the part as
+    warm as it then is. The plan counts them so, too (:mod:`ebamcheck.scan.plan.bead_sequence`).
+
+    Parameters
+    ----------
+    layer, ring, island
+        What each is of; -1 for none.
+    row
+        First motion of each.
+    wait_s, move_s
+        Wait, and moves with the beam off, before it.
+    time_s, energy_j, peak_w
+        Time from its first to its last motion under beam, the beam's energy in it, and its greatest power.
+    stray
+        Waits that no bead follows, or that lie within a bead: (event, what).
+    """
+
+    layer: Ints
+    ring: Ints
+    island: Ints
+    row: Ints
+    wait_s: Floats
+    move_s: Floats
+    time_s: Floats
+    energy_j: Floats
+    peak_w: Floats
+    stray: tuple[tuple[int, str], ...]
+
+    def __len__(self) -> int:
+        """Return the number of beads."""
+        return len(self.layer)
+
+    @cached_property
+    def enters_layer(self) -> np.ndarray:
+        """Whether each is the first of its layer, (P,)."""
+        return np.asarray(np.diff(self.layer, prepend=-1) != 0)
+
+    @cached_property
+    def inner(self) -> np.ndarray:
+        """Whether each is a further bead of the island before, (P,)."""
+        return np.asarray((self.island >= 0) & (np.diff(self.island, prepend=-1) == 0) & ~self.enters_layer)
+
+
+def text_beads(nc: NCProgram, config: Config) -> TextBeads:
+    """Find the beads of a program, and the waits before them."""
+    rows = np.flatnonzero(nc.deposit & (nc.layer >= 0))
+    seconds = motion_seconds(nc, config)
+    columns = (nc.layer, nc.ring, nc.island)
+    bead = nc.tracks(rows)
+    changes = np.diff(bead, prepend=-1) != 0
+    first = rows[changes]
+    last = rows[np.append(np.flatnonzero(changes)[1:] - 1, rows.size - 1)] if rows.size else first
+    clock = np.concatenate([[0.0], np.cumsum(seconds)])
+    power_w = np.nan_to_num(nc.power_w[rows])
+    waits, stray = np.zeros(first.size), []
+    for event in (i for i, name in enumerate(nc.events.name) if name == PAUSE):
+        row = int(nc.events.row[event])
+        following = int(np.searchsorted(first, row))
+        if following and row <= last[following - 1]:
+            stray.append((event, "waits within a bead"))
+        elif following == first.size:
+            stray.append((event, "waits after the last bead"))
+        else:
+            waits[following] += nc.events.value[event]
+    layer, ring, island = (column[first] for column in columns)
+    return TextBeads(
+        layer=layer,
+        ring=ring,
+        island=island,
+        row=first,
+        wait_s=waits,
+        move_s=_between(clock[first], np.concatenate([[0.0], clock[last[:-1] + 1]])[: first.size]),
+        time_s=_between(clock[last + 1], clock[first]),
+        energy_j=np.bincount(bead, power_w * seconds[rows], minlength=first.size).astype(np.float64),
+        peak_w=np.maximum.reduceat(power_w, np.flatnonzero(changes)) if first.size else np.zeros(0),
+        stray=tuple(stray),
+    )
+
+
+def _between(late_s: Floats, early_s: Floats) -> Floats:
+    """Time between (n,) s; endless where a feed of nothing never ends."""
+    known = np.isfinite(late_s) & np.isfinite(early_s)
+    result: Floats = np.full(late_s.size, np.inf)
+    result[known] = late_s[known] - early_s[known]
+    return result
+
+
+def text_bed_k(beads: TextBeads, config: Config, shapes: Sequence[LayerShape]) -> tuple[Floats, Floats]:
+    """Follow the heat of a program by the balance of :mod:`ebamcheck.heat.balance`, bead by bead.
+
+    Parameters
+    ----------
+    shapes
+        (L,) of the layers.
+
+    Returns
+    -------
+    bed_k
+        (P,) mean temperature of the surface when each bead is entered, absolute, K.
+    leave_k
+        (L,) that of each layer when it is done; NaN for one without a bead.
+    """
+    column = HeatColumn(config)
+    bed_k, leave_k = np.zeros(len(beads)), np.full(len(shapes), np.nan)
+    enters = beads.enters_layer
+    for n in range(len(beads)):
+        column.advance(float(beads.move_s[n] + beads.wait_s[n]))
+        bed_k[n] = column.bed_k
+        layer = int(beads.layer[n])
+        if enters[n] and shapes[layer].area_mm2 > 0.0:
+            column.lay(shapes[layer])
+        column.advance(float(beads.time_s[n]), float(beads.energy_j[n]) * config.material.absorptivity)
+        leave_k[layer] = column.surface_k
+    return bed_k, leave_k
+
+
+def known_sections(plan: Any, *stacks: Layers | None) -> list[BaseGeometry] | None:
+    """Sections that a plan was made from, else those of the first stack that there is; None without either."""
+    planned = getattr(plan, "sections", None)
+    if planned is not None:
+        return list(planned)
+    found = next((stack for stack in stacks if stack is not None), None)
+    return None if found is None else sections_of(found)
+
+
+def sections_of(layers: Layers) -> list[BaseGeometry]:
+    """Sections of a stack as one geometry a layer."""
+    return [shapely.union_all(layers.polygons(k)) for k in range(len(layers))]
+
+
+def text_shapes(nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] | None) -> list[LayerShape]:
+    """Shapes of the layers of a program, of the sections where they are as many, else of what its contours enclose."""
+    count = len(nc.layer_files)
+    if sections is None or len(sections) != count:
+        outlines = sections_of(nc.contours(OUTLINE_STEP_MM))
+        sections = [shapely.buffer(outline, config.contour_offset_mm) for outline in outlines]
+    steps = np.diff(nc.layer_heights, prepend=0.0)
+    usual = float(np.nanmedian(steps)) if np.isfinite(steps).any() else config.layer_height_mm
+    steps = np.where(steps > 0.0, steps, usual)
+    return [LayerShape.of(sections[k], float(steps[k])) for k in range(count)]
+
+
+def build_times_s(nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] | None) -> dict[str, float]:
+    """Times of a program as it is, without its waits, and at full power with waits alone, s.
+
+    The last is that of the same beads, each entered as soon as the balance finds the surface under the limit; it is
+    NaN where the wait for one bead would be longer than :data:`LONGEST_WAIT_S`.
+    """
+    beads = text_beads(nc, config)
+    busy_s = float((beads.time_s + beads.move_s).sum())
+    dwell_s = _dwell_s(beads, config, text_shapes(nc, config, sections))
+    return {
+        "programmed": busy_s + float(beads.wait_s.sum()),
+        "without_measures": busy_s,
+        "dwell": busy_s + dwell_s,
+    }
+
+
+def _dwell_s(beads: TextBeads, config: Config, shapes: Sequence[LayerShape]) -> float:
+    """Waits at full power, each found by steps of time that grow by a half."""
+    limit_k, enters = entry_limit_k(config), beads.enters_layer
+    column, total_s = HeatColumn(config), 0.0
+    # Ramps are part of the beads: their strongest motion has the full power of its layer.
+    share = np.maximum(beads.peak_w / config.process.power_w, LEAST_SHARE)
+    for n in range(len(beads)):
+        column.advance(float(beads.move_s[n]))
+        checked = n > 0 and (config.process.interpass_at == "bead" or enters[n])
+        wait_s, step_s = 0.0, 1.0
+        while checked and column.bed_k > limit_k:
+            column.advance(step_s)
+            wait_s, step_s = wait_s + step_s, max(1.0, 0.5 * wait_s)
+            if wait_s > LONGEST_WAIT_S:
+                return math.nan
+        total_s += wait_s
+        shape = shapes[int(beads.layer[n])]
+        if enters[n] and shape.area_mm2 > 0.0:
+            column.lay(shape)
+        energy_j = float(beads.energy_j[n]) / share[n] * config.material.absorptivity
+        column.advance(float(beads.time_s[n]), energy_j)
+    return total_s

@@ -1,0 +1,65 @@
+"""Checks of the process values that a program sets: volts, milliamperes, power, wire and feed, each by itself.
+
+A product hides an exchange of its factors (120 kV and 60 mA are the power of 60 kV and 120 mA), and wide limits hide a
+program that is half as fast throughout: each value is held against the one of the settings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ebamcheck.program.checking.checks import Check, count_check, event_place
+from ebamcheck.program.reading.motions import NCProgram
+from ebamcheck.settings.config import Config
+
+VALUE_TOLERANCE = 1e-3
+"""Of a value: the decimals with which it is printed."""
+
+
+def value_check(nc: NCProgram, config: Config) -> Check:
+    """Every value that is set, and the feed of every motion that lays metal, against the settings of the process.
+
+    Voltage, feed and length of wire drawn back are those of the settings, or 0 where beam or wire are off; current and power are at most
+    those of the settings, since ramps and the heat of the part take from them; the wire is within the feeder's limits.
+    """
+    faults = [*_set_values(nc, config), *_feeds(nc, config)]
+    faults.sort(key=lambda fault: fault[0])
+    process = config.process
+    good = (
+        f"{process.voltage_kv:g} kV, up to {process.current_ma:g} mA, at {process.travel_speed_mm_s:g} mm/s"
+    )
+    return count_check("process values", [(where, what) for _, where, what in faults], good)
+
+
+def _set_values(nc: NCProgram, config: Config) -> Iterator[tuple[int, str, str]]:
+    process = config.process
+    fixed = {
+        "voltage_kv": (process.voltage_kv, "kV"),
+        "wire_retract_mm": (process.wire_retract_mm, "mm of wire drawn back"),
+    }
+    greatest = {
+        "current_ma": (process.current_ma, "mA"),
+        "power_w": (process.power_w, "W"),
+        "wire_mm_s": (process.wire_speed_max_mm_s, "mm/s of wire"),
+    }
+    for i, name in enumerate(nc.events.name):
+        value, row = float(nc.events.value[i]), int(nc.events.row[i])
+        if name in fixed:
+            wanted, unit = fixed[name]
+            if value != 0.0 and not abs(value - wanted) <= VALUE_TOLERANCE * wanted:
+                yield row, event_place(nc, i), f"{value:g} {unit} in place of {wanted:g} {unit}"
+        elif name in greatest:
+            limit, unit = greatest[name]
+            if not 0.0 <= value <= limit * (1.0 + VALUE_TOLERANCE):
+                yield row, event_place(nc, i), f"{value:g} {unit}, at most {limit:g} {unit} are set"
+
+
+def _feeds(nc: NCProgram, config: Config) -> Iterator[tuple[int, str, str]]:
+    wanted = config.process.travel_speed_mm_s
+    rows = np.flatnonzero(nc.deposit)
+    feed = nc.feed_mm_min[rows] / 60.0
+    for row, value in zip(rows.tolist(), feed.tolist(), strict=True):
+        if not abs(value / wanted - 1.0) <= VALUE_TOLERANCE:
+            yield row, nc.where(row), f"feed {value:g} mm/s in place of {wanted:g} mm/s"

@@ -1,0 +1,252 @@
+"""Verification of a program: from its text alone, and against what it was made from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ebamcheck.curves import LIFTED
+from ebamcheck.errors import InputError
+from ebamcheck.layers.stack import Layers
+from ebamcheck.numeric.rings import Bools, Floats
+from ebamcheck.program.checking.bead_checks import bead_checks, repeated_blocks
+from ebamcheck.program.checking.bead_end_checks import bead_end_checks
+from ebamcheck.program.checking.checks import Check
+from ebamcheck.program.checking.clearance import clearance_checks
+from ebamcheck.program.checking.deposit import deposit
+from ebamcheck.program.checking.deposit_checks import deposit_checks
+from ebamcheck.program.checking.header_checks import Truth, header_checks
+from ebamcheck.program.checking.interpass_checks import (
+    heat_checks,
+    layer_shares,
+    shares_of_text,
+    wait_check,
+)
+from ebamcheck.program.checking.matching import Matching, matched, matching_checks, tracks_known
+from ebamcheck.program.checking.outside_check import outside_check
+from ebamcheck.program.checking.overfill import overfill_check
+from ebamcheck.program.checking.path_checks import (
+    closure_check,
+    contour_checks,
+    hatch_checks,
+    layer_checks,
+)
+from ebamcheck.program.checking.process_checks import process_checks
+from ebamcheck.program.checking.section_check import Evidence, section_check
+from ebamcheck.program.checking.state_checks import state_checks
+from ebamcheck.program.checking.text_checks import text_checks
+from ebamcheck.program.checking.text_heat import known_sections
+from ebamcheck.program.checking.value_checks import value_check
+from ebamcheck.program.checking.window_checks import window_check
+from ebamcheck.program.checking.wire_checks import wire_check
+from ebamcheck.program.reading.motions import NCProgram
+from ebamcheck.program.reading.reader import read_program
+from ebamcheck.program.reading.roles import by_height, by_section
+from ebamcheck.program.toolpath.bead_ends import planned_path
+from ebamcheck.program.toolpath.inputs import (
+    CurveColumns,
+    ScanColumns,
+    deposition_heights,
+    interpass_of,
+)
+from ebamcheck.program.toolpath.tracks import Toolpath
+from ebamcheck.scan.filling.turns import TURN_SPACINGS
+from ebamcheck.settings.config import Config
+
+PATH_TOLERANCE_MM = 1e-3
+"""Path read back against the fitted curve, after decimal rounding: a tenth of what a slicer agrees to."""
+
+SECTION_TOLERANCE_MM = 0.05
+"""Contour path against the section: the fit of the curves and the roundness of the inset's corners."""
+
+CONTOUR_SHARE = 0.125
+"""Of the bead's width: a bead that runs this near to the inset of the section is a contour."""
+
+
+def verify_program(
+    nc: NCProgram,
+    *,
+    config: Config,
+    curves: CurveColumns | None = None,
+    plan: ScanColumns | None = None,
+    layers: Layers | None = None,
+    path: Toolpath | None = None,
+    smooth: Layers | None = None,
+    beads: bool = False,
+    metal: bool = False,
+    heat: bool = False,
+    heights: ArrayLike | None = None,
+    sha256: Mapping[str, str] | None = None,
+    truth: Truth | None = None,
+    contour_offset_mm: float | None = None,
+    tolerance_mm: float = PATH_TOLERANCE_MM,
+    section_tolerance_mm: float | None = None,
+) -> list[Check]:
+    """Check a program that was read; every check is made that its inputs allow.
+
+    Parameters
+    ----------
+    config
+        Machine and process: limits, modes, power, templates.
+    curves, plan
+        What the program was made from: path, islands, vectors are compared with them.
+    layers
+        Sections by a slicer, best by one that did not make the program; compared with the contour path.
+    path
+        The tracks laid out of both, where they are there already.
+    smooth
+        The same sections with the curves that their chords stand for: the path has to lie near them where the
+        chords alone leave it room.
+    beads
+        Check the beads themselves, too: spacing, lines laid twice, coverage of the `layers`. For a program whose
+        plan is not known; against a plan its vectors are compared one by one.
+    metal
+        Lay the metal of the program over the `layers`, and check its mass and where it lies.
+    heat
+        Drive a balance of the part's heat by the times, waits and power of the text, and check each bead's entry.
+    heights
+        (L,) heights of the cuts; None: those of `curves`, `plan` or `layers`.
+    sha256
+        Recorded hash of each file by name, as :class:`ProgramFiles` gives it.
+    truth
+        What is known of the program from elsewhere, against which its header is held.
+    contour_offset_mm
+        Inset of the contour path from the section; None: that of the settings.
+    tolerance_mm
+        Largest distance of the path from the fitted curve.
+    section_tolerance_mm
+        Largest distance of the path from the inset section, whatever the evidence for it; None: that of the settings.
+
+    Returns
+    -------
+    list of Check
+        In a fixed order; one that fails names the file and line of the first or worst place.
+    """
+    known = heights
+    if known is None:
+        known = next((x.heights for x in (curves, plan, layers) if x is not None), None)
+    z_of = deposition_heights(np.asarray(() if known is None else known, np.float64), config.layer_height_mm)
+    offset = config.contour_offset_mm if contour_offset_mm is None else contour_offset_mm
+    if path is None and curves is not None and plan is not None:
+        path = planned_path(curves, plan, config)
+    tracks = path or tracks_known(curves, plan, config)
+    nc, match = _with_roles(nc, tracks, layers, z_of, offset, config)
+    turn_limit_mm = TURN_SPACINGS * config.process.hatch_spacing_mm
+    checks = text_checks(nc, sha256) + header_checks(nc, config, truth or Truth(), known)
+    checks += state_checks(nc, config, turn_limit_mm)
+    checks.append(wire_check(nc, config, path))
+    planned = None if plan is None else interpass_of(plan, config)
+    sections = known_sections(plan, smooth, layers)
+    if planned is not None:
+        shares = planned.power_share
+    elif heat:
+        shares = shares_of_text(nc, config, sections)
+    else:
+        shares = np.minimum(layer_shares(nc, config.process.power_w), 1.0)
+    checks += [*bead_end_checks(nc, config, shares), closure_check(nc, curves, tolerance_mm)]
+    checks += [
+        repeated_blocks(nc),
+        window_check(nc, config),
+        value_check(nc, config),
+        *process_checks(nc, config),
+    ]
+    checks.append(wait_check(nc, config, planned))
+    if heat:
+        checks += heat_checks(nc, config, sections)
+    checks += clearance_checks(nc, z_of, config, layers)
+    if known is None:
+        return checks
+    checks += layer_checks(nc, z_of, _filled(tracks, layers, len(z_of)))
+    if match is not None:
+        # A plan of contours or of islands alone knows nothing of the other beads.
+        checks += matching_checks(nc, match, tolerance_mm) if path is not None else []
+    if curves is not None:
+        checks += contour_checks(nc, curves, config, tolerance_mm, z_of)
+    if plan is not None:
+        checks += hatch_checks(nc, plan, config, tolerance_mm, z_of)
+    if layers is not None:
+        most = config.curves.section_tolerance_mm if section_tolerance_mm is None else section_tolerance_mm
+        checks += _section_checks(nc, layers, smooth, z_of, offset, config, most)
+        if metal:
+            checks += deposit_checks(nc, deposit(nc, layers, z_of, config), config)
+        if path is None:
+            checks.append(overfill_check(nc, z_of, config, layers))
+    if beads:
+        checks += bead_checks(nc, config, z_of, layers)
+    return checks
+
+
+def _with_roles(
+    nc: NCProgram,
+    tracks: Toolpath | None,
+    layers: Layers | None,
+    z_of: Floats,
+    offset_mm: float,
+    config: Config,
+) -> tuple[NCProgram, Matching | None]:
+    """Layers and roles of all motions by who knows most of them: a plan, sections, or their shape alone."""
+    nc = by_height(nc, z_of)
+    if tracks is not None:
+        return matched(nc, tracks)
+    if layers is not None:
+        nc = by_section(nc, layers, z_of, offset_mm, CONTOUR_SHARE * config.process.bead_width_mm)
+    return nc, None
+
+
+def _section_checks(
+    nc: NCProgram,
+    layers: Layers,
+    smooth: Layers | None,
+    z_of: Floats,
+    offset_mm: float,
+    config: Config,
+    most_mm: float,
+) -> list[Check]:
+    """Contours against the sections, by chords and with the curves that these stand for; and all beads within them."""
+    near_mm = smooth_tolerance_mm(config)
+    base = SECTION_TOLERANCE_MM if smooth is None else near_mm
+    if config.curves.method not in LIFTED:
+        base = (
+            most_mm  # An interpolating spline goes its own way between points, twice: no place tells how far.
+        )
+    checks = [section_check(nc, layers, z_of, offset_mm, most_mm, evidence=Evidence(base, most_mm, smooth))]
+    checks.append(outside_check(nc, layers, z_of, config, most_mm))
+    if smooth is not None:
+        checks.append(section_check(nc, smooth, z_of, offset_mm, near_mm, "smooth section"))
+    return checks
+
+
+def smooth_tolerance_mm(config: Config) -> float:
+    """Distance of the path from a smooth section that was sliced and fitted anew.
+
+    Both sections and the bead's path were fitted within the tolerance, and cleaned before.
+    """
+    curves = config.curves
+    return SECTION_TOLERANCE_MM + 2.0 * curves.tolerance_mm + curves.near_point_mm + curves.collinear_mm
+
+
+def verify_file(path: str | Path, *, config: Config, **given: object) -> list[Check]:
+    """Read and check a program; one that cannot be read is a failed check named ``readable``.
+
+    Takes what :func:`verify_program` takes, and the same `path` as :func:`read_program`.
+    """
+    try:
+        nc = read_program(path, config)
+    except InputError as error:
+        where, _, text = str(error).partition(": ")
+        return [Check("readable", False, 1.0, 0.0, "faults", where, text)]
+    readable = Check("readable", True, 0.0, 0.0, "faults", "", f"{len(nc)} motions in {len(nc.files)} files")
+    return [readable, *verify_program(nc, config=config, **given)]  # type: ignore[arg-type]
+
+
+def _filled(path: Toolpath | None, layers: Layers | None, count: int) -> Bools:
+    """Which layers (L,) are to have metal, as far as is known: all of them, if nothing is."""
+    if path is not None:
+        ends = path.track_starts[path.layer_starts]
+        return np.asarray(np.diff(ends) > 0)
+    if layers is not None:
+        return np.array([any(p.area > 0.0 for p in layers.polygons(k)) for k in range(count)], np.bool_)
+    return np.ones(count, np.bool_)

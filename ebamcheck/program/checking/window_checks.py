@@ -1,0 +1,65 @@
+"""Check that a program stays within the process window: wire speed, line energy and layer height of every bead."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.program.checking.checks import Check, count_check
+from ebamcheck.program.reading.motions import NCProgram
+from ebamcheck.settings.config import Config
+
+ROUNDING = 1e-5
+"""Of a figure: process values are printed with six decimals, wire speeds with the fewest."""
+
+
+def window_check(nc: NCProgram, config: Config) -> Check:
+    """Wire speed and line energy of every motion that lays metal, and the step of Z of every layer, within their limits."""
+    process = config.process
+    rows = np.flatnonzero(nc.deposit)
+    feed_mm_s = nc.feed_mm_min[rows] / 60.0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        energy = _bead_power_w(nc, rows) / feed_mm_s
+    laid = rows[nc.wire[rows]]
+    least, greatest = process.wire_speed_min_mm_s, process.wire_speed_max_mm_s
+    inside = rows[nc.layer[rows] >= 0]
+    layers, first = np.unique(nc.layer[inside], return_index=True)
+    over_bead = layer_steps_mm(nc)[layers] / process.bead_height_mm
+    known = np.isfinite(over_bead)
+    faults = [
+        *_outside(laid, nc.wire_mm_s[laid], (least, greatest), "mm/s of wire"),
+        *_outside(rows, energy, process.line_energy_j_mm, "J/mm of line energy"),
+        *_outside(
+            inside[first][known], over_bead[known], process.layer_over_bead, "of a bead's height a layer"
+        ),
+    ]
+    faults.sort(key=lambda fault: fault[0])
+    wire = f"wire {least:.4g} .. {greatest:.4g} mm/s"
+    energies = "line energy {:g} .. {:g} J/mm".format(*process.line_energy_j_mm)
+    heights = "layers {:g} .. {:g} of a bead".format(*process.layer_over_bead)
+    places = [(nc.where(row), what) for row, what in faults]
+    return count_check("process window", places, f"{wire}, {energies}, {heights}")
+
+
+def layer_steps_mm(nc: NCProgram) -> Floats:
+    """Height of each layer by the steps of Z, (L,) mm; NaN where it or the one below it has no bead."""
+    return np.diff(nc.layer_heights, prepend=0.0)
+
+
+def _bead_power_w(nc: NCProgram, rows: Ints) -> Floats:
+    """Power of the bead that each motion belongs to, (n,) W: its greatest, which ramps rise to and fall from."""
+    power = nc.power_w[rows]
+    bead = nc.tracks(rows)
+    greatest = np.full(int(bead.max(initial=-1)) + 1, -np.inf)
+    np.maximum.at(greatest, bead, power)
+    return np.asarray(greatest[bead])
+
+
+def _outside(rows: Ints, values: Floats, limits: tuple[float, float], what: str) -> list[tuple[int, str]]:
+    """Motions whose value is outside of its limits, or is not known, and what it is."""
+    low, high = limits
+    bad = ~((values >= low * (1.0 - ROUNDING)) & (values <= high * (1.0 + ROUNDING)))
+    return [
+        (int(row), f"{value:.4g} {what}, allowed are {low:.4g} .. {high:.4g}")
+        for row, value in zip(rows[bad], values[bad], strict=True)
+    ]

@@ -1,0 +1,1 @@
+"""Controls: how the programs of each are written and read."""

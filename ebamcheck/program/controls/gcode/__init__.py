@@ -1,0 +1,1 @@
+"""LinuxCNC and plain G-code: one file."""

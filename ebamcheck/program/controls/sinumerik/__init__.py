@@ -1,0 +1,1 @@
+"""The SINUMERIK 840D sl: one main program, one subprogram a layer."""

@@ -1,0 +1,298 @@
+"""Reader of SINUMERIK programs: POLY, BSPLINE, G0 to G3, subprograms."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from ebamcheck.program.controls.sinumerik.spline_blocks import spline_spans
+from ebamcheck.program.controls.sinumerik.words import (
+    AXES,
+    END_CODES,
+    NUMBER,
+    Block,
+    UnknownWord,
+    WordError,
+    read_block,
+)
+from ebamcheck.program.language.comments import read_header
+from ebamcheck.program.language.dialects import SINUMERIK
+from ebamcheck.program.language.template_rules import checked_templates
+from ebamcheck.program.reading.arcs import arc
+from ebamcheck.program.reading.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT
+from ebamcheck.program.reading.recognition import Templates
+from ebamcheck.program.reading.recorder import LINE_OF_T, NAN, NO_CENTRE, Recorder
+from ebamcheck.settings.config import Config
+
+DEEPEST_CALL = 8
+"""Levels of subprograms; deeper ones are taken for a program that calls itself."""
+
+Shift = Literal[2, 3, "uniform"]
+
+_BLOCK_NUMBER = re.compile(r"\s*N(\d+)(?!\w)\s*", re.IGNORECASE)
+_MESSAGE = re.compile(r'MSG\s*\(\s*"[^"]*"\s*\)|MSG\s*\(\s*\)')
+"""A line for the operator; it changes nothing."""
+_HEADER = re.compile(r"%[A-Z0-9_ ]*", re.IGNORECASE)
+_CONVENTION = re.compile(
+    r"BSPLINE CONVENTION:\s*(?:s\s*=\s*([23])\b|(uniform)\b)|BSPLINE.*\bs\s*=\s*([23])\b", re.I
+)
+_KINDS = {"G0": RAPID, "G1": STRAIGHT, "POLY": POLYNOMIAL, "BSPLINE": SPLINE_SPAN, "G2": ARC, "G3": ARC}
+
+_N = rf"({NUMBER})"
+_LIST = rf"=\({_N},{_N},{_N}\)"
+_PLAIN_BLOCK = re.compile(
+    rf"N(\d+) (?:G1 X{_N} Y{_N}( ; [A-Z ]+)?(?P<line>)|POLY PO\[X\]{_LIST} PO\[Y\]{_LIST} PL=1(?P<poly>)"
+    rf"|X{_N} Y{_N} PL={_N}(?P<control>)|(G[23]) X{_N} Y{_N} I{_N} J{_N}(?P<arc>))"
+)
+"""The blocks of which a program mostly consists, in the spelling of most posts; all others are read word by word."""
+
+
+class SinumerikReader:
+    """State of the control while it runs a program from top to bottom."""
+
+    def __init__(self, folder: Path, config: Config, shift: Shift | None) -> None:
+        self.out = Recorder(folder, SINUMERIK)
+        self._templates = Templates(checked_templates(config.machine, SINUMERIK))
+        self._given_shift = shift
+        self._shift: Shift = shift or config.machine.bspline_shift
+        self._mode = ""
+        self._spline: list[tuple[float, float, float, int]] = []
+        self._degree = 3
+
+    # -- files and lines ---------------------------------------------------------------------------
+
+    def run(self, path: Path, depth: int = 0) -> None:
+        """Run one file to its end."""
+        out = self.out
+        end_line, end_code = 0, ""
+        for number, text in enumerate(out.open(path), start=1):
+            out.line = number
+            if not end_line and self._run_plain(text):
+                continue
+            code = self._run_line(text.rstrip("\r"), depth)
+            if code and not end_line:
+                end_line, end_code = number, code
+            elif end_line and code is not None:
+                raise out.error(f"a block after the end of the program by {end_code} in line {end_line}", 0)
+        self._end_spline()
+        out.close(end_line, end_code)
+
+    def _run_plain(self, text: str) -> bool:
+        """Run one of the blocks of which a program mostly consists; return whether it is one."""
+        found = _PLAIN_BLOCK.fullmatch(text)
+        if found is None:
+            return False
+        out, part = self.out, found.groups()
+        if found.lastgroup == "control":
+            if self._mode != "BSPLINE" or self._shift == "uniform" or not self._spline:
+                return False
+            x, y = float(part[12]), float(part[13])
+            self._spline.append((x, y, float(part[14]), out.line))
+            out.x, out.y = x, y
+        elif self._spline:
+            return False
+        elif found.lastgroup == "line":
+            self._mode = "G1"
+            out.move(STRAIGHT, float(part[1]), float(part[2]), out.z)
+        elif found.lastgroup == "arc":
+            return self._run_plain_arc(int(part[0]), part[16], *map(float, part[17:21]))
+        else:
+            self._mode = "POLY"
+            xe, x2, x3, ye, y2, y3 = map(float, part[5:11])
+            out.move(POLYNOMIAL, xe, ye, out.z, (x2, x3, y2, y3, 1.0))
+        out.number(int(part[0]))
+        return True
+
+    def _run_plain_arc(self, number: int, mode: str, x: float, y: float, i: float, j: float) -> bool:
+        """Run G2 or G3; one that is no arc is left to be refused with its place."""
+        out = self.out
+        try:
+            centre = arc((out.x, out.y), (x, y), {"I": i, "J": j}, counter_clockwise=mode == "G3")
+        except ValueError:
+            return False
+        self._mode = mode
+        out.move(ARC, x, y, out.z, centre=centre)
+        out.number(number)
+        return True
+
+    def _run_line(self, text: str, depth: int) -> str | None:
+        """Run one line; its end code, an empty string for another block, None where there is no block."""
+        code, mark, comment = text.partition(";")
+        if mark:
+            self._note(comment.strip(), code)
+        if not code.strip() or (self.out.line == 1 and _HEADER.fullmatch(code)):
+            return None
+        number = _BLOCK_NUMBER.match(code)
+        column = 0
+        if number:
+            self.out.number(int(number[1]))
+            column = number.end()
+        code = code[column:].rstrip().upper()
+        try:
+            return self._run_block(code, depth) if code else ""
+        except WordError as error:
+            raise self.out.error(error.what, column + error.column) from None
+
+    def _note(self, comment: str, code: str) -> None:
+        """Read what a comment says in the header; what one says of motions counts for nothing."""
+        if not code.strip() and self.out.file == 0 and not self.out.started:
+            read_header(comment, self.out)
+            convention = _CONVENTION.search(comment)
+            if convention and not self._given_shift:
+                shift = convention[1] or convention[3]
+                self._shift = "uniform" if shift is None else 2 if shift == "2" else 3
+
+    # -- blocks ------------------------------------------------------------------------------------
+
+    def _run_block(self, code: str, depth: int) -> str:
+        if _MESSAGE.fullmatch(code):
+            self._end_spline()
+            return ""
+        try:
+            block = read_block(code)
+        except UnknownWord:
+            change = self._templates.find(code)
+            if change is not None:
+                self._end_spline()
+                self.out.change(change)
+            elif not self._call(code, depth):
+                raise
+            return ""
+        end = ""
+        for word in block.codes:
+            if word in END_CODES:
+                end = word
+            elif word in _KINDS:
+                self._end_spline()
+                self._mode = word
+            else:
+                self.out.event(word)
+        if block.values or block.lists:
+            self._run_values(block)
+        if self._mode == "BSPLINE" and "BSPLINE" in block.codes and not self._spline:
+            self._begin_spline()
+        if end:
+            self._end_spline()
+            self.out.event(end)
+        return end
+
+    def _run_values(self, block: Block) -> None:
+        values = block.values
+        if "F" in values:
+            self.out.feed(values["F"])
+        for name in ("CTOL", "ADIS"):
+            if name in values:
+                self.out.event(name, values[name])
+        if values.get("PW", 1.0) != 1.0:
+            raise WordError("only splines with PW=1 are read: others are no polynomials", 0)
+        if values.get("SD", 3.0) not in (2.0, 3.0):
+            raise WordError(f"SD={values['SD']:g}: a BSPLINE has degree 2 or 3", 0)
+        if "BSPLINE" in block.codes:
+            self._degree = int(values.get("SD", 3.0))
+        elif "SD" in values:
+            raise WordError("SD belongs to the block with BSPLINE", 0)
+        if block.lists or any(axis in values for axis in AXES):
+            self._move(block)
+        elif "I" in values or "J" in values or "CR" in values or "PL" in values:
+            raise WordError("a block without an axis has nothing to use I, J, CR or PL for", 0)
+
+    def _call(self, code: str, depth: int) -> bool:
+        """Run a subprogram, if the block is the name of one."""
+        out = self.out
+        name = code.strip()
+        path = out.folder / f"{name}.SPF"
+        if not re.fullmatch(r"[A-Z_][A-Z0-9_]+", name) or not path.is_file():
+            return False
+        if depth == DEEPEST_CALL:
+            raise WordError(f"{name} is called over {DEEPEST_CALL} levels deep", 0)
+        self._end_spline()
+        out.event(f"call {name}")
+        if depth == 0:
+            out.layer(len(out.layer_files))
+            out.layer_files.append(path.name)
+        file, line = out.file, out.line
+        self.run(path, depth + 1)
+        out.enter(file, line)
+        if depth == 0:
+            out.layer(-1)
+        return True
+
+    # -- motions -----------------------------------------------------------------------------------
+
+    def _move(self, block: Block) -> None:
+        mode, out = self._mode, self.out
+        if not mode:
+            raise WordError("an axis before any of G0, G1, G2, G3, POLY, BSPLINE", 0)
+        values, lists = block.values, block.lists
+        if lists and mode != "POLY":
+            raise WordError(f"PO[] under {mode}: it belongs to POLY", 0)
+        here = {"X": out.x, "Y": out.y, "Z": out.z}
+        x, y, z = (
+            lists[f"PO[{axis}]"][0] if f"PO[{axis}]" in lists else values.get(axis, here[axis])
+            for axis in AXES
+        )
+        if mode == "BSPLINE":
+            self._control_point(x, y, z, values)
+            return
+        curve, centre = LINE_OF_T, NO_CENTRE
+        if mode == "POLY":
+            curve = self._polynomial(block)
+        elif "PL" in values:
+            raise WordError(f"PL under {mode}: it belongs to POLY and BSPLINE", 0)
+        if mode in ("G2", "G3"):
+            try:
+                centre = arc((out.x, out.y), (x, y), values, counter_clockwise=mode == "G3")
+            except ValueError as error:
+                raise WordError(str(error), 0) from None
+        elif "I" in values or "J" in values or "CR" in values:
+            raise WordError(f"I, J or CR under {mode}: they belong to G2 and G3", 0)
+        out.move(_KINDS[mode], x, y, z, curve, centre)
+
+    def _polynomial(self, block: Block) -> tuple[float, float, float, float, float]:
+        """Coefficients of t^2 and t^3 in X and Y, and the length of the parameter."""
+        length = block.values.get("PL", 1.0)
+        if length != 1.0:
+            self.out.event("POLY", length)
+        if not 0.0001 <= length <= 99999.9999:
+            raise WordError(f"PL={length:g} under POLY: it reaches from 0.0001 to 99999.9999", 0)
+        if len(block.lists.get("PO[Z]", ())) > 1:
+            raise WordError("PO[Z] with coefficients: layers are flat", 0)
+        x, y = ((*block.lists.get(f"PO[{axis}]", ()), 0.0, 0.0, 0.0) for axis in "XY")
+        return x[1], x[2], y[1], y[2], length
+
+    # -- splines -----------------------------------------------------------------------------------
+
+    def _begin_spline(self) -> None:
+        self._spline = [(self.out.x, self.out.y, 0.0, self.out.line)]
+
+    def _control_point(self, x: float, y: float, z: float, values: dict[str, float]) -> None:
+        if self._shift == "uniform" and "PL" in values:
+            raise WordError("PL in a BSPLINE of a program whose control chooses the knots itself", 0)
+        if self._shift != "uniform" and "PL" not in values:
+            raise WordError("a BSPLINE block without PL: the control would choose the knots itself", 0)
+        if z != self.out.z:
+            raise WordError("Z changes along a BSPLINE: layers are flat", 0)
+        if not self._spline:
+            self._begin_spline()
+        self._spline.append((x, y, values.get("PL", NAN), self.out.line))
+        self.out.x, self.out.y = x, y
+
+    def _end_spline(self) -> None:
+        """Turn the control points gathered into one motion for each knot span."""
+        points, self._spline = self._spline, []
+        if len(points) < 2:
+            return
+        out = self.out
+        here, lines = out.line, [point[3] for point in points]
+        out.line = lines[1]
+        try:
+            index, ends, curves = spline_spans(np.array([p[:3] for p in points]), self._shift, self._degree)
+        except ValueError as error:
+            raise out.error(str(error), 0) from None
+        out.event("BSPLINE", float(len(points) - 1))
+        for i, (x, y), (x2, x3, y2, y3) in zip(index.tolist(), ends.tolist(), curves.tolist(), strict=True):
+            out.move(SPLINE_SPAN, x, y, out.z, (x2, x3, y2, y3, 1.0), line=lines[i])
+        out.line = here

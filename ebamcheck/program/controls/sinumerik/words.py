@@ -1,0 +1,125 @@
+"""Words of NC blocks: the tokeniser of the reader, with line and column of what it does not understand."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from ebamcheck.program.language.dialects import SINUMERIK
+from ebamcheck.program.language.modal_groups import refusal
+
+NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)"
+
+_WORD = re.compile(
+    rf"""\s*(?:
+      (?P<list_address>PO\[[XYZ]\])\s*=\s*\((?P<list>[^()]*)\)   # PO[X]=(1,2,3)
+    | (?P<name>[A-Z][A-Z0-9_]*)\s*=\s*(?P<value>{NUMBER})        # PL=1  CTOL=0.05  X=10
+    | (?P<letter>[A-Z])(?P<number>{NUMBER})                      # G1  X12.5
+    | (?P<identifier>[A-Z_][A-Z0-9_]*)                           # BSPLINE  SOFT  MAIN_L0001
+    | (?P<bad>\S.*)
+    )""",
+    re.VERBOSE,
+)
+
+G_CODES = frozenset(
+    {
+        "G0", "G1", "G2", "G3", "POLY", "BSPLINE",
+        "G17", "G71", "G710", "G90", "G94", "G40", "D0", "TRANS", "G54", "G55", "G56", "G57",
+        "SOFT", "BRISK", "FFWON", "FFWOF", "G60", "G64", "G641", "G642", "G643", "G644", "G645", "M1",
+    }
+)  # fmt: skip
+"""Words that are read. Those that would bend the path (G18, G70, G91, G95 and others) are refused: a program has none."""
+
+ALONE = ("TRANS",)
+"""Words that stand by themselves in their block: without an axis, TRANS takes back every programmable frame."""
+
+END_CODES = ("M30", "M17", "RET", "M2")
+AXES = ("X", "Y", "Z")
+NUMBERS = (*AXES, "F", "I", "J", "CR", "PL", "PW", "SD", "CTOL", "ADIS")
+DEGREE = 3
+"""Highest degree of a POLY block that is read; the control knows up to 5."""
+
+
+@dataclass(slots=True)
+class Block:
+    """One block: its values by address, and its words without value in order."""
+
+    values: dict[str, float]
+    lists: dict[str, tuple[float, ...]]
+    codes: list[str]
+
+
+class WordError(Exception):
+    """A word that makes no sense where it stands; columns count from 0."""
+
+    def __init__(self, what: str, column: int) -> None:
+        super().__init__(what)
+        self.what = what
+        self.column = column
+
+
+class UnknownWord(WordError):
+    """A word outside the language; the interpreter may still know the block as a template or a call."""
+
+
+def read_block(code: str) -> Block:
+    """Split the upper-case text of a block, without number and comment, into its words.
+
+    Raises
+    ------
+    UnknownWord
+        For a word that is not of the language.
+    WordError
+        For a word given twice or a list that is no list of numbers.
+    """
+    block = Block({}, {}, [])
+    for found in _WORD.finditer(code):
+        kind = found.lastgroup
+        if kind == "number":
+            letter, digits = found.group("letter", "number")
+            if letter in ("G", "M", "D"):
+                _add_code(block, letter + (digits.lstrip("0") or "0"), found)
+            else:
+                _add_value(block, letter, digits, found)
+        elif kind == "list":
+            _add_list(block, found)
+        elif kind == "value":
+            _add_value(block, found["name"], found["value"], found)
+        elif kind == "identifier":
+            _add_code(block, found["identifier"], found)
+        else:
+            raise UnknownWord(f"unknown word {found['bad'].split()[0]!r}", found.start("bad"))
+    if len(block.codes) + len(block.values) + len(block.lists) > 1:
+        for word in block.codes:
+            if word in ALONE:
+                raise WordError(
+                    f"{word} with other words: by itself it takes back every frame, else it sets one", 0
+                )
+    return block
+
+
+def _add_code(block: Block, word: str, found: re.Match[str]) -> None:
+    if word not in G_CODES and word not in END_CODES:
+        raise UnknownWord(refusal(SINUMERIK, word), found.end() - len(found[0].lstrip()))
+    block.codes.append(word)
+
+
+def _add_value(block: Block, address: str, digits: str, found: re.Match[str]) -> None:
+    if address not in NUMBERS:
+        text = found[0].lstrip()
+        raise UnknownWord(refusal(SINUMERIK, text), found.end() - len(text))
+    if address in block.values:
+        raise WordError(f"{address} stands twice in one block", found.start())
+    block.values[address] = float(digits)
+
+
+def _add_list(block: Block, found: re.Match[str]) -> None:
+    address = found["list_address"]
+    try:
+        numbers = tuple(float(part) for part in found["list"].split(","))
+    except ValueError:
+        numbers = ()
+    if not 1 <= len(numbers) <= DEGREE or address in block.lists:
+        what = f"{found[0].strip()!r} is no single list of an end point and at most two coefficients"
+        raise WordError(what, found.start("list_address"))
+    block.lists[address] = numbers

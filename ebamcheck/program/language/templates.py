@@ -1,0 +1,130 @@
+"""Filling the beam and wire templates of the machine profile."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+
+from ebamcheck.errors import SettingsError
+from ebamcheck.program.language.dialects import templates_of
+from ebamcheck.program.language.template_rules import checked_templates
+from ebamcheck.settings.config import Config
+
+LONGEST_BLOCK = 200
+"""Characters of a block that every software version of the control takes."""
+
+DECIMALS = 6
+"""Decimals of a process value, trailing zeros left out."""
+
+
+class _Value(float):
+    """A number that a bare placeholder prints without exponent and trailing zeros."""
+
+    def __format__(self, spec: str) -> str:
+        if spec:
+            return float(self).__format__(spec)
+        return plain(self)
+
+
+def plain(value: float) -> str:
+    """Print a process value: no exponent, no trailing zeros, no negative zero."""
+    text = f"{float(value):.{DECIMALS}f}".rstrip("0").rstrip(".")
+    return "0" if text == "-0" else text
+
+
+@dataclass(frozen=True)
+class ProcessValues:
+    """What the placeholders of the templates stand for in one layer; its wire speed is that of a bead by itself."""
+
+    power_w: float
+    voltage_kv: float
+    current_ma: float
+    wire_mm_s: float
+    wire_retract_mm: float
+    feed_mm_min: float
+    layer_pause_s: float
+    layer: int
+    height_mm: float
+
+    def at(self, power: float, wire: float) -> ProcessValues:
+        """The same values at a share of the beam's power, by its current, and a share of the wire speed."""
+        return replace(
+            self,
+            power_w=power * self.power_w,
+            current_ma=power * self.current_ma,
+            wire_mm_s=wire * self.wire_mm_s,
+        )
+
+    def fill(self, name: str, template: Iterable[str]) -> list[str]:
+        """Fill the lines of the template `name`; raises :class:`SettingsError` for what makes no block."""
+        values: Mapping[str, object] = {
+            key: value if isinstance(value, int) else _Value(value) for key, value in vars(self).items()
+        }
+        return [_filled(f"machine.{name}", line, values) for line in template]
+
+
+def _filled(where: str, line: str, values: Mapping[str, object]) -> str:
+    try:
+        text = line.format_map(values)
+    except KeyError as error:
+        raise SettingsError(
+            f"{where}: {line!r}: unknown placeholder {error}; known are {', '.join(values)}"
+        ) from None
+    except (ValueError, IndexError, AttributeError) as error:
+        raise SettingsError(f"{where}: {line!r} is not a template: {error}") from None
+    if not text.isascii() or not text.isprintable() or len(text) >= LONGEST_BLOCK - 10:
+        raise SettingsError(
+            f"{where}: {line!r} is not one line of under {LONGEST_BLOCK - 10} ASCII characters"
+        )
+    return text
+
+
+def usable_templates(config: Config, control: str) -> dict[str, tuple[str, ...]]:
+    """Templates of a control as they are written, each held to its name.
+
+    Raises
+    ------
+    SettingsError
+        For a template that makes no block, or holds what it must not; see :mod:`ebamcheck.program.language.template_rules`.
+    """
+    templates = templates_of(config.machine, control)
+    sample = process_values(config, 1, config.layer_height_mm, config.layer_height_mm)
+    for name, lines in templates.items():
+        sample.fill(name, lines)
+    checked_templates(config.machine, control)
+    if config.machine.trailing_comments:
+        return templates
+    bare = {name: [line.split(";", 1)[0].rstrip() for line in lines] for name, lines in templates.items()}
+    return {name: tuple(line for line in lines if line) for name, lines in bare.items()}
+
+
+def wire_speed_mm_s(config: Config, width_mm: float, thickness_mm: float) -> float:
+    """Wire speed of a bead that lays a width times the layer's height: ``v_wire pi d^2 / 4 = v_travel b h``.
+
+    Examples
+    --------
+    >>> round(wire_speed_mm_s(Config(), 4.0, 1.6755), 2)
+    33.33
+    """
+    return config.process.travel_speed_mm_s * width_mm * thickness_mm / wire_mm2(config)
+
+
+def wire_mm2(config: Config) -> float:
+    """Section of the wire."""
+    return 0.25 * math.pi * config.process.wire_diameter_mm**2
+
+
+def process_values(config: Config, layer: int, height_mm: float, thickness_mm: float) -> ProcessValues:
+    """Values of the placeholders in a layer, counted from 1."""
+    return ProcessValues(
+        power_w=config.process.power_w,
+        voltage_kv=config.process.voltage_kv,
+        current_ma=config.process.current_ma,
+        wire_mm_s=wire_speed_mm_s(config, config.process.bead_metal_mm, thickness_mm),
+        wire_retract_mm=config.process.wire_retract_mm,
+        feed_mm_min=60.0 * config.process.travel_speed_mm_s,
+        layer_pause_s=config.process.layer_pause_s,
+        layer=layer,
+        height_mm=height_mm,
+    )

@@ -1,0 +1,252 @@
+"""The motions that a program commands, as columns: what the reader returns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from ebamcheck.errors import SettingsError
+from ebamcheck.layers.stack import Layers, canonical
+from ebamcheck.numeric.rings import Bools, Floats, Ints
+
+RAPID, STRAIGHT, POLYNOMIAL, SPLINE_SPAN, ARC = range(5)
+KIND_NAMES = ("rapid", "line", "poly", "bspline span", "arc")
+"""Kinds of motions; a BSPLINE gives one row for each knot span."""
+
+
+@dataclass(frozen=True)
+class SourceFile:
+    """One file of a program: its bytes as they are on disk, and what its header says."""
+
+    name: str
+    data: bytes
+    line_count: int
+    end_line: int
+    """Line of M30, M17 or RET; 0 where there is none."""
+    end_code: str
+
+
+@dataclass(frozen=True, eq=False)
+class Events:
+    """State changes in the order of execution, as columns (E,)."""
+
+    file: Ints
+    line: Ints
+    row: Ints
+    """Motions before the event."""
+    name: tuple[str, ...]
+    """Template that ends here (``beam_on``), placeholder that is set (``current_ma``), modal word, ``call NAME``,
+    or ``BSPLINE`` for each spline."""
+    value: Floats
+    """Number that is set, blocks of the spline; NaN where there is none."""
+
+
+@dataclass(frozen=True, eq=False)
+class NCProgram:
+    """A program as its text says it, one row for each motion (B,), in the order of execution.
+
+    Parameters
+    ----------
+    files
+        Files in the order in which they were first opened; `file` indexes them.
+    header
+        ``KEY: VALUE`` comments of the main program.
+    file, line
+        (B,) where the block stands; lines count from 1.
+    layer
+        (B,) index of the subprogram's call, or of the level of Z in a program without calls; -1 outside.
+    kind
+        (B,) :data:`RAPID` ... :data:`ARC`.
+    start, end
+        (B, 3) mm; NaN where an axis has not been given yet.
+    coefficients
+        (B, 2, 4) powers of t in X and Y over 0 <= t <= 1, mm; an arc has none (NaN).
+    arc
+        (B, 3) centre X, Y and signed sweep in radians; NaN but for arcs.
+    feed_mm_min
+        (B,) feed in force; NaN before the first F.
+    beam, wire
+        (B,) state during the motion.
+    power_w, wire_mm_s
+        (B,) values in force; NaN where none was set.
+    ring, island
+        (B,) numbers from the comments ``RING: n`` / ``RING n`` and ``ISLAND n``; -1 for none.
+    turn
+        (B,) motion marked as a turn between two hatch lines.
+    goes_on
+        (B,) motion marked as a further part of the hatch line before it.
+    events, numbers
+        State changes; and (N, 3) file, line, value of every block number.
+    """
+
+    files: tuple[SourceFile, ...]
+    header: Mapping[str, str]
+    folder: Path
+    file: Ints
+    line: Ints
+    layer: Ints
+    kind: Ints
+    start: Floats
+    end: Floats
+    coefficients: Floats
+    arc: Floats
+    feed_mm_min: Floats
+    beam: Bools
+    wire: Bools
+    power_w: Floats
+    wire_mm_s: Floats
+    ring: Ints
+    island: Ints
+    turn: Bools
+    goes_on: Bools
+    events: Events
+    numbers: Ints
+    layer_files: tuple[str, ...]
+    """(L,) file of each layer."""
+    dialect: str = "sinumerik-840d-sl"
+    """Language of the text, by the name of a control: `sinumerik-840d-sl`, `linuxcnc` or `plain-gcode`."""
+
+    def __len__(self) -> int:
+        """Return the number of motions."""
+        return int(self.kind.size)
+
+    def where(self, row: int) -> str:
+        """``FILE:line`` of a motion."""
+        return f"{self.files[int(self.file[row])].name}:{int(self.line[row])}"
+
+    @cached_property
+    def deposit(self) -> Bools:
+        """Motions with feed and beam (B,)."""
+        return np.asarray(self.beam & (self.kind != RAPID))
+
+    def evaluate(self, rows: Ints, t: Floats) -> Floats:
+        """Positions X, Y (n, 2) at parameters `t` (n,) of the motions `rows` (n,)."""
+        c = self.coefficients[rows]
+        t_ = t[:, None]
+        points = ((c[:, :, 3] * t_ + c[:, :, 2]) * t_ + c[:, :, 1]) * t_ + c[:, :, 0]
+        round_ = np.flatnonzero(self.kind[rows] == ARC)
+        if round_.size:
+            r = rows[round_]
+            centre, turn = self.arc[r, :2], self.arc[r, 2] * t[round_]
+            spoke = self.start[r, :2] - centre
+            cos, sin = np.cos(turn), np.sin(turn)
+            points[round_, 0] = centre[:, 0] + cos * spoke[:, 0] - sin * spoke[:, 1]
+            points[round_, 1] = centre[:, 1] + sin * spoke[:, 0] + cos * spoke[:, 1]
+        return np.asarray(points)
+
+    @cached_property
+    def lengths(self) -> Floats:
+        """Length of each motion, (B,) mm: chords in space, 16-point Gauss quadrature on curves in X and Y."""
+        result = np.linalg.norm(self.end - self.start, axis=1)
+        curved = np.flatnonzero((self.kind == POLYNOMIAL) | (self.kind == SPLINE_SPAN))
+        if curved.size:
+            nodes, weights = np.polynomial.legendre.leggauss(16)
+            t = 0.5 * (nodes + 1.0)
+            c = self.coefficients[curved][:, :, :, None]
+            speed = np.hypot(*np.moveaxis(c[:, :, 1] + t * (2.0 * c[:, :, 2] + 3.0 * t * c[:, :, 3]), 1, 0))
+            result[curved] = 0.5 * speed @ weights
+        arcs = np.flatnonzero(self.kind == ARC)
+        radius = np.linalg.norm(self.start[arcs, :2] - self.arc[arcs, :2], axis=1)
+        result[arcs] = np.abs(self.arc[arcs, 2]) * radius
+        return np.asarray(result)
+
+    def samples(self, rows: Ints, step_mm: float) -> tuple[Ints, Floats]:
+        """Points along motions at most `step_mm` apart, each motion's start left out.
+
+        Returns
+        -------
+        row, points
+            (n,) motion of each point and (n, 2) its position, mm.
+        """
+        if not step_mm > 0.0:
+            raise SettingsError(f"step {step_mm} mm: give a positive number of millimetres")
+        curved = self.kind[rows] != STRAIGHT
+        parts = np.ceil(np.nan_to_num(self.lengths[rows]) / step_mm).astype(np.int64)
+        parts = np.maximum(parts, np.where(curved, 2, 1))
+        starts = np.concatenate([[0], np.cumsum(parts)])
+        which = np.repeat(np.arange(rows.size), parts)
+        t = (np.arange(starts[-1]) - starts[:-1][which] + 1) / parts[which]
+        row = np.asarray(rows, dtype=np.int64)[which]
+        return row, self.evaluate(row, t)
+
+    # -- the path as layers ------------------------------------------------------------------------
+
+    @cached_property
+    def layer_heights(self) -> Floats:
+        """Z of the first deposit of each layer, (L,) mm; NaN for a layer without any."""
+        heights = np.full(len(self.layer_files), np.nan)
+        rows = np.flatnonzero(self.deposit & (self.layer >= 0))
+        layers, first = np.unique(self.layer[rows], return_index=True)
+        heights[layers] = self.end[rows[first], 2]
+        return heights
+
+    def sample(self, step_mm: float) -> Layers:
+        """Return the beam-on path as layers at the Z of the program; a track is a ring where it closes."""
+        return self._layers(np.flatnonzero(self.deposit & (self.layer >= 0)), step_mm)
+
+    def contours(self, step_mm: float) -> Layers:
+        """Return the contour rings alone as layers, in canonical form, without what overlaps their starts."""
+        rows = self.deposit & (self.ring >= 0) & (self.layer >= 0) & ~self.overlap
+        return self._layers(np.flatnonzero(rows), step_mm)
+
+    @cached_property
+    def overlap(self) -> Bools:
+        """Motions (B,) of a contour ring after it has come back to its start."""
+        rows = np.flatnonzero(self.deposit & (self.ring >= 0))
+        track = self.tracks(rows)
+        first = rows[np.flatnonzero(np.diff(track, prepend=-1))]
+        back = (self.end[rows, :2] == self.start[first, :2][track]).all(axis=1)
+        came_back = np.cumsum(back) - back
+        result = np.zeros(len(self), np.bool_)
+        # How often the rings before had come back does not count.
+        result[rows] = came_back > came_back[np.searchsorted(track, track)]
+        return result
+
+    def _layers(self, rows: Ints, step_mm: float) -> Layers:
+        track = self.tracks(rows)
+        row, points = self.samples(rows, step_mm)
+        track_of_row = np.zeros(len(self), np.int64)
+        track_of_row[rows] = track
+        first = np.flatnonzero(np.diff(track, prepend=-1)) if rows.size else np.zeros(0, np.int64)
+        last = np.append(first[1:], rows.size) - 1 if rows.size else first
+        point_track = np.concatenate([track_of_row[row], np.arange(first.size)])
+        order = np.lexsort((np.concatenate([np.ones(row.size), np.zeros(first.size)]), point_track))
+        points = np.concatenate([points, self.start[rows[first], :2]])[order]
+        closed = (self.start[rows[first], :2] == self.end[rows[last], :2]).all(axis=1)
+        starts = np.concatenate([[0], np.cumsum(np.bincount(point_track, minlength=first.size))])
+        count = len(self.layer_files)
+        layer_starts = np.searchsorted(self.layer[rows[first]], np.arange(count + 1))
+        return canonical(self.layer_heights, points, starts, layer_starts, closed, backend="program")
+
+    def tracks(self, rows: Ints) -> Ints:
+        """Number of the bead to which each of the motions `rows` belongs, (n,) from 0: beam on to beam off."""
+        if not rows.size:
+            return np.zeros(0, np.int64)
+        on = [name == "beam_on" for name in self.events.name]
+        broken = (np.diff(rows) > 1) | np.isin(rows[1:], self.events.row[on])
+        for column in (self.layer, self.ring, self.island):
+            broken |= np.diff(column[rows]) != 0
+        return np.concatenate([[0], np.cumsum(broken)]).astype(np.int64)
+
+    def vectors(self) -> pd.DataFrame:
+        """Hatch vectors in the order of the program: layer, island, x0, y0, x1, y1, row of the first part of each."""
+        rows = np.flatnonzero(self.deposit & (self.island >= 0) & ~self.turn)
+        first = np.flatnonzero(~self.goes_on[rows])
+        last = rows[np.append(first[1:], rows.size) - 1] if first.size else rows[:0]
+        rows = rows[first]
+        return pd.DataFrame(
+            {
+                "layer": self.layer[rows],
+                "island": self.island[rows],
+                "x0": self.start[rows, 0],
+                "y0": self.start[rows, 1],
+                "x1": self.end[last, 0],
+                "y1": self.end[last, 1],
+                "row": rows,
+            }
+        )

@@ -1,0 +1,260 @@
+"""The wire of each bead: as much as makes the layer as high as it is to be, everywhere.
+
+What a bead lays is told by a *width*, mm: its metal in section over the height of the layer. Parallel beads one spacing
+apart lay one spacing each; the bead along a contour lays the rim outside of it, too; a bead that another one overlaps
+lays less. A hatch bead has one width from its start to its end, a contour changes it along itself where walls get thin.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from scipy import ndimage
+from shapely.geometry.base import BaseGeometry
+
+from ebamcheck.metal import Footprints, Surface, Target, balanced_widths, footprints, target_of
+from ebamcheck.metal.surface import HALF
+from ebamcheck.numeric.kernels import kernel, run_blocks
+from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.program.language.templates import wire_speed_mm_s
+from ebamcheck.program.toolpath.bead_parts import (
+    ROUNDING_MM,
+    Stretches,
+    Tracks,
+    cut,
+    parts_of,
+    path_points,
+    snapped,
+)
+from ebamcheck.program.toolpath.cuts import segment_lengths, segment_places
+from ebamcheck.program.toolpath.inputs import ScanColumns
+from ebamcheck.program.toolpath.tracks import Toolpath
+from ebamcheck.scan.islands.clipping import THIN_WALL
+from ebamcheck.scan.islands.regions import ARC_SEGMENTS
+from ebamcheck.settings.config import Config
+
+STRETCH_BEADS = 1.0
+"""Length of contour, in bead widths, over which its wire is worked out: shorter ones would follow single hatch lines."""
+
+ALIKE = 1.15
+"""Neighbouring stretches of a contour whose widths differ by less than this factor get one wire speed: the ends of hatch
+lines beside it make as much of a difference, every change is a block, and a wall half as thick makes more."""
+
+MOST_SPACINGS = 1.6
+"""Greatest width over the bead spacing: a bead stands that much higher over the layer than its neighbours, which the
+next layer still melts."""
+
+MENDED = 0.3
+"""Share of what lies too high or too low under a layer that is mended by it."""
+
+MOST_MENDED = 0.2
+"""Share of its height by which a layer is planned thicker or thinner for that at most."""
+
+RIM_BEADS, RIM_WEIGHT = 0.25, 0.4
+"""Width of the rim, over the bead width, and how much it counts where wire is worked out: a bead is a dome, whose flank
+along a contour is low whatever wire it gets."""
+
+MASS_ROOM = 0.9
+"""Share of the tolerance on the mass of a layer that mending may use: tips of corners that no bead reaches stay bare, and
+their metal would raise the rest, layer by layer."""
+
+PLACE_SHARE = 1.0 / 6.0
+"""Distance, over the bead width, of the places along beads at which their metal is laid."""
+
+WIDTH_DIGITS = 4
+"""Decimals of a width, mm: a hundred-thousandth of the metal."""
+
+
+def width_limits_mm(config: Config, thickness_mm: float) -> tuple[float, float]:
+    """Least and greatest width that a bead can lay in a layer of this height: limits of the wire feed and of the pool."""
+    process = config.process
+    per_mm = wire_speed_mm_s(config, 1.0, thickness_mm)
+    most = min(process.wire_speed_max_mm_s / per_mm, MOST_SPACINGS * process.hatch_spacing_mm)
+    return process.wire_speed_min_mm_s / per_mm, most
+
+
+def metal_region(section: BaseGeometry, config: Config) -> BaseGeometry:
+    """Region that a layer is to fill: its section, and the allowance for machining around it."""
+    allowance_mm = config.process.machining_allowance_mm
+    return shapely.buffer(section, allowance_mm, quad_segs=ARC_SEGMENTS) if allowance_mm > 0.0 else section
+
+
+def with_wire(path: Toolpath, plan: ScanColumns, config: Config, decimals: int) -> Toolpath:
+    """Give every bead of a path its width; where the plan does not know its sections, all keep theirs."""
+    sections = plan.sections
+    if sections is None or not path.kind.size:
+        return path
+    points = path_points(path)
+    lengths = segment_lengths(path.kind, points)
+    tracks = Tracks.of(path, lengths)
+    whole = config.machine.curve_form == "bspline" and not config.machine.poly_licensed
+    division = _Division.of(
+        tracks, _along_walls(path, plan), math.inf if whole else STRETCH_BEADS * config.process.bead_width_mm
+    )
+    regions = [metal_region(section, config) for section in sections]
+    surface = Surface(np.nan_to_num(shapely.total_bounds(regions)), config.process.bead_width_mm)
+
+    def some(first: int, last: int) -> list[_LayerBeads]:
+        return [
+            _layer_beads(path, k, points, lengths, tracks, division, regions[k], surface.step_mm, config)
+            for k in range(first, last)
+        ]
+
+    found = [layer for block in run_blocks(some, len(path.z)) for layer in block]
+    made = [
+        _flat(beads, surface, division, tracks, float(h), config)
+        for beads, h in zip(found, path.thickness, strict=True)
+    ]
+    return cut(path, points, lengths, parts_of(path, tracks, joined(made)), decimals)
+
+
+def _along_walls(path: Toolpath, plan: ScanColumns) -> Bools:
+    """Tracks (T,) along walls, whose metal changes with the wall: contours, and the beads of thin walls."""
+    wall = np.asarray(plan.island_kind) == THIN_WALL
+    return np.asarray((path.ring >= 0) | (wall[path.island] if wall.size else False), np.bool_)
+
+
+def _flat(
+    beads: _LayerBeads,
+    surface: Surface,
+    division: _Division,
+    tracks: Tracks,
+    thickness_mm: float,
+    config: Config,
+) -> Stretches:
+    """Stretches of one layer with the widths that lay it flat, and mend a little of what lies too high or low under it."""
+    target, cell_mm2 = beads.target, surface.step_mm**2
+    nominal = np.full(beads.every.size, config.process.hatch_spacing_mm)
+    if not (target.share.size and beads.every.size):
+        surface.add(target, target.share, thickness_mm)
+        return division.stretches(tracks, beads.every, beads.every, nominal)
+    wanted, weight = _wanted(target, surface, thickness_mm, config)
+    limits = width_limits_mm(config, thickness_mm)
+    width = balanced_widths(beads.footprints, wanted, weight, cell_mm2, nominal, limits)
+    first = np.flatnonzero(runs_alike(division.track(beads.every), width, ALIKE))
+    runs = beads.footprints.joined(first)
+    width = np.add.reduceat(width, first) / np.diff(np.append(first, width.size))
+    width = balanced_widths(runs, wanted, weight, cell_mm2, width, limits)
+    width = np.asarray(np.round(width, WIDTH_DIGITS), np.float64)
+    laid = runs.laid(width, wanted.size, cell_mm2).reshape(wanted.shape)
+    surface.add(target, laid * thickness_mm, thickness_mm)
+    last = np.append(first[1:], beads.every.size) - 1
+    return division.stretches(tracks, beads.every[first], beads.every[last], width)
+
+
+def _wanted(target: Target, surface: Surface, thickness_mm: float, config: Config) -> tuple[Floats, Floats]:
+    """Metal that each cell of a layer is to get, layers high, and how much the cell counts."""
+    over = MENDED * surface.over_mm(target) / thickness_mm
+    wanted = target.share * np.clip(1.0 - over, 1.0 - MOST_MENDED, 1.0 + MOST_MENDED)
+    # Metal is moved; in all, the layer gets as much more or less as its tolerance leaves room for.
+    most = MASS_ROOM * config.process.mass_tolerance
+    mean = float(np.average(over, weights=target.share))
+    wanted *= target.share.sum() * min(max(1.0 - mean, 1.0 - most), 1.0 + most) / wanted.sum()
+    depth_mm = ndimage.distance_transform_edt(target.share > HALF) * surface.step_mm
+    rim = (target.share > 0.0) & (depth_mm <= RIM_BEADS * config.process.bead_width_mm)
+    return wanted, np.where(rim, RIM_WEIGHT, 1.0)
+
+
+class _Division:
+    """Division of all tracks into stretches (S,), in order: contours and wall beads are divided evenly, others are one."""
+
+    def __init__(self, starts: Ints, length: Floats) -> None:
+        self.starts = starts
+        """(T + 1,) first stretch of each track."""
+        self.length = length
+        """(T,) mm of a stretch of each track."""
+
+    @classmethod
+    def of(cls, tracks: Tracks, divided: Bools, stretch_mm: float) -> _Division:
+        """Divide some tracks (T,) into stretches of about a length."""
+        count = np.where(divided, np.maximum(np.round(tracks.length / stretch_mm), 1.0), 1.0).astype(np.int64)
+        return cls(np.concatenate([[0], np.cumsum(count)]), tracks.length / count)
+
+    def at(self, track: Ints, along_mm: Floats) -> Ints:
+        """Stretch of places along tracks, (n,)."""
+        length = np.maximum(self.length[track], np.finfo(float).tiny)
+        count = np.diff(self.starts)[track]
+        return self.starts[track] + np.clip(along_mm / length, 0, count - 1).astype(np.int64)
+
+    def track(self, stretch: Ints) -> Ints:
+        """Track of stretches, (n,)."""
+        return np.asarray(np.searchsorted(self.starts, stretch, side="right") - 1)
+
+    def stretches(self, tracks: Tracks, first: Ints, last: Ints, width: Floats) -> Stretches:
+        """What reaches from one stretch to another of the same track, each of one width."""
+        track = self.track(first)
+        number = np.stack([first, last + 1]) - self.starts[track]
+        along = np.minimum(number * self.length[track], tracks.length[track])
+        low, high = (tracks.low[track] + snapped(tracks, track, at) for at in along)
+        kept = high - low > ROUNDING_MM
+        lap = np.zeros(int(kept.sum()), np.int64)
+        return Stretches(track[kept], low[kept], high[kept], lap, width=width[kept])
+
+
+@kernel
+def runs_alike(track: Ints, width: Floats, factor: float) -> Bools:
+    """Mark the first stretch of each run within which no two widths differ by more than a factor."""
+    first = np.zeros(len(track), np.bool_)
+    low = high = 0.0
+    for n in range(len(track)):
+        new = n == 0 or track[n] != track[n - 1]
+        if not new:
+            low, high = min(low, width[n]), max(high, width[n])
+            new = high > factor * low
+        if new:
+            first[n] = True
+            low = high = width[n]
+    return first
+
+
+@dataclass(frozen=True, eq=False)
+class _LayerBeads:
+    """What one layer is to be, its stretches `every` (n,), and where their metal lies."""
+
+    target: Target
+    every: Ints
+    footprints: Footprints
+
+
+def _layer_beads(
+    path: Toolpath,
+    layer: int,
+    points: Floats,
+    lengths: Floats,
+    tracks: Tracks,
+    division: _Division,
+    region: BaseGeometry,
+    step_mm: float,
+    config: Config,
+) -> _LayerBeads:
+    """Lay out the stretches of one layer over its region."""
+    bead_mm = config.process.bead_width_mm
+    a, b = int(path.layer_starts[layer]), int(path.layer_starts[layer + 1])
+    target = target_of(region, step_mm, bead_mm)
+    rows = slice(int(path.track_starts[a]), int(path.track_starts[b]))
+    owner, along, place, length = segment_places(
+        path.kind[rows], points[rows], lengths[rows], bead_mm * PLACE_SHARE
+    )
+    track = np.repeat(np.arange(a, b), np.diff(path.track_starts[a : b + 1]))[owner]
+    begin = (tracks.ends[rows] - lengths[rows])[owner] - tracks.low[track]
+    stretch = division.at(track, begin + along) - division.starts[a]
+    every = np.arange(division.starts[a], division.starts[b])
+    cells, radius = (place - target.origin) / step_mm, 0.5 * bead_mm / step_mm
+    return _LayerBeads(
+        target, every, footprints(cells, length, stretch, every.size, radius, target.share.shape)
+    )
+
+
+def joined(layers: Sequence[Stretches]) -> Stretches:
+    """Stretches of all layers, one behind the other."""
+    return Stretches(
+        np.concatenate([s.track for s in layers]),
+        np.concatenate([s.low for s in layers]),
+        np.concatenate([s.high for s in layers]),
+        np.concatenate([s.lap for s in layers]),
+        width=np.concatenate([s.width for s in layers if s.width is not None]),
+    )

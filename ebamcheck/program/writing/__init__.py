@@ -1,0 +1,1 @@
+"""From a toolpath to text: blocks, layers, safe states."""

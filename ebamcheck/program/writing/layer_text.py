@@ -1,0 +1,207 @@
+"""Blocks of one layer, alike for every control: travel, beam and wire, and the motions of each track."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ebamcheck.numeric.rings import Floats
+from ebamcheck.program.language.templates import ProcessValues, plain, process_values
+from ebamcheck.program.toolpath.inputs import Interpass
+from ebamcheck.program.toolpath.segments import CIRCULAR, CUBIC, STRAIGHT
+from ebamcheck.program.toolpath.tracks import Toolpath
+from ebamcheck.program.writing.blocks import BlockFormat
+from ebamcheck.program.writing.safe_states import Templates, entry_blocks
+from ebamcheck.settings.config import Config
+
+NEAR_SPACINGS = 2.0
+"""A beam-off move of at most this many bead spacings stays at the layer's height; a longer one rises."""
+
+
+def motion_text(path: Toolpath, form: BlockFormat, cubics: Sequence[str]) -> list[str]:
+    """Text of every segment (N,): G1, G2, G3, and what `cubics` holds for the cubic ones, in their order.
+
+    An entry of `cubics` may be several lines, or empty where another carries its motion.
+    """
+    text = np.empty(path.kind.size, dtype=object)
+    straight, round_ = path.kind == STRAIGHT, path.kind == CIRCULAR
+    text[straight] = form.lines(path.end[straight])
+    text[round_] = form.arcs(path.segment_start[round_], path.end[round_], path.circles)
+    text[path.kind == CUBIC] = cubics
+    text[path.turn] += " ; TURN"
+    text[path.goes_on] += " ; GOES ON"
+    result: list[str] = text.tolist()
+    return result
+
+
+def layer_blocks(
+    path: Toolpath,
+    k: int,
+    motions: Sequence[str],
+    config: Config,
+    form: BlockFormat,
+    templates: Templates,
+    heat: Interpass,
+    entry: Sequence[str],
+) -> list[str]:
+    """Blocks of layer `k`: contour rings and islands, each track between beam on and beam off, and the waits.
+
+    `entry` are the modes that hold in it. It begins with them and with its own power, so that the control can enter the
+    program there.
+    """
+    values = process_values(config, k + 1, float(path.z[k]), float(path.thickness[k]))
+    share = float(heat.power_share[k])
+    layer = _Layer(config, form, float(path.z[k]), values, templates, share)
+    layer.rise()
+    if config.machine.optional_stop:
+        layer.lines.append("M1")
+    wire = path.width / config.process.bead_metal_mm
+    island, entered = -1, False
+    for t in range(int(path.layer_starts[k]), int(path.layer_starts[k + 1])):
+        if path.ring[t] >= 0:
+            layer.wait(float(heat.ring_wait_s[k]) if t > path.layer_starts[k] else 0.0)
+            layer.lines.append(f"; RING {path.ring[t]}")
+        elif path.island[t] != island:
+            island = int(path.island[t])
+            layer.wait(float(heat.island_wait_s[island]))
+            layer.lines.append(f"; ISLAND {island}")
+            entered = False
+        a, b = int(path.track_starts[t]), int(path.track_starts[t + 1])
+        if b > a:
+            if path.island[t] >= 0:
+                layer.wait(float(heat.inner_wait_s[island]) if entered else 0.0)
+                entered = True
+            power = share * path.power[a:b]
+            layer.deposit(path.start[t], path.end[b - 1], motions[a:b], power, wire[a:b])
+    layer.rise()
+    above = path.layer_starts[k + 1 : k + 3]
+    wait_s = heat.before_layer_s(k + 1) if above.size == 2 and above[1] > above[0] else 0.0
+    return [
+        comment(f"LAYER: {k + 1} OF {len(path.z)}, CUT AT {path.cut[k]:.6f}, Z {path.z[k]:.6f}"),
+        *entry_blocks(entry, values.at(share, 1.0), templates),
+        *values.fill("layer_begin", templates["layer_begin"]),
+        *layer.lines,
+        *values.fill("layer_end", templates["layer_end"]),
+        *pause_blocks(values, templates, wait_s),
+    ]
+
+
+def pause_blocks(values: ProcessValues, templates: Templates, wait_s: float) -> list[str]:
+    """Blocks that wait for a time; none for no time."""
+    if wait_s <= 0.0:
+        return []
+    return replace(values, layer_pause_s=wait_s).fill("layer_pause", templates["layer_pause"])
+
+
+class _Layer:
+    """Blocks of one layer, and where the tool is while they are written."""
+
+    def __init__(
+        self,
+        config: Config,
+        form: BlockFormat,
+        z_mm: float,
+        values: ProcessValues,
+        templates: Templates,
+        power: float,
+    ) -> None:
+        self.lines: list[str] = []
+        self._near_mm = NEAR_SPACINGS * config.process.hatch_spacing_mm
+        self._form = form
+        self._z, self._safe_z = form.value(z_mm), form.value(z_mm + config.machine.safe_height_mm)
+        self._feed = f" F{plain(values.feed_mm_min)}"
+        ends = ("wire_stop", "wire_retract", "beam_off")
+        self._names = (
+            ("set_power",),
+            ("set_wire",),
+            ("beam_on", "wire_start"),
+            ends if values.wire_retract_mm > 0.0 else (ends[0], ends[2]),
+        )
+        self._values, self._templates = values, templates
+        self._blocks: dict[tuple[float, float], tuple[list[str], ...]] = {}
+        self._power, self._wire = power, 1.0
+        self._position: Floats | None = None
+
+    def _switches(self) -> tuple[list[str], ...]:
+        """Blocks that set power and wire speed of the moment, and those before and after a bead at them."""
+        now = (self._power, self._wire)
+        if now not in self._blocks:
+            values = self._values.at(*now)
+            self._blocks[now] = tuple(
+                [line for name in names for line in values.fill(name, self._templates[name])]
+                for names in self._names
+            )
+        return self._blocks[now]
+
+    def rise(self) -> None:
+        """Go to the safe height, with the beam off."""
+        self.lines.append(f"G0 Z{self._safe_z}")
+
+    def wait(self, wait_s: float) -> None:
+        """Wait above the layer; the next travel comes down from there."""
+        pause = pause_blocks(self._values, self._templates, wait_s)
+        if pause:
+            self.rise()
+            self.lines += pause
+            self._position = None
+
+    def set_power(self, share: float) -> None:
+        """Set the beam to a share of its power."""
+        if share != self._power:
+            self._power = share
+            self.lines += self._switches()[0]
+
+    def set_wire(self, share: float) -> None:
+        """Set the running wire to a share of the speed of the layer."""
+        if share != self._wire:
+            self._wire = share
+            self.lines += self._switches()[1]
+
+    def deposit(
+        self, start: Floats, end: Floats, motions: Sequence[str], power: Floats, wire: Floats
+    ) -> None:
+        """Travel to `start`, beam and wire on, `motions` each at its power and wire, wire and beam off at `end`."""
+        if not any(motions):
+            return  # all of it lies within a rounding: the beam would stand
+        self._travel(start)
+        self._wire = float(wire[0])
+        self.set_power(float(power[0]))
+        self.lines += self._switches()[2]
+        changes = [0, *(np.flatnonzero(np.diff(power) + 1j * np.diff(wire)) + 1).tolist(), len(motions)]
+        feed = self._feed
+        for a, b in itertools.pairwise(changes):
+            self.set_power(float(power[a]))
+            self.set_wire(float(wire[a]))
+            blocks = [line for text in motions[a:b] if text for line in text.split("\n")]
+            self.lines += [_with_feed(blocks[0], feed), *blocks[1:]] if blocks else []
+            feed = "" if blocks else feed
+        self.lines += self._switches()[3]
+        self._position = end
+
+    def _travel(self, to: Floats) -> None:
+        x_y = f"G0 X{self._form.value(to[0])} Y{self._form.value(to[1])}"
+        if self._position is None:
+            self.lines += [x_y, f"G0 Z{self._z}"]
+        elif float(np.hypot(*(to - self._position))) > self._near_mm:
+            self.lines += [f"G0 Z{self._safe_z}", x_y, f"G0 Z{self._z}"]
+        elif (to != self._position).any():
+            self.lines.append(x_y)
+
+
+def _with_feed(block: str, feed: str) -> str:
+    """Put the feed into a block, before the comment that it may end with."""
+    code, mark, note = block.partition(" ;")
+    return code + feed + mark + note
+
+
+LONGEST_COMMENT = 199
+"""Characters of a comment line; a SINUMERIK takes blocks of under 200."""
+
+
+def comment(text: str) -> str:
+    """Return one comment line: ASCII, without the reserved characters ! and ?, cut to the length of a block."""
+    allowed = "".join(c if c.isascii() and c.isprintable() and c not in "!?;" else "_" for c in text)
+    return f"; {allowed}"[:LONGEST_COMMENT]

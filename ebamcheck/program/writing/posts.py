@@ -1,0 +1,48 @@
+"""Writing a program by the post-processor of the machine's control."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from ebamcheck.plugins import registry
+from ebamcheck.program.files import ProgramFiles
+from ebamcheck.program.toolpath.inputs import CurveColumns, ScanColumns
+from ebamcheck.settings.config import Config
+
+
+def write_program(
+    curves: CurveColumns,
+    plan: ScanColumns,
+    config: Config,
+    folder: str | Path,
+    *,
+    validated: bool = False,
+    header: Mapping[str, str] | None = None,
+) -> ProgramFiles:
+    """Write the program of a stack for ``machine.control``, an entry point of the group ``ebamcheck.posts``.
+
+    Parameters
+    ----------
+    curves
+        Centre lines of the contour beads, mm.
+    plan
+        Islands, their order and their hatch vectors.
+    config
+        The machine and process sections say all that is not geometry.
+    folder
+        Is replaced as a whole by the program, or stays as it was.
+    validated
+        Status of every file; see :func:`mark_validated` for the order in which a run does it.
+    header
+        Further lines ``KEY: VALUE`` of the program's comment block (part hash, commit).
+
+    Raises
+    ------
+    SettingsError
+        If no post-processor has that name, curves and plan are of different stacks, heights do not rise, a name
+        is not legal, a template makes no block, or the control does not have the form of curves asked for.
+    """
+    post = registry.plugin(registry.POSTS, config.machine.control)
+    files: ProgramFiles = post(curves, plan, config, folder, validated=validated, header=header)
+    return files

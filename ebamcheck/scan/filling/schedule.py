@@ -1,0 +1,68 @@
+"""How each island is driven by itself: where it may be entered and left, and how long it takes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ebamcheck.numeric.rings import Bools, Floats
+from ebamcheck.scan.filling.hatch import Vectors
+from ebamcheck.scan.filling.turns import turns_and_jumps_mm
+from ebamcheck.settings.config import Config
+
+
+@dataclass(frozen=True, eq=False)
+class IslandDrive:
+    """Columns of the islands of a layer.
+
+    Parameters
+    ----------
+    entry, leave
+        (I, 4, 2) points at which an island may be entered, and where it is then left, mm: the four ways of
+        :func:`ebamcheck.scan.order.path.enter_nearest`; a way that is not open to an island repeats its first.
+    beam_s, time_s
+        (I,) time with the beam on, lines and turns, and with the jumps between its own lines. An island may be driven
+        from either side, with turns at the other ends of its lines: both count by their mean.
+    """
+
+    entry: Floats
+    leave: Floats
+    beam_s: Floats
+    time_s: Floats
+
+    def __len__(self) -> int:
+        """Return the number of islands."""
+        return len(self.time_s)
+
+
+def island_drive(lines: Vectors, chained: Bools, profile: Config) -> IslandDrive:
+    """Work out how islands are driven.
+
+    Parameters
+    ----------
+    lines
+        Lines sorted by island; an island without any takes no time and lies where its neighbour in number ends.
+    chained
+        (I,) whether the lines of an island follow each other.
+    """
+    count = len(chained)
+    a, b = lines.start, lines.end
+    if not len(a):
+        return IslandDrive(np.zeros((count, 4, 2)), np.zeros((count, 4, 2)), np.zeros(count), np.zeros(count))
+    after = np.cumsum(np.bincount(lines.island, minlength=count))
+    last = np.maximum(after - 1, 0)
+    first = np.minimum(np.concatenate([[0], after[:-1]]), len(a) - 1)
+    entry = np.stack([a[first], b[first], b[last], a[last]], axis=1)
+    leave = np.stack([b[last], a[last], a[first], b[first]], axis=1)
+    for way in (1, 3):
+        entry[chained, way], leave[chained, way] = entry[chained, 0], leave[chained, 0]
+    spacing = profile.process.hatch_spacing_mm
+    turn, jump = turns_and_jumps_mm(lines.island, a, b, spacing)
+    other_turn, other_jump = turns_and_jumps_mm(lines.island, b, a, spacing)
+    turned = chained[lines.island]
+    turn = np.where(turned, turn, 0.5 * (turn + other_turn))
+    jump = np.where(turned, jump, 0.5 * (jump + other_jump))
+    beam_s = np.bincount(lines.island, np.hypot(*(b - a).T) + turn, count) / profile.process.travel_speed_mm_s
+    inner_s = np.bincount(lines.island, jump, count) / profile.machine.rapid_mm_s
+    return IslandDrive(entry, leave, beam_s, np.asarray(beam_s + inner_s, np.float64))

@@ -1,0 +1,348 @@
+"""Beads along thin walls: the centre line of a wall, and lines parallel to it, as many as fit side by side.
+
+The centre line is the part of the Voronoi diagram of points on the wall's border that separates its two
+sides: an edge counts where its two border points lie much further apart along the border than straight
+across, which leaves out the spurs into corners. Where three branches meet, the two that go straightest on are
+one bead, and the third ends before it.
+
+A wall that changes its width has more beads where it is wide and one where it is narrow. A pointed end is
+left to the round end of its one bead, which stops where the wall is narrower than a share of the bead.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import shapely
+from scipy.spatial import QhullError, Voronoi
+from shapely.geometry.base import BaseGeometry
+
+from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.scan.islands.regions import NO_WIDTH_MM, mean_width_mm
+
+SAMPLES_ACROSS = 3.0
+"""Border points per wall width; the centre line of a straight wall is then exact to a few percent of it."""
+
+MOST_SAMPLES = 20_000
+"""Border points of one wall; a wall that would need more is sampled more coarsely."""
+
+ARC_OVER_CHORD = 2.0
+"""Border length between two facing points over their distance, at least: 1.4 in a square corner, 1.6
+around a rounded end, 2 where a wall is as long as half its width."""
+
+TAPER, TAPER_SHARE = 0.2, 0.1
+"""A bead stops where the wall's end is narrower than the first times the bead width, or the second times the wall's own
+greatest width, where that is less: its round end covers half a bead more, no spot that stays is wide enough for a
+gap bead, and no more than a hundredth of a wedge stays."""
+
+ALONE = 1.01
+"""Greatest width, over the bead's, of a wall that one bead fills: it reaches both sides."""
+
+LEAST_APART = 0.5
+"""No bead of a wall lies nearer to another one of it than this times the spacing: there one has the metal of both."""
+
+LEAST_BEAD = 0.5
+"""No bead is shorter than this times the bead width, unless the wall has no longer one."""
+
+LEAST_RUN = 1.0
+"""Length over the bead width for which a wall must be wider, or narrower, before its beads change in number: junctions
+are wider than their walls."""
+
+WHOLE_END, ROUND_END = 2.0, 0.25
+"""Length, over the wall's width, by which a bead goes on beyond the end of the centre line, which lies half a width before
+that of the wall: to the end and beyond, where the wall is cut from other metal; else half-way, so that the round end of
+the bead covers the corners of the wall and hardly reaches over it."""
+
+STEP = 0.25
+"""Distance, over the bead width, of the points where the width of a wall is measured."""
+
+STRAIGHT_ON_DEG = 60.0
+"""Turn at a fork up to which one bead goes on through it."""
+
+STRAIGHTNESS = 0.02
+"""Deviation of the centre line from its samples, over the wall's width, by which it is simplified."""
+
+QHULL_OPTIONS = "Qbb Qc QJ"
+"""The border points are joggled by some 1e-11 of their extent before their diagram is drawn: without it, its time
+grows with the square of the points on a straight side, to 10 s for those of a hair of metal."""
+
+ARC_SEGMENTS = 16
+CHORD = math.cos(0.25 * math.pi / ARC_SEGMENTS)
+"""Chords in a quarter of the round around a bead's end, and the least distance of a chord, over the round's radius."""
+
+WEED_MM = 1e-7
+"""Corners of the Voronoi diagram closer than this are one."""
+
+
+def wall_lines(
+    wall: shapely.Polygon, bead_width_mm: float, spacing_mm: float, to_the_end: bool = True
+) -> list[Floats]:
+    """Polylines (k, 2), mm, along which beads fill a thin wall, side by side where it is wide enough.
+
+    Every line lies in the wall; a line reaches the end of the wall, or that of its taper, unless it is not `to_the_end`:
+    then the round end of its bead does, as where there is no other metal around the wall. No two are nearer
+    than :data:`LEAST_APART`, and none is shorter than :data:`LEAST_BEAD` where there is another one. The list
+    is empty only where the wall is so crooked, so short, or so much a hair, that it has no centre line.
+    """
+    width = mean_width_mm(wall)
+    if width <= NO_WIDTH_MM:
+        return []
+    branches = centre_line(wall, width)
+    paths = _straight_on(branches)
+    ends = _fork_counts(branches)
+    found = []
+    for path in paths:
+        free = [ends[end] == 1 and not path.is_ring for end in _ends(path)]
+        found += _side_by_side(path, free, wall, bead_width_mm, spacing_mm, to_the_end)
+    inside = shapely.intersection(np.asarray(found, object), wall) if found else np.zeros(0, object)
+    pieces = [part for part in shapely.get_parts(inside) if part.length > 0]
+    kept = _apart(pieces, LEAST_APART * spacing_mm, LEAST_BEAD * bead_width_mm)
+    lines = [shapely.get_coordinates(line) for line in kept]
+    return [line if n % 2 == 0 else line[::-1] for n, line in enumerate(lines)]
+
+
+def centre_line(wall: shapely.Polygon, width_mm: float) -> list[shapely.LineString]:
+    """Branches of the centre line of a wall of the given width, each from fork to fork or end to end.
+
+    A free end lies half a width before the end of the wall.
+    """
+    points, place, around, ring = _border_samples(wall, width_mm)
+    middle = points.mean(axis=0)  # Qhull joggles, and rounds, by the greatest coordinate
+    try:
+        diagram = Voronoi(points - middle, qhull_options=QHULL_OPTIONS)
+    except (QhullError, ValueError):  # fewer than three points apart, or all of them on one line
+        return []
+    ridges = np.asarray(diagram.ridge_vertices)
+    facing = _facing(points, place, around, ring, np.asarray(diagram.ridge_points))
+    corners = diagram.vertices + middle
+    inside = shapely.contains_xy(wall, corners)
+    kept = facing & (ridges >= 0).all(axis=1) & inside[ridges].all(axis=1)
+    segments = _weeded(corners[ridges[kept]])
+    if not len(segments):
+        return []
+    merged = shapely.line_merge(shapely.MultiLineString(list(segments)))
+    branches = _without_spurs([p for p in shapely.get_parts(merged) if p.length > 0], width_mm)
+    return _sorted([shapely.simplify(branch, STRAIGHTNESS * width_mm) for branch in branches])
+
+
+def _border_samples(wall: shapely.Polygon, width_mm: float) -> tuple[Floats, Floats, Floats, Ints]:
+    """Points on the border, their place along their ring, that ring's length, and the ring's number."""
+    step = max(width_mm / SAMPLES_ACROSS, wall.length / MOST_SAMPLES)
+    points, place, around, ring = [], [], [], []
+    for number, line in enumerate((wall.exterior, *wall.interiors)):
+        found = shapely.get_coordinates(shapely.segmentize(line, step))
+        steps = np.hypot(*np.diff(found, axis=0).T)
+        points.append(found[:-1])
+        place.append(np.concatenate([[0.0], np.cumsum(steps)[:-1]]))
+        around.append(np.full(len(found) - 1, steps.sum()))
+        ring.append(np.full(len(found) - 1, number))
+    return np.concatenate(points), np.concatenate(place), np.concatenate(around), np.concatenate(ring)
+
+
+def _facing(points: Floats, place: Floats, around: Floats, ring: Ints, pairs: Ints) -> Bools:
+    """Which pairs of border points face each other across the wall."""
+    a, b = pairs[:, 0], pairs[:, 1]
+    chord = np.hypot(*(points[a] - points[b]).T)
+    one_way = np.abs(place[a] - place[b])
+    arc = np.minimum(one_way, around[a] - one_way)
+    return np.asarray((ring[a] != ring[b]) | (arc > ARC_OVER_CHORD * chord), np.bool_)
+
+
+def _weeded(segments: Floats) -> Floats:
+    """Segments (S, 2, 2) whose nearly equal ends are equal; those without length are left out."""
+    if not len(segments):
+        return segments
+    snapped = np.round(segments / WEED_MM) * WEED_MM
+    return np.asarray(snapped[(snapped[:, 0] != snapped[:, 1]).any(axis=1)], np.float64)
+
+
+def _ends(branch: shapely.LineString) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    points = shapely.get_coordinates(branch)
+    return tuple(points[0]), tuple(points[-1])
+
+
+def _fork_counts(branches: list[shapely.LineString]) -> dict[tuple[float, ...], int]:
+    counts: dict[tuple[float, ...], int] = {}
+    for branch in branches:
+        for end in _ends(branch):
+            counts[end] = counts.get(end, 0) + 1
+    return counts
+
+
+def _without_spurs(branches: list[shapely.LineString], width_mm: float) -> list[shapely.LineString]:
+    """Leave out dead ends shorter than the wall is wide, and join what they forked."""
+    if len(branches) == 1:
+        return branches
+    forks = _fork_counts(branches)
+    kept = [b for b in branches if b.length >= width_mm or all(forks[e] > 1 for e in _ends(b)) or b.is_ring]
+    if not kept:
+        return [max(branches, key=lambda b: float(b.length))]
+    merged = shapely.line_merge(shapely.multilinestrings(kept))
+    return list(shapely.get_parts(merged))
+
+
+def _sorted(branches: list[shapely.LineString]) -> list[shapely.LineString]:
+    """Branches in an order, and each in a direction, that do not depend on how they were found."""
+    turned = [b if _ends(b)[0] <= _ends(b)[1] else shapely.reverse(b) for b in branches]
+    return sorted(turned, key=_ends)
+
+
+def _straight_on(branches: list[shapely.LineString]) -> list[shapely.LineString]:
+    """Join at every fork the two branches that go straightest on, up to :data:`STRAIGHT_ON_DEG`."""
+    ways: dict[tuple[float, ...], list[tuple[int, int]]] = {}
+    for n, branch in enumerate(branches):
+        if not branch.is_ring:
+            for side, end in enumerate(_ends(branch)):
+                ways.setdefault(end, []).append((n, side))
+    turns = []
+    for arms in ways.values():
+        leaving = [_leaving(branches[n], side) for n, side in arms]
+        for (i, a), (j, b) in itertools.combinations(enumerate(arms), 2):
+            if a[0] != b[0]:
+                turn = math.degrees(math.acos(max(-1.0, min(1.0, -float(leaving[i] @ leaving[j])))))
+                turns.append((round(turn, 6), a, b))
+    path = [shapely.get_coordinates(branch) for branch in branches]
+    place = {(n, side): (n, side) for n in range(len(branches)) for side in (0, 1)}
+    for turn, a, b in sorted(turns):
+        if turn > STRAIGHT_ON_DEG or a not in place or b not in place or place[a][0] == place[b][0]:
+            continue
+        (i, side), (j, other) = place.pop(a), place.pop(b)
+        first = path[i] if side == 1 else path[i][::-1]
+        second = path[j] if other == 0 else path[j][::-1]
+        path[i], path[j] = np.vstack([first, second[1:]]), np.zeros((0, 2))
+        place |= {key: (i, 0) for key, (n, _) in place.items() if n == i} | {
+            key: (i, 1) for key, (n, _) in place.items() if n == j
+        }
+    return [shapely.LineString(points) for points in path if len(points)]
+
+
+def _leaving(branch: shapely.LineString, side: int) -> Floats:
+    """Unit direction in which a branch leaves its start (0) or its end (1)."""
+    points = shapely.get_coordinates(branch)[:: 1 if side == 0 else -1]
+    way = points[1] - points[0]
+    return np.asarray(way / max(float(np.hypot(*way)), np.finfo(float).tiny), np.float64)
+
+
+def _side_by_side(
+    path: shapely.LineString,
+    free: list[bool],
+    wall: shapely.Polygon,
+    bead_width_mm: float,
+    spacing_mm: float,
+    to_the_end: bool,
+) -> list[shapely.LineString]:
+    """Lines along a path, as many at each place as the wall is wide there; free ends reach the end of the wall."""
+    points, local = _measured(path, wall, STEP * bead_width_mm)
+    least = min(TAPER * bead_width_mm, TAPER_SHARE * float(local.max()))
+    low, high = np.flatnonzero(local >= least)[[0, -1]]
+    low, high = (low if free[0] else 0), (high if free[1] else len(points) - 1)
+    reached = [free[0] and low == 0, free[1] and high == len(points) - 1]
+    if high == low:  # a point is no line
+        low, high = max(low - 1, 0), min(high + 1, len(points) - 1)
+    points, local = points[low : high + 1], local[low : high + 1]
+    steps = np.hypot(*np.diff(points, axis=0).T)
+    counts = _steady(_beads(local, bead_width_mm, spacing_mm), steps, LEAST_RUN * bead_width_mm)
+    normal = _normals(points, path.is_ring)
+    runs = np.split(np.arange(len(counts)), np.flatnonzero(np.diff(counts)) + 1)
+    growing: list[tuple[Floats, bool]] = []
+    done: list[tuple[Floats, list[bool]]] = []
+    for run in runs:
+        count = int(counts[run[0]])
+        going_on = _going_on(len(growing), count)
+        done += [(line, [begun, False]) for k, (line, begun) in enumerate(growing) if k not in going_on]
+        before = [growing[k] if k >= 0 else (points[:0], bool(run[0] == 0)) for k in going_on]
+        offsets = [((n + 0.5) / count - 0.5) * local[run, None] * normal[run] for n in range(count)]
+        growing = [
+            (np.vstack([line, points[run] + offset]), begun)
+            for (line, begun), offset in zip(before, offsets, strict=True)
+        ]
+    done += [(line, [begun, True]) for line, begun in growing]
+    lines = [
+        shapely.simplify(shapely.LineString(line), STRAIGHTNESS * float(local.mean())) for line, _ in done
+    ]
+    beyond_mm = (WHOLE_END if to_the_end else ROUND_END) * float(local.max())
+    return [
+        _extended(line, [reached[0] and at[0], reached[1] and at[1]], beyond_mm)
+        for line, (_, at) in zip(lines, done, strict=True)
+    ]
+
+
+def _going_on(before: int, after: int) -> list[int]:
+    """Of some lines side by side the one (or -1) that goes on in each of another number: as many as can, the nearest."""
+    few, many = sorted((before, after))
+    nearest = [
+        min(range(many), key=lambda k: (abs((2 * k + 1) * few - (2 * n + 1) * many), k)) for n in range(few)
+    ]
+    if before >= after:
+        return nearest
+    return [nearest.index(n) if n in nearest else -1 for n in range(after)]
+
+
+def _measured(path: shapely.LineString, wall: shapely.Polygon, step_mm: float) -> tuple[Floats, Floats]:
+    """Points (n, 2) along a path, at least three, and the wall's width (n,) at each."""
+    points = shapely.get_coordinates(shapely.segmentize(path, min(step_mm, 0.5 * path.length)))
+    local = 2.0 * np.atleast_1d(shapely.distance(shapely.points(points), wall.boundary))
+    return np.asarray(points, np.float64), np.asarray(local, np.float64)
+
+
+def _beads(local_mm: Floats, bead_width_mm: float, spacing_mm: float) -> Ints:
+    """Beads side by side (n,) that fill a wall of given widths."""
+    nearest = np.floor(local_mm / spacing_mm + 0.5)
+    needed = np.ceil(local_mm / max(spacing_mm, ALONE * bead_width_mm))
+    return np.maximum(1, np.maximum(nearest, needed)).astype(np.int64)
+
+
+def _steady(counts: Ints, steps_mm: Floats, least_mm: float) -> Ints:
+    """Counts (n,) whose runs of one number are no shorter than a length: the shortest first takes that of its longer neighbour."""
+    counts = counts.copy()
+    around = 0.5 * (np.append(steps_mm, 0.0) + np.append(0.0, steps_mm))
+    while True:
+        edges = np.concatenate([[0], np.flatnonzero(np.diff(counts)) + 1, [len(counts)]])
+        lengths = np.add.reduceat(around, edges[:-1])
+        k = int(np.argmin(lengths))
+        if len(lengths) == 1 or lengths[k] >= least_mm:
+            return counts
+        beside = [j for j in (k - 1, k + 1) if 0 <= j < len(lengths)]
+        longer = max(beside, key=lambda j: float(lengths[j]))
+        counts[edges[k] : edges[k + 1]] = counts[edges[longer]]
+
+
+def _normals(points: Floats, is_ring: bool) -> Floats:
+    """Unit vectors (n, 2) to the left of a polyline."""
+    along = np.asarray(np.gradient(points, axis=0), np.float64)
+    if is_ring and (points[0] == points[-1]).all():
+        along[0] = along[-1] = points[1] - points[-2]
+    normal = np.column_stack([-along[:, 1], along[:, 0]])
+    normal /= np.maximum(np.hypot(normal[:, 0], normal[:, 1]), np.finfo(float).tiny)[:, None]
+    return np.asarray(normal, np.float64)
+
+
+def _apart(pieces: list[shapely.LineString], apart_mm: float, least_mm: float) -> list[shapely.LineString]:
+    """Lines, the longest as it is and every other one cut back from those before it; short rests are left out."""
+    kept: list[tuple[int, shapely.LineString]] = []
+    taken: BaseGeometry = shapely.Polygon()
+    for n in sorted(range(len(pieces)), key=lambda n: (-round(float(pieces[n].length), 6), n)):
+        left = shapely.get_parts(shapely.difference(pieces[n], taken))
+        here = [part for part in left if part.length >= least_mm or not kept]
+        kept += [(n, part) for part in here]
+        around = shapely.buffer(here, apart_mm / CHORD, quad_segs=ARC_SEGMENTS)
+        taken = shapely.union_all([taken, *around])
+    return [part for _, part in sorted(kept, key=lambda item: item[0])]
+
+
+def _extended(line: shapely.LineString, free: list[bool], width_mm: float) -> shapely.LineString:
+    """Lengthen the free ends by the wall's width, so that the line reaches the end of the wall."""
+    points = shapely.get_coordinates(line)
+    if free[0]:
+        points = np.vstack([_beyond(points[1], points[0], width_mm), points])
+    if free[1]:
+        points = np.vstack([points, _beyond(points[-2], points[-1], width_mm)])
+    return shapely.LineString(points)
+
+
+def _beyond(before: Floats, end: Floats, distance_mm: float) -> Floats:
+    """Point at a distance beyond the end of a segment."""
+    length = max(float(np.hypot(*(end - before))), np.finfo(float).tiny)
+    return np.asarray(end + (distance_mm / length) * (end - before), np.float64)

@@ -1,0 +1,72 @@
+"""Which share of a Gaussian around a point lies in the metal that the point sees: what heat would lose to the outline."""
+
+from __future__ import annotations
+
+import numpy as np
+import shapely
+from shapely.geometry.base import BaseGeometry
+
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Floats
+
+DIRECTIONS = 32
+"""Rays from each point to the outline."""
+
+SIGMAS = 3.0
+"""The outline farther away than so many standard deviations takes nothing."""
+
+LEAST_SHARE = 0.05
+"""Least share, that of a wedge of 18 degrees: a point on a tip holds its heat."""
+
+ON_OUTLINE_MM = 1e-6
+"""Crossings nearer than this are the outline on which the point lies, not what its ray meets."""
+
+
+def enclosed_share(section: BaseGeometry, points: Floats, variance_mm2: Floats) -> Floats:
+    """Share of Gaussians around points that lies in the metal in sight, (P, Q).
+
+    Along a ray the Gaussian has the share 1 - exp(-r^2 / (2 variance)) up to its first crossing of the outline; the
+    mean over all directions is exact for what is in sight. Heat does not pass a gap, and what is out of sight behind
+    a bend is far.
+
+    Parameters
+    ----------
+    section
+        Polygon or multi-polygon.
+    points
+        (P, 2) mm.
+    variance_mm2
+        (P, Q) along each axis.
+    """
+    outline = shapely.boundary(section)
+    shapely.prepare(outline)
+    reach = SIGMAS * np.sqrt(variance_mm2.max(initial=0.0))
+    near = np.flatnonzero(shapely.dwithin(outline, shapely.points(points), reach))
+    share = np.ones(variance_mm2.shape)
+    rings = [shapely.get_coordinates(line) for line in shapely.get_parts(outline)]
+    segments = np.concatenate([np.hstack([ring[:-1], ring[1:]]) for ring in rings])
+    share[near] = in_sight(points[near], variance_mm2[near], segments)
+    return np.maximum(share, LEAST_SHARE)
+
+
+@kernel
+def in_sight(points: Floats, variance: Floats, segments: Floats) -> Floats:
+    """See :func:`enclosed_share`; `segments` (S, 4) make up the outline."""
+    share = np.zeros(variance.shape)
+    for p in range(len(points)):
+        for direction in range(DIRECTIONS):
+            angle = 2.0 * np.pi * (direction + 0.5) / DIRECTIONS
+            dx, dy = np.cos(angle), np.sin(angle)
+            nearest = np.inf
+            for s in range(len(segments)):
+                ax, ay = segments[s, 0] - points[p, 0], segments[s, 1] - points[p, 1]
+                bx, by = segments[s, 2] - points[p, 0], segments[s, 3] - points[p, 1]
+                left, right = dx * ay - dy * ax, dx * by - dy * bx
+                if (left > 0.0) != (right > 0.0):
+                    part = left / (left - right)
+                    reach = dx * (ax + part * (bx - ax)) + dy * (ay + part * (by - ay))
+                    if ON_OUTLINE_MM < reach < nearest:
+                        nearest = reach
+            for q in range(variance.shape[1]):
+                share[p, q] -= np.expm1(-0.5 * nearest * nearest / variance[p, q]) / DIRECTIONS
+    return share

@@ -1,0 +1,152 @@
+"""What each island leaves in each other one, over the time since: the heat model of a layer as one table.
+
+An order is tried thousands of times when it is improved; with the table, the temperature at which an island is
+entered is a sum over the islands before it, whatever the number of modes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Floats
+from ebamcheck.scan.heat.island_heat import IslandHeat
+from ebamcheck.scan.heat.near_field import NearField, entry_rise, young_mean
+from ebamcheck.scan.heat.pieces import WAYS
+
+NODES = 96
+"""Times of the table."""
+
+YOUNG_NODES = 12
+"""Times of these until the horizon of young heat, and of what it does at entries. Their spacing grows with the time, as
+heat changes ever more slowly: node n of N lies at horizon (n / (N - 1))^2, and m after the horizon at m^2."""
+
+LEAST_RATE = 1e-9
+"""Decay, 1/s, that an amplitude has at least: nothing within any layer, but there is an inverse of it."""
+
+MOST_ISLANDS = 500
+"""Beyond, the table is too large: 500 islands take 96 MB."""
+
+Table = NDArray[np.float32]
+
+
+class FreshTable(NamedTuple):
+    """What young heat does to entries beyond the rises of islands that are near each other.
+
+    Parameters
+    ----------
+    horizon_s
+        Time after which it is nothing; node n of N lies at horizon (n / (N - 1))^2.
+    slot
+        (I, I) row of the next table for an island and the source, or -1.
+    excess_k
+        (P, 4, 4, N) of the temperature of its entry over its mean, by its way and that of the source.
+    """
+
+    horizon_s: float
+    slot: NDArray[np.int32]
+    excess_k: Table
+
+
+@dataclass(frozen=True, eq=False)
+class Influence:
+    """Temperature rises by islands and times.
+
+    Parameters
+    ----------
+    rise_k
+        (I, I + 1, Q) mean rise of an island by another one that was scanned from cold, a time after its end;
+        the last column is what the layer's first temperature leaves, a time after the beginning.
+    nodes_per_root_s
+        A time t after the horizon lies nodes_per_root_s sqrt(t) nodes after the node of the horizon.
+    fresh
+        What entries have beyond the means.
+    """
+
+    rise_k: Table
+    nodes_per_root_s: float
+    fresh: FreshTable
+
+
+def influence(heat: IslandHeat, time_s: Floats, longest_s: float) -> Influence:
+    """Tabulate the heat model of a layer: old heat by its modes, young heat as in :mod:`ebamcheck.scan.heat.near_field`.
+
+    Parameters
+    ----------
+    time_s
+        (I,) time in which each island is scanned.
+    longest_s
+        Longest time between two islands.
+    """
+    near, count, young = heat.fresh, len(time_s), YOUNG_NODES - 1
+    spacing = max(longest_s - near.horizon_s, 0.0) / (NODES - YOUNG_NODES) ** 2
+    since = np.concatenate([
+        near.horizon_s * (np.arange(young) / young) ** 2,
+        near.horizon_s + spacing * np.arange(NODES - young) ** 2,
+    ])  # fmt: skip
+    rise = np.empty((count, count + 1, NODES), np.float32)
+    old_heat(heat, time_s, near.horizon_s, since, rise)
+    slot = np.full((count, count), -1, np.int32)
+    slot[np.repeat(np.arange(count), np.diff(near.first)), near.other] = np.arange(len(near.other))
+    excess_k = young_heat(near, heat.source_k_s, time_s, since[:YOUNG_NODES], rise)
+    per_root = spacing**-0.5 if spacing > 0.0 else 0.0
+    return Influence(rise, per_root, FreshTable(near.horizon_s, slot, excess_k))
+
+
+def old_heat(heat: IslandHeat, time_s: Floats, horizon_s: float, since_s: Floats, rise: Table) -> None:
+    """Write the rises :attr:`Influence.rise_k` by heat older than the horizon, at times (Q,) after the end of a source."""
+    depth_rate = np.maximum(heat.depth_rate, LEAST_RATE)
+    rate = np.add.outer(heat.plane_rate, depth_rate)
+    across = np.exp(-np.multiply.outer(heat.plane_rate, since_s))
+    through = np.exp(-np.multiply.outer(depth_rate, since_s))
+    mean, weight = np.asarray(heat.mean, np.float32), heat.in_layer**2 / rate
+    at_horizon = (weight * np.exp(-rate * horizon_s)).sum(axis=1)[:, None]
+    # Of a source that ended less than a horizon ago only what it began with is old.
+    young = slice(0, int(np.searchsorted(since_s, horizon_s)))
+    old = slice(young.stop, None)
+    of_mode = np.empty_like(across)
+    for j, (time, source) in enumerate(zip(time_s.tolist(), heat.source_k_s.tolist(), strict=True)):
+        fallen = np.exp(-rate * time)
+        of_mode[:, old] = across[:, old] * ((weight * (1.0 - fallen)) @ through[:, old])
+        begun = at_horizon - across[:, young] * ((weight * fallen) @ through[:, young])
+        of_mode[:, young] = np.where(since_s[young] + time > horizon_s, begun, 0.0)
+        scaled = of_mode * (source * heat.mean[:, j, None])
+        rise[:, j] = mean.T @ scaled.astype(np.float32)
+    rise[:, len(time_s)] = heat.mean.T @ (across * ((heat.start_k * heat.in_layer) @ through))
+
+
+@kernel
+def young_heat(near: NearField, source: Floats, time: Floats, since: Floats, rise: Table) -> Table:
+    """Add young heat to the rises of means; returns its excess at entries (P, 4, 4, N) over the means, as in :class:`FreshTable`."""
+    excess = np.zeros((len(near.other), WAYS, WAYS, len(since)), np.float32)
+    for i in range(len(near.first) - 1):
+        for p in range(near.first[i], near.first[i + 1]):
+            j = near.other[p]
+            if i == j:
+                continue
+            for n in range(len(since)):
+                mean = young_mean(near, near.pair[p], since[n], time[j])
+                rise[i, j, n] += source[j] * mean
+                for way in range(WAYS):
+                    for left_by in range(WAYS):
+                        entry = entry_rise(near, i, way, j, left_by, since[n], time[j])
+                        excess[p, way, left_by, n] = source[j] * (entry - mean)
+    return excess
+
+
+@kernel
+def looked_up(rise: Table, nodes: float, horizon: float, island: int, source: int, since: float) -> float:
+    """Rise of an island by a source a time after its end, linear between nodes in the root of the time."""
+    young = YOUNG_NODES - 1
+    if since < horizon:
+        place = young * np.sqrt(max(since, 0.0) / horizon)
+    else:
+        place = young + nodes * np.sqrt(since - horizon)
+    node = min(int(place), rise.shape[2] - 2)
+    share = min(place - node, 1.0)
+    low, high = rise[island, source, node], rise[island, source, node + 1]
+    return float(low + (high - low) * share)

@@ -1,0 +1,282 @@
+"""Waits and power that keep a layer under the interpass limit.
+
+A layer has full power while no bead of it is entered above the limit, then the greatest power at which none is, down
+to the least at which the wire melts. Where that is too much still, the beam waits: before the layer, before each further
+contour, before islands, and before each further bead of an island, each time until the next bead may be entered. A bead is
+entered wherever the beam comes on. Less power never takes longer, since speed and wire stay; so power comes first, and the
+waits are what is left to do. With `process.interpass` "dwell" or "power" one of
+the two is left out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from ebamcheck.heat.balance import LayerShape
+from ebamcheck.heat.melting import entry_limit_k, least_power_share, scheduled_share
+from ebamcheck.numeric.rings import Floats
+from ebamcheck.scan.heat.part_heat import Beads, Before, PartHeat
+from ebamcheck.settings.config import Config
+
+MARGIN = 0.01
+"""Share of the limit's rise over ambient by which a plan stays under it: waits are whole seconds, and the program rounds."""
+
+LONGEST_WAIT_S = 4.0 * 3600.0
+"""What does not cool down to the limit in this time is not waited for; the heat gate says so."""
+
+PERCENT = 100
+"""Steps of the power's share."""
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """One layer as it is driven.
+
+    Parameters
+    ----------
+    power_share
+        Share of the beam's power.
+    wait_s, ring_wait_s
+        Wait before the layer, and before each further contour.
+    bead_wait_s
+        (B,) waits before the beads, those of the contours included but for the first; further beads of one island
+        share one, the longest that one of them asks for.
+    bed_k, mean_k
+        (B,) what each bead finds at its place when it is entered, and the mean over the section then, absolute, K.
+    body_k
+        Mean temperature rise of the part under the layer when it is begun, K.
+    enter_k, leave_k
+        Mean temperature of the surface when the layer is begun, and when it is done, absolute, K.
+    time_s
+        Time of the layer, moves and waits within it included.
+    after
+        The part's heat when it is done.
+    """
+
+    power_share: float
+    wait_s: float
+    ring_wait_s: float
+    bead_wait_s: Floats
+    bed_k: Floats
+    mean_k: Floats
+    body_k: float
+    enter_k: float
+    leave_k: float
+    time_s: float
+    after: PartHeat
+
+
+@dataclass(frozen=True, eq=False)
+class LayerJob:
+    """What a layer needs to be driven: its beads, its shape, and where it lies.
+
+    Parameters
+    ----------
+    beads
+        In the sequence in which they are laid.
+    shape
+        Of the layer that is laid.
+    height_mm
+        Its height over the base plate.
+    lowest
+        Whether nothing lies under it, so that there is nothing to wait for.
+    """
+
+    beads: Beads
+    shape: LayerShape
+    height_mm: float
+    lowest: bool
+
+
+def cool_drive(job: LayerJob, found: PartHeat, profile: Config) -> Drive:
+    """Choose power and waits of a layer by the settings, and drive it.
+
+    Parameters
+    ----------
+    found
+        The part's heat when the layer under it is done, in the modes of this layer.
+    """
+    share = power_share(job, found, profile)
+    waits = profile.process.interpass in ("dwell", "both")
+    ring_wait_s = 0.0
+    while True:
+        driven = drive(job, found, profile, share, waits, ring_wait_s)
+        assert driven is not None
+        if (driven.bead_wait_s[1 : job.beads.rings] == driven.ring_wait_s).all():
+            return driven
+        ring_wait_s = driven.ring_wait_s
+
+
+def power_share(job: LayerJob, found: PartHeat, profile: Config) -> float:
+    """Share of the power of a layer: that of the table, or the greatest at which no bead is entered above the limit."""
+    scheduled = scheduled_share(profile, job.height_mm)
+    if scheduled is not None:
+        return scheduled
+    if profile.process.interpass not in ("power", "both"):
+        return 1.0
+    least = min(1.0, least_power_share(profile, job.shape.thickness_mm))
+    low, high = math.ceil(PERCENT * least), PERCENT
+
+    def fits(percent: int) -> bool:
+        return drive(job, found, profile, percent / PERCENT, waits=False, keep=True) is not None
+
+    if fits(high):
+        return 1.0
+    if low >= high or not fits(low):
+        return min(low / PERCENT, 1.0)
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if fits(middle) else (low, middle)
+    return low / PERCENT
+
+
+def drive(
+    job: LayerJob,
+    found: PartHeat,
+    profile: Config,
+    share: float,
+    waits: bool,
+    ring_wait_s: float = 0.0,
+    keep: bool = False,
+) -> Drive | None:
+    """Drive a layer at a share of the power.
+
+    Parameters
+    ----------
+    waits
+        Wait wherever a bead would be entered above the limit.
+    ring_wait_s
+        Wait before each further contour at least: they share one, the longest that one of them asks for.
+    keep
+        Give up, with None, as soon as a bead is entered above the limit.
+    """
+    run = _Run(job, profile, share, found.copy(), waits, keep)
+    beads, bead = job.beads, 0
+    while bead < len(beads):
+        if beads.inner[bead]:
+            last = bead + 1
+            while last < len(beads) and beads.inner[last]:
+                last += 1
+            done = _island_done(run, bead, last)
+            bead = last
+        else:
+            done = run.lay(bead, ring_wait_s if 0 < bead < beads.rings else 0.0)
+            if 0 < bead < beads.rings:
+                ring_wait_s = max(ring_wait_s, float(run.wait_s[bead]))
+            bead += 1
+        if not done:
+            return None
+    return run.drive(ring_wait_s)
+
+
+def _island_done(run: _Run, first: int, last: int) -> bool:
+    """Lay the further beads of an island, each after the same wait; False where one is too hot and none is waited for."""
+    begun, least_s = run.part, 0.0
+    while True:
+        run.part = begun.copy()
+        for bead in range(first, last):
+            if not run.lay(bead, least_s):
+                return False
+        longest_s = float(run.wait_s[first:last].max())
+        if (run.wait_s[first:last] == longest_s).all():
+            return True
+        least_s = longest_s
+
+
+class _Run:
+    """A layer while it is driven: the part's heat, and what was found, bead by bead."""
+
+    def __init__(
+        self, job: LayerJob, profile: Config, share: float, part: PartHeat, waits: bool, keep: bool
+    ) -> None:
+        process = profile.process
+        limit_k = entry_limit_k(profile)
+        self.part = part
+        self.wait_s, self.bed_k, self.mean_k, self.away_s = (np.zeros(len(job.beads)) for _ in range(4))
+        self._job, self._share, self._waits, self._keep = job, share, waits, keep
+        self._limit_k = limit_k - MARGIN * max(limit_k - process.ambient_temperature_k, 0.0)
+        self._power_w = share * process.power_w * profile.material.absorptivity
+        self._pause_s = 0.0 if job.lowest else process.layer_pause_s
+        self._every = process.interpass_at == "bead"
+        self._body_k = self._enter_k = 0.0
+        self._before: Before | None = None
+        self._begun = 0
+
+    def lay(self, bead: int, least_s: float) -> bool:
+        """Wait, not less than `least_s`, and lay a bead; False where it is too hot and that ends the drive."""
+        beads, first = self._job.beads, bead == 0
+        checked = first or self._every
+        away_s, rise_s = (
+            float(beads.move_s[bead]) + (self._pause_s if first else 0.0),
+            float(beads.rise_s[bead]),
+        )
+        before = self._own_apart(bead)
+        wait_s = 0.0
+        if checked and self._waits and not (first and self._job.lowest):
+            found_k = partial(_found_k, self.part, beads.shape(bead), away_s, rise_s, before)
+            wait_s = shortest_wait_s(found_k, self._limit_k)
+        wait_s = max(wait_s, least_s)
+        away_s += wait_s + rise_s if wait_s > 0.0 else 0.0
+        # All at once, as the balance of the text has it: the same steps of time give the same figures.
+        self.bed_k[bead] = self.part.bed_k(beads.shape(bead), away_s, before)
+        if not beads.inner[bead]:
+            self._before, self._begun = None, bead
+        self.part.rest(away_s)
+        self.mean_k[bead] = self.part.column.bed_k
+        if self._keep and checked and self.bed_k[bead] > self._limit_k:
+            return False
+        if not beads.inner[bead] and beads.inner[bead + 1 : bead + 2].any():
+            self._before = Before(self.part.state.copy())
+        if first:
+            self._body_k, self._enter_k = self.part.column.mean_rise_k, self.mean_k[0]
+            self.part.column.lay(self._job.shape)
+        self.wait_s[bead], self.away_s[bead] = wait_s, away_s
+        self.part.lay_bead(beads, bead, self._power_w)
+        return True
+
+    def _own_apart(self, bead: int) -> Before | None:
+        """What differed across the section before the island of a further bead was begun, aged until the bead before it is done."""
+        if self._before is None or not self._job.beads.inner[bead]:
+            return None
+        first, time_s = self._job.beads.first, self._job.beads.time_s
+        laid_s = float(time_s[first[self._begun] : first[bead]].sum())
+        return Before(self._before.state, laid_s + float(self.away_s[self._begun + 1 : bead].sum()))
+
+    def drive(self, ring_wait_s: float) -> Drive:
+        """What was found in the whole layer."""
+        bead_wait_s = self.wait_s.copy()
+        bead_wait_s[:1] = 0.0
+        before_s = self._pause_s + float(self.wait_s[:1].sum())
+        time_s = float(self.away_s.sum()) - before_s + float(self._job.beads.time_s.sum())
+        part = self.part
+        return Drive(
+            self._share, before_s, ring_wait_s, bead_wait_s, self.bed_k, self.mean_k, self._body_k, self._enter_k,
+            part.column.surface_k, time_s, part,
+        )  # fmt: skip
+
+
+def _found_k(
+    part: PartHeat, shape: Floats, away_s: float, rise_s: float, before: Before | None, wait_s: float
+) -> float:
+    """What a bead finds after the way to it and a wait, for which the beam rises."""
+    return part.bed_k(shape, away_s + (wait_s + rise_s if wait_s > 0.0 else 0.0), before)
+
+
+def shortest_wait_s(bed_k: Callable[[float], float], limit_k: float) -> float:
+    """Shortest wait after which a bead finds no more than the limit, whole seconds; 0 where none is long enough."""
+    if bed_k(0.0) <= limit_k:
+        return 0.0
+    low, high = 0, 1
+    while bed_k(float(high)) > limit_k:
+        low, high = high, 2 * high
+        if high > LONGEST_WAIT_S:
+            return 0.0
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if bed_k(float(middle)) <= limit_k else (middle, high)
+    return float(high)

@@ -1,0 +1,151 @@
+"""The heat model of a layer's islands, in the columns that the kernels of :mod:`ebamcheck.scan.order.thermal` read."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from shapely.geometry.base import BaseGeometry
+
+from ebamcheck.heat import HeatModel, Medium, contour_modes, depth_modes
+from ebamcheck.numeric.rings import Floats
+from ebamcheck.scan.filling.hatch import Vectors
+from ebamcheck.scan.filling.schedule import IslandDrive
+from ebamcheck.scan.heat.near_field import NearField, near_field
+from ebamcheck.settings.config import Config
+
+SIMULATION_WAVE = 2.0 / 3.0
+"""Shortest wave of a simulation, in widths of an island."""
+
+PLANNING_WAVE = 1.0
+"""Shortest wave of a plan, in widths of an island: shorter ones die out while the next island is scanned."""
+
+PLANNING_CELLS, SIMULATION_CELLS = 2.0, 3.0
+"""Cells in the shortest wave: as few as can carry it in a plan, which is compared with others and not read. Plans
+made on finer cells were no cooler in a finer simulation."""
+
+PLANNING_MODES = 400
+"""Modes of the section that a plan uses at most: beyond, only the longest waves count."""
+
+PLANNING_WORK = 4e9
+"""Modes times the square of the islands in a plan at most: over 3000 islands it knows fewer modes."""
+
+SIMULATION_MODES = 800
+"""Modes of the section that a simulation uses at most."""
+
+MOST_DEPTH_MODES = 40
+"""Modes of the depth at most."""
+
+
+@dataclass(frozen=True, eq=False)
+class IslandHeat:
+    """Islands as sources and readings of the heat model.
+
+    Parameters
+    ----------
+    mean
+        (K, I) means of the section's modes over the islands.
+    plane_rate, depth_rate
+        (K,) and (N,), whose sums are the decays of the amplitudes, 1/s.
+    in_layer
+        (N,) means of the depth's modes over the layer.
+    source_k_s
+        (I,) beam power on the island over the heat capacity of a volume, while it is scanned.
+    start_k
+        (K, N) amplitudes when the layer begins.
+    model
+        The heat model whose modes these are.
+    complete
+        Eigenvalue up to which these are all modes of section and depth, 1/mm^2.
+    near
+        Young heat between islands that are near each other, which the modes lack; None: by the modes alone.
+    """
+
+    mean: Floats
+    plane_rate: Floats
+    depth_rate: Floats
+    in_layer: Floats
+    source_k_s: Floats
+    start_k: Floats
+    model: HeatModel
+    complete: float
+    near: NearField | None = None
+
+    @property
+    def fresh(self) -> NearField:
+        """What the modes lack, where it is known."""
+        assert self.near is not None, "the fresh heat of this model was not set up: see with_fresh_heat"
+        return self.near
+
+    @property
+    def columns(self) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+        """What every kernel reads first."""
+        return self.mean, self.plane_rate, self.depth_rate, self.in_layer, self.source_k_s
+
+
+def island_heat(
+    section: BaseGeometry,
+    islands: NDArray[np.object_],
+    beam_s: Floats,
+    time_s: Floats,
+    profile: Config,
+    height_mm: float,
+    fine: bool = False,
+) -> IslandHeat:
+    """Set up the heat model of a layer.
+
+    Parameters
+    ----------
+    section
+        Solid region of the layer.
+    islands
+        (I,) polygons.
+    beam_s, time_s
+        (I,) time with the beam on, and in all, while each island is scanned.
+    height_mm
+        Height of the layer over the base plate.
+    fine
+        Resolve waves shorter than an island, for a simulation; a plan needs none under its width.
+    """
+    medium, process = Medium.of(profile), profile.process
+    width_mm = math.sqrt(section.area / max(len(islands), 1))
+    largest = (2.0 * math.pi / (width_mm * (SIMULATION_WAVE if fine else PLANNING_WAVE))) ** 2
+    planned = max(1, min(PLANNING_MODES, int(PLANNING_WORK / max(len(islands), 1) ** 2)))
+    most, cells = (SIMULATION_MODES, SIMULATION_CELLS) if fine else (planned, PLANNING_CELLS)
+    plane = contour_modes(section, largest, most, cells)
+    depth_mm = max(height_mm, 0.0) + process.base_plate_mm
+    waves = min(MOST_DEPTH_MODES, math.ceil(depth_mm * math.sqrt(largest) / math.pi) + 1)
+    loss = medium.radiation_w_mm2k / medium.conductivity_w_mmk
+    depth = depth_modes(depth_mm, waves, process.base == "cooled", loss)
+    model = HeatModel(plane, depth, medium, min(profile.layer_height_mm, depth_mm))
+    on = np.divide(beam_s, time_s, out=np.zeros_like(beam_s), where=time_s > 0)
+    power_w = process.power_w * profile.material.absorptivity * on
+    return IslandHeat(
+        mean=np.ascontiguousarray(plane.means(islands).T),
+        plane_rate=medium.diffusivity_mm2_s * plane.eigenvalue,
+        depth_rate=medium.diffusivity_mm2_s * depth.wave_number**2,
+        in_layer=model.in_layer,
+        source_k_s=np.asarray(power_w / medium.heat_capacity_j_mm3k, np.float64),
+        start_k=model.cold(),
+        model=model,
+        complete=min(
+            largest if len(plane.eigenvalue) < most else float(plane.eigenvalue[-1]),
+            float(depth.wave_number[-1]) ** 2,
+        ),
+    )
+
+
+def with_fresh_heat(
+    heat: IslandHeat,
+    drive: IslandDrive,
+    lines: Vectors,
+    section: BaseGeometry,
+    islands: NDArray[np.object_],
+    profile: Config,
+) -> IslandHeat:
+    """Add the fresh heat that the modes lack to the heat model of a layer: see :mod:`ebamcheck.scan.heat.near_field`."""
+    bead_mm = profile.process.bead_width_mm
+    near = near_field(heat.model, heat.complete, drive, lines, section, islands, bead_mm)
+    return replace(heat, near=near)

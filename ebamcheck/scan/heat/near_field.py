@@ -1,0 +1,323 @@
+"""The fresh heat that truncated modes cannot show: where the beam enters, and in islands beside the last ones.
+
+The temperature of an island by the modes of its section is right for heat that is old: waves shorter than an island
+die out within seconds. Heat younger than a horizon is therefore left out of the modes
+(:mod:`ebamcheck.scan.heat.aged_heat`), and comes, between islands that are near each other, from Green's functions of the
+conduction itself; at islands farther apart it has not arrived yet, and what the modes would have of it is the ripple of
+those that they lack.
+The Green's function is a Gaussian in the plane, times the exact function of
+the depth. What the free Gaussian would lose through the outline stays in the metal: it is divided by its own share in
+the metal in sight (:mod:`ebamcheck.scan.heat.enclosed`), which is exact far from the outline, on a straight border, in a
+corner, and in a thin wall. No heat of this kind passes a gap.
+
+Two figures come from it, both on top of the old heat: the mean temperature of an island, heated by islands that are warm
+as a whole; and the temperature under the beam at the point of entry, heated by the lines of islands in the sequence
+in which they were driven.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from shapely.geometry.base import BaseGeometry
+
+from ebamcheck.heat.depth import DepthModes, depth_modes
+from ebamcheck.heat.model import HeatModel
+from ebamcheck.heat.referee import BEAM_SHARE
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.scan.filling.hatch import Vectors
+from ebamcheck.scan.filling.schedule import IslandDrive
+from ebamcheck.scan.heat.enclosed import enclosed_share
+from ebamcheck.scan.heat.pieces import WAYS, Pieces, Tiles, island_tiles, line_pieces
+
+DIED_OUT = 3.0
+"""Exponent by which the shortest wave of the modes has fallen at the horizon, at least: to 5 %."""
+
+WITHIN_AN_ISLAND = 0.15
+"""Horizon, at least, in times in which heat crosses an island, w^2 / alpha: until then its sides differ by much."""
+
+SIGMAS = 2.5
+"""Islands farther apart than so many standard deviations of the spread until the horizon do not count as near."""
+
+MOST_REACH = 6.0
+"""Reach of what is near, at most, in widths of an island: on over 3000 islands, of 140 to each."""
+
+PIECES = 4.0
+"""Pieces of a line of an island's width, at most."""
+
+SHORTEST = 0.5
+"""Shortest piece, over the width of a bead."""
+
+AGES = 10
+"""Intervals of the tables; age n lies at n^2."""
+
+DEPTH_WAVES = 6.0
+"""Waves of the depth in the thickness of a layer: they carry the exact function of the depth."""
+
+MOST_DEPTH_WAVES = 2000
+"""Waves of the depth at most."""
+
+FAR = 16.0
+"""Squared distances over this times the variance bring nothing: exp(-8)."""
+
+
+class NearField(NamedTuple):
+    """Fresh heat between islands that are near each other.
+
+    Tables have a column for each of Q + 1 ages, horizon (n / Q)^2.
+
+    Parameters
+    ----------
+    horizon_s
+        Age of heat from which on the modes have it.
+    spread_mm2_s
+        Growth of the variance of a Gaussian along one axis, 2 alpha.
+    beam_mm2
+        Variance of the beam and of its reading at an entry.
+    first, other, pair
+        (I + 1,), (P,), (P,) islands near each island, itself among them, and the rows of both in the next tables.
+    exact
+        (U, Q + 1) rise of the mean temperature of an island by heat of up to an age in the other one, over K mm^3/s
+        of heating.
+    depth
+        (2 Q + 1,) mean of the layer's temperature by heat in it at ages horizon (n / 2 Q)^2, 1/mm.
+    inside
+        (I, 4, Q + 1) share of the heat around each entry that is in the section.
+    pieces
+        Lines in pieces.
+    entry
+        (I, 4, 2) points of entry, mm.
+    """
+
+    horizon_s: float
+    spread_mm2_s: float
+    beam_mm2: float
+    first: Ints
+    other: Ints
+    pair: Ints
+    exact: Floats
+    depth: Floats
+    inside: Floats
+    pieces: Pieces
+    entry: Floats
+
+
+def near_field(
+    model: HeatModel,
+    complete: float,
+    drive: IslandDrive,
+    lines: Vectors,
+    section: BaseGeometry,
+    islands: NDArray[np.object_],
+    bead_mm: float,
+) -> NearField:
+    """Tabulate the fresh heat of a layer.
+
+    Parameters
+    ----------
+    model
+        The heat model.
+    complete
+        Eigenvalue up to which it has all modes, 1/mm^2.
+    lines
+        Lines of the islands, sorted by island.
+    section
+        Solid region of the layer.
+    islands
+        (I,) polygons.
+    bead_mm
+        Width of a bead.
+    """
+    centroid, area_mm2 = shapely.get_coordinates(shapely.centroid(islands)), shapely.area(islands)
+    alpha = model.medium.diffusivity_mm2_s
+    count, width2 = len(area_mm2), float(area_mm2.mean())
+    longest_mm2 = 0.5 * width2 * (MOST_REACH / SIGMAS) ** 2
+    horizon_s = min(max(DIED_OUT / complete, WITHIN_AN_ISLAND * width2), longest_mm2) / alpha
+    pieces = line_pieces(lines, centroid, area_mm2, max(SHORTEST * bead_mm, math.sqrt(width2) / PIECES))
+    pairs = near_pairs(pieces, count, SIGMAS * math.sqrt(2.0 * alpha * horizon_s))
+    first, other, pair = by_island(pairs, count)
+    root = np.linspace(0.0, 1.0, 2 * AGES + 1)
+    age = horizon_s * root**2
+    depth = of_layer(exact_depth(model), model, age)
+    spread = 2.0 * alpha * age
+    # Means are those of whole islands, as the modes have them; lines end short of their borders.
+    tiles = island_tiles(islands)
+    free = between_pieces(*tiles, pairs, spread)
+    inside = of_islands(section, tiles, spread)
+    free /= 0.5 * (inside[pairs[:, 0]] + inside[pairs[:, 1]])
+    free[hidden(section, pieces, pairs, centroid, bead_mm)] = 0.0
+    beam_mm2, entry = 2.0 * (BEAM_SHARE * bead_mm) ** 2, np.ascontiguousarray(drive.entry)
+    around = beam_mm2 + float(pieces.variance.mean()) + spread[::2]
+    return NearField(
+        horizon_s=horizon_s,
+        spread_mm2_s=2.0 * alpha,
+        beam_mm2=beam_mm2,
+        first=first,
+        other=other,
+        pair=pair,
+        exact=cumulated(free * depth, horizon_s),
+        depth=depth,
+        inside=enclosed_share(section, entry.reshape(-1, 2), np.tile(around, (WAYS * count, 1))).reshape(
+            count, WAYS, -1
+        ),
+        pieces=pieces,
+        entry=entry,
+    )
+
+
+def near_pairs(pieces: Pieces, count: int, reach_mm: float) -> Ints:
+    """Pairs (U, 2) of islands of which some pieces lie within a reach, the lesser first, and each with itself."""
+    owner = np.repeat(np.arange(count), np.diff(pieces.first))
+    close = owner[cKDTree(pieces.place).query_pairs(reach_mm, output_type="ndarray")]
+    both = np.unique(np.sort(close, axis=1) @ np.array([count, 1])) if len(close) else np.zeros(0, np.int64)
+    itself = np.arange(count) * (count + 1)
+    keys = np.union1d(both, itself)
+    return np.column_stack([keys // count, keys % count]).astype(np.int64)
+
+
+def of_islands(section: BaseGeometry, pieces: Tiles, spread_mm2: Floats) -> Floats:
+    """Share of the heat of each island that stays in the metal in sight when it has spread by a variance, (I, Q)."""
+    share = enclosed_share(section, pieces.place, np.add.outer(2.0 * pieces.variance, spread_mm2))
+    return np.add.reduceat(pieces.share[:, None] * share, pieces.first[:-1])
+
+
+def hidden(section: BaseGeometry, pieces: Pieces, pairs: Ints, centroid: Floats, bead_mm: float) -> Bools:
+    """Whether there is a gap between the islands of each pair (U,): none where pieces lie within a bead's width."""
+    close = near_pairs(pieces, len(centroid), bead_mm) @ np.array([len(centroid), 1])
+    apart_mm = np.hypot(*(centroid[pairs[:, 1]] - centroid[pairs[:, 0]]).T)
+    # A line from an island leaves the metal only where the outline is nearer than its other end.
+    open_mm = np.asarray(shapely.distance(shapely.boundary(section), shapely.points(centroid)), np.float64)
+    doubtful = (open_mm[pairs[:, 0]] < apart_mm) & ~np.isin(pairs @ np.array([len(centroid), 1]), close)
+    apart = np.flatnonzero(doubtful)
+    shapely.prepare(section)
+    sight = shapely.linestrings(np.stack([centroid[pairs[apart, 0]], centroid[pairs[apart, 1]]], axis=1))
+    found = np.zeros(len(pairs), np.bool_)
+    found[apart] = ~shapely.covers(section, sight)
+    return found
+
+
+def by_island(pairs: Ints, count: int) -> tuple[Ints, Ints, Ints]:
+    """Pairs from the view of each island: first entry (I + 1,), the other island (P,), row of the pair (P,)."""
+    apart = np.flatnonzero(pairs[:, 0] != pairs[:, 1])
+    one = np.concatenate([pairs[:, 0], pairs[apart, 1]])
+    other = np.concatenate([pairs[:, 1], pairs[apart, 0]])
+    row = np.concatenate([np.arange(len(pairs)), apart])
+    sort = np.lexsort((other, one))
+    first = np.concatenate([[0], np.cumsum(np.bincount(one, minlength=count))])
+    return first.astype(np.int64), other[sort], row[sort]
+
+
+def exact_depth(model: HeatModel) -> DepthModes:
+    """Modes of the model's depth that carry waves much shorter than a layer."""
+    depth = model.depth
+    count = min(MOST_DEPTH_WAVES, math.ceil(DEPTH_WAVES * depth.depth_mm / model.layer_mm) + 1)
+    loss = model.medium.radiation_w_mm2k / model.medium.conductivity_w_mmk
+    return depth_modes(depth.depth_mm, count, depth.cooled, loss)
+
+
+def of_layer(depth: DepthModes, model: HeatModel, age_s: Floats) -> Floats:
+    """Mean temperature of the layer by heat that was set free all over it some time ago, 1/mm."""
+    square = depth.mean_of_layer(model.layer_mm) ** 2
+    rate = model.medium.diffusivity_mm2_s * depth.wave_number**2
+    return np.asarray(np.exp(-np.multiply.outer(age_s, rate)) @ square, np.float64)
+
+
+def cumulated(values: Floats, horizon_s: float) -> Floats:
+    """Integrals (U, Q + 1) of values at ages horizon (n / 2 Q)^2 from 0 to every other age, by Simpson's rule."""
+    root = np.linspace(0.0, 1.0, values.shape[1])
+    over_root = values * (2.0 * horizon_s * root)
+    parts = (over_root[:, :-1:2] + 4.0 * over_root[:, 1::2] + over_root[:, 2::2]) * root[1] / 3.0
+    return np.pad(np.cumsum(parts, axis=1), ((0, 0), (1, 0)))
+
+
+@kernel
+def between_pieces(
+    first: Ints, place: Floats, share: Floats, variance: Floats, pairs: Ints, spread: Floats
+) -> Floats:
+    """Share of the heat of one island of each pair in a unit area of the other in an endless plane, (U, Q) 1/mm^2."""
+    result = np.zeros((len(pairs), len(spread)))
+    for n in range(len(pairs)):
+        for a in range(first[pairs[n, 0]], first[pairs[n, 0] + 1]):
+            for b in range(first[pairs[n, 1]], first[pairs[n, 1] + 1]):
+                away = (place[a, 0] - place[b, 0]) ** 2 + (place[a, 1] - place[b, 1]) ** 2
+                weight = share[a] * share[b]
+                for q in range(len(spread)):
+                    result[n, q] += weight * gaussian(away, variance[a] + variance[b] + spread[q])
+    return result
+
+
+@kernel
+def gaussian(away: float, variance: float) -> float:
+    """Density of a Gaussian of a variance along each axis, 1/mm^2, at the square of a distance."""
+    if away > FAR * variance:
+        return 0.0
+    return float(np.exp(-0.5 * away / variance) / (2.0 * np.pi * variance))
+
+
+@kernel
+def at_root(table: Floats, root: float) -> float:
+    """Value of a table whose columns lie evenly between roots 0 and 1, linear in between; beyond, the last one."""
+    place = root * (len(table) - 1)
+    node = min(int(place), len(table) - 2)
+    share = min(place - node, 1.0)
+    return float(table[node] + (table[node + 1] - table[node]) * share)
+
+
+@kernel
+def young_rise(
+    near: NearField, pair: int, island: int, way: int, source: int, left_by: int, since: float, time: float
+) -> tuple[float, float]:
+    """Rise of an island's mean temperature, and of that of its entry, by heat younger than the horizon; over K mm^3/s.
+
+    Parameters
+    ----------
+    pair
+        Row of the two islands.
+    island, way
+        Island, and its entry.
+    source, left_by
+        Island that was heated, and the way in which it was driven.
+    since, time
+        Time since the end of its heating, and the time that took, s.
+    """
+    mean = young_mean(near, pair, since, time)
+    return mean, entry_rise(near, island, way, source, left_by, since, time)
+
+
+@kernel
+def young_mean(near: NearField, pair: int, since: float, time: float) -> float:
+    """Rise of an island's mean temperature by the other one of a pair, over K mm^3/s: see :func:`young_rise`."""
+    late, early = root_of(near, since + time), root_of(near, since)
+    return at_root(near.exact[pair], late) - at_root(near.exact[pair], early)
+
+
+@kernel
+def entry_rise(
+    near: NearField, island: int, way: int, source: int, left_by: int, since: float, time: float
+) -> float:
+    """Rise of the temperature at an entry by another island, over K mm^3/s of heating: see :func:`young_rise`."""
+    pieces = near.pieces
+    x, y = near.entry[island, way]
+    total = 0.0
+    for m in range(pieces.first[source], pieces.first[source + 1]):
+        age = since + (1.0 - pieces.passed[left_by, m]) * time
+        variance = pieces.variance[m] + near.beam_mm2 + near.spread_mm2_s * age
+        away = (pieces.place[m, 0] - x) ** 2 + (pieces.place[m, 1] - y) ** 2
+        if age > near.horizon_s or away > FAR * variance:
+            continue
+        root = np.sqrt(age / near.horizon_s)
+        dense = pieces.share[m] * gaussian(away, variance)
+        total += dense * at_root(near.depth, root) / at_root(near.inside[island, way], root)
+    return total * time
+
+
+@kernel
+def root_of(near: NearField, age: float) -> float:
+    """Place of an age in the tables: 0 for none, 1 for the horizon and beyond."""
+    return float(np.sqrt(min(max(age / near.horizon_s, 0.0), 1.0)))

@@ -1,0 +1,217 @@
+"""The heat of a part while its layers are laid: the mean of each section by a column, what differs in it by modes.
+
+Over the section, the temperature is that of the column of :mod:`ebamcheck.heat.balance`, which knows the outline of
+every layer, channels and data that change with temperature. What differs across the section is carried by the modes of
+the layer, which are linear; their mean over the section is taken out wherever heat enters or a temperature is read, so
+that nothing is counted twice.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ebamcheck.heat import HeatModel, carried
+from ebamcheck.heat.balance import HeatColumn
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Bools, Floats, Ints
+
+LEAST_DECAY = 1e-9
+"""Amplitudes that fall by less than this while a bead is laid do not fall."""
+
+
+@dataclass(frozen=True, eq=False)
+class Beads:
+    """Beads of one layer in the sequence in which they are laid: contours first, then those of islands.
+
+    Parameters
+    ----------
+    pieces
+        (K, P) means of the modes over their pieces, less those over the section; none where the layer has no islands,
+        and so no modes.
+    first
+        (B + 1,) first piece of each bead.
+    move_s, rise_s
+        (B,) time with the beam off before each, and what a wait there adds to it: the beam waits at the safe height.
+    time_s, on
+        (P,) time of each piece, and the mean power in it over the full one.
+    rings
+        Contours among them.
+    islands
+        (B - rings,) island of each of the others.
+    inner
+        (B,) whether each is a further bead of the island before.
+    """
+
+    pieces: Floats
+    first: Ints
+    move_s: Floats
+    rise_s: Floats
+    time_s: Floats
+    on: Floats
+    rings: int
+    islands: Ints
+    inner: Bools
+
+    def __len__(self) -> int:
+        """Return the number of beads."""
+        return len(self.move_s)
+
+    def shape(self, bead: int) -> Floats:
+        """Mean of the modes over a bead, (K,)."""
+        a, b = self.first[bead : bead + 2]
+        return np.asarray(self.pieces[:, a:b] @ self.time_s[a:b] / self.time_s[a:b].sum(), np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class Before:
+    """Amplitudes (K, N) of what differed across the section when an island was begun, and how long ago that was, s."""
+
+    state: Floats
+    age_s: float = 0.0
+
+
+@dataclass(eq=False)
+class PartHeat:
+    """Heat of a part at one moment; it grows by :meth:`begin` and ages by :meth:`rest` and :meth:`lay_bead`.
+
+    Parameters
+    ----------
+    column
+        The mean over every section.
+    model
+        Modes of the uppermost layer that has islands; None before there is one. What is laid on it without islands,
+        the tip of a dome for instance, heats the column alone, and is read there.
+    state
+        (K, N) amplitudes of what differs across the section.
+    """
+
+    column: HeatColumn
+    model: HeatModel | None = None
+    state: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+    _rates: tuple[Floats, Floats] = field(default_factory=lambda: (np.zeros(0), np.zeros(0)))
+
+    def copy(self) -> PartHeat:
+        """Return the same part, to be aged by itself."""
+        return PartHeat(self.column.copy(), self.model, self.state.copy(), self._rates)
+
+    def under(self, model: HeatModel | None) -> PartHeat:
+        """Return the same heat in the modes of the next layer, before that is laid; None: it has none, the old ones stay."""
+        after = self.copy()
+        if model is None:
+            return after
+        after.state = model.cold() if self.model is None else carried(self.model, self.state, model)
+        after.model = model
+        alpha = model.medium.diffusivity_mm2_s
+        after._rates = alpha * model.plane.eigenvalue, alpha * model.depth.wave_number**2
+        return after
+
+    def rest(self, duration_s: float) -> None:
+        """Let a time go by with the beam off."""
+        self.column.advance(duration_s)
+        decayed(self.state, *self._rates, duration_s)
+
+    def lay_bead(self, beads: Beads, bead: int, power_w: float) -> None:
+        """Lay a bead; `power_w` is what the part takes up."""
+        a, b = (int(n) for n in beads.first[bead : bead + 2])
+        on_s, whole_s = float(beads.time_s[a:b] @ beads.on[a:b]), float(beads.time_s[a:b].sum())
+        self.column.advance(whole_s, power_w * on_s)
+        if not len(beads.pieces):
+            decayed(self.state, *self._rates, whole_s)
+        elif self.model is not None:
+            source = power_w / self.model.medium.heat_capacity_j_mm3k * beads.on[a:b]
+            pieces, in_layer = np.ascontiguousarray(beads.pieces[:, a:b]), self.model.in_layer
+            driven_bead(self.state, pieces, *self._rates, in_layer, source, beads.time_s[a:b])
+
+    def bed_k(self, shape: Floats, wait_s: float = 0.0, before: Before | None = None) -> float:
+        """Temperature that a bead finds after a wait, absolute, K: that of its place, or the mean where that is warmer.
+
+        Parameters
+        ----------
+        before
+            What differed across the section before the bead's own island was begun: what this has put there itself is
+            part of its melt pool, and counts in the mean alone.
+        """
+        column = self.column
+        if wait_s > 0.0:
+            column = column.copy()
+            column.advance(wait_s)
+        mean_k = column.bed_k
+        if self.model is None or not len(shape):
+            return mean_k
+        state, age_s = (self.state, 0.0) if before is None else (before.state, before.age_s)
+        away = differing_k(state, shape, *self._rates, self._reading, age_s + wait_s)
+        return float(mean_k + max(away, 0.0))
+
+    @property
+    def _reading(self) -> Floats:
+        """Mean of the depth's modes over the layer under the uppermost one, (N,): the new one begins cold."""
+        assert self.model is not None
+        thick_mm = min(self.model.layer_mm, 0.5 * self.model.depth.depth_mm)
+        whole = self.model.depth.mean_of_layer(2.0 * thick_mm)
+        return np.asarray(2.0 * whole - self.model.depth.mean_of_layer(thick_mm), np.float64)
+
+    def amplitudes(self) -> Floats:
+        """Amplitudes (K, N) of the whole field: what differs, and the column's profile over the whole section."""
+        assert self.model is not None
+        depth, flat = self.model.depth, self.model.plane.integral()
+        edges = np.minimum(self.column.edges_mm, depth.depth_mm)
+        size, middle = np.diff(edges), 0.5 * (edges[1:] + edges[:-1])
+        rise_k = self.column.temperature_k - self.column.profile.process.ambient_temperature_k
+        mean = np.sinc(0.5 * np.multiply.outer(size, depth.wave_number) / np.pi) * depth.at(
+            depth.depth_mm - middle
+        )
+        uneven = self.state - np.multiply.outer(flat, flat @ self.state) / (flat @ flat)
+        return np.asarray(uneven + np.multiply.outer(flat, (rise_k * size) @ mean), np.float64)
+
+
+def uneven(shapes: Floats, model: HeatModel) -> Floats:
+    """Means of the modes (K, I) over islands, less those over the section."""
+    flat = model.plane.integral()
+    return np.asarray(shapes - (flat / (flat @ flat))[:, None], np.float64)
+
+
+@kernel
+def decayed(state: Floats, plane_rate: Floats, depth_rate: Floats, time: float) -> None:
+    """Let all amplitudes (K, N) fall for a time."""
+    through = np.exp(-depth_rate * time)
+    for k in range(state.shape[0]):
+        across = np.exp(-plane_rate[k] * time)
+        for n in range(state.shape[1]):
+            state[k, n] *= across * through[n]
+
+
+@kernel
+def driven_bead(
+    state: Floats,
+    pieces: Floats,
+    plane_rate: Floats,
+    depth_rate: Floats,
+    in_layer: Floats,
+    source: Floats,
+    time: Floats,
+) -> None:
+    """Heat the pieces (K, P) of a bead one after the other; `state` (K, N) goes from its start to its end."""
+    for piece in range(pieces.shape[1]):
+        through = np.exp(-depth_rate * time[piece])
+        for k in range(state.shape[0]):
+            across = np.exp(-plane_rate[k] * time[piece])
+            for n in range(state.shape[1]):
+                rate, fall = plane_rate[k] + depth_rate[n], across * through[n]
+                held = time[piece] if rate * time[piece] < LEAST_DECAY else (1.0 - fall) / rate
+                state[k, n] = state[k, n] * fall + source[piece] * held * pieces[k, piece] * in_layer[n]
+
+
+@kernel
+def differing_k(
+    state: Floats, shape: Floats, plane_rate: Floats, depth_rate: Floats, in_layer: Floats, time: float
+) -> float:
+    """By how much a place whose modes have the means `shape` (K,) is warmer than the section, after a time, K."""
+    through = in_layer * np.exp(-depth_rate * time)
+    total = 0.0
+    for k in range(state.shape[0]):
+        weight = shape[k] * np.exp(-plane_rate[k] * time)
+        for n in range(state.shape[1]):
+            total += weight * state[k, n] * through[n]
+    return total

@@ -1,0 +1,1 @@
+"""The partition of a layer: regions, lattice, islands, and which of them touch."""

@@ -1,0 +1,207 @@
+"""Islands: cells clipped to the solids of a layer, small ones whole, slivers merged into neighbours."""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely.geometry.base import BaseGeometry
+
+from ebamcheck.layers.stack import valid_polygons
+from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.scan.islands.borders import polygon_edges, shared_edges
+from ebamcheck.scan.islands.lattice import SQRT3, Lattice
+
+WHOLE, THIN_WALL, GAP = "whole", "thin wall", "gap"
+"""Kinds of islands beside those of cells: a solid not divided, a thin wall, a spot left by all of these."""
+
+SLIVER_AREA = 1.0
+"""Islands under this times the squared bead width are slivers: a bead hardly starts before it stops."""
+
+SLIVER_WIDTH = 0.5
+"""Islands narrower than this times the bead spacing are slivers: a line there lies on its neighbours."""
+
+SLIVER_SHARE = 0.2
+"""No island is a sliver that has more than this share of a hexagon's area, or of its width: hexagons
+that are set small against the bead are what was asked for."""
+
+ON_BORDER_MM = 1e-9
+"""Faces of no area, which rounding leaves along a border, count as inside a solid up to so far from it."""
+
+DEPTH_SHARE = 0.01
+"""Precision to which the deepest point of a face is found, over the root of its area."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Islands of one layer before they are filled: `polygons` (I,), `kind` (I,), `colour` (I,)."""
+
+    polygons: NDArray[np.object_]
+    kind: NDArray[np.str_]
+    colour: Ints
+
+
+def hexagon_area_mm2(side_mm: float) -> float:
+    """Area of a hexagon, 3 sqrt(3) / 2 d^2."""
+    return 1.5 * SQRT3 * side_mm**2
+
+
+def partition(
+    solids: Sequence[shapely.Polygon], lattice: Lattice, bead_width_mm: float, spacing_mm: float
+) -> Cells:
+    """Divide solids into islands by a lattice; together they are the solids, and no two overlap.
+
+    A solid smaller than one hexagon stays whole. No other island is under the least area (the lesser of
+    :data:`SLIVER_AREA` and :data:`SLIVER_SHARE`) or the least width (:data:`SLIVER_WIDTH`, likewise), unless
+    its whole solid is.
+    """
+    small = hexagon_area_mm2(lattice.side_mm)
+    whole = [p for p in solids if p.area <= small]
+    large = [p for p in solids if p.area > small]
+    pieces, cell = clip_lattice(large, lattice)
+    groups = sliver_groups(pieces, *least_island_mm(lattice, bead_width_mm, spacing_mm))
+    merged, first = _united(pieces, groups)
+    return Cells(
+        polygons=column([*merged, *whole]),
+        kind=np.array([lattice.kind] * len(merged) + [WHOLE] * len(whole), dtype=np.str_),
+        colour=np.concatenate([lattice.colour[cell[first]], np.zeros(len(whole), np.int64)]),
+    )
+
+
+def least_island_mm(lattice: Lattice, bead_width_mm: float, spacing_mm: float) -> tuple[float, float]:
+    """Least area (mm2) and least width (mm) of an island."""
+    return (
+        min(SLIVER_AREA * bead_width_mm**2, SLIVER_SHARE * hexagon_area_mm2(lattice.side_mm)),
+        min(SLIVER_WIDTH * spacing_mm, SLIVER_SHARE * lattice.width_mm),
+    )
+
+
+def undivided(solids: Sequence[shapely.Polygon]) -> Cells:
+    """Return every solid as one island."""
+    return Cells(column(solids), np.full(len(solids), WHOLE), np.zeros(len(solids), np.int64))
+
+
+def clip_lattice(solids: Sequence[shapely.Polygon], lattice: Lattice) -> tuple[NDArray[np.object_], Ints]:
+    """Parts of every cell that lie in a solid, and the cell of each, in order of the cells.
+
+    Cells inside are kept as they are. Those on a border are cut together: their edges and the solid's border
+    are crossed once, and the parts are the faces between them. So two parts with a common border share its
+    points to the last bit, where a cut of each cell by itself leaves hairs between them.
+    """
+    pieces: list[NDArray[np.object_]] = [np.zeros(0, object)]
+    owners: list[Ints] = [np.zeros(0, np.int64)]
+    for solid in solids:
+        shapely.prepare(solid)
+        near = np.flatnonzero(shapely.intersects(solid, lattice.cells))
+        full = shapely.contains_properly(solid, lattice.cells[near])
+        faces, cell = _faces(solid, lattice.cells[near[~full]])
+        pieces += [lattice.cells[near[full]], faces]
+        owners += [near[full], near[~full][cell]]
+    owner = np.concatenate(owners)
+    order = np.argsort(owner, kind="stable")
+    return np.concatenate(pieces)[order], owner[order]
+
+
+def _faces(solid: shapely.Polygon, cut: NDArray[np.object_]) -> tuple[NDArray[np.object_], Ints]:
+    """Faces inside a solid between its border and the edges of cells, and the cell that holds each."""
+    edges, _ = polygon_edges(cut)
+    once = np.asarray(shapely.linestrings(np.unique(edges, axis=0).reshape(-1, 2, 2)), object)
+    crossed = shapely.union_all([*once.tolist(), solid.boundary])
+    faces = shapely.get_parts(shapely.polygonize(shapely.get_parts(crossed)))
+    point = _inner_points(faces)
+    faces, point = (column[shapely.dwithin(solid, point, ON_BORDER_MM)] for column in (faces, point))
+    face, cell = shapely.STRtree(cut).query(point, predicate="dwithin", distance=ON_BORDER_MM)
+    # What lies in none of these cells is the room of those that are not cut; a hair on an edge lies in two.
+    held, first = np.unique(face, return_index=True)
+    return faces[held], cell[first]
+
+
+def _inner_points(faces: NDArray[np.object_]) -> NDArray[np.object_]:
+    """Point of each face far from its border: not in a hair that hangs on it. A corner of those that are hairs."""
+    points = np.asarray(shapely.get_point(shapely.get_exterior_ring(faces), 0), object)
+    wide = shapely.area(faces) > ON_BORDER_MM * shapely.length(faces)
+    with np.errstate(over="ignore"):  # slopes of edges whose ends differ by less than any normal number
+        circles = shapely.maximum_inscribed_circle(
+            faces[wide], DEPTH_SHARE * np.sqrt(shapely.area(faces[wide]))
+        )
+    points[wide] = shapely.get_point(circles, 0)
+    return points
+
+
+def sliver_groups(pieces: NDArray[np.object_], area_mm2: float, width_mm: float) -> Ints:
+    """Group of every piece (I,): the smallest sliver joins the neighbour with the longest border, until none is left.
+
+    A group is a sliver as long as it is under the least area or width, all of it; one that has no neighbour
+    is a whole solid. A group is named by its largest piece.
+    """
+    area, border = shapely.area(pieces), shapely.length(pieces)
+    largest = area.copy()
+    joined = np.arange(pieces.size)
+
+    def is_sliver(i: int) -> bool:
+        return bool(area[i] < area_mm2 or rectangle_width_mm(area[i], border[i]) < width_mm)
+
+    waiting = [(area[i], i) for i in range(pieces.size) if is_sliver(i)]
+    if not waiting:
+        return joined
+    beside: list[dict[int, float]] = [{} for _ in range(pieces.size)]
+    for (a, b), length in zip(*(column.tolist() for column in shared_edges(pieces)), strict=True):
+        beside[a][b] = beside[b][a] = length
+    heapq.heapify(waiting)
+    while waiting:
+        size, i = heapq.heappop(waiting)
+        if joined[i] != i or size != area[i] or not beside[i]:  # part of another, grown since, or alone
+            continue
+        j = max(beside[i], key=lambda j: (beside[i][j], -j))
+        keep, lose = (i, j) if (largest[i], -i) > (largest[j], -j) else (j, i)
+        area[keep] += area[lose]
+        border[keep] += border[lose] - 2.0 * beside[i][j]
+        joined[lose] = keep
+        for other, length in beside[lose].items():
+            del beside[other][lose]
+            if other != keep:
+                beside[keep][other] = beside[other][keep] = beside[keep].get(other, 0.0) + length
+        if is_sliver(keep):
+            heapq.heappush(waiting, (area[keep], keep))
+    while (joined != joined[joined]).any():
+        joined = joined[joined]
+    return joined.astype(np.int64)
+
+
+def rectangle_width_mm(area_mm2: float, border_mm: float) -> float:
+    """Width as of a wall, see :func:`ebamcheck.scan.islands.regions.equivalent_rectangles_mm`."""
+    quarter = 0.25 * border_mm
+    return area_mm2 / (quarter + math.sqrt(max(quarter**2 - area_mm2, 0.0)))
+
+
+def _united(pieces: NDArray[np.object_], groups: Ints) -> tuple[list[shapely.Polygon], Ints]:
+    """Islands by group, and the piece that names each: common edges go, and every other point stays.
+
+    A group without area, a hair beside the solid, is no island.
+    """
+    merged: list[shapely.Polygon] = []
+    first: list[int] = []
+    by_group = np.argsort(groups, kind="stable")
+    names, starts = np.unique(groups[by_group], return_index=True)
+    for name, held in zip(names.tolist(), np.split(pieces[by_group], starts[1:]), strict=False):
+        if (shapely.area(held) > ON_BORDER_MM * shapely.length(held)).any():
+            merged += [held[0]] if held.size == 1 else valid_polygons(shapely.coverage_union_all(held))
+            first += [name] * (len(merged) - len(first))
+    return merged, np.array(first, np.int64)
+
+
+def column(polygons: Sequence[BaseGeometry]) -> NDArray[np.object_]:
+    """Polygons as an object array (I,), also where there are none or one."""
+    found = np.empty(len(polygons), object)
+    found[:] = polygons
+    return found
+
+
+def centroids(islands: NDArray[np.object_]) -> Floats:
+    """Centroid of each island, (I, 2) mm."""
+    return np.asarray(shapely.get_coordinates(shapely.centroid(islands)), np.float64).reshape(-1, 2)

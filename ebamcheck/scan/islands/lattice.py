@@ -1,0 +1,217 @@
+"""The cells laid over a layer: hexagons by the paper's odd/even rule (section 4.1), squares and stripes as baselines.
+
+The paper's rule, worked out: along the short side L1 stand ``n = round(L1 / d) + 1`` hexagons, one more
+where that is even, so that n is always odd and one centre lies on the midpoint of L1; centres are
+``sqrt(3) d`` apart. Rows follow each other along L2 at ``1.5 d``, every other one shifted by half a step.
+
+Squares and stripes are as wide as those hexagons, ``sqrt(3) d``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from ebamcheck.errors import SettingsError
+from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.scan.islands.rectangle import Rectangle
+
+SQRT3 = math.sqrt(3.0)
+
+LEAST_ACROSS = 3
+"""The rule gives one hexagon where L1 < d/2; a single shifted one would then miss half of the rectangle."""
+
+ZONES = 60
+"""Islands that an ordinary layer is divided into: enough to spread the heat, few enough wire starts."""
+
+BEADS_ACROSS = (4, 12)
+"""Fewest and most beads between two opposite sides of a hexagon: under 4 the ends of the beads rule the
+island, over 12 the scan lines grow as long as those that the partition is there to avoid."""
+
+ROUNDING = 1e-12
+"""Relative rounding of a length that must not cost a row of hexagons."""
+
+HEXAGON, SQUARE, STRIPE = "hexagon", "square", "stripe"
+"""Kinds of cells."""
+
+MOST_CELLS = 1_000_000
+"""More cells than this on one layer are a mistyped side."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lattice:
+    """Cells of one layer.
+
+    Parameters
+    ----------
+    kind
+        ``"hexagon"``, ``"square"`` or ``"stripe"``.
+    side_mm
+        Side d of a hexagon; of the hexagon of the same width, where the cells are others.
+    centres
+        (H, 2) mm, row by row along the long side of the rectangle.
+    colour
+        (H,) 0, 1 or 2 (0 or 1 for squares and stripes), such that no two cells with a common side have the
+        same one; the hatch turns by it.
+    cells
+        (H,) polygons; cells with a common side share its two corners to the last bit.
+    """
+
+    kind: str
+    side_mm: float
+    centres: Floats
+    colour: Ints
+    cells: NDArray[np.object_]
+
+    @property
+    def width_mm(self) -> float:
+        """Distance between two opposite sides of a cell."""
+        return SQRT3 * self.side_mm
+
+
+def hexagons_across(short_mm: float, side_mm: float) -> int:
+    """Hexagons along the short side, always odd (paper, section 4.1; halves round up).
+
+    Examples
+    --------
+    >>> hexagons_across(100.0, 10.0), hexagons_across(110.0, 10.0)
+    (11, 13)
+    """
+    count = math.floor(short_mm / side_mm + 0.5) + 1
+    if count % 2 == 0:
+        count += 1
+    return max(count, LEAST_ACROSS)
+
+
+def rows_along(long_mm: float, side_mm: float) -> int:
+    """Rows along the long side, the first one centred on its start: as many as reach its end.
+
+    A row covers its full width from half a side before its centres to half a side after them, and
+    shares the band between with its neighbour.
+    """
+    return max(0, math.ceil((long_mm - 0.5 * side_mm) / (1.5 * side_mm) - ROUNDING)) + 1
+
+
+def hexagon_lattice(rectangle: Rectangle, side_mm: float) -> Lattice:
+    """Lay hexagons of a given side over a rectangle; together they cover all of it.
+
+    Raises
+    ------
+    SettingsError
+        If there would be more than :data:`MOST_CELLS`.
+    """
+    across = hexagons_across(rectangle.short_mm, side_mm)
+    rows = rows_along(rectangle.long_mm, side_mm)
+    _check_count(across, rows, rectangle, side_mm)
+    row, column = (grid.ravel() for grid in np.mgrid[0:rows, 0:across])
+    # Half steps of sqrt(3)/2 d along L1 and of d/2 along L2: corners of neighbours are the same integers.
+    half = 2 * column - (across - 1) + row % 2
+    third = 3 * row
+    corner_half = half[:, None] + np.array([0, 1, 1, 0, -1, -1])
+    corner_third = third[:, None] + np.array([-2, -1, 1, 2, 1, -1])
+    steps_mm = 0.5 * SQRT3 * side_mm, 0.5 * side_mm
+    return Lattice(
+        kind=HEXAGON,
+        side_mm=side_mm,
+        centres=_place(rectangle, steps_mm, half, third),
+        # Axial coordinates: a step along the row and a step to either row above change it differently.
+        colour=((column - row // 2 - row) % 3).astype(np.int64),
+        cells=np.asarray(shapely.polygons(_place(rectangle, steps_mm, corner_half, corner_third)), object),
+    )
+
+
+def square_lattice(rectangle: Rectangle, side_mm: float) -> Lattice:
+    """Lay squares as wide as hexagons of a given side over a rectangle: a chessboard.
+
+    One centre lies on the midpoint of L1, as with hexagons; the first row begins at the start of L2.
+
+    Raises
+    ------
+    SettingsError
+        As :func:`hexagon_lattice`.
+    """
+    across = _count_over(rectangle.short_mm, SQRT3 * side_mm)
+    return _boxes(rectangle, side_mm, SQUARE, across + 1 - across % 2, SQRT3 * side_mm)
+
+
+def stripe_lattice(rectangle: Rectangle, side_mm: float) -> Lattice:
+    """Lay stripes as wide as hexagons of a given side across a rectangle, from one long side to the other.
+
+    Raises
+    ------
+    SettingsError
+        As :func:`hexagon_lattice`.
+    """
+    return _boxes(rectangle, side_mm, STRIPE, 1, max(rectangle.short_mm, SQRT3 * side_mm))
+
+
+def _boxes(rectangle: Rectangle, side_mm: float, kind: str, across: int, length_mm: float) -> Lattice:
+    """Rows of boxes, an odd number of them across, each `length_mm` long along L1."""
+    rows = _count_over(rectangle.long_mm, SQRT3 * side_mm)
+    _check_count(across, rows, rectangle, side_mm)
+    row, column = (grid.ravel() for grid in np.mgrid[0:rows, 0:across])
+    along, up = 2 * column - (across - 1), 2 * row + 1
+    steps_mm = 0.5 * length_mm, 0.5 * SQRT3 * side_mm
+    corners = _place(
+        rectangle, steps_mm, along[:, None] + np.array([-1, 1, 1, -1]), up[:, None] + np.array([-1, -1, 1, 1])
+    )
+    return Lattice(
+        kind=kind,
+        side_mm=side_mm,
+        centres=_place(rectangle, steps_mm, along, up),
+        colour=((row + column) % 2).astype(np.int64),
+        cells=np.asarray(shapely.polygons(corners), object),
+    )
+
+
+def _count_over(length_mm: float, cell_mm: float) -> int:
+    """Cells side by side that cover a length, at least one."""
+    return max(1, math.ceil(length_mm / cell_mm - ROUNDING))
+
+
+def _check_count(across: int, rows: int, rectangle: Rectangle, side_mm: float) -> None:
+    if across * rows > MOST_CELLS:
+        raise SettingsError(
+            f"scan.hexagon_side_mm {side_mm:g} lays {across} x {rows} cells over one layer of "
+            f"{rectangle.short_mm:g} x {rectangle.long_mm:g} mm, over the limit of {MOST_CELLS}: give a larger side"
+        )
+
+
+def _place(
+    rectangle: Rectangle, steps_mm: tuple[float, float], along_short: Ints, along_long: Ints
+) -> Floats:
+    """Points at whole steps: along L1 from its midpoint, along L2 from its start."""
+    return rectangle.to_world(along_short * steps_mm[0], along_long * steps_mm[1] - 0.5 * rectangle.long_mm)
+
+
+LATTICES: dict[str, Callable[[Rectangle, float], Lattice]] = {
+    "hexagons": hexagon_lattice,
+    "squares": square_lattice,
+    "stripes": stripe_lattice,
+}
+"""Lattices by the name of their partition, see `scan.partition`."""
+
+
+def planned_side_mm(area_mm2: float, perimeter_mm: float, spacing_mm: float) -> float:
+    """Side of the hexagons from the area of a layer and its thickness (paper, introduction, point 2).
+
+    The layer is divided into about :data:`ZONES` islands, none wider than the layer is thick on average
+    (2 A / P); then the width between two sides is rounded to a whole number of beads, since d and the
+    hatch go together: ``sqrt(3) d = m spacing``, m within :data:`BEADS_ACROSS`.
+
+    Examples
+    --------
+    >>> round(planned_side_mm(30_000.0, 800.0, 4.32), 2)  # 300 x 100 mm, six beads across
+    14.96
+    """
+    width = SQRT3 * math.sqrt(2.0 * area_mm2 / (3.0 * SQRT3 * ZONES))
+    if perimeter_mm > 0:
+        width = min(width, 2.0 * area_mm2 / perimeter_mm)
+    fewest, most = BEADS_ACROSS
+    beads = min(max(round(width / spacing_mm), fewest), most)
+    return beads * spacing_mm / SQRT3

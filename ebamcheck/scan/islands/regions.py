@@ -1,0 +1,229 @@
+"""The regions of one layer: what the contour bead takes, what is left to fill, and where walls are thin.
+
+From the contour inwards, with bead width w, bead spacing s (times w) and contour offset c (half a bead
+unless set):
+
+- the centre line of the **contour bead** is the contour inset by c; the bead covers c - w/2 .. c + w/2;
+- the **fill** is the contour inset by c + s/2: a bead owns half a spacing on either side of its centre
+  line, the contour bead as well as every other. A hatch line along the contour then lies one spacing
+  from the contour bead, and one that ends there ends inside the contour bead, since s/2 <= w/2: no gap;
+- a **bare wall** is narrower than a contour bead can go around (its inset vanishes): one bead along it;
+- a **narrow fill** lies between two contour beads with no room for a partition: beads along the wall.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely.geometry.base import BaseGeometry
+
+from ebamcheck.errors import GeometryError
+from ebamcheck.layers.stack import Layers, from_polygons, valid_polygons
+from ebamcheck.numeric.rings import Floats
+from ebamcheck.settings.config import Config
+
+ARC_SEGMENTS = 16
+"""Chords in a quarter turn around an inward corner. Arcs, not mitres: they keep the distance exactly, the
+gun goes around without a stop, and mitred offsets of GEOS 3.14 lose whole regions or grow NaN points."""
+
+JOIN_MM = 1e-3
+"""Overlap at which a region grown back over another counts as covering it: far under any bead, far over
+the rounding of offsets, so that differences leave no slivers along common borders."""
+
+THIN_WALL_BEADS = 3.0
+"""Walls of up to so many bead widths are thin: two contour beads and a bead between them fill them."""
+
+CRUMB = 0.25
+"""Bare pieces under this times the squared bead width are corners that a round bead never fills."""
+
+CORNER = 0.5
+"""Narrow pieces of the fill under this times the squared opening width are corners of a solid (down to
+about 35 degrees), not walls."""
+
+WALL_ASPECT = 2.0
+"""Least length over width of a thin wall; rounder pieces are small solids."""
+
+FILL_TOLERANCE = 0.002
+"""Deviation, over the bead width, by which the border of the fill is simplified: a contour has points for
+the sake of its surface, which the fill does not reach."""
+
+NO_WIDTH_MM = 1e-3
+"""An inset region narrower than this on average has vanished but for rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class Regions:
+    """The regions of one layer, all of them inside the section.
+
+    Parameters
+    ----------
+    section
+        The solid region.
+    contour
+        Region whose border is the centre line of the contour bead.
+    solids
+        Fill to be partitioned.
+    narrow_fills
+        Fill between two contour beads, to be filled along the wall.
+    bare_walls
+        Parts of the section where no contour bead fits.
+    """
+
+    section: BaseGeometry
+    contour: BaseGeometry
+    solids: list[shapely.Polygon]
+    narrow_fills: list[shapely.Polygon]
+    bare_walls: list[shapely.Polygon]
+
+
+def layer_regions(section: BaseGeometry, profile: Config) -> Regions:
+    """Split the section of a layer into contour, solids and thin walls."""
+    width = profile.process.bead_width_mm
+    spacing = profile.process.hatch_spacing_mm
+    offset = profile.contour_offset_mm
+    contour = inset(section, offset)
+    fill = shapely.simplify(inset(contour, 0.5 * spacing), FILL_TOLERANCE * width)
+    narrow = max(THIN_WALL_BEADS * width - 2.0 * offset - spacing, spacing)
+    solids, thin = split_thin(fill, narrow, CORNER * narrow**2)
+    return Regions(
+        section=section,
+        contour=contour,
+        solids=solids,
+        # Where the two contour beads meet there is nothing left to fill.
+        narrow_fills=[p for p in thin if mean_width_mm(p) > width - spacing],
+        bare_walls=bare_walls(section, contour, offset, CRUMB * width**2),
+    )
+
+
+def layer_section(polygons: BaseGeometry | Iterable[BaseGeometry]) -> BaseGeometry:
+    """Return the solid region of a layer as one valid geometry; overlapping polygons unite.
+
+    Raises
+    ------
+    GeometryError
+        If a coordinate is not finite.
+    """
+    given = [polygons] if isinstance(polygons, BaseGeometry) else list(polygons)
+    for number, geometry in enumerate(given):
+        if not np.isfinite(shapely.get_coordinates(geometry)).all():
+            raise GeometryError(
+                f"polygon {number} of the layer has a coordinate that is not finite: mend the contour"
+            )
+    parts = [part for geometry in given for part in valid_polygons(geometry)]
+    if len(parts) > 1:
+        return shapely.union_all(parts)
+    return parts[0] if parts else shapely.Polygon()
+
+
+def inset(region: BaseGeometry, distance_mm: float) -> BaseGeometry:
+    """Points of a region deeper than a distance: outward corners stay corners, inward ones become arcs.
+
+    Parts that vanish but for rounding are left out.
+    """
+    if distance_mm == 0.0:
+        return region
+    parts = valid_polygons(_offset(region, -distance_mm))
+    return shapely.MultiPolygon([p for p in parts if mean_width_mm(p) > NO_WIDTH_MM])
+
+
+def split_thin(
+    region: BaseGeometry, width_mm: float, crumb_mm2: float
+) -> tuple[list[shapely.Polygon], list[shapely.Polygon]]:
+    """Split a region into solids and parts narrower than `width_mm`, by opening.
+
+    The core is the region eroded by half the width and grown back; what it does not reach is thin.
+    Crumbs (corners) and pieces that are not longer than wide go back to the solids.
+
+    Returns
+    -------
+    solids, thin
+        Polygons that together are the region.
+    """
+    core = _offset(_offset(region, -0.5 * width_mm), 0.5 * width_mm + JOIN_MM)
+    pieces = valid_polygons(region if core.is_empty else shapely.difference(region, core))
+    thin = [p for p in pieces if p.area >= crumb_mm2 and aspect(p) >= WALL_ASPECT]
+    if not thin:
+        return valid_polygons(region), []
+    if core.is_empty and len(thin) == len(pieces):
+        return [], thin
+    # The core takes the rim by which it was overgrown: solids and thin parts share their border exactly.
+    solids = valid_polygons(shapely.difference(region, shapely.union_all(thin)))
+    return [p for p in solids if mean_width_mm(p) > NO_WIDTH_MM], thin
+
+
+def bare_walls(
+    section: BaseGeometry, contour: BaseGeometry, offset_mm: float, crumb_mm2: float
+) -> list[shapely.Polygon]:
+    """Parts of a section where its inset by `offset_mm` vanished: too narrow for a contour bead."""
+    reached = _offset(contour, offset_mm + JOIN_MM)
+    kept = [p for p in _beside(section, reached) if p.area >= crumb_mm2]
+    # A whole small island of metal is no crumb of anything: it still gets its bead.
+    alone = [p for p in valid_polygons(section) if p.area < crumb_mm2]
+    return kept + alone
+
+
+def _beside(region: BaseGeometry, taken: BaseGeometry) -> list[shapely.Polygon]:
+    """Polygons of a region less another one, part by part: at once, time grows with the square of the parts."""
+    parts, others = np.asarray(valid_polygons(region), object), shapely.get_parts(taken)
+    part, other = shapely.STRtree(others).query(parts)
+    near = np.full(parts.size, shapely.MultiPolygon(), object)
+    order = np.argsort(part, kind="stable")
+    shapely.multipolygons(others[other[order]], indices=part[order], out=near)
+    return [polygon for left in shapely.difference(parts, near) for polygon in valid_polygons(left)]
+
+
+def contour_paths(layers: Layers, offset_mm: float) -> Layers:
+    """Centre lines of the contour beads: every layer's solid region inset by `offset_mm`.
+
+    Outward corners stay corners, inward ones are rounded by the offset; points along curves stay as
+    dense as they were. A layer whose region vanishes is empty. The labels (part, direction, slicer) are those of `layers`;
+    the settings name the offset. Open paths bound no region and are left out.
+    """
+    stack = []
+    for k in range(len(layers)):
+        region = inset(layer_section(layers.polygons(k)), offset_mm)
+        stack.append(valid_polygons(region))
+    return from_polygons(
+        layers.heights,
+        stack,
+        part=layers.part,
+        direction=layers.direction,
+        backend=layers.backend,
+        settings={**layers.settings, "contour_offset_mm": offset_mm},
+    )
+
+
+def equivalent_rectangles_mm(
+    polygons: Sequence[BaseGeometry] | NDArray[np.object_],
+) -> tuple[Floats, Floats]:
+    """Width and length (I,) of the rectangle with the same area and the same border length as a polygon.
+
+    A wall that is bent, or closed to a ring, has the width and length of the straight one; anything
+    rounder than a square counts as a square of its border length.
+    """
+    geometries = np.asarray(polygons, object).reshape(-1)
+    quarter, area = 0.25 * shapely.length(geometries), shapely.area(geometries)
+    length = quarter + np.sqrt(np.maximum(quarter**2 - area, 0.0))
+    width = np.divide(area, length, out=np.zeros_like(length), where=length > 0)
+    return width, length
+
+
+def mean_width_mm(polygon: BaseGeometry) -> float:
+    """Width of a polygon as of a wall, see :func:`equivalent_rectangles_mm`."""
+    width, _ = equivalent_rectangles_mm([polygon])
+    return float(width[0])
+
+
+def aspect(polygon: BaseGeometry) -> float:
+    """Length over width of a polygon as of a wall; infinite without width."""
+    width, length = equivalent_rectangles_mm([polygon])
+    return float(length[0] / width[0]) if width[0] > 0 else math.inf
+
+
+def _offset(region: BaseGeometry, distance_mm: float) -> BaseGeometry:
+    return shapely.buffer(region, distance_mm, quad_segs=ARC_SEGMENTS)

@@ -1,0 +1,283 @@
+"""Improve an order of islands by moves that are kept where they help, or at first where they do little harm.
+
+Simulated annealing (Kirkpatrick, Gelatt & Vecchi 1983) on the temperatures of :mod:`ebamcheck.scan.heat.influence`,
+with a budget of moves, not of seconds.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.scan.heat.influence import FreshTable, Influence, Table, looked_up
+from ebamcheck.scan.heat.near_field import at_root
+from ebamcheck.scan.order.entry_options import Ways
+from ebamcheck.scan.order.touching import Touching, touch
+
+WARMTH = 0.005
+"""Worsening taken at the beginning, unless another is asked for."""
+
+TOUCH_SHARE = 100.0
+"""Price of an island that touches the one before, over the first cost: no gain in heat or travel is worth it."""
+
+HOTTEST_EVERY = 10
+"""One move in so many starts at the hottest island; the others anywhere."""
+
+HIGH = 12
+"""Exponent of :func:`high_mean`: a maximum alone would see no gain until the very hottest island is cooler."""
+
+
+class Log(NamedTuple):
+    """An order driven, by place (I,): begin of the island, s, way of entry, travel so far, mm, entry temperature, K,
+    and how many islands so far touch the one before them."""
+
+    start_s: Floats
+    way: Ints
+    travel_mm: Floats
+    entry_k: Floats
+    touches: Ints
+
+
+def high_mean(entry_k: Floats) -> float:
+    """Mean of the twelfth powers of the entry temperatures, as a temperature: near the greatest, yet all count."""
+    return float(np.mean(np.maximum(entry_k, 0.0) ** HIGH) ** (1.0 / HIGH))
+
+
+def annealed(
+    table: Influence,
+    ways: Ways,
+    beside: Touching,
+    time_s: Floats,
+    rapid_mm_s: float,
+    order: Ints,
+    longest_mm: float,
+    price_k_mm: float,
+    steps: int,
+    random: np.random.Generator,
+    warmth: float = WARMTH,
+) -> Ints:
+    """Exchange, move and turn around islands of an order.
+
+    The cost is :func:`high_mean`, K, plus prices on travel that is too long, and on islands that touch the one before.
+
+    Parameters
+    ----------
+    beside
+        Islands that touch.
+    time_s
+        (I,) time in which each island is scanned.
+    order
+        (I,) islands in scan order.
+    longest_mm
+        Travel that costs nothing.
+    price_k_mm
+        Cost of travel beyond it.
+    steps
+        Moves tried.
+    warmth
+        Worsening, as a share of the first cost, that is taken at the beginning about every third time.
+    """
+    count = len(order)
+    if steps == 0 or count < 2:
+        return order
+    places = random.integers(0, count, (steps, 2))
+    leniency = random.exponential(size=steps) * np.linspace(1.0, 0.0, steps)
+    return improved(
+        table.rise_k,
+        table.nodes_per_root_s,
+        table.fresh,
+        ways.jump_mm,
+        ways.way,
+        beside,
+        time_s,
+        rapid_mm_s,
+        np.asarray(order, np.int64),
+        longest_mm,
+        price_k_mm,
+        places,
+        leniency,
+        warmth,
+    )
+
+
+@kernel
+def improved(
+    rise: Table,
+    nodes: float,
+    fresh: FreshTable,
+    jump: Floats,
+    way: Ints,
+    beside: Touching,
+    time: Floats,
+    rapid: float,
+    order: Ints,
+    longest: float,
+    price: float,
+    places: Ints,
+    leniency: Floats,
+    warm_share: float,
+) -> Ints:
+    """Return the best order met."""
+    count = len(order)
+    kept, tried, best = order.copy(), order.copy(), order.copy()
+    log, tried_log = new_log(count), new_log(count)
+    drive_from(0, kept, jump, way, beside, time, rapid, log)
+    total = powers_from(0, 0, 0, np.arange(count), kept, rise, nodes, fresh, time, np.inf, log)
+    cost = (total / count) ** (1.0 / HIGH)
+    touch_price = TOUCH_SHARE * cost
+    cost += price * max(0.0, log.travel_mm[-1] - longest) + touch_price * log.touches[-1]
+    best_cost, warmth = cost, warm_share * cost
+    by_heat = np.argsort(-log.entry_k)
+    for step in range(len(places)):
+        a, b = places[step]
+        if step % HOTTEST_EVERY == 0:
+            a = by_heat[0]
+        if a == b:
+            continue
+        first = min(a, b)
+        move(kept, a, b, step % 3, tried)
+        copy_start(log, first, tried_log)
+        drive_from(first, tried, jump, way, beside, time, rapid, tried_log)
+        too_far = price * max(0.0, tried_log.travel_mm[-1] - longest) + touch_price * tried_log.touches[-1]
+        allowed = cost + warmth * leniency[step]
+        if too_far >= allowed:
+            continue
+        most = count * power(allowed - too_far)
+        total = powers_from(first, a, b, by_heat, tried, rise, nodes, fresh, time, most, tried_log)
+        if total > most:
+            continue
+        cost = (total / count) ** (1.0 / HIGH) + too_far
+        kept, tried = tried, kept
+        log, tried_log = tried_log, log
+        by_heat = np.argsort(-log.entry_k)
+        if cost < best_cost:
+            best[:], best_cost = kept, cost
+    return best
+
+
+@kernel
+def powers_from(
+    first: int,
+    a: int,
+    b: int,
+    by_heat: Ints,
+    order: Ints,
+    rise: Table,
+    nodes: float,
+    fresh: FreshTable,
+    time: Floats,
+    most: float,
+    log: Log,
+) -> float:
+    """Sum of the powers of the entry temperatures, those from a place on worked out; any sum beyond `most` if it is more.
+
+    The two places that were moved come first, then the hottest: most moves are given up after a few.
+    """
+    total = 0.0
+    for place in range(first):
+        total += power(log.entry_k[place])
+    for n in range(-2, len(order)):
+        place = a if n == -2 else b if n == -1 else by_heat[n]
+        if place < first or (n == -1 and a == b) or (n >= 0 and place in (a, b)):
+            continue
+        log.entry_k[place] = entry_temperature(place, order, rise, nodes, fresh, time, log)
+        total += power(log.entry_k[place])
+        if total > most:
+            break
+    return total
+
+
+@kernel
+def copy_start(log: Log, stop: int, result: Log) -> None:
+    """Copy what a log says of the places before one."""
+    result.start_s[:stop], result.way[:stop] = log.start_s[:stop], log.way[:stop]
+    result.travel_mm[:stop], result.entry_k[:stop] = log.travel_mm[:stop], log.entry_k[:stop]
+    result.touches[:stop] = log.touches[:stop]
+
+
+@kernel
+def new_log(count: int) -> Log:
+    """Room for a log."""
+    return Log(
+        np.zeros(count),
+        np.zeros(count, np.int64),
+        np.zeros(count),
+        np.zeros(count),
+        np.zeros(count, np.int64),
+    )
+
+
+@kernel
+def power(temperature: float) -> float:
+    """Its twelfth power (:data:`HIGH`); the model can ring under zero, which is cold."""
+    warm = max(temperature, 0.0)
+    fourth = (warm * warm) * (warm * warm)
+    return fourth * fourth * fourth
+
+
+@kernel
+def move(order: Ints, a: int, b: int, kind: int, result: Ints) -> None:
+    """Exchange two places, move one to the other, or turn around all between them."""
+    result[:] = order
+    if kind == 0:
+        result[a], result[b] = order[b], order[a]
+    elif kind == 1:
+        step = 1 if b > a else -1
+        for place in range(a, b, step):
+            result[place] = order[place + step]
+        result[b] = order[a]
+    else:
+        low, high = min(a, b), max(a, b)
+        for n in range(high - low + 1):
+            result[low + n] = order[high - n]
+
+
+@kernel
+def drive_from(
+    first: int,
+    order: Ints,
+    jump: Floats,
+    way: Ints,
+    beside: Touching,
+    time: Floats,
+    rapid: float,
+    log: Log,
+) -> None:
+    """Time the islands from a place on, entering each by the nearest way."""
+    for n in range(first, len(order)):
+        if n == 0:
+            log.start_s[0], log.way[0], log.travel_mm[0], log.touches[0] = 0.0, 0, 0.0, 0
+            continue
+        last, island, left_by = order[n - 1], order[n], log.way[n - 1]
+        distance = jump[last, left_by, island]
+        log.start_s[n] = log.start_s[n - 1] + time[last] + distance / rapid
+        log.way[n] = way[last, left_by, island]
+        log.travel_mm[n] = log.travel_mm[n - 1] + distance
+        log.touches[n] = log.touches[n - 1] + touch(beside, last, island)
+
+
+@kernel
+def entry_temperature(
+    place: int, order: Ints, rise: Table, nodes: float, fresh: FreshTable, time: Floats, log: Log
+) -> float:
+    """Rise of the island at a place when the beam enters it: its mean, or that of its entry if it is more."""
+    island, now = order[place], log.start_s[place]
+    temperature = looked_up(rise, nodes, fresh.horizon_s, island, len(order), now)
+    for earlier in range(place):
+        source = order[earlier]
+        since = now - log.start_s[earlier] - time[source]
+        temperature += looked_up(rise, nodes, fresh.horizon_s, island, source, since)
+    excess = 0.0
+    for earlier in range(place - 1, -1, -1):
+        source = order[earlier]
+        since = now - log.start_s[earlier] - time[source]
+        if since >= fresh.horizon_s:
+            break
+        row = fresh.slot[island, source]
+        if row >= 0:
+            root = np.sqrt(max(since, 0.0) / fresh.horizon_s)
+            excess += at_root(fresh.excess_k[row, log.way[place], log.way[earlier]], root)
+    return temperature + max(excess, 0.0)

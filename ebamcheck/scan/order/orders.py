@@ -1,0 +1,293 @@
+"""Orders in which the islands of a layer are scanned, by name.
+
+The paper's sentence (section 4.2) takes next the island whose distance "to all processed centroids is
+the smallest". That has three readings, all of them here:
+
+=============== ==============================================================================
+``nearest-any`` distance to the nearest processed centroid (min-min); ``nearest`` is this one
+``nearest-last`` distance to the centroid processed last
+``nearest-sum`` sum of the distances to all processed centroids
+=============== ==============================================================================
+
+Whichever is taken, it contradicts the paper's aim (its conclusion: "increase the molding time interval
+of adjacent regions"), since the nearest island is a neighbour that is still hot. ``farthest`` does the
+opposite; ``raster`` is what a machine does without a strategy, ``stride`` leaves out all but every n-th
+island of it at first, ``random`` is a seeded shuffle. Distance has no memory of time; ``least-heat`` and
+``thermal`` have: they ask a heat model (:mod:`ebamcheck.heat`) which island is coolest when the beam gets
+there, the latter with a price on the way there (:mod:`ebamcheck.scan.order.thermal`). Others are found by the entry
+point group ``ebamcheck.orders``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely.geometry.base import BaseGeometry
+
+from ebamcheck.errors import SettingsError
+from ebamcheck.heat import HeatModel
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.plugins import registry
+from ebamcheck.scan.filling.hatch import Vectors
+from ebamcheck.scan.filling.schedule import IslandDrive
+from ebamcheck.scan.heat.island_heat import IslandHeat, island_heat, with_fresh_heat
+from ebamcheck.scan.order.simulation import clocked
+from ebamcheck.scan.order.thermal import greedy_order, thermal_order
+from ebamcheck.scan.order.touching import touching
+from ebamcheck.settings.config import Config
+
+LAST, ANY, SUM, FARTHEST = 0, 1, 2, 3
+"""Rules of :func:`greedy`."""
+
+NO_LINES = Vectors(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)))
+
+TIE_MM = 1e-6
+"""Distances closer than this are equal: a lattice is full of ties, which rounding must not decide."""
+
+
+@dataclass(frozen=True, eq=False)
+class LayerIslands:
+    """What an order may know of the islands of one layer.
+
+    Parameters
+    ----------
+    centroid
+        (I, 2) mm.
+    area_mm2
+        (I,).
+    neighbours
+        (P, 2) pairs of islands with a common border.
+    layer
+        Index of the layer.
+    seed
+        Seed of the run; :meth:`random` mixes the layer into it.
+    profile
+        Settings.
+    height_mm
+        Height of the layer over the base plate.
+    section
+        Solid region of the layer.
+    polygons
+        (I,) the islands.
+    drive
+        How each is driven. Without it, orders that ask for times or heat cannot be used.
+    lines
+        Lines of the islands, sorted by island; None: each counts as a blob of its area.
+    before
+        From the heat model of the layer, the amplitudes (K, N) at which it begins; None: cold.
+    """
+
+    centroid: Floats
+    area_mm2: Floats
+    neighbours: Ints
+    layer: int = 0
+    seed: int = 0
+    profile: Config = field(default_factory=Config)
+    height_mm: float = 0.0
+    section: BaseGeometry = field(default_factory=shapely.Polygon)
+    polygons: NDArray[np.object_] = field(default_factory=lambda: np.zeros(0, object))
+    drive: IslandDrive | None = None
+    lines: Vectors | None = None
+    before: Callable[[HeatModel], Floats] | None = None
+
+    def __len__(self) -> int:
+        """Return the number of islands."""
+        return len(self.centroid)
+
+    def random(self) -> np.random.Generator:
+        """Random numbers of this layer, the same whenever it is planned."""
+        return np.random.default_rng((self.seed, self.layer))
+
+    @cached_property
+    def driven(self) -> IslandDrive:
+        """How the islands are driven; raises :class:`SettingsError` where that is not known."""
+        if self.drive is None:
+            raise SettingsError(
+                "this order asks how long islands take: give LayerIslands their polygons and drive"
+            )
+        return self.drive
+
+    @cached_property
+    def heat(self) -> IslandHeat:
+        """The heat model of the layer and the temperature at which it begins."""
+        if self.before is None:
+            return self.cold_heat
+        return replace(self.cold_heat, start_k=self.before(self.cold_heat.model))
+
+    @cached_property
+    def cold_heat(self) -> IslandHeat:
+        """The heat model of the layer on a cold part, set up when it is first asked for."""
+        drive = self.driven
+        modes = island_heat(
+            self.section, self.polygons, drive.beam_s, drive.time_s, self.profile, self.height_mm
+        )
+        return self.with_fresh_heat(modes)
+
+    def with_fresh_heat(self, modes: IslandHeat) -> IslandHeat:
+        """Add the fresh heat between these islands to a heat model of the layer that has its modes alone."""
+        lines = NO_LINES if self.lines is None else self.lines
+        return with_fresh_heat(modes, self.driven, lines, self.section, self.polygons, self.profile)
+
+
+Order = Callable[[LayerIslands], Ints]
+"""An order: from the islands of a layer, a permutation (I,) of their indices."""
+
+
+def scan_order(name: str | Order, islands: LayerIslands) -> Ints:
+    """Order the islands of a layer by an order or its name, (I,) indices.
+
+    Raises
+    ------
+    SettingsError
+        If there is no order of that name.
+    """
+    order = name if callable(name) else ORDERS.get(name) or _plugin(name)
+    if not len(islands):
+        return np.zeros(0, np.int64)
+    found = np.asarray(order(islands), np.int64)
+    if not np.array_equal(np.sort(found), np.arange(len(islands))):
+        raise SettingsError(
+            f"scan.order {name!r} did not return every island of layer {islands.layer} once: "
+            f"{len(found)} places for {len(islands)} islands"
+        )
+    return found
+
+
+def _plugin(name: str) -> Order:
+    """Find an order of the entry point group; raises :class:`SettingsError` with the names there are."""
+    installed = registry.names(registry.ORDERS)
+    if name not in installed:
+        known = ", ".join([*ORDERS, *installed])
+        raise SettingsError(f"scan.order {name!r} is unknown: choose one of {known}")
+    found: Order = registry.plugin(registry.ORDERS, name)
+    return found
+
+
+def _seeded_start(islands: LayerIslands) -> int:
+    """Index of the first island: random, as in the paper, but seeded."""
+    return int(islands.random().integers(len(islands)))
+
+
+def nearest_any(islands: LayerIslands) -> Ints:
+    """Next the island nearest to any processed one."""
+    return greedy(islands.centroid, _seeded_start(islands), ANY)
+
+
+def nearest_last(islands: LayerIslands) -> Ints:
+    """Next the island nearest to the one processed last."""
+    return greedy(islands.centroid, _seeded_start(islands), LAST)
+
+
+def nearest_sum(islands: LayerIslands) -> Ints:
+    """Next the island with the least sum of distances to all processed ones."""
+    return greedy(islands.centroid, _seeded_start(islands), SUM)
+
+
+def farthest(islands: LayerIslands) -> Ints:
+    """Next the island farthest from its nearest processed one (max-min)."""
+    return greedy(islands.centroid, _seeded_start(islands), FARTHEST)
+
+
+def raster(islands: LayerIslands) -> Ints:
+    """Row by row from below, alternating in direction; a row is as high as an average island is wide."""
+    pitch = float(np.sqrt(islands.area_mm2.mean()))
+    y = islands.centroid[:, 1] - islands.centroid[:, 1].min()
+    row = np.floor(y / pitch + 0.5) if pitch > 0 else np.zeros(len(islands))
+    x = np.where(row % 2 == 0, islands.centroid[:, 0], -islands.centroid[:, 0])
+    return np.lexsort((np.arange(len(islands)), x, row)).astype(np.int64)
+
+
+def stride(islands: LayerIslands) -> Ints:
+    """Every n-th island of the raster, then those after them, and so on."""
+    rows, step = raster(islands), islands.profile.scan.stride
+    return np.concatenate([rows[n::step] for n in range(step)])
+
+
+def shuffled(islands: LayerIslands) -> Ints:
+    """A random order."""
+    return islands.random().permutation(len(islands)).astype(np.int64)
+
+
+def least_heat(islands: LayerIslands) -> Ints:
+    """Next the island that is coolest when the beam gets there, however far it is."""
+    rapid = islands.profile.machine.rapid_mm_s
+    beside = touching(islands.neighbours, len(islands))
+    return greedy_order(islands.heat, islands.driven, beside, rapid, _seeded_start(islands), 0.0, 0.0)
+
+
+def thermal(islands: LayerIslands) -> Ints:
+    """Next a cool island that is near: the coolest plan whose travel is well under that of `farthest`."""
+    if len(islands) == 1:
+        return np.zeros(1, np.int64)
+    settings, drive = islands.profile.scan, islands.driven
+    rapid = islands.profile.machine.rapid_mm_s
+    *_, travel = clocked(farthest(islands), drive.entry, drive.leave, drive.time_s, rapid)
+    return thermal_order(
+        islands.heat,
+        drive,
+        islands.neighbours,
+        rapid,
+        width_mm=float(np.sqrt(islands.area_mm2.mean())),
+        longest_mm=settings.travel_share * travel,
+        start_travel_mm=settings.start_travel_mm,
+        steps=settings.annealing_steps,
+        random=islands.random(),
+    )
+
+
+@kernel
+def greedy(centroid: Floats, first: int, rule: int) -> Ints:
+    """Take islands one by one by their distance to those taken; among equal ones, the first."""
+    count = len(centroid)
+    order = np.empty(count, np.int64)
+    taken = np.zeros(count, np.bool_)
+    score = np.zeros(count) if rule == SUM else np.full(count, np.inf)
+    current = first
+    for n in range(count):
+        order[n] = current
+        taken[current] = True
+        x, y = centroid[current, 0], centroid[current, 1]
+        following = -1
+        for i in range(count):
+            if taken[i]:
+                continue
+            distance = np.hypot(centroid[i, 0] - x, centroid[i, 1] - y)
+            if rule == LAST:
+                score[i] = distance
+            elif rule == SUM:
+                score[i] += distance
+            else:
+                score[i] = min(score[i], distance)
+            better = following < 0 or (
+                score[i] > score[following] + TIE_MM
+                if rule == FARTHEST
+                else score[i] < score[following] - TIE_MM
+            )
+            if better:
+                following = i
+        current = following
+    return order
+
+
+ORDERS: Mapping[str, Order] = {
+    "nearest": nearest_any,
+    "nearest-any": nearest_any,
+    "nearest-last": nearest_last,
+    "nearest-sum": nearest_sum,
+    "farthest": farthest,
+    "raster": raster,
+    "stride": stride,
+    "random": shuffled,
+    "least-heat": least_heat,
+    "thermal": thermal,
+}
+"""Orders of the house by name."""
+
+GEOMETRIC = frozenset(ORDERS) - {"least-heat", "thermal"}
+"""Orders that never ask the heat model; those that are installed may."""

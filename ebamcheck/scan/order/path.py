@@ -1,0 +1,75 @@
+"""The way from island to island: where each is entered, and how far the gun jumps."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Bools, Floats, Ints
+
+JOINED_MM = 1e-6
+"""A line that starts within this of the end of the last one goes on without a jump or a wire start."""
+
+
+@kernel
+def enter_nearest(start: Floats, end: Floats, first: Ints, order: Ints, chained: Bools) -> tuple[Ints, Bools]:
+    """Choose from which corner each island is entered: the one nearest to where the last one ended.
+
+    An island's lines may be driven in either sequence and either direction; those of a `chained` one
+    (bent lines along a wall) only forwards, or all backwards.
+
+    Parameters
+    ----------
+    start, end
+        (V, 2) lines, sorted by island.
+    first
+        (I + 1,) first line of each island.
+    order
+        (I,) islands in scan order.
+    chained
+        (I,) whether the lines of an island follow each other end to start.
+
+    Returns
+    -------
+    rows
+        (V,) lines in scan order.
+    turned
+        (V,) whether each is driven from its end to its start.
+    """
+    rows = np.empty(len(start), np.int64)
+    turned = np.empty(len(start), np.bool_)
+    used = 0
+    x, y, known = 0.0, 0.0, False
+    for island in order:
+        a, b = first[island], first[island + 1]
+        if a == b:
+            continue
+        backwards, flip = False, False
+        nearest = np.inf
+        for variant in range(4):
+            back, turn = variant >= 2, variant == 1 or variant == 2
+            if not known or (chained[island] and back != turn):
+                continue
+            row = b - 1 if back else a
+            px = end[row, 0] if turn else start[row, 0]
+            py = end[row, 1] if turn else start[row, 1]
+            distance = np.hypot(px - x, py - y)
+            if distance < nearest - JOINED_MM:
+                nearest, backwards, flip = distance, back, turn
+        for n in range(b - a):
+            row = b - 1 - n if backwards else a + n
+            rows[used], turned[used] = row, flip
+            used += 1
+        row = a if backwards else b - 1
+        x, y = (start[row, 0], start[row, 1]) if flip else (end[row, 0], end[row, 1])
+        known = True
+    return rows, turned
+
+
+def jumps_mm(start: Floats, end: Floats, new_layer: Bools) -> Floats:
+    """Jump before each line (V,), mm: 0 for the first of a layer and for lines that go on."""
+    jumps = np.zeros(len(start))
+    if len(start) > 1:
+        jumps[1:] = np.hypot(*(start[1:] - end[:-1]).T)
+    jumps[new_layer | (jumps <= JOINED_MM)] = 0.0
+    return jumps

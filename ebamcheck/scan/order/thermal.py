@@ -1,0 +1,322 @@
+"""Orders by heat: at every step the island that is coolest when the beam gets there, and not too far away.
+
+The score of an island is its temperature at the time it would be entered, plus the travel to it and the start of the
+wire, each at its price in kelvin. Its temperature is its mean, or that under the beam where it would be entered
+(:mod:`~ebamcheck.scan.heat.near_field`), whichever is more. No island follows one that it touches while another is left. A
+low price of travel makes cool but long ways; so plans for several prices are made, and the coolest of those whose way
+is short enough are improved (:mod:`~ebamcheck.scan.order.annealing`). Of a few islands all orders are tried
+(:mod:`~ebamcheck.scan.order.all_orders`).
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from ebamcheck.numeric.kernels import kernel, run_blocks
+from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.scan.filling.schedule import IslandDrive
+from ebamcheck.scan.heat.aged_heat import by_island, with_late_heat
+from ebamcheck.scan.heat.influence import MOST_ISLANDS, influence
+from ebamcheck.scan.heat.island_heat import IslandHeat
+from ebamcheck.scan.heat.near_field import NearField, young_rise
+from ebamcheck.scan.order.all_orders import MOST_LISTED, best_of_all
+from ebamcheck.scan.order.annealing import annealed, high_mean
+from ebamcheck.scan.order.entry_options import nearest_way, ways_between
+from ebamcheck.scan.order.path import JOINED_MM
+from ebamcheck.scan.order.simulation import at_surface, clocked, entry_points
+from ebamcheck.scan.order.touching import Touching, touching, touching_successors
+
+PRICES = (0.005, 0.01, 0.0025, 0.02, 0.04, 0.08, 0.16)
+"""Prices of travel that are tried: in temperature rises of an island by its own heat, over widths of an island.
+The best one differs from layer to layer by chance; on the largest layers, which can afford few, it is the first."""
+
+MOST_MOVES = 1e7
+"""Moves times islands in the improvement of plans: enough for three plans of 80 islands, for all of 20, for one of 300."""
+
+WARMTHS = (0.005, 0.005, 0.05)
+"""Worsening taken at first when a plan is improved, as a share of its cost; for the first plan, the second, and so on
+from the beginning. Plans of many islands lose what they have by more; those of few find no way out by less."""
+
+STARTS = 2
+"""Islands from which each price is tried."""
+
+MOST_WORK = 4e9
+"""Multiplications in one search, which limits the plans tried on a layer of thousands of islands: to two of 2100."""
+
+MOVES_AN_ISLAND = 800
+"""Moves tried for each island when a plan is improved: on layers of few, more find nothing."""
+
+Rank = tuple[int, float, float]
+"""Rank of a plan, see :func:`ranked`: the less the better."""
+
+TIE_K = 1e-6
+"""Scores closer than this are equal: rounding must not decide between islands that mirror each other."""
+
+
+def thermal_order(
+    heat: IslandHeat,
+    drive: IslandDrive,
+    neighbours: Ints,
+    rapid_mm_s: float,
+    width_mm: float,
+    longest_mm: float,
+    start_travel_mm: float,
+    steps: int,
+    random: np.random.Generator,
+) -> Ints:
+    """Order islands by heat: the coolest of several greedy plans whose travel is not too long, improved.
+
+    Of a few islands all orders are tried.
+
+    Parameters
+    ----------
+    neighbours
+        (P, 2) pairs of islands that touch.
+    width_mm
+        Width of an island.
+    longest_mm
+        Travel between islands that is allowed; where no plan keeps it, the one of least travel is taken.
+    start_travel_mm
+        Travel that counts as much as a start of the wire.
+    steps
+        Moves by which the plan is improved, at most.
+    random
+        Source of these moves.
+    """
+    count = len(drive)
+    price_k_mm = float(np.mean(own_rise(heat, drive))) / width_mm
+    beside = touching(neighbours, count)
+    if count <= MOST_LISTED:
+        ways = ways_between(drive)
+        latest_s = float(drive.time_s.sum() + (count - 1) * ways.jump_mm.max() / rapid_mm_s)
+        table = influence(heat, drive.time_s, latest_s)
+        return best_of_all(table, ways, beside, drive.time_s, rapid_mm_s, longest_mm)
+    tries = _tries(count, len(heat.plane_rate))
+
+    def plans(start: int, stop: int) -> list[tuple[Ints, Rank]]:
+        done = []
+        for price, first in tries[start:stop]:
+            paid = price * price_k_mm
+            order = greedy_order(heat, drive, beside, rapid_mm_s, first, paid, paid * start_travel_mm)
+            done.append((order, ranked(heat, drive, beside, rapid_mm_s, order, longest_mm)))
+        return done
+
+    # Threads pay on layers of many islands only.
+    found = run_blocks(plans, len(tries), smallest=1 if count > MOST_ISLANDS else len(tries))
+    plans_made = sorted(itertools.chain(*found), key=lambda plan: plan[1])
+    best, best_rank = plans_made[0]
+    if count > MOST_ISLANDS or steps == 0:
+        return best
+    *_, end_s, travel = clocked(best, drive.entry, drive.leave, drive.time_s, rapid_mm_s)
+    # Twice the time of a way that is too long: none met in the search takes longer.
+    table = influence(heat, drive.time_s, float(end_s.max()) + max(travel, longest_mm) / rapid_mm_s)
+    ways = ways_between(drive)
+    most = min(steps, MOVES_AN_ISLAND * count)
+    begun = [start for start, _ in plans_made[: max(1, int(MOST_MOVES / (most * count)))]]
+    sources = random.spawn(len(begun))
+
+    def improved(start: int, stop: int) -> list[Ints]:
+        return [
+            annealed(
+                table, ways, beside, drive.time_s, rapid_mm_s, begun[n], longest_mm, price_k_mm, most,
+                sources[n], WARMTHS[n % len(WARMTHS)],
+            )
+            for n in range(start, stop)
+        ]  # fmt: skip
+
+    for tried in itertools.chain(*run_blocks(improved, len(begun))):
+        rank = ranked(heat, drive, beside, rapid_mm_s, tried, longest_mm)
+        if better(rank, best_rank):
+            best, best_rank = tried, rank
+    return best
+
+
+def _tries(count: int, modes: int) -> list[tuple[float, int]]:
+    """Prices and first islands of the greedy plans that a layer can afford."""
+    starts = sorted({count * n // STARTS for n in range(STARTS)})
+    tries = [(price, first) for price in PRICES for first in starts]
+    return tries[: max(1, int(MOST_WORK / (count**2 * modes)))]
+
+
+def better(rank: Rank, than: Rank) -> bool:
+    """Whether a plan has fewer touching successors, or less travel too much, or is as good in both and cooler."""
+    return rank[:2] < than[:2] or (rank[:2] == than[:2] and rank[2] < than[2] - TIE_K)
+
+
+def own_rise(heat: IslandHeat, drive: IslandDrive) -> Floats:
+    """Mean temperature rise of each island by its own heat when the beam leaves it, (I,) K."""
+    rise = np.zeros(len(drive))
+    for n, wave in enumerate(heat.in_layer):
+        decay_s = heat.plane_rate[:, None] + heat.depth_rate[n]
+        held = -np.expm1(-decay_s * drive.time_s) / np.where(decay_s > 0.0, decay_s, 1.0)
+        held = np.where(decay_s > 0.0, held, drive.time_s)
+        rise += wave**2 * heat.source_k_s * (heat.mean**2 * held).sum(axis=0)
+    return rise
+
+
+def ranked(
+    heat: IslandHeat, drive: IslandDrive, beside: Touching, rapid_mm_s: float, order: Ints, longest_mm: float
+) -> Rank:
+    """Rank of a plan: touching successors; travel beyond what is allowed, mm; high mean of the entry temperatures, K."""
+    start_s, end_s, travel = clocked(order, drive.entry, drive.leave, drive.time_s, rapid_mm_s)
+    means_k, points_k = entry_points(heat, drive, order, start_s, end_s)
+    too_near = int(touching_successors(beside, order).sum())
+    return too_near, max(0.0, travel - longest_mm), high_mean(np.maximum(means_k, points_k))
+
+
+def greedy_order(
+    heat: IslandHeat,
+    drive: IslandDrive,
+    beside: Touching,
+    rapid_mm_s: float,
+    first: int,
+    price_k_mm: float,
+    start_k: float,
+) -> Ints:
+    """Order islands by heat for one price of travel (K/mm) and of a wire start (K)."""
+    return coolest_first(
+        heat.mean.copy(),
+        heat.plane_rate,
+        heat.depth_rate,
+        heat.in_layer,
+        heat.source_k_s,
+        drive.entry,
+        drive.leave,
+        drive.time_s,
+        rapid_mm_s,
+        first,
+        price_k_mm,
+        start_k,
+        heat.start_k.copy(),
+        heat.fresh,
+        beside,
+    )
+
+
+@kernel
+def coolest_first(
+    mean: Floats,
+    plane_rate: Floats,
+    depth_rate: Floats,
+    in_layer: Floats,
+    source: Floats,
+    entry: Floats,
+    leave: Floats,
+    time: Floats,
+    rapid: float,
+    first: int,
+    price: float,
+    start_price: float,
+    state: Floats,
+    near: NearField,
+    beside: Touching,
+) -> Ints:
+    """Order by score; `mean` (K, I) and `state` (K, N) are used up.
+
+    Old heat, of which the modes have all, is linear between the earliest and the latest entry.
+    """
+    modes, count = mean.shape
+    order = np.empty(count, np.int64)
+    left = np.arange(count)
+    now, soon = np.empty(count), np.empty(count)
+    ways, scanned = np.empty(count, np.int64), np.zeros(count, np.bool_)
+    begin, end = np.empty(count), np.empty(count)
+    fallen = by_island(mean * np.exp(-plane_rate * near.horizon_s).reshape(-1, 1))
+    in_layer_late = in_layer * np.exp(-depth_rate * near.horizon_s)
+    jumps, by = np.empty(count), np.empty(count, np.int64)
+    means, points, touches = np.zeros(count), np.zeros(count), np.full(count, -1)
+    clock, latest, aged = 0.0, 0.0, 0
+    for axis in range(2):
+        latest += np.ptp(entry[:, :, axis]) / rapid
+    place, way, jump = first, 0, 0.0
+    for n in range(count):
+        island = left[place]
+        order[n] = island
+        last, begin[island] = clock, clock + jump / rapid
+        clock = begin[island] + time[island]
+        ways[island], end[island], scanned[island] = way, clock, True
+        x, y = leave[island, way, 0], leave[island, way, 1]
+        aged = with_late_heat(
+            state, fallen, plane_rate, depth_rate, in_layer_late, source, order[: n + 1], begin, end, near.horizon_s,
+            last, clock, aged,
+        )  # fmt: skip
+        rest = count - n - 1
+        if rest == 0:
+            break
+        # The last island takes the place of the one that was scanned: those left stay side by side.
+        left[place] = left[rest]
+        mean[:, place] = mean[:, rest]
+        early = at_surface(state, plane_rate, depth_rate, in_layer, 0.0)
+        ahead = state.copy()
+        with_late_heat(
+            ahead, fallen, plane_rate, depth_rate, in_layer_late, source, order[: n + 1], begin, end, near.horizon_s,
+            clock, clock + latest, aged,
+        )  # fmt: skip
+        late = at_surface(ahead, plane_rate, depth_rate, in_layer, 0.0)
+        now[:rest] = 0.0
+        soon[:rest] = 0.0
+        for k in range(modes):
+            e, s = early[k], late[k]
+            row = mean[k]
+            for j in range(rest):
+                now[j] += e * row[j]
+                soon[j] += s * row[j]
+        for candidate in left[:rest]:
+            jumps[candidate], by[candidate] = nearest_way(entry[candidate], x, y)
+        add_fresh(near, source, time, order[: n + 1], ways, end, scanned, jumps, by, rapid, means, points)
+        for m in range(beside.first[island], beside.first[island + 1]):
+            touches[beside.other[m]] = n
+        best, best_island, best_touches = np.inf, -1, True
+        for j in range(rest):
+            candidate = left[j]
+            nearest = jumps[candidate]
+            share = nearest / rapid / latest if latest > 0.0 else 0.0
+            score = now[j] + (soon[j] - now[j]) * share + max(means[candidate], points[candidate])
+            score += price * nearest
+            means[candidate], points[candidate] = 0.0, 0.0
+            if nearest > JOINED_MM:
+                score += start_price
+            hot = touches[candidate] == n
+            if hot and not best_touches:
+                continue
+            cooler = score < best - TIE_K or (score < best + TIE_K and candidate < best_island)
+            if cooler or (best_touches and not hot):
+                best, best_island, best_touches = score, candidate, hot
+                place, way, jump = j, by[candidate], nearest
+    return order
+
+
+@kernel
+def add_fresh(
+    near: NearField,
+    source: Floats,
+    time: Floats,
+    order: Ints,
+    ways: Ints,
+    end: Floats,
+    scanned: Bools,
+    jumps: Floats,
+    by: Ints,
+    rapid: float,
+    means: Floats,
+    points: Floats,
+) -> None:
+    """Add what young heat does to the islands (I,) that are left: to their means, and where each would be entered.
+
+    `order`, `ways`, `end` are the islands scanned so far; `jumps`, `by` the travel to each of the others and its way.
+    """
+    now = end[order[-1]]
+    for n in range(len(order) - 1, -1, -1):
+        last = order[n]
+        if now - end[last] > near.horizon_s:
+            break
+        for p in range(near.first[last], near.first[last + 1]):
+            i = near.other[p]
+            if scanned[i]:
+                continue
+            since = now - end[last] + jumps[i] / rapid
+            mean, point = young_rise(near, near.pair[p], i, by[i], last, ways[last], since, time[last])
+            means[i] += source[last] * mean
+            points[i] += source[last] * point

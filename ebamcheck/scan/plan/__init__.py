@@ -1,0 +1,1 @@
+"""Plans: layers laid out, put in order, stacked and compared."""

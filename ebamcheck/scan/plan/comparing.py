@@ -1,0 +1,198 @@
+"""Orders side by side on one layer: how hot, how far, how long."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from shapely.geometry.base import BaseGeometry
+
+from ebamcheck.errors import SettingsError
+from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.scan.heat.island_heat import IslandHeat, island_heat
+from ebamcheck.scan.islands.regions import layer_section
+from ebamcheck.scan.order.orders import ORDERS, LayerIslands, scan_order
+from ebamcheck.scan.order.simulation import entry_points, entry_temperatures
+from ebamcheck.scan.order.touching import touching, touching_successors
+from ebamcheck.scan.plan.columns import ScanPlan
+from ebamcheck.scan.plan.laying import LaidLayer, lay_islands
+from ebamcheck.scan.plan.stacking import in_order, stack_plans
+from ebamcheck.scan.plan.times import simulate_order
+from ebamcheck.scan.plan.whole_part import OrderedLayer
+from ebamcheck.settings.config import Config
+
+COMPARED = tuple(name for name in ORDERS if name != "nearest")
+"""Orders that are compared unless others are named: each once, `nearest` by its full name."""
+
+RANDOM = "random"
+
+SEEDS = 20
+"""Seeds over which the figures of `random` are averaged."""
+
+FIGURES = {
+    "order": "name of the order",
+    "seeds": "plans that were averaged",
+    "islands": "islands of the layer",
+    "entry_max_k": "greatest mean temperature rise of an island when the beam enters it",
+    "entry_sd_k": "standard deviation of it over the islands",
+    "entry_point_max_k": "greatest temperature rise under the beam, where it enters an island",
+    "touching": "share of islands that touch the one before them, though another was left that does not",
+    "excess_uniformity": "spread of the temperature without the island's own heat, over the mean; mean of all islands",
+    "interval_p10_s": "time between the ends of neighbouring islands, shortest tenth",
+    "interval_min_s": "the same, least",
+    "travel_mm": "jumps between islands",
+    "starts": "wire starts",
+    "time_s": "time of the layer without contour beads",
+}
+"""Columns of a comparison and what they are."""
+
+
+@dataclass(frozen=True, eq=False)
+class OrderResult:
+    """One order driven on a layer.
+
+    Parameters
+    ----------
+    plan
+        The plan.
+    rank, start_s, end_s
+        (I,) place in the order and times by island.
+    entry_k, point_k
+        (I,) temperature rises when the beam enters: of the whole island, and under the beam.
+    excess
+        (I,) excess uniformity.
+    touching
+        (I,) whether it touches the one before it, though another was left that does not.
+    travel_mm
+        Jumps between islands.
+    """
+
+    plan: ScanPlan
+    rank: Ints
+    start_s: Floats
+    end_s: Floats
+    entry_k: Floats
+    point_k: Floats
+    excess: Floats
+    touching: Bools
+    travel_mm: float
+
+    def figures(self) -> dict[str, float]:
+        """Figures as :data:`FIGURES` names them."""
+        row = self.plan.metrics.iloc[0]
+        some = len(self.entry_k) > 0
+        return {
+            "islands": float(row["islands"]),
+            "entry_max_k": float(self.entry_k.max()) if some else np.nan,
+            "entry_sd_k": float(self.entry_k.std()) if some else np.nan,
+            "entry_point_max_k": float(self.point_k.max()) if some else np.nan,
+            "touching": float(self.touching.mean()) if some else np.nan,
+            "excess_uniformity": float(self.excess.mean()) if some else np.nan,
+            "interval_p10_s": float(row["interval_p10_s"]),
+            "interval_min_s": float(row["interval_min_s"]),
+            "travel_mm": self.travel_mm,
+            "starts": float(row["starts"]),
+            "time_s": float(row["time_s"]),
+        }
+
+
+def compare_orders(
+    polygons: BaseGeometry | Iterable[BaseGeometry],
+    profile: Config | None = None,
+    orders: Sequence[str] | None = None,
+    seeds: int = SEEDS,
+    layer: int = 0,
+    height_mm: float = 0.0,
+) -> pd.DataFrame:
+    """Plan a layer in several orders and drive each on the heat model.
+
+    The simulation resolves waves as short as an island, of which a plan knows only those that last.
+
+    Parameters
+    ----------
+    polygons, profile, layer, height_mm
+        As for :func:`ebamcheck.plan_scan`; the height is that over the base plate.
+    orders
+        Names; all of the house if None.
+    seeds
+        Seeds over which `random` is averaged; the other orders take the seed of the profile.
+
+    Returns
+    -------
+    DataFrame
+        One row an order, columns as in :data:`FIGURES`; temperatures are NaN for a layer without islands.
+    """
+    profile = profile or Config()
+    compared = OrderComparison.of(polygons, profile, layer, height_mm)
+    names = COMPARED if orders is None else orders
+    rows = [figures_of(name, compared.results(name, seeds)) for name in names]
+    return pd.DataFrame(rows, columns=list(FIGURES))
+
+
+def figures_of(name: str, results: Iterable[OrderResult]) -> dict[str, Any]:
+    """One row of a comparison: the means over plans of one order."""
+    table = pd.DataFrame([result.figures() for result in results])
+    return {"order": name, "seeds": len(table), **table.mean()}
+
+
+@dataclass(frozen=True, eq=False)
+class OrderComparison:
+    """A layer on which orders are compared: islands and heat model are set up once."""
+
+    laid: LaidLayer
+    islands: LayerIslands
+    heat: IslandHeat | None
+    profile: Config
+
+    @classmethod
+    def of(
+        cls, polygons: BaseGeometry | Iterable[BaseGeometry], profile: Config, layer: int, height_mm: float
+    ) -> OrderComparison:
+        """Divide a layer into islands and set up its heat model."""
+        section = layer_section(polygons)
+        laid = lay_islands(section, profile, layer, height_mm)
+        islands = laid.choices(profile, profile.scan.seed)
+        heat = None
+        if len(islands):
+            drive = islands.driven
+            modes = island_heat(
+                section, laid.islands, drive.beam_s, drive.time_s, profile, height_mm, fine=True
+            )
+            heat = islands.with_fresh_heat(modes)
+        return cls(laid, islands, heat, profile)
+
+    def results(self, name: str, seeds: int) -> Iterator[OrderResult]:
+        """Plan one order and drive it, one after the other: `random` for several seeds, others for that of the profile."""
+        tried = range(seeds) if name == RANDOM else (self.profile.scan.seed,)
+        if not len(tried):
+            raise SettingsError(f"seeds {seeds}: give at least 1 for the order {RANDOM!r}")
+        return (self.result(name, seed) for seed in tried)
+
+    def result(self, name: str, seed: int) -> OrderResult:
+        """Plan one order and drive it."""
+        islands = self.islands if seed == self.islands.seed else self.laid.choices(self.profile, seed)
+        order = scan_order(name, islands)
+        plan = stack_plans([in_order(OrderedLayer(self.laid, islands, order))], self.profile, name, seed)
+        driven = simulate_order(plan, self.profile)
+        count = len(order)
+        rank = np.empty(count, np.int64)
+        rank[order] = np.arange(count)
+        if self.heat is None:
+            nothing = np.zeros(0)
+            return OrderResult(
+                plan, rank, nothing, nothing, nothing, nothing, nothing, np.zeros(0, np.bool_), 0.0
+            )
+        # An island without lines is passed in no time.
+        end_s = driven["end_s"].ffill().fillna(0.0)
+        start_s = driven["start_s"].fillna(end_s)
+        by_island = np.argsort(driven["island"].to_numpy())
+        begins, ends = start_s.to_numpy()[by_island], end_s.to_numpy()[by_island]
+        entry_k, excess = entry_temperatures(self.heat, islands.area_mm2, order, begins, ends)
+        _, point_k = entry_points(self.heat, islands.driven, order, begins, ends)
+        hot = np.empty(count, np.bool_)
+        hot[order] = touching_successors(touching(islands.neighbours, count), order)
+        travel_mm = float(driven["travel_mm"].sum())
+        return OrderResult(plan, rank, begins, ends, entry_k, point_k, excess, hot, travel_mm)

@@ -1,0 +1,103 @@
+"""Plan layers: section -> islands and their lines -> order -> path."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from shapely.geometry.base import BaseGeometry
+
+from ebamcheck.backend import Progress
+from ebamcheck.layers.stack import Layers
+from ebamcheck.scan.islands.regions import layer_section
+from ebamcheck.scan.order.orders import GEOMETRIC
+from ebamcheck.scan.plan.columns import ScanPlan
+from ebamcheck.scan.plan.stacking import in_order, stack_plans
+from ebamcheck.scan.plan.whole_part import Stack, ordered_layers
+from ebamcheck.settings.config import Config
+
+
+def plan_scan(
+    polygons: BaseGeometry | Iterable[BaseGeometry],
+    profile: Config | None = None,
+    order: str | None = None,
+    seed: int | None = None,
+    layer: int = 0,
+    height_mm: float = 0.0,
+) -> ScanPlan:
+    """Plan one layer: divide it into islands, fill them and put them in order.
+
+    Parameters
+    ----------
+    polygons
+        Solid regions of the layer as shapely geometries, mm; overlapping ones unite, invalid ones are
+        made valid. No polygon gives a plan without islands.
+    profile
+        Settings; the default ones if None.
+    order, seed
+        Name of the order (see :data:`ebamcheck.scan.ORDERS`) and seed of its random choices; those of
+        the profile if None.
+    layer
+        Index of the layer, which turns and shifts the hatch and the cells, and seeds the start.
+    height_mm
+        Its height over the base plate.
+
+    Raises
+    ------
+    SettingsError
+        If the order is unknown, or the hexagons are far too small for the layer.
+    GeometryError
+        If a coordinate is not finite.
+
+    Examples
+    --------
+    >>> import shapely
+    >>> plan = plan_scan(shapely.box(0, 0, 200, 80))
+    >>> sorted(plan.order.tolist()) == list(range(len(plan.islands)))
+    True
+    """
+    profile = profile or Config()
+    name, number = order or profile.scan.order, profile.scan.seed if seed is None else seed
+    stack = Stack([layer_section(polygons)], np.array([height_mm], np.float64), [layer])
+    asked = name not in GEOMETRIC
+    carry = asked and profile.scan.carry_heat
+    planned = ordered_layers(stack, profile, name, number, carry=carry, driven=asked)
+    return stack_plans([in_order(done) for done in planned], profile, name, number)
+
+
+def plan_stack(
+    layers: Layers,
+    profile: Config | None = None,
+    progress: Progress | None = None,
+    order: str | None = None,
+    seed: int | None = None,
+) -> ScanPlan:
+    """Plan a stack of layers, each as :func:`plan_scan` does, on all threads.
+
+    An order that asks the heat model begins each layer with the heat that those under it have left, unless
+    `scan.carry_heat` is off. Whatever the order, each layer is driven with that heat for its power and waits, unless
+    `process.interpass` is off.
+
+    Parameters
+    ----------
+    layers
+        Contours; open paths bound no region and are not filled.
+    progress
+        Called with the number of layers done since the last call.
+    profile, order, seed
+        As for :func:`plan_scan`.
+    """
+    profile = profile or Config()
+    name, number = order or profile.scan.order, profile.scan.seed if seed is None else seed
+    # Layers are cut at half their height: the part stands on the plate half a layer under the lowest cut.
+    plate_mm = float(layers.heights.min(initial=np.inf)) - 0.5 * profile.layer_height_mm
+    sections = [layer_section(layers.polygons(k)) for k in range(len(layers))]
+    stack = Stack(sections, layers.heights, range(len(layers)), plate_mm)
+    carry = profile.scan.carry_heat and name not in GEOMETRIC
+    driven = profile.process.interpass != "off"
+    planned = []
+    for done in ordered_layers(stack, profile, name, number, carry, driven):
+        planned.append(in_order(done))
+        if progress is not None:
+            progress(1)
+    return stack_plans(planned, profile, name, number)

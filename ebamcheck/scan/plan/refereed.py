@@ -1,0 +1,70 @@
+"""Plans driven on the nonlinear referee, to see whether it ranks orders and islands as the linear model does."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from ebamcheck.heat.referee import Referee, Verdict, judged, referee
+from ebamcheck.numeric.rings import Floats
+from ebamcheck.scan.plan.columns import ScanPlan
+from ebamcheck.scan.plan.laying import LaidLayer
+from ebamcheck.scan.plan.times import beam_lines, simulate_order
+from ebamcheck.settings.config import Config
+
+CELLS_PER_ISLAND = 4.0
+"""Cells of the referee across an island."""
+
+
+def referee_of(laid: LaidLayer, profile: Config, cells_per_island: float = CELLS_PER_ISLAND) -> Referee:
+    """Set up the referee of a layer that has islands."""
+    section = laid.regions.section
+    width_mm = math.sqrt(section.area / len(laid.islands))
+    return referee(section, profile, laid.height_mm, width_mm / cells_per_island)
+
+
+def refereed(model: Referee, plan: ScanPlan, profile: Config) -> Verdict:
+    """Drive a plan of one layer from cold; what it finds is by island of the plan."""
+    return _driven(model, plan, profile, plan.islands, _entered_s(plan, profile))
+
+
+def refereed_entries(model: Referee, plan: ScanPlan, profile: Config) -> tuple[Floats, Floats]:
+    """Temperature rise of each island, and of a spot as wide as a bead where the beam enters it, (I,) K; NaN without lines."""
+    first = plan.vectors.drop_duplicates("island")
+    island = first["island"].to_numpy()
+    spots = shapely.buffer(
+        shapely.points(first[["x0", "y0"]].to_numpy(np.float64)), 0.5 * profile.process.bead_width_mm
+    )
+    entered_s, count = _entered_s(plan, profile), len(plan.islands)
+    read = np.concatenate([plan.islands, spots])
+    entry_k = _driven(model, plan, profile, read, np.concatenate([entered_s, entered_s[island]])).entry_k
+    point_k = np.full(count, np.nan)
+    point_k[island] = entry_k[count:]
+    return entry_k[:count], point_k
+
+
+def _entered_s(plan: ScanPlan, profile: Config) -> Floats:
+    """Time at which each island of a plan is entered, (I,); 0 for those without lines."""
+    driven = simulate_order(plan, profile).sort_values("island")
+    return np.asarray(driven["start_s"].fillna(0.0).to_numpy(np.float64), np.float64)
+
+
+def _driven(
+    model: Referee, plan: ScanPlan, profile: Config, read: NDArray[np.object_], entered_s: Floats
+) -> Verdict:
+    """Drive a plan of one layer from cold and read the temperatures of polygons, each at its time."""
+    ends, begin_s, end_s = beam_lines(plan, profile)
+    return judged(
+        model,
+        model.cold(),
+        ends,
+        begin_s,
+        end_s,
+        profile.process.power_w * profile.material.absorptivity,
+        read,
+        entered_s,
+        float(end_s[-1]) if len(end_s) else 0.0,
+    )

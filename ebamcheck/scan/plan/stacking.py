@@ -1,0 +1,161 @@
+"""Ordered layers become one plan, and are measured."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import shapely
+from numpy.typing import NDArray
+
+from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.scan.filling.hatch import Vectors
+from ebamcheck.scan.islands import clipping as cells
+from ebamcheck.scan.order.path import enter_nearest
+from ebamcheck.scan.plan.columns import METRICS, ScanPlan, empty_vectors
+from ebamcheck.scan.plan.laying import LaidLayer
+from ebamcheck.scan.plan.times import EARLY, neighbour_intervals_s, simulate_order
+from ebamcheck.scan.plan.whole_part import LayerHeat, OrderedLayer
+from ebamcheck.settings.config import Config
+
+HEAT = ("body_mean_k", "entry_max_k", "wait_s", "ring_wait_s", "power_share", "enter_k", "leave_k")
+"""Metrics that the heat model of a layer gives; NaN where it was not asked."""
+
+
+@dataclass(frozen=True, eq=False)
+class LayerPlan:
+    """One layer of a :class:`ScanPlan`: its islands, the order in which they are scanned, and the lines in it."""
+
+    laid: LaidLayer
+    order: Ints
+    vectors: Vectors
+    heat: LayerHeat | None = None
+
+
+def in_order(layer: OrderedLayer) -> LayerPlan:
+    """Lines of a layer whose islands are put in order."""
+    laid = layer.laid
+    return LayerPlan(laid, layer.order, _path(laid.lines, layer.order, laid.chained), layer.heat)
+
+
+def _path(vectors: Vectors, order: Ints, chained: Bools) -> Vectors:
+    """Lines in scan order, every island entered from its nearest corner."""
+    first = np.concatenate([[0], np.cumsum(np.bincount(vectors.island, minlength=order.size))])
+    rows, turned = enter_nearest(vectors.start, vectors.end, first.astype(np.int64), order, chained)
+    a, b = vectors.start[rows], vectors.end[rows]
+    swap = turned[:, None]
+    return Vectors(vectors.island[rows], np.where(swap, b, a), np.where(swap, a, b))
+
+
+def stack_plans(planned: Sequence[LayerPlan], profile: Config, order: str, seed: int) -> ScanPlan:
+    """Join layers into one plan and measure it."""
+    base = np.cumsum([0] + [len(p.laid.islands) for p in planned])
+    islands = _joined([p.laid.islands for p in planned], np.zeros(0, object))
+    by_layer = list(zip(planned, base[:-1], strict=True))
+    plan = ScanPlan(
+        heights=np.array([p.laid.height_mm for p in planned], np.float64),
+        contours=cells.column([p.laid.regions.contour for p in planned]),
+        sections=cells.column([p.laid.regions.section for p in planned]),
+        islands=islands,
+        # A plan of one layer is layer 0 of its own stack, whatever its index in the part.
+        island_layer=np.repeat(np.arange(len(planned)), np.diff(base)).astype(np.int64),
+        island_kind=_joined([p.laid.kind for p in planned], np.zeros(0, np.str_)),
+        island_area_mm2=np.asarray(shapely.area(islands), np.float64),
+        island_centroid=_joined([p.laid.centroid for p in planned], np.zeros((0, 2))),
+        neighbours=_joined([p.laid.neighbours + b for p, b in by_layer], np.zeros((0, 2), np.int64)),
+        border_mm=_joined([p.laid.border_mm for p in planned], np.zeros(0)),
+        order=_joined([p.order + b for p, b in by_layer], np.zeros(0, np.int64)),
+        vectors=_vector_table(by_layer),
+        metrics=pd.DataFrame(columns=list(METRICS)),
+        settings=_settings(profile, order, seed),
+        island_wait_s=_joined([_waits_s(p, inner=False) for p in planned], np.zeros(0)),
+        inner_wait_s=_joined([_waits_s(p, inner=True) for p in planned], np.zeros(0)),
+    )
+    return replace(plan, metrics=_measured(plan, planned, profile))
+
+
+def _waits_s(layer: LayerPlan, inner: bool) -> Floats:
+    """Waits before the islands of a layer, or before each further bead of them."""
+    if layer.heat is None:
+        return np.zeros(len(layer.order))
+    return layer.heat.inner_wait_s if inner else layer.heat.island_wait_s
+
+
+def _joined(columns: Sequence[NDArray[Any]], empty: NDArray[Any]) -> NDArray[Any]:
+    return np.concatenate(columns) if columns else empty
+
+
+def _vector_table(by_layer: Sequence[tuple[LayerPlan, Any]]) -> pd.DataFrame:
+    if not by_layer:
+        return empty_vectors()
+    start = np.concatenate([p.vectors.start for p, _ in by_layer])
+    end = np.concatenate([p.vectors.end for p, _ in by_layer])
+    way = end - start
+    return pd.DataFrame(
+        {
+            "island": np.concatenate([p.vectors.island + b for p, b in by_layer]),
+            "x0": start[:, 0],
+            "y0": start[:, 1],
+            "x1": end[:, 0],
+            "y1": end[:, 1],
+            "angle": np.degrees(np.arctan2(way[:, 1], way[:, 0])) % 360.0,
+        }
+    )
+
+
+def _settings(profile: Config, order: str, seed: int) -> dict[str, Any]:
+    """What shaped the plan."""
+    return {
+        "order": order,
+        "seed": seed,
+        "scan": profile.scan.model_dump(mode="json", exclude={"order", "seed"}),
+        "bead_width_mm": profile.process.bead_width_mm,
+        "bead_spacing": profile.process.bead_spacing,
+        "travel_speed_mm_s": profile.process.travel_speed_mm_s,
+        "rapid_mm_s": profile.machine.rapid_mm_s,
+    }
+
+
+def _measured(plan: ScanPlan, planned: Sequence[LayerPlan], profile: Config) -> pd.DataFrame:
+    """One row a layer, as :data:`METRICS` says."""
+    driven = simulate_order(plan, profile)
+    end = np.full(len(plan.islands), np.nan)
+    end[driven["island"]] = driven["end_s"]
+    interval = neighbour_intervals_s(end, plan.neighbours)
+    pair_layer = plan.island_layer[plan.neighbours[:, 0]]
+    of_layer = driven["layer"].to_numpy()
+
+    def total(values: pd.Series) -> Floats:
+        return np.bincount(of_layer, values.to_numpy(np.float64), minlength=len(planned)).astype(np.float64)
+
+    length, turn = total(driven["length_mm"]), total(driven["turn_mm"])
+    travel = total(driven["travel_mm"] + driven["inner_travel_mm"])
+    spread = [interval[pair_layer == k] for k in range(len(planned))]
+    spread = [values[np.isfinite(values)] for values in spread]
+    area = np.array([p.laid.regions.section.area for p in planned], np.float64)
+    contour = np.array([p.laid.regions.contour.length for p in planned], np.float64)
+    laid_mm2 = (contour + length + turn) * profile.process.hatch_spacing_mm
+    values: dict[str, Any] = {
+        "layer": [p.laid.layer for p in planned],
+        "height_mm": plan.heights,
+        "side_mm": [p.laid.side_mm for p in planned],
+        "islands": [len(p.laid.islands) for p in planned],
+        "area_mm2": area,
+        "covered_fraction": [p.laid.covered for p in planned],
+        "widest_gap_mm": [p.laid.widest_gap_mm for p in planned],
+        "laid_share": np.divide(laid_mm2, area, out=np.zeros_like(area), where=area > 0),
+        "contour_length_mm": contour,
+        "hatch_length_mm": length,
+        "turn_length_mm": turn,
+        "travel_mm": travel,
+        "starts": total(driven["starts"]).astype(np.int64),
+        "time_s": (length + turn) / profile.process.travel_speed_mm_s + travel / profile.machine.rapid_mm_s,
+        "interval_p10_s": [float(np.quantile(v, EARLY)) if v.size else math.nan for v in spread],
+        "interval_min_s": [float(v.min()) if v.size else math.nan for v in spread],
+        **{name: [math.nan if p.heat is None else getattr(p.heat, name) for p in planned] for name in HEAT},
+    }
+    return pd.DataFrame(values, columns=list(METRICS))

@@ -1,0 +1,274 @@
+"""Layers put in order from below, each beginning with what those under it have left.
+
+A layer's contours heat it first, at the time at which they are laid; then come its islands. Times count the beads, the
+moves between them with rise and return, and the waits; power and waits are chosen by :mod:`ebamcheck.scan.heat.interpass`.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
+
+import numpy as np
+from shapely.geometry.base import BaseGeometry
+
+from ebamcheck.heat.balance import HeatColumn, LayerShape
+from ebamcheck.heat.one_blas_thread import one_blas_thread
+from ebamcheck.numeric.kernels import run_blocks, thread_count
+from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.scan.heat.interpass import Drive, LayerJob, cool_drive
+from ebamcheck.scan.heat.part_heat import Beads, PartHeat
+from ebamcheck.scan.order.orders import LayerIslands, Order, scan_order
+from ebamcheck.scan.plan.bead_sequence import bead_sequence
+from ebamcheck.scan.plan.laying import LaidLayer, lay_islands
+from ebamcheck.settings.config import Config
+
+AHEAD = 8
+"""Layers that are laid out and whose modes are found side by side, while those before them are put in order."""
+
+_Prepared = TypeVar("_Prepared")
+
+WHOLE_PART = {
+    "layer": "index of the layer",
+    "height_mm": "its height over the base plate",
+    "islands": "islands",
+    "body_mean_k": "mean temperature rise of the body under it when it begins",
+    "entry_max_k": "greatest mean temperature rise of an island when the beam enters it",
+    "entry_sd_k": "standard deviation of it over the islands",
+    "travel_mm": "jumps between islands",
+    "time_s": "time of the layer, with contours, moves and the waits within it",
+    "wait_s": "wait before the layer",
+    "power_share": "share of the beam's power",
+    "enter_k": "temperature of the surface when it begins, absolute",
+    "leave_k": "the same when it is done",
+    "stored_j": "heat in the body at its end",
+}
+"""Columns of a row of :func:`scan_part` and what they are."""
+
+
+@dataclass(frozen=True)
+class LayerHeat:
+    """A layer driven on the heat model; figures as in :data:`WHOLE_PART`."""
+
+    body_mean_k: float
+    entry_max_k: float
+    entry_sd_k: float
+    travel_mm: float
+    time_s: float
+    wait_s: float
+    power_share: float
+    enter_k: float
+    leave_k: float
+    stored_j: float
+    ring_wait_s: float
+    island_wait_s: Floats
+    """(I,) wait before each island"""
+    inner_wait_s: Floats
+    """(I,) wait before each further bead of an island"""
+    mean_k: Floats
+    """(B,) mean temperature of the surface when each bead is entered, contours first, absolute"""
+
+
+@dataclass(frozen=True, eq=False)
+class OrderedLayer:
+    """A layer, what its order knew of it, the order (I,), and its heat where it was driven."""
+
+    laid: LaidLayer
+    islands: LayerIslands
+    order: Ints
+    heat: LayerHeat | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Stack:
+    """Layers to be put in order.
+
+    Parameters
+    ----------
+    sections
+        Valid sections, from below.
+    heights_mm
+        (L,) their heights, rising.
+    numbers
+        Indices in the part, which turn hatch and cells and seed random choices.
+    plate_mm
+        Height of the base plate.
+    """
+
+    sections: Sequence[BaseGeometry]
+    heights_mm: Floats
+    numbers: Sequence[int]
+    plate_mm: float = 0.0
+
+    def __len__(self) -> int:
+        """Return the number of layers."""
+        return len(self.sections)
+
+    def thickness_mm(self, layer: int, profile: Config) -> float:
+        """Height of one layer: the step from the one below, for the lowest that to the next, or the one set."""
+        steps = np.diff(self.heights_mm)
+        return float(steps[max(layer - 1, 0)]) if len(steps) else profile.layer_height_mm
+
+
+def ordered_layers(
+    stack: Stack, profile: Config, order: str | Order, seed: int, carry: bool, driven: bool = True
+) -> Iterator[OrderedLayer]:
+    """Put layers in order, from below.
+
+    Parameters
+    ----------
+    carry
+        Let each order know the heat that is left below; else it is that of a cold part.
+    driven
+        Drive each layer on the heat model, and find its waits and power. Always done where heat is carried.
+
+    Yields
+    ------
+    OrderedLayer
+        As soon as it is done.
+    """
+    if not (carry or driven):
+        yield from _prepared(stack, lambda k: _cold(stack, k, profile, order, seed))
+        return
+    part, last = PartHeat(HeatColumn(profile)), None
+    for k, (laid, islands) in enumerate(_prepared(stack, lambda k: _laid(stack, k, profile, seed))):
+        with one_blas_thread():
+            part = part.under(islands.cold_heat.model if len(islands) else None)
+            shape = LayerShape.of(islands.section, stack.thickness_mm(k, profile))
+            known = _knowing(islands, laid, part, last, profile) if carry else islands
+            found = scan_order(order, known)
+            if islands.section.area <= 0.0:
+                yield OrderedLayer(laid, known, found)
+                continue
+            beads, travel_mm = bead_sequence(laid, islands, found)
+            job = LayerJob(beads, shape, islands.height_mm, lowest=last is None)
+            last = cool_drive(job, part, profile)
+            part = last.after
+        yield OrderedLayer(laid, known, found, _figures(last, travel_mm, beads, len(found), profile))
+
+
+def scan_part(
+    sections: Sequence[BaseGeometry],
+    heights_mm: Floats,
+    profile: Config,
+    order: str | Order,
+    seed: int,
+) -> Generator[dict[str, Any], None, None]:
+    """Order all layers of a part with the heat of those under them.
+
+    Parameters
+    ----------
+    sections
+        Valid sections of the layers, from below.
+    heights_mm
+        (L,) their heights over the base plate, rising.
+
+    Yields
+    ------
+    dict
+        One row a layer as :data:`WHOLE_PART` names them, as soon as it is done.
+    """
+    stack = Stack(sections, heights_mm, range(len(sections)))
+    nothing = {**dict.fromkeys(WHOLE_PART, np.nan), "travel_mm": 0.0, "time_s": 0.0}
+    for done in ordered_layers(stack, profile, order, seed, carry=True):
+        figures = nothing if done.heat is None else vars(done.heat)
+        place = {"layer": done.laid.layer, "height_mm": done.islands.height_mm, "islands": len(done.islands)}
+        yield {name: {**figures, **place}[name] for name in WHOLE_PART}
+
+
+def _prepared(stack: Stack, prepare: Callable[[int], _Prepared]) -> Iterator[_Prepared]:
+    """Prepare layers on all threads, a block ahead of who takes them; who stops taking them stops the threads, too."""
+    stopped = threading.Event()
+
+    def work(block: range) -> list[_Prepared]:
+        def some(start: int, stop: int) -> list[_Prepared]:
+            return [prepare(k) for k in block[start:stop] if not stopped.is_set()]
+
+        return [found for part in run_blocks(some, len(block)) for found in part]
+
+    blocks = [range(a, min(a + AHEAD, len(stack))) for a in range(0, len(stack), AHEAD)]
+    if thread_count() == 1:
+        for block in blocks:
+            yield from work(block)
+        return
+    with ThreadPoolExecutor(1) as ahead:
+        try:
+            coming = [ahead.submit(work, block) for block in blocks[:1]]
+            for n in range(len(blocks)):
+                ready = coming.pop().result()
+                coming = [ahead.submit(work, block) for block in blocks[n + 1 : n + 2]]
+                yield from ready
+        finally:
+            stopped.set()
+
+
+@one_blas_thread()
+def _cold(stack: Stack, k: int, profile: Config, order: str | Order, seed: int) -> OrderedLayer:
+    """Divide one layer into islands and put them in order as on a cold part."""
+    laid = lay_islands(stack.sections[k], profile, stack.numbers[k], float(stack.heights_mm[k]))
+    islands = laid.choices(profile, seed, stack.plate_mm)
+    return OrderedLayer(laid, islands, scan_order(order, islands))
+
+
+@one_blas_thread()
+def _laid(stack: Stack, k: int, profile: Config, seed: int) -> tuple[LaidLayer, LayerIslands]:
+    """Divide one layer into islands, and set up its heat model."""
+    laid = lay_islands(stack.sections[k], profile, stack.numbers[k], float(stack.heights_mm[k]))
+    islands = laid.choices(profile, seed, stack.plate_mm)
+    if len(islands):
+        _ = islands.cold_heat
+    return laid, islands
+
+
+def _knowing(
+    islands: LayerIslands, laid: LaidLayer, part: PartHeat, last: Drive | None, profile: Config
+) -> LayerIslands:
+    """Let an order know the heat with which the islands of a layer begin: its contours are laid.
+
+    Power and wait are those of the layer below, since those of this one depend on its order.
+    """
+    if not len(islands):
+        return islands
+    ahead = part.copy()
+    share, wait_s = (1.0, 0.0) if last is None else (last.power_share, last.wait_s)
+    ahead.rest(wait_s)
+    beads, _ = bead_sequence(laid, islands, np.zeros(0, np.int64))
+    ahead.column.lay(LayerShape.of(islands.section, profile.layer_height_mm))
+    for ring in range(len(beads)):
+        ahead.rest(float(beads.move_s[ring]))
+        ahead.lay_bead(beads, ring, share * profile.process.power_w * profile.material.absorptivity)
+    begins = ahead.amplitudes()
+    after = replace(islands, before=lambda _: begins)
+    # The modes are found already; only the beginning is another one.
+    vars(after)["cold_heat"] = islands.cold_heat
+    return after
+
+
+def _figures(drive: Drive, travel_mm: float, beads: Beads, islands: int, profile: Config) -> LayerHeat:
+    # Beyond the boiling point the model says that it is too hot, not how hot.
+    boiling_k, ambient_k = profile.material.boiling_k, profile.process.ambient_temperature_k
+    rise_k = np.minimum(drive.bed_k, boiling_k) - ambient_k
+    entry_k = rise_k if rise_k.size else np.zeros(1)
+    island_wait_s, inner_wait_s = np.zeros(islands), np.zeros(islands)
+    waits, inner = drive.bead_wait_s[beads.rings :], beads.inner[beads.rings :]
+    island_wait_s[beads.islands[~inner]] = waits[~inner]
+    inner_wait_s[beads.islands[inner]] = waits[inner]
+    return LayerHeat(
+        body_mean_k=drive.body_k,
+        entry_max_k=float(entry_k.max()),
+        entry_sd_k=float(entry_k.std()),
+        travel_mm=travel_mm,
+        time_s=drive.time_s,
+        wait_s=drive.wait_s,
+        power_share=drive.power_share,
+        enter_k=min(drive.enter_k, boiling_k),
+        leave_k=min(drive.leave_k, boiling_k),
+        stored_j=drive.after.column.stored_j,
+        ring_wait_s=drive.ring_wait_s,
+        island_wait_s=island_wait_s,
+        inner_wait_s=inner_wait_s,
+        mean_k=drive.mean_k,
+    )

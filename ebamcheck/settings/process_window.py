@@ -1,0 +1,165 @@
+"""The process window: what wire, beam and layers a profile allows, held against the settings before anything is sliced.
+
+The program's text is held against the same limits, motion by motion: :mod:`ebamcheck.program.checking.window_checks`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from itertools import pairwise
+
+from ebamcheck.errors import SettingsError
+from ebamcheck.findings import Finding, Severity
+from ebamcheck.settings.config import Config
+
+USUAL_OVER_BEAD = (0.75, 1.25)
+"""Layer heights over that of one bead at which wire and beam need no trial of their own: as far as published parameters of
+one machine and wire vary from layer to layer; nominal."""
+
+ROUNDING = 1e-9
+"""Of a ratio of floats."""
+
+
+def wire_area_mm2(config: Config) -> float:
+    """Section of the wire, mm2."""
+    return math.pi * config.process.wire_diameter_mm**2 / 4.0
+
+
+def nominal_wire_speed_mm_s(config: Config, layer_mm: float) -> float:
+    """Wire speed of hatch lines in a layer of this height: travel speed x spacing x layer height over the wire's section."""
+    process = config.process
+    return process.travel_speed_mm_s * process.hatch_spacing_mm * layer_mm / wire_area_mm2(config)
+
+
+def line_energy_j_mm(config: Config) -> float:
+    """Energy of the beam along a bead, P / v, J/mm."""
+    return config.process.power_w / config.process.travel_speed_mm_s
+
+
+def least_wall_mm(config: Config) -> float:
+    """Thinnest wall that beads can lay: the one set, else the bead's width at the least wire speed.
+
+    Wire and width go together in the mass balance, so that at the same travel speed and layer height the narrowest bead has
+    the share of the bead's width that the least wire speed has of the nominal one.
+    """
+    process = config.process
+    if process.least_wall_mm is not None:
+        return process.least_wall_mm
+    share = process.wire_speed_min_mm_s / nominal_wire_speed_mm_s(config, config.layer_height_mm)
+    return process.bead_width_mm * min(share, 1.0)
+
+
+def least_hole_mm(config: Config) -> float:
+    """Narrowest hole that stays open: the one set, else the width of one bead, which bridges it."""
+    return config.process.least_hole_mm or config.process.bead_width_mm
+
+
+def layer_steps_mm(config: Config) -> list[tuple[str, float]]:
+    """Heights of the layers that the settings ask for, each with the name of its setting.
+
+    Listed heights are those of the cuts; a step is from one to the next, and the first layer is as high as the second.
+    """
+    heights = config.layers.heights_mm
+    if len(heights) < 2:
+        named = "layers.layer_height_mm" if config.layers.layer_height_mm else "process.wire_speed_mm_s"
+        return [(named, config.layer_height_mm)]
+    return [(f"layers.heights_mm, layer {k}", b - a) for k, (a, b) in enumerate(pairwise(heights), 1)]
+
+
+def outside_window(config: Config, severity: Severity = "fault") -> Iterator[Finding]:
+    """Settings outside of the process window, each with its limit and what to do; none where the profile is kept."""
+    for setting, layer_mm in layer_steps_mm(config):
+        if layer_mm > 0.0:  # heights that do not rise have an error of their own
+            yield from _layer(config, severity, setting, layer_mm)
+    energy, limits = line_energy_j_mm(config), config.process.line_energy_j_mm
+    if (limit := _broken(energy, limits)) is not None:
+        yield Finding(
+            severity,
+            "process-limit",
+            f"process.voltage_kv x current_ma / travel_speed_mm_s give {energy:.4g} J/mm, {_beyond(energy, limit)} {limit:g} J/mm "
+            "(process.line_energy_j_mm)",
+            "process.travel_speed_mm_s",
+            energy,
+            limit,
+            "J/mm",
+            "change the current or the travel speed",
+        )
+
+
+def checked_window(config: Config) -> None:
+    """Refuse settings outside of the process window.
+
+    Raises
+    ------
+    SettingsError
+        That names the first such setting, its value, the limit and what to do.
+    """
+    for found in outside_window(config):
+        raise SettingsError(f"{found.text}: {found.remedy}")
+
+
+def unusual_layers(config: Config) -> Iterator[Finding]:
+    """Tell of layer heights within the window and far from that of one bead: the farthest of them."""
+    bead = config.process.bead_height_mm
+    setting, layer_mm = max(layer_steps_mm(config), key=lambda step: abs(step[1] - bead))
+    ratio = layer_mm / bead
+    limit = _broken(ratio, USUAL_OVER_BEAD)
+    if limit is not None and _broken(ratio, config.process.layer_over_bead) is None:
+        yield Finding(
+            "note",
+            "layer-over-bead",
+            f"a layer of {layer_mm:.4g} mm is {ratio:.3g} of the height of one bead ({bead:.4g} mm)",
+            setting,
+            ratio,
+            limit,
+            "of the bead",
+            "try wire and beam on a bead of this height first",
+        )
+
+
+def _layer(config: Config, severity: Severity, setting: str, layer_mm: float) -> Iterator[Finding]:
+    """Layer height over the bead, and the wire speed that it asks for."""
+    process = config.process
+    ratio, wire = layer_mm / process.bead_height_mm, nominal_wire_speed_mm_s(config, layer_mm)
+    low, high = allowed_layers_mm(config)
+    remedy = (
+        f"choose a layer height from {low:.3g} to {high:.3g} mm, or another bead"
+        if low <= high
+        else "choose another wire, bead or travel speed: no layer height suits these"
+    )
+    if (limit := _broken(ratio, process.layer_over_bead)) is not None:
+        text = (
+            f"{setting}: {layer_mm:.6g} mm is {ratio:.3g} times the height of one bead ({process.bead_height_mm:.4g} mm), "
+            f"{_beyond(ratio, limit)} {limit:g} (process.layer_over_bead)"
+        )
+        yield Finding(severity, "process-limit", text, setting, ratio, limit, "of the bead", remedy)
+        return
+    least, greatest = process.wire_speed_min_mm_s, process.wire_speed_max_mm_s
+    if (limit := _broken(wire, (least, greatest))) is not None:
+        name = "wire_speed_min_mm_s" if limit == least else "wire_speed_max_mm_s"
+        text = (
+            f"{setting}: layers of {layer_mm:.6g} mm take {wire:.4g} mm/s of wire, {_beyond(wire, limit)} {limit:.4g} mm/s "
+            f"(process.{name})"
+        )
+        yield Finding(severity, "process-limit", text, setting, wire, limit, "mm/s", remedy)
+
+
+def allowed_layers_mm(config: Config) -> tuple[float, float]:
+    """Least and greatest layer height within the process window, mm."""
+    process = config.process
+    per_mm = nominal_wire_speed_mm_s(config, 1.0)
+    low, high = (share * process.bead_height_mm for share in process.layer_over_bead)
+    return max(low, process.wire_speed_min_mm_s / per_mm), min(high, process.wire_speed_max_mm_s / per_mm)
+
+
+def _broken(value: float, limits: tuple[float, float]) -> float | None:
+    """Return the limit that a value breaks; None where it keeps both."""
+    low, high = limits
+    if not value >= low * (1.0 - ROUNDING):
+        return low
+    return high if value > high * (1.0 + ROUNDING) else None
+
+
+def _beyond(value: float, limit: float) -> str:
+    return "over" if value > limit else "under"

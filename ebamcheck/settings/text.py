@@ -1,0 +1,75 @@
+"""All settings as a TOML text that explains itself."""
+
+from __future__ import annotations
+
+import textwrap
+from typing import Any
+
+import tomlkit
+
+from ebamcheck.settings.base import Section
+from ebamcheck.settings.config import Config
+from ebamcheck.settings.wording import EXAMPLES, PLACEHOLDERS, TEMPLATES
+
+WIDTH = 100
+
+
+def as_toml(config: Config) -> str:
+    """Settings as TOML: every key with its value, its explanation as a comment before it.
+
+    A key that is not set has its automatic meaning explained and stands as a comment.
+    """
+    lines = ["# Settings of ebamcheck. Every key may be left out; these are the values in force.", ""]
+    for name in type(config).model_fields:
+        section: Section = getattr(config, name)
+        lines += [f"# {_first_line(section)}", f"[{name}]"]
+        tables: list[str] = []
+        for key, info in type(section).model_fields.items():
+            value = getattr(section, key)
+            if info.description:
+                lines += textwrap.wrap(info.description, WIDTH, initial_indent="# ", subsequent_indent="# ")
+            lines += _told_beside(name, key)
+            if isinstance(value, dict):
+                tables += _tables(f"{name}.{key}", value)
+                lines += [] if value else [f"# [{name}.{key}.NAME]"]
+            elif value is None:
+                lines.append(f"# {key} =")
+            else:
+                lines.append(f"{key} = {_value(value)}")
+        if section.model_extra:
+            named = {key: table.model_dump(mode="json") for key, table in section.model_extra.items()}
+            tables += tomlkit.dumps({name: named}).removeprefix(f"[{name}]\n").splitlines()
+        lines += ["", *tables]
+    return "\n".join(lines)
+
+
+def _told_beside(section: str, key: str) -> list[str]:
+    """Comments with the placeholders of the templates, before the first of them, and an example of what needs one."""
+    lines = []
+    if section == "machine" and key == next(iter(TEMPLATES)):
+        lines.append("# Placeholders, filled in where they stand in braces in the blocks of these templates:")
+        lines += [f"#   {{{name}}}  {meaning}" for name, meaning in PLACEHOLDERS.items()]
+    if example := EXAMPLES.get(f"{section}.{key}"):
+        lines.append(f"# Example: {key} = {example}")
+    return lines
+
+
+def _tables(path: str, values: dict[str, Any]) -> list[str]:
+    lines = []
+    for name, table in values.items():
+        lines += [f"[{path}.{name}]", *(f"{k} = {_value(v)}" for k, v in table.items() if v is not None), ""]
+    return lines
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, tuple):
+        return str(tomlkit.array("[" + ", ".join(_value(v) for v in value) + "]").as_string())
+    if isinstance(value, Section):
+        table = tomlkit.inline_table()
+        table.update(value.model_dump(mode="json"))
+        return str(table.as_string())
+    return str(tomlkit.item(value).as_string())
+
+
+def _first_line(section: Section) -> str:
+    return (type(section).__doc__ or "").strip().splitlines()[0]

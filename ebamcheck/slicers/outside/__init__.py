@@ -1,0 +1,1 @@
+"""What only other people's programs need: finding and running them, lattices of heights, placement."""

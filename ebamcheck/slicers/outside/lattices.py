@@ -1,0 +1,208 @@
+"""Any heights by slicers that know evenly spaced planes only: which lattices of planes they need, each cut once.
+
+A program of others cuts a part from bottom to top at one layer height. Heights of equal steps are planes of one
+lattice, and the whole lattice is cut and kept, so that the next block of the same stack is there already. A height
+that belongs to no lattice is one of a single plane.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from threading import Lock
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ebamcheck.backend import Progress
+from ebamcheck.errors import BackendFailed
+from ebamcheck.layers.stack import Layers, canonical, concatenate
+from ebamcheck.mesh.part import Part
+from ebamcheck.numeric.kernels import thread_count
+from ebamcheck.numeric.rings import EPSILON, Bools, Floats, Ints
+
+SAME_PLANE_MM = 1e-9
+"""Heights nearer than this are the same plane: heights ``bottom + (k + 0.5) * step`` are rounded."""
+
+LEAST_RUN = 3
+"""Heights of equal step that make a lattice: any two heights have one step."""
+
+PLANES_A_RUN = 2000
+"""Planes of a lattice for each height that is asked of it. A program cuts some hundred planes in the time of starting
+once more and reading the part, and blocks of the same stack are likely to follow."""
+
+KEPT_LATTICES = 4
+KEPT_PLANES = 256
+"""Lattices and single planes that are kept; the oldest go first."""
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """Planes at ``first_mm + k * step_mm``, k = 0 .. count - 1; all that lie in a part."""
+
+    first_mm: float
+    step_mm: float
+    count: int
+
+    @property
+    def heights(self) -> Floats:
+        """Heights of the planes (count,), mm."""
+        return np.asarray(self.first_mm + np.arange(self.count) * self.step_mm, dtype=np.float64)
+
+    def indices(self, heights: Floats) -> Ints:
+        """Plane at each height, (L,); -1 where there is none."""
+        nearest = np.rint((heights - self.first_mm) / self.step_mm).astype(np.int64)
+        off = np.abs(heights - (self.first_mm + nearest * self.step_mm)) > same_plane_mm(heights)
+        return np.where(off | (nearest < 0) | (nearest >= self.count), -1, nearest)
+
+
+def same_plane_mm(heights: Floats) -> Floats:
+    """How near two heights are one plane, (L,) mm."""
+    return np.asarray(SAME_PLANE_MM + 16.0 * EPSILON * np.abs(heights))
+
+
+def lattices_of(heights: Floats, least_mm: float, greatest_mm: float) -> list[Lattice]:
+    """Lattices that hold all heights of a part.
+
+    Parameters
+    ----------
+    heights
+        (L,) strictly increasing heights, mm, between `least_mm` and `greatest_mm`, the ends of the part.
+
+    Returns
+    -------
+    list of Lattice
+        Each goes from the bottom of the part to its top. One that would have far more planes than are asked of it
+        is left as single planes, whose step is the height of the part.
+
+    Examples
+    --------
+    >>> lattices_of(np.array([0.75, 1.25, 1.75, 7.0]), 0.0, 10.0)
+    [Lattice(first_mm=0.25, step_mm=0.5, count=20), Lattice(first_mm=7.0, step_mm=10.0, count=1)]
+    """
+    found: list[Lattice] = []
+    alone = np.ones(heights.size, np.bool_)
+    for start, stop in _even_runs(heights):
+        step_mm = float(heights[stop - 1] - heights[start]) / (stop - start - 1)
+        lattice = _whole(float(heights[start]), step_mm, least_mm, greatest_mm)
+        if alone[start:stop].any() and lattice.count <= PLANES_A_RUN * (stop - start):
+            found.append(lattice)
+            alone &= lattice.indices(heights) < 0
+    return found + [Lattice(z, greatest_mm - least_mm, 1) for z in heights[alone].tolist()]
+
+
+def _even_runs(heights: Floats) -> list[tuple[int, int]]:
+    """Runs ``[start, stop)`` of heights of equal steps; none overlaps another."""
+    steps = np.diff(heights)
+    if steps.size < LEAST_RUN - 1:
+        return []
+    changes = np.flatnonzero(np.abs(np.diff(steps)) > 2.0 * same_plane_mm(heights[2:])) + 1
+    runs: list[tuple[int, int]] = []
+    for first, past in zip([0, *changes.tolist()], [*changes.tolist(), steps.size], strict=True):
+        start = max(first, runs[-1][1]) if runs else first
+        if past + 1 - start >= LEAST_RUN:
+            runs.append((start, past + 1))
+    return runs
+
+
+def _whole(height_mm: float, step_mm: float, least_mm: float, greatest_mm: float) -> Lattice:
+    """Lattice through a height, from the lowest of its planes in the part to the highest."""
+    below = math.floor((height_mm - least_mm) / step_mm)
+    above = math.floor((greatest_mm - height_mm) / step_mm)
+    return Lattice(height_mm - below * step_mm, step_mm, below + above + 1)
+
+
+Cut = Callable[[Lattice], Layers]
+"""Cuts a part at all planes of a lattice."""
+
+
+class LatticeStack:
+    """A part that is cut by lattices, held ready; what a lattice gave is kept for the blocks that follow.
+
+    Parameters
+    ----------
+    part
+        The part as placed.
+    labels
+        Labels of its layers.
+    cut
+        Cuts it at the planes of a lattice; may be called from several threads.
+    """
+
+    def __init__(self, part: Part, labels: dict[str, Any], cut: Cut) -> None:
+        self.part = part
+        self._labels = labels
+        self._cut: Cut | None = cut
+        self._kept: dict[Lattice, Layers] = {}
+        self._lock = Lock()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._cut = None
+        self._kept.clear()
+
+    def slice(self, heights: NDArray[np.float64], progress: Progress | None = None) -> Layers:
+        """Cut at strictly increasing heights (L,), mm."""
+        with self._lock:
+            return self._slice(heights, progress or _silent)
+
+    def _slice(self, heights: Floats, progress: Progress) -> Layers:
+        if self._cut is None:
+            raise BackendFailed(f"part {self.part.name!r} was released: prepare it again")
+        least, greatest = self.part.bounds[:, 2].tolist()
+        waiting: Bools = (least < heights) & (heights < greatest)
+        blocks = [self._empty(heights[~waiting])]
+        places = [np.flatnonzero(~waiting)]
+        if places[0].size:
+            progress(places[0].size)
+
+        def take(lattice: Lattice, layers: Layers) -> None:
+            where = lattice.indices(heights)
+            here = np.flatnonzero(waiting & (where >= 0))
+            if here.size:
+                blocks.append(layers.take(where[here]))
+                places.append(here)
+                waiting[here] = False
+                progress(here.size)
+
+        # A plane of two lattices is taken from the older one, so that the same question has the same answer.
+        for lattice, layers in self._kept.items():
+            take(lattice, layers)
+        wanted = lattices_of(heights[waiting], least, greatest)
+        with ThreadPoolExecutor(thread_count()) as pool:
+            for lattice, layers in zip(wanted, pool.map(self._cut, wanted), strict=True):
+                self._keep(lattice, layers)
+                take(lattice, layers)
+        order = np.argsort(np.concatenate(places), kind="stable")
+        return replace(concatenate(blocks).take(order), heights=heights, **self._labels)
+
+    def _keep(self, lattice: Lattice, layers: Layers) -> None:
+        """Keep what a lattice gave, and let go of the oldest."""
+        self._kept[lattice] = layers
+        for single, most in ((True, KEPT_PLANES), (False, KEPT_LATTICES)):
+            alike = [one for one in self._kept if (one.count == 1) == single]
+            for old in alike[: max(0, len(alike) - most)]:
+                del self._kept[old]
+
+    def _empty(self, heights: Floats) -> Layers:
+        """Layers outside the part."""
+        return canonical(
+            heights,
+            np.zeros((0, 2)),
+            [0],
+            np.zeros(heights.size + 1, np.int64),
+            np.zeros(0, np.bool_),
+            **self._labels,
+        )
+
+
+def _silent(done: int) -> None:
+    """Progress that nobody asked for."""

@@ -1,0 +1,299 @@
+"""Slice a part with one backend, in this process or in one of its own, once or again and again."""
+
+from __future__ import annotations
+
+import os
+import weakref
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import TracebackType
+from typing import Any, Self, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ebamcheck.backend import BackendSettings, Prepared, Progress, Turnable
+from ebamcheck.errors import SettingsError
+from ebamcheck.layers import files as layer_files
+from ebamcheck.layers.heights import checked_heights, is_rising, layer_blocks
+from ebamcheck.layers.stack import Layers
+from ebamcheck.mesh.part import Part
+from ebamcheck.plugins import registry
+from ebamcheck.settings.slicing import SlicingSettings
+from ebamcheck.slicers.isolation import Limits, Outcome, slice_all, slice_isolated
+from ebamcheck.slicers.worker_pool import Crew
+
+_Result = TypeVar("_Result")
+
+
+def slice_part(
+    part: Part,
+    heights: ArrayLike,
+    backend: str = "",
+    isolate: bool = False,
+    progress: Progress | None = None,
+    limits: Limits | None = None,
+    **settings: Any,
+) -> Layers:
+    """Cut a part at the given heights.
+
+    Parameters
+    ----------
+    part
+        The part as placed.
+    heights
+        (L,) absolute heights, mm, in any order; a single number is one layer.
+    backend
+        Name in the registry; the default is the available exact slicer of the highest priority.
+    isolate
+        Run the backend in a process of its own, so that a crash of it raises here instead of ending
+        this process.
+    progress
+        Called with the number of layers done since the last call.
+    limits
+        Time and memory that the backend may use where it runs isolated.
+    **settings
+        The backend's own settings.
+
+    Returns
+    -------
+    Layers
+        One layer a height, in the order given.
+
+    Raises
+    ------
+    BackendMissing
+        If the backend is unknown or cannot run on this machine.
+    BackendFailed
+        If it refuses the part, crashes or (isolated) outlives its limits.
+    SettingsError
+        If a height is not finite or a setting is wrong.
+    """
+    name = backend or registry.default_backend()
+    wanted = checked_heights(heights)
+    increasing, where = np.unique(wanted, return_inverse=True)
+    checked = registry.slicer_settings(name, settings)
+    if isolate:
+        layers = slice_isolated(name, part, increasing, checked, limits, progress)
+    else:
+        with registry.available_slicer(name).prepare(part, checked) as prepared:
+            layers = prepared.slice(increasing, progress)
+    layers = layers if np.array_equal(increasing, wanted) else layers.take(where)
+    return layers.labelled(mesh=part)
+
+
+def slice_to_file(
+    part: Part,
+    heights: ArrayLike,
+    path: str | Path,
+    backend: str = "",
+    limits: Limits | None = None,
+    block_points: int = SlicingSettings().block_points,
+    crew: Crew | None = None,
+    **settings: Any,
+) -> Outcome:
+    """Cut a part into a file of layers, in a process of the backend's own.
+
+    Parameters
+    ----------
+    part
+        The part as placed.
+    heights
+        (L,) heights, mm. Rising ones into Parquet are cut and written block by block.
+    path
+        The file, ``.parquet``, ``.cli`` or ``.svg``; it appears when it is whole.
+    backend
+        Name in the registry; the default is the available exact slicer of the highest priority.
+    limits
+        Time and memory that the backend may use.
+    block_points
+        Points of an exact contour that are in memory at a time.
+    crew
+        Workers that were started ahead.
+    **settings
+        The backend's own settings.
+
+    Returns
+    -------
+    Outcome
+        With the counts of rings, open paths and points, and the times.
+
+    Raises
+    ------
+    BackendMissing, BackendFailed, SettingsError
+        As :func:`slice_part`; and if the file cannot be written.
+    """
+    name, path = backend or registry.default_backend(), Path(path)
+    wanted = checked_heights(heights)
+    increasing, where = np.unique(wanted, return_inverse=True)
+    chosen = {name: registry.slicer_settings(name, settings)}
+    borders = layer_blocks(part, increasing, block_points)
+    try:
+        # Beside the file, so that what is whole is moved and not copied.
+        with TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
+            outcome = slice_all(
+                part, increasing, chosen, Path(folder), limits or Limits(), borders=borders, crew=crew
+            )[name]
+            if path.suffix.lower() == ".parquet" and is_rising(wanted):
+                os.replace(outcome.made(), path)
+                return replace(outcome, file=path)
+            layers = outcome.read().take(where)
+    except OSError as error:
+        raise SettingsError(f"{path}: cannot be written: {error.strerror or error}") from None
+    layer_files.write_layers(layers, path)
+    closed = int(np.count_nonzero(layers.closed))
+    return replace(
+        outcome,
+        file=path,
+        rings=closed,
+        open_paths=layers.closed.size - closed,
+        points=len(layers.points),
+    )
+
+
+class Slicing:
+    """A part made ready for one slicer, to be cut again at any height while a build goes on.
+
+    What the slicer needs of the part (an index, a tree, a graphics context) is made once, here. Calls may come from
+    any thread: they are served one after the other by a thread of the object's own, which also is where
+    graphics contexts live.
+
+    Parameters
+    ----------
+    part
+        The part as placed.
+    backend
+        Name in the registry; the default is the available exact slicer of the highest priority.
+    **settings
+        The backend's own settings.
+
+    Raises
+    ------
+    BackendMissing
+        If the backend is unknown or cannot run on this machine.
+    BackendFailed
+        If it refuses the part.
+    SettingsError
+        If a setting is wrong; from every method once the object is closed.
+
+    Examples
+    --------
+    >>> from ebamcheck_models import CUBE
+    >>> with Slicing(CUBE.tessellate(0.1)) as slicing:
+    ...     float(slicing.at(4.37).areas()[0])
+    400.0
+    """
+
+    def __init__(self, part: Part, backend: str = "", **settings: Any) -> None:
+        name = backend or registry.default_backend()
+        checked = registry.slicer_settings(name, settings)
+        slicer = registry.available_slicer(name)
+        self._begin(part, part, name, checked, lambda: slicer.prepare(part, checked))
+
+    def _begin(
+        self,
+        part: Part,
+        unturned: Part,
+        backend: str,
+        settings: BackendSettings,
+        prepare: Callable[[], Prepared],
+    ) -> None:
+        """Make the part ready in a thread of the object's own."""
+        self.part, self.backend, self.settings = part, backend, settings
+        self._unturned = unturned
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix=f"ebamcheck-{backend}")
+        self._open = True
+        try:
+            self._prepared: Prepared = self._in_thread(lambda: prepare().__enter__())
+        except BaseException:
+            self._thread.shutdown()
+            raise
+        self._release = weakref.finalize(self, _leave, self._thread, self._prepared)
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Free what the slicer holds."""
+        self.close()
+
+    def close(self) -> None:
+        """Free what the slicer holds; may be called twice."""
+        self._open = False
+        self._release()
+
+    def at(self, height: float) -> Layers:
+        """Cut one layer.
+
+        Parameters
+        ----------
+        height
+            Absolute height, mm.
+
+        Returns
+        -------
+        Layers
+            A stack of one layer, the same in every bit as in a stack of many.
+        """
+        return self.layers([height])
+
+    def layers(self, heights: ArrayLike, progress: Progress | None = None) -> Layers:
+        """Cut at (L,) heights, mm, in any order; one layer a height, in the order given."""
+        wanted = checked_heights(heights)
+        increasing, where = np.unique(wanted, return_inverse=True)
+        layers: Layers = self._in_thread(self._prepared.slice, increasing, progress)
+        return layers if np.array_equal(increasing, wanted) else layers.take(where)
+
+    def along(self, direction: ArrayLike) -> Slicing:
+        """Make the same part ready along another direction.
+
+        Parameters
+        ----------
+        direction
+            (3,) in the coordinates of the file; it will point up.
+
+        Returns
+        -------
+        Slicing
+            Another object; this one stays as it is.
+
+        Raises
+        ------
+        SettingsError
+            If the direction is zero or not finite, or the part was turned before it came here.
+        """
+        part = self._unturned.along(direction)
+        if isinstance(self._prepared, Turnable):
+            turned = self._in_thread(self._prepared.turned, part)
+            made = Slicing.__new__(Slicing)
+            made._begin(part, self._unturned, self.backend, self.settings, lambda: turned)
+            return made
+        made = Slicing(part, self.backend, **self.settings.model_dump())
+        made._unturned = self._unturned
+        return made
+
+    def _in_thread(self, call: Callable[..., _Result], *arguments: Any) -> _Result:
+        """Run a call in the thread of the slicer and wait for it."""
+        if not self._open:
+            raise SettingsError(
+                f"the slicing of {self.part.name!r} by {self.backend!r} is closed: make another"
+            )
+        return self._thread.submit(call, *arguments).result()
+
+
+def _leave(thread: ThreadPoolExecutor, prepared: Prepared) -> None:
+    """Free a prepared part in the thread where it was made, and end that thread."""
+    # At the end of the process the thread may be gone already, and what it held with it.
+    with suppress(RuntimeError):
+        thread.submit(prepared.__exit__, None, None, None).result()
+    thread.shutdown()

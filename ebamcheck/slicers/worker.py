@@ -1,0 +1,198 @@
+"""A worker: one process that slices with one backend and tells its parent how it goes.
+
+``python -m ebamcheck.slicers.worker LABEL PIPE PARENT`` waits for one order (a line of JSON on standard input), writes the layers
+to the file that the order names, block by block, and one JSON line an event into the pipe. The label is for those who
+list processes.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import itertools
+import json
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, TypedDict
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ebamcheck.backend import Prepared
+from ebamcheck.errors import BackendFailed, EbamcheckError, SettingsError
+from ebamcheck.layers import files as layer_files
+from ebamcheck.layers.stack import Layers
+from ebamcheck.mesh.part import Part
+from ebamcheck.numeric.kernels import bring_up
+from ebamcheck.plugins import registry
+
+TOLD_EVERY_S = 0.05
+"""Progress is told no more often than this."""
+
+PR_SET_PDEATHSIG = 1
+"""Number of Linux's request, from <linux/prctl.h>."""
+
+
+class Order(TypedDict):
+    """What a worker is to do."""
+
+    backend: str
+
+    folder: str
+    """Where part, heights and borders of the blocks lie."""
+    file: str
+    """Where the layers go."""
+    settings: dict[str, Any]
+
+
+def write_part(folder: Path, part: Part) -> None:
+    """Write a part as plain columns, the fastest that another process can read."""
+    np.save(folder / "vertices.npy", part.vertices)
+    np.save(folder / "faces.npy", part.faces)
+    labels = {
+        "name": part.name,
+        "source": part.source,
+        "source_sha256": part.source_sha256,
+        "units": part.units,
+        "direction": list(part.direction),
+        "sha256": part.sha256,
+    }
+    (folder / "part.json").write_text(json.dumps(labels), encoding="utf-8")
+
+
+def read_part(folder: Path) -> Part:
+    """Read a part from the columns that :func:`write_part` wrote."""
+    labels = json.loads((folder / "part.json").read_text(encoding="utf-8"))
+    sha256 = labels.pop("sha256")
+    labels["direction"] = tuple(labels["direction"])
+    # Read whole, not mapped: compiled kernels know plain arrays only.
+    part = Part(np.load(folder / "vertices.npy"), np.load(folder / "faces.npy"), **labels)
+    part.__dict__["sha256"] = sha256
+    return part
+
+
+def _work(order: Order, tell: Callable[..., None]) -> None:
+    """Slice in this process and tell the parent how it goes."""
+    folder, file = Path(order["folder"]), Path(order["file"])
+    probe = registry.probe(order["backend"])
+    tell(probe={**asdict(probe), "versions": dict(probe.versions)})
+    if not probe.available:
+        tell(failure="unavailable", why=f"{probe.why}{f'; {probe.hint}' if probe.hint else ''}")
+        return
+    slicer = registry.slicer(order["backend"])
+    settings = slicer.Settings.model_validate(order["settings"])
+    part = read_part(folder)
+    heights = np.load(folder / "heights.npy")
+    tell(
+        error_bound_mm=float(slicer.error_bound_mm(part, settings)),
+        height_bound_mm=float(slicer.height_bound_mm(part, settings)),
+    )
+    borders = np.load(folder / "borders.npy")
+    start = time.perf_counter()
+    try:
+        with slicer.prepare(part, settings) as prepared:
+            tell(prepare_s=time.perf_counter() - start)
+            _write(_blocks(prepared, heights, borders, tell), file, tell)
+    except EbamcheckError as error:
+        tell(failure="refused", why=str(error))
+        return
+    except MemoryError:
+        tell(failure="out of memory", why="an allocation failed")
+        return
+    tell(peak_mb=_peak_mb())
+
+
+def _write(blocks: Iterator[Layers], file: Path, tell: Callable[..., None]) -> None:
+    """Write what the slicer gives, and tell a file that cannot be written from a slicer that refuses."""
+    try:
+        layer_files.write_blocks(blocks, file)
+    except SettingsError as error:
+        tell(unwritable=str(error))
+    else:
+        tell(written=True)
+
+
+def _blocks(
+    prepared: Prepared, heights: NDArray[np.float64], borders: NDArray[np.int64], tell: Callable[..., None]
+) -> Iterator[Layers]:
+    """Cut one block of layers after the other and tell what they hold; the time is that of the slicer alone."""
+    seconds, rings, open_paths, points = 0.0, 0, 0, 0
+    for first, past in itertools.pairwise(borders.tolist()):
+        start = time.perf_counter()
+        try:
+            layers = prepared.slice(heights[first:past], lambda done: tell(done=done))
+        except (EbamcheckError, OSError) as error:
+            raise BackendFailed(str(error)) from error
+        seconds += time.perf_counter() - start
+        closed = int(np.count_nonzero(layers.closed))
+        rings, open_paths = rings + closed, open_paths + layers.closed.size - closed
+        points += len(layers.points)
+        tell(slice_s=seconds, rings=rings, open_paths=open_paths, points=points)
+        yield layers
+        del layers  # so that there are never two blocks in memory
+
+
+def _peak_mb() -> float:
+    """Largest resident memory of this process, MB (what ``getrusage`` tells includes the parent before the exec)."""
+    with contextlib.suppress(OSError), open("/proc/self/status", encoding="ascii") as status:
+        for line in status:
+            if line.startswith("VmHWM:"):
+                return int(line.split()[1]) * 1024 / 1e6
+    return 0.0
+
+
+@contextlib.contextmanager
+def _teller(pipe: int) -> Iterator[Callable[..., None]]:
+    """A function that writes its keywords as one JSON line; progress is thinned to a few lines a second."""
+    pending = 0
+    last = 0.0
+    with os.fdopen(pipe, "wb", buffering=0) as out:
+
+        def tell(**event: Any) -> None:
+            nonlocal pending, last
+            if "done" in event:
+                pending += event["done"]
+                if time.monotonic() - last < TOLD_EVERY_S:
+                    return
+                last, event, pending = time.monotonic(), {"done": pending}, 0
+            elif pending:
+                out.write(json.dumps({"done": pending}).encode() + b"\n")
+                pending = 0
+            out.write(json.dumps(event).encode() + b"\n")
+
+        yield tell
+
+
+def _die_with(parent: int) -> None:
+    """Have the kernel end this process when its parent ends, however that ends."""
+    libc = ctypes.CDLL(None)
+    if hasattr(libc, "prctl"):
+        libc.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+        if os.getppid() != parent:
+            sys.exit("the parent has ended")
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Entry point: a label, descriptor of the event pipe, the parent's id; one order comes on standard input."""
+    _, pipe, parent = arguments
+    _die_with(int(parent))
+    # Whoever starts this process ahead is still reading the part.
+    bring_up()
+    line = sys.stdin.readline()
+    # A worker whose parent is gone, or has no order for it, gets no answer any more and must not run on.
+    if line:
+        with _teller(int(pipe)) as tell, contextlib.suppress(BrokenPipeError):
+            _work(json.loads(line), tell)
+    return 0
+
+
+if __name__ == "__main__":
+    code = main(sys.argv[1:])
+    sys.stdout.flush()
+    # Nothing is left to free: the interpreter's own farewell takes as long as a small part.
+    os._exit(code)

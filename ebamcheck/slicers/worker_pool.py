@@ -1,0 +1,135 @@
+"""Worker processes that are started ahead: while a part is read, their imports are done."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import IO, TYPE_CHECKING, Any, Literal, Self
+
+if TYPE_CHECKING:
+    # A crew is there to start before such imports, not after them.
+    import psutil
+
+    from ebamcheck.slicers.worker import Order
+
+Failure = Literal["", "unavailable", "refused", "crashed", "timed out", "out of memory", "killed"]
+"""What can become of a worker but success."""
+
+AHEAD = "ahead"
+"""Label, in a list of processes, of a worker that does not know yet what it will do."""
+
+
+@dataclass
+class Worker:
+    """A process and what it has told so far."""
+
+    name: str
+    process: subprocess.Popen[bytes]
+    events: IO[bytes]
+    errors: Path
+    """Where its standard error goes."""
+    file: Path = Path()
+    """Where its layers go, once it has an order."""
+    started: float = 0.0
+    told: dict[str, Any] = field(default_factory=dict)
+    unread: bytes = b""
+    failure: Failure = ""
+    why: str = ""
+    peak_mb: float = 0.0
+    children: list[psutil.Process] = field(default_factory=list)
+    children_seen: float = 0.0
+
+    def begin(self, order: Order) -> None:
+        """Give the worker its order; its time counts from here."""
+        self.file, self.started = Path(order["file"]), time.monotonic()
+        assert self.process.stdin is not None
+        # A worker that has ended already is found out by whoever waits for it.
+        with contextlib.suppress(BrokenPipeError), self.process.stdin as orders:
+            orders.write(json.dumps(order).encode() + b"\n")
+
+    def end(self) -> None:
+        """End the process and everything that it started."""
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self.process.pid, signal.SIGKILL)
+        self.process.wait()
+
+    def close(self) -> None:
+        """Close the pipes to the process."""
+        self.events.close()
+        if self.process.stdin is not None:
+            self.process.stdin.close()
+
+    def last_words(self) -> str:
+        """Last line that the worker wrote to its standard error, for a message."""
+        text = self.errors.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+        return f": {text[-1].strip()[:200]}" if text else ""
+
+
+class Crew:
+    """Workers, and the folder where they find their work; those that got none are ended with it.
+
+    Parameters
+    ----------
+    ahead
+        Workers that are started at once; others are when they are asked for.
+    """
+
+    def __init__(self, ahead: int = 0) -> None:
+        self._folder = tempfile.TemporaryDirectory(prefix="ebamcheck-")
+        self._count = 0
+        self._idle = [self._start(AHEAD) for _ in range(ahead)]
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """End the workers that got no order, and remove the folder."""
+        for worker in self._idle:
+            worker.end()
+            worker.close()
+        self._folder.cleanup()
+
+    @property
+    def folder(self) -> Path:
+        """Folder of this crew alone."""
+        return Path(self._folder.name)
+
+    def worker(self, name: str) -> Worker:
+        """Take a worker for a backend: one that waits, or a new one that carries its name."""
+        worker = self._idle.pop() if self._idle else self._start(name)
+        worker.name = name
+        return worker
+
+    def _start(self, label: str) -> Worker:
+        read, write = os.pipe()
+        self._count += 1
+        errors = self.folder / f"stderr-{self._count}"
+        with errors.open("wb") as told:
+            process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "ebamcheck.slicers.worker", label, str(write), str(os.getpid())],
+                stdin=subprocess.PIPE,
+                stdout=told,
+                stderr=told,
+                pass_fds=(write,),
+                start_new_session=True,
+                # What a worker that is killed leaves behind goes with the crew's own folder.
+                env={**os.environ, "TMPDIR": self._folder.name},
+            )
+        os.close(write)
+        os.set_blocking(read, False)
+        return Worker(label, process, os.fdopen(read, "rb", buffering=0), errors)

@@ -1,1 +1,0 @@
-"""Single stages of the job as commands: ``ebamcheck fit``, ``ebamcheck scan`` and ``ebamcheck post``."""
