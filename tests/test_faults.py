@@ -82,13 +82,7 @@ def test_the_list_of_missed_faults_holds_none_that_is_found(found):
     ("part", "control"),
     [
         *((quick.PART, control) for control in CONTROLS),
-        pytest.param(
-            "bored",
-            CONTROLS[1],
-            marks=pytest.mark.xfail(
-                strict=True, reason="the text's heat counts short beads after a hop as entries of their own"
-            ),
-        ),
+        ("bored", CONTROLS[1]),
     ],
 )
 def test_a_sound_program_raises_no_alarm_with_or_without_comments(part, control, workshop):

@@ -183,6 +183,8 @@ def test_waits_live_in_the_file_of_the_plan(plans, tmp_path):
     plan.to_parquet(tmp_path / "scan.parquet")
     back = ScanPlan.from_parquet(tmp_path / "scan.parquet")
     assert back.island_wait_s.tolist() == plan.island_wait_s.tolist()
+    assert back.inner_wait_s.tolist() == plan.inner_wait_s.tolist()
+    assert back.inner_wait_s.any()
     assert back.metrics["wait_s"].tolist() == plan.metrics["wait_s"].tolist()
     assert len(interpass_of(back, CONFIG).island_wait_s) == len(plan.islands)
 
@@ -215,7 +217,9 @@ def test_waits_and_power_are_written_and_read_back(plans, tmp_path, control):
     )
     rings = 2
     waits = plan.metrics["wait_s"].sum() + (rings - 1) * plan.metrics["ring_wait_s"].sum()
-    assert program_summary(nc, config)["pause_s"].sum() == pytest.approx(waits + plan.island_wait_s.sum())
+    waits += plan.island_wait_s.sum() + plan.inner_wait_s[plan.further_beads()].sum()
+    assert program_summary(nc, config)["pause_s"].sum() == pytest.approx(waits)
+    assert (text_beads(nc, config).wait_s[text_beads(nc, config).inner] > 0.0).any()
     alone = judged(config, files)[1]
     assert all(alone[name].passed for name in ("layer pause", "power", INTERPASS, MELTING))
 

@@ -154,7 +154,7 @@ def _agreement(
             rules={n: s.coplanar_rule for n, s in slicers.items()},
             settings=config.comparison,
         )
-    return gates.agreement_gate(comparison, outcomes, len(fresh)), comparison.passed
+    return gates.agreement_gate(comparison, outcomes, len(fresh), config.layer_height_mm), comparison.passed
 
 
 def _fitted(

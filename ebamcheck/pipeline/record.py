@@ -27,6 +27,7 @@ from ebamcheck.pipeline.run_folder import (
 )
 from ebamcheck.pipeline.work import Job
 from ebamcheck.plugins import registry
+from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.slicers.isolation import Outcome
 
 
@@ -73,7 +74,7 @@ def manifest(
             "verdicts": comparison.layers["verdict"].value_counts().sort_index().to_dict(),
             "classes": comparison.layers["class"].value_counts().sort_index().to_dict(),
             "pairs": _pair_records(comparison.pairs),
-            "findings": [asdict(finding) for finding in comparison.findings],
+            "findings": _disagreements(comparison, job.config.layer_height_mm),
         },
         **job.record,
         "gates": [asdict(gate) for gate in passed],
@@ -91,6 +92,16 @@ def manifest(
             },
         },
     }
+
+
+def _disagreements(comparison: Comparison, first_layer_mm: float) -> list[dict[str, Any]]:
+    """Disagreements with the layer as the program names it, and its height there."""
+    heights = comparison.layers["height_mm"].to_numpy(np.float64)
+    z_mm = deposition_heights(heights, first_layer_mm).tolist()
+    return [
+        {**asdict(f), "program_layer": f.layer + 1, "program_z_mm": z_mm[f.layer]}
+        for f in comparison.findings
+    ]
 
 
 def _file_hashes(folder: Path) -> dict[str, str]:

@@ -116,8 +116,8 @@ class ProcessSettings(Section):
     interpass_limit_k: Positive | None = None
     """Temperature over which no bead may be entered; None: that of the material. With `interpass` off, the solidus."""
     interpass_at: Literal["bead", "layer"] = "bead"
-    """Where the limit holds: at every contour and island, which may be waited for within a layer, too, or at the first
-    bead of each layer alone."""
+    """Where the limit holds: wherever the beam comes on, at contours, islands and their further beads, which may be waited
+    for within a layer, too, or at the first bead of each layer alone."""
     power_schedule: Literal["taper"] | PowerTable = "taper"
     """Share of the beam's power: full on the cold base and, by the heat of the plan, down to the least at which the wire
     melts (taper); or a table of heights over the plate and shares, linear between, [[0, 1], [60, 0.5]]."""

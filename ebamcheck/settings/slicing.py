@@ -60,3 +60,6 @@ class ComparisonSettings(Section):
     """Added to the two declared error bounds: agreement within bound_A + bound_B + tolerance."""
     plane_margin_mm: NotNegative | None = None
     """A layer is generic if no vertex lies nearer to its plane; None: the largest height bound compared."""
+    doubt_mm: NotNegative = 0.01
+    """Most that a slicer's declared doubt may add to that limit, in the places that it declares and nowhere else; layers
+    that agree by it are counted and told. 0: a doubt changes nothing."""

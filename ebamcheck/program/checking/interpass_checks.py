@@ -34,7 +34,7 @@ OVER_RANGE = "over the model's range: metal would boil"
 
 
 def wait_check(nc: NCProgram, config: Config, heat: Interpass | None) -> Check:
-    """Check the waits of a program.
+    """Check the waits of a program, before layers, contours, islands, and further beads of these.
 
     Parameters
     ----------
@@ -103,6 +103,7 @@ def _waits(nc: NCProgram, beads: TextBeads, config: Config, heat: Interpass | No
         wanted = np.where(beads.ring >= 0, _of(heat.ring_wait_s, beads.layer), 0.0)
         inner = beads.island >= 0
         wanted[inner] = _of(heat.island_wait_s, beads.island[inner])
+        wanted[beads.inner] = _of(heat.inner_wait_s, beads.island[beads.inner])
         wanted[first] = _of(heat.wait_s, beads.layer[first]) + np.where(inner, wanted, 0.0)[first]
         wanted[:1] = np.where(inner, wanted, 0.0)[:1]
         bad = np.abs(beads.wait_s - wanted) > PAUSE_TOLERANCE_S
@@ -130,6 +131,7 @@ def _named(beads: TextBeads, n: int) -> str:
     if beads.enters_layer[n]:
         return f"layer {beads.layer[n] + 1}"
     what = f"island {beads.island[n]}" if beads.island[n] >= 0 else f"ring {beads.ring[n]}"
+    what = f"a further bead of {what}" if beads.inner[n] else what
     return f"{what} of layer {beads.layer[n] + 1}"
 
 

@@ -42,7 +42,10 @@ def motion_seconds(nc: NCProgram, config: Config) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class TextBeads:
-    """Beads of a program in its sequence: one a contour ring, one an island, as columns (P,).
+    """Beads of a program in its sequence, one from where the beam comes on to where it goes off, as columns (P,).
+
+    Who reads the text alone need not know which of them are of one island: each is entered, and each finds the part as
+    warm as it then is. The plan counts them so, too (:mod:`ebamcheck.scan.plan.bead_sequence`).
 
     Parameters
     ----------
@@ -78,17 +81,19 @@ class TextBeads:
         """Whether each is the first of its layer, (P,)."""
         return np.asarray(np.diff(self.layer, prepend=-1) != 0)
 
+    @cached_property
+    def inner(self) -> np.ndarray:
+        """Whether each is a further bead of the island before, (P,)."""
+        return np.asarray((self.island >= 0) & (np.diff(self.island, prepend=-1) == 0) & ~self.enters_layer)
+
 
 def text_beads(nc: NCProgram, config: Config) -> TextBeads:
     """Find the beads of a program, and the waits before them."""
     rows = np.flatnonzero(nc.deposit & (nc.layer >= 0))
     seconds = motion_seconds(nc, config)
     columns = (nc.layer, nc.ring, nc.island)
-    changes = np.zeros(rows.size, np.bool_)
-    changes[:1] = True
-    for column in columns:
-        changes[1:] |= np.diff(column[rows]) != 0
-    bead = np.cumsum(changes) - 1
+    bead = nc.tracks(rows)
+    changes = np.diff(bead, prepend=-1) != 0
     first = rows[changes]
     last = rows[np.append(np.flatnonzero(changes)[1:] - 1, rows.size - 1)] if rows.size else first
     clock = np.concatenate([[0.0], np.cumsum(seconds)])

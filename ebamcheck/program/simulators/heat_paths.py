@@ -253,12 +253,14 @@ def heat_path(curves: CurveColumns, plan: ScanColumns, config: Config) -> HeatPa
 
 
 def _waits_s(layer: Ints, ring: Ints, island: Ints, heat: Interpass) -> Floats:
-    """Wait before each track (T,): before a layer that is not the first, a further contour, or an island."""
+    """Wait before each track (T,): before a layer that is not the first, a further contour, an island, or within it."""
     new_layer = np.diff(layer, prepend=-1) != 0
     new_island = (island >= 0) & (np.diff(island, prepend=-1) != 0)
     waits = np.where(new_layer, heat.wait_s[layer], np.where(ring >= 0, heat.ring_wait_s[layer], 0.0))
     waits[:1] = 0.0
+    inner = (island >= 0) & ~new_island
     waits[new_island] += heat.island_wait_s[island[new_island]]
+    waits[inner] += heat.inner_wait_s[island[inner]]
     return np.asarray(waits, np.float64)
 
 

@@ -128,8 +128,10 @@ def _before(path: Toolpath, config: Config, heat: Interpass) -> _Before:
     begins = np.diff(layer, prepend=-1) != 0
     island, ring = path.island[track], path.ring[track]
     wait_s = np.where((ring >= 0) & ~begins, heat.ring_wait_s[layer], 0.0)
-    entered = (island >= 0) & (np.diff(island, prepend=-1) != 0)
-    wait_s[entered] = heat.island_wait_s[island[entered]]
+    entered = np.diff(island, prepend=-1) != 0
+    first, inner = (island >= 0) & entered, (island >= 0) & ~entered
+    wait_s[first] = heat.island_wait_s[island[first]]
+    wait_s[inner] = heat.inner_wait_s[island[inner]]
     across = np.zeros(track.size)
     across[1:] = np.hypot(*(start[1:] - end[:-1]).T)
     far = begins | (across > NEAR_SPACINGS * config.process.hatch_spacing_mm) | (wait_s > 0.0)

@@ -104,8 +104,8 @@ class Interpass:
     ----------
     wait_s, ring_wait_s
         (L,) wait before each layer, and before each further contour of it.
-    island_wait_s
-        (I,) wait before each island.
+    island_wait_s, inner_wait_s
+        (I,) wait before each island, and before each further bead of it.
     power_share
         (L,) share of the beam's power.
     """
@@ -113,6 +113,7 @@ class Interpass:
     wait_s: Floats
     ring_wait_s: Floats
     island_wait_s: Floats
+    inner_wait_s: Floats
     power_share: Floats
 
     def before_layer_s(self, layer: int) -> float:
@@ -130,11 +131,15 @@ def interpass_of(plan: ScanColumns, config: Config) -> Interpass:
         found = np.asarray(metrics[name], np.float64) if name in metrics else np.full(layers, np.nan)
         return np.asarray(np.where(np.isnan(found), otherwise, found), np.float64)
 
-    waits = np.asarray(getattr(plan, "island_wait_s", ()), np.float64)
+    def of_islands(name: str) -> Floats:
+        waits = np.asarray(getattr(plan, name, ()), np.float64)
+        return waits if waits.size == islands else np.zeros(islands)
+
     return Interpass(
         wait_s=column("wait_s", pause_s),
         ring_wait_s=column("ring_wait_s", 0.0),
-        island_wait_s=waits if waits.size == islands else np.zeros(islands),
+        island_wait_s=of_islands("island_wait_s"),
+        inner_wait_s=of_islands("inner_wait_s"),
         power_share=column("power_share", 1.0),
     )
 

@@ -59,7 +59,7 @@ def layer_blocks(
     if config.machine.optional_stop:
         layer.lines.append("M1")
     wire = path.width / config.process.bead_metal_mm
-    island = -1
+    island, entered = -1, False
     for t in range(int(path.layer_starts[k]), int(path.layer_starts[k + 1])):
         if path.ring[t] >= 0:
             layer.wait(float(heat.ring_wait_s[k]) if t > path.layer_starts[k] else 0.0)
@@ -68,8 +68,12 @@ def layer_blocks(
             island = int(path.island[t])
             layer.wait(float(heat.island_wait_s[island]))
             layer.lines.append(f"; ISLAND {island}")
+            entered = False
         a, b = int(path.track_starts[t]), int(path.track_starts[t + 1])
         if b > a:
+            if path.island[t] >= 0:
+                layer.wait(float(heat.inner_wait_s[island]) if entered else 0.0)
+                entered = True
             power = share * path.power[a:b]
             layer.deposit(path.start[t], path.end[b - 1], motions[a:b], power, wire[a:b])
     layer.rise()

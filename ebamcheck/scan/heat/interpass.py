@@ -2,8 +2,9 @@
 
 A layer has full power while no bead of it is entered above the limit, then the greatest power at which none is, down
 to the least at which the wire melts. Where that is too much still, the beam waits: before the layer, before each further
-contour, and before islands, each time until the next bead may be entered. Less power never takes longer, since speed and
-wire stay; so power comes first, and the waits are what is left to do. With `process.interpass` "dwell" or "power" one of
+contour, before islands, and before each further bead of an island, each time until the next bead may be entered. A bead is
+entered wherever the beam comes on. Less power never takes longer, since speed and wire stay; so power comes first, and the
+waits are what is left to do. With `process.interpass` "dwell" or "power" one of
 the two is left out.
 """
 
@@ -19,7 +20,7 @@ import numpy as np
 from ebamcheck.heat.balance import LayerShape
 from ebamcheck.heat.melting import entry_limit_k, least_power_share, scheduled_share
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.scan.heat.part_heat import Beads, PartHeat
+from ebamcheck.scan.heat.part_heat import Beads, Before, PartHeat
 from ebamcheck.settings.config import Config
 
 MARGIN = 0.01
@@ -43,7 +44,8 @@ class Drive:
     wait_s, ring_wait_s
         Wait before the layer, and before each further contour.
     bead_wait_s
-        (B,) waits before the beads, those of the contours included but for the first.
+        (B,) waits before the beads, those of the contours included but for the first; further beads of one island
+        share one, the longest that one of them asks for.
     bed_k, mean_k
         (B,) what each bead finds at its place when it is entered, and the mean over the section then, absolute, K.
     body_k
@@ -153,49 +155,116 @@ def drive(
     keep
         Give up, with None, as soon as a bead is entered above the limit.
     """
-    beads, process = job.beads, profile.process
-    ambient_k = process.ambient_temperature_k
-    limit_k = entry_limit_k(profile)
-    limit_k -= MARGIN * max(limit_k - ambient_k, 0.0)
-    power_w = share * process.power_w * profile.material.absorptivity
-    part = found.copy()
-    pause_s = 0.0 if job.lowest else process.layer_pause_s
-    bed_k, mean_k, bead_wait_s = (np.zeros(len(beads)) for _ in range(3))
-    body_k = enter_k = time_s = wait_s = 0.0
-    for bead in range(len(beads)):
-        first = bead == 0
-        checked = first or process.interpass_at == "bead"
-        away_s, rise_s = float(beads.move_s[bead]) + (pause_s if first else 0.0), float(beads.rise_s[bead])
-        found_k = partial(_found_k, part, beads.shape(bead), away_s, rise_s)
-        wait = 0.0
-        if checked and waits and not (first and job.lowest):
-            wait = shortest_wait_s(found_k, limit_k)
-        if 0 < bead < beads.rings:
-            ring_wait_s = wait = max(wait, ring_wait_s)
-        away_s += wait + rise_s if wait > 0.0 else 0.0
-        # All at once, as the balance of the text has it: the same steps of time give the same figures.
-        part.rest(away_s)
-        bed_k[bead], mean_k[bead] = part.bed_k(beads.shape(bead)), part.column.bed_k
-        if keep and checked and bed_k[bead] > limit_k:
-            return None
-        if first:
-            wait_s = pause_s + wait
-            body_k, enter_k = part.column.mean_rise_k, part.column.bed_k
-            part.column.lay(job.shape)
+    run = _Run(job, profile, share, found.copy(), waits, keep)
+    beads, bead = job.beads, 0
+    while bead < len(beads):
+        if beads.inner[bead]:
+            last = bead + 1
+            while last < len(beads) and beads.inner[last]:
+                last += 1
+            done = _island_done(run, bead, last)
+            bead = last
         else:
-            bead_wait_s[bead] = wait
-        time_s += away_s - (wait_s if first else 0.0)
-        part.lay_bead(beads, bead, power_w)
-        time_s += float(beads.time_s[beads.first[bead] : beads.first[bead + 1]].sum())
-    return Drive(
-        share, wait_s, ring_wait_s, bead_wait_s, bed_k, mean_k, body_k, enter_k, part.column.surface_k, time_s,
-        part,
-    )  # fmt: skip
+            done = run.lay(bead, ring_wait_s if 0 < bead < beads.rings else 0.0)
+            if 0 < bead < beads.rings:
+                ring_wait_s = max(ring_wait_s, float(run.wait_s[bead]))
+            bead += 1
+        if not done:
+            return None
+    return run.drive(ring_wait_s)
 
 
-def _found_k(part: PartHeat, shape: Floats, away_s: float, rise_s: float, wait_s: float) -> float:
+def _island_done(run: _Run, first: int, last: int) -> bool:
+    """Lay the further beads of an island, each after the same wait; False where one is too hot and none is waited for."""
+    begun, least_s = run.part, 0.0
+    while True:
+        run.part = begun.copy()
+        for bead in range(first, last):
+            if not run.lay(bead, least_s):
+                return False
+        longest_s = float(run.wait_s[first:last].max())
+        if (run.wait_s[first:last] == longest_s).all():
+            return True
+        least_s = longest_s
+
+
+class _Run:
+    """A layer while it is driven: the part's heat, and what was found, bead by bead."""
+
+    def __init__(
+        self, job: LayerJob, profile: Config, share: float, part: PartHeat, waits: bool, keep: bool
+    ) -> None:
+        process = profile.process
+        limit_k = entry_limit_k(profile)
+        self.part = part
+        self.wait_s, self.bed_k, self.mean_k, self.away_s = (np.zeros(len(job.beads)) for _ in range(4))
+        self._job, self._share, self._waits, self._keep = job, share, waits, keep
+        self._limit_k = limit_k - MARGIN * max(limit_k - process.ambient_temperature_k, 0.0)
+        self._power_w = share * process.power_w * profile.material.absorptivity
+        self._pause_s = 0.0 if job.lowest else process.layer_pause_s
+        self._every = process.interpass_at == "bead"
+        self._body_k = self._enter_k = 0.0
+        self._before: Before | None = None
+        self._begun = 0
+
+    def lay(self, bead: int, least_s: float) -> bool:
+        """Wait, not less than `least_s`, and lay a bead; False where it is too hot and that ends the drive."""
+        beads, first = self._job.beads, bead == 0
+        checked = first or self._every
+        away_s, rise_s = (
+            float(beads.move_s[bead]) + (self._pause_s if first else 0.0),
+            float(beads.rise_s[bead]),
+        )
+        before = self._own_apart(bead)
+        wait_s = 0.0
+        if checked and self._waits and not (first and self._job.lowest):
+            found_k = partial(_found_k, self.part, beads.shape(bead), away_s, rise_s, before)
+            wait_s = shortest_wait_s(found_k, self._limit_k)
+        wait_s = max(wait_s, least_s)
+        away_s += wait_s + rise_s if wait_s > 0.0 else 0.0
+        # All at once, as the balance of the text has it: the same steps of time give the same figures.
+        self.bed_k[bead] = self.part.bed_k(beads.shape(bead), away_s, before)
+        if not beads.inner[bead]:
+            self._before, self._begun = None, bead
+        self.part.rest(away_s)
+        self.mean_k[bead] = self.part.column.bed_k
+        if self._keep and checked and self.bed_k[bead] > self._limit_k:
+            return False
+        if not beads.inner[bead] and beads.inner[bead + 1 : bead + 2].any():
+            self._before = Before(self.part.state.copy())
+        if first:
+            self._body_k, self._enter_k = self.part.column.mean_rise_k, self.mean_k[0]
+            self.part.column.lay(self._job.shape)
+        self.wait_s[bead], self.away_s[bead] = wait_s, away_s
+        self.part.lay_bead(beads, bead, self._power_w)
+        return True
+
+    def _own_apart(self, bead: int) -> Before | None:
+        """What differed across the section before the island of a further bead was begun, aged until the bead before it is done."""
+        if self._before is None or not self._job.beads.inner[bead]:
+            return None
+        first, time_s = self._job.beads.first, self._job.beads.time_s
+        laid_s = float(time_s[first[self._begun] : first[bead]].sum())
+        return Before(self._before.state, laid_s + float(self.away_s[self._begun + 1 : bead].sum()))
+
+    def drive(self, ring_wait_s: float) -> Drive:
+        """What was found in the whole layer."""
+        bead_wait_s = self.wait_s.copy()
+        bead_wait_s[:1] = 0.0
+        before_s = self._pause_s + float(self.wait_s[:1].sum())
+        time_s = float(self.away_s.sum()) - before_s + float(self._job.beads.time_s.sum())
+        part = self.part
+        return Drive(
+            self._share, before_s, ring_wait_s, bead_wait_s, self.bed_k, self.mean_k, self._body_k, self._enter_k,
+            part.column.surface_k, time_s, part,
+        )  # fmt: skip
+
+
+def _found_k(
+    part: PartHeat, shape: Floats, away_s: float, rise_s: float, before: Before | None, wait_s: float
+) -> float:
     """What a bead finds after the way to it and a wait, for which the beam rises."""
-    return part.bed_k(shape, away_s + (wait_s + rise_s if wait_s > 0.0 else 0.0))
+    return part.bed_k(shape, away_s + (wait_s + rise_s if wait_s > 0.0 else 0.0), before)
 
 
 def shortest_wait_s(bed_k: Callable[[float], float], limit_k: float) -> float:

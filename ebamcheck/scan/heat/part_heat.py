@@ -15,7 +15,7 @@ import numpy as np
 from ebamcheck.heat import HeatModel, carried
 from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 LEAST_DECAY = 1e-9
 """Amplitudes that fall by less than this while a bead is laid do not fall."""
@@ -23,7 +23,7 @@ LEAST_DECAY = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Beads:
-    """Beads of one layer in the sequence in which they are laid: contours first, then islands.
+    """Beads of one layer in the sequence in which they are laid: contours first, then those of islands.
 
     Parameters
     ----------
@@ -35,11 +35,13 @@ class Beads:
     move_s, rise_s
         (B,) time with the beam off before each, and what a wait there adds to it: the beam waits at the safe height.
     time_s, on
-        (P,) time of each piece, and the share of it with the beam on.
+        (P,) time of each piece, and the mean power in it over the full one.
     rings
         Contours among them.
     islands
-        (B - rings,) the islands among them, those without a line left out.
+        (B - rings,) island of each of the others.
+    inner
+        (B,) whether each is a further bead of the island before.
     """
 
     pieces: Floats
@@ -50,6 +52,7 @@ class Beads:
     on: Floats
     rings: int
     islands: Ints
+    inner: Bools
 
     def __len__(self) -> int:
         """Return the number of beads."""
@@ -59,6 +62,14 @@ class Beads:
         """Mean of the modes over a bead, (K,)."""
         a, b = self.first[bead : bead + 2]
         return np.asarray(self.pieces[:, a:b] @ self.time_s[a:b] / self.time_s[a:b].sum(), np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class Before:
+    """Amplitudes (K, N) of what differed across the section when an island was begun, and how long ago that was, s."""
+
+    state: Floats
+    age_s: float = 0.0
 
 
 @dataclass(eq=False)
@@ -113,8 +124,15 @@ class PartHeat:
             pieces, in_layer = np.ascontiguousarray(beads.pieces[:, a:b]), self.model.in_layer
             driven_bead(self.state, pieces, *self._rates, in_layer, source, beads.time_s[a:b])
 
-    def bed_k(self, shape: Floats, wait_s: float = 0.0) -> float:
-        """Temperature that a bead finds after a wait, absolute, K: that of its place, or the mean where that is warmer."""
+    def bed_k(self, shape: Floats, wait_s: float = 0.0, before: Before | None = None) -> float:
+        """Temperature that a bead finds after a wait, absolute, K: that of its place, or the mean where that is warmer.
+
+        Parameters
+        ----------
+        before
+            What differed across the section before the bead's own island was begun: what this has put there itself is
+            part of its melt pool, and counts in the mean alone.
+        """
         column = self.column
         if wait_s > 0.0:
             column = column.copy()
@@ -122,7 +140,8 @@ class PartHeat:
         mean_k = column.bed_k
         if self.model is None or not len(shape):
             return mean_k
-        away = differing_k(self.state, shape, *self._rates, self._reading, wait_s)
+        state, age_s = (self.state, 0.0) if before is None else (before.state, before.age_s)
+        away = differing_k(state, shape, *self._rates, self._reading, age_s + wait_s)
         return float(mean_k + max(away, 0.0))
 
     @property

@@ -1,5 +1,7 @@
-"""The beads of a layer in the sequence in which they are laid: contours, then islands; and the time that each takes.
+"""The beads of a layer in the sequence in which they are laid: contours, then those of islands; and the time that each takes.
 
+A bead is what is laid while the beam stays on: a contour with what overlaps its start, or lines of an island with the
+turns between them. An island whose lines lie apart has several. Each takes up the power that its ramps leave it.
 Where a contour starts is not known before its curve is fitted: the ways to it and from it are counted by the shortest
 ones, so that the program never comes sooner, and finds the part no warmer, than planned.
 """
@@ -13,12 +15,13 @@ import shapely
 
 from ebamcheck.heat import HeatModel
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.scan.filling.turns import turns_and_jumps_mm
+from ebamcheck.scan.filling.turns import follows, turns_and_jumps_mm
 from ebamcheck.scan.heat.part_heat import Beads, uneven
 from ebamcheck.scan.order.orders import LayerIslands
 from ebamcheck.scan.order.path import enter_nearest
 from ebamcheck.scan.plan.laying import LaidLayer
 from ebamcheck.settings.config import Config
+from ebamcheck.settings.process import ProcessSettings
 
 PIECE_BEADS = 1.0
 """Length of the pieces in which contours are heated, over the width of a bead: no mode changes within less."""
@@ -45,66 +48,75 @@ def bead_sequence(laid: LaidLayer, islands: LayerIslands, order: Ints) -> tuple[
     speed, rapid = profile.process.travel_speed_mm_s, profile.machine.rapid_mm_s
     rings = _rings(laid)
     count = np.array([_pieces(ring.length, profile) for ring in rings], np.int64)
-    ring_s = np.array([ring.length for ring in rings]) / speed
+    ring_mm = np.array([ring.length for ring in rings])
+    ring_mm += np.minimum(profile.process.overlap_mm, ring_mm)
     model = islands.cold_heat.model if len(islands) else None
-    entry = leave = np.zeros((0, 2))
-    columns, times = [_along(rings, count, model)], [np.repeat(ring_s / np.maximum(count, 1), count)]
-    shares, taken = [np.ones(int(count.sum()))], np.zeros(0, np.int64)
+    path = _island_path(laid, order, profile)
+    columns, times = [_along(rings, count, model)], [np.repeat(ring_mm / speed / np.maximum(count, 1), count)]
+    shares = [np.repeat(mean_power(ring_mm, profile.process), count)]
     if len(order):
-        path = _island_path(laid, order, profile)
-        taken = path.island
-        columns.append(uneven(islands.cold_heat.mean[:, taken], islands.cold_heat.model))
-        times.append(path.beam_s + path.off_s)
-        shares.append(path.beam_s / times[-1])
-        entry, leave = path.entry, path.leave
-    move_mm = np.concatenate([_to_rings(rings, entry), np.hypot(*(entry[1:] - leave[:-1]).T)])
+        columns.append(uneven(islands.cold_heat.mean[:, path.island], islands.cold_heat.model))
+        times.append(path.bead_mm / speed)
+        shares.append(mean_power(path.bead_mm, profile.process))
+    move_mm = np.concatenate([_to_rings(rings, path.start), np.hypot(*(path.start[1:] - path.end[:-1]).T)])
     up_and_down_mm = 2.0 * profile.machine.safe_height_mm
     rises = _rises(move_mm, profile)
     rises[:1] = up_and_down_mm
-    sizes = np.concatenate([count, np.ones(len(taken), np.int64)])
+    inner = np.zeros(len(move_mm), np.bool_)
+    inner[len(rings) :] = np.diff(path.island, prepend=-1) == 0
     beads = Beads(
         pieces=np.ascontiguousarray(np.concatenate(columns, axis=1)),
-        first=np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
+        first=np.concatenate([[0], np.cumsum(np.concatenate([count, np.ones_like(path.island)]))]),
         move_s=(move_mm + rises) / rapid,
         rise_s=(up_and_down_mm - rises) / rapid,
         time_s=np.concatenate(times),
         on=np.concatenate(shares),
         rings=len(rings),
-        islands=taken,
+        islands=path.island,
+        inner=inner,
     )
-    return beads, float(move_mm[len(rings) + 1 :].sum())
+    between = np.flatnonzero(~inner[len(rings) :])[1:] + len(rings)
+    return beads, float(move_mm[between].sum())
+
+
+def mean_power(bead_mm: Floats, process: ProcessSettings) -> Floats:
+    """Mean power of beads (n,) over the full one: on a ramp it is half-way between its ends, see `process.ramp_up_mm`.
+
+    Examples
+    --------
+    >>> mean_power(np.array([20.0, 5.0]), ProcessSettings(ramp_up_mm=6.0, crater_fill_mm=4.0, ramp_power=0.5))
+    array([0.875, 0.75 ])
+    """
+    ramps_mm = process.ramp_up_mm + process.crater_fill_mm
+    ramped = np.minimum(ramps_mm / np.maximum(bead_mm, np.finfo(float).tiny), 1.0)
+    return np.asarray(1.0 - 0.5 * (1.0 - process.ramp_power) * ramped, np.float64)
 
 
 @dataclass(frozen=True, eq=False)
 class _IslandPath:
-    """Islands that have lines, in sequence (n,): where each is entered and left, and its time with the beam on and off."""
+    """Beads of islands in sequence (n,): island, where each starts and ends, and its length with the turns in it, mm."""
 
     island: Ints
-    entry: Floats
-    leave: Floats
-    beam_s: Floats
-    off_s: Floats
+    start: Floats
+    end: Floats
+    bead_mm: Floats
 
 
 def _island_path(laid: LaidLayer, order: Ints, profile: Config) -> _IslandPath:
     lines, count = laid.lines, len(laid.islands)
+    if not len(order):
+        return _IslandPath(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
     first = np.concatenate([[0], np.cumsum(np.bincount(lines.island, minlength=count))]).astype(np.int64)
     rows, turned = enter_nearest(lines.start, lines.end, first, order, laid.chained)
     island, swap = lines.island[rows], turned[:, None]
     a = np.where(swap, lines.end[rows], lines.start[rows])
     b = np.where(swap, lines.start[rows], lines.end[rows])
-    turn, jump = turns_and_jumps_mm(island, a, b, profile.process.hatch_spacing_mm)
-    begins = np.flatnonzero(np.diff(island, prepend=-1))
+    spacing = profile.process.hatch_spacing_mm
+    turn, _ = turns_and_jumps_mm(island, a, b, spacing)
+    begins = np.flatnonzero(~follows(island, a, b, spacing))
     ends = np.append(begins[1:], len(island)) - 1
-    beam = np.add.reduceat(np.hypot(*(b - a).T) + turn, begins) if len(begins) else np.zeros(0)
-    off = np.add.reduceat(jump + _rises(jump, profile), begins) if len(begins) else np.zeros(0)
-    return _IslandPath(
-        island=island[begins],
-        entry=a[begins],
-        leave=b[ends],
-        beam_s=beam / profile.process.travel_speed_mm_s,
-        off_s=off / profile.machine.rapid_mm_s,
-    )
+    bead_mm = np.add.reduceat(np.hypot(*(b - a).T) + turn, begins)
+    return _IslandPath(island[begins], a[begins], b[ends], bead_mm)
 
 
 def _rises(move_mm: Floats, profile: Config) -> Floats:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ebamcheck.errors import InputError
 from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.scan.filling.turns import follows
 
 FORMAT = "ebamcheck scan plan 2"
 """Name and version of the file format."""
@@ -88,6 +89,8 @@ class ScanPlan:
         Name of the order, seed and the settings that shaped the plan.
     island_wait_s
         (I,) wait before each island; empty: none.
+    inner_wait_s
+        (I,) wait before each further bead of an island, which begins where its lines lie apart; empty: none.
     sections
         (L,) shapely regions that are to be metal, by which every bead gets its wire; None: not known, and every bead
         gets the wire of a bead by itself.
@@ -108,6 +111,7 @@ class ScanPlan:
     settings: dict[str, Any] = field(default_factory=dict)
     island_wait_s: Floats = field(default_factory=lambda: np.zeros(0))
     sections: NDArray[np.object_] | None = None
+    inner_wait_s: Floats = field(default_factory=lambda: np.zeros(0))
 
     def __len__(self) -> int:
         """Return the number of layers."""
@@ -123,6 +127,14 @@ class ScanPlan:
         on_layer = self.island_layer[self.vectors["island"].to_numpy()]
         a, b = np.searchsorted(on_layer, [layer, layer + 1])
         return self.vectors.iloc[a:b]
+
+    def further_beads(self) -> Ints:
+        """Island of each bead that is not the first of its island, in scan order."""
+        island = self.vectors["island"].to_numpy()
+        start, end = (self.vectors[list(at)].to_numpy(np.float64) for at in (("x0", "y0"), ("x1", "y1")))
+        spacing_mm = self.settings["bead_width_mm"] * self.settings["bead_spacing"]
+        begins = island[~follows(island, start, end, spacing_mm)]
+        return np.asarray(begins[1:][np.diff(begins) == 0], np.int64)
 
     def to_parquet(self, path: str | Path) -> None:
         """Write one row an island (in the order of `islands`), with its lines as nested columns."""
@@ -160,6 +172,7 @@ def _to_table(plan: ScanPlan) -> pa.Table:
         "x_mm": plan.island_centroid[:, 0],
         "y_mm": plan.island_centroid[:, 1],
         "wait_s": plan.island_wait_s if len(plan.island_wait_s) else np.zeros(count),
+        "inner_wait_s": plan.inner_wait_s if len(plan.inner_wait_s) else np.zeros(count),
     }
     for name in VECTOR_COLUMNS[1:]:
         columns[name] = _nested(plan.vectors[name].to_numpy()[by_island], island, count)
@@ -211,11 +224,15 @@ def _from_table(table: pa.Table, header: dict[str, Any]) -> ScanPlan:
         vectors=vectors.iloc[scanned].reset_index(drop=True),
         metrics=metrics,
         settings=header["settings"],
-        island_wait_s=columns["wait_s"].to_numpy(zero_copy_only=False)
-        if "wait_s" in columns
-        else np.zeros(0),
+        island_wait_s=_waits(columns, "wait_s"),
+        inner_wait_s=_waits(columns, "inner_wait_s"),
         sections=_regions(header["sections"]) if "sections" in header else None,
     )
+
+
+def _waits(columns: dict[str, Any], name: str) -> Floats:
+    """Waits of islands; none in plans of before there were any."""
+    return np.asarray(columns[name].to_numpy(zero_copy_only=False) if name in columns else (), np.float64)
 
 
 def _regions(hexadecimal: list[str]) -> NDArray[np.object_]:

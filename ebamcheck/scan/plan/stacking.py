@@ -72,13 +72,17 @@ def stack_plans(planned: Sequence[LayerPlan], profile: Config, order: str, seed:
         vectors=_vector_table(by_layer),
         metrics=pd.DataFrame(columns=list(METRICS)),
         settings=_settings(profile, order, seed),
-        island_wait_s=_joined([_island_wait_s(p) for p in planned], np.zeros(0)),
+        island_wait_s=_joined([_waits_s(p, inner=False) for p in planned], np.zeros(0)),
+        inner_wait_s=_joined([_waits_s(p, inner=True) for p in planned], np.zeros(0)),
     )
     return replace(plan, metrics=_measured(plan, planned, profile))
 
 
-def _island_wait_s(layer: LayerPlan) -> Floats:
-    return np.zeros(len(layer.order)) if layer.heat is None else layer.heat.island_wait_s
+def _waits_s(layer: LayerPlan, inner: bool) -> Floats:
+    """Waits before the islands of a layer, or before each further bead of them."""
+    if layer.heat is None:
+        return np.zeros(len(layer.order))
+    return layer.heat.inner_wait_s if inner else layer.heat.island_wait_s
 
 
 def _joined(columns: Sequence[NDArray[Any]], empty: NDArray[Any]) -> NDArray[Any]:

@@ -66,6 +66,8 @@ class LayerHeat:
     ring_wait_s: float
     island_wait_s: Floats
     """(I,) wait before each island"""
+    inner_wait_s: Floats
+    """(I,) wait before each further bead of an island"""
     mean_k: Floats
     """(B,) mean temperature of the surface when each bead is entered, contours first, absolute"""
 
@@ -250,8 +252,10 @@ def _figures(drive: Drive, travel_mm: float, beads: Beads, islands: int, profile
     boiling_k, ambient_k = profile.material.boiling_k, profile.process.ambient_temperature_k
     rise_k = np.minimum(drive.bed_k, boiling_k) - ambient_k
     entry_k = rise_k if rise_k.size else np.zeros(1)
-    island_wait_s = np.zeros(islands)
-    island_wait_s[beads.islands] = drive.bead_wait_s[beads.rings :]
+    island_wait_s, inner_wait_s = np.zeros(islands), np.zeros(islands)
+    waits, inner = drive.bead_wait_s[beads.rings :], beads.inner[beads.rings :]
+    island_wait_s[beads.islands[~inner]] = waits[~inner]
+    inner_wait_s[beads.islands[inner]] = waits[inner]
     return LayerHeat(
         body_mean_k=drive.body_k,
         entry_max_k=float(entry_k.max()),
@@ -265,5 +269,6 @@ def _figures(drive: Drive, travel_mm: float, beads: Beads, islands: int, profile
         stored_j=drive.after.column.stored_j,
         ring_wait_s=drive.ring_wait_s,
         island_wait_s=island_wait_s,
+        inner_wait_s=inner_wait_s,
         mean_k=drive.mean_k,
     )

@@ -198,10 +198,13 @@ def _measures(plan: ScanPlan) -> list[Markup]:
     within = np.zeros(len(metrics))
     if len(plan.island_wait_s):
         within += np.bincount(plan.island_layer, plan.island_wait_s, minlength=len(metrics))
+    if len(plan.inner_wait_s):
+        island = plan.further_beads()
+        within += np.bincount(plan.island_layer[island], plan.inner_wait_s[island], minlength=len(metrics))
     waits = line_chart(
         [
             Series("before the layer", metrics["layer"], metrics["wait_s"]),
-            Series("before islands of it", metrics["layer"], within),
+            Series("before islands and beads of it", metrics["layer"], within),
         ],
         "layer",
         "wait, s",
