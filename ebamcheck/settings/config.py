@@ -7,6 +7,7 @@ together are the *machine profile*.
 from __future__ import annotations
 
 import difflib
+import math
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -151,7 +152,7 @@ def _told(first: Mapping[str, Any], where: str) -> str:
     shown = "" if isinstance(given, dict | BaseModel) else f" (given {given!r})"
     if first["type"] == "extra_forbidden":
         what = _unknown_key(loc)
-    elif first["type"] == "finite_number":
+    elif isinstance(given, float) and not math.isfinite(given):
         what = f"it takes a finite number{shown}"
     elif first["type"] == "value_error":
         what = str(first["msg"]).removeprefix("Value error, ") + shown

@@ -70,7 +70,7 @@ class ComparisonSettings(Section):
     """Added to the two declared error bounds: agreement within bound_A + bound_B + tolerance."""
     plane_margin_mm: Tolerance | None = None
     """A layer is generic if no vertex lies nearer to its plane; None: the largest height bound compared."""
-    evidence_share: Annotated[float, Field(gt=0, le=0.5)] = 0.1
+    evidence_share: Annotated[float, Between(0.001, 0.5)] = 0.1
     """Agreement with a slicer whose error bound is over this share of process.bead_width_mm, or whose height bound is over
     this share of the layer height, is no evidence: it agrees with too much. Within a bound r a wall may be wrong by 2 r;
     with the default one that is a fifth of the narrowest wall, which one bead makes. Such a slicer can still disagree."""

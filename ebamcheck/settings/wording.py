@@ -10,6 +10,8 @@ from annotated_types import Ge, Gt, Le, Lt, MinLen
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from ebamcheck.settings.base import Between
+
 PLACEHOLDERS: Mapping[str, str] = {
     "power_w": "power of the beam, W",
     "voltage_kv": "accelerating voltage, kV",
@@ -76,7 +78,7 @@ def wanted(section: str, key: str, info: FieldInfo) -> str:
     >>> wanted("machine", "beam_on", MachineSettings.model_fields["beam_on"])
     'a list of blocks, such as ["M60 ; beam on"]'
     >>> wanted("machine", "clearance_mm", MachineSettings.model_fields["clearance_mm"])
-    'a number over 0, such as 5.0'
+    'a number from 0.01 to 10000, such as 5.0'
     """
     kind = _kind(info.annotation, info.metadata)
     if key in TEMPLATES and section == "machine":
@@ -113,9 +115,12 @@ def _list(inside: Sequence[Any], metadata: Sequence[Any]) -> str:
     """Name a list of one kind, or of a fixed number of values."""
     if len(inside) == 2 and inside[1] is Ellipsis:
         one = _kind(inside[0])
-        names = {"a number": _NUMBERS, "a text in quotes": "a list of texts in quotes"}
+        if one.startswith("a number"):
+            one = one.replace("a number", _NUMBERS, 1)
+        names = {"a text in quotes": "a list of texts in quotes"}
         least = next((m.min_length for m in _flat(metadata) if isinstance(m, MinLen)), 0)
-        return names.get(one, f"a list, each {one}") + (f" ({least} or more)" if least else "")
+        told = one if one.startswith(_NUMBERS) else names.get(one, f"a list, each {one}")
+        return told + (f" ({least} or more)" if least else "")
     kinds = {_kind(one) for one in inside}
     return f"a list of {len(inside)} numbers" + (
         next(iter(kinds)).removeprefix("a number") if len(kinds) == 1 else ""
@@ -134,7 +139,9 @@ def _range(metadata: Sequence[Any]) -> str:
     """Range of a number in words."""
     words = []
     for one in _flat(metadata):
-        if isinstance(one, Gt):
+        if isinstance(one, Between):
+            words.append(f"from {one.least:.10g} to {one.greatest:.10g}")
+        elif isinstance(one, Gt):
             words.append(f"over {one.gt:g}")
         elif isinstance(one, Ge):
             words.append(f"from {one.ge:g} up")
