@@ -153,7 +153,7 @@ def _told(first: Mapping[str, Any], where: str) -> str:
     if first["type"] == "extra_forbidden":
         what = _unknown_key(loc)
     elif isinstance(given, float) and not math.isfinite(given):
-        what = f"it takes a finite number{shown}"
+        what = f"it takes {_wanted(loc)}, and a finite one{shown}"
     elif first["type"] == "value_error":
         what = str(first["msg"]).removeprefix("Value error, ") + shown
     else:
