@@ -1,0 +1,126 @@
+"""``ebamcheck run`` and ``ebamcheck check``: the whole job, and its cross-check alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ebamcheck.commands.options import (
+    BackendsOption,
+    ConfigOption,
+    DirectionOption,
+    FixOption,
+    ForceOption,
+    JobPart,
+    JsonOption,
+    LayerHeightOption,
+    PlaceOption,
+    PlateOption,
+    ResumeOption,
+    RotateOption,
+    RunFolderOption,
+    UnitsOption,
+    WitnessesOption,
+    YesOption,
+    begun,
+    job_settings,
+    part_or_plate,
+    placed_settings,
+    print_json,
+)
+from ebamcheck.errors import ExitCode
+
+if TYPE_CHECKING:
+    from ebamcheck.pipeline import RunResult
+
+
+def run(
+    part: JobPart = None,
+    plate: PlateOption = None,
+    config: ConfigOption = None,
+    output: RunFolderOption = None,
+    layer_height: LayerHeightOption = None,
+    backends: BackendsOption = "",
+    witnesses: WitnessesOption = "",
+    reference: Annotated[Path | None, typer.Option(help="A finer tessellation of the same part.")] = None,
+    units: UnitsOption = "",
+    direction: DirectionOption = "",
+    place: PlaceOption = "",
+    rotate: RotateOption = None,
+    fix_orientation: FixOption = False,
+    from_layer: Annotated[
+        int,
+        typer.Option(min=1, help="Write a program that begins at this layer, too: to go on after a break."),
+    ] = 1,
+    yes: YesOption = False,
+    resume: ResumeOption = False,
+    force: ForceOption = False,
+    as_json: JsonOption = False,
+) -> ExitCode:
+    """Look at the part, slice, cross-check, fit, partition, order, write the NC program, verify it and report."""
+    settings = job_settings(config, units, direction, layer_height, backends, witnesses, fix_orientation)
+    settings, source = placed_settings(settings, place, rotate), part_or_plate(part, plate)
+    part_ready = begun(source, settings, "run", yes)
+    from ebamcheck.commands.progress import watched
+    from ebamcheck.pipeline import run_job
+
+    target = output or Path(f"{source.stem}.run")
+    with watched() as observer:
+        result = run_job(
+            source,
+            target,
+            settings,
+            reference,
+            resume,
+            observer,
+            part_ready,
+            force=force,
+            from_layer=from_layer,
+        )
+    return _told(result, as_json)
+
+
+def check(
+    part: JobPart = None,
+    plate: PlateOption = None,
+    config: ConfigOption = None,
+    output: RunFolderOption = None,
+    layer_height: LayerHeightOption = None,
+    backends: BackendsOption = "",
+    witnesses: WitnessesOption = "",
+    units: UnitsOption = "",
+    direction: DirectionOption = "",
+    place: PlaceOption = "",
+    rotate: RotateOption = None,
+    fix_orientation: FixOption = False,
+    yes: YesOption = False,
+    resume: ResumeOption = False,
+    force: ForceOption = False,
+    as_json: JsonOption = False,
+) -> ExitCode:
+    """Slice with every backend and compare all pairs on every layer; as `run`, without a program."""
+    settings = job_settings(config, units, direction, layer_height, backends, witnesses, fix_orientation)
+    settings, source = placed_settings(settings, place, rotate), part_or_plate(part, plate)
+    part_ready = begun(source, settings, "check", yes)
+    from ebamcheck.commands.progress import watched
+    from ebamcheck.pipeline import check_job
+
+    with watched() as observer:
+        folder = output or Path(f"{source.stem}.run")
+        result = check_job(source, folder, settings, resume, observer, part_ready, force=force)
+    return _told(result, as_json)
+
+
+def _told(result: RunResult, as_json: bool) -> ExitCode:
+    """Tell what a job came to."""
+    from ebamcheck.commands.summaries import run_summary
+
+    if as_json:
+        print_json(result.manifest)
+    else:
+        print(run_summary(result.manifest))
+        report = result.folder.path / "report.html"
+        print(f"\nrun folder: {result.folder.path}" + (f"\nreport:     {report}" if report.is_file() else ""))
+    return result.exit_code

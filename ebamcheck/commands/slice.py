@@ -1,0 +1,83 @@
+"""``ebamcheck slice``: one backend, one file of layers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ebamcheck.commands.options import (
+    ConfigOption,
+    DirectionOption,
+    LayerHeightOption,
+    PartArgument,
+    UnitsOption,
+    YesOption,
+    assignments,
+    loaded,
+    numbers,
+    settings_of,
+    within_work,
+)
+from ebamcheck.errors import ExitCode, SettingsError
+
+SLICE_SUFFIXES = (".parquet", ".cli", ".svg")
+"""Formats that are written; looked at before the work, not after it."""
+
+
+def slice_command(
+    part: PartArgument,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="FILE.parquet, .cli (Common Layer Interface) or .svg.")
+    ],
+    backend: Annotated[
+        str, typer.Option(help="Backend; default: the available exact one of the highest priority.")
+    ] = "",
+    layer_height: LayerHeightOption = None,
+    heights: Annotated[
+        str, typer.Option(help="Listed heights, mm, comma-separated, instead of uniform layers.")
+    ] = "",
+    setting: Annotated[
+        list[str] | None, typer.Option("--set", help="Backend setting NAME=VALUE; repeatable.")
+    ] = None,
+    config: ConfigOption = None,
+    units: UnitsOption = "",
+    direction: DirectionOption = "",
+    yes: YesOption = False,
+) -> ExitCode:
+    """Slice a part with one backend and write its layers."""
+    from ebamcheck.slicers.worker_pool import Crew
+
+    if output.suffix.lower() not in SLICE_SUFFIXES:
+        raise SettingsError(
+            f"{output}: unknown slice format {output.suffix!r}: use {', '.join(SLICE_SUFFIXES)}"
+        )
+    # The worker's interpreter comes up while this one does, and while the part is read.
+    with Crew(ahead=1) as crew:
+        from ebamcheck.commands.progress import announced
+        from ebamcheck.layers.cuts import heights_within
+        from ebamcheck.layers.heights import layer_heights
+        from ebamcheck.plugins import registry
+        from ebamcheck.slicers.isolation import Limits
+        from ebamcheck.slicers.slicing import slice_to_file
+
+        settings = settings_of(config, units, direction, layer_height)
+        name = backend or settings.slicing.primary or registry.default_backend()
+        values = {**settings.slicing.settings.get(name, {}), **assignments(setting or [])}
+        registry.slicer_settings(name, values)
+        with announced():
+            placed = loaded(part, settings)
+            wanted = (
+                heights_within(placed, numbers(heights, "--heights"), "--heights")
+                if heights
+                else layer_heights(placed, settings.layer_height_mm)
+            )
+            within_work(placed, wanted, settings, yes)
+            limits = Limits(settings.slicing.time_limit_s, settings.slicing.memory_limit_mb)
+            points = settings.slicing.block_points
+            made = slice_to_file(placed, wanted, output, name, limits, points, crew, **values)
+    print(
+        f"{len(wanted)} layers, {made.rings} rings, {made.open_paths} open paths, {made.points} points: {output}"
+    )
+    return ExitCode.PASS

@@ -1,0 +1,64 @@
+"""``ebamcheck verify``: a finished run, or a program against a part."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ebamcheck.commands.options import (
+    DEFAULT_CONFIG,
+    ConfigOption,
+    JsonOption,
+    LayerHeightOption,
+    UnitsOption,
+    print_json,
+    settings_of,
+)
+from ebamcheck.errors import ExitCode
+
+
+def verify(
+    target: Annotated[Path, typer.Argument(help="A run folder, or a program (with --part).")],
+    part: Annotated[
+        Path | None,
+        typer.Option(help="The part that the program should make; of a run: if it is not where it was."),
+    ] = None,
+    quick: Annotated[
+        bool,
+        typer.Option("--quick", help="Of a run: believe its recorded layers and gates, slice nothing anew."),
+    ] = False,
+    trusted: Annotated[
+        list[Path] | None,
+        typer.Option(help="Public key, or a folder of them; one must have signed. May be given again."),
+    ] = None,
+    config: ConfigOption = None,
+    layer_height: LayerHeightOption = None,
+    units: UnitsOption = "",
+    as_json: JsonOption = False,
+) -> ExitCode:
+    """Work every gate of a finished run out again, or check a program against a part, from the program's text."""
+    from ebamcheck.drawing.tables import text_table
+    from ebamcheck.pipeline import verify as verification
+    from ebamcheck.pipeline.certificate import find_record
+    from ebamcheck.pipeline.run_folder import MANIFEST
+
+    # A run has its own settings: a file that lies about does not matter to it, nor to a program in it.
+    own = (target / MANIFEST).is_file()
+    if not own and target.exists() and not (config or units or layer_height):
+        own = find_record(target) is not None
+    default = not (config or units or layer_height or DEFAULT_CONFIG.is_file())
+    settings = None if own or default else settings_of(config, units, "", layer_height)
+    checks = verification.verify(target, part, settings, quick=quick, trusted=trusted or ())
+    if as_json:
+        print_json([vars(check) for check in checks])
+    else:
+        rows = [
+            ["pass" if c.passed else "FAIL", c.name, c.value, c.limit, c.unit, c.where, c.text]
+            for c in checks
+        ]
+        print(text_table(["", "check", "value", "limit", "unit", "where", ""], rows))
+        failed = sum(not c.passed for c in checks)
+        print(f"\n{len(checks) - failed} of {len(checks)} checks passed")
+    return ExitCode.PASS if all(c.passed for c in checks) else ExitCode.OUT_OF_TOLERANCE
