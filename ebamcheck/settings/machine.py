@@ -27,6 +27,10 @@ ROUNDING_UNITS = 1.2
 the coefficients of a polynomial, in X and in Y."""
 
 
+DEVICES = ("CON", "PRN", "AUX", "NUL")
+"""Names that mean devices to the control."""
+
+
 class MachineSettings(Section):
     """The machine: a SINUMERIK 840D sl with an electron-beam gun and a wire feeder."""
 
@@ -158,14 +162,11 @@ class MachineSettings(Section):
     @field_validator("program_name", "workpiece_directory")
     @classmethod
     def _legal_name(cls, value: str) -> str:
-        if not re.fullmatch(r"([A-Z]{2}|_[A-Z])[A-Z0-9_]{0,17}", value) or value in (
-            "CON",
-            "PRN",
-            "AUX",
-            "NUL",
-        ):
+        legal = re.fullmatch(r"([A-Z]{2}|_[A-Z])[A-Z0-9_]{0,17}|O[0-9]{4,8}", value)
+        if not legal or value in DEVICES:
             raise ValueError(
-                "an NC name has 2 to 19 of A-Z, 0-9 and _, and starts with two letters or an underscore and a letter"
+                "an NC name has 2 to 19 of A-Z, 0-9 and _, and starts with two letters or an underscore and a letter; "
+                "or it is the number of a program, such as O0001"
             )
         return value
 

@@ -71,7 +71,7 @@ def form_lines(machine: MachineSettings) -> dict[str, str]:
     within = (
         f"{'G1' if machine.curve_form == 'lines' else 'G2 and G3'}, within {machine.line_tolerance_mm:g} mm"
     )
-    return {"CURVES": within, "SMOOTHING": "G64, look-ahead off; corners are the control's own"}
+    return {"CURVES": within, "SMOOTHING": "G64, look-ahead off, corners are the control's own"}
 
 
 CONTROL = Control(
