@@ -157,7 +157,7 @@ def with_nan(batch):
 
 CASES = {
     "version '2'": lambda b: b.replace_schema_metadata(
-        {**b.schema.metadata, b"ebamcheck.layers.stack.version": b"2"}
+        {**b.schema.metadata, b"ebamcheck.layers.version": b"2"}
     ),
     "no version": lambda b: b.replace_schema_metadata(None),
     "labels": lambda b: b.replace_schema_metadata({layer_batches.VERSION_KEY: b"1"}),

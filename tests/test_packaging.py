@@ -37,6 +37,7 @@ GROUPS = {
     "ebamcheck.commands",
     "ebamcheck.models",
     "ebamcheck.controls",
+    "ebamcheck.materials",
     "ebamcheck.reports",
 }
 

@@ -14,7 +14,7 @@ column                type                    meaning
 ``edge_t``            list<list<double>>      place of the point on that edge (optional)
 ====================  ======================  ======================================================
 
-The schema's metadata hold ``ebamcheck.layers.stack.version`` and ``ebamcheck.layers.stack.labels`` (JSON: part,
+The schema's metadata hold ``ebamcheck.layers.version`` and ``ebamcheck.layers.labels`` (JSON: part,
 direction, backend, settings). Rings stand in the canonical form of :class:`~ebamcheck.layers.stack.Layers`;
 every number comes back in the same bits.
 """
@@ -35,8 +35,8 @@ from ebamcheck.numeric.rings import Ints
 VERSION = "1"
 """Version of the table; a reader refuses any other."""
 
-VERSION_KEY = b"ebamcheck.layers.stack.version"
-LABELS_KEY = b"ebamcheck.layers.stack.labels"
+VERSION_KEY = b"ebamcheck.layers.version"
+LABELS_KEY = b"ebamcheck.layers.labels"
 
 LARGEST_LIST = 2**31 - 1
 """Arrow's lists count their items in 32 bits; a longer stack is written as several blocks."""

@@ -30,7 +30,7 @@ HATCHES_SHORT, HATCHES_LONG = 131, 132
 """Command indices of the binary form; short ones hold unsigned 16-bit numbers."""
 
 VERSIONS = (100, 101, 200)
-USER_DATA = "ebamcheck.layers.stack"
+USER_DATA = "ebamcheck.layers"
 HEADER_WITHIN_BYTES = 65536
 """A file whose header does not begin within this many bytes is another kind of file."""
 SHOWN_CHARACTERS = 40
