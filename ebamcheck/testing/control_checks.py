@@ -187,7 +187,9 @@ def _faults(config: Config, name: str) -> dict[str, Callable[[str], str]]:
 
     move = r"X(-?[\d.]+) Y(-?[\d.]+)"
     return {
-        "point moved by 2 mm": lambda t: _second(t, move, lambda m: f"X{float(m[1]) + 2.0:.6f} Y{m[2]}"),
+        "point moved by 2 mm": lambda t: _second(
+            t, move, lambda m: f"X{float(m[1]) + 1.6:.6f} Y{float(m[2]) - 1.2:.6f}"
+        ),
         "motion left out": lambda t: _line(t, r"G1 X\S+ Y\S+", "", 3),
         "beam not switched off": without("beam_off"),
         "wire not started": without("wire_start"),
