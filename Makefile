@@ -52,7 +52,8 @@ map: setup ## Make docs/map.md and ARCHITECTURE's table of rooms from the docstr
 	@$(BIN)/python docs/make_map.py
 
 docs: setup ## Build the documentation into site/, with warnings as errors
-	@$(BIN)/mkdocs build --quiet --strict
+	@$(BIN)/python -c 'import material' 2>/dev/null || $(BIN)/python -m pip install --quiet -e '.[docs]'
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 
 benchmark: setup ## Time every slicer on the ladder; tables and plots in reports/benchmarks (an hour or two)
 	@$(BIN)/ebamcheck warm

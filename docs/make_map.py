@@ -10,7 +10,10 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 SOURCES = ("ebamcheck", "backends", "reference_models", "reports")
 
-FOLDERS = {"ebamcheck": "The harness: what every room shares.", "reports/pictures": "The pictures of the README."}
+FOLDERS = {
+    "ebamcheck": "The harness: what every room shares.",
+    "reports/pictures": "The pictures of the README.",
+}
 """Folders whose sentence is not the first line of their package."""
 
 HEAD = """# Map of modules

@@ -106,7 +106,10 @@ def idea(run: RunData, exact: Layers, stacks: dict[str, Layers], program: NCProg
         *(_words("→", x, 290, size=34) for x in (255, 578, 862)),
         _placed(str(part_picture.draw(exact, "the part") or ""), 10, 150, 235),
         *layers,
-        *(_words(text, 640, 90 + 20 * row, size=15) for row, text in enumerate(agreement.replace(" on ", "\non ").splitlines())),
+        *(
+            _words(text, 640, 90 + 20 * row, size=15)
+            for row, text in enumerate(agreement.replace(" on ", "\non ").splitlines())
+        ),
         *gates,
         _words(verdict, 640, 165 + 28 * len(run.gates) + 20, size=22, weight="bold"),
         *(
