@@ -9,7 +9,7 @@ BIN := $(VENV)/bin
 # Two at a time: the suite is made for two cores. Tests of one file stay together and share its fixtures.
 PYTEST := $(BIN)/python -m pytest -q -n 2 --dist loadfile
 
-.PHONY: help setup demo test test-slow lint types format benchmark benchmark-gpu benchmark-scale benchmark-curves clean
+.PHONY: help setup demo test test-slow lint types format map docs benchmark benchmark-gpu benchmark-scale benchmark-curves clean
 
 help: ## Show the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -48,6 +48,13 @@ format: setup ## Format the code
 	@$(BIN)/ruff check --fix .
 	@$(BIN)/ruff format .
 
+map: setup ## Make docs/map.md and ARCHITECTURE's table of rooms from the docstrings
+	@$(BIN)/python docs/make_map.py
+
+docs: setup ## Build the documentation into site/, with warnings as errors
+	@$(BIN)/python -c 'import material' 2>/dev/null || $(BIN)/python -m pip install --quiet -e '.[docs]'
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
+
 benchmark: setup ## Time every slicer on the ladder; tables and plots in reports/benchmarks (an hour or two)
 	@$(BIN)/ebamcheck warm
 	@$(BIN)/python -m benchmarks
@@ -64,4 +71,4 @@ benchmark-curves: setup ## How much of a part its curves give back; tables in re
 	@$(BIN)/python -m benchmarks.curves
 
 clean: ## Remove what the targets made
-	@rm -rf $(VENV) demo .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	@rm -rf $(VENV) demo site .mypy_cache .ruff_cache .pytest_cache .hypothesis

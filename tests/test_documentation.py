@@ -1,13 +1,20 @@
-"""README.md and ARCHITECTURE.md say what is there, and all that is there."""
+"""README.md, ARCHITECTURE.md and docs/ say what is there, and all that is there."""
 
 from __future__ import annotations
 
+import ast
 import doctest
+import importlib.util
 import re
+import subprocess
+import sys
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 import typer
 from pydantic import BaseModel
@@ -16,12 +23,17 @@ from typer.testing import CliRunner
 import ebamcheck
 from ebamcheck.commands.main import app
 from ebamcheck.errors import ExitCode
+from ebamcheck.mesh.plates import PlateEntry
 from ebamcheck.plugins import registry
 from ebamcheck.settings.config import Config
+from ebamcheck.settings.materials import MATERIALS
 
 ROOT = Path(__file__).parents[1]
 README, ARCHITECTURE = ROOT / "README.md", ROOT / "ARCHITECTURE.md"
-DOCUMENTS = [README, ARCHITECTURE, ROOT / "CHANGELOG.md"]
+DOCS = ROOT / "docs"
+MAP, COMMAND_PAGE, PLUGIN_PAGE = DOCS / "map.md", DOCS / "commands.md", DOCS / "extending.md"
+PAGES = sorted(DOCS.glob("*.md"))
+DOCUMENTS = [README, ARCHITECTURE, ROOT / "CHANGELOG.md", *PAGES]
 SOURCES = ("ebamcheck", "backends", "reference_models", "reports")
 
 LARGEST_PICTURE_BYTES = 400_000
@@ -121,44 +133,35 @@ def is_number(annotation: object) -> bool:
 # -- the map of rooms --------------------------------------------------------------------------------
 
 
-def mapped_modules() -> set[str]:
-    """Modules that the map names: a heading with the folder, one list item a module."""
-    found = set()
-    folder = ""
-    for line in text(ARCHITECTURE).splitlines():
-        if heading := re.match(r"#+ ", line):
-            named = re.match(r"### `([\w/]+)/`", line)
-            folder = named[1] if named else ""
-            assert heading
-        elif folder and (item := re.match(r"- `(\w+\.py)`: \S", line)):
-            found.add(f"{folder}/{item[1]}")
-    return found
+def test_the_map_is_made_from_the_docstrings():
+    spec = importlib.util.spec_from_file_location("make_map", DOCS / "make_map.py")
+    assert spec is not None
+    assert spec.loader is not None
+    maker = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(maker)
+    stale = [path.name for path, wanted in maker.pages().items() if text(path) != wanted]
+    assert stale == [], "make map"
 
 
-def modules() -> set[str]:
-    """Modules in the tree; what a package is, its heading says."""
-    return {
+def test_every_module_is_on_the_map():
+    modules = {
         path.relative_to(ROOT).as_posix()
         for source in SOURCES
         for path in (ROOT / source).rglob("*.py")
         if path.name != "__init__.py"
     }
+    mapped, folder = set(), ""
+    for line in text(MAP).splitlines():
+        if heading := re.match(r"## `([\w/]+)/`$", line):
+            folder = heading[1]
+        elif item := re.match(r"- `(\w+\.py)`: \S", line):
+            mapped.add(f"{folder}/{item[1]}")
+    assert mapped == modules
 
 
-def test_every_module_is_on_the_map():
-    assert not modules() - mapped_modules(), "add them to the map of rooms in ARCHITECTURE.md"
-
-
-def test_the_map_names_no_module_that_is_gone():
-    assert not mapped_modules() - modules(), "take them off the map of rooms in ARCHITECTURE.md"
-
-
-def test_every_package_has_a_heading():
-    packages = {
-        path.parent.relative_to(ROOT).as_posix() for s in SOURCES for path in (ROOT / s).rglob("*.py")
-    }
-    headings = set(re.findall(r"^### `([\w/]+)/`", text(ARCHITECTURE), re.MULTILINE))
-    assert packages == headings
+def test_every_package_says_what_lives_there():
+    bare = re.findall(r"^## `([\w/]+)/`\n\n(?!\w|`)", text(MAP), re.MULTILINE)
+    assert bare == [], "give its __init__.py a docstring"
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
@@ -198,7 +201,7 @@ def test_every_number_among_the_settings_has_a_unit_in_its_name():
 def test_settings_that_documents_name_exist():
     known = {f"{where}.{name}" for where, name, _ in settings()}
     sections = "|".join(Config.model_fields)
-    for document in DOCUMENTS:
+    for document in set(DOCUMENTS) - {DOCS / "python.md"}:  # where `layers` is a variable
         named = set(re.findall(rf"`((?:{sections})\.(?!py`|csv`|parquet`|json`)\w+)`", text(document)))
         assert named <= known
 
@@ -212,17 +215,18 @@ def test_every_entry_point_group_is_documented():
         group
         for path in (ROOT / "ebamcheck").rglob("*.py")
         for group in re.findall(
-            r'"(ebamcheck\.(?:backends|models|controls|reports|commands|orders))"', text(path)
+            r'"(ebamcheck\.(?:backends|models|controls|checks|materials|reports|commands|orders))"',
+            text(path),
         )
     }
     groups = set(project["entry-points"]) | asked_for
-    assert len(groups) >= 5
-    for document in (README, ARCHITECTURE):
+    assert len(groups) >= 8
+    for document in (PLUGIN_PAGE, ARCHITECTURE):
         assert {g for g in groups if f"`{g}`" not in text(document)} == set(), document.name
 
 
 def test_every_command_is_documented():
-    assert {name for name in COMMANDS if f"`ebamcheck {name}" not in text(README)} == set()
+    assert {name for name in COMMANDS if f"`ebamcheck {name}" not in text(COMMAND_PAGE)} == set()
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
@@ -244,7 +248,7 @@ def test_every_command_explains_itself(name: str):
 
 
 def test_exit_codes_are_those_of_the_table():
-    table = re.findall(r"^\| (\d+) \| \S", text(README), re.MULTILINE)
+    table = re.findall(r"^\| (\d+) \| \S", text(COMMAND_PAGE), re.MULTILINE)
     assert sorted(int(code) for code in table) == sorted(ExitCode)
 
 
@@ -276,22 +280,104 @@ def test_the_version_has_an_entry_in_the_changelog():
     assert f"## [{ebamcheck.__version__}]" in text(ROOT / "CHANGELOG.md")
 
 
+# -- TOML and Python of the pages ---------------------------------------------------------------------
+
+
+def blocks(language: str) -> list[object]:
+    return [
+        pytest.param(block, id=f"{page.stem}-{number}")
+        for page in PAGES
+        for number, block in enumerate(
+            re.findall(rf"^```{language}\n(.*?)^```", text(page), re.DOTALL | re.MULTILINE)
+        )
+    ]
+
+
+@pytest.mark.parametrize("block", blocks("toml"))
+def test_settings_and_plates_of_the_pages_are_valid(block: str):
+    table = tomllib.loads(block)
+    if "project" in table:
+        known = {registry.CONTROLS, registry.CHECKS, MATERIALS, "ebamcheck.backends"}
+        assert set(table["project"]["entry-points"]) <= known
+    elif "parts" in table:
+        for entry in table["parts"]:
+            PlateEntry.model_validate(entry)
+    else:
+        Config.model_validate(table)
+
+
+@pytest.mark.parametrize("block", blocks("python"))
+def test_the_python_of_the_pages_names_what_is_there(block: str):
+    for node in ast.walk(ast.parse(block)):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("ebamcheck."):
+            module = importlib.import_module(node.module or "")
+            assert [name.name for name in node.names if not hasattr(module, name.name)] == []
+
+
+def test_the_check_of_the_page_judges_a_program():
+    (block,) = [
+        b
+        for b in re.findall(r"```python\n(.*?)```", text(DOCS / "your-control.md"), re.DOTALL)
+        if "Check(" in b
+    ]
+    names: dict[str, Any] = {}
+    exec(block, names)
+    short = SimpleNamespace(kind=np.zeros(10), files=[Path("MAIN.MPF")])
+    long = SimpleNamespace(kind=np.zeros(1_000_001), files=[Path("MAIN.MPF")])
+    assert [names["long_program"](program, Config()).passed for program in (short, long)] == [True, False]
+
+
 # -- links, pictures, machines ------------------------------------------------------------------------
+
+
+def anchors(path: Path) -> set[str]:
+    """Anchors of a page's headings, as Markdown renderers make them."""
+    headings = re.findall(r"^#+ (.*)$", text(path), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading).strip().lower().replace(" ", "-") for heading in headings}
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
 def test_links_and_pictures_are_there(document: Path):
-    links = re.findall(r"\]\(([^)#\s]+)", text(document))
-    local = [link for link in links if not link.startswith("https://")]
-    assert [link for link in local if not (ROOT / link).is_file()] == []
+    broken = []
+    for link in re.findall(r"\]\(([^)\s]+)\)", text(document)):
+        if not link.startswith("https://"):
+            name, _, anchor = link.partition("#")
+            target = document.parent / name if name else document
+            if not target.is_file() or (anchor and anchor not in anchors(target)):
+                broken.append(link)
+    assert broken == []
+
+
+def test_every_page_is_linked():
+    linked = {
+        link for page in (README, DOCS / "index.md") for link in re.findall(r"\]\(([\w./-]+)", text(page))
+    }
+    names = {Path(link).name for link in linked}
+    assert {page.name for page in PAGES} - names <= {"index.md"}
 
 
 def test_every_picture_is_small_and_shown():
     folders = [ROOT / "reports" / name for name in ("pictures", "benchmarks")]
-    shown = set(re.findall(r"!\[[^\]]+\]\(([^)]+)\)", text(README)))
+    shown = {
+        (document.parent / link).resolve().relative_to(ROOT).as_posix()
+        for document in (README, *PAGES)
+        for link in re.findall(r"!\[[^\]]+\]\(([^)]+)\)", text(document))
+    }
     pictures = {path for folder in folders for path in folder.iterdir() if path.suffix in (".svg", ".png")}
     assert {path.relative_to(ROOT).as_posix() for path in pictures} == shown
     assert [path.name for path in pictures if path.stat().st_size > LARGEST_PICTURE_BYTES] == []
+
+
+def test_the_site_builds_without_a_warning(tmp_path: Path):
+    if importlib.util.find_spec("material") is None:
+        pytest.skip("mkdocs-material is not installed (extra `docs`)")
+    built = subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "--site-dir", str(tmp_path / "site")],
+        cwd=ROOT, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert built.returncode == 0, built.stdout + built.stderr
+    site = tmp_path / "site"
+    assert {path.stem for path in PAGES} <= {path.stem for path in site.glob("*.html")}
 
 
 def spoken() -> list[Path]:

@@ -1,4 +1,4 @@
-"""Hits of rays, each ray's in a room of its own, and what they make of the ray: the borders of the material."""
+"""Hits of rays, one slot for each ray, and the borders of the material that follow from them."""
 
 from __future__ import annotations
 

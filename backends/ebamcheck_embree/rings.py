@@ -1,4 +1,4 @@
-"""Rings of some layers on their way: columns that grow layer by layer."""
+"""Rings under construction: columns that grow layer by layer."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How commands end: errors become one line and an exit code; and commands that wings add."""
+"""How commands end (errors become one line and an exit code), and the commands that plugins add."""
 
 from __future__ import annotations
 

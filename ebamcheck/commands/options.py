@@ -1,4 +1,4 @@
-"""Options that commands share, and what their texts mean."""
+"""Options that several commands share, and how their values are read."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``ebamcheck warm``: all kernels are compiled at once, so that nobody waits for them later."""
+"""``ebamcheck warm``: compiles all kernels, so that no later command has to wait for them."""
 
 from __future__ import annotations
 

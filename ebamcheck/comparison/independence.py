@@ -1,4 +1,4 @@
-"""Which agreements are evidence: of two independent methods, both under a bound that leaves something to agree on."""
+"""Which agreements are evidence: those of two independent methods whose error bounds are narrow."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A bound on the depth of the symmetric difference of two regions that costs no sweep: links between contours.
+"""Matching of contours: a cheap upper bound on the depth of the symmetric difference of two regions.
 
 Let a point run along a ring of one region, linked to the nearest point of the other's contours. Where that
 point passes a vertex, or jumps ahead to another segment, the link is led along the contour between, vertex

@@ -1,4 +1,4 @@
-"""The front of a sweep over two outlines: the edges that a level line crosses, and the gaps between them.
+"""Status of a sweep over two outlines: the edges that the sweep line crosses, and the gaps between them.
 
 An edge is the part of a chain that the line crosses. The gap of an edge lies to its right, up to the next
 edge; its winding numbers stay the same from the level where the two meet as neighbours to the one where

@@ -1,4 +1,4 @@
-"""Fallback: rings that nothing speaks for are fitted again by a more cautious method, and by the next one after it.
+"""Fallback: rings without evidence are fitted again by a more cautious method, then by the next one.
 
 From the method asked for to the interpolating fit by chord length, whose points stay on the contour; from that to the
 contour's own polyline. Where two rings cross both fall back.

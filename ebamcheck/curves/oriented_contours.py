@@ -1,4 +1,4 @@
-"""Strands: contours with a direction at every point, ready to become curves.
+"""Oriented contours: contours with a direction at every point, ready to be fitted.
 
 Corners and straight segments part a contour. In between, the direction at a point lies between those of its two
 chords, so that a curve that follows it never leaves its chord by more than the contour turns there.

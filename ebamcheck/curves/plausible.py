@@ -1,4 +1,4 @@
-"""What is plausible of a lift: no facet of a mesh stands many times farther from its surface than the facets about it.
+"""Plausible lifts: no facet stands many times farther from the surface of its mesh than the facets about it.
 
 Who tessellates or decimates a part keeps to a chord error. An edge whose normals ask for many times the sagitta that the
 facets about its ends have, by their turns, is a long side that borders on a fine rounding, or one whose ends were moved:

@@ -1,4 +1,4 @@
-"""Ways straight ahead over a mesh: what turns there are beyond the ends of an edge."""
+"""Paths straight ahead over a mesh: how the surface turns beyond the two ends of an edge."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Orders by travel and greatest entry temperature as self-contained SVG: what is cool costs way."""
+"""Scan orders as self-contained SVG: greatest entry temperature over travel; cooler orders travel farther."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Images as PNG (ISO/IEC 15948) with a palette, inside of the address that a picture names."""
+"""Images as PNG (ISO/IEC 15948) with a palette, as data URLs that a picture can contain."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What all pictures of a planned layer share: its section, which is their frame, its contour beads, and its path."""
+"""What all pictures of a planned layer share: the frame of its section, its contour beads and its path."""
 
 from __future__ import annotations
 

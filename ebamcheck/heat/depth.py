@@ -1,4 +1,4 @@
-"""Modes of the depth: between a surface that radiates and a base that is cooled or insulated.
+"""Modes over the depth of a body, between a radiating surface and a cooled or insulated base.
 
 With zeta the distance from the base, they are cos(mu zeta) over an insulated base, where
 mu tan(mu H) = h/k, and sin(mu zeta) over one held at its temperature, where mu cot(mu H) = -h/k

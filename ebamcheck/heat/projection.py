@@ -1,4 +1,4 @@
-"""Heat carried from a layer to the next one: amplitudes of the old body's modes as those of the new one's.
+"""Projection of heat onto the next layer: amplitudes of the old body's modes become those of the new one's.
 
 The new body is the old one with a cold layer on top. Both models extrude their own section, so that heat below what
 the new section no longer covers is dropped, and what it newly covers starts cold.

@@ -1,4 +1,4 @@
-"""The path that axes drive, whatever wrote it: motions in columns, and the runs between stops."""
+"""The path that the axes follow: motions in columns, and the stretches between stops."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rings of which a slicer does not tell the direction: solid is what lies within an odd number of them."""
+"""Even-odd rule for slicers that give rings no direction: solid is what an odd number of rings encloses."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which slicers a job runs, and whose contours go on."""
+"""Choice of slicers: which ones a job runs, and whose contours become the program."""
 
 from __future__ import annotations
 

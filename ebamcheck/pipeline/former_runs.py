@@ -1,4 +1,4 @@
-"""Finished runs that stand where a new one is to go: they are never removed, only moved to a name with their date."""
+"""Former runs: a finished run is never removed, only moved to a name with its date."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""On whose agreement a run rests: which slicers are independent evidence, and which two of them each layer has."""
+"""Evidence of a run: which slicers are independent, and on which two of them each layer rests."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a job notices of part, profile and plan that no gate is about."""
+"""Findings on part, machine profile and plan that no gate covers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A run in progress, and who watches it."""
+"""The context of a run in progress, and the observers of its progress."""
 
 from __future__ import annotations
 

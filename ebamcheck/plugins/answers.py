@@ -1,4 +1,4 @@
-"""What strangers' plugins are, as far as a process of their own has told; kept on disk until their code changes."""
+"""Known answers of plugins: what a separate process found out about each, kept on disk until its code changes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Entry points sorted out: which are the house's own, which a stranger's, and which of two of one name counts."""
+"""Entry points by origin: the house's own, those of others, and which of two with one name counts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A stranger's slicer as the harness sees it in its own process: what it has told, and nothing that runs."""
+"""A slicer of somebody else as the main process sees it: what it has declared, and none of its code."""
 
 from __future__ import annotations
 

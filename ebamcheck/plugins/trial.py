@@ -1,4 +1,4 @@
-"""A stranger's plugin tried in a process of its own: it is imported, asked what it is, and nothing of it is believed.
+"""Trial of a plugin in a process of its own: it is imported and asked what it is, and every answer is checked.
 
 ``python -m ebamcheck.plugins.trial FOLDER PARENT`` reads ``question.json`` in the folder and writes one line of JSON for
 each answer to ``answers``, so that what was said before a crash is kept.

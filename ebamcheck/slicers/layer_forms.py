@@ -1,4 +1,4 @@
-"""Whether what a slicer returned has the form of layers: types, sizes, order, range; asked at the border, before a file."""
+"""Form of layers: whether what a slicer returned has the right types, sizes, order and range."""
 
 from __future__ import annotations
 

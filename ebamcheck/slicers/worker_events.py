@@ -1,4 +1,4 @@
-"""What a worker tells its parent, checked at the border: words that are none, and floods of them, make it lost."""
+"""Events that a worker reports, checked on arrival: malformed ones, or floods of them, make the worker lost."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Worker processes that are started ahead: while a part is read, their imports are done."""
+"""Worker pool: worker processes are spawned early, so that their imports run while the part is read."""
 
 from __future__ import annotations
 

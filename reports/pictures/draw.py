@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import re
 from pathlib import Path
 
 from ebamcheck.drawing.islands import islands_svg
 from ebamcheck.drawing.orders import pareto_svg
 from ebamcheck.drawing.scene import Scene
 from ebamcheck.layers.stack import Layers
-from ebamcheck.layers.svg import overlay_svg, sheet_svg
+from ebamcheck.layers.svg import layer_svg, overlay_svg, sheet_svg
 from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.program import NCProgram, read_program
 from ebamcheck.program.checking.deposit import deposit
@@ -17,7 +18,8 @@ from ebamcheck.scan import ScanPlan
 from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.scan.plan.comparing import COMPARED, SEEDS, OrderComparison, figures_of
 from ebamcheck.settings.config import Config
-from ebamcheck_reports import metal_picture, overlays, program_picture, scan_picture
+from ebamcheck_reports import metal_picture, overlays, part_picture, program_picture, scan_picture
+from ebamcheck_reports.markup import Markup, element
 from ebamcheck_reports.run_data import RunData, layer_name
 
 ROOT_LAYER, BLADE_LAYER = 20, 57
@@ -25,6 +27,17 @@ ROOT_LAYER, BLADE_LAYER = 20, 57
 
 WORST_LIMITS = 1.0
 """Half the height of the enlarged place, which is three times as wide, over the limit of the pair."""
+
+METHODS = {
+    "embree": "rays",
+    "manifold": "solid modelling",
+    "planecut": "an exact sweep",
+    "stencil": "pixels, as in the paper",
+}
+"""How the house slicers find their contours, in a few words."""
+
+SHOWN_BLOCKS = "G0", "M60", "H3", "G1", "POLY"
+"""First words of the blocks that the picture of the idea quotes."""
 
 NAMESPACE = ' xmlns="http://www.w3.org/2000/svg"'
 
@@ -41,6 +54,7 @@ def draw(folder: Path, target: Path) -> None:
     bead_mm = run.config.process.bead_width_mm
     root, blade = (layer_name(k, float(exact.heights[k])) for k in (ROOT_LAYER, BLADE_LAYER))
     pictures = {
+        "idea": idea(run, exact, stacks, program, folder / "program"),
         "layers": sheet_svg(exact, width_px=1200, columns=4, most=8),
         "overlay": overlay_svg(
             stacks, 0, width_px=720, title=f"layer {BLADE_LAYER}, z = {exact.heights[BLADE_LAYER]:.3f} mm"
@@ -62,9 +76,80 @@ def draw(folder: Path, target: Path) -> None:
     }
     for name, picture in pictures.items():
         text = str(picture)
-        if NAMESPACE not in text:
+        if NAMESPACE not in text.split(">", 1)[0]:
             text = text.replace("<svg ", f"<svg{NAMESPACE} ", 1)
         (target / f"{name}.svg").write_text(text + "\n", encoding="utf-8")
+
+
+def idea(run: RunData, exact: Layers, stacks: dict[str, Layers], program: NCProgram, texts: Path) -> str:
+    """The idea in one row: the part, one layer by every slicer, the verdict, and the program read back."""
+    layers = [
+        _placed(
+            layer_svg(stack, 0, width_px=270, title=f"{name}: {METHODS.get(name, name)}"), 295, 60 + 118 * row
+        )
+        for row, (name, stack) in enumerate(sorted(stacks.items()))
+    ]
+    gates = [
+        _words(f"{'✓' if gate['passed'] else '✗'} {gate['name']}", 640, 165 + 28 * row)
+        for row, gate in enumerate(run.gates)
+    ]
+    subprogram = sorted(texts.glob("*.SPF"))[BLADE_LAYER]
+    blocks = [line for line in subprogram.read_text("utf-8").splitlines() if line.startswith("N")]
+    quoted = [line for line in blocks if line.split()[1].startswith(SHOWN_BLOCKS)][2:10]
+    path = program_picture.draw(program, "the same layer, read back from the program", BLADE_LAYER)
+    heads = ("one part", 20), (f"{len(stacks)} slicers", 300), ("one verdict", 625), ("one program", 905)
+    verdict = "VALIDATED" if run.validated else "NOT VALIDATED"
+    agreement = next(gate["text"] for gate in run.gates if gate["name"] == "agreement")
+    body = [
+        element("rect", width="1240", height="545", fill="#fff"),
+        *(_words(head, x, 34, size=19, weight="bold") for head, x in heads),
+        *(_words("→", x, 290, size=34) for x in (255, 578, 862)),
+        _placed(str(part_picture.draw(exact, "the part") or ""), 10, 150, 235),
+        *layers,
+        *(
+            _words(text, 640, 90 + 20 * row, size=15)
+            for row, text in enumerate(agreement.replace(" on ", "\non ").splitlines())
+        ),
+        *gates,
+        _words(verdict, 640, 165 + 28 * len(run.gates) + 20, size=22, weight="bold"),
+        *(
+            _words(f"{line:.44}", 905, 75 + 19 * row, size=12, family="monospace")
+            for row, line in enumerate(quoted)
+        ),
+        _placed(str(path or ""), 895, 250, 335),
+        _words("the path, read back from such text alone", 905, 360, size=15),
+    ]
+    title = element(
+        "title", "One part, cut by several slicers, becomes a program only if one verdict allows it"
+    )
+    return str(element("svg", title, *body, viewBox="0 0 1240 545", width="1240", height="545", role="img"))
+
+
+def _placed(picture: str, x: float, y: float, width: float | None = None) -> Markup:
+    """A picture at a place of another one, made as wide as asked for."""
+    if width is not None:
+        picture = re.sub(
+            r'(<svg[^>]*?) width="[^"]*" height="[^"]*"',
+            rf'\1 width="{width:g}" preserveAspectRatio="xMinYMin"',
+            picture,
+            count=1,
+        )
+    return Markup(picture.strip().replace("<svg", f'<svg x="{x:g}" y="{y:g}"', 1))
+
+
+def _words(
+    text: str, x: float, y: float, *, size: int = 16, weight: str = "normal", family: str = ""
+) -> Markup:
+    return element(
+        "text",
+        text,
+        x=f"{x:g}",
+        y=f"{y:g}",
+        font_size=str(size),
+        font_weight=weight,
+        font_family=family or "Helvetica, Arial, sans-serif",
+        fill="#222",
+    )
 
 
 def metal(program: NCProgram, witness: Layers, config: Config, what: str) -> str:

@@ -1,4 +1,4 @@
-"""What the rounding of coordinates leaves of a plane: the tolerance of every question whether facets lie in one."""
+"""Rounding of coordinates: the tolerance within which facets count as lying in one plane."""
 
 from __future__ import annotations
 

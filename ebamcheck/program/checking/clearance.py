@@ -1,4 +1,4 @@
-"""Checks of the way that the tool takes: it clears what stands, wire does not plunge, and beads lie on something."""
+"""Checks of the tool's path: it clears what stands, the wire does not plunge, and every bead is supported."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Metal that one layer lays in one place, from the text: nothing is laid twice, whatever a comment calls it.
+"""Metal laid twice: whether a layer lays more metal at a place than it takes, from the text alone.
 
 Wire and feed of each motion give its metal. It is spread over the width of a bead and looked at in the spot of a bead, a
 square of its width; where beads overlap they get less wire, so that every spot has about the metal of the layer. A bead

@@ -1,4 +1,4 @@
-"""The wire of each bead: as much as makes the layer as high as it is to be, everywhere.
+"""Wire for each bead: the widths by which a layer gets its height everywhere.
 
 What a bead lays is told by a *width*, mm: its metal in section over the height of the layer. Parallel beads one spacing
 apart lay one spacing each; the bead along a contour lays the rim outside of it, too; a bead that another one overlaps

@@ -1,4 +1,4 @@
-"""Writing a program by the post-processor of the machine's control."""
+"""Writing a program with the writer of the machine's control."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How each island is driven by itself: where it may be entered and left, and how long it takes."""
+"""Schedule of an island: where it can be entered and left, and how long it takes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Heat of islands by the modes of their section, from an age on at which these few modes have all of it."""
+"""Heat of islands older than a horizon, by the few modes of their section that are left by then."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which share of a Gaussian around a point lies in the metal that the point sees: what heat would lose to the outline."""
+"""Enclosed share: how much of a Gaussian around a point lies in the metal that the point sees."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the house knows of LinuxCNC.
+"""The control LinuxCNC: its templates, codes and modal groups, and the names of its writer and reader.
 
 M64, M65 switch digital outputs at once, M68 sets analog ones, M67 does with the motion that follows: the beam is given its
 current at once before it is switched on, or it would stand at that of before.
