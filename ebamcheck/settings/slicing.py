@@ -27,6 +27,9 @@ class LayerSettings(Section):
     """None: the height of one bead, from the mass balance of the process."""
     heights_mm: tuple[Finite, ...] = ()
     """Listed heights, absolute z; they take the place of uniform ones."""
+    base_mm: NotNegative = 0.0
+    """Height of what stands under the lowest layer, over the base plate: a program of layers on a part that is half
+    built begins there. Its heights are given by `heights_mm`."""
 
 
 class SlicingSettings(Section):

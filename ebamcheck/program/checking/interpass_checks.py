@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.heat.balance import LayerShape
+from ebamcheck.heat.balance import HeatColumn, LayerShape
 from ebamcheck.heat.melting import entry_limit_k, least_power_share
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.program.checking.checks import Check, count_check, event_place
@@ -45,16 +45,23 @@ def wait_check(nc: NCProgram, config: Config, heat: Interpass | None) -> Check:
     return _waits(nc, text_beads(nc, config), config, heat)
 
 
-def heat_checks(nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] | None) -> list[Check]:
+def heat_checks(
+    nc: NCProgram,
+    config: Config,
+    sections: Sequence[BaseGeometry] | None,
+    before: HeatColumn | None = None,
+) -> list[Check]:
     """Check that the power of each layer melts its wire, and the temperature at which beads are entered.
 
     Parameters
     ----------
     sections
         Sections of the part, for the balance of its heat; None: what the contours of the program enclose.
+    before
+        Heat of what stands when the program begins; None: the cold plate.
     """
     beads, shapes = text_beads(nc, config), text_shapes(nc, config, sections)
-    return [_melting(nc, config, shapes), _entries(nc, beads, config, shapes)]
+    return [_melting(nc, config, shapes), _entries(nc, beads, config, shapes, before)]
 
 
 def layer_shares(nc: NCProgram, power_w: float) -> Floats:
@@ -155,10 +162,16 @@ def _melting(nc: NCProgram, config: Config, shapes: Sequence[LayerShape]) -> Che
     )
 
 
-def _entries(nc: NCProgram, beads: TextBeads, config: Config, shapes: Sequence[LayerShape]) -> Check:
+def _entries(
+    nc: NCProgram,
+    beads: TextBeads,
+    config: Config,
+    shapes: Sequence[LayerShape],
+    before: HeatColumn | None = None,
+) -> Check:
     """Temperature of the surface when a bead is entered, by the balance, against the limit."""
     limit_k = entry_limit_k(config)
-    bed_k, _ = text_bed_k(beads, config, shapes)
+    bed_k, _ = text_bed_k(beads, config, shapes, before)
     checked = beads.enters_layer if config.process.interpass_at == "layer" else np.ones(len(beads), np.bool_)
     if not checked.any():
         return Check(INTERPASS, True, 0.0, limit_k, "K", "", "nothing is laid")
