@@ -15,10 +15,15 @@ from ebamcheck.settings.config import Config
 
 @dataclass(frozen=True, eq=False)
 class HeatSoFar:
-    """Heat of a part when its uppermost layer is done, and how that was driven; None: nothing stands."""
+    """Heat of a part when its uppermost layer is done, and how that was driven; None: that is not known."""
 
     part: PartHeat
     last: Drive | None = None
+
+    @property
+    def laid(self) -> bool:
+        """Whether anything stands on the plate."""
+        return self.part.column.absorbed_j > 0.0
 
     @classmethod
     def cold(cls, config: Config) -> HeatSoFar:

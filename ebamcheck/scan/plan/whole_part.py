@@ -136,7 +136,7 @@ def ordered_layers(
     part, last = PartHeat(HeatColumn(profile)), None
     for k, (laid, islands) in enumerate(_prepared(stack, lambda k: laid_layer(stack, k, profile, seed))):
         done, part, last = ordered_on(
-            part, last, laid, islands, stack.thickness_mm(k, profile), profile, order, carry
+            part, last, laid, islands, stack.thickness_mm(k, profile), profile, order, carry, last is None
         )
         yield done
 
@@ -149,16 +149,21 @@ def ordered_on(
     thickness_mm: float,
     profile: Config,
     order: str | Order,
-    carry: bool = True,
+    carry: bool,
+    lowest: bool,
 ) -> tuple[OrderedLayer, PartHeat, Drive | None]:
     """Put one layer in order on the heat that those under it have left, and drive it.
 
     Parameters
     ----------
     part, last
-        Heat of the part when the layer under this one is done, and how that was driven; None: nothing lies under it.
+        Heat of the part when the layer under this one is done, and how that was driven, where it is known.
     thickness_mm
         Height of the layer.
+    carry
+        Let the order know the heat.
+    lowest
+        Whether nothing lies under it, so that there is nothing to wait for.
 
     Returns
     -------
@@ -173,7 +178,7 @@ def ordered_on(
         if islands.section.area <= 0.0:
             return OrderedLayer(laid, known, found), part, last
         beads, travel_mm = bead_sequence(laid, islands, found)
-        drive = cool_drive(LayerJob(beads, shape, islands.height_mm, lowest=last is None), part, profile)
+        drive = cool_drive(LayerJob(beads, shape, islands.height_mm, lowest), part, profile)
     return (
         OrderedLayer(laid, known, found, _figures(drive, travel_mm, beads, len(found), profile)),
         drive.after,
