@@ -112,7 +112,7 @@ def test_limits_are_those_of_window_wire_and_power():
     slow = bead_limits(config.changed(process={"wire_speed_max_mm_s": nominal_wire_speed_mm_s(config, 2.0)}))
     assert slow.most_mm == pytest.approx(2.0)
     assert slow.why[1] == "process.wire_speed_max_mm_s"
-    weak = bead_limits(config.changed(machine={}, process={"current_ma": 50.0, "line_energy_j_mm": (1, 1e4)}))
+    weak = bead_limits(config.changed(machine={}, process={"current_ma": 40.0, "line_energy_j_mm": (1, 1e4)}))
     assert weak.most_mm < limits.most_mm
 
 
