@@ -79,7 +79,8 @@ def shares_of_text(nc: NCProgram, config: Config, sections: Sequence[BaseGeometr
     under it with more power has too little.
     """
     shares = np.minimum(layer_shares(nc, config.process.power_w), 1.0)
-    if config.process.power_schedule != "taper":
+    # How warm it is what stands under a program, its text does not tell: only the melting of the wire is left to check.
+    if config.process.power_schedule != "taper" or config.base_mm > 0.0:
         return shares
     if config.process.interpass not in ("power", "both"):
         return np.where(np.isnan(shares), np.nan, 1.0)
