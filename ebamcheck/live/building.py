@@ -67,12 +67,16 @@ class Building:
         self._told: Answer = {}
         self._standing: Standing | None = None
         self._last: Reading | None = None
-        path = folder / JOURNAL
-        before = read_journal(path) if path.is_file() else iter(())
-        self._resume(before)
-        self._journal = Journal(path)
-        if not self._journal.lines:
-            self._journal.append({"kind": "begin", **self._of()})
+        # The lock comes first: two servers on one folder would publish over each other.
+        self._journal = Journal(folder / JOURNAL)
+        try:
+            if self._journal.lines:
+                self._resume(read_journal(self._journal.path))
+            else:
+                self._journal.append({"kind": "begin", **self._of()})
+        except BaseException:
+            self.close()
+            raise
 
     def close(self) -> None:
         """Let go of the journal."""
