@@ -52,9 +52,11 @@ class FinishedRun:
         return ScanPlan.from_parquet(self.folder.path / "scan.parquet")
 
     def busy_s(self) -> Floats:
-        """(L, 2) time of each layer with the beam on and with it off."""
+        """(L, 2) time of each layer with the beam on, and with it off: travel, and the waits within the layer."""
         table = pd.read_csv(self.folder.path / "process.csv")
-        return np.asarray(table[["deposit_s", "travel_s"]].to_numpy(), np.float64)
+        before_s = np.nan_to_num(self.plan.metrics["wait_s"].to_numpy())
+        off_s = table["travel_s"] + np.maximum(table["wait_s"] - before_s, 0.0)
+        return np.column_stack([table["deposit_s"], off_s])
 
     def program_of(self, layer: int) -> dict[str, Any] | None:
         """Name and hash of the run's own program of a layer; None where all layers are in one file."""

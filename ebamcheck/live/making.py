@@ -104,8 +104,8 @@ class MadeLayer:
 
     @property
     def why(self) -> str:
-        """What the first shut gate says; empty where all are open."""
-        return next((f"gate {gate.name}: {gate.text}" for gate in self.gates if not gate.passed), "")
+        """What the shut gates say; empty where all are open."""
+        return "; ".join(f"gate {gate.name}: {gate.text}" for gate in self.gates if not gate.passed)
 
 
 class Clock:

@@ -58,9 +58,12 @@ def heat_checks(
     sections
         Sections of the part, for the balance of its heat; None: what the contours of the program enclose.
     before
-        Heat of what stands when the program begins; None: the cold plate.
+        Heat of what stands when the program begins; None: the cold plate. Of a program that begins on a part that is half
+        built it has to be known: else its entries are not judged, since nothing in its text tells how warm the part is.
     """
     beads, shapes = text_beads(nc, config), text_shapes(nc, config, sections)
+    if before is None and config.base_mm > 0.0:
+        return [_melting(nc, config, shapes)]
     return [_melting(nc, config, shapes), _entries(nc, beads, config, shapes, before)]
 
 
