@@ -25,18 +25,31 @@ MODES = ("uniform", "adaptive", "listed")
 def live_command(
     run: Annotated[Path, typer.Argument(help="A finished run folder.")],
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Folder of the build; default: RUN.live. One that is there is gone on with.")
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            help="Folder of the build; default: RUN.live. One that is there is gone on with.",
+        ),
     ] = None,
     part: Annotated[Path | None, typer.Option(help="The part, if it is not where it was.")] = None,
     heights: Annotated[str, typer.Option(help=f"How heights are chosen: {', '.join(MODES)}.")] = MODES[0],
     cusp: Annotated[float, typer.Option(help="Greatest cusp of adaptive heights, mm.")] = 0.5,
-    tops: Annotated[str, typer.Option(help="Tops of listed heights over the base plate, mm, with commas.")] = "",
+    tops: Annotated[
+        str, typer.Option(help="Tops of listed heights over the base plate, mm, with commas.")
+    ] = "",
     annealing: Annotated[
-        int, typer.Option(min=0, help="Moves by which the order of islands is improved; each thousand takes time.")
+        int,
+        typer.Option(
+            min=0, help="Moves by which the order of islands is improved; each thousand takes time."
+        ),
     ] = 0,
-    timeout: Annotated[float, typer.Option(help="Time without a line after which the server says so, s.")] = 3600.0,
+    timeout: Annotated[
+        float, typer.Option(help="Time without a line after which the server says so, s.")
+    ] = 3600.0,
     replay: Annotated[
-        Path | None, typer.Option(help="A journal: make its build again and compare every byte; nothing is waited for.")
+        Path | None,
+        typer.Option(help="A journal: make its build again and compare every byte; nothing is waited for."),
     ] = None,
 ) -> ExitCode:
     """Follow a build: for every measured height that comes in as a line of JSON, publish the next layer, proved."""
@@ -49,7 +62,10 @@ def live_command(
     first = next(read_journal(replay), {}) if replay else {}
     if replay:
         heights, cusp = str(first.get("mode", heights)), float(first.get("cusp_mm", cusp))
-        listed, annealing = tuple(first.get("listed_mm", listed)), int(first.get("annealing_steps", annealing))
+        listed, annealing = (
+            tuple(first.get("listed_mm", listed)),
+            int(first.get("annealing_steps", annealing)),
+        )
     rule = height_rule(found.part, found.config, heights, cusp, listed)  # type: ignore[arg-type]
     with LayerMaker(found.part, found.config, found.primary, annealing) as maker:
         if replay is not None:

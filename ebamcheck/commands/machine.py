@@ -30,7 +30,9 @@ def machine_command(
         Path | None, typer.Option("-o", "--output", help="Folder of the build; default: RUN.live.")
     ] = None,
     part: Annotated[Path | None, typer.Option(help="The part, if it is not where it was.")] = None,
-    drift: Annotated[float, typer.Option(help="Share by which every layer comes out higher than planned.")] = 0.0,
+    drift: Annotated[
+        float, typer.Option(help="Share by which every layer comes out higher than planned.")
+    ] = 0.0,
     noise: Annotated[float, typer.Option(help="Standard deviation of that share.")] = 0.0,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the noise.")] = 0,
     speed: Annotated[float, typer.Option(help="How many times faster than planned layers are laid.")] = 100.0,
@@ -66,7 +68,9 @@ def machine_command(
         writer.writerows(asdict(row) for row in rows)
     seconds = np.array([row.answer_s for row in rows])
     median, late = np.median(seconds), np.quantile(seconds, 0.99)
-    typer.echo(f"\n{len(rows)} layers; from height to program {median:.3f} s (median), {late:.3f} s (99th percentile)")
+    typer.echo(
+        f"\n{len(rows)} layers; from height to program {median:.3f} s (median), {late:.3f} s (99th percentile)"
+    )
     if answer["answer"] == "published":
         typer.echo(f"stopped at Z {answer['base_mm']:.3f} mm, as asked for")
         return ExitCode.PASS

@@ -23,14 +23,18 @@ def relayer_command(
         float, typer.Option(help="Height of what stands, over the base plate, mm: the layer is laid on it.")
     ],
     direction: Annotated[
-        str, typer.Option(help="Slicing direction in the file's coordinates, as X,Y,Z; default: that of the run.")
+        str,
+        typer.Option(help="Slicing direction in the file's coordinates, as X,Y,Z; default: that of the run."),
     ] = "",
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Folder of the new layers; default: RUN.live.")
     ] = None,
     part: Annotated[Path | None, typer.Option(help="The part, if it is not where it was.")] = None,
     annealing: Annotated[
-        int, typer.Option(min=0, help="Moves by which the order of islands is improved; each thousand takes time.")
+        int,
+        typer.Option(
+            min=0, help="Moves by which the order of islands is improved; each thousand takes time."
+        ),
     ] = 0,
     as_json: JsonOption = False,
 ) -> ExitCode:

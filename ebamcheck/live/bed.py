@@ -53,7 +53,13 @@ def bad_lines(done: int, base_mm: float, top_mm: float) -> list[tuple[str, bytes
 
     def line(**values: object) -> bytes:
         fields = {"event": "height", "done": done, "height_mm": middle, **values}
-        return ("{" + ", ".join(f'"{k}": {v}' for k, v in fields.items() if v is not None).replace("height,", '"height",') + "}").encode()
+        return (
+            "{"
+            + ", ".join(f'"{k}": {v}' for k, v in fields.items() if v is not None).replace(
+                "height,", '"height",'
+            )
+            + "}"
+        ).encode()
 
     return [
         ("unreadable", b"\xff\xfe height"),

@@ -19,7 +19,15 @@ from ebamcheck.live.heat_so_far import HeatSoFar
 from ebamcheck.live.heights import HeightRule, height_rule
 from ebamcheck.live.journal import Journal, read_journal
 from ebamcheck.live.making import LayerMaker, MadeLayer, Wanted, failure_of, program_settings_sha256
-from ebamcheck.live.publishing import JOURNAL, LAYERS, PROGRAM, certificate_of, layer_name, publish, read_current
+from ebamcheck.live.publishing import (
+    JOURNAL,
+    LAYERS,
+    PROGRAM,
+    certificate_of,
+    layer_name,
+    publish,
+    read_current,
+)
 from ebamcheck.live.readings import Reading, Refusal, fault_of, reading_of
 
 TRIES = (1.0, 0.97, 1.03)
@@ -176,7 +184,9 @@ class Building:
         self.folder.mkdir(parents=True, exist_ok=True)
         for number, factor in enumerate(TRIES, 1):
             thickness_mm = float(plan.thickness_mm[0]) * factor
-            inside = limits.least_mm <= thickness_mm <= limits.most_mm and base_mm + thickness_mm <= top_mm + 1e-9
+            inside = (
+                limits.least_mm <= thickness_mm <= limits.most_mm and base_mm + thickness_mm <= top_mm + 1e-9
+            )
             if factor != 1.0 and not inside:
                 continue
             wanted = Wanted(reading.done, base_mm, thickness_mm, layer_name(program, reading.done, number))
@@ -184,7 +194,9 @@ class Building:
             try:
                 made = self.maker.make(wanted, self.heat, staged / PROGRAM)
                 if made.passed:
-                    certificate = certificate_of(made, self.maker.part, self.maker.primary, self.maker.witness)
+                    certificate = certificate_of(
+                        made, self.maker.part, self.maker.primary, self.maker.witness
+                    )
                     answer = {"answer": "published", "layers_left": len(plan), "said": list(plan.said),
                               "cusp_mm": float(plan.cusp_mm[0]), "seconds": made.seconds}  # fmt: skip
                     return answer, (staged, made, certificate)

@@ -46,7 +46,11 @@ class Lines:
 
 
 def serve(
-    building: Building, lines: Lines, out: IO[str], timeout_s: float, told: Callable[[Answer], None] = lambda _: None
+    building: Building,
+    lines: Lines,
+    out: IO[str],
+    timeout_s: float,
+    told: Callable[[Answer], None] = lambda _: None,
 ) -> None:
     """Answer lines until the input ends, somebody says ``stop``, or nobody reads the answers.
 
@@ -93,7 +97,11 @@ def answer_to(building: Building, line: bytes) -> Answer:
         }
         event: Any = message.get("event")
         if not isinstance(event, str) or event not in known:
-            return {"answer": "refused", "code": "event", "reason": f"event {event!r:.20}: known are {', '.join(known)}"}
+            return {
+                "answer": "refused",
+                "code": "event",
+                "reason": f"event {event!r:.20}: known are {', '.join(known)}",
+            }
         return known[event]()
     except Exception as error:  # a full disk, say: what was published stays
         return {"answer": "error", "reason": failure_of(error)}

@@ -49,7 +49,9 @@ class HeatSoFar:
         return replace(self, part=part)
 
 
-def heat_under(plan: ScanPlan, layer: int, thickness_mm: np.ndarray, busy: np.ndarray, config: Config) -> HeatSoFar:
+def heat_under(
+    plan: ScanPlan, layer: int, thickness_mm: np.ndarray, busy: np.ndarray, config: Config
+) -> HeatSoFar:
     """Heat of a part when the layers under one of them were laid as a run planned them, by the balance alone.
 
     What differs across a section decays while the next layer is laid; the mean stays. An order that begins on it knows

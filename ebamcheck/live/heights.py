@@ -248,9 +248,13 @@ class HeightRule:
         if top - base_mm <= self.met_mm:
             over = base_mm - top
             late = over > self.met_mm
-            return [], [f"what stands is {over:.3f} mm over the part's top: it is to be machined off"] if late else []
+            return [], [
+                f"what stands is {over:.3f} mm over the part's top: it is to be machined off"
+            ] if late else []
         wanted = sorted({*self.listed_mm, top} if self.mode == "listed" else slopes.faces_mm.tolist())
-        said, kept, low = [], [], base_mm
+        said: list[str] = []
+        kept: list[float] = []
+        low = base_mm
         for z in wanted:
             if z <= base_mm + (LEVEL_MM if z < base_mm else self.met_mm):
                 continue
@@ -264,7 +268,9 @@ class HeightRule:
                 while kept and z - (kept[-2] if len(kept) > 1 else base_mm) < limits.least_mm:
                     kept.pop()
                 if kept:
-                    said.append(f"the face at Z {kept[-1]:.3f} is not met: the top lies {z - kept[-1]:.3f} mm over it")
+                    said.append(
+                        f"the face at Z {kept[-1]:.3f} is not met: the top lies {z - kept[-1]:.3f} mm over it"
+                    )
                     kept.pop()
             kept.append(z)
             low = z
@@ -282,7 +288,9 @@ class HeightRule:
         scaled = np.array(wanted) * (gap / sum(wanted))
         if self._within(scaled):
             return scaled.tolist(), self._said_of_cusp(scaled, low_mm)
-        for count in sorted(range(1, math.ceil(gap / limits.least_mm) + 1), key=lambda n: abs(n - len(wanted))):
+        for count in sorted(
+            range(1, math.ceil(gap / limits.least_mm) + 1), key=lambda n: abs(n - len(wanted))
+        ):
             even = np.full(count, gap / count)
             if self._within(even):
                 said = ""
@@ -290,11 +298,11 @@ class HeightRule:
                     said = f"the step of {gap:.3f} mm to Z {high_mm:.3f} is laid in {count} layers: the greatest is {limits.most_mm:.3f} mm"
                 return even.tolist(), said or self._said_of_cusp(even, low_mm)
         count = max(1, round(gap / limits.usual_mm))
-        return (
-            [gap / count] * count,
+        said = (
             f"from Z {low_mm:.3f} to {high_mm:.3f} mm no number of layers is within {limits.least_mm:.3f} mm "
-            f"({limits.why[0]}) .. {limits.most_mm:.3f} mm ({limits.why[1]})",
+            f"({limits.why[0]}) .. {limits.most_mm:.3f} mm ({limits.why[1]})"
         )
+        return [gap / count] * count, said
 
     def _within(self, thickness: Floats) -> bool:
         low, high = self.limits.least_mm * (1.0 - ROUNDING), self.limits.most_mm * (1.0 + ROUNDING)
@@ -341,7 +349,9 @@ def height_rule(
     if not (math.isfinite(cusp_mm) and cusp_mm > 0.0):
         raise SettingsError(f"cusp {cusp_mm} mm: give a positive number of millimetres")
     listed = tuple(float(z) for z in listed_mm)
-    if mode == "listed" and (not listed or not all(a < b for a, b in zip((0.0, *listed), listed, strict=False))):
+    if mode == "listed" and (
+        not listed or not all(a < b for a, b in zip((0.0, *listed), listed, strict=False))
+    ):
         raise SettingsError("listed heights must be positive and rise from layer to layer")
     limits = bead_limits(config)
     return HeightRule(Slopes.of(part, limits.least_mm / STEPS_A_LAYER), limits, mode, cusp_mm, listed)

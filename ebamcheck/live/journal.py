@@ -100,7 +100,9 @@ def _lines(path: Path) -> Iterator[tuple[bytes, dict[str, Any]]]:
             except (ValueError, KeyError, TypeError):
                 raise InputError(f"{path}:{number}: is no line of a journal") from None
             if after != last:
-                raise InputError(f"{path}:{number}: does not follow the line before: one was changed or is missing")
+                raise InputError(
+                    f"{path}:{number}: does not follow the line before: one was changed or is missing"
+                )
             last = _hash(line)
             yield line, entry
 

@@ -156,7 +156,9 @@ class LayerMaker:
         self.primary = primary or config.slicing.primary or registry.default_backend()
         self.witness = witness_backend(self.primary)
         if self.witness == self.primary:
-            raise BackendMissing(f"no exact slicer beside {self.primary!r} is there: two methods have to agree")
+            raise BackendMissing(
+                f"no exact slicer beside {self.primary!r} is there: two methods have to agree"
+            )
         self.sound = gates.input_gate(inspect(part))
         self._open = ExitStack()
         self._slicings = {

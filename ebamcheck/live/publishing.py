@@ -69,7 +69,11 @@ def certificate_of(made: MadeLayer, part: Part, primary: str, witness: str) -> d
                 "cut_mm": made.cut_mm,
                 "direction": part.direction,
                 "control": made.config.machine.control,
-                "part": {"name": part.name, "sha256": part.source_sha256 or part.sha256, "mesh_sha256": part.sha256},
+                "part": {
+                    "name": part.name,
+                    "sha256": part.source_sha256 or part.sha256,
+                    "mesh_sha256": part.sha256,
+                },
                 "settings_sha256": sha256_of_json(made.config.model_dump()),
                 "primary": primary,
                 "witness": witness,

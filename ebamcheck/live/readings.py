@@ -85,11 +85,14 @@ def fault_of(reading: Reading, base_mm: float, top_mm: float) -> Refusal | None:
         return None
     for factor, unit in ((INCH_MM, "inches"), (METRE_MM, "metres"), (1.0 / METRE_MM, "micrometres")):
         if abs(height * factor - top_mm) <= min(ALIKE * planned, room):
-            return Refusal("unit", f"height_mm {height:g} would be the layer's height in {unit}: heights are in mm")
+            return Refusal(
+                "unit", f"height_mm {height:g} would be the layer's height in {unit}: heights are in mm"
+            )
     if height <= base_mm:
         return Refusal(
             "decreasing", f"height_mm {height:g} is not over {base_mm:.3f}, on which the layer was laid"
         )
     return Refusal(
-        "absurd", f"height_mm {height:g} is {abs(height - top_mm):.3f} mm off the plan, {top_mm:.3f}: over {room:.3f}"
+        "absurd",
+        f"height_mm {height:g} is {abs(height - top_mm):.3f} mm off the plan, {top_mm:.3f}: over {room:.3f}",
     )

@@ -27,7 +27,9 @@ class Relayered:
     place: Path | None
 
 
-def wanted_layer(maker: LayerMaker, layer: int, measured_mm: float, name: str) -> tuple[Wanted, tuple[str, ...]]:
+def wanted_layer(
+    maker: LayerMaker, layer: int, measured_mm: float, name: str
+) -> tuple[Wanted, tuple[str, ...]]:
     """Return the layer on a measured height, as high as it has to be for the rest to end at the part's top.
 
     Raises
