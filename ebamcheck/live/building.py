@@ -30,9 +30,10 @@ from ebamcheck.live.publishing import (
 )
 from ebamcheck.live.readings import Reading, Refusal, fault_of, reading_of
 
-TRIES = (1.0, 0.97, 1.03)
-"""Heights of a layer, over the planned one, that are tried one after the other until every gate is open: a plane through
-vertices of the mesh, on which methods may differ, is left by each of them."""
+TRIES = ((1.0, 0), (0.97, 0), (1.03, 0), (1.0, 3), (1.0, 6))
+"""What is tried one after the other until every gate is open: heights of the layer over the planned one, since a plane
+through vertices of the mesh, on which methods may differ, is left by each of them; and islands and hatch that lie as on a
+later layer, since where beads of one layout leave metal uneven, those of another may not."""
 
 Answer = dict[str, Any]
 
@@ -182,14 +183,15 @@ class Building:
         limits, why = self.rule.limits, ""
         program = self.maker.config.machine.program_name
         self.folder.mkdir(parents=True, exist_ok=True)
-        for number, factor in enumerate(TRIES, 1):
+        for number, (factor, shifted) in enumerate(TRIES, 1):
             thickness_mm = float(plan.thickness_mm[0]) * factor
             inside = (
                 limits.least_mm <= thickness_mm <= limits.most_mm and base_mm + thickness_mm <= top_mm + 1e-9
             )
             if factor != 1.0 and not inside:
                 continue
-            wanted = Wanted(reading.done, base_mm, thickness_mm, layer_name(program, reading.done, number))
+            name = layer_name(program, reading.done, number)
+            wanted = Wanted(reading.done, base_mm, thickness_mm, name, shifted)
             staged = Path(tempfile.mkdtemp(prefix=".making.", dir=self.folder))
             try:
                 made = self.maker.make(wanted, self.heat, staged / PROGRAM)

@@ -50,12 +50,16 @@ from ebamcheck.slicers.slicing import Slicing
 
 @dataclass(frozen=True)
 class Wanted:
-    """A layer that is to be made: its index in the build, from 0; Z of what it lies on; its height; and its name."""
+    """A layer that is to be made: its index in the build, from 0; Z of what it lies on; its height; and its name.
+
+    Islands and hatch lie as on the layer of index `layer + shifted`.
+    """
 
     layer: int
     base_mm: float
     thickness_mm: float
     name: str
+    shifted: int = 0
 
     @property
     def top_mm(self) -> float:
@@ -303,7 +307,7 @@ class LayerMaker:
         """Plan of the layer on the heat so far; the heat when it is done; and the wait before it, s."""
         order, seed = config.scan.order, config.scan.seed
         section = layer_section(smooth.polygons(0))
-        stack = Stack([section], np.array([smooth.heights[0]]), [wanted.layer], self.bottom_mm)
+        stack = Stack([section], np.array([smooth.heights[0]]), [wanted.layer + wanted.shifted], self.bottom_mm)
         laid, islands = laid_layer(stack, 0, config, seed)
         carry = config.scan.carry_heat and order not in GEOMETRIC
         done, part, last = ordered_on(

@@ -63,6 +63,7 @@ def certificate_of(made: MadeLayer, part: Part, primary: str, witness: str) -> d
                 "software": __version__,
                 "name": wanted.name,
                 "layer": wanted.layer,
+                "shifted": wanted.shifted,
                 "base_mm": wanted.base_mm,
                 "thickness_mm": wanted.thickness_mm,
                 "top_mm": wanted.top_mm,
