@@ -23,6 +23,7 @@ setup: $(VENV)/ready ## Make the virtual environment and install everything into
 demo: setup ## Slice, cross-check, fit, partition and program the demo part; the report is demo/run/report.html
 	@$(BIN)/ebamcheck warm
 	@mkdir -p demo
+	@rm -rf demo/run
 	@$(BIN)/python -m ebamcheck_models blade --tolerance 0.1 -o demo/blade.stl
 	@$(BIN)/python -m ebamcheck_models blade --tolerance 0.005 -o demo/blade-fine.stl
 	@$(BIN)/ebamcheck run demo/blade.stl --reference demo/blade-fine.stl -o demo/run

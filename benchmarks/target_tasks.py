@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
@@ -14,6 +13,7 @@ from benchmarks.ladder import Effort, Note
 from benchmarks.methods import Method
 from benchmarks.parts import BenchmarkPart, model_file, shuffled
 from benchmarks.watch import run_task, watch
+from ebamcheck.pipeline.run_folder import RunFolder, is_run
 
 Raw = dict[str, Any]
 
@@ -110,9 +110,8 @@ def check_command(
         arguments = ["check", str(stl), "--layer-height", f"{layer_mm:.9g}", "-o", str(target), *extra]
         # Exit code 1 is a result like any other: the slicers did not agree everywhere.
         found = command(arguments, limit_s, memory_mb, fine=(0, 1))
-        record = target / "run.json"
-        if record.is_file():
-            told = json.loads(record.read_text(encoding="utf-8"))
+        if is_run(target):
+            told = RunFolder(target).manifest()
             found |= {
                 "stages_s": told["timings"]["stages_s"],
                 "backends": {name: b["status"] for name, b in told["backends"].items()},

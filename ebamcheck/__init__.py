@@ -12,11 +12,15 @@ if TYPE_CHECKING:
     from ebamcheck.curves import Curves as Curves
     from ebamcheck.curves import fit as fit
     from ebamcheck.errors import EbamcheckError as EbamcheckError
+    from ebamcheck.export.saving import save as save
     from ebamcheck.layers.heights import layer_heights as layer_heights
     from ebamcheck.layers.stack import Layers as Layers
     from ebamcheck.mesh.files import load as load
     from ebamcheck.mesh.inspection import inspect as inspect
     from ebamcheck.mesh.part import Part as Part
+    from ebamcheck.pipeline.finished import Run as Run
+    from ebamcheck.pipeline.finished import check as check
+    from ebamcheck.pipeline.finished import run as run
     from ebamcheck.pipeline.verify import verify as verify
     from ebamcheck.program import read_program as read_program
     from ebamcheck.program import write_program as write_program
@@ -33,7 +37,9 @@ _PUBLIC = {
     "EbamcheckError": "ebamcheck.errors",
     "Layers": "ebamcheck.layers.stack",
     "Part": "ebamcheck.mesh.part",
+    "Run": "ebamcheck.pipeline.finished",
     "Slicing": "ebamcheck.slicers.slicing",
+    "check": "ebamcheck.pipeline.finished",
     "compare": "ebamcheck.comparison",
     "compare_orders": "ebamcheck.scan",
     "fit": "ebamcheck.curves",
@@ -43,6 +49,8 @@ _PUBLIC = {
     "load_config": "ebamcheck.settings.config",
     "plan_scan": "ebamcheck.scan",
     "read_program": "ebamcheck.program",
+    "run": "ebamcheck.pipeline.finished",
+    "save": "ebamcheck.export.saving",
     "slice": "ebamcheck.slicers.slicing:slice_part",
     "verify": "ebamcheck.pipeline.verify",
     "write_program": "ebamcheck.program",

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from ebamcheck.errors import SettingsError
+from ebamcheck.scratch import owned_file, sweep_parts
 
 
 def made_folder(path: Path) -> Path:
@@ -30,7 +31,8 @@ def made_folder(path: Path) -> Path:
 def replacing(path: str | Path) -> Iterator[Path]:
     """Give a temporary name in the folder of `path`; the file written there takes its place at the end.
 
-    Where the block raises, the temporary file goes and what stood at `path` stays as it was.
+    Where the block raises, the temporary file goes and what stood at `path` stays as it was; what a killed process
+    left in that folder goes, too.
 
     Raises
     ------
@@ -48,9 +50,11 @@ def replacing(path: str | Path) -> Iterator[Path]:
     """
     path = Path(path)
     temporary = path.with_name(f".{path.name}.{os.getpid()}-{threading.get_ident()}.part")
+    sweep_parts(path.parent)
     try:
-        yield temporary
-        os.replace(temporary, path)
+        with owned_file(temporary):
+            yield temporary
+            os.replace(temporary, path)
     except OSError as error:
         raise SettingsError(f"{path}: cannot be written: {error.strerror or error}") from None
     finally:

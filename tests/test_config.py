@@ -84,7 +84,7 @@ def test_settings_stand_in_pyproject_too(tmp_path):
         ("layer = 1", r"layer: unknown key \(did you mean 'layers'\?\)"),
         ("layers = 3", r"layers: .*given 3"),
         ("layers.layer_height_mm = 'high'", r"layers\.layer_height_mm: .*given 'high'"),
-        ("layers.layer_height_mm = 0", r"layers\.layer_height_mm: .*greater than 0 \(given 0\)"),
+        ("layers.layer_height_mm = 0", r"layers\.layer_height_mm: .*from 0\.005 to 100 \(given 0\)"),
         ("layers.layer_height_mm = nan", r"layers\.layer_height_mm: .*finite.*given nan"),
         ("layers.heights_mm = [1, inf]", r"layers\.heights_mm\.1: .*finite.*given inf"),
         ("part.units = 'furlong'", r"part\.units: .*given 'furlong'"),

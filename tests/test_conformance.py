@@ -13,6 +13,7 @@ import numpy as np
 import oracle
 import pytest
 from broken_backends import FAULTS
+from fake_distribution import environment
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -239,10 +240,10 @@ def test_a_plugin_is_installed_found_and_passes(tmp_path):
     )  # fmt: skip
     code = (
         "from ebamcheck import registry; from ebamcheck.testing import CHECKS, examine; "
-        "found = examine(registry.available_slicer('rows'), CHECKS[:12]); "
+        "found = examine(registry.loaded_slicer('rows'), CHECKS[:12]); "
         "print(found.table()); assert found.passed"
     )
-    env = os.environ | {"PYTHONPATH": str(target)}
+    env = os.environ | environment(target)
     done = subprocess.run([sys.executable, "-c", code], env=env, cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.startswith("rows: conforms")

@@ -37,7 +37,9 @@ UNITS = (
     "kv",
     "ma",
     "mb",
+    "mm2",
     "m3",
+    "j_mm3",
     "px",
     "k",
     "w_mk",
@@ -57,10 +59,14 @@ WITHOUT_UNIT = {
     "edge_tolerance",  # of the height of a layer
     "gap_width",  # over the bead width
     "seed",
+    "most_layers",  # counts
+    "most_points",
+    "most_islands",
     "stride",  # islands
     "conductivity_by_temperature",  # pairs of K and W/(m K)
     "heat_capacity_by_temperature",  # pairs of K and J/(kg K)
     "melt_mixing",  # factor of the conductivity
+    "evidence_share",  # of the bead width, and of the layer height
     "travel_share",  # of another order's travel
     "annealing_steps",
     "ramp_power",  # share of the power

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import signal
@@ -11,6 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
+from fake_distribution import found_here, install
 from parts import box, tilted, torus
 
 import ebamcheck
@@ -87,20 +89,13 @@ class Raising(PlaneCut):
 @pytest.fixture
 def plugins(tmp_path, monkeypatch):
     """Install the slicers above as a distribution that worker processes find, too."""
-    (tmp_path / "troubled_plugin.py").write_text(
+    text = (
         f"import sys; sys.path.insert(0, {os.path.dirname(__file__)!r})\n"
         "from test_isolation import Absent, Raising, Troubled\n"
     )
-    info = tmp_path / "troubled_plugin-1.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: troubled-plugin\nVersion: 1\n")
-    (info / "entry_points.txt").write_text(
-        "[ebamcheck.backends]\n"
-        "troubled = troubled_plugin:Troubled\nabsent = troubled_plugin:Absent\nraising = troubled_plugin:Raising\n"
-    )
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    monkeypatch.syspath_prepend(str(tmp_path))
-    registry.forget()
+    points = {name.lower(): f"troubled_plugin:{name}" for name in ("Troubled", "Absent", "Raising")}
+    install(tmp_path, "troubled-plugin", {registry.BACKENDS: points}, {"troubled_plugin": text})
+    found_here(tmp_path, monkeypatch)
     yield
     registry.forget()
 
@@ -190,10 +185,12 @@ def test_killing_a_worker_from_outside_is_told(plugins, tmp_path):
     def kill_the_hanging():
         for _ in range(600):
             for child in psutil.Process().children():
-                if "troubled" in child.cmdline():
-                    time.sleep(0.3)
-                    child.kill()
-                    return
+                # One that ends while it is looked at has no command line any more.
+                with contextlib.suppress(psutil.Error):
+                    if "troubled" in child.cmdline():
+                        time.sleep(0.3)
+                        child.kill()
+                        return
             time.sleep(0.05)
 
     killer = threading.Thread(target=kill_the_hanging)

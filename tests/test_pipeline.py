@@ -22,7 +22,7 @@ from ebamcheck.layers.files import LayerFile
 from ebamcheck.mesh.part import from_arrays
 from ebamcheck.pipeline import check_job, run_job
 from ebamcheck.pipeline.run_folder import RunFolder
-from ebamcheck.pipeline.verify import verify_against_part, verify_run
+from ebamcheck.pipeline.verify import verify, verify_against_part, verify_run
 from ebamcheck.settings.config import Config
 
 THICK = Config().changed(layers={"layer_height_mm": 6.0}, process=WIDE)
@@ -50,9 +50,7 @@ def gates(result):
 
 
 def untimed(folder):
-    manifest = json.loads((folder / "run.json").read_text())
-    manifest.pop("timings")
-    return manifest
+    return json.loads((folder / "run.json").read_text())
 
 
 def contents(folder):
@@ -209,7 +207,7 @@ def test_inside_out_is_named_and_turned_over_when_asked(tmp_path):
     assert result.exit_code is ExitCode.OUT_OF_TOLERANCE
     assert "inside-out" in result.manifest["gates"][0]["text"]
     assert result.manifest["comparison"]["verdicts"] == {"empty": 2}
-    mended = run_job(path, tmp_path / "in.run", SETTINGS.changed(part={"fix_orientation": True}))
+    mended = run_job(path, tmp_path / "mended.run", SETTINGS.changed(part={"fix_orientation": True}))
     assert mended.exit_code is ExitCode.PASS
     turned = [found for found in mended.manifest["findings"] if found["code"] == "facets-turned-over"]
     assert [found["text"] for found in turned] == ["32 of 32 facets were turned over"]
@@ -254,7 +252,7 @@ def test_units_and_direction(tmp_path):
         settings = SETTINGS.changed(
             part={"units": "m", "direction": direction}, layers={"layer_height_mm": height}
         )
-        result = run_job(path, tmp_path / "m.run", settings)
+        result = run_job(path, tmp_path / "m.run", settings, force=True)
         assert result.folder.read_layers("planecut").areas() == pytest.approx(areas, rel=1e-4)
         assert gates(result)["agreement"]
         assert result.manifest["part"]["direction"] == list(direction)
@@ -332,6 +330,39 @@ def test_verify_finds_other_settings_a_lost_file_and_another_part(copy, plate):
         verify_run(copy)
 
 
+def test_a_program_without_its_run_asks_for_its_settings(plate, tmp_path):
+    program = shutil.copytree(plate[0].folder.program_folder, tmp_path / "alone") / "MAIN.MPF"
+    lines = program.read_text().splitlines()
+    program.write_text("\n".join([*lines[:20], "R10=40", *lines[20:], ""]))
+    (found,) = [c for c in verify(program, plate[1]) if not c.passed]
+    assert found.text.startswith(
+        "unknown word 'R10=40'; no run lies beside the program, so the default settings"
+    )
+    assert "--config" in found.text
+    (found,) = [c for c in verify(program, plate[1], THICK) if not c.passed]
+    assert found.text == "unknown word 'R10=40'"
+
+
+def test_a_finished_run_is_kept_whatever_is_asked_for(copy, plate):
+    (copy / "signatures").mkdir()
+    (copy / "signatures" / "jane.json").write_text("{}")
+    before = {path: path.read_bytes() for path in copy.rglob("*") if path.is_file()}
+    with pytest.raises(SettingsError, match=r"holds a run that was finished at .*--force"):
+        run_job(plate[1], copy, THICK)
+    listener = Listener()
+    assert run_job(plate[1], copy, THICK, resume=True, observer=listener).gates == plate[0].gates
+    assert (listener.stages, listener.notes) == ([], [f"{copy}: is finished already"])
+    assert {path: path.read_bytes() for path in copy.rglob("*") if path.is_file()} == before
+    check_job(plate[1], copy, SETTINGS, observer=listener, force=True)
+    (kept,) = copy.parent.glob("copy.run.*")
+    assert kept.name == f"copy.run.{plate[0].manifest['timings']['finished'].rstrip('Z').replace(':', '')}"
+    assert listener.notes[1] == f"{copy}: the former run will be kept as {kept.name}"
+    assert {
+        copy / path.relative_to(kept): path.read_bytes() for path in kept.rglob("*") if path.is_file()
+    } == before
+    assert RunFolder(copy).manifest()["job"] == "check"
+
+
 def test_verify_a_program_against_a_part_finds_a_moved_hole(plate, tmp_path):
     program = plate[0].folder.program_folder / "MAIN.MPF"
     assert all(check.passed for check in verify_against_part(program, plate[1], THICK))
@@ -351,7 +382,7 @@ def test_settings_and_part_change_the_fingerprint(tmp_path, monkeypatch):
     class Enough(Exception):
         pass
 
-    def stop(target, fingerprint, resume):
+    def stop(target, fingerprint, resume, force):
         seen.append(fingerprint)
         raise Enough
 
@@ -374,7 +405,7 @@ def test_settings_and_part_change_the_fingerprint(tmp_path, monkeypatch):
 def test_the_folder_is_free_again_after_a_failure(tmp_path, monkeypatch):
     from ebamcheck.pipeline import cross_check
 
-    def fail(*_):
+    def fail(*_, **__):
         raise RuntimeError("on the way")
 
     path = write_stl(frame(), tmp_path / "a.stl")

@@ -89,13 +89,7 @@ CASES: dict[str, tuple[Callable[[float], Part], float, int, Change, float]] = {
 """Maker, chord error, direction (0: as made), what was done to the mesh, and the share of the RMS error that must go."""
 
 
-MISSED = pytest.mark.xfail(
-    strict=True,
-    reason="long facets between a fine fillet and a bend of 11 degrees, once decimated, are lifted by the bend's normals",
-)
-
-
-@pytest.mark.parametrize("name", [pytest.param(n, marks=MISSED) if n == "decimated" else n for n in CASES])
+@pytest.mark.parametrize("name", CASES)
 def test_curves_are_never_farther_from_the_part_than_its_contours(name: str) -> None:
     maker, chord_mm, seed, change, gain = CASES[name]
 

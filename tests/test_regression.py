@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from fake_distribution import found_here, install
 from hypothesis import given
 from hypothesis import strategies as st
 from regression_plugin import ALLOWED_MM, BLOCK, BOUND_MM, ROUGH_MM, SLICERS
@@ -70,17 +71,11 @@ CAUGHT = [
 def plugins(tmp_path_factory):
     """Install the block and the slicers above as a distribution that worker processes find, too."""
     folder = tmp_path_factory.mktemp("plugins")
-    lines = [f"{name} = regression_plugin:{name.replace('-', '_')}" for name in SLICERS]
-    info = folder / "regression_plugin-1.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: regression-plugin\nVersion: 1\n")
-    (info / "entry_points.txt").write_text(
-        "[ebamcheck.models]\ntrial-block = regression_plugin:BLOCK\n[ebamcheck.backends]\n" + "\n".join(lines)
-    )
+    backends = {name: f"regression_plugin:{name.replace('-', '_')}" for name in SLICERS}
+    models = {"trial-block": "regression_plugin:BLOCK"}
+    install(folder, "regression-plugin", {registry.MODELS: models, registry.BACKENDS: backends})
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PYTHONPATH", os.pathsep.join([str(folder), os.path.dirname(__file__)]))
-        patch.syspath_prepend(str(folder))
-        registry.forget()
+        found_here(folder, patch, os.path.dirname(__file__))
         yield
     registry.forget()
 
@@ -210,6 +205,25 @@ def test_two_reports_on_an_unchanged_tree_are_the_same_bytes_but_for_timings(acc
         assert (base / "one" / name).read_bytes() == (base / "two" / name).read_bytes(), name
     timed = json.loads((base / "one" / "timings.json").read_text())
     assert all(set(seconds) == {"prepare_s", "slice_s", "measure_s"} for seconds in timed.values())
+
+
+def test_settings_of_slicers_are_honoured_and_held_against_the_same_baselines(honest, tmp_path, capsys):
+    if "embree" not in honest:
+        pytest.skip(f"embree is not available: {registry.probe('embree').why}")
+    write_baselines(tmp_path / "baselines", [honest["embree"]], ["trial-block"])
+    config = tmp_path / "ebamcheck.toml"
+    config.write_text('[slicing.settings.embree]\nmode = "vertical"\ngrid_mm = 1.0\n')
+    given = {"backends": "embree", "config": config}
+    assert _regress(tmp_path / "baselines", tmp_path / "out", **given) is ExitCode.OUT_OF_TOLERANCE
+    told = capsys.readouterr()
+    assert "embree runs with mode = vertical, grid_mm = 1.0" in told.err
+    (found,) = json.loads((tmp_path / "out" / "results.json").read_text())["differences"]
+    assert found["verdict"] == "worse"
+    with pytest.raises(SettingsError, match=r"slicing\.settings\.embree"):
+        _regress(tmp_path / "baselines", tmp_path / "out", update_baseline="all", **given)
+    config.write_text("[slicing.settings.embree]\nnosuch = 1\n")
+    with pytest.raises(SettingsError, match="nosuch"):
+        _regress(tmp_path / "baselines", tmp_path / "out", **given)
 
 
 def test_the_history_counts_a_result_that_is_seen_again(accepted_once):

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
+from fake_distribution import found_here, install
 from threadpoolctl import threadpool_info
 
 import ebamcheck
@@ -251,22 +252,17 @@ def test_layers_of_no_or_one_island_are_compared(section):
     assert table["travel_mm"].tolist() == [0.0, 0.0]
 
 
-class _Point:
-    name, value, group = "backwards", "somewhere:order", registry.ORDERS
-
-    def load(self):
-        return lambda islands: np.arange(len(islands))[::-1]
-
-
-class _Broken(_Point):
-    name = "half"
-
-    def load(self):
-        return lambda islands: np.arange(len(islands) // 2)
+ORDERS_MODULE = """
+import numpy as np
+def backwards(islands): return np.arange(len(islands))[::-1]
+def half(islands): return np.arange(len(islands) // 2)
+"""
 
 
-def test_an_installed_order_plans(monkeypatch):
-    monkeypatch.setattr(registry, "entry_points", lambda group: [_Point(), _Broken()])
+def test_an_installed_order_plans(tmp_path, monkeypatch):
+    points = {name: f"installed_orders:{name}" for name in ("backwards", "half")}
+    install(tmp_path, "orders", {registry.ORDERS: points}, {"installed_orders": ORDERS_MODULE})
+    found_here(tmp_path, monkeypatch)
     plan = plan_scan(PLATE, PROFILE, order="backwards")
     assert plan.order.tolist() == list(range(len(plan.islands)))[::-1]
     with pytest.raises(SettingsError, match="'half' did not return every island of layer 0 once"):

@@ -10,24 +10,27 @@ import numpy as np
 import pytest
 
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.json_values import (
-    plain,
-    sha256_of_json,
-    write_json,
-)
+from ebamcheck.json_values import plain, sha256_of_json
+from ebamcheck.pipeline import run_folder as store
 from ebamcheck.pipeline.run_folder import (
     MANIFEST,
     RunFolder,
+    finished_run,
     start_run,
 )
 
 
-def finished(target, text="first"):
-    run = start_run(target, "f", resume=False)
-    write_json({"format": 1, "text": text}, run.path / MANIFEST)
+def finished(target, text="first", finished="2026-11-22T14:15:00Z", force=False):
+    run = start_run(target, "f", resume=False, force=force)
+    run.write_manifest({"format": 1, "text": text, "timings": {"finished": finished}})
+    (run.path / "fingerprint").unlink()
     folder = run.finish()
     run.release()
     return folder
+
+
+def contents(folder):
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def names(folder):
@@ -38,24 +41,84 @@ def test_a_run_appears_when_it_is_whole(tmp_path):
     target = tmp_path / "a" / "b.run"
     run = start_run(target, "f", resume=False)
     assert not target.exists()
-    write_json({"format": 1}, run.path / MANIFEST)
-    assert run.finish().manifest() == {"format": 1}
+    run.write_manifest({"format": 1, "timings": {"finished": "now"}})
+    folder = run.finish()
+    assert folder.manifest() == {"format": 1, "timings": {"finished": "now"}}
+    assert json.loads((folder.path / MANIFEST).read_text()) == {"format": 1}
     run.release()
     assert names(target.parent) == ["b.run"]
 
 
-def test_a_former_run_is_replaced_whole(tmp_path):
+def test_a_finished_run_is_never_overwritten(tmp_path):
     target = tmp_path / "b.run"
-    (finished(target).path / "old.csv").write_text("of the first run")
-    assert finished(target, "second").manifest()["text"] == "second"
-    assert not (target / "old.csv").exists()
+    before = contents(finished(target).path)
+    with pytest.raises(
+        SettingsError,
+        match=r"finished at 2026-11-22T14:15:00Z: .*-o, or --force.* b\.run\.2026-11-22T141500$",
+    ):
+        start_run(target, "f", resume=False)
+    assert contents(target) == before
     assert names(tmp_path) == ["b.run"]
+
+
+def test_with_force_every_former_run_is_kept_under_its_own_date(tmp_path):
+    target = tmp_path / "b.run"
+    (finished(target).path / "signatures").mkdir()
+    (target / "signatures" / "jane.json").write_text("{}")
+    before = contents(target)
+    assert finished(target, "second", force=True).manifest()["text"] == "second"
+    assert names(target) == ["layers", MANIFEST, "timings.json"]
+    assert contents(tmp_path / "b.run.2026-11-22T141500") == before
+    # Two that ended in the same second, and one whose times are gone.
+    finished(target, "third", force=True)
+    assert names(tmp_path) == ["b.run", "b.run.2026-11-22T141500", "b.run.2026-11-22T141500-2"]
+    (target / "timings.json").unlink()
+    os.utime(target / MANIFEST, (0, 0))
+    finished(target, "fourth", force=True)
+    assert RunFolder(tmp_path / "b.run.1970-01-01T000000").manifest()["text"] == "third"
+
+
+def test_the_dated_name_never_leads_elsewhere(tmp_path):
+    """The time in a record is text like any other."""
+    finished(tmp_path / "b.run", finished="../../2026-11-22T14:15:00Z")
+    os.utime(tmp_path / "b.run" / MANIFEST, (0, 0))
+    finished(tmp_path / "b.run", "second", force=True)
+    assert names(tmp_path) == ["b.run", "b.run.1970-01-01T000000"]
+
+
+@pytest.mark.parametrize("where", ["before the exchange", "after the exchange"])
+def test_a_run_killed_on_the_way_to_its_place_loses_neither(tmp_path, where):
+    target, unfinished = tmp_path / "b.run", tmp_path / ".b.run.unfinished"
+    finished(target)
+    run = start_run(target, "f", resume=False, force=True)
+    run.write_manifest({"format": 1, "text": "second", "timings": {"finished": "2026-11-23T00:00:00Z"}})
+    (run.path / "fingerprint").unlink()
+    run.release()
+    if where == "after the exchange":
+        store._exchange(unfinished, target)
+    with pytest.raises(SettingsError, match="holds a run that was finished"):
+        start_run(target, "f", resume=False)
+    texts = {RunFolder(path).manifest()["text"] for path in tmp_path.iterdir()}
+    assert (texts, unfinished.exists()) == ({"first", "second"}, False)
+
+
+def test_a_run_killed_before_its_last_step_is_finished_by_the_next(tmp_path):
+    target = tmp_path / "b.run"
+    run = start_run(target, "f", resume=False)
+    run.write_manifest({"format": 1, "fingerprint": "f", "timings": {}})
+    (run.path / "fingerprint").unlink()
+    assert finished_run(tmp_path / "other.run", "f") is None
+    with pytest.raises(SettingsError, match="under way"):
+        finished_run(target, "f")
+    run.release()
+    assert finished_run(target, "g") is None
+    assert finished_run(target, "f") == RunFolder(target)
 
 
 def test_a_link_to_a_run_stays_a_link(tmp_path):
     finished(tmp_path / "real.run")
     (tmp_path / "link").symlink_to("real.run")
-    finished(tmp_path / "link", "second")
+    finished(tmp_path / "link", "second", force=True)
     assert (tmp_path / "link").is_symlink()
     assert RunFolder(tmp_path / "real.run").manifest()["text"] == "second"
 

@@ -7,11 +7,11 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Annotated, ClassVar
 
 import numpy as np
-from pydantic import Field
 
 from ebamcheck.backend import BackendSettings, CoplanarRule, Prepared, Probe
 from ebamcheck.errors import BackendFailed
 from ebamcheck.mesh.part import Part
+from ebamcheck.settings.base import Between
 from ebamcheck_embree.grid import Mode, automatic_cell_mm, grid_over
 
 IN_PLANE_BOUND = math.sqrt(0.5)
@@ -31,13 +31,13 @@ SINGLE_ROUNDINGS = 8.0
 class EmbreeSettings(BackendSettings):
     """Settings of the ray-casting slicer."""
 
-    grid_mm: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
+    grid_mm: Annotated[float, Between(1e-7, 1000.0)] | None = None
     """Distance between rays. None: the part's longer side in x and y over 1024; in-plane at most 0.1 mm, but
     not under that side over 4096."""
     mode: Mode = "in-plane"
     """in-plane: rays along rows and columns of each layer, contours on the mesh's own section.
     vertical: one cast for all layers, contours on the middles of grid edges."""
-    rays_per_call: Annotated[int, Field(ge=1024)] = 65_536
+    rays_per_call: Annotated[int, Between(1024, 10**8)] = 65_536
     """Rays in one call of Embree: bounds memory, changes no result."""
 
 

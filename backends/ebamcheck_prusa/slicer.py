@@ -11,13 +11,13 @@ from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
-from pydantic import Field
 
 from ebamcheck.backend import BackendSettings, CoplanarRule, Probe
 from ebamcheck.errors import BackendFailed, SettingsError
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.stl_writer import write_triangles
+from ebamcheck.settings.base import Between
 from ebamcheck.slicers.outside.lattices import Lattice, LatticeStack
 from ebamcheck.slicers.outside.placement import (
     Placement,
@@ -66,7 +66,7 @@ that covers half of that pixel has a radius of 0.850; coverage is counted in ste
 class PrusaSettings(ProgramSettings):
     """Settings of the backend ``prusa``."""
 
-    pixel_mm: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
+    pixel_mm: Annotated[float, Between(1e-7, 1000.0)] | None = None
     """Side of a pixel; None: 1/1024 of the larger side of the part."""
 
 

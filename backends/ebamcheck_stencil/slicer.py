@@ -7,11 +7,11 @@ import math
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field
 
 from ebamcheck.backend import BackendSettings, CoplanarRule, Prepared, Probe
 from ebamcheck.errors import BackendMissing, SettingsError
 from ebamcheck.mesh.part import Part
+from ebamcheck.settings.base import Between
 from ebamcheck_stencil import opengl
 from ebamcheck_stencil.draw_once import draw_crossings
 from ebamcheck_stencil.drawn_once import DrawnOnce
@@ -39,16 +39,16 @@ FLOAT64_STEP = 2.0**-52
 class Settings(BackendSettings):
     """Settings of the backend ``stencil``."""
 
-    pixel_mm: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
+    pixel_mm: Annotated[float, Between(1e-7, 1000.0)] | None = None
     """Side of a pixel; None: 0.1 mm or 1/1024 of the larger side of the part, whichever is finer, but at
     least 1/4096 of it."""
     mode: Literal["draw-once", "literal"] = "draw-once"
     """One draw for all layers, or the paper's one draw of every facet for each layer."""
-    buffer_mb: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 512.0
+    buffer_mb: Annotated[float, Between(1e-4, 1e5)] = 512.0
     """Limit of the buffer of fragments, as far as the driver has as large a one; the field of view is
     drawn in parts where it does not suffice. Resolving a part takes up to five times as much of the processor's
     memory for a while."""
-    max_texture_px: Annotated[int, Field(ge=1)] | None = None
+    max_texture_px: Annotated[int, Between(1, 1_000_000)] | None = None
     """Limit of an image's side; None: what the driver offers."""
 
 

@@ -90,6 +90,12 @@ class Kind:
     """It stands in a comment: the text is judged with its comments."""
     subjects: tuple[str, ...] = ()
     """Parts that it can be planted in; empty: all."""
+    unseen_variants: tuple[Any, ...] | None = None
+    """Variants that `unseen` is about; None: all."""
+
+    def unseen_of(self, variant: Any) -> str:
+        """Why text and part alone cannot show a variant; empty where they can."""
+        return self.unseen if self.unseen_variants is None or variant in self.unseen_variants else ""
 
 
 KINDS: dict[str, Kind] = {}
@@ -104,13 +110,14 @@ def kind(
     unseen: str = "",
     in_comments: bool = False,
     subjects: tuple[str, ...] = (),
+    unseen_variants: tuple[Any, ...] | None = None,
 ) -> Callable[[Callable[[Ground], list[Place]]], Callable[[Ground], list[Place]]]:
     """Put a function that plants a fault on the list of kinds; `variants` for every control, or by control."""
 
     def register(plant: Callable[[Ground], list[Place]]) -> Callable[[Ground], list[Place]]:
         by_control = variants if isinstance(variants, Mapping) else dict.fromkeys(controls, variants)
         every = tuple((control, variant) for control, some in by_control.items() for variant in some)
-        KINDS[name] = Kind(name, changes, plant, every, unseen, in_comments, subjects)
+        KINDS[name] = Kind(name, changes, plant, every, unseen, in_comments, subjects, unseen_variants)
         return plant
 
     return register

@@ -141,7 +141,7 @@ def rapid_in_bead(ground: Ground) -> list[Place]:
     return ground.line(bead.file, i)
 
 
-@kind("feed in place of rapid", "motion", unseen="slower travel at a safe height lays no other metal")
+@kind("feed in place of rapid", "motion")
 def slow_travel(ground: Ground) -> list[Place]:
     """G1 for G0 above the part."""
     layer, _, way, _ = ground.pick(_hops(ground))

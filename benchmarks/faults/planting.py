@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.faults import (  # noqa: F401  (each puts its kinds on the list)
+    attack_kinds,
     layer_kinds,
     metal_kinds,
     motion_kinds,
@@ -119,7 +120,7 @@ class Planter:
             variant="" if fault.variant is None else str(fault.variant),
             what=ground.what,
             where=f"{places[0].file}:{places[0].first}",
-            unseen=fault.kind.unseen,
+            unseen=fault.kind.unseen_of(fault.variant),
             run_checks=tuple(s.check for s in run.said),
             run_found=run.found,
             run_by=run.by,

@@ -30,7 +30,14 @@ def _status(ground: Ground, file: str) -> int:
     return lines.index("; VALIDATED")
 
 
-@kind("header says not validated", "record", ("every file", "one file"), in_comments=True)
+@kind(
+    "header says not validated",
+    "record",
+    {SINUMERIK: ("every file", "one file"), LINUXCNC: ("every file",), PLAIN: ("every file",)},
+    unseen="whether a program was validated is no property of its text: one from `post` says so rightly until a run proves it, and nobody runs it",
+    unseen_variants=("every file",),
+    in_comments=True,
+)
 def not_validated(ground: Ground) -> list[Place]:
     """Change the status of files."""
     text = ground.text

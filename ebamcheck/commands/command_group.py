@@ -8,12 +8,13 @@ import sys
 import traceback
 from collections.abc import Callable
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any
+from typing import Any, cast
 
 import typer
 from typer.core import TyperGroup
 
 from ebamcheck.errors import EbamcheckError, ExitCode
+from ebamcheck.plugins.points import is_house, sorted_out
 
 COMMANDS = "ebamcheck.commands"
 """Entry point group of commands that wings add."""
@@ -36,7 +37,7 @@ class CommandGroup(TyperGroup):
         if (own := super().get_command(ctx, cmd_name)) is not None or cmd_name not in _plugins():
             return own
         try:
-            function = _plugins()[cmd_name].load()
+            function = _loaded(_plugins()[cmd_name])
         except Exception as error:
             typer.echo(f"ebamcheck: warning: command {cmd_name!r} was left out: {error}", err=True)
             return None
@@ -47,15 +48,33 @@ class CommandGroup(TyperGroup):
 
 @functools.cache
 def _plugins() -> dict[str, EntryPoint]:
-    return {point.name: point for point in entry_points(group=COMMANDS)}
+    return sorted_out(entry_points(group=COMMANDS))[0]
 
 
-def guarded(function: Callable[..., Any]) -> Callable[..., None]:
-    """Turn what a command raises into one line, and what it returns into the exit code of the process."""
+def _loaded(point: EntryPoint) -> Callable[..., Any]:
+    """Load a command; a stranger's once it has come through a process of its own."""
+    if is_house(point):
+        return cast(Callable[..., Any], point.load())
+    from ebamcheck.plugins import registry
+
+    return cast(Callable[..., Any], registry.load(point))
+
+
+def guarded(function: Callable[..., Any], compiles: bool = False) -> Callable[..., None]:
+    """Turn what a command raises into one line, and what it returns into the exit code of the process.
+
+    Kernels are announced where they are compiled: in commands that say so, and in those that have loaded numba already.
+    """
 
     @functools.wraps(function)
     def run(*args: Any, **kwargs: Any) -> None:
-        raise typer.Exit(int(_run_guarded(function, *args, **kwargs)))
+        if not compiles and "numba" not in sys.modules:
+            raise typer.Exit(int(_run_guarded(function, *args, **kwargs)))
+        from ebamcheck.commands.progress import announced
+
+        with announced():
+            code = int(_run_guarded(function, *args, **kwargs))
+        raise typer.Exit(code)
 
     return run
 

@@ -37,6 +37,8 @@ def conform_command(
     """Test backends against the protocol, the laws of sections and the reference models; or controls by what they write.
 
     Exit code 1 if a check is broken, 4 if a backend is not available.
+
+    Example: ebamcheck conform planecut --models cube,sphere
     """
     values = dict(_setting(text) for text in setting or ())
     if controls:

@@ -13,18 +13,19 @@ from ebamcheck.commands.options import (
     JsonOption,
     LayerHeightOption,
     UnitsOption,
+    YesOption,
     loaded,
     print_json,
     settings_of,
+    within_work,
 )
 from ebamcheck.commands.run_stack import stack_of_run
 from ebamcheck.curves import METHODS, Curves, contour_error, error_reduction, fit, fit_deviation
 from ebamcheck.drawing.tables import text_table
 from ebamcheck.errors import ExitCode, InputError, SettingsError
-from ebamcheck.layers.heights import checked_heights, layer_heights
+from ebamcheck.layers.cuts import cut_heights
 from ebamcheck.layers.stack import Layers
-from ebamcheck.mesh import files as mesh_files
-from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.part_source import read_reference
 from ebamcheck.pipeline.programming import bead_paths, smooth_layers
 from ebamcheck.pipeline.run_folder import MANIFEST
 from ebamcheck.program import write_program
@@ -32,7 +33,6 @@ from ebamcheck.program.language.control import control as control_named
 from ebamcheck.program.simulators.heat_paths import SCRIPTS, case_post
 from ebamcheck.program.writing.entry import begin_at_layer
 from ebamcheck.scan import plan_stack
-from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import checked_window
 from ebamcheck.slicers.slicing import slice_part
 
@@ -57,9 +57,13 @@ def fit_command(
     config: ConfigOption = None,
     units: UnitsOption = "",
     direction: DirectionOption = "",
+    yes: YesOption = False,
     as_json: JsonOption = False,
 ) -> ExitCode:
-    """Slice a part, fit curves to its contours and say how near they are and how many blocks they take."""
+    """Slice a part, fit curves to its contours and say how near they are and how many blocks they take.
+
+    Example: ebamcheck fit blade.stl --method all --reference blade-fine.stl
+    """
     settings = settings_of(config, units, direction, layer_height)
     if tolerance is not None:
         settings = settings.changed(curves={"tolerance_mm": tolerance})
@@ -67,8 +71,8 @@ def fit_command(
     if output is not None and (len(methods) > 1 or output.suffix.lower() != ".parquet"):
         raise SettingsError(f"{output}: give FILE.parquet and one method")
     placed = loaded(part, settings)
-    layers = slice_part(placed, _heights(placed, settings))
-    truth = slice_part(loaded(reference, settings), layers.heights) if reference else None
+    layers = slice_part(placed, within_work(placed, cut_heights(placed, settings), settings, yes))
+    truth = slice_part(read_reference(reference, part, settings.part), layers.heights) if reference else None
     rows = []
     for name in methods:
         curves = fit(layers, name, settings.curves, part=placed)
@@ -119,8 +123,12 @@ def post_command(
     config: ConfigOption = None,
     units: UnitsOption = "",
     direction: DirectionOption = "",
+    yes: YesOption = False,
 ) -> ExitCode:
-    """Write a program for a control or a whole case for a heat simulator; `ebamcheck verify` checks it, `run` validates it."""
+    """Write a program for a control or a whole case for a heat simulator; `ebamcheck verify` checks it, `run` validates it.
+
+    Example: ebamcheck post blade.run --control linuxcnc -o blade.ngc
+    """
     if (source / MANIFEST).is_file():
         settings, beads, plan, sha256 = stack_of_run(source, config)
         checked_window(settings)
@@ -129,8 +137,8 @@ def post_command(
     else:
         settings = settings_of(config, units, direction, layer_height)
         checked_window(settings)
-        placed = mesh_files.load(source, settings.part.units).along(settings.part.direction)
-        layers = slice_part(placed, _heights(placed, settings))
+        placed = loaded(source, settings)
+        layers = slice_part(placed, within_work(placed, cut_heights(placed, settings), settings, yes))
         smooth = smooth_layers(fit(layers, settings.curves.method, settings.curves, part=placed))
         plan = plan_stack(smooth, settings)
         beads, sha256 = bead_paths(smooth, plan, settings), placed.source_sha256
@@ -157,9 +165,3 @@ def post_command(
             "NOT VALIDATED: check it with `ebamcheck verify`, or let `ebamcheck run` make and validate one"
         )
     return ExitCode.PASS
-
-
-def _heights(part: Part, settings: Config) -> Any:
-    if settings.layers.heights_mm:
-        return checked_heights(settings.layers.heights_mm)
-    return layer_heights(part, settings.layer_height_mm)

@@ -55,7 +55,10 @@ def judge_command(
     config: ConfigOption = None,
     as_json: JsonOption = False,
 ) -> ExitCode:
-    """Let 3DThesis say how warm the islands of a layer are when the beam enters them, beside our model."""
+    """Let 3DThesis say how warm the islands of a layer are when the beam enters them, beside our model.
+
+    Example: ebamcheck judge blade.run --layer 4
+    """
     settings, curves, plan, _ = stack_of_run(run, config)
     if not 0 <= layer < len(plan):
         raise SettingsError(f"--layer {layer}: the run has the layers 0 to {len(plan) - 1}")

@@ -16,38 +16,51 @@ import typer
 
 from ebamcheck import __version__
 from ebamcheck.commands.command_group import CommandGroup, guarded, tell
+from ebamcheck.commands.config import config_command
+from ebamcheck.commands.inspect import inspect
 from ebamcheck.commands.options import (
+    DEFAULT_CONFIG,
     BackendsOption,
     ConfigOption,
     DirectionOption,
     FixOption,
+    ForceOption,
+    JobPart,
     JsonOption,
     LayerHeightOption,
     PartArgument,
+    PlaceOption,
+    PlateOption,
     ResumeOption,
+    RotateOption,
     RunFolderOption,
     UnitsOption,
     WitnessesOption,
+    YesOption,
     assignments,
+    begun,
     job_settings,
     loaded,
     numbers,
+    part_or_plate,
+    placed_settings,
     print_json,
     settings_of,
+    within_work,
 )
+from ebamcheck.commands.warm_command import warm_command
 from ebamcheck.errors import ExitCode, NothingCompared, SettingsError
 
 if TYPE_CHECKING:
-    from ebamcheck.curves.regions.surfaces import Surface
     from ebamcheck.pipeline import RunResult
 
 app = typer.Typer(
     name="ebamcheck",
     cls=CommandGroup,
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
+    epilog="Examples: ebamcheck run blade.stl -o blade.run; ebamcheck --install-completion",
     help="Slice a part with independent slicers, prove that they agree, and write a validated NC program.\n\n"
     "Exit codes: 0 pass, 1 out of tolerance, 2 usage, configuration or unreadable input, 3 internal error, "
     "4 a required backend is missing, 5 nothing compared, 130 interrupted.",
@@ -59,11 +72,13 @@ SLICE_SUFFIXES = (".parquet", ".cli", ".svg")
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
 
-def command(name: str | None = None, **options: Any) -> Callable[[_Command], _Command]:
-    """Register a command whose errors become one line and an exit code."""
+def command(
+    name: str | None = None, compiles: bool = False, **options: Any
+) -> Callable[[_Command], _Command]:
+    """Register a command whose errors become one line and an exit code; `compiles` has it tell of kernels."""
 
     def register(function: _Command) -> _Command:
-        app.command(name, **options)(guarded(function))
+        app.command(name, **options)(guarded(function, compiles))
         return function
 
     return register
@@ -103,7 +118,8 @@ def _global(
     epilog="Example: ebamcheck run blade.stl -c ebamcheck.toml -o blade.run --reference blade-fine.stl",
 )
 def run(
-    part: PartArgument,
+    part: JobPart = None,
+    plate: PlateOption = None,
     config: ConfigOption = None,
     output: RunFolderOption = None,
     layer_height: LayerHeightOption = None,
@@ -112,23 +128,45 @@ def run(
     reference: Annotated[Path | None, typer.Option(help="A finer tessellation of the same part.")] = None,
     units: UnitsOption = "",
     direction: DirectionOption = "",
+    place: PlaceOption = "",
+    rotate: RotateOption = None,
     fix_orientation: FixOption = False,
+    from_layer: Annotated[
+        int,
+        typer.Option(min=1, help="Write a program that begins at this layer, too: to go on after a break."),
+    ] = 1,
+    yes: YesOption = False,
     resume: ResumeOption = False,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> ExitCode:
-    """Slice, cross-check, fit, partition, order, write the NC program, verify it and report."""
+    """Look at the part, slice, cross-check, fit, partition, order, write the NC program, verify it and report."""
+    settings = job_settings(config, units, direction, layer_height, backends, witnesses, fix_orientation)
+    settings, source = placed_settings(settings, place, rotate), part_or_plate(part, plate)
+    part_ready = begun(source, settings, "run", yes)
     from ebamcheck.commands.progress import watched
     from ebamcheck.pipeline import run_job
 
-    settings = job_settings(config, units, direction, layer_height, backends, witnesses, fix_orientation)
+    target = output or Path(f"{source.stem}.run")
     with watched() as observer:
-        result = run_job(part, output or Path(f"{part.stem}.run"), settings, reference, resume, observer)
+        result = run_job(
+            source,
+            target,
+            settings,
+            reference,
+            resume,
+            observer,
+            part_ready,
+            force=force,
+            from_layer=from_layer,
+        )
     return _told(result, as_json)
 
 
 @command(epilog="Example: ebamcheck check blade.stl --layer-height 0.2 --witnesses all -o blade.run")
 def check(
-    part: PartArgument,
+    part: JobPart = None,
+    plate: PlateOption = None,
     config: ConfigOption = None,
     output: RunFolderOption = None,
     layer_height: LayerHeightOption = None,
@@ -136,17 +174,24 @@ def check(
     witnesses: WitnessesOption = "",
     units: UnitsOption = "",
     direction: DirectionOption = "",
+    place: PlaceOption = "",
+    rotate: RotateOption = None,
     fix_orientation: FixOption = False,
+    yes: YesOption = False,
     resume: ResumeOption = False,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> ExitCode:
     """Slice with every backend and compare all pairs on every layer; as `run`, without a program."""
+    settings = job_settings(config, units, direction, layer_height, backends, witnesses, fix_orientation)
+    settings, source = placed_settings(settings, place, rotate), part_or_plate(part, plate)
+    part_ready = begun(source, settings, "check", yes)
     from ebamcheck.commands.progress import watched
     from ebamcheck.pipeline import check_job
 
-    settings = job_settings(config, units, direction, layer_height, backends, witnesses, fix_orientation)
     with watched() as observer:
-        result = check_job(part, output or Path(f"{part.stem}.run"), settings, resume, observer)
+        folder = output or Path(f"{source.stem}.run")
+        result = check_job(source, folder, settings, resume, observer, part_ready, force=force)
     return _told(result, as_json)
 
 
@@ -163,57 +208,7 @@ def _told(result: RunResult, as_json: bool) -> ExitCode:
     return result.exit_code
 
 
-@command(epilog="Example: ebamcheck inspect part.stl --regions --picture regions.svg")
-def inspect(
-    part: PartArgument,
-    units: UnitsOption = "mm",
-    regions: Annotated[
-        bool,
-        typer.Option("--regions", help="List the surfaces that the curves see: planes, cylinders, freeform."),
-    ] = False,
-    picture: Annotated[
-        Path | None, typer.Option(help="Draw the surfaces into FILE.svg; with --regions.")
-    ] = None,
-    config: ConfigOption = None,
-    as_json: JsonOption = False,
-) -> ExitCode:
-    """Count the defects of a part and judge whether it can be sliced; exit code 1 where it should not."""
-    from ebamcheck.mesh.files import load
-    from ebamcheck.mesh.inspection import inspect as inspect_part
-
-    if picture is not None and (not regions or picture.suffix.lower() != ".svg"):
-        raise SettingsError(f"--picture {picture}: it draws regions as SVG; give --regions and FILE.svg")
-    loaded_part = load(part, units)
-    found = inspect_part(loaded_part)
-    listed: list[Surface] = []
-    if regions:
-        from ebamcheck.curves.regions.surfaces import surfaces
-        from ebamcheck.drawing.regions import regions_svg
-
-        listed = surfaces(loaded_part, settings_of(config, "", "", None).curves)
-        if picture is not None:
-            picture.write_text(regions_svg(loaded_part, listed), encoding="utf-8")
-    if as_json:
-        figures = found.as_dict()
-        print_json({**figures, "regions": [s.as_dict() for s in listed]} if regions else figures)
-    else:
-        figures = found.as_dict()
-        for key in ("name", "verdict", "why", "notes", "passed"):
-            figures.pop(key)
-        figures["size_mm"] = " x ".join(f"{s:.6g}" for s in found.size_mm)
-        figures["lower_mm"] = ", ".join(f"{s:.6g}" for s in found.lower_mm)
-        for key, value in figures.items():
-            print(
-                f"{key.replace('_', ' '):20} {value:.9g}"
-                if isinstance(value, float)
-                else f"{key.replace('_', ' '):20} {value}"
-            )
-        print(f"{'verdict':20} {found.verdict}: {found.why}")
-        if regions:
-            from ebamcheck.curves.regions.surfaces import table
-
-            print(f"\n{table(listed)}")
-    return ExitCode.PASS if found.passed else ExitCode.OUT_OF_TOLERANCE
+command(compiles=True, epilog="Example: ebamcheck inspect part.stl --regions --picture regions.svg")(inspect)
 
 
 @command(
@@ -238,6 +233,7 @@ def slice_command(
     config: ConfigOption = None,
     units: UnitsOption = "",
     direction: DirectionOption = "",
+    yes: YesOption = False,
 ) -> ExitCode:
     """Slice a part with one backend and write its layers."""
     from ebamcheck.slicers.worker_pool import Crew
@@ -248,7 +244,9 @@ def slice_command(
         )
     # The worker's interpreter comes up while this one does, and while the part is read.
     with Crew(ahead=1) as crew:
-        from ebamcheck.layers.heights import checked_heights, layer_heights
+        from ebamcheck.commands.progress import announced
+        from ebamcheck.layers.cuts import heights_within
+        from ebamcheck.layers.heights import layer_heights
         from ebamcheck.plugins import registry
         from ebamcheck.slicers.isolation import Limits
         from ebamcheck.slicers.slicing import slice_to_file
@@ -257,22 +255,24 @@ def slice_command(
         name = backend or settings.slicing.primary or registry.default_backend()
         values = {**settings.slicing.settings.get(name, {}), **assignments(setting or [])}
         registry.slicer_settings(name, values)
-        placed = loaded(part, settings)
-        wanted = (
-            checked_heights(numbers(heights, "--heights"))
-            if heights
-            else layer_heights(placed, settings.layer_height_mm)
-        )
-        limits = Limits(settings.slicing.time_limit_s, settings.slicing.memory_limit_mb)
-        points = settings.slicing.block_points
-        made = slice_to_file(placed, wanted, output, name, limits, points, crew, **values)
+        with announced():
+            placed = loaded(part, settings)
+            wanted = (
+                heights_within(placed, numbers(heights, "--heights"), "--heights")
+                if heights
+                else layer_heights(placed, settings.layer_height_mm)
+            )
+            within_work(placed, wanted, settings, yes)
+            limits = Limits(settings.slicing.time_limit_s, settings.slicing.memory_limit_mb)
+            points = settings.slicing.block_points
+            made = slice_to_file(placed, wanted, output, name, limits, points, crew, **values)
     print(
         f"{len(wanted)} layers, {made.rings} rings, {made.open_paths} open paths, {made.points} points: {output}"
     )
     return ExitCode.PASS
 
 
-@command(epilog="Example: ebamcheck compare a.parquet b.parquet --tolerance 0.01")
+@command(compiles=True, epilog="Example: ebamcheck compare a.parquet b.parquet --tolerance 0.01")
 def compare(
     a: Annotated[Path, typer.Argument(help="Layers of one slicer (.parquet or .cli).")],
     b: Annotated[Path, typer.Argument(help="Layers of another, at the same heights.")],
@@ -321,30 +321,28 @@ def compare(
 
 @command(epilog="Example: ebamcheck backends --json")
 def backends(as_json: JsonOption = False) -> ExitCode:
-    """List the slicers: availability, versions, device, rules and error bound."""
-    from ebamcheck.commands.summaries import backend_record, backends_text
+    """List the slicers: availability, versions, device, rules and error bound; and what is wrong with a plugin."""
+    from ebamcheck.commands.summaries import backend_record, backends_text, broken_record
     from ebamcheck.plugins import registry
 
-    records = [backend_record(name) for name in registry.slicers()]
+    with warnings.catch_warnings():
+        # What is wrong with a plugin stands in the list.
+        warnings.simplefilter("ignore", registry.BrokenPluginWarning)
+        registry.forget(kept=True)
+        records = [backend_record(name) for name in registry.slicers()]
+        left_out = registry.broken_plugins()
     if as_json:
-        print_json(records)
+        print_json([*records, *(broken_record(plugin) for plugin in left_out)])
         return ExitCode.PASS
-    print(backends_text(records))
+    print(backends_text(records, left_out))
     return ExitCode.PASS
 
 
-@command()
-def warm() -> ExitCode:
-    """Compile the kernels once, so that no later command has to wait for it."""
-    from ebamcheck.commands.warm import warm_kernels
-
-    print("compiling the kernels where they are not yet: about three minutes the first time", flush=True)
-    seconds = warm_kernels()
-    print(f"kernels are compiled ({seconds:.1f} s)")
-    return ExitCode.PASS
+command(name="warm", compiles=True, epilog="Example: ebamcheck warm")(warm_command)
 
 
 @command(
+    compiles=True,
     epilog="Examples: ebamcheck verify blade.run --trusted keys/; "
     "ebamcheck verify blade.run/program/MAIN.MPF --part blade.stl",
 )
@@ -377,7 +375,8 @@ def verify(
     own = (target / MANIFEST).is_file()
     if not own and target.exists() and not (config or units or layer_height):
         own = find_record(target) is not None
-    settings = None if own else settings_of(config, units, "", layer_height)
+    default = not (config or units or layer_height or DEFAULT_CONFIG.is_file())
+    settings = None if own or default else settings_of(config, units, "", layer_height)
     checks = verification.verify(target, part, settings, quick=quick, trusted=trusted or ())
     if as_json:
         print_json([vars(check) for check in checks])
@@ -392,20 +391,10 @@ def verify(
     return ExitCode.PASS if all(c.passed for c in checks) else ExitCode.OUT_OF_TOLERANCE
 
 
-@command(name="config", epilog="Example: ebamcheck config > ebamcheck.toml")
-def config_command(
-    config: ConfigOption = None,
-    schema: Annotated[bool, typer.Option("--schema", help="Print the JSON schema instead.")] = False,
-) -> ExitCode:
-    """Print all settings in force, with their explanations, as TOML."""
-    from ebamcheck.settings.config import Config
-    from ebamcheck.settings.text import as_toml
-
-    if schema:
-        print_json(Config.model_json_schema())
-    else:
-        print(as_toml(settings_of(config, "", "", None)), end="")
-    return ExitCode.PASS
+command(
+    name="config",
+    epilog="Examples: ebamcheck config -o ebamcheck.toml; ebamcheck config --merge ebamcheck.toml",
+)(config_command)
 
 
 def main() -> None:

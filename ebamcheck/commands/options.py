@@ -12,18 +12,40 @@ from ebamcheck.errors import SettingsError
 
 if TYPE_CHECKING:
     from ebamcheck.mesh.part import Part
+    from ebamcheck.numeric.rings import Floats
+    from ebamcheck.preflight import Ready
     from ebamcheck.settings.config import Config
+
+DEFAULT_CONFIG = Path("ebamcheck.toml")
+"""Settings that are taken where none are named, if there are some in the working folder."""
 
 ConfigOption = Annotated[
     Path | None,
     typer.Option("-c", "--config", help="Settings (TOML); default: ./ebamcheck.toml where there is one."),
 ]
 UnitsOption = Annotated[
-    str, typer.Option(help="Unit of the part's file: mm, cm, m, um, in, ft. Never guessed.")
+    str, typer.Option(help="Unit of the part's file: mm, cm, m, um, in (inch, inches), ft. Never guessed.")
 ]
 DirectionOption = Annotated[str, typer.Option(help="Slicing direction in the file's coordinates, as X,Y,Z.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
-PartArgument = Annotated[Path, typer.Argument(help="Mesh file: .stl, .obj, .ply or .3mf.")]
+PartArgument = Annotated[Path, typer.Argument(help="Mesh file: .stl, .obj, .ply or .3mf; or plate.toml.")]
+JobPart = Annotated[Path | None, typer.Argument(help="Mesh file: .stl, .obj, .ply or .3mf; or plate.toml.")]
+PlateOption = Annotated[
+    Path | None,
+    typer.Option(help="In place of a part: plate.toml, with several parts or copies on one plate."),
+]
+PlaceOption = Annotated[
+    str,
+    typer.Option(
+        help="Where the middle of the part's box comes to lie, as X,Y; and its lowest point, as X,Y,Z."
+    ),
+]
+RotateOption = Annotated[
+    float | None, typer.Option(help="Turn about the vertical, degrees, counter-clockwise from above.")
+]
+YesOption = Annotated[
+    bool, typer.Option("--yes", help="Go on where the job is more work than the settings allow (work.*).")
+]
 LayerHeightOption = Annotated[
     float | None, typer.Option(help="Layer height, mm; default: that of one bead of the process.")
 ]
@@ -41,6 +63,10 @@ FixOption = Annotated[
     bool, typer.Option("--fix-orientation", help="Turn flipped facets and inside-out bodies over.")
 ]
 ResumeOption = Annotated[bool, typer.Option("--resume", help="Go on with a killed job of the same input.")]
+ForceOption = Annotated[
+    bool,
+    typer.Option("--force", help="Run although OUTPUT holds a finished run; that is kept under its date."),
+]
 
 
 def job_settings(
@@ -67,8 +93,7 @@ def settings_of(config: Path | None, units: str, direction: str, layer_height: f
     """Settings of the file, with what the command line says on top."""
     from ebamcheck.settings.config import load_config
 
-    default = Path("ebamcheck.toml")
-    settings = load_config(config or (default if default.is_file() else None))
+    settings = load_config(config or (DEFAULT_CONFIG if DEFAULT_CONFIG.is_file() else None))
     if units:
         settings = settings.changed(part={"units": units})
     if direction:
@@ -78,11 +103,61 @@ def settings_of(config: Path | None, units: str, direction: str, layer_height: f
     return settings
 
 
-def loaded(path: Path, settings: Config) -> Part:
-    """Part of a file in the unit and along the direction of the settings."""
-    from ebamcheck.mesh.files import load
+def placed_settings(settings: Config, place: str, rotate: float | None) -> Config:
+    """Settings with the place and the turn of the command line on top."""
+    if place:
+        settings = settings.changed(part={"place_at_mm": numbers(place, "--place")})
+    return settings if rotate is None else settings.changed(part={"rotate_deg": rotate})
 
-    return load(path, settings.part.units).along(settings.part.direction)
+
+def part_or_plate(part: Path | None, plate: Path | None) -> Path:
+    """File of what is to be built; raises :class:`SettingsError` unless exactly one is given."""
+    if (part is None) == (plate is None):
+        raise SettingsError("give either the file of a part, or --plate with that of a plate")
+    if plate is not None and plate.suffix.lower() != ".toml":
+        raise SettingsError(
+            f"--plate {plate}: a plate is a list of parts in TOML: give a file such as plate.toml"
+        )
+    found = part or plate
+    assert found is not None
+    return found
+
+
+def loaded(path: Path, settings: Config) -> Part:
+    """Part of a file, or of a plate, as the settings read, turn and place it; facets stay as they are."""
+    from ebamcheck.mesh.part_source import read_part
+
+    return read_part(path, settings.part.model_copy(update={"fix_orientation": False}))[0]
+
+
+def begun(source: Path, settings: Config, job: str, yes: bool) -> Ready:
+    """Part of a job that may begin; what the preflight warns of is told before anything else is loaded.
+
+    Raises
+    ------
+    InputError, SettingsError
+        If the part cannot be read, or the job cannot come to a good end.
+    """
+    from ebamcheck.preflight import ready
+    from ebamcheck.settings.process_window import checked_window
+
+    if job == "run":
+        checked_window(settings)
+    found = ready(source, settings, job, yes)
+    found.preflight.stop(job)
+    for check in found.preflight.checks:
+        if check.level != "pass":
+            remedy = f": {check.remedy}" if check.remedy else ""
+            typer.echo(f"ebamcheck: preflight: {check.level}: {check.name}: {check.text}{remedy}", err=True)
+    return found
+
+
+def within_work(part: Part, heights: Floats, settings: Config, yes: bool) -> Floats:
+    """Heights, once slicing at them is no more work than the settings allow; else :class:`SettingsError`."""
+    from ebamcheck.preflight.workload import refuse_work
+
+    refuse_work(part, heights, settings, yes)
+    return heights
 
 
 def names(text: str) -> tuple[str, ...]:

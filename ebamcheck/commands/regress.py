@@ -22,6 +22,7 @@ from ebamcheck.regression.junit import write_junit
 from ebamcheck.regression.page import write_page
 from ebamcheck.regression.settings import Tolerances, checked, read_tolerances
 from ebamcheck.settings.config import load_config
+from ebamcheck.slicers.isolation import Limits
 
 RESULTS, TIMINGS = "results.json", "timings.json"
 
@@ -51,7 +52,9 @@ def regress(
     config: Annotated[
         Path | None,
         typer.Option(
-            "-c", "--config", help="Settings (TOML), table [regression]; default: ./ebamcheck.toml."
+            "-c",
+            "--config",
+            help="Settings (TOML), table [regression] and [slicing.settings.NAME]; default: ./ebamcheck.toml.",
         ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")] = False,
@@ -60,11 +63,20 @@ def regress(
 
     Writes results.json, junit.xml and regress.html, the same bytes for the same figures; timings.json holds all
     timings, history.sqlite the results over time.
+
+    Example: ebamcheck regress --models cube,sphere --backends planecut -o regress
     """
     path = config or (DEFAULT_CONFIG if DEFAULT_CONFIG.is_file() else None)
-    settings = load_config(path).regression
+    wanted = load_config(path)
+    settings = wanted.regression
     if update_baseline not in ("", "failed", "all"):
         raise SettingsError(f"--update-baseline {update_baseline!r}: give failed or all")
+    own = {name: values for name, values in wanted.slicing.settings.items() if values}
+    if update_baseline and own:
+        raise SettingsError(
+            f"--update-baseline: {path} has slicing.settings.{next(iter(own))}, under which no baseline is made: leave it "
+            "out, or put it into the matrix as a variant"
+        )
     table = (
         checked(Tolerances, settings.tolerances, f"{path}: regression.tolerances")
         if tolerances is None
@@ -75,7 +87,9 @@ def regress(
         _names(models),
         _names(backends),
         table,
+        limits=Limits(wanted.slicing.time_limit_s, wanted.slicing.memory_limit_mb),
         note=lambda text: typer.echo(f"ebamcheck: {text}", err=True),
+        settings=own,
     )
     _write(found, output, history or (Path(settings.history) if settings.history else output / HISTORY))
     typer.echo(strict_json(found.record()) if as_json else "\n".join(summary(found)))

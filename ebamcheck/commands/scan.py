@@ -14,6 +14,7 @@ from ebamcheck.commands.options import (
     LayerHeightOption,
     PartArgument,
     UnitsOption,
+    YesOption,
     loaded,
     names,
     settings_of,
@@ -56,9 +57,13 @@ def scan_command(
     config: ConfigOption = None,
     units: UnitsOption = "",
     direction: DirectionOption = "",
+    yes: YesOption = False,
     as_json: JsonOption = False,
 ) -> ExitCode:
-    """Plan one layer in one or several scan orders, or all layers in one; say how hot, how far and how long."""
+    """Plan one layer in one or several scan orders, or all layers in one; say how hot, how far and how long.
+
+    Example: ebamcheck scan blade.stl --height 12 --orders all -o orders
+    """
     settings = settings_of(config, units, direction, layer_height)
     checked_window(settings)
     wanted = COMPARED if orders == ALL else names(orders) or (settings.scan.order,)
@@ -82,5 +87,5 @@ def scan_command(
             raise SettingsError(f"--all plans in one order, not {len(wanted)}: give one with --orders")
         if pause is not None:
             settings = settings.changed(process={"layer_pause_s": pause})
-        return scan_all(placed, settings, wanted[0], output, as_json)
+        return scan_all(placed, settings, wanted[0], output, as_json, yes)
     return scan_layer(placed, settings, height, wanted, seeds, exported, output, as_json)

@@ -20,6 +20,7 @@ from ebamcheck.commands.scan_pictures import order_pictures
 from ebamcheck.drawing.tables import text_table
 from ebamcheck.errors import ExitCode
 from ebamcheck.json_values import plain
+from ebamcheck.layers.cuts import heights_within
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.mesh.part import Part
 from ebamcheck.numeric.rings import Floats
@@ -77,9 +78,10 @@ def scan_layer(
     as_json: bool,
 ) -> ExitCode:
     """Plan one layer of a placed part in several orders; an interrupt keeps the orders that are done."""
+    cut = heights_within(part, [height_mm], "--height")
     if output is not None:
         made_folder(output)
-    layers = slice_part(part, np.array([height_mm]))
+    layers = slice_part(part, cut)
     over_plate_mm = height_mm - float(part.bounds[0][2])
     number = max(0, round(over_plate_mm / settings.layer_height_mm - 0.5))
     layer = OrderComparison.of(layers.polygons(0), settings, number, max(over_plate_mm, 0.0))

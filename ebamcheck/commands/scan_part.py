@@ -13,11 +13,11 @@ import numpy as np
 import typer
 
 from ebamcheck.atomic_file import made_folder
-from ebamcheck.commands.options import print_json
+from ebamcheck.commands.options import print_json, within_work
 from ebamcheck.commands.progress import watched
 from ebamcheck.drawing.tables import text_table
 from ebamcheck.errors import ExitCode
-from ebamcheck.layers.heights import checked_heights, layer_heights
+from ebamcheck.layers.cuts import cut_heights
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.scan.islands.regions import layer_section
@@ -31,12 +31,11 @@ BUILT = "built_s"
 """Column: time from the start of the build to the end of a layer, with the waits between layers."""
 
 
-def scan_all(part: Part, settings: Config, order: str, output: Path | None, as_json: bool) -> ExitCode:
+def scan_all(
+    part: Part, settings: Config, order: str, output: Path | None, as_json: bool, yes: bool
+) -> ExitCode:
     """Order all layers of a placed part; rows are written as they are done, so that an interrupt keeps them."""
-    heights = settings.layers.heights_mm
-    layers = slice_part(
-        part, checked_heights(heights) if heights else layer_heights(part, settings.layer_height_mm)
-    )
+    layers = slice_part(part, within_work(part, cut_heights(part, settings), settings, yes))
     rows = _rows(layers, float(part.bounds[0][2]), settings, order, output)
     if as_json:
         print_json([{k: None if v != v else v for k, v in row.items()} for row in rows])

@@ -11,7 +11,7 @@ import typer
 from ebamcheck.drawing.tables import text_table
 from ebamcheck.errors import BackendMissing, ExitCode, SettingsError
 from ebamcheck.json_values import plain
-from ebamcheck.mesh.files import load
+from ebamcheck.mesh.part_source import read_part
 from ebamcheck.plugins.model import models
 from ebamcheck.selection.choice import RULES, Choice, choose
 from ebamcheck.selection.trial import (
@@ -56,7 +56,10 @@ def select(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
 ) -> ExitCode:
-    """Try every slicer on this machine and choose by accuracy, then speed; exit code 1 where none is fit."""
+    """Try every slicer on this machine and choose by accuracy, then speed; exit code 1 where none is fit.
+
+    Example: ebamcheck select --part blade.stl --tolerance-mm 0.05 --write
+    """
     if part is not None and model:
         raise SettingsError("give --part or --model, not both")
     if not 0.0 < tolerance_mm < float("inf"):
@@ -94,7 +97,7 @@ def select(
 
 def _workpiece(part: Path | None, model: str, settings: Config) -> Workpiece:
     if part is not None:
-        placed = load(part, settings.part.units).along(settings.part.direction)
+        placed, _ = read_part(part, settings.part.model_copy(update={"fix_orientation": False}))
         return workpiece_of_part(placed, settings.layer_height_mm)
     name = model or DEFAULT_MODEL
     return workpiece_of_model(models([name])[name], COARSE_MM, settings.layer_height_mm)

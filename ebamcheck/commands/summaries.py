@@ -5,19 +5,21 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from ebamcheck.backend import Slicer
 from ebamcheck.drawing.tables import text_table
 from ebamcheck.findings import in_words
-from ebamcheck.mesh.part import from_arrays
 from ebamcheck.pipeline.statement import statement
+from ebamcheck.pipeline.worst import worst_line
 from ebamcheck.plugins import registry
+from ebamcheck.plugins.points import BrokenPlugin
+from ebamcheck.plugins.stranger import StrangerSlicer
+from ebamcheck.plugins.trial import cube
 
 
 def backend_record(name: str) -> dict[str, Any]:
     """What `ebamcheck backends` knows of a slicer; bounds are those of a cube of 100 mm under default settings."""
-    cube = from_arrays(
-        [(x, y, z) for x in (0, 100) for y in (0, 100) for z in (0, 100)], [(0, 1, 3), (0, 6, 4), (7, 5, 2)]
-    )
     slicer, probe = registry.slicer(name), registry.probe(name)
+    error_mm, height_mm = _bounds_of_cube(slicer)
     return {
         "name": name,
         "summary": slicer.summary,
@@ -30,13 +32,26 @@ def backend_record(name: str) -> dict[str, Any]:
         "priority": slicer.priority,
         "coplanar_rule": slicer.coplanar_rule,
         "inside_rule": slicer.inside_rule,
-        "error_bound_mm": slicer.error_bound_mm(cube, slicer.Settings()),
-        "height_bound_mm": slicer.height_bound_mm(cube, slicer.Settings()),
+        "error_bound_mm": error_mm,
+        "height_bound_mm": height_mm,
     }
 
 
-def backends_text(records: Sequence[Mapping[str, Any]]) -> str:
-    """Table of the slicers, and why some are not available."""
+def _bounds_of_cube(slicer: Slicer) -> tuple[float | None, float | None]:
+    """Bounds of a cube of 100 mm; of a stranger as it has told them."""
+    if isinstance(slicer, StrangerSlicer):
+        return slicer.answer.bounds_mm or (None, None)
+    part, settings = cube(), slicer.Settings()
+    return slicer.error_bound_mm(part, settings), slicer.height_bound_mm(part, settings)
+
+
+def broken_record(plugin: BrokenPlugin) -> dict[str, Any]:
+    """What `ebamcheck backends` knows of a plugin that was left out."""
+    return {**vars(plugin), "available": False, "broken": True}
+
+
+def backends_text(records: Sequence[Mapping[str, Any]], left_out: Sequence[BrokenPlugin] = ()) -> str:
+    """Table of the slicers, why some are not available, and which plugins were left out."""
     columns = [
         "name",
         "available",
@@ -51,7 +66,7 @@ def backends_text(records: Sequence[Mapping[str, Any]]) -> str:
     rows = [
         [
             r["name"], r["available"], r["exact"], r["device"], r["coplanar_rule"], r["inside_rule"],
-            r["error_bound_mm"], " ".join(f"{k} {v}" for k, v in r["versions"].items()), r["summary"],
+            "" if r["error_bound_mm"] is None else r["error_bound_mm"], " ".join(f"{k} {v}" for k, v in r["versions"].items()), r["summary"],
         ]
         for r in records
     ]  # fmt: skip
@@ -61,7 +76,8 @@ def backends_text(records: Sequence[Mapping[str, Any]]) -> str:
         if not r["available"]
     ]
     bound = "The bound is that of a cube of 100 mm under default settings."
-    return "\n\n".join([text_table(columns, rows), *missing, bound])
+    unusable = [f"left out: {plugin}" for plugin in left_out]
+    return "\n\n".join([text_table(columns, rows), *missing, *unusable, bound])
 
 
 def run_summary(manifest: Mapping[str, Any]) -> str:
@@ -85,6 +101,7 @@ def run_summary(manifest: Mapping[str, Any]) -> str:
     passed = [["pass" if g["passed"] else "FAIL", g["name"], g["text"]] for g in manifest["gates"]]
     found = [[f["severity"], f["code"], in_words(f)] for f in manifest.get("findings", [])]
     blocks = [
+        worst_line(manifest),
         text_table(["slicer", "status", "rings", "open", "points", "bound mm", "seconds", ""], slicers),
         text_table(["pair", "layers agree", "depth mm", "limit mm", "Hausdorff mm", "least IoU"], pairs)
         if pairs

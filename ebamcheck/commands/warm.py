@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import tempfile
 import time
 from pathlib import Path
 
@@ -12,6 +11,7 @@ import shapely
 from numpy.typing import NDArray
 
 from ebamcheck.plugins import registry
+from ebamcheck.scratch import scratch_folder
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import Slicing
 
@@ -29,7 +29,7 @@ def warm_kernels() -> float:
     from ebamcheck.scan import plan_scan
 
     start = time.perf_counter()
-    with tempfile.TemporaryDirectory(prefix="ebamcheck-warm-") as folder:
+    with scratch_folder() as folder:
         path = Path(folder, "cube.stl")
         corners = _leaning_box()
         facets = np.zeros(len(corners), FACET)

@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from ebamcheck.comparison.causes import MeshFlaws, Place, likely_cause
 from ebamcheck.comparison.classes import GENERIC, layer_classes
-from ebamcheck.comparison.findings import Finding
+from ebamcheck.comparison.doubt import allow_doubt
+from ebamcheck.comparison.findings import AGREE, EMPTY, NOT_COMPARED, OUTLIER, UNDECIDED, Finding
+from ebamcheck.comparison.independence import EvidenceRule, best_pair
+from ebamcheck.comparison.naming import named_findings
 from ebamcheck.comparison.pairwise import Pair, check_comparable, measure_stacks, table
 from ebamcheck.comparison.sources import LayerSource, blocks_of, contour_figures
 from ebamcheck.layers.heights import crossing_counts
 from ebamcheck.mesh.part import Part
 from ebamcheck.settings.slicing import ComparisonSettings
 
-AGREE, OUTLIER, UNDECIDED, NOT_COMPARED, EMPTY = "agree", "outlier", "undecided", "not-compared", "empty"
-"""Verdicts on a layer."""
-
 HALF_OPEN = "half-open"
+
+EVERY_AGREEMENT = EvidenceRule()
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,16 +31,20 @@ class Comparison:
     """What the comparison of all stacks found."""
 
     pairs: pd.DataFrame
-    """One row a pair and layer: ``a``, ``b``, the columns of :func:`ebamcheck.comparison.compare`, ``gated``."""
+    """One row a pair and layer: ``a``, ``b``, the columns of :func:`ebamcheck.comparison.compare`, ``gated``,
+    ``evidence`` (an agreement of the two would count)."""
     layers: pd.DataFrame
-    """One row a layer: ``layer``, ``height_mm``, ``class``, ``consensus`` (names joined by commas), ``verdict``."""
+    """One row a layer: ``layer``, ``height_mm``, ``class``, ``consensus`` (names joined by commas), ``verdict``,
+    ``rests_on`` (the two names of the consensus whose agreement is the narrowest)."""
     stacks: Mapping[str, pd.DataFrame]
     """By backend, one row a layer: ``area_mm2``, ``rings``, ``outer_rings``, ``open_paths``, ``points``."""
     findings: list[Finding]
     passed: bool
     """At least one layer was compared, and none has an outlier, is undecided, or is empty against the part."""
     compared_layers: int
-    """Layers on which at least one gated pair had anything to compare."""
+    """Layers on which at least one gated pair that is evidence had anything to compare."""
+    without_weight: Mapping[str, str] = field(default_factory=dict)
+    """Backends whose agreement is no evidence, and why."""
 
 
 def compare_all(
@@ -52,6 +56,7 @@ def compare_all(
     settings: ComparisonSettings | None = None,
     progress: Callable[[int], None] | None = None,
     borders: NDArray[np.int64] | None = None,
+    evidence: EvidenceRule = EVERY_AGREEMENT,
 ) -> Comparison:
     """Compare all stacks pairwise and find, on each layer, who agrees with whom.
 
@@ -74,14 +79,16 @@ def compare_all(
     borders
         Blocks of layers (:func:`~ebamcheck.layers.heights.layer_blocks`) of which one at a time is in memory; None: all
         layers at once. The result does not depend on it.
+    evidence
+        Which agreements count. A disagreement always does.
 
     Returns
     -------
     Comparison
         The consensus of a layer is the largest set of backends of which every gated pair agrees and each
-        has a gated agreement with another. Backends outside are outliers. With two such sets of the same
+        has a gated agreement with another that is evidence. Backends outside are outliers. With two such sets of the same
         size, or none, the layer is undecided. A layer that is empty in all although facets cross its plane
-        is ``empty``; one on which no pair is gated is ``not-compared``.
+        is ``empty``; one on which no gated pair is evidence is ``not-compared``.
 
     Raises
     ------
@@ -97,6 +104,7 @@ def compare_all(
     classes = _classes(part, heights, {margins[n] for n in names} | {0.0})
     overall = classes[max(margins.values(), default=0.0)]
     couples = _couples(names, bounds, exact, settings)
+    weightless = evidence.without_weight({n: bounds[n] for n in names})
     margin = [max(margins[names[pair.a]], margins[names[pair.b]]) for pair in couples]
     tables, figures = _measured(stacks, couples, [classes[m] for m in margin], part, progress, borders)
     for pair, rows in zip(couples, tables, strict=True):
@@ -105,9 +113,11 @@ def compare_all(
         rows.insert(0, "b", b)
         rows.insert(0, "a", a)
         rows["gated"] = gated
+        rows["evidence"] = evidence.counts(a, b, weightless)
+    allow_doubt(list(stacks.values()), couples, tables, settings.doubt_mm)
     pairs = pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
     vanished = _vanished(figures, part, heights)
-    consensus, verdicts = _verdicts(names, tables, vanished)
+    consensus, verdicts, pairs_of = _verdicts(names, tables, vanished)
     layers = pd.DataFrame(
         {
             "layer": np.arange(heights.size),
@@ -115,13 +125,15 @@ def compare_all(
             "class": overall.astype(object),
             "consensus": [",".join(names[i] for i in members) for members in consensus],
             "verdict": verdicts,
+            "rests_on": [",".join(names[i] for i in pair) for pair in pairs_of],
         }
     )
-    declared = {name: stack.settings for name, stack in stacks.items()}
-    findings = list(_findings(part, names, declared, tables, heights, consensus, verdicts))
+    findings = list(named_findings(part, stacks, tables, heights, consensus, verdicts))
     compared = _compared(tables, heights.size)
     passed = compared > 0 and not {OUTLIER, UNDECIDED, EMPTY} & set(verdicts)
-    return Comparison(pairs, layers, dict(zip(names, figures, strict=True)), findings, passed, compared)
+    return Comparison(
+        pairs, layers, dict(zip(names, figures, strict=True)), findings, passed, compared, weightless
+    )
 
 
 def _margin(settings: ComparisonSettings, height_bound_mm: float) -> float:
@@ -185,44 +197,55 @@ def _compared(tables: list[pd.DataFrame], count: int) -> int:
     """Layers on which a gated pair had a region to compare."""
     compared = np.zeros(count, np.bool_)
     for rows in tables:
-        compared |= rows["gated"].to_numpy() & ((rows["rings_a"] + rows["rings_b"]).to_numpy() > 0)
+        compared |= (rows["gated"] & rows["evidence"]).to_numpy() & (
+            (rows["rings_a"] + rows["rings_b"]).to_numpy() > 0
+        )
     return int(compared.sum())
 
 
 def _verdicts(
     names: list[str], tables: list[pd.DataFrame], vanished: NDArray[np.bool_]
-) -> tuple[list[tuple[int, ...]], list[str]]:
-    """Consensus (places in `names`) and verdict of each layer."""
+) -> tuple[list[tuple[int, ...]], list[str], list[tuple[int, ...]]]:
+    """Consensus (places in `names`), verdict, and the two that it rests on, of each layer."""
     couples = list(combinations(range(len(names)), 2))
-    gated = np.array([rows["gated"].to_numpy() for rows in tables], np.bool_).reshape(
-        len(couples), vanished.size
-    )
-    agrees = np.array([rows["agrees"].to_numpy() for rows in tables], np.bool_).reshape(
-        len(couples), vanished.size
-    )
+
+    def marks(column: str) -> NDArray[np.bool_]:
+        found = [rows[column].to_numpy() for rows in tables]
+        return np.array(found, np.bool_).reshape(len(couples), vanished.size)
+
+    gated, agrees, counts = marks("gated"), marks("agrees"), marks("evidence")
+    limits = np.array([rows["limit_mm"].max() for rows in tables])
     # Few patterns of agreement occur, so each is solved once.
-    solved: dict[bytes, tuple[tuple[int, ...], str]] = {}
-    consensus: list[tuple[int, ...]] = []
-    verdicts: list[str] = []
+    solved: dict[bytes, tuple[tuple[int, ...], str, tuple[int, ...]]] = {}
+    found: list[tuple[tuple[int, ...], str, tuple[int, ...]]] = []
     for layer, is_vanished in enumerate(vanished):
         if is_vanished or not couples:
-            consensus.append(())
-            verdicts.append(EMPTY if is_vanished and couples else NOT_COMPARED)
+            found.append(((), EMPTY if is_vanished and couples else NOT_COMPARED, ()))
             continue
         pattern = gated[:, layer].tobytes() + agrees[:, layer].tobytes()
         if pattern not in solved:
-            solved[pattern] = agreement(len(names), couples, gated[:, layer], agrees[:, layer])
-        members, verdict = solved[pattern]
-        consensus.append(members)
-        verdicts.append(verdict)
-    return consensus, verdicts
+            members, verdict = agreement(
+                len(names), couples, gated[:, layer], agrees[:, layer], counts[:, layer]
+            )
+            good = gated[:, layer] & agrees[:, layer] & counts[:, layer]
+            solved[pattern] = members, verdict, best_pair(members, len(names), good, limits) or ()
+        found.append(solved[pattern])
+    return [f[0] for f in found], [f[1] for f in found], [f[2] for f in found]
 
 
 def agreement(
-    count: int, couples: list[tuple[int, int]], gated: NDArray[np.bool_], agrees: NDArray[np.bool_]
+    count: int,
+    couples: list[tuple[int, int]],
+    gated: NDArray[np.bool_],
+    agrees: NDArray[np.bool_],
+    counts: NDArray[np.bool_] | None = None,
 ) -> tuple[tuple[int, ...], str]:
-    """Largest consistent set of one layer and its verdict, by trying every set of backends."""
-    friends = {c for c, g, ok in zip(couples, gated, agrees, strict=True) if g and ok}
+    """Largest consistent set of one layer and its verdict, by trying every set of backends.
+
+    Of agreements those count that are evidence (`counts`; None: all); every disagreement does.
+    """
+    counted = np.ones_like(gated) if counts is None else counts
+    friends = {c for c, g in zip(couples, gated & agrees & counted, strict=True) if g}
     foes = {c for c, g, ok in zip(couples, gated, agrees, strict=True) if g and not ok}
     candidates = sorted({i for couple in friends | foes for i in couple})
     if not candidates:
@@ -239,73 +262,3 @@ def agreement(
         if largest:
             return (), UNDECIDED
     return (), UNDECIDED
-
-
-def _findings(
-    part: Part,
-    names: list[str],
-    declared: Mapping[str, Mapping[str, Any]],
-    tables: list[pd.DataFrame],
-    heights: NDArray[np.float64],
-    consensus: list[tuple[int, ...]],
-    verdicts: list[str],
-) -> Iterator[Finding]:
-    """Every disagreement on the layers that did not come out clean, in the order of layers."""
-    flaws = MeshFlaws(part)
-    couples = list(combinations(range(len(names)), 2))
-    columns = [{name: rows[name].to_numpy() for name in rows.columns} for rows in tables]
-    for layer, verdict in enumerate(verdicts):
-        if verdict == EMPTY:
-            yield _empty_finding(flaws, names, layer, float(heights[layer]), columns)
-        if verdict not in (OUTLIER, UNDECIDED):
-            continue
-        members = consensus[layer]
-        for (i, j), column in zip(couples, columns, strict=True):
-            if not column["gated"][layer] or column["agrees"][layer]:
-                continue
-            if members and i not in members and j not in members:
-                continue  # two outliers: each is named against the consensus
-            backend, against = (j, i) if i in members else (i, j)
-            yield _finding(flaws, declared, names[backend], names[against], layer, column)
-
-
-def _finding(
-    flaws: MeshFlaws,
-    declared: Mapping[str, Mapping[str, Any]],
-    backend: str,
-    against: str,
-    layer: int,
-    column: Mapping[str, NDArray[np.generic]],
-) -> Finding:
-    """Name one disagreement of a pair."""
-    row = {name: values[layer] for name, values in column.items()}
-    depth, limit = float(row["depth_mm"]), float(row["limit_mm"])
-    deep = depth > limit
-    rings = abs(int(row["rings_a"]) - int(row["rings_b"])) or abs(int(row["holes_a"]) - int(row["holes_b"]))
-    place = Place(
-        float(row["depth_x_mm"]), float(row["depth_y_mm"]), float(row["height_mm"]), depth, limit,
-        str(row["class"]), bool(row["open_a"] + row["open_b"] > 0),
-    )  # fmt: skip
-    cause = likely_cause(flaws, place, [declared[backend], declared[against]])
-    return Finding(
-        layer, float(row["height_mm"]), backend, against,
-        "depth" if deep else "topology", depth if deep else float(rings), limit if deep else 0.0,
-        float(row["depth_x_mm"]), float(row["depth_y_mm"]), cause,
-    )  # fmt: skip
-
-
-def _empty_finding(
-    flaws: MeshFlaws,
-    names: list[str],
-    layer: int,
-    height_mm: float,
-    columns: list[dict[str, NDArray[np.generic]]],
-) -> Finding:
-    """Name a layer that is empty in all stacks although the part is there; the value is its area."""
-    x, y = flaws.place(height_mm)
-    column = columns[0]
-    open_paths = any(bool(c["open_a"][layer] + c["open_b"][layer] > 0) for c in columns)
-    extent = float(np.linalg.norm(flaws.part.size))
-    place = Place(x, y, height_mm, extent, 0.0, str(column["class"][layer]), open_paths)
-    cause = likely_cause(flaws, place)
-    return Finding(layer, height_mm, ",".join(names), "part", "empty", 0.0, 0.0, x, y, cause)

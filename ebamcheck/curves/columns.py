@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ebamcheck.curves import bezier
+from ebamcheck.curves import items as curve_items
 from ebamcheck.curves.arcs import arc_point, arc_through
 from ebamcheck.curves.bezier import BezierSpans
 from ebamcheck.curves.splitting import ARC, LINE
@@ -20,6 +21,7 @@ from ebamcheck.layers import stack as layer_columns
 from ebamcheck.layers.stack import UP, Layers
 from ebamcheck.numeric.kernels import run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.showing import short_text
 
 if TYPE_CHECKING:
     from ebamcheck.curves.evidence import Evidence
@@ -39,6 +41,11 @@ class Piece(NamedTuple):
     """(m + 4,) clamped knot vector, mm; empty for a line or an arc."""
     ring: int
     layer: int
+
+    def __repr__(self) -> str:
+        kind = {LINE: "line", ARC: "arc"}.get(self.kind, "spline")
+        points = short_text.counted(len(self.control), "control point")
+        return short_text.line("Piece", kind, points, f"ring {self.ring}", f"layer {self.layer}")
 
 
 class SampledRings(NamedTuple):
@@ -102,6 +109,13 @@ class Curves:
     def __len__(self) -> int:
         """Return the number of layers."""
         return int(self.heights.size)
+
+    # How the curves show themselves, layer by layer.
+    __iter__ = curve_items.curve_iterator
+    __getitem__ = curve_items.curve_item
+    __repr__ = curve_items.curves_line
+    _repr_html_ = curve_items.curves_html
+    plot = curve_items.curves_plot
 
     @property
     def ring_layer(self) -> Ints:

@@ -15,15 +15,27 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ebamcheck.curves.plausible import judge_ends, plausible_height, plausible_share
 from ebamcheck.curves.regions import FREEFORM, PLANE, STRIP
+from ebamcheck.curves.surface_edges import (
+    SurfaceMesh,
+    Vector,
+    behind,
+    bend_at,
+    dot,
+    half_edges,
+    minus,
+    normals_of,
+    scaled,
+    vector,
+)
 from ebamcheck.curves.vertex_normals import SurfaceNormals, corners_of_vertices
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import Index
 from ebamcheck.numeric.kernels import kernel, run_blocks
-from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.numeric.rings import Bools, Floats
 
 MOST_STEPS = 60
 """Steps towards the place of a layer on a curved edge; as many halvings bring it to rounding."""
@@ -41,9 +53,6 @@ LEAST_SIDEWAYS = 1e-6
 LARGEST_INFLECTION = np.sin(np.deg2rad(5.0))
 """Sine of the angle up to which an edge may bend to different sides at its ends; more is a flat side between others."""
 
-LEAST_CREASE = 0.1
-"""Sine of the angle between the normals on the two sides of a crease under which its direction is not known."""
-
 MOST_OF_TURN = 2.0
 """An edge far longer than what lies behind its end bends there by at most this many times what a circle along it and
 through the neighbours behind would; those lie to both sides of its line, where the surface may curve otherwise."""
@@ -58,16 +67,10 @@ ALIKE = 2.0
 NOISE_LIFT = 0.5
 """Vertices that lie s off their surface tilt a normal so that it lifts an edge by a quarter to half of s."""
 
-BEHIND_COSINE = 0.3
-"""A neighbour lies behind the end of an edge where the cosine of its angle to the edge's line is greater than this."""
-
 NO_PLANE = -1
 """In place of a plane's number: the segment is in none."""
 
 POINTS_A_BLOCK = 4096
-
-
-_Vector = tuple[float, float, float]
 
 
 class Sides(NamedTuple):
@@ -91,6 +94,8 @@ class Sides(NamedTuple):
     """(N,) how far the point may have been moved, mm: the sagitta of its edge, over the sine of the flattest slope."""
     rough: Bools
     """(N,) the noise of the mesh there exceeds what a lift could win: the point was left, and so should its chords be."""
+    plausible: Floats
+    """(N,) how high the surface plausibly stands over the facets there, over the sine of their slope, mm."""
 
 
 def as_they_are(points: Floats) -> Sides:
@@ -107,26 +112,8 @@ def as_they_are(points: Floats) -> Sides:
         np.full(count, NO_PLANE, np.int32),
         np.zeros(count),
         np.zeros(count, np.bool_),
+        np.full(count, np.inf),
     )
-
-
-class _Mesh(NamedTuple):
-    """What the kernel reads of the mesh and its normals."""
-
-    vertices: Floats
-    faces: Index
-    sectors: Index
-    normals: Floats
-    smooth: Bools
-    flat: Bools
-    kind: NDArray[np.uint8]
-    region: Index
-    fans: Index
-    rough: Bools
-    noise: Floats
-    corner_starts: Ints
-    corners: Index
-    limited: bool
 
 
 class Lifting:
@@ -142,7 +129,7 @@ class Lifting:
 
     def __init__(self, part: Part, normals: SurfaceNormals) -> None:
         starts, corners = corners_of_vertices(part.faces, len(part.vertices))
-        self._mesh = _Mesh(
+        mesh = SurfaceMesh(
             part.vertices,
             part.faces,
             normals.sectors,
@@ -157,7 +144,14 @@ class Lifting:
             starts,
             corners,
             normals.with_regions,
+            *normals.sagittas,
+            False,
         )
+        ends = judge_ends(mesh)
+        rough = mesh.rough.copy()
+        if ends.is_rough:
+            rough[mesh.sectors[mesh.kind == FREEFORM]] = True
+        self.mesh = mesh._replace(scattered=ends.is_scattered, rough=rough)
 
     def lift(self, layers: Layers) -> Sides:
         """Lift the points of layers that carry their edges; points without one stay where they are."""
@@ -169,7 +163,7 @@ class Lifting:
         edge, edge_t = np.ascontiguousarray(layers.edge), np.ascontiguousarray(layers.edge_t)
 
         def work(first: int, last: int) -> None:
-            _lift(self._mesh, edge, edge_t, heights, first, last, found)
+            _lift(self.mesh, edge, edge_t, heights, first, last, found)
 
         run_blocks(work, len(layers.points), POINTS_A_BLOCK)
         return found
@@ -177,38 +171,41 @@ class Lifting:
 
 @kernel
 def _lift(
-    mesh: _Mesh, edge: Index, edge_t: Floats, heights: Floats, first: int, last: int, found: Sides
+    mesh: SurfaceMesh, edge: Index, edge_t: Floats, heights: Floats, first: int, last: int, found: Sides
 ) -> None:
     for i in range(first, last):
         low, high = edge[i, 0], edge[i, 1]
         if low < 0:
             continue
-        up, down = _half_edges(mesh, low, high)
+        up, down = half_edges(mesh, low, high)
         if up < 0 or down < 0:
             continue
         # Facets look outward and solids lie to the left of a contour: the segment that ends here is in the facet
         # that runs up this edge, the one that begins here in the facet that runs down.
-        up_low, up_high = _normals_of(mesh, up)
-        down_high, down_low = _normals_of(mesh, down)
-        chord = _minus(_vector(mesh.vertices, high), _vector(mesh.vertices, low))
+        up_low, up_high = normals_of(mesh, up)
+        down_high, down_low = normals_of(mesh, down)
+        chord = minus(vector(mesh.vertices, high), vector(mesh.vertices, low))
         smooth = mesh.smooth[up] and mesh.smooth[down]
         t = edge_t[i]
+        found.plausible[i] = plausible_height(mesh, low, high)
         found.rough[i] = _is_rough(mesh, up) or _is_rough(mesh, down)
         if not (found.rough[i] or _is_straight(mesh, up, down, smooth)):
             bend_low, bend_high = _bends(mesh, up, down, chord, smooth)
             flat = mesh.flat[up // 3] and mesh.flat[down // 3]
             if _bends_alike(chord, bend_low, bend_high, flat):
                 if not (smooth and mesh.kind[up // 3] == STRIP and mesh.kind[down // 3] == STRIP):
-                    lesser = min(_dot(bend_low, bend_low), _dot(bend_high, bend_high))
-                    bend_low = _scaled(bend_low, np.sqrt(lesser / _dot(bend_low, bend_low)))
-                    bend_high = _scaled(bend_high, np.sqrt(lesser / _dot(bend_high, bend_high)))
-                t = _place(mesh.vertices[low, 2], chord[2], bend_low[2], bend_high[2], heights[i], t)
+                    lesser = min(dot(bend_low, bend_low), dot(bend_high, bend_high))
+                    bend_low = scaled(bend_low, np.sqrt(lesser / dot(bend_low, bend_low)))
+                    bend_high = scaled(bend_high, np.sqrt(lesser / dot(bend_high, bend_high)))
                 # The cubic leaves its chord by at most a quarter of the bend.
-                greater = max(_dot(bend_low, bend_low), _dot(bend_high, bend_high))
-                found.bound[i] = 0.25 * np.sqrt(greater) / FLATTEST_SURFACE
+                height = 0.25 * np.sqrt(max(dot(bend_low, bend_low), dot(bend_high, bend_high)))
+                share = plausible_share(height, found.plausible[i])
+                bend_low, bend_high = scaled(bend_low, share), scaled(bend_high, share)
+                t = _place(mesh.vertices[low, 2], chord[2], bend_low[2], bend_high[2], heights[i], t)
+                found.bound[i] = share * height / FLATTEST_SURFACE
                 _move(
                     found.points[i],
-                    _vector(mesh.vertices, low),
+                    vector(mesh.vertices, low),
                     chord,
                     bend_low,
                     bend_high,
@@ -217,6 +214,8 @@ def _lift(
                 )
         _set_direction(up_low, up_high, t, found.before[i])
         _set_direction(down_low, down_high, t, found.after[i])
+        x, y = 0.5 * (down_low[0] + down_high[0]), 0.5 * (down_low[1] + down_high[1])
+        found.plausible[i] /= max(np.hypot(x, y), FLATTEST_SURFACE)
         found.smooth[i] = smooth
         found.flat[i] = mesh.flat[down // 3]
         if mesh.kind[up // 3] == PLANE:
@@ -226,13 +225,13 @@ def _lift(
 
 
 @kernel
-def _is_rough(mesh: _Mesh, half_edge: int) -> bool:
+def _is_rough(mesh: SurfaceMesh, half_edge: int) -> bool:
     f, k = half_edge // 3, half_edge % 3
     return bool(mesh.rough[mesh.sectors[f, k]] or mesh.rough[mesh.sectors[f, (k + 1) % 3]])
 
 
 @kernel
-def _is_straight(mesh: _Mesh, up: int, down: int, smooth: bool) -> bool:
+def _is_straight(mesh: SurfaceMesh, up: int, down: int, smooth: bool) -> bool:
     """Whether an edge is a straight line of the part: in or along a plane, or a ruling between two strips."""
     kind, other = mesh.kind[up // 3], mesh.kind[down // 3]
     if smooth:
@@ -243,20 +242,20 @@ def _is_straight(mesh: _Mesh, up: int, down: int, smooth: bool) -> bool:
 
 
 @kernel
-def _bends(mesh: _Mesh, up: int, down: int, chord: _Vector, smooth: bool) -> tuple[_Vector, _Vector]:
+def _bends(mesh: SurfaceMesh, up: int, down: int, chord: Vector, smooth: bool) -> tuple[Vector, Vector]:
     """Bends at the lower and the upper end of an edge, as far as the mesh bears them out."""
-    up_low, up_high = _normals_of(mesh, up)
-    down_high, down_low = _normals_of(mesh, down)
+    up_low, up_high = normals_of(mesh, up)
+    down_high, down_low = normals_of(mesh, down)
     if smooth and mesh.kind[down // 3] == STRIP:
         up_low, up_high = down_low, down_high  # a strip's normals stand across its rulings
-    bend_low = _bend(chord, up_low, down_low, smooth)
-    bend_high = _bend(chord, up_high, down_high, smooth)
+    bend_low = bend_at(chord, up_low, down_low, smooth)
+    bend_high = bend_at(chord, up_high, down_high, smooth)
     if not mesh.limited or not smooth:
         return bend_low, bend_high
     if mesh.kind[up // 3] != FREEFORM or mesh.kind[down // 3] != FREEFORM:
         return bend_low, bend_high
     most_low, jump_low = _most(mesh, up, up % 3, chord, up_low)
-    most_high, jump_high = _most(mesh, up, (up % 3 + 1) % 3, _scaled(chord, -1.0), up_high)
+    most_high, jump_high = _most(mesh, up, (up % 3 + 1) % 3, scaled(chord, -1.0), up_high)
     nowhere = jump_low and jump_high
     if jump_low and not jump_high:
         nowhere = not _is_worth(mesh, up // 3, (up % 3 + 1) % 3, bend_high)
@@ -268,126 +267,46 @@ def _bends(mesh: _Mesh, up: int, down: int, chord: _Vector, smooth: bool) -> tup
 
 
 @kernel
-def _is_worth(mesh: _Mesh, f: int, corner: int, bend: _Vector) -> bool:
+def _is_worth(mesh: SurfaceMesh, f: int, corner: int, bend: Vector) -> bool:
     """Whether the only end that tells how an edge bends tells more than the noise about it would."""
-    return bool(0.25 * np.sqrt(_dot(bend, bend)) >= NOISE_LIFT * mesh.noise[mesh.sectors[f, corner]])
+    return bool(0.25 * np.sqrt(dot(bend, bend)) >= NOISE_LIFT * mesh.noise[mesh.sectors[f, corner]])
 
 
 @kernel
-def _limited(bend: _Vector, most: float) -> _Vector:
-    length = np.sqrt(_dot(bend, bend))
-    return bend if length <= most else _scaled(bend, most / length)
+def _limited(bend: Vector, most: float) -> Vector:
+    length = np.sqrt(dot(bend, bend))
+    return bend if length <= most else scaled(bend, most / length)
 
 
 @kernel
-def _most(mesh: _Mesh, up: int, corner: int, chord: _Vector, normal: _Vector) -> tuple[float, bool]:
+def _most(mesh: SurfaceMesh, up: int, corner: int, chord: Vector, normal: Vector) -> tuple[float, bool]:
     """How far an edge may bend at one end, mm, by what lies behind it; and whether that is far finer than the edge.
 
     Edge and neighbours behind, in the same smooth fan, drop from the tangent plane by angles whose sum does not depend on
     how the plane is tilted: the turn of the mesh along the edge, of which a circle gives the edge its share by length.
     Without a neighbour behind, at a crease, nothing limits it.
     """
-    f = up // 3
-    fan, vertex = mesh.fans[f, corner], mesh.faces[f, corner]
-    here = _vector(mesh.vertices, vertex)
-    length = np.sqrt(_dot(chord, chord))
-    weights = reach = drop = 0.0
-    for place in range(mesh.corner_starts[vertex], mesh.corner_starts[vertex + 1]):
-        e, k = mesh.corners[place] // 3, mesh.corners[place] % 3
-        if mesh.fans[e, k] != fan:
-            continue
-        for step in (1, 2):
-            p = _minus(_vector(mesh.vertices, mesh.faces[e, (k + step) % 3]), here)
-            far = np.sqrt(_dot(p, p))
-            cosine = -_dot(p, chord) / max(far * length, 1e-300)
-            if cosine > BEHIND_COSINE:
-                weight = cosine * cosine
-                weights += weight
-                reach += weight * cosine * far
-                drop -= weight * _dot(p, normal) / far
-    if weights == 0.0:
+    found = behind(mesh, up // 3, corner, chord, normal)
+    reach, drop = found.reach, found.drop
+    if reach == 0.0:
         return np.inf, False
-    reach, behind = reach / weights, drop / weights
-    ahead = -_dot(chord, normal) / length
+    length = np.sqrt(dot(chord, chord))
+    ahead = -dot(chord, normal) / length
     # On one surface edge and neighbours bend alike: their drops go with their lengths.
-    alike = ahead * behind > 0.0 and 1.0 / ALIKE < (ahead * reach) / (behind * length) < ALIKE
+    alike = ahead * drop > 0.0 and 1.0 / ALIKE < (ahead * reach) / (drop * length) < ALIKE
     if length < JUMP * reach or alike:
         return np.inf, False
-    return MOST_OF_TURN * abs(behind + ahead) * length * length / (length + reach), True
+    return MOST_OF_TURN * abs(drop + ahead) * length * length / (length + reach), True
 
 
 @kernel
-def _half_edges(mesh: _Mesh, low: int, high: int) -> tuple[int, int]:
-    """Half-edges low -> high and high -> low; -1 for none, or for more than one."""
-    up, down = -1, -1
-    ups, downs = 0, 0
-    for place in range(mesh.corner_starts[low], mesh.corner_starts[low + 1]):
-        f, k = mesh.corners[place] // 3, mesh.corners[place] % 3
-        if mesh.faces[f, (k + 1) % 3] == high:
-            up, ups = 3 * f + k, ups + 1
-        if mesh.faces[f, (k + 2) % 3] == high:
-            down, downs = 3 * f + (k + 2) % 3, downs + 1
-    return (up if ups == 1 else -1), (down if downs == 1 else -1)
-
-
-@kernel
-def _normals_of(mesh: _Mesh, half_edge: int) -> tuple[_Vector, _Vector]:
-    """Normals at the tail and the head of a half-edge, on its facet's side."""
-    f, k = half_edge // 3, half_edge % 3
-    return (
-        _vector(mesh.normals, mesh.sectors[f, k]),
-        _vector(mesh.normals, mesh.sectors[f, (k + 1) % 3]),
-    )
-
-
-# Three numbers at a time are tuples: an array of three costs more than what is done with it.
-
-
-@kernel
-def _vector(rows: Floats, i: int) -> _Vector:
-    return rows[i, 0], rows[i, 1], rows[i, 2]
-
-
-@kernel
-def _minus(a: _Vector, b: _Vector) -> _Vector:
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
-
-
-@kernel
-def _dot(a: _Vector, b: _Vector) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@kernel
-def _scaled(a: _Vector, factor: float) -> _Vector:
-    return a[0] * factor, a[1] * factor, a[2] * factor
-
-
-@kernel
-def _cross(a: _Vector, b: _Vector) -> _Vector:
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
-@kernel
-def _bend(chord: _Vector, normal: _Vector, other: _Vector, smooth: bool) -> _Vector:
-    """Tangent less chord, mm: across the normal on a smooth edge, along both sides on a crease."""
-    if smooth:
-        return _scaled(normal, -_dot(chord, normal))
-    along = _cross(normal, other)
-    square = _dot(along, along)
-    if square < LEAST_CREASE * LEAST_CREASE:
-        return 0.0, 0.0, 0.0
-    return _minus(_scaled(along, _dot(chord, along) / square), chord)
-
-
-@kernel
-def _bends_alike(chord: _Vector, bend_low: _Vector, bend_high: _Vector, flat: bool) -> bool:
+def _bends_alike(chord: Vector, bend_low: Vector, bend_high: Vector, flat: bool) -> bool:
     """Whether an edge bends to one side, or so little, off flat sides, that an inflection is the surface's own."""
-    alike = _dot(bend_low, bend_high) < 0.0
+    alike = dot(bend_low, bend_high) < 0.0
     if alike or flat:
         return alike
-    lesser = min(_dot(bend_low, bend_low), _dot(bend_high, bend_high))
-    return bool(0.0 < lesser < LARGEST_INFLECTION * LARGEST_INFLECTION * _dot(chord, chord))
+    lesser = min(dot(bend_low, bend_low), dot(bend_high, bend_high))
+    return bool(0.0 < lesser < LARGEST_INFLECTION * LARGEST_INFLECTION * dot(chord, chord))
 
 
 @kernel
@@ -418,10 +337,10 @@ def _place(
 @kernel
 def _move(
     point: Floats,
-    low: _Vector,
-    chord: _Vector,
-    bend_low: _Vector,
-    bend_high: _Vector,
+    low: Vector,
+    chord: Vector,
+    bend_low: Vector,
+    bend_high: Vector,
     t: float,
     farthest: float,
 ) -> None:
@@ -436,7 +355,7 @@ def _move(
 
 
 @kernel
-def _set_direction(low: _Vector, high: _Vector, t: float, direction: Floats) -> None:
+def _set_direction(low: Vector, high: Vector, t: float, direction: Floats) -> None:
     """Direction of a contour with the solid to its left, from outward normals; NaN stays where there is none."""
     x, y = low[0] * (1.0 - t) + high[0] * t, low[1] * (1.0 - t) + high[1] * t
     sideways = np.hypot(x, y)

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ebamcheck.curves.lifting import NO_PLANE, Sides
+from ebamcheck.curves.plausible import plausible_share
 from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.curves import CurveSettings
@@ -120,6 +121,7 @@ def _strands(
         _set_angles(sides, kept, closed[r], corner[a : a + n], before[a : a + n], after[a : a + n])
         _limit_at_corners(corner[a : a + n], before[a : a + n], after[a : a + n])
         _spare_long_segments(sides.points, kept, corner[a : a + n], before[a : a + n], after[a : a + n])
+        _keep_plausible(sides, kept, closed[r], corner[a : a + n], before[a : a + n], after[a : a + n])
         _mark_straight(
             sides, kept, closed[r], straight_run, corner[a : a + n], before[a : a + n],
             after[a : a + n], straight[a : a + n],
@@ -307,6 +309,54 @@ def _spare_long_segments(points: Floats, rows: Ints, corner: Bools, before: Floa
         elif to >= STRAIGHT_RATIO * away and abs(back[k]) > STRAIGHT_RATIO * abs(ahead[k - 1]):
             before[k] = np.copysign(STRAIGHT_RATIO * abs(ahead[k - 1]), back[k])
             after[k] = turn - before[k]
+
+
+@kernel
+def _keep_plausible(
+    sides: Sides, rows: Ints, closed: bool, corner: Bools, before: Floats, after: Floats
+) -> None:
+    """Bend segments less that would leave their chords by more than the surface plausibly does.
+
+    What such a segment turns less at an end, its neighbour turns more, unless that then bends too much itself: there is a
+    kink then, as the contour has.
+    """
+    n = rows.size
+    last = n if closed else n - 1
+    share = np.ones(n)
+    for k in range(last):
+        m = (k + 1) % n
+        bulge = 0.25 * _distance(sides.points, rows[k], rows[m]) * max(abs(after[k]), abs(before[m]))
+        share[k] = plausible_share(bulge, max(sides.plausible[rows[k]], sides.plausible[rows[m]]))
+    for k in range(n):
+        if corner[k]:
+            before[k] *= share[k - 1]
+            after[k] *= share[k]
+            continue
+        if share[k] == 1.0 and share[k - 1] == 1.0:
+            continue
+        turn = before[k] + after[k]
+        to, away = (
+            _distance(sides.points, rows[k - 1], rows[k]),
+            _distance(sides.points, rows[k], rows[(k + 1) % n]),
+        )
+        if share[k] < 1.0 and share[k - 1] < 1.0:
+            corner[k] = True
+            before[k] *= share[k - 1]
+            after[k] *= share[k]
+        elif share[k] < 1.0:
+            after[k] *= share[k]
+            before[k] = turn - after[k]
+            plausible = max(sides.plausible[rows[k - 1]], sides.plausible[rows[k]])
+            if 0.25 * to * abs(before[k]) > plausible:
+                corner[k] = True
+                before[k] = np.copysign(4.0 * plausible / to, before[k])
+        else:
+            before[k] *= share[k - 1]
+            after[k] = turn - before[k]
+            plausible = max(sides.plausible[rows[k]], sides.plausible[rows[(k + 1) % n]])
+            if 0.25 * away * abs(after[k]) > plausible:
+                corner[k] = True
+                after[k] = np.copysign(4.0 * plausible / away, after[k])
 
 
 @kernel

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.curves.flat_sides import flat_sides, keep_flat
+from ebamcheck.curves.plausible import Sagittas, mesh_sagittas, no_sagittas
 from ebamcheck.curves.regions import FREEFORM, PLANE, find_regions
 from ebamcheck.curves.regions.noise import rough_rows
 from ebamcheck.curves.regions.normals import region_normals
@@ -54,6 +55,8 @@ class SurfaceNormals(NamedTuple):
     """(S,) what the surface about leaves of the vertices there, mm; infinite where it is not told."""
     with_regions: bool
     """Whether the mesh was segmented."""
+    sagittas: Sagittas
+    """How far facets stand from their surface, by their turns."""
 
 
 def surface_normals(part: Part, settings: CurveSettings) -> SurfaceNormals:
@@ -85,6 +88,7 @@ def surface_normals(part: Part, settings: CurveSettings) -> SurfaceNormals:
         rough_rows(part.vertices, part.faces, found),
         np.nan_to_num(found.noise, nan=np.inf),
         True,
+        mesh_sagittas(part.vertices, part.faces, twin, regions.groups.normals[label], regions.kind[label]),
     )
 
 
@@ -112,6 +116,7 @@ def _plain_normals(part: Part, twin: Index, crease_angle_deg: float) -> SurfaceN
         np.zeros(count, np.bool_),
         np.zeros(count),
         False,
+        no_sagittas(len(vertices)),
     )
 
 

@@ -198,6 +198,11 @@ class LayerFile:
         return self._starts.size - 1
 
     @property
+    def borders(self) -> Ints:
+        """Where the blocks begin in which the layers were written, and where the last one ends."""
+        return self._starts
+
+    @property
     def part(self) -> str:
         """Hash of the part."""
         return str(self._labels["part"])

@@ -15,6 +15,7 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.layers import canonical_form
+from ebamcheck.layers import items as stack_items
 from ebamcheck.numeric import rings
 from ebamcheck.numeric.kernels import run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
@@ -82,6 +83,13 @@ class Layers:
     def __post_init__(self) -> None:
         if self.dropped.size != self.heights.size:
             object.__setattr__(self, "dropped", np.zeros(self.heights.size, np.int64))
+
+    # How a stack shows itself, layer by layer.
+    __iter__ = stack_items.layer_iterator
+    __getitem__ = stack_items.layer_item
+    __repr__ = stack_items.layers_line
+    _repr_html_ = stack_items.layers_html
+    plot = stack_items.layers_plot
 
     # -- counts and measures -----------------------------------------------------------------------
 

@@ -34,9 +34,9 @@ SHEET_LAYERS = 16
 SOLID = "#9fc3e8"
 RING = "#1b4f82"
 OPEN = "#d1242f"
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
-"""Okabe and Ito's colours, which stay apart for colour-blind eyes."""
-DASHES = ("", "9 6", "3 7", "9 4 2 4", "1 5", "14 6", "5 5")
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#882255")
+"""Okabe and Ito's colours, which stay apart for colour-blind eyes, with Tol's wine in place of their yellow, which is not seen on white."""
+DASHES = ("", "9 6", "3 7", "9 4 2 4", "1 5", "14 6", "5 5", "12 3 2 3 2 3")
 """Lines that lie on each other stay visible by their dashes."""
 
 Box = tuple[float, float, float, float]

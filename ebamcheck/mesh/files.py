@@ -1,4 +1,4 @@
-"""From a mesh file to a welded part: STL by our own reader, OBJ, PLY and 3MF through trimesh."""
+"""From a mesh file to a welded part: STL, OBJ and PLY by our own readers, 3MF through trimesh."""
 
 from __future__ import annotations
 
@@ -13,12 +13,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.mesh.part import LARGEST_EXTENT_MM, SMALLEST_EXTENT_MM, UNITS_MM, Part
+from ebamcheck.errors import InputError
+from ebamcheck.mesh.obj import read_obj
+from ebamcheck.mesh.part import LARGEST_EXTENT_MM, SMALLEST_EXTENT_MM, Part
+from ebamcheck.mesh.ply import read_ply
+from ebamcheck.mesh.polygons import checked_finite
 from ebamcheck.mesh.stl import read_triangles
+from ebamcheck.mesh.unread_formats import how_to_read
 from ebamcheck.mesh.welding import weld
+from ebamcheck.settings.units import UNITS_MM, unit_named
 
-TRIMESH_SUFFIXES = (".obj", ".ply", ".3mf")
+OWN_READERS = {".obj": read_obj, ".ply": read_ply}
+TRIMESH_SUFFIXES = (".3mf",)
 _log = logging.getLogger(__name__)
 
 
@@ -30,7 +36,7 @@ def load(path: str | Path, units: str = "mm") -> Part:
     path
         The file; its format is told by content for STL and by suffix for the others.
     units
-        Unit of the file's numbers: mm, cm, m, um, in or ft. Never guessed.
+        Unit of the file's numbers: mm, cm, m, um, in or ft, or a longer name of one. Never guessed.
 
     Returns
     -------
@@ -44,9 +50,8 @@ def load(path: str | Path, units: str = "mm") -> Part:
     SettingsError
         If the unit is unknown.
     """
-    if units not in UNITS_MM:
-        raise SettingsError(f"unknown unit {units!r}: use one of {', '.join(UNITS_MM)}")
-    return _read(Path(path), units, UNITS_MM[units])
+    unit = unit_named(units)
+    return _read(Path(path), unit, UNITS_MM[unit])
 
 
 def _read(path: Path, units: str, millimetres: float) -> Part:
@@ -61,13 +66,14 @@ def _part_of(data: bytes | memoryview, path: Path, units: str, millimetres: floa
     suffix = path.suffix.lower()
     triangles: NDArray[np.float32] | NDArray[np.float64]
     notes: list[str] = []
-    if suffix in TRIMESH_SUFFIXES:
+    if suffix in OWN_READERS:
+        triangles, notes = OWN_READERS[suffix](bytes(data), path.name)
+    elif suffix in TRIMESH_SUFFIXES:
         triangles = _through_trimesh(data, suffix[1:], path.name)
     elif suffix in (".stl", ""):
         triangles, notes = read_triangles(data, path.name)
     else:
-        known = ", ".join((".stl", *TRIMESH_SUFFIXES))
-        raise InputError(f"{path.name}: unknown suffix {suffix!r}: parts are read from {known}")
+        raise InputError(f"{path.name}: {how_to_read(suffix)}")
     vertices, faces = weld(triangles)
     if millimetres != 1.0:
         vertices *= millimetres
@@ -109,17 +115,13 @@ def _through_trimesh(data: bytes | memoryview, kind: str, name: str) -> NDArray[
     try:
         scene: Any = trimesh.load_scene(io.BytesIO(data), file_type=kind, process=False)
         meshes = [mesh for mesh in scene.dump(concatenate=False) if isinstance(mesh, trimesh.Trimesh)]
+        for mesh in meshes:
+            if len(mesh.faces) and not 0 <= mesh.faces.min() <= mesh.faces.max() < len(mesh.vertices):
+                raise IndexError(f"a facet names a vertex that is none of {len(mesh.vertices)}")
         triangles = [np.asarray(mesh.triangles, dtype=np.float64) for mesh in meshes if len(mesh.faces)]
     except Exception as error:
         why = " ".join(str(error).split())[:160]
         raise InputError(f"{name}: cannot be read as {kind.upper()}: {type(error).__name__}: {why}") from None
     if not triangles:
         raise InputError(f"{name}: holds no facet ({kind.upper()})")
-    corners = np.concatenate(triangles)
-    if not np.isfinite(corners).all():
-        facet, corner, axis = np.argwhere(~np.isfinite(corners))[0]
-        raise InputError(
-            f"{name}: facet {facet}, vertex {corner}, {'xyz'[axis]} is {corners[facet, corner, axis]}: "
-            "coordinates must be finite"
-        )
-    return corners
+    return checked_finite(np.concatenate(triangles), name)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import EdgeGroups, edge_groups
 from ebamcheck.numeric.kernels import kernel
+from ebamcheck.showing import short_text
 
 Verdict = Literal["sound", "inside-out", "open", "inconsistent", "non-manifold", "flat"]
 
@@ -51,6 +52,30 @@ class Inspection:
     def passed(self) -> bool:
         """Whether the part may be sliced for production: closed, consistent and the right way out."""
         return self.verdict == "sound"
+
+    def __repr__(self) -> str:
+        facets, bodies = (
+            short_text.counted(self.facets, "facet"),
+            short_text.counted(self.bodies, "body", "bodies"),
+        )
+        return short_text.line(
+            "Inspection",
+            self.name,
+            self.verdict,
+            facets,
+            bodies,
+            short_text.size(self.size_mm),
+            f"{self.volume_mm3:.6g} mm3",
+        )
+
+    def _repr_html_(self) -> str:
+        """Show what was found in a notebook."""
+        shown = {
+            name.replace("_", " "): value
+            for name, value in self.as_dict().items()
+            if name not in ("name", "notes")
+        }
+        return short_text.html(f"{self.name}: {self.verdict}", shown)
 
     def as_dict(self) -> dict[str, Any]:
         """All figures, for JSON."""

@@ -5,14 +5,13 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ebamcheck.errors import InputError, SettingsError
-
-UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 0.001, "in": 25.4, "ft": 304.8}
-"""Millimetres in one unit of a model's file."""
+from ebamcheck.showing import short_text
 
 SMALLEST_EXTENT_MM = 1.0
 LARGEST_EXTENT_MM = 10_000.0
@@ -53,6 +52,34 @@ class Part:
     units: str = "mm"
     direction: Vector = (0.0, 0.0, 1.0)
     notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        return short_text.line(
+            "Part",
+            self.name,
+            short_text.counted(len(self.faces), "facet"),
+            short_text.size(self.size.tolist()),
+        )
+
+    def _repr_html_(self) -> str:
+        """Show the part in a notebook."""
+        facts = {
+            "file": self.source or "made in memory",
+            "facets": len(self.faces),
+            "vertices": len(self.vertices),
+            "size": short_text.size(self.size.tolist()),
+            "lowest corner": ", ".join(f"{v:.6g}" for v in self.bounds[0]) + " mm",
+            "volume": f"{self.volume:.6g} mm3",
+            "unit of the file": self.units,
+            "slicing direction": ", ".join(f"{v:g}" for v in self.direction),
+        }
+        return short_text.html(self.name, facts)
+
+    def plot(self, ax: Any = None, **style: Any) -> Any:
+        """Draw the facets on three-dimensional matplotlib axes; `style` is of its surface."""
+        from ebamcheck.showing.plotting import plot_facets
+
+        return plot_facets(self.vertices, self.faces, self.name, ax, **style)
 
     @cached_property
     def sha256(self) -> str:

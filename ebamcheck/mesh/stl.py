@@ -28,6 +28,12 @@ SMALLEST_BLOCK = 16384
 LARGEST_FLOAT32 = float(np.finfo(np.float32).max)
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _ASCII_START = re.compile(rb"\s*solid[^\r\n]*[\r\n]\s*(facet|endsolid)\s", re.IGNORECASE)
+_FACET_BEHIND = rb"(?=facet[ \t]+normal[ \t]+(?:[-+.\d]|nan))"
+_ONE_LINE = re.compile(rb"\s*solid\b[^\r\n]*?[ \t]" + _FACET_BEHIND, re.IGNORECASE)
+_NAME_END = re.compile(rb"(\bsolid\b[^\r\n]*?)[ \t]" + _FACET_BEHIND, re.IGNORECASE)
+_SOLID_BEHIND = re.compile(
+    rb"(\bendsolid\b[^\r\n]*?)[ \t](?=solid\b[^\r\n]*?[ \t]" + _FACET_BEHIND + rb")", re.IGNORECASE
+)
 
 FOREIGN = (
     (b"version https://git-lfs", "a Git LFS pointer, not the file it stands for: run `git lfs pull`"),
@@ -71,6 +77,8 @@ def read_triangles(data: bytes | memoryview, name: str) -> tuple[NDArray[np.floa
     data = bytes(data)
     if _looks_like_ascii(data):
         return _ascii(data, name), []
+    if _ONE_LINE.match(data.removeprefix(BYTE_ORDER_MARK)):
+        return _ascii(_names_ended(data), name), []
     for start, what in FOREIGN:
         if data.removeprefix(BYTE_ORDER_MARK).lstrip().startswith(start):
             raise InputError(f"{name}: is {what}")
@@ -133,6 +141,18 @@ def _looks_like_ascii(data: bytes) -> bool:
     )
 
 
+def _names_ended(data: bytes) -> bytes:
+    """An ASCII file whose facets follow the name of their solid in one line; the name's end is marked, at the same length.
+
+    A facet is told from a word of the name by the number behind ``facet normal``.
+    """
+    return _SOLID_BEHIND.sub(_ended, _NAME_END.sub(_ended, data))
+
+
+def _ended(name: re.Match[bytes]) -> bytes:
+    return name[1] + b"\x0b"
+
+
 # -- ASCII: one compiled pass finds every number, one vectorised pass converts them ------------------
 
 _WORDS = (
@@ -193,12 +213,12 @@ def _scan(
             if not _is_word(text, start, i, solid, 5):
                 return _WANT_SOLID, facets, start, step
             in_solid = True
-            while i < n and text[i] != 10 and text[i] != 13:
+            while i < n and text[i] != 10 and text[i] != 11 and text[i] != 13:
                 i += 1
             continue
         if step == 0 and _is_word(text, start, i, endsolid, 8):
             in_solid = False
-            while i < n and text[i] != 10 and text[i] != 13:
+            while i < n and text[i] != 10 and text[i] != 11 and text[i] != 13:
                 i += 1
             continue
         if sizes[step] > 0:

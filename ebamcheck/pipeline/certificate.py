@@ -20,6 +20,7 @@ from ebamcheck.json_values import (
     sha256_of_json,
     write_json,
 )
+from ebamcheck.pipeline.plate_record import PLATE
 from ebamcheck.pipeline.run_folder import (
     MANIFEST,
     RunFolder,
@@ -46,6 +47,9 @@ RELEASE: Mapping[str, Any] = {
     "deviations": [],
 }
 """What a person adds when the run is released (`ebamcheck sign`), and its empty values. The seal covers it."""
+
+PLACED = ("place_at_mm", "rotate_deg")
+"""What a record says of its part only where the settings place it."""
 
 NOT_PROVED = (
     "that the mesh is the part that was drawn: it is compared with nothing but itself",
@@ -74,7 +78,17 @@ def certificate(manifest: Mapping[str, Any], made: Mapping[str, Any] | None = No
         "finished": manifest["timings"]["finished"],
         "part": {
             key: manifest["part"][key]
-            for key in ("name", "source", "sha256", "mesh_sha256", "units", "direction")
+            for key in (
+                "name",
+                "source",
+                "sha256",
+                "mesh_sha256",
+                "units",
+                "direction",
+                "place_at_mm",
+                "rotate_deg",
+            )
+            if key in manifest["part"] or key not in PLACED
         },
         "heights": manifest["heights"],
         "settings_sha256": manifest["settings_sha256"],
@@ -96,6 +110,8 @@ def certificate(manifest: Mapping[str, Any], made: Mapping[str, Any] | None = No
         "validated": bool(program["validated"]),
         "not_proved": NOT_PROVED,
     }
+    if PLATE in manifest:
+        fields[PLATE] = manifest[PLATE]
     if "findings" in manifest:  # a run of an earlier version has none
         said = statement(manifest)
         fields |= {"findings": manifest["findings"], "proved": said.proved, "left_to_do": said.left}

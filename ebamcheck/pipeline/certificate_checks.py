@@ -13,6 +13,7 @@ from ebamcheck.json_values import (
     sha256_of_file,
     sha256_of_json,
 )
+from ebamcheck.mesh.part_source import source_sha256
 from ebamcheck.pipeline.certificate import (
     CERTIFICATE,
     certificate,
@@ -87,7 +88,7 @@ def certificate_checks(
     try:
         checks = [
             _sealed(path, found),
-            hash_check("part unchanged", sha256_of_file(part), found["part"]["sha256"], part.name),
+            hash_check("part unchanged", part_hash(part), found["part"]["sha256"], part.name),
             hash_check(
                 "settings unchanged",
                 sha256_of_json(config.model_dump()),
@@ -129,6 +130,14 @@ def file_hash(path: Path) -> str:
     """SHA-256 of a file; raises :class:`InputError` where it cannot be read."""
     try:
         return sha256_of_file(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+
+
+def part_hash(path: Path) -> str:
+    """SHA-256 of a part's file, or of a plate and all of its parts; raises :class:`InputError` for what cannot be read."""
+    try:
+        return source_sha256(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
 

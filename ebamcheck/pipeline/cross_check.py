@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -12,12 +13,15 @@ from numpy.typing import NDArray
 
 from ebamcheck.backend import BackendSettings
 from ebamcheck.comparison import Comparison, compare_all
+from ebamcheck.layers.blocks import count_kept, kept_blocks
 from ebamcheck.layers.files import LayerFile
 from ebamcheck.layers.heights import layer_blocks
+from ebamcheck.pipeline.independence import evidence_rule, no_evidence
 from ebamcheck.pipeline.noticed import lost
 from ebamcheck.pipeline.work import Job
 from ebamcheck.plugins import registry
-from ebamcheck.slicers.isolation import Limits, Outcome, slice_all
+from ebamcheck.slicers.isolation import Limits, Outcome, declared_bounds, slice_all
+from ebamcheck.slicers.layer_forms import file_fault
 
 
 @dataclass(frozen=True)
@@ -56,6 +60,11 @@ def _slice(
             job.add_finding(lost(outcome))
 
     waiting = {n: s for n, s in backends.items() if n not in kept}
+    for name in waiting:
+        if blocks := count_kept(job.folder.layers_file(name)):
+            job.observer.note(
+                f"{name}: {blocks} of {borders.size - 1} blocks of layers of the former run are kept"
+            )
     with job.stage("slice", len(waiting) * len(job.heights)):
         made = slice_all(
             job.part,
@@ -66,30 +75,32 @@ def _slice(
             lambda _, done: job.observer.advance(done),
             finished,
             borders,
+            keep_blocks=True,
         )
+        # Of slicers that came to no end.
+        for left in kept_blocks(job.folder.layers_folder):
+            shutil.rmtree(left, ignore_errors=True)
     return {name: kept[name] if name in kept else made[name] for name in backends}
 
 
 def _kept(job: Job, backends: Mapping[str, BackendSettings]) -> dict[str, Outcome]:
-    """Outcomes of the backends whose layers a killed run has left behind."""
+    """Outcomes of the backends whose layers a killed run has left behind, whole; strangers slice again."""
     kept = {}
     for name, settings in backends.items():
         file = job.folder.layers_file(name)
-        if file.is_file():
-            slicer = registry.slicer(name)
-            kept[name] = Outcome(
-                name,
-                file=file,
-                probe=registry.probe(name),
-                error_bound_mm=slicer.error_bound_mm(job.part, settings),
-                height_bound_mm=slicer.height_bound_mm(job.part, settings),
-            )
-            job.observer.note(f"{name}: layers of the former run are kept")
+        if not file.is_file() or registry.is_stranger(name) or file_fault(file, job.part, job.heights, False):
+            continue
+        error_mm, height_mm = declared_bounds(job.part, {name: settings})[name]
+        kept[name] = Outcome(
+            name, file=file, probe=registry.probe(name), error_bound_mm=error_mm, height_bound_mm=height_mm
+        )
+        job.observer.note(f"{name}: layers of the former run are kept")
     return kept
 
 
 def _compare(job: Job, outcomes: Mapping[str, Outcome], borders: NDArray[np.int64]) -> Comparison:
     done = {name: outcome for name, outcome in outcomes.items() if outcome.file is not None}
+    rule = evidence_rule(job.config, done)
     with job.stage("compare", len(job.heights)), ExitStack() as opened:
         comparison = compare_all(
             {n: opened.enter_context(LayerFile(job.folder.layers_file(n), edges=False)) for n in done},
@@ -100,10 +111,12 @@ def _compare(job: Job, outcomes: Mapping[str, Outcome], borders: NDArray[np.int6
             settings=job.config.comparison,
             progress=job.observer.advance,
             borders=borders,
+            evidence=rule,
         )
         comparison.pairs.to_parquet(job.folder.path / "compare.parquet", index=False)
         comparison.pairs.to_csv(job.folder.path / "compare.csv", index=False)
         _layer_table(comparison).to_csv(job.folder.path / "layers.csv", index=False)
+    job.add_finding(*no_evidence(comparison))
     return comparison
 
 

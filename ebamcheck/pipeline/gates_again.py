@@ -29,18 +29,23 @@ from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline import gates, noticed
 from ebamcheck.pipeline.choice import witness_backend
+from ebamcheck.pipeline.entry_program import checked_again
 from ebamcheck.pipeline.fit_evidence import FitVerdict, judged
 from ebamcheck.pipeline.gates import Gate
+from ebamcheck.pipeline.independence import evidence_rule
 from ebamcheck.pipeline.placement import cut_heights
 from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.plugins import registry
 from ebamcheck.program import Check, verify_file
 from ebamcheck.program.checking.deposit_checks import of_deposit
+from ebamcheck.program.checking.entry_check import NAME as ENTRY
+from ebamcheck.program.checking.hatch_form import CROSSINGS, LINES
 from ebamcheck.program.checking.header_checks import Truth
+from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import outside_window, unusual_layers
-from ebamcheck.slicers.isolation import Outcome
+from ebamcheck.slicers.isolation import Outcome, declared_bounds
 from ebamcheck.slicers.slicing import slice_part
 
 SMOOTH_MM = 0.002
@@ -50,10 +55,13 @@ SAME_FIGURE = 1e-6
 """Figures that differ by less, relative to the greater or to 1, are the same: sums in another order."""
 
 
+SAME_POINT_MM = 1e-6
+"""Points cut by one slicer twice, on another processor: far under what two slicers may differ by."""
+
 PROGRAM = "program"
 """The gate whose figure counts checks, of which more are made here than in a run."""
 
-OF_TEXT_ALONE = ("readable", "coverage", "gaps", "hatch spacing", "lines laid once")
+OF_TEXT_ALONE = (ENTRY, "readable", "coverage", "gaps", "hatch spacing", "lines laid once", LINES, CROSSINGS)
 """Checks that are made here and not by a run, which has its plan to compare with."""
 
 
@@ -70,6 +78,8 @@ class Again:
     """Findings of part and settings, which follow from these alone."""
     checks: tuple[Check, ...] = ()
     """Checks of the program; none for a run without one."""
+    exchanged: tuple[str, ...] = ()
+    """Recorded layers that are not those of the slicer whose name their file has."""
 
 
 def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part: Part) -> Again:
@@ -89,11 +99,12 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
     fresh = slice_part(part, heights, witness)
     sound = inspect(part)
     agreement, agrees = _agreement(run, manifest, config, part, fresh, witness)
+    exchanged = exchanged_layers(run, manifest, fresh, witness)
     made = [gates.input_gate(sound), agreement]
     told = [*noticed.of_part(sound, config), *outside_window(config, "warning"), *unusual_layers(config)]
     record = manifest.get("program")
     if record is None:
-        return Again(witness, tuple(made), agrees, tuple(told))
+        return Again(witness, tuple(made), agrees, tuple(told), exchanged=exchanged)
     verdict, _ = _fitted(run, manifest, config, part)
     plan = ScanPlan.from_parquet(run.path / "scan.parquet")
     checks = verify_file(
@@ -110,6 +121,8 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
         sha256={file["name"]: file["sha256"] for file in record["files"]},
         truth=truth_of(manifest, config),
     )
+    z_of = deposition_heights(np.asarray(heights), config.layer_height_mm)
+    main = run.program_folder / record["files"][0]["name"]
     made += [
         gates.fit_gate(verdict),
         _coverage(checks, gates.coverage_gate(plan.metrics, config)),
@@ -117,8 +130,34 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
         gates.heat_gate(checks, plan.metrics, config),
         gates.program_gate(checks),
     ]
+    checks += checked_again(run.path, record, main, z_of, config)
     told += [*noticed.of_profile(config), *noticed.of_metal(of_deposit(checks))]
-    return Again(witness, tuple(made), agrees, tuple(told), tuple(checks))
+    return Again(witness, tuple(made), agrees, tuple(told), tuple(checks), exchanged)
+
+
+def exchanged_layers(
+    run: RunFolder, manifest: Mapping[str, Any], fresh: Layers, witness: str
+) -> tuple[str, ...]:
+    """Slicers whose recorded layers name another, and the witness where its layers are not those that it cuts now.
+
+    On plane parts exact slicers agree to the last digits, so that distances show no exchange: what the file says of itself, and
+    every coordinate, do.
+    """
+    found = []
+    for name, outcome in manifest["backends"].items():
+        if outcome["status"] != "done":
+            continue
+        recorded = run.read_layers(name)
+        same = recorded.backend == name
+        if same and name == witness:
+            same = (
+                recorded.points.shape == fresh.points.shape
+                and np.array_equal(recorded.ring_starts, fresh.ring_starts)
+                and bool((np.abs(recorded.points - fresh.points) <= SAME_POINT_MM).all())
+            )
+        if not same:
+            found.append(name)
+    return tuple(found)
 
 
 def truth_of(manifest: Mapping[str, Any], config: Config) -> Truth:
@@ -150,15 +189,13 @@ def _agreement(
         comparison = compare_all(
             stacks,
             part,
-            bounds={
-                n: (s.error_bound_mm(part, settings[n]), s.height_bound_mm(part, settings[n]))
-                for n, s in slicers.items()
-            },
+            bounds=declared_bounds(part, settings),
             exact={n: s.exact for n, s in slicers.items()},
             rules={n: s.coplanar_rule for n, s in slicers.items()},
             settings=config.comparison,
+            evidence=evidence_rule(config, stacks),
         )
-    return gates.agreement_gate(comparison, outcomes, len(fresh)), comparison.passed
+    return gates.agreement_gate(comparison, outcomes, len(fresh), config.layer_height_mm), comparison.passed
 
 
 def _fitted(
@@ -166,9 +203,8 @@ def _fitted(
 ) -> tuple[FitVerdict, pd.DataFrame]:
     """Fit the contours of the primary slicer anew, as the run did, and judge the fit."""
     primary = str(manifest["primary"])
-    slicer = registry.slicer(primary)
     settings = registry.slicer_settings(primary, config.slicing.settings.get(primary, {}))
-    bound_mm = slicer.error_bound_mm(part, settings)
+    bound_mm, _ = declared_bounds(part, {primary: settings})[primary]
     of_curves = config.curves.model_copy(update={"collinear_mm": max(config.curves.collinear_mm, bound_mm)})
     layers = run.read_layers(primary)
     curves = fit(layers, of_curves.method, of_curves, part=part)
@@ -219,6 +255,7 @@ def _record(again: Again, manifest: Mapping[str, Any]) -> Check:
     record = manifest.get("program")
     if record is not None and record["witness"] == manifest["primary"] != again.witness:
         faults.append(f"{record['witness']} is named as its own witness")
+    faults += [f"layers/{name}.parquet does not hold the layers of {name}" for name in again.exchanged]
     codes = {finding["code"] for finding in manifest["findings"]}
     lacking = sorted({finding.code for finding in again.findings} - codes)
     faults += [f"the finding {code} is left out" for code in lacking]

@@ -3,40 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ebamcheck import __version__
 from ebamcheck.backend import BackendSettings
 from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.findings import has_fault
-from ebamcheck.json_values import (
-    sha256_of_json,
-    write_json,
-)
-from ebamcheck.mesh import files as mesh_files
-from ebamcheck.mesh import inspection
+from ebamcheck.json_values import sha256_of_json
+from ebamcheck.mesh.part_source import read_reference
 from ebamcheck.pipeline import gates, noticed
 from ebamcheck.pipeline.certificate import write_certificate
 from ebamcheck.pipeline.choice import chosen_backends, primary_backend, unavailable_backends
 from ebamcheck.pipeline.cross_check import CrossCheck, cross_check
 from ebamcheck.pipeline.gates import Gate
-from ebamcheck.pipeline.placement import cut_heights, placed_part
+from ebamcheck.pipeline.plate_record import PLATE, plate_record
 from ebamcheck.pipeline.programming import make_program
 from ebamcheck.pipeline.record import manifest as make_manifest
+from ebamcheck.pipeline.report_writers import write_reports
 from ebamcheck.pipeline.run_folder import (
     FINGERPRINT,
-    MANIFEST,
     RunFolder,
+    finished_run,
     start_run,
 )
 from ebamcheck.pipeline.work import Job, Observer, Silent
-from ebamcheck.plugins import registry
+from ebamcheck.preflight import Ready, ready
 from ebamcheck.program.language.control import control
 from ebamcheck.program.language.templates import usable_templates
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import checked_window, outside_window, unusual_layers
+from ebamcheck.version import __version__
 
 
 @dataclass(frozen=True)
@@ -46,7 +43,7 @@ class RunResult:
     folder: RunFolder
     gates: tuple[Gate, ...]
     exit_code: ExitCode
-    manifest: Mapping[str, Any]
+    manifest: Mapping[str, Any] = field(repr=False)
 
 
 def run_job(
@@ -56,28 +53,41 @@ def run_job(
     reference: str | Path | None = None,
     resume: bool = False,
     observer: Observer | None = None,
+    begun: Ready | None = None,
+    yes: bool = False,
+    force: bool = False,
+    from_layer: int = 1,
 ) -> RunResult:
     """Slice a part with every backend, compare, fit, partition, order, write the program and verify it.
 
     Parameters
     ----------
     part_path
-        Mesh file of the part.
+        Mesh file of the part, or ``plate.toml``.
     target
-        Run folder to make; it appears when it is whole, and takes the place of a former run.
+        Run folder to make; it appears when it is whole.
     config
         Settings; the defaults if None.
     reference
         A finer tessellation of the same part, against which the errors of contours and curves are measured.
     resume
-        Go on with what a killed run of the same part and settings left behind.
+        Go on with what a killed run of the same part and settings left behind; a finished one of them is returned.
     observer
         Told of stages and progress.
+    force
+        Make the run although a finished one stands at `target`, which is kept under a name with its date.
+    from_layer
+        Write a second program, too, that begins at this layer, from 1: to go on after a break.
+    begun
+        What :func:`ebamcheck.preflight.ready` has made of the same part and settings; None: it is made here.
+    yes
+        Go on where the job is more work than the settings allow.
 
     Raises
     ------
     InputError, SettingsError
-        If the part or the reference cannot be read, or settings make no sense or are outside of the process window.
+        If the part or the reference cannot be read, settings make no sense or are outside of the process window, a
+        finished run stands at `target`, or the preflight finds that the job cannot come to a good end.
     BackendMissing
         If a required or named backend is unknown, or a required one is not available.
     """
@@ -89,12 +99,15 @@ def run_job(
         )
     checked_window(config)
     usable_templates(config, config.machine.control)
-    fine = mesh_files.load(reference, config.part.units).along(config.part.direction) if reference else None
+    part = begun or ready(part_path, config, "run", yes)
+    part.preflight.stop("run")
+    fine = read_reference(reference, part_path, config.part) if reference else None
 
     def program(job: Job, checked: CrossCheck, sound: bool) -> list[Gate]:
         return make_program(job, _primary(job, checked), checked, fine, sound)
 
-    return _job("run", part_path, target, config, [fine.sha256 if fine else ""], resume, observer, program)
+    inputs = [fine.sha256 if fine else ""]
+    return _job("run", part, target, config, inputs, resume, observer, program, force, from_layer)
 
 
 def check_job(
@@ -103,9 +116,15 @@ def check_job(
     config: Config | None = None,
     resume: bool = False,
     observer: Observer | None = None,
+    begun: Ready | None = None,
+    yes: bool = False,
+    force: bool = False,
 ) -> RunResult:
     """Slice a part with every backend and compare them, no more; parameters and errors as in :func:`run_job`."""
-    return _job("check", part_path, target, config or Config(), [], resume, observer, None)
+    config = config or Config()
+    part = begun or ready(part_path, config, "check", yes)
+    part.preflight.stop("check")
+    return _job("check", part, target, config, [], resume, observer, None, force)
 
 
 # -- stages ------------------------------------------------------------------------------------------
@@ -113,26 +132,35 @@ def check_job(
 
 def _job(
     kind: str,
-    part_path: str | Path,
+    begun: Ready,
     target: str | Path,
     config: Config,
     inputs: list[str],
     resume: bool,
     observer: Observer | None,
     program: Callable[[Job, CrossCheck, bool], list[Gate]] | None,
+    force: bool,
+    from_layer: int = 1,
 ) -> RunResult:
     """Cross-check a part in a run folder, and make the program where one is wanted."""
     observer = observer or Silent()
-    part, turned, facets = placed_part(part_path, config)
-    heights = cut_heights(part, config)
+    part, found, heights = begun.part, begun.found, begun.heights
+    if not 1 <= from_layer <= len(heights):
+        raise SettingsError(f"--from-layer {from_layer}: the part has layers 1 to {len(heights)}")
     backends = chosen_backends(config)
     fingerprint = sha256_of_json(
         [kind, part.sha256, config.model_dump(), heights, list(backends), __version__, *inputs]
     )
-    found = inspection.inspect(part)
-    job = Job(kind, config, observer, part, found, heights, start_run(Path(target), fingerprint, resume))
-    if turned:
-        job.add_finding(noticed.turned_over(turned, facets))
+    if resume and not force and (done := finished_run(Path(target), fingerprint)) is not None:
+        observer.note(f"{target}: is finished already")
+        return _result(done)
+    folder = start_run(Path(target), fingerprint, resume, force)
+    if folder.former is not None:
+        observer.note(f"{target}: the former run will be kept as {folder.former.name}")
+    job = Job(kind, config, observer, part, found, heights, folder, fingerprint)
+    job.from_layer = from_layer
+    if begun.turned:
+        job.add_finding(noticed.turned_over(begun.turned, len(part.faces)))
     job.add_finding(*noticed.of_part(found, config))
     # A job without a program may cut layers that no process can lay.
     job.add_finding(*outside_window(config, "warning"), *unusual_layers(config))
@@ -153,8 +181,14 @@ def _finished(
     """All stages from slicing to the finished folder."""
     checked = cross_check(job, backends, resume)
     outcomes = {**checked.outcomes, **unavailable_backends(job.config)}
-    shut = [gates.input_gate(job.found), gates.agreement_gate(checked.comparison, outcomes, len(job.heights))]
+    shut = [
+        gates.input_gate(job.found),
+        gates.agreement_gate(checked.comparison, outcomes, len(job.heights), job.config.layer_height_mm),
+    ]
+    job.add_finding(*noticed.of_doubt(checked.comparison.pairs, job.config))
     job.add_finding(*(noticed.unavailable(o) for o in outcomes.values() if o.failure == "unavailable"))
+    if parts := plate_record(job.part, job.config):
+        job.record[PLATE] = parts
     if program is not None and _primary(job, checked):
         job.add_finding(*noticed.of_profile(job.config))
         shut += program(job, checked, all(gate.passed for gate in shut))
@@ -162,8 +196,8 @@ def _finished(
     if code is ExitCode.PASS and has_fault(job.findings):
         code = ExitCode.OUT_OF_TOLERANCE
     manifest = make_manifest(job, outcomes, checked.comparison, shut, _primary(job, checked), code)
-    write_json(manifest, job.folder.path / MANIFEST)
-    _write_reports(job)
+    job.folder.write_manifest(manifest)
+    write_reports(job.folder.path, job.observer.note)
     if program is not None:
         # Last of all: it lists every file, and so finds any byte that is changed after it.
         write_certificate(RunFolder(job.folder.path))
@@ -171,16 +205,14 @@ def _finished(
     return RunResult(job.folder.finish(), tuple(shut), code, manifest)
 
 
+def _result(run: RunFolder) -> RunResult:
+    """What a finished run came to, by its record."""
+    manifest = run.manifest()
+    found = tuple(Gate(**gate) for gate in manifest["gates"])
+    return RunResult(run, found, ExitCode(manifest["exit_code"]), manifest)
+
+
 def _primary(job: Job, checked: CrossCheck) -> str:
     """Backend whose contours go on; none where it has found no contour."""
     name = primary_backend(job.config, checked.done)
     return name if name and checked.comparison.stacks[name]["rings"].any() else ""
-
-
-def _write_reports(job: Job) -> None:
-    """Let every installed report writer render the run; a broken one is a note, not the end."""
-    for name, write in registry.load_plugins(registry.REPORTS).items():
-        try:
-            write(RunFolder(job.folder.path))
-        except Exception as error:
-            job.observer.note(f"report writer {name!r} failed: {type(error).__name__}: {error}")

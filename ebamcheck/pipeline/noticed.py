@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
 import pandas as pd
 
+from ebamcheck.comparison.doubt import doubted_layers
 from ebamcheck.findings import Finding, at_layer
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.mesh.inspection import Inspection
 from ebamcheck.numeric.rings import Floats
+from ebamcheck.preflight.suspicions import suspicions
 from ebamcheck.program import Check
 from ebamcheck.program.checking.interpass_checks import INTERPASS, within_range
 from ebamcheck.program.checking.seam_corners import seam_turns
@@ -22,20 +25,6 @@ from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import MachineSettings
 from ebamcheck.slicers.isolation import Outcome
-
-FEW_BEADS = 3.0
-"""A part of fewer beads than this in its greatest extent is no part of this process, or its unit is another."""
-
-INCH_MM = 25.4
-
-INCH_PARTS = 16
-"""Extents in drawings in inches are whole sixteenths."""
-
-ROUND_MM = 0.5
-"""Extents in drawings in millimetres are mostly whole halves; of sixteenths of an inch hardly one is."""
-
-ROUNDING = 2e-6
-"""Of an extent: coordinates of single precision on both sides of it."""
 
 
 def turned_over(turned: int, facets: int) -> Finding:
@@ -68,64 +57,34 @@ def lost(outcome: Outcome) -> Finding:
     return Finding("warning", "backend-lost", text, outcome.name)
 
 
+def of_doubt(pairs: pd.DataFrame, config: Config) -> Iterator[Finding]:
+    """Layers on which slicers agree only because one of them declares doubt."""
+    for a, b, layers, depth_mm, added_mm in doubted_layers(pairs):
+        yield Finding(
+            "warning",
+            "declared-doubt",
+            f"{a} and {b} agree on {len(layers)} layers only within places that one of them declares doubtful: they are "
+            f"{depth_mm:.3g} mm apart, {added_mm:.3g} mm are declared",
+            f"layers {', '.join(str(k) for k in layers[:5])}{' ...' if len(layers) > 5 else ''}",
+            depth_mm,
+            config.comparison.doubt_mm,
+            "mm",
+            "mend thin facets of the mesh there, or forbid it (comparison.doubt_mm = 0)",
+        )
+
+
+def _at(layer: int, heights: Floats, config: Config, x_mm: float = math.nan, y_mm: float = math.nan) -> str:
+    """Name a place in part and program; `heights` (L,) mm are those of the cuts."""
+    z_mm = deposition_heights(np.asarray(heights, np.float64), config.layer_height_mm)[layer]
+    return at_layer(layer, float(heights[layer]), x_mm, y_mm, float(z_mm))
+
+
 # -- the part ----------------------------------------------------------------------------------------
 
 
 def of_part(found: Inspection, config: Config) -> Iterator[Finding]:
     """What the size of the part and its file say of its unit."""
-    for note in found.notes:
-        yield Finding("warning", "mesh-oddity", note, found.name, remedy="look at the file and its unit")
-    largest, few_mm = max(found.size_mm), FEW_BEADS * config.process.bead_width_mm
-    size = " x ".join(f"{extent:.6g}" for extent in found.size_mm)
-    if largest < few_mm:
-        yield Finding(
-            "warning",
-            "part-under-beads",
-            f"the part is {size} mm, read as {config.part.units}: its largest extent is under {FEW_BEADS:g} beads",
-            "part.units",
-            largest,
-            few_mm,
-            "mm",
-            "check the unit of the file (--units)",
-        )
-    if _round_in_inches(found.size_mm):
-        inches = " x ".join(f"{extent / INCH_MM:.6g}" for extent in found.size_mm)
-        yield Finding(
-            "note",
-            "part-round-in-inches",
-            f"the part is {size} mm, which is {inches} in: round in inches and not in millimetres",
-            "part.units",
-            remedy="check that the file was not converted twice",
-        )
-    yield from _beyond_travel(found, config)
-
-
-def _round_in_inches(size_mm: tuple[float, float, float]) -> bool:
-    """Whether every extent is whole sixteenths of an inch, and not every one whole halves of a millimetre."""
-    size = np.array(size_mm)
-
-    def whole(unit_mm: float) -> bool:
-        return bool((np.abs(size - unit_mm * np.round(size / unit_mm)) <= ROUNDING * size).all())
-
-    return bool((size > 0.0).all()) and whole(INCH_MM / INCH_PARTS) and not whole(ROUND_MM)
-
-
-def _beyond_travel(found: Inspection, config: Config) -> Iterator[Finding]:
-    machine = config.machine
-    for axis, extent, low, high in zip(
-        "XYZ", found.size_mm, machine.travel_min_mm, machine.travel_max_mm, strict=True
-    ):
-        if extent > high - low:
-            yield Finding(
-                "warning",
-                "part-beyond-travel",
-                f"the part is {extent:.6g} mm along {axis}, read as {config.part.units}; the axis travels {high - low:g} mm",
-                f"machine.travel_max_mm {axis}",
-                extent,
-                high - low,
-                "mm",
-                "check the unit of the file (--units), or turn the part",
-            )
+    return suspicions(found, config)
 
 
 # -- the profile -------------------------------------------------------------------------------------
@@ -229,7 +188,7 @@ def of_heat(plan: ScanPlan, config: Config) -> Iterator[Finding]:
             "heat-above-solidus",
             f"{hot.size} of {len(plan)} layers have islands that the heat model finds above the solidus when the beam "
             f"enters them{beyond}",
-            at_layer(k, float(plan.heights[k])),
+            _at(k, plan.heights, config),
             min(float(entry_k[k]), boiling_k),
             solidus_k,
             "K",
@@ -258,7 +217,7 @@ def of_interpass(summary: pd.DataFrame, plan: ScanPlan, config: Config) -> Itera
             "note",
             "power-taper",
             f"the beam's power goes down to {100.0 * share[k]:.3g} % of {power_w:g} W as the part gets warm",
-            at_layer(k, float(plan.heights[k])),
+            _at(k, plan.heights, config),
             float(share[k] * power_w),
             power_w,
             "W",
@@ -282,7 +241,7 @@ def of_limit(checks: Iterable[Check], plan: ScanPlan, config: Config) -> Iterato
             "interpass-limit",
             f"the plan enters {what} above {limit_k:.0f} K in {hot.size} of {len(plan)} layers, the hottest at "
             f"{figure_k:.0f} K{mark}",
-            at_layer(k, float(plan.heights[k])),
+            _at(k, plan.heights, config),
             figure_k,
             limit_k,
             "K",
@@ -324,7 +283,7 @@ def of_seams(program: NCProgram, heights: Floats, config: Config) -> Iterator[Fi
             "warning",
             "seam-at-corner",
             f"{count} of {row.size} closed contours start where they turn by more than {corner_deg:g} degrees, first here",
-            at_layer(layer, float(heights[layer]), x_mm, y_mm),
+            _at(layer, heights, config, x_mm, y_mm),
             float(count),
             0.0,
             "contours",

@@ -16,8 +16,11 @@ from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline import gates, noticed
 from ebamcheck.pipeline.cross_check import CrossCheck
+from ebamcheck.pipeline.entry_program import FOLDER as ENTRY
+from ebamcheck.pipeline.entry_program import write_entry
 from ebamcheck.pipeline.fitted import fitted
 from ebamcheck.pipeline.gates import Gate
+from ebamcheck.pipeline.plate_record import PLATE, plate_record
 from ebamcheck.pipeline.work import Job
 from ebamcheck.plugins import registry
 from ebamcheck.program import Check, mark_validated, program_summary, read_program, verify_program
@@ -25,6 +28,7 @@ from ebamcheck.program.checking.deposit import deposit
 from ebamcheck.program.checking.deposit_checks import deposit_checks
 from ebamcheck.program.checking.matching import matched
 from ebamcheck.program.checking.metal_field import FIELD_FILE, write_field
+from ebamcheck.program.checking.remedies import told
 from ebamcheck.program.checking.text_heat import build_times_s, known_sections
 from ebamcheck.program.language.control import control
 from ebamcheck.program.reading.motions import NCProgram
@@ -92,6 +96,11 @@ def make_program(
     job.record["program"]["files"] = [
         {"name": name, "sha256": files.sha256[name], "blocks": files.blocks[name]} for name in files.names
     ]
+    if job.from_layer > 1:
+        z_of = deposition_heights(layers.heights, config.layer_height_mm)
+        entry = write_entry(files, job.from_layer, z_of, config)
+        job.record["program"][ENTRY] = entry
+        job.observer.note(f"program from layer {job.from_layer} on: {entry['check']['text']}")
     return made
 
 
@@ -177,6 +186,7 @@ def _write_and_verify(
         )
     job.add_finding(*noticed.of_limit(checks, plan, job.config))
     checks += _weighed(job, program, witness)
+    checks = told(checks, program, contours.heights, job.config.layer_height_mm)
     summary = program_summary(program, job.config)
     summary.to_csv(job.folder.path / "program.csv", index=False)
     job.add_finding(*noticed.of_interpass(summary, plan, job.config))
@@ -187,6 +197,8 @@ def _write_and_verify(
         "limit_k": entry_limit_k(job.config),
         "build_s": build_times_s(program, job.config, known_sections(plan, witness)),
     }
+    if parts := plate_record(job.part, job.config, program):
+        job.record[PLATE] = parts
     job.record["files"] = files
     job.record["program"] = {
         "checks": [asdict(check) for check in checks],

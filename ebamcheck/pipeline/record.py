@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from ebamcheck import __version__
 from ebamcheck.comparison import Comparison
 from ebamcheck.errors import ExitCode
 from ebamcheck.findings import records
@@ -22,6 +21,7 @@ from ebamcheck.json_values import (
 )
 from ebamcheck.layers.files import LayerFile
 from ebamcheck.pipeline.gates import Gate
+from ebamcheck.pipeline.independence import evidence_records
 from ebamcheck.pipeline.run_folder import (
     FINGERPRINT,
     FORMAT_VERSION,
@@ -29,7 +29,9 @@ from ebamcheck.pipeline.run_folder import (
 )
 from ebamcheck.pipeline.work import Job
 from ebamcheck.plugins import registry
+from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.slicers.isolation import Outcome
+from ebamcheck.version import __version__
 
 
 def manifest(
@@ -40,11 +42,15 @@ def manifest(
     primary: str,
     code: ExitCode,
 ) -> dict[str, Any]:
-    """Everything that is known of a run; only what stands under ``timings`` differs from one run to the next."""
+    """Everything that is known of a run; only what stands under ``timings`` differs from one run to the next.
+
+    That goes into a file of its own (:meth:`~ebamcheck.pipeline.run_folder.RunFolder.write_manifest`).
+    """
     config = job.config.model_dump()
     return {
         "format": FORMAT_VERSION,
         "job": job.kind,
+        FINGERPRINT: job.fingerprint,
         "ebamcheck": __version__,
         "python": platform.python_version(),
         "part": {
@@ -54,6 +60,7 @@ def manifest(
             "mesh_sha256": job.part.sha256,
             "units": job.part.units,
             "direction": list(job.part.direction),
+            **_placed(job),
             "inspection": job.found.as_dict(),
         },
         "settings": config,
@@ -75,7 +82,9 @@ def manifest(
             "verdicts": comparison.layers["verdict"].value_counts().sort_index().to_dict(),
             "classes": comparison.layers["class"].value_counts().sort_index().to_dict(),
             "pairs": _pair_records(comparison.pairs),
-            "findings": [asdict(finding) for finding in comparison.findings],
+            "evidence": evidence_records(comparison),
+            "no_evidence": dict(comparison.without_weight),
+            "findings": _disagreements(comparison, job.config.layer_height_mm),
         },
         **job.record,
         "gates": [asdict(gate) for gate in passed],
@@ -87,12 +96,36 @@ def manifest(
             "machine": platform.machine(),
             "part_path": str(Path(job.part.source).resolve()),
             "stages_s": job.timings,
+            "compile_s": job.compile_s,
             "backends": {
-                name: {"prepare_s": o.prepare_s, "slice_s": o.slice_s, "peak_mb": o.peak_mb}
+                name: {
+                    "prepare_s": o.prepare_s,
+                    "slice_s": o.slice_s,
+                    "compile_s": o.compile_s,
+                    "peak_mb": o.peak_mb,
+                }
                 for name, o in outcomes.items()
             },
         },
     }
+
+
+def _placed(job: Job) -> dict[str, Any]:
+    """Place and turn that the settings give the part; nothing where they give none."""
+    part = job.config.part
+    if part.place_at_mm is None and not part.rotate_deg:
+        return {}
+    return {"place_at_mm": part.place_at_mm, "rotate_deg": part.rotate_deg}
+
+
+def _disagreements(comparison: Comparison, first_layer_mm: float) -> list[dict[str, Any]]:
+    """Disagreements with the layer as the program names it, and its height there."""
+    heights = comparison.layers["height_mm"].to_numpy(np.float64)
+    z_mm = deposition_heights(heights, first_layer_mm).tolist()
+    return [
+        {**asdict(f), "program_layer": f.layer + 1, "program_z_mm": z_mm[f.layer]}
+        for f in comparison.findings
+    ]
 
 
 def _file_hashes(folder: Path) -> dict[str, str]:

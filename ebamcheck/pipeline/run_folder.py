@@ -1,26 +1,33 @@
 """The run folder: everything that a run leaves behind, written aside and moved into place when whole.
 
-``run.json`` is the truth; every other file is named in it, and every report is a rendering of it.
+``run.json`` is the truth; every other file is named in it, and every report is a rendering of it. Times and dates
+stand in ``timings.json`` alone, so that two runs of the same input are the same bytes in everything else.
 """
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import fcntl
 import json
 import os
 import shutil
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ebamcheck.errors import InputError, SettingsError
+from ebamcheck.json_values import write_json
+from ebamcheck.layers import blocks as layer_blocks
 from ebamcheck.layers import files as layer_files
 from ebamcheck.layers.stack import Layers
+from ebamcheck.pipeline.former_runs import TIMINGS, dated_name, finished_at
 
 MANIFEST = "run.json"
 FINGERPRINT = "fingerprint"
-"""Marks an unfinished folder with what it is a run of."""
+"""Marks an unfinished folder with what it is a run of; a finished run has it in its record."""
+LAYERS = "layers"
 FORMAT_VERSION = 1
 
 AT_FDCWD = -100
@@ -37,7 +44,7 @@ class RunFolder:
     @property
     def layers_folder(self) -> Path:
         """Folder of one Parquet file per backend."""
-        return self.path / "layers"
+        return self.path / LAYERS
 
     def layers_file(self, backend: str) -> Path:
         """Where a backend's layers lie."""
@@ -53,7 +60,13 @@ class RunFolder:
         return layer_files.read_parquet(self.layers_file(backend))
 
     def manifest(self) -> dict[str, Any]:
-        """Read ``run.json``; raises :class:`InputError` where it is missing or is not one of ours."""
+        """Read ``run.json``, and times and dates of the run as its ``timings``.
+
+        Raises
+        ------
+        InputError
+            If the record is missing or is not one of ours, or the file of the times cannot be read.
+        """
         path = self.path / MANIFEST
         try:
             found = json.loads(path.read_text(encoding="utf-8"))
@@ -63,7 +76,25 @@ class RunFolder:
             raise InputError(f"{path}: cannot be read: {error}") from None
         if not isinstance(found, dict) or found.get("format") != FORMAT_VERSION:
             raise InputError(f"{path}: is not a run of format {FORMAT_VERSION}")
+        # Runs of earlier versions have them in the record itself.
+        return found if "timings" in found else {**found, "timings": self._timings()}
+
+    def _timings(self) -> dict[str, Any]:
+        path = self.path / TIMINGS
+        try:
+            found = json.loads(path.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            return {}
+        except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+            raise InputError(f"{path}: cannot be read: {error}") from None
+        if not isinstance(found, dict):
+            raise InputError(f"{path}: is not the table of times that a run writes")
         return found
+
+    def write_manifest(self, manifest: Mapping[str, Any]) -> None:
+        """Write the record: ``timings`` into a file of their own, everything else into ``run.json``."""
+        write_json(manifest["timings"], self.path / TIMINGS)
+        write_json({k: v for k, v in manifest.items() if k != "timings"}, self.path / MANIFEST)
 
 
 @dataclass(frozen=True)
@@ -73,11 +104,16 @@ class RunInProgress(RunFolder):
     target: Path
     lock: int
 
+    @property
+    def former(self) -> Path | None:
+        """Name that the finished run at this place will get; None where there is none."""
+        return dated_name(self.target, finished_at(self.target, MANIFEST)) if is_run(self.target) else None
+
     def finish(self) -> RunFolder:
-        """Move the folder to its place; a former run there is replaced in one step and then removed."""
+        """Move the folder to its place, in one step; a finished run there is kept under a name with its date."""
         if self.target.exists():
             _exchange(self.path, self.target)
-            shutil.rmtree(self.path, ignore_errors=True)
+            _set_aside(self.path, self.target)
         else:
             os.replace(self.path, self.target)
         return RunFolder(self.target)
@@ -87,36 +123,41 @@ class RunInProgress(RunFolder):
         os.close(self.lock)
 
 
-def start_run(target: Path, fingerprint: str, resume: bool) -> RunInProgress:
+def start_run(target: Path, fingerprint: str, resume: bool, force: bool = False) -> RunInProgress:
     """Begin a run that will end at `target`.
 
     Parameters
     ----------
     target
-        Folder to make; a former run folder there is replaced when the new one is whole.
+        Folder to make.
     fingerprint
         Hash of part and settings. With `resume`, what a killed run of the same fingerprint left is kept.
     resume
         Go on with a killed run instead of starting over.
+    force
+        Make the run although a finished one stands at `target`: that one gets a name with its date when the new
+        one is whole.
 
     Raises
     ------
     SettingsError
-        If something that is no run folder stands at `target`, it cannot be written, or another run to the same
-        place is under way.
+        If a finished run stands at `target` and `force` is not given, or something that is no run folder; if it
+        cannot be written, or another run to the same place is under way.
     """
     target = Path(os.path.realpath(target))
-    path = target.with_name(f".{target.name}.unfinished") if target.name else target
+    path = _unfinished(target)
     try:
         if _is_foreign(target):
             raise SettingsError(f"{target}: is there and is no run folder: give another place with -o")
+        settle(target)
+        if is_run(target) and not force:
+            raise SettingsError(_finished_already(target))
         path.mkdir(parents=True, exist_ok=True)
         lock = _locked(path, target)
         try:
             mark = path / FINGERPRINT
-            if not (resume and mark.is_file() and mark.read_text() == fingerprint):
-                _clear(path)
-            (path / "layers").mkdir(exist_ok=True)
+            _clear(path, keep_layers=resume and mark.is_file() and mark.read_text() == fingerprint)
+            (path / LAYERS).mkdir(exist_ok=True)
             mark.write_text(fingerprint)
         except OSError:
             os.close(lock)
@@ -126,11 +167,73 @@ def start_run(target: Path, fingerprint: str, resume: bool) -> RunInProgress:
     return RunInProgress(path, target, lock)
 
 
+def settle(target: Path) -> None:
+    """Finish the move of a whole run that was killed on its way to `target`, or of the former one that made room.
+
+    Raises
+    ------
+    SettingsError
+        If another run to the same place is under way.
+    """
+    target = Path(os.path.realpath(target))
+    path = _unfinished(target)
+    if not _is_whole(path):
+        return
+    lock = _locked(path, target)
+    try:
+        if is_run(target):
+            _set_aside(path, target)
+        elif not _is_foreign(target):
+            os.replace(path, target)
+    finally:
+        os.close(lock)
+
+
+def finished_run(target: Path, fingerprint: str) -> RunFolder | None:
+    """Run at `target`, if it is finished and one of that fingerprint."""
+    settle(target)
+    if not is_run(target):
+        return None
+    run = RunFolder(target)
+    return run if run.manifest().get(FINGERPRINT) == fingerprint else None
+
+
+def is_run(folder: Path) -> bool:
+    """Whether a folder is that of a finished run."""
+    return (folder / MANIFEST).is_file()
+
+
+def _unfinished(target: Path) -> Path:
+    return target.with_name(f".{target.name}.unfinished") if target.name else target
+
+
+def _is_whole(path: Path) -> bool:
+    """Whether an unfinished folder lacks nothing but its place."""
+    return is_run(path) and not (path / FINGERPRINT).exists()
+
+
+def _finished_already(target: Path) -> str:
+    finished = finished_at(target, MANIFEST)
+    return (
+        f"{target}: holds a run that was finished at {finished}Z: give another place with -o, or --force, which keeps "
+        f"that one as {dated_name(target, finished).name}"
+    )
+
+
+def _set_aside(run: Path, target: Path) -> None:
+    """Give a finished run that stood at `target` its dated name; what is no run is an empty folder, and goes."""
+    if is_run(run):
+        os.replace(run, dated_name(target, finished_at(run, MANIFEST)))
+    else:
+        with contextlib.suppress(OSError):
+            run.rmdir()
+
+
 def _is_foreign(target: Path) -> bool:
     """Whether something stands at a place that is neither a run folder nor an empty folder."""
     if not target.exists():
         return False
-    return not (target / MANIFEST).is_file() and (not target.is_dir() or any(target.iterdir()))
+    return not is_run(target) and (not target.is_dir() or any(target.iterdir()))
 
 
 def _locked(path: Path, target: Path) -> int:
@@ -149,12 +252,18 @@ def _locked(path: Path, target: Path) -> int:
     )
 
 
-def _clear(folder: Path) -> None:
-    for entry in folder.iterdir():
+def _clear(folder: Path, keep_layers: bool) -> None:
+    """Remove what lies in an unfinished folder; of what can be gone on with, whole layers and blocks of layers stay."""
+    if _is_whole(folder):
+        raise SettingsError(f"{folder}: holds a whole run that another process has just finished: try again")
+    kept = set(layer_blocks.resumable(folder / LAYERS)) if keep_layers else set()
+    for entry in [*folder.iterdir(), *(folder / LAYERS).glob("*")]:
+        if entry in kept or (kept and entry == folder / LAYERS):
+            continue
         if entry.is_dir() and not entry.is_symlink():
             shutil.rmtree(entry)
         else:
-            entry.unlink()
+            entry.unlink(missing_ok=True)
 
 
 def _exchange(new: Path, old: Path) -> None:

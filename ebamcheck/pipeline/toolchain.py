@@ -13,7 +13,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-import ebamcheck
+import ebamcheck.version
 
 GIT_TIMEOUT_S = 10.0
 """A checkout that git cannot look through in this time has an unknown state."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,25 +14,25 @@ from ebamcheck.json_values import sha256_of_json
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.plates import PlatePart
 from ebamcheck.pipeline.certificate import find_certificate, find_record, read_certificate
 from ebamcheck.pipeline.certificate_checks import (
     certificate_checks,
     file_check,
-    file_hash,
     hash_check,
+    part_hash,
     run_certificate_checks,
     told_once,
 )
 from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.gates_again import SMOOTH_MM, compared, truth_of, work_again
 from ebamcheck.pipeline.placement import cut_heights, placed_part
-from ebamcheck.pipeline.run_folder import (
-    MANIFEST,
-    RunFolder,
-)
+from ebamcheck.pipeline.plate_record import PLATE, plate_checks
+from ebamcheck.pipeline.run_folder import MANIFEST, RunFolder
 from ebamcheck.pipeline.signing import trusted_keys
-from ebamcheck.program import Check, verify_file
+from ebamcheck.program import Check, read_program, verify_file
 from ebamcheck.program.checking.header_checks import Truth
+from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config, validated
 from ebamcheck.slicers.slicing import slice_part
@@ -80,7 +82,8 @@ def verify(
         raise InputError(f"{place}: there is no such run folder or program")
     if made_from is None:
         raise SettingsError(f"{place}: is no run folder: to verify a program, name its part with --part")
-    return verify_against_part(place, made_from, config or settings_beside(place), keys)
+    checks = verify_against_part(place, made_from, config or settings_beside(place), keys)
+    return checks if config is not None or find_record(place) else _told_of_defaults(checks)
 
 
 def settings_beside(program: Path) -> Config:
@@ -89,6 +92,18 @@ def settings_beside(program: Path) -> Config:
     if record is None:
         return Config()
     return validated(RunFolder(record.parent).manifest()["settings"], f"{record}: settings")
+
+
+def _told_of_defaults(checks: list[Check]) -> list[Check]:
+    """Say at the first check that fails that a program may have other settings than those that were taken."""
+    first = next((k for k, check in enumerate(checks) if not check.passed), None)
+    if first is None:
+        return checks
+    said = (
+        f"{checks[first].text}; no run lies beside the program, so the default settings were taken: name those that it "
+        "was made with by --config"
+    )
+    return [*checks[:first], replace(checks[first], text=said), *checks[first + 1 :]]
 
 
 # -- a run -------------------------------------------------------------------------------------------
@@ -145,12 +160,12 @@ def _verify(
     config = validated(manifest["settings"], f"{MANIFEST}: settings")
     if not quick:
         path = part or part_of_run(run, manifest)
-        checks.append(hash_check("part unchanged", file_hash(path), manifest["part"]["sha256"], path.name))
+        checks.append(hash_check("part unchanged", part_hash(path), manifest["part"]["sha256"], path.name))
         if not (untouched and checks[-1].passed):
             return checks
         return checks + compared_again(run, manifest, config, placed_part(path, config)[0])
     if part is not None:
-        checks.append(hash_check("part unchanged", file_hash(part), manifest["part"]["sha256"], part.name))
+        checks.append(hash_check("part unchanged", part_hash(part), manifest["part"]["sha256"], part.name))
     return checks + _recorded_gates(manifest) + (_text_alone(run, manifest, config) if untouched else [])
 
 
@@ -162,7 +177,18 @@ def compared_again(run: RunFolder, manifest: dict[str, Any], config: Config, par
         return [Check("worked out again", False, 1.0, 0.0, "faults", str(run.path), str(error))]
     if manifest.get("program") is None and manifest.get("job") != "check":
         return [*compared(again, manifest), _no_program()]
-    return [*compared(again, manifest), *again.checks]
+    text = _read_back(run, manifest, config) if isinstance(part, PlatePart) else None
+    parts = plate_checks(part, config, text, manifest.get(PLATE), MANIFEST)
+    return [*compared(again, manifest), *parts, *again.checks]
+
+
+def _read_back(run: RunFolder, manifest: dict[str, Any], config: Config) -> NCProgram | None:
+    """Program of a run, read from its text; None where the run has none, or it cannot be read (a check tells that)."""
+    record = manifest.get("program")
+    try:
+        return read_program(run.program_folder / record["files"][0]["name"], config) if record else None
+    except EbamcheckError:
+        return None
 
 
 def part_of_run(run: RunFolder, manifest: dict[str, Any]) -> Path:
@@ -253,9 +279,17 @@ def verify_against_part(
         metal=True,
         heat=True,
         heights=heights,
-        truth=Truth(read_certificate(paper).get("validated") if paper else None, file_hash(part_path)),
+        truth=Truth(
+            read_certificate(paper).get("validated") if paper else None,
+            part_hash(part_path),
+            sha256_of_json(config.model_dump()),
+        ),
     )
     certified = certificate_checks(paper, program, part_path, config, trusted) if paper else []
+    if paper and isinstance(part, PlatePart):
+        with suppress(EbamcheckError):  # a program that cannot be read has a failed check of its own
+            text = read_program(program, config)
+            certified += plate_checks(part, config, text, read_certificate(paper).get(PLATE), paper.name)
     return [*certified, sound, *made]
 
 

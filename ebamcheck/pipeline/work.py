@@ -11,6 +11,7 @@ from typing import Any, Protocol
 from ebamcheck.findings import Finding
 from ebamcheck.mesh.inspection import Inspection
 from ebamcheck.mesh.part import Part
+from ebamcheck.numeric import compiling
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline.run_folder import RunInProgress
 from ebamcheck.settings.config import Config
@@ -54,9 +55,15 @@ class Job:
     found: Inspection
     heights: Floats
     folder: RunInProgress
+    fingerprint: str = ""
+    """Hash of part, settings and version: of what this is a run."""
+    compile_s: float = 0.0
+    """Time in which this process compiled kernels; it is in none of the stages."""
     timings: dict[str, float] = field(default_factory=dict)
     record: dict[str, Any] = field(default_factory=dict)
     findings: list[Finding] = field(default_factory=list)
+    from_layer: int = 1
+    """Layer, from 1, at which a second program begins, to go on after a break; 1: none is written."""
 
     def add_finding(self, *findings: Finding) -> None:
         """Add what a person has to know of this job, whatever becomes of its gates."""
@@ -66,6 +73,8 @@ class Job:
     def stage(self, name: str, total: int) -> Iterator[None]:
         """Time a stage and tell the observer of it."""
         self.observer.stage(name, total)
-        start = time.perf_counter()
+        start, compiled = time.perf_counter(), compiling.seconds()
         yield
-        self.timings[name] = time.perf_counter() - start
+        compiled = compiling.seconds() - compiled
+        self.timings[name] = time.perf_counter() - start - compiled
+        self.compile_s += compiled

@@ -1,18 +1,27 @@
 """Discovery of slicers, models, report writers, controls and scan orders by entry point.
 
-A plugin that does not load warns and is left out; it never stops the others.
+A plugin that does not load warns and is left out; it never stops the others. Those of this distribution are imported
+here. A stranger's is tried in a process of its own first; a slicer of a stranger never comes into this one, unless
+:func:`loaded_slicer` asks for it.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any
+from typing import Any, cast
 
 from ebamcheck.backend import BackendSettings, Probe, Slicer
 from ebamcheck.errors import BackendMissing, SettingsError
+from ebamcheck.plugins.answers import Answer, ask, slicer_answer
+from ebamcheck.plugins.points import BrokenPlugin, broken, is_house, sorted_out
+from ebamcheck.plugins.processes import one_line
+from ebamcheck.plugins.stranger import StrangerSlicer, stranger
+from ebamcheck.plugins.trial import SLICER_ATTRIBUTES as SLICER_ATTRIBUTES
+from ebamcheck.plugins.trial import checked_settings, checked_slicer, lineage, probed
 
 BACKENDS = "ebamcheck.backends"
 MODELS = "ebamcheck.models"
@@ -20,91 +29,203 @@ REPORTS = "ebamcheck.reports"
 CONTROLS = "ebamcheck.controls"
 CHECKS = "ebamcheck.checks"
 ORDERS = "ebamcheck.orders"
+COMMANDS = "ebamcheck.commands"
+IMPORTED = (MODELS, REPORTS, CONTROLS, CHECKS, ORDERS, COMMANDS)
+"""Groups whose plugins are no slicers."""
+
+AT_ONCE = 4
+"""Strangers that are asked side by side."""
+
+_STRAYS = (Exception, SystemExit, GeneratorExit)
+"""What a plugin may raise that is not the user's own interrupt."""
 
 
 class BrokenPluginWarning(UserWarning):
     """An installed plugin could not be loaded."""
 
 
-SLICER_ATTRIBUTES = (
-    "name", "summary", "exact", "priority", "coplanar_rule", "inside_rule", "Settings",
-    "probe", "error_bound_mm", "height_bound_mm", "prepare",
-)  # fmt: skip
+def points(group: str) -> dict[str, EntryPoint]:
+    """Entry points of a group by name, sorted; the house's own are never shadowed. None is loaded."""
+    return sorted_out(entry_points(group=group))[0]
+
+
+def left_out(group: str) -> list[BrokenPlugin]:
+    """Entry points of a group that bear the name of another one."""
+    return sorted_out(entry_points(group=group))[1]
 
 
 def load_plugins(group: str) -> dict[str, Any]:
     """Load every entry point of a group, sorted by name; broken ones warn and are left out."""
+    chosen, unusable = sorted_out(entry_points(group=group))
     found: dict[str, Any] = {}
-    for point in sorted(entry_points(group=group), key=lambda p: p.name):
+    for point in chosen.values():
         try:
-            found[point.name] = point.load()
-        except Exception as error:
-            _warn_broken(point, f"{type(error).__name__}: {error}")
+            found[point.name] = load(point)
+        except SettingsError as error:
+            unusable.append(broken(point, str(error)))
+    for told in unusable:
+        _warn(told)
     return found
+
+
+def load(point: EntryPoint) -> Any:
+    """Load one plugin in this process, a stranger's once it has come through a process of its own.
+
+    Raises
+    ------
+    SettingsError
+        If it does not load; the message says why, and no more.
+    """
+    if not is_house(point) and (wrong := _trial(point)):
+        raise SettingsError(wrong)
+    try:
+        return point.load()
+    except _STRAYS as error:
+        raise SettingsError(f"{type(error).__name__}: {one_line(str(error))}") from None
+
+
+@cache
+def _trial(point: EntryPoint) -> str:
+    """Why a stranger's plugin does not import; asked once a process."""
+    return ask(point, "load")[1]
 
 
 def plugin(group: str, name: str) -> Any:
     """Load one entry point; raises :class:`SettingsError` with the names there are, or why it does not load."""
-    points = {point.name: point for point in entry_points(group=group)}
-    if name not in points:
-        raise SettingsError(
-            f"unknown name {name!r} in {group}: installed are {', '.join(sorted(points)) or 'none'}"
-        )
+    found = points(group)
+    if name not in found:
+        raise SettingsError(f"unknown name {name!r} in {group}: installed are {', '.join(found) or 'none'}")
     try:
-        return points[name].load()
-    except Exception as error:
-        raise SettingsError(
-            f"plugin {name!r} of {group} does not load: {type(error).__name__}: {error}"
-        ) from None
+        return load(found[name])
+    except SettingsError as error:
+        raise SettingsError(f"plugin {name!r} of {group} does not load: {error}") from None
 
 
 def names(group: str) -> list[str]:
     """Names of the entry points of a group, sorted; none is loaded."""
-    return sorted({point.name for point in entry_points(group=group)})
+    return list(points(group))
 
 
-def _warn_broken(point: EntryPoint, why: str) -> None:
-    warnings.warn(
-        f"plugin {point.name!r} of {point.group} ({point.value}) was left out: {why}",
-        BrokenPluginWarning,
-        stacklevel=3,
-    )
+def broken_plugins() -> list[BrokenPlugin]:
+    """Every installed plugin that cannot be used, and why; strangers are asked anew, the house's are taken as they are."""
+    found = [told for group in (BACKENDS, *IMPORTED) for told in left_out(group)]
+    for name, point in _slicer_points().items():
+        if isinstance(why := _slicer_or_why(name), str):
+            found.append(broken(point, why))
+    for group in IMPORTED:
+        strangers = [point for point in points(group).values() if not is_house(point)]
+        found += [broken(point, why) for point in strangers if (why := _trial(point))]
+    return found
+
+
+def _warn(told: BrokenPlugin) -> None:
+    warnings.warn(str(told), BrokenPluginWarning, stacklevel=3)
+
+
+# -- slicers -------------------------------------------------------------------------------------------
 
 
 @cache
 def _slicer_points() -> Mapping[str, EntryPoint]:
-    """Entry points of slicers, sorted by name."""
-    return {point.name: point for point in sorted(entry_points(group=BACKENDS), key=lambda p: p.name)}
+    """Entry points of slicers, sorted by name; a name that is there twice warns."""
+    chosen, unusable = sorted_out(entry_points(group=BACKENDS))
+    for told in unusable:
+        _warn(told)
+    return chosen
+
+
+@cache
+def _answer(name: str) -> Answer:
+    """What a stranger's slicer has told of itself."""
+    return slicer_answer(_slicer_points()[name])
+
+
+@cache
+def _slicer_or_why(name: str) -> Slicer | str:
+    """A slicer as the harness sees it here, or why it is left out."""
+    point = _slicer_points()[name]
+    if is_house(point):
+        try:
+            return checked_slicer(point)
+        except Exception as error:
+            return f"{type(error).__name__}: {one_line(str(error))}"
+    answer = _answer(name)
+    return cast(Slicer, stranger(point, answer)) if answer.attributes else answer.failure
 
 
 @cache
 def _loaded_slicer(name: str) -> Slicer | None:
-    """Load one slicer; a broken one warns, once, and is None."""
-    point = _slicer_points()[name]
-    try:
-        slicer: Slicer = point.load()()
-        missing = [a for a in SLICER_ATTRIBUTES if not hasattr(slicer, a)]
-        if missing:
-            raise TypeError(f"it lacks {', '.join(missing)} of the Slicer protocol")
-        if slicer.name != point.name:
-            raise TypeError(f"it calls itself {slicer.name!r}, its entry point {point.name!r}")
-    except Exception as error:
-        _warn_broken(point, f"{type(error).__name__}: {error}")
+    """One slicer; a broken one warns, once, and is None."""
+    found = _slicer_or_why(name)
+    if isinstance(found, str):
+        _warn(broken(_slicer_points()[name], found))
         return None
-    return slicer
+    return found
 
 
-def forget() -> None:
-    """Forget what was found, so that slicers installed since are found, too."""
-    _slicer_points.cache_clear()
-    _loaded_slicer.cache_clear()
-    probe.cache_clear()
+def forget(kept: bool = False) -> None:
+    """Forget what was found, so that slicers installed since are found, too.
+
+    Parameters
+    ----------
+    kept
+        Ask strangers anew now, whatever is kept of them on disk.
+    """
+    for known in (_slicer_points, _answer, _slicer_or_why, _loaded_slicer, probe, _trial):
+        known.cache_clear()
+    if kept:
+        _ask_strangers(fresh=True)
+
+
+def _ask_strangers(fresh: bool = False) -> None:
+    """Ask the strangers side by side; where there are none, nothing is started."""
+    strangers = [name for name, point in _slicer_points().items() if not is_house(point)]
+    if fresh:
+        _at_once(lambda name: slicer_answer(_slicer_points()[name], fresh=True), strangers)
+    elif len(strangers) > 1:
+        _at_once(_answer, strangers)
+
+
+def _at_once(call: Callable[[str], object], strangers: list[str]) -> None:
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        list(pool.map(call, strangers))
 
 
 def slicers() -> Mapping[str, Slicer]:
     """Return all installed slicers by name."""
+    _ask_strangers()
     loaded = {name: _loaded_slicer(name) for name in _slicer_points()}
     return {name: slicer for name, slicer in loaded.items() if slicer is not None}
+
+
+def is_stranger(name: str) -> bool:
+    """Whether a slicer of that name is there and comes with another distribution."""
+    return name in _slicer_points() and not is_house(_slicer_points()[name])
+
+
+def one_method(a: str, b: str) -> bool:
+    """Whether two slicers are one method: the class of one is made from that of the other, or is the same."""
+    lines = [
+        list(found.answer.lineage) if isinstance(found, StrangerSlicer) else lineage(found)
+        for found in (slicer(a), slicer(b))
+    ]
+    return any(one[:1] and one[0] in other for one, other in (lines, lines[::-1]))
+
+
+def loaded_slicer(name: str) -> Slicer:
+    """Load a slicer into this process, whoever made it: for workers, which have no other task, and for its author.
+
+    Raises
+    ------
+    BackendMissing
+        If there is none of that name, or it does not load.
+    """
+    if name not in _slicer_points():
+        raise BackendMissing(f"unknown backend {name!r}: installed are {', '.join(slicers()) or 'none'}")
+    try:
+        return checked_slicer(_slicer_points()[name])
+    except _STRAYS as error:
+        raise BackendMissing(f"backend {name!r} does not load: {type(error).__name__}: {error}") from None
 
 
 def house_slicers() -> list[str]:
@@ -127,13 +248,8 @@ def slicer(name: str) -> Slicer:
 
 @cache
 def probe(name: str) -> Probe:
-    """Probe a slicer once per process; a probe that raises counts as unavailable."""
-    try:
-        return slicer(name).probe()
-    except BackendMissing:
-        raise
-    except Exception as error:
-        return Probe(False, why=f"its probe raised {type(error).__name__}: {error}")
+    """Probe a slicer once per process; a probe that raises, or ends the process that asks, counts as unavailable."""
+    return probed(slicer(name))
 
 
 def available_slicer(name: str) -> Slicer:
@@ -155,15 +271,7 @@ def default_backend() -> str:
 
 def slicer_settings(name: str, values: Mapping[str, Any]) -> BackendSettings:
     """Check settings of a slicer; raises :class:`SettingsError` naming the first that is wrong."""
-    from pydantic import ValidationError
-
-    kind = slicer(name).Settings
-    try:
-        return kind(**values)
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(k) for k in first["loc"])
-        known = ", ".join(kind.model_fields) or "none"
-        raise SettingsError(
-            f"backend {name!r}, setting {key!r}: {first['msg']} (given {first.get('input')!r}); it knows: {known}"
-        ) from None
+    found: Any = slicer(name)
+    if isinstance(found, StrangerSlicer):
+        return found.checked(values)
+    return checked_settings(name, found.Settings, values)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import platform
-import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -27,6 +26,7 @@ from ebamcheck.regression.difference import Difference, differences
 from ebamcheck.regression.matrix import Case, Matrix, Subject, chosen_models, read_matrix, rounds
 from ebamcheck.regression.measurement import Truth, measure_outcome, truth_of
 from ebamcheck.regression.settings import Tolerances
+from ebamcheck.scratch import scratch_folder
 from ebamcheck.slicers.isolation import Limits, Outcome, slice_all
 
 CHECKOUT_BASELINES = Path("reports", "baselines")
@@ -84,6 +84,7 @@ def run_regression(
     tolerances: Tolerances | None = None,
     limits: Limits | None = None,
     note: Note = lambda text: None,
+    settings: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Regression:
     """Measure models x backends x settings and hold them against the baselines of a folder.
 
@@ -98,12 +99,14 @@ def run_regression(
     limits
         Time and memory of each backend's process; the defaults of a run where none are given.
     note
-        Called with a line for each model begun and each backend left out.
+        Called with a line for each model begun, each backend left out and each that is measured under other settings.
+    settings
+        Settings by backend on top of those of the matrix; what they come to is held against the same baselines.
 
     Raises
     ------
     SettingsError
-        If a model is unknown or the matrix is wrong.
+        If a model is unknown, the matrix is wrong, or a backend does not know a setting.
     BackendMissing
         If a backend that is named is unknown or not available.
     """
@@ -112,12 +115,20 @@ def run_regression(
     usable, not_run = _usable(backends)
     for name, why in not_run.items():
         note(f"backend {name} is left out: {why}")
+    given = {name: values for name, values in (settings or {}).items() if values}
+    for name, values in given.items():
+        registry.slicer_settings(name, values)
+        if name in usable:
+            told = ", ".join(f"{key} = {value}" for key, value in values.items())
+            note(
+                f"backend {name} runs with {told}, and is held against the baselines of its settings in the matrix"
+            )
     entries: dict[Key, Entry] = {}
     timings: dict[str, Mapping[str, float]] = {}
     for name, model in chosen.items():
         note(f"model {name}")
         truth = truth_of(model, matrix.case(name).tolerance_mm, matrix.case(name).layers)
-        for entry, seconds in _measure(name, truth, matrix, usable, limits or Limits()):
+        for entry, seconds in _measure(name, truth, matrix, usable, limits or Limits(), given):
             entries[entry.key] = entry
             timings[str(entry.key)] = seconds
     held = {
@@ -155,15 +166,23 @@ def _models_held(folder: Path, chosen: Mapping[str, object], named: Sequence[str
 
 
 def _measure(
-    model: str, truth: Truth, matrix: Matrix, backends: Sequence[str], limits: Limits
+    model: str,
+    truth: Truth,
+    matrix: Matrix,
+    backends: Sequence[str],
+    limits: Limits,
+    given: Mapping[str, Mapping[str, Any]],
 ) -> list[tuple[Entry, Mapping[str, float]]]:
     """Entries of one model, and their timings."""
     case = matrix.case(model)
     found: list[tuple[Entry, Mapping[str, float]]] = []
     for subjects in rounds(matrix, model, backends):
-        settings = {name: subject.settings for name, subject in subjects.items()}
-        with tempfile.TemporaryDirectory(prefix="ebamcheck-") as folder:
-            outcomes = slice_all(truth.part, truth.heights, settings, Path(folder), limits)
+        settings = {
+            name: registry.slicer_settings(name, {**subject.given, **given.get(name, {})})
+            for name, subject in subjects.items()
+        }
+        with scratch_folder() as folder:
+            outcomes = slice_all(truth.part, truth.heights, settings, folder, limits)
             for name, subject in subjects.items():
                 start = time.perf_counter()
                 entry = _entry(model, truth, case, subject, outcomes[name])

@@ -18,7 +18,7 @@ from ebamcheck.json_values import sha256_of_json
 from ebamcheck.plugins import registry
 from ebamcheck.plugins.model import Model, models
 from ebamcheck.regression.settings import checked, read_toml
-from ebamcheck.settings.base import Positive, Section
+from ebamcheck.settings.base import Between, Section
 
 MATRIX = "matrix.toml"
 
@@ -32,9 +32,9 @@ HASH_DIGITS = 12
 class Case(Section):
     """How a model is tessellated and layered."""
 
-    tolerance_mm: Positive = 0.05
+    tolerance_mm: Annotated[float, Between(1e-6, 100.0)] = 0.05
     """Distance that the mesh may have from the surface."""
-    layers: Annotated[int, Field(ge=1, le=100_000)] = 24
+    layers: Annotated[int, Between(1, 100_000)] = 24
     """Uniform layers, cut at their middles; planes through level faces come on top."""
 
 

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from statistics import median
 from typing import Any
 
@@ -19,6 +17,7 @@ from ebamcheck.numeric.rings import Floats
 from ebamcheck.plugins import registry
 from ebamcheck.plugins.model import Model
 from ebamcheck.regression.measurement import Truth, measure_outcome, truth_of
+from ebamcheck.scratch import scratch_folder
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.isolation import Limits, Outcome, slice_all
 
@@ -129,8 +128,8 @@ def try_backends(
         if probe.available:
             settings[name] = registry.slicer_settings(name, config.slicing.settings.get(name, {}))
     note(f"accuracy of {', '.join(settings)}")
-    with tempfile.TemporaryDirectory(prefix="ebamcheck-") as folder:
-        outcomes = slice_all(workpiece.part, workpiece.judged, settings, Path(folder), limits)
+    with scratch_folder() as folder:
+        outcomes = slice_all(workpiece.part, workpiece.judged, settings, folder, limits)
         comparison = _comparison(workpiece, config, outcomes)
         for name, outcome in outcomes.items():
             if outcome.file is None:
@@ -155,8 +154,8 @@ def _seconds(
     """Median time of a backend on the whole stack, alone on the machine, and why there is none."""
     times = []
     for _ in range(repeats):
-        with tempfile.TemporaryDirectory(prefix="ebamcheck-") as folder:
-            outcome = slice_all(workpiece.part, workpiece.timed, {name: settings}, Path(folder), limits)[name]
+        with scratch_folder() as folder:
+            outcome = slice_all(workpiece.part, workpiece.timed, {name: settings}, folder, limits)[name]
         if outcome.file is None:
             return float("nan"), f"{outcome.failure}: {outcome.why}"
         times.append(outcome.prepare_s + outcome.slice_s)

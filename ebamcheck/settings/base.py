@@ -2,16 +2,79 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+import math
+from dataclasses import dataclass
+from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler
+from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 
-Range = tuple[Positive, Positive]
-"""Least and greatest value, both allowed."""
+@dataclass(frozen=True)
+class Between:
+    """Range of a number, both ends allowed: outside of it there is no machine, no material and no sense.
+
+    Truth values, texts, NaN and infinities are refused, too, and every message tells the range.
+    """
+
+    least: float
+    greatest: float
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Check a number before pydantic does, whose messages name one end alone."""
+        whole = source is int
+        number = (
+            core_schema.int_schema(ge=math.ceil(self.least), le=math.floor(self.greatest))
+            if whole
+            else core_schema.float_schema(ge=self.least, le=self.greatest, allow_inf_nan=False)
+        )
+
+        def checked(value: Any) -> Any:
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                raise self._error(whole, "is no number")
+            if not math.isfinite(value):
+                raise self._error(whole, "is not finite")
+            if not self.least <= value <= self.greatest:
+                raise self._error(whole, "is out of range")
+            if whole and value != int(value):
+                raise self._error(whole, "is no whole number")
+            return value
+
+        return core_schema.no_info_before_validator_function(checked, number)
+
+    def _error(self, whole: bool, what: str) -> PydanticCustomError:
+        values = {
+            "what": what,
+            "kind": "whole number" if whole else "number",
+            "least": f"{self.least:.10g}",
+            "greatest": f"{self.greatest:.10g}",
+        }
+        return PydanticCustomError("range", "{what}: give a {kind} from {least} to {greatest}", values)
+
+
+NotNegative = Annotated[float, Between(0.0, 1e9)]
+"""A number for which no narrower range is known."""
+
+Tolerance = Annotated[float, Between(0.0, 10.0)]
+"""Distance that something may be off, mm."""
+
+Place = Annotated[float, Between(-1e7, 1e7)]
+"""Coordinate, mm: farther out than 10 km no machine stands, and single precision keeps no millimetre."""
+
+Length = Annotated[float, Between(0.0, 1e4)]
+"""Length along a bead or between places, mm."""
+
+Angle = Annotated[float, Between(-360.0, 360.0)]
+"""Turn, degrees."""
+
+InnerAngle = Annotated[float, Between(0.01, 179.99)]
+"""Angle between two segments or facets, degrees."""
+
+Share = Annotated[float, Between(0.001, 1.0)]
+"""Part of a whole, which is 1."""
+
+Temperature = Annotated[float, Between(1.0, 1e4)]
+"""Temperature, K: no metal is liquid at 10,000 K."""
 
 
 class Section(BaseModel):

@@ -6,9 +6,18 @@ import math
 import re
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import field_validator, model_validator
 
-from ebamcheck.settings.base import Finite, NotNegative, Positive, Section
+from ebamcheck.settings.base import Between, Length, Place, Section
+
+Speed = Annotated[float, Between(0.001, 1e6)]
+"""Speed of an axis or along a path, mm/s."""
+
+Acceleration = Annotated[float, Between(0.01, 1e7)]
+"""Acceleration of an axis, mm/s2."""
+
+Jerk = Annotated[float, Between(0.1, 1e10)]
+"""Jerk of an axis, mm/s3."""
 
 PRINTED_PATH_MM = 1e-4
 """Distance that a path may have from its curve for the decimals of the program."""
@@ -36,45 +45,49 @@ class MachineSettings(Section):
     bspline_shift: Literal[2, 3, "uniform"] = 2
     """Which knot interval a BSPLINE block's PL carries; `uniform` for a control that chooses even intervals itself:
     no PL, and splines of other intervals in another form. See the header of the program."""
-    line_tolerance_mm: Positive = 0.01
+    line_tolerance_mm: Annotated[float, Between(1e-6, 10.0)] = 0.01
     """Distance from the curve where it is written as chords or arcs."""
-    decimals: Annotated[int, Field(ge=3, le=8)] | None = None
+    decimals: Annotated[int, Between(3, 8)] | None = None
     """Decimals of coordinates and coefficients in the program; None: the fewest whose rounding keeps the path within
     a tenth of every tolerance, six with the defaults."""
-    travel_min_mm: tuple[Finite, Finite, Finite] = (-1000.0, -1000.0, 0.0)
+    travel_min_mm: tuple[Place, Place, Place] = (-1000.0, -1000.0, 0.0)
     """Software limits of X, Y and Z in the work offset: least positions."""
-    travel_max_mm: tuple[Finite, Finite, Finite] = (1000.0, 1000.0, 1500.0)
+    travel_max_mm: tuple[Place, Place, Place] = (1000.0, 1000.0, 1500.0)
     """Software limits of X, Y and Z in the work offset."""
+    base_plate_min_mm: tuple[Place, Place] | None = None
+    """Least X and Y of the base plate in the work offset, such as [-300, -200]; None: not known, and not checked."""
+    base_plate_max_mm: tuple[Place, Place] | None = None
+    """Greatest X and Y of the base plate; together with base_plate_min_mm."""
     work_offset: Literal["G54", "G55", "G56", "G57"] = "G54"
     """Settable work offset in which the program runs."""
     length_unit: Literal["G71", "G710"] = "G710"
     """Millimetres on a SINUMERIK: G710 for positions and feeds alike; G71 for positions alone, where feeds are in the unit
     that the control was set up in. G70 and G700 (inches) are refused."""
-    safe_height_mm: Positive = 20.0
+    safe_height_mm: Annotated[float, Between(0.01, 1e4)] = 20.0
     """Rise above the current layer for moves over more than one island gap, and at the end."""
-    clearance_mm: Positive = 5.0
+    clearance_mm: Annotated[float, Between(0.01, 1e4)] = 5.0
     """What a travel longer than a hop keeps over all that stands: base plate, clamps, beads."""
-    head_radius_mm: NotNegative = 20.0
+    head_radius_mm: Length = 20.0
     """Radius of the head, gun nozzle and wire guide, as a cylinder around the axis of the tool."""
-    head_above_tip_mm: NotNegative = 15.0
+    head_above_tip_mm: Length = 15.0
     """Height of the head's lower face over the tip of the wire."""
-    park_mm: tuple[Finite, Finite] = (0.0, 0.0)
+    park_mm: tuple[Place, Place] = (0.0, 0.0)
     """X and Y at which the program ends, over all that stands; the nearest place of the travel where it is beyond it."""
     optional_stop: bool = False
     """Stop before each layer where the operator asks for it (M1), over the part, beam and wire off."""
     trailing_comments: bool = True
     """Write the comments that stand behind the codes of the templates."""
-    program_limit_mb: Positive | None = None
+    program_limit_mb: Annotated[float, Between(1e-6, 1e6)] | None = None
     """Room for the program on the control, of 10^6 bytes; None: not known, and not checked."""
-    rapid_mm_s: Positive = 100.0
+    rapid_mm_s: Speed = 100.0
     """Speed of rapid moves, for times only; G0 itself carries no feed."""
-    feed_min_mm_s: Positive = 1.0
+    feed_min_mm_s: Speed = 1.0
     """Least feed that a program may command."""
-    feed_max_mm_s: Positive = 50.0
+    feed_max_mm_s: Speed = 50.0
     """Greatest feed that a program may command."""
     smoothing: tuple[str, ...] = ("SOFT", "FFWON", "G642")
     """Words of the block that sets acceleration, feed-forward and corner rounding."""
-    smoothing_tolerance_mm: Positive = 0.05
+    smoothing_tolerance_mm: Annotated[float, Between(1e-6, 10.0)] = 0.05
     """Axis tolerance of G642 (CTOL): the path driven may leave the path programmed by this."""
     workpiece_directory: str = "EBAMCHECK"
     """Name of the WPD folder on the control."""
@@ -160,6 +173,13 @@ class MachineSettings(Section):
     def _consistent(self) -> Self:
         if any(a >= b for a, b in zip(self.travel_min_mm, self.travel_max_mm, strict=True)):
             raise ValueError("travel_min_mm must be under travel_max_mm on every axis")
+        low, high = self.base_plate_min_mm, self.base_plate_max_mm
+        if (low is None) != (high is None) or (
+            low and high and any(a >= b for a, b in zip(low, high, strict=True))
+        ):
+            raise ValueError(
+                "give base_plate_min_mm and, over it on both axes, base_plate_max_mm; or neither"
+            )
         if self.safe_height_mm < self.clearance_mm:
             raise ValueError("safe_height_mm must be at least clearance_mm: travel would not clear the beads")
         if self.feed_min_mm_s >= self.feed_max_mm_s:
@@ -179,15 +199,15 @@ class KinematicsSettings(Section):
     The defaults are those of a heavy gantry, with the jerk that a SINUMERIK is delivered with (SOFT).
     """
 
-    axis_speed_mm_s: tuple[Positive, Positive, Positive] = (200.0, 200.0, 100.0)
+    axis_speed_mm_s: tuple[Speed, Speed, Speed] = (200.0, 200.0, 100.0)
     """Greatest speeds of X, Y and Z."""
-    axis_acceleration_mm_s2: tuple[Positive, Positive, Positive] = (1000.0, 1000.0, 500.0)
+    axis_acceleration_mm_s2: tuple[Acceleration, Acceleration, Acceleration] = (1000.0, 1000.0, 500.0)
     """Greatest accelerations of X, Y and Z."""
-    axis_jerk_mm_s3: tuple[Positive, Positive, Positive] = (20000.0, 20000.0, 10000.0)
+    axis_jerk_mm_s3: tuple[Jerk, Jerk, Jerk] = (20000.0, 20000.0, 10000.0)
     """Greatest jerks of X, Y and Z."""
-    speed_jump_mm_s: NotNegative = 0.1
+    speed_jump_mm_s: Annotated[float, Between(0.0, 1000.0)] = 0.1
     """Step of speed that an axis takes at a corner without being told to smooth it."""
-    curvature_share: Annotated[float, Field(gt=0, lt=1)] = 0.8
+    curvature_share: Annotated[float, Between(0.001, 0.999)] = 0.8
     """Share of the acceleration that may go into curvature; sqrt(1 - share^2) of it is left for the feed."""
-    dip_share: Annotated[float, Field(gt=0, lt=1)] = 0.95
+    dip_share: Annotated[float, Between(0.001, 0.999)] = 0.95
     """Where the feed falls under this share of the feed programmed, the bead grows: a dip."""

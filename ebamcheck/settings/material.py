@@ -7,10 +7,13 @@ from typing import Annotated, Any
 
 from pydantic import Field, field_validator, model_validator
 
-from ebamcheck.settings.base import NotNegative, Positive, Section
+from ebamcheck.settings.base import Between, Section, Share, Temperature
 from ebamcheck.settings.materials import names, preset
 
-DataPoints = Annotated[tuple[tuple[Positive, Positive], ...], Field(min_length=2)]
+Property = Annotated[float, Between(0.001, 1e6)]
+"""Value of a property of a material in SI units."""
+
+DataPoints = Annotated[tuple[tuple[Temperature, Property], ...], Field(min_length=2)]
 """Temperatures and values of a material, by rising temperature; two points of one temperature make a jump."""
 
 
@@ -20,12 +23,12 @@ class MaterialSettings(Section):
     name: str = "Ti-6Al-4V"
     """Name of the material, as it stands in the header of the program. That of an installed preset loads its data (Ti-6Al-4V,
     Inconel 718, 316L, Al 2319, tantalum); any other name needs all data of this section beside it."""
-    density_kg_m3: Positive = 4430.0
+    density_kg_m3: Annotated[float, Between(10.0, 30_000.0)] = 4430.0
     """Density of the wire, for its mass, and of the part, for its heat."""
-    conductivity_w_mk: Positive = 20.0
+    conductivity_w_mk: Annotated[float, Between(0.001, 1e6)] = 20.0
     """Heat conductivity k of the linear heat model: Ti-6Al-4V at about 1200 K (Mills 2002: 1.26 + 0.0157 T under the
     beta transus)."""
-    heat_capacity_j_kgk: Positive = 700.0
+    heat_capacity_j_kgk: Annotated[float, Between(1.0, 1e5)] = 700.0
     """Heat capacity c of the linear heat model: Ti-6Al-4V at about 1000 K (Mills 2002: 483 + 0.215 T under 1268 K)."""
     conductivity_by_temperature: DataPoints = (
         (293.0, 5.86),
@@ -47,23 +50,23 @@ class MaterialSettings(Section):
     )
     """Heat capacity of the nonlinear referee without the heat of fusion, (K, J/(kg K)), linear between: 483 + 0.215 T,
     412.7 + 0.180 T over the beta transus, 831 liquid. Nominal, as above."""
-    latent_heat_j_kg: NotNegative = 286e3
+    latent_heat_j_kg: Annotated[float, Between(0.0, 1e8)] = 286e3
     """Heat of fusion (Mills 2002)."""
-    solidus_k: Positive = 1877.0
+    solidus_k: Temperature = 1877.0
     """Temperature at which melting begins (Mills 2002)."""
-    liquidus_k: Positive = 1923.0
+    liquidus_k: Temperature = 1923.0
     """Temperature at which it ends (Mills 2002)."""
-    boiling_k: Positive = 3533.0
+    boiling_k: Temperature = 3533.0
     """Temperature at which heat leaves as vapour, in the nonlinear referee (nominal)."""
-    interpass_limit_k: Positive = 873.0
+    interpass_limit_k: Temperature = 873.0
     """Temperature over which no bead is entered, where the process sets none: 600 C, well under the solidus and under the
     beta transus (1268 K), where a Ti-6Al-4V part keeps its shape and its melt pool its size. Nominal."""
-    melt_mixing: Annotated[float, Field(ge=1, allow_inf_nan=False)] = 4.0
+    melt_mixing: Annotated[float, Between(1.0, 1000.0)] = 4.0
     """Conduction of the melt over that of still melt, in the nonlinear referee: convection carries the heat. Factors from
     2 to 10 are in use; nominal."""
-    emissivity: Annotated[float, Field(ge=0, le=1)] = 0.6
+    emissivity: Annotated[float, Between(0.0, 1.0)] = 0.6
     """Radiation of the surface over that of a black body; 0.5 to 0.7 are published for hot Ti-6Al-4V."""
-    absorptivity: Annotated[float, Field(gt=0, le=1)] = 0.87
+    absorptivity: Share = 0.87
     """Share of the beam's power that the part takes up; 0.85 to 0.9 are published for electrons on titanium."""
 
     @model_validator(mode="before")

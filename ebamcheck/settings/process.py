@@ -7,14 +7,40 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from ebamcheck.settings.base import Finite, NotNegative, Positive, Range, Section
-from ebamcheck.settings.bead import (
-    PARABOLA,
-    bead_height_mm,
-)
+from ebamcheck.settings.base import Angle, Between, Length, Place, Section, Share, Temperature
+from ebamcheck.settings.bead import PARABOLA, bead_height_mm
 
-Share = Annotated[float, Field(gt=0, le=1)]
-PowerTable = Annotated[tuple[tuple[NotNegative, Share], ...], Field(min_length=1)]
+Width = Annotated[float, Between(0.1, 100.0)]
+"""Width of a bead, a wall or a hole, mm: a spot of 0.1 mm lays no wire."""
+
+Height = Annotated[float, Between(0.0, 1e5)]
+"""Height over the plate, mm."""
+
+Current = Annotated[float, Between(0.01, 1e4)]
+"""Current of the beam, mA."""
+
+WireSpeed = Annotated[float, Between(0.001, 1e4)]
+"""Speed of the wire, mm/s."""
+
+Ratio = Annotated[float, Between(0.001, 100.0)]
+"""One height over another."""
+
+LineEnergy = Annotated[float, Between(0.01, 1e6)]
+"""Energy of the beam along a bead, J/mm, or over the wire that it melts, J/mm3."""
+
+Voltage = Annotated[float, Between(0.1, 1000.0)]
+"""Accelerating voltage, kV."""
+
+TravelSpeed = Annotated[float, Between(0.01, 1e4)]
+"""Speed along a bead, mm/s."""
+
+Metal = Annotated[float, Between(0.001, 1e4)]
+"""Section of a bead, mm2."""
+
+Off = Annotated[float, Between(1e-9, 1.0)]
+"""Share by which something may be off."""
+
+PowerTable = Annotated[tuple[tuple[Height, Share], ...], Field(min_length=1)]
 """Heights over the base plate, mm, rising, and the share of the beam's power there."""
 
 
@@ -23,9 +49,9 @@ class KeepOut(Section):
 
     name: str = "clamp"
     """Name in messages."""
-    outline_mm: Annotated[tuple[tuple[Finite, Finite], ...], Field(min_length=3)]
+    outline_mm: Annotated[tuple[tuple[Place, Place], ...], Field(min_length=3)]
     """Corners of its outline in X and Y of the work offset, in order; the outline closes itself."""
-    z_mm: tuple[Finite, Finite] = (0.0, 1000.0)
+    z_mm: tuple[Place, Place] = (0.0, 1000.0)
     """From which Z up to which Z it stands in the way."""
 
     @model_validator(mode="after")
@@ -38,85 +64,99 @@ class KeepOut(Section):
 class ProcessSettings(Section):
     """Wire electron-beam process (values: Pixner et al. 2020, Materials 13:3310, and common practice)."""
 
-    voltage_kv: Positive = 60.0
+    voltage_kv: Annotated[float, Between(1.0, 500.0)] = 60.0
     """Accelerating voltage."""
-    current_ma: Positive = 120.0
+    current_ma: Current = 120.0
     """Beam current; with the voltage it gives the beam power."""
-    current_max_ma: Positive = 250.0
+    current_max_ma: Current = 250.0
     """Greatest beam current of the gun."""
-    travel_speed_mm_s: Positive = 10.0
+    travel_speed_mm_s: Annotated[float, Between(0.01, 1e4)] = 10.0
     """Speed of the beam along a bead."""
-    wire_diameter_mm: Positive = 1.6
+    wire_diameter_mm: Annotated[float, Between(0.05, 20.0)] = 1.6
     """Diameter of the wire."""
-    wire_speed_mm_s: Positive = 2000.0 / 60.0
+    wire_speed_mm_s: WireSpeed = 2000.0 / 60.0
     """Wire speed of one bead by itself, which gives the bead its height. In a program the wire follows what a bead is to
     lay: the spacing of the beads times the height of the layer, more along a contour, less where beads overlap."""
-    wire_speed_min_mm_s: Positive = 1000.0 / 60.0
+    wire_speed_min_mm_s: WireSpeed = 1000.0 / 60.0
     """Least wire speed at which the feeder runs evenly and the wire melts drop-free: 1 m/min, the lower end of what is
     published for wire electron-beam processes; check it on the machine."""
-    wire_speed_max_mm_s: Positive = 6000.0 / 60.0
+    wire_speed_max_mm_s: WireSpeed = 6000.0 / 60.0
     """Greatest wire speed at which the melt pool takes up the wire: 6 m/min, the upper end of what is published."""
-    layer_over_bead: Range = (0.5, 2.0)
+    layer_over_bead: tuple[Ratio, Ratio] = (0.5, 2.0)
     """Least and greatest layer height over the height of the bead that wire_speed_mm_s and travel_speed_mm_s give. Under a
     half the beam melts more of the layers below than of the wire; at twice the height of the default bead the layer is
     more than half as high as the bead is wide, the contact angle passes 90 degrees, and the melt runs over the sides."""
-    line_energy_j_mm: Range = (150.0, 3000.0)
+    line_energy_j_mm: tuple[LineEnergy, LineEnergy] = (150.0, 3000.0)
     """Least and greatest energy of the beam along a bead, P / v. The corners of the published window: 60 kV and 50 mA at
     20 mm/s, 60 kV and 250 mA at 5 mm/s. Less does not melt wire and base together, more boils and drops through."""
-    least_wall_mm: Positive | None = None
+    voltage_window_kv: tuple[Voltage, Voltage] = (10.0, 200.0)
+    """Least and greatest accelerating voltage that a program may set; guns for wire processes run at 40 to 150 kV."""
+    current_window_ma: tuple[Current, Current] = (1.0, 1000.0)
+    """Least and greatest beam current of a bead; its ramps may go below by ramp_power. current_max_ma holds, too."""
+    travel_window_mm_s: tuple[TravelSpeed, TravelSpeed] = (1.0, 100.0)
+    """Least and greatest speed along a bead."""
+    bead_section_mm2: tuple[Metal, Metal] = (0.5, 60.0)
+    """Least and greatest metal of a bead over its length: section of the wire times wire speed over travel speed."""
+    metal_energy_j_mm3: tuple[LineEnergy, LineEnergy] = (10.0, 600.0)
+    """Least and greatest energy of the beam over the wire that it melts, P / (section of the wire x wire speed). Ten is what
+    titanium or steel needs to be molten at all."""
+    least_wall_mm: Width | None = None
     """Thinnest wall that may be built; None: bead_width_mm, or as much less as wire_speed_min_mm_s is under the wire speed
     of a layer."""
-    least_hole_mm: Positive | None = None
+    least_hole_mm: Width | None = None
     """Narrowest hole or gap that may be built; None: bead_width_mm, since a narrower one is bridged by the melt of the
     beads around it."""
     base: Literal["cooled", "insulated"] = "cooled"
     """What the heat model assumes under the base plate: a table that keeps its temperature, or no heat flow."""
-    base_plate_mm: Positive = 25.0
+    base_plate_mm: Annotated[float, Between(0.1, 5000.0)] = 25.0
     """Thickness of the plate on which the part is built: depth of the heat model under height 0."""
-    ambient_temperature_k: Positive = 293.15
+    ambient_temperature_k: Temperature = 293.15
     """Temperature of the chamber, to which the part radiates."""
-    surface_temperature_k: Positive = 900.0
+    surface_temperature_k: Temperature = 900.0
     """Temperature at which the radiation of the layer is made linear."""
-    mass_tolerance: Positive = 0.02
+    mass_tolerance: Off = 0.02
     """Share by which the metal of a program, and of each of its layers, may be off that of the sections."""
-    inside_tolerance: Positive = 0.03
+    inside_tolerance: Off = 0.03
     """Share by which the mean height of the metal may be off that of the layer further than a bead width from the border."""
-    edge_tolerance: Positive = 0.1
+    edge_tolerance: Off = 0.1
     """The same within a bead width of the border."""
-    outside_share: Positive = 0.05
+    outside_share: Off = 0.05
     """Share of a program's metal that may lie beside the sections and the allowance for machining; three times that of a
     layer. A bead along a contour lies inside of it; what is outside is where walls are thinner than a bead."""
-    outside_reach_mm: Positive = 1.0
+    outside_reach_mm: Annotated[float, Between(0.001, 100.0)] = 1.0
     """How far beside them a bead may reach: the unevenness of a side as it is built, which is machined off."""
-    surface_tolerance_mm: Positive | None = None
+    surface_tolerance_mm: Annotated[float, Between(0.001, 100.0)] | None = None
     """How far the surface may come to lie over or under its height while it is built; None: half a bead width, which is
     about as deep as the pool: beyond, the wire melts over the pool or runs into the part."""
-    bead_width_mm: Positive = 6.0
+    bead_width_mm: Width = 6.0
     """Width of one bead."""
-    bead_spacing: Annotated[float, Field(gt=0, le=1)] = 0.72
+    bead_spacing: Annotated[float, Between(0.05, 1.0)] = 0.72
     """Distance between parallel beads over the bead width."""
-    machining_allowance_mm: NotNegative = 0.0
+    machining_allowance_mm: Annotated[float, Between(0.0, 100.0)] = 0.0
     """Metal left on the contour for machining: contour beads lie outward by this; at most their inset."""
-    overlap_mm: NotNegative = 0.0
+    overlap_mm: Length = 0.0
     """Length by which a closed contour bead runs on over its own start, at most once around."""
-    seam_shift_mm: NotNegative = 0.0
+    seam_shift_mm: Length = 0.0
     """Way along a contour from the seam below to its start, so that seams do not lie on top of each other."""
-    ramp_up_mm: NotNegative = 0.0
+    ramp_up_mm: Length = 0.0
     """Length at the start of a bead along which the beam rises to full power."""
-    crater_fill_mm: NotNegative = 0.0
+    crater_fill_mm: Length = 0.0
     """Length at the end of a bead along which the beam falls, so that the crater is filled."""
-    ramp_power: Annotated[float, Field(gt=0, le=1)] = 0.5
+    ramp_power: Share = 0.5
     """Share of the full power at which a ramp begins, and at which a crater fill ends."""
-    ramp_steps: Annotated[int, Field(ge=1, le=50)] = 4
+    ramp_steps: Annotated[int, Between(1, 50)] = 4
     """Steps of power along a ramp."""
-    wire_retract_mm: NotNegative = 0.0
+    wire_retract_mm: Annotated[float, Between(0.0, 1000.0)] = 0.0
     """Wire drawn back at the end of a bead, so that it does not freeze in."""
-    layer_pause_s: NotNegative = 0.0
+    layer_pause_s: Annotated[float, Between(0.0, 1e6)] = 0.0
     """Least wait between two layers with the beam off; `interpass` makes it longer where the part is too hot."""
+    longest_wait_s: Annotated[float, Between(1.0, 1e6)] = 14400.0
+    """Longest wait that a program may have in one place: four hours, after which a plan waits no further. A longer one is a slip,
+    or leaves the part colder than its power was planned for."""
     interpass: Literal["dwell", "power", "both", "off"] = "both"
     """What keeps the part cool: waits before layers and beads (dwell), less power as it gets warm (power), power first
     and waits where the least power is still too much (both), or nothing (off)."""
-    interpass_limit_k: Positive | None = None
+    interpass_limit_k: Temperature | None = None
     """Temperature over which no bead may be entered; None: that of the material. With `interpass` off, the solidus."""
     interpass_at: Literal["bead", "layer"] = "bead"
     """Where the limit holds: wherever the beam comes on, at contours, islands and their further beads, which may be waited
@@ -124,18 +164,18 @@ class ProcessSettings(Section):
     power_schedule: Literal["taper"] | PowerTable = "taper"
     """Share of the beam's power: full on the cold base and, by the heat of the plan, down to the least at which the wire
     melts (taper); or a table of heights over the plate and shares, linear between, [[0, 1], [60, 0.5]]."""
-    melting_efficiency: Annotated[float, Field(gt=0, le=1)] = 0.37
+    melting_efficiency: Share = 0.37
     """Share of the absorbed power that melts metal; the rest is conducted away. 0.37 (1/e) is the most that a point source
     moving over a thick body reaches, 0.48 a line through a sheet (Swift-Hook and Gick 1973; Okada 1977), nominal."""
-    dilution: Annotated[float, Field(ge=0, lt=1)] = 0.5
+    dilution: Annotated[float, Between(0.0, 0.999)] = 0.5
     """Share of remelted metal in the melt pool, the rest is wire: half, as of flat beads that overlap by 0.72 (nominal)."""
-    least_seam_distance_mm: NotNegative = 0.0
+    least_seam_distance_mm: Length = 0.0
     """Least distance between the starts of contours in neighbouring layers; 0: not limited."""
-    travel_sectors_deg: tuple[tuple[Finite, Finite], ...] = ()
+    travel_sectors_deg: tuple[tuple[Angle, Angle], ...] = ()
     """Directions of travel that a side feeder allows, each from an angle counter-clockwise to another; empty: all."""
     keep_out: tuple[KeepOut, ...] = ()
     """Places that no bead and no rapid below their top may enter."""
-    largest_overhang_deg: Annotated[float, Field(gt=0, lt=90)] | None = None
+    largest_overhang_deg: Annotated[float, Between(0.01, 89.99)] | None = None
     """Greatest angle from the vertical by which a layer may reach out over the one below; None: not limited."""
 
     @property
@@ -189,6 +229,11 @@ class ProcessSettings(Section):
             "wire_speed_min_mm_s and wire_speed_max_mm_s": wire,
             "layer_over_bead": self.layer_over_bead,
             "line_energy_j_mm": self.line_energy_j_mm,
+            "voltage_window_kv": self.voltage_window_kv,
+            "current_window_ma": self.current_window_ma,
+            "travel_window_mm_s": self.travel_window_mm_s,
+            "bead_section_mm2": self.bead_section_mm2,
+            "metal_energy_j_mm3": self.metal_energy_j_mm3,
         }.items():
             if low >= high:
                 raise ValueError(f"{name} {low:g}, {high:g}: give the lower one first")

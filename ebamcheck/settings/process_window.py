@@ -72,6 +72,7 @@ def outside_window(config: Config, severity: Severity = "fault") -> Iterator[Fin
     for setting, layer_mm in layer_steps_mm(config):
         if layer_mm > 0.0:  # heights that do not rise have an error of their own
             yield from _layer(config, severity, setting, layer_mm)
+    yield from _single_values(config, severity)
     energy, limits = line_energy_j_mm(config), config.process.line_energy_j_mm
     if (limit := _broken(energy, limits)) is not None:
         yield Finding(
@@ -85,6 +86,28 @@ def outside_window(config: Config, severity: Severity = "fault") -> Iterator[Fin
             "J/mm",
             "change the current or the travel speed",
         )
+
+
+def _single_values(config: Config, severity: Severity) -> Iterator[Finding]:
+    """Voltage, current and travel speed outside of the windows of the profile, each by itself."""
+    process = config.process
+    for name, value, window, unit in (
+        ("voltage_kv", process.voltage_kv, "voltage_window_kv", "kV"),
+        ("current_ma", process.current_ma, "current_window_ma", "mA"),
+        ("travel_speed_mm_s", process.travel_speed_mm_s, "travel_window_mm_s", "mm/s"),
+    ):
+        if (limit := _broken(value, getattr(process, window))) is not None:
+            text = f"process.{name} is {value:.4g} {unit}, {_beyond(value, limit)} {limit:g} {unit} (process.{window})"
+            yield Finding(
+                severity,
+                "process-limit",
+                text,
+                f"process.{name}",
+                value,
+                limit,
+                unit,
+                f"change process.{name}",
+            )
 
 
 def checked_window(config: Config) -> None:

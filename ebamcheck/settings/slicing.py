@@ -4,18 +4,28 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
-from ebamcheck.settings.base import Finite, NotNegative, Positive, Section
+from ebamcheck.settings.base import Angle, Between, NotNegative, Place, Section, Tolerance
+from ebamcheck.settings.units import known_as
+
+Component = Annotated[float, Between(-1e6, 1e6)]
+"""Component of a direction, of any length but 0."""
 
 
 class PartSettings(Section):
     """How the part's file is read and placed."""
 
-    units: Literal["mm", "cm", "m", "um", "in", "ft"] = "mm"
-    """Unit of the numbers in the file; converted to mm once, at reading."""
-    direction: tuple[Finite, Finite, Finite] = (0.0, 0.0, 1.0)
+    units: Annotated[Literal["mm", "cm", "m", "um", "in", "ft"], BeforeValidator(known_as)] = "mm"
+    """Unit of the numbers in the file, by its short or its usual longer name ("inch", "inches"); converted to mm once, at
+    reading."""
+    direction: tuple[Component, Component, Component] = (0.0, 0.0, 1.0)
     """Slicing direction in the coordinates of the file; the part is turned so that it points up."""
+    rotate_deg: Angle = 0.0
+    """Turn of the part about the vertical, counter-clockwise seen from above, once its slicing direction points up."""
+    place_at_mm: Annotated[tuple[Place, ...], Field(min_length=2, max_length=3)] | None = None
+    """Where the middle of the part's box comes to lie in X and Y of the work offset and, if a third number is given, its
+    lowest point in Z, such as [100, 50]; None: where the file has it. A program counts Z from the base plate anyway."""
     fix_orientation: bool = False
     """Turn closed bodies of negative volume and single flipped facets over, and say so in the report."""
 
@@ -23,9 +33,9 @@ class PartSettings(Section):
 class LayerSettings(Section):
     """Where the part is cut."""
 
-    layer_height_mm: Positive | None = None
+    layer_height_mm: Annotated[float, Between(0.005, 100.0)] | None = None
     """None: the height of one bead, from the mass balance of the process."""
-    heights_mm: tuple[Finite, ...] = ()
+    heights_mm: tuple[Place, ...] = ()
     """Listed heights, absolute z; they take the place of uniform ones."""
     base_mm: NotNegative = 0.0
     """Height of what stands under the lowest layer, over the base plate: a program of layers on a part that is half
@@ -43,14 +53,14 @@ class SlicingSettings(Section):
     """Whose contours go on to fitting and the program; empty: the default exact backend."""
     witnesses: tuple[str, ...] = ()
     """Outside programs that slice, too: names, or `all` for those that are installed on this machine."""
-    block_points: Annotated[int, Field(ge=1000)] = 4_000_000
+    block_points: Annotated[int, Between(1000, 10**9)] = 4_000_000
     """Points of an exact contour that are worked on at once: layers are cut, compared and written in blocks of about
     so many, which bounds the memory of a job (about 100 bytes a point and method)."""
-    time_limit_s: Positive = 600.0
+    time_limit_s: Annotated[float, Between(0.001, 1e7)] = 600.0
     """Time of one backend's process for the whole stack; beyond it the process is ended and reported."""
-    memory_limit_mb: Positive = 8192.0
+    memory_limit_mb: Annotated[float, Between(1.0, 1e7)] = 8192.0
     """Resident memory of one backend's process, watched from outside."""
-    processes: Annotated[int, Field(ge=1)] | None = None
+    processes: Annotated[int, Between(1, 1024)] | None = None
     """Backends that slice side by side; None: as many as there are cores. With 1 a job needs the least memory."""
     settings: dict[str, dict[str, Any]] = Field(default={})
     """Settings of each backend, by its name."""
@@ -59,7 +69,14 @@ class SlicingSettings(Section):
 class ComparisonSettings(Section):
     """When two slicers agree."""
 
-    tolerance_mm: NotNegative = 0.001
+    tolerance_mm: Tolerance = 0.001
     """Added to the two declared error bounds: agreement within bound_A + bound_B + tolerance."""
-    plane_margin_mm: NotNegative | None = None
+    plane_margin_mm: Tolerance | None = None
     """A layer is generic if no vertex lies nearer to its plane; None: the largest height bound compared."""
+    evidence_share: Annotated[float, Field(gt=0, le=0.5)] = 0.1
+    """Agreement with a slicer whose error bound is over this share of process.bead_width_mm, or whose height bound is over
+    this share of the layer height, is no evidence: it agrees with too much. Within a bound r a wall may be wrong by 2 r;
+    with the default one that is a fifth of the narrowest wall, which one bead makes. Such a slicer can still disagree."""
+    doubt_mm: Tolerance = 0.01
+    """Most that a slicer's declared doubt may add to that limit, in the places that it declares and nowhere else; layers
+    that agree by it are counted and told. 0: a doubt changes nothing."""

@@ -9,6 +9,7 @@ import tomlkit
 
 from ebamcheck.settings.base import Section
 from ebamcheck.settings.config import Config
+from ebamcheck.settings.wording import EXAMPLES, PLACEHOLDERS, TEMPLATES
 
 WIDTH = 100
 
@@ -27,13 +28,14 @@ def as_toml(config: Config) -> str:
             value = getattr(section, key)
             if info.description:
                 lines += textwrap.wrap(info.description, WIDTH, initial_indent="# ", subsequent_indent="# ")
+            lines += _told_beside(name, key)
             if isinstance(value, dict):
                 tables += _tables(f"{name}.{key}", value)
                 lines += [] if value else [f"# [{name}.{key}.NAME]"]
             elif value is None:
                 lines.append(f"# {key} =")
             else:
-                lines.append(f"{key} = {_value(value)}")
+                lines.append(f"{key} = {value_text(value)}")
         if section.model_extra:
             named = {key: table.model_dump(mode="json") for key, table in section.model_extra.items()}
             tables += tomlkit.dumps({name: named}).removeprefix(f"[{name}]\n").splitlines()
@@ -41,16 +43,32 @@ def as_toml(config: Config) -> str:
     return "\n".join(lines)
 
 
-def _tables(path: str, values: dict[str, Any]) -> list[str]:
+def _told_beside(section: str, key: str) -> list[str]:
+    """Comments with the placeholders of the templates, before the first of them, and an example of what needs one."""
     lines = []
-    for name, table in values.items():
-        lines += [f"[{path}.{name}]", *(f"{k} = {_value(v)}" for k, v in table.items() if v is not None), ""]
+    if section == "machine" and key == next(iter(TEMPLATES)):
+        lines.append("# Placeholders, filled in where they stand in braces in the blocks of these templates:")
+        lines += [f"#   {{{name}}}  {meaning}" for name, meaning in PLACEHOLDERS.items()]
+    if example := EXAMPLES.get(f"{section}.{key}"):
+        lines.append(f"# Example: {key} = {example}")
     return lines
 
 
-def _value(value: Any) -> str:
+def _tables(path: str, values: dict[str, Any]) -> list[str]:
+    lines = []
+    for name, table in values.items():
+        lines += [
+            f"[{path}.{name}]",
+            *(f"{k} = {value_text(v)}" for k, v in table.items() if v is not None),
+            "",
+        ]
+    return lines
+
+
+def value_text(value: Any) -> str:
+    """Value of a key as TOML."""
     if isinstance(value, tuple):
-        return str(tomlkit.array("[" + ", ".join(_value(v) for v in value) + "]").as_string())
+        return str(tomlkit.array("[" + ", ".join(value_text(v) for v in value) + "]").as_string())
     if isinstance(value, Section):
         table = tomlkit.inline_table()
         table.update(value.model_dump(mode="json"))

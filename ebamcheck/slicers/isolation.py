@@ -7,15 +7,14 @@ time; a worker writes its layers to a file, block by block.
 from __future__ import annotations
 
 import contextlib
-import json
+import math
 import selectors
-import signal
-import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import psutil
@@ -26,9 +25,28 @@ from ebamcheck.errors import BackendFailed, BackendMissing, SettingsError
 from ebamcheck.layers import files as layer_files
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
+from ebamcheck.numeric import compiling
 from ebamcheck.numeric.kernels import thread_count
+from ebamcheck.plugins import registry
+from ebamcheck.plugins.processes import LARGEST_SAID_BYTES, code_in_words
+from ebamcheck.scratch import scratch_folder
+from ebamcheck.slicers.layer_forms import file_fault
 from ebamcheck.slicers.worker import write_part
+from ebamcheck.slicers.worker_events import (
+    CHUNK_BYTES,
+    FLOOD_BYTES,
+    FLOOD_BYTES_S,
+    LONGEST_LINE_BYTES,
+    MOST_CHUNKS,
+    NoEvent,
+    bounds_fault,
+    event_of,
+    probe_of,
+)
 from ebamcheck.slicers.worker_pool import Crew, Failure, Worker
+
+KILLS = ("SIGKILL", "SIGTERM", "SIGINT", "SIGHUP")
+"""Signals that come from outside."""
 
 POLL_S = 0.05
 """How often memory and time of the workers are looked at."""
@@ -64,6 +82,8 @@ class Outcome:
     points: int = 0
     prepare_s: float = 0.0
     slice_s: float = 0.0
+    compile_s: float = 0.0
+    """Time in which kernels were compiled; it is in none of the others."""
     peak_mb: float = 0.0
 
     def made(self) -> Path:
@@ -88,8 +108,36 @@ def slice_isolated(
 ) -> Layers:
     """Slice with one backend in a process of its own; raises what its outcome says."""
     told = None if progress is None else (lambda _, done: progress(done))
-    with tempfile.TemporaryDirectory(prefix="ebamcheck-") as folder:
-        return slice_all(part, heights, {name: settings}, Path(folder), limits or Limits(), told)[name].read()
+    with scratch_folder() as folder:
+        return slice_all(part, heights, {name: settings}, folder, limits or Limits(), told)[name].read()
+
+
+def declared_bounds(
+    part: Part, backends: Mapping[str, BackendSettings], limits: Limits = Limits()
+) -> dict[str, tuple[float, float]]:
+    """Error bound and height bound of a part, mm, by backend; strangers are asked in processes of their own.
+
+    Raises
+    ------
+    BackendFailed
+        If a stranger does not tell them, or they promise nothing.
+    """
+    asked = {name: settings for name, settings in backends.items() if registry.is_stranger(name)}
+    found: dict[str, tuple[float, float]] = {}
+    if asked:
+        with scratch_folder() as folder:
+            outcomes = slice_all(part, np.zeros(0), asked, folder, limits, bounds_only=True)
+        for name, outcome in outcomes.items():
+            if outcome.failure:
+                raise BackendFailed(f"backend {name!r} {outcome.failure}: {outcome.why}")
+            found[name] = (outcome.error_bound_mm, outcome.height_bound_mm)
+    for name in backends.keys() - asked:
+        slicer = registry.slicer(name)
+        found[name] = (
+            slicer.error_bound_mm(part, backends[name]),
+            slicer.height_bound_mm(part, backends[name]),
+        )
+    return found
 
 
 def slice_all(
@@ -102,6 +150,8 @@ def slice_all(
     finished: Callable[[Outcome], None] | None = None,
     borders: NDArray[np.int64] | None = None,
     crew: Crew | None = None,
+    keep_blocks: bool = False,
+    bounds_only: bool = False,
 ) -> dict[str, Outcome]:
     """Slice with several backends, each in its own process.
 
@@ -124,6 +174,10 @@ def slice_all(
         other; all at once if None.
     crew
         Workers that were started ahead; started here if None.
+    keep_blocks
+        Keep every block that is cut until the file is whole, and take those that a killed process left in `target`.
+    bounds_only
+        Ask for the bounds of this part alone; outcomes have no file.
 
     Returns
     -------
@@ -146,13 +200,15 @@ def slice_all(
             while waiting or running:
                 while waiting and len(running) < most:
                     name = waiting.pop(0)
-                    running.append(_started(crew, name, backends[name], target))
+                    running.append(
+                        _started(crew, name, backends[name], target, heights.size, keep_blocks, bounds_only)
+                    )
                 _listen(running, progress)
                 for worker in list(running):
                     _enforce(worker, limits)
-                    if worker.process.poll() is not None:
+                    if worker.has_ended():
                         running.remove(worker)
-                        outcome = _collect(worker)
+                        outcome = _collect(worker, part, heights)
                         outcomes[worker.name] = outcome
                         if finished is not None:
                             finished(outcome)
@@ -173,9 +229,18 @@ def _write_work(
     np.save(folder / "borders.npy", np.array([0, heights.size]) if borders is None else borders)
 
 
-def _started(crew: Crew, name: str, settings: BackendSettings, target: Path) -> Worker:
+def _started(
+    crew: Crew,
+    name: str,
+    settings: BackendSettings,
+    target: Path,
+    layers: int,
+    keep_blocks: bool,
+    bounds_only: bool,
+) -> Worker:
     """Give the worker of a backend its order."""
     worker = crew.worker(name)
+    worker.stranger, worker.layers, worker.bounds_only = registry.is_stranger(name), layers, bounds_only
     file = target.absolute() / f"{name}.parquet"
     worker.begin(
         {
@@ -183,6 +248,8 @@ def _started(crew: Crew, name: str, settings: BackendSettings, target: Path) -> 
             "folder": str(crew.folder),
             "file": str(file),
             "settings": settings.model_dump(mode="json"),
+            "keep_blocks": keep_blocks,
+            "bounds_only": bounds_only,
         }
     )
     return worker
@@ -194,28 +261,49 @@ def _listen(running: Sequence[Worker], progress: Callable[[str, int], None] | No
         for worker in running:
             selector.register(worker.events, selectors.EVENT_READ, worker)
         ready = selector.select(POLL_S)
-    if ready and all(
-        key.data.process.poll() is not None or not _take_in(key.data, progress) for key, _ in ready
-    ):
+    # Each of them is heard, however much one tells.
+    silent = [key.data.has_ended() or not _take_in(key.data, progress) for key, _ in ready]
+    if ready and all(silent):
         # A closed pipe is always ready; its worker is about to end.
         time.sleep(POLL_S)
 
 
 def _take_in(worker: Worker, progress: Callable[[str, int], None] | None) -> bool:
-    """Read what a worker has told; false where its pipe is closed or empty."""
+    """Read some of what a worker has told; false where its pipe is closed or empty.
+
+    No more than some: a worker that never stops telling must not keep the others waiting, or its limits from being
+    looked at. One that tells no events is ended.
+    """
     some = False
-    while chunk := worker.events.read(1 << 16):
+    for _ in range(MOST_CHUNKS):
+        if worker.failure or not (chunk := worker.events.read(CHUNK_BYTES)):
+            break
         some = True
-        worker.unread += chunk
-    *lines, worker.unread = worker.unread.split(b"\n")
-    for line in lines:
-        event = json.loads(line)
-        if "done" in event:
-            if progress is not None:
-                progress(worker.name, event["done"])
-        else:
-            worker.told.update(event)
+        worker.heard_bytes += len(chunk)
+        *lines, worker.unread = (worker.unread + chunk).split(b"\n")
+        try:
+            for line in lines:
+                _take(worker, event_of(line), progress)
+        except NoEvent as error:
+            worker.lose("crashed", str(error))
+        allowed = FLOOD_BYTES + FLOOD_BYTES_S * (time.monotonic() - worker.started)
+        if len(worker.unread) > LONGEST_LINE_BYTES or worker.heard_bytes > allowed:
+            worker.lose("crashed", f"told {worker.heard_bytes} bytes of events: a flood")
     return some
+
+
+def _take(worker: Worker, event: dict[str, Any], progress: Callable[[str, int], None] | None) -> None:
+    """Take one event in; progress beyond the work that there is counts for nothing."""
+    if "compiling" in event:
+        compiling.begun(event["compiling"], event["missing"])
+        return
+    if "done" not in event:
+        worker.told.update(event)
+        return
+    done = min(event["done"], worker.layers - worker.done)
+    worker.done += done
+    if progress is not None and done:
+        progress(worker.name, done)
 
 
 def _enforce(worker: Worker, limits: Limits) -> None:
@@ -226,15 +314,17 @@ def _enforce(worker: Worker, limits: Limits) -> None:
         return
     worker.peak_mb = max(worker.peak_mb, resident)
     if resident > limits.memory_mb:
-        worker.failure = "out of memory"
-        worker.why = (
-            f"held {resident:.0f} MB, over the limit of {limits.memory_mb:.0f} MB (slicing.memory_limit_mb)"
-        )
-    elif time.monotonic() - worker.started > limits.time_s:
-        worker.failure = "timed out"
-        worker.why = f"took over {limits.time_s:g} s (slicing.time_limit_s)"
-    if worker.failure:
-        worker.end()
+        why = f"held {resident:.0f} MB, over the limit of {limits.memory_mb:.0f} MB (slicing.memory_limit_mb)"
+        worker.lose("out of memory", why)
+    elif time.monotonic() - worker.started - _compiled_s(worker) > limits.time_s:
+        worker.lose("timed out", f"took over {limits.time_s:g} s (slicing.time_limit_s)")
+    elif worker.said_bytes() > LARGEST_SAID_BYTES:
+        worker.lose("crashed", f"wrote over {LARGEST_SAID_BYTES // 1_000_000} MB to the terminal")
+
+
+def _compiled_s(worker: Worker) -> float:
+    """Time that compiling took, which is no slicer's; what a stranger says of it counts for nothing."""
+    return 0.0 if worker.stranger else float(worker.told.get("compile_s", 0.0))
 
 
 def _resident_mb(worker: Worker) -> float:
@@ -250,41 +340,56 @@ def _resident_mb(worker: Worker) -> float:
     return float(total) / 1e6
 
 
-def _collect(worker: Worker) -> Outcome:
-    """Turn an ended worker into its outcome."""
-    _take_in(worker, None)
+def _collect(worker: Worker, part: Part, heights: NDArray[np.float64]) -> Outcome:
+    """Turn an ended worker into its outcome; nothing that it has left behind runs on."""
+    worker.end()
+    while _take_in(worker, None):
+        pass
     worker.close()
     told = worker.told
     outcome = Outcome(
         worker.name,
-        probe=Probe(**told["probe"]) if "probe" in told else Probe(False),
-        error_bound_mm=told.get("error_bound_mm", 0.0),
-        height_bound_mm=told.get("height_bound_mm", 0.0),
+        probe=probe_of(told),
+        error_bound_mm=_finite(told.get("error_bound_mm", 0.0)),
+        height_bound_mm=_finite(told.get("height_bound_mm", 0.0)),
         **{name: told.get(name, 0) for name in ("rings", "open_paths", "points")},
         prepare_s=told.get("prepare_s", 0.0),
         slice_s=told.get("slice_s", 0.0),
+        compile_s=told.get("compile_s", 0.0),
         peak_mb=max(worker.peak_mb, told.get("peak_mb", 0.0)),
     )
-    code = worker.process.returncode
-    if code or worker.failure:
+    failure, why = _failure(worker, part, heights)
+    if "unwritable" in told and not worker.stranger:
         _discard(worker)
-    if "unwritable" in told:
         raise SettingsError(told["unwritable"])
+    if not failure:
+        return replace(outcome, file=None if worker.bounds_only else worker.file)
+    _discard(worker)
+    worker.file.unlink(missing_ok=True)
+    return replace(outcome, failure=failure, why=why)
+
+
+def _finite(number: float) -> float:
+    return float(number) if abs(number) < math.inf else 0.0
+
+
+def _failure(worker: Worker, part: Part, heights: NDArray[np.float64]) -> tuple[Failure, str]:
+    """What became of an ended worker, and why; nothing where its layers are good."""
+    told, code = worker.told, worker.process.returncode
     if worker.failure:
-        return replace(outcome, failure=worker.failure, why=worker.why)
+        return worker.failure, worker.why
     if "failure" in told:
-        return replace(outcome, failure=told["failure"], why=told["why"])
+        return told["failure"], told["why"]
     if code < 0:
-        name = (
-            signal.Signals(-code).name if -code in signal.Signals.__members__.values() else f"signal {-code}"
-        )
-        kind: Failure = "killed" if name in ("SIGKILL", "SIGTERM", "SIGINT", "SIGHUP") else "crashed"
-        return replace(outcome, failure=kind, why=f"its process was ended by {name}{worker.last_words()}")
-    if code > 0 or "written" not in told:
-        return replace(
-            outcome, failure="crashed", why=f"its process ended with code {code}{worker.last_words()}"
-        )
-    return replace(outcome, file=worker.file)
+        ended = code_in_words(code)
+        kind: Failure = "killed" if ended.split()[-1] in KILLS else "crashed"
+        return kind, f"its process was ended {ended}{worker.last_words()}"
+    if code > 0 or not (told.get("written") or worker.bounds_only):
+        return "crashed", f"its process ended with code {code}{worker.last_words()}"
+    fault = bounds_fault(told, float(part.size.max()))
+    if not fault and not worker.bounds_only:
+        fault = file_fault(worker.file, part, heights, whole=worker.stranger)
+    return ("crashed", fault) if fault else ("", "")
 
 
 def _discard(worker: Worker) -> None:

@@ -9,12 +9,11 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ebamcheck.backend import BackendSettings, Prepared, Progress, Turnable
 from ebamcheck.errors import SettingsError
@@ -23,7 +22,9 @@ from ebamcheck.layers.heights import checked_heights, is_rising, layer_blocks
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.plugins import registry
+from ebamcheck.scratch import scratch_folder
 from ebamcheck.settings.slicing import SlicingSettings
+from ebamcheck.showing import short_text
 from ebamcheck.slicers.isolation import Limits, Outcome, slice_all, slice_isolated
 from ebamcheck.slicers.worker_pool import Crew
 
@@ -51,7 +52,7 @@ def slice_part(
         Name in the registry; the default is the available exact slicer of the highest priority.
     isolate
         Run the backend in a process of its own, so that a crash of it raises here instead of ending
-        this process.
+        this process. A backend of another distribution always runs so.
     progress
         Called with the number of layers done since the last call.
     limits
@@ -77,10 +78,12 @@ def slice_part(
     wanted = checked_heights(heights)
     increasing, where = np.unique(wanted, return_inverse=True)
     checked = registry.slicer_settings(name, settings)
-    if isolate:
+    if not isolate:
+        registry.available_slicer(name)
+    if isolate or registry.is_stranger(name):
         layers = slice_isolated(name, part, increasing, checked, limits, progress)
     else:
-        with registry.available_slicer(name).prepare(part, checked) as prepared:
+        with registry.slicer(name).prepare(part, checked) as prepared:
             layers = prepared.slice(increasing, progress)
     layers = layers if np.array_equal(increasing, wanted) else layers.take(where)
     return layers.labelled(mesh=part)
@@ -134,9 +137,9 @@ def slice_to_file(
     borders = layer_blocks(part, increasing, block_points)
     try:
         # Beside the file, so that what is whole is moved and not copied.
-        with TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
+        with scratch_folder(f".{path.name}", path.parent) as folder:
             outcome = slice_all(
-                part, increasing, chosen, Path(folder), limits or Limits(), borders=borders, crew=crew
+                part, increasing, chosen, folder, limits or Limits(), borders=borders, crew=crew
             )[name]
             if path.suffix.lower() == ".parquet" and is_rising(wanted):
                 os.replace(outcome.made(), path)
@@ -158,7 +161,8 @@ def slice_to_file(
 class Slicing:
     """A part made ready for one slicer, to be cut again at any height while a build goes on.
 
-    What the slicer needs of the part (an index, a tree, a graphics context) is made once, here. Calls may come from
+    What the slicer needs of the part (an index, a tree, a graphics context) is made once, here; one of another
+    distribution makes it in a process of its own at every call. Calls may come from
     any thread: they are served one after the other by a thread of the object's own, which also is where
     graphics contexts live.
 
@@ -192,7 +196,10 @@ class Slicing:
         name = backend or registry.default_backend()
         checked = registry.slicer_settings(name, settings)
         slicer = registry.available_slicer(name)
-        self._begin(part, part, name, checked, lambda: slicer.prepare(part, checked))
+        if registry.is_stranger(name):
+            self._begin(part, part, name, checked, lambda: _Apart(name, part, checked))
+        else:
+            self._begin(part, part, name, checked, lambda: slicer.prepare(part, checked))
 
     def _begin(
         self,
@@ -213,6 +220,11 @@ class Slicing:
             self._thread.shutdown()
             raise
         self._release = weakref.finalize(self, _leave, self._thread, self._prepared)
+
+    def __repr__(self) -> str:
+        return short_text.line(
+            "Slicing", self.part.name, f"by {self.backend}", "" if self._open else "closed"
+        )
 
     def __enter__(self) -> Self:
         """Return itself."""
@@ -289,6 +301,22 @@ class Slicing:
                 f"the slicing of {self.part.name!r} by {self.backend!r} is closed: make another"
             )
         return self._thread.submit(call, *arguments).result()
+
+
+class _Apart:
+    """A part for a slicer of another distribution, which is prepared anew in a process of its own at each call."""
+
+    def __init__(self, backend: str, part: Part, settings: BackendSettings) -> None:
+        self._backend, self._part, self._settings = backend, part, settings
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def slice(self, heights: NDArray[np.float64], progress: Progress | None = None) -> Layers:
+        return slice_isolated(self._backend, self._part, heights, self._settings, progress=progress)
 
 
 def _leave(thread: ThreadPoolExecutor, prepared: Prepared) -> None:

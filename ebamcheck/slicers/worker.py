@@ -8,11 +8,9 @@ list processes.
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import itertools
 import json
 import os
-import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -26,16 +24,18 @@ from numpy.typing import NDArray
 from ebamcheck.backend import Prepared
 from ebamcheck.errors import BackendFailed, EbamcheckError, SettingsError
 from ebamcheck.layers import files as layer_files
+from ebamcheck.layers.blocks import KeptBlocks
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
+from ebamcheck.numeric import compiling
 from ebamcheck.numeric.kernels import bring_up
 from ebamcheck.plugins import registry
+from ebamcheck.plugins.processes import die_with
+from ebamcheck.plugins.trial import probed
+from ebamcheck.slicers.layer_forms import form_fault
 
 TOLD_EVERY_S = 0.05
 """Progress is told no more often than this."""
-
-PR_SET_PDEATHSIG = 1
-"""Number of Linux's request, from <linux/prctl.h>."""
 
 
 class Order(TypedDict):
@@ -48,6 +48,11 @@ class Order(TypedDict):
     file: str
     """Where the layers go."""
     settings: dict[str, Any]
+    bounds_only: bool
+    """Tell the bounds and slice nothing."""
+
+    keep_blocks: bool
+    """Whether a block that is cut is kept beside the file until that is whole, for a run that is killed."""
 
 
 def write_part(folder: Path, part: Part) -> None:
@@ -76,15 +81,19 @@ def read_part(folder: Path) -> Part:
     return part
 
 
+class NotLayers(Exception):
+    """A slicer returned what no later stage can read."""
+
+
 def _work(order: Order, tell: Callable[..., None]) -> None:
     """Slice in this process and tell the parent how it goes."""
     folder, file = Path(order["folder"]), Path(order["file"])
-    probe = registry.probe(order["backend"])
+    slicer = registry.loaded_slicer(order["backend"])
+    probe = probed(slicer)
     tell(probe={**asdict(probe), "versions": dict(probe.versions)})
     if not probe.available:
         tell(failure="unavailable", why=f"{probe.why}{f'; {probe.hint}' if probe.hint else ''}")
         return
-    slicer = registry.slicer(order["backend"])
     settings = slicer.Settings.model_validate(order["settings"])
     part = read_part(folder)
     heights = np.load(folder / "heights.npy")
@@ -92,18 +101,28 @@ def _work(order: Order, tell: Callable[..., None]) -> None:
         error_bound_mm=float(slicer.error_bound_mm(part, settings)),
         height_bound_mm=float(slicer.height_bound_mm(part, settings)),
     )
+    if order["bounds_only"]:
+        return
     borders = np.load(folder / "borders.npy")
-    start = time.perf_counter()
+    # A single block is as good as the whole file.
+    keep = order["keep_blocks"] and borders.size > 2
+    blocks = KeptBlocks(file, part.sha256, order["backend"]) if keep else None
+    start = slicer_time()
     try:
         with slicer.prepare(part, settings) as prepared:
-            tell(prepare_s=time.perf_counter() - start)
-            _write(_blocks(prepared, heights, borders, tell), file, tell)
+            tell(prepare_s=slicer_time() - start)
+            _write(_blocks(prepared, part, heights, borders, tell, blocks), file, tell)
+    except NotLayers as error:
+        tell(failure="crashed", why=str(error))
+        return
     except EbamcheckError as error:
         tell(failure="refused", why=str(error))
         return
     except MemoryError:
         tell(failure="out of memory", why="an allocation failed")
         return
+    if blocks is not None:
+        blocks.remove()
     tell(peak_mb=_peak_mb())
 
 
@@ -118,23 +137,42 @@ def _write(blocks: Iterator[Layers], file: Path, tell: Callable[..., None]) -> N
 
 
 def _blocks(
-    prepared: Prepared, heights: NDArray[np.float64], borders: NDArray[np.int64], tell: Callable[..., None]
+    prepared: Prepared,
+    part: Part,
+    heights: NDArray[np.float64],
+    borders: NDArray[np.int64],
+    tell: Callable[..., None],
+    kept: KeptBlocks | None,
 ) -> Iterator[Layers]:
     """Cut one block of layers after the other and tell what they hold; the time is that of the slicer alone."""
     seconds, rings, open_paths, points = 0.0, 0, 0, 0
     for first, past in itertools.pairwise(borders.tolist()):
-        start = time.perf_counter()
-        try:
-            layers = prepared.slice(heights[first:past], lambda done: tell(done=done))
-        except (EbamcheckError, OSError) as error:
-            raise BackendFailed(str(error)) from error
-        seconds += time.perf_counter() - start
+        layers = None if kept is None else kept.read(heights[first:past])
+        if layers is not None:
+            tell(done=past - first)
+        else:
+            start = slicer_time()
+            try:
+                layers = prepared.slice(heights[first:past], lambda done: tell(done=done))
+            except (EbamcheckError, OSError) as error:
+                raise BackendFailed(str(error)) from error
+            took = slicer_time() - start
+            seconds += took
+            if fault := form_fault(layers, part, heights[first:past]):
+                raise NotLayers(fault)
+            if kept is not None and kept.is_worth(took):
+                kept.write(layers)
         closed = int(np.count_nonzero(layers.closed))
         rings, open_paths = rings + closed, open_paths + layers.closed.size - closed
         points += len(layers.points)
         tell(slice_s=seconds, rings=rings, open_paths=open_paths, points=points)
         yield layers
         del layers  # so that there are never two blocks in memory
+
+
+def slicer_time() -> float:
+    """Seconds of a clock that stands still while this process compiles kernels."""
+    return time.perf_counter() - compiling.seconds()
 
 
 def _peak_mb() -> float:
@@ -168,25 +206,29 @@ def _teller(pipe: int) -> Iterator[Callable[..., None]]:
         yield tell
 
 
-def _die_with(parent: int) -> None:
-    """Have the kernel end this process when its parent ends, however that ends."""
-    libc = ctypes.CDLL(None)
-    if hasattr(libc, "prctl"):
-        libc.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-        if os.getppid() != parent:
-            sys.exit("the parent has ended")
+@contextlib.contextmanager
+def _compiling_told(tell: Callable[..., None]) -> Iterator[None]:
+    """Tell of every kernel that is compiled here, and of the time that it took."""
+    compiling.when_ended(lambda seconds: tell(compile_s=seconds))
+
+    def begun(number: int, _most: int, name: str) -> None:
+        tell(compiling=name, missing=compiling.missing() if number == 1 else [])
+
+    with compiling.heard_by(begun):
+        yield
 
 
 def main(arguments: Sequence[str]) -> int:
     """Entry point: a label, descriptor of the event pipe, the parent's id; one order comes on standard input."""
     _, pipe, parent = arguments
-    _die_with(int(parent))
+    die_with(int(parent))
+    compiling.watch()
     # Whoever starts this process ahead is still reading the part.
     bring_up()
     line = sys.stdin.readline()
     # A worker whose parent is gone, or has no order for it, gets no answer any more and must not run on.
     if line:
-        with _teller(int(pipe)) as tell, contextlib.suppress(BrokenPipeError):
+        with _teller(int(pipe)) as tell, contextlib.suppress(BrokenPipeError), _compiling_told(tell):
             _work(json.loads(line), tell)
     return 0
 

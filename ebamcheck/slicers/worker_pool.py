@@ -5,15 +5,24 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import signal
 import subprocess
 import sys
-import tempfile
 import time
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import IO, TYPE_CHECKING, Any, Literal, Self
+
+from ebamcheck.plugins.processes import (
+    MARK,
+    end_with_children,
+    has_ended,
+    last_words,
+    new_mark,
+    size_of,
+)
+from ebamcheck.scratch import scratch_folder
 
 if TYPE_CHECKING:
     # A crew is there to start before such imports, not after them.
@@ -45,6 +54,15 @@ class Worker:
     failure: Failure = ""
     why: str = ""
     peak_mb: float = 0.0
+    mark: str = ""
+    """What it and its descendants carry in their environment."""
+    stranger: bool = False
+    """It runs another distribution's code: its descendants are looked for outside of its group, too."""
+    heard_bytes: int = 0
+    layers: int = 0
+    """Layers that it was asked for."""
+    done: int = 0
+    bounds_only: bool = False
     children: list[psutil.Process] = field(default_factory=list)
     children_seen: float = 0.0
 
@@ -56,11 +74,19 @@ class Worker:
         with contextlib.suppress(BrokenPipeError), self.process.stdin as orders:
             orders.write(json.dumps(order).encode() + b"\n")
 
+    def lose(self, failure: Failure, why: str) -> None:
+        """End it for a reason; the first one counts."""
+        if not self.failure:
+            self.failure, self.why = failure, why
+        self.end()
+
     def end(self) -> None:
-        """End the process and everything that it started."""
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(self.process.pid, signal.SIGKILL)
-        self.process.wait()
+        """End the process and everything that it started; of one that has ended, what it has left behind."""
+        end_with_children(self.process, self.mark if self.stranger else "")
+
+    def has_ended(self) -> bool:
+        """Whether the process has ended; :meth:`end` is still to be called."""
+        return has_ended(self.process)
 
     def close(self) -> None:
         """Close the pipes to the process."""
@@ -68,10 +94,13 @@ class Worker:
         if self.process.stdin is not None:
             self.process.stdin.close()
 
+    def said_bytes(self) -> int:
+        """Size of what it wrote to its standard output and error."""
+        return size_of(self.errors)
+
     def last_words(self) -> str:
         """Last line that the worker wrote to its standard error, for a message."""
-        text = self.errors.read_text(encoding="utf-8", errors="replace").strip().splitlines()
-        return f": {text[-1].strip()[:200]}" if text else ""
+        return last_words(self.errors)
 
 
 class Crew:
@@ -84,7 +113,9 @@ class Crew:
     """
 
     def __init__(self, ahead: int = 0) -> None:
-        self._folder = tempfile.TemporaryDirectory(prefix="ebamcheck-")
+        self._opened = ExitStack()
+        self.folder = self._opened.enter_context(scratch_folder())
+        """Folder of this crew alone."""
         self._count = 0
         self._idle = [self._start(AHEAD) for _ in range(ahead)]
 
@@ -102,12 +133,7 @@ class Crew:
         for worker in self._idle:
             worker.end()
             worker.close()
-        self._folder.cleanup()
-
-    @property
-    def folder(self) -> Path:
-        """Folder of this crew alone."""
-        return Path(self._folder.name)
+        self._opened.close()
 
     def worker(self, name: str) -> Worker:
         """Take a worker for a backend: one that waits, or a new one that carries its name."""
@@ -118,7 +144,11 @@ class Crew:
     def _start(self, label: str) -> Worker:
         read, write = os.pipe()
         self._count += 1
-        errors = self.folder / f"stderr-{self._count}"
+        errors, mark = self.folder / f"stderr-{self._count}", new_mark()
+        # What a worker that is killed leaves behind goes with the crew's own folder; one that clears its folder for
+        # temporary files takes nothing from the others.
+        own = self.folder / f"tmp-{self._count}"
+        own.mkdir()
         with errors.open("wb") as told:
             process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "ebamcheck.slicers.worker", label, str(write), str(os.getpid())],
@@ -127,9 +157,8 @@ class Crew:
                 stderr=told,
                 pass_fds=(write,),
                 start_new_session=True,
-                # What a worker that is killed leaves behind goes with the crew's own folder.
-                env={**os.environ, "TMPDIR": self._folder.name},
+                env={**os.environ, "TMPDIR": str(own), MARK: mark},
             )
         os.close(write)
         os.set_blocking(read, False)
-        return Worker(label, process, os.fdopen(read, "rb", buffering=0), errors)
+        return Worker(label, process, os.fdopen(read, "rb", buffering=0), errors, mark=mark)

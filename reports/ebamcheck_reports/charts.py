@@ -15,7 +15,8 @@ from ebamcheck.numeric.rings import Floats
 from ebamcheck_reports.markup import Markup, element, join, legend
 
 WIDTH_PX, HEIGHT_PX = 960.0, 280.0
-LEFT_PX, RIGHT_PX, TOP_PX, BOTTOM_PX = 72.0, 16.0, 14.0, 44.0
+LEFT_PX, RIGHT_PX, TOP_PX, BOTTOM_PX = 100.0, 16.0, 14.0, 56.0
+"""Room for names and figures, which print and phones write twice as large."""
 
 MOST_POINTS = 700
 """Points of a drawn series: about one a pixel; of more, the least and greatest of each stretch are kept."""
@@ -156,7 +157,7 @@ def _grid(x_axis: _Axis, y_axis: _Axis) -> Markup:
     ]
     parts += [
         element(
-            "text", f"{t:.6g}", x=f"{float(_x(x_axis, t)):.1f}", y=f"{bottom + 19:g}", text_anchor="middle"
+            "text", f"{t:.6g}", x=f"{float(_x(x_axis, t)):.1f}", y=f"{bottom + 22:g}", text_anchor="middle"
         )
         for t in x_axis.ticks
     ]
@@ -171,10 +172,10 @@ def _names(x_label: str, y_label: str) -> Markup:
             element(
                 "text",
                 y_label,
-                x=14,
+                x=20,
                 y=f"{middle_y:g}",
                 text_anchor="middle",
-                transform=f"rotate(-90 14 {middle_y:g})",
+                transform=f"rotate(-90 20 {middle_y:g})",
             ),
         ]
     )

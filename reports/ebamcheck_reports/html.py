@@ -21,12 +21,14 @@ from ebamcheck_reports.sections import (
     reproduce,
     scan,
     slicers,
+    summary,
     verdict,
 )
 
 NAME = "report.html"
 
 SECTIONS: tuple[tuple[str, str, Callable[[RunData], Markup]], ...] = (
+    ("summary", "Summary", summary.render),
     ("verdict", "Verdict", verdict.render),
     ("part", "Part", part.render),
     ("slicers", "Slicers", slicers.render),

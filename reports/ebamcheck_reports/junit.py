@@ -3,7 +3,8 @@
 A method that crashed, hung or was killed is an error. One that is not available or refused the part is skipped,
 as the run is too: whether enough methods are left is what the agreement gate says. A finding that is a fault is a failure;
 a warning is skipped with its text, since it neither passes nor fails; a note passes, and says its text. What is proved and
-what is left to a person stands in the properties of every suite.
+what is left to a person stands in the properties of every suite. It holds no times: they stand in ``timings.json``, so that
+the same run gives the same bytes.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from ebamcheck.atomic_file import replacing
 from ebamcheck.findings import in_words
 from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck_reports import words
-from ebamcheck_reports.figures import counted, number, place
+from ebamcheck_reports.figures import counted, place
 from ebamcheck_reports.markup import clean
 from ebamcheck_reports.run_data import RunData
 
@@ -35,7 +36,6 @@ class Case:
     message: str = ""
     type: str = ""
     details: str = ""
-    time_s: float = 0.0
 
 
 def write(run: RunFolder) -> list[str]:
@@ -59,7 +59,6 @@ def document(run: RunData) -> ElementTree.Element:
     }
     every = [case for cases in suites.values() for case in cases]
     root = ElementTree.Element("testsuites", {"name": "ebamcheck", **_counts(every)})
-    stamp = run.part_of("timings").get("finished", "").rstrip("Z")
     for name, cases in suites.items():
         if not cases:
             continue
@@ -68,8 +67,6 @@ def document(run: RunData) -> ElementTree.Element:
             "testsuite",
             {"name": f"ebamcheck.{name}", **_counts(cases), "skipped": _count(cases, "skipped")},
         )
-        if stamp:
-            suite.set("timestamp", stamp)
         _properties(suite, run)
         for case in cases:
             _add(suite, case)
@@ -92,7 +89,7 @@ def _properties(suite: ElementTree.Element, run: RunData) -> None:
 
 
 def _add(suite: ElementTree.Element, case: Case) -> None:
-    names = {"classname": clean(case.classname), "name": clean(case.name), "time": f"{case.time_s:.3f}"}
+    names = {"classname": clean(case.classname), "name": clean(case.name)}
     node = ElementTree.SubElement(suite, "testcase", names)
     if case.outcome:
         said = ElementTree.SubElement(node, case.outcome, {"message": clean(case.message)})
@@ -108,7 +105,6 @@ def _counts(cases: list[Case]) -> dict[str, str]:
         "tests": str(len(cases)),
         "failures": _count(cases, "failure"),
         "errors": _count(cases, "error"),
-        "time": f"{sum(case.time_s for case in cases):.3f}",
     }
 
 
@@ -142,13 +138,10 @@ def _findings(run: RunData) -> Iterator[Case]:
 
 
 def _backends(run: RunData) -> Iterator[Case]:
-    times = run.part_of("timings").get("backends", {})
     for name, record in run.backends.items():
-        took = times.get(name, {})
-        time_s = number(took.get("prepare_s", 0.0)) + number(took.get("slice_s", 0.0))
         status = record["status"]
         if status == "done":
-            yield Case(_class(name), "slice", time_s=time_s)
+            yield Case(_class(name), "slice")
         else:
             message = f"{status}: {record['why'] or 'no reason was given'}"
             yield Case(
@@ -157,7 +150,6 @@ def _backends(run: RunData) -> Iterator[Case]:
                 "error" if status in words.LOST else "skipped",
                 message,
                 status,
-                time_s=time_s,
             )
 
 
@@ -189,7 +181,7 @@ def _disagreement(finding: Mapping[str, Any]) -> str:
     return (
         f"layer {finding['layer']}, z = {finding['height_mm']:.3f} mm: {finding['backend']} against {finding['against']}, "
         f"{finding['metric']} {finding['value']}, limit {finding['limit']}, at {place(finding['x_mm'], finding['y_mm'])} mm, "
-        f"likely cause: {finding['cause']}"
+        f"likely cause: {finding.get('cause_text') or finding['cause']}"
     )
 
 

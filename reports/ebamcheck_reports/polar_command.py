@@ -21,7 +21,10 @@ def polar(
     output: Annotated[Path | None, typer.Option("-o", "--output", help="FILE.html for the chart.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
 ) -> ExitCode:
-    """Say how far the largest contour of a layer is from the part, before and after fitting, and draw it."""
+    """Say how far the largest contour of a layer is from the part, before and after fitting, and draw it.
+
+    Example: ebamcheck polar blade.run --layer 4 -o polar.html
+    """
     from ebamcheck_reports.pages import page
     from ebamcheck_reports.run_data import RunData, layer_name
     from ebamcheck_reports.sections.fit import polar_chart, polar_errors, rays_rad

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program.reading.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, NCProgram
 from ebamcheck_reports.canvas import Canvas, ramp
 from ebamcheck_reports.markup import Markup, legend
@@ -28,15 +28,19 @@ LEGEND = (
 
 def draw(program: NCProgram, title: str, layer: int | None = None) -> Markup | None:
     """Draw every motion of a program, or of one of its layers; None where there is none in the plane."""
-    known = np.isfinite(program.start[:, :2]).all(axis=1) & np.isfinite(program.end[:, :2]).all(axis=1)
-    moved = known & (program.start[:, :2] != program.end[:, :2]).any(axis=1)
-    if layer is not None:
-        moved &= program.layer == layer
+    moved = _moved(program, layer)
     if not moved.any():
         return None
     ends = np.concatenate([program.start[moved, :2], program.end[moved, :2]])
     low, high = ends.min(axis=0), ends.max(axis=0)
     canvas = Canvas((float(low[0]), float(low[1]), float(high[0]), float(high[1])), WIDTH_PX)
+    paint(canvas, program, layer)
+    return canvas.svg(title)
+
+
+def paint(canvas: Canvas, program: NCProgram, layer: int | None = None) -> None:
+    """Paint every motion in the plane of a program, or of one of its layers, on a canvas."""
+    moved = _moved(program, layer)
     rapid = np.flatnonzero(moved & (program.kind == RAPID))
     canvas.segments(
         program.start[rapid, :2],
@@ -57,7 +61,13 @@ def draw(program: NCProgram, title: str, layer: int | None = None) -> Markup | N
         )
     contour = np.flatnonzero(feed & (program.island < 0))
     canvas.beziers(bezier_form(program, contour), stroke=CONTOUR, stroke_width=2.2)
-    return canvas.svg(title)
+
+
+def _moved(program: NCProgram, layer: int | None) -> Bools:
+    """Motions (B,) in the plane, of the whole program or of one of its layers."""
+    known = np.isfinite(program.start[:, :2]).all(axis=1) & np.isfinite(program.end[:, :2]).all(axis=1)
+    moved = known & (program.start[:, :2] != program.end[:, :2]).any(axis=1)
+    return np.asarray(moved if layer is None else moved & (program.layer == layer))
 
 
 def bezier_form(program: NCProgram, rows: Ints) -> Floats:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+BLANK_LINE = "\u00a0"
+"""Room to write by hand, over a drawn line."""
+
 GATE_QUESTIONS = {
     "input": "Is the part a closed solid with an inside and an outside?",
     "agreement": "Do independent slicing methods find the same contours on every layer?",
@@ -63,6 +66,24 @@ CAUSES = {
     "thin feature": "the part is thinner here than the methods can tell apart",
     "thin gap": "a gap is narrower here than the methods can tell apart",
     "shallow slope": "the surface is nearly level here, so that a small error in height moves the contour far",
+    "constant offset": "all contours lie outward or inward by the same distance",
+    "translation": "all contours are moved in the plane by the same way",
+    "wrong height": "all layers are sections of another height of the part",
+    "scale": "all contours are larger or smaller by the same factor",
+    "wrong unit": "the part was read in another unit",
+    "rotation": "all contours are turned by the same angle",
+    "mirrored": "the contours are those of the mirrored part",
+    "missing outer rings": "outer rings of the other method are not there",
+    "missing holes": "holes of the other method are not there",
+    "extra outer rings": "there are outer rings that the other method has not",
+    "extra holes": "there are holes that the other method has not",
+    "wrong nesting": "rings nested in holes run the wrong way round, so that solid and void are exchanged there",
+    "wrong ring direction": "rings run the wrong way round, so that solid and void are exchanged",
+    "other winding rule": "where bodies overlap, solid and void are told by another rule",
+    "quantised coordinates": "coordinates are rounded to a grid that is coarser than the limit",
+    "dropped layers": "layers are empty in which the other method has contours",
+    "duplicated layers": "layers are their neighbours again",
+    "shifted layers": "layers are those of another place in the stack",
     "unknown": "no flaw of the mesh is near; the fault is likely in the method named",
 }
 

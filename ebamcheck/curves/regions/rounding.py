@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from ebamcheck.mesh.part import UNITS_MM, Part, rotation_to_z
+from ebamcheck.mesh.part import (
+    Part,
+    rotation_to_z,
+)
 from ebamcheck.numeric.rings import Floats
+from ebamcheck.settings.units import UNITS_MM
 
 LEAST_TOLERANCE_MM = 5e-5
 """Vertices this near to a plane lie in it however finely the file is written: programs that split an edge or turn a part

@@ -10,6 +10,7 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program.checking.checks import Check, count_check, row_faults
+from ebamcheck.program.checking.hatch_form import form_checks
 from ebamcheck.program.reading.motions import STRAIGHT, NCProgram
 from ebamcheck.scan.filling.coverage import covered_fraction
 from ebamcheck.scan.islands.regions import CRUMB, inset, layer_section
@@ -45,7 +46,7 @@ def bead_checks(nc: NCProgram, config: Config, z_of: Floats, layers: Layers | No
     z_of
         (L,) Z of each of the `layers` in the program.
     """
-    checks = [_spacing(nc, config, z_of, layers), _once(nc)]
+    checks = [_spacing(nc, config, z_of, layers), _once(nc), *form_checks(nc, config)]
     if layers is not None:
         checks += [_coverage(nc, config, z_of, layers), _gaps(nc, config, z_of, layers)]
     return checks
@@ -55,7 +56,8 @@ def bead_checks(nc: NCProgram, config: Config, z_of: Floats, layers: Layers | No
 
 
 def _hatch_rows(nc: NCProgram) -> Ints:
-    return np.flatnonzero(nc.deposit & (nc.island >= 0) & ~nc.turn & (nc.lengths > 0.0))
+    moves = (nc.end[:, :2] != nc.start[:, :2]).any(axis=1)
+    return np.flatnonzero(nc.deposit & (nc.island >= 0) & ~nc.turn & moves & (nc.lengths > 0.0))
 
 
 def _spacing(nc: NCProgram, config: Config, z_of: Floats, layers: Layers | None) -> Check:

@@ -5,13 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.heat.balance import HeatColumn, LayerShape
-from ebamcheck.heat.melting import entry_limit_k, least_power_share
+from ebamcheck.heat.melting import entry_limit_k, least_power_share, scheduled_share
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.program.checking.checks import Check, count_check, event_place
-from ebamcheck.program.checking.text_heat import TextBeads, text_beads, text_bed_k, text_shapes
+from ebamcheck.program.checking.text_heat import (
+    PAUSE,
+    TextBeads,
+    text_beads,
+    text_bed_k,
+    text_shapes,
+)
+from ebamcheck.program.language.codes import DWELL
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.toolpath.inputs import Interpass
 from ebamcheck.settings.config import Config
@@ -75,6 +83,18 @@ def layer_shares(nc: NCProgram, power_w: float) -> Floats:
     return np.where(np.isinf(shares), np.nan, shares)
 
 
+def scheduled_shares(heights: ArrayLike | None, config: Config) -> Floats | None:
+    """Share of the power of each layer, (L,), where the settings have a table of it; None where the heat decides.
+
+    `heights` (L,) are those of the cuts, of which the first lies half a layer over the plate.
+    """
+    cuts = np.asarray(() if heights is None else heights, np.float64)
+    if isinstance(config.process.power_schedule, str) or not cuts.size:
+        return None
+    plate_mm = float(cuts.min()) - 0.5 * config.layer_height_mm
+    return np.array([scheduled_share(config, float(z) - plate_mm) for z in cuts], np.float64)
+
+
 def shares_of_text(nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] | None) -> Floats:
     """Share of the power that each layer is to have where no plan is known, (L,): its own, but full where nothing asks for less.
 
@@ -105,6 +125,7 @@ def _waits(nc: NCProgram, beads: TextBeads, config: Config, heat: Interpass | No
     least_s = config.process.layer_pause_s
     first = beads.enters_layer & (np.arange(len(beads)) > 0)
     faults = [(event_place(nc, event), what) for event, what in beads.stray]
+    faults += _out_of_range(nc, config.process.longest_wait_s)
     if heat is None:
         wanted = np.where(first, least_s, 0.0)
         bad = beads.wait_s < wanted - PAUSE_TOLERANCE_S
@@ -128,6 +149,18 @@ def _waits(nc: NCProgram, beads: TextBeads, config: Config, heat: Interpass | No
     within = float(beads.wait_s[~first].sum())
     good = f"waits {beads.wait_s[first].sum():.6g} s between layers and {within:.6g} s within them"
     return count_check("layer pause", faults, good)
+
+
+def _out_of_range(nc: NCProgram, longest_s: float) -> list[tuple[str, str]]:
+    """Waits, wherever they stand, that are no time or longer than any may be."""
+    return [
+        (
+            event_place(nc, i),
+            f"waits {value:g} s, a wait is from 0 to {longest_s:g} s (process.longest_wait_s)",
+        )
+        for i, (name, value) in enumerate(zip(nc.events.name, nc.events.value.tolist(), strict=True))
+        if name in (PAUSE, DWELL) and not 0.0 <= value <= longest_s
+    ]
 
 
 def _of(values: Floats, number: Ints) -> Floats:

@@ -110,8 +110,9 @@ def _smoothing(nc: NCProgram, config: Config, faults: Faults) -> Check:
     """How the control may leave the path: its words at every motion, and every tolerance within the one set."""
     limit = config.machine.smoothing_tolerance_mm
     if not control(nc.dialect).tolerance_word:
+        known = set(wanted_words(nc.dialect, config.machine).values())
         return count_check(
-            "smoothing", faults, f"{nc.dialect} has no word for a tolerance: the control's own"
+            "smoothing", [*faults, *_own_smoothing(nc, known)], "no word for a tolerance: the control's own"
         )
     tolerances = [i for i, name in enumerate(nc.events.name) if name in ("CTOL", "ADIS")]
     value = max((float(nc.events.value[i]) for i in tolerances), default=math.inf)
@@ -124,6 +125,18 @@ def _smoothing(nc: NCProgram, config: Config, faults: Faults) -> Check:
     return Check(
         "smoothing", True, value, limit, "mm", "", f"{' '.join(words)}{name}{value:g} at every motion"
     )
+
+
+def _own_smoothing(nc: NCProgram, wanted: set[str]) -> Faults:
+    """Words of the path in a program whose profile knows none: what tolerance they leave is not known."""
+    return [
+        (
+            event_place(nc, i),
+            f"{name}: the profile of this control sets no smoothing, and knows none of its tolerances",
+        )
+        for i, name in enumerate(nc.events.name)
+        if name == "CTOL" or (_is_path(nc, name) and name not in wanted)
+    ]
 
 
 def _is_path(nc: NCProgram, word: str) -> bool:

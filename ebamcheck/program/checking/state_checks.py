@@ -50,7 +50,10 @@ def _feed(nc: NCProgram, config: Config) -> Check:
         (nc.where(int(row)), f"feed {value:g} mm/s is not within {low:g} .. {high:g} mm/s")
         for row, value in zip(rows[bad], feed[bad], strict=True)
     ]
-    return count_check("feed", faults, f"every feed within {low:g} .. {high:g} mm/s")
+    # A way at the feed of the beads is a bead that was not switched on, or lets the part cool longer than planned.
+    idle = (nc.kind != RAPID) & ~nc.beam & ~nc.wire
+    faults += row_faults(nc, idle, "a way with beam and wire off is driven at feed in place of a rapid")
+    return count_check("feed", faults, f"every feed within {low:g} .. {high:g} mm/s, travel by rapids")
 
 
 def _known_positions(nc: NCProgram) -> Check:

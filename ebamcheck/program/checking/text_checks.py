@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections import Counter
 from collections.abc import Callable, Mapping
 
@@ -16,6 +17,11 @@ from ebamcheck.settings.config import Config
 BLOCK_LIMIT = 200
 """Characters; every software version of the control reads shorter blocks."""
 
+FIRST_PRINTABLE, LAST_PRINTABLE = 0x20, 0x7E
+BLANK_BYTES = tuple(b"\t\n\r")
+"""Bytes of a program: printable ASCII, tabs and ends of lines."""
+
+_LAYER_NAME = re.compile(r"(.+)_L(\d+)")
 _ENDS = {".MPF": ("M30", "M2"), ".SPF": ("M17", "RET")}
 _MAIN_ENDS = ("M30", "M2")
 
@@ -25,13 +31,15 @@ Faults = list[tuple[str, str]]
 def text_checks(nc: NCProgram, config: Config, sha256: Mapping[str, str] | None = None) -> list[Check]:
     """Check the bytes of every file that the program opened."""
     checks = [
-        count_check("encoding", _each(nc, _encoding), "ASCII throughout"),
+        count_check("encoding", _each(nc, _encoding), "printable ASCII throughout"),
         count_check("line ends", _each(nc, _line_ends), "every block ends with LF alone"),
         _block_length(nc),
         *_headers(nc, config),
         count_check("block numbers", _numbers(nc), "N rises from block to block in every file"),
         count_check("end of program", _each(nc, _end), "one end in each file, in its last block"),
-        count_check("subprograms", _calls(nc), "every subprogram in the folder is called once"),
+        count_check(
+            "subprograms", _calls(nc), "each is a layer of this program, in its order, and called once"
+        ),
     ]
     if sha256 is not None:
         checks.append(count_check("unchanged", _changed(nc, sha256), "SHA-256 of every file as recorded"))
@@ -47,10 +55,13 @@ def _line_at(data: bytes, offset: int) -> int:
 
 
 def _encoding(file: SourceFile) -> Faults:
-    if file.data.isascii():
+    data = np.frombuffer(file.data, np.uint8)
+    # Carriage returns have a check of their own; what a control makes of other control characters, nobody says.
+    bad = np.flatnonzero((data > LAST_PRINTABLE) | ((data < FIRST_PRINTABLE) & ~np.isin(data, BLANK_BYTES)))
+    if not bad.size:
         return []
-    offset = int(np.argmax(np.frombuffer(file.data, np.uint8) > 127))
-    what = f"byte 0x{file.data[offset]:02X} is not ASCII"
+    offset = int(bad[0])
+    what = f"byte 0x{file.data[offset]:02X} is not {'printable' if file.data[offset] < 128 else 'ASCII'}"
     return [(f"{file.name}:{_line_at(file.data, offset)}", what)]
 
 
@@ -106,7 +117,8 @@ def _end(file: SourceFile) -> Faults:
 def _calls(nc: NCProgram) -> Faults:
     calls = [name.removeprefix("call ") for name in nc.events.name if name.startswith("call ")]
     main = nc.files[0].name
-    faults = [
+    faults = _foreign(nc)
+    faults += [
         (_call_line(nc, name), f"{name} is called {count} times")
         for name, count in Counter(calls).items()
         if count > 1
@@ -118,6 +130,27 @@ def _calls(nc: NCProgram) -> Faults:
             (f"{main}:{_last_call(nc)}", f"{name}{suffix} is never called")
             for name in sorted(there - set(calls))
         ]
+    return faults
+
+
+def _foreign(nc: NCProgram) -> Faults:
+    """Calls of what is no layer of this program, or of one out of its order, by their names: MAIN_L0001 and on."""
+    faults: Faults = []
+    stem = nc.files[0].name.rpartition(".")[0].upper()
+    before: int | None = None
+    for i, event in enumerate(nc.events.name):
+        if not event.startswith("call "):
+            continue
+        name = event.removeprefix("call ")
+        where = f"{nc.files[int(nc.events.file[i])].name}:{int(nc.events.line[i])}"
+        found = _LAYER_NAME.fullmatch(name)
+        if found is None or found[1] != stem or int(nc.events.file[i]) != 0:
+            faults.append((where, f"{name} is no layer of {stem}: nothing says what it is for"))
+            continue
+        number = int(found[2])
+        if before is not None and number != before + 1:
+            faults.append((where, f"{name} follows layer {before}"))
+        before = number
     return faults
 
 

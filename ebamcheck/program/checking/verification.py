@@ -23,6 +23,7 @@ from ebamcheck.program.checking.header_checks import Truth, header_checks
 from ebamcheck.program.checking.interpass_checks import (
     heat_checks,
     layer_shares,
+    scheduled_shares,
     shares_of_text,
     wait_check,
 )
@@ -148,6 +149,8 @@ def verify_program(
     sections = known_sections(plan, smooth, layers)
     if planned is not None:
         shares = planned.power_share
+    elif (scheduled := scheduled_shares(known, config)) is not None:
+        shares = scheduled
     elif heat:
         shares = shares_of_text(nc, config, sections)
     else:

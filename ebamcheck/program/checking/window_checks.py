@@ -8,19 +8,27 @@ from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.program.checking.checks import Check, count_check
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.settings.config import Config
+from ebamcheck.settings.wire_speed import wire_mm2
 
 ROUNDING = 1e-5
 """Of a figure: process values are printed with six decimals, wire speeds with the fewest."""
 
 
 def window_check(nc: NCProgram, config: Config) -> Check:
-    """Wire speed and line energy of every motion that lays metal, and the step of Z of every layer, within their limits."""
+    """Each value of every motion that lays metal, their ratios, and the step of Z of every layer, within their limits.
+
+    Wire speed, feed, line energy, metal over length and energy over metal by motion; volts and milliamperes where they are set.
+    """
     process = config.process
     rows = np.flatnonzero(nc.deposit)
     feed_mm_s = nc.feed_mm_min[rows] / 60.0
+    power_w = _bead_power_w(nc, rows)
+    fed = nc.wire[rows]
+    laid = rows[fed]
     with np.errstate(divide="ignore", invalid="ignore"):
-        energy = _bead_power_w(nc, rows) / feed_mm_s
-    laid = rows[nc.wire[rows]]
+        energy = power_w / feed_mm_s
+        metal_mm3_s = wire_mm2(config) * nc.wire_mm_s[laid]
+        section, heat = metal_mm3_s / feed_mm_s[fed], power_w[fed] / metal_mm3_s
     least, greatest = process.wire_speed_min_mm_s, process.wire_speed_max_mm_s
     inside = rows[nc.layer[rows] >= 0]
     layers, first = np.unique(nc.layer[inside], return_index=True)
@@ -29,6 +37,10 @@ def window_check(nc: NCProgram, config: Config) -> Check:
     faults = [
         *_outside(laid, nc.wire_mm_s[laid], (least, greatest), "mm/s of wire"),
         *_outside(rows, energy, process.line_energy_j_mm, "J/mm of line energy"),
+        *_outside(rows, feed_mm_s, process.travel_window_mm_s, "mm/s along a bead"),
+        *_outside(laid, section, process.bead_section_mm2, "mm2 of metal over the length of a bead"),
+        *_outside(laid, heat, process.metal_energy_j_mm3, "J/mm3 of the wire that is melted"),
+        *_set_values(nc, config),
         *_outside(
             inside[first][known], over_bead[known], process.layer_over_bead, "of a bead's height a layer"
         ),
@@ -39,6 +51,26 @@ def window_check(nc: NCProgram, config: Config) -> Check:
     heights = "layers {:g} .. {:g} of a bead".format(*process.layer_over_bead)
     places = [(nc.where(row), what) for row, what in faults]
     return count_check("process window", places, f"{wire}, {energies}, {heights}")
+
+
+def _set_values(nc: NCProgram, config: Config) -> list[tuple[int, str]]:
+    """Volts and milliamperes that are set outside of their windows; 0 switches off, and ramps rise from less."""
+    process = config.process
+    low, high = process.current_window_ma
+    low *= process.ramp_power if process.ramps_beam else 1.0
+    # The current of a layer is a share of the one that is set, down to the least at which the wire melts.
+    windows = {
+        "voltage_kv": (process.voltage_window_kv, "kV"),
+        "current_ma": ((low, min(high, process.current_max_ma)), "mA"),
+    }
+    found = []
+    for name, value, row in zip(
+        nc.events.name, nc.events.value.tolist(), nc.events.row.tolist(), strict=True
+    ):
+        if name in windows and value != 0.0 and len(nc):
+            window, unit = windows[name]
+            found += _outside(np.array([min(row, len(nc) - 1)]), np.array([value]), window, unit)
+    return found
 
 
 def layer_steps_mm(nc: NCProgram, config: Config) -> Floats:

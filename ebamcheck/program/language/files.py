@@ -5,13 +5,13 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-import shutil
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from ebamcheck.errors import InputError, SettingsError
+from ebamcheck.scratch import scratch_folder
+from ebamcheck.showing import short_text
 
 NOT_VALIDATED = "; NOT VALIDATED"
 VALIDATED = "; VALIDATED"
@@ -56,6 +56,12 @@ class ProgramFiles:
     blocks: Mapping[str, int]
     validated: bool
 
+    def __repr__(self) -> str:
+        said = "VALIDATED" if self.validated else "NOT VALIDATED"
+        return short_text.line(
+            "ProgramFiles", said, f"{self.names[0]} of {len(self.names)} files", str(self.folder)
+        )
+
     @property
     def main(self) -> Path:
         """Path of the main program."""
@@ -85,8 +91,9 @@ def write_files(texts: Mapping[str, str], folder: Path, *, validated: bool) -> P
     folder = Path(folder)
     _refuse_foreign_files(folder)
     folder.parent.mkdir(parents=True, exist_ok=True)
-    made = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
-    try:
+    with scratch_folder(f".{folder.name}", folder.parent) as scratch:
+        made = scratch / "made"
+        made.mkdir()
         made.chmod(0o755)
         for name, text in texts.items():
             (made / name).parent.mkdir(exist_ok=True)
@@ -94,14 +101,8 @@ def write_files(texts: Mapping[str, str], folder: Path, *, validated: bool) -> P
             if text.startswith(SCRIPT):
                 (made / name).chmod(0o755)
         if folder.exists():
-            old = made.with_name(f"{made.name}.old")
-            folder.rename(old)
-            made.rename(folder)
-            shutil.rmtree(old)
-        else:
-            made.rename(folder)
-    finally:
-        shutil.rmtree(made, ignore_errors=True)
+            folder.rename(scratch / "old")
+        made.rename(folder)
     return ProgramFiles(
         folder=folder,
         names=tuple(texts),

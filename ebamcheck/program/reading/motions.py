@@ -13,6 +13,8 @@ import pandas as pd
 from ebamcheck.errors import SettingsError
 from ebamcheck.layers.stack import Layers, canonical
 from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.program.reading import motion_items
+from ebamcheck.showing import short_text
 
 RAPID, STRAIGHT, POLYNOMIAL, SPLINE_SPAN, ARC = range(5)
 KIND_NAMES = ("rapid", "line", "poly", "bspline span", "arc")
@@ -30,6 +32,11 @@ class SourceFile:
     """Line of M30, M17 or RET; 0 where there is none."""
     end_code: str
 
+    def __repr__(self) -> str:
+        return short_text.line(
+            "SourceFile", self.name, f"{len(self.data)} bytes", f"{self.line_count} lines", self.end_code
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class Events:
@@ -44,6 +51,9 @@ class Events:
     or ``BSPLINE`` for each spline."""
     value: Floats
     """Number that is set, blocks of the spline; NaN where there is none."""
+
+    def __repr__(self) -> str:
+        return short_text.line("Events", short_text.counted(len(self.name), "event"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +124,13 @@ class NCProgram:
     def __len__(self) -> int:
         """Return the number of motions."""
         return int(self.kind.size)
+
+    # How a program shows itself, motion by motion.
+    __iter__ = motion_items.motion_iterator
+    __getitem__ = motion_items.motion
+    __repr__ = motion_items.program_line
+    _repr_html_ = motion_items.program_html
+    plot = motion_items.program_plot
 
     def where(self, row: int) -> str:
         """``FILE:line`` of a motion."""

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ebamcheck.errors import InputError
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.filling.turns import follows
+from ebamcheck.scan.plan import items as plan_items
 
 FORMAT = "ebamcheck scan plan 2"
 """Name and version of the file format."""
@@ -116,6 +117,13 @@ class ScanPlan:
     def __len__(self) -> int:
         """Return the number of layers."""
         return int(self.heights.size)
+
+    # How a plan shows itself, layer by layer.
+    __iter__ = plan_items.plan_iterator
+    __getitem__ = plan_items.plan_item
+    __repr__ = plan_items.plan_line
+    _repr_html_ = plan_items.plan_html
+    plot = plan_items.plan_plot
 
     def islands_of(self, layer: int) -> Ints:
         """Islands of a layer in scan order."""

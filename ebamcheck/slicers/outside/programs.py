@@ -12,17 +12,16 @@ import re
 import shutil
 import signal
 import subprocess
-import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import Field
-
 from ebamcheck.backend import BackendSettings, Probe
 from ebamcheck.errors import BackendFailed, BackendMissing
+from ebamcheck.scratch import scratch_folder
+from ebamcheck.settings.base import Between
 
 VERSION_LIMIT_S = 20.0
 """Time that a program may take to tell its version: the first start after a boot reads it from a slow disk."""
@@ -37,7 +36,7 @@ LONGEST_REASON = 200
 class ProgramSettings(BackendSettings):
     """Settings of every backend that runs a program of others."""
 
-    time_limit_s: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 600.0
+    time_limit_s: Annotated[float, Between(0.001, 1e7)] = 600.0
     """Time that one run of the program may take."""
 
 
@@ -134,8 +133,8 @@ class Program:
 @contextlib.contextmanager
 def working_folder() -> Iterator[Path]:
     """Give a new folder that is gone afterwards, with all that a program left in it."""
-    with tempfile.TemporaryDirectory(prefix="ebamcheck-", ignore_cleanup_errors=True) as folder:
-        yield Path(folder)
+    with scratch_folder() as folder:
+        yield folder
 
 
 @cache

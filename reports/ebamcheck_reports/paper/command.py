@@ -29,7 +29,10 @@ def paper(
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print paper.json instead of a table.")] = False,
 ) -> ExitCode:
-    """Make the paper's figures and numbers again, beside its own values, and say what cannot be compared."""
+    """Make the paper's figures and numbers again, beside its own values, and say what cannot be compared.
+
+    Example: ebamcheck paper -o paper --json
+    """
     from ebamcheck.atomic_file import made_folder
     from ebamcheck_reports.paper.effort import FULL, QUICK
     from ebamcheck_reports.paper.job import reproduce

@@ -29,7 +29,7 @@ MEDIUM_MM, FINE_MM = 1.0, 0.01
 triangle tolerance is one" and leaves the reference open."""
 
 FITS = (
-    ("as written in the paper", CurveSettings(largest_bulge_mm=1e9)),
+    ("as written in the paper", CurveSettings(largest_bulge_mm=1e6)),
     ("with ebamcheck's limit", CurveSettings()),
 )
 """The paper's fit, which has no limit on how far a curve leaves its chords; and as ebamcheck runs it by

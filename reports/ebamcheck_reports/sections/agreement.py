@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -148,12 +147,16 @@ def _areas(run: RunData) -> Markup:
 
 def _ratios(run: RunData) -> Markup:
     table_ = run.pair_table
+    # One line a slicer, in its style: of eight slicers there would be twenty-eight lines of pairs.
+    ratio = table_.assign(ratio=np.where(table_["gated"], table_["depth_mm"] / table_["limit_mm"], np.nan))
     series = []
-    for a, b in combinations(run.methods, 2):
-        rows = table_[(table_["a"] == a) & (table_["b"] == b)]
-        ratio = np.where(rows["gated"], rows["depth_mm"] / rows["limit_mm"], np.nan)
-        series.append(Series(f"{a} – {b}", rows["layer"], ratio))
-    caption = "Depth of the difference over its limit, for each pair: everything must stay under 1. Gaps are layers that are not compared."
+    for name in run.methods:
+        worst = ratio[(ratio["a"] == name) | (ratio["b"] == name)].groupby("layer")["ratio"].max()
+        series.append(Series(name, worst.index, worst))
+    caption = (
+        "Depth of the difference over its limit, of each method against the one that it differs most from: everything must stay "
+        "under 1. Gaps are layers that are not compared."
+    )
     chart = line_chart(series, "layer", "depth / limit", limit=1.0, limit_name="limit (1)", from_zero=True)
     return element("figure", chart, element("figcaption", caption))
 
@@ -172,7 +175,8 @@ def _findings(run: RunData) -> list[Markup]:
             figure(f["value"], "mm" if f["metric"] == "depth" else ""),
             figure(f["limit"], "mm" if f["metric"] == "depth" else ""),
             place(f["x_mm"], f["y_mm"]),
-            f["cause"],
+            f.get("cause_text") or f["cause"],
+            f.get("remedy", ""),
         )
         for f in found[:MOST_FINDINGS]
     ]
@@ -186,6 +190,7 @@ def _findings(run: RunData) -> list[Markup]:
         "limit",
         "place (x, y), mm",
         "likely cause",
+        "what to do",
     )
     parts = [table(columns, rows, class_="findings", numbers=("layer", "z", "value", "limit"))]
     if len(found) > MOST_FINDINGS:

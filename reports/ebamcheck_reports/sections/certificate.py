@@ -57,8 +57,9 @@ def render(run: RunData) -> Markup:
                 for g in found["gates"]
             ],
             numbers=("figure", "limit"),
+            class_="onscreen",
         ),
-        *_findings(found),
+        element("div", *_findings(found), class_="onscreen"),
         _software(found["software"]),
         collapsed(
             f"SHA-256 of {len(found['programs'])} program files",

@@ -120,7 +120,7 @@ def _pictures(run: RunData, layers: Layers, curves: Curves) -> list[Markup]:
     worst = int(fit[["points_mm", "bulge_mm"]].max(axis=1).to_numpy().argmax())
     reasons = {run.middle_layer: "middle layer"}
     reasons[worst] = f"{reasons[worst]}, largest deviation" if worst in reasons else "largest deviation"
-    parts: list[Markup] = [curve_picture.key()]
+    parts: list[Markup] = []
     for layer, why in reasons.items():
         if layer is None or not len(layers.rings_of(layer)):
             continue
@@ -128,7 +128,7 @@ def _pictures(run: RunData, layers: Layers, curves: Curves) -> list[Markup]:
         angle = run.setting("curves", "corner_angle_deg", CORNER_ANGLE_DEG)
         pictures, enlarged = curve_picture.draw(layers, curves, layer, angle, f"fit of {name}")
         parts.append(picture(element("div", pictures, class_="beside"), f"{name} ({why}). {enlarged}"))
-    return parts
+    return [element("div", curve_picture.key(), *parts, class_="together")]
 
 
 # -- against the finer tessellation ----------------------------------------------------------------

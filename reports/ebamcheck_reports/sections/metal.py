@@ -11,7 +11,7 @@ from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck_reports import metal_picture
 from ebamcheck_reports.charts import Series, line_chart
 from ebamcheck_reports.figures import percent
-from ebamcheck_reports.markup import Markup, element, facts, figure, paragraph, picture, section
+from ebamcheck_reports.markup import Markup, element, facts, figure, paragraph, picture, section, table
 from ebamcheck_reports.run_data import RunData
 
 QUESTION = (
@@ -26,8 +26,8 @@ def render(run: RunData) -> Markup:
         return section(
             "metal", "Metal", QUESTION, paragraph("This run did not weigh its metal.", class_="note")
         )
-    table = run.table("deposit.csv")
-    solid = table[table["wanted_mm3"] > 0.0]
+    layers = run.table("deposit.csv")
+    solid = layers[layers["wanted_mm3"] > 0.0]
     checks = [check for check in run.checks if check["name"] in CHECKS]
     rows = [
         element(
@@ -43,12 +43,8 @@ def render(run: RunData) -> Markup:
         "Metal",
         QUESTION,
         _totals(solid),
-        element(
-            "table",
-            element("thead", element("tr", *(element("th", t) for t in ("check", "", "found")))),
-            element("tbody", *rows),
-        ),
-        *_worst(run, table),
+        table(("check", "", "found"), rows, class_="onscreen"),
+        *_worst(run, layers),
         *_charts(solid),
     )
 
@@ -76,13 +72,13 @@ def _totals(solid: pd.DataFrame) -> Markup:
     )
 
 
-def _worst(run: RunData, table: pd.DataFrame) -> list[Markup]:
+def _worst(run: RunData, layers: pd.DataFrame) -> list[Markup]:
     """Picture of the worst layer, its places ringed; none in a run of an earlier version."""
     file = run.folder.path / FIELD_FILE
     if not file.is_file():
         return []
     field, layer, thickness_mm = read_field(file)
-    found = table.set_index("layer").loc[layer]
+    found = layers.set_index("layer").loc[layer]
     name = f"layer {layer + 1}, Z {found['z_mm']:.3f}"
     svg = metal_picture.draw(
         field,
@@ -97,7 +93,7 @@ def _worst(run: RunData, table: pd.DataFrame) -> list[Markup]:
         "surface when it is done. Rings mark the places that the checks name."
     )
     # Inside of a page a picture has the name space of the page.
-    inline = Markup(svg.replace(metal_picture.NAMESPACE, "", 1))
+    inline = Markup(svg.replace(metal_picture.NAMESPACE, ' class="paper"', 1))
     return [picture(inline, caption, name="metal-worst")]
 
 

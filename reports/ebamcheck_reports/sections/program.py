@@ -8,7 +8,7 @@ from typing import Any
 
 from ebamcheck.errors import InputError
 from ebamcheck.program import read_program
-from ebamcheck_reports import program_picture
+from ebamcheck_reports import check_places, program_picture
 from ebamcheck_reports.figures import counted, duration, percent
 from ebamcheck_reports.markup import (
     Markup,
@@ -53,6 +53,7 @@ def render(run: RunData) -> Markup:
             ".",
         ),
         _checks(run),
+        *check_places.render(run),
         *_kinematics(run),
         element("h3", "Path of one layer as read back from the text"),
         *_picture(run),
@@ -198,7 +199,7 @@ def _picture(run: RunData) -> list[Markup]:
     if svg is None:
         return [paragraph(f"{file} commands no motion in the plane.")]
     name = layer_name(layer, float(run.layer_table["height_mm"].iloc[layer]))
-    return [program_picture.key(), picture(svg, f"{file} ({name}).")]
+    return [element("div", program_picture.key(), picture(svg, f"{file} ({name})."), class_="together")]
 
 
 def _excerpts(run: RunData, record: Mapping[str, Any]) -> list[Markup]:

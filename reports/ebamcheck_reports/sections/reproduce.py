@@ -5,14 +5,13 @@ from __future__ import annotations
 import json
 
 from ebamcheck.settings.text import as_toml
-from ebamcheck_reports.figures import duration
-from ebamcheck_reports.markup import Markup, collapsed, element, facts, figure, paragraph, section, table
+from ebamcheck_reports.markup import Markup, collapsed, element, facts, paragraph, section
 from ebamcheck_reports.run_data import RunData
 
 
 def render(run: RunData) -> Markup:
-    """Command line, settings, versions, hashes and times."""
-    part, timings = run.part_of("part"), run.part_of("timings")
+    """Command line, settings, versions and hashes."""
+    part = run.part_of("part")
     command = f"ebamcheck run {_quoted(part['source'])} --config ebamcheck.toml"
     reference = run.part_of("reference")
     if reference:
@@ -20,33 +19,24 @@ def render(run: RunData) -> Markup:
     return section(
         "reproduce",
         "Reproduce",
-        "The same part, settings and versions give the same files, byte for byte, in everything but the times. Good is a run whose hashes match these.",
+        "The same part, settings and versions give the same files, byte for byte; when the run was made and how long each stage took stands in timings.json. Good is a run whose hashes match these.",
         paragraph("Save the settings below as ", element("code", "ebamcheck.toml"), " and run"),
         element("pre", command),
         facts(
             [
                 ("ebamcheck", run.manifest["ebamcheck"]),
                 ("Python", run.manifest["python"]),
-                ("machine", timings.get("machine", "")),
-                ("finished", timings.get("finished", "")),
                 ("SHA-256 of the part's file", element("code", part["sha256"])),
                 ("SHA-256 of the mesh as placed", element("code", part["mesh_sha256"])),
                 ("SHA-256 of the settings", element("code", run.manifest["settings_sha256"])),
             ]
         ),
-        _times(run),
         collapsed("Settings as ebamcheck.toml", element("pre", as_toml(run.config))),
         collapsed(
             "Settings as run.json holds them",
             element("pre", json.dumps(run.manifest["settings"], indent=2, sort_keys=True)),
         ),
     )
-
-
-def _times(run: RunData) -> Markup:
-    stages = run.part_of("timings").get("stages_s", {})
-    rows = [(name, figure(seconds, text=duration(seconds))) for name, seconds in stages.items()]
-    return table(("stage", "time"), rows, class_="narrow", numbers=("time",))
 
 
 def _base_name(path: str) -> str:

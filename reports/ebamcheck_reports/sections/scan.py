@@ -34,7 +34,7 @@ def render(run: RunData) -> Markup:
             "scan", "Partition and order", WHAT, paragraph("There was no contour to fill.", class_="note bad")
         )
     return section(
-        "scan", "Partition and order", WHAT, _metrics(run, plan), scan_picture.key(), *_pictures(run, plan), _coverage(run, plan), _times(run), *_heat(run, plan)
+        "scan", "Partition and order", WHAT, _metrics(run, plan), element("div", scan_picture.key(), *_pictures(run, plan), class_="together"), _coverage(run, plan), _times(run), *_heat(run, plan)
     )  # fmt: skip
 
 

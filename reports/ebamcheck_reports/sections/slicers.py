@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ebamcheck_reports import words
-from ebamcheck_reports.figures import duration, shown
+from ebamcheck_reports.figures import shown
 from ebamcheck_reports.markup import Markup, element, figure, join, paragraph, section, table
 from ebamcheck_reports.run_data import RunData
 
@@ -14,7 +14,6 @@ from ebamcheck_reports.run_data import RunData
 def render(run: RunData) -> Markup:
     """One row a method, failures before the table."""
     primary = run.manifest.get("primary", "")
-    times = run.part_of("timings").get("backends", {})
     return section(
         "slicers",
         "Slicers",
@@ -34,16 +33,14 @@ def render(run: RunData) -> Markup:
                 "error bound",
                 "rings",
                 "points",
-                "time",
-                "peak memory",
             ),
-            [_row(name, record, times.get(name, {})) for name, record in run.backends.items()],
+            [_row(name, record) for name, record in run.backends.items()],
             class_="slicers",
-            numbers=("error bound", "rings", "points", "time", "peak memory"),
+            numbers=("error bound", "rings", "points"),
         ),
         paragraph(
             "Error bound: the promise of the method, how far its contour may lie from the section of the mesh. Exact methods cut "
-            "every facet by arithmetic; sampled ones look at the part along a grid. Peak memory is that of the method's own process.",
+            "every facet by arithmetic; sampled ones look at the part along a grid. Times and peak memory stand in timings.json.",
             class_="small",
         ),
         table(
@@ -57,6 +54,7 @@ def render(run: RunData) -> Markup:
             ),
             [_rules(name, record) for name, record in run.backends.items()],
             numbers=("height bound",),
+            class_="onscreen",
         ),
     )
 
@@ -73,9 +71,8 @@ def _failure(name: str, record: Mapping[str, Any]) -> Markup:
     return element("div", said, class_=f"note {'bad' if status in words.LOST else 'warn'}", data_backend=name)
 
 
-def _row(name: str, record: Mapping[str, Any], times: Mapping[str, Any]) -> Markup:
+def _row(name: str, record: Mapping[str, Any]) -> Markup:
     done = record["status"] == "done"
-    took = float(times.get("prepare_s", 0.0)) + float(times.get("slice_s", 0.0))
     cells: list[Any] = [
         element("b", name),
         element("span", "✔ done" if done else f"✘ {record['status']}", class_="pass" if done else "fail"),
@@ -88,13 +85,10 @@ def _row(name: str, record: Mapping[str, Any], times: Mapping[str, Any]) -> Mark
             figure(record["error_bound_mm"], "mm"),
             figure(record["rings"]),
             figure(record["points"]),
-            figure(took, text=duration(took)) if took else "kept from a former run",
         ]
         if done
-        else ["", "", "", ""]
+        else ["", "", ""]
     )
-    memory = times.get("peak_mb", 0.0)
-    figures.append(figure(memory, text=f"{memory:.0f} MB") if memory else "")
     body = [element("td", c) for c in cells] + [element("td", f, class_="number") for f in figures]
     return element("tr", *body, class_=None if done else "bad")
 

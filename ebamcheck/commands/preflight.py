@@ -1,0 +1,90 @@
+"""``ebamcheck preflight PART``: what can be known of a job before anything is sliced."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ebamcheck.commands.options import (
+    ConfigOption,
+    DirectionOption,
+    FixOption,
+    JsonOption,
+    LayerHeightOption,
+    PlaceOption,
+    PlateOption,
+    RotateOption,
+    UnitsOption,
+    YesOption,
+    part_or_plate,
+    placed_settings,
+    print_json,
+    settings_of,
+)
+from ebamcheck.drawing.tables import text_table
+from ebamcheck.errors import ExitCode, SettingsError
+from ebamcheck.preflight import Preflight, PreflightCheck, ready
+from ebamcheck.preflight.checks import EVERY, RUN
+
+SHOWN = {"pass": "pass", "warning": "warn", "fault": "FAULT"}
+"""Levels as the table has them."""
+
+
+def preflight_command(
+    part: Annotated[
+        Path | None, typer.Argument(help="Mesh file: .stl, .obj, .ply or .3mf; or plate.toml.")
+    ] = None,
+    plate: PlateOption = None,
+    job: Annotated[str, typer.Option(help="Job that is meant: run, or check without a program.")] = RUN,
+    config: ConfigOption = None,
+    layer_height: LayerHeightOption = None,
+    units: UnitsOption = "",
+    direction: DirectionOption = "",
+    place: PlaceOption = "",
+    rotate: RotateOption = None,
+    fix_orientation: FixOption = False,
+    yes: YesOption = False,
+    as_json: JsonOption = False,
+) -> ExitCode:
+    """Look at mesh, units, machine, settings and the work to come; exit code 1 where something cannot work.
+
+    Example: ebamcheck preflight blade.stl -c ebamcheck.toml --place 100,50
+    """
+    if job not in EVERY:
+        raise SettingsError(f"--job {job!r}: give one of {', '.join(EVERY)}")
+    settings = placed_settings(settings_of(config, units, direction, layer_height), place, rotate)
+    if fix_orientation:
+        settings = settings.changed(part={"fix_orientation": True})
+    found = ready(part_or_plate(part, plate), settings, job, yes).preflight
+    if as_json:
+        print_json(found.as_dict())
+    else:
+        typer.echo(preflight_text(found))
+    return found.exit_code
+
+
+def preflight_text(found: Preflight) -> str:
+    """Table of the checks, what to do about those that do not pass, and the verdict."""
+    remedies = [
+        f"{check.name}: {check.remedy}" for check in found.checks if check.level != "pass" and check.remedy
+    ]
+    faults = sum(check.level == "fault" for check in found.checks)
+    warned = sum(check.level == "warning" for check in found.checks)
+    blocks = [
+        text_table(["", "check", "figure", "limit", "unit", ""], [_row(check) for check in found.checks]),
+        "\n".join(remedies),
+        f"{len(found.checks)} checks: {_counted(faults, 'fault')}, {_counted(warned, 'warning')}",
+    ]
+    return "\n\n".join(block for block in blocks if block)
+
+
+def _row(check: PreflightCheck) -> Sequence[str]:
+    figures = ["" if value is None else f"{value:.6g}" for value in (check.figure, check.limit)]
+    return [SHOWN[check.level], check.name, *figures, check.unit, check.text]
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count} {what}{'' if count == 1 else 's'}"

@@ -1,0 +1,17 @@
+"""``ebamcheck warm``: all kernels are compiled at once, so that nobody waits for them later."""
+
+from __future__ import annotations
+
+import typer
+
+from ebamcheck.errors import ExitCode
+
+
+def warm_command() -> ExitCode:
+    """Compile the kernels once, so that no later command has to wait for it."""
+    from ebamcheck.commands.warm import warm_kernels
+
+    typer.echo("compiling the kernels where they are not yet: about three minutes the first time")
+    seconds = warm_kernels()
+    typer.echo(f"kernels are compiled ({seconds:.1f} s)")
+    return ExitCode.PASS

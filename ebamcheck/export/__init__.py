@@ -1,0 +1,1 @@
+"""Parts and layers in the formats of other programs: VTK, DXF and slices in 3MF."""

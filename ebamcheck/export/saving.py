@@ -1,0 +1,101 @@
+"""Saving a value in the format that the name of its file says."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from ebamcheck.atomic_file import replacing
+from ebamcheck.curves import Curves
+from ebamcheck.errors import SettingsError
+from ebamcheck.layers.stack import Layers
+from ebamcheck.mesh.part import Part
+from ebamcheck.scan.plan.columns import ScanPlan
+from ebamcheck.settings.config import Config
+
+CURVE_TOLERANCE_MM = 0.001
+"""Formats that know no splines get polylines this near to the curves."""
+
+Writer = Callable[[Any, Path], None]
+
+
+def save(value: Part | Layers | Curves | ScanPlan | Config, path: str | Path) -> Path:
+    """Write a value into a file whose suffix names the format; the file appears whole or not at all.
+
+    Parameters
+    ----------
+    value
+        A part (``.stl``, ``.vtp``), layers (``.parquet``, ``.cli``, ``.svg``, ``.vtp``, ``.dxf``, ``.3mf``), curves (``.parquet``;
+        ``.vtp``, ``.dxf`` as polylines within :data:`CURVE_TOLERANCE_MM`), a scan plan (``.parquet``) or settings (``.toml``).
+        STL has 32-bit numbers; ``.3mf`` needs the extra ``3mf``.
+    path
+        The file.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    SettingsError
+        If the value has no such format, or the file cannot be written.
+    """
+    path = Path(path)
+    for kind, writers in _writers().items():
+        if isinstance(value, kind):
+            write = writers.get(path.suffix.lower())
+            if write is None:
+                known = ", ".join(writers)
+                raise SettingsError(
+                    f"{path}: {kind.__name__} cannot be saved as {path.suffix!r}: use {known}"
+                )
+            write(value, path)
+            return path
+    known = ", ".join(kind.__name__ for kind in _writers())
+    raise SettingsError(
+        f"{path}: a value of type {type(value).__name__} cannot be saved: give one of {known}"
+    )
+
+
+def _writers() -> Mapping[type, Mapping[str, Writer]]:
+    """Writers of each kind of value, by suffix."""
+    from ebamcheck.export import dxf, slices_3mf, vtp
+    from ebamcheck.layers import files as layer_files
+
+    own = dict.fromkeys((".parquet", ".cli", ".svg"), layer_files.write_layers)
+    return {
+        Part: {".stl": _write_stl, ".vtp": vtp.write_part},
+        Layers: {
+            **own,
+            ".vtp": vtp.write_stack,
+            ".dxf": dxf.write_stack,
+            ".3mf": slices_3mf.write_stack,
+        },
+        Curves: {
+            ".parquet": lambda curves, path: _replaced(curves.to_parquet, path),
+            ".vtp": lambda curves, path: vtp.write_stack(curves.sample_tolerance(CURVE_TOLERANCE_MM), path),
+            ".dxf": lambda curves, path: dxf.write_stack(curves.sample_tolerance(CURVE_TOLERANCE_MM), path),
+        },
+        ScanPlan: {".parquet": lambda plan, path: _replaced(plan.to_parquet, path)},
+        Config: {".toml": _write_toml},
+    }
+
+
+def _replaced(write: Callable[[Path], None], path: Path) -> None:
+    with replacing(path) as temporary:
+        write(temporary)
+
+
+def _write_stl(part: Part, path: Path) -> None:
+    from ebamcheck.mesh.stl_writer import write_triangles
+
+    _replaced(lambda temporary: write_triangles(part.triangles, temporary), path)
+
+
+def _write_toml(config: Config, path: Path) -> None:
+    from ebamcheck.settings.text import as_toml
+
+    with replacing(path) as temporary:
+        temporary.write_text(as_toml(config), encoding="utf-8")

@@ -1,0 +1,50 @@
+"""Heights at which a job cuts a part: those of its settings, which must lie in the part."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ebamcheck.errors import SettingsError
+from ebamcheck.layers.heights import checked_heights, is_rising, layer_heights
+from ebamcheck.mesh.part import Part
+from ebamcheck.numeric.rings import Floats
+from ebamcheck.settings.config import Config
+
+
+def cut_heights(part: Part, config: Config) -> Floats:
+    """Heights of the cuts that the settings ask for, (L,) mm.
+
+    Raises
+    ------
+    SettingsError
+        If given heights do not rise, or one is outside of the part.
+    """
+    if not config.layers.heights_mm:
+        return layer_heights(part, config.layer_height_mm)
+    heights = checked_heights(config.layers.heights_mm)
+    if not is_rising(heights):
+        raise SettingsError("layers.heights_mm must rise from layer to layer: sort them and drop repeats")
+    return heights_within(part, heights, "layers.heights_mm")
+
+
+def heights_within(part: Part, heights: ArrayLike, named: str) -> Floats:
+    """Heights, all of which cut the part; `named` is where they were given.
+
+    A section is that of z = h + 0, so that a cut at the lowest point is one and a cut at the highest is empty.
+
+    Raises
+    ------
+    SettingsError
+        If one is not finite, or is outside of the part: the message tells which, and the range of the part.
+    """
+    column = checked_heights(heights)
+    low, high = part.bounds[:, 2].tolist()
+    outside = np.flatnonzero((column < low) | (column >= max(high, np.nextafter(low, np.inf))))
+    if outside.size:
+        more = f" (and {outside.size - 1} more)" if outside.size > 1 else ""
+        raise SettingsError(
+            f"{named}: {column[outside[0]]:.10g} mm{more} is outside of the part {part.name!r}, which reaches from "
+            f"z = {low:.10g} up to, and not including, {high:.10g} mm"
+        )
+    return column

@@ -1,0 +1,276 @@
+"""Several parts on one base plate, as ``plate.toml`` lists them: read, placed and kept apart, sliced as one part.
+
+Every part stands on the plate, its lowest point at Z 0. All of them become one mesh, whose facets are those of one part
+after the other, so that layers, islands, heat, program and gates are those of the whole plate. Such a file reads::
+
+    clearance_mm = 12            # between parts; 10 if left out
+    [[parts]]
+    file = "blade.stl"           # from the folder of this file
+    place_mm = [0, 0]            # of the middle of its box, in X and Y
+    rotate_deg = 45              # about the vertical; 0 if left out
+    [[parts]]
+    file = "rail.stl"
+    units = "in"                 # that of the settings if left out; so is direction = [0, 0, 1]
+    place_mm = [120, 0]
+    copies = 3
+    step_mm = [40, 0]            # from one copy to the next
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import shapely
+from pydantic import BeforeValidator, Field, ValidationError
+from shapely.geometry.base import BaseGeometry
+
+from ebamcheck.errors import InputError, SettingsError
+from ebamcheck.json_values import sha256_of_file, sha256_of_json
+from ebamcheck.mesh.files import load
+from ebamcheck.mesh.part import Part, Vector
+from ebamcheck.mesh.placing import placing_of
+from ebamcheck.settings.base import Angle, Between, Place, Section
+from ebamcheck.settings.slicing import Component
+from ebamcheck.settings.units import known_as
+
+PLATE_SUFFIX = ".toml"
+
+MOST_PARTS = 10_000
+"""More parts on a plate are a mistyped number of copies."""
+
+
+class PlateEntry(Section):
+    """One part of a plate, once or several times."""
+
+    file: str
+    """Mesh file, from the folder of the plate's own file."""
+    name: str = ""
+    """Name in the record; empty: that of the file. Copies are numbered."""
+    units: Annotated[Literal["mm", "cm", "m", "um", "in", "ft"], BeforeValidator(known_as)] | None = None
+    """Unit of the file's numbers; None: that of the settings."""
+    direction: tuple[Component, Component, Component] | None = None
+    """Slicing direction in the file's coordinates; None: that of the settings."""
+    place_mm: tuple[Place, Place]
+    """Where the middle of its box lies in X and Y of the work offset."""
+    rotate_deg: Angle = 0.0
+    """Turn about the vertical, counter-clockwise seen from above."""
+    copies: Annotated[int, Between(1, MOST_PARTS)] = 1
+    """How many times it is built."""
+    step_mm: tuple[Place, Place] | None = None
+    """Way from one copy to the next."""
+
+
+class Plate(Section):
+    """A plate: its parts, and how far apart they are."""
+
+    clearance_mm: Annotated[float, Between(0.1, 1e4)] = 10.0
+    """Least distance between two parts, across the plate, measured between their convex outlines seen from above."""
+    parts: Annotated[tuple[PlateEntry, ...], Field(min_length=1)]
+    """The parts."""
+
+
+@dataclass(frozen=True)
+class Member:
+    """One part on a plate.
+
+    Parameters
+    ----------
+    name, source, sha256, units, direction
+        What it is, and the file that it was read from.
+    place_at_mm, rotate_deg
+        Where it stands.
+    facets
+        First facet of it in the mesh of the plate, and the first one after it.
+    """
+
+    name: str
+    source: str
+    sha256: str
+    units: str
+    direction: Vector
+    place_at_mm: tuple[float, float]
+    rotate_deg: float
+    facets: tuple[int, int]
+
+
+@dataclass(frozen=True, eq=False)
+class PlatePart(Part):
+    """The mesh of a whole plate, which knows its parts."""
+
+    members: tuple[Member, ...] = ()
+    clearance_mm: float = 0.0
+
+    def member(self, member: Member) -> Part:
+        """Mesh of one part as it stands on the plate."""
+        faces = self.faces[slice(*member.facets)]
+        first, last = int(faces.min()), int(faces.max()) + 1
+        return Part(
+            self.vertices[first:last], faces - np.int32(first), name=member.name, source=member.source
+        )
+
+    def outlines(self) -> list[BaseGeometry]:
+        """Convex outline of every part, seen from above."""
+        return [outline(self.member(member)) for member in self.members]
+
+
+def is_plate(path: str | Path) -> bool:
+    """Whether a file lists the parts of a plate."""
+    return Path(path).suffix.lower() == PLATE_SUFFIX
+
+
+def load_plate(path: str | Path, units: str = "mm", direction: Vector = (0.0, 0.0, 1.0)) -> PlatePart:
+    """Read a plate and all of its parts.
+
+    Parameters
+    ----------
+    path
+        The TOML file.
+    units, direction
+        Of the parts that have none of their own.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be read.
+    SettingsError
+        If the plate makes no sense, or two parts are nearer to each other than its clearance.
+    """
+    path = Path(path)
+    plate = read_plate(path)
+    placed = list(_placed(path, plate, units, direction))
+    part = _joined(path, plate, placed)
+    _check_apart(path, part)
+    return part
+
+
+def read_plate(path: Path) -> Plate:
+    """Read the file of a plate, and none of its parts."""
+    try:
+        values = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"{path}: is not TOML: {error}") from None
+    try:
+        plate = Plate.model_validate(values)
+    except ValidationError as error:
+        raise SettingsError(f"{path}: {_first_fault(error)}") from None
+    for number, entry in enumerate(plate.parts, 1):
+        if entry.copies > 1 and entry.step_mm is None:
+            raise SettingsError(f"{path}: parts {number} ({entry.file}): {entry.copies} copies need step_mm")
+    if (count := sum(entry.copies for entry in plate.parts)) > MOST_PARTS:
+        raise SettingsError(f"{path}: {count} parts are over {MOST_PARTS}")
+    return plate
+
+
+def plate_sha256(path: Path) -> str:
+    """SHA-256 over the plate's file and those of its parts: what the plate is made from."""
+    files = sorted({entry.file for entry in read_plate(path).parts})
+    try:
+        made = {file: sha256_of_file(path.parent / file) for file in files}
+        return sha256_of_json({"plate": sha256_of_file(path), "parts": made})
+    except OSError as error:
+        raise InputError(f"{error.filename}: cannot be read: {error.strerror or error}") from None
+
+
+def outline(part: Part) -> BaseGeometry:
+    """Convex outline of a part, seen from above."""
+    hull: BaseGeometry = shapely.MultiPoint(part.vertices[:, :2]).convex_hull
+    return hull
+
+
+def _first_fault(error: ValidationError) -> str:
+    """First fault of a plate in words: place, fault and value."""
+    first: Any = error.errors()[0]
+    place = first["loc"]
+    if len(place) > 1 and place[0] == "parts" and isinstance(place[1], int):
+        place = (f"parts {place[1] + 1}", *place[2:])
+    key = ", ".join(str(k) for k in place) or "plate"
+    if first["type"] == "missing":
+        return f"{key}: is missing: every part has file and place_mm"
+    if first["type"] == "extra_forbidden":
+        known = ", ".join(Plate.model_fields if len(place) < 2 else PlateEntry.model_fields)
+        return f"{key}: unknown key: there are {known}"
+    return f"{key}: {first['msg']} (given {first.get('input')!r})"
+
+
+def _placed(path: Path, plate: Plate, units: str, direction: Vector) -> Iterator[tuple[Member, Part]]:
+    """Every part of a plate where it stands; facets are counted later."""
+    for entry in plate.parts:
+        file = path.parent / entry.file
+        if is_plate(file):
+            raise SettingsError(f"{path}: {entry.file} is a plate itself: list its parts here")
+        turned = load(file, entry.units or units).along(entry.direction or direction)
+        step_x, step_y = entry.step_mm or (0.0, 0.0)
+        for copy in range(entry.copies):
+            place = entry.place_mm[0] + copy * step_x, entry.place_mm[1] + copy * step_y
+            part = placing_of(turned, (*place, 0.0), entry.rotate_deg).moved(turned)
+            name = entry.name or file.stem
+            yield (
+                Member(
+                    f"{name} {copy + 1}" if entry.copies > 1 else name,
+                    entry.file,
+                    turned.source_sha256,
+                    turned.units,
+                    turned.direction,
+                    place,
+                    entry.rotate_deg,
+                    (0, len(part.faces)),
+                ),
+                part,
+            )
+
+
+def _joined(path: Path, plate: Plate, placed: list[tuple[Member, Part]]) -> PlatePart:
+    """One mesh of all parts, each with names of its own and its range of facets."""
+    names = [member.name for member, _ in placed]
+    if repeated := sorted({name for name in names if names.count(name) > 1}):
+        raise SettingsError(f"{path}: two parts are called {repeated[0]!r}: give each a name of its own")
+    vertex = np.concatenate([[0], np.cumsum([len(part.vertices) for _, part in placed])])
+    facet = np.concatenate([[0], np.cumsum([len(part.faces) for _, part in placed])])
+    if vertex[-1] > np.iinfo(np.int32).max // 4:
+        raise SettingsError(
+            f"{path}: {vertex[-1]} vertices are more than one mesh can hold: build fewer copies"
+        )
+    members = tuple(
+        Member(**{**vars(member), "facets": (int(facet[k]), int(facet[k + 1]))})
+        for k, (member, _) in enumerate(placed)
+    )
+    return PlatePart(
+        np.concatenate([part.vertices for _, part in placed]),
+        np.concatenate([part.faces + np.int32(vertex[k]) for k, (_, part) in enumerate(placed)]),
+        name=path.stem,
+        source=str(path),
+        source_sha256=plate_sha256(path),
+        notes=tuple(
+            dict.fromkeys(f"{Path(part.source).name}: {note}" for _, part in placed for note in part.notes)
+        ),
+        members=members,
+        clearance_mm=plate.clearance_mm,
+    )
+
+
+def _check_apart(path: Path, part: PlatePart) -> None:
+    """Refuse parts that are nearer to each other than the clearance; names the nearest two."""
+    outlines = np.array(part.outlines(), object)
+    tree = shapely.STRtree(outlines)
+    a, b = tree.query(outlines, predicate="dwithin", distance=part.clearance_mm)
+    near = a < b
+    if not near.any():
+        return
+    a, b = a[near], b[near]
+    apart = shapely.distance(outlines[a], outlines[b])
+    k = int(np.argmin(apart))
+    if apart[k] >= part.clearance_mm:
+        return
+    one, other = part.members[a[k]].name, part.members[b[k]].name
+    how = f"{apart[k]:.4g} mm apart" if apart[k] > 0.0 else "in each other's way"
+    raise SettingsError(
+        f"{path}: the parts {one!r} and {other!r} are {how}, and clearance_mm asks for {part.clearance_mm:g} mm "
+        "(between their convex outlines seen from above): change place_mm, rotate_deg or step_mm"
+    )

@@ -1,0 +1,293 @@
+"""Strict reader of PLY files, ASCII and binary: what the header counts is there, no more and no less, or it is refused."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ebamcheck.errors import InputError
+from ebamcheck.mesh.polygons import checked_finite, numbers_of, polygon_corners
+
+TYPES = {
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
+    "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
+    "double": "f8", "float64": "f8",
+}  # fmt: skip
+"""Types of numbers by their names in a header."""
+
+FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+CORNERS = ("vertex_indices", "vertex_index")
+MOST_HEADER_BYTES = 1 << 16
+MOST_CORNERS = 100_000
+"""A facet of more corners is a wrong number."""
+
+
+@dataclass(frozen=True)
+class Property:
+    """One property of an element: its name, its type, and that of the count where it is a list."""
+
+    name: str
+    kind: str
+    count_kind: str = ""
+
+
+@dataclass(frozen=True)
+class Element:
+    """One kind of element, as the header tells it."""
+
+    name: str
+    count: int
+    properties: tuple[Property, ...]
+
+
+Columns = dict[str, tuple[NDArray[np.float64], NDArray[np.int64]]]
+"""By property: its numbers one behind the other, and how many each element has."""
+
+
+def read_ply(data: bytes, name: str) -> tuple[NDArray[np.float64], list[str]]:
+    """Read the corner points of every facet of a PLY file; polygons are split from their first corner.
+
+    Parameters
+    ----------
+    data
+        The whole file.
+    name
+        What to call it in messages.
+
+    Returns
+    -------
+    triangles
+        (F, 3, 3) corners in the file's unit.
+    notes
+        What was odd but harmless, one line each; none.
+
+    Raises
+    ------
+    InputError
+        If the header is not one of PLY 1.0, the file holds more or fewer numbers than it counts, a facet has fewer
+        than three corners or one that is no vertex, or a coordinate is not finite.
+    """
+    if not data:
+        raise InputError(f"{name}: is empty (0 bytes)")
+    order, elements, start = _header(data, name)
+    read = _read_ascii if not order else _read_binary
+    found = read(data[start:], elements, order, name)
+    vertices = _vertices(found.get("vertex", {}), name)
+    faces = found.get("face", {})
+    corners = next((faces[key] for key in CORNERS if key in faces), None)
+    if corners is None or not corners[1].size:
+        what = "tristrips, which are not read: export triangles" if "tristrips" in found else "no facet (PLY)"
+        raise InputError(f"{name}: holds {what}")
+    told, sizes = corners
+    if (sizes < 3).any():
+        facet = int(np.flatnonzero(sizes < 3)[0])
+        raise InputError(f"{name}: facet {facet} has {sizes[facet]} corners: a facet has three")
+    good = (told >= 0) & (told < len(vertices)) & (told == np.floor(told))  # false for NaN
+    if not good.all():
+        at = int(np.flatnonzero(~good)[0])
+        facet = int(np.searchsorted(np.cumsum(sizes), at, side="right"))
+        raise InputError(
+            f"{name}: facet {facet} names vertex {told[at]:g}, which is none of {len(vertices)} vertices"
+        )
+    index = told.astype(np.int64)
+    return checked_finite(polygon_corners(vertices, index, sizes), name), []
+
+
+def _vertices(columns: Columns, name: str) -> NDArray[np.float64]:
+    lacking = [axis for axis in "xyz" if axis not in columns]
+    if lacking:
+        raise InputError(f"{name}: its vertices have no {lacking[0]} (PLY)")
+    return np.stack([columns[axis][0] for axis in "xyz"], axis=1)
+
+
+# -- header --------------------------------------------------------------------------------------------
+
+
+def _header(data: bytes, name: str) -> tuple[str, list[Element], int]:
+    """Order of bytes (empty: ASCII), elements, and where the body starts."""
+    head = data[:MOST_HEADER_BYTES]
+    at = head.find(b"end_header")
+    end = head.find(b"\n", at) + 1 if at >= 0 else 0
+    if not head.startswith(b"ply") or not end:
+        raise InputError(f"{name}: is no PLY file: it lacks {'ply' if end else 'end_header'} in its header")
+    order, elements = None, list[Element]()
+    for number, line in enumerate(head[:at].decode("ascii", "replace").splitlines()[1:], 2):
+        words = line.split()
+        try:
+            if words[:1] == ["format"]:
+                order = FORMATS[words[1]]
+            elif words[:1] == ["element"]:
+                elements.append(Element(words[1], _count(words[2]), ()))
+            elif words[:1] == ["property"]:
+                last = elements[-1]
+                elements[-1] = Element(last.name, last.count, (*last.properties, _property(words)))
+            elif words and words[0] not in ("comment", "obj_info"):
+                raise ValueError
+        except (KeyError, IndexError, ValueError):
+            raise InputError(f"{name}: line {number}: {line[:60]!r} is no line of a PLY header") from None
+    names = [e.name for e in elements]
+    if order is None or len(set(names)) != len(names):
+        raise InputError(
+            f"{name}: its header {'has no format' if order is None else 'tells an element twice'}"
+        )
+    return order, elements, end
+
+
+def _count(word: str) -> int:
+    if not (word.isascii() and word.isdecimal()):
+        raise ValueError
+    return int(word)
+
+
+def _property(words: list[str]) -> Property:
+    if words[1] == "list":
+        count, kind, name = words[2:]
+        if TYPES[count][0] == "f":
+            raise ValueError
+        return Property(name, TYPES[kind], TYPES[count])
+    kind, name = words[1:]
+    return Property(name, TYPES[kind])
+
+
+def _truncated(name: str, element: Element, what: str) -> InputError:
+    return InputError(
+        f"{name}: its header counts {element.count} of {element.name!r}, but {what}: truncated, or its counts are wrong"
+    )
+
+
+# -- ASCII ---------------------------------------------------------------------------------------------
+
+
+def _read_ascii(body: bytes, elements: list[Element], _: str, name: str) -> dict[str, Columns]:
+    """Columns of every element, each element in a line."""
+    rows = [words for line in body.splitlines() if (words := line.split())]
+    found, first = dict[str, Columns](), 0
+    for element in elements:
+        mine = rows[first : first + element.count]
+        if len(mine) < element.count:
+            raise _truncated(name, element, f"there are lines for {len(mine)}")
+        found[element.name] = _ascii_columns(mine, element, name)
+        first += element.count
+    if len(rows) > first:
+        raise InputError(f"{name}: {len(rows) - first} lines follow the last element that its header counts")
+    return found
+
+
+def _ascii_columns(rows: list[list[bytes]], element: Element, name: str) -> Columns:
+    """Columns of one element from the words of its lines."""
+    places = [0] * len(rows)
+    columns: Columns = {}
+    for prop in element.properties:
+        words: list[bytes] = []
+        sizes: list[int] = []
+        for k, row in enumerate(rows):
+            at, size = places[k], 1
+            if prop.count_kind:
+                size = int(row[at]) if at < len(row) and row[at].isdigit() and len(row[at]) < 7 else -1
+                at += 1
+            if size < 0 or at + size > len(row):
+                raise _truncated(name, element, f"number {k} lacks some of {prop.name!r}")
+            words += row[at : at + size]
+            sizes.append(size)
+            places[k] = at + size
+        columns[prop.name] = (numbers_of(words, name), np.array(sizes, np.int64))
+    for k, row in enumerate(rows):
+        if places[k] != len(row):
+            raise InputError(
+                f"{name}: {element.name} {k} has {len(row)} numbers, its properties are {places[k]}"
+            )
+    return columns
+
+
+# -- binary --------------------------------------------------------------------------------------------
+
+
+def _read_binary(body: bytes, elements: list[Element], order: str, name: str) -> dict[str, Columns]:
+    """Columns of every element."""
+    found, at = dict[str, Columns](), 0
+    for element in elements:
+        columns, at = _binary_columns(body, at, element, order, name)
+        found[element.name] = columns
+    if body[at:].strip(b"\r\n \t\0"):
+        raise InputError(f"{name}: {len(body) - at} bytes follow the last element that its header counts")
+    return found
+
+
+def _binary_columns(body: bytes, at: int, element: Element, order: str, name: str) -> tuple[Columns, int]:
+    """Columns of one element, and where the next one starts."""
+    sizes = _first_sizes(body, at, element, order)
+    fields: list[tuple[str, str] | tuple[str, str, tuple[int]]] = []
+    for i, prop in enumerate(element.properties):
+        if prop.count_kind:
+            fields.append((f"n{i}", order + prop.count_kind))
+        fields.append((f"v{i}", order + prop.kind, (sizes[i],)))
+    kind = np.dtype(fields)
+    if element.count * _least_bytes(element) > len(body) - at:
+        raise _truncated(name, element, f"{len(body) - at} bytes are left for them")
+    same = element.count * kind.itemsize <= len(body) - at
+    table = np.frombuffer(body, kind, element.count if same else 0, at)
+    lists = [i for i, prop in enumerate(element.properties) if prop.count_kind]
+    if not same or any((table[f"n{i}"] != sizes[i]).any() for i in lists):
+        if not lists:
+            raise _truncated(name, element, f"{len(body) - at} bytes are left for them")
+        return _mixed_columns(body, at, element, order, name)
+    columns = {
+        prop.name: (
+            table[f"v{i}"].astype(np.float64).reshape(-1),
+            np.full(element.count, sizes[i], np.int64),
+        )
+        for i, prop in enumerate(element.properties)
+    }
+    return columns, at + element.count * kind.itemsize
+
+
+def _least_bytes(element: Element) -> int:
+    """Bytes of an element whose lists are empty."""
+    return sum(np.dtype(p.count_kind or p.kind).itemsize for p in element.properties)
+
+
+def _first_sizes(body: bytes, at: int, element: Element, order: str) -> list[int]:
+    """Lengths of the properties of the first element: those of all, in most files."""
+    sizes = []
+    for prop in element.properties:
+        size = 1
+        if prop.count_kind:
+            size, at = _number(body, at, order, prop.count_kind)
+            size = size if 0 <= size <= MOST_CORNERS else 0
+        sizes.append(size)
+        at += size * np.dtype(prop.kind).itemsize
+    return sizes
+
+
+def _number(body: bytes, at: int, order: str, kind: str) -> tuple[int, int]:
+    """A whole number and where it ends; -1 behind the end of the file."""
+    width = np.dtype(kind).itemsize
+    raw = body[at : at + width]
+    if len(raw) < width:
+        return -1, at
+    return int.from_bytes(raw, "big" if order == ">" else "little", signed=kind[0] == "i"), at + width
+
+
+def _mixed_columns(body: bytes, at: int, element: Element, order: str, name: str) -> tuple[Columns, int]:
+    """Columns of an element whose lists are of several lengths, one element after the other."""
+    values: list[list[float]] = [[] for _ in element.properties]
+    sizes: list[list[int]] = [[] for _ in element.properties]
+    letters = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "f4": "f", "f8": "d"}
+    for k in range(element.count):
+        for i, prop in enumerate(element.properties):
+            size = 1
+            if prop.count_kind:
+                size, at = _number(body, at, order, prop.count_kind)
+            width = np.dtype(prop.kind).itemsize
+            if not 0 <= size <= MOST_CORNERS or at + size * width > len(body):
+                raise _truncated(name, element, f"number {k} lacks some of {prop.name!r}")
+            values[i] += struct.unpack_from(f"{order}{size}{letters[prop.kind]}", body, at)
+            sizes[i].append(size)
+            at += size * width
+    return {
+        prop.name: (np.array(values[i], np.float64), np.array(sizes[i], np.int64))
+        for i, prop in enumerate(element.properties)
+    }, at

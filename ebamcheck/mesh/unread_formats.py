@@ -1,0 +1,65 @@
+"""Formats that are not read, and the way from each to one that is."""
+
+from __future__ import annotations
+
+READ = (".stl", ".obj", ".ply", ".3mf")
+"""Suffixes of the files that parts are read from."""
+
+EXPORT = (
+    "export it from your CAD system as STL (binary, in mm) with a chord tolerance of 0.01 mm or less and a fine angle; "
+    "a second, four times finer one serves as --reference"
+)
+
+SOLIDS = {
+    "STEP": (".step", ".stp", ".p21", ".stpz"),
+    "IGES": (".iges", ".igs"),
+    "ACIS": (".sat", ".sab"),
+    "Parasolid": (".x_t", ".x_b", ".xmt_txt", ".xmt_bin"),
+    "JT": (".jt",),
+    "Rhino": (".3dm",),
+    "SolidWorks": (".sldprt", ".sldasm"),
+    "Inventor": (".ipt", ".iam"),
+    "CATIA": (".catpart", ".catproduct"),
+    "NX, Creo or Solid Edge": (".prt", ".asm", ".par", ".psm"),
+    "Fusion": (".f3d", ".f3z"),
+    "FreeCAD": (".fcstd",),
+    "OpenCASCADE": (".brep", ".brp"),
+    "DXF or DWG": (".dxf", ".dwg"),
+}
+"""Formats of surfaces and solids, by what they are called."""
+
+MESHES = {
+    "glTF": (".gltf", ".glb"),
+    "AMF": (".amf",),
+    "OFF": (".off",),
+    "VRML": (".wrl", ".vrml", ".x3d"),
+    "Collada": (".dae",),
+    "FBX": (".fbx",),
+    "Blender": (".blend",),
+    "VTK": (".vtp", ".vtu", ".vtk"),
+    "Nastran or Abaqus": (".nas", ".bdf", ".inp"),
+}
+"""Formats of meshes that are not read."""
+
+PROGRAMS = (".gcode", ".g", ".nc", ".mpf", ".spf", ".ngc")
+"""Suffixes of programs."""
+
+
+def how_to_read(suffix: str) -> str:
+    """Say in one line why a file of this suffix is not read, and how to get there.
+
+    Examples
+    --------
+    >>> how_to_read(".stp")[:60]
+    'holds exact surfaces (STEP), and slicers take a closed mesh:'
+    """
+    known = ", ".join(READ)
+    for name, suffixes in SOLIDS.items():
+        if suffix in suffixes:
+            return f"holds exact surfaces ({name}), and slicers take a closed mesh: {EXPORT}"
+    for name, suffixes in MESHES.items():
+        if suffix in suffixes:
+            return f"holds a mesh in a form ({name}) that is not read: convert it to one of {known}"
+    if suffix in PROGRAMS:
+        return f"is a program, not a part: `ebamcheck verify` checks it; parts are read from {known}"
+    return f"unknown suffix {suffix!r}: parts are read from {known}"

@@ -1,0 +1,191 @@
+"""Processes of code that is not ours: started with limits, and ended with everything that they have started."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+MARK = "EBAMCHECK_PROCESS"
+"""Variable of the environment that a process and all its descendants carry, those that left its group, too."""
+
+ROUNDS = 5
+"""Looks at all processes in search of marked ones: one that forks while it is sought is found in the next."""
+
+POLL_S = 0.05
+"""How often time and memory are looked at."""
+
+LAST_WORDS_BYTES = 4096
+"""How much of what a process has written to its standard error is read for a message."""
+
+LARGEST_SAID_BYTES = 64_000_000
+"""What a process may write to its standard output and error before it is ended: a flood fills the disk."""
+
+PR_SET_PDEATHSIG = 1
+"""Number of Linux's request, from <linux/prctl.h>."""
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a process came to its end: why it was lost, in words; empty where it ended by itself with code 0."""
+
+    why: str = ""
+
+
+def new_mark() -> str:
+    """A value for :data:`MARK` that no other process has."""
+    return os.urandom(16).hex()
+
+
+def die_with(parent: int) -> None:
+    """Have the kernel end this process when its parent ends, however that ends."""
+    libc = ctypes.CDLL(None)
+    if hasattr(libc, "prctl"):
+        libc.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+        if os.getppid() != parent:
+            sys.exit("the parent has ended")
+
+
+def has_ended(process: subprocess.Popen[bytes]) -> bool:
+    """Whether a process has ended; it is not reaped, so that the number of its group stays its own."""
+    if process.returncode is not None:
+        return True
+    try:
+        return os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
+    except ChildProcessError:
+        return True
+
+
+def end_with_children(process: subprocess.Popen[bytes], mark: str = "") -> None:
+    """End a process that leads its group, running or ended, and what it started.
+
+    Parameters
+    ----------
+    process
+        Leader of a session of its own.
+    mark
+        Its :data:`MARK`: whoever carries it is ended, too, though it has left the group. Empty: the group alone.
+    """
+    if process.returncode is None:
+        # Once it is reaped its number may be another's.
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    for _ in range(ROUNDS if mark else 0):
+        marked = _marked(mark)
+        for other in marked:
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.kill(other, signal.SIGKILL)
+        if not marked:
+            return
+
+
+def _marked(mark: str) -> list[int]:
+    """Ids of the running processes that carry a mark."""
+    sought = f"{MARK}={mark}".encode()
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        # Of an ended one, and of another user's, nothing can be read.
+        with contextlib.suppress(OSError):
+            if sought in (folder / "environ").read_bytes().split(b"\0"):
+                found.append(int(folder.name))
+    return [pid for pid in found if pid != os.getpid()]
+
+
+def last_words(file: Path) -> str:
+    """Last line of a file, for a message; however long the file is, only its end is read."""
+    with contextlib.suppress(OSError), file.open("rb") as said:
+        said.seek(max(0, file.stat().st_size - LAST_WORDS_BYTES))
+        lines = said.read().decode("utf-8", "replace").strip().splitlines()
+        return f": {one_line(lines[-1])}" if lines else ""
+    return ""
+
+
+def one_line(text: str, longest: int = 200) -> str:
+    """Words of others as one line that no terminal minds."""
+    shown = "".join(c if c.isprintable() else " " for c in text[: 4 * longest])
+    return " ".join(shown.split())[:longest]
+
+
+def run_limited(arguments: Sequence[str], folder: Path, time_s: float, memory_mb: float) -> Ended:
+    """Run a Python module in a process of its own, and end it with its children.
+
+    Parameters
+    ----------
+    arguments
+        The module, and what it is told; the id of this process comes last.
+    folder
+        Where it works; temporary files, and a file ``said`` of what it writes to the terminal, go there.
+    time_s, memory_mb
+        Beyond these, of wall clock and of resident memory, it is ended.
+    """
+    mark, said = new_mark(), folder / "said"
+    with said.open("wb") as told:
+        process = subprocess.Popen(
+            [sys.executable, "-P", "-m", *arguments, str(os.getpid())],
+            stdin=subprocess.DEVNULL,
+            stdout=told,
+            stderr=told,
+            cwd=folder,
+            start_new_session=True,
+            env={**os.environ, "TMPDIR": str(folder), MARK: mark},
+        )
+    why = ""
+    try:
+        why = _watched(process, said, time_s, memory_mb)
+    finally:
+        end_with_children(process, mark)
+    return Ended(why or _code_in_words(process.returncode, said))
+
+
+def size_of(file: Path) -> int:
+    """Bytes of a file; 0 where it has been removed."""
+    with contextlib.suppress(OSError):
+        return file.stat().st_size
+    return 0
+
+
+def _watched(process: subprocess.Popen[bytes], said: Path, time_s: float, memory_mb: float) -> str:
+    """Wait for a process; the limit that it has passed, in words, or nothing."""
+    import psutil
+
+    started = time.monotonic()
+    while not has_ended(process):
+        with contextlib.suppress(psutil.Error):
+            resident_mb = psutil.Process(process.pid).memory_info().rss / 1e6
+            if resident_mb > memory_mb:
+                return f"it held {resident_mb:.0f} MB, over the limit of {memory_mb:g} MB"
+        if time.monotonic() - started > time_s:
+            return f"it took over {time_s:g} s"
+        if size_of(said) > LARGEST_SAID_BYTES:
+            return f"it wrote over {LARGEST_SAID_BYTES // 1_000_000} MB to the terminal"
+        time.sleep(POLL_S if time.monotonic() - started > 1.0 else POLL_S / 5.0)
+    return ""
+
+
+def _code_in_words(code: int, said: Path) -> str:
+    """How a process ended that was not ended by us; nothing for code 0."""
+    if code == 0:
+        return ""
+    return f"it ended the process {code_in_words(code)}{last_words(said)}"
+
+
+def code_in_words(code: int) -> str:
+    """A return code of :class:`subprocess.Popen` in words.
+
+    Examples
+    --------
+    >>> code_in_words(7), code_in_words(-11)
+    ('with code 7', 'by SIGSEGV')
+    """
+    if code >= 0:
+        return f"with code {code}"
+    known = -code in signal.Signals.__members__.values()
+    return f"by {signal.Signals(-code).name}" if known else f"by signal {-code}"

@@ -1,0 +1,170 @@
+"""A stranger's plugin tried in a process of its own: it is imported, asked what it is, and nothing of it is believed.
+
+``python -m ebamcheck.plugins.trial FOLDER PARENT`` reads ``question.json`` in the folder and writes one line of JSON for
+each answer to ``answers``, so that what was said before a crash is kept.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from typing import Any, TypedDict
+
+from ebamcheck.backend import BackendSettings, Probe, Slicer
+from ebamcheck.errors import SettingsError
+from ebamcheck.mesh.part import Part, from_arrays
+from ebamcheck.plugins.processes import die_with, one_line
+
+QUESTION, ANSWERS = "question.json", "answers"
+
+SLICER_ATTRIBUTES = (
+    "name", "summary", "exact", "priority", "coplanar_rule", "inside_rule", "Settings",
+    "probe", "error_bound_mm", "height_bound_mm", "prepare",
+)  # fmt: skip
+
+TOLD_ATTRIBUTES = SLICER_ATTRIBUTES[:6]
+"""Attributes that are plain values."""
+
+Tell = Callable[..., None]
+
+
+class Question(TypedDict):
+    """What is asked of a plugin."""
+
+    kind: str
+    """``load``: does it import; ``slicer``: what is it; ``settings``: are these values sound."""
+    group: str
+    name: str
+    value: str
+    settings: dict[str, Any]
+
+
+def cube() -> Part:
+    """Cube of 100 mm, for which bounds are told in lists."""
+    corners = [(x, y, z) for x in (0, 100) for y in (0, 100) for z in (0, 100)]
+    return from_arrays(corners, [(0, 1, 3), (0, 6, 4), (7, 5, 2)])
+
+
+def checked_slicer(point: EntryPoint) -> Slicer:
+    """Load a slicer in this process; raises :class:`TypeError` where it is none."""
+    slicer: Slicer = point.load()()
+    missing = [a for a in SLICER_ATTRIBUTES if not hasattr(slicer, a)]
+    if missing:
+        raise TypeError(f"it lacks {', '.join(missing)} of the Slicer protocol")
+    if slicer.name != point.name:
+        raise TypeError(f"it calls itself {slicer.name!r}, its entry point {point.name!r}")
+    return slicer
+
+
+def probed(slicer: Slicer) -> Probe:
+    """Ask a slicer in this process whether this machine can run it; whatever it answers or raises, this is a probe."""
+    try:
+        found: Any = slicer.probe()
+    except Exception as error:
+        return Probe(False, why=f"its probe raised {type(error).__name__}: {one_line(str(error))}")
+    if not isinstance(found, Probe):
+        return Probe(False, why=f"its probe returned {type(found).__name__}, not a Probe")
+    return found
+
+
+def checked_settings(name: str, kind: Any, values: Mapping[str, Any]) -> BackendSettings:
+    """Check settings of a slicer; raises :class:`SettingsError` naming the first that is wrong."""
+    from pydantic import ValidationError
+
+    try:
+        checked: BackendSettings = kind(**values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(k) for k in first["loc"])
+        known = ", ".join(kind.model_fields) or "none"
+        raise SettingsError(
+            f"backend {name!r}, setting {key!r}: {first['msg']} (given {first.get('input')!r}); it knows: {known}"
+        ) from None
+    return checked
+
+
+def lineage(slicer: object) -> list[str]:
+    """Names of a slicer's class and of the classes that it is made from, without those of this harness and Python."""
+    named = [f"{kind.__module__}:{kind.__qualname__}" for kind in type(slicer).__mro__]
+    return [
+        name for name in named if not name.startswith(("builtins:", "typing:", "abc:", "ebamcheck.backend:"))
+    ]
+
+
+# -- the process ---------------------------------------------------------------------------------------
+
+
+def _answer(question: Question, tell: Tell) -> None:
+    """Answer one question; what was told stays told whatever comes after it."""
+    point = EntryPoint(question["name"], question["value"], question["group"])
+    if question["kind"] == "load":
+        tell(kind=type(point.load()).__name__)
+        return
+    from pydantic import BaseModel
+
+    slicer = checked_slicer(point)
+    kind: Any = slicer.Settings
+    if not (isinstance(kind, type) and issubclass(kind, BaseModel)):
+        shown = kind.__name__ if isinstance(kind, type) else repr(kind)
+        raise TypeError(f"its Settings is {one_line(shown, 60)}, not a BackendSettings")
+    if question["kind"] == "settings":
+        try:
+            checked = checked_settings(question["name"], kind, question["settings"])
+        except SettingsError as error:
+            tell(wrong=str(error))
+        else:
+            tell(settings=checked.model_dump(mode="json"))
+        return
+    tell(attributes={a: getattr(slicer, a) for a in TOLD_ATTRIBUTES}, lineage=lineage(slicer))
+    _tell_defaults(kind, tell)
+    found = probed(slicer)
+    tell(probe={**asdict(found), "versions": dict(found.versions)})
+    _tell_bounds(slicer, tell)
+
+
+def _tell_defaults(kind: Any, tell: Tell) -> None:
+    """Default settings; where there are none they are asked for with the user's own."""
+    try:
+        tell(defaults=kind().model_dump(mode="json"))
+    except Exception:
+        tell(defaults=None)
+
+
+def _tell_bounds(slicer: Slicer, tell: Tell) -> None:
+    """Bounds of the cube of lists; a slicer that cannot tell them may still slice."""
+    try:
+        settings, part = slicer.Settings(), cube()
+        tell(bounds=[slicer.error_bound_mm(part, settings), slicer.height_bound_mm(part, settings)])
+    except Exception:
+        tell(bounds=None)
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Entry point: the folder of question and answers, and the parent's id."""
+    folder, parent = arguments
+    die_with(int(parent))
+    question: Question = json.loads((Path(folder) / QUESTION).read_text(encoding="utf-8"))
+    with (Path(folder) / ANSWERS).open("w", encoding="utf-8") as file:
+
+        def tell(**answer: Any) -> None:
+            file.write(json.dumps(answer, default=repr) + "\n")
+            file.flush()
+
+        try:
+            _answer(question, tell)
+        except BaseException as error:
+            tell(failure=f"{type(error).__name__}: {one_line(str(error))}")
+            return 0
+        tell(done=True)
+    return 0
+
+
+if __name__ == "__main__":
+    code = main(sys.argv[1:])
+    # What a stranger has left for the interpreter's farewell is not waited for.
+    os._exit(code)

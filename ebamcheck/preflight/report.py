@@ -1,0 +1,154 @@
+"""The preflight of a job: part, heights and all checks, made once and handed on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from ebamcheck.errors import ExitCode, SettingsError
+from ebamcheck.layers.cuts import cut_heights
+from ebamcheck.mesh.inspection import Inspection, inspect
+from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.part_source import read_part
+from ebamcheck.numeric.rings import Floats
+from ebamcheck.preflight.checks import RUN, PreflightCheck, of_finding
+from ebamcheck.preflight.room import room_checks
+from ebamcheck.preflight.sense import sense_checks
+from ebamcheck.preflight.suspicions import sizes, suspicions
+from ebamcheck.preflight.workload import Workload, work_checks, workload
+from ebamcheck.settings.config import Config
+
+
+@dataclass(frozen=True)
+class Preflight:
+    """All checks of a preflight."""
+
+    checks: tuple[PreflightCheck, ...]
+    work: Workload
+
+    @property
+    def passed(self) -> bool:
+        """Whether there is no fault; there may be warnings."""
+        return all(check.level != "fault" for check in self.checks)
+
+    @property
+    def exit_code(self) -> ExitCode:
+        """0, or 1 where there is a fault."""
+        return ExitCode.PASS if self.passed else ExitCode.OUT_OF_TOLERANCE
+
+    def as_dict(self) -> dict[str, Any]:
+        """All checks and the estimate, for JSON."""
+        return {
+            "passed": self.passed,
+            "checks": [asdict(check) for check in self.checks],
+            "work": asdict(self.work),
+        }
+
+    def stop(self, job: str) -> None:
+        """Refuse a job that cannot come to a good end.
+
+        Raises
+        ------
+        SettingsError
+            That tells the first fault that stops such a job, how many more there are, and what to do.
+        """
+        faults = [check for check in self.checks if check.level == "fault" and job in check.stops]
+        if not faults:
+            return
+        first, more = faults[0], f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
+        raise SettingsError(
+            f"preflight: {first.name}: {first.text}{more}: {first.remedy}; `ebamcheck preflight` shows all"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Ready:
+    """A part that is ready to be sliced.
+
+    Parameters
+    ----------
+    part
+        As placed.
+    turned
+        Facets that were turned over.
+    found
+        Its inspection.
+    heights
+        (L,) heights of the cuts, mm.
+    preflight
+        What was looked at.
+    """
+
+    part: Part
+    turned: int
+    found: Inspection
+    heights: Floats
+    preflight: Preflight
+
+
+def ready(path: str | Path, config: Config, job: str = RUN, yes: bool = False) -> Ready:
+    """Read and place a part, and look at all that can be known before it is sliced.
+
+    Parameters
+    ----------
+    path
+        Mesh file, or ``plate.toml``.
+    config
+        Settings.
+    job
+        ``run``, or ``check`` for a job without a program.
+    yes
+        More work than the settings allow is a warning, not a fault.
+
+    Raises
+    ------
+    InputError, SettingsError
+        If the part cannot be read, or the heights of the settings are outside of it.
+    """
+    part, turned = read_part(path, config.part)
+    heights = cut_heights(part, config)
+    found = inspect(part)
+    work = workload(part, heights, config, job)
+    return Ready(
+        part, turned, found, heights, Preflight(tuple(_checks(part, found, heights, work, config, yes)), work)
+    )
+
+
+def _checks(
+    part: Part, found: Inspection, heights: Floats, work: Workload, config: Config, yes: bool
+) -> Iterator[PreflightCheck]:
+    yield _mesh(found)
+    yield from _units(found, config)
+    yield _thickness(found, config)
+    step = float(heights[1] - heights[0]) if len(heights) > 1 else config.layer_height_mm
+    layers_mm = float(heights[-1] - heights[0]) + step
+    yield from room_checks(part, config, layers_mm)
+    yield from sense_checks(config)
+    yield from work_checks(work, config, yes)
+
+
+def _mesh(found: Inspection) -> PreflightCheck:
+    """Closed, consistent, the right way out: a fault here shuts a gate, and slicing shows what comes of it."""
+    text = f"{found.facets} facets, {found.bodies} bodies: {found.verdict}, {found.why}"
+    if found.passed:
+        return PreflightCheck("mesh", "pass", text, 0.0, 0.0, "faults")
+    remedy = "mend the mesh, or --fix-orientation where facets are turned over"
+    return PreflightCheck("mesh", "fault", text, 1.0, 0.0, "faults", remedy)
+
+
+def _units(found: Inspection, config: Config) -> Iterator[PreflightCheck]:
+    told = [of_finding("units", finding) for finding in suspicions(found, config)]
+    size = f"{sizes(found.size_mm)} mm, read as {config.part.units}"
+    yield from told or [PreflightCheck("units", "pass", size, max(found.size_mm), None, "mm")]
+
+
+def _thickness(found: Inspection, config: Config) -> PreflightCheck:
+    """A part that is thinner than a bead across the plate cannot be laid."""
+    thin, bead = min(found.size_mm[:2]), config.process.bead_width_mm
+    text = f"{thin:.6g} mm across at its narrowest extent; a bead is {bead:g} mm wide"
+    if thin >= bead:
+        return PreflightCheck("size against the bead", "pass", text, thin, bead, "mm")
+    remedy = "use a narrower bead, allow for machining, or check the unit (--units)"
+    return PreflightCheck("size against the bead", "warning", text, thin, bead, "mm", remedy)

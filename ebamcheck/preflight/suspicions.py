@@ -1,0 +1,101 @@
+"""What the size of a part says of its unit: a part of a few beads, round in inches, or over an axis."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ebamcheck.findings import Finding
+from ebamcheck.mesh.inspection import Inspection
+from ebamcheck.settings.config import Config
+from ebamcheck.settings.units import UNITS_MM
+
+FEW_BEADS = 3.0
+"""A part of fewer beads than this in its greatest extent is no part of this process, or its unit is another."""
+
+INCH_MM = UNITS_MM["in"]
+
+INCH_PARTS = 16
+"""Extents in drawings in inches are whole sixteenths."""
+
+ROUND_MM = 0.5
+"""Extents in drawings in millimetres are mostly whole halves; of sixteenths of an inch hardly one is."""
+
+ROUNDING = 2e-6
+"""Of an extent: coordinates of single precision on both sides of it."""
+
+
+def suspicions(found: Inspection, config: Config) -> Iterator[Finding]:
+    """What the size of the part and its file say of its unit."""
+    for note in found.notes:
+        yield Finding("warning", "mesh-oddity", note, found.name, remedy="look at the file and its unit")
+    largest, few_mm = max(found.size_mm), FEW_BEADS * config.process.bead_width_mm
+    size = sizes(found.size_mm)
+    if largest < few_mm:
+        yield Finding(
+            "warning",
+            "part-under-beads",
+            f"the part is {size} mm, read as {config.part.units}: its largest extent is under {FEW_BEADS:g} beads",
+            "part.units",
+            largest,
+            few_mm,
+            "mm",
+            f"check the unit of the file (--units){_in_inches(found, config)}",
+        )
+    if round_in_inches(found.size_mm):
+        inches = sizes(np.array(found.size_mm) / INCH_MM)
+        yield Finding(
+            "warning",
+            "part-round-in-inches",
+            f"the part is {size} mm, which is {inches} in: round in inches and not in millimetres",
+            "part.units",
+            remedy="check that the file was not converted twice",
+        )
+    yield from _beyond_travel(found, config)
+
+
+def sizes(size: np.typing.ArrayLike) -> str:
+    """Extents as text.
+
+    Examples
+    --------
+    >>> sizes([100.0, 50.8, 25.4])
+    '100 x 50.8 x 25.4'
+    """
+    return " x ".join(f"{extent:.6g}" for extent in np.asarray(size, np.float64).tolist())
+
+
+def round_in_inches(size_mm: tuple[float, float, float]) -> bool:
+    """Whether every extent is whole sixteenths of an inch, and not every one whole halves of a millimetre."""
+    size = np.array(size_mm)
+
+    def whole(unit_mm: float) -> bool:
+        return bool((np.abs(size - unit_mm * np.round(size / unit_mm)) <= ROUNDING * size).all())
+
+    return bool((size > 0.0).all()) and whole(INCH_MM / INCH_PARTS) and not whole(ROUND_MM)
+
+
+def _in_inches(found: Inspection, config: Config) -> str:
+    """What a small part would be in inches, where its numbers are read as millimetres."""
+    if config.part.units != "mm":
+        return ""
+    return f": in inches it would be {sizes(INCH_MM * np.array(found.size_mm))} mm"
+
+
+def _beyond_travel(found: Inspection, config: Config) -> Iterator[Finding]:
+    machine = config.machine
+    for axis, extent, low, high in zip(
+        "XYZ", found.size_mm, machine.travel_min_mm, machine.travel_max_mm, strict=True
+    ):
+        if extent > high - low:
+            yield Finding(
+                "warning",
+                "part-beyond-travel",
+                f"the part is {extent:.6g} mm along {axis}, read as {config.part.units}; the axis travels {high - low:g} mm",
+                f"machine.travel_max_mm {axis}",
+                extent,
+                high - low,
+                "mm",
+                "check the unit of the file (--units), or turn the part",
+            )

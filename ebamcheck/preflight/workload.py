@@ -1,0 +1,187 @@
+"""How much work a job will be, worked out from the mesh and the settings in a fraction of a second.
+
+Layers and points are counted; islands follow from area and outline of the mean layer; time and memory are those of the
+parts that were measured, on a core of 2020s make, and right within a factor of three or so.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import psutil
+
+from ebamcheck.errors import SettingsError
+from ebamcheck.layers.heights import crossing_counts
+from ebamcheck.mesh.part import Part
+from ebamcheck.numeric.rings import Floats
+from ebamcheck.preflight.checks import CHECK, EVERY, RUN, PreflightCheck
+from ebamcheck.settings.config import Config
+
+HOUSE_SLICERS = 4
+"""Slicers of the house, which a job runs where the settings name none."""
+
+START_S = 6.0
+"""Start of the interpreter and of the slicers' processes."""
+
+SLICE_S, COMPARE_S, FIT_S = 3e-6, 8e-6, 3e-5
+"""Time a point and method, a point and pair, and a point."""
+
+ISLAND_S = 0.012
+"""Time an island of partition, filling and thermal order."""
+
+BEAD_S = 1.4e-4
+"""Time a millimetre of bead of writing, reading back and laying a program."""
+
+BASE_MB, METHOD_MB, FACET_MB, POINT_MB = 450.0, 250.0, 4e-4, 1e-4
+"""Memory of the job itself, of each method's process, of a facet and of a point, each a method."""
+
+ZONES, BEADS_ACROSS = 60, (4, 12)
+"""Islands of an ordinary layer, and fewest and most beads across one (:mod:`ebamcheck.scan.islands.lattice`)."""
+
+CUT = 0.3
+"""Islands that the border cuts off, over those that fit along it."""
+
+SQRT3 = math.sqrt(3.0)
+
+
+@dataclass(frozen=True)
+class Workload:
+    """What a job makes, and what it takes.
+
+    Parameters
+    ----------
+    layers, points, islands
+        Counts; points are those of one exact contour of all layers. No islands for a job without a program.
+    bead_mm
+        Length of all beads.
+    time_s, memory_mb
+        Of the whole job on this machine.
+    """
+
+    layers: int
+    points: int
+    islands: int
+    bead_mm: float
+    time_s: float
+    memory_mb: float
+
+
+def workload(part: Part, heights: Floats, config: Config, job: str) -> Workload:
+    """Estimate what a job of a part makes and takes."""
+    points = int(crossing_counts(part, heights).sum())
+    named = len({*config.slicing.backends, *config.slicing.witnesses})
+    methods = named if config.slicing.backends else HOUSE_SLICERS + named
+    side_by_side = min(methods, config.slicing.processes or psutil.cpu_count() or 1)
+    pairs = methods * (methods - 1) / 2
+    at_once = min(points, config.slicing.block_points)
+    time_s = START_S + points * (SLICE_S * methods + COMPARE_S * pairs)
+    memory_mb = (
+        BASE_MB + side_by_side * (METHOD_MB + FACET_MB * len(part.faces)) + POINT_MB * at_once * methods
+    )
+    islands, bead_mm = 0, 0.0
+    if job == RUN:
+        area, border = mean_section(part)
+        islands = round(len(heights) * islands_of_layer(area, border, config))
+        bead_mm = len(heights) * (area / config.process.hatch_spacing_mm + border)
+        time_s += FIT_S * points + ISLAND_S * islands + BEAD_S * bead_mm
+    return Workload(len(heights), points, islands, bead_mm, time_s, memory_mb)
+
+
+def mean_section(part: Part) -> tuple[float, float]:
+    """Area, mm2, and length of the outline, mm, of the mean section: volume, and area of the sides, over the height."""
+    height_mm = float(part.size[2])
+    if height_mm <= 0.0:
+        return 0.0, 0.0
+    a, b, c = np.moveaxis(part.triangles, 1, 0)
+    normals = np.cross(b - a, c - a)
+    sides = 0.5 * float(np.hypot(normals[:, 0], normals[:, 1]).sum())
+    return abs(part.volume) / height_mm, sides / height_mm
+
+
+def islands_of_layer(area_mm2: float, border_mm: float, config: Config) -> float:
+    """Islands of a layer of an area and an outline, those that the border cuts counted as well."""
+    if area_mm2 <= 0.0:
+        return 0.0
+    if config.scan.partition == "whole":
+        return 1.0
+    width = _width_mm(area_mm2, border_mm, config)
+    within_mm2 = max(area_mm2 - border_mm * config.process.bead_width_mm, 0.0)
+    return within_mm2 / (0.5 * SQRT3 * width**2) + CUT * border_mm / width
+
+
+def _width_mm(area_mm2: float, border_mm: float, config: Config) -> float:
+    """Width of a cell: that of the settings, else planned as the partition plans it."""
+    if config.scan.hexagon_side_mm is not None:
+        return SQRT3 * config.scan.hexagon_side_mm
+    spacing = config.process.hatch_spacing_mm
+    width = SQRT3 * math.sqrt(2.0 * area_mm2 / (3.0 * SQRT3 * ZONES))
+    if border_mm > 0.0:
+        width = min(width, 2.0 * area_mm2 / border_mm)
+    return min(max(round(width / spacing), BEADS_ACROSS[0]), BEADS_ACROSS[1]) * spacing
+
+
+def work_checks(work: Workload, config: Config, yes: bool) -> Iterator[PreflightCheck]:
+    """Hold the work against what the settings allow without a question; with `yes` it is told and goes on."""
+    limits = config.work
+    memory_mb = limits.most_memory_mb or psutil.virtual_memory().total * 1e-6
+    for name, what, figure, limit, unit in (
+        ("layers", "layers", float(work.layers), float(limits.most_layers), "layers"),
+        ("points", "contour points", float(work.points), float(limits.most_points), "points"),
+        ("islands", "islands", float(work.islands), float(limits.most_islands), "islands"),
+        ("memory", "of memory", work.memory_mb, memory_mb, "MB"),
+        ("time", "of computation", work.time_s, limits.most_time_s, "s"),
+    ):
+        text = f"{'about ' if name not in ('layers', 'points') else ''}{_amount(figure, unit)} {what}"
+        if name == "islands" and not work.islands:
+            continue
+        if figure <= limit:
+            yield PreflightCheck(f"work: {name}", "pass", text, figure, limit, unit)
+            continue
+        setting = {"memory": "most_memory_mb", "time": "most_time_s"}.get(name, f"most_{name}")
+        yield PreflightCheck(
+            f"work: {name}",
+            "warning" if yes else "fault",
+            f"{text}, over {_amount(limit, unit)} (work.{setting})",
+            figure,
+            limit,
+            unit,
+            "give --yes to go on all the same, raise the setting, or take thicker layers or larger cells",
+            () if yes else EVERY,
+        )
+
+
+def refuse_work(part: Part, heights: Floats, config: Config, yes: bool) -> None:
+    """Refuse to slice a part with one slicer where that is more work than the settings allow.
+
+    Raises
+    ------
+    SettingsError
+        That names the figure, its limit and the setting.
+    """
+    one = config.model_copy(
+        update={"slicing": config.slicing.model_copy(update={"backends": ("",), "witnesses": ()})}
+    )
+    for check in work_checks(workload(part, heights, one, CHECK), config, yes):
+        if check.level == "fault":
+            raise SettingsError(f"{check.text}: {check.remedy}")
+
+
+def _amount(figure: float, unit: str) -> str:
+    """Write a count, a time or an amount of memory as people say it.
+
+    Examples
+    --------
+    >>> _amount(1234567.0, "points"), _amount(5400.0, "s"), _amount(95.0, "s"), _amount(2300.0, "MB")
+    ('1,234,567', '1.5 hours', '1.6 minutes', '2.3 GB')
+    """
+    if unit == "s":
+        scale, name = (
+            (3600.0, "hours") if figure >= 3600.0 else (60.0, "minutes") if figure >= 60.0 else (1.0, "s")
+        )
+        return f"{figure / scale:.2g} {name}"
+    if unit == "MB":
+        return f"{figure * 1e-3:.2g} GB" if figure >= 1000.0 else f"{figure:.0f} MB"
+    return f"{figure:,.0f}"

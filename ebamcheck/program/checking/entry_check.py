@@ -1,0 +1,99 @@
+"""Check of a program that begins at a layer: what it commands is the end of the whole program, which was proved.
+
+Nothing of the part is judged anew. The motions from its layer on are those of the whole, value by value; its way there comes
+from above all that stands; and its first blocks establish a state of their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ebamcheck.program.checking.checks import Check, count_check
+from ebamcheck.program.checking.machine_state import machine_state_checks
+from ebamcheck.program.checking.text_checks import text_checks
+from ebamcheck.program.reading.motions import RAPID, NCProgram
+from ebamcheck.settings.config import Config
+
+NAME = "entry"
+
+PLACE_MM = 1e-3
+"""Heights nearer than this are one: three decimals are the fewest of a program."""
+
+COLUMNS = ("kind", "feed_mm_min", "beam", "wire", "power_w", "wire_mm_s")
+GEOMETRY = ("end", "coefficients", "arc")
+
+
+def entry_check(whole: NCProgram, entry: NCProgram, layer: int, z_mm: float, config: Config) -> Check:
+    """Check a program that begins at a layer against the whole one.
+
+    Parameters
+    ----------
+    layer, z_mm
+        The layer, from 1, and its Z.
+    """
+    faults = list(_faults(whole, entry, layer, z_mm, config))
+    return count_check(
+        NAME, faults, f"{len(entry)} motions from layer {layer} on are those of the whole program"
+    )
+
+
+def _faults(
+    whole: NCProgram, entry: NCProgram, layer: int, z_mm: float, config: Config
+) -> Iterator[tuple[str, str]]:
+    for check in (*text_checks(entry, config), *machine_state_checks(entry, config)):
+        if not check.passed:
+            yield check.where, f"{check.name}: {check.text}"
+    main = f"{entry.files[0].name}:1"
+    laid = np.flatnonzero(entry.deposit)
+    if len(entry) > len(whole) or not laid.size:
+        yield main, f"{len(entry)} motions, the whole program has {len(whole)}"
+        return
+    offset = len(whole) - len(entry)
+    before = np.flatnonzero(whole.deposit[:offset])
+    if not abs(entry.end[laid[0], 2] - z_mm) <= PLACE_MM or (
+        before.size and not whole.end[before[-1], 2] < z_mm - PLACE_MM
+    ):
+        yield (
+            entry.where(int(laid[0])),
+            f"begins at Z {entry.end[laid[0], 2]:g}, layer {layer} lies at {z_mm:g}",
+        )
+    yield from _other_motions(whole, entry, offset)
+    yield from _way_in(entry, int(laid[0]), z_mm, config)
+
+
+def _other_motions(whole: NCProgram, entry: NCProgram, offset: int) -> Iterator[tuple[str, str]]:
+    """First motion that is another than that of the whole program; places that nothing has given yet are left to the way in."""
+    alike = np.ones(len(entry), np.bool_)
+    for name in COLUMNS:
+        alike &= _same(getattr(entry, name), getattr(whole, name)[offset:])
+    unknown = ~np.isfinite(entry.start).all(axis=1)
+    for name in GEOMETRY:
+        mine, other = getattr(entry, name), getattr(whole, name)[offset:]
+        same = _same(mine, other).reshape(len(entry), -1)
+        given = ~np.isnan(mine).reshape(len(entry), -1)
+        alike &= np.where(unknown, (same | ~given).all(axis=1), same.all(axis=1))
+    # The wire's speed of before is set anew with the first bead.
+    idle = ~entry.wire & ~whole.wire[offset:] & ~entry.beam
+    same_way = (entry.kind == whole.kind[offset:]) & (idle & (entry.kind == RAPID))
+    alike |= same_way & _same(entry.end, whole.end[offset:]).all(axis=1)
+    alike |= same_way & unknown
+    for row in np.flatnonzero(~alike)[:1].tolist():
+        yield entry.where(row), "is another motion, or at other values, than in the whole program"
+
+
+def _same(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.asarray((a == b) | (np.isnan(a) & np.isnan(b)) if a.dtype.kind == "f" else a == b)
+
+
+def _way_in(entry: NCProgram, first: int, z_mm: float, config: Config) -> Iterator[tuple[str, str]]:
+    """What the way to the first bead does that is no rise, travel and descent by rapids, beam and wire off."""
+    way = np.arange(first)
+    rise = z_mm + config.machine.clearance_mm
+    bad = (entry.kind[way] != RAPID) | entry.beam[way] | entry.wire[way]
+    for row in way[bad][:1].tolist():
+        yield entry.where(row), "the way to the first bead is none of rapids with beam and wire off"
+    if not way.size or not entry.end[0, 2] >= rise or not np.isnan(entry.end[0, :2]).all():
+        where = entry.where(0) if len(entry) else f"{entry.files[0].name}:1"
+        yield where, f"does not begin with a rise to Z {rise:g} or above, from wherever the tool is"

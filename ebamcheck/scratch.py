@@ -1,0 +1,141 @@
+"""Temporary folders and files that the next process clears away, should their owner have been killed.
+
+Whoever makes one holds a lock on it, which ends with the process however that ends. So what can be locked by somebody
+else has no owner any more; a process number alone would not tell, since numbers are given again.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import re
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+MARK = ".scratch-"
+"""Stands in the name of every such folder, so that no other one is ever taken for one."""
+
+PREFIX = "ebamcheck"
+
+_PART = re.compile(r"\..+\.\d+-\d+\.part")
+"""Names of files in the making (:func:`ebamcheck.atomic_file.replacing`)."""
+
+_swept: set[Path] = set()
+"""Folders in which this process has looked for abandoned files."""
+
+
+@contextmanager
+def scratch_folder(prefix: str = PREFIX, parent: Path | None = None) -> Iterator[Path]:
+    """Give a folder that goes at the end; those that killed processes left under the same prefix go at once.
+
+    Parameters
+    ----------
+    prefix
+        Begins its name.
+    parent
+        Where it is made; the system's folder for temporary files if None.
+    """
+    where = Path(tempfile.gettempdir()) if parent is None else parent
+    sweep_folders(prefix, where)
+    folder, lock = _locked_folder(prefix + MARK, where)
+    try:
+        yield folder
+    finally:
+        # The lock goes last: nobody else clears away meanwhile.
+        shutil.rmtree(folder, ignore_errors=True)
+        os.close(lock)
+
+
+def sweep_folders(prefix: str, where: Path) -> list[Path]:
+    """Remove the scratch folders of a prefix whose owners are gone; returns them."""
+    gone = []
+    with contextlib.suppress(OSError), os.scandir(where) as entries:
+        names = [
+            e.path for e in entries if e.name.startswith(prefix + MARK) and e.is_dir(follow_symlinks=False)
+        ]
+        for folder in map(Path, names):
+            with _abandoned(folder) as abandoned:
+                if abandoned:
+                    shutil.rmtree(folder, ignore_errors=True)
+                    gone.append(folder)
+    return gone
+
+
+def sweep_parts(where: Path) -> list[Path]:
+    """Remove files in the making whose owners are gone, once for each folder in the life of a process; returns them."""
+    gone: list[Path] = []
+    if where in _swept:
+        return gone
+    _swept.add(where)
+    with contextlib.suppress(OSError), os.scandir(where) as entries:
+        names = [e.path for e in entries if _PART.fullmatch(e.name) and e.is_file(follow_symlinks=False)]
+        for file in map(Path, names):
+            with _abandoned(file) as abandoned:
+                if abandoned:
+                    file.unlink(missing_ok=True)
+                    gone.append(file)
+    return gone
+
+
+@contextmanager
+def owned_file(path: Path) -> Iterator[None]:
+    """Make an empty file that nobody takes for abandoned while the block runs."""
+    while True:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        if _lock(descriptor) and _is_still(path, descriptor):
+            break
+        # Another process has taken it for abandoned before it was locked.
+        os.close(descriptor)
+    try:
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def _locked_folder(prefix: str, where: Path) -> tuple[Path, int]:
+    """Make a folder and lock it; anew where another process has taken it for abandoned before it was locked."""
+    while True:
+        folder = Path(tempfile.mkdtemp(prefix=prefix, dir=where))
+        try:
+            lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        except FileNotFoundError:
+            continue
+        if _lock(lock) and _is_still(folder, lock):
+            return folder, lock
+        os.close(lock)
+
+
+@contextmanager
+def _abandoned(path: Path) -> Iterator[bool]:
+    """Whether what lies at a path has no owner; it is locked while the block runs."""
+    try:
+        lock = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
+    except OSError:
+        yield False
+        return
+    try:
+        owned_by_us = os.fstat(lock).st_uid == os.getuid()
+        yield owned_by_us and _lock(lock, sure=True) and _is_still(path, lock)
+    finally:
+        os.close(lock)
+
+
+def _lock(descriptor: int, sure: bool = False) -> bool:
+    """Lock, if nobody else does; where the file system has no locks, `sure` decides."""
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return not sure
+    return True
+
+
+def _is_still(path: Path, descriptor: int) -> bool:
+    with contextlib.suppress(FileNotFoundError):
+        return os.path.samestat(os.fstat(descriptor), os.stat(path, follow_symlinks=False))
+    return False

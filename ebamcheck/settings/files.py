@@ -1,0 +1,178 @@
+"""Settings files that are written without losing what stands in one: a new one, or new keys in an old one."""
+
+from __future__ import annotations
+
+import difflib
+import textwrap
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+from tomlkit.exceptions import TOMLKitError
+from tomlkit.items import Item
+
+from ebamcheck.atomic_file import replacing
+from ebamcheck.errors import SettingsError
+from ebamcheck.settings.base import Section
+from ebamcheck.settings.config import Config, validated
+from ebamcheck.settings.text import WIDTH, as_toml, value_text
+
+
+@dataclass
+class Merged:
+    """What became of a settings file."""
+
+    text: str = ""
+    added: list[str] = field(default_factory=list)
+    """Keys that were added, each with its value, as ``process.bead_width_mm = 6.0``."""
+    unknown: list[str] = field(default_factory=list)
+    """Keys that no version takes, or not any more, each with what may be meant."""
+
+
+def write_new(path: Path, config: Config) -> None:
+    """Write all settings into a file that is not there yet.
+
+    Raises
+    ------
+    SettingsError
+        If the file is there, or cannot be written.
+    """
+    if path.exists():
+        raise SettingsError(
+            f"{path}: is there, and what was set in it would be lost: `ebamcheck config --merge {path}` adds new keys "
+            "and keeps the others"
+        )
+    with replacing(path) as temporary:
+        temporary.write_text(as_toml(config), encoding="utf-8")
+
+
+def merge(path: Path) -> Merged:
+    """Add to a settings file the keys that it does not have, with their explanations; nothing in it is changed.
+
+    Raises
+    ------
+    SettingsError
+        If the file is missing, is no TOML, holds a value that is out of range, or cannot be written; then it stays as
+        it was.
+    """
+    made = merged(_read(path), path)
+    if made.added:
+        with replacing(path) as temporary:
+            temporary.write_text(made.text, encoding="utf-8", newline="")
+    return made
+
+
+def merged(text: str, path: Path) -> Merged:
+    """Text of a settings file with the keys that it does not have.
+
+    Parameters
+    ----------
+    text
+        TOML; of a ``pyproject.toml`` its table ``tool.ebamcheck``.
+    path
+        The file, for messages.
+    """
+    try:
+        document: Any = tomlkit.parse(text)
+    except TOMLKitError as error:
+        raise SettingsError(f"{path}: is not TOML: {error}") from None
+    root = document
+    for key in ("tool", "ebamcheck") if path.name == "pyproject.toml" else ():
+        if key not in root:
+            root[key] = tomlkit.table()
+        root = root[key]
+    found = Merged(unknown=_unknown(root))
+    before = validated(_known(root), str(path))
+    default = Config()
+    for name in Config.model_fields:
+        section: Section = getattr(default, name)
+        if type(section).model_fields:
+            _complete(root, name, section, found)
+    found.text = tomlkit.dumps(document)
+    after: Any = tomlkit.parse(found.text)
+    if path.name == "pyproject.toml":
+        after = after["tool"]["ebamcheck"]
+    if validated(_known(after), str(path)) != before:
+        raise SettingsError(
+            f"{path}: its form is one that keys cannot be added to: write its sections as [NAME]"
+        )
+    return found
+
+
+def _complete(root: Any, name: str, section: Section, found: Merged) -> None:
+    """Add the keys that a section of a file does not have."""
+    is_new = name not in root
+    table = tomlkit.table() if is_new else root[name]
+    there = "" if is_new else table.as_string()
+    waiting = ""
+    item: Item | None = None
+    for key, info in type(section).model_fields.items():
+        value = getattr(section, key)
+        if key in table:
+            continue
+        said = textwrap.wrap(info.description or "", WIDTH, initial_indent="# ", subsequent_indent="# ")
+        explained = "".join(f"{line}\n" for line in said)
+        if value is None or isinstance(value, dict):
+            # What is not set stands as a comment, with the next key that is.
+            empty = f"# {key} =" if value is None else f"# [{name}.{key}.NAME]"
+            waiting += "" if empty in there else f"{explained}{empty}\n"
+            continue
+        item = tomlkit.value(value_text(value))
+        item.trivia.indent, waiting = waiting + explained, ""
+        item.trivia.trail = "\n"
+        table.append(key, item)
+        found.added.append(f"{name}.{key} = {value_text(value)}")
+    if item is not None:
+        item.trivia.trail += waiting
+    if is_new:
+        # Last: keys that are appended to a table take up its indent.
+        table.trivia.indent = f"\n# {(type(section).__doc__ or '').strip().splitlines()[0]}\n"
+        root.append(name, table)
+
+
+def _unknown(root: Mapping[str, Any]) -> list[str]:
+    """Keys of a file that are none of ours."""
+    found = []
+    for name, table in root.items():
+        if name not in Config.model_fields:
+            found.append(f"{name}: unknown key{_near(name, Config)}")
+            continue
+        kind = Config.model_fields[name].annotation
+        if isinstance(kind, type) and issubclass(kind, Section) and kind.model_config.get("extra") != "allow":
+            found += [
+                f"{name}.{key}: unknown key{_near(key, kind)}"
+                for key in table
+                if key not in kind.model_fields
+            ]
+    return found
+
+
+def _near(key: str, kind: type[Section]) -> str:
+    near = difflib.get_close_matches(key, kind.model_fields, n=1)
+    return f" (did you mean {near[0]!r}?)" if near else ""
+
+
+def _known(root: Any) -> dict[str, Any]:
+    """Values of a file without the keys that are none of ours."""
+    dropped = {text.partition(":")[0] for text in _unknown(root)}
+    return {
+        name: {key: value for key, value in table.items() if f"{name}.{key}" not in dropped}
+        if isinstance(table, dict)
+        else table
+        for name, table in root.unwrap().items()
+        if name not in dropped
+    }
+
+
+def _read(path: Path) -> str:
+    try:
+        # Line ends as they are.
+        return path.read_bytes().decode("utf-8")
+    except FileNotFoundError:
+        raise SettingsError(f"{path}: is not there: `ebamcheck config -o {path}` writes a new one") from None
+    except OSError as error:
+        raise SettingsError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise SettingsError(f"{path}: is not UTF-8 text, as TOML must be") from None

@@ -1,0 +1,69 @@
+"""How values show themselves: one short line at a prompt, a small table in a notebook."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from html import escape
+from typing import Any
+
+LONGEST = 200
+"""Characters of a line at most: what is longer cannot be read at a prompt."""
+
+
+def line(kind: str, *facts: str) -> str:
+    """Write a value as its kind and the facts that tell it from others.
+
+    Examples
+    --------
+    >>> line("Layers", "42 layers", "", "planecut")
+    '<Layers: 42 layers, planecut>'
+    """
+    said = ", ".join(fact for fact in facts if fact)
+    # A name may hold what a terminal should not be told.
+    said = "".join(c if c.isprintable() else "?" for c in said)
+    room = LONGEST - len(kind) - len("<: >")
+    return f"<{kind}: {said if len(said) <= room else said[: room - 2] + ' …'}>"
+
+
+def counted(count: int, one: str, many: str = "") -> str:
+    """Count things in words.
+
+    Examples
+    --------
+    >>> counted(1, "layer"), counted(3, "body", "bodies")
+    ('1 layer', '3 bodies')
+    """
+    return f"{count} {one if count == 1 else many or one + 's'}"
+
+
+def size(lengths_mm: Iterable[float]) -> str:
+    """Write the extents of a box.
+
+    Examples
+    --------
+    >>> size([80.0, 40.0, 30.5])
+    '80 x 40 x 30.5 mm'
+    """
+    return " x ".join(f"{length:.4g}" for length in lengths_mm) + " mm"
+
+
+def heights(values_mm: Any) -> str:
+    """Write from where to where heights go; nothing without any."""
+    if not len(values_mm):
+        return ""
+    return f"z = {values_mm[0]:.6g} .. {values_mm[-1]:.6g} mm"
+
+
+def html(title: str, facts: Mapping[str, Any], picture: str = "") -> str:
+    """Build a table of names and values for a notebook, with a picture (SVG) under it.
+
+    Examples
+    --------
+    >>> html("a & b", {"facets": 12})
+    '<div><b>a &amp; b</b><table><tr><th scope="row">facets</th><td>12</td></tr></table></div>'
+    """
+    rows = "".join(
+        f'<tr><th scope="row">{escape(name)}</th><td>{escape(str(value))}</td></tr>'
+        for name, value in facts.items()
+    )
+    return f"<div><b>{escape(title)}</b><table>{rows}</table>{picture}</div>"

@@ -1,0 +1,159 @@
+"""Picture of the part as its layers make it: slabs seen from above at an angle, the lowest painted first."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import shapely
+
+from ebamcheck.layers.stack import Layers
+from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck_reports.markup import Markup, element
+
+WIDTH_PX, HEIGHT_PX, MARGIN_PX = 420.0, 380.0, 8.0
+
+MOST_SLABS = 60
+"""Of more layers some are drawn, each as high as those up to the next."""
+
+REDUCTION_PX = 0.6
+"""Distance that a drawn outline may leave its contour."""
+
+TURN_DEG, TILT_DEG = 28.0, 32.0
+"""The part is turned about the vertical, and looked down upon."""
+
+LIGHT_DEG = 155.0
+"""Where the light comes from, counter-clockwise from +X of the picture."""
+
+SHADES = 8
+DARK, BRIGHT, TOP = (58, 84, 110), (166, 192, 214), "#c9d9e6"
+"""Walls turned from the light and towards it, and tops: all between white and black, to be seen on either."""
+
+
+def draw(layers: Layers, title: str) -> Markup | None:
+    """Draw a stack of layers; None where no layer has a closed contour."""
+    chosen = chosen_layers(layers)
+    if not chosen.size:
+        return None
+    tops = _tops(layers, chosen)
+    view = _View(layers, tops)
+    body = [
+        _slab(layers, int(layer), low, high, view) for layer, (low, high) in zip(chosen, tops, strict=True)
+    ]
+    return element(
+        "svg",
+        element("title", title),
+        *itertools.chain.from_iterable(body),
+        viewBox=f"0 0 {view.width_px:.0f} {view.height_px:.0f}",
+        width=f"{view.width_px:.0f}",
+        height=f"{view.height_px:.0f}",
+        class_="solid",
+        role="img",
+    )
+
+
+def chosen_layers(layers: Layers) -> Ints:
+    """Indices of the layers that are drawn, of those with contours: evenly chosen, the last one among them."""
+    filled = np.flatnonzero(layers.ring_counts() > 0)
+    if len(filled) <= MOST_SLABS:
+        return filled
+    return filled[np.unique(np.linspace(0, len(filled) - 1, MOST_SLABS).round().astype(np.int64))]
+
+
+def _tops(layers: Layers, chosen: Ints) -> Floats:
+    """Bottom and top of each slab, (n, 2) mm: a slab reaches up to the next one."""
+    heights = layers.heights[chosen]
+    step = float(np.median(np.diff(layers.heights))) if len(layers) > 1 else 1.0
+    low = heights - 0.5 * step
+    high = np.append(low[1:], heights[-1] + 0.5 * step)
+    return np.column_stack([low, high])
+
+
+class _View:
+    """Where millimetres lie on the picture."""
+
+    def __init__(self, layers: Layers, tops: Floats) -> None:
+        turn, tilt = math.radians(TURN_DEG), math.radians(TILT_DEG)
+        self._turn = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
+        self._flat, self._up = math.sin(tilt), math.cos(tilt)
+        turned = layers.points @ self._turn
+        low, high = turned.min(axis=0), turned.max(axis=0)
+        wide = high[0] - low[0]
+        tall = (high[1] - low[1]) * self._flat + (tops[-1, 1] - tops[0, 0]) * self._up
+        room = WIDTH_PX - 2 * MARGIN_PX, HEIGHT_PX - 2 * MARGIN_PX
+        self.px_per_mm: float = min(room[0] / max(wide, 1e-9), room[1] / max(tall, 1e-9))
+        self.width_px = wide * self.px_per_mm + 2 * MARGIN_PX
+        self.height_px = tall * self.px_per_mm + 2 * MARGIN_PX
+        self._left, self._bottom = float(low[0]), float(low[1]) * self._flat + float(tops[0, 0]) * self._up
+
+    def turned(self, points: Floats) -> Floats:
+        """Points (n, 2) after the turn about the vertical; +Y then points away from the viewer."""
+        return np.asarray(points @ self._turn)
+
+    def pixels(self, turned: Floats, height_mm: float) -> Floats:
+        """Places (n, 2) on the picture of turned points at a height."""
+        x = MARGIN_PX + (turned[:, 0] - self._left) * self.px_per_mm
+        up = turned[:, 1] * self._flat + height_mm * self._up - self._bottom
+        return np.column_stack([x, self.height_px - MARGIN_PX - up * self.px_per_mm])
+
+    def drop_px(self, height_mm: float) -> float:
+        """How far down a wall of a height reaches on the picture."""
+        return float(height_mm * self._up * self.px_per_mm)
+
+
+def _slab(layers: Layers, layer: int, low_mm: float, high_mm: float, view: _View) -> list[Markup]:
+    """Walls that face the viewer, in shades, and the top over them."""
+    walls: dict[int, list[str]] = {}
+    top = ""
+    drop = view.drop_px(high_mm - low_mm)
+    for ring in layers.rings_of(layer):
+        if not layers.closed[ring]:
+            continue
+        turned = _reduced(view.turned(layers.ring(ring)), REDUCTION_PX / view.px_per_mm)
+        at = view.pixels(turned, high_mm)
+        top += "M" + " ".join(f"{x:.1f},{y:.1f}" for x, y in at.tolist()) + "Z"
+        for shade, run in _facing(turned):
+            walls.setdefault(shade, []).append(_wall(at[run], drop))
+    parts = [
+        element("path", d="".join(data), fill=_colour(shade), stroke=_colour(shade), stroke_width=0.6)
+        for shade, data in sorted(walls.items())
+    ]
+    return [*parts, element("path", d=top, fill=TOP, stroke="#7f98ad", stroke_width=0.3)] if top else parts
+
+
+def _reduced(points: Floats, tolerance_mm: float) -> Floats:
+    """Points of a closed ring that stays within the tolerance; the ring itself where too little would be left."""
+    line = shapely.LineString(np.vstack([points, points[:1]])).simplify(tolerance_mm, preserve_topology=False)
+    kept = shapely.get_coordinates(line)[:-1]
+    return kept if len(kept) >= 3 else points
+
+
+def _facing(ring: Floats) -> list[tuple[int, Ints]]:
+    """Runs of a ring's points along which it faces the viewer in one shade; the metal lies on the left of a ring."""
+    step = np.roll(ring, -1, axis=0) - ring
+    length = np.maximum(np.hypot(*step.T), 1e-12)
+    normal = np.column_stack([step[:, 1], -step[:, 0]]) / length[:, None]
+    light = np.array([math.cos(math.radians(LIGHT_DEG)), -math.sin(math.radians(LIGHT_DEG))])
+    lit = np.rint((0.5 + 0.5 * normal @ light) * (SHADES - 1)).astype(np.int64)
+    shades = np.where(normal[:, 1] < 0.0, lit, -1)
+    cuts = np.flatnonzero(np.diff(shades)) + 1
+    runs = np.split(np.arange(len(ring)), cuts)
+    return [
+        (int(shades[run[0]]), np.append(run, (run[-1] + 1) % len(ring)))
+        for run in runs
+        if shades[run[0]] >= 0
+    ]
+
+
+def _wall(edge: Floats, drop_px: float) -> str:
+    """Outline of a wall under its upper edge (n, 2)."""
+    steps = np.diff(np.round(edge, 1), axis=0)
+    there = "".join(f"l{x:.1f},{y:.1f}" for x, y in steps.tolist())
+    back = "".join(f"l{-x:.1f},{-y:.1f}" for x, y in steps[::-1].tolist())
+    return f"M{edge[0, 0]:.1f},{edge[0, 1]:.1f}{there}v{drop_px:.1f}{back}Z"
+
+
+def _colour(shade: int) -> str:
+    mixed = (a + (b - a) * shade / (SHADES - 1) for a, b in zip(DARK, BRIGHT, strict=True))
+    return "#" + "".join(f"{round(c):02x}" for c in mixed)

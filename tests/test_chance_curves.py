@@ -1,0 +1,63 @@
+"""Attack on the law that no curve is farther from its part than the contour was: forms and meshes that nobody chose."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.chance_curves import chance_case, judge
+from benchmarks.curve_parts import CAD, part_of
+from benchmarks.curve_parts_meshes import decimated, irregular_convex, noisy, turned
+from benchmarks.curve_parts_solids import Triangles
+from ebamcheck.curves.lifting import Lifting
+from ebamcheck.curves.plausible import judge_ends, plausible_share
+from ebamcheck.curves.vertex_normals import surface_normals
+from ebamcheck.mesh.part import Part
+from ebamcheck.settings.curves import CurveSettings
+
+BROKE_ONCE = (1, 7, 8, 9, 10, 61)
+"""Seeds that once broke the law, of a kind each: a long side beside a rounding, a seam, noise in planes and in a turned part,
+vertices off their surface, a plate of 38 facets."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", BROKE_ONCE)
+def test_seeds_that_once_broke_the_law_hold_it(seed: int) -> None:
+    verdict = judge(chance_case(seed))
+    assert verdict.held, str(verdict)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("first", range(100, 160, 10))
+def test_no_curve_is_farther_from_its_part_than_the_contour(first: int) -> None:
+    verdicts = [judge(chance_case(seed)) for seed in range(first, first + 10)]
+    assert not [str(v) for v in verdicts if not v.held]
+
+
+def ellipsoid() -> Part:
+    return part_of(irregular_convex(lambda u: u * np.array([30.0, 20.0, 25.0]), 1500, 5), "ellipsoid")
+
+
+def lifting(part: Part) -> Lifting:
+    return Lifting(part, surface_normals(part, CurveSettings()))
+
+
+def test_scattered_points_of_a_smooth_surface_are_known_as_such() -> None:
+    assert judge_ends(lifting(ellipsoid()).mesh) == (True, False)
+
+
+def test_noise_is_known_by_edges_that_bend_to_both_sides() -> None:
+    mesh = ellipsoid()
+    rough = noisy(Triangles(mesh.vertices, mesh.faces.astype(np.int64)), 0.3, 1)
+    assert judge_ends(lifting(part_of(rough, "noisy")).mesh).is_rough
+
+
+def test_a_decimated_ring_is_neither_scattered_nor_rough() -> None:
+    part = part_of(turned(decimated(CAD["bearing ring"](0.05), 0.1), 3), "ring")
+    assert judge_ends(lifting(part).mesh) == (False, False)
+
+
+def test_a_lift_is_left_by_less_the_more_it_asks_for_beyond_what_is_plausible() -> None:
+    asked = np.array([0.5, 1.0, 2.0, 4.0])
+    left = np.array([a * plausible_share(float(a), 1.0) for a in asked])
+    assert np.allclose(left, [0.5, 1.0, 0.5, 0.25])

@@ -1,0 +1,255 @@
+"""Runs that are killed, whenever that may be: the next goes on to the same bytes, and clears away what they left."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from command_line import FAST, WIDE_TOML, command, ebamcheck, frame, write_stl
+from parts import box, sphere
+
+from ebamcheck import scratch
+from ebamcheck.atomic_file import replacing
+from ebamcheck.layers.blocks import KeptBlocks, count_kept
+from ebamcheck.layers.files import read_parquet
+from ebamcheck.layers.heights import layer_blocks
+from ebamcheck.mesh.files import load
+from ebamcheck.plugins import registry
+from ebamcheck.slicers.isolation import slice_all
+from ebamcheck.slicers.slicing import slice_part
+
+SETTINGS = f"slicing.backends = {FAST.split(',')}\nslicing.block_points = 1000\n"
+
+DATED = ("finished", "seal")
+"""Fields of a certificate that tell when the run was made, or hold what does."""
+
+
+def whole(folder):
+    """Bytes of every file of a run but its times; of its certificate all but what is dated."""
+    found = {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    del found["timings.json"]
+    if "certificate.json" in found:
+        paper = json.loads(found["certificate.json"])
+        assert paper["files"].pop("timings.json")
+        found["certificate.json"] = {k: v for k, v in paper.items() if k not in DATED}
+    return found
+
+
+def kill_at(seconds, *arguments, cwd, **environment):
+    """Start a command and kill it and its process group after a time; whether it was still at work."""
+    process = subprocess.Popen(
+        command(*arguments),
+        cwd=cwd,
+        env={**os.environ, **environment},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    try:
+        process.wait(seconds)
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        return True
+    return False
+
+
+def undisturbed(job, folder, temporary):
+    """Seconds that a job takes, and what it leaves."""
+    start = time.monotonic()
+    done = ebamcheck(job, "part.stl", "-o", "sound.run", cwd=folder, TMPDIR=str(temporary))
+    assert done.returncode == 0, done.stdout + done.stderr
+    return time.monotonic() - start, whole(folder / "sound.run")
+
+
+def killed_and_resumed(job, folder, kills, seed):
+    temporary = folder / "temporary"
+    temporary.mkdir()
+    seconds, sound = undisturbed(job, folder, temporary)
+    chance = random.Random(seed)
+    killed = 0
+    for k in range(kills):
+        name = f"{k // 3}.run"
+        # Every third kill begins a new run: the others hit one that goes on from what the last has left.
+        killed += kill_at(
+            chance.uniform(0.2, 1.0) * seconds,
+            job, "part.stl", "-o", name, "--resume",
+            cwd=folder, TMPDIR=str(temporary),
+        )  # fmt: skip
+    assert killed, "not one of the runs was killed"
+    for k in range(0, kills, 3):
+        done = ebamcheck(
+            job, "part.stl", "-o", f"{k // 3}.run", "--resume", cwd=folder, TMPDIR=str(temporary)
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+        assert whole(folder / f"{k // 3}.run") == sound
+    assert list(temporary.iterdir()) == []
+    assert [path.name for path in folder.glob(".*")] == []
+
+
+def test_checks_killed_at_random_moments_come_to_the_same_bytes(tmp_path):
+    write_stl(sphere(12.0, 24, 48), tmp_path / "part.stl")
+    (tmp_path / "ebamcheck.toml").write_text(SETTINGS)
+    killed_and_resumed("check", tmp_path, kills=3, seed=1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(2))
+def test_runs_killed_at_random_moments_come_to_the_same_bytes(tmp_path, seed):
+    write_stl(frame(), tmp_path / "part.stl")
+    (tmp_path / "ebamcheck.toml").write_text(f"{SETTINGS}layers.layer_height_mm = 6.0\n{WIDE_TOML}")
+    killed_and_resumed("run", tmp_path, kills=6, seed=seed)
+
+
+# -- blocks of layers ----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def ball():
+    part = sphere(12.0, 24, 48)
+    heights = np.linspace(-11.5, 11.5, 47)
+    borders = layer_blocks(part, heights, 1000)
+    assert borders.size > 4
+    return part, heights, borders
+
+
+def cut(ball, folder, keep=True):
+    part, heights, borders = ball
+    settings = {"planecut": registry.slicer_settings("planecut", {})}
+    return slice_all(part, heights, settings, folder, borders=borders, keep_blocks=keep)["planecut"]
+
+
+def test_blocks_that_are_kept_are_not_cut_again(ball, tmp_path):
+    part, heights, borders = ball
+    sound = cut(ball, tmp_path).made().read_bytes()
+    assert [path.name for path in tmp_path.iterdir()] == ["planecut.parquet"]
+    file = tmp_path / "planecut.parquet"
+    kept = KeptBlocks(file, part.sha256, "planecut")
+    block = read_parquet(file).block(int(borders[1]), int(borders[2]))
+    kept.write(block)
+    assert (cut(ball, tmp_path).made().read_bytes(), count_kept(file)) == (sound, 0)
+    # A block that says of itself that it was not cut now.
+    told = block.labelled(dropped=np.full(len(block), 7))
+    kept.write(told)
+    found = read_parquet(cut(ball, tmp_path).made())
+    assert found.dropped.tolist() == [7 if borders[1] <= k < borders[2] else 0 for k in range(heights.size)]
+
+
+def test_what_is_cut_as_fast_as_it_is_written_is_not_kept(ball, tmp_path):
+    part, heights, borders = ball
+    kept = KeptBlocks(tmp_path / "a.parquet", part.sha256, "planecut")
+    assert kept.is_worth(0.0), "nothing is known yet"
+    kept.write(slice_part(part, heights[: borders[1]], "planecut"))
+    assert not kept.is_worth(0.0)
+    assert kept.is_worth(60.0)
+
+
+@pytest.mark.parametrize("spoil", ["truncated", "other part", "other heights"])
+def test_a_block_that_does_not_fit_is_cut_anew(ball, tmp_path, spoil):
+    part, heights, borders = ball
+    file = tmp_path / "planecut.parquet"
+    sound = cut(ball, tmp_path).made().read_bytes()
+    block = read_parquet(file).block(0, int(borders[1]))
+    kept = KeptBlocks(file, part.sha256, "planecut")
+    told = block.labelled(dropped=np.full(len(block), 7))
+    if spoil == "other heights":
+        told = told.labelled(heights=np.concatenate([heights[:1], told.heights[1:] + 1e-9]))
+    if spoil == "other part":
+        told = told.labelled(part="0" * 64)
+    kept.write(told)
+    (path,) = kept.folder.iterdir()
+    if spoil == "truncated":
+        path.write_bytes(path.read_bytes()[:-100])
+    assert cut(ball, tmp_path).made().read_bytes() == sound
+
+
+def test_a_run_killed_while_it_slices_keeps_its_blocks(tmp_path):
+    write_stl(sphere(12.0, 24, 48), tmp_path / "part.stl")
+    slow = "slicing.backends = ['planecut', 'embree']\nslicing.block_points = 1000\n"
+    (tmp_path / "ebamcheck.toml").write_text(slow + "layers.layer_height_mm = 0.1")
+    layers = tmp_path / ".a.run.unfinished" / "layers"
+    run = subprocess.Popen(
+        command("check", "part.stl", "-o", "a.run"), cwd=tmp_path, start_new_session=True,
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    while count_kept(layers / "embree.parquet") < 2:
+        assert run.poll() is None
+        time.sleep(0.002)
+    os.killpg(run.pid, signal.SIGKILL)
+    run.wait()
+    done = ebamcheck("check", "part.stl", "-o", "a.run", "--resume", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "embree: " in done.stderr
+    assert "blocks of layers of the former run are kept" in done.stderr
+    kept = read_parquet(tmp_path / "a.run" / "layers" / "embree.parquet")
+    anew = slice_part(load(tmp_path / "part.stl"), kept.heights, "embree")
+    assert [getattr(kept, name).tobytes() for name in ("points", "ring_starts", "layer_starts")] == [
+        getattr(anew, name).tobytes() for name in ("points", "ring_starts", "layer_starts")
+    ]
+
+
+# -- temporary folders and files ---------------------------------------------------------------------------
+
+HOLD = """
+import sys, time
+from pathlib import Path
+from ebamcheck.atomic_file import replacing
+from ebamcheck.scratch import scratch_folder
+with scratch_folder(parent=Path(sys.argv[1])) as folder, replacing(Path(sys.argv[1], "table.csv")) as file:
+    file.write_text("half")
+    (folder / "big.npy").write_text("x")
+    print("ready", flush=True)
+    time.sleep(600)
+"""
+
+
+def hold(folder):
+    """A process at work in a folder."""
+    process = subprocess.Popen([sys.executable, "-c", HOLD, str(folder)], stdout=subprocess.PIPE, text=True)
+    assert process.stdout.readline() == "ready\n"
+    return process
+
+
+def test_what_a_killed_process_left_goes_and_what_one_at_work_has_stays(tmp_path, monkeypatch):
+    monkeypatch.setattr(scratch, "_swept", set())
+    (tmp_path / "ebamcheck-mine").mkdir()
+    (tmp_path / ".notes.part").write_text("of somebody else")
+    dead, alive = hold(tmp_path), hold(tmp_path)
+    try:
+        assert len(list(tmp_path.iterdir())) == 6
+        dead.kill()
+        dead.communicate()
+        with scratch.scratch_folder(parent=tmp_path) as folder, replacing(tmp_path / "own.csv") as file:
+            file.write_text("whole")
+            left = {path.name for path in tmp_path.iterdir()} - {folder.name, file.name}
+        assert {"ebamcheck-mine", ".notes.part"} < left
+        others = left - {"ebamcheck-mine", ".notes.part"}
+        assert sorted(name.split(".")[-1].split("-")[0] for name in others) == ["part", "scratch"]
+        assert any(f".{alive.pid}-" in name for name in others)
+    finally:
+        alive.kill()
+        alive.communicate()
+    monkeypatch.setattr(scratch, "_swept", set())
+    with scratch.scratch_folder(parent=tmp_path), replacing(tmp_path / "own.csv") as file:
+        file.write_text("again")
+    assert {path.name for path in tmp_path.iterdir()} == {"ebamcheck-mine", ".notes.part", "own.csv"}
+
+
+def test_a_slice_that_was_killed_leaves_nothing_once_the_next_is_made(tmp_path):
+    write_stl(box(), tmp_path / "part.stl")
+    left = tmp_path / f".part.parquet{scratch.MARK}abc"
+    left.mkdir()
+    (left / "planecut.parquet").write_text("half")
+    done = ebamcheck("slice", "part.stl", "-o", "part.parquet", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["part.parquet", "part.stl"]
+    assert len(read_parquet(tmp_path / "part.parquet")) == len(
+        slice_part(box(), read_parquet(tmp_path / "part.parquet").heights)
+    )

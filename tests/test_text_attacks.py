@@ -1,0 +1,263 @@
+"""What a program's text shows without plan and comments: the form of the hatch, foreign calls, waits, windows, odd bytes."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+
+import numpy as np
+import pytest
+
+from benchmarks.faults.subjects import SUBJECTS
+from ebamcheck.pipeline import run_job
+from ebamcheck.pipeline.gates_again import exchanged_layers
+from ebamcheck.pipeline.run_folder import RunFolder
+from ebamcheck.pipeline.verify import verify_against_part, verify_run
+from ebamcheck.program.checking.hatch_form import BACK, FINE, SKEW, UNEVEN, form_of
+from ebamcheck.program.checking.interpass_checks import scheduled_shares
+from ebamcheck.settings.config import Config
+from ebamcheck.settings.process_window import outside_window
+from ebamcheck_models import write_stl
+
+SPACING_MM = 4.32
+
+
+# -- the form of a hatch ------------------------------------------------------------------------------
+
+
+def form(points):
+    """Form of one bead through points, and the line where it is not fine."""
+    points = np.array(points, float)
+    way = np.diff(points, axis=0)
+    state, at = form_of(np.array([0, len(way)]), points[:-1].copy(), way, SPACING_MM)
+    return int(state[0]), int(at[0])
+
+
+def to_and_fro(lines=6, length=20.0, pitch=4.2):
+    ends = [(0.0, length) if k % 2 == 0 else (length, 0.0) for k in range(lines)]
+    return [(x, k * pitch) for k, pair in enumerate(ends) for x in pair]
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.4, 1.9])
+def test_lines_to_and_fro_are_fine_in_any_direction(angle):
+    c, s = np.cos(angle), np.sin(angle)
+    points = np.array(to_and_fro()) @ np.array([[c, s], [-s, c]])
+    assert form(points)[0] == FINE
+
+
+def test_a_missing_motion_a_moved_end_and_an_exchange_are_found_where_they_are():
+    points = to_and_fro()
+    assert form([*points[:5], *points[6:]]) == (BACK, 5)
+    assert form([*points[:4], *points[5:]]) == (BACK, 3)
+    longer = to_and_fro(length=10.0)
+    assert form([*longer[:4], *longer[5:]]) == (SKEW, 3)
+    moved = [*points[:4], (points[4][0], points[4][1] + 3.0), *points[5:]]
+    assert form(moved)[0] == SKEW
+    swapped = [*points[:4], points[5], points[4], *points[6:]]
+    assert form(swapped)[0] in (SKEW, BACK)
+    assert form([(0, 0), (10, 0), (4, 0.5), (20, 0.5)]) == (BACK, 1)
+
+
+def test_a_line_nearer_to_its_neighbour_than_the_others_is_found():
+    points = [(x, y - 1.5 if y > 12.0 else y) for x, y in to_and_fro()]
+    assert form(points)[0] == UNEVEN
+
+
+def test_beads_along_walls_have_no_such_form():
+    around = [(20 * np.cos(a), 20 * np.sin(a)) for a in np.linspace(0, 5, 40)]
+    assert form(around)[0] == FINE
+    assert form([(0, 0), (30, 0), (30, 12), (0, 12), (0, 0)])[0] == FINE
+    corner = [(0, 0), (30, 0), (30, 30), (25.7, 30), (25.7, 4.3), (0, 4.3)]
+    assert form(corner)[0] == FINE
+
+
+# -- a run, and faults in it ---------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Runs of a small part, one for each control, with a program from layer 2 on."""
+    folder = tmp_path_factory.mktemp("attacks")
+    part = folder / "cube.stl"
+    write_stl(SUBJECTS["cube"].model.tessellate(0.05), part)
+    known = {}
+
+    def run(control):
+        if control not in known:
+            config = SUBJECTS["cube"].config(control)
+            run_job(part, folder / control, config, from_layer=2)
+            known[control] = (folder / control, part, config)
+        return known[control]
+
+    return run
+
+
+def spoiled(made, tmp_path, control, change, config=None):
+    """Failed checks by name of a program by itself whose files, as texts by name, were changed."""
+    run, part, own = made(control)
+    folder = tmp_path / "program"
+    shutil.copytree(run / "program", folder)
+    texts = {p.name: p.read_text() for p in folder.iterdir()}
+    for name, text in change(texts).items():
+        (folder / name).write_bytes(text.encode("latin-1"))
+    checks = verify_against_part(folder, part, config or own)
+    return {c.name: c for c in checks if not c.passed}
+
+
+def edited(pattern, by, nth=1):
+    """Change that puts other text in the place of the nth match, in the main program of one file."""
+
+    def change(texts):
+        name, text = next(iter(texts.items()))
+        found = list(re.finditer(pattern, text, re.MULTILINE))[nth]
+        return {name: text[: found.start()] + found.expand(by) + text[found.end() :]}
+
+    return change
+
+
+@pytest.mark.parametrize("control", ["sinumerik-840d-sl", "linuxcnc", "plain-gcode"])
+def test_a_sound_program_raises_no_alarm(made, tmp_path, control):
+    assert spoiled(made, tmp_path, control, lambda texts: {}) == {}
+
+
+@pytest.mark.parametrize("word", ["G64", "G61", "G64 P0.05"])
+def test_plain_gcode_with_words_of_smoothing_is_refused(made, tmp_path, word):
+    assert "smoothing" in spoiled(made, tmp_path, "plain-gcode", edited(r"^G0 Z", f"{word}\nG0 Z"))
+
+
+def test_a_called_subprogram_that_is_no_layer_is_found(made, tmp_path):
+    def change(texts):
+        park = "%_N_PARK_SPF\n;$PATH=/_N_WKS_DIR/_N_EBAMCHECK_WPD\nN10 G0 Z60.0\nN20 M17\n"
+        main = re.sub(r"(N\d+)0 (MAIN_L0003)\n", r"\g<1>0 \2\n\g<1>5 PARK\n", texts["MAIN.MPF"])
+        return {"MAIN.MPF": main, "PARK.SPF": park}
+
+    found = spoiled(made, tmp_path, "sinumerik-840d-sl", change)
+    assert "PARK" in found["subprograms"].text
+
+
+@pytest.mark.parametrize("seconds", ["86400", "-5"])
+def test_a_wait_of_no_sense_is_found(made, tmp_path, seconds):
+    found = spoiled(made, tmp_path, "linuxcnc", edited(r"^(G0 Z.*)$", rf"\1\nG4 P{seconds}"))
+    assert "longest_wait_s" in found["layer pause"].text
+
+
+def test_travel_at_feed_is_found(made, tmp_path):
+    found = spoiled(made, tmp_path, "linuxcnc", edited(r"^G0 (X.*)$", r"G1 \1 F600", 2))
+    assert "in place of a rapid" in found["feed"].text
+
+
+def test_other_settings_than_those_of_the_program_are_told(made, tmp_path):
+    found = spoiled(made, tmp_path, "linuxcnc", edited(r"SHA-256: [0-9a-f]{8}", "SHA-256: 00000000", 0))
+    assert "SHA-256" in found["header"].text
+    other = made("linuxcnc")[2].changed(process={"mass_tolerance": 0.021})
+    assert (
+        "SETTINGS SHA-256"
+        in spoiled(made, tmp_path / "b", "linuxcnc", lambda texts: {}, other)["header"].text
+    )
+
+
+@pytest.mark.parametrize("byte", ["\f", "\0", "\x7f"])
+def test_bytes_that_print_nothing_are_found(made, tmp_path, byte):
+    found = spoiled(made, tmp_path, "plain-gcode", edited(r"^(G1 X\S+ Y\S+)$", rf"\1{byte}"))
+    assert found.keys() & {"encoding", "readable"}
+
+
+def test_a_bead_that_runs_across_its_neighbours_is_found(made, tmp_path):
+    def change(texts):
+        name, text = next(iter(texts.items()))
+        ends = list(re.finditer(r"^G1 X(\S+) Y(\S+)\nM65 P1", text, re.MULTILINE))
+        i = next(m for m in ends[1:] if abs(float(m[1])) > 0)
+        return {name: f"{text[: i.start()]}G1 X12.0 Y12.0\nG1 X2.0 Y3.0\nM65 P1{text[i.end() :]}"}
+
+    found = spoiled(made, tmp_path, "linuxcnc", change)
+    assert found.keys() & {"crossings", "hatch lines"}
+
+
+# -- windows ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("window", "values"),
+    [
+        ("voltage_window_kv", (70.0, 150.0)),
+        ("current_window_ma", (10.0, 60.0)),
+        ("travel_window_mm_s", (12.0, 20.0)),
+    ],
+)
+def test_each_value_is_held_against_its_own_window_before_slicing(window, values):
+    found = list(outside_window(Config().changed(process={window: values})))
+    assert [f.code for f in found] == ["process-limit"]
+    assert window in found[0].text
+
+
+@pytest.mark.parametrize(
+    ("window", "values"),
+    [
+        ("voltage_window_kv", (70.0, 150.0)),
+        ("current_window_ma", (10.0, 60.0)),
+        ("travel_window_mm_s", (12.0, 20.0)),
+        ("bead_section_mm2", (0.5, 3.0)),
+        ("metal_energy_j_mm3", (10.0, 30.0)),
+    ],
+)
+def test_a_program_is_held_against_each_window_from_its_text(made, tmp_path, window, values):
+    config = made("linuxcnc")[2].changed(process={window: values})
+    found = spoiled(made, tmp_path, "linuxcnc", lambda texts: {}, config)
+    assert "process window" in found
+
+
+def test_a_table_of_power_holds_without_a_plan():
+    config = Config().changed(process={"power_schedule": ((0.0, 1.0), (10.0, 0.5))})
+    heights = 3.0 + 0.5 * config.layer_height_mm + np.array([0.0, 5.0, 20.0])
+    expected = np.interp(heights - heights[0] + 0.5 * config.layer_height_mm, [0.0, 10.0], [1.0, 0.5])
+    assert scheduled_shares(heights, config) == pytest.approx(expected)
+    assert scheduled_shares(heights, Config()) is None
+
+
+# -- runs ---------------------------------------------------------------------------------------------------
+
+
+def test_layers_of_one_slicer_in_the_file_of_another_are_found_on_a_plane_part(made, tmp_path):
+    run, _, _ = made("linuxcnc")
+    copy = tmp_path / "run"
+    shutil.copytree(run, copy)
+    folder = RunFolder(copy)
+    record = folder.manifest()
+    witness = record["program"]["witness"]
+    fresh = folder.read_layers(witness)
+    assert exchanged_layers(folder, record, fresh, witness) == ()
+    shutil.copyfile(folder.layers_file(record["primary"]), folder.layers_file(witness))
+    assert exchanged_layers(folder, record, fresh, witness) == (witness,)
+
+
+@pytest.mark.parametrize("control", ["sinumerik-840d-sl", "linuxcnc", "plain-gcode"])
+def test_a_run_writes_and_proves_a_program_from_a_layer_on(made, control):
+    run, part, _ = made(control)
+    entry = json.loads((run / "run.json").read_text())["program"]["entry"]
+    assert entry["validated"]
+    assert entry["layer"] == 2
+    main = (run / "entry" / entry["files"][0]["name"]).read_text()
+    assert "; ENTRY: AT LAYER 2 OF 3" in main
+    checks = {c.name: c for c in verify_run(run, part)}
+    assert checks["entry"].passed
+    assert all(c.passed for c in checks.values())
+
+
+@pytest.mark.parametrize(
+    ("pattern", "by"), [(r"^G1 X(-?\d+)\.", r"G1 X\g<1>1."), (r"^G0 Z\d+", "G0 Z1"), (r"F600", "F601")]
+)
+def test_an_entry_program_that_differs_from_the_whole_is_found(made, tmp_path, pattern, by):
+    from ebamcheck.pipeline.entry_program import checked_again
+    from ebamcheck.program.toolpath.inputs import deposition_heights
+
+    run, _, config = made("plain-gcode")
+    copy = tmp_path / "run"
+    shutil.copytree(run, copy)
+    record = RunFolder(copy).manifest()["program"]
+    main = copy / "entry" / record["entry"]["files"][0]["name"]
+    main.write_text(re.sub(pattern, by, main.read_text(), count=1, flags=re.MULTILINE))
+    heights = RunFolder(copy).read_layers(record["witness"]).heights
+    z_of = deposition_heights(heights, config.layer_height_mm)
+    (found,) = checked_again(copy, record, copy / "program" / record["files"][0]["name"], z_of, config)
+    assert not found.passed
