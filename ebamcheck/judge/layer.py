@@ -201,7 +201,7 @@ class LayerCase:
         visits = IslandVisits.of(path)
         islands = plan.islands[visits.island]
         if height_mm is None:
-            height_mm = float(deposition_heights(plan.heights, config.layer_height_mm)[layer])
+            height_mm = float(deposition_heights(plan.heights, config.layer_height_mm, config.base_mm)[layer])
         mirrors = None
         if body == BODIES[1]:
             mirrors = _box(section, float(path.rows[0, 3]) - height_mm - config.process.base_plate_mm, config)

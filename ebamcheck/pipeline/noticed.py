@@ -275,7 +275,9 @@ def of_seams(program: NCProgram, heights: Floats, config: Config) -> Iterator[Fi
     if at_corner.any():
         k = int(row[at_corner.argmax()])
         x_mm, y_mm, z_mm = program.start[k].tolist()
-        layer = int(np.abs(deposition_heights(heights, config.layer_height_mm) - z_mm).argmin())
+        layer = int(
+            np.abs(deposition_heights(heights, config.layer_height_mm, config.base_mm) - z_mm).argmin()
+        )
         count = int(at_corner.sum())
         yield Finding(
             "warning",

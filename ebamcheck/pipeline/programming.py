@@ -145,11 +145,11 @@ def _write_events(job: Job, path: Toolpath, plan: ScanPlan) -> dict[str, float]:
 
 def _weighed(job: Job, program: NCProgram, witness: Layers) -> list[Check]:
     """Lay the metal of the program over the sections of the witness, and check it."""
-    z_of = deposition_heights(witness.heights, job.config.layer_height_mm)
+    z_of = deposition_heights(witness.heights, job.config.layer_height_mm, job.config.base_mm)
     found = deposit(program, witness, z_of, job.config)
     found.layers.to_csv(job.folder.path / "deposit.csv", index=False)
     if found.worst >= 0:
-        thickness_mm = float(np.diff(z_of, prepend=0.0)[found.worst])
+        thickness_mm = float(np.diff(z_of, prepend=job.config.base_mm)[found.worst])
         write_field(job.folder.path / FIELD_FILE, found.fields[found.worst], found.worst, thickness_mm)
     checks = deposit_checks(program, found, job.config)
     job.add_finding(*noticed.of_metal(checks))

@@ -159,7 +159,7 @@ def _verify(
     untouched = all(check.passed for check in checks if check.name != "signature")
     config = validated(manifest["settings"], f"{MANIFEST}: settings")
     if not quick:
-        path = part or _part_file(run, manifest)
+        path = part or part_of_run(run, manifest)
         checks.append(hash_check("part unchanged", part_hash(path), manifest["part"]["sha256"], path.name))
         if not (untouched and checks[-1].passed):
             return checks
@@ -191,7 +191,7 @@ def _read_back(run: RunFolder, manifest: dict[str, Any], config: Config) -> NCPr
         return None
 
 
-def _part_file(run: RunFolder, manifest: dict[str, Any]) -> Path:
+def part_of_run(run: RunFolder, manifest: dict[str, Any]) -> Path:
     """File of the part of a run: where it was when the run was made, else beside the run folder."""
     source = str(manifest["part"]["source"])
     places = [Path(str(manifest["timings"].get("part_path", source))), run.path.resolve().parent / source]

@@ -71,6 +71,11 @@ class Config(Section):
         return self.layers.layer_height_mm or self.process.bead_height_mm
 
     @property
+    def base_mm(self) -> float:
+        """Z of what stands under the lowest layer."""
+        return self.layers.base_mm
+
+    @property
     def contour_offset_mm(self) -> float:
         """Inset of the contour bead's centre line, mm, less the allowance for machining."""
         offset = self.scan.contour_offset_mm

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
 
-from ebamcheck.settings.base import Angle, Between, Place, Section, Tolerance
+from ebamcheck.settings.base import Angle, Between, NotNegative, Place, Section, Tolerance
 from ebamcheck.settings.units import known_as
 
 Component = Annotated[float, Between(-1e6, 1e6)]
@@ -37,6 +37,9 @@ class LayerSettings(Section):
     """None: the height of one bead, from the mass balance of the process."""
     heights_mm: tuple[Place, ...] = ()
     """Listed heights, absolute z; they take the place of uniform ones."""
+    base_mm: NotNegative = 0.0
+    """Height of what stands under the lowest layer, over the base plate: a program of layers on a part that is half
+    built begins there. Its heights are given by `heights_mm`."""
 
 
 class SlicingSettings(Section):

@@ -34,15 +34,15 @@ def clearance_checks(
         (L,) sections of the part: where it has metal under a bead, metal has to stand.
     """
     beads = beads_of(nc)
-    below = _below(nc, z_of)
+    below = _below(nc, z_of, config.base_mm)
     found = run_over(nc, beads, below, config, HOP_SPACINGS * config.process.hatch_spacing_mm)
     return [_collision(nc, found), _clearance(nc, found, config), _support(nc, beads, found, config, layers)]
 
 
-def _below(nc: NCProgram, z_of: Floats) -> Floats:
-    """Z (B,) of the layer below that of each motion; 0 for the first one and outside of layers."""
+def _below(nc: NCProgram, z_of: Floats, base_mm: float) -> Floats:
+    """Z (B,) of the layer below that of each motion; what stands for the first one, and 0 outside of layers."""
     tops = z_of if z_of.size else nc.layer_heights
-    under = np.concatenate([[0.0], tops])
+    under = np.concatenate([[base_mm], tops])
     return np.nan_to_num(np.where(nc.layer >= 0, under[np.minimum(nc.layer, tops.size)], 0.0))
 
 

@@ -101,7 +101,7 @@ def deposit(
     process = config.process
     rows = np.flatnonzero(nc.deposit & nc.wire)
     index = np.searchsorted(0.5 * (z_of[1:] + z_of[:-1]), nc.end[rows, 2])
-    thickness = np.diff(z_of, prepend=0.0)
+    thickness = np.diff(z_of, prepend=config.base_mm)
     sections = [metal_region(layer_section(layers.polygons(k)), config) for k in range(len(layers))]
     some = [s for s in sections if not s.is_empty]
     bounds = np.asarray(shapely.total_bounds(some), np.float64) if some else np.zeros(4)

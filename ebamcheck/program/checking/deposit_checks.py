@@ -87,7 +87,7 @@ def _whole(solid: pd.DataFrame, config: Config) -> Check:
 def _of_layers(solid: pd.DataFrame, config: Config, places: _Places) -> Check:
     process = config.process
     wanted, laid = solid["wanted_mm3"].to_numpy(), solid["laid_mm3"].to_numpy()
-    thickness = np.diff(solid["z_mm"].to_numpy(), prepend=0.0)
+    thickness = np.diff(solid["z_mm"].to_numpy(), prepend=config.base_mm)
     spots = LEAST_SPOTS * process.bead_width_mm**2 * np.maximum(thickness, 0.0)
     off = np.maximum(np.abs(laid - wanted) - spots, 0.0) / np.maximum(wanted, 1e-9)
     k = int(np.argmax(off))
@@ -138,7 +138,7 @@ def _of_wall(solid: pd.DataFrame, k: int, config: Config) -> str:
     row = solid.iloc[k]
     if not math.isfinite(row["wall_mm"]):
         return ""
-    thickness = float(np.diff(solid["z_mm"].to_numpy(), prepend=0.0)[k])
+    thickness = float(np.diff(solid["z_mm"].to_numpy(), prepend=config.base_mm)[k])
     bead = narrow_bead(float(row["wall_mm"]), thickness, config)
     return f"; the wall at ({row['wall_x_mm']:.1f}, {row['wall_y_mm']:.1f}) is {row['wall_mm']:.1f} mm thick: {bead}"
 

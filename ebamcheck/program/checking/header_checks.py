@@ -124,7 +124,7 @@ def _place(file: SourceFile, offset: int) -> str:
 def _layers(nc: NCProgram, heights: Floats | None, config: Config) -> list[tuple[str, str]]:
     """Comments at the head of layers: their number, in the order in which they come, their cut and their Z."""
     found = [(file, layer) for file in _in_order(nc) for layer in _LAYER.finditer(file.data)]
-    z = None if heights is None else deposition_heights(heights, config.layer_height_mm)
+    z = None if heights is None else deposition_heights(heights, config.layer_height_mm, config.base_mm)
     faults = []
     for k, (file, layer) in enumerate(found):
         said = f"layer {int(layer[1])} of {int(layer[2])}"

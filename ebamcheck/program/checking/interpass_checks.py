@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.heat.balance import LayerShape
+from ebamcheck.heat.balance import HeatColumn, LayerShape
 from ebamcheck.heat.melting import entry_limit_k, least_power_share, scheduled_share
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.program.checking.checks import Check, count_check, event_place
@@ -53,16 +53,26 @@ def wait_check(nc: NCProgram, config: Config, heat: Interpass | None) -> Check:
     return _waits(nc, text_beads(nc, config), config, heat)
 
 
-def heat_checks(nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] | None) -> list[Check]:
+def heat_checks(
+    nc: NCProgram,
+    config: Config,
+    sections: Sequence[BaseGeometry] | None,
+    before: HeatColumn | None = None,
+) -> list[Check]:
     """Check that the power of each layer melts its wire, and the temperature at which beads are entered.
 
     Parameters
     ----------
     sections
         Sections of the part, for the balance of its heat; None: what the contours of the program enclose.
+    before
+        Heat of what stands when the program begins; None: the cold plate. Of a program that begins on a part that is half
+        built it has to be known: else its entries are not judged, since nothing in its text tells how warm the part is.
     """
     beads, shapes = text_beads(nc, config), text_shapes(nc, config, sections)
-    return [_melting(nc, config, shapes), _entries(nc, beads, config, shapes)]
+    if before is None and config.base_mm > 0.0:
+        return [_melting(nc, config, shapes)]
+    return [_melting(nc, config, shapes), _entries(nc, beads, config, shapes, before)]
 
 
 def layer_shares(nc: NCProgram, power_w: float) -> Floats:
@@ -92,7 +102,8 @@ def shares_of_text(nc: NCProgram, config: Config, sections: Sequence[BaseGeometr
     under it with more power has too little.
     """
     shares = np.minimum(layer_shares(nc, config.process.power_w), 1.0)
-    if config.process.power_schedule != "taper":
+    # How warm it is what stands under a program, its text does not tell: only the melting of the wire is left to check.
+    if config.process.power_schedule != "taper" or config.base_mm > 0.0:
         return shares
     if config.process.interpass not in ("power", "both"):
         return np.where(np.isnan(shares), np.nan, 1.0)
@@ -188,10 +199,16 @@ def _melting(nc: NCProgram, config: Config, shapes: Sequence[LayerShape]) -> Che
     )
 
 
-def _entries(nc: NCProgram, beads: TextBeads, config: Config, shapes: Sequence[LayerShape]) -> Check:
+def _entries(
+    nc: NCProgram,
+    beads: TextBeads,
+    config: Config,
+    shapes: Sequence[LayerShape],
+    before: HeatColumn | None = None,
+) -> Check:
     """Temperature of the surface when a bead is entered, by the balance, against the limit."""
     limit_k = entry_limit_k(config)
-    bed_k, _ = text_bed_k(beads, config, shapes)
+    bed_k, _ = text_bed_k(beads, config, shapes, before)
     checked = beads.enters_layer if config.process.interpass_at == "layer" else np.ones(len(beads), np.bool_)
     if not checked.any():
         return Check(INTERPASS, True, 0.0, limit_k, "K", "", "nothing is laid")

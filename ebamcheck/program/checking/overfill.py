@@ -63,7 +63,7 @@ def overfill_check(nc: NCProgram, z_of: Floats, config: Config, layers: Layers) 
         mm2 = np.nan_to_num(nc.wire_mm_s * wire_mm2(config) / (nc.feed_mm_min / 60.0), posinf=0.0)
     known = np.isfinite(nc.start[beads.rows]).all(axis=1) & nc.deposit[beads.rows] & nc.wire[beads.rows]
     rows = beads.rows[known]
-    thickness = np.diff(z_of, prepend=0.0)
+    thickness = np.diff(z_of, prepend=config.base_mm)
 
     def work(start: int, stop: int) -> list[_Spot]:
         found = []

@@ -92,7 +92,7 @@ def run_over(nc: NCProgram, beads: Beads, below_mm: Floats, config: Config, hop_
     tool = _Tool(
         0.5 * bead_mm / cell, machine.head_radius_mm / cell, machine.head_above_tip_mm, machine.clearance_mm, hop_mm
     )  # fmt: skip
-    ground = _Ground(np.zeros(shape), fixed, around, origin, cell, tall)
+    ground = _Ground(np.full(shape, config.base_mm), fixed, around, origin, cell, tall)
     _run(columns_of(nc), _Beads(beads.first, beads.last, floor, below_mm), ground, tool, out)
     return Standing(*out)
 

@@ -131,13 +131,17 @@ def _between(late_s: Floats, early_s: Floats) -> Floats:
     return result
 
 
-def text_bed_k(beads: TextBeads, config: Config, shapes: Sequence[LayerShape]) -> tuple[Floats, Floats]:
+def text_bed_k(
+    beads: TextBeads, config: Config, shapes: Sequence[LayerShape], before: HeatColumn | None = None
+) -> tuple[Floats, Floats]:
     """Follow the heat of a program by the balance of :mod:`ebamcheck.heat.balance`, bead by bead.
 
     Parameters
     ----------
     shapes
         (L,) of the layers.
+    before
+        What stands when the program begins; None: the cold plate.
 
     Returns
     -------
@@ -146,7 +150,7 @@ def text_bed_k(beads: TextBeads, config: Config, shapes: Sequence[LayerShape]) -
     leave_k
         (L,) that of each layer when it is done; NaN for one without a bead.
     """
-    column = HeatColumn(config)
+    column = HeatColumn(config) if before is None else before.copy()
     bed_k, leave_k = np.zeros(len(beads)), np.full(len(shapes), np.nan)
     enters = beads.enters_layer
     for n in range(len(beads)):
@@ -180,7 +184,7 @@ def text_shapes(nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] 
     if sections is None or len(sections) != count:
         outlines = sections_of(nc.contours(OUTLINE_STEP_MM))
         sections = [shapely.buffer(outline, config.contour_offset_mm) for outline in outlines]
-    steps = np.diff(nc.layer_heights, prepend=0.0)
+    steps = np.diff(nc.layer_heights, prepend=config.base_mm)
     usual = float(np.nanmedian(steps)) if np.isfinite(steps).any() else config.layer_height_mm
     steps = np.where(steps > 0.0, steps, usual)
     return [LayerShape.of(sections[k], float(steps[k])) for k in range(count)]

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from ebamcheck.curves import LIFTED
 from ebamcheck.errors import InputError
+from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.rings import Bools, Floats
 from ebamcheck.program.checking.bead_checks import bead_checks, repeated_blocks
@@ -80,6 +81,7 @@ def verify_program(
     beads: bool = False,
     metal: bool = False,
     heat: bool = False,
+    before: HeatColumn | None = None,
     heights: ArrayLike | None = None,
     sha256: Mapping[str, str] | None = None,
     truth: Truth | None = None,
@@ -109,6 +111,8 @@ def verify_program(
         Lay the metal of the program over the `layers`, and check its mass and where it lies.
     heat
         Drive a balance of the part's heat by the times, waits and power of the text, and check each bead's entry.
+    before
+        Heat of what stands when the program begins; None: the cold plate.
     heights
         (L,) heights of the cuts; None: those of `curves`, `plan` or `layers`.
     sha256
@@ -130,7 +134,8 @@ def verify_program(
     known = heights
     if known is None:
         known = next((x.heights for x in (curves, plan, layers) if x is not None), None)
-    z_of = deposition_heights(np.asarray(() if known is None else known, np.float64), config.layer_height_mm)
+    cuts = np.asarray(() if known is None else known, np.float64)
+    z_of = deposition_heights(cuts, config.layer_height_mm, config.base_mm)
     offset = config.contour_offset_mm if contour_offset_mm is None else contour_offset_mm
     if path is None and curves is not None and plan is not None:
         path = planned_path(curves, plan, config)
@@ -159,7 +164,7 @@ def verify_program(
     ]
     checks.append(wait_check(nc, config, planned))
     if heat:
-        checks += heat_checks(nc, config, sections)
+        checks += heat_checks(nc, config, sections, before)
     checks += clearance_checks(nc, z_of, config, layers)
     checks += plugged_checks(nc, config)
     if known is None:

@@ -32,7 +32,7 @@ def window_check(nc: NCProgram, config: Config) -> Check:
     least, greatest = process.wire_speed_min_mm_s, process.wire_speed_max_mm_s
     inside = rows[nc.layer[rows] >= 0]
     layers, first = np.unique(nc.layer[inside], return_index=True)
-    over_bead = layer_steps_mm(nc)[layers] / process.bead_height_mm
+    over_bead = layer_steps_mm(nc, config)[layers] / process.bead_height_mm
     known = np.isfinite(over_bead)
     faults = [
         *_outside(laid, nc.wire_mm_s[laid], (least, greatest), "mm/s of wire"),
@@ -73,9 +73,9 @@ def _set_values(nc: NCProgram, config: Config) -> list[tuple[int, str]]:
     return found
 
 
-def layer_steps_mm(nc: NCProgram) -> Floats:
+def layer_steps_mm(nc: NCProgram, config: Config) -> Floats:
     """Height of each layer by the steps of Z, (L,) mm; NaN where it or the one below it has no bead."""
-    return np.diff(nc.layer_heights, prepend=0.0)
+    return np.diff(nc.layer_heights, prepend=config.base_mm)
 
 
 def _bead_power_w(nc: NCProgram, rows: Ints) -> Floats:

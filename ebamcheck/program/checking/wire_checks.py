@@ -53,7 +53,7 @@ def _bead_mm2(nc: NCProgram, rows: Ints, config: Config) -> Floats:
 
 def _within_limits(nc: NCProgram, rows: Ints, bead_mm2: Floats, config: Config) -> Check:
     """Check the beads of layers whose height the program tells: those over a layer with beads, and the lowest."""
-    thickness = np.diff(nc.layer_heights, prepend=0.0)[nc.layer[rows]]
+    thickness = np.diff(nc.layer_heights, prepend=config.base_mm)[nc.layer[rows]]
     known = np.isfinite(thickness)
     rows, width, thickness = (
         rows[known],

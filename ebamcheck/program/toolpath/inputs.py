@@ -153,18 +153,18 @@ def check_same_stack(curves: CurveColumns, plan: ScanColumns) -> None:
         )
 
 
-def deposition_heights(heights: Floats, first_layer_mm: float) -> Floats:
+def deposition_heights(heights: Floats, first_layer_mm: float, base_mm: float = 0.0) -> Floats:
     """Z of each layer in the work offset, (L,) mm: the top of the layer, Z 0 under the part's lowest point.
 
     `heights` are those of the cuts, in the middle of the layers, so that the steps of Z are theirs; the
-    first layer is as high as the step to the second, or `first_layer_mm` where there is no second.
+    first layer is as high as the step to the second, or `first_layer_mm` where there is no second. It lies on `base_mm`, which is 0 for the base plate.
     """
     if not len(heights):
         return np.zeros(0)
     first = float(heights[1] - heights[0]) if len(heights) > 1 else first_layer_mm
-    return np.asarray(heights - heights[0] + first, dtype=np.float64)
+    return np.asarray(heights - heights[0] + first + base_mm, dtype=np.float64)
 
 
-def layer_thickness(deposition: Floats) -> Floats:
-    """Height of each layer, (L,) mm, from the tops of the layers over Z 0."""
-    return np.diff(deposition, prepend=0.0)
+def layer_thickness(deposition: Floats, base_mm: float) -> Floats:
+    """Height of each layer, (L,) mm, from the tops of the layers and the Z of what the lowest lies on."""
+    return np.diff(deposition, prepend=base_mm)

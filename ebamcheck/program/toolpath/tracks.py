@@ -66,6 +66,8 @@ class Toolpath:
         (N,) a further part of the hatch line before.
     width
         (N,) metal that is laid, in section over the height of the layer, mm.
+    base_mm
+        Z of what the lowest layer lies on.
     """
 
     cut: Floats
@@ -84,11 +86,12 @@ class Toolpath:
     power: Floats
     goes_on: Bools
     width: Floats
+    base_mm: float = 0.0
 
     @property
     def thickness(self) -> Floats:
         """Height of each layer, (L,) mm."""
-        return layer_thickness(self.z)
+        return layer_thickness(self.z, self.base_mm)
 
     @cached_property
     def segment_start(self) -> Floats:
@@ -126,12 +129,13 @@ def toolpath(
     """
     check_same_stack(curves, plan)
     cut = np.asarray(curves.heights, dtype=np.float64)
-    z = deposition_heights(cut, config.layer_height_mm)
-    if (layer_thickness(z) <= 0.0).any():
+    z = deposition_heights(cut, config.layer_height_mm, config.base_mm)
+    if (layer_thickness(z, config.base_mm) <= 0.0).any():
         raise SettingsError("layer heights must rise from layer to layer: sort them and drop repeats")
     contours = _contour_tracks(curves, form, tolerance_mm, decimals)
     hatch = _hatch_tracks(plan, config.process.hatch_spacing_mm, decimals)
-    return cleaned(_merged(cut, z, contours, hatch, config.process.bead_metal_mm), decimals)
+    path = _merged(cut, z, contours, hatch, config.process.bead_metal_mm)
+    return cleaned(replace(path, base_mm=config.base_mm), decimals)
 
 
 def cleaned(path: Toolpath, decimals: int) -> Toolpath:

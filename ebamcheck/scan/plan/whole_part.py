@@ -134,20 +134,56 @@ def ordered_layers(
         yield from _prepared(stack, lambda k: _cold(stack, k, profile, order, seed))
         return
     part, last = PartHeat(HeatColumn(profile)), None
-    for k, (laid, islands) in enumerate(_prepared(stack, lambda k: _laid(stack, k, profile, seed))):
-        with one_blas_thread():
-            part = part.under(islands.cold_heat.model if len(islands) else None)
-            shape = LayerShape.of(islands.section, stack.thickness_mm(k, profile))
-            known = _knowing(islands, laid, part, last, profile) if carry else islands
-            found = scan_order(order, known)
-            if islands.section.area <= 0.0:
-                yield OrderedLayer(laid, known, found)
-                continue
-            beads, travel_mm = bead_sequence(laid, islands, found)
-            job = LayerJob(beads, shape, islands.height_mm, lowest=last is None)
-            last = cool_drive(job, part, profile)
-            part = last.after
-        yield OrderedLayer(laid, known, found, _figures(last, travel_mm, beads, len(found), profile))
+    for k, (laid, islands) in enumerate(_prepared(stack, lambda k: laid_layer(stack, k, profile, seed))):
+        done, part, last = ordered_on(
+            part, last, laid, islands, stack.thickness_mm(k, profile), profile, order, carry, last is None
+        )
+        yield done
+
+
+def ordered_on(
+    part: PartHeat,
+    last: Drive | None,
+    laid: LaidLayer,
+    islands: LayerIslands,
+    thickness_mm: float,
+    profile: Config,
+    order: str | Order,
+    carry: bool,
+    lowest: bool,
+) -> tuple[OrderedLayer, PartHeat, Drive | None]:
+    """Put one layer in order on the heat that those under it have left, and drive it.
+
+    Parameters
+    ----------
+    part, last
+        Heat of the part when the layer under this one is done, and how that was driven, where it is known.
+    thickness_mm
+        Height of the layer.
+    carry
+        Let the order know the heat.
+    lowest
+        Whether nothing lies under it, so that there is nothing to wait for.
+
+    Returns
+    -------
+    tuple
+        The layer; and the heat of the part when it is done, and how it was driven: those before where it has no metal.
+    """
+    with one_blas_thread():
+        part = part.under(islands.cold_heat.model if len(islands) else None)
+        shape = LayerShape.of(islands.section, thickness_mm)
+        known = _knowing(islands, laid, part, last, profile) if carry else islands
+        found = scan_order(order, known)
+        if islands.section.area <= 0.0:
+            return OrderedLayer(laid, known, found), part, last
+        beads, travel_mm = bead_sequence(laid, islands, found)
+        drive = cool_drive(LayerJob(beads, shape, islands.height_mm, lowest), part, profile)
+    return (
+        OrderedLayer(laid, known, found, _figures(drive, travel_mm, beads, len(found), profile)),
+        drive.after,
+        drive,
+    )
 
 
 def scan_part(
@@ -214,7 +250,7 @@ def _cold(stack: Stack, k: int, profile: Config, order: str | Order, seed: int) 
 
 
 @one_blas_thread()
-def _laid(stack: Stack, k: int, profile: Config, seed: int) -> tuple[LaidLayer, LayerIslands]:
+def laid_layer(stack: Stack, k: int, profile: Config, seed: int) -> tuple[LaidLayer, LayerIslands]:
     """Divide one layer into islands, and set up its heat model."""
     laid = lay_islands(stack.sections[k], profile, stack.numbers[k], float(stack.heights_mm[k]))
     islands = laid.choices(profile, seed, stack.plate_mm)

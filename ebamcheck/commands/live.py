@@ -1,0 +1,95 @@
+"""``ebamcheck live RUN``: waits for measured heights and publishes a proved layer on each, over standard input and output."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Annotated
+
+import typer
+
+from ebamcheck.commands.options import numbers
+from ebamcheck.errors import ExitCode, InputError, SettingsError
+from ebamcheck.live.building import Building
+from ebamcheck.live.desk import Lines, serve
+from ebamcheck.live.heights import height_rule
+from ebamcheck.live.journal import read_journal
+from ebamcheck.live.loading import finished_run
+from ebamcheck.live.making import LayerMaker
+from ebamcheck.live.publishing import JOURNAL
+
+MODES = ("uniform", "adaptive", "listed")
+
+
+def live_command(
+    run: Annotated[Path, typer.Argument(help="A finished run folder.")],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            help="Folder of the build; default: RUN.live. One that is there is gone on with.",
+        ),
+    ] = None,
+    part: Annotated[Path | None, typer.Option(help="The part, if it is not where it was.")] = None,
+    heights: Annotated[str, typer.Option(help=f"How heights are chosen: {', '.join(MODES)}.")] = MODES[0],
+    cusp: Annotated[float, typer.Option(help="Greatest cusp of adaptive heights, mm.")] = 0.5,
+    tops: Annotated[
+        str, typer.Option(help="Tops of listed heights over the base plate, mm, with commas.")
+    ] = "",
+    annealing: Annotated[
+        int,
+        typer.Option(
+            min=0, help="Moves by which the order of islands is improved; each thousand takes time."
+        ),
+    ] = 0,
+    timeout: Annotated[
+        float, typer.Option(help="Time without a line after which the server says so, s.")
+    ] = 3600.0,
+    replay: Annotated[
+        Path | None,
+        typer.Option(help="A journal: make its build again and compare every byte; nothing is waited for."),
+    ] = None,
+) -> ExitCode:
+    """Follow a build: for every measured height that comes in as a line of JSON, publish the next layer, proved."""
+    if heights not in MODES:
+        raise SettingsError(f"--heights {heights!r}: choose one of {', '.join(MODES)}")
+    if not timeout > 0.0:
+        raise SettingsError(f"--timeout {timeout}: give a positive number of seconds")
+    found = finished_run(run, part)
+    listed = numbers(tops, "--tops") if tops else ()
+    first = next(read_journal(replay), {}) if replay else {}
+    if replay:
+        heights, cusp = str(first.get("mode", heights)), float(first.get("cusp_mm", cusp))
+        listed, annealing = (
+            tuple(first.get("listed_mm", listed)),
+            int(first.get("annealing_steps", annealing)),
+        )
+    rule = height_rule(found.part, found.config, heights, cusp, listed)  # type: ignore[arg-type]
+    with LayerMaker(found.part, found.config, found.primary, annealing) as maker:
+        if replay is not None:
+            return _replayed(replay, maker, rule)
+        folder = output or run.with_name(f"{run.resolve().name.removesuffix('.run')}.live")
+        building = Building(maker, folder, rule)
+        try:
+            serve(building, Lines(sys.stdin.fileno()), sys.stdout, timeout)
+        finally:
+            building.close()
+    return ExitCode.PASS
+
+
+def _replayed(journal: Path, maker: LayerMaker, rule: object) -> ExitCode:
+    """Make the build of a journal again, in a folder of its own."""
+    with TemporaryDirectory(prefix="ebamcheck-replay-") as folder:
+        place = Path(folder)
+        (place / JOURNAL).write_bytes(journal.read_bytes())
+        try:
+            building = Building(maker, place, rule)  # type: ignore[arg-type]
+        except InputError as error:
+            typer.echo(f"ebamcheck: {error}", err=True)
+            return ExitCode.OUT_OF_TOLERANCE
+        building.close()
+    layers = sum(entry["kind"] == "layer" for entry in read_journal(journal))
+    typer.echo(f"{journal}: {layers} layers made again, every byte is the same")
+    return ExitCode.PASS

@@ -1,0 +1,280 @@
+"""The state of a build between its layers: a reading comes in, it is judged, the next layer is made, written down and published.
+
+Whatever comes in, the answer is one dictionary and the state is sound: what was published last stays until something that
+passed every gate takes its place. Readings decide, and nothing else does: neither the clock nor chance, so that the journal
+alone is enough to make every byte again.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ebamcheck.errors import EbamcheckError, InputError
+from ebamcheck.live.heat_so_far import HeatSoFar
+from ebamcheck.live.heights import HeightRule, height_rule
+from ebamcheck.live.journal import Journal, read_journal
+from ebamcheck.live.making import LayerMaker, MadeLayer, Wanted, failure_of, program_settings_sha256
+from ebamcheck.live.publishing import (
+    JOURNAL,
+    LAYERS,
+    PROGRAM,
+    certificate_of,
+    layer_name,
+    publish,
+    read_current,
+)
+from ebamcheck.live.readings import Reading, Refusal, fault_of, reading_of
+
+TRIES = ((1.0, 0), (0.97, 0), (1.03, 0), (1.0, 3), (1.0, 6))
+"""What is tried one after the other until every gate is open: heights of the layer over the planned one, since a plane
+through vertices of the mesh, on which methods may differ, is left by each of them; and islands and hatch that lie as on a
+later layer, since where beads of one layout leave metal uneven, those of another may not."""
+
+Answer = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Standing:
+    """What stands and what was published on it: readings of its top are judged against these."""
+
+    done: int
+    base_mm: float
+    top_mm: float
+
+
+class Building:
+    """A build.
+
+    Parameters
+    ----------
+    maker
+        Makes its layers.
+    folder
+        Where layers, journal and ``current.json`` lie. A journal that is there is gone on with: its layers are made again,
+        which proves that they still come out the same.
+    rule
+        How heights are chosen; None: uniform ones.
+
+    Raises
+    ------
+    InputError
+        If the journal is of another part or other settings, or its layers do not come out the same.
+    SettingsError
+        If another server writes to it.
+    """
+
+    def __init__(self, maker: LayerMaker, folder: Path, rule: HeightRule | None = None) -> None:
+        self.maker, self.folder = maker, folder
+        self.rule = rule or height_rule(maker.part, maker.config)
+        self.heat = HeatSoFar.cold(maker.config)
+        self.finished = False
+        self._told: Answer = {}
+        self._standing: Standing | None = None
+        self._last: Reading | None = None
+        # The lock comes first: two servers on one folder would publish over each other.
+        self._journal = Journal(folder / JOURNAL)
+        try:
+            if self._journal.lines:
+                self._resume(read_journal(self._journal.path))
+            else:
+                self._journal.append({"kind": "begin", **self._of()})
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Let go of the journal."""
+        self._journal.__exit__(None, None, None)
+
+    # -- what comes in ------------------------------------------------------------------------------
+
+    def start(self) -> Answer:
+        """Publish the lowest layer on the plate; on a build that is under way, tell again what is published."""
+        if self._told:
+            return {**self._told, "again": True}
+        return self._decide(Reading(0, 0.0))
+
+    def height(self, message: dict[str, Any]) -> Answer:
+        """Take a measured height, and publish the layer on it."""
+        reading = reading_of(message)
+        if isinstance(reading, Refusal):
+            return self._refused(reading)
+        if self._standing is None:
+            return self._refused(Refusal("not-started", "nothing is published yet: send `start` first"))
+        if self._last is not None and reading.done == self._last.done:
+            if reading == self._last and self._told:
+                return {**self._told, "again": True}
+            if self._told:
+                return self._refused(
+                    Refusal(
+                        "repeated",
+                        f"layer {reading.done} was measured before, at {self._last.height_mm:g} mm: the first reading counts",
+                    )
+                )
+        expected = self._standing.done + 1
+        if self.finished:
+            return self._refused(Refusal("finished", "the part is built: no layer is left"))
+        if reading.done != expected:
+            return self._refused(
+                Refusal("counter-jump", f"{reading.done} layers are said to be done, expected are {expected}")
+            )
+        fault = fault_of(reading, self._standing.base_mm, self._standing.top_mm)
+        return self._refused(fault) if fault else self._decide(reading)
+
+    def status(self) -> Answer:
+        """Tell what is published, and what is expected."""
+        standing = self._standing
+        return {
+            "answer": "status",
+            "published": read_current(self.folder),
+            "expected_done": 0 if standing is None else standing.done + 1,
+            "finished": self.finished,
+            "top_mm": self.rule.slopes.top_mm,
+        }
+
+    # -- decisions ----------------------------------------------------------------------------------
+
+    def _decide(self, reading: Reading) -> Answer:
+        """Write a reading down, plan on it, and publish the next layer or say why not."""
+        self._journal.append({"kind": "height", "done": reading.done, "height_mm": reading.height_mm})
+        answer, made = self._made(reading)
+        if made is None:
+            if answer["answer"] == "done":
+                self._take(reading, answer, None)
+            self._journal.append({"kind": str(answer["answer"]), **answer})
+            return answer
+        staged, layer, certificate = made
+        try:
+            entry = {"kind": "layer", "name": certificate["name"], "files": certificate["files"]}
+            current = publish(self.folder, layer, certificate, before=lambda: self._journal.append(entry))
+        except (EbamcheckError, OSError) as error:
+            answer = _kept(reading, failure_of(error))
+            self._journal.append({"kind": "kept", **answer})
+            return answer
+        finally:
+            shutil.rmtree(staged, ignore_errors=True)
+        answer = {**answer, **current}
+        self._take(reading, answer, layer)
+        return answer
+
+    def _take(self, reading: Reading, answer: Answer, layer: MadeLayer | None) -> None:
+        """Let a decision become the state."""
+        self._last, self._told = reading, answer
+        if layer is None:
+            self.finished = True
+            return
+        self.heat = layer.heat
+        self._standing = Standing(reading.done, layer.wanted.base_mm, layer.wanted.top_mm)
+
+    def _made(self, reading: Reading) -> tuple[Answer, tuple[Path, MadeLayer, dict[str, Any]] | None]:
+        """Make the layer on a reading; the answer alone where there is none to publish."""
+        base_mm = reading.height_mm
+        plan = self.rule.plan(base_mm)
+        top_mm = self.rule.slopes.top_mm
+        if not len(plan):
+            off_mm = base_mm - top_mm
+            return {"answer": "done", "done": reading.done, "height_mm": base_mm, "off_mm": off_mm,
+                    "said": list(plan.said)}, None  # fmt: skip
+        limits, why = self.rule.limits, ""
+        program = self.maker.config.machine.program_name
+        self.folder.mkdir(parents=True, exist_ok=True)
+        for number, (factor, shifted) in enumerate(TRIES, 1):
+            thickness_mm = float(plan.thickness_mm[0]) * factor
+            inside = (
+                limits.least_mm <= thickness_mm <= limits.most_mm and base_mm + thickness_mm <= top_mm + 1e-9
+            )
+            if factor != 1.0 and not inside:
+                continue
+            name = layer_name(program, reading.done, number)
+            wanted = Wanted(reading.done, base_mm, thickness_mm, name, shifted)
+            staged = Path(tempfile.mkdtemp(prefix=".making.", dir=self.folder))
+            try:
+                made = self.maker.make(wanted, self.heat, staged / PROGRAM)
+                if made.passed:
+                    certificate = certificate_of(
+                        made, self.maker.part, self.maker.primary, self.maker.witness
+                    )
+                    answer = {"answer": "published", "layers_left": len(plan), "said": list(plan.said),
+                              "cusp_mm": float(plan.cusp_mm[0]), "seconds": made.seconds}  # fmt: skip
+                    return answer, (staged, made, certificate)
+                why = why or made.why
+            except Exception as error:  # whatever a stage meets, the server stays
+                why = why or failure_of(error)
+            shutil.rmtree(staged, ignore_errors=True)
+        return _kept(reading, why), None
+
+    def _refused(self, refusal: Refusal) -> Answer:
+        """Answer to a reading that is not used; the journal knows of it."""
+        answer = {"answer": "refused", "code": refusal.code, "reason": refusal.reason}
+        self._journal.append({"kind": "refused", **answer})
+        return answer
+
+    # -- going on -----------------------------------------------------------------------------------
+
+    def _of(self) -> dict[str, Any]:
+        """What a journal is of."""
+        return {
+            "part_sha256": self.maker.part.sha256,
+            "settings_sha256": program_settings_sha256(self.maker.config),
+            "annealing_steps": self.maker.annealing_steps,
+            "mode": self.rule.mode,
+            "cusp_mm": self.rule.cusp_mm,
+            "listed_mm": list(self.rule.listed_mm),
+        }
+
+    def _resume(self, entries: Iterator[dict[str, Any]]) -> None:
+        """Make the layers of a journal again, one after the other, and compare their hashes."""
+        first = next(entries, None)
+        if first is None:
+            return
+        mine = {"kind": "begin", **self._of()}
+        for key, value in mine.items():
+            if first.get(key) != value:
+                raise InputError(
+                    f"{self.folder / JOURNAL}: is of another build: its {key} is {first.get(key)!r:.20}, not {value!r:.20}: "
+                    "give another folder with -o"
+                )
+        waiting: Reading | None = None
+        for entry in entries:
+            kind = entry.get("kind")
+            if kind == "height":
+                waiting = Reading(int(entry["done"]), float(entry["height_mm"]))
+            elif waiting is not None and kind in ("layer", "done"):
+                self._again(waiting, entry)
+                waiting = None
+
+    def _again(self, reading: Reading, entry: dict[str, Any]) -> None:
+        """Make one decision of the journal again."""
+        answer, made = self._made(reading)
+        if made is None:
+            if answer["answer"] != entry["kind"]:
+                raise InputError(
+                    f"{self.folder / JOURNAL}: layer {reading.done} does not come out again: {answer.get('reason')}"
+                )
+            self._take(reading, answer, None)
+            return
+        staged, layer, certificate = made
+        try:
+            if certificate["files"] != entry.get("files"):
+                raise InputError(
+                    f"{self.folder / JOURNAL}: layer {reading.done} comes out as other bytes than were published: "
+                    "the software or a slicer is another one"
+                )
+            # Between the journal's line and the current file a kill may have come; the layer itself is there.
+            current = publish(self.folder, layer, certificate)
+        finally:
+            shutil.rmtree(staged, ignore_errors=True)
+        self._take(reading, {**answer, **current}, layer)
+
+    def layer_folder(self, name: str) -> Path:
+        """Folder of a published layer."""
+        return self.folder / LAYERS / name
+
+
+def _kept(reading: Reading, why: str) -> Answer:
+    return {"answer": "kept", "done": reading.done, "height_mm": reading.height_mm, "reason": why}

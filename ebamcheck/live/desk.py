@@ -1,0 +1,107 @@
+"""The door of a build: one JSON object a line in, one JSON object a line out, until the input ends or somebody says stop."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import time
+from collections.abc import Callable
+from typing import IO, Any
+
+from ebamcheck.json_values import plain
+from ebamcheck.live.building import Answer, Building
+from ebamcheck.live.making import failure_of
+from ebamcheck.live.readings import LONGEST_LINE, Refusal, parsed
+
+READ_BYTES = 65536
+
+
+class Lines:
+    """Lines of a file descriptor, with a time limit, in bounded memory: a longer one is cut and told as such."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor, self._held, self._ended = descriptor, b"", False
+
+    def next(self, wait_s: float | None) -> bytes | None:
+        """Return the next line without its end; None where none came in time; raises :class:`EOFError` at the end."""
+        until = None if wait_s is None else time.monotonic() + wait_s
+        while b"\n" not in self._held:
+            if self._ended:
+                if self._held.strip():
+                    line, self._held = self._held, b""
+                    return line
+                raise EOFError
+            left = None if until is None else max(0.0, until - time.monotonic())
+            ready, _, _ = select.select([self._descriptor], [], [], left)
+            if not ready:
+                return None
+            found = os.read(self._descriptor, READ_BYTES)
+            self._ended = not found
+            if b"\n" not in found and len(self._held) > LONGEST_LINE:
+                continue  # the rest of a line that is too long already
+            self._held += found
+        line, self._held = self._held.split(b"\n", 1)
+        return line
+
+
+def serve(
+    building: Building,
+    lines: Lines,
+    out: IO[str],
+    timeout_s: float,
+    told: Callable[[Answer], None] = lambda _: None,
+) -> None:
+    """Answer lines until the input ends, somebody says ``stop``, or nobody reads the answers.
+
+    Parameters
+    ----------
+    timeout_s
+        Time without a line after which the server says that it waits; once until the next line.
+    told
+        Called with each answer.
+    """
+    said_late = False
+    while True:
+        try:
+            line = lines.next(None if said_late else timeout_s)
+        except EOFError:
+            return
+        if line is None:
+            said_late = True
+            answer: Answer = {**building.status(), "answer": "late", "waited_s": timeout_s}
+        elif not line.strip():
+            continue
+        else:
+            said_late = False
+            answer = answer_to(building, line)
+        told(answer)
+        out.write(json.dumps(plain(answer), sort_keys=True, allow_nan=False) + "\n")
+        out.flush()
+        if answer["answer"] == "stopped":
+            return
+
+
+def answer_to(building: Building, line: bytes) -> Answer:
+    """Answer one line; nothing that comes in ends the server."""
+    try:
+        message = parsed(line)
+        if isinstance(message, Refusal):
+            return {"answer": "refused", "code": message.code, "reason": message.reason}
+        known: dict[str, Callable[[], Answer]] = {
+            "start": building.start,
+            "height": lambda: building.height(message),
+            "status": building.status,
+            "reset": building.status,
+            "stop": lambda: {"answer": "stopped"},
+        }
+        event: Any = message.get("event")
+        if not isinstance(event, str) or event not in known:
+            return {
+                "answer": "refused",
+                "code": "event",
+                "reason": f"event {event!r:.20}: known are {', '.join(known)}",
+            }
+        return known[event]()
+    except Exception as error:  # a full disk, say: what was published stays
+        return {"answer": "error", "reason": failure_of(error)}

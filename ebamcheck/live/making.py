@@ -1,0 +1,331 @@
+"""One layer, end to end: cut by two exact methods, compared, fitted, filled, put in order, written, read back, judged.
+
+A layer is a program of its own, whose lowest layer lies on what stands (``layers.base_mm``): the whole text that the
+control gets is the text that was verified, and anybody can verify it again from part and settings.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+
+from ebamcheck.backend import BackendSettings
+from ebamcheck.comparison import compare_all
+from ebamcheck.curves import LIFTED, fit
+from ebamcheck.errors import BackendMissing, EbamcheckError, SettingsError
+from ebamcheck.json_values import sha256_of_json
+from ebamcheck.layers.stack import Layers
+from ebamcheck.live.heat_so_far import HeatSoFar
+from ebamcheck.mesh.inspection import inspect
+from ebamcheck.mesh.part import Part
+from ebamcheck.pipeline import gates
+from ebamcheck.pipeline.choice import witness_backend
+from ebamcheck.pipeline.fit_evidence import judged
+from ebamcheck.pipeline.gates import Gate
+from ebamcheck.pipeline.programming import bead_paths, smooth_layers
+from ebamcheck.plugins import registry
+from ebamcheck.program import Check, ProgramFiles, mark_validated, read_program, verify_program
+from ebamcheck.program.checking.deposit import deposit
+from ebamcheck.program.checking.deposit_checks import deposit_checks
+from ebamcheck.program.checking.matching import matched
+from ebamcheck.program.language.control import control
+from ebamcheck.program.toolpath.bead_ends import planned_path
+from ebamcheck.program.toolpath.inputs import deposition_heights
+from ebamcheck.scan.islands.regions import layer_section
+from ebamcheck.scan.order.orders import GEOMETRIC
+from ebamcheck.scan.plan.columns import ScanPlan
+from ebamcheck.scan.plan.stacking import in_order, stack_plans
+from ebamcheck.scan.plan.whole_part import Stack, laid_layer, ordered_on
+from ebamcheck.settings.config import Config
+from ebamcheck.slicers.isolation import Outcome
+from ebamcheck.slicers.slicing import Slicing
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """A layer that is to be made: its index in the build, from 0; Z of what it lies on; its height; and its name.
+
+    Islands and hatch lie as on the layer of index `layer + shifted`.
+    """
+
+    layer: int
+    base_mm: float
+    thickness_mm: float
+    name: str
+    shifted: int = 0
+
+    @property
+    def top_mm(self) -> float:
+        """Z of its top."""
+        return self.base_mm + self.thickness_mm
+
+
+@dataclass(frozen=True, eq=False)
+class MadeLayer:
+    """A layer that was made, whether it may be published or not.
+
+    Parameters
+    ----------
+    wanted, config, cut_mm
+        What was asked for, the settings of its program, and the absolute height of the cut.
+    files
+        Its program; None where a gate shut before one was written.
+    gates, checks
+        What was judged.
+    heat
+        The part's heat when it is done; that before it where no program was written.
+    wait_s
+        Least time between the last bead below and the first of this layer.
+    islands, deposit_s
+        Islands, and the time with the waits within the layer.
+    seconds
+        Time that each stage took.
+    """
+
+    wanted: Wanted
+    config: Config
+    cut_mm: float
+    files: ProgramFiles | None
+    gates: tuple[Gate, ...]
+    checks: tuple[Check, ...]
+    heat: HeatSoFar
+    wait_s: float
+    islands: int
+    deposit_s: float
+    seconds: dict[str, float]
+
+    @property
+    def passed(self) -> bool:
+        """Whether every gate is open and there is a program."""
+        return self.files is not None and self.files.validated and all(gate.passed for gate in self.gates)
+
+    @property
+    def why(self) -> str:
+        """What the shut gates say; empty where all are open."""
+        return "; ".join(f"gate {gate.name}: {gate.text}" for gate in self.gates if not gate.passed)
+
+
+class Clock:
+    """Times of named stages, s."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Time a block."""
+        begin = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - begin
+
+
+class LayerMaker:
+    """A part and two slicers, ready to make any layer of it.
+
+    Parameters
+    ----------
+    part
+        The part as placed.
+    config
+        Settings of the run.
+    primary
+        Slicer whose contours become the program; empty: the one of the settings, else the default one.
+    annealing_steps
+        Moves by which an order of islands is improved: the greedy plans alone are a matter of a tenth of a second.
+
+    Raises
+    ------
+    BackendMissing
+        If there are no two exact slicers on this machine.
+    SettingsError
+        If programs of the control are not read back.
+    """
+
+    def __init__(self, part: Part, config: Config, primary: str = "", annealing_steps: int = 0) -> None:
+        name = config.machine.control
+        if not control(name).is_read:
+            raise SettingsError(
+                f"machine.control {name!r}: what is written for it is not read back, so that no layer of it can be proved"
+            )
+        self.part, self.config, self.annealing_steps = part, config, annealing_steps
+        self.primary = primary or config.slicing.primary or registry.default_backend()
+        self.witness = witness_backend(self.primary)
+        if self.witness == self.primary:
+            raise BackendMissing(
+                f"no exact slicer beside {self.primary!r} is there: two methods have to agree"
+            )
+        self.sound = gates.input_gate(inspect(part))
+        self._open = ExitStack()
+        self._slicings = {
+            backend: self._open.enter_context(Slicing(part, backend, **self._settings(backend).model_dump()))
+            for backend in (self.primary, self.witness)
+        }
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Free what the slicers hold."""
+        self._open.close()
+
+    def _settings(self, backend: str) -> BackendSettings:
+        return registry.slicer_settings(backend, self.config.slicing.settings.get(backend, {}))
+
+    @property
+    def bottom_mm(self) -> float:
+        """Absolute height of the part's lowest point."""
+        return float(self.part.bounds[0, 2])
+
+    @property
+    def height_mm(self) -> float:
+        """Height of the part: Z of its top."""
+        return float(self.part.size[2])
+
+    def config_of(self, wanted: Wanted) -> Config:
+        """Settings of the program of one layer: those of the run, with its height and name."""
+        cut_mm = self.bottom_mm + wanted.base_mm + 0.5 * wanted.thickness_mm
+        sections = self.config
+        # Values that were worked out here need no check of all others, which takes a while with many plugins.
+        return sections.model_copy(
+            update={
+                "part": sections.part.model_copy(update={"direction": self.part.direction}),
+                "layers": sections.layers.model_copy(
+                    update={
+                        "heights_mm": (cut_mm,),
+                        "layer_height_mm": wanted.thickness_mm,
+                        "base_mm": wanted.base_mm,
+                    }
+                ),
+                "scan": sections.scan.model_copy(update={"annealing_steps": self.annealing_steps}),
+                "machine": sections.machine.model_copy(update={"program_name": wanted.name}),
+            }
+        )
+
+    def make(self, wanted: Wanted, heat: HeatSoFar, folder: Path) -> MadeLayer:
+        """Make one layer; its program goes to `folder`, and is stamped as validated where every gate is open.
+
+        Parameters
+        ----------
+        heat
+            The part's heat when the layer under it is done.
+
+        Raises
+        ------
+        EbamcheckError
+            If a stage cannot do its work at all: the layer has no section, a slicer fails, a setting is wrong.
+        """
+        clock = Clock()
+        config = self.config_of(wanted)
+        cut_mm = config.layers.heights_mm[0]
+        with clock.stage("slice"):
+            cuts = {name: slicing.at(cut_mm) for name, slicing in self._slicings.items()}
+        contours, witness = cuts[self.primary], cuts[self.witness]
+        if not len(contours.points) and not len(witness.points):
+            raise SettingsError(f"layer {wanted.layer}: the part has no section at {cut_mm:g} mm")
+        with clock.stage("compare"):
+            agreement = self._agreement(cuts)
+        with clock.stage("fit"):
+            bound_mm = registry.slicer(self.primary).error_bound_mm(self.part, self._settings(self.primary))
+            of_curves = config.curves.model_copy(
+                update={"collinear_mm": max(config.curves.collinear_mm, bound_mm)}
+            )
+            curves = fit(contours, of_curves.method, of_curves, part=self.part)
+            verdict, _ = judged(curves, contours, self.part, config)
+            smooth = smooth_layers(verdict.curves)
+        with clock.stage("plan"):
+            plan, after, wait_s = self._planned(smooth, wanted, heat, config)
+        made = [self.sound, agreement, gates.fit_gate(verdict), gates.coverage_gate(plan.metrics, config)]
+        with clock.stage("write"):
+            beads = bead_paths(smooth, plan, config)
+            path = planned_path(beads, plan, config)
+            header = {"PART SHA-256": self.part.source_sha256 or self.part.sha256}
+            files: ProgramFiles = control(config.machine.control).load("writer")(
+                beads, plan, config, folder, header=header
+            )
+        with clock.stage("verify"):
+            program, _ = matched(read_program(files.main, config), path)
+            checks = verify_program(
+                program,
+                config=config,
+                curves=beads,
+                plan=plan,
+                path=path,
+                layers=witness,
+                heat=True,
+                before=heat.rested(wait_s).part.column,
+                sha256=files.sha256,
+                smooth=smooth if config.curves.method in LIFTED else None,
+            )
+            z_of = deposition_heights(witness.heights, config.layer_height_mm, config.base_mm)
+            checks += deposit_checks(program, deposit(program, witness, z_of, config), config)
+            made += [
+                gates.deposit_gate(checks, config),
+                gates.heat_gate(checks, plan.metrics, config),
+                gates.program_gate(checks),
+            ]
+            if all(gate.passed for gate in made):
+                files = mark_validated(files)
+        return MadeLayer(
+            wanted, config, cut_mm, files, tuple(made), tuple(checks), after, wait_s, len(plan.islands),
+            after.layer_s, clock.seconds,
+        )  # fmt: skip
+
+    def _agreement(self, cuts: dict[str, Layers]) -> Gate:
+        """Whether both methods agree on the layer."""
+        slicers = {name: registry.slicer(name) for name in cuts}
+        settings = {name: self._settings(name) for name in cuts}
+        found = compare_all(
+            cuts,
+            self.part,
+            bounds={
+                n: (s.error_bound_mm(self.part, settings[n]), s.height_bound_mm(self.part, settings[n]))
+                for n, s in slicers.items()
+            },
+            exact={n: s.exact for n, s in slicers.items()},
+            rules={n: s.coplanar_rule for n, s in slicers.items()},
+            settings=self.config.comparison,
+        )
+        # Nothing is written here: an outcome is done when it has a file.
+        done = {name: Outcome(name, file=Path(name)) for name in cuts}
+        return gates.agreement_gate(found, done, 1)
+
+    def _planned(
+        self, smooth: Layers, wanted: Wanted, heat: HeatSoFar, config: Config
+    ) -> tuple[ScanPlan, HeatSoFar, float]:
+        """Plan of the layer on the heat so far; the heat when it is done; and the wait before it, s."""
+        order, seed = config.scan.order, config.scan.seed
+        section = layer_section(smooth.polygons(0))
+        stack = Stack([section], np.array([smooth.heights[0]]), [wanted.layer + wanted.shifted], self.bottom_mm)
+        laid, islands = laid_layer(stack, 0, config, seed)
+        carry = config.scan.carry_heat and order not in GEOMETRIC
+        done, part, last = ordered_on(
+            heat.part, heat.last, laid, islands, wanted.thickness_mm, config, order, carry, not heat.laid
+        )
+        if config.process.interpass == "off" and not carry:
+            done = replace(done, heat=None)
+        plan = stack_plans([in_order(done)], config, order, seed)
+        wait_s = 0.0 if last is None or last is heat.last else last.wait_s
+        return plan, replace(heat, part=part, last=last), wait_s
+
+
+def program_settings_sha256(config: Config) -> str:
+    """Hash of the settings of a layer's program, as its header says it."""
+    return sha256_of_json(config.model_dump())
+
+
+def failure_of(error: Exception) -> str:
+    """One line for what ended the making of a layer."""
+    text = " ".join(str(error).split())
+    return text if isinstance(error, EbamcheckError) else f"internal error: {type(error).__name__}: {text}"

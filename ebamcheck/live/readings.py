@@ -1,0 +1,98 @@
+"""Measured heights as they come in, and what is wrong with those that are not used.
+
+Nothing is converted, clipped or guessed: a height is used as it is or refused with a code and a reason, and what was
+published stays.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from typing import Any
+
+LONGEST_LINE = 4096
+"""Bytes of a line; a reading takes a hundred."""
+
+UNIT = "mm"
+
+INCH_MM, METRE_MM = 25.4, 1000.0
+
+ABSURD = 0.75
+"""Share of a layer's height by which it may come out higher or lower than planned: beyond it is no bead but a fault."""
+
+ALIKE = 0.35
+"""Share of a layer by which a value converted from another unit may miss the plan and yet tell that it is that unit."""
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """Why a line or a reading is not used."""
+
+    code: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A height that was measured when so many layers were done."""
+
+    done: int
+    height_mm: float
+
+
+def parsed(line: bytes) -> dict[str, Any] | Refusal:
+    """Return a line as a JSON object, or why it is none."""
+    if len(line) > LONGEST_LINE:
+        return Refusal("unreadable", f"a line of more than {LONGEST_LINE} bytes")
+    try:
+        found = json.loads(line.decode("utf-8"))
+    except (ValueError, RecursionError):
+        return Refusal("unreadable", "the line is no JSON")
+    if not isinstance(found, dict):
+        return Refusal("unreadable", "the line is no JSON object")
+    return found
+
+
+def reading_of(message: dict[str, Any]) -> Reading | Refusal:
+    """Return the reading of a message, by its types alone."""
+    unit = message.get("unit", UNIT)
+    if unit != UNIT:
+        return Refusal("unit", f"unit {unit!r:.20}: heights are in mm and are not converted")
+    done, height = message.get("done"), message.get("height_mm")
+    if done is None:
+        return Refusal("missing", "`done`, the number of layers that are done, is missing")
+    if not isinstance(done, int) or isinstance(done, bool) or done < 0:
+        return Refusal("counter", f"done {done!r:.20}: give the number of layers that are done")
+    if height is None:
+        return Refusal("missing", "`height_mm` is missing")
+    if isinstance(height, bool) or not isinstance(height, int | float):
+        return Refusal("not-a-number", f"height_mm {height!r:.20}: is not a number")
+    try:
+        height_mm = float(height)
+    except OverflowError:
+        height_mm = math.inf
+    if not math.isfinite(height_mm):
+        return Refusal("not-a-number", f"height_mm {height_mm}: is not finite")
+    return Reading(done, height_mm)
+
+
+def fault_of(reading: Reading, base_mm: float, top_mm: float) -> Refusal | None:
+    """What is wrong with the height of a layer that was laid from `base_mm` to `top_mm`; None: it is used."""
+    height, planned = reading.height_mm, top_mm - base_mm
+    room = ABSURD * planned
+    if abs(height - top_mm) <= room:
+        return None
+    for factor, unit in ((INCH_MM, "inches"), (METRE_MM, "metres"), (1.0 / METRE_MM, "micrometres")):
+        if abs(height * factor - top_mm) <= min(ALIKE * planned, room):
+            return Refusal(
+                "unit", f"height_mm {height:g} would be the layer's height in {unit}: heights are in mm"
+            )
+    if height <= base_mm:
+        return Refusal(
+            "decreasing", f"height_mm {height:g} is not over {base_mm:.3f}, on which the layer was laid"
+        )
+    return Refusal(
+        "absurd",
+        f"height_mm {height:g} is {abs(height - top_mm):.3f} mm off the plan, {top_mm:.3f}: over {room:.3f}",
+    )

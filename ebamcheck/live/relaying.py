@@ -1,0 +1,67 @@
+"""One layer of a finished run made again at a measured height."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ebamcheck.atomic_file import made_folder
+from ebamcheck.errors import SettingsError
+from ebamcheck.json_values import json_text
+from ebamcheck.live.heat_so_far import HeatSoFar
+from ebamcheck.live.heights import height_rule
+from ebamcheck.live.making import LayerMaker, MadeLayer, Wanted
+from ebamcheck.live.publishing import LAYERS, PROGRAM, certificate_of, layer_name, publish
+
+
+@dataclass(frozen=True, eq=False)
+class Relayered:
+    """What came of it: the layer, its certificate, what was said of the heights, and where it lies; None: it was kept back."""
+
+    made: MadeLayer
+    certificate: dict[str, Any]
+    said: tuple[str, ...]
+    place: Path | None
+
+
+def wanted_layer(
+    maker: LayerMaker, layer: int, measured_mm: float, name: str
+) -> tuple[Wanted, tuple[str, ...]]:
+    """Return the layer on a measured height, as high as it has to be for the rest to end at the part's top.
+
+    Raises
+    ------
+    SettingsError
+        If nothing is left to be laid there.
+    """
+    plan = height_rule(maker.part, maker.config).plan(measured_mm)
+    if not len(plan):
+        said = f": {plan.said[0]}" if plan.said else ""
+        raise SettingsError(
+            f"--measured-z {measured_mm:g}: the part is {maker.height_mm:.3f} mm high, nothing is left to be laid{said}"
+        )
+    return Wanted(layer, measured_mm, float(plan.thickness_mm[0]), name), plan.said
+
+
+def relayer(maker: LayerMaker, heat: HeatSoFar, layer: int, measured_mm: float, folder: Path) -> Relayered:
+    """Make a layer at a measured height, and publish it under a new name in `folder` if every gate is open."""
+    number = 1
+    program = maker.config.machine.program_name
+    made_folder(folder)
+    while (folder / LAYERS / layer_name(program, layer, number)).exists():
+        number += 1
+    wanted, said = wanted_layer(maker, layer, measured_mm, layer_name(program, layer, number))
+    staged = Path(tempfile.mkdtemp(prefix=".making.", dir=folder))
+    try:
+        made = maker.make(wanted, heat, staged / PROGRAM)
+        certificate = certificate_of(made, maker.part, maker.primary, maker.witness)
+        if not made.passed:
+            (folder / f"{wanted.name}.refused.json").write_text(json_text(certificate), encoding="utf-8")
+            return Relayered(made, certificate, said, None)
+        publish(folder, made, certificate)
+    finally:
+        shutil.rmtree(staged, ignore_errors=True)
+    return Relayered(made, certificate, said, folder / LAYERS / wanted.name)
