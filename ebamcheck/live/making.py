@@ -307,7 +307,9 @@ class LayerMaker:
         """Plan of the layer on the heat so far; the heat when it is done; and the wait before it, s."""
         order, seed = config.scan.order, config.scan.seed
         section = layer_section(smooth.polygons(0))
-        stack = Stack([section], np.array([smooth.heights[0]]), [wanted.layer + wanted.shifted], self.bottom_mm)
+        stack = Stack(
+            [section], np.array([smooth.heights[0]]), [wanted.layer + wanted.shifted], self.bottom_mm
+        )
         laid, islands = laid_layer(stack, 0, config, seed)
         carry = config.scan.carry_heat and order not in GEOMETRIC
         done, part, last = ordered_on(
