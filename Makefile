@@ -9,7 +9,7 @@ BIN := $(VENV)/bin
 # Two at a time: the suite is made for two cores. Tests of one file stay together and share its fixtures.
 PYTEST := $(BIN)/python -m pytest -q -n 2 --dist loadfile
 
-.PHONY: help setup demo test test-slow lint types format benchmark benchmark-gpu benchmark-scale benchmark-curves clean
+.PHONY: help setup demo test test-slow lint types format kernel-list benchmark benchmark-gpu benchmark-scale benchmark-curves clean
 
 help: ## Show the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -47,6 +47,9 @@ types: setup
 format: setup ## Format the code
 	@$(BIN)/ruff check --fix .
 	@$(BIN)/ruff format .
+
+kernel-list: setup ## Write the list of kernels that `ebamcheck warm` compiles, from a main job with an empty cache
+	@$(BIN)/python -m ebamcheck.commands.kernel_record
 
 benchmark: setup ## Time every slicer on the ladder; tables and plots in reports/benchmarks (an hour or two)
 	@$(BIN)/ebamcheck warm

@@ -1,4 +1,4 @@
-"""Write the list of kernels that ``ebamcheck warm`` compiles: ``python -m ebamcheck.commands.kernel_record``.
+"""Write the list of kernels that ``ebamcheck warm`` compiles: ``make kernel-list``.
 
 The main job runs with an empty cache, in a process of its own and one kernel after the other (a few minutes); what the
 cache then holds is the list. It is to be made again when a kernel gets other arguments, another name or another module,

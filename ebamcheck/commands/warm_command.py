@@ -1,4 +1,4 @@
-"""``ebamcheck warm``: all kernels are compiled at once, so that nobody waits for them later."""
+"""``ebamcheck warm``: the kernels are compiled ahead, so that nobody waits for them later."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ def warm_command() -> ExitCode:
     """Compile the kernels once, so that no later command has to wait for it."""
     from ebamcheck.commands.warm import warm_kernels
 
-    typer.echo("compiling the kernels where they are not yet: about three minutes the first time")
+    typer.echo("compiling the kernels where they are not yet, on all cores: two minutes on two of them the first time")
     seconds = warm_kernels()
     typer.echo(f"kernels are compiled ({seconds:.1f} s)")
     return ExitCode.PASS

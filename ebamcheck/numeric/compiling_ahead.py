@@ -7,7 +7,9 @@ it begins when all that it calls is done; of those that may begin, the one with 
 from __future__ import annotations
 
 import multiprocessing
+import os
 import sys
+import threading
 from collections.abc import Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -54,7 +56,7 @@ def compile_ahead(listed: Listed, processes: int | None = None) -> dict[str, str
     # Forked, as interpreters that have loaded every module; elsewhere they load what they need.
     context = multiprocessing.get_context("fork" if sys.platform == "linux" else "spawn")
     count = min(len(tasks), processes or thread_count())
-    with ProcessPoolExecutor(count, mp_context=context) as pool:
+    with ProcessPoolExecutor(count, context, initializer=_end_with_parent) as pool:
         try:
             return _run(tasks, pool, count)
         except BrokenProcessPool as error:
@@ -112,6 +114,18 @@ def _run(tasks: dict[str, Task], pool: ProcessPoolExecutor, count: int) -> dict[
             if said := ended.result():
                 why[name] = said
     return why
+
+
+def _end_with_parent() -> None:
+    """Have this process end when the one that forked it does, however that ends."""
+    parent = multiprocessing.parent_process()
+
+    def wait_for_it() -> None:
+        if parent is not None:
+            parent.join()
+        os._exit(1)
+
+    threading.Thread(target=wait_for_it, daemon=True).start()
 
 
 def compile_versions(name: str, versions: list[str]) -> str:

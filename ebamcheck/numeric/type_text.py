@@ -48,7 +48,10 @@ def text_of(found: Any) -> str:
 
 def type_of(text: str) -> Any:
     """The numba type of a text of :func:`text_of`; :class:`UnknownType` where it is none here."""
-    return types_of(text)[0]
+    found = types_of(text)
+    if len(found) != 1:
+        raise UnknownType(f"{text!r} is not one type")
+    return found[0]
 
 
 def types_of(text: str) -> tuple[Any, ...]:
