@@ -74,7 +74,9 @@ class Prepared(Protocol):
 
         A slicer that knows where its answer cannot be trusted on this part declares it in the settings of
         the layers as ``doubtful_regions``: a list of ``{"box_mm": [xmin, ymin, zmin, xmax, ymax, zmax],
-        "why": one line}``. A disagreement in such a box is still one, and has that line as its likely cause.
+        "why": one line}``, and ``"bound_mm"`` where it knows how far a contour may be off there at most. A disagreement
+        in such a box has that line as its likely cause. It is still one, unless it is within the limit of the pair and
+        that bound, the bound is within `comparison.doubt_mm`, and all is well beside the box: then it is counted and told.
         """
         ...
 

@@ -25,6 +25,7 @@ CODES: Mapping[str, str] = {
     "bead-out-of-section": "Beads lay metal outside of the section: walls under a bead, closed holes.",
     "curve-fell-back": "Rings were fitted by a more cautious method, because the mesh does not speak for the one asked for.",
     "curves-not-lifted": "The curves follow the contours: these do not lie on the edges of the part's mesh.",
+    "declared-doubt": "Slicers agree on layers only because one of them declares its answer doubtful there.",
     "facets-turned-over": "Facets were turned over because the settings ask for it (part.fix_orientation).",
     "heat-above-solidus": "The heat model finds islands above the solidus when the beam enters them.",
     "hole-closed": "A hole is so narrow that beads close it.",
@@ -111,8 +112,14 @@ def has_fault(findings: Iterable[Finding]) -> bool:
     return any(finding.severity == "fault" for finding in findings)
 
 
-def at_layer(layer: int, height_mm: float, x_mm: float = math.nan, y_mm: float = math.nan) -> str:
-    """Name a place, or a whole layer where X and Y are not known.
+def at_layer(
+    layer: int,
+    height_mm: float,
+    x_mm: float = math.nan,
+    y_mm: float = math.nan,
+    program_z_mm: float = math.nan,
+) -> str:
+    """Name a place, or a whole layer where X and Y are not known; with its Z in the program, as that names it, too.
 
     Examples
     --------
@@ -120,9 +127,13 @@ def at_layer(layer: int, height_mm: float, x_mm: float = math.nan, y_mm: float =
     'layer 12, z = 20.100 mm, (3.000, 4.250)'
     >>> at_layer(12, 20.1)
     'layer 12, z = 20.100 mm'
+    >>> at_layer(12, 20.1, program_z_mm=21.0)
+    'layer 12, z = 20.100 mm; layer 13 of the program, Z 21.000 mm'
     """
     place = f"layer {layer}, z = {height_mm:.3f} mm"
-    return place + (f", ({x_mm:.3f}, {y_mm:.3f})" if math.isfinite(x_mm) and math.isfinite(y_mm) else "")
+    place += f", ({x_mm:.3f}, {y_mm:.3f})" if math.isfinite(x_mm) and math.isfinite(y_mm) else ""
+    in_program = f"; layer {layer + 1} of the program, Z {program_z_mm:.3f} mm"
+    return place + (in_program if math.isfinite(program_z_mm) else "")
 
 
 def in_words(record: Mapping[str, Any]) -> str:

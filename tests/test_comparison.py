@@ -210,7 +210,7 @@ def test_all_agree():
     assert result.findings == []
     assert result.layers["verdict"].tolist() == ["agree"] * 3
     assert result.layers["consensus"].tolist() == ["a,b,c"] * 3
-    assert list(result.pairs.columns) == ["a", "b", *COLUMNS, "gated", "evidence"]
+    assert list(result.pairs.columns) == ["a", "b", *COLUMNS, "gated", "evidence", "doubt_mm"]
     assert len(result.pairs) == 9
 
 

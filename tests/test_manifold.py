@@ -152,6 +152,29 @@ def test_nothing_is_declared_where_the_facets_are_those_given(name):
     assert "doubtful_regions" not in cut(moved(PARTS[name], shift=(1e3, -7.0, 0.1)), [0.1]).settings
 
 
+@pytest.mark.parametrize("thickness_mm", [1e-6, 0.006, 0.5])
+@pytest.mark.parametrize("lean", [0.0, 0.7])
+def test_the_declared_bound_holds_for_a_turned_edge(thickness_mm, lean):
+    """Two facets and the same four corners with the other diagonal: their sections are that far apart at most."""
+    corners = np.array([(0, 0, 0), (10, 0, 0.3), (10, thickness_mm, 9), (0, 0, 9.5)], np.float64)
+    corners[:, 1] += lean * corners[:, 2]
+    given, held = corners[[[0, 1, 2], [0, 2, 3]]], corners[[[0, 1, 3], [1, 2, 3]]]
+    (region,) = _boxes(np.concatenate([given, held]), np.arange(4) < 2)
+    apart = 0.0
+    for z in (2.0, 4.0, 6.0):
+        ways = []
+        for facets in (given, held):
+            points = []
+            for triangle in facets:
+                for p, q in zip(triangle, np.roll(triangle, -1, axis=0), strict=True):
+                    if (p[2] - z) * (q[2] - z) < 0:
+                        points.append((p + (z - p[2]) / (q[2] - p[2]) * (q - p))[:2])
+            ways.append(shapely.LineString(sorted(map(tuple, points))))
+        apart = max(apart, shapely.hausdorff_distance(*ways))
+    assert 0.0 < apart <= region["bound_mm"]
+    assert region["bound_mm"] <= 8.0 * apart  # not idle
+
+
 def test_declared_boxes_are_few_and_hold_all_changed_facets():
     triangles = np.random.default_rng(3).random((100, 3, 3)) + np.arange(100)[:, None, None]
     found = _boxes(triangles, np.arange(100) < 50)

@@ -21,6 +21,12 @@ if TYPE_CHECKING:
 MOST_REGIONS = 16
 """Boxes declared at most; more are merged with their neighbours in height."""
 
+LEAST_SLOPE = 0.05
+"""Share of a normal in the plane of the layers: sections of a flatter group move too far to be bounded."""
+
+BOUND_MARGIN = 1.01
+"""Rounding, and the ends of the slab."""
+
 Keys = NDArray[np.uint64]
 
 
@@ -37,7 +43,8 @@ def doubtful_regions(
     Returns
     -------
     list of dict
-        ``box_mm``: xmin, ymin, zmin, xmax, ymax, zmax; ``why``: one line. Empty where nothing was changed.
+        ``box_mm``: xmin, ymin, zmin, xmax, ymax, zmax; ``why``: one line; ``bound_mm``: how far a contour may be off
+        there, where that is known. Empty where nothing was changed.
     """
     mesh = manifold.to_mesh64()
     held, held_faces = np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts)
@@ -111,6 +118,7 @@ def _boxes(triangles: Floats, old: NDArray[np.bool_]) -> list[dict[str, Any]]:
     place = np.empty(nodes, np.int64)
     place[order] = np.arange(len(order)) * min(len(order), MOST_REGIONS) // len(order)
     region = place[group]
+    bounds = _bounds(triangles, group)
     found = []
     for k in np.unique(region):
         here = region == k
@@ -120,6 +128,32 @@ def _boxes(triangles: Floats, old: NDArray[np.bool_]) -> list[dict[str, Any]]:
             {
                 "box_mm": [*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist()],
                 "why": f"manifold3d changed {changed} facet{'s' * (changed > 1)} here when it built the solid",
+                **_known_bound(bounds[here]),
             }
         )
     return found
+
+
+def _bounds(triangles: Floats, group: NDArray[Any]) -> Floats:
+    """How far sections may be off at each facet (F,), mm: the width of a section of the slab that its group fills.
+
+    The facets given and those held have the same border, so that both lie in the hull of their corners, and so in a slab
+    square to their common normal.
+    """
+    bounds = np.full(len(triangles), np.inf)
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    for k in np.unique(group):
+        here = group == k
+        normal = normals[here].sum(axis=0)
+        length = float(np.linalg.norm(normal))
+        flat = float(np.hypot(normal[0], normal[1]))
+        if length > 0.0 and flat > LEAST_SLOPE * length:
+            along = triangles[here].reshape(-1, 3) @ (normal / length)
+            bounds[here] = float(np.ptp(along)) * length / flat
+    return bounds
+
+
+def _known_bound(bounds: Floats) -> dict[str, float]:
+    """The greatest bound, with a margin for rounding, where each facet has one."""
+    most = float(bounds.max())
+    return {"bound_mm": most * BOUND_MARGIN} if np.isfinite(most) and most > 0.0 else {}

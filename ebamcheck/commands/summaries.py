@@ -9,6 +9,7 @@ from ebamcheck.backend import Slicer
 from ebamcheck.drawing.tables import text_table
 from ebamcheck.findings import in_words
 from ebamcheck.pipeline.statement import statement
+from ebamcheck.pipeline.worst import worst_line
 from ebamcheck.plugins import registry
 from ebamcheck.plugins.points import BrokenPlugin
 from ebamcheck.plugins.stranger import StrangerSlicer
@@ -100,6 +101,7 @@ def run_summary(manifest: Mapping[str, Any]) -> str:
     passed = [["pass" if g["passed"] else "FAIL", g["name"], g["text"]] for g in manifest["gates"]]
     found = [[f["severity"], f["code"], in_words(f)] for f in manifest.get("findings", [])]
     blocks = [
+        worst_line(manifest),
         text_table(["slicer", "status", "rings", "open", "points", "bound mm", "seconds", ""], slicers),
         text_table(["pair", "layers agree", "depth mm", "limit mm", "Hausdorff mm", "least IoU"], pairs)
         if pairs

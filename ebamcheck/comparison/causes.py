@@ -5,7 +5,7 @@ A cause is a likely one: it names what is found at the place and known to divide
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -146,6 +146,11 @@ class MeshFlaws:
         return labels.astype(np.int64)
 
     @cached_property
+    def bodies(self) -> int:
+        """Bodies that are joined at no edge."""
+        return int(self._body.max(initial=-1)) + 1
+
+    @cached_property
     def is_open(self) -> bool:
         """Whether the part has an edge with one facet."""
         return bool(self._edges[1][OPEN_EDGE].any())
@@ -187,7 +192,12 @@ class Place(NamedTuple):
         return NEAR_DEPTHS * (self.depth_mm + self.limit_mm) if np.isfinite(self.depth_mm) else self.limit_mm
 
 
-def likely_cause(flaws: MeshFlaws, place: Place, declared: Sequence[Mapping[str, Any]] = ()) -> str:
+def likely_cause(
+    flaws: MeshFlaws,
+    place: Place,
+    declared: Sequence[Mapping[str, Any]] = (),
+    contours: Callable[[], Sequence[Floats]] = tuple,
+) -> str:
     """Name the likeliest cause of a disagreement at a place.
 
     What the layer's class says goes first, then what the slicers themselves declare, then flaws of the mesh
@@ -198,6 +208,9 @@ def likely_cause(flaws: MeshFlaws, place: Place, declared: Sequence[Mapping[str,
     declared
         Settings of the layers of the two slicers, with their ``doubtful_regions`` (see
         :meth:`ebamcheck.backend.Prepared.slice`) and ``unbalanced_pixels``.
+    contours
+        Gives the segments (n, 4) mm of both slicers on the layer, with the solid on their left; asked for where the
+        mesh has nothing to tell.
     """
     if place.layer_class == "face-on-plane":
         return COPLANAR_FACE
@@ -207,7 +220,7 @@ def likely_cause(flaws: MeshFlaws, place: Place, declared: Sequence[Mapping[str,
     if place.known:
         around = flaws.around(place.x_mm, place.y_mm, place.height_mm, place.reach_mm)
         at_place = (
-            _declared_doubt(place, declared)
+            declared_doubt(place, declared)
             or flaws.edge_flaw(place.x_mm, place.y_mm, place.height_mm, place.reach_mm)
             or _shell_flaw(flaws, place, around)
         )
@@ -217,10 +230,10 @@ def likely_cause(flaws: MeshFlaws, place: Place, declared: Sequence[Mapping[str,
         return OPEN_PATH
     if flaws.is_open and any(settings.get("unbalanced_pixels", 0) for settings in declared):
         return OPEN_SURFACE
-    return _shape(flaws, place, around) if around is not None else UNKNOWN_CAUSE
+    return _shape(flaws, place, around, contours()) if around is not None else UNKNOWN_CAUSE
 
 
-def _declared_doubt(place: Place, declared: Sequence[Mapping[str, Any]]) -> str:
+def declared_doubt(place: Place, declared: Sequence[Mapping[str, Any]]) -> str:
     """Why one of the slicers does not trust itself within a limit of the place."""
     at = np.array([place.x_mm, place.y_mm, place.height_mm])
     for settings in declared:
@@ -244,12 +257,20 @@ def _shell_flaw(flaws: MeshFlaws, place: Place, around: Surroundings) -> str:
     return TOUCHING if touching else ""
 
 
-def _shape(flaws: MeshFlaws, place: Place, around: Surroundings) -> str:
+def _shape(flaws: MeshFlaws, place: Place, around: Surroundings, contours: Sequence[Floats]) -> str:
     """Shape of the part at the place that magnifies small errors, or hides between samples."""
     height_error_mm = ROUNDING_SHARE * float(flaws.part.size.max(initial=0.0))
     if around.travel_per_mm() * height_error_mm >= 0.5 * place.depth_mm > 0.0:
         return SHALLOW
-    width_mm, is_wall = around.width()
-    if width_mm <= 2.0 * THIN_LIMITS * place.limit_mm:
-        return THIN if is_wall else THIN_GAP
-    return THIN if place.depth_mm <= THIN_LIMITS * place.limit_mm else UNKNOWN_CAUSE
+    thin_mm = 2.0 * THIN_LIMITS * place.limit_mm
+    for width_mm, is_wall in (around.width(), *(_width(place, segments) for segments in contours)):
+        if width_mm <= thin_mm:
+            return THIN if is_wall else THIN_GAP
+    return UNKNOWN_CAUSE
+
+
+def _width(place: Place, segments: Floats) -> tuple[float, bool]:
+    """Width of the wall or gap at the place by the contours of a slicer, (n, 4) mm, and whether it is a wall."""
+    none = np.zeros(len(segments), np.int64)
+    flat = np.zeros((len(segments), 3, 3))
+    return surroundings(segments, none, flat, place.x_mm, place.y_mm, place.reach_mm).width()

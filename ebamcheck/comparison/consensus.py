@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from ebamcheck.comparison.causes import MeshFlaws, Place, likely_cause
 from ebamcheck.comparison.classes import GENERIC, layer_classes
-from ebamcheck.comparison.findings import Finding
+from ebamcheck.comparison.doubt import allow_doubt
+from ebamcheck.comparison.findings import AGREE, EMPTY, NOT_COMPARED, OUTLIER, UNDECIDED, Finding
 from ebamcheck.comparison.independence import EvidenceRule, best_pair
+from ebamcheck.comparison.naming import named_findings
 from ebamcheck.comparison.pairwise import Pair, check_comparable, measure_stacks, table
 from ebamcheck.comparison.sources import LayerSource, blocks_of, contour_figures
 from ebamcheck.layers.heights import crossing_counts
 from ebamcheck.mesh.part import Part
 from ebamcheck.settings.slicing import ComparisonSettings
-
-AGREE, OUTLIER, UNDECIDED, NOT_COMPARED, EMPTY = "agree", "outlier", "undecided", "not-compared", "empty"
-"""Verdicts on a layer."""
 
 HALF_OPEN = "half-open"
 
@@ -117,6 +114,7 @@ def compare_all(
         rows.insert(0, "a", a)
         rows["gated"] = gated
         rows["evidence"] = evidence.counts(a, b, weightless)
+    allow_doubt(list(stacks.values()), couples, tables, settings.doubt_mm)
     pairs = pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
     vanished = _vanished(figures, part, heights)
     consensus, verdicts, pairs_of = _verdicts(names, tables, vanished)
@@ -130,8 +128,7 @@ def compare_all(
             "rests_on": [",".join(names[i] for i in pair) for pair in pairs_of],
         }
     )
-    declared = {name: stack.settings for name, stack in stacks.items()}
-    findings = list(_findings(part, names, declared, tables, heights, consensus, verdicts))
+    findings = list(named_findings(part, stacks, tables, heights, consensus, verdicts))
     compared = _compared(tables, heights.size)
     passed = compared > 0 and not {OUTLIER, UNDECIDED, EMPTY} & set(verdicts)
     return Comparison(
@@ -265,73 +262,3 @@ def agreement(
         if largest:
             return (), UNDECIDED
     return (), UNDECIDED
-
-
-def _findings(
-    part: Part,
-    names: list[str],
-    declared: Mapping[str, Mapping[str, Any]],
-    tables: list[pd.DataFrame],
-    heights: NDArray[np.float64],
-    consensus: list[tuple[int, ...]],
-    verdicts: list[str],
-) -> Iterator[Finding]:
-    """Every disagreement on the layers that did not come out clean, in the order of layers."""
-    flaws = MeshFlaws(part)
-    couples = list(combinations(range(len(names)), 2))
-    columns = [{name: rows[name].to_numpy() for name in rows.columns} for rows in tables]
-    for layer, verdict in enumerate(verdicts):
-        if verdict == EMPTY:
-            yield _empty_finding(flaws, names, layer, float(heights[layer]), columns)
-        if verdict not in (OUTLIER, UNDECIDED):
-            continue
-        members = consensus[layer]
-        for (i, j), column in zip(couples, columns, strict=True):
-            if not column["gated"][layer] or column["agrees"][layer]:
-                continue
-            if members and i not in members and j not in members:
-                continue  # two outliers: each is named against the consensus
-            backend, against = (j, i) if i in members else (i, j)
-            yield _finding(flaws, declared, names[backend], names[against], layer, column)
-
-
-def _finding(
-    flaws: MeshFlaws,
-    declared: Mapping[str, Mapping[str, Any]],
-    backend: str,
-    against: str,
-    layer: int,
-    column: Mapping[str, NDArray[np.generic]],
-) -> Finding:
-    """Name one disagreement of a pair."""
-    row = {name: values[layer] for name, values in column.items()}
-    depth, limit = float(row["depth_mm"]), float(row["limit_mm"])
-    deep = depth > limit
-    rings = abs(int(row["rings_a"]) - int(row["rings_b"])) or abs(int(row["holes_a"]) - int(row["holes_b"]))
-    place = Place(
-        float(row["depth_x_mm"]), float(row["depth_y_mm"]), float(row["height_mm"]), depth, limit,
-        str(row["class"]), bool(row["open_a"] + row["open_b"] > 0),
-    )  # fmt: skip
-    cause = likely_cause(flaws, place, [declared[backend], declared[against]])
-    return Finding(
-        layer, float(row["height_mm"]), backend, against,
-        "depth" if deep else "topology", depth if deep else float(rings), limit if deep else 0.0,
-        float(row["depth_x_mm"]), float(row["depth_y_mm"]), cause,
-    )  # fmt: skip
-
-
-def _empty_finding(
-    flaws: MeshFlaws,
-    names: list[str],
-    layer: int,
-    height_mm: float,
-    columns: list[dict[str, NDArray[np.generic]]],
-) -> Finding:
-    """Name a layer that is empty in all stacks although the part is there; the value is its area."""
-    x, y = flaws.place(height_mm)
-    column = columns[0]
-    open_paths = any(bool(c["open_a"][layer] + c["open_b"][layer] > 0) for c in columns)
-    extent = float(np.linalg.norm(flaws.part.size))
-    place = Place(x, y, height_mm, extent, 0.0, str(column["class"][layer]), open_paths)
-    cause = likely_cause(flaws, place)
-    return Finding(layer, height_mm, ",".join(names), "part", "empty", 0.0, 0.0, x, y, cause)

@@ -18,6 +18,12 @@ MOST_SEGMENTS = 400
 FACING_COS = -0.7
 """Sides of a wall or gap run opposite ways to within about 45 degrees."""
 
+AS_NEAR = 1.0 + 1e-6
+"""Segments are as near as the nearest one within this factor."""
+
+MOST_SIDES = 8
+"""Segments that are as near and looked at; they meet in one point."""
+
 ROUNDING_SHARE = 2.0**-22
 """Height error, relative to the part's size, that single precision makes at worst (four roundings)."""
 
@@ -64,19 +70,25 @@ class Surroundings:
     def width(self) -> tuple[float, bool]:
         """Distance between the sides of the wall or gap at the place, mm, and whether it is a wall.
 
-        The nearest segment is one side; the other is the nearest one that faces it. Infinite without one.
+        The nearest segment is one side, the other is the nearest one that faces it; of several that are as near, as at
+        the mouth of a slit, the one with the nearest other side. Infinite without one.
         """
         if not len(self.segments):
             return np.inf, False
         along = self.segments[:, 2:] - self.segments[:, :2]
         along = along / np.maximum(np.linalg.norm(along, axis=1), np.finfo(np.float64).tiny)[:, None]
-        facing = along @ along[0] < FACING_COS
+        as_near = np.flatnonzero(self.distance <= AS_NEAR * self.distance[0])[:MOST_SIDES]
+        return min((self._across(along, int(k)) for k in as_near), key=lambda found: found[0])
+
+    def _across(self, along: Floats, side: int) -> tuple[float, bool]:
+        """Distance from one side to the nearest segment that faces it, and whether solid lies between."""
+        facing = along @ along[side] < FACING_COS
         if not facing.any():
             return np.inf, False
         k = int(np.argmax(facing))
-        foot = _nearest_point(self.segments[:1], self.place)[0]
+        foot = _nearest_point(self.segments[side : side + 1], self.place)[0]
         away = _nearest_point(self.segments[k : k + 1], foot)[0] - foot
-        left = np.array([-along[0, 1], along[0, 0]])
+        left = np.array([-along[side, 1], along[side, 0]])
         return float(np.linalg.norm(away)), bool(left @ away > 0.0)
 
     def travel_per_mm(self) -> float:

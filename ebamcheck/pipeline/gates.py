@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
 from ebamcheck.comparison import Comparison
+from ebamcheck.comparison import Finding as Disagreement
+from ebamcheck.comparison.doubt import doubted_layers
+from ebamcheck.comparison.findings import worst_of
 from ebamcheck.errors import ExitCode
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.mesh.inspection import Inspection
@@ -18,6 +21,8 @@ from ebamcheck.pipeline.independence import not_counted, resting
 from ebamcheck.program import Check
 from ebamcheck.program.checking.deposit_checks import DEPOSIT_CHECKS, of_deposit
 from ebamcheck.program.checking.interpass_checks import INTERPASS, MELTING, within_range
+from ebamcheck.program.checking.remedies import frames
+from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.isolation import Outcome
 
@@ -40,7 +45,9 @@ def input_gate(inspection: Inspection) -> Gate:
     return Gate("input", inspection.passed, faults, 0.0, "faults", f"{inspection.verdict}: {inspection.why}")
 
 
-def agreement_gate(comparison: Comparison, outcomes: Mapping[str, Outcome], layers: int) -> Gate:
+def agreement_gate(
+    comparison: Comparison, outcomes: Mapping[str, Outcome], layers: int, first_layer_mm: float = 1.0
+) -> Gate:
     """At least two methods agree on every layer, and no method that was asked for failed."""
     failed = [f"{o.name} {o.failure} ({o.why})" for o in outcomes.values() if o.file is None]
     lost = [o for o in outcomes.values() if o.file is None and o.failure != "unavailable"]
@@ -59,7 +66,8 @@ def agreement_gate(comparison: Comparison, outcomes: Mapping[str, Outcome], laye
     skipped = layers - good - bad
     text = f"{methods} methods agree on {good} of {layers} layers"
     if bad:
-        text += f"; they disagree on {bad}: {_first(comparison)}"
+        text += f"; they disagree on {bad}: {_worst(comparison, first_layer_mm)}"
+    text += _doubted(comparison)
     if skipped:
         text += (
             f"; {skipped} pass through a vertex or face and no two methods with one rule for that are left: "
@@ -72,16 +80,34 @@ def agreement_gate(comparison: Comparison, outcomes: Mapping[str, Outcome], laye
     return Gate("agreement", passed, float(bad + skipped), 0.0, "layers", text)
 
 
-def _first(comparison: Comparison) -> str:
-    """The first finding in words."""
-    if not comparison.findings:
+def _worst(comparison: Comparison, first_layer_mm: float) -> str:
+    """The gravest finding in words."""
+    f = worst_of(comparison.findings)
+    if f is None:
         return "no cause was found"
-    f = comparison.findings[0]
+    return f"worst {disagreement_in_words(f, comparison, first_layer_mm)}"
+
+
+def disagreement_in_words(f: Disagreement, comparison: Comparison, first_layer_mm: float) -> str:
+    """A disagreement: who, where in part and program, by how much, why, and what to do."""
+    heights = comparison.layers["height_mm"].to_numpy(np.float64)
+    place = frames(f.layer, f.height_mm, float(deposition_heights(heights, first_layer_mm)[f.layer]))
+    cause = f.cause_text or f.cause
     if f.metric == "empty":
-        return f"first layer {f.layer}, z = {f.height_mm:.3f} mm, empty in all although facets cross it: {f.cause}"
+        return f"layer {f.layer}, empty in all although facets cross it: {cause} ({place}); {f.remedy}"
+    unit = " mm" if f.metric == "depth" else " rings"
     return (
-        f"first {f.backend} against {f.against} at layer {f.layer}, z = {f.height_mm:.3f} mm, "
-        f"{f.metric} {f.value:.4g} over {f.limit:.4g} at ({f.x_mm:.3f}, {f.y_mm:.3f}): {f.cause}"
+        f"{f.backend} against {f.against}: {cause}; {f.metric} {f.value:.4g} over {f.limit:.4g}{unit} at "
+        f"({f.x_mm:.3f}, {f.y_mm:.3f}) of layer {f.layer} ({place}); {f.remedy}"
+    )
+
+
+def _doubted(comparison: Comparison) -> str:
+    """Layers that agree by a declared doubt alone, counted."""
+    return "".join(
+        f"; {a} and {b} agree on {len(layers)} of them by declared doubt alone, {depth:.2g} mm apart with {added:.2g} mm "
+        "declared (comparison.doubt_mm)"
+        for a, b, layers, depth, added in doubted_layers(comparison.pairs)
     )
 
 
@@ -162,8 +188,18 @@ def program_gate(checks: Iterable[Check]) -> Gate:
         return Gate("program", False, 0.0, 0.0, "faults", "no program was written: there is no contour")
     text = f"{len(made)} checks passed"
     if failed:
-        text = f"{len(failed)} of {len(made)} checks failed: {failed[0].name} at {failed[0].where}: {failed[0].text}"
+        text = f"{len(failed)} of {len(made)} checks failed: {failed_in_words(failed)}"
     return Gate("program", not failed, float(len(failed)), 0.0, "faults", text)
+
+
+TOLD = 2
+"""Failed checks that a gate tells in full; of more the names."""
+
+
+def failed_in_words(failed: Sequence[Check]) -> str:
+    """Failed checks, each by name: the first ones with place, figure and remedy."""
+    told = " | ".join(check.in_words() for check in failed[:TOLD])
+    return told + (f" | and {', '.join(check.name for check in failed[TOLD:])}" if failed[TOLD:] else "")
 
 
 def exit_code(gates: Iterable[Gate], compared_layers: int, outcomes: Mapping[str, Outcome]) -> ExitCode:

@@ -195,7 +195,7 @@ def _agreement(
             settings=config.comparison,
             evidence=evidence_rule(config, stacks),
         )
-    return gates.agreement_gate(comparison, outcomes, len(fresh)), comparison.passed
+    return gates.agreement_gate(comparison, outcomes, len(fresh), config.layer_height_mm), comparison.passed
 
 
 def _fitted(

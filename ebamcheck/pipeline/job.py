@@ -181,7 +181,11 @@ def _finished(
     """All stages from slicing to the finished folder."""
     checked = cross_check(job, backends, resume)
     outcomes = {**checked.outcomes, **unavailable_backends(job.config)}
-    shut = [gates.input_gate(job.found), gates.agreement_gate(checked.comparison, outcomes, len(job.heights))]
+    shut = [
+        gates.input_gate(job.found),
+        gates.agreement_gate(checked.comparison, outcomes, len(job.heights), job.config.layer_height_mm),
+    ]
+    job.add_finding(*noticed.of_doubt(checked.comparison.pairs, job.config))
     job.add_finding(*(noticed.unavailable(o) for o in outcomes.values() if o.failure == "unavailable"))
     if parts := plate_record(job.part, job.config):
         job.record[PLATE] = parts

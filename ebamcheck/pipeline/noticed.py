@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
 import pandas as pd
 
+from ebamcheck.comparison.doubt import doubted_layers
 from ebamcheck.findings import Finding, at_layer
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.mesh.inspection import Inspection
@@ -53,6 +55,28 @@ def lost(outcome: Outcome) -> Finding:
     """A slicer that did not come to its end."""
     text = f"backend {outcome.name} {outcome.failure}: {outcome.why}"
     return Finding("warning", "backend-lost", text, outcome.name)
+
+
+def of_doubt(pairs: pd.DataFrame, config: Config) -> Iterator[Finding]:
+    """Layers on which slicers agree only because one of them declares doubt."""
+    for a, b, layers, depth_mm, added_mm in doubted_layers(pairs):
+        yield Finding(
+            "warning",
+            "declared-doubt",
+            f"{a} and {b} agree on {len(layers)} layers only within places that one of them declares doubtful: they are "
+            f"{depth_mm:.3g} mm apart, {added_mm:.3g} mm are declared",
+            f"layers {', '.join(str(k) for k in layers[:5])}{' ...' if len(layers) > 5 else ''}",
+            depth_mm,
+            config.comparison.doubt_mm,
+            "mm",
+            "mend thin facets of the mesh there, or forbid it (comparison.doubt_mm = 0)",
+        )
+
+
+def _at(layer: int, heights: Floats, config: Config, x_mm: float = math.nan, y_mm: float = math.nan) -> str:
+    """Name a place in part and program; `heights` (L,) mm are those of the cuts."""
+    z_mm = deposition_heights(np.asarray(heights, np.float64), config.layer_height_mm)[layer]
+    return at_layer(layer, float(heights[layer]), x_mm, y_mm, float(z_mm))
 
 
 # -- the part ----------------------------------------------------------------------------------------
@@ -164,7 +188,7 @@ def of_heat(plan: ScanPlan, config: Config) -> Iterator[Finding]:
             "heat-above-solidus",
             f"{hot.size} of {len(plan)} layers have islands that the heat model finds above the solidus when the beam "
             f"enters them{beyond}",
-            at_layer(k, float(plan.heights[k])),
+            _at(k, plan.heights, config),
             min(float(entry_k[k]), boiling_k),
             solidus_k,
             "K",
@@ -193,7 +217,7 @@ def of_interpass(summary: pd.DataFrame, plan: ScanPlan, config: Config) -> Itera
             "note",
             "power-taper",
             f"the beam's power goes down to {100.0 * share[k]:.3g} % of {power_w:g} W as the part gets warm",
-            at_layer(k, float(plan.heights[k])),
+            _at(k, plan.heights, config),
             float(share[k] * power_w),
             power_w,
             "W",
@@ -217,7 +241,7 @@ def of_limit(checks: Iterable[Check], plan: ScanPlan, config: Config) -> Iterato
             "interpass-limit",
             f"the plan enters {what} above {limit_k:.0f} K in {hot.size} of {len(plan)} layers, the hottest at "
             f"{figure_k:.0f} K{mark}",
-            at_layer(k, float(plan.heights[k])),
+            _at(k, plan.heights, config),
             figure_k,
             limit_k,
             "K",
@@ -257,7 +281,7 @@ def of_seams(program: NCProgram, heights: Floats, config: Config) -> Iterator[Fi
             "warning",
             "seam-at-corner",
             f"{count} of {row.size} closed contours start where they turn by more than {corner_deg:g} degrees, first here",
-            at_layer(layer, float(heights[layer]), x_mm, y_mm),
+            _at(layer, heights, config, x_mm, y_mm),
             float(count),
             0.0,
             "contours",

@@ -28,6 +28,7 @@ from ebamcheck.program.checking.deposit import deposit
 from ebamcheck.program.checking.deposit_checks import deposit_checks
 from ebamcheck.program.checking.matching import matched
 from ebamcheck.program.checking.metal_field import FIELD_FILE, write_field
+from ebamcheck.program.checking.remedies import told
 from ebamcheck.program.checking.text_heat import build_times_s, known_sections
 from ebamcheck.program.language.control import control
 from ebamcheck.program.reading.motions import NCProgram
@@ -185,6 +186,7 @@ def _write_and_verify(
         )
     job.add_finding(*noticed.of_limit(checks, plan, job.config))
     checks += _weighed(job, program, witness)
+    checks = told(checks, program, contours.heights, job.config.layer_height_mm)
     summary = program_summary(program, job.config)
     summary.to_csv(job.folder.path / "program.csv", index=False)
     job.add_finding(*noticed.of_interpass(summary, plan, job.config))

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import difflib
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError, model_validator
+from pydantic.fields import FieldInfo
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.settings.base import Section
@@ -20,13 +22,14 @@ from ebamcheck.settings.machine import KinematicsSettings, MachineSettings
 from ebamcheck.settings.material import MaterialSettings
 from ebamcheck.settings.process import ProcessSettings
 from ebamcheck.settings.scan import ScanSettings
-from ebamcheck.settings.selection import MachineSections, RegressionSettings
+from ebamcheck.settings.selection import MachineChoice, MachineSections, RegressionSettings
 from ebamcheck.settings.slicing import (
     ComparisonSettings,
     LayerSettings,
     PartSettings,
     SlicingSettings,
 )
+from ebamcheck.settings.wording import wanted
 from ebamcheck.settings.work import WorkSettings
 from ebamcheck.showing import short_text
 
@@ -135,12 +138,68 @@ def validated(values: dict[str, Any], where: str) -> Config:
     try:
         return Config.model_validate(values)
     except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(k) for k in first["loc"]) or "settings"
-        given = first.get("input")
-        shown = "" if isinstance(given, dict | BaseModel) else f" (given {given!r})"
-        what = _unknown_key(first["loc"]) if first["type"] == "extra_forbidden" else first["msg"] + shown
-        raise SettingsError(f"{where}: {key}: {what}; `ebamcheck config` lists every key") from None
+        raise SettingsError(_told(error.errors()[0], where)) from None
+
+
+def _told(first: Mapping[str, Any], where: str) -> str:
+    """Say what is wrong with a value: where, what was given, and what it takes."""
+    # Behind the key stand types that were tried, which mean nothing to a user.
+    loc = first["loc"]
+    place = [*loc[:2], *(k for k in loc[2:] if isinstance(k, int) or _is_key(loc, k))]
+    key = ".".join(str(k) for k in place) or "settings"
+    given = first.get("input")
+    shown = "" if isinstance(given, dict | BaseModel) else f" (given {given!r})"
+    if first["type"] == "extra_forbidden":
+        what = _unknown_key(loc)
+    elif first["type"] == "finite_number":
+        what = f"it takes a finite number{shown}"
+    elif first["type"] == "value_error":
+        what = str(first["msg"]).removeprefix("Value error, ") + shown
+    else:
+        what = f"it takes {_wanted(loc)}" + (
+            shown or f" (given a {'table' if isinstance(given, dict) else 'value'})"
+        )
+    return f"{where}: {key}: {what}; `ebamcheck config` lists every key"
+
+
+def _is_key(loc: tuple[int | str, ...], name: int | str) -> bool:
+    """Whether a part of a place is a key of a table, by itself or in a list."""
+    info = _field(loc)
+    if info is not None and get_origin(info.annotation) is dict:
+        return name == loc[2]
+    inner = _inner(loc)
+    return inner is not None and name in inner.model_fields
+
+
+def _inner(loc: tuple[int | str, ...]) -> type[BaseModel] | None:
+    """Kind of the tables in a setting that is a list of them."""
+    info = _field(loc)
+    kinds = get_args(info.annotation) if info is not None else ()
+    return next((k for k in kinds if isinstance(k, type) and issubclass(k, BaseModel)), None)
+
+
+def _field(loc: tuple[int | str, ...]) -> FieldInfo | None:
+    """The setting at a place; None where a section is meant."""
+    section = Config.model_fields.get(str(loc[0])) if len(loc) > 1 else None
+    kind = section.annotation if section else None
+    return (
+        kind.model_fields.get(str(loc[1])) if isinstance(kind, type) and issubclass(kind, BaseModel) else None
+    )
+
+
+def _wanted(loc: tuple[int | str, ...]) -> str:
+    """What a setting takes, in a user's words."""
+    info, inner = _field(loc), _inner(loc)
+    if info is None:
+        return (
+            "a table of settings"
+            if len(loc) <= 1
+            else "a table with " + ", ".join(MachineChoice.model_fields)
+        )
+    key = next((str(k) for k in loc[2:] if _is_key(loc, k)), "")
+    if inner is not None and key:
+        return wanted(f"{loc[0]}.{loc[1]}", key, inner.model_fields[key])
+    return wanted(str(loc[0]), str(loc[1]), info)
 
 
 def _unknown_key(place: tuple[int | str, ...]) -> str:

@@ -74,3 +74,6 @@ class ComparisonSettings(Section):
     """Agreement with a slicer whose error bound is over this share of process.bead_width_mm, or whose height bound is over
     this share of the layer height, is no evidence: it agrees with too much. Within a bound r a wall may be wrong by 2 r;
     with the default one that is a fifth of the narrowest wall, which one bead makes. Such a slicer can still disagree."""
+    doubt_mm: Tolerance = 0.01
+    """Most that a slicer's declared doubt may add to that limit, in the places that it declares and nowhere else; layers
+    that agree by it are counted and told. 0: a doubt changes nothing."""

@@ -9,6 +9,7 @@ import tomlkit
 
 from ebamcheck.settings.base import Section
 from ebamcheck.settings.config import Config
+from ebamcheck.settings.wording import EXAMPLES, PLACEHOLDERS, TEMPLATES
 
 WIDTH = 100
 
@@ -27,6 +28,7 @@ def as_toml(config: Config) -> str:
             value = getattr(section, key)
             if info.description:
                 lines += textwrap.wrap(info.description, WIDTH, initial_indent="# ", subsequent_indent="# ")
+            lines += _told_beside(name, key)
             if isinstance(value, dict):
                 tables += _tables(f"{name}.{key}", value)
                 lines += [] if value else [f"# [{name}.{key}.NAME]"]
@@ -39,6 +41,17 @@ def as_toml(config: Config) -> str:
             tables += tomlkit.dumps({name: named}).removeprefix(f"[{name}]\n").splitlines()
         lines += ["", *tables]
     return "\n".join(lines)
+
+
+def _told_beside(section: str, key: str) -> list[str]:
+    """Comments with the placeholders of the templates, before the first of them, and an example of what needs one."""
+    lines = []
+    if section == "machine" and key == next(iter(TEMPLATES)):
+        lines.append("# Placeholders, filled in where they stand in braces in the blocks of these templates:")
+        lines += [f"#   {{{name}}}  {meaning}" for name, meaning in PLACEHOLDERS.items()]
+    if example := EXAMPLES.get(f"{section}.{key}"):
+        lines.append(f"# Example: {key} = {example}")
+    return lines
 
 
 def _tables(path: str, values: dict[str, Any]) -> list[str]:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 
 from ebamcheck.errors import BackendFailed
+from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.plugins.model import Model
 from ebamcheck.testing.figures import NO_LAYER, Figure, truth
-from ebamcheck.testing.sections import house_rule, region, sections, winding_rule
+from ebamcheck.testing.sections import HOUSE_RULE, house_rule, region, sections, winding_rule
 from ebamcheck.testing.solids import (
     FRAME_MM,
     SIMPLE,
@@ -243,7 +245,11 @@ def _model_figures(subject: Subject, name: str, model: Model) -> list[Figure]:
     layers = subject.cut(part, heights)
     reach_mm = (subject.promise_mm(part) + t * (1.0 + SECTION_SHARE)) * (1.0 + BUFFER_SHARE)
     found = []
+    told_otherwise = _by_another_rule(subject, part, layers, heights)
     for k, z in enumerate(heights.tolist()):
+        if k in told_otherwise:
+            found.append(told_otherwise[k])
+            continue
         near = [
             shapely.union_all(model.section(z + share * t, SECTION_SHARE * t))
             for share in (-1.0, -0.5, 0.0, 0.5, 1.0)
@@ -257,6 +263,29 @@ def _model_figures(subject: Subject, name: str, model: Model) -> list[Figure]:
             Figure("reference models", name, k, beyond, rounding_mm2, f"area beyond, mm2, at z = {z:.9g} mm")
         )
     return found
+
+
+def _by_another_rule(
+    subject: Subject, part: Part, layers: Layers, heights: NDArray[np.float64]
+) -> dict[int, Figure]:
+    """Figures of the layers where the declared inside rule asks for another solid than the house's.
+
+    A model's closed form is the union of its shells. A slicer that declares another rule is held against the section of
+    the mesh by that rule where the two differ, as on solids (`inside_rule`).
+    """
+    rule = winding_rule(subject.inside_rule(layers))
+    if rule is None or subject.inside_rule(layers) == HOUSE_RULE:
+        return {}
+    own, house = (sections(part, heights, by) for by in (rule, house_rule))
+    other = np.flatnonzero(~np.isclose(own.areas(), house.areas(), rtol=1e-9, atol=rounding_mm(part) ** 2))
+    if not other.size:
+        return {}
+    found, limit = subject.differences(part, heights), subject.limit_mm(part)
+    told = f"depth, mm, from the section by the rule {subject.inside_rule(layers)!r}, at "
+    return {
+        k: Figure("reference models", part.name, k, float(found.depth_mm[k]), limit, told + found.places[k])
+        for k in other.tolist()
+    }
 
 
 def _attackers(subject: Subject) -> dict[str, Part]:

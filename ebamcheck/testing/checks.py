@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 
 from ebamcheck.testing import accuracy, laws, protocol
 from ebamcheck.testing.figures import NO_LAYER, Figure
-from ebamcheck.testing.subject import Subject
+from ebamcheck.testing.subject import Raised, Subject
+
+LOGGER = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -25,7 +28,12 @@ class Check:
         """Figures of a subject; whatever the slicer raises is a violation like any other."""
         try:
             return self.find(subject)
+        except Raised as error:
+            # The traceback is the slicer's own, for those who write it (--debug).
+            LOGGER.debug("%s: %s", self.name, error, exc_info=error.__cause__)
+            return [Figure(self.name, error.model, NO_LAYER, 1.0, 0.0, str(error))]
         except Exception as error:
+            LOGGER.debug("%s", self.name, exc_info=error)
             text = f"it raised {type(error).__name__}: {' '.join(str(error).split())}"
             return [Figure(self.name, "error", NO_LAYER, 1.0, 0.0, text)]
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from ebamcheck.backend import BackendSettings, Slicer
 from ebamcheck.comparison import compare
 from ebamcheck.comparison.measure import FINEST_DEPTH_MM
+from ebamcheck.errors import BackendFailed
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.numeric.rings import EPSILON
@@ -68,9 +71,28 @@ class Subject:
         planes = np.asarray(heights, dtype=np.float64).reshape(-1)
         key = (part.sha256, planes.tobytes())
         if key not in self._layers:
-            with self.slicer.prepare(part, self.settings) as prepared:
-                self._layers[key] = prepared.slice(planes)
+            self._layers[key] = self._cut(part, planes)
         return self._layers[key]
+
+    def _cut(self, part: Part, planes: NDArray[np.float64]) -> Layers:
+        """Cut a part; what the slicer raises tells part, settings, height and place."""
+        try:
+            with self.slicer.prepare(part, self.settings) as prepared:
+                return prepared.slice(planes)
+        except BackendFailed:
+            raise
+        except Exception as error:
+            raise Raised(self, part, planes, error) from error
+
+    def failing_height(self, part: Part, planes: NDArray[np.float64]) -> float | None:
+        """The lowest of some heights at which the slicer raises by itself; None where it takes several."""
+        for height in planes.tolist():
+            try:
+                with self.slicer.prepare(part, self.settings) as prepared:
+                    prepared.slice(np.array([height]))
+            except Exception:
+                return float(height)
+        return None
 
     def bound_mm(self, part: Part) -> float:
         """The declared bound for a part."""
@@ -98,6 +120,40 @@ class Subject:
     def inside_rule(self, layers: Layers) -> str:
         """The rule in force: settings may change what the class declares, and then say so in their layers."""
         return str(layers.settings.get("inside_rule", self.slicer.inside_rule or HOUSE_RULE))
+
+
+class Raised(Exception):
+    """Something that a slicer raised, with what it was doing.
+
+    Attributes
+    ----------
+    model
+        Name of the part that it was cutting.
+    """
+
+    def __init__(self, subject: Subject, part: Part, planes: NDArray[np.float64], error: Exception) -> None:
+        self.model = part.name
+        height = subject.failing_height(part, planes)
+        span = (
+            f"one of {len(planes)} heights from {planes.min():.9g} to {planes.max():.9g} mm"
+            if len(planes)
+            else ""
+        )
+        where = f"z = {height:.9g} mm" if height is not None else span or "no heights"
+        frames = traceback.extract_tb(error.__traceback__)
+        code = (
+            f", raised in {frames[-1].name} ({Path(frames[-1].filename).name}:{frames[-1].lineno})"
+            if frames
+            else ""
+        )
+        chosen = subject.settings.model_dump()
+        settings = ", ".join(f"{key}={value}" for key, value in chosen.items()) or "none"
+        low, high = part.bounds.round(3).tolist()
+        text = " ".join(str(error).split())
+        super().__init__(
+            f"it raised {type(error).__name__}: {text} at {where} of {part.name!r} (box {low} to {high} mm, settings: "
+            f"{settings}){code}"
+        )
 
 
 def rounding_mm(part: Part) -> float:

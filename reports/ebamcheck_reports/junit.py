@@ -181,7 +181,7 @@ def _disagreement(finding: Mapping[str, Any]) -> str:
     return (
         f"layer {finding['layer']}, z = {finding['height_mm']:.3f} mm: {finding['backend']} against {finding['against']}, "
         f"{finding['metric']} {finding['value']}, limit {finding['limit']}, at {place(finding['x_mm'], finding['y_mm'])} mm, "
-        f"likely cause: {finding['cause']}"
+        f"likely cause: {finding.get('cause_text') or finding['cause']}"
     )
 
 

@@ -28,6 +28,17 @@ class Check:
     x_mm: float | None = None
     """Where the worst place is, to draw it."""
     y_mm: float | None = None
+    place: str = ""
+    """Of a check that fails: its layer as the program names it, and that height in part and program."""
+    remedy: str = ""
+    """Of a check that fails: what to do, without a full stop."""
+
+    def in_words(self) -> str:
+        """Name, place, what was found and what to do, as a failed check is told."""
+        where = ", ".join(text for text in (self.where, self.place) if text)
+        return f"{self.name}{f' at {where}' if where else ''}: {self.text}" + (
+            f"; {self.remedy}" if self.remedy else ""
+        )
 
 
 def count_check(name: str, places: list[tuple[str, str]], good: str) -> Check:

@@ -175,7 +175,8 @@ def _findings(run: RunData) -> list[Markup]:
             figure(f["value"], "mm" if f["metric"] == "depth" else ""),
             figure(f["limit"], "mm" if f["metric"] == "depth" else ""),
             place(f["x_mm"], f["y_mm"]),
-            f["cause"],
+            f.get("cause_text") or f["cause"],
+            f.get("remedy", ""),
         )
         for f in found[:MOST_FINDINGS]
     ]
@@ -189,6 +190,7 @@ def _findings(run: RunData) -> list[Markup]:
         "limit",
         "place (x, y), mm",
         "likely cause",
+        "what to do",
     )
     parts = [table(columns, rows, class_="findings", numbers=("layer", "z", "value", "limit"))]
     if len(found) > MOST_FINDINGS:

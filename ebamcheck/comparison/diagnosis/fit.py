@@ -1,0 +1,286 @@
+"""Fit of what moves a contour as a whole: offset, translation, height, scale and rotation, alone or two together.
+
+The contours of the slicer that differs are taken for those of the other one, cut at another height, scaled and turned
+about the middle of the part, moved, and then set off outward. Least squares of the distances that are left between the
+two, weighted so that their sum counts and not the few largest (Gauss-Newton on reweighted residuals).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from ebamcheck.comparison.causes import MeshFlaws
+from ebamcheck.comparison.diagnosis.contours import (
+    Contours,
+    along,
+    beside,
+    contours_of,
+    contours_over,
+    mesh_contours,
+)
+from ebamcheck.comparison.diagnosis.sheets import Sheet
+from ebamcheck.numeric.rings import Floats
+
+PLACES = 160
+"""Places along the contours of each sheet."""
+
+STEPS = 10
+"""Steps of the fit at most."""
+
+SETTLED = 1e-3
+"""A step smaller than this share of the parameters changes nothing any more."""
+
+FARTHEST = 0.5
+"""Of the size of the part: a fit that goes farther is lost. What is moved so far has little in common with what it was."""
+
+NESTED = 0.01
+"""A fit with more parameters explains so much more at least, or it is the one with fewer."""
+
+PROMISING = 0.3
+"""Where no single cause explains this share, no two are tried."""
+
+D, TX, TY, E, TURN, DZ = range(6)
+"""Parameters: offset mm, translation mm, logarithm of the scale, angle rad, height mm."""
+
+GROUPS: dict[str, tuple[int, ...]] = {
+    "translation": (TX, TY),
+    "offset": (D,),
+    "height": (DZ,),
+    "scale": (E, TX, TY),
+    "rotation": (TURN, TX, TY),
+}
+"""Parameters of each cause that is fitted: a scale and a rotation have a centre, which is a translation."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A fit: which causes, their parameters, and the share of the difference that they explain."""
+
+    names: tuple[str, ...]
+    parameters: Floats
+    share: float
+
+
+@dataclass(eq=False)
+class Seen:
+    """One sheet as the fit sees it."""
+
+    sheet: Sheet
+    flaws: MeshFlaws
+
+    @cached_property
+    def a(self) -> Contours:
+        """Contours that differ."""
+        return contours_of(self.sheet.outline_a)
+
+    @cached_property
+    def b(self) -> Contours:
+        """Contours of the other slicer."""
+        return contours_of(self.sheet.outline_b)
+
+    @cached_property
+    def _moved(self) -> dict[float, tuple[Contours, Floats]]:
+        return {}
+
+    @cached_property
+    def places_a(self) -> tuple[Floats, float]:
+        """Places along `a`, and the length of each."""
+        return along(self.a, PLACES)
+
+    def reference(self, dz_mm: float, moving: bool) -> tuple[Contours, Floats | None]:
+        """Contours that `a` is taken for: those of `b`, or the mesh's at another height with their rates."""
+        if not moving:
+            return self.b, None
+        if dz_mm not in self._moved:
+            self._moved[dz_mm] = mesh_contours(self.flaws, self.sheet.height_mm + dz_mm, self.sheet.origin_mm)
+        return self._moved[dz_mm]
+
+
+class FieldFit:
+    """Fits over some sheets on which both slicers have contours."""
+
+    def __init__(self, sheets: Sequence[Sheet], flaws: MeshFlaws, step_mm: float) -> None:
+        self.seen = [Seen(sheet, flaws) for sheet in sheets]
+        self.size_mm = max(float(np.hypot(*flaws.part.size[:2])), 1e-9)
+        self.step_mm = step_mm
+        self.apart_mm2 = self._left(np.zeros(6), False)
+
+    def best(self, enough: float) -> list[Fitted]:
+        """Fits of single causes, best first, and of two together where no single one explains `enough`."""
+        if not self.apart_mm2 > 0.0:
+            return []
+        single = sorted((self.fit((name,)) for name in GROUPS), key=lambda f: -f.share)
+        # A scale and a rotation have a translation in them: where that alone does as well, it goes on.
+        first = min(
+            (f for f in single if f.share >= single[0].share - NESTED), key=lambda f: len(GROUPS[f.names[0]])
+        )
+        found = list(single)
+        if PROMISING <= first.share < enough:
+            bases = [first, *(f for f in single if f.names == ("translation",) and f is not first)]
+            found += [
+                self.fit((*base.names, *other.names), [base.parameters, other.parameters])
+                for base in bases[: 1 + (first.names[0] in ("scale", "rotation"))]
+                for other in single
+                if other not in bases
+            ]
+        return sorted(found, key=lambda f: -f.share)
+
+    def fit(self, names: tuple[str, ...], starts: Sequence[Floats] = ()) -> Fitted:
+        """Fit some causes together, from several starts."""
+        free = sorted({p for name in names for p in GROUPS[name]})
+        moving = DZ in free
+        nothing = np.zeros(6)
+        others = [
+            (self._left(start, moving), k, start) for k, start in enumerate((*starts, *self._starts(names)))
+        ]
+        best = Fitted(names, nothing, 0.0)
+        chosen = [nothing] if not starts else []
+        if others and min(others)[0] < self.apart_mm2:
+            chosen.append(min(others)[2])
+        for start in chosen:
+            q = self._descended(start, free)
+            share = 1.0 - self._left(q, moving) / self.apart_mm2
+            if share > best.share:
+                best = replace(best, parameters=q, share=share)
+        return best
+
+    def _starts(self, names: tuple[str, ...]) -> Iterator[Floats]:
+        """Where a fit may begin, too: at other heights, and at what areas and their middles say."""
+        if "height" in names:
+            for share in (0.5, -0.5, 1.0, -1.0):
+                start = np.zeros(6)
+                start[DZ] = share * self.step_mm
+                yield start
+            return
+        if names == ("offset",):
+            return
+        middle_a, area_a = self._middle("a")
+        middle_b, area_b = self._middle("b")
+        start = np.zeros(6)
+        if "scale" in names and area_a > 0.0 and area_b > 0.0:
+            start[E] = 0.5 * math.log(area_a / area_b)
+        start[[TX, TY]] = middle_a - math.exp(start[E]) * middle_b
+        yield start
+
+    def _middle(self, which: str) -> tuple[Floats, float]:
+        """Middle of all solid area, from the origin, and that area."""
+        total, moment = 0.0, np.zeros(2)
+        for one in self.seen:
+            x0, y0, x1, y1 = getattr(one, which).segments.T
+            cross = x0 * y1 - x1 * y0
+            total += 0.5 * float(cross.sum())
+            moment += [float(((x0 + x1) * cross).sum()) / 6.0, float(((y0 + y1) * cross).sum()) / 6.0]
+        return (moment / total if total else moment), total
+
+    def _descended(self, start: Floats, free: list[int]) -> Floats:
+        """Parameters after the steps of the fit."""
+        q = start.copy()
+        scale = np.array([1.0, 1.0, 1.0, self.size_mm, self.size_mm, 1.0])[free]
+        for _ in range(STEPS):
+            rows, rest, weights = self._system(q, DZ in free)
+            if not rest.size:
+                return q
+            spread = max(float(np.median(np.abs(rest))), 1e-3 * float(np.abs(rest).mean()), 1e-12)
+            root = np.sqrt(weights / np.maximum(np.abs(rest), spread))
+            step, *_ = np.linalg.lstsq(rows[:, free] / scale * root[:, None], -rest * root, rcond=1e-9)
+            q[free] += step / scale
+            if np.abs((q - start)[free] * scale).max() > FARTHEST * self.size_mm:
+                return start
+            if np.abs(step).max() <= SETTLED * np.abs(q[free] * scale).max():
+                break
+        return q
+
+    def _system(self, q: Floats, moving: bool) -> tuple[Floats, Floats, Floats]:
+        """Derivatives (N, 6), residuals (N,) mm and lengths (N,) of the places along the contours that differ."""
+        rows, rests, weights = [], [], []
+        for one in self.seen:
+            places, length = one.places_a
+            contours, rate = one.reference(float(q[DZ]), moving)
+            if not len(contours.segments) or not len(places):
+                continue
+            back = _moved_back(places, q)
+            near = beside(contours, back)
+            scale = math.exp(q[E])
+            row = np.zeros((len(places), 6))
+            n = near.normal
+            row[:, D] = -1.0
+            row[:, TX], row[:, TY] = -_turned(n, q[TURN]).T
+            row[:, E] = -scale * (n * back).sum(axis=1)
+            row[:, TURN] = -scale * (n[:, 1] * back[:, 0] - n[:, 0] * back[:, 1])
+            row[:, DZ] = 0.0 if rate is None else -scale * rate[near.segment]
+            rows.append(row)
+            rests.append(scale * near.distance_mm - q[D])
+            weights.append(np.full(len(places), length))
+        if not rows:
+            return np.zeros((0, 6)), np.zeros(0), np.zeros(0)
+        return np.concatenate(rows), np.concatenate(rests), np.concatenate(weights)
+
+    def _left(self, q: Floats, moving: bool) -> float:
+        """Area between the contours and what they are taken for, mm2: distances times lengths, seen from both."""
+        total = 0.0
+        for one in self.seen:
+            places, length = one.places_a
+            contours, _ = one.reference(float(q[DZ]), moving)
+            there, there_length = along(contours, PLACES)
+            if not len(places) or not len(there):
+                total += self.size_mm * (length * len(places) + there_length * len(there))
+                continue
+            rest = math.exp(q[E]) * beside(contours, _moved_back(places, q)).distance_mm - q[D]
+            again = beside(one.a, _moved(there, q)).distance_mm + q[D]
+            total += 0.5 * (length * float(np.abs(rest).sum()))
+            total += 0.5 * (there_length * math.exp(q[E]) * float(np.abs(again).sum()))
+        return total
+
+
+def scaled_section(flaws: MeshFlaws, factor: float) -> Callable[[Sheet], Contours]:
+    """Sections of a part that was read in another unit: all of it larger by a factor from the file's origin."""
+
+    def contours(sheet: Sheet) -> Contours:
+        section, _ = mesh_contours(flaws, sheet.height_mm / factor, (0.0, 0.0))
+        return contours_over(factor * section.segments - np.array([*sheet.origin_mm, *sheet.origin_mm]))
+
+    return contours
+
+
+def share_of(sheets: Sequence[Sheet], predicted: Callable[[Sheet], Contours]) -> float:
+    """Share of the difference that is explained where the contours that differ are these."""
+    before = after = 0.0
+    for sheet in sheets:
+        a, b, guess = contours_of(sheet.outline_a), contours_of(sheet.outline_b), predicted(sheet)
+        if not len(guess.segments):
+            return 0.0
+        before += _gap(a, b)
+        after += _gap(a, guess)
+    return max(1.0 - after / before, 0.0) if before > 0.0 else 0.0
+
+
+def _gap(a: Contours, b: Contours) -> float:
+    """Distances times lengths, seen from both."""
+    total = 0.0
+    for one, other in ((a, b), (b, a)):
+        places, length = along(one, PLACES)
+        total += 0.5 * length * float(np.abs(beside(other, places).distance_mm).sum()) if len(places) else 0.0
+    return total
+
+
+def _turned(points: Floats, angle_rad: float) -> Floats:
+    """Points (N, 2) turned about the origin, counter-clockwise."""
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    turned: Floats = points @ np.array([[c, s], [-s, c]])
+    return turned
+
+
+def _moved(points: Floats, q: Floats) -> Floats:
+    """Points of the other slicer where the one that differs has them, but for the offset."""
+    moved: Floats = math.exp(q[E]) * _turned(points, q[TURN]) + q[[TX, TY]]
+    return moved
+
+
+def _moved_back(points: Floats, q: Floats) -> Floats:
+    """Points of the one that differs where the other has them, but for the offset."""
+    return _turned(points - q[[TX, TY]], -q[TURN]) / math.exp(q[E])

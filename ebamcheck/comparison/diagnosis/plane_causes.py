@@ -1,0 +1,283 @@
+"""Causes in the plane that no small step reaches: mirrored or turned over, another unit, another winding rule, a coarse grid."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from ebamcheck.comparison import sweep_status as front
+from ebamcheck.comparison.causes import MeshFlaws
+from ebamcheck.comparison.diagnosis.cause import (
+    MIRROR,
+    QUANTISATION,
+    ROTATION,
+    UNIT,
+    WINDING_RULE,
+    Cause,
+)
+from ebamcheck.comparison.diagnosis.contours import Contours, contours_of, contours_over, windings
+from ebamcheck.comparison.diagnosis.fit import scaled_section, share_of
+from ebamcheck.comparison.diagnosis.sheets import Sheet, apart_mm2, moved_points, total_mm2
+from ebamcheck.comparison.outline import Outline, outline
+from ebamcheck.comparison.overlap import overlap
+from ebamcheck.numeric.rings import Bools, Floats, Ints
+
+UNITS: dict[str, float] = {
+    "inches taken for millimetres": 1.0 / 25.4,
+    "millimetres taken for inches": 25.4,
+    "centimetres taken for millimetres": 0.1,
+    "millimetres taken for centimetres": 10.0,
+    "metres taken for millimetres": 0.001,
+    "millimetres taken for metres": 1000.0,
+    "feet taken for millimetres": 1.0 / 304.8,
+    "millimetres taken for feet": 304.8,
+    "inches taken for centimetres": 1.0 / 2.54,
+    "centimetres taken for inches": 2.54,
+}
+"""Factors by which a part is too large where its unit was mistaken."""
+
+UNIT_SHARE = 0.005
+"""A scale this near to the factor of a unit is one."""
+
+TURNS: tuple[tuple[str, float, tuple[tuple[int, int], tuple[int, int]]], ...] = (
+    (ROTATION, 180.0, ((-1, 0), (0, -1))),
+    (ROTATION, 90.0, ((0, -1), (1, 0))),
+    (ROTATION, -90.0, ((0, 1), (-1, 0))),
+    (MIRROR, 0.0, ((-1, 0), (0, 1))),
+    (MIRROR, 90.0, ((1, 0), (0, -1))),
+    (MIRROR, 45.0, ((0, 1), (1, 0))),
+    (MIRROR, 135.0, ((0, -1), (-1, 0))),
+)
+"""Quarter turns by their angle, and mirrors by the direction that is turned over (x, y, or both exchanged)."""
+
+MIRRORED = {0.0: "X", 90.0: "Y", 45.0: "X and Y exchanged", 135.0: "X and Y exchanged with their signs"}
+
+RULES: dict[str, Callable[[Ints], Bools]] = {
+    "odd": lambda w: w % 2 == 1,
+    "winding != 0": lambda w: w != 0,
+    "1..1": lambda w: w == 1,
+    "winding > 1": lambda w: w > 1,
+}
+"""Rules other than the house's, winding > 0."""
+
+MOST_PIECES = 2000
+"""Pieces of the difference of a sheet at which winding numbers are looked at, the largest ones."""
+
+CELLS = 23
+"""Rows and columns of places at which a rule is held against the whole section."""
+
+MOST_WRONG = 0.02
+"""Share of the solid at which a rule may be wrong: places on contours."""
+
+LEAST_GAP_MM = 1e-7
+"""Coordinates nearer to each other than this are one."""
+
+GRID_SHARE = 1e-3
+"""Of a step of the grid: how far coordinates may lie off it."""
+
+GRID_POINTS = 4
+"""Steps of a grid that have to be filled by so many different coordinates before it is one."""
+
+
+def turned_over(sheets: Sequence[Sheet]) -> Cause | None:
+    """Mirrored or turned by a quarter or half, about whatever place."""
+    before = total_mm2(sheets)
+    if not before > 0.0:
+        return None
+    middle_a, middle_b = (
+        _middle([getattr(s, which) for s in sheets]) for which in ("outline_a", "outline_b")
+    )
+    best: tuple[float, str, float, Floats] | None = None
+    for kind, angle, turn in TURNS:
+        linear = np.array(turn, np.float64)
+        after = 0.0
+        for sheet in sheets:
+            local = sheet.a.points - sheet.origin_mm - middle_a
+            points = (
+                local @ linear + middle_b + sheet.origin_mm
+            )  # the inverse of a turn or mirror is its transpose
+            made = moved_points(sheet.a, points, kind == MIRROR)
+            after += apart_mm2(outline(made, 0, sheet.origin_mm), sheet.outline_b)
+        share = 1.0 - after / before
+        if best is None or share > best[0] + 1e-3:
+            best = (share, kind, angle, middle_a - linear @ middle_b)
+    assert best is not None
+    share, kind, angle, shift = best
+    if kind == ROTATION:
+        return Cause(ROTATION, angle, "degrees", f"rotation by {angle:g} degrees", max(share, 0.0))
+    text = f"mirrored: {MIRRORED[angle]}"
+    if angle in (0.0, 90.0):
+        axis = int(angle == 90.0)
+        text += f" about {'xy'[axis]} = {0.5 * shift[axis] + sheets[0].origin_mm[axis] + 0.0:.3f} mm"
+    return Cause(MIRROR, angle, "degrees", text, max(share, 0.0))
+
+
+def wrong_unit(sheets: Sequence[Sheet], flaws: MeshFlaws) -> Cause | None:
+    """Another unit of the whole part, its height among it."""
+    best: Cause | None = None
+    for words, factor in UNITS.items():
+        share = share_of(sheets, scaled_section(flaws, factor))
+        if best is None or share > best.share:
+            best = unit_cause(words, factor, share)
+    return best
+
+
+def unit_cause(words: str, factor: float, share: float) -> Cause:
+    """Name a unit that was mistaken."""
+    return Cause(UNIT, factor, "", f"wrong unit: {words}, {factor:.6g} times too large", share)
+
+
+def unit_of(factor: float) -> str:
+    """The unit mistaken where a scale is this one; empty for none."""
+    for words, known in UNITS.items():
+        if abs(math.log(factor / known)) < UNIT_SHARE:
+            return words
+    return ""
+
+
+def other_rule(sheets: Sequence[Sheet], flaws: MeshFlaws) -> Cause | None:
+    """Another rule of which winding numbers are solid, seen in the pieces in which both differ."""
+    whole, explained, wrong = 0.0, dict.fromkeys(RULES, 0.0), dict.fromkeys(RULES, 0.0)
+    for sheet in sheets:
+        pieces = overlap(sheet.outline_a, sheet.outline_b, True).difference
+        y = 0.5 * (pieces[:, front.Y0] + pieces[:, front.Y1])
+        left = 0.5 * (pieces[:, front.L0] + pieces[:, front.L1])
+        right = 0.5 * (pieces[:, front.R0] + pieces[:, front.R1])
+        area = np.abs(right - left) * (pieces[:, front.Y1] - pieces[:, front.Y0])
+        whole += float(area.sum())
+        largest = np.argsort(-area, kind="stable")[:MOST_PIECES]
+        places = np.ascontiguousarray(np.column_stack([0.5 * (left + right), y])[largest])
+        # Winding numbers are those of all segments, also of those inside of another body.
+        mesh = contours_over(flaws.section(sheet.height_mm) - np.array([*sheet.origin_mm, *sheet.origin_mm]))
+        numbers = windings(mesh.segments, places)
+        in_a, in_b = (_solid(contours_of(o), places) for o in (sheet.outline_a, sheet.outline_b))
+        for name, rule in RULES.items():
+            fits = (rule(numbers) == in_a) & ((numbers > 0) == in_b) & (in_a != in_b)
+            explained[name] += float(area[largest][fits].sum())
+        _count_elsewhere(sheet, mesh, wrong)
+    if not whole > 0.0:
+        return None
+    name = max(explained, key=lambda n: explained[n] * (wrong[n] <= MOST_WRONG * len(sheets)))
+    share = explained[name] / whole if wrong[name] <= MOST_WRONG * len(sheets) else 0.0
+    text = f"other winding rule: solid is {name} where the other takes winding > 0"
+    return Cause(WINDING_RULE, float(list(RULES).index(name)), "", text, share)
+
+
+def coarse_grid(sheets: Sequence[Sheet]) -> Cause | None:
+    """Coordinates rounded to a grid, or to single precision, where those of the other slicer are not."""
+    before = total_mm2(sheets)
+    points = [sheet.a.points for sheet in sheets]
+    values = np.unique(np.concatenate([np.zeros((0, 2)), *points]))
+    other = np.unique(np.concatenate([np.zeros((0, 2)), *(sheet.b.points for sheet in sheets)]))
+    if not before > 0.0 or values.size < GRID_POINTS:
+        return None
+    step = _step(values)
+    if step > 0.0:
+        if other.size and _on_grid(other, step, values[0]):
+            return None
+        shares = [
+            1.0 - sum(_apart_snapped(s, step, float(values[0]), way) for s in sheets) / before
+            for way in _WAYS
+        ]
+        share = max(*shares, 0.0)
+        return Cause(QUANTISATION, step, "mm", f"coordinates are rounded to a grid of {step:.6g} mm", share)
+    single = values.astype(np.float32).astype(np.float64)
+    if np.array_equal(single, values) and not np.array_equal(
+        other.astype(np.float32).astype(np.float64), other
+    ):
+        after = sum(
+            apart_mm2(
+                sheet.outline_a, outline(moved_points(sheet.b, _single(sheet.b.points)), 0, sheet.origin_mm)
+            )
+            for sheet in sheets
+        )
+        step = float(np.spacing(np.float32(np.abs(values).max())))
+        text = f"coordinates are rounded to single precision, {step:.3g} mm at the largest"
+        return Cause(QUANTISATION, step, "mm", text, max(1.0 - after / before, 0.0))
+    return None
+
+
+def _count_elsewhere(sheet: Sheet, mesh: Contours, wrong: dict[str, float]) -> None:
+    """Add to each rule the share of the solid that it gets wrong: one holds everywhere, not where slicers differ alone."""
+    if not len(mesh.segments):
+        return
+    ends = mesh.segments.reshape(-1, 2)
+    low, high = ends.min(axis=0), ends.max(axis=0)
+    steps = (np.arange(CELLS) + 0.5) / CELLS
+    places = np.stack(np.meshgrid(*(low + (high - low) * steps[:, None]).T), axis=-1).reshape(-1, 2)
+    places = np.ascontiguousarray(places)
+    numbers, in_a = windings(mesh.segments, places), _solid(contours_of(sheet.outline_a), places)
+    for name, rule in RULES.items():
+        solid = rule(numbers) | in_a
+        wrong[name] += float((rule(numbers) != in_a).sum() / solid.sum()) if solid.any() else 1.0
+
+
+# -- grids -------------------------------------------------------------------------------------------
+
+_WAYS: tuple[Callable[[Floats], Floats], ...] = (np.round, np.floor, np.ceil, np.trunc)
+
+
+def _step(values: Floats) -> float:
+    """Step of the grid on which rising values lie; 0 for none."""
+    gaps = np.diff(values)
+    gaps = gaps[gaps > LEAST_GAP_MM]
+    if gaps.size < GRID_POINTS:
+        return 0.0
+    smallest = float(gaps.min())
+    for parts in (1, 2, 3, 4, 5, 6):
+        rough = smallest / parts
+        if rough < 2.0 * LEAST_GAP_MM:
+            break
+        # The smallest gap has the digits of small numbers only; all of them together have more.
+        near = values - values[0]
+        counts = np.round(near / rough)
+        if not counts[-1]:
+            continue
+        step = rough
+        for far in np.geomspace(rough, near[-1], 12):
+            within = (near <= far * 1.000001) & (near > 0.0)
+            if within.any():
+                top = near[within][-1]
+                step = float(top / max(np.round(top / step), 1.0))
+        if _on_grid(values, step, values[0]):
+            return float(f"{step:.12g}")
+    return 0.0
+
+
+def _on_grid(values: Floats, step: float, first: float) -> bool:
+    """Whether values lie on a grid through one of them."""
+    count = (values - first) / step
+    return bool((np.abs(count - np.round(count)) <= GRID_SHARE).all())
+
+
+def _apart_snapped(sheet: Sheet, step: float, first: float, way: Callable[[Floats], Floats]) -> float:
+    """Area that is left between what differs and the other's contours on the grid."""
+    # A grid through zero is the rule; another one is known up to its steps.
+    shift = first - step * float(np.round(first / step))
+    shift = 0.0 if abs(shift) < GRID_SHARE * step else shift
+    snapped = way((sheet.b.points - shift) / step) * step + shift
+    return apart_mm2(sheet.outline_a, outline(moved_points(sheet.b, snapped), 0, sheet.origin_mm))
+
+
+def _single(points: Floats) -> Floats:
+    return np.asarray(points.astype(np.float32).astype(np.float64))
+
+
+# -- areas -------------------------------------------------------------------------------------------
+
+
+def _solid(contours: Contours, places: Floats) -> Bools:
+    return np.asarray(windings(contours.segments, places) > 0)
+
+
+def _middle(outlines: Sequence[Outline]) -> Floats:
+    """Middle of the solid area of all outlines, from the origin."""
+    total, moment = 0.0, np.zeros(2)
+    for one in outlines:
+        x0, y0, x1, y1 = contours_of(one).segments.T
+        cross = x0 * y1 - x1 * y0
+        total += 0.5 * float(cross.sum())
+        moment += [float(((x0 + x1) * cross).sum()) / 6.0, float(((y0 + y1) * cross).sum()) / 6.0]
+    return moment / total if total else moment

@@ -1,0 +1,112 @@
+"""Declared doubt: where a slicer says that its answer is off by so much, it may be, but not beside, and not by more than a cap.
+
+The part counts, not the slicer that doubts: a layer that two slicers agree on thanks to a doubt is counted and told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+import shapely
+from shapely.geometry.base import BaseGeometry
+
+from ebamcheck.comparison.diagnosis.sheets import Reader
+from ebamcheck.comparison.pairwise import Pair, compare
+from ebamcheck.comparison.sources import LayerSource
+from ebamcheck.comparison.topology import region
+from ebamcheck.layers.stack import Layers, from_polygons
+from ebamcheck.numeric.rings import Floats
+
+DOUBT = "doubt_mm"
+"""Column of a pair's table: what declared doubt added to the limit of a layer that agrees by it; else 0."""
+
+
+class Doubt(NamedTuple):
+    """One place that a slicer declares doubtful."""
+
+    low: Floats
+    """(3,) mm, corners of its box."""
+    high: Floats
+    bound_mm: float
+    """How far a contour may be off there."""
+
+
+def doubts_of(settings: Mapping[str, Any]) -> list[Doubt]:
+    """Places that a slicer has declared with a bound; others are named as causes and change no verdict."""
+    found = []
+    for place in settings.get("doubtful_regions", ()):
+        bound = place.get("bound_mm")
+        if isinstance(bound, int | float) and np.isfinite(bound) and bound > 0.0:
+            low, high = np.asarray(place["box_mm"], np.float64).reshape(2, 3)
+            found.append(Doubt(low, high, float(bound)))
+    return found
+
+
+def allow_doubt(
+    stacks: Sequence[LayerSource], pairs: Sequence[Pair], tables: Sequence[pd.DataFrame], most_mm: float
+) -> None:
+    """Let layers agree that differ by no more than a declared doubt, within its boxes alone; `tables` are changed.
+
+    Parameters
+    ----------
+    stacks, pairs, tables
+        All stacks, the pairs of them that were measured, and the table of each.
+    most_mm
+        Cap of what a doubt may add to a limit, whatever is declared; a doubt of more changes nothing.
+    """
+    declared = [doubts_of(stack.settings) for stack in stacks]
+    readers = [Reader(stack) for stack in stacks]
+    for pair, rows in zip(pairs, tables, strict=True):
+        doubts = [d for d in (*declared[pair.a], *declared[pair.b]) if d.bound_mm <= most_mm]
+        allowed = np.zeros(len(rows))
+        agrees = rows["agrees"].to_numpy().copy()
+        for layer in np.flatnonzero(~agrees & rows["gated"].to_numpy()).tolist():
+            z = float(rows["height_mm"].iloc[layer])
+            here = [d for d in doubts if d.low[2] - most_mm <= z <= d.high[2] + most_mm]
+            if not here:
+                continue
+            added = max(d.bound_mm for d in here)
+            if float(rows["depth_mm"].iloc[layer]) <= pair.limit_mm + added and _agrees_beside(
+                pair, readers[pair.a].layer(layer), readers[pair.b].layer(layer), here, added
+            ):
+                agrees[layer], allowed[layer] = True, added
+        rows["agrees"] = agrees
+        rows[DOUBT] = allowed
+
+
+def _agrees_beside(pair: Pair, a: Layers, b: Layers, doubts: Sequence[Doubt], added_mm: float) -> bool:
+    """Whether a layer agrees within the wider limit all over, rings among it, and within its own beside the boxes."""
+    if not _agree(pair, a, b, pair.limit_mm + added_mm):
+        return False
+    boxes = shapely.union_all(
+        [shapely.box(*(d.low[:2] - d.bound_mm), *(d.high[:2] + d.bound_mm)) for d in doubts]
+    )
+    cut_a, cut_b = (_beside(layers, boxes) for layers in (a, b))
+    return _agree(pair, cut_a, cut_b, pair.limit_mm)
+
+
+def _agree(pair: Pair, a: Layers, b: Layers, limit_mm: float) -> bool:
+    """Whether two layers agree within a limit."""
+    table = compare(a, b, tolerance_mm=limit_mm, exact_a=pair.exact_a, exact_b=pair.exact_b, check_part=False)
+    return bool(table["agrees"].all())
+
+
+def _beside(layers: Layers, boxes: BaseGeometry) -> Layers:
+    """The solid of one layer that lies in no box."""
+    left = shapely.difference(region(layers, 0), boxes)
+    polygons = [g for g in shapely.get_parts(left) if g.geom_type == "Polygon" and g.area > 0.0]
+    return from_polygons(layers.heights, [polygons])
+
+
+def doubted_layers(pairs: pd.DataFrame) -> Iterator[tuple[str, str, list[int], float, float]]:
+    """Pairs that agree on some layers by a declared doubt: names, these layers, greatest depth and what was added, mm."""
+    if DOUBT not in pairs:
+        return
+    for (a, b), rows in pairs[pairs[DOUBT] > 0.0].groupby(["a", "b"], sort=True):
+        yield (
+            str(a), str(b), [int(k) for k in rows["layer"]],
+            float(rows["depth_mm"].max()), float(rows[DOUBT].max()),
+        )  # fmt: skip

@@ -1,0 +1,177 @@
+"""Naming of disagreements: each with its place, its likely cause and what to do about it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from ebamcheck.comparison.causes import MeshFlaws, Place, declared_doubt, likely_cause
+from ebamcheck.comparison.classes import GENERIC
+from ebamcheck.comparison.diagnosis import Cause, Differing, cause_of, diagnose
+from ebamcheck.comparison.diagnosis.sheets import Reader
+from ebamcheck.comparison.findings import EMPTY, OUTLIER, UNDECIDED, Finding
+from ebamcheck.comparison.outline import outline
+from ebamcheck.comparison.remedies import remedy
+from ebamcheck.comparison.sources import LayerSource
+from ebamcheck.mesh.part import Part
+from ebamcheck.numeric.rings import Floats
+
+Columns = Mapping[str, NDArray[Any]]
+
+
+class Disagreement:
+    """All layers on which one slicer disagrees with another."""
+
+    def __init__(
+        self, backend: str, against: str, columns: Columns, swapped: bool, layers: list[int]
+    ) -> None:
+        self.backend, self.against = backend, against
+        self.columns = columns
+        self.swapped = swapped
+        """Whether the one that differs is the second of the table."""
+        self.layers = layers
+
+    def diagnosed(
+        self,
+        stacks: Mapping[str, LayerSource],
+        heights: Floats,
+        flaws: MeshFlaws,
+        origin_mm: tuple[float, float],
+    ) -> tuple[Cause, ...]:
+        """Find what is systematic in it; where planes pass through vertices alone, that is what they have in common."""
+        if not (self.columns["class"][self.layers] == GENERIC).any():
+            return ()
+        order = ("b", "a") if self.swapped else ("a", "b")
+        found = Differing(
+            np.array(self.layers, np.int64),
+            heights,
+            np.array([self.columns[f"area_{which}_mm2"] for which in order]),
+            np.array([self.columns[f"rings_{which}"] for which in order]),
+        )
+        return diagnose(stacks[self.backend], stacks[self.against], found, flaws, origin_mm)
+
+
+def named_findings(
+    part: Part,
+    stacks: Mapping[str, LayerSource],
+    tables: list[pd.DataFrame],
+    heights: Floats,
+    consensus: list[tuple[int, ...]],
+    verdicts: list[str],
+) -> Iterator[Finding]:
+    """Every disagreement on the layers that did not come out clean, in the order of layers.
+
+    Parameters
+    ----------
+    part, stacks, heights
+        What was sliced, and by whom.
+    tables
+        Figures of each pair of stacks, in the order of their combinations.
+    consensus, verdicts
+        Members of the consensus (places in `stacks`) and verdict of each layer.
+    """
+    flaws, names = MeshFlaws(part), list(stacks)
+    columns = [{name: rows[name].to_numpy() for name in rows.columns} for rows in tables]
+    told = list(_disagreeing(names, columns, consensus, verdicts))
+    pairs: dict[tuple[str, str], Disagreement] = {}
+    for layer, backend, against, column, swapped in told:
+        key = (backend, against)
+        pairs.setdefault(key, Disagreement(backend, against, column, swapped, [])).layers.append(layer)
+    x, y, _ = part.bounds.mean(axis=0).tolist()
+    causes = {key: pair.diagnosed(stacks, heights, flaws, (x, y)) for key, pair in pairs.items()}
+    namer = _Namer(flaws, stacks)
+    found = [
+        namer.named(backend, against, layer, column, causes[backend, against])
+        for layer, backend, against, column, _ in told
+    ]
+    found += [
+        _empty_finding(flaws, names, layer, float(heights[layer]), columns)
+        for layer, verdict in enumerate(verdicts)
+        if verdict == EMPTY
+    ]
+    return iter(sorted(found, key=lambda f: f.layer))
+
+
+def _disagreeing(
+    names: list[str],
+    columns: list[dict[str, NDArray[Any]]],
+    consensus: list[tuple[int, ...]],
+    verdicts: list[str],
+) -> Iterator[tuple[int, str, str, Columns, bool]]:
+    """Layer, slicer that differs, the one that it is held against, figures, and whether it is the second of these."""
+    couples = list(combinations(range(len(names)), 2))
+    for layer, verdict in enumerate(verdicts):
+        if verdict not in (OUTLIER, UNDECIDED):
+            continue
+        members = consensus[layer]
+        for (i, j), column in zip(couples, columns, strict=True):
+            if not column["gated"][layer] or column["agrees"][layer]:
+                continue
+            if members and i not in members and j not in members:
+                continue  # two outliers: each is named against the consensus
+            swapped = i in members
+            yield layer, names[j if swapped else i], names[i if swapped else j], column, swapped
+
+
+class _Namer:
+    """Names disagreements; reads the layers of both slicers where the mesh has nothing to tell."""
+
+    def __init__(self, flaws: MeshFlaws, stacks: Mapping[str, LayerSource]) -> None:
+        self._flaws = flaws
+        self._declared = {name: stack.settings for name, stack in stacks.items()}
+        self._readers = {name: Reader(stack) for name, stack in stacks.items()}
+
+    def named(
+        self, backend: str, against: str, layer: int, column: Columns, causes: tuple[Cause, ...]
+    ) -> Finding:
+        """Name one disagreement of a pair."""
+        row = {name: values[layer] for name, values in column.items()}
+        depth, limit = float(row["depth_mm"]), float(row["limit_mm"])
+        deep = depth > limit
+        rings = abs(int(row["rings_a"]) - int(row["rings_b"])) or abs(
+            int(row["holes_a"]) - int(row["holes_b"])
+        )
+        x_mm, y_mm, height_mm = (float(row[name]) for name in ("depth_x_mm", "depth_y_mm", "height_mm"))
+        place = Place(
+            x_mm, y_mm, height_mm, depth, limit, str(row["class"]), bool(row["open_a"] + row["open_b"] > 0)
+        )
+        declared = [self._declared[backend], self._declared[against]]
+        finding = (
+            layer, height_mm, backend, against,
+            "depth" if deep else "topology", depth if deep else float(rings), limit if deep else 0.0, x_mm, y_mm,
+        )  # fmt: skip
+        cause = cause_of(causes, layer)
+        if cause is not None and not (place.known and declared_doubt(place, declared)):
+            return Finding(
+                *finding, cause.kind, cause.in_words(), cause.size, cause.unit, cause.share,
+                remedy(cause.kind, backend, against),
+            )  # fmt: skip
+        likely = likely_cause(
+            self._flaws, place, declared, lambda: [self._segments(name, layer) for name in (backend, against)]
+        )
+        return Finding(*finding, likely, likely, remedy=remedy(likely, backend, against))
+
+    def _segments(self, name: str, layer: int) -> Floats:
+        return outline(self._readers[name].layer(layer), 0, (0.0, 0.0)).segments
+
+
+def _empty_finding(
+    flaws: MeshFlaws, names: list[str], layer: int, height_mm: float, columns: list[dict[str, NDArray[Any]]]
+) -> Finding:
+    """Name a layer that is empty in all stacks although the part is there; the value is its area."""
+    x, y = flaws.place(height_mm)
+    column = columns[0]
+    open_paths = any(bool(c["open_a"][layer] + c["open_b"][layer] > 0) for c in columns)
+    extent = float(np.linalg.norm(flaws.part.size))
+    place = Place(x, y, height_mm, extent, 0.0, str(column["class"][layer]), open_paths)
+    cause = likely_cause(flaws, place)
+    backends = ",".join(names)
+    return Finding(
+        layer, height_mm, backends, "part", "empty", 0.0, 0.0, x, y, cause, cause,
+        remedy=remedy(cause, backends, "part"),
+    )  # fmt: skip

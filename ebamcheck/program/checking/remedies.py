@@ -1,0 +1,117 @@
+"""What to do about a check that fails, and where it is: layer as the program names it, heights in part and program."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ebamcheck.numeric.rings import Floats
+from ebamcheck.program.checking.checks import Check
+from ebamcheck.program.reading.motions import NCProgram
+from ebamcheck.program.toolpath.inputs import deposition_heights
+
+AGAIN = (
+    "make the program again (ebamcheck run); a text that was edited by hand is checked with ebamcheck verify"
+)
+PROFILE = "set the machine's own codes in the templates (ebamcheck config, section machine)"
+PLACE = "move the part (part.direction, the work offset), or set the machine's travel (machine.travel_max_mm)"
+COARSE = (
+    "allow for machining (process.machining_allowance_mm), use a narrower bead (process.bead_width_mm), or build in "
+    "another direction (part.direction)"
+)
+FIT = "fit more closely (curves.tolerance_mm, curves.method), or export the mesh more finely"
+HATCH = "change the spacing (process.bead_spacing), the side of the cells (scan.hexagon_side_mm) or scan.gap_width"
+COOL = 'wait and lower the power (process.interpass = "both"), or raise process.interpass_limit_k'
+WINDOW = "bring wire, feed, power and layer height into the process window (section process)"
+
+REMEDIES: Mapping[str, str] = {
+    **dict.fromkeys(
+        (
+            "encoding", "line ends", "block length", "names and headers", "block numbers", "end of program",
+            "subprograms", "unchanged", "status", "header", "readable", "order of events", "repeated blocks",
+            "spline blocks", "polynomial blocks", "contours close", "layer count", "beads as planned", "hatch path",
+            "contour rings", "contour path", "islands", "hatch vectors", "lines laid once", "turns",
+            "parts of hatch lines", "overlap of contours", "start of path",
+        ),
+        AGAIN,
+    ),
+    **dict.fromkeys(("modes", "smoothing", "start state", "safe end", "beam", "wire", "wire retract"), PROFILE),
+    **dict.fromkeys(("process window", "process values", "mass balance", "power", "melting power"), WINDOW),
+    **dict.fromkeys(("section", "smooth section"), FIT),
+    **dict.fromkeys(("beads inside", "metal outside", "reach of metal", "holes"), COARSE),
+    **dict.fromkeys(
+        (
+            "coverage", "gaps", "hatch spacing", "metal", "metal of layers", "height inside", "height at edges",
+            "height of layers", "height of zones", "surface",
+        ),
+        HATCH,
+    ),
+    **dict.fromkeys(("layer pause", "interpass temperature"), COOL),
+    **dict.fromkeys(("layer heights", "flat layers"), "give layers of one height (layers.layer_height_mm), then " + AGAIN),
+    "size on the control": "write fewer blocks (machine.curve_form, machine.line_tolerance_mm), or raise machine.program_limit_mb",
+    "feed": "set the feed within machine.feed_min_mm_s and machine.feed_max_mm_s (process.travel_speed_mm_s)",
+    "travel": PLACE,
+    "travel sectors": "turn the hatch (scan.first_angle_deg), or widen process.travel_sectors_deg",
+    "keep out": "move the part away from the places of process.keep_out, or turn it (part.direction)",
+    "collision": "raise machine.safe_height_mm and machine.clearance_mm, or move what stands in the way (process.keep_out)",
+    "clearance": "raise machine.safe_height_mm and machine.clearance_mm",
+    "support": "build in another direction (part.direction), or support the overhang in the model",
+    "overhang": "build in another direction (part.direction), or raise process.largest_overhang_deg",
+    "seams": "spread the seams (process.seam_shift_mm), or lower process.least_seam_distance_mm",
+}  # fmt: skip
+"""By name of the check."""
+
+OTHERWISE = "look at that line of the program, and at the settings that the text names"
+"""Of a check that a plugin brought."""
+
+
+def told(checks: Sequence[Check], nc: NCProgram, cut_mm: Floats, first_layer_mm: float) -> list[Check]:
+    """Checks of which those that fail tell remedy, layer, and heights in part and program.
+
+    Parameters
+    ----------
+    checks, nc
+        Checks of a program, and the program as it was read.
+    cut_mm
+        (L,) heights of the cuts in the part, mm.
+    first_layer_mm
+        Height of the only layer where there is no second.
+    """
+    deposit_mm = deposition_heights(cut_mm, first_layer_mm)
+    found = []
+    for check in checks:
+        if check.passed:
+            found.append(check)
+            continue
+        layer = check.layer if check.layer is not None else layer_of(nc, check.where)
+        place = (
+            "" if layer is None or layer >= len(cut_mm) else frames(layer, cut_mm[layer], deposit_mm[layer])
+        )
+        found.append(replace(check, layer=layer, place=place, remedy=REMEDIES.get(check.name, OTHERWISE)))
+    return found
+
+
+def frames(layer: int, cut_mm: float, deposit_mm: float) -> str:
+    """Name a layer as the program does, and its height in the program and in the part.
+
+    Examples
+    --------
+    >>> frames(11, 20.1, 21.0)
+    'layer 12 of the program, Z 21.000 mm, cut at z = 20.100 mm of the part'
+    """
+    return f"layer {layer + 1} of the program, Z {deposit_mm:.3f} mm, cut at z = {cut_mm:.3f} mm of the part"
+
+
+def layer_of(nc: NCProgram, where: str) -> int | None:
+    """Layer of a place ``FILE:line``, from 0; None where it lies in none."""
+    name, _, line = where.rpartition(":")
+    numbers = [k for k, file in enumerate(nc.files) if file.name == name]
+    if not numbers or not line.isdecimal():
+        return None
+    rows = np.flatnonzero((nc.file == numbers[0]) & (nc.layer >= 0))
+    if not rows.size:
+        return None
+    after = rows[nc.line[rows] >= int(line)]
+    return int(nc.layer[after[0] if after.size else rows[-1]])

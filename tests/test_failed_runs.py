@@ -1,0 +1,176 @@
+"""What a failing run says first, and what a failed check names: both checks, the place in part and program, the remedy."""
+
+import logging
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from ebamcheck.pipeline.gates import program_gate
+from ebamcheck.pipeline.worst import worst_line
+from ebamcheck.plugins.model import models
+from ebamcheck.program.checking.checks import Check
+from ebamcheck.program.checking.deposit_checks import DEPOSIT_CHECKS
+from ebamcheck.program.checking.remedies import OTHERWISE, REMEDIES, layer_of, told
+from ebamcheck.testing.accuracy import reference_models
+from ebamcheck.testing.checks import CHECKS
+from ebamcheck.testing.sections import sections, winding_rule
+from ebamcheck.testing.solids import simple
+from ebamcheck.testing.subject import Raised, Subject
+
+NC = SimpleNamespace(
+    files=(SimpleNamespace(name="MAIN.MPF"), SimpleNamespace(name="MAIN_L0001.SPF"), SimpleNamespace(name="MAIN_L0002.SPF")),
+    file=np.array([0, 1, 1, 2]),
+    line=np.array([9, 20, 30, 20]),
+    layer=np.array([-1, 0, 0, 1]),
+)  # fmt: skip
+CUTS = np.array([5.5, 7.0])
+
+
+def failed(name, where="MAIN_L0002.SPF:18"):
+    return Check(name, False, 0.2, 0.1, "mm", where, "at most 0.2 mm")
+
+
+def test_both_failed_checks_are_named_with_layer_heights_and_remedy():
+    checks = told(
+        [failed("section"), failed("travel", "MAIN_L0001.SPF:25"), failed("feed", "MAIN.MPF:3")],
+        NC,
+        CUTS,
+        1.0,
+    )
+    text = program_gate(checks).text
+    assert text.startswith(
+        "3 of 3 checks failed: section at MAIN_L0002.SPF:18, layer 2 of the program, Z 3.000 mm, "
+    )
+    assert "cut at z = 7.000 mm of the part: at most 0.2 mm; " + REMEDIES["section"] in text
+    assert "travel at MAIN_L0001.SPF:25, layer 1 of the program, Z 1.500 mm" in text
+    assert text.endswith("and feed")
+    assert checks[2].layer is None
+    assert checks[2].place == ""
+
+
+def test_layers_of_places():
+    assert [layer_of(NC, w) for w in ("MAIN_L0001.SPF:1", "MAIN_L0002.SPF:99", "MAIN.MPF:9", "X:1", "")] == [
+        0, 1, None, None, None,
+    ]  # fmt: skip
+
+
+def test_every_check_of_the_metal_has_a_remedy_and_a_passed_one_tells_none():
+    assert set(DEPOSIT_CHECKS) <= set(REMEDIES)
+    passed = Check("section", True, 0.0, 0.1, "mm", "", "fine")
+    assert told([passed], NC, CUTS, 1.0) == [passed]
+    assert told([failed("of a plugin")], NC, CUTS, 1.0)[0].remedy == OTHERWISE
+
+
+def manifest(**changes):
+    finding = {
+        "layer": 3, "height_mm": 5.5, "backend": "pixels", "against": "planecut", "metric": "depth", "value": 0.3,
+        "limit": 0.1, "x_mm": 1.0, "y_mm": 2.0, "cause": "translation", "program_layer": 4, "program_z_mm": 6.0,
+        "cause_text": "translation by (0.3, 0) mm (explains 98 % of the difference)", "remedy": "look",
+    }  # fmt: skip
+    worse = {**finding, "layer": 9, "value": 0.9, "cause_text": "wrong height: cut 1 mm too high"}
+    return {
+        "exit_code": 1,
+        "gates": [
+            {"name": "input", "passed": True, "text": ""},
+            {"name": "agreement", "passed": False, "text": "no"},
+        ],
+        "comparison": {"findings": [finding, worse]},
+        "findings": [],
+        **changes,
+    }
+
+
+def test_the_first_line_is_the_worst_finding_with_cause_size_and_place():
+    line = worst_line(manifest())
+    assert line.startswith(
+        "WORST: pixels against planecut: wrong height: cut 1 mm too high; depth 0.9 over 0.1 at (1.000, "
+    )
+    assert "layer 10 of the program, Z 6.000 mm, cut at z = 5.500 mm of the part" in line
+    assert line.endswith("; look")
+    assert worst_line(manifest(exit_code=0)) == ""
+    shut = [{"name": "program", "passed": False, "text": "2 of 37 checks failed"}]
+    assert worst_line(manifest(gates=shut)) == "WORST: program: 2 of 37 checks failed"
+
+
+# -- the kit -------------------------------------------------------------------------------------------
+
+
+class Odd:
+    """A slicer of small parts by the kit's own sections, solid where an odd number of shells is."""
+
+    name, summary, exact, priority = "odd", "odd", True, 0
+    coplanar_rule, inside_rule = "half-open", "odd"
+
+    class Settings:
+        def model_dump(self):
+            return {"step_mm": 0.5}
+
+    def error_bound_mm(self, part, settings):
+        return 1e-9
+
+    def height_bound_mm(self, part, settings):
+        return 0.0
+
+    def prepare(self, part, settings):
+        return Cut(part, self.inside_rule)
+
+
+class Cut:
+    def __init__(self, part, rule):
+        self.part, self.rule = part, rule
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        return None
+
+    def slice(self, heights, progress=None):
+        return sections(self.part, heights, winding_rule(self.rule))
+
+
+class House(Odd):
+    """Says that it is odd, and is not."""
+
+    def prepare(self, part, settings):
+        return Cut(part, "winding > 0")
+
+
+class Fragile(Odd):
+    def prepare(self, part, settings):
+        class Breaks(Cut):
+            def slice(self, heights, progress=None):
+                if (np.asarray(heights) > 1.0).any():
+                    raise KeyError((26, 27))
+                return super().slice(heights)
+
+        return Breaks(part, "odd")
+
+
+def test_a_slicer_is_held_to_the_rule_that_it_declares_on_models_too():
+    chosen = models(["two-spheres"])
+    assert not [f for f in reference_models(Subject(Odd, models=chosen)) if f.violated]
+    wrong = [f for f in reference_models(Subject(House, models=chosen)) if f.violated]
+    assert wrong
+    assert "by the rule 'odd'" in wrong[0].text
+
+
+def test_what_a_slicer_raises_tells_model_settings_height_and_place(caplog):
+    (check,) = [c for c in CHECKS if c.name == "bound held"]
+    with caplog.at_level(logging.DEBUG):
+        (figure,) = check.run(Subject(Fragile))
+    assert figure.violated
+    assert figure.model == "box"
+    assert "KeyError: (26, 27) at z = " in figure.text
+    assert "step_mm=0.5" in figure.text
+    assert "raised in slice (test_failed_runs.py:" in figure.text
+    (record,) = [r for r in caplog.records if r.exc_info]
+    assert isinstance(record.exc_info[1], KeyError)
+
+
+@pytest.mark.parametrize("name", ["first", "later"])
+def test_the_height_is_that_at_which_it_breaks(name):
+    heights = [0.5, 1.5] if name == "later" else [1.25, 1.5]
+    with pytest.raises(Raised, match=rf"at z = {1.5 if name == 'later' else 1.25} mm"):
+        Subject(Fragile).cut(simple("box"), heights)

@@ -1,0 +1,68 @@
+"""What a user is told of settings: every field with a value of the wrong type, every example, every placeholder."""
+
+import re
+import tomllib
+from dataclasses import fields
+
+import pytest
+
+from ebamcheck.errors import SettingsError
+from ebamcheck.program.language.templates import ProcessValues
+from ebamcheck.settings.config import Config, validated
+from ebamcheck.settings.text import as_toml
+from ebamcheck.settings.wording import EXAMPLES, PLACEHOLDERS, TEMPLATES
+
+FIELDS = [
+    (section, key)
+    for section, info in Config.model_fields.items()
+    if section != "machines"
+    for key in info.annotation.model_fields
+]
+
+PYDANTIC = re.compile(
+    r"Input should|valid (string|tuple|number|boolean|integer|dictionary)|tuple|pydantic|Undefined|dictionary|NoneType|type="
+)
+
+
+@pytest.mark.parametrize(("section", "key"), FIELDS, ids=lambda name: name)
+def test_a_value_of_the_wrong_type_is_told_in_plain_words(section, key):
+    # A date is no value of any setting.
+    with pytest.raises(SettingsError) as told:
+        validated(tomllib.loads(f"[{section}]\n{key} = 1979-05-27"), "f.toml")
+    message = str(told.value)
+    assert message.startswith(f"f.toml: {section}.{key}: it takes ")
+    assert not PYDANTIC.search(message), message
+    assert "\n" not in message
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('machine.beam_on = "M60"', 'it takes a list of blocks, such as ["M60 ; beam on"] (given \'M60\')'),
+        ("process.keep_out = [{ outline_mm = 5 }]", "process.keep_out.0.outline_mm: it takes a list, each a list of 2 numbers"),
+        ('scan.partition = "z"', 'it takes one of "hexagons", "squares", "stripes", "whole"'),
+        ("part = 5", "part: it takes a table of settings (given 5)"),
+    ],
+)  # fmt: skip
+def test_messages_show_what_to_write(text, said):
+    with pytest.raises(SettingsError) as told:
+        validated(tomllib.loads(text), "f.toml")
+    assert said in str(told.value)
+
+
+@pytest.mark.parametrize("name", [n for n in EXAMPLES if n.count(".") == 1])
+def test_every_example_is_accepted_as_it_stands(name):
+    section, key = name.split(".")
+    validated(tomllib.loads(f"[{section}]\n{key} = {EXAMPLES[name]}"), "example")
+
+
+def test_placeholders_are_those_that_are_filled_in():
+    assert set(PLACEHOLDERS) == {field.name for field in fields(ProcessValues)}
+    assert all(used in PLACEHOLDERS for text in TEMPLATES.values() for used in re.findall(r"{(\w+)}", text))
+
+
+def test_config_documents_keep_out_and_placeholders():
+    text = as_toml(Config())
+    assert f"# Example: keep_out = {EXAMPLES['process.keep_out']}" in text
+    assert all(f"#   {{{name}}}  {meaning}" in text for name, meaning in PLACEHOLDERS.items())
+    validated(tomllib.loads(text), "config")
