@@ -147,7 +147,9 @@ def test_the_heaviest_chain_of_callers_leads():
     assert longest_ways(tasks) == {"leaf": 13.0, "idle": 3.0, "low": 12.0, "high": 7.0}
 
 
-SAGITTAS = types.BaseTuple.from_types([types.float64, types.int64, types.float64][: len(Sagittas._fields)], Sagittas)
+SAGITTAS = types.BaseTuple.from_types(
+    [types.float64, types.int64, types.float64][: len(Sagittas._fields)], Sagittas
+)
 
 
 @pytest.mark.parametrize(
@@ -165,7 +167,9 @@ def test_a_type_comes_back_from_its_text(made):
     assert types_of(f"{text_of(made)}, int64") == (made, types.int64)
 
 
-@pytest.mark.parametrize("text", ["", "int65", "array(int64)", "nowhere.Thing(int64)", "1 +", "3", "int8, int8", "a[0](int64)"])
+@pytest.mark.parametrize(
+    "text", ["", "int65", "array(int64)", "nowhere.Thing(int64)", "1 +", "3", "int8, int8", "a[0](int64)"]
+)
 def test_a_text_that_is_no_type(text):
     with pytest.raises(UnknownType):
         type_of(text)

@@ -52,7 +52,9 @@ def main() -> int:
         return 0
     with scratch_folder() as folder:
         command = [sys.executable, "-m", "ebamcheck.commands.kernel_record", "--with-this-cache"]
-        return subprocess.run(command, env={**os.environ, "NUMBA_CACHE_DIR": str(folder)}, check=False).returncode
+        return subprocess.run(
+            command, env={**os.environ, "NUMBA_CACHE_DIR": str(folder)}, check=False
+        ).returncode
 
 
 if __name__ == "__main__":

@@ -135,7 +135,7 @@ def compile_versions(name: str, versions: list[str]) -> str:
     for text in versions:
         try:
             kernel.compile(types_of(text))
-        except Exception as error:  # noqa: BLE001 - numba raises what it likes; the list is a hint
+        except Exception as error:  # Numba raises what it likes, and the list is a hint.
             said = f"({text}): {error}".partition("\n")[0]
     return said
 
