@@ -19,13 +19,16 @@ from numba import types
 from ebamcheck.errors import SettingsError
 from ebamcheck.numeric.kernel_cache import kernel_cache
 
+NARROW = (types.int8, types.int16, types.int32)
+"""Whole numbers that a kernel takes as 64 bits wide when another one passes them."""
+
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _Result = TypeVar("_Result")
 
 
 def kernel(function: _Function) -> _Function:
     """Compile `function` with numba: cached on disk, without the interpreter lock, IEEE arithmetic."""
-    compiled: Any = numba.njit(nogil=True, fastmath=False, no_cfunc_wrapper=True)(function)
+    compiled: Any = numba.njit(nogil=True, fastmath=False)(function)
     compiled._cache = kernel_cache(function)
     compiled.get_call_template = functools.partial(_one_version, compiled.get_call_template)
     return cast(_Function, compiled)
@@ -41,9 +44,8 @@ def _one_version(template: Callable[..., Any], given: Any, named: Any) -> Any:
 
 def _plain(given: Any) -> Any:
     """Type of an argument without its value; a signed integer as wide as Python's."""
-    given = types.unliteral(given)
-    is_narrow = isinstance(given, types.Integer) and given.signed and given.bitwidth < types.intp.bitwidth
-    return types.intp if is_narrow else given
+    plain: Any = types.unliteral(given)  # type: ignore[no-untyped-call]
+    return types.int64 if plain in NARROW else plain
 
 
 @kernel

@@ -75,13 +75,12 @@ def _made(node: ast.expr) -> Any:
     name, given = ast.unparse(node.func), node.args
     if name in ("array", "const"):
         dtype, axes, layout = given
-        return types.Array(  # type: ignore[no-untyped-call]
-            _made(dtype), ast.literal_eval(axes), ast.unparse(layout), readonly=name == "const"
-        )
+        array: Any = types.Array
+        return array(_made(dtype), ast.literal_eval(axes), ast.unparse(layout), readonly=name == "const")
     if name == "default":
         return types.Omitted(ast.literal_eval(given[0]))  # type: ignore[no-untyped-call]
     if name == "literal":
-        return types.literal(ast.literal_eval(given[0]))
+        return types.literal(ast.literal_eval(given[0]))  # type: ignore[no-untyped-call]
     parts = [_made(part) for part in given]
     if name == "tuple":
         return types.Tuple(parts)  # type: ignore[no-untyped-call]
