@@ -108,6 +108,29 @@ def test_two_kernels_that_wait_for_nothing_more_are_compiled_side_by_side(packag
     assert len(last) == 2
 
 
+ANNOUNCED = """
+import json, sys
+from ebamcheck.commands.progress import announced
+from ebamcheck.numeric.compiling_ahead import compile_ahead
+with announced():
+    compile_ahead(json.loads(sys.argv[1]), 2)
+"""
+
+
+def test_only_the_parent_tells_of_progress(package):
+    path = os.pathsep.join([str(package.parent), os.environ.get("PYTHONPATH", "")])
+    done = subprocess.run(
+        [sys.executable, "-c", ANNOUNCED, json.dumps(of_package(*NAMES))],
+        env={**os.environ, "PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    told, ended = done.stderr.splitlines()
+    assert told.startswith("ebamcheck: compiling (once): kernel 1 of ")
+    assert ended.startswith("ebamcheck: compiled 4 kernels within ")
+
+
 def test_a_stale_list_does_no_harm(package):
     stale = {
         **of_package("inner"),

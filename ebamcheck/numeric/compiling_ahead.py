@@ -56,7 +56,7 @@ def compile_ahead(listed: Listed, processes: int | None = None) -> dict[str, str
     # Forked, as interpreters that have loaded every module; elsewhere they load what they need.
     context = multiprocessing.get_context("fork" if sys.platform == "linux" else "spawn")
     count = min(len(tasks), processes or thread_count())
-    with ProcessPoolExecutor(count, context, initializer=_end_with_parent) as pool:
+    with ProcessPoolExecutor(count, context, initializer=_begin_to_compile) as pool:
         try:
             return _run(tasks, pool, count)
         except BrokenProcessPool as error:
@@ -116,8 +116,9 @@ def _run(tasks: dict[str, Task], pool: ProcessPoolExecutor, count: int) -> dict[
     return why
 
 
-def _end_with_parent() -> None:
-    """Have this process end when the one that forked it does, however that ends."""
+def _begin_to_compile() -> None:
+    """Have this process tell nobody of its kernels, and end when the one that began it does, however that ends."""
+    compiling.leave_to_parent()
     parent = multiprocessing.parent_process()
 
     def wait_for_it() -> None:
