@@ -9,7 +9,7 @@ BIN := $(VENV)/bin
 # Two at a time: the suite is made for two cores. Tests of one file stay together and share its fixtures.
 PYTEST := $(BIN)/python -m pytest -q -n 2 --dist loadfile
 
-.PHONY: help setup demo test test-slow lint types format map docs benchmark benchmark-gpu benchmark-scale benchmark-curves clean
+.PHONY: help setup demo test test-slow lint types format map docs kernel-list benchmark benchmark-gpu benchmark-scale benchmark-curves clean
 
 help: ## Show the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -54,6 +54,8 @@ map: setup ## Make docs/map.md and ARCHITECTURE's table of rooms from the docstr
 docs: setup ## Build the documentation into site/, with warnings as errors
 	@$(BIN)/python -c 'import material' 2>/dev/null || $(BIN)/python -m pip install --quiet -e '.[docs]'
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
+kernel-list: setup ## Write the list of kernels that `ebamcheck warm` compiles, from a main job with an empty cache
+	@$(BIN)/python -m ebamcheck.commands.kernel_record
 
 benchmark: setup ## Time every slicer on the ladder; tables and plots in reports/benchmarks (an hour or two)
 	@$(BIN)/ebamcheck warm

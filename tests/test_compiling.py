@@ -56,7 +56,7 @@ class Waiting(PlaneCut):
 """
 ASK = """
 import json, sys
-from ebamcheck import compiling
+from ebamcheck.numeric import compiling
 from ebamcheck_waiting.kernels import inner, outer
 told = []
 with compiling.heard_by(lambda *given: told.append(given)):

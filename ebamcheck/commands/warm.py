@@ -1,4 +1,4 @@
-"""Compile every kernel once, by doing the whole job on a small part."""
+"""Compile the kernels once: those of the main job, ahead of it, on all cores."""
 
 from __future__ import annotations
 
@@ -19,16 +19,25 @@ _SIDE_MM = 40.0
 
 
 def warm_kernels() -> float:
-    """Run the main job on a cube in this process; returns the seconds that it took.
+    """Compile what the list of kernels names and the cache lacks; returns the seconds that it took.
 
     What is compiled lies in numba's cache beside the code (or in the user's cache folder where that cannot be
-    written), so the second call takes seconds.
+    written), so the second call takes seconds. What the list lacks is compiled when it is first called.
     """
+    start = time.perf_counter()
+    from ebamcheck.numeric.compiling_ahead import compile_ahead
+    from ebamcheck.numeric.kernel_list import read_list
+
+    compile_ahead(read_list())
+    return time.perf_counter() - start
+
+
+def main_job() -> None:
+    """Do the main job on a cube, in this process: it calls every kernel that the list is to name."""
     from ebamcheck.mesh.stl import FACET
     from ebamcheck.pipeline import run_job
     from ebamcheck.scan import plan_scan
 
-    start = time.perf_counter()
     with scratch_folder() as folder:
         path = Path(folder, "cube.stl")
         corners = _leaning_box()
@@ -54,7 +63,6 @@ def warm_kernels() -> float:
         logging.getLogger("ebamcheck").setLevel(level)
         # The cube is one island, which needs no order.
         plan_scan(shapely.box(0.0, 0.0, 3.0 * _SIDE_MM, 2.0 * _SIDE_MM))
-    return time.perf_counter() - start
 
 
 def _leaning_box() -> NDArray[np.float32]:

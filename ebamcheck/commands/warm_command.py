@@ -11,7 +11,9 @@ def warm_command() -> ExitCode:
     """Compile the kernels once, so that no later command has to wait for it."""
     from ebamcheck.commands.warm import warm_kernels
 
-    typer.echo("compiling the kernels where they are not yet: about three minutes the first time")
+    typer.echo(
+        "compiling the kernels where they are not yet, on all cores: two minutes on two of them the first time"
+    )
     seconds = warm_kernels()
     typer.echo(f"kernels are compiled ({seconds:.1f} s)")
     return ExitCode.PASS

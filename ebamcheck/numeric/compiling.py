@@ -110,6 +110,12 @@ def heard_by(told: Told) -> Iterator[None]:
             _listeners.remove(told)
 
 
+def leave_to_parent() -> None:
+    """Tell nobody of what this process compiles: one that was forked to compile, whose parent tells of it."""
+    with _lock:
+        _listeners.clear()
+
+
 def begun(name: str, others: Iterable[str] = ()) -> None:
     """Tell whoever listens that the compilation of a kernel has begun.
 

@@ -29,6 +29,14 @@ def kernel_stamp(function: Callable[..., Any]) -> str:
     return made.hexdigest()
 
 
+def seen_by(function: Callable[..., Any]) -> set[str]:
+    """Modules and names of the functions that a function refers to, at any depth, itself included."""
+    seen: dict[str, None] = {}
+    for _ in _parts(_plain(function), seen):
+        pass
+    return set(seen)
+
+
 def _plain(value: Any) -> Any:
     """The Python function behind a kernel."""
     return getattr(value, "py_func", value)

@@ -1,0 +1,73 @@
+"""The list of kernels, each with its argument types, that the main job calls: what may be compiled ahead.
+
+The list is a file of this package that :mod:`ebamcheck.commands.kernel_record` writes. It is a hint and no more: what it
+names and is not there, or does not compile, is left out; what it lacks is compiled when it is first called.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from numba.core.dispatcher import Dispatcher
+
+from ebamcheck.atomic_file import replacing
+from ebamcheck.numeric.compiling import name_of
+from ebamcheck.numeric.kernel_cache import KernelCache
+from ebamcheck.numeric.type_text import UnknownType, text_of
+
+LIST = Path(__file__).with_name("kernel_list.json")
+
+Listed = dict[str, list[str]]
+"""For each kernel, by module and name, the argument types of each of its compiled versions, as text."""
+
+
+def read_list(path: Path = LIST) -> Listed:
+    """The list, by kernel; empty where there is none."""
+    if not path.is_file():
+        return {}
+    held = json.loads(path.read_text(encoding="utf-8"))
+    return {
+        f"{module}.{name}": versions for module, kernels in held.items() for name, versions in kernels.items()
+    }
+
+
+def write_list(listed: Listed, path: Path = LIST) -> None:
+    """Write the list, by module, in the order of the alphabet."""
+    held: dict[str, Listed] = {}
+    for name in sorted(listed):
+        module, _, kernel = name.rpartition(".")
+        held.setdefault(module, {})[kernel] = sorted(listed[name])
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps(held, indent=1) + "\n", encoding="utf-8")
+
+
+def versions(kernel: Any) -> list[str]:
+    """Argument types, as text, of all versions of a kernel that the cache holds; those without a text are left out."""
+    found = []
+    for key in kernel._cache._cache_file._load_index():
+        try:
+            found.append(", ".join(text_of(part) for part in key[0]))
+        except UnknownType:
+            continue
+    return sorted(set(found))
+
+
+def kernel_named(name: str) -> Any:
+    """The kernel of a module and a name; None where there is none with a cache."""
+    module, _, inner = name.rpartition(".")
+    try:
+        found = getattr(importlib.import_module(module), inner, None)
+    except ImportError:
+        return None
+    is_kernel = isinstance(found, Dispatcher) and isinstance(getattr(found, "_cache", None), KernelCache)
+    return found if is_kernel and name_of(found) == name else None
+
+
+def cached(kernels: Mapping[str, Any]) -> Listed:
+    """All versions of kernels that the cache holds."""
+    held = {name: versions(kernel) for name, kernel in kernels.items()}
+    return {name: found for name, found in held.items() if found}
