@@ -54,6 +54,7 @@ map: setup ## Make docs/map.md and ARCHITECTURE's table of rooms from the docstr
 docs: setup ## Build the documentation into site/, with warnings as errors
 	@$(BIN)/python -c 'import material' 2>/dev/null || $(BIN)/python -m pip install --quiet -e '.[docs]'
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
+
 kernel-list: setup ## Write the list of kernels that `ebamcheck warm` compiles, from a main job with an empty cache
 	@$(BIN)/python -m ebamcheck.commands.kernel_record
 
