@@ -16,7 +16,13 @@ from ebamcheck.mesh.stl import FACET
 FAST = "planecut,manifold"
 """Two exact backends that start quickly."""
 
-WIDE = {"wire_speed_min_mm_s": 1e-3, "wire_speed_max_mm_s": 1e4, "layer_over_bead": (1e-3, 100.0)}
+WIDE = {
+    "wire_speed_min_mm_s": 1e-3,
+    "wire_speed_max_mm_s": 1e4,
+    "layer_over_bead": (1e-3, 100.0),
+    "bead_section_mm2": (1e-3, 1e4),
+    "metal_energy_j_mm3": (0.01, 1e6),
+}
 """A process window of no machine: for tests whose layers are few because they are thick."""
 
 WIDE_TOML = "\n".join(

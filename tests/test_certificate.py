@@ -71,9 +71,20 @@ def test_the_certificate_says_what_was_made_from_what(copy):
         "input", "agreement", "fit", "coverage", "deposit", "heat", "program",
     ]  # fmt: skip
     for check in found["checks"]:
-        assert {"name", "passed", "value", "limit", "unit", "where", "text", "layer", "x_mm", "y_mm"} == set(
-            check
-        )
+        assert {
+            "name",
+            "passed",
+            "value",
+            "limit",
+            "unit",
+            "where",
+            "text",
+            "layer",
+            "x_mm",
+            "y_mm",
+            "place",
+            "remedy",
+        } == set(check)
     assert {"path", "metal", "interpass temperature"} & {c["name"] for c in found["checks"]}
     assert found["release"] == RELEASE
     assert found["smoothing"]["tolerance_mm"] == SETTINGS.machine.smoothing_tolerance_mm
@@ -137,7 +148,7 @@ def test_a_changed_byte_is_named(copy):
 def test_other_settings_are_named(copy):
     run, part = copy
     other = SETTINGS.changed(slicing={"time_limit_s": 500.0})
-    assert set(failures(run, part, other)) == {"settings unchanged"}
+    assert set(failures(run, part, other)) == {"settings unchanged", "header"}
     other = SETTINGS.changed(machine={"name": "another"})
     assert set(failures(run, part, other)) == {"settings unchanged", "profile unchanged", "header"}
 

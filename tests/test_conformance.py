@@ -239,7 +239,7 @@ def test_a_plugin_is_installed_found_and_passes(tmp_path):
         check=True, capture_output=True,
     )  # fmt: skip
     code = (
-        "from ebamcheck import registry; from ebamcheck.testing import CHECKS, examine; "
+        "from ebamcheck.plugins import registry; from ebamcheck.testing import CHECKS, examine; "
         "found = examine(registry.loaded_slicer('rows'), CHECKS[:12]); "
         "print(found.table()); assert found.passed"
     )

@@ -81,6 +81,7 @@ def test_what_would_change_a_fanuc_unseen_is_refused(program, text):
 
 
 def test_fanuc_comments_say_what_the_header_means(program):
-    nc = read_program(*program)
+    files, config = program
+    nc = read_program(files.main, config)
     assert nc.header["CONTROL"] == fanuc.CONTROL.title
     assert nc.dialect == "fanuc"

@@ -18,8 +18,8 @@ from parts import box
 
 import ebamcheck as api
 from ebamcheck.errors import BackendFailed, BackendMissing, SettingsError
+from ebamcheck.json_values import sha256_of_file
 from ebamcheck.pipeline.report_writers import write_reports
-from ebamcheck.pipeline.run_folder import sha256_of_file
 from ebamcheck.plugins import answers as plugin_answers
 from ebamcheck.plugins import registry
 from ebamcheck.plugins.model import models

@@ -9,7 +9,8 @@ import pytest
 from program_text import CONTROLS, ProgramText, near
 
 from ebamcheck.program import read_program, verify_file
-from ebamcheck.program.language.modal_groups import GROUPS, group_of, wanted_words
+from ebamcheck.program.language.control import control
+from ebamcheck.program.language.modal_groups import group_of, wanted_words
 
 SINUMERIK, LINUXCNC, PLAIN = CONTROLS
 
@@ -223,7 +224,7 @@ def test_a_program_from_a_layer_on_has_its_blocks_as_they_were(control, tmp_path
 
 
 def test_no_word_belongs_to_two_groups():
-    for groups in GROUPS.values():
+    for groups in (control(name).groups for name in CONTROLS):
         words = [word for group in groups for word in group.words]
         assert len(words) == len(set(words))
 

@@ -47,7 +47,7 @@ from importlib.metadata import distributions
 (found,) = [d for d in distributions(path=[sys.argv[1]]) if d.name == "ebamcheck"]
 for point in found.entry_points:
     point.load()
-    print(point.group, point.name, sys.modules[point.module].__file__)
+    print(point.group, point.name, sys.modules[point.module].__file__, sep="\t")
 """
 
 
@@ -135,7 +135,7 @@ def test_every_entry_point_loads_from_the_wheel_alone(wheel: Path, tmp_path: Pat
         check=False,
     )
     assert ran.returncode == 0, ran.stderr
-    loaded = [line.split(" ", 2) for line in ran.stdout.splitlines()]
+    loaded = [line.split("\t") for line in ran.stdout.splitlines()]
     assert {group for group, _, _ in loaded} == GROUPS
     assert all(Path(file).is_relative_to(site) for _, _, file in loaded)
     declared = ConfigParser(delimiters=("=",))

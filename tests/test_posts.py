@@ -421,7 +421,7 @@ def test_no_post_writes_over_other_files(control, tmp_path):
 
 def test_an_unknown_control_is_refused_by_name(tmp_path):
     with pytest.raises(SettingsError, match="linuxcnc"):
-        wrote(tmp_path, {"control": "fanuc"}, smooth_curves())
+        wrote(tmp_path, {"control": "heidenhain"}, smooth_curves())
 
 
 def test_the_text_of_a_linuxcnc_program(tmp_path):

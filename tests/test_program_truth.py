@@ -140,7 +140,7 @@ def test_one_file_of_another_status_is_found(tmp_path):
 def test_another_path_is_found(tmp_path):
     text = ProgramText(SINUMERIK, tmp_path / "p")
     place = text.edit("MAIN_L0002.SPF", "_N_EBAMCHECK_WPD", "_N_OTHER_WPD")
-    assert text.failed_by_text()["header"].where == place
+    assert text.failed_by_text()["names and headers"].where == place
 
 
 @pytest.mark.parametrize("control", CONTROLS)

@@ -227,7 +227,7 @@ def test_what_is_no_key_is_refused(tmp_path):
 def test_one_changed_byte_of_any_file_is_found(run, name):
     data = (run / name).read_bytes()
     # A byte that changes no meaning where there is one: a blank of JSON, HTML or CSV.
-    at = data.find(b" ", len(data) // 2)
+    at = data.find(b"\n ", len(data) // 2) + 1 or data.find(b" ", len(data) // 2)
     at = len(data) // 2 if at < 0 else at
     (run / name).write_bytes(data[:at] + (b"\t" if data[at : at + 1] == b" " else b"\0") + data[at + 1 :])
     assert name in [c.where for c in verify_run(run) if not c.passed]

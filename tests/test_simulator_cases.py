@@ -14,7 +14,8 @@ from nc_stack import stack
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.program import write_program
-from ebamcheck.program.simulators.heat_paths import PATH_FILES, case_post, heat_path
+from ebamcheck.program.language.control import simulators
+from ebamcheck.program.simulators.heat_paths import case_post, heat_path
 from ebamcheck.program.toolpath.bead_ends import driven_path
 from ebamcheck.settings.config import Config
 
@@ -41,7 +42,7 @@ def config(control, **process):
     return Config().changed(machine={"control": control}, process={**PROCESS, **process})
 
 
-@pytest.fixture(params=PATH_FILES)
+@pytest.fixture(params=simulators())
 def control(request):
     return request.param
 
@@ -236,7 +237,7 @@ def test_all_simulators_get_the_same_beam_and_metal(tmp_path):
     )
     assert found["3dthesis"][0] == pytest.approx(power)
     assert found["3dthesis"][1] == pytest.approx(0.25e-3 * Config().process.bead_width_mm)
-    for name in PATH_FILES[1:]:
+    for name in simulators()[1:]:
         assert found[name] == pytest.approx(found["3dthesis"], rel=1e-6), name
 
 

@@ -156,7 +156,7 @@ def _told(first: Mapping[str, Any], where: str) -> str:
     given = first.get("input")
     shown = "" if isinstance(given, dict | BaseModel) else f" (given {given!r})"
     if first["type"] == "extra_forbidden":
-        what = _unknown_key(loc)
+        key, what = ".".join(map(str, loc)), _unknown_key(loc)
     elif isinstance(given, float) and not math.isfinite(given):
         what = f"it takes {_wanted(loc)}, and a finite one{shown}"
     elif first["type"] == "value_error":

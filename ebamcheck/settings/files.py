@@ -17,7 +17,7 @@ from ebamcheck.atomic_file import replacing
 from ebamcheck.errors import SettingsError
 from ebamcheck.settings.base import Section
 from ebamcheck.settings.config import Config, validated
-from ebamcheck.settings.text import WIDTH, as_toml, value_text
+from ebamcheck.settings.text import WIDTH, as_toml, told_beside, value_text
 
 
 @dataclass
@@ -113,7 +113,7 @@ def _complete(root: Any, name: str, section: Section, found: Merged) -> None:
         if key in table:
             continue
         said = textwrap.wrap(info.description or "", WIDTH, initial_indent="# ", subsequent_indent="# ")
-        explained = "".join(f"{line}\n" for line in said)
+        explained = "".join(f"{line}\n" for line in [*said, *told_beside(name, key)])
         if value is None or isinstance(value, dict):
             # What is not set stands as a comment, with the next key that is.
             empty = f"# {key} =" if value is None else f"# [{name}.{key}.NAME]"

@@ -28,7 +28,7 @@ def as_toml(config: Config) -> str:
             value = getattr(section, key)
             if info.description:
                 lines += textwrap.wrap(info.description, WIDTH, initial_indent="# ", subsequent_indent="# ")
-            lines += _told_beside(name, key)
+            lines += told_beside(name, key)
             if isinstance(value, dict):
                 tables += _tables(f"{name}.{key}", value)
                 lines += [] if value else [f"# [{name}.{key}.NAME]"]
@@ -43,7 +43,7 @@ def as_toml(config: Config) -> str:
     return "\n".join(lines)
 
 
-def _told_beside(section: str, key: str) -> list[str]:
+def told_beside(section: str, key: str) -> list[str]:
     """Comments with the placeholders of the templates, before the first of them, and an example of what needs one."""
     lines = []
     if section == "machine" and key == next(iter(TEMPLATES)):
