@@ -30,9 +30,11 @@ demo: setup ## Slice, cross-check, fit, partition and program the demo part; the
 	@echo "Open demo/run/report.html"
 
 test: setup lint types ## Lint, types, import contracts, doctests and all quick tests
+	@$(BIN)/ebamcheck warm
 	@$(PYTEST) -m "not slow" --doctest-modules ebamcheck backends reference_models reports/ebamcheck_reports benchmarks tests
 
 test-slow: setup ## The tests that take longer
+	@$(BIN)/ebamcheck warm
 	@$(PYTEST) -m slow tests
 
 lint: setup
