@@ -52,7 +52,10 @@ def live_command(
         typer.Option(help="A journal: make its build again and compare every byte; nothing is waited for."),
     ] = None,
 ) -> ExitCode:
-    """Follow a build: for every measured height that comes in as a line of JSON, publish the next layer, proved."""
+    """Follow a build: for every measured height that comes in as a line of JSON, publish the next layer, proved.
+
+    Example: ebamcheck live blade.run
+    """
     if heights not in MODES:
         raise SettingsError(f"--heights {heights!r}: choose one of {', '.join(MODES)}")
     if not timeout > 0.0:

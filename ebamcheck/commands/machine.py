@@ -43,7 +43,10 @@ def machine_command(
     ] = False,
     layers: Annotated[int | None, typer.Option(min=1, help="Stop after so many layers.")] = None,
 ) -> ExitCode:
-    """Play a machine: start `ebamcheck live RUN` beside it and build the part, whose layers grow by a stated law."""
+    """Play a machine: start `ebamcheck live RUN` beside it and build the part, whose layers grow by a stated law.
+
+    Example: ebamcheck machine blade.run --drift 0.1 --noise 0.05 --speed 100
+    """
     if not (math.isfinite(speed) and speed > 0.0):
         raise SettingsError(f"--speed {speed}: give a positive number")
     growth = Growth(drift, noise, seed)

@@ -38,7 +38,10 @@ def relayer_command(
     ] = 0,
     as_json: JsonOption = False,
 ) -> ExitCode:
-    """Slice a layer at its measured height, plan, write and verify it, and put it under a new name beside the old one."""
+    """Slice a layer at its measured height, plan, write and verify it, and put it under a new name beside the old one.
+
+    Example: ebamcheck relayer blade.run --layer 12 --measured-z 20.4
+    """
     if not math.isfinite(measured_z) or measured_z < 0.0:
         raise SettingsError(f"--measured-z {measured_z}: give a height over the base plate in mm")
     turned = None
