@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from benchmarks.curve_parts_meshes import bored, irregular_convex, irregular_torus, joined, turn
@@ -58,8 +59,10 @@ def ball_of_waves(rng: Rng) -> Form:
     ]
 
     def surface(u: Floats) -> Floats:
-        swell = 1.0 + sum(a * np.cos(u @ k + p) for k, a, p in waves)
-        return np.asarray(u * axes * swell[:, None])
+        swell = np.zeros(len(u))
+        for k, a, p in waves:
+            swell += a * np.cos(u @ k + p)
+        return np.asarray(u * axes * (1.0 + swell)[:, None])
 
     def grid(chord_mm: float) -> Triangles:
         n = max(4, math.ceil(0.5 * math.pi * math.sqrt(float(axes.max()) / (8.0 * chord_mm)) * 1.6))
@@ -107,7 +110,8 @@ def _over_a_cube(surface: Callable[[Floats], Floats], n: int) -> Triangles:
     """Grid of n x n squares on each side of a cube, blown up to a sphere, and mapped."""
     at = np.tan(np.linspace(-0.25, 0.25, n + 1) * np.pi)
     u, v = np.meshgrid(at, at, indexing="ij")
-    points, faces = [], []
+    points: list[Floats] = []
+    faces: list[NDArray[np.int64]] = []
     a = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).reshape(-1)
     square = np.concatenate(
         [np.column_stack([a, a + n + 1, a + n + 2]), np.column_stack([a, a + n + 2, a + 1])]
@@ -158,7 +162,8 @@ def rounded_box(rng: Rng) -> Form:
 
 def rounded_wedge(rng: Rng) -> Form:
     """Prism over a triangle with rounded edges."""
-    return Form("rounded wedge", wedge(*rng.uniform(15.0, 50.0, 3).tolist(), rng.uniform(0.8, 5.0)))
+    length, width, height = rng.uniform(15.0, 50.0, 3).tolist()
+    return Form("rounded wedge", wedge(length, width, height, rng.uniform(0.8, 5.0)))
 
 
 def turned_part(rng: Rng) -> Form:

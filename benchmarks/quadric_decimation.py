@@ -76,7 +76,7 @@ def _best(quadric: Floats, a: Floats, b: Floats) -> tuple[Floats, float]:
     if np.linalg.norm(place - middle) > np.linalg.norm(b - a):
         place = middle
     at = np.append(place, 1.0)
-    return place, float(at @ quadric @ at)
+    return np.asarray(place, np.float64), float(at @ quadric @ at)
 
 
 def _turns(points: Floats, corners: list[int], moved: int, place: Floats) -> bool:

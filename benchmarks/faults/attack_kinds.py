@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 
 from benchmarks.faults.kinds import LINUXCNC, PLAIN, SINUMERIK, Ground, NotHereError, Place, kind
 from benchmarks.faults.metal_kinds import extra_bead
@@ -272,7 +273,15 @@ def creeping(ground: Ground) -> list[Place]:
     return ground.line(bead.file, i, bead.off)
 
 
-@kind("bead beside the part in other letters", "metal", ("lower case", "tabs", "no blanks", "leading zeros"))
+SPELLINGS: dict[str, Callable[[str], str]] = {
+    "lower case": str.lower,
+    "tabs": lambda code: code.replace(" ", "\t"),
+    "no blanks": lambda code: code.replace(" ", ""),
+    "leading zeros": lambda code: re.sub(r"\bG(\d)\b", r"G0\1", code),
+}
+
+
+@kind("bead beside the part in other letters", "metal", tuple(SPELLINGS))
 def spelled(ground: Ground) -> list[Place]:
     """Spell a bead beside the part as a control takes it and a reader may not."""
     text = ground.text
@@ -282,10 +291,7 @@ def spelled(ground: Ground) -> list[Place]:
     before = len(text.files[bead.file])
     places = extra_bead(ground, bead, [(x, y), (x + 10.0, y)], "in a role")
     added = len(text.files[bead.file]) - before
-    change = {
-        "lower case": str.lower, "tabs": lambda c: c.replace(" ", "\t"), "no blanks": lambda c: c.replace(" ", ""),
-        "leading zeros": lambda c: re.sub(r"\bG(\d)\b", r"G0\1", c),
-    }[ground.variant]  # fmt: skip
+    change = SPELLINGS[ground.variant]
     for i in range(bead.off + 1, bead.off + 1 + added):
         code = text.code(bead.file, i)
         if re.match(r"G[01] ", code):
