@@ -13,23 +13,23 @@ import numpy as np
 import pandas as pd
 
 from ebamcheck.comparison import Comparison
+from ebamcheck.curves.fallback import METHODS as FALLBACKS
 from ebamcheck.errors import ExitCode
 from ebamcheck.findings import records
-from ebamcheck.json_values import (
-    sha256_of_file,
-    sha256_of_json,
-)
+from ebamcheck.heat.melting import entry_limit_k
+from ebamcheck.json_values import sha256_of_file, sha256_of_json
 from ebamcheck.layers.files import LayerFile
+from ebamcheck.pipeline.entry_program import FOLDER as ENTRY
+from ebamcheck.pipeline.fitted import FitResult
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.independence import evidence_records
-from ebamcheck.pipeline.run_folder import (
-    FINGERPRINT,
-    FORMAT_VERSION,
-    MANIFEST,
-)
+from ebamcheck.pipeline.plate_record import PLATE, plate_record
+from ebamcheck.pipeline.programming import ProgramResult
+from ebamcheck.pipeline.run_folder import FINGERPRINT, FORMAT_VERSION, MANIFEST
 from ebamcheck.pipeline.work import Job
 from ebamcheck.plugins import registry
 from ebamcheck.program.toolpath.inputs import deposition_heights
+from ebamcheck.settings.config import Config
 from ebamcheck.slicers.isolation import Outcome
 from ebamcheck.version import __version__
 
@@ -38,8 +38,9 @@ def manifest(
     job: Job,
     outcomes: Mapping[str, Outcome],
     comparison: Comparison,
-    passed: Sequence[Gate],
     primary: str,
+    program: ProgramResult | None,
+    gates: Sequence[Gate],
     code: ExitCode,
 ) -> dict[str, Any]:
     """Everything that is known of a run; only what stands under ``timings`` differs from one run to the next.
@@ -86,8 +87,9 @@ def manifest(
             "no_evidence": dict(comparison.without_weight),
             "findings": _disagreements(comparison, job.config.layer_height_mm),
         },
-        **job.record,
-        "gates": [asdict(gate) for gate in passed],
+        **_plate(job, program),
+        **(_program_records(program, job.config) if program else {}),
+        "gates": [asdict(gate) for gate in gates],
         "findings": records(job.findings),
         "exit_code": int(code),
         "files": _file_hashes(job.folder.path),
@@ -116,6 +118,55 @@ def _placed(job: Job) -> dict[str, Any]:
     if part.place_at_mm is None and not part.rotate_deg:
         return {}
     return {"place_at_mm": part.place_at_mm, "rotate_deg": part.rotate_deg}
+
+
+def _plate(job: Job, program: ProgramResult | None) -> dict[str, Any]:
+    """Parts of a plate, with the metal that the program lays for each; nothing for a single part."""
+    parts = program.proof.plate if program else plate_record(job.part, job.config)
+    return {PLATE: list(parts)} if parts else {}
+
+
+def _program_records(made: ProgramResult, config: Config) -> dict[str, Any]:
+    """What came of every stage from the fit to the verified program."""
+    reference = made.fit.verdict.reference
+    proof, files = made.proof, made.files
+    program = {
+        "checks": [asdict(check) for check in proof.checks],
+        "witness": proof.witness,
+        "totals": dict(proof.totals),
+        "validated": files.validated,
+        "files": [
+            {"name": name, "sha256": files.sha256[name], "blocks": files.blocks[name]} for name in files.names
+        ],
+    }
+    return {
+        "fit": _fit_record(made.fit),
+        **({"reference": reference} if reference is not None else {}),
+        "kinematics": proof.kinematics.to_dict(orient="index"),
+        "heat": {"limit_k": entry_limit_k(config), "build_s": proof.build_s},
+        "program": {**program, **({ENTRY: made.entry} if made.entry is not None else {})},
+        "scan": {
+            "order": config.scan.order,
+            "seed": config.scan.seed,
+            "islands": len(made.plan.islands),
+            **made.event_totals,
+        },
+    }
+
+
+def _fit_record(made: FitResult) -> dict[str, Any]:
+    """Figures of the fit by the chosen method, and those of the others."""
+    evidence = made.verdict.evidence
+    fallen = {name: int((evidence.method == k).sum()) for k, name in enumerate(FALLBACKS) if k}
+    return {
+        "method": made.curves.method,
+        "points": made.points,
+        "rings": evidence.cause.size,
+        "fallen_rings": fallen,
+        "open_rings": made.verdict.open_rings,
+        **asdict(made.methods[made.curves.method]),
+        "methods": {name: asdict(figures) for name, figures in made.methods.items()},
+    }
 
 
 def _disagreements(comparison: Comparison, first_layer_mm: float) -> list[dict[str, Any]]:
