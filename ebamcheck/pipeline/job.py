@@ -34,7 +34,6 @@ from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import checked_window, outside_window, unusual_layers
 from ebamcheck.version import __version__
 
-
 ProgramStage = Callable[[Job, CrossCheck, bool], ProgramResult]
 """Makes a program from agreed contours; its last argument tells whether all gates so far are passed."""
 
