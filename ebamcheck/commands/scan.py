@@ -54,6 +54,13 @@ def scan_command(
         ),
     ] = "",
     seeds: Annotated[int, typer.Option(help=f"Seeds over which `{RANDOM}` is averaged.")] = SEEDS,
+    referee: Annotated[
+        bool,
+        typer.Option(
+            "--referee",
+            help="With --height: drive each order also on a nonlinear model of the heat, which shares nothing with ours.",
+        ),
+    ] = False,
     config: ConfigOption = None,
     units: UnitsOption = "",
     direction: DirectionOption = "",
@@ -81,6 +88,8 @@ def scan_command(
         raise SettingsError("scan: give either --height Z for one layer, or --all")
     if pause is not None and not all_layers:
         raise SettingsError("--pause: the wait between layers belongs to --all")
+    if referee and all_layers:
+        raise SettingsError("--referee: judges one layer, give it with --height Z")
     placed = loaded(part, settings)
     if height is None:
         if len(wanted) != 1:
@@ -88,4 +97,4 @@ def scan_command(
         if pause is not None:
             settings = settings.changed(process={"layer_pause_s": pause})
         return scan_all(placed, settings, wanted[0], output, as_json, yes)
-    return scan_layer(placed, settings, height, wanted, seeds, exported, output, as_json)
+    return scan_layer(placed, settings, height, wanted, seeds, exported, output, as_json, referee)

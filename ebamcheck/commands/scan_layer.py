@@ -19,6 +19,7 @@ from ebamcheck.commands.progress import watched
 from ebamcheck.commands.scan_pictures import order_pictures
 from ebamcheck.drawing.tables import text_table
 from ebamcheck.errors import ExitCode
+from ebamcheck.heat.referee import Referee
 from ebamcheck.json_values import plain
 from ebamcheck.layers.cuts import heights_within
 from ebamcheck.layers.stack import from_polygons
@@ -28,6 +29,7 @@ from ebamcheck.pipeline.programming import bead_paths
 from ebamcheck.program import write_program
 from ebamcheck.scan import ScanPlan
 from ebamcheck.scan.plan.comparing import RANDOM, OrderComparison, OrderResult, figures_of
+from ebamcheck.scan.plan.refereed import referee_of, second_opinion
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import slice_part
 
@@ -48,6 +50,13 @@ HEADINGS = {
     "time_s": "time, s",
 }
 """Figures of the printed table, and their headings."""
+
+REFEREE_HEADINGS = {
+    "referee_max_k": "referee, K",
+    "referee_point_max_k": "its spot, K",
+    "referee_tau": "rank tau",
+}
+"""Further columns where the nonlinear referee is asked."""
 
 
 @dataclass
@@ -76,6 +85,7 @@ def scan_layer(
     simulators: tuple[str, ...],
     output: Path | None,
     as_json: bool,
+    with_referee: bool = False,
 ) -> ExitCode:
     """Plan one layer of a placed part in several orders; an interrupt keeps the orders that are done."""
     cut = heights_within(part, [height_mm], "--height")
@@ -86,8 +96,9 @@ def scan_layer(
     number = max(0, round(over_plate_mm / settings.layer_height_mm - 0.5))
     layer = OrderComparison.of(layers.polygons(0), settings, number, max(over_plate_mm, 0.0))
     done, interrupted = _Compared(), False
+    judge = referee_of(layer.laid, settings) if with_referee and len(layer.laid.islands) else None
     try:
-        for _ in _compare(layer, orders, seeds, done):
+        for _ in _compare(layer, orders, seeds, done, judge):
             if output is not None:
                 _write(output, _table(done))
     except KeyboardInterrupt:
@@ -103,26 +114,31 @@ def scan_layer(
     if as_json:
         print_json(done.records())
     else:
-        rows = [[_cell(row[name]) for name in HEADINGS] for row in done.records()]
+        headings = {**HEADINGS, **(REFEREE_HEADINGS if judge else {})}
+        rows = [[_cell(row[name]) for name in headings] for row in done.records()]
         count, base = len(layer.laid.islands), settings.process.base
         low, high = part.bounds[:, 2].tolist()
         beside = "" if count else f" (the part reaches from {low:g} to {high:g} mm)"
         typer.echo(f"{count} islands at z = {height_mm:g} mm{beside}, {base} base\n")
-        typer.echo(text_table(list(HEADINGS.values()), rows))
+        typer.echo(text_table(list(headings.values()), rows))
     return ExitCode.PASS
 
 
-def _compare(layer: OrderComparison, orders: tuple[str, ...], seeds: int, done: _Compared) -> Iterator[None]:
+def _compare(
+    layer: OrderComparison, orders: tuple[str, ...], seeds: int, done: _Compared, judge: Referee | None
+) -> Iterator[None]:
     """Plan and drive one order after the other, with a bar that moves with each plan."""
     with watched() as observer:
         observer.stage("orders", sum(seeds if name == RANDOM else 1 for name in orders))
         for name in orders:
-            results = []
+            results, opinions = [], []
             for result in layer.results(name, seeds):
                 results.append(result)
+                if judge is not None:
+                    opinions.append(second_opinion(judge, result, layer.profile))
                 observer.advance(1)
             done.shown[name] = results[0]
-            done.rows.append(figures_of(name, results))
+            done.rows.append({**figures_of(name, results), **pd.DataFrame(opinions).mean()})
             yield
 
 
