@@ -16,13 +16,14 @@ import shapely
 from command_line import WIDE_TOML, command, ebamcheck, write_stl
 from PIL import Image
 
-from ebamcheck.drawing.islands import COLOURS, field_svg, islands_svg
+from ebamcheck.drawing.islands import field_svg, islands_svg
 from ebamcheck.drawing.orders import frontier, pareto_svg
-from ebamcheck.drawing.png import png
 from ebamcheck.drawing.scene import TemperatureScale
 from ebamcheck.heat import contour_modes
 from ebamcheck.mesh.part import from_arrays
 from ebamcheck.settings.config import Config
+from ebamcheck.showing.colours import SCALE as COLOURS
+from ebamcheck.showing.image import palette_image, png
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -325,9 +326,9 @@ def image_of(picture):
 
 def test_images_are_read_by_another_reader():
     pixels = np.random.default_rng(3).integers(0, 256, (7, 13)).astype(np.uint8)
-    image = Image.open(io.BytesIO(png(pixels, COLOURS)))
+    image = Image.open(io.BytesIO(png(palette_image(pixels, COLOURS))))
     image.verify()
-    image = Image.open(io.BytesIO(png(pixels, COLOURS)))
+    image = Image.open(io.BytesIO(png(palette_image(pixels, COLOURS))))
     assert image.size == (13, 7)
     assert np.array_equal(np.asarray(image.convert("RGB")), COLOURS[pixels])
 
