@@ -16,13 +16,13 @@ from ebamcheck.kinematics import side_by_side
 from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline import gates, noticed
+from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.cross_check import CrossCheck
 from ebamcheck.pipeline.entry_program import write_entry
 from ebamcheck.pipeline.fitted import FitResult, fitted
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.plate_record import plate_record
 from ebamcheck.pipeline.work import Job
-from ebamcheck.plugins import registry
 from ebamcheck.program import Check, mark_validated, program_summary, read_program, verify_program
 from ebamcheck.program.checking.deposit import deposit
 from ebamcheck.program.checking.deposit_checks import deposit_checks
@@ -155,9 +155,8 @@ def bead_paths(layers: Layers, plan: ScanPlan, config: Config) -> Curves:
 
 def _witness(job: Job, layers: Layers, done: Sequence[str]) -> Layers:
     """Contours by another exact method than the one that made the program, where there is one."""
-    others = [n for n in done if n != layers.backend and registry.slicer(n).exact]
-    best = max(others, key=lambda n: registry.slicer(n).priority, default="")
-    return job.folder.read_layers(best) if best else layers
+    name = witness_backend(layers.backend, done)
+    return layers if name == layers.backend else job.folder.read_layers(name)
 
 
 def _write_events(job: Job, path: Toolpath, plan: ScanPlan) -> dict[str, float]:
