@@ -77,38 +77,44 @@ def manifest(
             name: _backend_record(job, outcome, comparison.stacks.get(name))
             for name, outcome in outcomes.items()
         },
-        "comparison": {
-            "compared_layers": comparison.compared_layers,
-            "passed": comparison.passed,
-            "verdicts": comparison.layers["verdict"].value_counts().sort_index().to_dict(),
-            "classes": comparison.layers["class"].value_counts().sort_index().to_dict(),
-            "pairs": _pair_records(comparison.pairs),
-            "evidence": evidence_records(comparison),
-            "no_evidence": dict(comparison.without_weight),
-            "findings": _disagreements(comparison, job.config.layer_height_mm),
-        },
+        "comparison": _comparison_record(comparison, job.config.layer_height_mm),
         **_plate(job, program),
         **(_program_records(program, job.config) if program else {}),
         "gates": [asdict(gate) for gate in gates],
         "findings": records(job.findings),
         "exit_code": int(code),
         "files": _file_hashes(job.folder.path),
-        "timings": {
-            "finished": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
-            "machine": platform.machine(),
-            "part_path": str(Path(job.part.source).resolve()),
-            "stages_s": job.timings,
-            "compile_s": job.compile_s,
-            "backends": {
-                name: {
-                    "prepare_s": o.prepare_s,
-                    "slice_s": o.slice_s,
-                    "compile_s": o.compile_s,
-                    "peak_mb": o.peak_mb,
-                }
-                for name, o in outcomes.items()
-            },
+        "timings": _timings(job, outcomes),
+    }
+
+
+def _timings(job: Job, outcomes: Mapping[str, Outcome]) -> dict[str, Any]:
+    """What differs from one run to the next: dates, machine, folders, seconds, megabytes."""
+    figures = ("prepare_s", "slice_s", "compile_s", "peak_mb")
+    return {
+        "finished": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+        "machine": platform.machine(),
+        "part_path": str(Path(job.part.source).resolve()),
+        "stages_s": job.timings,
+        "compile_s": job.compile_s,
+        "backends": {
+            name: {figure: getattr(outcome, figure) for figure in figures}
+            for name, outcome in outcomes.items()
         },
+    }
+
+
+def _comparison_record(comparison: Comparison, first_layer_mm: float) -> dict[str, Any]:
+    """How the backends compare, over all layers."""
+    return {
+        "compared_layers": comparison.compared_layers,
+        "passed": comparison.passed,
+        "verdicts": comparison.layers["verdict"].value_counts().sort_index().to_dict(),
+        "classes": comparison.layers["class"].value_counts().sort_index().to_dict(),
+        "pairs": _pair_records(comparison.pairs),
+        "evidence": evidence_records(comparison),
+        "no_evidence": dict(comparison.without_weight),
+        "findings": _disagreements(comparison, first_layer_mm),
     }
 
 
