@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,6 @@ from ebamcheck.commands.progress import watched
 from ebamcheck.commands.scan_pictures import order_pictures
 from ebamcheck.drawing.tables import text_table
 from ebamcheck.errors import ExitCode
-from ebamcheck.heat.referee import Referee
 from ebamcheck.json_values import plain
 from ebamcheck.layers.cuts import heights_within
 from ebamcheck.layers.stack import from_polygons
@@ -29,7 +28,6 @@ from ebamcheck.pipeline.programming import bead_paths
 from ebamcheck.program import write_program
 from ebamcheck.scan import ScanPlan
 from ebamcheck.scan.plan.comparing import RANDOM, OrderComparison, OrderResult, figures_of
-from ebamcheck.scan.plan.refereed import referee_of, second_opinion
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import slice_part
 
@@ -57,6 +55,10 @@ REFEREE_HEADINGS = {
     "referee_tau": "rank tau",
 }
 """Further columns where the nonlinear referee is asked."""
+
+
+Opinion = Callable[[OrderResult], dict[str, float]]
+"""Figures of the referee for an order."""
 
 
 @dataclass
@@ -96,7 +98,7 @@ def scan_layer(
     number = max(0, round(over_plate_mm / settings.layer_height_mm - 0.5))
     layer = OrderComparison.of(layers.polygons(0), settings, number, max(over_plate_mm, 0.0))
     done, interrupted = _Compared(), False
-    judge = referee_of(layer.laid, settings) if with_referee and len(layer.laid.islands) else None
+    judge = _referee(layer, settings) if with_referee and len(layer.laid.islands) else None
     try:
         for _ in _compare(layer, orders, seeds, done, judge):
             if output is not None:
@@ -124,8 +126,16 @@ def scan_layer(
     return ExitCode.PASS
 
 
+def _referee(layer: OrderComparison, settings: Config) -> Opinion:
+    """Second opinion on orders of a layer; its packages are imported for those who ask for it."""
+    from ebamcheck.scan.plan.refereed import referee_of, second_opinion
+
+    model = referee_of(layer.laid, settings)
+    return lambda result: second_opinion(model, result, settings)
+
+
 def _compare(
-    layer: OrderComparison, orders: tuple[str, ...], seeds: int, done: _Compared, judge: Referee | None
+    layer: OrderComparison, orders: tuple[str, ...], seeds: int, done: _Compared, judge: Opinion | None
 ) -> Iterator[None]:
     """Plan and drive one order after the other, with a bar that moves with each plan."""
     with watched() as observer:
@@ -135,7 +145,7 @@ def _compare(
             for result in layer.results(name, seeds):
                 results.append(result)
                 if judge is not None:
-                    opinions.append(second_opinion(judge, result, layer.profile))
+                    opinions.append(judge(result))
                 observer.advance(1)
             done.shown[name] = results[0]
             done.rows.append({**figures_of(name, results), **pd.DataFrame(opinions).mean()})
