@@ -24,6 +24,7 @@ from ebamcheck.commands.scan_part import scan_all
 from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.program.language.control import simulators
 from ebamcheck.scan.plan.comparing import COMPARED, RANDOM, SEEDS
+from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import checked_window
 from ebamcheck.settings.scan import SCAN_ORDERS
 
@@ -73,15 +74,8 @@ def scan_command(
     """
     settings = settings_of(config, units, direction, layer_height)
     checked_window(settings)
-    wanted = COMPARED if orders == ALL else names(orders) or (settings.scan.order,)
-    for name in wanted:
-        settings.changed(scan={"order": name})  # an unknown name is refused before anything is computed
-    known = simulators()
-    exported = known if export == ALL else names(export)
-    if unknown := set(exported) - set(known):
-        raise SettingsError(f"--export {sorted(unknown)[0]!r}: choose from {', '.join(known)}, or all")
-    if exported and output is None:
-        raise SettingsError("--export: give the folder with -o")
+    wanted = _orders(orders, settings)
+    exported = _exported(export, output)
     if seeds < 1:
         raise SettingsError(f"--seeds {seeds}: give at least 1")
     if all_layers == (height is not None):
@@ -98,3 +92,22 @@ def scan_command(
             settings = settings.changed(process={"layer_pause_s": pause})
         return scan_all(placed, settings, wanted[0], output, as_json, yes)
     return scan_layer(placed, settings, height, wanted, seeds, exported, output, as_json, referee)
+
+
+def _orders(orders: str, settings: Config) -> tuple[str, ...]:
+    """Orders that are asked for; an unknown name is refused before anything is computed."""
+    wanted = COMPARED if orders == ALL else names(orders) or (settings.scan.order,)
+    for name in wanted:
+        settings.changed(scan={"order": name})
+    return wanted
+
+
+def _exported(export: str, output: Path | None) -> tuple[str, ...]:
+    """Simulators that the paths are written for."""
+    known = simulators()
+    exported = known if export == ALL else names(export)
+    if unknown := set(exported) - set(known):
+        raise SettingsError(f"--export {sorted(unknown)[0]!r}: choose from {', '.join(known)}, or all")
+    if exported and output is None:
+        raise SettingsError("--export: give the folder with -o")
+    return exported
