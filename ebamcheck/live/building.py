@@ -19,6 +19,7 @@ from ebamcheck.live.heat_so_far import HeatSoFar
 from ebamcheck.live.heights import HeightRule, height_rule
 from ebamcheck.live.journal import Journal, read_journal
 from ebamcheck.live.making import LayerMaker, MadeLayer, Wanted, failure_of, program_settings_sha256
+from ebamcheck.live.metal_so_far import MetalSoFar
 from ebamcheck.live.publishing import (
     JOURNAL,
     LAYERS,
@@ -72,6 +73,7 @@ class Building:
         self.maker, self.folder = maker, folder
         self.rule = rule or height_rule(maker.part, maker.config)
         self.heat = HeatSoFar.cold(maker.config)
+        self.metal = MetalSoFar.none(maker.part, maker.config)
         self.finished = False
         self._told: Answer = {}
         self._standing: Standing | None = None
@@ -168,7 +170,7 @@ class Building:
         if layer is None:
             self.finished = True
             return
-        self.heat = layer.heat
+        self.heat, self.metal = layer.heat, layer.metal
         self._standing = Standing(reading.done, layer.wanted.base_mm, layer.wanted.top_mm)
 
     def _made(self, reading: Reading) -> tuple[Answer, tuple[Path, MadeLayer, dict[str, Any]] | None]:
@@ -194,7 +196,7 @@ class Building:
             wanted = Wanted(reading.done, base_mm, thickness_mm, name, shifted)
             staged = Path(tempfile.mkdtemp(prefix=".making.", dir=self.folder))
             try:
-                made = self.maker.make(wanted, self.heat, staged / PROGRAM)
+                made = self.maker.make(wanted, self.heat, staged / PROGRAM, self.metal)
                 if made.passed:
                     certificate = certificate_of(
                         made, self.maker.part, self.maker.primary, self.maker.witness

@@ -23,6 +23,7 @@ from ebamcheck.errors import BackendMissing, EbamcheckError, SettingsError
 from ebamcheck.json_values import sha256_of_json
 from ebamcheck.layers.stack import Layers
 from ebamcheck.live.heat_so_far import HeatSoFar
+from ebamcheck.live.metal_so_far import MetalSoFar
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline import gates
@@ -36,6 +37,7 @@ from ebamcheck.program.checking.deposit import deposit
 from ebamcheck.program.checking.deposit_checks import deposit_checks
 from ebamcheck.program.checking.matching import matched
 from ebamcheck.program.language.control import control
+from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.toolpath.bead_ends import planned_path
 from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.scan.islands.regions import layer_section
@@ -79,8 +81,8 @@ class MadeLayer:
         Its program; None where a gate shut before one was written.
     gates, checks
         What was judged.
-    heat
-        The part's heat when it is done; that before it where no program was written.
+    heat, metal
+        The part's heat and metal when it is done; those before it where no program was written.
     wait_s
         Least time between the last bead below and the first of this layer.
     islands, deposit_s
@@ -96,6 +98,7 @@ class MadeLayer:
     gates: tuple[Gate, ...]
     checks: tuple[Check, ...]
     heat: HeatSoFar
+    metal: MetalSoFar
     wait_s: float
     islands: int
     deposit_s: float
@@ -213,13 +216,17 @@ class LayerMaker:
             }
         )
 
-    def make(self, wanted: Wanted, heat: HeatSoFar, folder: Path) -> MadeLayer:
+    def make(
+        self, wanted: Wanted, heat: HeatSoFar, folder: Path, metal: MetalSoFar | None = None
+    ) -> MadeLayer:
         """Make one layer; its program goes to `folder`, and is stamped as validated where every gate is open.
 
         Parameters
         ----------
         heat
             The part's heat when the layer under it is done.
+        metal
+            The metal that stands; None: nothing is known of it, and the layer is judged by itself, on a level surface.
 
         Raises
         ------
@@ -244,8 +251,10 @@ class LayerMaker:
             curves = fit(contours, of_curves.method, of_curves, part=self.part)
             verdict, _ = judged(curves, contours, self.part, config)
             smooth = smooth_layers(verdict.curves)
+        stands = None if metal is None else metal.measured()
         with clock.stage("plan"):
             plan, after, wait_s = self._planned(smooth, wanted, heat, config)
+            plan = replace(plan, stands=None if stands is None else stands.surface)
         made = [self.sound, agreement, gates.fit_gate(verdict), gates.coverage_gate(plan.metrics, config)]
         with clock.stage("write"):
             beads = bead_paths(smooth, plan, config)
@@ -268,8 +277,8 @@ class LayerMaker:
                 sha256=files.sha256,
                 smooth=smooth if config.curves.method in LIFTED else None,
             )
-            z_of = deposition_heights(witness.heights, config.layer_height_mm, config.base_mm)
-            checks += deposit_checks(program, deposit(program, witness, z_of, config), config)
+            of_metal, stands = metal_checks(program, witness, stands, config)
+            checks += of_metal
             made += [
                 gates.deposit_gate(checks, config),
                 gates.heat_gate(checks, plan.metrics, config),
@@ -278,7 +287,7 @@ class LayerMaker:
             if all(gate.passed for gate in made):
                 files = mark_validated(files)
         return MadeLayer(
-            wanted, config, cut_mm, files, tuple(made), tuple(checks), after, wait_s, len(plan.islands),
+            wanted, config, cut_mm, files, tuple(made), tuple(checks), after, stands, wait_s, len(plan.islands),
             after.layer_s, clock.seconds,
         )  # fmt: skip
 
@@ -320,6 +329,29 @@ class LayerMaker:
         plan = stack_plans([in_order(done)], config, order, seed)
         wait_s = 0.0 if last is None or last is heat.last else last.wait_s
         return plan, replace(heat, part=part, last=last), wait_s
+
+
+def metal_checks(
+    program: NCProgram, witness: Layers, stands: MetalSoFar | None, config: Config
+) -> tuple[list[Check], MetalSoFar]:
+    """Checks of a layer's metal on what stands, and what stands with it.
+
+    Sums and means count from the plate up, by the limits of a whole part; the layer, and the surface that all layers so far
+    come to, by those of a single one. The layer has to pass by its text alone, too, as anybody can judge it: on a level surface,
+    of which nothing is known.
+    """
+    z_of = deposition_heights(witness.heights, config.layer_height_mm, config.base_mm)
+    known = stands or MetalSoFar()
+    found = deposit(program, witness, z_of, config, stands=known.surface)
+    checks = deposit_checks(program, found, config, None if stands is None else stands.below)
+    if known.below.layers:
+        by_itself = found if known.surface is None else deposit(program, witness, z_of, config)
+        checks += [
+            replace(check, text=f"by its text alone: {check.text}")
+            for check in deposit_checks(program, by_itself, config)
+            if not check.passed
+        ]
+    return checks, known.with_layer(found.layers, found.surface, config)
 
 
 def program_settings_sha256(config: Config) -> str:

@@ -121,7 +121,7 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
         sha256={file["name"]: file["sha256"] for file in record["files"]},
         truth=truth_of(manifest, config),
     )
-    z_of = deposition_heights(np.asarray(heights), config.layer_height_mm)
+    z_of = deposition_heights(np.asarray(heights), config.layer_height_mm, config.base_mm)
     main = run.program_folder / record["files"][0]["name"]
     made += [
         gates.fit_gate(verdict),
@@ -195,7 +195,8 @@ def _agreement(
             settings=config.comparison,
             evidence=evidence_rule(config, stacks),
         )
-    return gates.agreement_gate(comparison, outcomes, len(fresh), config.layer_height_mm), comparison.passed
+    gate = gates.agreement_gate(comparison, outcomes, len(fresh), config.layer_height_mm, config.base_mm)
+    return gate, comparison.passed
 
 
 def _fitted(

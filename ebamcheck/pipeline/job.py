@@ -183,7 +183,9 @@ def _finished(
     outcomes = {**checked.outcomes, **unavailable_backends(job.config)}
     shut = [
         gates.input_gate(job.found),
-        gates.agreement_gate(checked.comparison, outcomes, len(job.heights), job.config.layer_height_mm),
+        gates.agreement_gate(
+            checked.comparison, outcomes, len(job.heights), job.config.layer_height_mm, job.config.base_mm
+        ),
     ]
     job.add_finding(*noticed.of_doubt(checked.comparison.pairs, job.config))
     job.add_finding(*(noticed.unavailable(o) for o in outcomes.values() if o.failure == "unavailable"))

@@ -97,7 +97,7 @@ def make_program(
         {"name": name, "sha256": files.sha256[name], "blocks": files.blocks[name]} for name in files.names
     ]
     if job.from_layer > 1:
-        z_of = deposition_heights(layers.heights, config.layer_height_mm)
+        z_of = deposition_heights(layers.heights, config.layer_height_mm, config.base_mm)
         entry = write_entry(files, job.from_layer, z_of, config)
         job.record["program"][ENTRY] = entry
         job.observer.note(f"program from layer {job.from_layer} on: {entry['check']['text']}")
@@ -186,7 +186,7 @@ def _write_and_verify(
         )
     job.add_finding(*noticed.of_limit(checks, plan, job.config))
     checks += _weighed(job, program, witness)
-    checks = told(checks, program, contours.heights, job.config.layer_height_mm)
+    checks = told(checks, program, contours.heights, job.config.layer_height_mm, job.config.base_mm)
     summary = program_summary(program, job.config)
     summary.to_csv(job.folder.path / "program.csv", index=False)
     job.add_finding(*noticed.of_interpass(summary, plan, job.config))

@@ -30,6 +30,7 @@ from ebamcheck.pipeline.run_folder import (
 from ebamcheck.pipeline.work import Job
 from ebamcheck.plugins import registry
 from ebamcheck.program.toolpath.inputs import deposition_heights
+from ebamcheck.settings.config import Config
 from ebamcheck.slicers.isolation import Outcome
 from ebamcheck.version import __version__
 
@@ -84,7 +85,7 @@ def manifest(
             "pairs": _pair_records(comparison.pairs),
             "evidence": evidence_records(comparison),
             "no_evidence": dict(comparison.without_weight),
-            "findings": _disagreements(comparison, job.config.layer_height_mm),
+            "findings": _disagreements(comparison, job.config),
         },
         **job.record,
         "gates": [asdict(gate) for gate in passed],
@@ -118,10 +119,10 @@ def _placed(job: Job) -> dict[str, Any]:
     return {"place_at_mm": part.place_at_mm, "rotate_deg": part.rotate_deg}
 
 
-def _disagreements(comparison: Comparison, first_layer_mm: float) -> list[dict[str, Any]]:
+def _disagreements(comparison: Comparison, config: Config) -> list[dict[str, Any]]:
     """Disagreements with the layer as the program names it, and its height there."""
     heights = comparison.layers["height_mm"].to_numpy(np.float64)
-    z_mm = deposition_heights(heights, first_layer_mm).tolist()
+    z_mm = deposition_heights(heights, config.layer_height_mm, config.base_mm).tolist()
     return [
         {**asdict(f), "program_layer": f.layer + 1, "program_z_mm": z_mm[f.layer]}
         for f in comparison.findings

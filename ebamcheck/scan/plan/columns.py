@@ -15,6 +15,7 @@ import shapely
 from numpy.typing import NDArray
 
 from ebamcheck.errors import InputError
+from ebamcheck.metal import Surface
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.filling.turns import follows
 from ebamcheck.scan.plan import items as plan_items
@@ -95,6 +96,8 @@ class ScanPlan:
     sections
         (L,) shapely regions that are to be metal, by which every bead gets its wire; None: not known, and every bead
         gets the wire of a bead by itself.
+    stands
+        Surface of what the lowest layer lies on, which its beads mend; None: level. No file holds it.
     """
 
     heights: Floats
@@ -113,6 +116,7 @@ class ScanPlan:
     island_wait_s: Floats = field(default_factory=lambda: np.zeros(0))
     sections: NDArray[np.object_] | None = None
     inner_wait_s: Floats = field(default_factory=lambda: np.zeros(0))
+    stands: Surface | None = None
 
     def __len__(self) -> int:
         """Return the number of layers."""
