@@ -19,6 +19,7 @@ import numpy as np
 from ebamcheck.backend import BackendSettings
 from ebamcheck.comparison import compare_all
 from ebamcheck.curves import LIFTED, fit
+from ebamcheck.curves.per_part import keep_surface_of
 from ebamcheck.errors import BackendMissing, EbamcheckError, SettingsError
 from ebamcheck.json_values import sha256_of_json
 from ebamcheck.layers.stack import Layers
@@ -32,7 +33,7 @@ from ebamcheck.pipeline.fit_evidence import judged
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.programming import bead_paths, smooth_layers
 from ebamcheck.plugins import registry
-from ebamcheck.program import Check, ProgramFiles, mark_validated, read_program, verify_program
+from ebamcheck.program import Check, ProgramFiles, mark_validated, verify_program
 from ebamcheck.program.checking.deposit import deposit
 from ebamcheck.program.checking.deposit_checks import deposit_checks
 from ebamcheck.program.checking.matching import matched
@@ -167,6 +168,7 @@ class LayerMaker:
                 f"no exact slicer beside {self.primary!r} is there: two methods have to agree"
             )
         self.sound = gates.input_gate(inspect(part))
+        keep_surface_of(part)
         self._open = ExitStack()
         self._slicings = {
             backend: self._open.enter_context(Slicing(part, backend, **self._settings(backend).model_dump()))
@@ -260,11 +262,12 @@ class LayerMaker:
             beads = bead_paths(smooth, plan, config)
             path = planned_path(beads, plan, config)
             header = {"PART SHA-256": self.part.source_sha256 or self.part.sha256}
-            files: ProgramFiles = control(config.machine.control).load("writer")(
-                beads, plan, config, folder, header=header
+            files: ProgramFiles = control(config.machine.control).written(
+                beads, plan, config, folder, header=header, path=path
             )
         with clock.stage("verify"):
-            program, _ = matched(read_program(files.main, config), path)
+            read = control(config.machine.control).load("reader")
+            program, _ = matched(read(files.main, config), path)
             checks = verify_program(
                 program,
                 config=config,

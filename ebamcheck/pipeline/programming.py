@@ -167,8 +167,8 @@ def _write_and_verify(
 ) -> list[Check]:
     """Write the program, read its text back and check it against what it was made from."""
     header = {"PART SHA-256": job.part.source_sha256 or job.part.sha256}
-    write_program = control(job.config.machine.control).load("writer")
-    files = write_program(beads, plan, job.config, job.folder.program_folder, header=header)
+    own = control(job.config.machine.control)
+    files = own.written(beads, plan, job.config, job.folder.program_folder, header=header, path=path)
     program, _ = matched(read_program(files.main, job.config), path)
     job.add_finding(*noticed.of_seams(program, contours.heights, job.config))
     with ThreadPoolExecutor(1) as aside:

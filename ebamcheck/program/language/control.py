@@ -6,6 +6,7 @@ A control is one plugin, an entry point of the group ``ebamcheck.controls`` that
 
 from __future__ import annotations
 
+import inspect
 import pkgutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -96,6 +97,13 @@ class Control:
     def comment_text(self, text: str) -> str:
         """A comment's text as it can stand in one: without parentheses where these are its ends."""
         return text.translate({40: "[", 41: "]"}) if self.parentheses else text
+
+    def written(self, *given: Any, path: Any, **named: Any) -> Any:
+        """Write a program; a writer that takes the tracks that are laid out already is spared laying them out again."""
+        writer = self.load("writer")
+        if "path" in inspect.signature(writer).parameters:
+            named["path"] = path
+        return writer(*given, **named)
 
     def load(self, what: Literal["writer", "reader", "file_faults"]) -> Any:
         """Import one of the functions that are named here; raises :class:`SettingsError` where that fails."""
