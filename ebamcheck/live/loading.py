@@ -19,7 +19,7 @@ from ebamcheck.pipeline.run_folder import MANIFEST, RunFolder
 from ebamcheck.pipeline.verify import part_of_run
 from ebamcheck.program.checking.metal_below import MetalBelow
 from ebamcheck.program.toolpath.inputs import deposition_heights, layer_thickness
-from ebamcheck.scan.plan.columns import ScanPlan
+from ebamcheck.scan.plan.columns import PlanOfLayers
 from ebamcheck.settings.config import Config, validated
 
 
@@ -49,9 +49,9 @@ class FinishedRun:
         return layer_thickness(self.tops_mm, self.config.base_mm)
 
     @cached_property
-    def plan(self) -> ScanPlan:
-        """The run's scan plan."""
-        return ScanPlan.from_parquet(self.folder.path / "scan.parquet")
+    def plan(self) -> PlanOfLayers:
+        """What the run's scan plan knows of its layers."""
+        return PlanOfLayers.from_parquet(self.folder.path / "scan.parquet")
 
     def busy_s(self) -> Floats:
         """(L, 2) time of each layer with the beam on, and with it off: travel, and the waits within the layer."""

@@ -159,12 +159,37 @@ class ScanPlan:
             table = pq.read_table(path)
         except (OSError, pa.ArrowException) as error:
             raise InputError(f"{path}: cannot be read as a scan plan: {error}") from None
-        header = json.loads((table.schema.metadata or {}).get(b"ebamcheck", b"{}"))
-        if header.get("format") != FORMAT:
-            raise InputError(
-                f"{path}: is not a scan plan (format {header.get('format')!r}, expected {FORMAT!r})"
-            )
-        return _from_table(table, header)
+        return _from_table(table, _header(path, table.schema))
+
+
+@dataclass(frozen=True, eq=False)
+class PlanOfLayers:
+    """What a plan knows of its layers, without islands and lines; columns as in :class:`ScanPlan`."""
+
+    heights: Floats
+    metrics: pd.DataFrame
+    sections: NDArray[np.object_] | None
+
+    @classmethod
+    def from_parquet(cls, path: str | Path) -> PlanOfLayers:
+        """Read it from the file of a plan; raises :class:`InputError` where the file is not one."""
+        try:
+            header = _header(path, pq.read_schema(path))
+        except (OSError, pa.ArrowException) as error:
+            raise InputError(f"{path}: cannot be read as a scan plan: {error}") from None
+        return cls(
+            np.asarray(header["heights"], np.float64),
+            pd.DataFrame(header["metrics"], columns=list(METRICS)),
+            _regions(header["sections"]) if "sections" in header else None,
+        )
+
+
+def _header(path: str | Path, schema: pa.Schema) -> dict[str, Any]:
+    """What stands beside the table of a plan."""
+    header: dict[str, Any] = json.loads((schema.metadata or {}).get(b"ebamcheck", b"{}"))
+    if header.get("format") != FORMAT:
+        raise InputError(f"{path}: is not a scan plan (format {header.get('format')!r}, expected {FORMAT!r})")
+    return header
 
 
 def _to_table(plan: ScanPlan) -> pa.Table:
