@@ -167,7 +167,10 @@ def heat_gate(checks: Iterable[Check], metrics: pd.DataFrame, config: Config) ->
     limit_k, ambient_k = entry_limit_k(config), config.process.ambient_temperature_k
     by_name = {check.name: check for check in checks if check.name in (INTERPASS, MELTING)}
     if len(by_name) < 2:
-        return Gate("heat", False, float("nan"), limit_k, "K", "no program was written: there is no contour")
+        why = "no program was written: there is no contour"
+        if config.base_mm > 0.0:
+            why = "the temperature of what stands under the program (layers.base_mm) is not known: its heat cannot be judged"
+        return Gate("heat", False, float("nan"), limit_k, "K", why)
     text, melting = by_name[INTERPASS], by_name[MELTING]
     at_bead = config.process.interpass_at == "bead"
     planned = metrics["entry_max_k"] + ambient_k if at_bead else metrics["enter_k"]

@@ -7,6 +7,7 @@ import sys
 from functools import lru_cache
 from importlib.metadata import Distribution, EntryPoints
 from importlib.metadata import entry_points as read_entry_points
+from typing import Any
 from weakref import WeakKeyDictionary
 
 _names: WeakKeyDictionary[Distribution, tuple[str, str]] = WeakKeyDictionary()
@@ -18,7 +19,8 @@ def entry_points(group: str) -> EntryPoints:
     All of them are read again where the folders from which modules come have changed, or are others.
     """
     places = tuple(sys.path)
-    return _read(places, tuple(_changed_ns(place) for place in places)).select(group=group)
+    found: EntryPoints = _read(places, tuple(_changed_ns(place) for place in places)).select(group=group)
+    return found
 
 
 def name_and_version(distribution: Distribution) -> tuple[str, str]:
@@ -33,7 +35,7 @@ def name_and_version(distribution: Distribution) -> tuple[str, str]:
 
 
 @lru_cache(maxsize=2)
-def _read(places: tuple[str, ...], changed_ns: tuple[int, ...]) -> EntryPoints:
+def _read(places: tuple[str, ...], changed_ns: tuple[int, ...]) -> Any:
     """Read all entry points; the arguments say for which state of the folders."""
     return read_entry_points()
 
