@@ -166,7 +166,7 @@ def test_a_layer_mends_the_surface_that_it_lies_on(stack):
 
 
 def test_a_surface_that_is_too_uneven_refuses_the_layer(stack):
-    made, single = stack
+    _, single = stack
     layer, section, config = single[1]
     limit_mm = config.process.largest_unevenness_mm
     sums = MetalBelow(1, 1.0, 1.0)

@@ -33,6 +33,7 @@ from ebamcheck.pipeline.entry_program import checked_again
 from ebamcheck.pipeline.fit_evidence import FitVerdict, judged
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.independence import evidence_rule
+from ebamcheck.pipeline.live_program import live_checked_again
 from ebamcheck.pipeline.placement import cut_heights
 from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.plugins import registry
@@ -131,6 +132,7 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
         gates.program_gate(checks),
     ]
     checks += checked_again(run.path, record, main, z_of, config)
+    checks += live_checked_again(run.path, record, config)
     told += [*noticed.of_profile(config), *noticed.of_metal(of_deposit(checks))]
     return Again(witness, tuple(made), agrees, tuple(told), tuple(checks), exchanged)
 

@@ -20,6 +20,8 @@ from ebamcheck.pipeline.entry_program import FOLDER as ENTRY
 from ebamcheck.pipeline.entry_program import write_entry
 from ebamcheck.pipeline.fitted import fitted
 from ebamcheck.pipeline.gates import Gate
+from ebamcheck.pipeline.live_program import FOLDER as LIVE
+from ebamcheck.pipeline.live_program import write_live
 from ebamcheck.pipeline.plate_record import PLATE, plate_record
 from ebamcheck.pipeline.work import Job
 from ebamcheck.plugins import registry
@@ -101,6 +103,11 @@ def make_program(
         entry = write_entry(files, job.from_layer, z_of, config)
         job.record["program"][ENTRY] = entry
         job.observer.note(f"program from layer {job.from_layer} on: {entry['check']['text']}")
+    if job.live:
+        header = {"PART SHA-256": job.part.source_sha256 or job.part.sha256}
+        live = write_live(job.folder.path, config, float(job.part.size[2]), files.validated, header)
+        job.record["program"][LIVE] = live
+        job.observer.note(f"waiting main program {live['name']}: {live['check']['text']}")
     return made
 
 
