@@ -26,6 +26,9 @@ CHECK = "handshake"
 BLOCKS_A_POLL = 60
 """Blocks for each time that a program asks within the time-out after which one that has not ended is taken for one that never does."""
 
+ROUNDING_S = 1e-6
+"""Of sums of times."""
+
 LONGEST_BLOCK = 200
 """Characters of a block."""
 
@@ -133,7 +136,7 @@ def scenarios(config: Config) -> list[tuple[str, Door, Callable[[Run], str]]]:
         names = [f"{stem}_K{k + 1:04d}R{numbers[k]}_L0001" for k in range(layers)]
         if [name for name, _ in run.calls] != names:
             return f"calls {', '.join(name for name, _ in run.calls) or 'nothing'}, not {', '.join(names)}"
-        early = [k for k in range(1, layers) if run.calls[k][1] - run.calls[k - 1][1] < wait_s]
+        early = [k for k in range(1, layers) if run.calls[k][1] - run.calls[k - 1][1] < wait_s - ROUNDING_S]
         if early:
             return f"calls layer {early[0] + 1} before its least wait of {wait_s:g} s is over"
         return _ended(run)
