@@ -17,6 +17,7 @@ from ebamcheck.pipeline.certificate import write_certificate
 from ebamcheck.pipeline.choice import chosen_backends, primary_backend, unavailable_backends
 from ebamcheck.pipeline.cross_check import CrossCheck, cross_check
 from ebamcheck.pipeline.gates import Gate
+from ebamcheck.pipeline.live_program import check_waits
 from ebamcheck.pipeline.programming import ProgramResult, make_program
 from ebamcheck.pipeline.record import manifest as make_manifest
 from ebamcheck.pipeline.report_writers import write_reports
@@ -59,6 +60,7 @@ def run_job(
     yes: bool = False,
     force: bool = False,
     from_layer: int = 1,
+    live: bool = False,
 ) -> RunResult:
     """Slice a part with every backend, compare, fit, partition, order, write the program and verify it.
 
@@ -80,6 +82,8 @@ def run_job(
         Make the run although a finished one stands at `target`, which is kept under a name with its date.
     from_layer
         Write a second program, too, that begins at this layer, from 1: to go on after a break.
+    live
+        Write a main program, too, that waits between layers until each is released.
     begun
         What :func:`ebamcheck.preflight.ready` has made of the same part and settings; None: it is made here.
     yes
@@ -99,6 +103,8 @@ def run_job(
             f"machine.control {config.machine.control!r} writes what no reader can prove, such as a case of a heat simulator: "
             f"run for a control, then `ebamcheck post RUN --control {config.machine.control} -o FOLDER`"
         )
+    if live:
+        check_waits(config)
     checked_window(config)
     usable_templates(config, config.machine.control)
     part = begun or ready(part_path, config, "run", yes)
@@ -109,7 +115,7 @@ def run_job(
         return make_program(job, _primary(job, checked), checked, fine, sound)
 
     inputs = [fine.sha256 if fine else ""]
-    return _job("run", part, target, config, inputs, resume, observer, program, force, from_layer)
+    return _job("run", part, target, config, inputs, resume, observer, program, force, from_layer, live)
 
 
 def check_job(
@@ -143,6 +149,7 @@ def _job(
     program: ProgramStage | None,
     force: bool,
     from_layer: int = 1,
+    live: bool = False,
 ) -> RunResult:
     """Cross-check a part in a run folder, and make the program where one is wanted."""
     observer = observer or Silent()
@@ -160,7 +167,7 @@ def _job(
     if folder.former is not None:
         observer.note(f"{target}: the former run will be kept as {folder.former.name}")
     job = Job(kind, config, observer, part, found, heights, folder, fingerprint)
-    job.from_layer = from_layer
+    job.from_layer, job.live = from_layer, live
     if begun.turned:
         job.add_finding(noticed.turned_over(begun.turned, len(part.faces)))
     job.add_finding(*noticed.of_part(found, config))
@@ -185,7 +192,9 @@ def _finished(
     outcomes = {**checked.outcomes, **unavailable_backends(job.config)}
     judged = [
         gates.input_gate(job.found),
-        gates.agreement_gate(checked.comparison, outcomes, len(job.heights), job.config.layer_height_mm),
+        gates.agreement_gate(
+            checked.comparison, outcomes, len(job.heights), job.config.layer_height_mm, job.config.base_mm
+        ),
     ]
     job.add_finding(*noticed.of_doubt(checked.comparison.pairs, job.config))
     job.add_finding(*(noticed.unavailable(o) for o in outcomes.values() if o.failure == "unavailable"))

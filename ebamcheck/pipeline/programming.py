@@ -21,6 +21,7 @@ from ebamcheck.pipeline.cross_check import CrossCheck
 from ebamcheck.pipeline.entry_program import write_entry
 from ebamcheck.pipeline.fitted import FitResult, fitted
 from ebamcheck.pipeline.gates import Gate
+from ebamcheck.pipeline.live_program import write_live
 from ebamcheck.pipeline.plate_record import plate_record
 from ebamcheck.pipeline.work import Job
 from ebamcheck.program import Check, mark_validated, program_summary, read_program, verify_program
@@ -70,6 +71,8 @@ class ProgramResult:
     """Files of the program, marked validated where it is."""
     entry: Mapping[str, Any] | None
     """Record of the program that begins at a layer; None where none is asked for."""
+    live: Mapping[str, Any] | None
+    """Record of the main program that waits between layers; None where none is asked for."""
     gates: tuple[Gate, ...]
 
 
@@ -108,8 +111,10 @@ def make_program(
         path = planned_path(beads, plan, config)
         totals = _write_events(job, path, plan)
         header = {"PART SHA-256": job.part.source_sha256 or job.part.sha256}
-        write_program = control(config.machine.control).load("writer")
-        files: ProgramFiles = write_program(beads, plan, config, job.folder.program_folder, header=header)
+        own = control(config.machine.control)
+        files: ProgramFiles = own.written(
+            beads, plan, config, job.folder.program_folder, header=header, path=path
+        )
         proof = _verified(
             job, files, _Made(beads, plan, path, layers, smooth), _witness(job, layers, checked.done)
         )
@@ -124,11 +129,14 @@ def make_program(
         files = mark_validated(files)
     entry = None
     if job.from_layer > 1:
-        entry = write_entry(
-            files, job.from_layer, deposition_heights(layers.heights, config.layer_height_mm), config
-        )
+        z_of = deposition_heights(layers.heights, config.layer_height_mm, config.base_mm)
+        entry = write_entry(files, job.from_layer, z_of, config)
         job.observer.note(f"program from layer {job.from_layer} on: {entry['check']['text']}")
-    return ProgramResult(fit_result, plan, totals, proof, files, entry, made)
+    live = None
+    if job.live:
+        live = write_live(job.folder.path, config, float(job.part.size[2]), files.validated, header)
+        job.observer.note(f"waiting main program {live['name']}: {live['check']['text']}")
+    return ProgramResult(fit_result, plan, totals, proof, files, entry, live, made)
 
 
 def smooth_layers(curves: Curves) -> Layers:
@@ -212,7 +220,7 @@ def _verified(job: Job, files: ProgramFiles, made: _Made, witness: Layers) -> Pr
         )
     job.add_finding(*noticed.of_limit(checks, made.plan, config))
     checks += _weighed(job, program, witness)
-    checks = told(checks, program, made.contours.heights, config.layer_height_mm)
+    checks = told(checks, program, made.contours.heights, config.layer_height_mm, config.base_mm)
     summary = program_summary(program, config)
     summary.to_csv(job.folder.path / "program.csv", index=False)
     job.add_finding(*noticed.of_interpass(summary, made.plan, config))

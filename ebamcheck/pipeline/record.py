@@ -23,6 +23,7 @@ from ebamcheck.pipeline.entry_program import FOLDER as ENTRY
 from ebamcheck.pipeline.fitted import FitResult
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.independence import evidence_records
+from ebamcheck.pipeline.live_program import FOLDER as LIVE
 from ebamcheck.pipeline.plate_record import PLATE, plate_record
 from ebamcheck.pipeline.programming import ProgramResult
 from ebamcheck.pipeline.run_folder import FINGERPRINT, FORMAT_VERSION, MANIFEST
@@ -77,7 +78,7 @@ def manifest(
             name: _backend_record(job, outcome, comparison.stacks.get(name))
             for name, outcome in outcomes.items()
         },
-        "comparison": _comparison_record(comparison, job.config.layer_height_mm),
+        "comparison": _comparison_record(comparison, job.config),
         **_plate(job, program),
         **(_program_records(program, job.config) if program else {}),
         "gates": [asdict(gate) for gate in gates],
@@ -104,7 +105,7 @@ def _timings(job: Job, outcomes: Mapping[str, Outcome]) -> dict[str, Any]:
     }
 
 
-def _comparison_record(comparison: Comparison, first_layer_mm: float) -> dict[str, Any]:
+def _comparison_record(comparison: Comparison, config: Config) -> dict[str, Any]:
     """How the backends compare, over all layers."""
     return {
         "compared_layers": comparison.compared_layers,
@@ -114,7 +115,7 @@ def _comparison_record(comparison: Comparison, first_layer_mm: float) -> dict[st
         "pairs": _pair_records(comparison.pairs),
         "evidence": evidence_records(comparison),
         "no_evidence": dict(comparison.without_weight),
-        "findings": _disagreements(comparison, first_layer_mm),
+        "findings": _disagreements(comparison, config),
     }
 
 
@@ -145,12 +146,13 @@ def _program_records(made: ProgramResult, config: Config) -> dict[str, Any]:
             {"name": name, "sha256": files.sha256[name], "blocks": files.blocks[name]} for name in files.names
         ],
     }
+    others = {ENTRY: made.entry, LIVE: made.live}
     return {
         "fit": _fit_record(made.fit),
         **({"reference": reference} if reference is not None else {}),
         "kinematics": proof.kinematics.to_dict(orient="index"),
         "heat": {"limit_k": entry_limit_k(config), "build_s": proof.build_s},
-        "program": {**program, **({ENTRY: made.entry} if made.entry is not None else {})},
+        "program": {**program, **{name: other for name, other in others.items() if other is not None}},
         "scan": {
             "order": config.scan.order,
             "seed": config.scan.seed,
@@ -175,10 +177,10 @@ def _fit_record(made: FitResult) -> dict[str, Any]:
     }
 
 
-def _disagreements(comparison: Comparison, first_layer_mm: float) -> list[dict[str, Any]]:
+def _disagreements(comparison: Comparison, config: Config) -> list[dict[str, Any]]:
     """Disagreements with the layer as the program names it, and its height there."""
     heights = comparison.layers["height_mm"].to_numpy(np.float64)
-    z_mm = deposition_heights(heights, first_layer_mm).tolist()
+    z_mm = deposition_heights(heights, config.layer_height_mm, config.base_mm).tolist()
     return [
         {**asdict(f), "program_layer": f.layer + 1, "program_z_mm": z_mm[f.layer]}
         for f in comparison.findings

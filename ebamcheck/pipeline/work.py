@@ -63,6 +63,8 @@ class Job:
     findings: list[Finding] = field(default_factory=list)
     from_layer: int = 1
     """Layer, from 1, at which a second program begins, to go on after a break; 1: none is written."""
+    live: bool = False
+    """Whether a main program that waits between layers is written, too."""
 
     def add_finding(self, *findings: Finding) -> None:
         """Add what a person has to know of this job, whatever becomes of its gates."""
