@@ -16,7 +16,7 @@ Speed = Annotated[float, Between(0.001, 1e6)]
 Acceleration = Annotated[float, Between(0.01, 1e7)]
 """Acceleration of an axis, mm/s2."""
 
-Jerk = Annotated[float, Between(0.1, 1e16)]
+Jerk = Annotated[float, Between(0.1, 1e12)]
 """Jerk of an axis, mm/s3."""
 
 PRINTED_PATH_MM = 1e-4
