@@ -38,7 +38,9 @@ TIE = 1e-12
 """Sums closer than this share are equal: rounding must not decide between ends that mirror each other."""
 
 
-def cool_ways(heat: IslandHeat, drive: IslandDrive, order: Ints, rapid_mm_s: float, longest_mm: float) -> Ints:
+def cool_ways(
+    heat: IslandHeat, drive: IslandDrive, order: Ints, rapid_mm_s: float, longest_mm: float
+) -> Ints:
     """Choose the way by which each island is entered.
 
     Parameters
@@ -60,7 +62,9 @@ def cool_ways(heat: IslandHeat, drive: IslandDrive, order: Ints, rapid_mm_s: flo
     at = modes_at_entries(heat, drive)
     least_k, allowed_mm, every = np.inf, longest_mm, np.arange(len(order))
     for n in range(ROUNDS + 1):
-        start_s, end_s, travel_mm = clocked_by(order, drive.entry, drive.leave, drive.time_s, rapid_mm_s, ways)
+        start_s, end_s, travel_mm = clocked_by(
+            order, drive.entry, drive.leave, drive.time_s, rapid_mm_s, ways
+        )
         rise_k = rises_at_entries(heat, at, order, start_s, end_s, ways)
         found_k = high_mean(rise_k[every, ways])
         if n == 0:
@@ -96,7 +100,9 @@ def rises_at_entries(
     old_k = old_at_entries(
         *heat.columns, order, start_s, end_s, near.horizon_s, heat.start_k.copy(), np.ascontiguousarray(at)
     )
-    return np.asarray(old_k + young_at_entries(near, heat.source_k_s, order, start_s, end_s, ways), np.float64)
+    return np.asarray(
+        old_k + young_at_entries(near, heat.source_k_s, order, start_s, end_s, ways), np.float64
+    )
 
 
 def affordable(rise_k: Floats, order: Ints, entry: Floats, leave: Floats, longest_mm: float) -> Ints:

@@ -177,7 +177,9 @@ class OrderComparison:
         islands = self.islands if seed == self.islands.seed else self.laid.choices(self.profile, seed)
         order = scan_order(name, islands)
         ways = entry_ways(name, islands, order)
-        plan = stack_plans([in_order(OrderedLayer(self.laid, islands, order, ways))], self.profile, name, seed)
+        plan = stack_plans(
+            [in_order(OrderedLayer(self.laid, islands, order, ways))], self.profile, name, seed
+        )
         driven = simulate_order(plan, self.profile)
         count = len(order)
         rank = np.empty(count, np.int64)
@@ -207,7 +209,5 @@ class OrderComparison:
         drive = islands.driven
         if (ways < 0).any():
             ways = ways_driven(order, drive.entry, drive.leave)
-        rises_k = rises_at_entries(
-            self.heat, modes_at_entries(self.heat, drive), order, start_s, end_s, ways
-        )
+        rises_k = rises_at_entries(self.heat, modes_at_entries(self.heat, drive), order, start_s, end_s, ways)
         return np.asarray(rises_k[np.arange(len(order)), ways], np.float64)
