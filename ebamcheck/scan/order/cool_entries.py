@@ -59,16 +59,16 @@ def cool_ways(
     best = ways = ways_driven(order, drive.entry, drive.leave)
     if len(order) < 2:
         return best
-    at = modes_at_entries(heat, drive)
-    least_k, allowed_mm, every = np.inf, longest_mm, np.arange(len(order))
+    columns = order, drive.entry, drive.leave, drive.time_s, rapid_mm_s
+    start_s, end_s, travel_mm = clocked_by(*columns, ways)
+    allowed_mm = max(longest_mm, travel_mm)
+    # Other ends change the times by a fraction of a second: old heat, which is most of the work, does not see it.
+    old_k = _old_k(heat, modes_at_entries(heat, drive), order, start_s, end_s)
+    least_k, every = np.inf, np.arange(len(order))
     for n in range(ROUNDS + 1):
-        start_s, end_s, travel_mm = clocked_by(
-            order, drive.entry, drive.leave, drive.time_s, rapid_mm_s, ways
-        )
-        rise_k = rises_at_entries(heat, at, order, start_s, end_s, ways)
+        start_s, end_s, _ = clocked_by(*columns, ways)
+        rise_k = old_k + young_at_entries(heat.fresh, heat.source_k_s, order, start_s, end_s, ways)
         found_k = high_mean(rise_k[every, ways])
-        if n == 0:
-            allowed_mm = max(longest_mm, travel_mm)
         if found_k < least_k * (1.0 - TIE):
             best, least_k = ways, found_k
         if n < ROUNDS:
@@ -96,13 +96,14 @@ def rises_at_entries(
     ways
         (I,) ways by which the islands are driven.
     """
-    near = heat.fresh
-    old_k = old_at_entries(
-        *heat.columns, order, start_s, end_s, near.horizon_s, heat.start_k.copy(), np.ascontiguousarray(at)
-    )
-    return np.asarray(
-        old_k + young_at_entries(near, heat.source_k_s, order, start_s, end_s, ways), np.float64
-    )
+    young_k = young_at_entries(heat.fresh, heat.source_k_s, order, start_s, end_s, ways)
+    return np.asarray(_old_k(heat, at, order, start_s, end_s) + young_k, np.float64)
+
+
+def _old_k(heat: IslandHeat, at: Floats, order: Ints, start_s: Floats, end_s: Floats) -> Floats:
+    """Rises (I, 4) by heat older than the horizon, at ends with modes (I, 4, K)."""
+    horizon_s = heat.fresh.horizon_s
+    return old_at_entries(*heat.columns, order, start_s, end_s, horizon_s, heat.start_k.copy(), at)
 
 
 def affordable(rise_k: Floats, order: Ints, entry: Floats, leave: Floats, longest_mm: float) -> Ints:

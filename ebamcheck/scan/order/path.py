@@ -8,7 +8,6 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.filling.turns import JOINED_MM
 
-
 NEAREST = -1
 """Way of an island that is entered from its corner nearest to where the last one ended."""
 
