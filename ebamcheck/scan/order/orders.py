@@ -49,9 +49,6 @@ LAST, ANY, SUM, FARTHEST = 0, 1, 2, 3
 
 NO_LINES = Vectors(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)))
 
-FOR_ENTRIES = 0.03
-"""Share of the travel of `thermal` that its order leaves for entering islands at cooler ends than the nearest ones."""
-
 TIE_MM = 1e-6
 """Distances closer than this are equal: a lattice is full of ties, which rounding must not decide."""
 
@@ -237,7 +234,7 @@ def thermal(islands: LayerIslands) -> Ints:
         islands.neighbours,
         islands.profile.machine.rapid_mm_s,
         width_mm=float(np.sqrt(islands.area_mm2.mean())),
-        longest_mm=(1.0 - FOR_ENTRIES) * longest_travel_mm(islands),
+        longest_mm=longest_travel_mm(islands),
         start_travel_mm=settings.start_travel_mm,
         steps=settings.annealing_steps,
         random=islands.random(),
