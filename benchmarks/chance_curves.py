@@ -24,7 +24,7 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.slicers.slicing import slice_part
 
 LAYERS = 4
-SAMPLES = 1500
+SAMPLES = 24_000
 
 TRUTH_SHARE = 0.01
 """Chord error of the truth over that of the mesh; and what it leaves undecided."""

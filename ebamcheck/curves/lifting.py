@@ -149,7 +149,7 @@ class Lifting:
         )
         ends = judge_ends(mesh)
         rough = mesh.rough.copy()
-        if ends.is_rough:
+        if ends.is_rough or not normals.offsets.on_surface:
             rough[mesh.sectors[mesh.kind == FREEFORM]] = True
         self.mesh = mesh._replace(scattered=ends.is_scattered, rough=rough)
 
