@@ -1,9 +1,10 @@
 """Offsets: whether the vertices of a mesh lie on the surface that it stands for, or beyond it, where a program put them.
 
 A lift believes that they do. Who tessellates a surface puts them there; who decimates a mesh by the planes of its facets
-puts each as far beyond the surface as its facets stand inside of it, so that a contour is right on average and a lift wrong
-everywhere. Two things tell. Rows: a tessellator's vertices have six edges nearly all. And what each vertex's neighbours
-say of its place: one that stands beyond them by the more, the longer its edges are, was put there.
+puts each beyond the surface, by the more the longer its edges are, and a whole lift comes out as far outside as the contour
+was inside. Two things tell. Rows: nearly all vertices of a tessellator have six edges. And what each vertex's neighbours
+say of its place, by regression over the mesh. Where a mesh has neither rows nor enough vertices to ask, as what is left of a
+CAD solid after many collapses, nothing speaks for a lift.
 """
 
 from __future__ import annotations
@@ -48,6 +49,11 @@ LARGEST_OFFSET = 0.15
 """Of its sagitta, by which a vertex may stand beyond the surface, error included: scattered points and collapses onto what
 is left of the vertices give -0.1 to 0, collapses to the best place for the planes about it 0.3 to 0.8."""
 
+HALF = 0.5
+"""Of a lift that is made where vertices stand beyond the surface. The best place for the planes of the facets that went up in
+a vertex, those up to half an edge away, is half a sagitta beyond it; the facets between such vertices stand half a sagitta
+inside on average."""
+
 ERRORS = 2.0
 """Standard errors that count as part of an offset."""
 
@@ -70,11 +76,13 @@ class Offsets(NamedTuple):
     """Standard error of that."""
 
     @property
-    def on_surface(self) -> bool:
-        """Whether there is evidence that the vertices lie on the surface, or too few of them to ask."""
+    def lift_share(self) -> float:
+        """Of a lift, that there is evidence for; all of it where there are too few vertices to ask."""
         if self.inner < LEAST_INNER or self.in_rows >= IN_ROWS:
-            return True
-        return self.told >= LEAST_TOLD and self.offset + ERRORS * self.error <= LARGEST_OFFSET
+            return 1.0
+        if self.told < LEAST_TOLD:
+            return 0.0
+        return 1.0 if self.offset + ERRORS * self.error <= LARGEST_OFFSET else HALF
 
 
 NOTHING_TOLD = Offsets(0, 0.0, 0, 0.0, np.inf)
