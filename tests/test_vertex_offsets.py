@@ -44,21 +44,25 @@ def quadric() -> Triangles:
 
 def test_rows_of_a_tessellator_are_evidence() -> None:
     found = offsets(grid(12))
-    assert found.in_rows > 0.95 and found.lift_share == 1.0
+    assert found.in_rows > 0.95
+    assert found.lift_share == 1.0
 
 
 def test_vertices_that_split_edges_do_not_hide_the_rows() -> None:
     mesh = split_edges(grid(12), 120, 1e-5, 3)
     six = np.bincount(np.bincount(mesh.faces.reshape(-1)))[6] / len(mesh.vertices)
     found = offsets(mesh)
-    assert six < 0.8 < 0.85 <= found.in_rows and found.lift_share == 1.0
+    assert six < 0.8 < 0.85 <= found.in_rows
+    assert found.lift_share == 1.0
 
 
 @pytest.mark.parametrize("points", [300, 1500])
 def test_scattered_points_of_a_surface_are_known_to_lie_on_it(points: int) -> None:
     found = offsets(irregular_convex(on_ellipsoid, points, 3))
-    assert found.in_rows < 0.4 and found.told >= 100
-    assert found.offset < 0.05 < LARGEST_OFFSET and found.lift_share == 1.0
+    assert found.in_rows < 0.4
+    assert found.told >= 100
+    assert found.offset < 0.05 < LARGEST_OFFSET
+    assert found.lift_share == 1.0
 
 
 def test_collapses_onto_vertices_that_are_left_leave_them_on_the_surface() -> None:
@@ -71,13 +75,15 @@ def test_collapses_to_the_best_place_for_planes_leave_vertices_beyond_the_surfac
     out = outside_mm(quadric)
     assert np.mean(out > 0.0) > 0.9  # what is to be found out
     found = offsets(quadric)
-    assert found.offset > LARGEST_OFFSET and found.lift_share == 0.5
+    assert found.offset > LARGEST_OFFSET
+    assert found.lift_share == 0.5
 
 
 def test_half_of_a_lift_is_nearer_where_vertices_stand_beyond_the_surface(quadric: Triangles) -> None:
     truth = part_of(grid(60), "truth")
     verdict = judge(Case("ellipsoid by quadrics", "by quadrics", part_of(quadric, "mesh"), truth, 2e-3))
-    assert verdict.held and verdict.gain > 0.5, str(verdict)
+    assert verdict.held, str(verdict)
+    assert verdict.gain > 0.5, str(verdict)
 
 
 def test_what_is_left_of_a_solid_after_many_collapses_is_not_lifted() -> None:
