@@ -129,13 +129,15 @@ def _accepted(
         allowed = Allowances(free, np.zeros(len(layers.points), np.bool_))
         rounding_mm = 0.0
     slack_mm = settings.tolerance_mm + settings.near_point_mm + settings.collinear_mm
+    # A spline through points as uneven as those of a decimated mesh swings about the contour: its polygon does not.
+    uneven = lifting is not None and not lifting.is_in_rows
     curves = with_fallback(
         METHODS[method](layers, settings, lifting),
         layers,
         allowed,
         slack_mm,
         settings.near_point_mm + settings.collinear_mm + rounding_mm,
-        None if method in INTERPOLATING else lambda some: METHODS["chord"](some, settings, None),
+        None if method in INTERPOLATING or uneven else lambda some: METHODS["chord"](some, settings, None),
     )
     if allowing is None and curves.evidence is not None:
         curves = replace(curves, evidence=replace(curves.evidence, known=False))

@@ -64,9 +64,14 @@ class Offsets(NamedTuple):
     """Standard error of that."""
 
     @property
+    def is_in_rows(self) -> bool:
+        """Whether the mesh is a tessellator's; so is one with too few vertices to ask."""
+        return self.inner < LEAST_INNER or self.in_rows >= IN_ROWS
+
+    @property
     def lift_share(self) -> float:
-        """Of a lift, that there is evidence for; all of it where there are too few vertices to ask."""
-        if self.inner < LEAST_INNER or self.in_rows >= IN_ROWS:
+        """Of a lift, that there is evidence for."""
+        if self.is_in_rows:
             return 1.0
         if self.told < LEAST_TOLD:
             return 0.0
@@ -139,16 +144,15 @@ def _splitting(
         for place in range(starts[s], starts[s + 1]):
             f, k = corners[place] // 3, corners[place] % 3
             v, a = faces[f, k], faces[f, (k + 1) % 3]
-            least, third = 1.0, -1
+            least = 1.0
             for other in range(starts[s], starts[s + 1]):
                 g, m = corners[other] // 3, corners[other] % 3
                 least = min(least, _cosine(vertices, v, a, faces[g, (m + 1) % 3]))
             if least > IN_LINE_COSINE:
                 continue
             # Two of the four lie on the line; the corner that follows `a` in its facet is one of the other two.
-            third = fans[f, (k + 2) % 3]
             split[s] = True
-            fewer[third] += 1
+            fewer[fans[f, (k + 2) % 3]] += 1
     return split, fewer
 
 
