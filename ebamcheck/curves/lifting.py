@@ -153,8 +153,6 @@ class Lifting:
         )
         ends = judge_ends(mesh)
         rough = mesh.rough.copy()
-        self.is_in_rows = normals.offsets.is_in_rows
-        """Whether the mesh is a tessellator's, whose contours have even points."""
         share = normals.offsets.lift_share
         if ends.is_rough or share == 0.0:
             rough[mesh.sectors[mesh.kind == FREEFORM]] = True
