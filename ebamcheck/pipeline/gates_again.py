@@ -63,7 +63,17 @@ SAME_POINT_MM = 1e-6
 PROGRAM = "program"
 """The gate whose figure counts checks, of which more are made here than in a run."""
 
-OF_TEXT_ALONE = (ENTRY, "readable", "coverage", "gaps", "hatch spacing", "lines laid once", LINES, CROSSINGS, HANDSHAKE)
+OF_TEXT_ALONE = (
+    ENTRY,
+    "readable",
+    "coverage",
+    "gaps",
+    "hatch spacing",
+    "lines laid once",
+    LINES,
+    CROSSINGS,
+    HANDSHAKE,
+)
 """Checks that are made here and not by a run, which has its plan to compare with."""
 
 
