@@ -18,8 +18,7 @@ from ebamcheck.pipeline.choice import chosen_backends, primary_backend, unavaila
 from ebamcheck.pipeline.cross_check import CrossCheck, cross_check
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.live_program import check_waits
-from ebamcheck.pipeline.plate_record import PLATE, plate_record
-from ebamcheck.pipeline.programming import make_program
+from ebamcheck.pipeline.programming import ProgramResult, make_program
 from ebamcheck.pipeline.record import manifest as make_manifest
 from ebamcheck.pipeline.report_writers import write_reports
 from ebamcheck.pipeline.run_folder import (
@@ -35,6 +34,9 @@ from ebamcheck.program.language.templates import usable_templates
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import checked_window, outside_window, unusual_layers
 from ebamcheck.version import __version__
+
+ProgramStage = Callable[[Job, CrossCheck, bool], ProgramResult]
+"""Makes a program from agreed contours; its last argument tells whether all gates so far are passed."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +111,7 @@ def run_job(
     part.preflight.stop("run")
     fine = read_reference(reference, part_path, config.part) if reference else None
 
-    def program(job: Job, checked: CrossCheck, sound: bool) -> list[Gate]:
+    def program(job: Job, checked: CrossCheck, sound: bool) -> ProgramResult:
         return make_program(job, _primary(job, checked), checked, fine, sound)
 
     inputs = [fine.sha256 if fine else ""]
@@ -144,7 +146,7 @@ def _job(
     inputs: list[str],
     resume: bool,
     observer: Observer | None,
-    program: Callable[[Job, CrossCheck, bool], list[Gate]] | None,
+    program: ProgramStage | None,
     force: bool,
     from_layer: int = 1,
     live: bool = False,
@@ -183,12 +185,12 @@ def _finished(
     job: Job,
     backends: Mapping[str, BackendSettings],
     resume: bool,
-    program: Callable[[Job, CrossCheck, bool], list[Gate]] | None,
+    program: ProgramStage | None,
 ) -> RunResult:
     """All stages from slicing to the finished folder."""
     checked = cross_check(job, backends, resume)
     outcomes = {**checked.outcomes, **unavailable_backends(job.config)}
-    shut = [
+    judged = [
         gates.input_gate(job.found),
         gates.agreement_gate(
             checked.comparison, outcomes, len(job.heights), job.config.layer_height_mm, job.config.base_mm
@@ -196,22 +198,22 @@ def _finished(
     ]
     job.add_finding(*noticed.of_doubt(checked.comparison.pairs, job.config))
     job.add_finding(*(noticed.unavailable(o) for o in outcomes.values() if o.failure == "unavailable"))
-    if parts := plate_record(job.part, job.config):
-        job.record[PLATE] = parts
-    if program is not None and _primary(job, checked):
+    primary, made = _primary(job, checked), None
+    if program is not None and primary:
         job.add_finding(*noticed.of_profile(job.config))
-        shut += program(job, checked, all(gate.passed for gate in shut))
-    code = gates.exit_code(shut, checked.comparison.compared_layers, outcomes)
+        made = program(job, checked, all(gate.passed for gate in judged))
+        judged += made.gates
+    code = gates.exit_code(judged, checked.comparison.compared_layers, outcomes)
     if code is ExitCode.PASS and has_fault(job.findings):
         code = ExitCode.OUT_OF_TOLERANCE
-    manifest = make_manifest(job, outcomes, checked.comparison, shut, _primary(job, checked), code)
+    manifest = make_manifest(job, outcomes, checked.comparison, primary, made, judged, code)
     job.folder.write_manifest(manifest)
     write_reports(job.folder.path, job.observer.note)
     if program is not None:
         # Last of all: it lists every file, and so finds any byte that is changed after it.
         write_certificate(RunFolder(job.folder.path))
     (job.folder.path / FINGERPRINT).unlink()
-    return RunResult(job.folder.finish(), tuple(shut), code, manifest)
+    return RunResult(job.folder.finish(), tuple(judged), code, manifest)
 
 
 def _result(run: RunFolder) -> RunResult:
