@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
 
@@ -13,7 +12,7 @@ from benchmarks.faults.subjects import SUBJECTS
 from ebamcheck.pipeline import run_job
 from ebamcheck.pipeline.gates_again import exchanged_layers
 from ebamcheck.pipeline.run_folder import RunFolder
-from ebamcheck.pipeline.verify import verify_against_part, verify_run
+from ebamcheck.pipeline.verify import verify_against_part
 from ebamcheck.program.checking.hatch_form import BACK, FINE, SKEW, UNEVEN, form_of
 from ebamcheck.program.checking.interpass_checks import scheduled_shares
 from ebamcheck.settings.config import Config
@@ -86,7 +85,7 @@ def made(tmp_path_factory):
     def run(control):
         if control not in known:
             config = SUBJECTS["cube"].config(control)
-            run_job(part, folder / control, config, from_layer=2)
+            run_job(part, folder / control, config)
             known[control] = (folder / control, part, config)
         return known[control]
 
@@ -229,35 +228,3 @@ def test_layers_of_one_slicer_in_the_file_of_another_are_found_on_a_plane_part(m
     assert exchanged_layers(folder, record, fresh, witness) == ()
     shutil.copyfile(folder.layers_file(record["primary"]), folder.layers_file(witness))
     assert exchanged_layers(folder, record, fresh, witness) == (witness,)
-
-
-@pytest.mark.parametrize("control", ["sinumerik-840d-sl", "linuxcnc", "plain-gcode"])
-def test_a_run_writes_and_proves_a_program_from_a_layer_on(made, control):
-    run, part, _ = made(control)
-    entry = json.loads((run / "run.json").read_text())["program"]["entry"]
-    assert entry["validated"]
-    assert entry["layer"] == 2
-    main = (run / "entry" / entry["files"][0]["name"]).read_text()
-    assert "; ENTRY: AT LAYER 2 OF 3" in main
-    checks = {c.name: c for c in verify_run(run, part)}
-    assert checks["entry"].passed
-    assert all(c.passed for c in checks.values())
-
-
-@pytest.mark.parametrize(
-    ("pattern", "by"), [(r"^G1 X(-?\d+)\.", r"G1 X\g<1>1."), (r"^G0 Z\d+", "G0 Z1"), (r"F600", "F601")]
-)
-def test_an_entry_program_that_differs_from_the_whole_is_found(made, tmp_path, pattern, by):
-    from ebamcheck.pipeline.entry_program import checked_again
-    from ebamcheck.program.toolpath.inputs import deposition_heights
-
-    run, _, config = made("plain-gcode")
-    copy = tmp_path / "run"
-    shutil.copytree(run, copy)
-    record = RunFolder(copy).manifest()["program"]
-    main = copy / "entry" / record["entry"]["files"][0]["name"]
-    main.write_text(re.sub(pattern, by, main.read_text(), count=1, flags=re.MULTILINE))
-    heights = RunFolder(copy).read_layers(record["witness"]).heights
-    z_of = deposition_heights(heights, config.layer_height_mm)
-    (found,) = checked_again(copy, record, copy / "program" / record["files"][0]["name"], z_of, config)
-    assert not found.passed

@@ -121,7 +121,7 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
         sha256={file["name"]: file["sha256"] for file in record["files"]},
         truth=truth_of(manifest, config),
     )
-    z_of = deposition_heights(np.asarray(heights), config.layer_height_mm)
+    z_of = deposition_heights(np.asarray(heights), config.layer_height_mm, config.base_mm)
     main = run.program_folder / record["files"][0]["name"]
     made += [
         gates.fit_gate(verdict),
@@ -130,7 +130,9 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
         gates.heat_gate(checks, plan.metrics, config),
         gates.program_gate(checks),
     ]
-    checks += checked_again(run.path, record, main, z_of, config)
+    entry = checked_again(run.path, record, main, z_of, config)
+    made += [gates.entry_gate(check) for check in entry]
+    checks += entry
     told += [*noticed.of_profile(config), *noticed.of_metal(of_deposit(checks))]
     return Again(witness, tuple(made), agrees, tuple(told), tuple(checks), exchanged)
 

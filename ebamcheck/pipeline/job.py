@@ -106,7 +106,7 @@ def run_job(
     def program(job: Job, checked: CrossCheck, sound: bool) -> list[Gate]:
         return make_program(job, _primary(job, checked), checked, fine, sound)
 
-    inputs = [fine.sha256 if fine else ""]
+    inputs = [fine.sha256 if fine else "", f"from layer {from_layer}"]
     return _job("run", part, target, config, inputs, resume, observer, program, force, from_layer)
 
 

@@ -17,7 +17,7 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline import gates, noticed
 from ebamcheck.pipeline.cross_check import CrossCheck
 from ebamcheck.pipeline.entry_program import FOLDER as ENTRY
-from ebamcheck.pipeline.entry_program import write_entry
+from ebamcheck.pipeline.entry_program import Entry, write_entry
 from ebamcheck.pipeline.fitted import fitted
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.plate_record import PLATE, plate_record
@@ -88,20 +88,29 @@ def make_program(
         "islands": len(plan.islands),
         **totals,
     }
+    entry, files = _entry(job, layers), job.record.pop("files")
+    if entry is not None:
+        made.append(gates.entry_gate(entry.check))
     if validated_so_far and all(gate.passed for gate in made) and not has_fault(job.findings):
-        files = mark_validated(job.record.pop("files"))
-    else:
-        files = job.record.pop("files")
+        files = mark_validated(files)
+        entry = entry and entry.marked_validated()
     job.record["program"]["validated"] = files.validated
     job.record["program"]["files"] = [
         {"name": name, "sha256": files.sha256[name], "blocks": files.blocks[name]} for name in files.names
     ]
-    if job.from_layer > 1:
-        z_of = deposition_heights(layers.heights, config.layer_height_mm)
-        entry = write_entry(files, job.from_layer, z_of, config)
-        job.record["program"][ENTRY] = entry
-        job.observer.note(f"program from layer {job.from_layer} on: {entry['check']['text']}")
+    if entry is not None:
+        job.record["program"][ENTRY] = entry.record()
     return made
+
+
+def _entry(job: Job, layers: Layers) -> Entry | None:
+    """Write the program from a layer on, where one is asked for, and tell what its check found."""
+    if job.from_layer <= 1:
+        return None
+    z_of = deposition_heights(layers.heights, job.config.layer_height_mm, job.config.base_mm)
+    entry = write_entry(job.record["files"], job.from_layer, z_of, job.config)
+    job.observer.note(f"program from layer {job.from_layer} on: {entry.check.in_words()}")
+    return entry
 
 
 def smooth_layers(curves: Curves) -> Layers:
