@@ -37,6 +37,7 @@ from ebamcheck.pipeline.placement import cut_heights
 from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.plugins import registry
 from ebamcheck.program import Check, verify_file
+from ebamcheck.program.checking.bead_wire import NAME as WIRE_OF_BEADS
 from ebamcheck.program.checking.deposit_checks import of_deposit
 from ebamcheck.program.checking.entry_check import NAME as ENTRY
 from ebamcheck.program.checking.hatch_form import CROSSINGS, LINES
@@ -61,7 +62,9 @@ SAME_POINT_MM = 1e-6
 PROGRAM = "program"
 """The gate whose figure counts checks, of which more are made here than in a run."""
 
-OF_TEXT_ALONE = (ENTRY, "readable", "coverage", "gaps", "hatch spacing", "lines laid once", LINES, CROSSINGS)
+OF_TEXT_ALONE = (
+    ENTRY, "readable", "coverage", "gaps", "hatch spacing", "lines laid once", LINES, CROSSINGS, WIRE_OF_BEADS,
+)  # fmt: skip
 """Checks that are made here and not by a run, which has its plan to compare with."""
 
 

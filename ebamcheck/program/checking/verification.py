@@ -45,6 +45,7 @@ from ebamcheck.program.checking.text_heat import known_sections
 from ebamcheck.program.checking.value_checks import value_check
 from ebamcheck.program.checking.window_checks import window_check
 from ebamcheck.program.checking.wire_checks import wire_check
+from ebamcheck.program.checking.word_checks import words_check
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.reading.reader import read_program
 from ebamcheck.program.reading.roles import by_height, by_section
@@ -158,6 +159,7 @@ def verify_program(
     checks += [*bead_end_checks(nc, config, shares), closure_check(nc, curves, tolerance_mm)]
     checks += [
         repeated_blocks(nc),
+        words_check(nc),
         window_check(nc, config),
         value_check(nc, config),
         *process_checks(nc, config),
