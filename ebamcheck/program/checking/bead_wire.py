@@ -39,7 +39,7 @@ is what a layer needs on the surface that is there."""
 AT_LIMIT = 0.01
 """A bead within this of the least or greatest wire cannot have less, or more."""
 
-LEAST_BEADS = 0.5
+LEAST_BEADS = 0.1
 """Length of a bead, in bead widths, under which it has hardly a place of its own."""
 
 

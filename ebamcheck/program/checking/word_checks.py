@@ -1,7 +1,7 @@
 """Check of the words of the motions that lay metal: a program that names X and Y in every block names them in each.
 
-An axis that is left out stays where it was: a word that was lost leaves a motion that every control drives, to a wrong place.
-Programs of another form, in which blocks name what changes, show no such loss and are left out.
+An axis that is left out stays where it was: a word that was lost leaves a motion that every control drives, to a wrong place;
+and a way that was lost leaves the tool over the last bead. Programs of another form, in which blocks name what changes, show no such loss and are left out.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import numpy as np
 
 from ebamcheck.program.checking.checks import Check, count_check
 from ebamcheck.program.reading.motions import RAPID, NCProgram
+from ebamcheck.program.reading.roles import beads_of
 
 NAME = "words of motions"
 
@@ -23,20 +24,46 @@ MOST_WHOLE = 0.9
 
 
 def words_check(nc: NCProgram) -> Check:
-    """Check that no block of a bead lacks an axis that nearly all others name."""
+    """Check that no block of a bead lacks an axis that nearly all others name, and no way to a bead lacks its place."""
+    lines = [file.data.split(b"\n") for file in nc.files]
+    text = f"{len(nc)} motions name X and Y as the others do"
+    return count_check(NAME, [*_blocks(nc, lines), *_ways(nc, lines)], text)
+
+
+def _blocks(nc: NCProgram, lines: list[list[bytes]]) -> list[tuple[str, str]]:
+    """Blocks of metal that lack an axis."""
     metal = np.flatnonzero(nc.deposit & (nc.kind != RAPID))
     places = sorted(set(zip(nc.file[metal].tolist(), nc.line[metal].tolist(), strict=True)))
-    lines = [file.data.split(b"\n") for file in nc.files]
-    lacking = []
-    for file, line in places:
-        code = _ASIDE.sub(b"", lines[file][line - 1]).upper()
-        absent = [axis for axis in "XY" if axis.encode() not in code]
-        if absent:
-            lacking.append((f"{nc.files[file].name}:{line}", f"names no {' and no '.join(absent)}"))
+    lacking = [(file, line, absent) for file, line in places if (absent := _absent(lines[file][line - 1]))]
     whole = len(places) - len(lacking)
     if whole < MOST_WHOLE * len(places):
-        return count_check(
-            NAME, [], f"{whole} of {len(places)} blocks of beads name X and Y: no form of the program"
+        return []  # A program in which blocks name what changes.
+    return [
+        (
+            f"{nc.files[file].name}:{line}",
+            f"names no {' and no '.join(absent)}, as {whole} other blocks of beads do",
         )
-    faults = [(where, f"{what}, as the {whole} other blocks of beads do") for where, what in lacking]
-    return count_check(NAME, faults, f"{len(places)} blocks of beads name X and Y")
+        for file, line, absent in lacking
+    ]
+
+
+def _ways(nc: NCProgram, lines: list[list[bytes]]) -> list[tuple[str, str]]:
+    """Beads to which the tool rises and descends without a rapid in X or Y between."""
+    beads = beads_of(nc)
+    before = np.concatenate([[-1], beads.last[:-1]]) if len(beads) else beads.last
+    bare, hops = [], 0
+    for after, first in zip(before.tolist(), beads.first.tolist(), strict=True):
+        rapids = [row for row in range(after + 1, first) if nc.kind[row] == RAPID]
+        codes = [lines[nc.file[row]][nc.line[row] - 1] for row in rapids]
+        hops += bool(codes)
+        if codes and all(_absent(code) == ["X", "Y"] for code in codes):
+            bare.append(
+                (nc.where(first), "is reached by a rise and a descent on one spot: the way to it is missing")
+            )
+    return bare if len(bare) <= (1.0 - MOST_WHOLE) * hops else []
+
+
+def _absent(line: bytes) -> list[str]:
+    """Axes of the plane that a block does not name."""
+    code = _ASIDE.sub(b"", line).upper()
+    return [axis for axis in "XY" if axis.encode() not in code]
