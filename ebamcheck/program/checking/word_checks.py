@@ -22,6 +22,9 @@ _ASIDE = re.compile(rb"\([^)]*\)|;.*")
 MOST_WHOLE = 0.9
 """Share of the blocks with metal that name both axes from which on it is the form of the program to do so."""
 
+FEW = 2
+"""So many beads without a way are a loss in a program of any size."""
+
 
 def words_check(nc: NCProgram) -> Check:
     """Check that no block of a bead lacks an axis that nearly all others name, and no way to a bead lacks its place."""
@@ -60,7 +63,7 @@ def _ways(nc: NCProgram, lines: list[list[bytes]]) -> list[tuple[str, str]]:
             bare.append(
                 (nc.where(first), "is reached by a rise and a descent on one spot: the way to it is missing")
             )
-    return bare if len(bare) <= (1.0 - MOST_WHOLE) * hops else []
+    return bare if len(bare) <= max(FEW, (1.0 - MOST_WHOLE) * hops) else []
 
 
 def _absent(line: bytes) -> list[str]:
