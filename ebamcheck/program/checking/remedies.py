@@ -37,6 +37,8 @@ REMEDIES: Mapping[str, str] = {
         ),
         AGAIN,
     ),
+    "increments": "make the program again for this profile (ebamcheck run), whose increments are machine.*_increment_*",
+    "ramps in time": "change the length of the ramp (process.ramp_up_mm, process.crater_fill_mm) or its window",
     **dict.fromkeys(("modes", "smoothing", "start state", "safe end", "beam", "wire", "wire retract"), PROFILE),
     **dict.fromkeys(("process window", "process values", "mass balance", "power", "melting power"), WINDOW),
     **dict.fromkeys(("section", "smooth section"), FIT),

@@ -20,6 +20,7 @@ from ebamcheck.program.checking.clearance import clearance_checks
 from ebamcheck.program.checking.deposit import deposit
 from ebamcheck.program.checking.deposit_checks import deposit_checks
 from ebamcheck.program.checking.header_checks import Truth, header_checks
+from ebamcheck.program.checking.increment_check import increment_check
 from ebamcheck.program.checking.interpass_checks import (
     heat_checks,
     layer_shares,
@@ -38,6 +39,7 @@ from ebamcheck.program.checking.path_checks import (
 )
 from ebamcheck.program.checking.plugged import plugged_checks
 from ebamcheck.program.checking.process_checks import process_checks
+from ebamcheck.program.checking.ramp_check import ramp_check
 from ebamcheck.program.checking.section_check import Evidence, section_check
 from ebamcheck.program.checking.state_checks import state_checks
 from ebamcheck.program.checking.text_checks import text_checks
@@ -160,6 +162,8 @@ def verify_program(
     checks += [
         repeated_blocks(nc),
         words_check(nc),
+        increment_check(nc, config),
+        ramp_check(nc, config),
         window_check(nc, config),
         value_check(nc, config),
         *process_checks(nc, config),
