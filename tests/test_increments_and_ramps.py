@@ -71,7 +71,7 @@ def test_values_between_the_increments_of_a_profile_are_found(control, tmp_path)
 @pytest.mark.parametrize("control", CONTROLS)
 def test_steps_that_are_one_to_the_control_are_not_set_twice(control, tmp_path):
     """Of four steps of power along a ramp, a coarse control has one or two: the value is written where it changes."""
-    word = {SINUMERIK: r"H2=([\d.]+)", LINUXCNC: r"M68 E1 Q([\d.]+)", PLAIN: r"^S([\d.]+)"}[control]
+    word = {SINUMERIK: r"H2=([\d.]+)", LINUXCNC: r"M67 E1 Q([\d.]+)", PLAIN: r"^S([\d.]+)"}[control]
     counts = []
     for step in (0.0, 60.0):
         coarse = {"current_increment_ma": step, "power_increment_w": 15.0 * step}
