@@ -33,6 +33,7 @@ from ebamcheck.pipeline.entry_program import checked_again
 from ebamcheck.pipeline.fit_evidence import FitVerdict, judged
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.independence import evidence_rule
+from ebamcheck.pipeline.loose_limits import loose_limits
 from ebamcheck.pipeline.placement import cut_heights
 from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.plugins import registry
@@ -104,7 +105,8 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
     agreement, agrees = _agreement(run, manifest, config, part, fresh, witness)
     exchanged = exchanged_layers(run, manifest, fresh, witness)
     made = [gates.input_gate(sound), agreement]
-    told = [*noticed.of_part(sound, config), *outside_window(config, "warning"), *unusual_layers(config)]
+    told = [*noticed.of_part(sound, config), *loose_limits(config)]
+    told += [*outside_window(config, "warning"), *unusual_layers(config)]
     record = manifest.get("program")
     if record is None:
         return Again(witness, tuple(made), agrees, tuple(told), exchanged=exchanged)

@@ -17,6 +17,7 @@ from ebamcheck.pipeline.certificate import write_certificate
 from ebamcheck.pipeline.choice import chosen_backends, primary_backend, unavailable_backends
 from ebamcheck.pipeline.cross_check import CrossCheck, cross_check
 from ebamcheck.pipeline.gates import Gate
+from ebamcheck.pipeline.loose_limits import loose_limits
 from ebamcheck.pipeline.plate_record import PLATE, plate_record
 from ebamcheck.pipeline.programming import make_program
 from ebamcheck.pipeline.record import manifest as make_manifest
@@ -161,7 +162,7 @@ def _job(
     job.from_layer = from_layer
     if begun.turned:
         job.add_finding(noticed.turned_over(begun.turned, len(part.faces)))
-    job.add_finding(*noticed.of_part(found, config))
+    job.add_finding(*noticed.of_part(found, config), *loose_limits(config))
     # A job without a program may cut layers that no process can lay.
     job.add_finding(*outside_window(config, "warning"), *unusual_layers(config))
     try:
