@@ -238,10 +238,11 @@ def main() -> None:
     parser.add_argument(
         "--render", action="store_true", help="Make the tables again from the figures in the folder."
     )
+    parser.add_argument("--bases", nargs="+", choices=BASES, default=BASES, help="only these bases")
     options = parser.parse_args()
     options.output.mkdir(parents=True, exist_ok=True)
     rows, tables = [], []
-    for base in BASES:
+    for base in options.bases:
         files = [options.output / f"{base}-{what}.csv" for what in ("plans", "ranks")]
         if not options.render:
             profile = Config().changed(process={"base": base})
@@ -257,6 +258,8 @@ def main() -> None:
         title = f"## {base} base: medians of {count} layers of {ranks['model'].nunique()} models, {islands:.0f} islands"
         tables.append(f"{title}\n\n{markdown(figures_table(plans))}")
     here, ran = machine(), ",".join(plans["order"].unique())
+    if list(options.bases) != list(BASES):
+        ran += f" --bases {' '.join(options.bases)}"
     what = (
         "Temperatures are rises over the chamber, K: `entry` of whole islands when the beam enters them, `entry_point` under "
         "the beam there (hottest spot at entry); `referee` by the nonlinear referee. `touching` is the share of islands "
