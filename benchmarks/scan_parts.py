@@ -23,7 +23,7 @@ from ebamcheck.numeric.rings import Ints
 from ebamcheck.plugins.model import models
 from ebamcheck.scan import LayerIslands, ScanPlan, plan_stack
 from ebamcheck.scan.islands.regions import layer_section
-from ebamcheck.scan.order.orders import scan_order
+from ebamcheck.scan.order.orders import entry_ways, scan_order
 from ebamcheck.scan.plan.laying import lay_islands
 from ebamcheck.scan.plan.whole_part import scan_part
 from ebamcheck.settings.config import Config
@@ -42,7 +42,7 @@ SETUP_S, PLAN_S, PART_S = 20.0, 1.0, 300.0
 
 
 def layer_rows() -> list[dict[str, Any]]:
-    """Set-up of the heat model and planning of the large layer; the first turn brings the compiled code up."""
+    """Set-up of the heat model of the large layer, and its order and entries; the first turn brings the compiled code up."""
     section, side_mm = LARGE
     profile = Config().changed(scan={"hexagon_side_mm": side_mm})
     laid = lay_islands(layer_section(section), profile, 0, 30.0)
@@ -51,7 +51,7 @@ def layer_rows() -> list[dict[str, Any]]:
         began = time.perf_counter()
         modes = islands.heat.mean.shape[0]
         ready = time.perf_counter()
-        scan_order("thermal", islands)
+        entry_ways("thermal", islands, scan_order("thermal", islands))
         done = time.perf_counter()
     what = f"a layer of {len(islands)} islands, {modes} modes"
     return [row(f"{what}: set-up", ready - began, SETUP_S), row(f"{what}: plan", done - ready, PLAN_S)]

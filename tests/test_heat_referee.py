@@ -14,7 +14,7 @@ from scipy.stats import kendalltau
 from ebamcheck.errors import GeometryError
 from ebamcheck.heat import HeatModel, Medium, depth_modes, rectangle_modes
 from ebamcheck.heat.enthalpy import enthalpy_tables
-from ebamcheck.heat.referee import judged, referee
+from ebamcheck.heat.referee import judged, referee, time_steps
 from ebamcheck.scan.plan.comparing import OrderComparison
 from ebamcheck.scan.plan.refereed import referee_of, refereed
 from ebamcheck.settings.config import Config
@@ -115,6 +115,27 @@ def test_a_warm_half_melts_and_cools_as_an_error_function():
     exact = 300 * (1 - erf((x - 60) / math.sqrt(4 * alpha * 20.0)))
     warm = model.tables.temperature(found.content[0, 0]) - model.ambient_k
     assert warm == pytest.approx(exact, abs=1.0)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.2, 0.45, 0.7, 0.95])
+def test_an_island_is_read_before_its_own_beam_comes(late):
+    # Wherever it is entered between two steps, a cold spot is cold: nothing of its own beam is read.
+    model = referee(shapely.box(0, 0, 60, 42), PROFILE, 5.0, 3.0)
+    enters_s = (10 + late) * model.longest_step_s
+    spot = shapely.buffer(shapely.points(LINE[:, :2]), 3.0)
+    found = judged(
+        model, model.cold(), LINE, np.array([enters_s]), np.array([enters_s + 5.0]), 6000.0, spot,
+        np.array([enters_s]), enters_s + 5.0,
+    )  # fmt: skip
+    assert found.absorbed_j == pytest.approx(30000.0, rel=1e-12)
+    assert found.entry_k == pytest.approx(0.0, abs=1e-6)
+
+
+def test_steps_end_where_islands_are_entered_and_none_is_too_long():
+    times = time_steps(10.0, 0.3, np.array([0.0, 0.31, 4.0, 12.0]))
+    assert {0.0, 0.31, 4.0, 10.0} <= set(times.tolist())
+    assert (np.diff(times) > 0.0).all()
+    assert np.diff(times).max() <= 0.3
 
 
 def test_on_constant_data_it_agrees_with_the_linear_model():

@@ -190,7 +190,7 @@ def judged(
     """
     first, cells, weights = model.reading(islands)
     readings = np.argsort(entered_s, kind="stable")
-    steps = max(1, math.ceil(until_s / model.longest_step_s))
+    times_s = time_steps(until_s, model.longest_step_s, entered_s)
     state = content.copy()
     entry_k, balance = driven_by_beam(
         state,
@@ -202,8 +202,7 @@ def judged(
         model.cooled,
         model.radiation_w_mm2k4,
         model.ambient_k,
-        until_s / steps,
-        steps,
+        times_s,
         np.column_stack([lines - np.tile(model.origin, 2), begin_s, end_s]),
         power_w,
         model.sigma_mm,
@@ -216,6 +215,16 @@ def judged(
     )
     entry_k[np.diff(first) == 0] = np.nan
     return Verdict(entry_k, state, *balance.tolist())
+
+
+def time_steps(until_s: float, longest_s: float, entered_s: Floats) -> Floats:
+    """Times (n + 1,) from 0 to the end between which the scheme steps: even ones, and those at which islands are read.
+
+    An island is read exactly when it is entered: half a step later it would hold heat of its own beam.
+    """
+    steps = max(1, math.ceil(until_s / longest_s))
+    even = np.linspace(0.0, until_s, steps + 1)
+    return np.union1d(even, np.clip(entered_s, 0.0, until_s))
 
 
 @kernel
@@ -237,8 +246,7 @@ def driven_by_beam(
     cooled: bool,
     radiation: float,
     ambient: float,
-    step_s: float,
-    steps: int,
+    times: Floats,
     lines: Floats,
     power: float,
     sigma: float,
@@ -257,11 +265,11 @@ def driven_by_beam(
     potential = np.zeros((layers, rows, columns))
     entry_k, balance = np.zeros(len(entered)), np.zeros(5)
     volume, face = cell[0] * cell[1] * cell[2], cell[0] * cell[1]
-    over = step_s / cell**2
+    steps = len(times) - 1
     line, reading = 0, 0
     for step in range(steps + 1):
-        now = step * step_s
-        while reading < len(readings) and entered[readings[reading]] <= now + 0.5 * step_s:
+        now = times[step]
+        while reading < len(readings) and entered[readings[reading]] <= now:
             island = readings[reading]
             for m in range(first[island], first[island + 1]):
                 row, column = cells[m] // columns, cells[m] % columns
@@ -270,6 +278,8 @@ def driven_by_beam(
             reading += 1
         if step == steps:
             break
+        step_s = times[step + 1] - now
+        over = step_s / cell**2
         for z in range(layers):
             for row in range(rows):
                 for column in range(columns):

@@ -33,6 +33,8 @@ from ebamcheck.pipeline.entry_program import checked_again
 from ebamcheck.pipeline.fit_evidence import FitVerdict, judged
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.independence import evidence_rule
+from ebamcheck.pipeline.live_program import NAME as HANDSHAKE
+from ebamcheck.pipeline.live_program import live_checked_again
 from ebamcheck.pipeline.loose_limits import loose_limits
 from ebamcheck.pipeline.placement import cut_heights
 from ebamcheck.pipeline.run_folder import RunFolder
@@ -64,8 +66,17 @@ PROGRAM = "program"
 """The gate whose figure counts checks, of which more are made here than in a run."""
 
 OF_TEXT_ALONE = (
-    ENTRY, "readable", "coverage", "gaps", "hatch spacing", "lines laid once", LINES, CROSSINGS, WIRE_OF_BEADS,
-)  # fmt: skip
+    ENTRY,
+    "readable",
+    "coverage",
+    "gaps",
+    "hatch spacing",
+    "lines laid once",
+    LINES,
+    CROSSINGS,
+    HANDSHAKE,
+    WIRE_OF_BEADS,
+)
 """Checks that are made here and not by a run, which has its plan to compare with."""
 
 
@@ -138,6 +149,7 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
     entry = checked_again(run.path, record, main, z_of, config)
     made += [gates.entry_gate(check) for check in entry]
     checks += entry
+    checks += live_checked_again(run.path, record, config)
     told += [*noticed.of_profile(config), *noticed.of_metal(of_deposit(checks))]
     return Again(witness, tuple(made), agrees, tuple(told), tuple(checks), exchanged)
 
@@ -202,7 +214,8 @@ def _agreement(
             settings=config.comparison,
             evidence=evidence_rule(config, stacks),
         )
-    return gates.agreement_gate(comparison, outcomes, len(fresh), config.layer_height_mm), comparison.passed
+    gate = gates.agreement_gate(comparison, outcomes, len(fresh), config.layer_height_mm, config.base_mm)
+    return gate, comparison.passed
 
 
 def _fitted(

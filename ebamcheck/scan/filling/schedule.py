@@ -20,7 +20,7 @@ class IslandDrive:
     ----------
     entry, leave
         (I, 4, 2) points at which an island may be entered, and where it is then left, mm: the four ways of
-        :func:`ebamcheck.scan.order.path.enter_nearest`; a way that is not open to an island repeats its first.
+        :func:`ebamcheck.scan.order.path.in_sequence`; a way that is not open to an island repeats its first.
     beam_s, time_s
         (I,) time with the beam on, lines and turns, and with the jumps between its own lines. An island may be driven
         from either side, with turns at the other ends of its lines: both count by their mean.

@@ -37,6 +37,8 @@ from ebamcheck.plugins import registry
 from ebamcheck.scan.filling.hatch import Vectors
 from ebamcheck.scan.filling.schedule import IslandDrive
 from ebamcheck.scan.heat.island_heat import IslandHeat, island_heat, with_fresh_heat
+from ebamcheck.scan.order.cool_entries import cool_ways
+from ebamcheck.scan.order.path import NEAREST
 from ebamcheck.scan.order.simulation import clocked
 from ebamcheck.scan.order.thermal import greedy_order, thermal_order
 from ebamcheck.scan.order.touching import touching
@@ -225,20 +227,33 @@ def thermal(islands: LayerIslands) -> Ints:
     """Next a cool island that is near: the coolest plan whose travel is well under that of `farthest`."""
     if len(islands) == 1:
         return np.zeros(1, np.int64)
-    settings, drive = islands.profile.scan, islands.driven
-    rapid = islands.profile.machine.rapid_mm_s
-    *_, travel = clocked(farthest(islands), drive.entry, drive.leave, drive.time_s, rapid)
+    settings = islands.profile.scan
     return thermal_order(
         islands.heat,
-        drive,
+        islands.driven,
         islands.neighbours,
-        rapid,
+        islands.profile.machine.rapid_mm_s,
         width_mm=float(np.sqrt(islands.area_mm2.mean())),
-        longest_mm=settings.travel_share * travel,
+        longest_mm=longest_travel_mm(islands),
         start_travel_mm=settings.start_travel_mm,
         steps=settings.annealing_steps,
         random=islands.random(),
     )
+
+
+def longest_travel_mm(islands: LayerIslands) -> float:
+    """Travel between islands that `thermal` may take: its share of that of `farthest`."""
+    drive, rapid = islands.driven, islands.profile.machine.rapid_mm_s
+    *_, travel = clocked(farthest(islands), drive.entry, drive.leave, drive.time_s, rapid)
+    return islands.profile.scan.travel_share * float(travel)
+
+
+def entry_ways(name: str | Order, islands: LayerIslands, order: Ints) -> Ints:
+    """Way (I,) by which each island of an order is entered: the nearest, but for `thermal` the coolest that is near enough."""
+    if len(order) > 1 and (name == "thermal" or name is thermal):
+        rapid = islands.profile.machine.rapid_mm_s
+        return cool_ways(islands.heat, islands.driven, order, rapid, longest_travel_mm(islands))
+    return np.full(len(order), NEAREST, np.int64)
 
 
 @kernel

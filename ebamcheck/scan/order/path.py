@@ -8,10 +8,15 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.filling.turns import JOINED_MM
 
+NEAREST = -1
+"""Way of an island that is entered from its corner nearest to where the last one ended."""
+
 
 @kernel
-def enter_nearest(start: Floats, end: Floats, first: Ints, order: Ints, chained: Bools) -> tuple[Ints, Bools]:
-    """Choose from which corner each island is entered: the one nearest to where the last one ended.
+def in_sequence(
+    start: Floats, end: Floats, first: Ints, order: Ints, chained: Bools, ways: Ints
+) -> tuple[Ints, Bools]:
+    """Put the lines of islands in sequence, each island entered by its way, or by the one nearest to where the last ended.
 
     An island's lines may be driven in either sequence and either direction; those of a `chained` one
     (bent lines along a wall) only forwards, or all backwards.
@@ -26,6 +31,9 @@ def enter_nearest(start: Floats, end: Floats, first: Ints, order: Ints, chained:
         (I,) islands in scan order.
     chained
         (I,) whether the lines of an island follow each other end to start.
+    ways
+        (I,) way by which each island is entered, as in :class:`~ebamcheck.scan.filling.schedule.IslandDrive`;
+        :data:`NEAREST`: the nearest.
 
     Returns
     -------
@@ -46,6 +54,10 @@ def enter_nearest(start: Floats, end: Floats, first: Ints, order: Ints, chained:
         nearest = np.inf
         for variant in range(4):
             back, turn = variant >= 2, variant == 1 or variant == 2
+            if ways[island] >= 0:
+                if variant == ways[island]:
+                    backwards, flip = back, turn
+                continue
             if not known or (chained[island] and back != turn):
                 continue
             row = b - 1 if back else a

@@ -18,7 +18,7 @@ from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.filling.turns import follows, turns_and_jumps_mm
 from ebamcheck.scan.heat.part_heat import Beads, uneven
 from ebamcheck.scan.order.orders import LayerIslands
-from ebamcheck.scan.order.path import enter_nearest
+from ebamcheck.scan.order.path import in_sequence
 from ebamcheck.scan.plan.laying import LaidLayer
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process import ProcessSettings
@@ -31,13 +31,15 @@ NEAR_SPACINGS = 2.0
 program has it."""
 
 
-def bead_sequence(laid: LaidLayer, islands: LayerIslands, order: Ints) -> tuple[Beads, float]:
+def bead_sequence(laid: LaidLayer, islands: LayerIslands, order: Ints, ways: Ints) -> tuple[Beads, float]:
     """Put contours and islands in sequence, as the program drives them.
 
     Parameters
     ----------
     order
         Islands in scan order; without any, the contours alone are taken.
+    ways
+        Way by which each island is entered, see :func:`~ebamcheck.scan.order.path.in_sequence`.
 
     Returns
     -------
@@ -51,7 +53,7 @@ def bead_sequence(laid: LaidLayer, islands: LayerIslands, order: Ints) -> tuple[
     ring_mm = np.array([ring.length for ring in rings])
     ring_mm += np.minimum(profile.process.overlap_mm, ring_mm)
     model = islands.cold_heat.model if len(islands) else None
-    path = _island_path(laid, order, profile)
+    path = _island_path(laid, order, ways, profile)
     columns, times = [_along(rings, count, model)], [np.repeat(ring_mm / speed / np.maximum(count, 1), count)]
     shares = [np.repeat(mean_power(ring_mm, profile.process), count)]
     if len(order):
@@ -102,12 +104,12 @@ class _IslandPath:
     bead_mm: Floats
 
 
-def _island_path(laid: LaidLayer, order: Ints, profile: Config) -> _IslandPath:
+def _island_path(laid: LaidLayer, order: Ints, ways: Ints, profile: Config) -> _IslandPath:
     lines, count = laid.lines, len(laid.islands)
     if not len(order):
         return _IslandPath(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
     first = np.concatenate([[0], np.cumsum(np.bincount(lines.island, minlength=count))]).astype(np.int64)
-    rows, turned = enter_nearest(lines.start, lines.end, first, order, laid.chained)
+    rows, turned = in_sequence(lines.start, lines.end, first, order, laid.chained, ways)
     island, swap = lines.island[rows], turned[:, None]
     a = np.where(swap, lines.end[rows], lines.start[rows])
     b = np.where(swap, lines.start[rows], lines.end[rows])

@@ -14,8 +14,9 @@ from ebamcheck.errors import SettingsError
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.heat.island_heat import IslandHeat, island_heat
 from ebamcheck.scan.islands.regions import layer_section
-from ebamcheck.scan.order.orders import ORDERS, LayerIslands, scan_order
-from ebamcheck.scan.order.simulation import entry_points, entry_temperatures
+from ebamcheck.scan.order.cool_entries import modes_at_entries, rises_at_entries
+from ebamcheck.scan.order.orders import ORDERS, LayerIslands, entry_ways, scan_order
+from ebamcheck.scan.order.simulation import entry_temperatures, ways_driven
 from ebamcheck.scan.order.touching import touching, touching_successors
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.scan.plan.laying import LaidLayer, lay_islands
@@ -175,7 +176,10 @@ class OrderComparison:
         """Plan one order and drive it."""
         islands = self.islands if seed == self.islands.seed else self.laid.choices(self.profile, seed)
         order = scan_order(name, islands)
-        plan = stack_plans([in_order(OrderedLayer(self.laid, islands, order))], self.profile, name, seed)
+        ways = entry_ways(name, islands, order)
+        plan = stack_plans(
+            [in_order(OrderedLayer(self.laid, islands, order, ways))], self.profile, name, seed
+        )
         driven = simulate_order(plan, self.profile)
         count = len(order)
         rank = np.empty(count, np.int64)
@@ -191,8 +195,19 @@ class OrderComparison:
         by_island = np.argsort(driven["island"].to_numpy())
         begins, ends = start_s.to_numpy()[by_island], end_s.to_numpy()[by_island]
         entry_k, excess = entry_temperatures(self.heat, islands.area_mm2, order, begins, ends)
-        _, point_k = entry_points(self.heat, islands.driven, order, begins, ends)
+        point_k = self._points_k(islands, order, ways, begins, ends)
         hot = np.empty(count, np.bool_)
         hot[order] = touching_successors(touching(islands.neighbours, count), order)
         travel_mm = float(driven["travel_mm"].sum())
         return OrderResult(plan, rank, begins, ends, entry_k, point_k, excess, hot, travel_mm)
+
+    def _points_k(
+        self, islands: LayerIslands, order: Ints, ways: Ints, start_s: Floats, end_s: Floats
+    ) -> Floats:
+        """Temperature rises (I,) under the beam where it enters the islands."""
+        assert self.heat is not None
+        drive = islands.driven
+        if (ways < 0).any():
+            ways = ways_driven(order, drive.entry, drive.leave)
+        rises_k = rises_at_entries(self.heat, modes_at_entries(self.heat, drive), order, start_s, end_s, ways)
+        return np.asarray(rises_k[np.arange(len(order)), ways], np.float64)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.filling.hatch import Vectors
 from ebamcheck.scan.islands import clipping as cells
-from ebamcheck.scan.order.path import enter_nearest
+from ebamcheck.scan.order.path import in_sequence
 from ebamcheck.scan.plan.columns import METRICS, ScanPlan, empty_vectors
 from ebamcheck.scan.plan.laying import LaidLayer
 from ebamcheck.scan.plan.times import EARLY, neighbour_intervals_s, simulate_order
@@ -39,13 +39,13 @@ class LayerPlan:
 def in_order(layer: OrderedLayer) -> LayerPlan:
     """Lines of a layer whose islands are put in order."""
     laid = layer.laid
-    return LayerPlan(laid, layer.order, _path(laid.lines, layer.order, laid.chained), layer.heat)
+    return LayerPlan(laid, layer.order, _path(laid.lines, layer.order, laid.chained, layer.ways), layer.heat)
 
 
-def _path(vectors: Vectors, order: Ints, chained: Bools) -> Vectors:
-    """Lines in scan order, every island entered from its nearest corner."""
+def _path(vectors: Vectors, order: Ints, chained: Bools, ways: Ints) -> Vectors:
+    """Lines in scan order, every island entered by its way."""
     first = np.concatenate([[0], np.cumsum(np.bincount(vectors.island, minlength=order.size))])
-    rows, turned = enter_nearest(vectors.start, vectors.end, first.astype(np.int64), order, chained)
+    rows, turned = in_sequence(vectors.start, vectors.end, first.astype(np.int64), order, chained, ways)
     a, b = vectors.start[rows], vectors.end[rows]
     swap = turned[:, None]
     return Vectors(vectors.island[rows], np.where(swap, b, a), np.where(swap, a, b))

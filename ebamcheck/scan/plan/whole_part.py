@@ -21,7 +21,7 @@ from ebamcheck.numeric.kernels import run_blocks, thread_count
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.heat.interpass import Drive, LayerJob, cool_drive
 from ebamcheck.scan.heat.part_heat import Beads, PartHeat
-from ebamcheck.scan.order.orders import LayerIslands, Order, scan_order
+from ebamcheck.scan.order.orders import LayerIslands, Order, entry_ways, scan_order
 from ebamcheck.scan.plan.bead_sequence import bead_sequence
 from ebamcheck.scan.plan.laying import LaidLayer, lay_islands
 from ebamcheck.settings.config import Config
@@ -74,11 +74,13 @@ class LayerHeat:
 
 @dataclass(frozen=True, eq=False)
 class OrderedLayer:
-    """A layer, what its order knew of it, the order (I,), and its heat where it was driven."""
+    """A layer, what its order knew of it, the order (I,), the way (I,) by which each island is entered (see
+    :func:`~ebamcheck.scan.order.path.in_sequence`), and its heat where it was driven."""
 
     laid: LaidLayer
     islands: LayerIslands
     order: Ints
+    ways: Ints
     heat: LayerHeat | None = None
 
 
@@ -175,12 +177,14 @@ def ordered_on(
         shape = LayerShape.of(islands.section, thickness_mm)
         known = _knowing(islands, laid, part, last, profile) if carry else islands
         found = scan_order(order, known)
+        ways = entry_ways(order, known, found)
         if islands.section.area <= 0.0:
-            return OrderedLayer(laid, known, found), part, last
-        beads, travel_mm = bead_sequence(laid, islands, found)
-        drive = cool_drive(LayerJob(beads, shape, islands.height_mm, lowest), part, profile)
+            return OrderedLayer(laid, known, found, ways), part, last
+        beads, travel_mm = bead_sequence(laid, islands, found, ways)
+        guess = 0.0 if last is None else last.power_share
+        drive = cool_drive(LayerJob(beads, shape, islands.height_mm, lowest), part, profile, guess)
     return (
-        OrderedLayer(laid, known, found, _figures(drive, travel_mm, beads, len(found), profile)),
+        OrderedLayer(laid, known, found, ways, _figures(drive, travel_mm, beads, len(found), profile)),
         drive.after,
         drive,
     )
@@ -246,7 +250,8 @@ def _cold(stack: Stack, k: int, profile: Config, order: str | Order, seed: int) 
     """Divide one layer into islands and put them in order as on a cold part."""
     laid = lay_islands(stack.sections[k], profile, stack.numbers[k], float(stack.heights_mm[k]))
     islands = laid.choices(profile, seed, stack.plate_mm)
-    return OrderedLayer(laid, islands, scan_order(order, islands))
+    found = scan_order(order, islands)
+    return OrderedLayer(laid, islands, found, entry_ways(order, islands, found))
 
 
 @one_blas_thread()
@@ -271,7 +276,7 @@ def _knowing(
     ahead = part.copy()
     share, wait_s = (1.0, 0.0) if last is None else (last.power_share, last.wait_s)
     ahead.rest(wait_s)
-    beads, _ = bead_sequence(laid, islands, np.zeros(0, np.int64))
+    beads, _ = bead_sequence(laid, islands, np.zeros(0, np.int64), np.zeros(0, np.int64))
     ahead.column.lay(LayerShape.of(islands.section, profile.layer_height_mm))
     for ring in range(len(beads)):
         ahead.rest(float(beads.move_s[ring]))

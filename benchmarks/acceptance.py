@@ -1,0 +1,182 @@
+"""Reference parts from mesh to program, judged by one table: ``python -m benchmarks.acceptance``; reports/metal/acceptance.md.
+
+Every part goes through the pipeline as by ``ebamcheck run`` at the default settings. Then the run folder is read as
+anybody could: what the plan says of each layer (``process.csv``, the sums of its events) beside what the text says
+(``program.csv``, the sums of its motions, and its wire starts); the metal of the text over the part's own sections and
+over the exact volume of the solid; and the greatest temperature at which a bead is entered, by the plan and by a balance
+driven by the text alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from benchmarks.deposit import BACKENDS, MODEL_TOLERANCE_MM
+from benchmarks.machine import machine
+from benchmarks.scan_orders import markdown
+from ebamcheck.pipeline import run_job
+from ebamcheck.pipeline.job import RunResult
+from ebamcheck.plugins.model import Model, models
+from ebamcheck.program import read_program
+from ebamcheck.settings.config import Config
+from ebamcheck_models import write_stl
+
+PARTS = (
+    "cube",
+    "bracket",
+    "thin-walls",
+    "two-spheres",
+    "prism",
+    "torus",
+    "impeller",
+    "helical-channel",
+    "bulkhead",
+)
+"""The nine reference parts: six that the default bead can build, three with walls thinner than it."""
+
+PAIRS = {
+    "contour_mm": ("contour_mm",),
+    "hatch_mm": ("hatch_mm", "turn_mm", "wall_mm", "gap_mm"),
+    "travel_mm": ("travel_mm",),
+    "deposit_s": ("deposit_s",),
+    "travel_s": ("travel_s",),
+    "pause_s": ("wait_s",),
+    "wire_mm": ("wire_mm",),
+}
+"""Columns of the text's sums, and those of the plan's that make them up."""
+
+MASS_SHARE = 0.02
+"""Metal over the part, less 1, at most."""
+
+KG = 1e-9
+"""Cubic metres in a cubic millimetre."""
+
+DEFAULT_OUTPUT = Path("reports/metal")
+
+TABLE = "acceptance.csv"
+
+TEXT = """# Reference parts from mesh to program
+
+By `python -m benchmarks.acceptance`, default settings, backends {backends}, on {cpu}.
+
+*plan and program*: the greatest difference of a layer's sums by the plan's events and by the text (lengths of contours, hatch and travel; times; waits; wire), over the greatest layer; and wire starts by both. *metal over sections*: what the text lays over the part's sections times the layer height, within {share:.0%} asked for; *over solid*: over the exact volume of the solid, which layers of whole height cannot always meet. *entry*: the greatest temperature of the surface when a bead is entered, by the plan and by a balance of the text.
+
+{table}
+{causes}"""
+"""Text of the report."""
+
+
+def measured(result: RunResult, model: Model, config: Config) -> dict[str, Any]:
+    """Figures of one run folder."""
+    folder, manifest = result.folder.path, result.manifest
+    program, checks = manifest.get("program", {}), manifest.get("program", {}).get("checks", [])
+    shut = [gate for gate in result.gates if not gate.passed]
+    found: dict[str, Any] = {
+        "verdict": "VALIDATED" if program.get("validated") else "NOT VALIDATED",
+        "gates": " ".join(gate.name for gate in shut),
+        "cause": "; ".join(f"`{gate.name}`: {gate.text}" for gate in shut),
+    }
+    if not (folder / "program.csv").is_file():
+        return found
+    plan, text = pd.read_csv(folder / "process.csv"), pd.read_csv(folder / "program.csv")
+    metal = pd.read_csv(folder / "deposit.csv")
+    nc = read_program(next((folder / "program").glob("*.MPF")), config)
+    solid_kg = model.volume * config.material.density_kg_m3 * KG
+    heat = [gate for gate in result.gates if gate.name == "heat"]
+    by_text = [check["value"] for check in checks if check["name"] == "interpass temperature"]
+    return {
+        **found,
+        "layers": len(text),
+        "apart": apart(plan, text),
+        "starts_plan": int(plan["starts"].sum()),
+        "starts_text": sum(name == "wire_start" for name in nc.events.name),
+        "over_sections": metal["laid_mm3"].sum() / metal["wanted_mm3"].sum(),
+        "over_solid": text["wire_kg"].sum() / solid_kg,
+        "plan_k": heat[0].figure if heat else np.nan,
+        "text_k": by_text[0] if by_text else np.nan,
+        "limit_k": heat[0].limit if heat else np.nan,
+        "hours": (text["deposit_s"] + text["travel_s"] + text["pause_s"]).sum() / 3600.0,
+    }
+
+
+def apart(plan: pd.DataFrame, text: pd.DataFrame) -> float:
+    """Greatest difference of a layer's sums by plan and text, over the greatest sum of a layer."""
+    worst = 0.0
+    for theirs, ours in PAIRS.items():
+        by_plan, by_text = plan[list(ours)].sum(axis=1).to_numpy(), text[theirs].to_numpy()
+        most = max(float(np.abs(by_plan).max()), float(np.abs(by_text).max()))
+        if most > 0.0:
+            worst = max(worst, float(np.abs(by_plan - by_text).max()) / most)
+    return worst
+
+
+def row(name: str, model: Model, config: Config) -> dict[str, Any]:
+    """Run one part in a folder that goes."""
+    began = time.perf_counter()
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / f"{name}.stl"
+        write_stl(model.tessellate(MODEL_TOLERANCE_MM), file)
+        found = measured(run_job(file, Path(folder) / "run", config, force=True), model, config)
+    return {"part": name, **found, "seconds": time.perf_counter() - began}
+
+
+def rendered(table: pd.DataFrame) -> str:
+    """Write the report."""
+    rows = [
+        {
+            "part": part["part"],
+            "layers": f"{part['layers']:.0f}",
+            "plan and program": f"{part['apart']:.0e}; {part['starts_plan']:.0f}, {part['starts_text']:.0f} starts",
+            "metal over sections": f"{part['over_sections']:.3f}, "
+            + ("met" if abs(part["over_sections"] - 1.0) <= MASS_SHARE else "missed"),
+            "over solid": f"{part['over_solid']:.3f}",
+            "entry, K: plan, text": f"{part['plan_k']:.0f}, {part['text_k']:.0f} (limit {part['limit_k']:.0f})",
+            "build, h": f"{part['hours']:.1f}",
+            "verdict": part["verdict"],
+        }
+        for part in table.to_dict("records")
+    ]
+    shut = table[table["verdict"] != "VALIDATED"]
+    causes = [f"- {part}: {cause}" for part, cause in zip(shut["part"], shut["cause"], strict=True)]
+    return TEXT.format(
+        backends=" and ".join(BACKENDS),
+        cpu=machine()["cpu"],
+        share=MASS_SHARE,
+        table=markdown(pd.DataFrame(rows)),
+        causes="\n".join(["What shut the gates:", "", *causes]) + "\n" if causes else "",
+    )
+
+
+def main() -> None:
+    """Run what is missing in the table, and render it."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("-o", "--output", type=Path, default=DEFAULT_OUTPUT)
+    parser.add_argument("--parts", nargs="*", default=PARTS)
+    parser.add_argument("--again", action="store_true", help="run parts again that the table has")
+    options = parser.parse_args()
+    config = Config().changed(slicing={"backends": BACKENDS})
+    options.output.mkdir(parents=True, exist_ok=True)
+    file = options.output / TABLE
+    known = pd.read_csv(file).to_dict("records") if file.is_file() else []
+    rows: dict[str, dict[str, Any]] = {str(found["part"]): dict(found) for found in known}
+    runs = {name: partial(row, name, model, config) for name, model in models(tuple(options.parts)).items()}
+    for name, run in runs.items():
+        if name in rows and not options.again:
+            continue
+        rows[name] = run()
+        print(f"{name}: {rows[name]['verdict']}, {rows[name]['seconds']:.0f} s", flush=True)
+        pd.DataFrame(list(rows.values())).to_csv(file, index=False)
+    table = pd.DataFrame([rows[name] for name in (*PARTS, *sorted(set(rows) - set(PARTS))) if name in rows])
+    (options.output / "acceptance.md").write_text(rendered(table), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

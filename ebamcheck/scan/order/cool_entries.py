@@ -1,0 +1,248 @@
+"""Where each island of an order is entered: at the coolest of its ends that the way between the islands affords.
+
+An island has up to four ends at which it may be entered. The nearest one is often the one beside what was laid a minute
+ago, hundreds of kelvins warmer than the far side of the same island. Here the rise at every end is worked out: old heat
+by the modes of the section at that very place, not their mean over the island, young heat by the Green's functions of
+:mod:`ebamcheck.scan.heat.near_field`. Ends are then chosen for all islands at once, by dynamic programming over the
+order: the least sum of the powers of the rises (as :func:`~ebamcheck.scan.order.annealing.high_mean` counts them) plus
+a price on travel, the price being the least that keeps the travel allowed. Heat changes little by the ends chosen
+before, so that a few rounds settle it; the best of them is kept, that of the nearest ends among them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.scan.filling.schedule import IslandDrive
+from ebamcheck.scan.filling.turns import JOINED_MM
+from ebamcheck.scan.heat.aged_heat import by_island, with_late_heat
+from ebamcheck.scan.heat.island_heat import IslandHeat
+from ebamcheck.scan.heat.near_field import NearField, entry_rise
+from ebamcheck.scan.heat.pieces import WAYS
+from ebamcheck.scan.order.annealing import high_mean, power
+from ebamcheck.scan.order.simulation import ways_driven
+
+ROUNDS = 3
+"""Rounds of choosing ends, each with the heat of islands as driven by those of the round before."""
+
+DEAREST, CHEAPEST = 1e15, 1e-15
+"""Prices of a millimetre between which the least is looked for that keeps the travel allowed, in powers of the greatest
+rise: by the dearest only the way counts, by the cheapest only the heat."""
+
+HALVINGS = 50
+"""Halvings of the range of prices, on a scale of decades: to 4 %."""
+
+TIE = 1e-12
+"""Sums closer than this share are equal: rounding must not decide between ends that mirror each other."""
+
+
+def cool_ways(
+    heat: IslandHeat, drive: IslandDrive, order: Ints, rapid_mm_s: float, longest_mm: float
+) -> Ints:
+    """Choose the way by which each island is entered.
+
+    Parameters
+    ----------
+    order
+        (I,) islands in scan order.
+    longest_mm
+        Travel between islands that is allowed; that by the nearest ways, where it is longer already.
+
+    Returns
+    -------
+    Ints
+        (I,) ways by island, as in :class:`~ebamcheck.scan.filling.schedule.IslandDrive`. Travel, and :func:`high_mean`
+        of the rises at the entries, are no more than by the nearest ways, but for travel that is allowed.
+    """
+    best = ways = ways_driven(order, drive.entry, drive.leave)
+    if len(order) < 2:
+        return best
+    columns = order, drive.entry, drive.leave, drive.time_s, rapid_mm_s
+    start_s, end_s, travel_mm = clocked_by(*columns, ways)
+    allowed_mm = max(longest_mm, travel_mm)
+    # Other ends change the times by a fraction of a second: old heat, which is most of the work, does not see it.
+    old_k = _old_k(heat, modes_at_entries(heat, drive), order, start_s, end_s)
+    least_k, every = np.inf, np.arange(len(order))
+    for n in range(ROUNDS + 1):
+        start_s, end_s, _ = clocked_by(*columns, ways)
+        rise_k = old_k + young_at_entries(heat.fresh, heat.source_k_s, order, start_s, end_s, ways)
+        found_k = high_mean(rise_k[every, ways])
+        if found_k < least_k * (1.0 - TIE):
+            best, least_k = ways, found_k
+        if n < ROUNDS:
+            ways = affordable(rise_k, order, drive.entry, drive.leave, allowed_mm)
+    return best
+
+
+def modes_at_entries(heat: IslandHeat, drive: IslandDrive) -> Floats:
+    """Modes of the section at all ends of the islands, (I, 4, K)."""
+    places = np.ascontiguousarray(drive.entry).reshape(-1, 2)
+    return np.ascontiguousarray(heat.model.plane.at(places)).reshape(len(drive), WAYS, -1)
+
+
+def rises_at_entries(
+    heat: IslandHeat, at: Floats, order: Ints, start_s: Floats, end_s: Floats, ways: Ints
+) -> Floats:
+    """Temperature rises at all ends of each island when the beam enters it, (I, 4) K by island and way.
+
+    Parameters
+    ----------
+    at
+        (I, 4, K) modes at the ends, see :func:`modes_at_entries`.
+    start_s, end_s
+        (I,) times by island.
+    ways
+        (I,) ways by which the islands are driven.
+    """
+    young_k = young_at_entries(heat.fresh, heat.source_k_s, order, start_s, end_s, ways)
+    return np.asarray(_old_k(heat, at, order, start_s, end_s) + young_k, np.float64)
+
+
+def _old_k(heat: IslandHeat, at: Floats, order: Ints, start_s: Floats, end_s: Floats) -> Floats:
+    """Rises (I, 4) by heat older than the horizon, at ends with modes (I, 4, K)."""
+    horizon_s = heat.fresh.horizon_s
+    return old_at_entries(*heat.columns, order, start_s, end_s, horizon_s, heat.start_k.copy(), at)
+
+
+def affordable(rise_k: Floats, order: Ints, entry: Floats, leave: Floats, longest_mm: float) -> Ints:
+    """Ways (I,) of the least high mean whose travel is allowed; those of the least travel if none is.
+
+    Parameters
+    ----------
+    rise_k
+        (I, 4) rises at the ends.
+    entry, leave
+        (I, 4, 2) as in :class:`~ebamcheck.scan.filling.schedule.IslandDrive`.
+    """
+    top_k = float(rise_k.min(axis=1).max())
+    share = np.maximum(rise_k, 0.0) / (top_k if top_k > 0.0 else 1.0)
+    low, high = np.log(CHEAPEST), np.log(DEAREST)
+    ways, travel_mm = ways_by_price(share, order, entry, leave, CHEAPEST)
+    if travel_mm <= longest_mm:
+        return ways
+    ways, _ = ways_by_price(share, order, entry, leave, DEAREST)
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        tried, travel_mm = ways_by_price(share, order, entry, leave, float(np.exp(middle)))
+        if travel_mm <= longest_mm:
+            ways, high = tried, middle
+        else:
+            low = middle
+    return ways
+
+
+@kernel
+def ways_by_price(
+    share: Floats, order: Ints, entry: Floats, leave: Floats, price: float
+) -> tuple[Ints, float]:
+    """Ways (I,) by island of the least sum of powers of shares (I, 4) and of travel at a price, and their travel, mm."""
+    count = len(order)
+    came_by = np.zeros((count, WAYS), np.int64)
+    total, following = np.empty(WAYS), np.empty(WAYS)
+    for w in range(WAYS):
+        total[w] = power(share[order[0], w])
+    for n in range(1, count):
+        last, island = order[n - 1], order[n]
+        for w in range(WAYS):
+            least, by = np.inf, 0
+            for v in range(WAYS):
+                x, y = leave[last, v]
+                spent = total[v] + price * np.hypot(entry[island, w, 0] - x, entry[island, w, 1] - y)
+                if spent < least * (1.0 - TIE):
+                    least, by = spent, v
+            following[w], came_by[n, w] = least + power(share[island, w]), by
+        total[:] = following
+    ways = np.zeros(count, np.int64)
+    way = 0
+    for w in range(1, WAYS):
+        if total[w] < total[way] * (1.0 - TIE):
+            way = w
+    travel = 0.0
+    for n in range(count - 1, -1, -1):
+        ways[order[n]] = way
+        if n > 0:
+            by = came_by[n, way]
+            x, y = leave[order[n - 1], by]
+            jump = np.hypot(entry[order[n], way, 0] - x, entry[order[n], way, 1] - y)
+            travel += jump if jump > JOINED_MM else 0.0
+            way = by
+    return ways, travel
+
+
+@kernel
+def clocked_by(
+    order: Ints, entry: Floats, leave: Floats, time: Floats, rapid: float, ways: Ints
+) -> tuple[Floats, Floats, float]:
+    """Start and end of each island by island (I,), s, and the travel between them, mm, entering each by its way."""
+    start, end = np.empty(len(order)), np.empty(len(order))
+    clock, travel = 0.0, 0.0
+    for n in range(len(order)):
+        island = order[n]
+        if n > 0:
+            x, y = leave[order[n - 1], ways[order[n - 1]]]
+            jump = np.hypot(entry[island, ways[island], 0] - x, entry[island, ways[island], 1] - y)
+            clock += jump / rapid
+            travel += jump
+        start[island] = clock
+        clock += time[island]
+        end[island] = clock
+    return start, end, travel
+
+
+@kernel
+def young_at_entries(
+    near: NearField, source: Floats, order: Ints, start: Floats, end: Floats, ways: Ints
+) -> Floats:
+    """Rises at all ends (I, 4) by heat younger than the horizon, K."""
+    rise = np.zeros((len(start), WAYS))
+    place = np.full(len(start), -1)
+    for n in range(len(order)):
+        place[order[n]] = n
+    for i in order:
+        for p in range(near.first[i], near.first[i + 1]):
+            j = near.other[p]
+            since = start[i] - end[j]
+            if place[j] >= place[i] or place[j] < 0 or since > near.horizon_s:
+                continue
+            for w in range(WAYS):
+                rise[i, w] += source[j] * entry_rise(near, i, w, j, ways[j], since, end[j] - start[j])
+    return rise
+
+
+@kernel
+def old_at_entries(
+    mean: Floats,
+    plane_rate: Floats,
+    depth_rate: Floats,
+    in_layer: Floats,
+    source: Floats,
+    order: Ints,
+    start: Floats,
+    end: Floats,
+    age: float,
+    state: Floats,
+    at: Floats,
+) -> Floats:
+    """Rises at all ends (I, 4) by what the layer begins with and by heat of at least an age, K.
+
+    See :func:`~ebamcheck.scan.heat.aged_heat.entered_with_aged`; `state` (K, N) is used up.
+    """
+    fallen = by_island(mean * np.exp(-plane_rate * age).reshape(-1, 1))
+    in_layer_late = in_layer * np.exp(-depth_rate * age)
+    rise = np.zeros((len(start), WAYS))
+    clock, place = 0.0, 0
+    for island in order:
+        place = with_late_heat(
+            state, fallen, plane_rate, depth_rate, in_layer_late, source, order, start, end, age, clock,
+            start[island], place,
+        )  # fmt: skip
+        clock = start[island]
+        for k in range(mean.shape[0]):
+            surface = 0.0
+            for n in range(len(depth_rate)):
+                surface += in_layer[n] * state[k, n]
+            for w in range(WAYS):
+                rise[island, w] += at[island, w, k] * surface
+    return rise
