@@ -44,6 +44,8 @@ UNITS = (
     "deg",
     "s",
     "mm_s",
+    "mm_min",
+    "w",
     "mm_s2",
     "mm_s3",
     "kv",
