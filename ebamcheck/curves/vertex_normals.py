@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.curves.flat_sides import flat_sides, keep_flat
+from ebamcheck.curves.per_part import once_a_part
 from ebamcheck.curves.plausible import Sagittas, mesh_sagittas, no_sagittas
 from ebamcheck.curves.regions import FREEFORM, PLANE, find_regions
 from ebamcheck.curves.regions.noise import rough_rows
@@ -59,6 +60,7 @@ class SurfaceNormals(NamedTuple):
     """How far facets stand from their surface, by their turns."""
 
 
+@once_a_part
 def surface_normals(part: Part, settings: CurveSettings) -> SurfaceNormals:
     """Estimate the normals of the surface that a mesh was made from.
 

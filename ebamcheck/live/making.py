@@ -19,10 +19,12 @@ import numpy as np
 from ebamcheck.backend import BackendSettings
 from ebamcheck.comparison import compare_all
 from ebamcheck.curves import LIFTED, fit
+from ebamcheck.curves.per_part import keep_surface_of
 from ebamcheck.errors import BackendMissing, EbamcheckError, SettingsError
 from ebamcheck.json_values import sha256_of_json
 from ebamcheck.layers.stack import Layers
 from ebamcheck.live.heat_so_far import HeatSoFar
+from ebamcheck.live.metal_so_far import MetalSoFar
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline import gates
@@ -31,11 +33,12 @@ from ebamcheck.pipeline.fit_evidence import judged
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.programming import bead_paths, smooth_layers
 from ebamcheck.plugins import registry
-from ebamcheck.program import Check, ProgramFiles, mark_validated, read_program, verify_program
+from ebamcheck.program import Check, ProgramFiles, mark_validated, verify_program
 from ebamcheck.program.checking.deposit import deposit
 from ebamcheck.program.checking.deposit_checks import deposit_checks
 from ebamcheck.program.checking.matching import matched
 from ebamcheck.program.language.control import control
+from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.toolpath.bead_ends import planned_path
 from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.scan.islands.regions import layer_section
@@ -79,8 +82,8 @@ class MadeLayer:
         Its program; None where a gate shut before one was written.
     gates, checks
         What was judged.
-    heat
-        The part's heat when it is done; that before it where no program was written.
+    heat, metal
+        The part's heat and metal when it is done; those before it where no program was written.
     wait_s
         Least time between the last bead below and the first of this layer.
     islands, deposit_s
@@ -96,6 +99,7 @@ class MadeLayer:
     gates: tuple[Gate, ...]
     checks: tuple[Check, ...]
     heat: HeatSoFar
+    metal: MetalSoFar
     wait_s: float
     islands: int
     deposit_s: float
@@ -164,6 +168,7 @@ class LayerMaker:
                 f"no exact slicer beside {self.primary!r} is there: two methods have to agree"
             )
         self.sound = gates.input_gate(inspect(part))
+        keep_surface_of(part)
         self._open = ExitStack()
         self._slicings = {
             backend: self._open.enter_context(Slicing(part, backend, **self._settings(backend).model_dump()))
@@ -213,13 +218,17 @@ class LayerMaker:
             }
         )
 
-    def make(self, wanted: Wanted, heat: HeatSoFar, folder: Path) -> MadeLayer:
+    def make(
+        self, wanted: Wanted, heat: HeatSoFar, folder: Path, metal: MetalSoFar | None = None
+    ) -> MadeLayer:
         """Make one layer; its program goes to `folder`, and is stamped as validated where every gate is open.
 
         Parameters
         ----------
         heat
             The part's heat when the layer under it is done.
+        metal
+            The metal that stands; None: nothing is known of it, and the layer is judged by itself, on a level surface.
 
         Raises
         ------
@@ -244,18 +253,21 @@ class LayerMaker:
             curves = fit(contours, of_curves.method, of_curves, part=self.part)
             verdict, _ = judged(curves, contours, self.part, config)
             smooth = smooth_layers(verdict.curves)
+        stands = None if metal is None else metal.measured()
         with clock.stage("plan"):
             plan, after, wait_s = self._planned(smooth, wanted, heat, config)
+            plan = replace(plan, stands=None if stands is None else stands.surface)
         made = [self.sound, agreement, gates.fit_gate(verdict), gates.coverage_gate(plan.metrics, config)]
         with clock.stage("write"):
             beads = bead_paths(smooth, plan, config)
             path = planned_path(beads, plan, config)
             header = {"PART SHA-256": self.part.source_sha256 or self.part.sha256}
-            files: ProgramFiles = control(config.machine.control).load("writer")(
-                beads, plan, config, folder, header=header
+            files: ProgramFiles = control(config.machine.control).written(
+                beads, plan, config, folder, header=header, path=path
             )
         with clock.stage("verify"):
-            program, _ = matched(read_program(files.main, config), path)
+            read = control(config.machine.control).load("reader")
+            program, _ = matched(read(files.main, config), path)
             checks = verify_program(
                 program,
                 config=config,
@@ -268,8 +280,8 @@ class LayerMaker:
                 sha256=files.sha256,
                 smooth=smooth if config.curves.method in LIFTED else None,
             )
-            z_of = deposition_heights(witness.heights, config.layer_height_mm, config.base_mm)
-            checks += deposit_checks(program, deposit(program, witness, z_of, config), config)
+            of_metal, stands = metal_checks(program, witness, stands, config)
+            checks += of_metal
             made += [
                 gates.deposit_gate(checks, config),
                 gates.heat_gate(checks, plan.metrics, config),
@@ -278,7 +290,7 @@ class LayerMaker:
             if all(gate.passed for gate in made):
                 files = mark_validated(files)
         return MadeLayer(
-            wanted, config, cut_mm, files, tuple(made), tuple(checks), after, wait_s, len(plan.islands),
+            wanted, config, cut_mm, files, tuple(made), tuple(checks), after, stands, wait_s, len(plan.islands),
             after.layer_s, clock.seconds,
         )  # fmt: skip
 
@@ -320,6 +332,29 @@ class LayerMaker:
         plan = stack_plans([in_order(done)], config, order, seed)
         wait_s = 0.0 if last is None or last is heat.last else last.wait_s
         return plan, replace(heat, part=part, last=last), wait_s
+
+
+def metal_checks(
+    program: NCProgram, witness: Layers, stands: MetalSoFar | None, config: Config
+) -> tuple[list[Check], MetalSoFar]:
+    """Checks of a layer's metal on what stands, and what stands with it.
+
+    Sums and means count from the plate up, by the limits of a whole part; the layer, and the surface that all layers so far
+    come to, by those of a single one. The layer has to pass by its text alone, too, as anybody can judge it: on a level surface,
+    of which nothing is known.
+    """
+    z_of = deposition_heights(witness.heights, config.layer_height_mm, config.base_mm)
+    known = stands or MetalSoFar()
+    found = deposit(program, witness, z_of, config, stands=known.surface)
+    checks = deposit_checks(program, found, config, None if stands is None else stands.below)
+    if known.below.layers:
+        by_itself = found if known.surface is None else deposit(program, witness, z_of, config)
+        checks += [
+            replace(check, text=f"by its text alone: {check.text}")
+            for check in deposit_checks(program, by_itself, config)
+            if not check.passed
+        ]
+    return checks, known.with_layer(found.layers, found.surface, config)
 
 
 def program_settings_sha256(config: Config) -> str:

@@ -33,6 +33,8 @@ from ebamcheck.pipeline.entry_program import checked_again
 from ebamcheck.pipeline.fit_evidence import FitVerdict, judged
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.independence import evidence_rule
+from ebamcheck.pipeline.live_program import NAME as HANDSHAKE
+from ebamcheck.pipeline.live_program import live_checked_again
 from ebamcheck.pipeline.placement import cut_heights
 from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.plugins import registry
@@ -61,7 +63,17 @@ SAME_POINT_MM = 1e-6
 PROGRAM = "program"
 """The gate whose figure counts checks, of which more are made here than in a run."""
 
-OF_TEXT_ALONE = (ENTRY, "readable", "coverage", "gaps", "hatch spacing", "lines laid once", LINES, CROSSINGS)
+OF_TEXT_ALONE = (
+    ENTRY,
+    "readable",
+    "coverage",
+    "gaps",
+    "hatch spacing",
+    "lines laid once",
+    LINES,
+    CROSSINGS,
+    HANDSHAKE,
+)
 """Checks that are made here and not by a run, which has its plan to compare with."""
 
 
@@ -121,7 +133,7 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
         sha256={file["name"]: file["sha256"] for file in record["files"]},
         truth=truth_of(manifest, config),
     )
-    z_of = deposition_heights(np.asarray(heights), config.layer_height_mm)
+    z_of = deposition_heights(np.asarray(heights), config.layer_height_mm, config.base_mm)
     main = run.program_folder / record["files"][0]["name"]
     made += [
         gates.fit_gate(verdict),
@@ -131,6 +143,7 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
         gates.program_gate(checks),
     ]
     checks += checked_again(run.path, record, main, z_of, config)
+    checks += live_checked_again(run.path, record, config)
     told += [*noticed.of_profile(config), *noticed.of_metal(of_deposit(checks))]
     return Again(witness, tuple(made), agrees, tuple(told), tuple(checks), exchanged)
 
@@ -195,7 +208,8 @@ def _agreement(
             settings=config.comparison,
             evidence=evidence_rule(config, stacks),
         )
-    return gates.agreement_gate(comparison, outcomes, len(fresh), config.layer_height_mm), comparison.passed
+    gate = gates.agreement_gate(comparison, outcomes, len(fresh), config.layer_height_mm, config.base_mm)
+    return gate, comparison.passed
 
 
 def _fitted(

@@ -133,6 +133,15 @@ class MachineSettings(Section):
     """Blocks before the first motion of a layer."""
     layer_end: tuple[str, ...] = ()
     """Blocks after the last motion of a layer."""
+    live_r: Annotated[int, Between(0, 990)] = 100
+    """First of the six R parameters by which a main program that waits between layers (`run --live`) and a server agree: layers
+    done, layer released (-1: the part is built), number of its program, least wait before it, and two of the program's own."""
+    live_poll_s: Annotated[float, Between(0.01, 60.0)] = 0.5
+    """How often that program looks whether its next layer is released."""
+    live_timeout_s: Annotated[float, Between(1.0, 1e6)] = 1800.0
+    """Time without a released layer after which it switches wire and beam off and says so."""
+    live_late: Literal["stop", "end"] = "stop"
+    """What it does then: stops (M0), and waits anew when the operator starts it again, or parks the tool and ends (M30)."""
 
     @property
     def printed_decimals(self) -> int:

@@ -67,7 +67,9 @@ OTHERWISE = "look at that line of the program, and at the settings that the text
 """Of a check that a plugin brought."""
 
 
-def told(checks: Sequence[Check], nc: NCProgram, cut_mm: Floats, first_layer_mm: float) -> list[Check]:
+def told(
+    checks: Sequence[Check], nc: NCProgram, cut_mm: Floats, first_layer_mm: float, base_mm: float = 0.0
+) -> list[Check]:
     """Checks of which those that fail tell remedy, layer, and heights in part and program.
 
     Parameters
@@ -78,8 +80,10 @@ def told(checks: Sequence[Check], nc: NCProgram, cut_mm: Floats, first_layer_mm:
         (L,) heights of the cuts in the part, mm.
     first_layer_mm
         Height of the only layer where there is no second.
+    base_mm
+        Z of what the lowest layer lies on.
     """
-    deposit_mm = deposition_heights(cut_mm, first_layer_mm)
+    deposit_mm = deposition_heights(cut_mm, first_layer_mm, base_mm)
     found = []
     for check in checks:
         if check.passed:
