@@ -101,9 +101,9 @@ def text(tables: dict[str, pd.DataFrame], what: str) -> str:
     head = ["hexagons", "islands", "layers", "median, s", "99th percentile, s", "processor, median, s", "99th percentile, s"]  # fmt: skip
     rows = []
     for name, table in tables.items():
-        for row in by_islands(table).itertuples():
-            times = (row.median_s, row.p99_s, row.processor_median_s, row.processor_p99_s)
-            rows.append([name, str(row.islands), str(row.layers), *(f"{t:.3f}" for t in times)])
+        for row in by_islands(table).to_dict("records"):
+            times = (row[f] for f in ("median_s", "p99_s", "processor_median_s", "processor_p99_s"))
+            rows.append([name, str(row["islands"]), str(row["layers"]), *(f"{t:.3f}" for t in times)])
     aims = " and ".join(f"{aim:g} s for up to {n} islands" for n, aim in TARGETS_S.items())
     return (
         f"# Latency of a live build\n\n{what}\n\n{markdown_table(head, rows)}\n\nAimed at in a running server are {aims}. "

@@ -96,7 +96,7 @@ class HeightsTable:
 
 def read_heights(path: Path) -> dict[str, Floats]:
     """Columns of a table of heights."""
-    with path.open(newline="") as file:
+    with path.open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     return {field.name: np.array([float(row[field.name]) for row in rows]) for field in fields(LaidHeight)}
 

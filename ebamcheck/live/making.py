@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -42,7 +43,7 @@ from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.toolpath.bead_ends import planned_path
 from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.scan.islands.regions import layer_section
-from ebamcheck.scan.order.orders import GEOMETRIC
+from ebamcheck.scan.order.orders import needs_heat
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.scan.plan.stacking import in_order, stack_plans
 from ebamcheck.scan.plan.whole_part import Stack, laid_layer, ordered_on
@@ -169,7 +170,11 @@ class LayerMaker:
             )
         self.sound = gates.input_gate(inspect(part))
         keep_surface_of(part)
+        # What every layer has alike is made once, and written out once.
+        self._of_part = config.part.model_copy(update={"direction": part.direction})
+        self._of_scan = config.scan.model_copy(update={"annealing_steps": annealing_steps})
         self._open = ExitStack()
+        self._aside = self._open.enter_context(ThreadPoolExecutor(1))
         self._slicings = {
             backend: self._open.enter_context(Slicing(part, backend, **self._settings(backend).model_dump()))
             for backend in (self.primary, self.witness)
@@ -205,7 +210,7 @@ class LayerMaker:
         # Values that were worked out here need no check of all others, which takes a while with many plugins.
         return sections.model_copy(
             update={
-                "part": sections.part.model_copy(update={"direction": self.part.direction}),
+                "part": self._of_part,
                 "layers": sections.layers.model_copy(
                     update={
                         "heights_mm": (cut_mm,),
@@ -213,7 +218,7 @@ class LayerMaker:
                         "base_mm": wanted.base_mm,
                     }
                 ),
-                "scan": sections.scan.model_copy(update={"annealing_steps": self.annealing_steps}),
+                "scan": self._of_scan,
                 "machine": sections.machine.model_copy(update={"program_name": wanted.name}),
             }
         )
@@ -243,8 +248,8 @@ class LayerMaker:
         contours, witness = cuts[self.primary], cuts[self.witness]
         if not len(contours.points) and not len(witness.points):
             raise SettingsError(f"layer {wanted.layer}: the part has no section at {cut_mm:g} mm")
-        with clock.stage("compare"):
-            agreement = self._agreement(cuts)
+        # What only judges goes on beside what makes the program.
+        comparing = self._aside.submit(self._agreement, cuts, clock)
         with clock.stage("fit"):
             bound_mm = registry.slicer(self.primary).error_bound_mm(self.part, self._settings(self.primary))
             of_curves = config.curves.model_copy(
@@ -257,7 +262,12 @@ class LayerMaker:
         with clock.stage("plan"):
             plan, after, wait_s = self._planned(smooth, wanted, heat, config)
             plan = replace(plan, stands=None if stands is None else stands.surface)
-        made = [self.sound, agreement, gates.fit_gate(verdict), gates.coverage_gate(plan.metrics, config)]
+        made = [
+            self.sound,
+            comparing.result(),
+            gates.fit_gate(verdict),
+            gates.coverage_gate(plan.metrics, config),
+        ]
         with clock.stage("write"):
             beads = bead_paths(smooth, plan, config)
             path = planned_path(beads, plan, config)
@@ -268,6 +278,7 @@ class LayerMaker:
         with clock.stage("verify"):
             read = control(config.machine.control).load("reader")
             program, _ = matched(read(files.main, config), path)
+            weighing = self._aside.submit(metal_checks, program, witness, stands, config)
             checks = verify_program(
                 program,
                 config=config,
@@ -280,7 +291,7 @@ class LayerMaker:
                 sha256=files.sha256,
                 smooth=smooth if config.curves.method in LIFTED else None,
             )
-            of_metal, stands = metal_checks(program, witness, stands, config)
+            of_metal, stands = weighing.result()
             checks += of_metal
             made += [
                 gates.deposit_gate(checks, config),
@@ -294,8 +305,12 @@ class LayerMaker:
             after.layer_s, clock.seconds,
         )  # fmt: skip
 
-    def _agreement(self, cuts: dict[str, Layers]) -> Gate:
+    def _agreement(self, cuts: dict[str, Layers], clock: Clock) -> Gate:
         """Whether both methods agree on the layer."""
+        with clock.stage("compare"):
+            return self._compared(cuts)
+
+    def _compared(self, cuts: dict[str, Layers]) -> Gate:
         slicers = {name: registry.slicer(name) for name in cuts}
         settings = {name: self._settings(name) for name in cuts}
         found = compare_all(
@@ -323,7 +338,7 @@ class LayerMaker:
             [section], np.array([smooth.heights[0]]), [wanted.layer + wanted.shifted], self.bottom_mm
         )
         laid, islands = laid_layer(stack, 0, config, seed)
-        carry = config.scan.carry_heat and order not in GEOMETRIC
+        carry = config.scan.carry_heat and needs_heat(order)
         done, part, last = ordered_on(
             heat.part, heat.last, laid, islands, wanted.thickness_mm, config, order, carry, not heat.laid
         )

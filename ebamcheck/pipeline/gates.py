@@ -204,6 +204,12 @@ def program_gate(checks: Iterable[Check]) -> Gate:
     return Gate("program", not failed, float(len(failed)), 0.0, "faults", text)
 
 
+def entry_gate(check: Check) -> Gate:
+    """The program that begins at a layer commands what the whole one does from there on, from a state of its own."""
+    text = check.text if check.passed else check.in_words()
+    return Gate("entry", check.passed, check.value, check.limit, check.unit, text)
+
+
 TOLD = 2
 """Failed checks that a gate tells in full; of more the names."""
 

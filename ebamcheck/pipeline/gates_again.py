@@ -35,10 +35,12 @@ from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.independence import evidence_rule
 from ebamcheck.pipeline.live_program import NAME as HANDSHAKE
 from ebamcheck.pipeline.live_program import live_checked_again
+from ebamcheck.pipeline.loose_limits import loose_limits
 from ebamcheck.pipeline.placement import cut_heights
 from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.plugins import registry
 from ebamcheck.program import Check, verify_file
+from ebamcheck.program.checking.bead_wire import NAME as WIRE_OF_BEADS
 from ebamcheck.program.checking.deposit_checks import of_deposit
 from ebamcheck.program.checking.entry_check import NAME as ENTRY
 from ebamcheck.program.checking.hatch_form import CROSSINGS, LINES
@@ -73,6 +75,7 @@ OF_TEXT_ALONE = (
     LINES,
     CROSSINGS,
     HANDSHAKE,
+    WIRE_OF_BEADS,
 )
 """Checks that are made here and not by a run, which has its plan to compare with."""
 
@@ -113,7 +116,8 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
     agreement, agrees = _agreement(run, manifest, config, part, fresh, witness)
     exchanged = exchanged_layers(run, manifest, fresh, witness)
     made = [gates.input_gate(sound), agreement]
-    told = [*noticed.of_part(sound, config), *outside_window(config, "warning"), *unusual_layers(config)]
+    told = [*noticed.of_part(sound, config), *loose_limits(config)]
+    told += [*outside_window(config, "warning"), *unusual_layers(config)]
     record = manifest.get("program")
     if record is None:
         return Again(witness, tuple(made), agrees, tuple(told), exchanged=exchanged)
@@ -142,7 +146,9 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
         gates.heat_gate(checks, plan.metrics, config),
         gates.program_gate(checks),
     ]
-    checks += checked_again(run.path, record, main, z_of, config)
+    entry = checked_again(run.path, record, main, z_of, config)
+    made += [gates.entry_gate(check) for check in entry]
+    checks += entry
     checks += live_checked_again(run.path, record, config)
     told += [*noticed.of_profile(config), *noticed.of_metal(of_deposit(checks))]
     return Again(witness, tuple(made), agrees, tuple(told), tuple(checks), exchanged)

@@ -18,6 +18,7 @@ from ebamcheck.pipeline.choice import chosen_backends, primary_backend, unavaila
 from ebamcheck.pipeline.cross_check import CrossCheck, cross_check
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.live_program import check_waits
+from ebamcheck.pipeline.loose_limits import loose_limits
 from ebamcheck.pipeline.programming import ProgramResult, make_program
 from ebamcheck.pipeline.record import manifest as make_manifest
 from ebamcheck.pipeline.report_writers import write_reports
@@ -114,7 +115,7 @@ def run_job(
     def program(job: Job, checked: CrossCheck, sound: bool) -> ProgramResult:
         return make_program(job, _primary(job, checked), checked, fine, sound)
 
-    inputs = [fine.sha256 if fine else ""]
+    inputs = [fine.sha256 if fine else "", f"from layer {from_layer}", f"live {live}"]
     return _job("run", part, target, config, inputs, resume, observer, program, force, from_layer, live)
 
 
@@ -170,7 +171,7 @@ def _job(
     job.from_layer, job.live = from_layer, live
     if begun.turned:
         job.add_finding(noticed.turned_over(begun.turned, len(part.faces)))
-    job.add_finding(*noticed.of_part(found, config))
+    job.add_finding(*noticed.of_part(found, config), *loose_limits(config))
     # A job without a program may cut layers that no process can lay.
     job.add_finding(*outside_window(config, "warning"), *unusual_layers(config))
     try:

@@ -18,7 +18,7 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline import gates, noticed
 from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.cross_check import CrossCheck
-from ebamcheck.pipeline.entry_program import write_entry
+from ebamcheck.pipeline.entry_program import Entry, write_entry
 from ebamcheck.pipeline.fitted import FitResult, fitted
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.live_program import write_live
@@ -69,8 +69,8 @@ class ProgramResult:
     proof: ProgramProof
     files: ProgramFiles
     """Files of the program, marked validated where it is."""
-    entry: Mapping[str, Any] | None
-    """Record of the program that begins at a layer; None where none is asked for."""
+    entry: Entry | None
+    """The program that begins at a layer; None where none is asked for."""
     live: Mapping[str, Any] | None
     """Record of the main program that waits between layers; None where none is asked for."""
     gates: tuple[Gate, ...]
@@ -118,25 +118,34 @@ def make_program(
         proof = _verified(
             job, files, _Made(beads, plan, path, layers, smooth), _witness(job, layers, checked.done)
         )
-    made = (
+    made: tuple[Gate, ...] = (
         gates.fit_gate(fit_result.verdict),
         gates.coverage_gate(plan.metrics, config),
         gates.deposit_gate(proof.checks, config),
         gates.heat_gate(proof.checks, plan.metrics, config),
         gates.program_gate(proof.checks),
     )
+    entry = _entry(job, files, layers)
+    if entry is not None:
+        made = (*made, gates.entry_gate(entry.check))
     if validated_so_far and all(gate.passed for gate in made) and not has_fault(job.findings):
         files = mark_validated(files)
-    entry = None
-    if job.from_layer > 1:
-        z_of = deposition_heights(layers.heights, config.layer_height_mm, config.base_mm)
-        entry = write_entry(files, job.from_layer, z_of, config)
-        job.observer.note(f"program from layer {job.from_layer} on: {entry['check']['text']}")
+        entry = entry and entry.marked_validated()
     live = None
     if job.live:
         live = write_live(job.folder.path, config, float(job.part.size[2]), files.validated, header)
         job.observer.note(f"waiting main program {live['name']}: {live['check']['text']}")
     return ProgramResult(fit_result, plan, totals, proof, files, entry, live, made)
+
+
+def _entry(job: Job, files: ProgramFiles, layers: Layers) -> Entry | None:
+    """Write the program from a layer on, where one is asked for, and tell what its check found."""
+    if job.from_layer <= 1:
+        return None
+    z_of = deposition_heights(layers.heights, job.config.layer_height_mm, job.config.base_mm)
+    entry = write_entry(files, job.from_layer, z_of, job.config)
+    job.observer.note(f"program from layer {job.from_layer} on: {entry.check.in_words()}")
+    return entry
 
 
 def smooth_layers(curves: Curves) -> Layers:

@@ -146,7 +146,7 @@ def _program_records(made: ProgramResult, config: Config) -> dict[str, Any]:
             {"name": name, "sha256": files.sha256[name], "blocks": files.blocks[name]} for name in files.names
         ],
     }
-    others = {ENTRY: made.entry, LIVE: made.live}
+    others = {ENTRY: made.entry and made.entry.record(), LIVE: made.live}
     return {
         "fit": _fit_record(made.fit),
         **({"reference": reference} if reference is not None else {}),

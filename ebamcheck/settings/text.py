@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import textwrap
+from functools import cache
 from typing import Any
 
 import tomlkit
@@ -40,8 +41,7 @@ def _of_section(name: str, section: Section) -> list[str]:
     tables: list[str] = []
     for key, info in type(section).model_fields.items():
         value = getattr(section, key)
-        if info.description:
-            lines += textwrap.wrap(info.description, WIDTH, initial_indent="# ", subsequent_indent="# ")
+        lines += _explained(info.description or "")
         lines += told_beside(name, key)
         if isinstance(value, dict):
             tables += _tables(f"{name}.{key}", value)
@@ -49,7 +49,7 @@ def _of_section(name: str, section: Section) -> list[str]:
         elif value is None:
             lines.append(f"# {key} =")
         else:
-            lines.append(f"{key} = {value_text(value)}")
+            lines.append(f"{key} = {_same_text(f'{name}.{key}', value)}")
     if section.model_extra:
         named = {key: table.model_dump(mode="json") for key, table in section.model_extra.items()}
         tables += tomlkit.dumps({name: named}).removeprefix(f"[{name}]\n").splitlines()
@@ -57,6 +57,24 @@ def _of_section(name: str, section: Section) -> list[str]:
         del _written[next(iter(_written))]
     _written[id(section)] = section, [*lines, "", *tables]
     return _written[id(section)][1]
+
+
+@cache
+def _explained(description: str) -> tuple[str, ...]:
+    """Lines of comment with what a key means."""
+    return tuple(textwrap.wrap(description, WIDTH, initial_indent="# ", subsequent_indent="# "))
+
+
+_texts: dict[str, tuple[Any, str]] = {}
+"""Value and text of each key as it was written last: a section that differs in one value shares the others."""
+
+
+def _same_text(key: str, value: Any) -> str:
+    """Text of the value of a key; that of the same object is made once."""
+    known = _texts.get(key)
+    if known is None or known[0] is not value:
+        known = _texts[key] = value, value_text(value)
+    return known[1]
 
 
 def told_beside(section: str, key: str) -> list[str]:

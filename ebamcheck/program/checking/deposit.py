@@ -125,7 +125,7 @@ def deposit(
         mine = rows[index == k]
         if mine.size:
             first[k] = mine[0]
-        places, volume = _metal(nc, mine, bead_mm2, process.bead_width_mm * STEP_SHARE)
+        places, volume, _ = metal_places(nc, mine, bead_mm2, process.bead_width_mm * STEP_SHARE)
         figures, laid = field.add(section, places, volume, float(thickness[k]))
         badness = over_limits(figures, process) if section.area > 0.0 else -math.inf
         if badness > most:
@@ -163,11 +163,19 @@ def over_limits(figures: dict[str, float], process: ProcessSettings) -> float:
     )
 
 
-def _metal(nc: NCProgram, rows: Ints, bead_mm2: Floats, step_mm: float) -> tuple[Floats, Floats]:
-    """Places (n, 2) at which motions lay metal, and its volume (n,) mm3."""
+def metal_places(nc: NCProgram, rows: Ints, bead_mm2: Floats, step_mm: float) -> tuple[Floats, Floats, Ints]:
+    """Places (n, 2) at which motions lay metal, its volume (n,) mm3, and the motion of each."""
     row, places = nc.samples(rows, step_mm)
     pieces = np.bincount(row, minlength=len(nc))[row]
-    return places, bead_mm2[row] * np.nan_to_num(nc.lengths[row]) / pieces
+    return places, bead_mm2[row] * np.nan_to_num(nc.lengths[row]) / pieces, row
+
+
+def pool_of(bead_width_mm: float, step_mm: float) -> Floats:
+    """Shares in which the pool, a half sphere as wide as the bead, spreads metal over the cells around it; their sum is 1."""
+    radius = 0.5 * bead_width_mm / step_mm
+    offset = np.arange(-math.ceil(radius), math.ceil(radius) + 1)
+    pool = np.sqrt(np.maximum(radius**2 - (offset[:, None] ** 2 + offset**2), 0.0))
+    return np.asarray(pool / pool.sum(), np.float64)
 
 
 class _Field:
@@ -177,10 +185,7 @@ class _Field:
         self._process, bead_width_mm = process, process.bead_width_mm
         self.surface = surface
         self._bead_mm = bead_width_mm
-        radius = 0.5 * bead_width_mm / self.surface.step_mm
-        offset = np.arange(-math.ceil(radius), math.ceil(radius) + 1)
-        self._pool = np.sqrt(np.maximum(radius**2 - (offset[:, None] ** 2 + offset**2), 0.0))
-        self._pool /= self._pool.sum()
+        self._pool = pool_of(bead_width_mm, self.surface.step_mm)
 
     def add(
         self, section: BaseGeometry, places: Floats, volume: Floats, thickness_mm: float
@@ -193,7 +198,7 @@ class _Field:
             figures = {**NO_SECTION, "laid_mm3": float(volume.sum()), "outside_mm3": float(volume.sum())}
             return figures, LayerField(target, target.share, target.share)
         share, inside = target.share, target.share >= HALF
-        melted = _spread(target, places, volume) / step**2
+        melted = spread(target, places, volume) / step**2
         laid = ndimage.convolve(melted, self._pool, mode="constant")
         before = self.surface.over_mm(target)
         self.surface.add(target, laid, thickness_mm)
@@ -245,7 +250,7 @@ def _distance(cells: Bools) -> Floats:
     )
 
 
-def _spread(target: Target, places: Floats, volume: Floats) -> Floats:
+def spread(target: Target, places: Floats, volume: Floats) -> Floats:
     """Volume by cell, shared between the four cells around each place; what lies beside the grid is left out."""
     rows, columns = target.share.shape
     at = (places - target.origin) / target.step_mm - 0.5
