@@ -176,7 +176,7 @@ def beads(text):
     return [m.span() for m in re.finditer(r"^M42 P1 S.*\nM8.*\n(?:.*\n)*?M9", text, re.MULTILINE)]
 
 
-@pytest.mark.parametrize("factor", [0.7, 1.3])
+@pytest.mark.parametrize("factor", [0.7, 1.5])
 @pytest.mark.parametrize("nth", [0, 1, 2, 3])
 def test_the_wire_of_one_bead_is_held_against_its_place(made, tmp_path, nth, factor):
     """Contour and hatch of two layers; the more of a place's metal is the bead's own, the more it is off."""
@@ -233,6 +233,37 @@ def test_a_bead_that_runs_across_its_neighbours_is_found(made, tmp_path):
 
     found = spoiled(made, tmp_path, "linuxcnc", change)
     assert found.keys() & {"crossings", "hatch lines"}
+
+
+@pytest.mark.parametrize("control", ["sinumerik-840d-sl", "linuxcnc", "plain-gcode"])
+def test_a_wait_at_the_height_of_the_beads_is_found(made, tmp_path, control):
+    """The wait after the descent to a bead: of the same length, on the same way, and the wire's tip in the pool."""
+    places = []
+
+    def change(texts):
+        wait = re.compile(
+            r"^(N\d+ )?(G4 .*)\n((?:[;(].*\n)*)((?:N\d+ )?G0 X.*\n)(N\d+ )?(G0 Z.*)\n", re.MULTILINE
+        )
+        for name, text in texts.items():
+            m = list(wait.finditer(text))[-1:]
+            if m and "G1 X" in text:
+                way = re.sub(r"^N\d+ ", m[0][1] or "", m[0][4])
+                number = re.match(r"N\d+ ", m[0][4])
+                spoiled = f"{m[0][3]}{way}{number[0] if number else ''}{m[0][6]}\n{m[0][5] or ''}{m[0][2]}\n"
+                texts = {name: text[: m[0].start()] + spoiled + text[m[0].end() :]}
+                places.append(f"{name}:{texts[name].count(chr(10), 0, m[0].start() + len(spoiled))}")
+                return texts
+        raise AssertionError("no wait")
+
+    found = spoiled(made, tmp_path, control, change)
+    assert found["waits over the part"].where == places[0]
+
+
+def test_a_file_of_the_same_name_in_other_letters_is_found(made, tmp_path):
+    def change(texts):
+        return {"main_l0002.spf": texts["MAIN_L0002.SPF"]}
+
+    assert "main_l0002.spf" in spoiled(made, tmp_path, "sinumerik-840d-sl", change)["subprograms"].text
 
 
 # -- windows ----------------------------------------------------------------------------------------------

@@ -34,7 +34,7 @@ def ramp_check(nc: NCProgram, config: Config) -> Check:
     first = np.searchsorted(bead, np.arange(count))
     last = np.searchsorted(bead, np.arange(count), side="right") - 1
     with np.errstate(divide="ignore", invalid="ignore"):
-        time_s = np.nan_to_num(60.0 * nc.lengths[rows] / nc.feed_mm_min[rows])
+        time_s = np.nan_to_num(60.0 * nc.lengths[rows] / nc.feed_mm_min[rows], posinf=0.0)
     rise, fall = _times(nc.power_w[rows], time_s, bead, first, last)
     whole = np.bincount(bead, nc.lengths[rows], minlength=count)
     long = whole >= process.ramp_up_mm + process.crater_fill_mm

@@ -33,7 +33,7 @@ REMEDIES: Mapping[str, str] = {
             "subprograms", "unchanged", "status", "header", "readable", "order of events", "repeated blocks",
             "spline blocks", "polynomial blocks", "contours close", "layer count", "beads as planned", "hatch path",
             "contour rings", "contour path", "islands", "hatch vectors", "lines laid once", "turns",
-            "parts of hatch lines", "overlap of contours", "start of path", "wire of beads", "words of motions",
+            "parts of hatch lines", "overlap of contours", "start of path", "wire of beads", "words of motions", "waits over the part",
         ),
         AGAIN,
     ),

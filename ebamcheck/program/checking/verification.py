@@ -45,6 +45,7 @@ from ebamcheck.program.checking.state_checks import state_checks
 from ebamcheck.program.checking.text_checks import text_checks
 from ebamcheck.program.checking.text_heat import known_sections
 from ebamcheck.program.checking.value_checks import value_check
+from ebamcheck.program.checking.wait_height import wait_height_check
 from ebamcheck.program.checking.window_checks import window_check
 from ebamcheck.program.checking.wire_checks import wire_check
 from ebamcheck.program.checking.word_checks import words_check
@@ -168,7 +169,7 @@ def verify_program(
         value_check(nc, config),
         *process_checks(nc, config),
     ]
-    checks.append(wait_check(nc, config, planned))
+    checks += [wait_check(nc, config, planned), wait_height_check(nc, config)]
     if heat:
         checks += heat_checks(nc, config, sections, before)
     checks += clearance_checks(nc, z_of, config, layers)
