@@ -170,7 +170,9 @@ def laid_again(run: Path) -> dict[str, Any]:
     witness = folder.read_layers(manifest["program"]["witness"])
     with tempfile.TemporaryDirectory() as place:
         program = read_program(write_program(beads, plan, config, Path(place)).main, config)
-    found = deposit(program, witness, deposition_heights(witness.heights, config.layer_height_mm), config)
+    found = deposit(
+        program, witness, deposition_heights(witness.heights, config.layer_height_mm, config.base_mm), config
+    )
     gate = deposit_gate(deposit_checks(program, found, config), config)
     return {
         "verdict": "deposit open" if gate.passed else "deposit shut",

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from benchmarks.figures import cell_times, find, is_scaled
 from benchmarks.spread import seconds
-from ebamcheck.layers.svg import COLOURS, DASHES
+from ebamcheck.showing.colours import COLOURS, DASHES
 from ebamcheck_reports.markup import Markup, element, join
 from ebamcheck_reports.paper import published
 

@@ -20,8 +20,8 @@ from shapely.geometry.base import BaseGeometry
 from benchmarks.machine import machine
 from ebamcheck.plugins.model import models
 from ebamcheck.scan.islands.regions import layer_section
-from ebamcheck.scan.plan.comparing import COMPARED, RANDOM, OrderComparison, OrderResult
-from ebamcheck.scan.plan.refereed import referee_of, refereed_entries
+from ebamcheck.scan.plan.comparing import COMPARED, RANDOM, OrderComparison
+from ebamcheck.scan.plan.refereed import referee_of, second_opinion
 from ebamcheck.settings.config import Config
 
 BUILD_SIZE = ("bulkhead", "nozzle")
@@ -118,13 +118,9 @@ def compared(
         rows, by_island = [], []
         for order in orders:
             for result in comparison.results(order, SEEDS):
-                found, points = refereed_entries(judge, result.plan, profile)
-                by_referee = {
-                    "referee_max_k": float(np.nanmax(found)),
-                    "referee_point_max_k": float(np.nanmax(points)),
-                }
+                by_referee = second_opinion(judge, result, profile)
+                by_island.append(by_referee.pop("referee_tau"))
                 rows.append({"order": order, **result.figures(), **by_referee})
-                by_island.append(agreement(result, found))
         table = pd.DataFrame(rows)
         place: dict[str, Any] = {"model": name, "height_mm": height_mm, "islands": len(comparison.islands)}
         plans.append(table.assign(**place))
@@ -150,12 +146,6 @@ def agreement_of_plans(table: pd.DataFrame) -> dict[str, float]:
         name: float(kendalltau(*(rows[figure] for figure in figures)).statistic)
         for name, rows in (("tau_of_plans", table), ("tau_of_orders", orders))
     }
-
-
-def agreement(result: OrderResult, referee_k: np.ndarray) -> float:
-    """Kendall's tau of the islands of a plan by their entry temperature; the first one is cold in any model."""
-    rest = (result.rank > 0) & np.isfinite(referee_k)
-    return float(kendalltau(result.entry_k[rest], referee_k[rest]).statistic)
 
 
 def by_layer(plans: pd.DataFrame) -> pd.DataFrame:

@@ -57,7 +57,9 @@ def width_px(text: str, window_px: int, folder: Path) -> tuple[int, int]:
 def _run(folder: Path, *arguments: str) -> str:
     command = [browser(), *ARGUMENTS, f"--user-data-dir={folder / 'profile'}", *arguments]
     try:
-        made = subprocess.run(command, capture_output=True, text=True, timeout=TIME_LIMIT_S, check=False)
+        made = subprocess.run(
+            command, capture_output=True, encoding="utf-8", timeout=TIME_LIMIT_S, check=False
+        )
     except subprocess.TimeoutExpired:
         pytest.skip(f"the browser did not answer within {TIME_LIMIT_S:g} s")
     return made.stdout

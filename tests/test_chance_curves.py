@@ -5,19 +5,24 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.chance_curves import chance_case, judge
-from benchmarks.curve_parts import CAD, part_of
+from benchmarks.chance_curves import chance_case, errors_of, judge
+from benchmarks.curve_parts import CAD, heights_of, part_of
 from benchmarks.curve_parts_meshes import decimated, irregular_convex, noisy, turned
 from benchmarks.curve_parts_solids import Triangles
+from ebamcheck.curves import LINE, fit
 from ebamcheck.curves.lifting import Lifting
 from ebamcheck.curves.plausible import judge_ends, plausible_share
 from ebamcheck.curves.vertex_normals import surface_normals
+from ebamcheck.layers.stack import from_rings
 from ebamcheck.mesh.part import Part
 from ebamcheck.settings.curves import CurveSettings
+from ebamcheck.slicers.slicing import slice_part
 
-BROKE_ONCE = (1, 7, 8, 9, 10, 61)
+BROKE_ONCE = (1, 7, 8, 9, 10, 61, 94, 117, 139, 150, 218, 272, 242, 330, 109, 148)
 """Seeds that once broke the law, of a kind each: a long side beside a rounding, a seam, noise in planes and in a turned part,
-vertices off their surface, a plate of 38 facets."""
+vertices off their surface, a plate of 38 facets; wedges, a box and turned parts of a few hundred facets that are left by
+quadrics (94 to 272); splines by chord length through uneven points (242, 330); and two whose contours' kinks the measure missed
+(109, 148)."""
 
 
 @pytest.mark.slow
@@ -28,20 +33,19 @@ def test_seeds_that_once_broke_the_law_hold_it(seed: int) -> None:
 
 
 BREAKING = {
-    109: "largest error 1.06 of the contour's",
-    117: "RMS 38 % worse, largest error 1.20 of the contour's",
-    139: "RMS 33 % worse, largest error 1.38 of the contour's",
-    148: "largest error 1.09 of the contour's",
-    150: "largest error 1.10 of the contour's",
+    307: "largest error 1.19 of the contour's",
+    318: "RMS 8 % worse",
+    341: "largest error 1.06 of the contour's",
+    347: "largest error 1.21 of the contour's",
+    379: "largest error 1.15 of the contour's",
 }
-"""Seeds on which the law is broken today: coarse decimated meshes."""
+"""Seeds on which the law is broken today: long edges bend to the wrong side in simplified meshes (307, 318, 341) and one left
+by quadrics (347), and a coarse crease is lifted where the surface lies nearly level (379)."""
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", BREAKING)
-@pytest.mark.xfail(
-    reason="the law is broken on a mesh of few facets that was simplified or decimated", strict=True
-)
+@pytest.mark.xfail(reason="the law is broken on some coarse or simplified meshes", strict=True)
 def test_seeds_that_break_the_law(seed: int) -> None:
     verdict = judge(chance_case(seed))
     assert verdict.held, str(verdict)
@@ -64,6 +68,30 @@ def lifting(part: Part) -> Lifting:
 
 def test_scattered_points_of_a_smooth_surface_are_known_as_such() -> None:
     assert judge_ends(lifting(ellipsoid()).mesh) == (True, False)
+
+
+def test_edges_that_stand_out_do_not_make_a_mesh_one_of_scattered_points() -> None:
+    """Seed 307 has 118 edges that ask for much among 12,571, and was lifted by up to 87 median sagittas for it."""
+    assert not judge_ends(lifting(chance_case(307).part).mesh).is_scattered
+
+
+def test_rings_without_evidence_are_the_polygons_of_their_contours() -> None:
+    """The spline by chord length left a ring of seed 330 by 0.17 mm where its contour was right to 0.02 mm."""
+    case = chance_case(330)
+    layers = slice_part(case.part, heights_of(case.part, 4))
+    curves = fit(layers, part=case.part)
+    assert curves.evidence is not None
+    assert set(curves.evidence.method.tolist()) == {0, 2}
+    fallen = np.flatnonzero(curves.evidence.method == 2)
+    assert (curves.kind[np.isin(curves.piece_ring, fallen)] == LINE).all()
+
+
+def test_the_largest_error_is_taken_at_kinks() -> None:
+    """Even steps miss the corner of a square that stands out, and so does their largest distance."""
+    square = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
+    spiked = np.insert(square, 2, [[10.0, 9.9999], [13.0, 10.0]], axis=0)
+    layers, truth = (from_rings([1.0], [[ring]]) for ring in (spiked, square))
+    assert errors_of(layers, truth)[1] == pytest.approx(3.0)
 
 
 def test_noise_is_known_by_edges_that_bend_to_both_sides() -> None:

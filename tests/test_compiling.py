@@ -13,6 +13,7 @@ import pytest
 from parts import box
 from rich.console import Console
 
+from ebamcheck.commands import progress
 from ebamcheck.commands.progress import Announcer, _bars, announced
 from ebamcheck.numeric import compiling
 from ebamcheck.plugins import registry
@@ -131,7 +132,9 @@ def test_what_a_slicer_compiles_is_told_and_is_no_time_of_the_slicer(package, tm
     assert second.compile_s == 0.0
 
 
-def test_without_a_terminal_there_is_a_line_now_and_then(capsys):
+def test_without_a_terminal_there_is_a_line_now_and_then(capsys, monkeypatch):
+    clock = iter(range(1000))
+    monkeypatch.setattr(progress.time, "monotonic", lambda: 0.1 * next(clock))
     with announced():
         for number in range(100):
             compiling.begun(f"kernel {number}")

@@ -173,7 +173,7 @@ def test_a_block_that_does_not_fit_is_cut_anew(ball, tmp_path, spoil):
 def test_a_run_killed_while_it_slices_keeps_its_blocks(tmp_path):
     write_stl(sphere(12.0, 24, 48), tmp_path / "part.stl")
     slow = "slicing.backends = ['planecut', 'embree']\nslicing.block_points = 1000\n"
-    (tmp_path / "ebamcheck.toml").write_text(slow + "layers.layer_height_mm = 0.1")
+    (tmp_path / "ebamcheck.toml").write_text(slow + "layers.layer_height_mm = 0.025")
     layers = tmp_path / ".a.run.unfinished" / "layers"
     run = subprocess.Popen(
         command("check", "part.stl", "-o", "a.run"), cwd=tmp_path, start_new_session=True,

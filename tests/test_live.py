@@ -6,6 +6,7 @@ import hashlib
 import json
 import shutil
 import tracemalloc
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from ebamcheck.live.bed import Growth, bad_lines
 from ebamcheck.live.building import Building
 from ebamcheck.live.desk import answer_to
 from ebamcheck.live.heat_so_far import HeatSoFar, heat_under
+from ebamcheck.live.heights_table import PLOT, TABLE, HeightsTable, laid_height, read_heights
 from ebamcheck.live.journal import Journal, read_journal
 from ebamcheck.live.loading import finished_run
 from ebamcheck.live.making import LayerMaker, Wanted
@@ -494,3 +496,37 @@ def test_a_server_killed_in_the_middle_goes_on_where_it_was(place, tmp_path):
 def test_growth_that_no_bead_has_is_refused(options):
     with pytest.raises(SettingsError):
         Growth(**options)
+
+
+def test_heights_of_a_build_are_tabled_and_drawn_and_come_out_the_same_again(maker, tmp_path):
+    folder = tmp_path / "b"
+    building = Building(maker, folder)
+    answers = [building.start()]
+    measured = []
+    for k in range(3):
+        last = answers[-1]
+        measured.append(last["base_mm"] + 1.08 * last["thickness_mm"])
+        answers.append(building.height({"done": k + 1, "height_mm": measured[-1]}))
+        building.heights.write()
+    building.close()
+    table = read_heights(folder / TABLE)
+    tops = [answer["base_mm"] + answer["thickness_mm"] for answer in answers[:3]]
+    assert table["layer"].tolist() == [0, 1, 2]
+    assert table["measured_top_mm"] == pytest.approx(measured, rel=1e-6)
+    assert table["corrected_top_mm"] == pytest.approx(tops, rel=1e-6)
+    assert table["deviation_mm"] == pytest.approx(np.subtract(measured, tops), rel=1e-5)
+    assert table["planned_top_mm"] == pytest.approx(building.rule.plan(0.0).tops_mm[:3], rel=1e-6)
+    assert table["grown_mm"] == pytest.approx(1.08 * table["thickness_mm"], rel=1e-5)
+    drawn = ElementTree.fromstring((folder / PLOT).read_text())
+    lines = [line for line in drawn.iter() if line.tag.endswith("polyline")]
+    assert len(lines) == 6
+    assert all(len(line.get("points").split()) == 3 for line in lines)
+    before = {name: (folder / name).read_bytes() for name in (TABLE, PLOT)}
+    Building(maker, folder).close()
+    assert {name: (folder / name).read_bytes() for name in before} == before
+
+
+def test_a_table_that_cannot_be_written_costs_the_table_alone(tmp_path):
+    table = HeightsTable(tmp_path / "nowhere")
+    table.add(laid_height(0, np.array([1.7]), 0.0, 1.7, 1.9, 0.0))
+    table.write(ended=True)

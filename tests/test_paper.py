@@ -26,6 +26,7 @@ from ebamcheck.errors import BackendFailed, ExitCode, InputError, SettingsError
 from ebamcheck.layers.stack import from_rings
 from ebamcheck.mesh.part import from_arrays
 from ebamcheck.plugins import registry
+from ebamcheck.showing.image import binary_image, png
 from ebamcheck_reports.charts import Series
 from ebamcheck_reports.paper import bitmap, paper, partition, published, timing
 from ebamcheck_reports.paper import effort as efforts
@@ -33,7 +34,6 @@ from ebamcheck_reports.paper.effort import FULL, QUICK, Effort
 from ebamcheck_reports.paper.job import Reproduction, reproduce
 from ebamcheck_reports.paper.log_chart import log_chart
 from ebamcheck_reports.paper.page import as_text, document, write
-from ebamcheck_reports.paper.png import png
 from ebamcheck_reports.paper.polar import published_record
 from ebamcheck_reports.paper.subject import find_subject
 
@@ -313,7 +313,7 @@ def test_png_is_read_back_as_the_same_image() -> None:
     from PIL import Image
 
     image = np.random.default_rng(4).random((13, 21)) < 0.4
-    with Image.open(io.BytesIO(png(image))) as read:
+    with Image.open(io.BytesIO(png(binary_image(image)))) as read:
         assert read.mode == "1"
         assert np.array_equal(~np.asarray(read), image)
 

@@ -392,18 +392,19 @@ def test_settings_and_part_change_the_fingerprint(tmp_path, monkeypatch):
 
     monkeypatch.setattr(job, "start_run", stop)
     one, other = write_stl(frame(), tmp_path / "a.stl"), write_stl(box(), tmp_path / "b.stl")
-    for path, settings, reference in [
-        (one, SETTINGS, None),
-        (one, SETTINGS, None),
-        (one, SETTINGS.changed(scan={"seed": 1}), None),
-        (one, SETTINGS.changed(slicing={"settings": {"planecut": {"overlaps": "keep"}}}), None),
-        (one, SETTINGS, one),
-        (other, SETTINGS, None),
+    for path, settings, reference, layer in [
+        (one, SETTINGS, None, 1),
+        (one, SETTINGS, None, 1),
+        (one, SETTINGS.changed(scan={"seed": 1}), None, 1),
+        (one, SETTINGS.changed(slicing={"settings": {"planecut": {"overlaps": "keep"}}}), None, 1),
+        (one, SETTINGS, one, 1),
+        (other, SETTINGS, None, 1),
+        (one, SETTINGS, None, 2),
     ]:
         with pytest.raises(Enough):
-            run_job(path, tmp_path / "x.run", settings, reference)
+            run_job(path, tmp_path / "x.run", settings, reference, from_layer=layer)
     assert seen[0] == seen[1]
-    assert len(set(seen)) == 5
+    assert len(set(seen)) == 6
 
 
 def test_the_folder_is_free_again_after_a_failure(tmp_path, monkeypatch):

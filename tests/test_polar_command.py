@@ -62,7 +62,9 @@ def test_the_figures_are_those_of_a_polygon_in_its_circle(run: Path, tmp_path: P
         0.0, abs=0.01
     )  # rays miss the corners by up to an eighth of a degree
     assert curve["RMS, mm"] < 0.1 * contour["RMS, mm"]
-    page = ElementTree.fromstring((tmp_path / "polar.html").read_text().removeprefix("<!DOCTYPE html>\n"))
+    page = ElementTree.fromstring(
+        (tmp_path / "polar.html").read_text(encoding="utf-8").removeprefix("<!DOCTYPE html>\n")
+    )
     assert page.findtext("head/title") == "run: layer 2, z = 7.500 mm"
     assert page.find("body/figure/svg") is not None
 

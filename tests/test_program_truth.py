@@ -9,6 +9,7 @@ from program_text import CONTROLS, ProgramText, near
 
 from ebamcheck.program import mark_validated, verify_file
 from ebamcheck.program.checking.header_checks import Truth
+from ebamcheck.settings.differences import differences
 
 SINUMERIK, LINUXCNC, PLAIN = CONTROLS
 
@@ -121,6 +122,26 @@ def test_the_hash_of_other_settings_is_found(control, tmp_path):
     text = ProgramText(control, tmp_path / "p")
     found = text.failed_by_text(truth=Truth(settings_sha256="cd" * 32))["header"]
     assert "SETTINGS SHA-256" in found.text
+
+
+@pytest.mark.parametrize("control", CONTROLS)
+def test_other_settings_that_are_given_are_told_and_no_fault(control, tmp_path):
+    text = ProgramText(control, tmp_path / "p")
+    other = text.config.changed(scan={"seed": 4})
+    truth = Truth(given_sha256="cd" * 32, differences=tuple(differences(other, text.config)))
+    assert "header" not in text.failed_by_text(truth=truth)
+    checks = verify_file(text.files.main, config=text.config, truth=truth)
+    (header,) = [check for check in checks if check.name == "header"]
+    assert "not cdcdcdcdcdcd" in header.text
+    assert header.text.endswith("scan.seed is 4, not 0")
+
+
+@pytest.mark.parametrize("control", CONTROLS)
+def test_a_line_that_differs_from_the_settings_is_told_with_both_values(control, tmp_path):
+    text = ProgramText(control, tmp_path / "p")
+    text.edit_all(*LIES["BEAM"])
+    found = text.failed_by_text(truth=Truth(given_sha256="cd" * 32))["header"]
+    assert "says BEAM: 7300 W (60 kV, 120 mA), by the settings it is 7200 W (60 kV, 120 mA)" in found.text
 
 
 @pytest.mark.parametrize("control", CONTROLS)

@@ -20,9 +20,9 @@ from typer.testing import CliRunner
 import ebamcheck
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.layers.stack import from_rings
-from ebamcheck.layers.svg import COLOURS, DASHES
 from ebamcheck.pipeline.run_folder import RunFolder, write_json
 from ebamcheck.settings.config import Config
+from ebamcheck.showing.colours import COLOURS, DASHES
 from ebamcheck_reports import html, part_picture
 from ebamcheck_reports.charts import Series, line_chart
 from ebamcheck_reports.report_command import report

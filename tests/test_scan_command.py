@@ -16,13 +16,14 @@ import shapely
 from command_line import WIDE_TOML, command, ebamcheck, write_stl
 from PIL import Image
 
-from ebamcheck.drawing.islands import COLOURS, field_svg, islands_svg
+from ebamcheck.drawing.islands import field_svg, islands_svg
 from ebamcheck.drawing.orders import frontier, pareto_svg
-from ebamcheck.drawing.png import png
 from ebamcheck.drawing.scene import TemperatureScale
 from ebamcheck.heat import contour_modes
 from ebamcheck.mesh.part import from_arrays
 from ebamcheck.settings.config import Config
+from ebamcheck.showing.colours import SCALE as COLOURS
+from ebamcheck.showing.image import palette_image, png
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -207,6 +208,25 @@ def test_json_of_the_order_of_the_settings(plate, tmp_path):
     assert [row["order"] for row in json.loads(done.stdout)] == ["farthest"]
 
 
+def test_the_referee_gives_its_opinion_beside_the_model(plate, tmp_path):
+    orders = ("thermal", "raster")
+    done = ebamcheck(
+        "scan", plate, "--height", 12, "--orders", ",".join(orders), "--referee", "--json", cwd=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    rows = {row["order"]: row for row in json.loads(done.stdout)}
+    assert set(rows) == set(orders)
+    # Both models find the same order cooler, though the referee shares no code, cell or datum of it.
+    assert rows["thermal"]["referee_max_k"] < 0.6 * rows["raster"]["referee_max_k"]
+    assert rows["thermal"]["entry_max_k"] < 0.6 * rows["raster"]["entry_max_k"]
+    for row in rows.values():
+        assert 0.5 < row["referee_tau"] <= 1.0
+        assert row["referee_point_max_k"] >= row["referee_max_k"]
+    refused = ebamcheck("scan", plate, "--all", "--referee", cwd=tmp_path)
+    assert refused.returncode == 2
+    assert refused.stderr.strip().endswith("--referee: judges one layer, give it with --height Z")
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -306,9 +326,9 @@ def image_of(picture):
 
 def test_images_are_read_by_another_reader():
     pixels = np.random.default_rng(3).integers(0, 256, (7, 13)).astype(np.uint8)
-    image = Image.open(io.BytesIO(png(pixels, COLOURS)))
+    image = Image.open(io.BytesIO(png(palette_image(pixels, COLOURS))))
     image.verify()
-    image = Image.open(io.BytesIO(png(pixels, COLOURS)))
+    image = Image.open(io.BytesIO(png(palette_image(pixels, COLOURS))))
     assert image.size == (13, 7)
     assert np.array_equal(np.asarray(image.convert("RGB")), COLOURS[pixels])
 

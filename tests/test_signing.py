@@ -196,6 +196,16 @@ def test_a_private_key_is_private_and_is_never_overwritten(tmp_path):
         make_key(tmp_path / "a")
 
 
+def test_the_folder_of_a_key_is_made_and_what_cannot_be_written_is_told(tmp_path):
+    private, public = make_key(tmp_path / "keys" / "jane")
+    assert private.is_file()
+    assert public.is_file()
+    assert (tmp_path / "keys").stat().st_mode & 0o077 == 0
+    (tmp_path / "file").write_text("")
+    with pytest.raises(SettingsError, match="the keys cannot be written"):
+        make_key(tmp_path / "file" / "jane")
+
+
 def test_a_protected_key_wants_its_password(tmp_path):
     private, _ = make_key(tmp_path / "a", "secret")
     with pytest.raises(InputError, match="is protected"):
@@ -395,8 +405,6 @@ def test_keys_signatures_and_trust_from_the_command_line(run, made, tmp_path):
     def here(*arguments):
         return ebamcheck(*arguments, cwd=tmp_path)
 
-    assert here("key", "keys/jane").returncode == 2, "there is no such folder"
-    (tmp_path / "keys").mkdir()
     assert here("key", "keys/jane").returncode == 0
     done = here(
         "sign", "copy.run", "--key", "keys/jane.key", "--name", "Jane Doe", "--part-number", "B-17",

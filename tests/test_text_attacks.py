@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
 
@@ -13,7 +12,7 @@ from benchmarks.faults.subjects import SUBJECTS
 from ebamcheck.pipeline import run_job
 from ebamcheck.pipeline.gates_again import exchanged_layers
 from ebamcheck.pipeline.run_folder import RunFolder
-from ebamcheck.pipeline.verify import verify_against_part, verify_run
+from ebamcheck.pipeline.verify import verify_against_part
 from ebamcheck.program.checking.hatch_form import BACK, FINE, SKEW, UNEVEN, form_of
 from ebamcheck.program.checking.interpass_checks import scheduled_shares
 from ebamcheck.settings.config import Config
@@ -86,7 +85,7 @@ def made(tmp_path_factory):
     def run(control):
         if control not in known:
             config = SUBJECTS["cube"].config(control)
-            run_job(part, folder / control, config, from_layer=2)
+            run_job(part, folder / control, config)
             known[control] = (folder / control, part, config)
         return known[control]
 
@@ -147,13 +146,75 @@ def test_travel_at_feed_is_found(made, tmp_path):
     assert "in place of a rapid" in found["feed"].text
 
 
-def test_other_settings_than_those_of_the_program_are_told(made, tmp_path):
-    found = spoiled(made, tmp_path, "linuxcnc", edited(r"SHA-256: [0-9a-f]{8}", "SHA-256: 00000000", 0))
-    assert "SHA-256" in found["header"].text
-    other = made("linuxcnc")[2].changed(process={"mass_tolerance": 0.021})
+def test_other_settings_than_those_of_the_program_are_told_and_no_fault(made, tmp_path):
+    run, part, config = made("linuxcnc")
+    other = config.changed(process={"mass_tolerance": 0.021})
+    alone = tmp_path / "program"
+    shutil.copytree(run / "program", alone)
+    for folder, said in (
+        (alone, "which ones, its text does not say"),
+        (run / "program", "process.mass_tolerance is 0.021, not 0.02"),
+    ):
+        (header,) = [c for c in verify_against_part(folder, part, other) if c.name == "header"]
+        assert header.passed
+        assert "made with other settings" in header.text
+        assert header.text.endswith(said)
+
+
+def test_settings_that_the_header_contradicts_are_told_with_both_values(made, tmp_path):
+    config = made("linuxcnc")[2].changed(process={"wire_diameter_mm": 1.3})
+    found = spoiled(made, tmp_path, "linuxcnc", lambda texts: {}, config)["header"]
+    assert "1.6 mm" in found.text
+    assert "1.3 mm" in found.text
+
+
+# -- metal and words without a plan -------------------------------------------------------------------------
+
+
+def beads(text):
+    """Start and end of the text of each bead of a program of plain G-code."""
+    return [m.span() for m in re.finditer(r"^M42 P1 S.*\nM8.*\n(?:.*\n)*?M9", text, re.MULTILINE)]
+
+
+@pytest.mark.parametrize("factor", [0.7, 1.5])
+@pytest.mark.parametrize("nth", [0, 1, 2, 3])
+def test_the_wire_of_one_bead_is_held_against_its_place(made, tmp_path, nth, factor):
+    """Contour and hatch of two layers; the more of a place's metal is the bead's own, the more it is off."""
+    starts = []
+
+    def change(texts):
+        name, text = next(iter(texts.items()))
+        a, b = beads(text)[nth]
+        starts.append(text.count("\n", 0, a) + 1)
+        scaled = re.sub(r"(?<=M42 P1 S)[\d.]+", lambda m: f"{factor * float(m[0]):.6f}", text[a:b])
+        return {name: text[:a] + scaled + text[b:]}
+
+    found = spoiled(made, tmp_path, "plain-gcode", change)["wire of beads"]
+    assert abs(int(found.where.rpartition(":")[2]) - starts[0]) <= 4
+    least = 1.0 / factor if factor < 1.0 else factor
+    assert 0.3 * (least - 1.0) < found.value < 1.2 * (least - 1.0)
+
+
+@pytest.mark.parametrize("control", ["sinumerik-840d-sl", "linuxcnc", "plain-gcode"])
+@pytest.mark.parametrize("axis", ["X", "Y"])
+def test_an_axis_that_one_block_of_a_bead_lacks_is_found(made, tmp_path, control, axis):
+    places = []
+
+    def change(texts):
+        name, text = next((n, t) for n, t in texts.items() if "G1 X" in t)
+        m = list(re.finditer(r"(?:N\d+ )?G1 X\S+ Y\S+", text))[7]
+        places.append(f"{name}:{text.count(chr(10), 0, m.start()) + 1}")
+        return {name: text[: m.start()] + re.sub(rf" {axis}\S+", "", m[0]) + text[m.end() :]}
+
+    found = spoiled(made, tmp_path, control, change)["words of motions"]
+    assert found.where == places[0]
+    assert f"names no {axis}" in found.text
+
+
+def test_a_way_to_a_bead_that_is_missing_is_found(made, tmp_path):
+    change = edited(r"^G0 X.*\n(?=G0 Z.*\n(?:M42|M3|S))", "", nth=2)
     assert (
-        "SETTINGS SHA-256"
-        in spoiled(made, tmp_path / "b", "linuxcnc", lambda texts: {}, other)["header"].text
+        "the way to it is missing" in spoiled(made, tmp_path, "plain-gcode", change)["words of motions"].text
     )
 
 
@@ -172,6 +233,37 @@ def test_a_bead_that_runs_across_its_neighbours_is_found(made, tmp_path):
 
     found = spoiled(made, tmp_path, "linuxcnc", change)
     assert found.keys() & {"crossings", "hatch lines"}
+
+
+@pytest.mark.parametrize("control", ["sinumerik-840d-sl", "linuxcnc", "plain-gcode"])
+def test_a_wait_at_the_height_of_the_beads_is_found(made, tmp_path, control):
+    """The wait after the descent to a bead: of the same length, on the same way, and the wire's tip in the pool."""
+    places = []
+
+    def change(texts):
+        wait = re.compile(
+            r"^(N\d+ )?(G4 .*)\n((?:[;(].*\n)*)((?:N\d+ )?G0 X.*\n)(N\d+ )?(G0 Z.*)\n", re.MULTILINE
+        )
+        for name, text in texts.items():
+            m = list(wait.finditer(text))[-1:]
+            if m and "G1 X" in text:
+                way = re.sub(r"^N\d+ ", m[0][1] or "", m[0][4])
+                number = re.match(r"N\d+ ", m[0][4])
+                spoiled = f"{m[0][3]}{way}{number[0] if number else ''}{m[0][6]}\n{m[0][5] or ''}{m[0][2]}\n"
+                texts = {name: text[: m[0].start()] + spoiled + text[m[0].end() :]}
+                places.append(f"{name}:{texts[name].count(chr(10), 0, m[0].start() + len(spoiled))}")
+                return texts
+        raise AssertionError("no wait")
+
+    found = spoiled(made, tmp_path, control, change)
+    assert found["waits over the part"].where == places[0]
+
+
+def test_a_file_of_the_same_name_in_other_letters_is_found(made, tmp_path):
+    def change(texts):
+        return {"main_l0002.spf": texts["MAIN_L0002.SPF"]}
+
+    assert "main_l0002.spf" in spoiled(made, tmp_path, "sinumerik-840d-sl", change)["subprograms"].text
 
 
 # -- windows ----------------------------------------------------------------------------------------------
@@ -229,35 +321,3 @@ def test_layers_of_one_slicer_in_the_file_of_another_are_found_on_a_plane_part(m
     assert exchanged_layers(folder, record, fresh, witness) == ()
     shutil.copyfile(folder.layers_file(record["primary"]), folder.layers_file(witness))
     assert exchanged_layers(folder, record, fresh, witness) == (witness,)
-
-
-@pytest.mark.parametrize("control", ["sinumerik-840d-sl", "linuxcnc", "plain-gcode"])
-def test_a_run_writes_and_proves_a_program_from_a_layer_on(made, control):
-    run, part, _ = made(control)
-    entry = json.loads((run / "run.json").read_text())["program"]["entry"]
-    assert entry["validated"]
-    assert entry["layer"] == 2
-    main = (run / "entry" / entry["files"][0]["name"]).read_text()
-    assert "; ENTRY: AT LAYER 2 OF 3" in main
-    checks = {c.name: c for c in verify_run(run, part)}
-    assert checks["entry"].passed
-    assert all(c.passed for c in checks.values())
-
-
-@pytest.mark.parametrize(
-    ("pattern", "by"), [(r"^G1 X(-?\d+)\.", r"G1 X\g<1>1."), (r"^G0 Z\d+", "G0 Z1"), (r"F600", "F601")]
-)
-def test_an_entry_program_that_differs_from_the_whole_is_found(made, tmp_path, pattern, by):
-    from ebamcheck.pipeline.entry_program import checked_again
-    from ebamcheck.program.toolpath.inputs import deposition_heights
-
-    run, _, config = made("plain-gcode")
-    copy = tmp_path / "run"
-    shutil.copytree(run, copy)
-    record = RunFolder(copy).manifest()["program"]
-    main = copy / "entry" / record["entry"]["files"][0]["name"]
-    main.write_text(re.sub(pattern, by, main.read_text(), count=1, flags=re.MULTILINE))
-    heights = RunFolder(copy).read_layers(record["witness"]).heights
-    z_of = deposition_heights(heights, config.layer_height_mm)
-    (found,) = checked_again(copy, record, copy / "program" / record["files"][0]["name"], z_of, config)
-    assert not found.passed

@@ -14,8 +14,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from ebamcheck.mesh.part import Part
 
@@ -41,6 +39,9 @@ def capped(part: Part) -> Part:
     edges = border(part.faces)
     if not len(edges):
         return part
+    from scipy.sparse import coo_array  # slow to import, and only open meshes need it
+    from scipy.sparse.csgraph import connected_components
+
     used, local = np.unique(edges, return_inverse=True)
     local = local.reshape(-1, 2)
     graph = coo_array((np.ones(len(local)), (local[:, 0], local[:, 1])), shape=(len(used), len(used)))

@@ -104,6 +104,37 @@ def two_words(ground: Ground) -> list[Place]:
     return _instead(ground, ground.variant)
 
 
+# -- places that nobody looks at -----------------------------------------------------------------------
+
+
+@kind("wait at the height of the beads", "state")
+def low_wait(ground: Ground) -> list[Place]:
+    """Wait after the descent to a bead, not before it."""
+    text = ground.text
+    found = [
+        (b.file, i, k)
+        for b in text.beads()
+        for i in range(max(b.travel - 6, 0), b.on)
+        for k in range(i + 1, b.on)
+        if text.code(b.file, i).startswith("G4 ") and text.code(b.file, k).startswith("G0 Z")
+    ]
+    file, i, k = ground.pick(found)
+    wait = text.code(file, i)
+    text.insert(file, k + 1, wait)
+    text.delete(file, i)
+    ground.what = f"{wait} after the descent"
+    return ground.line(file, i, k + 1)
+
+
+@kind("subprogram in small letters", "state", controls=(SINUMERIK,))
+def small_letters(ground: Ground) -> list[Place]:
+    """Lay a file beside a layer that a control takes for one of the same name."""
+    name = ground.text.layers()[1].file
+    ground.text.files[name.lower()] = list(ground.text.files[name])
+    ground.what = f"{name.lower()} beside {name}"
+    return ground.line(ground.text.main, 0, len(ground.text.files[ground.text.main]))
+
+
 # -- flow -----------------------------------------------------------------------------------------------
 
 FLOW = {

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
+import shapely
 
 from benchmarks.faults.kinds import Ground, NotHereError, Place, kind
 from benchmarks.faults.metal_kinds import bead_end
 from benchmarks.faults.motion_kinds import layer_places
-from benchmarks.faults.program_text import Bead
+from benchmarks.faults.program_text import Bead, ProgramText, end_of
 from benchmarks.faults.shapes import Floats, about, bounds, centre, ends, move_lines, turn
+
+ACROSS_MM = 0.1
+"""By so much at least a line runs past another that it crosses."""
+
+Line = tuple[tuple[float, float], tuple[float, float]]
 
 # -- layers ------------------------------------------------------------------------------------------------
 
@@ -135,15 +143,62 @@ def contour_inset(ground: Ground) -> list[Place]:
     return ground.line(bead.file, bead.travel, bead.off)
 
 
-@kind("hatch turned", "metal", (45.0, 90.0))
+@kind(
+    "hatch turned",
+    "metal",
+    (45.0, 90.0),
+    unseen="lines of another direction that stay within their island, and lay its metal within the limits, are a hatch as good",
+)
 def hatch_turned(ground: Ground) -> list[Place]:
     """Turn the lines of an island about its middle."""
-    text, bead = ground.text, ground.bead(contour=False, motions=4)
-    a = turn(ground.variant)
+    return _turned(ground, ground.bead(contour=False, motions=4))
+
+
+@kind(
+    "hatch turned across other beads",
+    "metal",
+    (45.0, 90.0),
+    subjects=("prism", "bored", "torus", "two-spheres"),
+)
+def hatch_turned_across(ground: Ground) -> list[Place]:
+    """Turn the lines of an island about its middle, so that one runs across a bead of its layer."""
+    text = ground.text
+    found = [b for b in text.beads(contour=False) if len(b.motions) >= 4 and _runs_across(text, b, turn(ground.variant))]  # fmt: skip
+    return _turned(ground, ground.pick(found))
+
+
+def _turned(ground: Ground, bead: Bead) -> list[Place]:
+    text, a = ground.text, turn(ground.variant)
     way = [i for i in range(bead.travel, bead.on) if text.code(bead.file, i).startswith("G0 X")]
     move_lines(text, bead.file, (*way, *bead.motions), a, about(a, centre(text, bead.file, bead.motions)))
     ground.what = f"an island turned by {ground.variant:g} deg"
     return ground.line(bead.file, bead.travel, bead.off)
+
+
+def _runs_across(text: ProgramText, bead: Bead, a: Floats) -> bool:
+    """Whether a bead that is mapped by `a` about its middle runs across a straight line of another of its layer."""
+    offset = about(a, centre(text, bead.file, bead.motions))
+    mine = [shapely.LineString(np.array(line) @ a.T + offset) for line in _lines(text, bead)]
+    others = [
+        shapely.LineString(line)
+        for other in text.beads()
+        if other.layer == bead.layer and other != bead
+        for line in _lines(text, other)
+    ]
+    return any(
+        one.crosses(other) and min(other.distance(shapely.Point(end)) for end in one.coords) > ACROSS_MM
+        for one in mine
+        for other in others
+    )
+
+
+def _lines(text: ProgramText, bead: Bead) -> list[Line]:
+    """Start and end of every straight motion of a bead."""
+    codes = [text.code(bead.file, i) for i in bead.motions]
+    places = [bead.start]
+    for code in codes:
+        places.append(end_of(code, places[-1]))
+    return [line for line, code in zip(pairwise(places), codes, strict=True) if code.startswith("G1 ")]
 
 
 def _bead_shifted(ground: Ground, bead: Bead) -> list[Place]:

@@ -17,6 +17,9 @@ LEAST_CHANGE_MM = 0.15
 LEAST_HATCH_MM = 1.5
 """Smaller changes of a hatch line, a quarter of a bead, are within what its gaps and overlaps may differ by."""
 
+BEAD_MM = 6.0
+"""Width of the beads of all programs."""
+
 
 def _motion(
     ground: Ground, pattern: str, contour: bool | None = None, inner: bool = False
@@ -31,17 +34,18 @@ def _motion(
     return ground.pick(found)
 
 
-def _change(ground: Ground, edit: str, contour: bool) -> list[Place]:
+def _change(
+    ground: Ground, edit: str, contour: bool, least_mm: float, most_mm: float = np.inf
+) -> list[Place]:
     """Change X or Y of a straight motion by a slip of the hand."""
     text = ground.text
-    least_mm = LEAST_CHANGE_MM if contour else LEAST_HATCH_MM
     for _ in range(500):
         bead, i = _motion(ground, r"G[123] ", contour)
         axis = "XY"[int(ground.random.integers(2))]
         code = text.code(bead.file, i)
         digits = re.search(rf"(?<![A-Z]){axis}({r'-?'}\d+\.\d+)", code)
         changed = _slip(digits[1], edit, ground.random) if digits else None
-        if digits and changed and abs(float(changed) - float(digits[1])) >= least_mm:
+        if digits and changed and least_mm <= abs(float(changed) - float(digits[1])) < most_mm:
             text.set(bead.file, i, code.replace(digits[0], f"{axis}{changed}", 1))
             ground.what = f"{axis}{changed} in place of {axis}{digits[1]} ({edit})"
             return ground.line(bead.file, i, i + 2)
@@ -71,13 +75,24 @@ def _slip(number: str, edit: str, random: np.random.Generator) -> str | None:
 @kind("slip in a contour", "metal", ("digit", "transposed", "sign", "point"))
 def contour_slip(ground: Ground) -> list[Place]:
     """Mistype a number of a contour."""
-    return _change(ground, ground.variant, contour=True)
+    return _change(ground, ground.variant, True, LEAST_CHANGE_MM)
 
 
 @kind("slip in the hatch", "metal", ("digit", "transposed", "sign", "point"))
 def hatch_slip(ground: Ground) -> list[Place]:
-    """Mistype a number of an island."""
-    return _change(ground, ground.variant, contour=False)
+    """Mistype a number of an island, so that a line ends further away than a bead is wide."""
+    return _change(ground, ground.variant, False, BEAD_MM)
+
+
+@kind(
+    "slip in the hatch by less than a bead",
+    "metal",
+    ("digit", "transposed", "sign"),
+    unseen="the metal lies within its limits where a line ends less than a bead's width away, if its bead has no lines to and fro",
+)
+def small_hatch_slip(ground: Ground) -> list[Place]:
+    """Mistype a number of an island, so that a line ends elsewhere by less than the width of a bead."""
+    return _change(ground, ground.variant, False, LEAST_HATCH_MM, BEAD_MM)
 
 
 @kind("hatch line 100 mm out", "metal", ("end", "whole line"))

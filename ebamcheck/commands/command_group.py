@@ -17,7 +17,7 @@ from ebamcheck.errors import EbamcheckError, ExitCode
 from ebamcheck.plugins.points import is_house, sorted_out
 
 COMMANDS = "ebamcheck.commands"
-"""Entry point group of commands that wings add."""
+"""Entry point group of commands that plugin packages add."""
 
 
 RESUMABLE = ("run", "check")
@@ -25,7 +25,7 @@ RESUMABLE = ("run", "check")
 
 
 class CommandGroup(TyperGroup):
-    """The house's commands, and those of installed wings, each loaded when it is first asked for."""
+    """The house's commands, and those of installed plugin packages, each loaded when it is first asked for."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Names of all commands: the house's own first."""
@@ -33,7 +33,7 @@ class CommandGroup(TyperGroup):
         return [*own, *(name for name in sorted(_plugins()) if name not in own)]
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return a command; None where there is none of that name or its wing is broken."""
+        """Return a command; None where there is none of that name or its plugin is broken."""
         if (own := super().get_command(ctx, cmd_name)) is not None or cmd_name not in _plugins():
             return own
         try:

@@ -56,7 +56,9 @@ def relayer_command(
     heat = heat_under(found.plan, layer, found.thickness_mm, found.busy_s(), found.config)
     folder = output or run.with_name(f"{run.resolve().name.removesuffix('.run')}.live")
     with LayerMaker(found.part, found.config, found.primary, annealing) as maker:
-        done = relayer(maker, heat, layer, measured_z, folder)
+        # Along another direction other layers would have been laid than those that the run knows.
+        metal = None if turned else found.metal_under(layer)
+        done = relayer(maker, heat, layer, measured_z, folder, metal)
     if as_json:
         print_json({**done.certificate, "place": done.place, "said": done.said, "seconds": done.made.seconds})
     else:

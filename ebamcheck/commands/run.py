@@ -54,6 +54,12 @@ def run(
         int,
         typer.Option(min=1, help="Write a program that begins at this layer, too: to go on after a break."),
     ] = 1,
+    live: Annotated[
+        bool,
+        typer.Option(
+            "--live", help="Write a main program that waits between layers until each is released, too."
+        ),
+    ] = False,
     yes: YesOption = False,
     resume: ResumeOption = False,
     force: ForceOption = False,
@@ -78,6 +84,7 @@ def run(
             part_ready,
             force=force,
             from_layer=from_layer,
+            live=live,
         )
     return _told(result, as_json)
 

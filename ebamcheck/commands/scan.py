@@ -24,6 +24,7 @@ from ebamcheck.commands.scan_part import scan_all
 from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.program.language.control import simulators
 from ebamcheck.scan.plan.comparing import COMPARED, RANDOM, SEEDS
+from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import checked_window
 from ebamcheck.settings.scan import SCAN_ORDERS
 
@@ -54,6 +55,13 @@ def scan_command(
         ),
     ] = "",
     seeds: Annotated[int, typer.Option(help=f"Seeds over which `{RANDOM}` is averaged.")] = SEEDS,
+    referee: Annotated[
+        bool,
+        typer.Option(
+            "--referee",
+            help="With --height: drive each order also on a nonlinear model of the heat, which shares nothing with ours.",
+        ),
+    ] = False,
     config: ConfigOption = None,
     units: UnitsOption = "",
     direction: DirectionOption = "",
@@ -66,21 +74,16 @@ def scan_command(
     """
     settings = settings_of(config, units, direction, layer_height)
     checked_window(settings)
-    wanted = COMPARED if orders == ALL else names(orders) or (settings.scan.order,)
-    for name in wanted:
-        settings.changed(scan={"order": name})  # an unknown name is refused before anything is computed
-    known = simulators()
-    exported = known if export == ALL else names(export)
-    if unknown := set(exported) - set(known):
-        raise SettingsError(f"--export {sorted(unknown)[0]!r}: choose from {', '.join(known)}, or all")
-    if exported and output is None:
-        raise SettingsError("--export: give the folder with -o")
+    wanted = _orders(orders, settings)
+    exported = _exported(export, output)
     if seeds < 1:
         raise SettingsError(f"--seeds {seeds}: give at least 1")
     if all_layers == (height is not None):
         raise SettingsError("scan: give either --height Z for one layer, or --all")
     if pause is not None and not all_layers:
         raise SettingsError("--pause: the wait between layers belongs to --all")
+    if referee and all_layers:
+        raise SettingsError("--referee: judges one layer, give it with --height Z")
     placed = loaded(part, settings)
     if height is None:
         if len(wanted) != 1:
@@ -88,4 +91,23 @@ def scan_command(
         if pause is not None:
             settings = settings.changed(process={"layer_pause_s": pause})
         return scan_all(placed, settings, wanted[0], output, as_json, yes)
-    return scan_layer(placed, settings, height, wanted, seeds, exported, output, as_json)
+    return scan_layer(placed, settings, height, wanted, seeds, exported, output, as_json, referee)
+
+
+def _orders(orders: str, settings: Config) -> tuple[str, ...]:
+    """Orders that are asked for; an unknown name is refused before anything is computed."""
+    wanted = COMPARED if orders == ALL else names(orders) or (settings.scan.order,)
+    for name in wanted:
+        settings.changed(scan={"order": name})
+    return wanted
+
+
+def _exported(export: str, output: Path | None) -> tuple[str, ...]:
+    """Simulators that the paths are written for."""
+    known = simulators()
+    exported = known if export == ALL else names(export)
+    if unknown := set(exported) - set(known):
+        raise SettingsError(f"--export {sorted(unknown)[0]!r}: choose from {', '.join(known)}, or all")
+    if exported and output is None:
+        raise SettingsError("--export: give the folder with -o")
+    return exported

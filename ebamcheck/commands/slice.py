@@ -47,14 +47,14 @@ def slice_command(
     yes: YesOption = False,
 ) -> ExitCode:
     """Slice a part with one backend and write its layers."""
-    from ebamcheck.slicers.worker_pool import Crew
+    from ebamcheck.slicers.worker_pool import WorkerPool
 
     if output.suffix.lower() not in SLICE_SUFFIXES:
         raise SettingsError(
             f"{output}: unknown slice format {output.suffix!r}: use {', '.join(SLICE_SUFFIXES)}"
         )
     # The worker's interpreter comes up while this one does, and while the part is read.
-    with Crew(ahead=1) as crew:
+    with WorkerPool(ahead=1) as pool:
         from ebamcheck.commands.progress import announced
         from ebamcheck.layers.cuts import heights_within
         from ebamcheck.layers.heights import layer_heights
@@ -76,7 +76,7 @@ def slice_command(
             within_work(placed, wanted, settings, yes)
             limits = Limits(settings.slicing.time_limit_s, settings.slicing.memory_limit_mb)
             points = settings.slicing.block_points
-            made = slice_to_file(placed, wanted, output, name, limits, points, crew, **values)
+            made = slice_to_file(placed, wanted, output, name, limits, points, pool, **values)
     print(
         f"{len(wanted)} layers, {made.rings} rings, {made.open_paths} open paths, {made.points} points: {output}"
     )

@@ -1,6 +1,6 @@
 """Exact areas of two regions and of their symmetric difference, by a sweep from below.
 
-Between two edges that are neighbours on the front of the sweep lies a trapezoid, wholly inside or outside
+Between two edges that are neighbours in the status of the sweep lies a trapezoid, wholly inside or outside
 either region (winding number > 0). See :mod:`ebamcheck.comparison.sweep_status` for how it goes on.
 """
 
@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.comparison import sweep_status as front
+from ebamcheck.comparison import sweep_status as status
 from ebamcheck.comparison.chains import (
     ADVANCE,
     KIND,
@@ -29,7 +29,7 @@ MOST_CROSSINGS = 2_000_000
 """Crossings in one sweep; beyond it the caller uses shapely instead."""
 
 TAKEN_AN_EDGE = 6
-"""Trapezoids that one step of the sweep takes at most for each edge of the front: an edge that moves passes
+"""Trapezoids that one step of the sweep takes at most for each edge of the status: an edge that moves passes
 every other once at most, and three gaps change each time, as at either end of a level run."""
 
 
@@ -52,36 +52,36 @@ def overlap(a: Outline, b: Outline, wanted: bool) -> Overlap:
     levels, events = _merged(a.chains, b.chains, len(a.segments))
     segments = np.concatenate((a.segments, b.segments))
     steps = _steps(a.chains.steps, b.chains.steps)
-    edges = np.empty((len(steps), front.EDGE_COLUMNS))
-    marks = np.empty((len(steps), front.MARK_COLUMNS), np.int64)
-    sums = np.zeros(front.SUMS)
-    sums[front.NEXT_CROSSING] = np.inf
-    difference = np.empty((64 if wanted else 0, front.TRAPEZOID_COLUMNS))
+    edges = np.empty((len(steps), status.EDGE_COLUMNS))
+    marks = np.empty((len(steps), status.MARK_COLUMNS), np.int64)
+    sums = np.zeros(status.SUMS)
+    sums[status.NEXT_CROSSING] = np.inf
+    difference = np.empty((64 if wanted else 0, status.TRAPEZOID_COLUMNS))
     crossings, n = 0, 0
     # What most levels do stands here at length: a kernel that calls kernels pays reference counts for its tables.
     for k in range(levels.size):
         y = levels[k]
         if wanted:
             difference = _with_room(difference, sums, n)
-        while sums[front.NEXT_CROSSING] <= y:
-            m = front.next_crossing(edges, sums, n)
-            level = sums[front.NEXT_CROSSING]
+        while sums[status.NEXT_CROSSING] <= y:
+            m = status.next_crossing(edges, sums, n)
+            level = sums[status.NEXT_CROSSING]
             if level > y:
                 break
             crossings += 1
             if crossings > MOST_CROSSINGS:
                 return Overlap(0.0, 0.0, 0.0, difference[:0], False)
-            front.take_areas(edges, marks, sums, difference, m - 1, m + 1, n, level)
-            front.swap(edges, marks, m)
-            front.start_gaps(edges, sums, m - 1, m + 1, n, level)
+            status.take_areas(edges, marks, sums, difference, m - 1, m + 1, n, level)
+            status.swap(edges, marks, m)
+            status.start_gaps(edges, sums, m - 1, m + 1, n, level)
             if wanted:
                 difference = _with_room(difference, sums, n)
         if events[k, KIND] == ADVANCE:
-            m = marks[events[k, LEFT], front.PLACE]
-            front.take_areas(edges, marks, sums, difference, m - 1, m, n, y)
-            front.set_edge(edges, m, segments, events[k, LEFT_SEGMENT])
-            if not front.start_gaps(edges, sums, m - 1, m, n, y):
-                front.settle(edges, marks, sums, difference, m, n, y)
+            m = marks[events[k, LEFT], status.PLACE]
+            status.take_areas(edges, marks, sums, difference, m - 1, m, n, y)
+            status.set_edge(edges, m, segments, events[k, LEFT_SEGMENT])
+            if not status.start_gaps(edges, sums, m - 1, m, n, y):
+                status.settle(edges, marks, sums, difference, m, n, y)
         elif events[k, KIND] == OPEN:
             left, right, s, t = (
                 events[k, LEFT],
@@ -89,13 +89,13 @@ def overlap(a: Outline, b: Outline, wanted: bool) -> Overlap:
                 events[k, LEFT_SEGMENT],
                 events[k, RIGHT_SEGMENT],
             )
-            front.start_pair(edges, marks, sums, difference, n, y, left, right, segments, s, t, steps)
+            status.start_pair(edges, marks, sums, difference, n, y, left, right, segments, s, t, steps)
             n += 2
         else:
-            front.end_pair(edges, marks, sums, difference, n, y, events[k, LEFT], events[k, RIGHT])
+            status.end_pair(edges, marks, sums, difference, n, y, events[k, LEFT], events[k, RIGHT])
             n -= 2
-    found = difference[: int(sums[front.TRAPEZOIDS])].copy()
-    return Overlap(sums[front.AREA_A], sums[front.AREA_B], sums[front.DIFFERENCE], found, True)
+    found = difference[: int(sums[status.TRAPEZOIDS])].copy()
+    return Overlap(sums[status.AREA_A], sums[status.AREA_B], sums[status.DIFFERENCE], found, True)
 
 
 @kernel
@@ -133,10 +133,10 @@ def _steps(a: Ints, b: Ints) -> Ints:
 @kernel
 def _with_room(difference: Floats, sums: Floats, n: int) -> Floats:
     """Trapezoids with room for all that one step of the sweep may add."""
-    taken = int(sums[front.TRAPEZOIDS])
+    taken = int(sums[status.TRAPEZOIDS])
     needed = taken + TAKEN_AN_EDGE * (n + 2)
     if needed <= len(difference):
         return difference
-    larger = np.empty((2 * needed, front.TRAPEZOID_COLUMNS))
+    larger = np.empty((2 * needed, status.TRAPEZOID_COLUMNS))
     larger[:taken] = difference[:taken]
     return larger

@@ -9,7 +9,7 @@ Neighbours are in the right order where both go on, up to rounding: when two edg
 level is found at which they cross. So an order that rounding gets wrong costs the area between edges
 that coincide within rounding, and shared edges and touching rings need no care.
 
-The front is two tables with a row an edge, from left to right, and a few sums. They are handed on one by
+The status is two tables with a row an edge, from left to right, and a few sums. They are handed on one by
 one: a tuple of them would cost reference counts at every call.
 """
 
@@ -32,7 +32,7 @@ CHAIN, STEP_A, STEP_B, WINDING_A, WINDING_B = 0, 1, 2, 3, 4
 """Columns of `marks`: chain of the edge, change of both winding numbers across it, those in its gap."""
 
 PLACE = 5
-"""Column of `marks` with a row a chain instead: place of its edge on the front."""
+"""Column of `marks` with a row a chain instead: place of its edge in the status."""
 
 MARK_COLUMNS = 6
 

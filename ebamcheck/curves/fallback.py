@@ -1,7 +1,8 @@
 """Fallback: rings without evidence are fitted again by a more cautious method, then by the next one.
 
 From the method asked for to the interpolating fit by chord length, whose points stay on the contour; from that to the
-contour's own polyline. Where two rings cross both fall back.
+contour's own polyline; to that at once where points lie on the edges of a known mesh, unevenly as a rule. Where two rings
+cross both fall back.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ def with_fallback(
     allowed, slack_mm, plane_slack_mm
         As for :func:`ebamcheck.curves.evidence.evidence`.
     chord
-        The interpolating fit; None where it is the one that was asked for.
+        The interpolating fit; None where it is the one that was asked for, or is not trusted.
     """
     asked = found = evidence(curves, layers, allowed, slack_mm, plane_slack_mm)
     fallen = np.zeros(curves.closed.size, np.uint8)

@@ -129,13 +129,16 @@ def _accepted(
         allowed = Allowances(free, np.zeros(len(layers.points), np.bool_))
         rounding_mm = 0.0
     slack_mm = settings.tolerance_mm + settings.near_point_mm + settings.collinear_mm
+    # A spline through points that lie on the edges of a mesh swings about the contour where they are uneven, and where the
+    # mesh does not speak for the lift of a ring they are: its polygon is no farther from the part than the contour.
+    on_edges = lifting is not None
     curves = with_fallback(
         METHODS[method](layers, settings, lifting),
         layers,
         allowed,
         slack_mm,
         settings.near_point_mm + settings.collinear_mm + rounding_mm,
-        None if method in INTERPOLATING else lambda some: METHODS["chord"](some, settings, None),
+        None if method in INTERPOLATING or on_edges else lambda some: METHODS["chord"](some, settings, None),
     )
     if allowing is None and curves.evidence is not None:
         curves = replace(curves, evidence=replace(curves.evidence, known=False))

@@ -94,6 +94,8 @@ class Sides(NamedTuple):
     """(N,) how far the point may have been moved, mm: the sagitta of its edge, over the sine of the flattest slope."""
     rough: Bools
     """(N,) the noise of the mesh there exceeds what a lift could win: the point was left, and so should its chords be."""
+    share: Floats
+    """(N,) of what the normals ask for, that points are lifted by and segments bend by there."""
     plausible: Floats
     """(N,) how high the surface plausibly stands over the facets there, over the sine of their slope, mm."""
 
@@ -112,6 +114,7 @@ def as_they_are(points: Floats) -> Sides:
         np.full(count, NO_PLANE, np.int32),
         np.zeros(count),
         np.zeros(count, np.bool_),
+        np.ones(count),
         np.full(count, np.inf),
     )
 
@@ -146,12 +149,14 @@ class Lifting:
             normals.with_regions,
             *normals.sagittas,
             False,
+            1.0,
         )
         ends = judge_ends(mesh)
         rough = mesh.rough.copy()
-        if ends.is_rough:
+        share = normals.offsets.lift_share
+        if ends.is_rough or share == 0.0:
             rough[mesh.sectors[mesh.kind == FREEFORM]] = True
-        self.mesh = mesh._replace(scattered=ends.is_scattered, rough=rough)
+        self.mesh = mesh._replace(scattered=ends.is_scattered, rough=rough, share=share)
 
     def lift(self, layers: Layers) -> Sides:
         """Lift the points of layers that carry their edges; points without one stay where they are."""
@@ -189,6 +194,8 @@ def _lift(
         t = edge_t[i]
         found.plausible[i] = plausible_height(mesh, low, high)
         found.rough[i] = _is_rough(mesh, up) or _is_rough(mesh, down)
+        if mesh.kind[up // 3] == FREEFORM or mesh.kind[down // 3] == FREEFORM:
+            found.share[i] = mesh.share
         if not (found.rough[i] or _is_straight(mesh, up, down, smooth)):
             bend_low, bend_high = _bends(mesh, up, down, chord, smooth)
             flat = mesh.flat[up // 3] and mesh.flat[down // 3]
@@ -199,7 +206,7 @@ def _lift(
                     bend_high = scaled(bend_high, np.sqrt(lesser / dot(bend_high, bend_high)))
                 # The cubic leaves its chord by at most a quarter of the bend.
                 height = 0.25 * np.sqrt(max(dot(bend_low, bend_low), dot(bend_high, bend_high)))
-                share = plausible_share(height, found.plausible[i])
+                share = found.share[i] * plausible_share(height, found.plausible[i])
                 bend_low, bend_high = scaled(bend_low, share), scaled(bend_high, share)
                 t = _place(mesh.vertices[low, 2], chord[2], bend_low[2], bend_high[2], heights[i], t)
                 found.bound[i] = share * height / FLATTEST_SURFACE

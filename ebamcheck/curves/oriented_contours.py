@@ -327,6 +327,7 @@ def _keep_plausible(
         m = (k + 1) % n
         bulge = 0.25 * _distance(sides.points, rows[k], rows[m]) * max(abs(after[k]), abs(before[m]))
         share[k] = plausible_share(bulge, max(sides.plausible[rows[k]], sides.plausible[rows[m]]))
+        share[k] *= max(sides.share[rows[k]], sides.share[rows[m]])
     for k in range(n):
         if corner[k]:
             before[k] *= share[k - 1]

@@ -52,6 +52,13 @@ SCATTERED_SHARE = 0.8
 """Share of edges that ask for much, and lie in one curvature with what is behind both of their ends, from which a mesh is one
 of scattered points: there are under three fifths of them in decimated meshes."""
 
+SCATTERED_ASKED = 0.08
+"""Share of the edges that tell a bend that ask for much on a mesh of scattered points, whose edges are of all lengths: it is an
+eighth to a quarter there. Where fewer do, they stand out."""
+
+MOST_SCATTERED = 25.0
+"""Times the median sagitta that a plausible lift may be on a mesh of scattered points."""
+
 LEAST_ASKED = 100
 """Edges from which such a share means something."""
 
@@ -157,7 +164,7 @@ def _find_sagittas(
 def plausible_height(mesh: SurfaceMesh, a: int, b: int) -> float:
     """How high a surface plausibly stands over an edge from vertex a to b, mm."""
     if mesh.scattered:
-        return np.inf
+        return MOST_SCATTERED * mesh.typical
     near = min(
         OF_LARGEST_NEAR * min(mesh.largest[a], mesh.largest[b]),
         OF_MEAN_NEAR * max(mesh.mean[a], mesh.mean[b]),
@@ -190,7 +197,8 @@ def judge_ends(mesh: SurfaceMesh) -> Ends:
     told, coherent, asked, alike = _count_ends(mesh)
     # Where no edge bends the surface is ruled, as a cone is of single facets: noise would bend some.
     rough = 0 < told < LEAST_TOLD or coherent < COHERENT_SHARE * told
-    scattered = not rough and asked >= LEAST_ASKED and alike >= SCATTERED_SHARE * asked
+    several = asked >= max(LEAST_ASKED, SCATTERED_ASKED * told)
+    scattered = not rough and several and alike >= SCATTERED_SHARE * asked
     return Ends(bool(scattered), bool(rough))
 
 

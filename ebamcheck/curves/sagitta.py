@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ebamcheck.curves.per_part import once_a_part
 from ebamcheck.curves.ways_ahead import Surface, Way, along_crease, dot, no_way, norm, walk
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import NO_TWIN, Index, edge_groups, split_corners, twins
@@ -55,6 +56,7 @@ class Sagittas(NamedTuple):
     """What the numbers of the mesh's file leave of a plane."""
 
 
+@once_a_part
 def sagittas(part: Part, crease_angle_deg: float) -> Sagittas:
     """Bound how far the surface that a mesh stands for leaves its edges.
 

@@ -41,6 +41,7 @@ class SurfaceMesh(NamedTuple):
     largest: Floats
     typical: float
     scattered: bool
+    share: float
 
 
 # Three numbers at a time are tuples: an array of three costs more than what is done with it.

@@ -14,10 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.curves.flat_sides import flat_sides, keep_flat
+from ebamcheck.curves.per_part import once_a_part
 from ebamcheck.curves.plausible import Sagittas, mesh_sagittas, no_sagittas
 from ebamcheck.curves.regions import FREEFORM, PLANE, find_regions
 from ebamcheck.curves.regions.noise import rough_rows
 from ebamcheck.curves.regions.normals import region_normals
+from ebamcheck.curves.regions.offsets import NOTHING_TOLD, Offsets, vertex_offsets
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import NO_TWIN, Index, edge_groups, split_corners, twins
 from ebamcheck.numeric.kernels import kernel
@@ -57,8 +59,11 @@ class SurfaceNormals(NamedTuple):
     """Whether the mesh was segmented."""
     sagittas: Sagittas
     """How far facets stand from their surface, by their turns."""
+    offsets: Offsets
+    """Whether the vertices lie on the surface; nothing told without regions."""
 
 
+@once_a_part
 def surface_normals(part: Part, settings: CurveSettings) -> SurfaceNormals:
     """Estimate the normals of the surface that a mesh was made from.
 
@@ -77,18 +82,20 @@ def surface_normals(part: Part, settings: CurveSettings) -> SurfaceNormals:
     regions = find_regions(part, twin, settings)
     label = regions.groups.label
     found = region_normals(part, twin, regions)
+    smooth, kind = twin != NO_TWIN, regions.kind[label]
     return SurfaceNormals(
         found.rows,
         found.normals,
-        twin != NO_TWIN,
-        regions.kind[label] == PLANE,
-        regions.kind[label],
+        smooth,
+        kind == PLANE,
+        kind,
         label,
         found.fans,
         rough_rows(part.vertices, part.faces, found),
         np.nan_to_num(found.noise, nan=np.inf),
         True,
-        mesh_sagittas(part.vertices, part.faces, twin, regions.groups.normals[label], regions.kind[label]),
+        mesh_sagittas(part.vertices, part.faces, twin, regions.groups.normals[label], kind),
+        vertex_offsets(part.vertices, part.faces, smooth, found.fans, kind == FREEFORM),
     )
 
 
@@ -117,6 +124,7 @@ def _plain_normals(part: Part, twin: Index, crease_angle_deg: float) -> SurfaceN
         np.zeros(count),
         False,
         no_sagittas(len(vertices)),
+        NOTHING_TOLD,
     )
 
 

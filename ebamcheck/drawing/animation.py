@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import json
-from html import escape
 from string import Template
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.drawing.islands import VIRIDIS, overlay, ring_path
+from ebamcheck.drawing.islands import overlay, ring_path
 from ebamcheck.drawing.scene import Scene, TemperatureScale
 from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.showing.colours import VIRIDIS
+from ebamcheck.showing.markup import element, escaped, join
 
 WIDTH_PX = 900.0
 
@@ -94,11 +95,11 @@ def layer_animation(
     def place(points: Floats) -> Floats:
         return np.column_stack([4 + per_mm * (points[:, 0] - x0), 4 + per_mm * (y1 - points[:, 1])])
 
-    paths = "".join(f'<path d="{ring_path(i, place)}" fill-rule="evenodd"/>' for i in islands)
+    paths = join(element("path", d=ring_path(i, place), fill_rule="evenodd") for i in islands)
     every = max(1, -(-(len(order) ** 2) // MOST_NUMBERS))
     shown = np.unique(np.append(np.arange(0, len(order), every), len(order) - 1))
     return PAGE.substitute(
-        title=escape(title),
+        title=escaped(title),
         width=f"{WIDTH_PX + 8:.0f}",
         box=f"{per_mm * (x1 - x0) + 8:.0f} {per_mm * (y1 - y0) + 8:.0f}",
         paths=paths,

@@ -5,17 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from xml.sax.saxutils import escape
+from typing import Any
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.drawing.png import png_address
 from ebamcheck.drawing.scene import Scene, TemperatureScale
 from ebamcheck.heat.section_grid import SectionGrid
 from ebamcheck.numeric.rings import Floats
+from ebamcheck.showing.colours import SCALE, ramp
+from ebamcheck.showing.image import palette_image, png_address
+from ebamcheck.showing.markup import Markup, element, svg_file, text
 
 WIDTH_PX, MARGIN_PX, TITLE_PX, SCALE_PX, FOOT_PX = 800, 16, 28, 44, 20
 """Width of a picture, its margin, the room for the title and for the colour scale, and for what stands over the scale."""
@@ -25,9 +27,6 @@ BAR_PX, LONG_BAR_PX, LABEL_PX = 240.0, 560.0, 40.0
 
 TALLEST_PX, LEAST_EXTENT_MM = 1200, 1e-6
 """Greatest height of what is shown, and extent under which it counts as a point."""
-
-VIRIDIS = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))
-"""Five colours of the map `viridis` (Smith and van der Walt, CC0), which is even to the eye."""
 
 FIELD_PX = 3
 """Width of a pixel of a field; viewers smooth between them."""
@@ -75,37 +74,40 @@ def islands_svg(
         share = (value - low) / (high - low) if high > low else 0.0
         path = ring_path(island, view.place)
         body.append(
-            f'<path d="{path}" fill="{_colour(share)}" fill-rule="evenodd" stroke="#fff" stroke-width="0.7"/>'
+            element("path", d=path, fill=ramp(share), fill_rule="evenodd", stroke="#fff", stroke_width=0.7)
         )
         if labels and len(islands) <= LABELLED:
             ((x, y),) = view.place(shapely.get_coordinates(shapely.point_on_surface(island)))
-            ink, ground = ("#fff", "#222") if share < 0.6 else ("#222", "#fff")
-            told = str(round(value)) if temperatures is None else escape(temperatures.told(value))
-            halo = (
-                f' stroke="{ground}" stroke-width="2" stroke-opacity="0.6" paint-order="stroke"'
-                if scene
-                else ""
-            )
-            texts.append(
-                f'<text x="{x:.1f}" y="{y + 3.5:.1f}" font-size="10" text-anchor="middle" fill="{ink}"{halo}>{told}</text>'
-            )
+            told = str(round(value)) if temperatures is None else temperatures.told(value)
+            texts.append(_label(x, y + 3.5, told, share < 0.6, scene is not None))
     if scene is not None:
-        body.append(f'<g fill="none">{overlay(scene, view.place)}</g>')
+        body.append(overlay(scene, view.place))
     return view.picture(title, body + texts, low, high, unit, temperatures)
 
 
-def overlay(scene: Scene, place: Callable[[Floats], Floats]) -> str:
+def _label(x_px: float, y_px: float, words: str, on_dark: bool, with_halo: bool) -> Markup:
+    """Words about a place that are read on their colour, and over lines by a halo."""
+    ink, ground = ("#fff", "#222") if on_dark else ("#222", "#fff")
+    halo: dict[str, Any] = {}
+    if with_halo:
+        halo = {"stroke": ground, "stroke_width": 2, "stroke_opacity": 0.6, "paint_order": "stroke"}
+    return text(x_px, y_px, words, 10, text_anchor="middle", fill=ink, **halo)
+
+
+def overlay(scene: Scene, place: Callable[[Floats], Floats]) -> Markup:
     """Paths of the section's outline, the contour beads, the lines and the ways between islands, by class."""
     outline, contour = (
         "".join(ring_path(part, place) for part in shapely.get_parts(region))
         for region in (scene.section, scene.contour)
     )
     lines, jumps = (_strokes(columns, place) for columns in (scene.lines, scene.jumps))
-    return (
-        f'<path class="outline" d="{outline}" stroke="#222" stroke-width="0.7"/>'
-        f'<path class="contour" d="{contour}" stroke="#8a939c" stroke-width="1.2"/>'
-        f'<path class="lines" d="{lines}" stroke="#fff" stroke-opacity="0.45" stroke-width="0.8"/>'
-        f'<path class="jumps" d="{jumps}" stroke="#d1242f" stroke-opacity="0.6" stroke-width="0.8"/>'
+    return element(
+        "g",
+        element("path", class_="outline", d=outline, stroke="#222", stroke_width=0.7),
+        element("path", class_="contour", d=contour, stroke="#8a939c", stroke_width=1.2),
+        element("path", class_="lines", d=lines, stroke="#fff", stroke_opacity=0.45, stroke_width=0.8),
+        element("path", class_="jumps", d=jumps, stroke="#d1242f", stroke_opacity=0.6, stroke_width=0.8),
+        fill="none",
     )
 
 
@@ -141,16 +143,22 @@ def field_svg(
     pixels = np.rint(255.0 * np.clip(share, 0.0, 1.0)).astype(np.uint8).reshape(len(y), len(x))
     outline = "".join(ring_path(part, view.place) for part in shapely.get_parts(section))
     left, top = view.place(view.low[None])[0, 0], view.place(view.high[None])[0, 1]
-    image = png_address(pixels, COLOURS)
-    width, height = len(x) * FIELD_PX, len(y) * FIELD_PX
+    image = element(
+        "image",
+        x=f"{left:.1f}",
+        y=f"{top:.1f}",
+        width=len(x) * FIELD_PX,
+        height=len(y) * FIELD_PX,
+        preserveAspectRatio="none",
+        href=png_address(palette_image(pixels, SCALE)),
+    )
     body = [
-        f'<clipPath id="section"><path d="{outline}" clip-rule="evenodd"/></clipPath>',
-        f'<g clip-path="url(#section)"><image x="{left:.1f}" y="{top:.1f}" width="{width}" height="{height}"',
-        f'preserveAspectRatio="none" href="{image}"/></g>',
-        f'<path d="{outline}" fill="none" stroke="#222" stroke-width="0.7"/>',
+        element("clipPath", element("path", d=outline, clip_rule="evenodd"), id="section"),
+        element("g", image, clip_path="url(#section)"),
+        element("path", d=outline, fill="none", stroke="#222", stroke_width=0.7),
     ]
     if scene is not None:
-        body.append(f'<g fill="none">{overlay(scene, view.place)}</g>')
+        body.append(overlay(scene, view.place))
     return view.picture(title, body, 0.0, greatest, unit, temperatures)
 
 
@@ -181,7 +189,7 @@ class _View:
     def picture(
         self,
         title: str,
-        body: list[str],
+        body: list[Markup],
         low: float,
         high: float,
         unit: str,
@@ -190,18 +198,12 @@ class _View:
         """Return the picture of a body with its title over it and a colour scale under it."""
         extent = float(self.high[1] - self.low[1])
         height_px = math.ceil(TITLE_PX + self.scale * extent + FOOT_PX + SCALE_PX)
-        head = (
-            f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH_PX}" height="{height_px}" '
-            f'viewBox="0 0 {WIDTH_PX} {height_px}" font-family="Helvetica, Arial, sans-serif">'
-        )
-        title_line = f'<text x="{MARGIN_PX}" y="18" font-size="14" fill="#222">{escape(title)}</text>'
-        ground = f'<rect width="{WIDTH_PX}" height="{height_px}" fill="#ffffff"/>'
         top_px = float(height_px - SCALE_PX)
         if temperatures is None:
             bar = _scale_bar(low, high, unit, top_px)
         else:
             bar = _temperature_bar(temperatures, unit, top_px)
-        return "\n".join([head, ground, title_line, *body, *bar, "</svg>", ""])
+        return svg_file(WIDTH_PX, height_px, [text(MARGIN_PX, 18, title, 14), *body, *bar])
 
 
 def ring_path(island: shapely.Polygon, place: Callable[[Floats], Floats]) -> str:
@@ -210,38 +212,26 @@ def ring_path(island: shapely.Polygon, place: Callable[[Floats], Floats]) -> str
     return "".join("M" + " ".join(f"{x:.1f},{y:.1f}" for x, y in place(ring)) + "Z" for ring in rings)
 
 
-def _mixed(share: float) -> tuple[int, int, int]:
-    """Colour of a share between 0 and 1, as red, green and blue."""
-    at = min(max(share, 0.0), 1.0) * (len(VIRIDIS) - 1)
-    step = min(int(at), len(VIRIDIS) - 2)
-    low, high = VIRIDIS[step], VIRIDIS[step + 1]
-    red, green, blue = (round(a + (at - step) * (b - a)) for a, b in zip(low, high, strict=True))
-    return red, green, blue
-
-
-COLOURS = np.array([_mixed(n / 255.0) for n in range(256)], np.uint8)
-"""(256, 3) colours of an image."""
-
-
-def _colour(share: float) -> str:
-    """Colour of a share between 0 and 1, as a picture names it."""
-    return "#" + "".join(f"{part:02x}" for part in _mixed(share))
-
-
-def _scale_bar(low: float, high: float, unit: str, top_px: float) -> list[str]:
+def _scale_bar(low: float, high: float, unit: str, top_px: float) -> list[Markup]:
     """Colours from left to right, with their ends named."""
     ends = ((0.0, "start", f"{low:.0f}{unit}"), (BAR_PX, "end", f"{high:.0f}{unit}"))
     return _gradient(BAR_PX, top_px) + [_scale_text(*end, top_px + 24.0) for end in ends]
 
 
-def _temperature_bar(scale: TemperatureScale, unit: str, top_px: float) -> list[str]:
+def _temperature_bar(scale: TemperatureScale, unit: str, top_px: float) -> list[Markup]:
     """Colours from 0 to the greatest rise, in their last one on to the boiling point, with the marks over it."""
     per_k = LONG_BAR_PX / max(scale.greatest, *(rise for _, rise in scale.marks))
     hottest = scale.greatest * per_k
-    bar = [
-        f'<rect x="{MARGIN_PX}" y="{top_px:.1f}" width="{LONG_BAR_PX}" height="10" fill="{_colour(1.0)}" fill-opacity="0.35"/>',
-        *_gradient(hottest, top_px),
-    ]
+    beyond = element(
+        "rect",
+        x=MARGIN_PX,
+        y=f"{top_px:.1f}",
+        width=LONG_BAR_PX,
+        height=10,
+        fill=ramp(1.0),
+        fill_opacity=0.35,
+    )
+    bar = [beyond, *_gradient(hottest, top_px)]
     low, high = f"0{unit}", f"{scale.greatest:.0f}{unit} and more"
     if hottest > 3 * LABEL_PX:
         bar += [
@@ -253,25 +243,28 @@ def _temperature_bar(scale: TemperatureScale, unit: str, top_px: float) -> list[
     for name, rise in scale.marks:
         x = MARGIN_PX + rise * per_k
         bar += [
-            f'<path class="mark" d="M{x:.1f},{top_px - 3:.1f}v16" stroke="#222" stroke-width="1"/>',
+            element("path", class_="mark", d=f"M{x:.1f},{top_px - 3:.1f}v16", stroke="#222", stroke_width=1),
             _scale_text(rise * per_k, "middle", f"{name} {rise:.0f}{unit}", top_px - 6.0),
         ]
     return bar
 
 
-def _gradient(width_px: float, top_px: float) -> list[str]:
+def _gradient(width_px: float, top_px: float) -> list[Markup]:
     steps = 40
     width = width_px / steps
     return [
-        f'<rect x="{MARGIN_PX + n * width:.1f}" y="{top_px:.1f}" width="{width + 0.5:.1f}" height="10" '
-        f'fill="{_colour(n / (steps - 1))}"/>'
+        element(
+            "rect",
+            x=f"{MARGIN_PX + n * width:.1f}",
+            y=f"{top_px:.1f}",
+            width=f"{width + 0.5:.1f}",
+            height=10,
+            fill=ramp(n / (steps - 1)),
+        )
         for n in range(steps)
     ]
 
 
-def _scale_text(x_px: float, anchor: str, text: str, y_px: float) -> str:
-    """Text under or over the scale, at a distance from its beginning."""
-    return (
-        f'<text x="{MARGIN_PX + x_px:g}" y="{y_px:.1f}" font-size="11" text-anchor="{anchor}" fill="#222">'
-        f"{escape(text)}</text>"
-    )
+def _scale_text(x_px: float, anchor: str, words: str, y_px: float) -> Markup:
+    """Words under or over the scale, at a distance from its beginning."""
+    return text(MARGIN_PX + x_px, y_px, words, text_anchor=anchor)

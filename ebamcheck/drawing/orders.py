@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from xml.sax.saxutils import escape
+
+from ebamcheck.showing.markup import element, svg_file, text
 
 WIDTH_PX, HEIGHT_PX, LEFT_PX, RIGHT_PX, TOP_PX, FOOT_PX = 760, 460, 70, 110, 40, 52
 
@@ -42,45 +43,37 @@ def pareto_svg(figures: Mapping[str, tuple[float, float]], title: str) -> str:
     def place(x: float, y: float) -> tuple[float, float]:
         return LEFT_PX + wide * x / most_x, TOP_PX + tall * (1.0 - y / most_y)
 
-    body = [
-        f'<rect width="{WIDTH_PX}" height="{HEIGHT_PX}" fill="#fff"/>',
-        f'<text x="{LEFT_PX}" y="22" font-size="14">{escape(title)}</text>',
-    ]
+    body = [text(LEFT_PX, 22, title, 14)]
+    base = TOP_PX + tall
     for n in range(TICKS + 1):
         x, y = place(step_x * n, step_y * n)
-        base = TOP_PX + tall
+        grid = f"M{x:.1f},{TOP_PX}V{base}M{LEFT_PX},{y:.1f}H{LEFT_PX + wide}"
         body += [
-            f'<path d="M{x:.1f},{TOP_PX}V{base}M{LEFT_PX},{y:.1f}H{LEFT_PX + wide}" stroke="#e3e7eb" fill="none"/>',
-            f'<text x="{x:.1f}" y="{base + 16}" font-size="11" text-anchor="middle">{step_x * n:g}</text>',
-            f'<text x="{LEFT_PX - 8}" y="{y + 4:.1f}" font-size="11" text-anchor="end">{step_y * n:g}</text>',
+            element("path", d=grid, stroke="#e3e7eb", fill="none"),
+            text(x, base + 16, f"{step_x * n:g}", text_anchor="middle"),
+            text(LEFT_PX - 8, y + 4, f"{step_y * n:g}", text_anchor="end"),
         ]
     best = frontier(figures)
     front = " ".join("{:.1f},{:.1f}".format(*place(*figures[name])) for name in best)
-    body.append(f'<polyline points="{front}" fill="none" stroke="{BEST}" stroke-dasharray="4 4"/>')
+    body.append(element("polyline", points=front, fill="none", stroke=BEST, stroke_dasharray="4 4"))
     last_y = -LABEL_PX
     for name, (x, y) in sorted(figures.items(), key=lambda item: -item[1][1]):
         px, py = place(x, y)
         colour = BEST if name in best else OTHER
         last_y = max(py + 4.0, last_y + LABEL_PX)
         body += [
-            f'<circle cx="{px:.1f}" cy="{py:.1f}" r="5" fill="{colour}"/>',
-            f'<text x="{px + 9:.1f}" y="{last_y:.1f}" font-size="12" fill="{colour}">{escape(name)}</text>',
+            element("circle", cx=f"{px:.1f}", cy=f"{py:.1f}", r=5, fill=colour),
+            text(px + 9, last_y, name, 12, fill=colour),
         ]
     body += [
-        (
-            f'<text x="{LEFT_PX + wide / 2:.0f}" y="{HEIGHT_PX - 12}" font-size="12" text-anchor="middle">'
-            "travel between islands, mm</text>"
-        ),
-        (
-            f'<text transform="translate(18,{TOP_PX + tall / 2:.0f}) rotate(-90)" font-size="12" '
-            'text-anchor="middle">greatest entry temperature rise, K</text>'
+        text(LEFT_PX + wide / 2, HEIGHT_PX - 12, "travel between islands, mm", 12, text_anchor="middle"),
+        text(
+            *(0, 0, "greatest entry temperature rise, K", 12),
+            text_anchor="middle",
+            transform=f"translate(18,{TOP_PX + tall / 2:.0f}) rotate(-90)",
         ),
     ]
-    head = (
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH_PX}" height="{HEIGHT_PX}" '
-        f'viewBox="0 0 {WIDTH_PX} {HEIGHT_PX}" font-family="Helvetica, Arial, sans-serif" fill="#222">'
-    )
-    return "\n".join([head, *body, "</svg>", ""])
+    return svg_file(WIDTH_PX, HEIGHT_PX, body)
 
 
 def frontier(figures: Mapping[str, tuple[float, float]]) -> list[str]:

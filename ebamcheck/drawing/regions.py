@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ebamcheck.curves.regions.surfaces import Surface
 from ebamcheck.mesh.part import Part
+from ebamcheck.showing.markup import element, svg_file, text
 
 COLOURS = {
     "plane": (86, 180, 233),
@@ -42,11 +45,7 @@ def regions_svg(part: Part, found: list[Surface]) -> str:
     scale = (WIDTH_PX - 2.0 * MARGIN_PX) / max(float((high - low).max()), 1e-9)
     names = [k for k in COLOURS if any(s.kind == k for s in found)]
     height = float(scale * (high - low)[1]) + 2.0 * MARGIN_PX + KEY_PX * (len(names) + 1)
-    head = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH_PX:g} {height:.1f}"'
-    lines = [
-        f'{head} font-family="sans-serif" font-size="13">',
-        f"<title>Regions of {_escaped(part.name)}</title>",
-    ]
+    body = []
     for i in seen:
         x = MARGIN_PX + scale * (corners[i, :, 0] - low[0])
         y = MARGIN_PX + scale * (high[1] - corners[i, :, 1])
@@ -54,17 +53,13 @@ def regions_svg(part: Part, found: list[Surface]) -> str:
         red, green, blue = (round(light * c) for c in COLOURS[found[kinds[i]].kind])
         points = " ".join(f"{u:.2f},{v:.2f}" for u, v in zip(x, y, strict=True))
         colour = f"#{red:02x}{green:02x}{blue:02x}"
-        lines.append(f'<polygon points="{points}" fill="{colour}" stroke="{colour}" stroke-width="0.4"/>')
+        body.append(element("polygon", points=points, fill=colour, stroke=colour, stroke_width=0.4))
     for row, name in enumerate(names):
         y = height - KEY_PX * (len(names) - row)
-        red, green, blue = COLOURS[name]
+        colour = "rgb({},{},{})".format(*COLOURS[name])
         count = sum(s.kind == name for s in found)
-        lines.append(
-            f'<rect x="{MARGIN_PX:g}" y="{y - 11:.1f}" width="14" height="12" fill="rgb({red},{green},{blue})"/>'
-            f'<text x="{MARGIN_PX + 20:g}" y="{y:.1f}">{name} ({count})</text>'
-        )
-    return "\n".join([*lines, "</svg>"]) + "\n"
-
-
-def _escaped(text: str) -> str:
-    return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+        body += [
+            element("rect", x=f"{MARGIN_PX:g}", y=f"{y - 11:.1f}", width=14, height=12, fill=colour),
+            text(MARGIN_PX + 20, y, f"{name} ({count})", 13),
+        ]
+    return svg_file(WIDTH_PX, math.ceil(height), body, f"Regions of {part.name}")

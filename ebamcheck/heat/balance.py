@@ -217,7 +217,11 @@ class HeatColumn:
         return float(np.average(rise_k, weights=self._cells[0] * self._cells[1]))
 
     def _mean_k(self, start: int, stop: int) -> float:
-        return float(np.average(self.temperature_k[start:stop], weights=self._cells[0, start:stop]))
+        if stop == start + 1:
+            size_mm = self._cells.item(0, start)
+            return float(self._material.temperature_of(self.content.item(start)) * size_mm / size_mm)
+        temperature_k, size = self._material.temperature(self.content[start:stop]), self._cells[0, start:stop]
+        return float((temperature_k * size).sum() / size.sum())
 
     @property
     def stored_j(self) -> float:

@@ -24,17 +24,10 @@ import numpy as np
 
 from ebamcheck.atomic_file import replacing
 from ebamcheck.errors import SettingsError
-from ebamcheck.layers.common_layer_reader import (
-    EXTERNAL,
-    INTERNAL,
-    LAYER_LONG,
-    OPEN_LINE,
-    POLYLINE_LONG,
-    USER_DATA,
-    SliceFile,
-    read_cli,
-    read_slice_file,
-)
+from ebamcheck.layers.common_layer_binary import LAYER_LONG, POLYLINE_LONG
+from ebamcheck.layers.common_layer_geometry import EXTERNAL, INTERNAL, OPEN_LINE
+from ebamcheck.layers.common_layer_header import USER_DATA
+from ebamcheck.layers.common_layer_reader import SliceFile, read_cli, read_slice_file
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.rings import Floats
 

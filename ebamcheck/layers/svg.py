@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from xml.sax.saxutils import escape
+from typing import Any
 
 import numpy as np
 import shapely
@@ -17,6 +17,8 @@ import shapely
 from ebamcheck.errors import SettingsError
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.rings import Floats
+from ebamcheck.showing.colours import COLOURS, DASHES
+from ebamcheck.showing.markup import Markup, element, svg_file, text
 
 REDUCTION_PX = 0.2
 """Distance that a drawn line may leave its points: well under what a screen shows."""
@@ -34,11 +36,6 @@ SHEET_LAYERS = 16
 SOLID = "#9fc3e8"
 RING = "#1b4f82"
 OPEN = "#d1242f"
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#882255")
-"""Okabe and Ito's colours, which stay apart for colour-blind eyes, with Tol's wine in place of their yellow, which is not seen on white."""
-DASHES = ("", "9 6", "3 7", "9 4 2 4", "1 5", "14 6", "5 5", "12 3 2 3 2 3")
-"""Lines that lie on each other stay visible by their dashes."""
-
 Box = tuple[float, float, float, float]
 
 
@@ -139,14 +136,11 @@ def overlay_svg(
         raise SettingsError("no stacks to draw over each other: give at least one")
     chosen = [(layers, _index(layers, layer)) for layers in stacks.values()]
     view = _view(box or _layer_box(chosen), width_px, MARGIN_PX, TITLE_PX + 18)
-    body: list[str] = []
+    body: list[Markup] = []
     for n, (name, (layers, k)) in enumerate(zip(stacks, chosen, strict=True)):
         colour, dash = COLOURS[n % len(COLOURS)], DASHES[n % len(DASHES)]
-        body += [
-            f'<g class="slicer" data-name="{_attribute(name)}">',
-            *_outlines(layers, k, view, colour, dash, n),
-            "</g>",
-        ]
+        lines = _outlines(layers, k, view, colour, dash, n)
+        body.append(element("g", *lines, class_="slicer", data_name=name))
     body += _legend(list(stacks)) + _scale_bar(view)
     first, k = chosen[0]
     heading = f"layer {k}, z = {first.heights[k]:.3f} mm" if title is None else title
@@ -172,11 +166,11 @@ def sheet_svg(layers: Layers, *, width_px: int = 1200, columns: int = 4, most: i
     box = _widened(layers.bounds())
     first = _view(box, cell_px, MARGIN_PX / 2, TITLE_PX)
     row_px = first.height_px + TITLE_PX + MARGIN_PX
-    body: list[str] = []
+    body: list[Markup] = []
     for n, k in enumerate(chosen):
         left, top = (n % columns) * cell_px, TITLE_PX + (n // columns) * row_px
         view = _View(box, first.px_per_mm, left + first.left_px, top + TITLE_PX)
-        body.append(_text(left + MARGIN_PX / 2, top + 18, _title(layers, k), 11))
+        body.append(text(left + MARGIN_PX / 2, top + 18, _title(layers, k)))
         body += _region(layers, k, view)
     rows = math.ceil(len(chosen) / columns)
     bottom = _View(box, first.px_per_mm, MARGIN_PX, TITLE_PX + rows * row_px - first.height_px)
@@ -188,7 +182,7 @@ def sheet_svg(layers: Layers, *, width_px: int = 1200, columns: int = 4, most: i
 # -- pieces ----------------------------------------------------------------------------------------
 
 
-def _region(layers: Layers, k: int, view: _View) -> list[str]:
+def _region(layers: Layers, k: int, view: _View) -> list[Markup]:
     """The solid region of a layer, its rings and its open paths."""
     # Outer rings and holes run against each other, so the nonzero rule fills what is solid, and shells
     # that overlap stay solid where even-odd would punch a hole.
@@ -196,30 +190,26 @@ def _region(layers: Layers, k: int, view: _View) -> list[str]:
     data = "".join(view.path(layers.ring(r), True) for r in rings)
     parts = []
     if data:
-        parts.append(
-            f'<path class="region" d="{data}" fill="{SOLID}" fill-rule="nonzero" '
-            f'stroke="{RING}" stroke-width="1" stroke-linejoin="round"/>'
-        )
+        style = {"fill": SOLID, "fill_rule": "nonzero", "stroke": RING, "stroke_width": 1}
+        parts.append(element("path", class_="region", d=data, stroke_linejoin="round", **style))
     parts += [
-        f'<path class="open" d="{view.path(layers.ring(r), False)}" fill="none" stroke="{OPEN}" stroke-width="2"/>'
+        _path(view.path(layers.ring(r), False), OPEN, 2, class_="open")
         for r in layers.rings_of(k)
         if not layers.closed[r]
     ]
     return parts
 
 
-def _outlines(layers: Layers, k: int, view: _View, colour: str, dash: str, rank: int) -> list[str]:
+def _outlines(layers: Layers, k: int, view: _View, colour: str, dash: str, rank: int) -> list[Markup]:
     """Rings and open paths of a layer as lines; later ones are thinner, so that none hides another."""
     width = max(1.0, 4.0 - 0.8 * rank)
-    pattern = f' stroke-dasharray="{dash}"' if dash else ""
     return [
-        f'<path d="{view.path(layers.ring(r), bool(layers.closed[r]))}" fill="none" stroke="{colour}" '
-        f'stroke-width="{width:g}"{pattern}/>'
+        _path(view.path(layers.ring(r), bool(layers.closed[r])), colour, width, stroke_dasharray=dash or None)
         for r in layers.rings_of(k)
     ]
 
 
-def _marks(layers: Layers, k: int, view: _View) -> list[str]:
+def _marks(layers: Layers, k: int, view: _View) -> list[Markup]:
     """A dot at each contour point: a path of lines without length, round at their ends."""
     dots = []
     for r in layers.rings_of(k):
@@ -229,12 +219,10 @@ def _marks(layers: Layers, k: int, view: _View) -> list[str]:
         dots += [f"M{a:.2f},{b:.2f}h0" for a, b in zip(x.tolist(), y.tolist(), strict=True)]
     if not dots:
         return []
-    return [
-        f'<path class="points" d="{"".join(dots)}" stroke="{RING}" stroke-width="3" stroke-linecap="round"/>'
-    ]
+    return [_path("".join(dots), RING, 3, class_="points", stroke_linecap="round")]
 
 
-def _scale_bar(view: _View) -> list[str]:
+def _scale_bar(view: _View) -> list[Markup]:
     """A bar of 1, 2 or 5 times a power of ten millimetres, about a fifth of the drawing."""
     target_mm = max(view.width_px, 60.0) / view.px_per_mm / 5.0
     power = 10.0 ** math.floor(math.log10(target_mm))
@@ -243,51 +231,30 @@ def _scale_bar(view: _View) -> list[str]:
     x1 = x0 + length_mm * view.px_per_mm
     bar = f"M{x0:.2f},{y - 4:.2f}v8M{x0:.2f},{y:.2f}H{x1:.2f}M{x1:.2f},{y - 4:.2f}v8"
     return [
-        f'<path class="scale" d="{bar}" fill="none" stroke="#333" stroke-width="1.5"/>',
-        _text(x1 + 6, y + 4, f"{length_mm:g} mm", 12),
+        _path(bar, "#333", 1.5, class_="scale"),
+        text(x1 + 6, y + 4, f"{length_mm:g} mm", 12),
     ]
 
 
-def _legend(names: Sequence[str]) -> list[str]:
-    parts: list[str] = []
+def _legend(names: Sequence[str]) -> list[Markup]:
+    parts: list[Markup] = []
     x = float(MARGIN_PX)
     for n, name in enumerate(names):
         colour, dash = COLOURS[n % len(COLOURS)], DASHES[n % len(DASHES)]
-        pattern = f' stroke-dasharray="{dash}"' if dash else ""
-        parts.append(f'<path d="M{x:.1f},36h26" stroke="{colour}" stroke-width="3"{pattern}/>')
-        parts.append(_text(x + 31, 40, name, 12))
+        parts.append(_path(f"M{x:.1f},36h26", colour, 3, stroke_dasharray=dash or None))
+        parts.append(text(x + 31, 40, name, 12))
         x += 31 + 8 * len(name) + 18
     return parts
 
 
-def _text(x_px: float, y_px: float, text: str, size_px: int) -> str:
-    return f'<text x="{x_px:.1f}" y="{y_px:.1f}" font-size="{size_px}" fill="#222">{_clean(text)}</text>'
+def _path(data: str, colour: str, width_px: float, **style: Any) -> Markup:
+    """A line along path data."""
+    return element("path", d=data, fill="none", stroke=colour, stroke_width=f"{width_px:g}", **style)
 
 
-def _document(body: list[str], view: _View, width_px: int, title: str) -> str:
+def _document(body: list[Markup], view: _View, width_px: int, title: str) -> str:
     height_px = math.ceil(view.top_px + view.height_px + FOOT_PX)
-    head = (
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width_px}" height="{height_px}" '
-        f'viewBox="0 0 {width_px} {height_px}" font-family="Helvetica, Arial, sans-serif">'
-    )
-    lines = [
-        head,
-        f"<title>{_clean(title)}</title>",
-        f'<rect width="{width_px}" height="{height_px}" fill="#ffffff"/>',
-        _text(MARGIN_PX, 20, title, 14),
-        *body,
-        "</svg>",
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def _clean(text: str) -> str:
-    """Text as XML may hold it: markup escaped, control characters gone."""
-    return escape("".join(c for c in text if c >= " "))
-
-
-def _attribute(text: str) -> str:
-    return _clean(text).replace('"', "&quot;")
+    return svg_file(width_px, height_px, [text(MARGIN_PX, 20, title, 14), *body], title)
 
 
 # -- measures --------------------------------------------------------------------------------------

@@ -17,8 +17,10 @@ from typing import Any
 from ebamcheck.errors import EbamcheckError, InputError
 from ebamcheck.live.heat_so_far import HeatSoFar
 from ebamcheck.live.heights import HeightRule, height_rule
+from ebamcheck.live.heights_table import HeightsTable, laid_height
 from ebamcheck.live.journal import Journal, read_journal
 from ebamcheck.live.making import LayerMaker, MadeLayer, Wanted, failure_of, program_settings_sha256
+from ebamcheck.live.metal_so_far import MetalSoFar
 from ebamcheck.live.publishing import (
     JOURNAL,
     LAYERS,
@@ -45,6 +47,7 @@ class Standing:
     done: int
     base_mm: float
     top_mm: float
+    cusp_mm: float = 0.0
 
 
 class Building:
@@ -72,7 +75,10 @@ class Building:
         self.maker, self.folder = maker, folder
         self.rule = rule or height_rule(maker.part, maker.config)
         self.heat = HeatSoFar.cold(maker.config)
+        self.metal = MetalSoFar.none(maker.part, maker.config)
         self.finished = False
+        self.heights = HeightsTable(folder)
+        self._planned_tops_mm = self.rule.plan(0.0).tops_mm
         self._told: Answer = {}
         self._standing: Standing | None = None
         self._last: Reading | None = None
@@ -88,7 +94,8 @@ class Building:
             raise
 
     def close(self) -> None:
-        """Let go of the journal."""
+        """Let go of the journal; the table of heights is whole then."""
+        self.heights.write(ended=True)
         self._journal.__exit__(None, None, None)
 
     # -- what comes in ------------------------------------------------------------------------------
@@ -164,12 +171,25 @@ class Building:
 
     def _take(self, reading: Reading, answer: Answer, layer: MadeLayer | None) -> None:
         """Let a decision become the state."""
+        below = self._standing
+        if below is not None:
+            self.heights.add(
+                laid_height(
+                    below.done,
+                    self._planned_tops_mm,
+                    below.base_mm,
+                    below.top_mm,
+                    reading.height_mm,
+                    below.cusp_mm,
+                )
+            )
         self._last, self._told = reading, answer
         if layer is None:
             self.finished = True
             return
-        self.heat = layer.heat
-        self._standing = Standing(reading.done, layer.wanted.base_mm, layer.wanted.top_mm)
+        self.heat, self.metal = layer.heat, layer.metal
+        cusp_mm = float(answer["cusp_mm"])
+        self._standing = Standing(reading.done, layer.wanted.base_mm, layer.wanted.top_mm, cusp_mm)
 
     def _made(self, reading: Reading) -> tuple[Answer, tuple[Path, MadeLayer, dict[str, Any]] | None]:
         """Make the layer on a reading; the answer alone where there is none to publish."""
@@ -194,13 +214,14 @@ class Building:
             wanted = Wanted(reading.done, base_mm, thickness_mm, name, shifted)
             staged = Path(tempfile.mkdtemp(prefix=".making.", dir=self.folder))
             try:
-                made = self.maker.make(wanted, self.heat, staged / PROGRAM)
+                made = self.maker.make(wanted, self.heat, staged / PROGRAM, self.metal)
                 if made.passed:
                     certificate = certificate_of(
                         made, self.maker.part, self.maker.primary, self.maker.witness
                     )
                     answer = {"answer": "published", "layers_left": len(plan), "said": list(plan.said),
-                              "cusp_mm": float(plan.cusp_mm[0]), "seconds": made.seconds}  # fmt: skip
+                              "cusp_mm": float(plan.cusp_mm[0]), "seconds": made.seconds,
+                              "islands": made.islands, "tries": number}  # fmt: skip
                     return answer, (staged, made, certificate)
                 why = why or made.why
             except Exception as error:  # whatever a stage meets, the server stays

@@ -78,6 +78,8 @@ def serve(
         told(answer)
         out.write(json.dumps(plain(answer), sort_keys=True, allow_nan=False) + "\n")
         out.flush()
+        # Nobody waits any more: what is only looked at is written now.
+        building.heights.write(ended=building.finished)
         if answer["answer"] == "stopped":
             return
 

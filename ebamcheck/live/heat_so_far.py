@@ -9,7 +9,7 @@ import numpy as np
 from ebamcheck.heat.balance import HeatColumn, LayerShape
 from ebamcheck.scan.heat.interpass import Drive
 from ebamcheck.scan.heat.part_heat import PartHeat
-from ebamcheck.scan.plan.columns import ScanPlan
+from ebamcheck.scan.plan.columns import PlanOfLayers, ScanPlan
 from ebamcheck.settings.config import Config
 
 
@@ -50,7 +50,7 @@ class HeatSoFar:
 
 
 def heat_under(
-    plan: ScanPlan, layer: int, thickness_mm: np.ndarray, busy: np.ndarray, config: Config
+    plan: ScanPlan | PlanOfLayers, layer: int, thickness_mm: np.ndarray, busy: np.ndarray, config: Config
 ) -> HeatSoFar:
     """Heat of a part when the layers under one of them were laid as a run planned them, by the balance alone.
 

@@ -11,13 +11,15 @@ import numpy as np
 import pandas as pd
 
 from ebamcheck.errors import InputError, SettingsError
+from ebamcheck.live.metal_so_far import MetalSoFar
 from ebamcheck.mesh.part import Part
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline.placement import placed_part
 from ebamcheck.pipeline.run_folder import MANIFEST, RunFolder
 from ebamcheck.pipeline.verify import part_of_run
+from ebamcheck.program.checking.metal_below import MetalBelow
 from ebamcheck.program.toolpath.inputs import deposition_heights, layer_thickness
-from ebamcheck.scan.plan.columns import ScanPlan
+from ebamcheck.scan.plan.columns import PlanOfLayers
 from ebamcheck.settings.config import Config, validated
 
 
@@ -39,17 +41,17 @@ class FinishedRun:
     @property
     def tops_mm(self) -> Floats:
         """(L,) Z of the top of each layer."""
-        return deposition_heights(self.plan.heights, self.config.layer_height_mm)
+        return deposition_heights(self.plan.heights, self.config.layer_height_mm, self.config.base_mm)
 
     @property
     def thickness_mm(self) -> Floats:
         """(L,) height of each layer."""
-        return layer_thickness(self.tops_mm, 0.0)
+        return layer_thickness(self.tops_mm, self.config.base_mm)
 
     @cached_property
-    def plan(self) -> ScanPlan:
-        """The run's scan plan."""
-        return ScanPlan.from_parquet(self.folder.path / "scan.parquet")
+    def plan(self) -> PlanOfLayers:
+        """What the run's scan plan knows of its layers."""
+        return PlanOfLayers.from_parquet(self.folder.path / "scan.parquet")
 
     def busy_s(self) -> Floats:
         """(L, 2) time of each layer with the beam on, and with it off: travel, and the waits within the layer."""
@@ -57,6 +59,14 @@ class FinishedRun:
         before_s = np.nan_to_num(self.plan.metrics["wait_s"].to_numpy())
         off_s = table["travel_s"] + np.maximum(table["wait_s"] - before_s, 0.0)
         return np.column_stack([table["deposit_s"], off_s])
+
+    def metal_under(self, layer: int) -> MetalSoFar | None:
+        """Sums of the metal under a layer of the run; None where the run has no table of it."""
+        table = self.folder.path / "deposit.csv"
+        if not table.is_file():
+            return None
+        found = pd.read_csv(table).iloc[:layer]
+        return MetalSoFar(MetalBelow().and_layers(found, self.config.process))
 
     def program_of(self, layer: int) -> dict[str, Any] | None:
         """Name and hash of the run's own program of a layer; None where all layers are in one file."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,10 +20,12 @@ import numpy as np
 from ebamcheck.backend import BackendSettings
 from ebamcheck.comparison import compare_all
 from ebamcheck.curves import LIFTED, fit
+from ebamcheck.curves.per_part import keep_surface_of
 from ebamcheck.errors import BackendMissing, EbamcheckError, SettingsError
 from ebamcheck.json_values import sha256_of_json
 from ebamcheck.layers.stack import Layers
 from ebamcheck.live.heat_so_far import HeatSoFar
+from ebamcheck.live.metal_so_far import MetalSoFar
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline import gates
@@ -31,15 +34,16 @@ from ebamcheck.pipeline.fit_evidence import judged
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.programming import bead_paths, smooth_layers
 from ebamcheck.plugins import registry
-from ebamcheck.program import Check, ProgramFiles, mark_validated, read_program, verify_program
+from ebamcheck.program import Check, ProgramFiles, mark_validated, verify_program
 from ebamcheck.program.checking.deposit import deposit
 from ebamcheck.program.checking.deposit_checks import deposit_checks
 from ebamcheck.program.checking.matching import matched
 from ebamcheck.program.language.control import control
+from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.toolpath.bead_ends import planned_path
 from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.scan.islands.regions import layer_section
-from ebamcheck.scan.order.orders import GEOMETRIC
+from ebamcheck.scan.order.orders import needs_heat
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.scan.plan.stacking import in_order, stack_plans
 from ebamcheck.scan.plan.whole_part import Stack, laid_layer, ordered_on
@@ -79,8 +83,8 @@ class MadeLayer:
         Its program; None where a gate shut before one was written.
     gates, checks
         What was judged.
-    heat
-        The part's heat when it is done; that before it where no program was written.
+    heat, metal
+        The part's heat and metal when it is done; those before it where no program was written.
     wait_s
         Least time between the last bead below and the first of this layer.
     islands, deposit_s
@@ -96,6 +100,7 @@ class MadeLayer:
     gates: tuple[Gate, ...]
     checks: tuple[Check, ...]
     heat: HeatSoFar
+    metal: MetalSoFar
     wait_s: float
     islands: int
     deposit_s: float
@@ -164,7 +169,12 @@ class LayerMaker:
                 f"no exact slicer beside {self.primary!r} is there: two methods have to agree"
             )
         self.sound = gates.input_gate(inspect(part))
+        keep_surface_of(part)
+        # What every layer has alike is made once, and written out once.
+        self._of_part = config.part.model_copy(update={"direction": part.direction})
+        self._of_scan = config.scan.model_copy(update={"annealing_steps": annealing_steps})
         self._open = ExitStack()
+        self._aside = self._open.enter_context(ThreadPoolExecutor(1))
         self._slicings = {
             backend: self._open.enter_context(Slicing(part, backend, **self._settings(backend).model_dump()))
             for backend in (self.primary, self.witness)
@@ -200,7 +210,7 @@ class LayerMaker:
         # Values that were worked out here need no check of all others, which takes a while with many plugins.
         return sections.model_copy(
             update={
-                "part": sections.part.model_copy(update={"direction": self.part.direction}),
+                "part": self._of_part,
                 "layers": sections.layers.model_copy(
                     update={
                         "heights_mm": (cut_mm,),
@@ -208,18 +218,22 @@ class LayerMaker:
                         "base_mm": wanted.base_mm,
                     }
                 ),
-                "scan": sections.scan.model_copy(update={"annealing_steps": self.annealing_steps}),
+                "scan": self._of_scan,
                 "machine": sections.machine.model_copy(update={"program_name": wanted.name}),
             }
         )
 
-    def make(self, wanted: Wanted, heat: HeatSoFar, folder: Path) -> MadeLayer:
+    def make(
+        self, wanted: Wanted, heat: HeatSoFar, folder: Path, metal: MetalSoFar | None = None
+    ) -> MadeLayer:
         """Make one layer; its program goes to `folder`, and is stamped as validated where every gate is open.
 
         Parameters
         ----------
         heat
             The part's heat when the layer under it is done.
+        metal
+            The metal that stands; None: nothing is known of it, and the layer is judged by itself, on a level surface.
 
         Raises
         ------
@@ -234,8 +248,8 @@ class LayerMaker:
         contours, witness = cuts[self.primary], cuts[self.witness]
         if not len(contours.points) and not len(witness.points):
             raise SettingsError(f"layer {wanted.layer}: the part has no section at {cut_mm:g} mm")
-        with clock.stage("compare"):
-            agreement = self._agreement(cuts)
+        # What only judges goes on beside what makes the program.
+        comparing = self._aside.submit(self._agreement, cuts, clock)
         with clock.stage("fit"):
             bound_mm = registry.slicer(self.primary).error_bound_mm(self.part, self._settings(self.primary))
             of_curves = config.curves.model_copy(
@@ -244,18 +258,27 @@ class LayerMaker:
             curves = fit(contours, of_curves.method, of_curves, part=self.part)
             verdict, _ = judged(curves, contours, self.part, config)
             smooth = smooth_layers(verdict.curves)
+        stands = None if metal is None else metal.measured()
         with clock.stage("plan"):
             plan, after, wait_s = self._planned(smooth, wanted, heat, config)
-        made = [self.sound, agreement, gates.fit_gate(verdict), gates.coverage_gate(plan.metrics, config)]
+            plan = replace(plan, stands=None if stands is None else stands.surface)
+        made = [
+            self.sound,
+            comparing.result(),
+            gates.fit_gate(verdict),
+            gates.coverage_gate(plan.metrics, config),
+        ]
         with clock.stage("write"):
             beads = bead_paths(smooth, plan, config)
             path = planned_path(beads, plan, config)
             header = {"PART SHA-256": self.part.source_sha256 or self.part.sha256}
-            files: ProgramFiles = control(config.machine.control).load("writer")(
-                beads, plan, config, folder, header=header
+            files: ProgramFiles = control(config.machine.control).written(
+                beads, plan, config, folder, header=header, path=path
             )
         with clock.stage("verify"):
-            program, _ = matched(read_program(files.main, config), path)
+            read = control(config.machine.control).load("reader")
+            program, _ = matched(read(files.main, config), path)
+            weighing = self._aside.submit(metal_checks, program, witness, stands, config)
             checks = verify_program(
                 program,
                 config=config,
@@ -268,8 +291,8 @@ class LayerMaker:
                 sha256=files.sha256,
                 smooth=smooth if config.curves.method in LIFTED else None,
             )
-            z_of = deposition_heights(witness.heights, config.layer_height_mm, config.base_mm)
-            checks += deposit_checks(program, deposit(program, witness, z_of, config), config)
+            of_metal, stands = weighing.result()
+            checks += of_metal
             made += [
                 gates.deposit_gate(checks, config),
                 gates.heat_gate(checks, plan.metrics, config),
@@ -278,12 +301,16 @@ class LayerMaker:
             if all(gate.passed for gate in made):
                 files = mark_validated(files)
         return MadeLayer(
-            wanted, config, cut_mm, files, tuple(made), tuple(checks), after, wait_s, len(plan.islands),
+            wanted, config, cut_mm, files, tuple(made), tuple(checks), after, stands, wait_s, len(plan.islands),
             after.layer_s, clock.seconds,
         )  # fmt: skip
 
-    def _agreement(self, cuts: dict[str, Layers]) -> Gate:
+    def _agreement(self, cuts: dict[str, Layers], clock: Clock) -> Gate:
         """Whether both methods agree on the layer."""
+        with clock.stage("compare"):
+            return self._compared(cuts)
+
+    def _compared(self, cuts: dict[str, Layers]) -> Gate:
         slicers = {name: registry.slicer(name) for name in cuts}
         settings = {name: self._settings(name) for name in cuts}
         found = compare_all(
@@ -311,7 +338,7 @@ class LayerMaker:
             [section], np.array([smooth.heights[0]]), [wanted.layer + wanted.shifted], self.bottom_mm
         )
         laid, islands = laid_layer(stack, 0, config, seed)
-        carry = config.scan.carry_heat and order not in GEOMETRIC
+        carry = config.scan.carry_heat and needs_heat(order)
         done, part, last = ordered_on(
             heat.part, heat.last, laid, islands, wanted.thickness_mm, config, order, carry, not heat.laid
         )
@@ -320,6 +347,29 @@ class LayerMaker:
         plan = stack_plans([in_order(done)], config, order, seed)
         wait_s = 0.0 if last is None or last is heat.last else last.wait_s
         return plan, replace(heat, part=part, last=last), wait_s
+
+
+def metal_checks(
+    program: NCProgram, witness: Layers, stands: MetalSoFar | None, config: Config
+) -> tuple[list[Check], MetalSoFar]:
+    """Checks of a layer's metal on what stands, and what stands with it.
+
+    Sums and means count from the plate up, by the limits of a whole part; the layer, and the surface that all layers so far
+    come to, by those of a single one. The layer has to pass by its text alone, too, as anybody can judge it: on a level surface,
+    of which nothing is known.
+    """
+    z_of = deposition_heights(witness.heights, config.layer_height_mm, config.base_mm)
+    known = stands or MetalSoFar()
+    found = deposit(program, witness, z_of, config, stands=known.surface)
+    checks = deposit_checks(program, found, config, None if stands is None else stands.below)
+    if known.below.layers:
+        by_itself = found if known.surface is None else deposit(program, witness, z_of, config)
+        checks += [
+            replace(check, text=f"by its text alone: {check.text}")
+            for check in deposit_checks(program, by_itself, config)
+            if not check.passed
+        ]
+    return checks, known.with_layer(found.layers, found.surface, config)
 
 
 def program_settings_sha256(config: Config) -> str:

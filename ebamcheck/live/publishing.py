@@ -79,6 +79,7 @@ def certificate_of(made: MadeLayer, part: Part, primary: str, witness: str) -> d
                 "primary": primary,
                 "witness": witness,
                 "islands": made.islands,
+                "metal_so_far": asdict(made.metal.below),
                 "wait_s": made.wait_s,
                 "layer_s": made.deposit_s,
                 "leave_k": made.heat.surface_k,

@@ -14,6 +14,7 @@ from ebamcheck.json_values import json_text
 from ebamcheck.live.heat_so_far import HeatSoFar
 from ebamcheck.live.heights import height_rule
 from ebamcheck.live.making import LayerMaker, MadeLayer, Wanted
+from ebamcheck.live.metal_so_far import MetalSoFar
 from ebamcheck.live.publishing import LAYERS, PROGRAM, certificate_of, layer_name, publish
 
 
@@ -46,8 +47,18 @@ def wanted_layer(
     return Wanted(layer, measured_mm, float(plan.thickness_mm[0]), name), plan.said
 
 
-def relayer(maker: LayerMaker, heat: HeatSoFar, layer: int, measured_mm: float, folder: Path) -> Relayered:
-    """Make a layer at a measured height, and publish it under a new name in `folder` if every gate is open."""
+def relayer(
+    maker: LayerMaker,
+    heat: HeatSoFar,
+    layer: int,
+    measured_mm: float,
+    folder: Path,
+    metal: MetalSoFar | None = None,
+) -> Relayered:
+    """Make a layer at a measured height, and publish it under a new name in `folder` if every gate is open.
+
+    What is known of the metal under it, `metal`, counts where sums and means over all layers are judged.
+    """
     number = 1
     program = maker.config.machine.program_name
     made_folder(folder)
@@ -56,7 +67,7 @@ def relayer(maker: LayerMaker, heat: HeatSoFar, layer: int, measured_mm: float, 
     wanted, said = wanted_layer(maker, layer, measured_mm, layer_name(program, layer, number))
     staged = Path(tempfile.mkdtemp(prefix=".making.", dir=folder))
     try:
-        made = maker.make(wanted, heat, staged / PROGRAM)
+        made = maker.make(wanted, heat, staged / PROGRAM, metal)
         certificate = certificate_of(made, maker.part, maker.primary, maker.witness)
         if not made.passed:
             (folder / f"{wanted.name}.refused.json").write_text(json_text(certificate), encoding="utf-8")

@@ -9,14 +9,22 @@ from numpy.typing import NDArray
 
 from ebamcheck.mesh.stl import FACET
 
-HEADER = b"binary STL, mm".ljust(80)
-"""It does not begin with "solid", which would make readers take the file for text."""
+HEADER_BYTES = 80
 
 
-def write_triangles(triangles: NDArray[np.floating], path: Path) -> None:
+def write_triangles(triangles: NDArray[np.floating], path: Path, name: str = "") -> None:
     """Write corners (F, 3, 3), mm, rounded to the 32-bit floats of the format, with their unit normals.
 
-    Corners that are equal stay equal. The normal of a facet without area is 0.
+    Corners that are equal stay equal, and equal parts give equal bytes. The normal of a facet without area is 0.
+
+    Parameters
+    ----------
+    triangles
+        Corners.
+    path
+        File to write.
+    name
+        Name of the part, for the header.
     """
     facets = np.zeros(len(triangles), FACET)
     facets["corners"] = triangles
@@ -24,7 +32,9 @@ def write_triangles(triangles: NDArray[np.floating], path: Path) -> None:
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     facets["normal"] = np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0.0)
+    # A header that begins with "solid" would make readers take the file for text.
+    header = f"binary STL: {name}, mm" if name else "binary STL, mm"
     with path.open("wb") as file:
-        file.write(HEADER)
+        file.write(header.encode("ascii", "replace")[:HEADER_BYTES].ljust(HEADER_BYTES))
         file.write(np.array(len(facets), "<u4").tobytes())
         facets.tofile(file)

@@ -7,6 +7,8 @@ a bead could have reached and that none did stays where it was, a layer deeper t
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 from scipy import ndimage
 
@@ -83,6 +85,19 @@ class Surface:
         self._over_mm: Floats = np.zeros((rows, columns))
         self._share: Floats = np.zeros((rows, columns))
         self._bead = bead_width_mm / self.step_mm
+
+    def copy(self) -> Surface:
+        """Return the same surface, on which can be built by itself."""
+        return copy.copy(self)
+
+    def measured(self) -> Surface:
+        """Return the surface of a part whose height was measured: uneven as it was, and on average at that height."""
+        made = self.copy()
+        metal = self._share.sum()
+        if metal > 0.0:
+            mean_mm = float((self._share * self._over_mm).sum() / metal)
+            made._over_mm = np.where(self._share > 0.0, self._over_mm - mean_mm, 0.0)
+        return made
 
     def over_mm(self, target: Target) -> Floats:
         """Height of the surface over that of the last layer in the cells of a layer, the mean over the spot of a bead; 0 without metal."""

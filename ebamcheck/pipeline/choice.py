@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from ebamcheck.backend import BackendSettings, Probe
 from ebamcheck.errors import BackendMissing, SettingsError
@@ -91,15 +91,18 @@ def _reason(probe: Probe) -> str:
     return f"{probe.why}; {probe.hint}" if probe.hint else probe.why
 
 
-def witness_backend(maker: str) -> str:
-    """Available exact backend of the highest priority that did not make a program; `maker` if there is no other.
+def witness_backend(maker: str, among: Sequence[str] | None = None) -> str:
+    """Exact backend of the highest priority that did not make a program; `maker` if there is no other.
 
-    Where the maker is not known it is taken to be the default one.
+    Parameters
+    ----------
+    maker
+        Backend that made the program; the default one if not known.
+    among
+        Backends to choose from; those of the house that are available if None.
     """
     maker = maker or registry.default_backend()
-    others = [
-        name
-        for name in registry.house_slicers()
-        if name != maker and registry.slicer(name).exact and registry.probe(name).available
-    ]
+    if among is None:
+        among = [name for name in registry.house_slicers() if registry.probe(name).available]
+    others = [name for name in among if name != maker and registry.slicer(name).exact]
     return max(others, key=lambda name: registry.slicer(name).priority, default=maker)

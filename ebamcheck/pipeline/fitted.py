@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,6 @@ import pandas as pd
 
 from ebamcheck.curves import METHODS, Curves, contour_error, error_reduction, fit, fit_deviation
 from ebamcheck.curves.edges import with_edges
-from ebamcheck.curves.fallback import METHODS as FALLBACKS
 from ebamcheck.layers import files as layer_files
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
@@ -23,13 +22,37 @@ from ebamcheck.settings.curves import CurveSettings
 from ebamcheck.slicers.slicing import slice_part
 
 
-def fitted(
-    job: Job, layers: Layers, error_bound_mm: float, fine: Part | None
-) -> tuple[FitVerdict, pd.DataFrame]:
-    """Fit the contours, measure the fit, and both against the reference where there is one.
+@dataclass(frozen=True)
+class MethodFigures:
+    """What a fit takes, and how far it leaves the contours."""
 
-    Returns what speaks for the curves, and a table of one row a layer (`fit.csv`).
-    """
+    blocks: int
+    max_points_mm: float
+    """Greatest distance of a contour's points from the curve."""
+    max_bulge_mm: float
+    """Greatest distance of the curve from the contour."""
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """The curves of a run with what speaks for them, beside those of the other methods."""
+
+    verdict: FitVerdict
+    table: pd.DataFrame
+    """One row a layer (`fit.csv`)."""
+    points: int
+    """Points of the contours."""
+    methods: Mapping[str, MethodFigures]
+    """Figures by method; those of the chosen one are first."""
+
+    @property
+    def curves(self) -> Curves:
+        """Curves by the chosen method."""
+        return self.verdict.curves
+
+
+def fitted(job: Job, layers: Layers, error_bound_mm: float, fine: Part | None) -> FitResult:
+    """Fit the contours, and measure the fit, both against the reference where there is one."""
     # What a slicer's own error makes of a contour, a staircase of pixels say, is no shape: no corners come of it.
     settings = job.config.curves
     settings = settings.model_copy(update={"collinear_mm": max(settings.collinear_mm, error_bound_mm)})
@@ -39,26 +62,15 @@ def fitted(
         verdict, table = fit_evidence.judged(curves, layers, job.part, job.config)
         table.to_csv(job.folder.path / "fit.csv", index=False)
         of_methods = {curves.method: curves, **_other_fits(job, layers, settings)}
-        job.record["fit"] = {
-            "method": curves.method,
-            "points": len(layers.points),
-            "rings": verdict.evidence.cause.size,
-            "fallen_rings": {
-                name: int((verdict.evidence.method == k).sum()) for k, name in enumerate(FALLBACKS) if k
-            },
-            "open_rings": verdict.open_rings,
-            **_figures(curves, table),
-            "methods": {
-                name: _figures(other, table if other is curves else fit_deviation(other, layers))
-                for name, other in of_methods.items()
-            },
+        figures = {
+            name: _figures(other, table if other is curves else fit_deviation(other, layers))
+            for name, other in of_methods.items()
         }
     if fine is not None:
         with job.stage("reference", len(layers)):
-            job.record["reference"] = _against_reference(job, layers, of_methods, fine)
-            verdict = replace(verdict, reference=job.record["reference"])
+            verdict = replace(verdict, reference=_against_reference(job, layers, of_methods, fine))
     job.add_finding(*fit_evidence.findings(verdict))
-    return verdict, table
+    return FitResult(verdict, table, len(layers.points), figures)
 
 
 def _other_fits(job: Job, layers: Layers, settings: CurveSettings) -> dict[str, Curves]:
@@ -69,13 +81,12 @@ def _other_fits(job: Job, layers: Layers, settings: CurveSettings) -> dict[str, 
     return {name: fit(layers, name, settings, part=job.part) for name in others}
 
 
-def _figures(curves: Curves, deviation: pd.DataFrame) -> dict[str, Any]:
-    """What a fit takes, and how far it leaves the contours."""
-    return {
-        "blocks": int(curves.block_count()),
-        "max_points_mm": float(deviation["points_mm"].max()),
-        "max_bulge_mm": float(deviation["bulge_mm"].max()),
-    }
+def _figures(curves: Curves, deviation: pd.DataFrame) -> MethodFigures:
+    return MethodFigures(
+        blocks=int(curves.block_count()),
+        max_points_mm=float(deviation["points_mm"].max()),
+        max_bulge_mm=float(deviation["bulge_mm"].max()),
+    )
 
 
 def _against_reference(

@@ -46,9 +46,16 @@ def input_gate(inspection: Inspection) -> Gate:
 
 
 def agreement_gate(
-    comparison: Comparison, outcomes: Mapping[str, Outcome], layers: int, first_layer_mm: float = 1.0
+    comparison: Comparison,
+    outcomes: Mapping[str, Outcome],
+    layers: int,
+    first_layer_mm: float = 1.0,
+    base_mm: float = 0.0,
 ) -> Gate:
-    """At least two methods agree on every layer, and no method that was asked for failed."""
+    """At least two methods agree on every layer, and no method that was asked for failed.
+
+    Heights of the program are told by `first_layer_mm`, the height of an only layer, and `base_mm`, Z of what it lies on.
+    """
     failed = [f"{o.name} {o.failure} ({o.why})" for o in outcomes.values() if o.file is None]
     lost = [o for o in outcomes.values() if o.file is None and o.failure != "unavailable"]
     idle = not_counted(comparison)
@@ -66,7 +73,7 @@ def agreement_gate(
     skipped = layers - good - bad
     text = f"{methods} methods agree on {good} of {layers} layers"
     if bad:
-        text += f"; they disagree on {bad}: {_worst(comparison, first_layer_mm)}"
+        text += f"; they disagree on {bad}: {_worst(comparison, first_layer_mm, base_mm)}"
     text += _doubted(comparison)
     if skipped:
         text += (
@@ -80,18 +87,20 @@ def agreement_gate(
     return Gate("agreement", passed, float(bad + skipped), 0.0, "layers", text)
 
 
-def _worst(comparison: Comparison, first_layer_mm: float) -> str:
+def _worst(comparison: Comparison, first_layer_mm: float, base_mm: float) -> str:
     """The gravest finding in words."""
     f = worst_of(comparison.findings)
     if f is None:
         return "no cause was found"
-    return f"worst {disagreement_in_words(f, comparison, first_layer_mm)}"
+    return f"worst {disagreement_in_words(f, comparison, first_layer_mm, base_mm)}"
 
 
-def disagreement_in_words(f: Disagreement, comparison: Comparison, first_layer_mm: float) -> str:
+def disagreement_in_words(
+    f: Disagreement, comparison: Comparison, first_layer_mm: float, base_mm: float = 0.0
+) -> str:
     """A disagreement: who, where in part and program, by how much, why, and what to do."""
     heights = comparison.layers["height_mm"].to_numpy(np.float64)
-    place = frames(f.layer, f.height_mm, float(deposition_heights(heights, first_layer_mm)[f.layer]))
+    place = frames(f.layer, f.height_mm, float(deposition_heights(heights, first_layer_mm, base_mm)[f.layer]))
     cause = f.cause_text or f.cause
     if f.metric == "empty":
         return f"layer {f.layer}, empty in all although facets cross it: {cause} ({place}); {f.remedy}"
@@ -158,7 +167,10 @@ def heat_gate(checks: Iterable[Check], metrics: pd.DataFrame, config: Config) ->
     limit_k, ambient_k = entry_limit_k(config), config.process.ambient_temperature_k
     by_name = {check.name: check for check in checks if check.name in (INTERPASS, MELTING)}
     if len(by_name) < 2:
-        return Gate("heat", False, float("nan"), limit_k, "K", "no program was written: there is no contour")
+        why = "no program was written: there is no contour"
+        if config.base_mm > 0.0:
+            why = "the temperature of what stands under the program (layers.base_mm) is not known: its heat cannot be judged"
+        return Gate("heat", False, float("nan"), limit_k, "K", why)
     text, melting = by_name[INTERPASS], by_name[MELTING]
     at_bead = config.process.interpass_at == "bead"
     planned = metrics["entry_max_k"] + ambient_k if at_bead else metrics["enter_k"]
@@ -190,6 +202,12 @@ def program_gate(checks: Iterable[Check]) -> Gate:
     if failed:
         text = f"{len(failed)} of {len(made)} checks failed: {failed_in_words(failed)}"
     return Gate("program", not failed, float(len(failed)), 0.0, "faults", text)
+
+
+def entry_gate(check: Check) -> Gate:
+    """The program that begins at a layer commands what the whole one does from there on, from a state of its own."""
+    text = check.text if check.passed else check.in_words()
+    return Gate("entry", check.passed, check.value, check.limit, check.unit, text)
 
 
 TOLD = 2

@@ -33,10 +33,14 @@ from ebamcheck.pipeline.entry_program import checked_again
 from ebamcheck.pipeline.fit_evidence import FitVerdict, judged
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.independence import evidence_rule
+from ebamcheck.pipeline.live_program import NAME as HANDSHAKE
+from ebamcheck.pipeline.live_program import live_checked_again
+from ebamcheck.pipeline.loose_limits import loose_limits
 from ebamcheck.pipeline.placement import cut_heights
 from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.plugins import registry
 from ebamcheck.program import Check, verify_file
+from ebamcheck.program.checking.bead_wire import NAME as WIRE_OF_BEADS
 from ebamcheck.program.checking.deposit_checks import of_deposit
 from ebamcheck.program.checking.entry_check import NAME as ENTRY
 from ebamcheck.program.checking.hatch_form import CROSSINGS, LINES
@@ -61,7 +65,18 @@ SAME_POINT_MM = 1e-6
 PROGRAM = "program"
 """The gate whose figure counts checks, of which more are made here than in a run."""
 
-OF_TEXT_ALONE = (ENTRY, "readable", "coverage", "gaps", "hatch spacing", "lines laid once", LINES, CROSSINGS)
+OF_TEXT_ALONE = (
+    ENTRY,
+    "readable",
+    "coverage",
+    "gaps",
+    "hatch spacing",
+    "lines laid once",
+    LINES,
+    CROSSINGS,
+    HANDSHAKE,
+    WIRE_OF_BEADS,
+)
 """Checks that are made here and not by a run, which has its plan to compare with."""
 
 
@@ -101,7 +116,8 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
     agreement, agrees = _agreement(run, manifest, config, part, fresh, witness)
     exchanged = exchanged_layers(run, manifest, fresh, witness)
     made = [gates.input_gate(sound), agreement]
-    told = [*noticed.of_part(sound, config), *outside_window(config, "warning"), *unusual_layers(config)]
+    told = [*noticed.of_part(sound, config), *loose_limits(config)]
+    told += [*outside_window(config, "warning"), *unusual_layers(config)]
     record = manifest.get("program")
     if record is None:
         return Again(witness, tuple(made), agrees, tuple(told), exchanged=exchanged)
@@ -121,7 +137,7 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
         sha256={file["name"]: file["sha256"] for file in record["files"]},
         truth=truth_of(manifest, config),
     )
-    z_of = deposition_heights(np.asarray(heights), config.layer_height_mm)
+    z_of = deposition_heights(np.asarray(heights), config.layer_height_mm, config.base_mm)
     main = run.program_folder / record["files"][0]["name"]
     made += [
         gates.fit_gate(verdict),
@@ -130,7 +146,10 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
         gates.heat_gate(checks, plan.metrics, config),
         gates.program_gate(checks),
     ]
-    checks += checked_again(run.path, record, main, z_of, config)
+    entry = checked_again(run.path, record, main, z_of, config)
+    made += [gates.entry_gate(check) for check in entry]
+    checks += entry
+    checks += live_checked_again(run.path, record, config)
     told += [*noticed.of_profile(config), *noticed.of_metal(of_deposit(checks))]
     return Again(witness, tuple(made), agrees, tuple(told), tuple(checks), exchanged)
 
@@ -195,7 +214,8 @@ def _agreement(
             settings=config.comparison,
             evidence=evidence_rule(config, stacks),
         )
-    return gates.agreement_gate(comparison, outcomes, len(fresh), config.layer_height_mm), comparison.passed
+    gate = gates.agreement_gate(comparison, outcomes, len(fresh), config.layer_height_mm, config.base_mm)
+    return gate, comparison.passed
 
 
 def _fitted(

@@ -17,8 +17,9 @@ from ebamcheck.pipeline.certificate import write_certificate
 from ebamcheck.pipeline.choice import chosen_backends, primary_backend, unavailable_backends
 from ebamcheck.pipeline.cross_check import CrossCheck, cross_check
 from ebamcheck.pipeline.gates import Gate
-from ebamcheck.pipeline.plate_record import PLATE, plate_record
-from ebamcheck.pipeline.programming import make_program
+from ebamcheck.pipeline.live_program import check_waits
+from ebamcheck.pipeline.loose_limits import loose_limits
+from ebamcheck.pipeline.programming import ProgramResult, make_program
 from ebamcheck.pipeline.record import manifest as make_manifest
 from ebamcheck.pipeline.report_writers import write_reports
 from ebamcheck.pipeline.run_folder import (
@@ -34,6 +35,9 @@ from ebamcheck.program.language.templates import usable_templates
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import checked_window, outside_window, unusual_layers
 from ebamcheck.version import __version__
+
+ProgramStage = Callable[[Job, CrossCheck, bool], ProgramResult]
+"""Makes a program from agreed contours; its last argument tells whether all gates so far are passed."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +61,7 @@ def run_job(
     yes: bool = False,
     force: bool = False,
     from_layer: int = 1,
+    live: bool = False,
 ) -> RunResult:
     """Slice a part with every backend, compare, fit, partition, order, write the program and verify it.
 
@@ -78,6 +83,8 @@ def run_job(
         Make the run although a finished one stands at `target`, which is kept under a name with its date.
     from_layer
         Write a second program, too, that begins at this layer, from 1: to go on after a break.
+    live
+        Write a main program, too, that waits between layers until each is released.
     begun
         What :func:`ebamcheck.preflight.ready` has made of the same part and settings; None: it is made here.
     yes
@@ -97,17 +104,19 @@ def run_job(
             f"machine.control {config.machine.control!r} writes what no reader can prove, such as a case of a heat simulator: "
             f"run for a control, then `ebamcheck post RUN --control {config.machine.control} -o FOLDER`"
         )
+    if live:
+        check_waits(config)
     checked_window(config)
     usable_templates(config, config.machine.control)
     part = begun or ready(part_path, config, "run", yes)
     part.preflight.stop("run")
     fine = read_reference(reference, part_path, config.part) if reference else None
 
-    def program(job: Job, checked: CrossCheck, sound: bool) -> list[Gate]:
+    def program(job: Job, checked: CrossCheck, sound: bool) -> ProgramResult:
         return make_program(job, _primary(job, checked), checked, fine, sound)
 
-    inputs = [fine.sha256 if fine else ""]
-    return _job("run", part, target, config, inputs, resume, observer, program, force, from_layer)
+    inputs = [fine.sha256 if fine else "", f"from layer {from_layer}", f"live {live}"]
+    return _job("run", part, target, config, inputs, resume, observer, program, force, from_layer, live)
 
 
 def check_job(
@@ -138,9 +147,10 @@ def _job(
     inputs: list[str],
     resume: bool,
     observer: Observer | None,
-    program: Callable[[Job, CrossCheck, bool], list[Gate]] | None,
+    program: ProgramStage | None,
     force: bool,
     from_layer: int = 1,
+    live: bool = False,
 ) -> RunResult:
     """Cross-check a part in a run folder, and make the program where one is wanted."""
     observer = observer or Silent()
@@ -158,10 +168,10 @@ def _job(
     if folder.former is not None:
         observer.note(f"{target}: the former run will be kept as {folder.former.name}")
     job = Job(kind, config, observer, part, found, heights, folder, fingerprint)
-    job.from_layer = from_layer
+    job.from_layer, job.live = from_layer, live
     if begun.turned:
         job.add_finding(noticed.turned_over(begun.turned, len(part.faces)))
-    job.add_finding(*noticed.of_part(found, config))
+    job.add_finding(*noticed.of_part(found, config), *loose_limits(config))
     # A job without a program may cut layers that no process can lay.
     job.add_finding(*outside_window(config, "warning"), *unusual_layers(config))
     try:
@@ -176,33 +186,35 @@ def _finished(
     job: Job,
     backends: Mapping[str, BackendSettings],
     resume: bool,
-    program: Callable[[Job, CrossCheck, bool], list[Gate]] | None,
+    program: ProgramStage | None,
 ) -> RunResult:
     """All stages from slicing to the finished folder."""
     checked = cross_check(job, backends, resume)
     outcomes = {**checked.outcomes, **unavailable_backends(job.config)}
-    shut = [
+    judged = [
         gates.input_gate(job.found),
-        gates.agreement_gate(checked.comparison, outcomes, len(job.heights), job.config.layer_height_mm),
+        gates.agreement_gate(
+            checked.comparison, outcomes, len(job.heights), job.config.layer_height_mm, job.config.base_mm
+        ),
     ]
     job.add_finding(*noticed.of_doubt(checked.comparison.pairs, job.config))
     job.add_finding(*(noticed.unavailable(o) for o in outcomes.values() if o.failure == "unavailable"))
-    if parts := plate_record(job.part, job.config):
-        job.record[PLATE] = parts
-    if program is not None and _primary(job, checked):
+    primary, made = _primary(job, checked), None
+    if program is not None and primary:
         job.add_finding(*noticed.of_profile(job.config))
-        shut += program(job, checked, all(gate.passed for gate in shut))
-    code = gates.exit_code(shut, checked.comparison.compared_layers, outcomes)
+        made = program(job, checked, all(gate.passed for gate in judged))
+        judged += made.gates
+    code = gates.exit_code(judged, checked.comparison.compared_layers, outcomes)
     if code is ExitCode.PASS and has_fault(job.findings):
         code = ExitCode.OUT_OF_TOLERANCE
-    manifest = make_manifest(job, outcomes, checked.comparison, shut, _primary(job, checked), code)
+    manifest = make_manifest(job, outcomes, checked.comparison, primary, made, judged, code)
     job.folder.write_manifest(manifest)
     write_reports(job.folder.path, job.observer.note)
     if program is not None:
         # Last of all: it lists every file, and so finds any byte that is changed after it.
         write_certificate(RunFolder(job.folder.path))
     (job.folder.path / FINGERPRINT).unlink()
-    return RunResult(job.folder.finish(), tuple(shut), code, manifest)
+    return RunResult(job.folder.finish(), tuple(judged), code, manifest)
 
 
 def _result(run: RunFolder) -> RunResult:

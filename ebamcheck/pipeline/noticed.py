@@ -75,7 +75,7 @@ def of_doubt(pairs: pd.DataFrame, config: Config) -> Iterator[Finding]:
 
 def _at(layer: int, heights: Floats, config: Config, x_mm: float = math.nan, y_mm: float = math.nan) -> str:
     """Name a place in part and program; `heights` (L,) mm are those of the cuts."""
-    z_mm = deposition_heights(np.asarray(heights, np.float64), config.layer_height_mm)[layer]
+    z_mm = deposition_heights(np.asarray(heights, np.float64), config.layer_height_mm, config.base_mm)[layer]
     return at_layer(layer, float(heights[layer]), x_mm, y_mm, float(z_mm))
 
 

@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from ebamcheck.curves import LIFTED, Curves, fit
 from ebamcheck.findings import has_fault
-from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.kinematics import side_by_side
 from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline import gates, noticed
+from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.cross_check import CrossCheck
-from ebamcheck.pipeline.entry_program import FOLDER as ENTRY
-from ebamcheck.pipeline.entry_program import write_entry
-from ebamcheck.pipeline.fitted import fitted
+from ebamcheck.pipeline.entry_program import Entry, write_entry
+from ebamcheck.pipeline.fitted import FitResult, fitted
 from ebamcheck.pipeline.gates import Gate
-from ebamcheck.pipeline.plate_record import PLATE, plate_record
+from ebamcheck.pipeline.live_program import write_live
+from ebamcheck.pipeline.plate_record import plate_record
 from ebamcheck.pipeline.work import Job
-from ebamcheck.plugins import registry
 from ebamcheck.program import Check, mark_validated, program_summary, read_program, verify_program
 from ebamcheck.program.checking.deposit import deposit
 from ebamcheck.program.checking.deposit_checks import deposit_checks
@@ -31,6 +32,7 @@ from ebamcheck.program.checking.metal_field import FIELD_FILE, write_field
 from ebamcheck.program.checking.remedies import told
 from ebamcheck.program.checking.text_heat import build_times_s, known_sections
 from ebamcheck.program.language.control import control
+from ebamcheck.program.language.files import ProgramFiles
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.toolpath.bead_ends import planned_path
 from ebamcheck.program.toolpath.events import event_totals, process_events
@@ -56,14 +58,49 @@ TOTALS = (
 """Columns of the program's summary that add up over the layers."""
 
 
+@dataclass(frozen=True)
+class ProgramResult:
+    """Every step from the curves to the verified program."""
+
+    fit: FitResult
+    plan: ScanPlan
+    event_totals: Mapping[str, float]
+    """Sums of the columns of `process.csv` over the layers, and `time_s`."""
+    proof: ProgramProof
+    files: ProgramFiles
+    """Files of the program, marked validated where it is."""
+    entry: Entry | None
+    """The program that begins at a layer; None where none is asked for."""
+    live: Mapping[str, Any] | None
+    """Record of the main program that waits between layers; None where none is asked for."""
+    gates: tuple[Gate, ...]
+
+
+@dataclass(frozen=True)
+class ProgramProof:
+    """What the text of a program was found to do."""
+
+    checks: Sequence[Check]
+    witness: str
+    """Slicer whose contours the metal was held against."""
+    totals: Mapping[str, float]
+    """Sums of :data:`TOTALS` over the layers."""
+    kinematics: pd.DataFrame
+    """Feeds of the program beside those of polygons."""
+    build_s: Mapping[str, float]
+    """Build time by the measures against heat."""
+    plate: Sequence[Mapping[str, Any]]
+    """One record a part of a plate; none for a single part."""
+
+
 def make_program(
     job: Job, primary: str, checked: CrossCheck, fine: Part | None, validated_so_far: bool
-) -> list[Gate]:
+) -> ProgramResult:
     """Fit, partition, order, write, read back and verify."""
     config, layers = job.config, job.folder.read_layers(primary)
-    verdict, _ = fitted(job, layers, checked.outcomes[primary].error_bound_mm, fine)
+    fit_result = fitted(job, layers, checked.outcomes[primary].error_bound_mm, fine)
     with job.stage("partition and order", len(layers)):
-        smooth = smooth_layers(verdict.curves)
+        smooth = smooth_layers(fit_result.curves)
         plan = plan_stack(smooth, config, progress=job.observer.advance)
         plan.to_parquet(job.folder.path / "scan.parquet")
         plan.metrics.to_csv(job.folder.path / "scan.csv", index=False)
@@ -73,35 +110,42 @@ def make_program(
         beads.to_parquet(job.folder.path / "beads.parquet")
         path = planned_path(beads, plan, config)
         totals = _write_events(job, path, plan)
-        witness = _witness(job, layers, checked.done)
-        checks = _write_and_verify(job, beads, plan, path, layers, witness, smooth)
-    made = [
-        gates.fit_gate(verdict),
+        header = {"PART SHA-256": job.part.source_sha256 or job.part.sha256}
+        own = control(config.machine.control)
+        files: ProgramFiles = own.written(
+            beads, plan, config, job.folder.program_folder, header=header, path=path
+        )
+        proof = _verified(
+            job, files, _Made(beads, plan, path, layers, smooth), _witness(job, layers, checked.done)
+        )
+    made: tuple[Gate, ...] = (
+        gates.fit_gate(fit_result.verdict),
         gates.coverage_gate(plan.metrics, config),
-        gates.deposit_gate(checks, config),
-        gates.heat_gate(checks, plan.metrics, config),
-        gates.program_gate(checks),
-    ]
-    job.record["scan"] = {
-        "order": config.scan.order,
-        "seed": config.scan.seed,
-        "islands": len(plan.islands),
-        **totals,
-    }
+        gates.deposit_gate(proof.checks, config),
+        gates.heat_gate(proof.checks, plan.metrics, config),
+        gates.program_gate(proof.checks),
+    )
+    entry = _entry(job, files, layers)
+    if entry is not None:
+        made = (*made, gates.entry_gate(entry.check))
     if validated_so_far and all(gate.passed for gate in made) and not has_fault(job.findings):
-        files = mark_validated(job.record.pop("files"))
-    else:
-        files = job.record.pop("files")
-    job.record["program"]["validated"] = files.validated
-    job.record["program"]["files"] = [
-        {"name": name, "sha256": files.sha256[name], "blocks": files.blocks[name]} for name in files.names
-    ]
-    if job.from_layer > 1:
-        z_of = deposition_heights(layers.heights, config.layer_height_mm)
-        entry = write_entry(files, job.from_layer, z_of, config)
-        job.record["program"][ENTRY] = entry
-        job.observer.note(f"program from layer {job.from_layer} on: {entry['check']['text']}")
-    return made
+        files = mark_validated(files)
+        entry = entry and entry.marked_validated()
+    live = None
+    if job.live:
+        live = write_live(job.folder.path, config, float(job.part.size[2]), files.validated, header)
+        job.observer.note(f"waiting main program {live['name']}: {live['check']['text']}")
+    return ProgramResult(fit_result, plan, totals, proof, files, entry, live, made)
+
+
+def _entry(job: Job, files: ProgramFiles, layers: Layers) -> Entry | None:
+    """Write the program from a layer on, where one is asked for, and tell what its check found."""
+    if job.from_layer <= 1:
+        return None
+    z_of = deposition_heights(layers.heights, job.config.layer_height_mm, job.config.base_mm)
+    entry = write_entry(files, job.from_layer, z_of, job.config)
+    job.observer.note(f"program from layer {job.from_layer} on: {entry.check.in_words()}")
+    return entry
 
 
 def smooth_layers(curves: Curves) -> Layers:
@@ -128,9 +172,8 @@ def bead_paths(layers: Layers, plan: ScanPlan, config: Config) -> Curves:
 
 def _witness(job: Job, layers: Layers, done: Sequence[str]) -> Layers:
     """Contours by another exact method than the one that made the program, where there is one."""
-    others = [n for n in done if n != layers.backend and registry.slicer(n).exact]
-    best = max(others, key=lambda n: registry.slicer(n).priority, default="")
-    return job.folder.read_layers(best) if best else layers
+    name = witness_backend(layers.backend, done)
+    return layers if name == layers.backend else job.folder.read_layers(name)
 
 
 def _write_events(job: Job, path: Toolpath, plan: ScanPlan) -> dict[str, float]:
@@ -156,53 +199,47 @@ def _weighed(job: Job, program: NCProgram, witness: Layers) -> list[Check]:
     return checks
 
 
-def _write_and_verify(
-    job: Job,
-    beads: Curves,
-    plan: ScanPlan,
-    path: Toolpath,
-    contours: Layers,
-    witness: Layers,
-    smooth: Layers,
-) -> list[Check]:
-    """Write the program, read its text back and check it against what it was made from."""
-    header = {"PART SHA-256": job.part.source_sha256 or job.part.sha256}
-    write_program = control(job.config.machine.control).load("writer")
-    files = write_program(beads, plan, job.config, job.folder.program_folder, header=header)
-    program, _ = matched(read_program(files.main, job.config), path)
-    job.add_finding(*noticed.of_seams(program, contours.heights, job.config))
+class _Made(NamedTuple):
+    """What a program was made from."""
+
+    beads: Curves
+    plan: ScanPlan
+    path: Toolpath
+    contours: Layers
+    smooth: Layers
+
+
+def _verified(job: Job, files: ProgramFiles, made: _Made, witness: Layers) -> ProgramProof:
+    """Read the text of a program back and check it against what it was made from."""
+    config = job.config
+    program, _ = matched(read_program(files.main, config), made.path)
+    job.add_finding(*noticed.of_seams(program, made.contours.heights, config))
     with ThreadPoolExecutor(1) as aside:
-        feeds = aside.submit(side_by_side, program, contours, job.config)
+        feeds = aside.submit(side_by_side, program, made.contours, config)
         checks = verify_program(
             program,
-            config=job.config,
-            curves=beads,
-            plan=plan,
-            path=path,
+            config=config,
+            curves=made.beads,
+            plan=made.plan,
+            path=made.path,
             layers=witness,
             heat=True,
             sha256=files.sha256,
-            smooth=smooth if job.config.curves.method in LIFTED else None,
+            smooth=made.smooth if config.curves.method in LIFTED else None,
         )
-    job.add_finding(*noticed.of_limit(checks, plan, job.config))
+    job.add_finding(*noticed.of_limit(checks, made.plan, config))
     checks += _weighed(job, program, witness)
-    checks = told(checks, program, contours.heights, job.config.layer_height_mm)
-    summary = program_summary(program, job.config)
+    checks = told(checks, program, made.contours.heights, config.layer_height_mm, config.base_mm)
+    summary = program_summary(program, config)
     summary.to_csv(job.folder.path / "program.csv", index=False)
-    job.add_finding(*noticed.of_interpass(summary, plan, job.config))
+    job.add_finding(*noticed.of_interpass(summary, made.plan, config))
     kinematics = feeds.result()
     kinematics.to_csv(job.folder.path / "kinematics.csv")
-    job.record["kinematics"] = kinematics.to_dict(orient="index")
-    job.record["heat"] = {
-        "limit_k": entry_limit_k(job.config),
-        "build_s": build_times_s(program, job.config, known_sections(plan, witness)),
-    }
-    if parts := plate_record(job.part, job.config, program):
-        job.record[PLATE] = parts
-    job.record["files"] = files
-    job.record["program"] = {
-        "checks": [asdict(check) for check in checks],
-        "witness": witness.backend,
-        "totals": {c: float(summary[c].sum()) for c in TOTALS},
-    }
-    return checks
+    return ProgramProof(
+        checks=checks,
+        witness=witness.backend,
+        totals={c: float(summary[c].sum()) for c in TOTALS},
+        kinematics=kinematics,
+        build_s=build_times_s(program, config, known_sections(made.plan, witness)),
+        plate=plate_record(job.part, config, program),
+    )

@@ -13,23 +13,24 @@ import numpy as np
 import pandas as pd
 
 from ebamcheck.comparison import Comparison
+from ebamcheck.curves.fallback import METHODS as FALLBACKS
 from ebamcheck.errors import ExitCode
 from ebamcheck.findings import records
-from ebamcheck.json_values import (
-    sha256_of_file,
-    sha256_of_json,
-)
+from ebamcheck.heat.melting import entry_limit_k
+from ebamcheck.json_values import sha256_of_file, sha256_of_json
 from ebamcheck.layers.files import LayerFile
+from ebamcheck.pipeline.entry_program import FOLDER as ENTRY
+from ebamcheck.pipeline.fitted import FitResult
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.independence import evidence_records
-from ebamcheck.pipeline.run_folder import (
-    FINGERPRINT,
-    FORMAT_VERSION,
-    MANIFEST,
-)
+from ebamcheck.pipeline.live_program import FOLDER as LIVE
+from ebamcheck.pipeline.plate_record import PLATE, plate_record
+from ebamcheck.pipeline.programming import ProgramResult
+from ebamcheck.pipeline.run_folder import FINGERPRINT, FORMAT_VERSION, MANIFEST
 from ebamcheck.pipeline.work import Job
 from ebamcheck.plugins import registry
 from ebamcheck.program.toolpath.inputs import deposition_heights
+from ebamcheck.settings.config import Config
 from ebamcheck.slicers.isolation import Outcome
 from ebamcheck.version import __version__
 
@@ -38,8 +39,9 @@ def manifest(
     job: Job,
     outcomes: Mapping[str, Outcome],
     comparison: Comparison,
-    passed: Sequence[Gate],
     primary: str,
+    program: ProgramResult | None,
+    gates: Sequence[Gate],
     code: ExitCode,
 ) -> dict[str, Any]:
     """Everything that is known of a run; only what stands under ``timings`` differs from one run to the next.
@@ -76,37 +78,44 @@ def manifest(
             name: _backend_record(job, outcome, comparison.stacks.get(name))
             for name, outcome in outcomes.items()
         },
-        "comparison": {
-            "compared_layers": comparison.compared_layers,
-            "passed": comparison.passed,
-            "verdicts": comparison.layers["verdict"].value_counts().sort_index().to_dict(),
-            "classes": comparison.layers["class"].value_counts().sort_index().to_dict(),
-            "pairs": _pair_records(comparison.pairs),
-            "evidence": evidence_records(comparison),
-            "no_evidence": dict(comparison.without_weight),
-            "findings": _disagreements(comparison, job.config.layer_height_mm),
-        },
-        **job.record,
-        "gates": [asdict(gate) for gate in passed],
+        "comparison": _comparison_record(comparison, job.config),
+        **_plate(job, program),
+        **(_program_records(program, job.config) if program else {}),
+        "gates": [asdict(gate) for gate in gates],
         "findings": records(job.findings),
         "exit_code": int(code),
         "files": _file_hashes(job.folder.path),
-        "timings": {
-            "finished": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
-            "machine": platform.machine(),
-            "part_path": str(Path(job.part.source).resolve()),
-            "stages_s": job.timings,
-            "compile_s": job.compile_s,
-            "backends": {
-                name: {
-                    "prepare_s": o.prepare_s,
-                    "slice_s": o.slice_s,
-                    "compile_s": o.compile_s,
-                    "peak_mb": o.peak_mb,
-                }
-                for name, o in outcomes.items()
-            },
+        "timings": _timings(job, outcomes),
+    }
+
+
+def _timings(job: Job, outcomes: Mapping[str, Outcome]) -> dict[str, Any]:
+    """What differs from one run to the next: dates, machine, folders, seconds, megabytes."""
+    figures = ("prepare_s", "slice_s", "compile_s", "peak_mb")
+    return {
+        "finished": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+        "machine": platform.machine(),
+        "part_path": str(Path(job.part.source).resolve()),
+        "stages_s": job.timings,
+        "compile_s": job.compile_s,
+        "backends": {
+            name: {figure: getattr(outcome, figure) for figure in figures}
+            for name, outcome in outcomes.items()
         },
+    }
+
+
+def _comparison_record(comparison: Comparison, config: Config) -> dict[str, Any]:
+    """How the backends compare, over all layers."""
+    return {
+        "compared_layers": comparison.compared_layers,
+        "passed": comparison.passed,
+        "verdicts": comparison.layers["verdict"].value_counts().sort_index().to_dict(),
+        "classes": comparison.layers["class"].value_counts().sort_index().to_dict(),
+        "pairs": _pair_records(comparison.pairs),
+        "evidence": evidence_records(comparison),
+        "no_evidence": dict(comparison.without_weight),
+        "findings": _disagreements(comparison, config),
     }
 
 
@@ -118,10 +127,60 @@ def _placed(job: Job) -> dict[str, Any]:
     return {"place_at_mm": part.place_at_mm, "rotate_deg": part.rotate_deg}
 
 
-def _disagreements(comparison: Comparison, first_layer_mm: float) -> list[dict[str, Any]]:
+def _plate(job: Job, program: ProgramResult | None) -> dict[str, Any]:
+    """Parts of a plate, with the metal that the program lays for each; nothing for a single part."""
+    parts = program.proof.plate if program else plate_record(job.part, job.config)
+    return {PLATE: list(parts)} if parts else {}
+
+
+def _program_records(made: ProgramResult, config: Config) -> dict[str, Any]:
+    """What came of every stage from the fit to the verified program."""
+    reference = made.fit.verdict.reference
+    proof, files = made.proof, made.files
+    program = {
+        "checks": [asdict(check) for check in proof.checks],
+        "witness": proof.witness,
+        "totals": dict(proof.totals),
+        "validated": files.validated,
+        "files": [
+            {"name": name, "sha256": files.sha256[name], "blocks": files.blocks[name]} for name in files.names
+        ],
+    }
+    others = {ENTRY: made.entry and made.entry.record(), LIVE: made.live}
+    return {
+        "fit": _fit_record(made.fit),
+        **({"reference": reference} if reference is not None else {}),
+        "kinematics": proof.kinematics.to_dict(orient="index"),
+        "heat": {"limit_k": entry_limit_k(config), "build_s": proof.build_s},
+        "program": {**program, **{name: other for name, other in others.items() if other is not None}},
+        "scan": {
+            "order": config.scan.order,
+            "seed": config.scan.seed,
+            "islands": len(made.plan.islands),
+            **made.event_totals,
+        },
+    }
+
+
+def _fit_record(made: FitResult) -> dict[str, Any]:
+    """Figures of the fit by the chosen method, and those of the others."""
+    evidence = made.verdict.evidence
+    fallen = {name: int((evidence.method == k).sum()) for k, name in enumerate(FALLBACKS) if k}
+    return {
+        "method": made.curves.method,
+        "points": made.points,
+        "rings": evidence.cause.size,
+        "fallen_rings": fallen,
+        "open_rings": made.verdict.open_rings,
+        **asdict(made.methods[made.curves.method]),
+        "methods": {name: asdict(figures) for name, figures in made.methods.items()},
+    }
+
+
+def _disagreements(comparison: Comparison, config: Config) -> list[dict[str, Any]]:
     """Disagreements with the layer as the program names it, and its height there."""
     heights = comparison.layers["height_mm"].to_numpy(np.float64)
-    z_mm = deposition_heights(heights, first_layer_mm).tolist()
+    z_mm = deposition_heights(heights, config.layer_height_mm, config.base_mm).tolist()
     return [
         {**asdict(f), "program_layer": f.layer + 1, "program_z_mm": z_mm[f.layer]}
         for f in comparison.findings

@@ -59,12 +59,12 @@ class Signature:
 
 
 def make_key(path: str | Path, password: str = "") -> tuple[Path, Path]:
-    """Make a pair of keys: ``PATH.key`` (mode 600) and ``PATH.pub``; returns both paths.
+    """Make a pair of keys: ``PATH.key`` (mode 600) and ``PATH.pub``, in a folder (mode 700) that is made; returns both paths.
 
     Raises
     ------
     SettingsError
-        If one of the files is there already: a key that is overwritten is lost.
+        If one of the files is there already, since a key that is overwritten is lost, or they cannot be written.
     """
     stem = Path(path)
     private_path, public_path = (
@@ -84,10 +84,14 @@ def make_key(path: str | Path, password: str = "") -> tuple[Path, Path]:
     public = key.public_key().public_bytes(
         serialization.Encoding.PEM, serialization.PublicFormat.SubjectPublicKeyInfo
     )
-    descriptor = os.open(private_path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-    with os.fdopen(descriptor, "wb") as file_:
-        file_.write(private)
-    public_path.write_bytes(public)
+    try:
+        stem.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        descriptor = os.open(private_path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        with os.fdopen(descriptor, "wb") as file_:
+            file_.write(private)
+        public_path.write_bytes(public)
+    except OSError as error:
+        raise SettingsError(f"{stem}: the keys cannot be written: {error.strerror or error}") from error
     return private_path, public_path
 
 

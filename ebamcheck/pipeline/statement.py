@@ -16,6 +16,7 @@ PROVED: Mapping[str, str] = {
     "deposit": "the metal laid is that of the sections within its tolerances, by a model of the melt pool",
     "heat": "no bead is entered above the limit, by the heat model",
     "program": "the program's path, read back from its text, is that of the part, within the limits of machine and process",
+    "entry": "the program that begins at a layer is the end of the whole one, and starts safely by itself",
 }
 """What each gate proves where it has passed; of another one its own text says it."""
 

@@ -35,6 +35,7 @@ from ebamcheck.program.checking.header_checks import Truth
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config, validated
+from ebamcheck.settings.differences import differences
 from ebamcheck.slicers.slicing import slice_part
 
 
@@ -282,7 +283,8 @@ def verify_against_part(
         truth=Truth(
             read_certificate(paper).get("validated") if paper else None,
             part_hash(part_path),
-            sha256_of_json(config.model_dump()),
+            given_sha256=sha256_of_json(config.model_dump()),
+            differences=tuple(_differences(program, config)),
         ),
     )
     certified = certificate_checks(paper, program, part_path, config, trusted) if paper else []
@@ -291,6 +293,15 @@ def verify_against_part(
             text = read_program(program, config)
             certified += plate_checks(part, config, text, read_certificate(paper).get(PLATE), paper.name)
     return [*certified, sound, *made]
+
+
+def _differences(program: Path, config: Config) -> list[str]:
+    """Which of the settings given differ from those of the run that a program lies in; none where it lies in none."""
+    if find_record(program) is None:
+        return []
+    with suppress(EbamcheckError):  # a record that cannot be read says nothing of the program
+        return differences(config, settings_beside(program))
+    return []
 
 
 def _smooth(curves: Curves, config: Config) -> Layers | None:

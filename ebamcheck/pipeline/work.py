@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Protocol
 
 from ebamcheck.findings import Finding
 from ebamcheck.mesh.inspection import Inspection
@@ -60,10 +60,11 @@ class Job:
     compile_s: float = 0.0
     """Time in which this process compiled kernels; it is in none of the stages."""
     timings: dict[str, float] = field(default_factory=dict)
-    record: dict[str, Any] = field(default_factory=dict)
     findings: list[Finding] = field(default_factory=list)
     from_layer: int = 1
     """Layer, from 1, at which a second program begins, to go on after a break; 1: none is written."""
+    live: bool = False
+    """Whether a main program that waits between layers is written, too."""
 
     def add_finding(self, *findings: Finding) -> None:
         """Add what a person has to know of this job, whatever becomes of its gates."""

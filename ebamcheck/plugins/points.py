@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
+from ebamcheck.plugins.installed import name_and_version
+
 HOUSE = "ebamcheck"
 """The distribution whose plugins are imported in this process; every other one's are a stranger's."""
 
@@ -39,12 +41,7 @@ class BrokenPlugin:
 def distribution_of(point: EntryPoint) -> tuple[str, str]:
     """Name and version of the distribution that a plugin comes with; empty where they cannot be read."""
     dist = getattr(point, "dist", None)
-    if dist is None:
-        return "", ""
-    try:
-        return str(dist.metadata["Name"] or ""), str(dist.version or "")
-    except Exception:  # whatever its metadata are, they are not ours
-        return "", ""
+    return ("", "") if dist is None else name_and_version(dist)
 
 
 def is_house(point: EntryPoint) -> bool:

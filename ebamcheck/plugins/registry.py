@@ -11,12 +11,13 @@ import warnings
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from typing import Any, cast
 
 from ebamcheck.backend import BackendSettings, Probe, Slicer
 from ebamcheck.errors import BackendMissing, SettingsError
 from ebamcheck.plugins.answers import Answer, ask, slicer_answer
+from ebamcheck.plugins.installed import entry_points
 from ebamcheck.plugins.points import BrokenPlugin, broken, is_house, sorted_out
 from ebamcheck.plugins.processes import one_line
 from ebamcheck.plugins.stranger import StrangerSlicer, stranger

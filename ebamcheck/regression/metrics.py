@@ -18,9 +18,6 @@ DIGITS = 6
 FINEST = 7
 """Decimals (mm, mm2) that they keep at most: a tenth of the finest depth that the comparison resolves."""
 
-COUNT_STEP = 1.0
-"""Step in which counts of layers change."""
-
 
 @dataclass(frozen=True)
 class Metric:

@@ -6,17 +6,17 @@ It needs no scripts and no network, and it holds no time and no date: the same r
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from html import escape
 from itertools import groupby
 from pathlib import Path
 
 from ebamcheck.atomic_file import replacing
-from ebamcheck.layers.svg import COLOURS, DASHES
 from ebamcheck.regression.difference import Difference
 from ebamcheck.regression.history import Trend, trends
 from ebamcheck.regression.job import Regression
 from ebamcheck.regression.measurement import MEASURED
 from ebamcheck.regression.metrics import METRICS, WHOLE
+from ebamcheck.showing.colours import COLOURS, DASHES
+from ebamcheck.showing.markup import Markup, element, join, text
 
 PAGE = "regress.html"
 
@@ -45,99 +45,100 @@ def write_page(regression: Regression, history: Path, folder: Path) -> Path:
 
 def document(regression: Regression, history: Path) -> str:
     """Build the page."""
-    failing = [d for d in regression.differences if d.fails]
-    verdict = (
-        f'<span class="bad">{len(failing)} of {len(regression.differences)} entries failed</span>'
-        if failing
-        else f'<span class="good">no entry got worse</span>, {regression.compared} were compared'
+    title = "Accuracy against the baselines"
+    head = element(
+        "head",
+        element("meta", charset="utf-8"),
+        element("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        element("title", f"ebamcheck: {title.lower()}"),
+        element("style", Markup(STYLE)),
     )
-    intro = (
-        f"<p>{verdict}. Every entry is one slicer under one choice of settings on one model whose sections are "
-        "known exactly.</p>"
-    )
-    body = [
-        "<h1>Accuracy against the baselines</h1>",
-        intro,
+    body = element(
+        "body",
+        element("h1", title),
+        _intro(regression),
         *_changes(regression.differences),
-        "<h2>Accuracy now</h2>",
+        element("h2", "Accuracy now"),
         _figures(regression),
-        "<h2>What the figures mean</h2>",
+        element("h2", "What the figures mean"),
         _glossary(),
-        "<h2>Trend</h2>",
-        "<p>One point a distinct result of the history; a result seen again adds none.</p>",
+        element("h2", "Trend"),
+        element("p", "One point a distinct result of the history; a result seen again adds none."),
         *(_trends(history, metric) for metric in TREND_METRICS),
-    ]
-    return (
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>ebamcheck: accuracy against the baselines</title><style>{STYLE}</style></head>\n<body>\n"
-        + "\n".join(body)
-        + "\n</body></html>\n"
     )
+    return f"<!DOCTYPE html>\n{element('html', head, body, lang='en')}\n"
 
 
-def _changes(differences: Sequence[Difference]) -> Iterable[str]:
+def _intro(regression: Regression) -> Markup:
+    failing = sum(d.fails for d in regression.differences)
+    if failing:
+        verdict = element("span", f"{failing} of {len(regression.differences)} entries failed", class_="bad")
+    else:
+        good = element("span", "no entry got worse", class_="good")
+        verdict = join([good, f", {regression.compared} were compared"])
+    what = ". Every entry is one slicer under one choice of settings on one model whose sections are known exactly."
+    return element("p", verdict, what)
+
+
+def _changes(differences: Sequence[Difference]) -> Iterable[Markup]:
     told = [d for d in differences if d.verdict != "same"]
     if told:
-        yield "<h2>What changed</h2>"
+        yield element("h2", "What changed")
     for difference in told:
-        yield f"<pre>{escape(chr(10).join(difference.lines()))}</pre>"
+        yield element("pre", "\n".join(difference.lines()))
 
 
-def _figures(regression: Regression) -> str:
+def _figures(regression: Regression) -> Markup:
     names = [metric.name for metric in METRICS] + list(WHOLE)
     verdicts = {d.key: d for d in regression.differences}
     rows = []
     for key, entry in regression.entries.items():
-        verdict = verdicts[key]
-        mark = f'<td class="{"bad" if verdict.fails else "good"}">{escape(verdict.verdict)}</td>'
-        if entry.measured.status == MEASURED:
-            cells = "".join(f'<td class="n">{entry.measured.metrics[name]:.4g}</td>' for name in names)
+        verdict, measured = verdicts[key], entry.measured
+        if measured.status == MEASURED:
+            cells = [element("td", f"{measured.metrics[name]:.4g}", class_="n") for name in names]
         else:
-            cells = (
-                f'<td colspan="{len(names)}">{escape(f"{entry.measured.status}: {entry.measured.why}")}</td>'
-            )
-        rows.append(f"<tr><td>{escape(entry.title)}</td>{mark}{cells}</tr>")
-    head = "".join(f"<th>{escape(name.replace('_', ' '))}</th>" for name in ("entry", "verdict", *names))
-    table = f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
-    return f'<div class="scroll">{table}</div>'
+            cells = [element("td", f"{measured.status}: {measured.why}", colspan=len(names))]
+        mark = element("td", verdict.verdict, class_="bad" if verdict.fails else "good")
+        rows.append(element("tr", element("td", entry.title), mark, *cells))
+    heads = (element("th", name.replace("_", " ")) for name in ("entry", "verdict", *names))
+    table = element("table", element("thead", element("tr", *heads)), element("tbody", *rows))
+    return element("div", table, class_="scroll")
 
 
-def _glossary() -> str:
+def _glossary() -> Markup:
     meanings = {**{metric.name: metric.what for metric in METRICS}, **WHOLE}
-    rows = "".join(f"<tr><td>{name}</td><td>{escape(what)}</td></tr>" for name, what in meanings.items())
-    return f"<table><tbody>{rows}</tbody></table>"
+    rows = (element("tr", element("td", name), element("td", what)) for name, what in meanings.items())
+    return element("table", element("tbody", *rows))
 
 
-def _trends(history: Path, metric: str) -> str:
+def _trends(history: Path, metric: str) -> Markup:
     """One small chart a model: all its entries over the results."""
-    parts = [f"<h3>{escape(metric.replace('_', ' '))}</h3>"]
-    for model, found in groupby(trends(history, metric), key=lambda trend: trend.key.model):
-        parts.append(_chart(model, list(found), metric))
-    return "\n".join(parts)
+    by_model = groupby(trends(history, metric), key=lambda trend: trend.key.model)
+    charts = [_chart(model, list(found), metric) for model, found in by_model]
+    return join([element("h3", metric.replace("_", " ")), *charts])
 
 
-def _chart(model: str, lines: Sequence[Trend], metric: str) -> str:
+def _chart(model: str, lines: Sequence[Trend], metric: str) -> Markup:
     last = max(max(line.results) for line in lines)
     most = max(max(line.values) for line in lines) or 1.0
-    drawn = "".join(_line(line, k, last, most) for k, line in enumerate(lines))
     bottom, right = HEIGHT_PX - BOTTOM_PX, WIDTH_PX - RIGHT_PX
-    axes = (
-        f'<path d="M{LEFT_PX},{TOP_PX}V{bottom}H{right}" stroke="#777" fill="none"/>'
-        f'<text x="{LEFT_PX - 6}" y="{TOP_PX + 8}" text-anchor="end">{most:.4g}</text>'
-        f'<text x="{LEFT_PX - 6}" y="{bottom}" text-anchor="end">0</text>'
-        f'<text x="{LEFT_PX}" y="{HEIGHT_PX - 8}">1</text>'
-        f'<text x="{right}" y="{HEIGHT_PX - 8}" text-anchor="end">result {last}</text>'
+    svg = element(
+        "svg",
+        element("title", f"{metric} of {model}"),
+        element("path", d=f"M{LEFT_PX},{TOP_PX}V{bottom}H{right}", stroke="#777", fill="none"),
+        text(LEFT_PX - 6, TOP_PX + 8, f"{most:.4g}", text_anchor="end"),
+        text(LEFT_PX - 6, bottom, "0", text_anchor="end"),
+        text(LEFT_PX, HEIGHT_PX - 8, "1"),
+        text(right, HEIGHT_PX - 8, f"result {last}", text_anchor="end"),
+        *(_line(line, k, last, most) for k, line in enumerate(lines)),
+        viewBox=f"0 0 {WIDTH_PX} {HEIGHT_PX}",
+        role="img",
     )
-    svg = (
-        f'<svg viewBox="0 0 {WIDTH_PX} {HEIGHT_PX}" role="img"><title>{escape(f"{metric} of {model}")}</title>'
-        f"{axes}{drawn}</svg>"
-    )
-    keys = "".join(_legend(line, k) for k, line in enumerate(lines))
-    return f"<h4>{escape(model)}</h4>{svg}<div>{keys}</div>"
+    keys = element("div", *(_legend(line, k) for k, line in enumerate(lines)))
+    return join([element("h4", model), svg, keys])
 
 
-def _line(line: Trend, rank: int, last: int, most: float) -> str:
+def _line(line: Trend, rank: int, last: int, most: float) -> Markup:
     span = max(last - 1, 1)
     points = [
         (
@@ -149,12 +150,10 @@ def _line(line: Trend, rank: int, last: int, most: float) -> str:
     path = "M" + "L".join(f"{x:.1f},{y:.1f}" for x, y in points)
     dots = "".join(f"M{x:.1f},{y:.1f}h0" for x, y in points)
     colour, dashes = COLOURS[rank % len(COLOURS)], DASHES[rank % len(DASHES)]
-    return (
-        f'<path d="{path}" fill="none" stroke="{colour}" stroke-width="1.6" stroke-dasharray="{dashes}"/>'
-        f'<path d="{dots}" stroke="{colour}" stroke-width="5" stroke-linecap="round"/>'
-    )
+    drawn = element("path", d=path, fill="none", stroke=colour, stroke_width=1.6, stroke_dasharray=dashes)
+    return join([drawn, element("path", d=dots, stroke=colour, stroke_width=5, stroke_linecap="round")])
 
 
-def _legend(line: Trend, rank: int) -> str:
-    colour = COLOURS[rank % len(COLOURS)]
-    return f'<span class="key" style="color:{colour}">&#9632; {escape(line.key.backend)} {line.key.settings_hash}</span>'
+def _legend(line: Trend, rank: int) -> Markup:
+    named = f"\u25a0 {line.key.backend} {line.key.settings_hash}"
+    return element("span", named, class_="key", style=f"color:{COLOURS[rank % len(COLOURS)]}")

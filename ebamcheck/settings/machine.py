@@ -16,8 +16,11 @@ Speed = Annotated[float, Between(0.001, 1e6)]
 Acceleration = Annotated[float, Between(0.01, 1e7)]
 """Acceleration of an axis, mm/s2."""
 
-Jerk = Annotated[float, Between(0.1, 1e16)]
+Jerk = Annotated[float, Between(0.1, 1e12)]
 """Jerk of an axis, mm/s3."""
+
+Increment = Annotated[float, Between(0.0, 1000.0)]
+"""Least step of a process value."""
 
 PRINTED_PATH_MM = 1e-4
 """Distance that a path may have from its curve for the decimals of the program."""
@@ -54,6 +57,17 @@ class MachineSettings(Section):
     decimals: Annotated[int, Between(3, 8)] | None = None
     """Decimals of coordinates and coefficients in the program; None: the fewest whose rounding keeps the path within
     a tenth of every tolerance, six with the defaults."""
+    feed_increment_mm_min: Increment = 0.0
+    """Least step in which the control takes a feed: the program holds multiples of it; 0: up to six decimals. As for the
+    others, what the rounding changes is no fault of a check, and a value that is no multiple is one."""
+    power_increment_w: Increment = 0.0
+    """The same of the beam's power, for templates with {power_w}."""
+    voltage_increment_kv: Increment = 0.0
+    """The same of the accelerating voltage."""
+    current_increment_ma: Increment = 0.0
+    """The same of the beam current."""
+    wire_increment_mm_s: Increment = 0.0
+    """The same of the wire speed."""
     travel_min_mm: tuple[Place, Place, Place] = (-1000.0, -1000.0, 0.0)
     """Software limits of X, Y and Z in the work offset: least positions."""
     travel_max_mm: tuple[Place, Place, Place] = (1000.0, 1000.0, 1500.0)
@@ -133,6 +147,15 @@ class MachineSettings(Section):
     """Blocks before the first motion of a layer."""
     layer_end: tuple[str, ...] = ()
     """Blocks after the last motion of a layer."""
+    live_r: Annotated[int, Between(0, 990)] = 100
+    """First of the six R parameters by which a main program that waits between layers (`run --live`) and a server agree: layers
+    done, layer released (-1: the part is built), number of its program, least wait before it, and two of the program's own."""
+    live_poll_s: Annotated[float, Between(0.01, 60.0)] = 0.5
+    """How often that program looks whether its next layer is released."""
+    live_timeout_s: Annotated[float, Between(1.0, 1e6)] = 1800.0
+    """Time without a released layer after which it switches wire and beam off and says so."""
+    live_late: Literal["stop", "end"] = "stop"
+    """What it does then: stops (M0), and waits anew when the operator starts it again, or parks the tool and ends (M30)."""
 
     @property
     def printed_decimals(self) -> int:

@@ -28,6 +28,9 @@ Ratio = Annotated[float, Between(0.001, 100.0)]
 LineEnergy = Annotated[float, Between(0.01, 1e6)]
 """Energy of the beam along a bead, J/mm, or over the wire that it melts, J/mm3."""
 
+Seconds = Annotated[float, Between(0.0, 1000.0)]
+"""Time that a ramp takes."""
+
 Voltage = Annotated[float, Between(0.1, 1000.0)]
 """Accelerating voltage, kV."""
 
@@ -146,6 +149,11 @@ class ProcessSettings(Section):
     """Share of the full power at which a ramp begins, and at which a crater fill ends."""
     ramp_steps: Annotated[int, Between(1, 50)] = 4
     """Steps of power along a ramp."""
+    ramp_up_window_s: tuple[Seconds, Seconds] | None = None
+    """Least and greatest time that the beam takes from the start of a bead to its full power, by feed and length as they stand
+    in the program; None: measured and told, not limited. A bead under the length of both ramps may take less."""
+    crater_fill_window_s: tuple[Seconds, Seconds] | None = None
+    """The same of the time from the full power to the end of a bead."""
     wire_retract_mm: Annotated[float, Between(0.0, 1000.0)] = 0.0
     """Wire drawn back at the end of a bead, so that it does not freeze in."""
     layer_pause_s: Annotated[float, Between(0.0, 1e6)] = 0.0
@@ -237,6 +245,10 @@ class ProcessSettings(Section):
         }.items():
             if low >= high:
                 raise ValueError(f"{name} {low:g}, {high:g}: give the lower one first")
+        ramps = {"ramp_up_window_s": self.ramp_up_window_s, "crater_fill_window_s": self.crater_fill_window_s}
+        for name, window in ramps.items():
+            if window is not None and window[0] > window[1]:
+                raise ValueError(f"{name} {window[0]:g}, {window[1]:g}: give the lower one first")
         return self
 
     @model_validator(mode="after")

@@ -68,6 +68,8 @@ class ScanSettings(Section):
     @field_validator("order")
     @classmethod
     def _known_order(cls, value: str) -> str:
+        if value in SCAN_ORDERS:
+            return value
         known = [*SCAN_ORDERS, *sorted({point.name for point in entry_points(group="ebamcheck.orders")})]
         if value not in known:
             raise ValueError(f"unknown order: choose one of {', '.join(known)}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import textwrap
+from functools import cache
 from typing import Any
 
 import tomlkit
@@ -21,26 +22,59 @@ def as_toml(config: Config) -> str:
     """
     lines = ["# Settings of ebamcheck. Every key may be left out; these are the values in force.", ""]
     for name in type(config).model_fields:
-        section: Section = getattr(config, name)
-        lines += [f"# {_first_line(section)}", f"[{name}]"]
-        tables: list[str] = []
-        for key, info in type(section).model_fields.items():
-            value = getattr(section, key)
-            if info.description:
-                lines += textwrap.wrap(info.description, WIDTH, initial_indent="# ", subsequent_indent="# ")
-            lines += told_beside(name, key)
-            if isinstance(value, dict):
-                tables += _tables(f"{name}.{key}", value)
-                lines += [] if value else [f"# [{name}.{key}.NAME]"]
-            elif value is None:
-                lines.append(f"# {key} =")
-            else:
-                lines.append(f"{key} = {value_text(value)}")
-        if section.model_extra:
-            named = {key: table.model_dump(mode="json") for key, table in section.model_extra.items()}
-            tables += tomlkit.dumps({name: named}).removeprefix(f"[{name}]\n").splitlines()
-        lines += ["", *tables]
+        lines += _of_section(name, getattr(config, name))
     return "\n".join(lines)
+
+
+_written: dict[int, tuple[Section, list[str]]] = {}
+"""Lines of sections that were written last. Sections do not change, and settings that differ in one share the others."""
+
+MOST_WRITTEN = 64
+
+
+def _of_section(name: str, section: Section) -> list[str]:
+    """Lines of one section; those of the same object are written once."""
+    known = _written.get(id(section))
+    if known is not None and known[0] is section:
+        return known[1]
+    lines = [f"# {_first_line(section)}", f"[{name}]"]
+    tables: list[str] = []
+    for key, info in type(section).model_fields.items():
+        value = getattr(section, key)
+        lines += _explained(info.description or "")
+        lines += told_beside(name, key)
+        if isinstance(value, dict):
+            tables += _tables(f"{name}.{key}", value)
+            lines += [] if value else [f"# [{name}.{key}.NAME]"]
+        elif value is None:
+            lines.append(f"# {key} =")
+        else:
+            lines.append(f"{key} = {_same_text(f'{name}.{key}', value)}")
+    if section.model_extra:
+        named = {key: table.model_dump(mode="json") for key, table in section.model_extra.items()}
+        tables += tomlkit.dumps({name: named}).removeprefix(f"[{name}]\n").splitlines()
+    while len(_written) >= MOST_WRITTEN:
+        del _written[next(iter(_written))]
+    _written[id(section)] = section, [*lines, "", *tables]
+    return _written[id(section)][1]
+
+
+@cache
+def _explained(description: str) -> tuple[str, ...]:
+    """Lines of comment with what a key means."""
+    return tuple(textwrap.wrap(description, WIDTH, initial_indent="# ", subsequent_indent="# "))
+
+
+_texts: dict[str, tuple[Any, str]] = {}
+"""Value and text of each key as it was written last: a section that differs in one value shares the others."""
+
+
+def _same_text(key: str, value: Any) -> str:
+    """Text of the value of a key; that of the same object is made once."""
+    known = _texts.get(key)
+    if known is None or known[0] is not value:
+        known = _texts[key] = value, value_text(value)
+    return known[1]
 
 
 def told_beside(section: str, key: str) -> list[str]:

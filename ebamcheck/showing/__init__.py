@@ -1,1 +1,1 @@
-"""How values show themselves: short text, notebooks, axes of matplotlib."""
+"""How values show themselves: escaped markup, colours, images, short text, notebooks, axes of matplotlib."""

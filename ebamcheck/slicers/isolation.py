@@ -43,7 +43,7 @@ from ebamcheck.slicers.worker_events import (
     event_of,
     probe_of,
 )
-from ebamcheck.slicers.worker_pool import Crew, Failure, Worker
+from ebamcheck.slicers.worker_pool import Failure, Worker, WorkerPool
 
 KILLS = ("SIGKILL", "SIGTERM", "SIGINT", "SIGHUP")
 """Signals that come from outside."""
@@ -149,7 +149,7 @@ def slice_all(
     progress: Callable[[str, int], None] | None = None,
     finished: Callable[[Outcome], None] | None = None,
     borders: NDArray[np.int64] | None = None,
-    crew: Crew | None = None,
+    pool: WorkerPool | None = None,
     keep_blocks: bool = False,
     bounds_only: bool = False,
 ) -> dict[str, Outcome]:
@@ -172,7 +172,7 @@ def slice_all(
     borders
         Blocks of layers (:func:`~ebamcheck.layers.heights.layer_blocks`) that a backend cuts and writes one after the
         other; all at once if None.
-    crew
+    pool
         Workers that were started ahead; started here if None.
     keep_blocks
         Keep every block that is cut until the file is whole, and take those that a killed process left in `target`.
@@ -191,8 +191,8 @@ def slice_all(
     """
     outcomes: dict[str, Outcome] = {}
     with ExitStack() as opened:
-        crew = crew or opened.enter_context(Crew())
-        _write_work(crew.folder, part, heights, borders)
+        pool = pool or opened.enter_context(WorkerPool())
+        _write_work(pool.folder, part, heights, borders)
         waiting = list(backends)
         running: list[Worker] = []
         most = limits.processes or max(1, thread_count())
@@ -201,7 +201,7 @@ def slice_all(
                 while waiting and len(running) < most:
                     name = waiting.pop(0)
                     running.append(
-                        _started(crew, name, backends[name], target, heights.size, keep_blocks, bounds_only)
+                        _started(pool, name, backends[name], target, heights.size, keep_blocks, bounds_only)
                     )
                 _listen(running, progress)
                 for worker in list(running):
@@ -230,7 +230,7 @@ def _write_work(
 
 
 def _started(
-    crew: Crew,
+    pool: WorkerPool,
     name: str,
     settings: BackendSettings,
     target: Path,
@@ -239,13 +239,13 @@ def _started(
     bounds_only: bool,
 ) -> Worker:
     """Give the worker of a backend its order."""
-    worker = crew.worker(name)
+    worker = pool.worker(name)
     worker.stranger, worker.layers, worker.bounds_only = registry.is_stranger(name), layers, bounds_only
     file = target.absolute() / f"{name}.parquet"
     worker.begin(
         {
             "backend": name,
-            "folder": str(crew.folder),
+            "folder": str(pool.folder),
             "file": str(file),
             "settings": settings.model_dump(mode="json"),
             "keep_blocks": keep_blocks,

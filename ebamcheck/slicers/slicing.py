@@ -26,7 +26,7 @@ from ebamcheck.scratch import scratch_folder
 from ebamcheck.settings.slicing import SlicingSettings
 from ebamcheck.showing import short_text
 from ebamcheck.slicers.isolation import Limits, Outcome, slice_all, slice_isolated
-from ebamcheck.slicers.worker_pool import Crew
+from ebamcheck.slicers.worker_pool import WorkerPool
 
 _Result = TypeVar("_Result")
 
@@ -96,7 +96,7 @@ def slice_to_file(
     backend: str = "",
     limits: Limits | None = None,
     block_points: int = SlicingSettings().block_points,
-    crew: Crew | None = None,
+    pool: WorkerPool | None = None,
     **settings: Any,
 ) -> Outcome:
     """Cut a part into a file of layers, in a process of the backend's own.
@@ -115,7 +115,7 @@ def slice_to_file(
         Time and memory that the backend may use.
     block_points
         Points of an exact contour that are in memory at a time.
-    crew
+    pool
         Workers that were started ahead.
     **settings
         The backend's own settings.
@@ -139,7 +139,7 @@ def slice_to_file(
         # Beside the file, so that what is whole is moved and not copied.
         with scratch_folder(f".{path.name}", path.parent) as folder:
             outcome = slice_all(
-                part, increasing, chosen, folder, limits or Limits(), borders=borders, crew=crew
+                part, increasing, chosen, folder, limits or Limits(), borders=borders, pool=pool
             )[name]
             if path.suffix.lower() == ".parquet" and is_rising(wanted):
                 os.replace(outcome.made(), path)

@@ -25,7 +25,7 @@ from ebamcheck.plugins.processes import (
 from ebamcheck.scratch import scratch_folder
 
 if TYPE_CHECKING:
-    # A crew is there to start before such imports, not after them.
+    # A pool is there to start before such imports, not after them.
     import psutil
 
     from ebamcheck.slicers.worker import Order
@@ -103,7 +103,7 @@ class Worker:
         return last_words(self.errors)
 
 
-class Crew:
+class WorkerPool:
     """Workers, and the folder where they find their work; those that got none are ended with it.
 
     Parameters
@@ -115,7 +115,7 @@ class Crew:
     def __init__(self, ahead: int = 0) -> None:
         self._opened = ExitStack()
         self.folder = self._opened.enter_context(scratch_folder())
-        """Folder of this crew alone."""
+        """Folder of this pool alone."""
         self._count = 0
         self._idle = [self._start(AHEAD) for _ in range(ahead)]
 
@@ -145,7 +145,7 @@ class Crew:
         read, write = os.pipe()
         self._count += 1
         errors, mark = self.folder / f"stderr-{self._count}", new_mark()
-        # What a worker that is killed leaves behind goes with the crew's own folder; one that clears its folder for
+        # What a worker that is killed leaves behind goes with the pool's own folder; one that clears its folder for
         # temporary files takes nothing from the others.
         own = self.folder / f"tmp-{self._count}"
         own.mkdir()

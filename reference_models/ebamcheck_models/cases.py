@@ -15,9 +15,6 @@ from ebamcheck_models.outlines import polygon
 from ebamcheck_models.polyhedra import Polyhedron, block, box_corners, cells
 from ebamcheck_models.prisms import Prism, prism
 
-CURA_1473_HEIGHT_MM = 14.2
-"""Height at which that cube's layer was lost."""
-
 
 def _two_by_two(
     name: str, summary: str, filled: list[list[int]], euler_number: int, shells: int

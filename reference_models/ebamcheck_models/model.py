@@ -6,11 +6,11 @@ from abc import ABC, abstractmethod
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-import shapely
 from numpy.typing import ArrayLike, NDArray
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.mesh.part import Part, from_arrays, rotation_to_z, unit_vector
+from ebamcheck.plugins.model import Model as PublicModel
 
 LEAST_TOLERANCE_MM = 1e-4
 """Finest tessellation: vertices are 32-bit floats, whose steps at 500 mm are 0.00003 mm."""
@@ -25,49 +25,8 @@ Floats = NDArray[np.float64]
 
 
 @runtime_checkable
-class Model(Protocol):
-    """A solid known in closed form, in mm, resting on or about z = 0.
-
-    Attributes
-    ----------
-    name
-        Key in the entry point group ``ebamcheck.models``, and the name of its parts.
-    summary
-        What it is, in one line.
-    """
-
-    @property
-    def name(self) -> str:
-        """Key of the model."""
-        ...
-
-    @property
-    def summary(self) -> str:
-        """What it is, in one line."""
-        ...
-
-    @property
-    def euler_number(self) -> int:
-        """Vertices - edges + faces of any mesh of the surface: 2 - 2 (through holes) for one body."""
-        ...
-
-    @property
-    def bounds(self) -> Floats:
-        """Least and greatest corner, (2, 3) mm."""
-        ...
-
-    def section(self, z: float, tolerance_mm: float = SECTION_TOLERANCE_MM) -> list[shapely.Polygon]:
-        """Solid regions at height `z` (that of z + 0 at a step), rings as dense as the tolerance asks."""
-        ...
-
-    def area(self, z: float) -> float:
-        """Exact area of the section at height `z`, mm2."""
-        ...
-
-    @property
-    def volume(self) -> float:
-        """Exact volume, mm3."""
-        ...
+class Model(PublicModel, Protocol):
+    """A solid known in closed form, in mm, resting on or about z = 0, of which more is known than strangers need tell."""
 
     @property
     def mesh_volume(self) -> float:
@@ -82,16 +41,6 @@ class Model(Protocol):
     @property
     def two_manifold(self) -> bool:
         """Whether every edge of a mesh has two facets; four where solids touch along an edge."""
-        ...
-
-    def tessellate(self, tolerance_mm: float) -> Part:
-        """Return a closed, outward mesh whose vertices lie on the surface and no point of which is farther from it.
-
-        Raises
-        ------
-        SettingsError
-            If the tolerance is not within :data:`LEAST_TOLERANCE_MM` .. :data:`COARSEST_TOLERANCE_MM`.
-        """
         ...
 
 

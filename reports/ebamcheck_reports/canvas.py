@@ -25,17 +25,6 @@ REDUCTION_PX = 0.2
 """Distance that a drawn line may leave its points."""
 LEAST_EXTENT_MM = 1e-6
 
-VIRIDIS = ((68, 1, 84), (70, 50, 127), (54, 92, 141), (39, 127, 142), (31, 161, 135), (74, 194, 109), (159, 218, 58), (253, 231, 37))  # fmt: skip
-"""Colours from first to last: even to the eye, in grey and for colour-blind readers (van der Walt and Smith 2015)."""
-
-
-def ramp(fraction: float) -> str:
-    """Colour for a place between first (0) and last (1)."""
-    at = min(max(fraction, 0.0), 1.0) * (len(VIRIDIS) - 1)
-    low = min(int(at), len(VIRIDIS) - 2)
-    mixed = [a + (b - a) * (at - low) for a, b in zip(VIRIDIS[low], VIRIDIS[low + 1], strict=True)]
-    return "#" + "".join(f"{round(c):02x}" for c in mixed)
-
 
 @dataclass
 class Canvas:

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ebamcheck.layers.svg import COLOURS, DASHES
 from ebamcheck.numeric.rings import Floats
+from ebamcheck.showing.colours import COLOURS, DASHES
 from ebamcheck_reports.markup import Markup, element, join, legend
 
 WIDTH_PX, HEIGHT_PX = 960.0, 280.0

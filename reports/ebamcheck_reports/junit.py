@@ -11,105 +11,47 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 from xml.etree import ElementTree
 
-from ebamcheck.atomic_file import replacing
 from ebamcheck.findings import in_words
 from ebamcheck.pipeline.run_folder import RunFolder
+from ebamcheck.showing.junit import Case, Kind, junit, write_junit
 from ebamcheck_reports import words
 from ebamcheck_reports.figures import counted, place
-from ebamcheck_reports.markup import clean
 from ebamcheck_reports.run_data import RunData
 
 NAME = "junit.xml"
 
 
-@dataclass(frozen=True)
-class Case:
-    """One test case: no outcome means that it passed."""
-
-    classname: str
-    name: str
-    outcome: Literal["", "failure", "error", "skipped"] = ""
-    message: str = ""
-    type: str = ""
-    details: str = ""
-
-
 def write(run: RunFolder) -> list[str]:
     """Write the file into the run folder and return its name."""
-    root = document(RunData(run))
-    ElementTree.indent(root)
-    with replacing(run.path / NAME) as temporary:
-        ElementTree.ElementTree(root).write(temporary, encoding="utf-8", xml_declaration=True)
-        temporary.write_bytes(temporary.read_bytes() + b"\n")
+    write_junit(document(RunData(run)), run.path / NAME)
     return [NAME]
 
 
 def document(run: RunData) -> ElementTree.Element:
     """Build the tree of suites and cases."""
     suites = {
-        "gates": list(_gates(run)),
-        "findings": list(_findings(run)),
-        "backends": list(_backends(run)),
-        "agreement": list(_pairs(run)),
-        "program": list(_checks(run)),
+        "ebamcheck.gates": list(_gates(run)),
+        "ebamcheck.findings": list(_findings(run)),
+        "ebamcheck.backends": list(_backends(run)),
+        "ebamcheck.agreement": list(_pairs(run)),
+        "ebamcheck.program": list(_checks(run)),
     }
-    every = [case for cases in suites.values() for case in cases]
-    root = ElementTree.Element("testsuites", {"name": "ebamcheck", **_counts(every)})
-    for name, cases in suites.items():
-        if not cases:
-            continue
-        suite = ElementTree.SubElement(
-            root,
-            "testsuite",
-            {"name": f"ebamcheck.{name}", **_counts(cases), "skipped": _count(cases, "skipped")},
-        )
-        _properties(suite, run)
-        for case in cases:
-            _add(suite, case)
-    return root
+    return junit("ebamcheck", suites, _properties(run))
 
 
-def _properties(suite: ElementTree.Element, run: RunData) -> None:
+def _properties(run: RunData) -> dict[str, str]:
     part = run.part_of("part")
-    values = {
-        "part": part["name"],
-        "part sha256": part["sha256"] or part["mesh_sha256"],
-        "settings sha256": run.manifest["settings_sha256"],
-        "ebamcheck": run.manifest["ebamcheck"],
-        "exit code": run.manifest["exit_code"],
+    return {
+        "part": str(part["name"]),
+        "part sha256": str(part["sha256"] or part["mesh_sha256"]),
+        "settings sha256": str(run.manifest["settings_sha256"]),
+        "ebamcheck": str(run.manifest["ebamcheck"]),
+        "exit code": str(run.manifest["exit_code"]),
         **{head.lower(): "; ".join(clauses) for head, clauses in run.statement.parts() if clauses},
     }
-    parent = ElementTree.SubElement(suite, "properties")
-    for name, value in values.items():
-        ElementTree.SubElement(parent, "property", {"name": name, "value": clean(str(value))})
-
-
-def _add(suite: ElementTree.Element, case: Case) -> None:
-    names = {"classname": clean(case.classname), "name": clean(case.name)}
-    node = ElementTree.SubElement(suite, "testcase", names)
-    if case.outcome:
-        said = ElementTree.SubElement(node, case.outcome, {"message": clean(case.message)})
-        if case.outcome != "skipped":
-            said.set("type", case.type)
-        said.text = clean(case.details or case.message)
-    elif case.details:
-        ElementTree.SubElement(node, "system-out").text = clean(case.details)
-
-
-def _counts(cases: list[Case]) -> dict[str, str]:
-    return {
-        "tests": str(len(cases)),
-        "failures": _count(cases, "failure"),
-        "errors": _count(cases, "error"),
-    }
-
-
-def _count(cases: list[Case], outcome: str) -> str:
-    return str(sum(case.outcome == outcome for case in cases))
 
 
 # -- cases -----------------------------------------------------------------------------------------
@@ -118,14 +60,14 @@ def _count(cases: list[Case], outcome: str) -> str:
 def _gates(run: RunData) -> Iterator[Case]:
     for gate in run.gates:
         text = f"{gate['text']} (figure {gate['figure']}, limit {gate['limit']} {gate['unit']})"
-        outcome: Literal["", "failure"] = "" if gate["passed"] else "failure"
+        outcome: Kind = "" if gate["passed"] else "failure"
         yield Case("ebamcheck.gate", gate["name"], outcome, text, "gate")
     for name in run.missing_gates:
         yield Case("ebamcheck.gate", name, "skipped", "not reached: there was no contour to go on with")
 
 
 def _findings(run: RunData) -> Iterator[Case]:
-    outcomes: dict[str, Literal["", "failure", "skipped"]] = {"fault": "failure", "warning": "skipped"}
+    outcomes: dict[str, Kind] = {"fault": "failure", "warning": "skipped"}
     told: Counter[str] = Counter()
     for found in run.findings:
         name = f"{found['code']} {found['place']}".strip()
@@ -189,5 +131,5 @@ def _checks(run: RunData) -> Iterator[Case]:
     for check in run.checks:
         where = f" at {check['where']}" if check["where"] else ""
         text = f"{check['text']}{where} (value {check['value']}, limit {check['limit']} {check['unit']})"
-        outcome: Literal["", "failure"] = "" if check["passed"] else "failure"
+        outcome: Kind = "" if check["passed"] else "failure"
         yield Case("ebamcheck.program", check["name"], outcome, text, "check")

@@ -1,76 +1,41 @@
-"""Markup in which every text is escaped unless it is markup already; what comes out is HTML and XML at once."""
+"""Pieces of a report page: figures, tables, lists of facts, pictures with their captions."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Sequence
-from html import escape
 from typing import Any
 
+from ebamcheck.showing.markup import Markup, clean, escaped
+from ebamcheck.showing.markup import element as plain_element
+from ebamcheck.showing.markup import join as plain_join
 from ebamcheck_reports.figures import number, shown
 
-_NOT_IN_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-
-EMPTY_ELEMENTS = frozenset({"meta", "br", "input", "hr", "path", "rect", "circle", "line"})
-
-
-class Markup(str):
-    """Text that is markup already and is not escaped again."""
-
-    __slots__ = ()
-
-
-def clean(text: str) -> str:
-    """Text without the characters that XML cannot hold (control characters, halves of surrogates).
-
-    Examples
-    --------
-    >>> clean("a\\x00b")
-    'a\ufffdb'
-    """
-    return _NOT_IN_XML.sub("\ufffd", text)
+__all__ = ["Markup", "clean"]
 
 
 def markup(value: Any) -> Markup:
-    """Escape a text, or write a number; markup stays as it is, and nothing is nothing.
+    """Escape a text, or write a number with its exact value beside it; markup stays as it is, and nothing is nothing.
 
     Examples
     --------
     >>> markup("<a&b>")
-    '&lt;a&amp;b&gt;'
+    Markup('&lt;a&amp;b&gt;')
+    >>> markup(True)
+    Markup('yes')
     """
-    if isinstance(value, Markup):
-        return value
-    if value is None:
-        return Markup("")
     if isinstance(value, bool):
         return Markup("yes" if value else "no")
-    if isinstance(value, float):
-        return figure(value)
-    return Markup(escape(clean(str(value))))
+    return figure(value) if isinstance(value, float) else escaped(value)
 
 
 def join(parts: Iterable[Any], between: str = "") -> Markup:
     """Markup of several things one after the other."""
-    return Markup(markup(between).join(markup(part) for part in parts))
+    return plain_join((markup(part) for part in parts), between)
 
 
 def element(tag: str, *children: Any, **attributes: Any) -> Markup:
-    """One element; an underscore at the end of an attribute goes, others become hyphens.
-
-    Examples
-    --------
-    >>> element("td", "a < b", class_="num", stroke_width=None)
-    '<td class="num">a &lt; b</td>'
-    """
-    given = "".join(
-        f' {name.rstrip("_").replace("_", "-")}="{escape(clean(str(value)))}"'
-        for name, value in attributes.items()
-        if value is not None
-    )
-    if tag in EMPTY_ELEMENTS:
-        return Markup(f"<{tag}{given}/>")
-    return Markup(f"<{tag}{given}>{join(children)}</{tag}>")
+    """One element as :func:`ebamcheck.showing.markup.element` builds it, whose numbers are figures."""
+    return plain_element(tag, *(markup(child) for child in children), **attributes)
 
 
 def figure(value: Any, unit: str = "", text: str = "") -> Markup:

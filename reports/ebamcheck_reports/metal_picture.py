@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from html import escape
 
 import numpy as np
 import shapely
@@ -11,9 +10,10 @@ from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.drawing.islands import ring_path
-from ebamcheck.drawing.png import png_address
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.program.checking.metal_field import LayerField
+from ebamcheck.showing.image import palette_image, png_address
+from ebamcheck.showing.markup import Markup, element, svg_file, text
 
 WIDTH_PX, MARGIN_PX, TITLE_PX, SCALE_PX, BAR_PX = 880, 16, 28, 40, 240
 """Width of the picture, its margin, and the room for the title of a field and for its colour scale."""
@@ -30,8 +30,6 @@ COLOURS: NDArray[np.uint8] = np.array(
 )
 COLOURS[0] = 255
 """(256, 3) colours of the cells; the first is the ground, for cells beside the section without metal."""
-
-NAMESPACE = ' xmlns="http://www.w3.org/2000/svg"'
 
 RING_PX = 9
 """Radius of the ring around a place that is named."""
@@ -91,37 +89,42 @@ def draw(
             return np.column_stack([MARGIN_PX + x, top_px + tall_px - y])
 
         body += [
-            f'<text x="{MARGIN_PX}" y="{top_px - 10:.1f}" font-size="14" fill="#222">{escape(name)}</text>',
+            text(MARGIN_PX, top_px - 10, name, 14),
             _cells(np.where(ground, np.nan, values), most, top_px, tall_px),
             _outline(section, place),
             *_rings(places[number], place),
             *_scale(told, top_px + tall_px + 6.0),
         ]
     height_px = int(np.ceil(len(fields) * panel_px))
-    head = (
-        f'<svg{NAMESPACE} width="{WIDTH_PX}" height="{height_px}" '
-        f'viewBox="0 0 {WIDTH_PX} {height_px}" font-family="Helvetica, Arial, sans-serif">'
-    )
-    return "\n".join([head, f'<rect width="{WIDTH_PX}" height="{height_px}" fill="#fff"/>', *body, "</svg>"])
+    return svg_file(WIDTH_PX, height_px, body)
 
 
-def _cells(values: Floats, most: float, top_px: float, tall_px: float) -> str:
+def _cells(values: Floats, most: float, top_px: float, tall_px: float) -> Markup:
     """Cells (rows, columns) coloured from -most to most; those that are NaN have the colour of the ground."""
     share = np.clip(0.5 + 0.5 * values[::-1] / most, 0.0, 1.0)
     pixels = np.where(np.isnan(share), 0.0, np.rint(1.0 + 254.0 * np.nan_to_num(share)))
-    image = png_address(pixels.astype(np.uint8), COLOURS)
-    return (
-        f'<image x="{MARGIN_PX}" y="{top_px:.1f}" width="{WIDTH_PX - 2 * MARGIN_PX}" height="{tall_px:.1f}" '
-        f'preserveAspectRatio="none" href="{image}"/>'
+    return _image(pixels.astype(np.uint8), top_px, WIDTH_PX - 2 * MARGIN_PX, tall_px)
+
+
+def _image(pixels: NDArray[np.uint8], top_px: float, width_px: float, height_px: float) -> Markup:
+    address = png_address(palette_image(pixels, COLOURS))
+    return element(
+        "image",
+        x=MARGIN_PX,
+        y=f"{top_px:.1f}",
+        width=f"{width_px:g}",
+        height=f"{height_px:.1f}",
+        preserveAspectRatio="none",
+        href=address,
     )
 
 
-def _outline(section: BaseGeometry, place: Callable[[Floats], Floats]) -> str:
+def _outline(section: BaseGeometry, place: Callable[[Floats], Floats]) -> Markup:
     data = "".join(ring_path(part, place) for part in shapely.get_parts(section))
-    return f'<path d="{data}" fill="none" stroke="#222" stroke-width="1"/>'
+    return element("path", d=data, fill="none", stroke="#222", stroke_width=1)
 
 
-def _rings(places: Sequence[Place], place: Callable[[Floats], Floats]) -> list[str]:
+def _rings(places: Sequence[Place], place: Callable[[Floats], Floats]) -> list[Markup]:
     """Rings around places with their names beside them, on the side where there is more room."""
     found = []
     for x_mm, y_mm, name in places:
@@ -129,26 +132,37 @@ def _rings(places: Sequence[Place], place: Callable[[Floats], Floats]) -> list[s
         right = x < 0.5 * WIDTH_PX
         at, anchor = (x + RING_PX + 4, "start") if right else (x - RING_PX - 4, "end")
         found += [
-            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{RING_PX}" fill="none" stroke="#000" stroke-width="2"/>',
-            (
-                f'<text x="{at:.1f}" y="{y + 4:.1f}" font-size="12" fill="#000" stroke="#fff" stroke-width="3" '
-                f'paint-order="stroke" text-anchor="{anchor}">{escape(name)}</text>'
+            element(
+                "circle", cx=f"{x:.1f}", cy=f"{y:.1f}", r=RING_PX, fill="none", stroke="#000", stroke_width=2
+            ),
+            text(
+                *(at, y + 4, name, 12),
+                fill="#000",
+                stroke="#fff",
+                stroke_width=3,
+                paint_order="stroke",
+                text_anchor=anchor,
             ),
         ]
     return found
 
 
-def _scale(told: tuple[str, str, str], top_px: float) -> list[str]:
+def _scale(told: tuple[str, str, str], top_px: float) -> list[Markup]:
     """Colours from left to right with their ends and middle named."""
-    strip = png_address(np.arange(1, 256, dtype=np.uint8)[None], COLOURS)
-    wide = f'x="{MARGIN_PX}" y="{top_px:.1f}" width="{BAR_PX * 2}" height="8"'
+    strip = _image(np.arange(1, 256, dtype=np.uint8)[None], top_px, 2 * BAR_PX, 8)
     places = ((0.0, "start"), (0.5, "middle"), (1.0, "end"))
-    return [
-        f'<rect {wide} fill="none" stroke="#888" stroke-width="0.5"/>',
-        f'<g class="scale"><image {wide} preserveAspectRatio="none" href="{strip}"/></g>',
-        *(
-            f'<text x="{MARGIN_PX + 2 * BAR_PX * share:.1f}" y="{top_px + 21:.1f}" font-size="11" fill="#222" '
-            f'text-anchor="{anchor}">{text}</text>'
-            for (share, anchor), text in zip(places, told, strict=True)
-        ),
-    ]
+    border = element(
+        "rect",
+        x=MARGIN_PX,
+        y=f"{top_px:.1f}",
+        width=2 * BAR_PX,
+        height=8,
+        fill="none",
+        stroke="#888",
+        stroke_width=0.5,
+    )
+    ends = (
+        text(MARGIN_PX + 2 * BAR_PX * share, top_px + 21, words, text_anchor=anchor)
+        for (share, anchor), words in zip(places, told, strict=True)
+    )
+    return [border, element("g", strip, class_="scale"), *ends]

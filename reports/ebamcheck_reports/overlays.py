@@ -9,7 +9,9 @@ import numpy as np
 import shapely
 
 from ebamcheck.layers.stack import Layers
-from ebamcheck.layers.svg import COLOURS, DASHES, overlay_svg
+from ebamcheck.layers.svg import overlay_svg
+from ebamcheck.showing.colours import COLOURS, DASHES
+from ebamcheck.showing.markup import inline
 from ebamcheck_reports.canvas import HEIGHT_LIMIT, LEAST_EXTENT_MM, Box, Canvas, around, outline
 from ebamcheck_reports.markup import Markup, element, join, picture
 from ebamcheck_reports.run_data import RunData, layer_name
@@ -25,9 +27,6 @@ LARGEST_INSET = 0.15
 
 MOST_BYTES = 300_000
 """A picture larger than this is drawn at half its scale, where fewer points are seen."""
-
-NAMESPACE = ' xmlns="http://www.w3.org/2000/svg"'
-"""Needed in a file of its own; in HTML it only looks like a link."""
 
 
 class Place(NamedTuple):
@@ -145,8 +144,3 @@ def _inset(stacks: Mapping[str, Layers], worst: Place) -> Markup:
                 )
     canvas.circle(worst.x_mm, worst.y_mm, 9.0, "#b3261e")
     return canvas.svg("worst place enlarged")
-
-
-def inline(svg: str) -> Markup:
-    """SVG as it stands inside of HTML."""
-    return Markup(svg.replace(NAMESPACE, ""))

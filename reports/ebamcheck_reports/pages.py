@@ -17,4 +17,4 @@ def page(title: str, *body: Markup, style: str | Markup = "") -> str:
         element("title", title),
         element("style", css, Markup(style)),
     )
-    return "<!DOCTYPE html>\n" + element("html", head, element("body", *body), lang="en") + "\n"
+    return f"<!DOCTYPE html>\n{element('html', head, element('body', *body), lang='en')}\n"

@@ -6,7 +6,8 @@ import numpy as np
 
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program.reading.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, NCProgram
-from ebamcheck_reports.canvas import Canvas, ramp
+from ebamcheck.showing.colours import ramp
+from ebamcheck_reports.canvas import Canvas
 from ebamcheck_reports.markup import Markup, legend
 
 WIDTH_PX = 880.0

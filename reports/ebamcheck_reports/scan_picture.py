@@ -8,7 +8,8 @@ import shapely
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.scan import ScanPlan
-from ebamcheck_reports.canvas import Box, Canvas, outline, ramp
+from ebamcheck.showing.colours import ramp
+from ebamcheck_reports.canvas import Box, Canvas, outline
 from ebamcheck_reports.markup import Markup, legend
 
 WIDTH_PX = 880.0

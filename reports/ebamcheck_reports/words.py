@@ -13,6 +13,7 @@ GATE_QUESTIONS = {
     "deposit": "Is the metal laid that of the sections, in all and at every place within its tolerances, by a model of the melt pool?",
     "heat": "Is no bead entered above the interpass limit, and does the wire still melt?",
     "program": "Is the NC program, read back from its text, still the part?",
+    "entry": "Is the program that begins at a layer the end of the whole one, with a safe start of its own?",
 }
 
 EXIT_CODES = {

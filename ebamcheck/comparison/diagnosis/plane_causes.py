@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from ebamcheck.comparison import sweep_status as front
+from ebamcheck.comparison import sweep_status as status
 from ebamcheck.comparison.causes import MeshFlaws
 from ebamcheck.comparison.diagnosis.cause import (
     MIRROR,
@@ -142,10 +142,10 @@ def other_rule(sheets: Sequence[Sheet], flaws: MeshFlaws) -> Cause | None:
     whole, explained, wrong = 0.0, dict.fromkeys(RULES, 0.0), dict.fromkeys(RULES, 0.0)
     for sheet in sheets:
         pieces = overlap(sheet.outline_a, sheet.outline_b, True).difference
-        y = 0.5 * (pieces[:, front.Y0] + pieces[:, front.Y1])
-        left = 0.5 * (pieces[:, front.L0] + pieces[:, front.L1])
-        right = 0.5 * (pieces[:, front.R0] + pieces[:, front.R1])
-        area = np.abs(right - left) * (pieces[:, front.Y1] - pieces[:, front.Y0])
+        y = 0.5 * (pieces[:, status.Y0] + pieces[:, status.Y1])
+        left = 0.5 * (pieces[:, status.L0] + pieces[:, status.L1])
+        right = 0.5 * (pieces[:, status.R0] + pieces[:, status.R1])
+        area = np.abs(right - left) * (pieces[:, status.Y1] - pieces[:, status.Y0])
         whole += float(area.sum())
         largest = np.argsort(-area, kind="stable")[:MOST_PIECES]
         places = np.ascontiguousarray(np.column_stack([0.5 * (left + right), y])[largest])

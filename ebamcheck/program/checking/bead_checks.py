@@ -9,6 +9,7 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.program.checking.bead_wire import bead_wire_check
 from ebamcheck.program.checking.checks import Check, count_check, row_faults
 from ebamcheck.program.checking.hatch_form import form_checks
 from ebamcheck.program.reading.motions import STRAIGHT, NCProgram
@@ -49,6 +50,7 @@ def bead_checks(nc: NCProgram, config: Config, z_of: Floats, layers: Layers | No
     checks = [_spacing(nc, config, z_of, layers), _once(nc), *form_checks(nc, config)]
     if layers is not None:
         checks += [_coverage(nc, config, z_of, layers), _gaps(nc, config, z_of, layers)]
+        checks.append(bead_wire_check(nc, config, z_of, layers))
     return checks
 
 

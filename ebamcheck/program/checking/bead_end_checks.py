@@ -6,6 +6,7 @@ import numpy as np
 
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.program.checking.checks import Check, count_check, event_place, worst_check
+from ebamcheck.program.language.increments import power_slack_w
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.toolpath.bead_parts import SHORTEST_BLOCK_MM
 from ebamcheck.settings.config import Config
@@ -40,14 +41,15 @@ def _power(nc: NCProgram, config: Config, shares: Floats) -> Check:
     known = (nc.layer[rows] >= 0) & (nc.layer[rows] < shares.size)
     of_layer = np.ones(rows.size)
     of_layer[known] = shares[nc.layer[rows[known]]]
-    wanted, step = wanted * of_layer, step * of_layer
+    slack_w = power_slack_w(config.machine, process.voltage_kv, process.current_ma)
+    wanted, step = wanted * of_layer, step * of_layer + slack_w / process.power_w
     off = np.maximum(np.abs(share - wanted) - step, 0.0)
     off[np.isnan(share)] = np.nan
     found = worst_check(
         "power", nc, rows, off, POWER_TOLERANCE, "of the power set", "deviation of the beam power"
     )
     highest = float(np.nanmax(nc.power_w[rows], initial=0.0))
-    within = highest <= process.voltage_kv * process.current_max_ma * (1.0 + POWER_TOLERANCE)
+    within = highest <= process.voltage_kv * process.current_max_ma * (1.0 + POWER_TOLERANCE) + slack_w
     text = f"{highest:g} W in the program, {process.power_w:g} W set"
     if (shares < 1.0).any():
         text += f", {np.nanmin(shares) * process.power_w:g} W in the layer of the least"

@@ -75,6 +75,8 @@ class Deposit:
         Layers that were asked for, and the worst one, by their index.
     worst
         The layer of which surface, reach or a window comes nearest to its limit, or is furthest over it; -1 without any.
+    surface
+        What the program leaves; that of further layers begins on it.
     """
 
     layers: pd.DataFrame
@@ -82,10 +84,16 @@ class Deposit:
     holes: pd.DataFrame
     fields: dict[int, LayerField]
     worst: int
+    surface: Surface
 
 
 def deposit(
-    nc: NCProgram, layers: Layers, z_of: Floats, config: Config, keep: Collection[int] = ()
+    nc: NCProgram,
+    layers: Layers,
+    z_of: Floats,
+    config: Config,
+    keep: Collection[int] = (),
+    stands: Surface | None = None,
 ) -> Deposit:
     """Lay the metal of a program, layer by layer.
 
@@ -97,6 +105,8 @@ def deposit(
         (L,) Z of each in the program, mm.
     keep
         Layers whose fields are returned, too.
+    stands
+        Surface of what the lowest layer lies on; None: level.
     """
     process = config.process
     rows = np.flatnonzero(nc.deposit & nc.wire)
@@ -105,7 +115,7 @@ def deposit(
     sections = [metal_region(layer_section(layers.polygons(k)), config) for k in range(len(layers))]
     some = [s for s in sections if not s.is_empty]
     bounds = np.asarray(shapely.total_bounds(some), np.float64) if some else np.zeros(4)
-    field = _Field(bounds, process)
+    field = _Field(stands.copy() if stands else Surface(bounds, process.bead_width_mm), process)
     with np.errstate(divide="ignore", invalid="ignore"):
         bead_mm2 = np.nan_to_num(nc.wire_mm_s * wire_mm2(config) / (nc.feed_mm_min / 60.0), posinf=0.0)
     found, holes, first = [], [], np.full(len(layers), -1, np.int64)
@@ -115,7 +125,7 @@ def deposit(
         mine = rows[index == k]
         if mine.size:
             first[k] = mine[0]
-        places, volume = _metal(nc, mine, bead_mm2, process.bead_width_mm * STEP_SHARE)
+        places, volume, _ = metal_places(nc, mine, bead_mm2, process.bead_width_mm * STEP_SHARE)
         figures, laid = field.add(section, places, volume, float(thickness[k]))
         badness = over_limits(figures, process) if section.area > 0.0 else -math.inf
         if badness > most:
@@ -128,7 +138,7 @@ def deposit(
         if figures["reach_mm"] > 0.0:
             holes += [{"layer": k, **hole} for hole in _closed_holes(section, laid, float(thickness[k]))]
     table = pd.DataFrame(holes, columns=list(HOLE_COLUMNS))
-    return Deposit(pd.DataFrame(found), first, table, fields, worst)
+    return Deposit(pd.DataFrame(found), first, table, fields, worst, field.surface)
 
 
 def _wall(section: BaseGeometry, figures: dict[str, float], process: ProcessSettings) -> dict[str, float]:
@@ -153,47 +163,52 @@ def over_limits(figures: dict[str, float], process: ProcessSettings) -> float:
     )
 
 
-def _metal(nc: NCProgram, rows: Ints, bead_mm2: Floats, step_mm: float) -> tuple[Floats, Floats]:
-    """Places (n, 2) at which motions lay metal, and its volume (n,) mm3."""
+def metal_places(nc: NCProgram, rows: Ints, bead_mm2: Floats, step_mm: float) -> tuple[Floats, Floats, Ints]:
+    """Places (n, 2) at which motions lay metal, its volume (n,) mm3, and the motion of each."""
     row, places = nc.samples(rows, step_mm)
     pieces = np.bincount(row, minlength=len(nc))[row]
-    return places, bead_mm2[row] * np.nan_to_num(nc.lengths[row]) / pieces
+    return places, bead_mm2[row] * np.nan_to_num(nc.lengths[row]) / pieces, row
+
+
+def pool_of(bead_width_mm: float, step_mm: float) -> Floats:
+    """Shares in which the pool, a half sphere as wide as the bead, spreads metal over the cells around it; their sum is 1."""
+    radius = 0.5 * bead_width_mm / step_mm
+    offset = np.arange(-math.ceil(radius), math.ceil(radius) + 1)
+    pool = np.sqrt(np.maximum(radius**2 - (offset[:, None] ** 2 + offset**2), 0.0))
+    return np.asarray(pool / pool.sum(), np.float64)
 
 
 class _Field:
     """Metal laid on the surface of a part, layer by layer."""
 
-    def __init__(self, bounds: Floats, process: ProcessSettings) -> None:
+    def __init__(self, surface: Surface, process: ProcessSettings) -> None:
         self._process, bead_width_mm = process, process.bead_width_mm
-        self._surface = Surface(bounds, bead_width_mm)
+        self.surface = surface
         self._bead_mm = bead_width_mm
-        radius = 0.5 * bead_width_mm / self._surface.step_mm
-        offset = np.arange(-math.ceil(radius), math.ceil(radius) + 1)
-        self._pool = np.sqrt(np.maximum(radius**2 - (offset[:, None] ** 2 + offset**2), 0.0))
-        self._pool /= self._pool.sum()
+        self._pool = pool_of(bead_width_mm, self.surface.step_mm)
 
     def add(
         self, section: BaseGeometry, places: Floats, volume: Floats, thickness_mm: float
     ) -> tuple[dict[str, float], LayerField]:
         """Lay one layer; its figures by name, and its metal."""
-        step = self._surface.step_mm
+        step = self.surface.step_mm
         target = target_of(section, step, 2.0 * self._bead_mm)
         if not target.share.size:
-            self._surface.add(target, target.share, thickness_mm)
+            self.surface.add(target, target.share, thickness_mm)
             figures = {**NO_SECTION, "laid_mm3": float(volume.sum()), "outside_mm3": float(volume.sum())}
             return figures, LayerField(target, target.share, target.share)
         share, inside = target.share, target.share >= HALF
-        melted = _spread(target, places, volume) / step**2
+        melted = spread(target, places, volume) / step**2
         laid = ndimage.convolve(melted, self._pool, mode="constant")
-        before = self._surface.over_mm(target)
-        self._surface.add(target, laid, thickness_mm)
+        before = self.surface.over_mm(target)
+        self.surface.add(target, laid, thickness_mm)
         deep = inside & (_distance(inside) * step > self._bead_mm)
         rim = inside & ~deep
         film = ~inside & (laid >= FILM * thickness_mm)
         # From the border of a cell to the middle of the next it is half a cell.
         reach = np.where(film, (_distance(~inside) - 0.5) * step, 0.0) if film.any() else np.zeros_like(laid)
         wanted = share * thickness_mm
-        over = self._surface.over_mm(target)
+        over = self.surface.over_mm(target)
         runs = (melted > 0.0) | bead_centres(inside, self._bead_mm / step)
         figures = {
             "wanted_mm3": float(wanted.sum() * step**2),
@@ -235,7 +250,7 @@ def _distance(cells: Bools) -> Floats:
     )
 
 
-def _spread(target: Target, places: Floats, volume: Floats) -> Floats:
+def spread(target: Target, places: Floats, volume: Floats) -> Floats:
     """Volume by cell, shared between the four cells around each place; what lies beside the grid is left out."""
     rows, columns = target.share.shape
     at = (places - target.origin) / target.step_mm - 0.5

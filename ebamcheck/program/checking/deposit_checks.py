@@ -11,8 +11,10 @@ from collections.abc import Iterable
 import numpy as np
 import pandas as pd
 
+from ebamcheck.numeric.rings import Floats
 from ebamcheck.program.checking.checks import Check
 from ebamcheck.program.checking.deposit import Deposit
+from ebamcheck.program.checking.metal_below import MetalBelow, counts, with_metal
 from ebamcheck.program.checking.metal_zones import tolerances, zone_limit, zone_off
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.toolpath.thin_walls import narrow_bead
@@ -29,28 +31,36 @@ LEAST_SPOTS = 1.0
 """Bead spots (a bead width squared, one layer high) by which the metal of a layer may be off in any case: the starts and
 ends of its beads."""
 
-LEAST_ZONE = 25.0
-"""Zones of a layer under this many squared bead widths do not count for the mean over all layers; each layer's own, however
-small, has a limit by its size."""
-
 LAYER_OUTSIDE = 3.0
 """A single layer may have so many times the share of metal outside that the whole program may."""
 
 
-def deposit_checks(nc: NCProgram, found: Deposit, config: Config) -> list[Check]:
-    """Check the metal of a program, see :func:`ebamcheck.program.checking.deposit.deposit`."""
-    solid = found.layers[(found.layers["wanted_mm3"] > 0.0) | (found.layers["laid_mm3"] > 0.0)]
+def deposit_checks(
+    nc: NCProgram, found: Deposit, config: Config, below: MetalBelow | None = None
+) -> list[Check]:
+    """Check the metal of a program, see :func:`ebamcheck.program.checking.deposit.deposit`.
+
+    Parameters
+    ----------
+    below
+        The metal that stands under the program: what holds for a whole part has to hold for it and the program together. None:
+        nothing stands there or, under the only layer of a program that does not begin on the plate (``layers.base_mm``), it
+        is not known; that layer is then held to the limits of a single one alone.
+    """
+    solid = with_metal(found.layers)
     if not len(solid):
         return [Check(name, False, math.inf, 0.0, "", "", "no layer has metal") for name in DEPOSIT_CHECKS]
     places = _Places(nc, found)
+    alone = below is None and config.base_mm > 0.0 and len(solid) == 1
+    built = (below or MetalBelow()).and_layers(solid, config.process)
     return [
-        _whole(solid, config),
+        _whole(solid, built, alone, config),
         _of_layers(solid, config, places),
-        _outside(solid, config, places),
+        _outside(solid, built, alone, config, places),
         _reach(solid, config, places),
         _holes(found, places),
-        _zone(solid, "inside", "height inside", config, places),
-        _zone(solid, "edge", "height at edges", config, places),
+        _zone(solid, "inside", "height inside", (built, alone), config, places),
+        _zone(solid, "edge", "height at edges", (built, alone), config, places),
         _of_zones(solid, ("inside", "edge"), "height of layers", config, places),
         _of_zones(solid, ("zone",), "height of zones", config, places),
         _surface(solid, config, places),
@@ -75,36 +85,43 @@ def _named(row: pd.Series, at: str = "") -> str:
     return f"{text}, at ({row[f'{at}_x_mm']:.1f}, {row[f'{at}_y_mm']:.1f})" if at else text
 
 
-def _whole(solid: pd.DataFrame, config: Config) -> Check:
+def _whole(solid: pd.DataFrame, built: MetalBelow, alone: bool, config: Config) -> Check:
     limit = config.process.mass_tolerance
-    wanted, laid = float(solid["wanted_mm3"].sum()), float(solid["laid_mm3"].sum())
+    wanted, laid = built.wanted_mm3, built.laid_mm3
     off = abs(laid / wanted - 1.0) if wanted > 0.0 else math.inf
+    if alone:
+        off = float(_off_layers(solid, config)[0])
     density = config.material.density_kg_m3 * 1e-9
     text = f"{laid * density:.3f} kg of metal for {wanted * density:.3f} kg of part"
     return Check("metal", off <= limit, off, limit, "of the part", "", text)
 
 
 def _of_layers(solid: pd.DataFrame, config: Config, places: _Places) -> Check:
-    process = config.process
     wanted, laid = solid["wanted_mm3"].to_numpy(), solid["laid_mm3"].to_numpy()
-    thickness = np.diff(solid["z_mm"].to_numpy(), prepend=config.base_mm)
-    spots = LEAST_SPOTS * process.bead_width_mm**2 * np.maximum(thickness, 0.0)
-    off = np.maximum(np.abs(laid - wanted) - spots, 0.0) / np.maximum(wanted, 1e-9)
+    off = _off_layers(solid, config)
     k = int(np.argmax(off))
     share = laid[k] / wanted[k] if wanted[k] > 0.0 else math.inf
     text = f"a layer has {share:.3f} of its metal: {_named(solid.iloc[k])}"
     where = places.of(int(solid["layer"].iloc[k]))
-    limit = process.mass_tolerance
+    limit = config.process.mass_tolerance
     return Check("metal of layers", bool(off[k] <= limit), float(off[k]), limit, "of the layer", where, text)
 
 
-def _outside(solid: pd.DataFrame, config: Config, places: _Places) -> Check:
+def _off_layers(solid: pd.DataFrame, config: Config) -> Floats:
+    """How far the metal of each layer (n,) is off, beyond the starts and ends of beads, over that of the layer."""
+    wanted, laid = solid["wanted_mm3"].to_numpy(), solid["laid_mm3"].to_numpy()
+    thickness = np.diff(solid["z_mm"].to_numpy(), prepend=config.base_mm)
+    spots = LEAST_SPOTS * config.process.bead_width_mm**2 * np.maximum(thickness, 0.0)
+    return np.asarray(np.maximum(np.abs(laid - wanted) - spots, 0.0) / np.maximum(wanted, 1e-9), np.float64)
+
+
+def _outside(solid: pd.DataFrame, built: MetalBelow, alone: bool, config: Config, places: _Places) -> Check:
     limit = config.process.outside_share
     outside, laid = solid["outside_mm3"].to_numpy(), solid["laid_mm3"].to_numpy()
-    whole = float(outside.sum() / max(laid.sum(), 1e-9))
+    whole = built.outside_mm3 / max(built.laid_mm3, 1e-9)
     share = np.divide(outside, laid, out=np.zeros_like(laid), where=laid > 0.0)
     k = int(np.argmax(share))
-    worst = max(whole, float(share[k]) / LAYER_OUTSIDE)
+    worst = max(0.0 if alone else whole, float(share[k]) / LAYER_OUTSIDE)
     text = (
         f"{100 * whole:.2f} % of the metal lies beside the part, most {100 * share[k]:.2f} % of a layer: "
         f"{_named(solid.iloc[k])}"
@@ -157,20 +174,29 @@ def _holes(found: Deposit, places: _Places) -> Check:
     return Check("holes", False, float(len(holes)), 0.0, "holes", places.of(layer), text)
 
 
-def _zone(solid: pd.DataFrame, zone: str, name: str, config: Config, places: _Places) -> Check:
+def _zone(
+    solid: pd.DataFrame,
+    zone: str,
+    name: str,
+    known: tuple[MetalBelow, bool],
+    config: Config,
+    places: _Places,
+) -> Check:
     """Mean height of the metal in a zone over all layers, and the layer where it is furthest off."""
-    area, height = solid[f"{zone}_mm2"].to_numpy(), solid[zone].to_numpy()
+    built, alone = known
+    height = solid[zone].to_numpy()
     limit = float(tolerances(solid[:1], zone, config.process)[0])
-    wide = area >= LEAST_ZONE * config.process.bead_width_mm**2
-    if not wide.any():
+    if alone:
+        limit = float(zone_limit(limit, solid[f"{zone}_mm2"].to_numpy()[0], config.process))
+    wide, mean = counts(solid, zone, config.process), built.mean(zone)
+    if math.isnan(mean):
         return Check(
             name, True, 0.0, limit, "of the height", "", f"no layer is wide enough for a mean ({zone})"
         )
-    mean = float(np.average(height[wide], weights=area[wide]))
     k = int(np.argmax(np.where(wide, np.abs(height - 1.0), -1.0)))
-    text = (
-        f"metal is {mean:.3f} layers high on average, furthest off {height[k]:.3f}: {_named(solid.iloc[k])}"
-    )
+    text = f"metal is {mean:.3f} layers high on average"
+    if wide.any():
+        text += f", furthest off {height[k]:.3f}: {_named(solid.iloc[k])}"
     worst = abs(mean - 1.0)
     where = places.of(int(solid["layer"].iloc[k]))
     return Check(name, worst <= limit, worst, limit, "of the height", where, text)

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ebamcheck.program.checking.checks import Check, count_check
+from ebamcheck.program.checking.header_checks import Truth, status_check
 from ebamcheck.program.checking.machine_state import machine_state_checks
 from ebamcheck.program.checking.text_checks import text_checks
 from ebamcheck.program.reading.motions import RAPID, NCProgram
@@ -25,24 +26,29 @@ COLUMNS = ("kind", "feed_mm_min", "beam", "wire", "power_w", "wire_mm_s")
 GEOMETRY = ("end", "coefficients", "arc")
 
 
-def entry_check(whole: NCProgram, entry: NCProgram, layer: int, z_mm: float, config: Config) -> Check:
+def entry_check(
+    whole: NCProgram, entry: NCProgram, layer: int, z_mm: float, config: Config, validated: bool
+) -> Check:
     """Check a program that begins at a layer against the whole one.
 
     Parameters
     ----------
     layer, z_mm
         The layer, from 1, and its Z.
+    validated
+        Whether the whole program is called validated, as this one has to be then, and only then.
     """
-    faults = list(_faults(whole, entry, layer, z_mm, config))
+    faults = list(_faults(whole, entry, layer, z_mm, config, Truth(validated)))
     return count_check(
         NAME, faults, f"{len(entry)} motions from layer {layer} on are those of the whole program"
     )
 
 
 def _faults(
-    whole: NCProgram, entry: NCProgram, layer: int, z_mm: float, config: Config
+    whole: NCProgram, entry: NCProgram, layer: int, z_mm: float, config: Config, truth: Truth
 ) -> Iterator[tuple[str, str]]:
-    for check in (*text_checks(entry, config), *machine_state_checks(entry, config)):
+    made = (status_check(entry, truth), *text_checks(entry, config), *machine_state_checks(entry, config))
+    for check in made:
         if not check.passed:
             yield check.where, f"{check.name}: {check.text}"
     main = f"{entry.files[0].name}:1"

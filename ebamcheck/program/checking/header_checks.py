@@ -25,6 +25,12 @@ from ebamcheck.settings.config import Config
 FREE = ("SOFTWARE", "SETTINGS SHA-256")
 """Lines of the header that do not follow from the settings and the program's own text."""
 
+OF_THE_TEXT = ("LAYERS", "PART SHA-256", "SETTINGS SHA-256")
+"""Lines that follow from the program's own text, or are known of it."""
+
+TOLD, LETTERS = 3, 12
+"""Differing settings that are told, and letters of a hash."""
+
 _LAYER = re.compile(rb"^(?:; |\()LAYER: (\d+) OF (\d+)(?:, CUT AT (-?[\d.]+), Z (-?[\d.]+))?", re.MULTILINE)
 
 PRINTED_MM = 1e-6
@@ -40,6 +46,10 @@ class Truth:
     validated: bool | None = None
     part_sha256: str | None = None
     settings_sha256: str | None = None
+    given_sha256: str | None = None
+    """Hash of settings that were given by someone, who need not have those that the program was made with."""
+    differences: tuple[str, ...] = ()
+    """Which of the settings given are not those that the program was made with, where both are known, in words."""
 
 
 def header_checks(
@@ -51,10 +61,15 @@ def header_checks(
     """
     layers = _layers(nc, None if heights is None else np.asarray(heights, np.float64), config)
     return [
-        count_check("status", _status(nc, truth), "the same in every file, and as recorded"),
-        count_check("header", [*_header(nc, config, truth), *layers], "true"),
+        status_check(nc, truth),
+        count_check("header", [*_header(nc, config, truth), *layers], f"true{_other_settings(nc, truth)}"),
         _size(nc, config),
     ]
+
+
+def status_check(nc: NCProgram, truth: Truth) -> Check:
+    """Check that every file says the same of its status, and what is known of it."""
+    return count_check("status", _status(nc, truth), "the same in every file, and as recorded")
 
 
 def _status(nc: NCProgram, truth: Truth) -> list[tuple[str, str]]:
@@ -99,10 +114,29 @@ def _header(nc: NCProgram, config: Config, truth: Truth) -> list[tuple[str, str]
         "SETTINGS SHA-256": truth.settings_sha256,
     }
     return [
-        (_line_of(nc.files[0], key), f"says {key}: {nc.header[key]}, in truth {value}")
+        (_line_of(nc.files[0], key), f"says {key}: {nc.header[key]}, {_by(key)} {value}")
         for key, value in wanted.items()
         if value is not None and key in nc.header and nc.header[key] != value
     ]
+
+
+def _by(key: str) -> str:
+    """Where the value comes from that a line of the header is held against."""
+    return "in truth it is" if key in OF_THE_TEXT else "by the settings it is"
+
+
+def _other_settings(nc: NCProgram, truth: Truth) -> str:
+    """What is told where the program was made with other settings than those by which it is judged: that is no fault."""
+    said = nc.header.get("SETTINGS SHA-256")
+    if said is None or truth.given_sha256 in (None, said):
+        return ""
+    more = len(truth.differences) - TOLD
+    names = [*truth.differences[:TOLD], *([f"{more} more"] if more > 0 else [])]
+    which = "; ".join(names) or "which ones, its text does not say"
+    return (
+        f"; made with other settings than those by which it is judged here, SETTINGS SHA-256 {said[:LETTERS]}..., not "
+        f"{str(truth.given_sha256)[:LETTERS]}...: {which}"
+    )
 
 
 def _printed(key: str, value: str, name: str) -> str:

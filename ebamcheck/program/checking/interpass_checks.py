@@ -20,6 +20,7 @@ from ebamcheck.program.checking.text_heat import (
     text_shapes,
 )
 from ebamcheck.program.language.codes import DWELL
+from ebamcheck.program.language.increments import power_slack_w
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.toolpath.inputs import Interpass
 from ebamcheck.settings.config import Config
@@ -190,13 +191,13 @@ def _melting(nc: NCProgram, config: Config, shapes: Sequence[LayerShape]) -> Che
     value = float(shares[worst] / least[worst])
     row = int(np.flatnonzero(nc.deposit & (nc.layer == worst))[0])
     full_w = config.process.power_w
+    slack_w = power_slack_w(config.machine, config.process.voltage_kv, config.process.current_ma)
+    allowed = 1.0 - SHARE_TOLERANCE - slack_w / (least[worst] * full_w)
     text = (
         f"layer {worst + 1} has {shares[worst] * full_w:.6g} W, its wire and the metal that it remelts need "
         f"{least[worst] * full_w:.6g} W"
     )
-    return Check(
-        MELTING, value >= 1.0 - SHARE_TOLERANCE, value, 1.0, "of the power needed", nc.where(row), text
-    )
+    return Check(MELTING, bool(value >= allowed), value, 1.0, "of the power needed", nc.where(row), text)
 
 
 def _entries(

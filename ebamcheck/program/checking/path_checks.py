@@ -8,16 +8,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import BSpline
 
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program.checking.checks import Check, count_check, worst_check
 from ebamcheck.program.checking.shapes import shape_distance
+from ebamcheck.program.checking.spline_points import spline_points
 from ebamcheck.program.reading import motions
 from ebamcheck.program.reading.motions import POLYNOMIAL, SPLINE_SPAN, STRAIGHT, NCProgram
 from ebamcheck.program.toolpath.inputs import (
     ARC,
-    DEGREE,
     LINE,
     SPLINE,
     CurveColumns,
@@ -70,7 +69,7 @@ def fitted_spans(curves: CurveColumns, decimals: int, samples: int, ring: int | 
             breaks = np.unique(knots)
             at = breaks[:-1, None] + t * np.diff(breaks)[:, None]
             at[:, -1] = breaks[1:]
-            sampled = BSpline(knots, control, DEGREE)(at)
+            sampled = spline_points(knots, control, at)
         elif curves.kind[piece] == ARC:
             sampled = _arc(control, t)[None]
         else:

@@ -33,10 +33,12 @@ REMEDIES: Mapping[str, str] = {
             "subprograms", "unchanged", "status", "header", "readable", "order of events", "repeated blocks",
             "spline blocks", "polynomial blocks", "contours close", "layer count", "beads as planned", "hatch path",
             "contour rings", "contour path", "islands", "hatch vectors", "lines laid once", "turns",
-            "parts of hatch lines", "overlap of contours", "start of path",
+            "parts of hatch lines", "overlap of contours", "start of path", "wire of beads", "words of motions", "waits over the part",
         ),
         AGAIN,
     ),
+    "increments": "make the program again for this profile (ebamcheck run), whose increments are machine.*_increment_*",
+    "ramps in time": "change the length of the ramp (process.ramp_up_mm, process.crater_fill_mm) or its window",
     **dict.fromkeys(("modes", "smoothing", "start state", "safe end", "beam", "wire", "wire retract"), PROFILE),
     **dict.fromkeys(("process window", "process values", "mass balance", "power", "melting power"), WINDOW),
     **dict.fromkeys(("section", "smooth section"), FIT),
@@ -67,7 +69,9 @@ OTHERWISE = "look at that line of the program, and at the settings that the text
 """Of a check that a plugin brought."""
 
 
-def told(checks: Sequence[Check], nc: NCProgram, cut_mm: Floats, first_layer_mm: float) -> list[Check]:
+def told(
+    checks: Sequence[Check], nc: NCProgram, cut_mm: Floats, first_layer_mm: float, base_mm: float = 0.0
+) -> list[Check]:
     """Checks of which those that fail tell remedy, layer, and heights in part and program.
 
     Parameters
@@ -78,8 +82,10 @@ def told(checks: Sequence[Check], nc: NCProgram, cut_mm: Floats, first_layer_mm:
         (L,) heights of the cuts in the part, mm.
     first_layer_mm
         Height of the only layer where there is no second.
+    base_mm
+        Z of what the lowest layer lies on.
     """
-    deposit_mm = deposition_heights(cut_mm, first_layer_mm)
+    deposit_mm = deposition_heights(cut_mm, first_layer_mm, base_mm)
     found = []
     for check in checks:
         if check.passed:

@@ -125,10 +125,11 @@ def _calls(nc: NCProgram) -> Faults:
     ]
     suffix = control(nc.dialect).subprogram_suffix
     if calls and suffix:
-        there = {path.stem for path in nc.folder.glob(f"*{suffix}")}
+        # A control takes MAIN_L0001 and main_l0001 for one name: which of the two runs, nobody says.
+        there = {path.name for path in nc.folder.iterdir() if path.suffix.upper() == suffix}
         faults += [
-            (f"{main}:{_last_call(nc)}", f"{name}{suffix} is never called")
-            for name in sorted(there - set(calls))
+            (f"{main}:{_last_call(nc)}", f"{name} is never called, and lies beside the program")
+            for name in sorted(there - {f"{call}{suffix}" for call in calls})
         ]
     return faults
 

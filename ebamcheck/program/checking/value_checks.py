@@ -11,6 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ebamcheck.program.checking.checks import Check, count_check, event_place
+from ebamcheck.program.language.increments import increments_of
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.settings.config import Config
 
@@ -44,22 +45,25 @@ def _set_values(nc: NCProgram, config: Config) -> Iterator[tuple[int, str, str]]
         "power_w": (process.power_w, "W"),
         "wire_mm_s": (process.wire_speed_max_mm_s, "mm/s of wire"),
     }
+    steps = increments_of(config.machine)
     for i, name in enumerate(nc.events.name):
+        half = 0.5 * steps.get(name, 0.0)
         value, row = float(nc.events.value[i]), int(nc.events.row[i])
         if name in fixed:
             wanted, unit = fixed[name]
-            if value != 0.0 and not abs(value - wanted) <= VALUE_TOLERANCE * wanted:
+            if value != 0.0 and not abs(value - wanted) <= VALUE_TOLERANCE * wanted + half:
                 yield row, event_place(nc, i), f"{value:g} {unit} in place of {wanted:g} {unit}"
         elif name in greatest:
             limit, unit = greatest[name]
-            if not 0.0 <= value <= limit * (1.0 + VALUE_TOLERANCE):
+            if not 0.0 <= value <= limit * (1.0 + VALUE_TOLERANCE) + half:
                 yield row, event_place(nc, i), f"{value:g} {unit}, at most {limit:g} {unit} are set"
 
 
 def _feeds(nc: NCProgram, config: Config) -> Iterator[tuple[int, str, str]]:
     wanted = config.process.travel_speed_mm_s
+    half = 0.5 * increments_of(config.machine).get("feed_mm_min", 0.0) / 60.0
     rows = np.flatnonzero(nc.deposit)
     feed = nc.feed_mm_min[rows] / 60.0
     for row, value in zip(rows.tolist(), feed.tolist(), strict=True):
-        if not abs(value / wanted - 1.0) <= VALUE_TOLERANCE:
+        if not abs(value - wanted) <= VALUE_TOLERANCE * wanted + half:
             yield row, nc.where(row), f"feed {value:g} mm/s in place of {wanted:g} mm/s"

@@ -20,6 +20,7 @@ from ebamcheck.program.checking.clearance import clearance_checks
 from ebamcheck.program.checking.deposit import deposit
 from ebamcheck.program.checking.deposit_checks import deposit_checks
 from ebamcheck.program.checking.header_checks import Truth, header_checks
+from ebamcheck.program.checking.increment_check import increment_check
 from ebamcheck.program.checking.interpass_checks import (
     heat_checks,
     layer_shares,
@@ -38,13 +39,16 @@ from ebamcheck.program.checking.path_checks import (
 )
 from ebamcheck.program.checking.plugged import plugged_checks
 from ebamcheck.program.checking.process_checks import process_checks
+from ebamcheck.program.checking.ramp_check import ramp_check
 from ebamcheck.program.checking.section_check import Evidence, section_check
 from ebamcheck.program.checking.state_checks import state_checks
 from ebamcheck.program.checking.text_checks import text_checks
 from ebamcheck.program.checking.text_heat import known_sections
 from ebamcheck.program.checking.value_checks import value_check
+from ebamcheck.program.checking.wait_height import wait_height_check
 from ebamcheck.program.checking.window_checks import window_check
 from ebamcheck.program.checking.wire_checks import wire_check
+from ebamcheck.program.checking.word_checks import words_check
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.reading.reader import read_program
 from ebamcheck.program.reading.roles import by_height, by_section
@@ -158,11 +162,14 @@ def verify_program(
     checks += [*bead_end_checks(nc, config, shares), closure_check(nc, curves, tolerance_mm)]
     checks += [
         repeated_blocks(nc),
+        words_check(nc),
+        increment_check(nc, config),
+        ramp_check(nc, config),
         window_check(nc, config),
         value_check(nc, config),
         *process_checks(nc, config),
     ]
-    checks.append(wait_check(nc, config, planned))
+    checks += [wait_check(nc, config, planned), wait_height_check(nc, config)]
     if heat:
         checks += heat_checks(nc, config, sections, before)
     checks += clearance_checks(nc, z_of, config, layers)

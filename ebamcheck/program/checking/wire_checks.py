@@ -8,6 +8,7 @@ import numpy as np
 
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.program.checking.checks import Check, worst_check
+from ebamcheck.program.language.increments import increments_of
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.toolpath.bead_parts import path_points
 from ebamcheck.program.toolpath.cuts import segment_lengths
@@ -41,7 +42,8 @@ def wire_check(nc: NCProgram, config: Config, path: Toolpath | None) -> Check:
         where = nc.where(int(rows[0])) if rows.size else f"{nc.files[0].name}:1"
         return Check(NAME, False, math.inf, WIRE_TOLERANCE, "of the bead", where, text)
     with np.errstate(divide="ignore", invalid="ignore"):
-        off = np.abs(bead_mm2[:, None] / wanted - 1.0).min(axis=1)
+        off = np.abs(bead_mm2[:, None] / wanted - 1.0).min(axis=1) - _rounded(nc, rows, config)
+    off = np.maximum(off, 0.0)
     return worst_check(NAME, nc, rows, off, WIRE_TOLERANCE, "of the bead", "metal of beads against the plan")
 
 
@@ -63,9 +65,19 @@ def _within_limits(nc: NCProgram, rows: Ints, bead_mm2: Floats, config: Config) 
     steps, step = np.unique(thickness, return_inverse=True)
     limits = np.array([width_limits_mm(config, float(h)) for h in steps]).reshape(-1, 2)[step]
     with np.errstate(divide="ignore", invalid="ignore"):
-        off = np.maximum(np.maximum(limits[:, 0] / width, width / limits[:, 1]) - 1.0, 0.0)
+        off = np.maximum(limits[:, 0] / width, width / limits[:, 1]) - 1.0 - _rounded(nc, rows, config)
+    off = np.maximum(off, 0.0)
     what = "metal of beads beyond what wire feed and pool allow"
     return worst_check(NAME, nc, rows, off, WIRE_TOLERANCE, "of the bead", what)
+
+
+def _rounded(nc: NCProgram, rows: Ints, config: Config) -> Floats:
+    """Share of its metal by which each motion may be off for the increments of wire and feed, (n,): half a step of each."""
+    steps = increments_of(config.machine)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        wire = steps.get("wire_mm_s", 0.0) / nc.wire_mm_s[rows]
+        feed = steps.get("feed_mm_min", 0.0) / nc.feed_mm_min[rows]
+    return np.asarray(0.5 * np.nan_to_num(wire + feed, posinf=0.0), np.float64)
 
 
 def _wanted_mm2(nc: NCProgram, rows: Ints, path: Toolpath) -> Floats | None:

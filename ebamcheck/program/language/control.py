@@ -6,6 +6,7 @@ A control is one plugin, an entry point of the group ``ebamcheck.controls`` that
 
 from __future__ import annotations
 
+import inspect
 import pkgutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -85,6 +86,12 @@ class Control:
     """Word that lets the path leave its corners by any distance unless a tolerance stands beside it."""
     parentheses: bool = False
     """Whether a comment stands in parentheses, and not behind a semicolon."""
+    waiting: str = ""
+    """``module:function`` that writes the main program that waits between layers: (settings, Z of the part's top, header) in, name
+    and text of the file out. Empty: there is none for this control."""
+    handshake: str = ""
+    """``module:function`` that judges its text: (text, name of the file, settings) in,
+    :class:`~ebamcheck.program.checking.checks.Check` out."""
     file_faults: str = ""
     """``module:function`` that checks names and first lines of the files: (program, settings) in, (place, text) out."""
 
@@ -97,7 +104,14 @@ class Control:
         """A comment's text as it can stand in one: without parentheses where these are its ends."""
         return text.translate({40: "[", 41: "]"}) if self.parentheses else text
 
-    def load(self, what: Literal["writer", "reader", "file_faults"]) -> Any:
+    def written(self, *given: Any, path: Any, **named: Any) -> Any:
+        """Write a program; a writer that takes the tracks that are laid out already is spared laying them out again."""
+        writer = self.load("writer")
+        if "path" in inspect.signature(writer).parameters:
+            named["path"] = path
+        return writer(*given, **named)
+
+    def load(self, what: Literal["writer", "reader", "file_faults", "waiting", "handshake"]) -> Any:
         """Import one of the functions that are named here; raises :class:`SettingsError` where that fails."""
         place = getattr(self, what)
         try:

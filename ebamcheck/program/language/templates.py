@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from ebamcheck.errors import SettingsError
+from ebamcheck.program.language.increments import increments_of, to_increment
 from ebamcheck.program.language.numbers import plain
 from ebamcheck.program.language.profile import templates_of
 from ebamcheck.program.language.template_rules import checked_templates
@@ -38,6 +39,16 @@ class ProcessValues:
     layer_pause_s: float
     layer: int
     height_mm: float
+    increments: Mapping[str, float] = field(default_factory=dict)
+    """Least step of each value that has one: it is printed as a multiple of it."""
+
+    def printed(self) -> dict[str, float]:
+        """The values as they are printed, by name."""
+        return {
+            name: to_increment(value, self.increments.get(name, 0.0))
+            for name, value in vars(self).items()
+            if name != "increments"
+        }
 
     def at(self, power: float, wire: float) -> ProcessValues:
         """The same values at a share of the beam's power, by its current, and a share of the wire speed."""
@@ -51,7 +62,7 @@ class ProcessValues:
     def fill(self, name: str, template: Iterable[str]) -> list[str]:
         """Fill the lines of the template `name`; raises :class:`SettingsError` for what makes no block."""
         values: Mapping[str, object] = {
-            key: value if isinstance(value, int) else _Value(value) for key, value in vars(self).items()
+            key: value if isinstance(value, int) else _Value(value) for key, value in self.printed().items()
         }
         return [_filled(f"machine.{name}", line, values) for line in template]
 
@@ -103,4 +114,5 @@ def process_values(config: Config, layer: int, height_mm: float, thickness_mm: f
         layer_pause_s=config.process.layer_pause_s,
         layer=layer,
         height_mm=height_mm,
+        increments=increments_of(config.machine),
     )

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import BSpline
 
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.program.toolpath.inputs import DEGREE, SPLINE, CurveColumns
@@ -105,6 +104,8 @@ def refined(control: Floats, knots: Floats, blocks: int) -> tuple[Floats, Floats
 
     Knots go to the middle of the longest span; the curve does not change.
     """
+    from scipy.interpolate import BSpline  # half of the time that this package takes to import
+
     spline = BSpline(knots, control, DEGREE)
     while len(spline.c) - 1 < blocks:
         longest = int(np.argmax(np.diff(spline.t)))
@@ -114,6 +115,8 @@ def refined(control: Floats, knots: Floats, blocks: int) -> tuple[Floats, Floats
 
 def halved(control: Floats, knots: Floats) -> tuple[Floats, Floats]:
     """Return the same spline with a further knot in the middle of every span, so that even knots stay even."""
+    from scipy.interpolate import BSpline  # half of the time that this package takes to import
+
     spline = BSpline(knots, control, DEGREE)
     breaks = np.unique(knots)
     for knot in 0.5 * (breaks[1:] + breaks[:-1]):

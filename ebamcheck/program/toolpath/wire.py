@@ -96,7 +96,10 @@ def with_wire(path: Toolpath, plan: ScanColumns, config: Config, decimals: int) 
         tracks, _along_walls(path, plan), math.inf if whole else STRETCH_BEADS * config.process.bead_width_mm
     )
     regions = [metal_region(section, config) for section in sections]
+    stands: Surface | None = getattr(plan, "stands", None)
     surface = Surface(np.nan_to_num(shapely.total_bounds(regions)), config.process.bead_width_mm)
+    if stands is not None:
+        surface = stands.copy()
 
     def some(first: int, last: int) -> list[_LayerBeads]:
         return [

@@ -112,7 +112,7 @@ class _Layer:
         self._near_mm = NEAR_SPACINGS * config.process.hatch_spacing_mm
         self._form = form
         self._z, self._safe_z = form.value(z_mm), form.value(z_mm + config.machine.safe_height_mm)
-        self._feed = f" F{plain(values.feed_mm_min)}"
+        self._feed = f" F{plain(values.printed()['feed_mm_min'])}"
         ends = ("wire_stop", "wire_retract", "beam_off")
         self._names = (
             ("set_power",),
@@ -151,14 +151,16 @@ class _Layer:
     def set_power(self, share: float) -> None:
         """Set the beam to a share of its power."""
         if share != self._power:
+            before = self._switches()[0]
             self._power = share
-            self.lines += self._switches()[0]
+            self.lines += _changed(before, self._switches()[0])
 
     def set_wire(self, share: float) -> None:
         """Set the running wire to a share of the speed of the layer."""
         if share != self._wire:
+            before = self._switches()[1]
             self._wire = share
-            self.lines += self._switches()[1]
+            self.lines += _changed(before, self._switches()[1])
 
     def deposit(
         self, start: Floats, end: Floats, motions: Sequence[str], power: Floats, wire: Floats
@@ -189,6 +191,11 @@ class _Layer:
             self.lines += [f"G0 Z{self._safe_z}", x_y, f"G0 Z{self._z}"]
         elif (to != self._position).any():
             self.lines.append(x_y)
+
+
+def _changed(before: list[str], now: list[str]) -> list[str]:
+    """Blocks of values that are to be set; none where the control has no smaller step than what they differ by."""
+    return [] if now == before else now
 
 
 def _with_feed(block: str, feed: str) -> str:

@@ -52,19 +52,30 @@ def enclosed_share(section: BaseGeometry, points: Floats, variance_mm2: Floats) 
 @kernel
 def in_sight(points: Floats, variance: Floats, segments: Floats) -> Floats:
     """See :func:`enclosed_share`; `segments` (S, 4) make up the outline."""
-    share = np.zeros(variance.shape)
+    share, count = np.zeros(variance.shape), len(segments)
+    ax, ay, bx, by = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
+    # What is crossed is marked by itself, which the processor does for several segments at once, and looked for by words.
+    crossed = np.zeros(8 * (count // 8 + 1), np.uint8)
+    words = crossed.view(np.uint64)
     for p in range(len(points)):
+        for s in range(count):
+            ax[s], ay[s] = segments[s, 0] - points[p, 0], segments[s, 1] - points[p, 1]
+            bx[s], by[s] = segments[s, 2] - points[p, 0], segments[s, 3] - points[p, 1]
         for direction in range(DIRECTIONS):
             angle = 2.0 * np.pi * (direction + 0.5) / DIRECTIONS
             dx, dy = np.cos(angle), np.sin(angle)
             nearest = np.inf
-            for s in range(len(segments)):
-                ax, ay = segments[s, 0] - points[p, 0], segments[s, 1] - points[p, 1]
-                bx, by = segments[s, 2] - points[p, 0], segments[s, 3] - points[p, 1]
-                left, right = dx * ay - dy * ax, dx * by - dy * bx
-                if (left > 0.0) != (right > 0.0):
+            for s in range(count):
+                crossed[s] = (dx * ay[s] - dy * ax[s] > 0.0) != (dx * by[s] - dy * bx[s] > 0.0)
+            for word in range(len(words)):
+                if words[word] == 0:
+                    continue
+                for s in range(8 * word, min(8 * word + 8, count)):
+                    if crossed[s] == 0:
+                        continue
+                    left, right = dx * ay[s] - dy * ax[s], dx * by[s] - dy * bx[s]
                     part = left / (left - right)
-                    reach = dx * (ax + part * (bx - ax)) + dy * (ay + part * (by - ay))
+                    reach = dx * (ax[s] + part * (bx[s] - ax[s])) + dy * (ay[s] + part * (by[s] - ay[s]))
                     if ON_OUTLINE_MM < reach < nearest:
                         nearest = reach
             for q in range(variance.shape[1]):

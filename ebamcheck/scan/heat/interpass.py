@@ -93,15 +93,17 @@ class LayerJob:
     lowest: bool
 
 
-def cool_drive(job: LayerJob, found: PartHeat, profile: Config) -> Drive:
+def cool_drive(job: LayerJob, found: PartHeat, profile: Config, guess: float = 0.0) -> Drive:
     """Choose power and waits of a layer by the settings, and drive it.
 
     Parameters
     ----------
     found
         The part's heat when the layer under it is done, in the modes of this layer.
+    guess
+        Share of the power of the layer below: that of this one is found sooner where it is near.
     """
-    share = power_share(job, found, profile)
+    share = power_share(job, found, profile, guess)
     waits = profile.process.interpass in ("dwell", "both")
     ring_wait_s = 0.0
     while True:
@@ -112,8 +114,11 @@ def cool_drive(job: LayerJob, found: PartHeat, profile: Config) -> Drive:
         ring_wait_s = driven.ring_wait_s
 
 
-def power_share(job: LayerJob, found: PartHeat, profile: Config) -> float:
-    """Share of the power of a layer: that of the table, or the greatest at which no bead is entered above the limit."""
+def power_share(job: LayerJob, found: PartHeat, profile: Config, guess: float = 0.0) -> float:
+    """Share of the power of a layer: that of the table, or the greatest at which no bead is entered above the limit.
+
+    The search begins at a guess; its result is the same wherever it begins, since less power is never hotter.
+    """
     scheduled = scheduled_share(profile, job.height_mm)
     if scheduled is not None:
         return scheduled
@@ -127,12 +132,40 @@ def power_share(job: LayerJob, found: PartHeat, profile: Config) -> float:
 
     if fits(high):
         return 1.0
-    if low >= high or not fits(low):
+    if low >= high:
         return min(low / PERCENT, 1.0)
+    return greatest_that_fits(fits, low, high, round(PERCENT * guess)) / PERCENT
+
+
+def greatest_that_fits(fits: Callable[[int], bool], low: int, high: int, guess: int) -> int:
+    """Greatest whole number from `low` to under `high` that fits, where all under one that fits do; `low` where none does.
+
+    From the guess the search goes up or down in steps that double, and then halves what is left. `high` does not fit.
+
+    Examples
+    --------
+    >>> greatest_that_fits(lambda n: n <= 70, 40, 100, 68)
+    70
+    """
+    known, step = False, 1
+    if low < guess < high:
+        if fits(guess):
+            low, known = guess, True
+            while low + step < high and fits(low + step):
+                low, step = low + step, 2 * step
+            high = min(high, low + step)
+        else:
+            high = guess
+            while high - step > low and not fits(high - step):
+                high, step = high - step, 2 * step
+            if high - step > low:
+                low, known = high - step, True
+    if not known and not fits(low):
+        return low
     while high - low > 1:
         middle = (low + high) // 2
         low, high = (middle, high) if fits(middle) else (low, middle)
-    return low / PERCENT
+    return low
 
 
 def drive(

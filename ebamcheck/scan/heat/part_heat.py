@@ -91,10 +91,16 @@ class PartHeat:
     model: HeatModel | None = None
     state: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     _rates: tuple[Floats, Floats] = field(default_factory=lambda: (np.zeros(0), np.zeros(0)))
+    _reading: Floats = field(default_factory=lambda: np.zeros(0))
+    """(N,) mean of the depth's modes over the layer under the uppermost one: the new one begins cold."""
+    _in_layer: Floats = field(default_factory=lambda: np.zeros(0))
+    """(N,) the same over the uppermost one, which takes up the heat."""
 
     def copy(self) -> PartHeat:
         """Return the same part, to be aged by itself."""
-        return PartHeat(self.column.copy(), self.model, self.state.copy(), self._rates)
+        return PartHeat(
+            self.column.copy(), self.model, self.state.copy(), self._rates, self._reading, self._in_layer
+        )
 
     def under(self, model: HeatModel | None) -> PartHeat:
         """Return the same heat in the modes of the next layer, before that is laid; None: it has none, the old ones stay."""
@@ -105,6 +111,10 @@ class PartHeat:
         after.model = model
         alpha = model.medium.diffusivity_mm2_s
         after._rates = alpha * model.plane.eigenvalue, alpha * model.depth.wave_number**2
+        thick_mm = min(model.layer_mm, 0.5 * model.depth.depth_mm)
+        whole = model.depth.mean_of_layer(2.0 * thick_mm)
+        after._in_layer = model.in_layer
+        after._reading = np.asarray(2.0 * whole - model.depth.mean_of_layer(thick_mm), np.float64)
         return after
 
     def rest(self, duration_s: float) -> None:
@@ -121,8 +131,8 @@ class PartHeat:
             decayed(self.state, *self._rates, whole_s)
         elif self.model is not None:
             source = power_w / self.model.medium.heat_capacity_j_mm3k * beads.on[a:b]
-            pieces, in_layer = np.ascontiguousarray(beads.pieces[:, a:b]), self.model.in_layer
-            driven_bead(self.state, pieces, *self._rates, in_layer, source, beads.time_s[a:b])
+            pieces = np.ascontiguousarray(beads.pieces[:, a:b])
+            driven_bead(self.state, pieces, *self._rates, self._in_layer, source, beads.time_s[a:b])
 
     def bed_k(self, shape: Floats, wait_s: float = 0.0, before: Before | None = None) -> float:
         """Temperature that a bead finds after a wait, absolute, K: that of its place, or the mean where that is warmer.
@@ -143,14 +153,6 @@ class PartHeat:
         state, age_s = (self.state, 0.0) if before is None else (before.state, before.age_s)
         away = differing_k(state, shape, *self._rates, self._reading, age_s + wait_s)
         return float(mean_k + max(away, 0.0))
-
-    @property
-    def _reading(self) -> Floats:
-        """Mean of the depth's modes over the layer under the uppermost one, (N,): the new one begins cold."""
-        assert self.model is not None
-        thick_mm = min(self.model.layer_mm, 0.5 * self.model.depth.depth_mm)
-        whole = self.model.depth.mean_of_layer(2.0 * thick_mm)
-        return np.asarray(2.0 * whole - self.model.depth.mean_of_layer(thick_mm), np.float64)
 
     def amplitudes(self) -> Floats:
         """Amplitudes (K, N) of the whole field: what differs, and the column's profile over the whole section."""

@@ -15,6 +15,7 @@ import shapely
 from numpy.typing import NDArray
 
 from ebamcheck.errors import InputError
+from ebamcheck.metal import Surface
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.filling.turns import follows
 from ebamcheck.scan.plan import items as plan_items
@@ -95,6 +96,8 @@ class ScanPlan:
     sections
         (L,) shapely regions that are to be metal, by which every bead gets its wire; None: not known, and every bead
         gets the wire of a bead by itself.
+    stands
+        Surface of what the lowest layer lies on, which its beads mend; None: level. No file holds it.
     """
 
     heights: Floats
@@ -113,6 +116,7 @@ class ScanPlan:
     island_wait_s: Floats = field(default_factory=lambda: np.zeros(0))
     sections: NDArray[np.object_] | None = None
     inner_wait_s: Floats = field(default_factory=lambda: np.zeros(0))
+    stands: Surface | None = None
 
     def __len__(self) -> int:
         """Return the number of layers."""
@@ -155,12 +159,37 @@ class ScanPlan:
             table = pq.read_table(path)
         except (OSError, pa.ArrowException) as error:
             raise InputError(f"{path}: cannot be read as a scan plan: {error}") from None
-        header = json.loads((table.schema.metadata or {}).get(b"ebamcheck", b"{}"))
-        if header.get("format") != FORMAT:
-            raise InputError(
-                f"{path}: is not a scan plan (format {header.get('format')!r}, expected {FORMAT!r})"
-            )
-        return _from_table(table, header)
+        return _from_table(table, _header(path, table.schema))
+
+
+@dataclass(frozen=True, eq=False)
+class PlanOfLayers:
+    """What a plan knows of its layers, without islands and lines; columns as in :class:`ScanPlan`."""
+
+    heights: Floats
+    metrics: pd.DataFrame
+    sections: NDArray[np.object_] | None
+
+    @classmethod
+    def from_parquet(cls, path: str | Path) -> PlanOfLayers:
+        """Read it from the file of a plan; raises :class:`InputError` where the file is not one."""
+        try:
+            header = _header(path, pq.read_schema(path))
+        except (OSError, pa.ArrowException) as error:
+            raise InputError(f"{path}: cannot be read as a scan plan: {error}") from None
+        return cls(
+            np.asarray(header["heights"], np.float64),
+            pd.DataFrame(header["metrics"], columns=list(METRICS)),
+            _regions(header["sections"]) if "sections" in header else None,
+        )
+
+
+def _header(path: str | Path, schema: pa.Schema) -> dict[str, Any]:
+    """What stands beside the table of a plan."""
+    header: dict[str, Any] = json.loads((schema.metadata or {}).get(b"ebamcheck", b"{}"))
+    if header.get("format") != FORMAT:
+        raise InputError(f"{path}: is not a scan plan (format {header.get('format')!r}, expected {FORMAT!r})")
+    return header
 
 
 def _to_table(plan: ScanPlan) -> pa.Table:

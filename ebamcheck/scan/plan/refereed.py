@@ -1,4 +1,4 @@
-"""Plans driven on the nonlinear referee, to see whether it ranks orders and islands as the linear model does."""
+"""A second opinion on the heat of plans: the nonlinear referee, and whether it ranks islands as the linear model does."""
 
 from __future__ import annotations
 
@@ -7,16 +7,55 @@ import math
 import numpy as np
 import shapely
 from numpy.typing import NDArray
+from scipy.stats import kendalltau
 
 from ebamcheck.heat.referee import Referee, Verdict, judged, referee
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.scan.plan.columns import ScanPlan
+from ebamcheck.scan.plan.comparing import OrderResult
 from ebamcheck.scan.plan.laying import LaidLayer
 from ebamcheck.scan.plan.times import beam_lines, simulate_order
 from ebamcheck.settings.config import Config
 
 CELLS_PER_ISLAND = 4.0
 """Cells of the referee across an island."""
+
+
+OPINION = {
+    "referee_max_k": "greatest mean temperature rise of an island at entry, by the referee",
+    "referee_point_max_k": "greatest temperature rise of the spot where the beam enters an island, by the referee",
+    "referee_tau": "Kendall's rank correlation of the islands' rises at entry, linear model against referee",
+}
+"""Figures of a second opinion and what they are."""
+
+
+def second_opinion(model: Referee, result: OrderResult, profile: Config) -> dict[str, float]:
+    """Drive a compared order on the referee as well.
+
+    Parameters
+    ----------
+    model
+        Referee of the layer, from :func:`referee_of`.
+    result
+        The order as the linear model drove it.
+    profile
+        Settings of both.
+
+    Returns
+    -------
+    dict
+        Figures as :data:`OPINION` names them, K; the correlation is NaN where fewer than two islands are warmed before
+        they are entered.
+    """
+    islands_k, spots_k = refereed_entries(model, result.plan, profile)
+    warmed = (result.rank > 0) & np.isfinite(islands_k)
+    enough = int(warmed.sum()) > 1
+    tau = float(kendalltau(result.entry_k[warmed], islands_k[warmed]).statistic) if enough else math.nan
+    return {
+        "referee_max_k": float(np.nanmax(islands_k)),
+        "referee_point_max_k": float(np.nanmax(spots_k)),
+        "referee_tau": tau,
+    }
 
 
 def referee_of(laid: LaidLayer, profile: Config, cells_per_island: float = CELLS_PER_ISLAND) -> Referee:

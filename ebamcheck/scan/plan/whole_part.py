@@ -181,7 +181,8 @@ def ordered_on(
         if islands.section.area <= 0.0:
             return OrderedLayer(laid, known, found, ways), part, last
         beads, travel_mm = bead_sequence(laid, islands, found, ways)
-        drive = cool_drive(LayerJob(beads, shape, islands.height_mm, lowest), part, profile)
+        guess = 0.0 if last is None else last.power_share
+        drive = cool_drive(LayerJob(beads, shape, islands.height_mm, lowest), part, profile, guess)
     return (
         OrderedLayer(laid, known, found, ways, _figures(drive, travel_mm, beads, len(found), profile)),
         drive.after,

@@ -13,10 +13,10 @@ from ebamcheck.errors import BackendFailed, EbamcheckError
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.plugins import registry
+from ebamcheck.showing.image import binary_image, png_address
 from ebamcheck_reports.canvas import Canvas, around, outline
 from ebamcheck_reports.markup import Markup, element
 from ebamcheck_reports.paper import published
-from ebamcheck_reports.paper.png import data_uri
 from ebamcheck_reports.paper.subject import Subject
 from ebamcheck_reports.paper.timing import STENCIL
 
@@ -119,7 +119,7 @@ def _whole(image: Image, contours: Layers) -> Markup:
     canvas.body.append(
         element(
             "image", x=f"{x0:.2f}", y=f"{y0:.2f}", width=f"{x1 - x0:.2f}", height=f"{y1 - y0:.2f}",
-            preserveAspectRatio="none", href=data_uri(image[::-1]),
+            preserveAspectRatio="none", href=png_address(binary_image(image[::-1])),
         )
     )  # fmt: skip
     _add_contours(canvas, contours, 1.4)

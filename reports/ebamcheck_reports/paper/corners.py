@@ -8,7 +8,7 @@ import numpy as np
 
 from ebamcheck.curves import SPLINE, Curves, fit, fit_deviation
 from ebamcheck.layers.stack import Layers
-from ebamcheck.layers.svg import COLOURS
+from ebamcheck.showing.colours import COLOURS
 from ebamcheck_reports.canvas import Canvas
 from ebamcheck_reports.markup import DOTS, Markup, legend
 from ebamcheck_reports.paper import published

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ebamcheck.layers.svg import COLOURS, DASHES
+from ebamcheck.showing.colours import COLOURS, DASHES
 from ebamcheck_reports.charts import BOTTOM_PX, LEFT_PX, RIGHT_PX, TOP_PX, WIDTH_PX, Series
 from ebamcheck_reports.markup import DOTS, Markup, element, join, legend
 

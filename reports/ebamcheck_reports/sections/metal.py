@@ -8,6 +8,7 @@ import pandas as pd
 from ebamcheck.program.checking.deposit_checks import DEPOSIT_CHECKS
 from ebamcheck.program.checking.metal_field import FIELD_FILE, read_field
 from ebamcheck.scan.islands.regions import layer_section
+from ebamcheck.showing.markup import inline
 from ebamcheck_reports import metal_picture
 from ebamcheck_reports.charts import Series, line_chart
 from ebamcheck_reports.figures import percent
@@ -92,9 +93,7 @@ def _worst(run: RunData, layers: pd.DataFrame) -> list[Markup]:
         f"The layer that comes nearest to a limit, {name}, as the program's text lays it on those below: its own metal, and the "
         "surface when it is done. Rings mark the places that the checks name."
     )
-    # Inside of a page a picture has the name space of the page.
-    inline = Markup(svg.replace(metal_picture.NAMESPACE, ' class="paper"', 1))
-    return [picture(inline, caption, name="metal-worst")]
+    return [picture(inline(svg, "paper"), caption, name="metal-worst")]
 
 
 def _places(found: pd.Series, thickness_mm: float) -> tuple[list[metal_picture.Place], ...]:

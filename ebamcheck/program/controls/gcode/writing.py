@@ -38,6 +38,7 @@ def write_linuxcnc(
     *,
     validated: bool = False,
     header: Mapping[str, str] | None = None,
+    path: Toolpath | None = None,
 ) -> ProgramFiles:
     """Write one ``.ngc`` file: splines as G5, exactly, unless ``machine.curve_form`` asks for arcs or lines.
 
@@ -48,7 +49,7 @@ def write_linuxcnc(
     form = forms.get(machine.curve_form, "cubics")
     tolerance = plain(machine.smoothing_tolerance_mm)
     modes = ["G17 G21 G90 G91.1 G94", "G40 G49 G80", "G92.1", machine.work_offset, f"G64 P{tolerance}"]
-    return _write(curves, plan, config, Path(folder), linuxcnc.CONTROL, form, modes, validated, header)
+    return _write(curves, plan, config, Path(folder), linuxcnc.CONTROL, form, modes, validated, header, path)
 
 
 def write_plain_gcode(
@@ -59,6 +60,7 @@ def write_plain_gcode(
     *,
     validated: bool = False,
     header: Mapping[str, str] | None = None,
+    path: Toolpath | None = None,
 ) -> ProgramFiles:
     """Write one ``.gcode`` file of G0 to G3: splines as arcs within ``machine.line_tolerance_mm``, or as lines.
 
@@ -67,7 +69,9 @@ def write_plain_gcode(
     machine = config.machine
     form: Form = "chords" if machine.curve_form == "lines" else "arcs"
     modes = ["G17 G21 G90 G94", machine.work_offset]
-    return _write(curves, plan, config, Path(folder), plain_gcode.CONTROL, form, modes, validated, header)
+    return _write(
+        curves, plan, config, Path(folder), plain_gcode.CONTROL, form, modes, validated, header, path
+    )
 
 
 def _write(
@@ -80,8 +84,9 @@ def _write(
     modes: list[str],
     validated: bool,
     header: Mapping[str, str] | None,
+    path: Toolpath | None,
 ) -> ProgramFiles:
-    lines = one_file(curves, plan, config, control, splines, modes, validated, header or {})
+    lines = one_file(curves, plan, config, control, splines, modes, validated, header or {}, path)
     name = f"{config.machine.program_name}{control.suffixes[0].lower()}"
     text = "\n".join([comment(config.machine.program_name), *lines, "M2"]) + "\n"
     return write_files({name: text}, folder, validated=validated)
@@ -96,11 +101,12 @@ def one_file(
     modes: list[str],
     validated: bool,
     header: Mapping[str, str],
+    path: Toolpath | None = None,
 ) -> list[str]:
     """Lines of a program that is one file, from its status to the place where the tool is parked."""
     templates = usable_templates(config, control.name)
     form = BlockFormat(config.machine.printed_decimals)
-    path = driven_path(curves, plan, config, form.decimals, splines, config.machine.line_tolerance_mm)
+    path = path or driven_path(curves, plan, config, form.decimals, splines, config.machine.line_tolerance_mm)
     at = path.kind == CUBIC
     motions = motion_text(path, form, form.beziers(path.bezier, path.segment_start[at], path.end[at]))
     heat = interpass_of(plan, config)

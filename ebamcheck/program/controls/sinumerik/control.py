@@ -80,4 +80,6 @@ CONTROL = Control(
     form_lines=form_lines,
     tolerance_word=" CTOL=",
     file_faults="ebamcheck.program.controls.sinumerik.files:file_faults",
+    waiting="ebamcheck.program.controls.sinumerik.waiting:waiting_program",
+    handshake="ebamcheck.program.controls.sinumerik.handshake:handshake_check",
 )

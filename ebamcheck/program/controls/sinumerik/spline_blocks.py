@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from scipy.interpolate import BSpline
 
 from ebamcheck.numeric.rings import Floats, Ints
 
@@ -80,6 +79,8 @@ def spline_spans(
     """
     m = len(blocks) - 1
     knots = even_knots(m, degree) if shift == "uniform" else knot_vector(blocks[1:, 2], shift, degree)
+    from scipy.interpolate import BSpline  # half of the time that this package takes to import
+
     spline = BSpline(knots, blocks[:, :2], degree)
     index = degree + np.flatnonzero(np.diff(knots[degree : m + 2]) > 0.0)
     begin, h = knots[index], (knots[index + 1] - knots[index])[:, None]

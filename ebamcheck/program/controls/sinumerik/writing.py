@@ -47,6 +47,7 @@ def write_program(
     *,
     validated: bool = False,
     header: Mapping[str, str] | None = None,
+    path: Toolpath | None = None,
 ) -> ProgramFiles:
     """Write the program of a stack: contour rings first, then islands in scan order, layer by layer.
 
@@ -64,6 +65,9 @@ def write_program(
         Status line of every file; see :func:`mark_validated` for the order in which a run does it.
     header
         Further lines ``KEY: VALUE`` of the main program's comment block (part hash, commit).
+    path
+        The tracks laid out of curves and plan by :func:`~ebamcheck.program.toolpath.bead_ends.planned_path`, where they are
+        there already.
 
     Raises
     ------
@@ -74,9 +78,8 @@ def write_program(
     machine = config.machine
     templates = usable_templates(config, NAME)
     form = BlockFormat(machine.printed_decimals)
-    path = driven_path(
-        curves, plan, config, form.decimals, _licensed_form(curves, machine), machine.line_tolerance_mm
-    )
+    splines = _licensed_form(curves, machine)
+    path = path or driven_path(curves, plan, config, form.decimals, splines, machine.line_tolerance_mm)
     layers = len(path.z)
     name = machine.program_name
     digits = max(4, len(str(layers)))

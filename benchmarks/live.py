@@ -1,0 +1,161 @@
+"""How soon a layer is published on its measured height: ``python -m benchmarks.live RUN --part PART``; tables in reports/live.
+
+A whole build against the beads of :mod:`ebamcheck.live.bed`, in one process: each time is from the line with the height to the
+answer, with every gate and everything on disk. The processor's time stands beside it, since others may work on the machine, too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import os
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from benchmarks.machine import machine
+from benchmarks.tables import markdown_table
+from ebamcheck.live.bed import Growth
+from ebamcheck.live.building import Building
+from ebamcheck.live.desk import answer_to
+from ebamcheck.live.loading import FinishedRun, finished_run
+from ebamcheck.live.making import LayerMaker
+
+LATENCIES, SUMMARY, TEXT = "latency.csv", "latency-by-islands.csv", "latency.md"
+
+ISLANDS = (0, 15, 50, 100, 300, 10**9)
+"""Borders of the groups by islands: more than one, up to the next."""
+
+TARGETS_S = {50: 0.2, 300: 0.5}
+"""Latency that is aimed at for layers of up to so many islands."""
+
+STAGES = ("slice", "compare", "fit", "plan", "write", "verify")
+
+
+def built(found: FinishedRun, growth: Growth, side_mm: float | None, most: int | None) -> pd.DataFrame:
+    """Build a part and time every answer; one row a layer that was published on a measured height."""
+    config = found.config if side_mm is None else found.config.changed(scan={"hexagon_side_mm": side_mm})
+    rows: list[dict[str, Any]] = []
+    with (
+        tempfile.TemporaryDirectory(prefix="benchmark-live-") as folder,
+        LayerMaker(found.part, config, found.primary) as maker,
+    ):
+        building = Building(maker, Path(folder) / "build")
+        try:
+            answer = answer_to(building, b'{"event": "start"}')
+            while answer["answer"] == "published" and (most is None or len(rows) < most):
+                layer, thickness_mm = int(answer["layer"]), float(answer["thickness_mm"])
+                height_mm = answer["base_mm"] + growth.grown_mm(layer, thickness_mm)
+                line = json.dumps({"event": "height", "done": layer + 1, "height_mm": height_mm}).encode()
+                wall, processor = time.perf_counter(), time.process_time()
+                answer = answer_to(building, line)
+                seconds = time.perf_counter() - wall
+                spent = time.process_time() - processor
+                building.heights.write()
+                if answer["answer"] == "published":
+                    stages = {name: answer["seconds"].get(name, 0.0) for name in STAGES}
+                    rows.append({"layer": layer + 1, "islands": answer["islands"], "tries": answer["tries"],
+                                 "wall_s": seconds, "processor_s": spent, **stages})  # fmt: skip
+                elif answer["answer"] != "done":
+                    raise SystemExit(f"the build stands at layer {layer + 1}: {answer}")
+        finally:
+            building.close()
+    return pd.DataFrame(rows)
+
+
+def by_islands(table: pd.DataFrame) -> pd.DataFrame:
+    """Median and 99th percentile of the times of layers with about as many islands.
+
+    Examples
+    --------
+    >>> rows = pd.DataFrame({"islands": [10, 12, 40], "wall_s": [1.0, 3.0, 5.0], "processor_s": [1.0, 1.0, 2.0]})
+    >>> by_islands(rows)[["islands", "layers", "median_s"]].values.tolist()
+    [['1 to 15', 2, 2.0], ['16 to 50', 1, 5.0], ['all', 3, 3.0]]
+    """
+    groups = [
+        (f"{low + 1} to {high}" if high < ISLANDS[-1] else f"over {low}", table[(table["islands"] > low) & (table["islands"] <= high)])
+        for low, high in itertools.pairwise(ISLANDS)
+    ]  # fmt: skip
+    rows = [
+        {
+            "islands": name,
+            "layers": len(of),
+            "median_s": float(of["wall_s"].median()),
+            "p99_s": float(np.quantile(of["wall_s"], 0.99)),
+            "processor_median_s": float(of["processor_s"].median()),
+            "processor_p99_s": float(np.quantile(of["processor_s"], 0.99)),
+        }
+        for name, of in [*groups, ("all", table)]
+        if len(of)
+    ]
+    return pd.DataFrame(rows)
+
+
+def text(tables: dict[str, pd.DataFrame], what: str) -> str:
+    """The report in Markdown."""
+    head = ["hexagons", "islands", "layers", "median, s", "99th percentile, s", "processor, median, s", "99th percentile, s"]  # fmt: skip
+    rows = []
+    for name, table in tables.items():
+        for row in by_islands(table).to_dict("records"):
+            times = (row["median_s"], row["p99_s"], row["processor_median_s"], row["processor_p99_s"])
+            rows.append([name, str(row["islands"]), str(row["layers"]), *(f"{t:.3f}" for t in times)])
+    aims = " and ".join(f"{aim:g} s for up to {n} islands" for n, aim in TARGETS_S.items())
+    return (
+        f"# Latency of a live build\n\n{what}\n\n{markdown_table(head, rows)}\n\nAimed at in a running server are {aims}. "
+        "Times are from the line with the height to the answer, when the layer has passed every gate and lies on disk.\n"
+    )
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Build, print, and write the tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("run", type=Path, help="a finished run folder")
+    parser.add_argument("--part", type=Path, default=None)
+    parser.add_argument("--layers", type=int, default=None, help="stop after so many layers")
+    parser.add_argument("--drift", type=float, default=0.1)
+    parser.add_argument("--noise", type=float, default=0.05)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument(
+        "--side", type=float, nargs="*", default=[], help="builds with hexagons of these sides, mm, too"
+    )
+    parser.add_argument("--side-layers", type=int, default=14, help="layers of each of those")
+    parser.add_argument("-o", "--output", type=Path, default=Path("reports/live"))
+    given = parser.parse_args(arguments)
+    growth = Growth(given.drift, given.noise, given.seed)
+    found = finished_run(given.run, given.part)
+    tables = {
+        "planned" if side is None else f"{side:g} mm": built(
+            found, growth, side, given.layers if side is None else given.side_layers
+        )
+        for side in (None, *given.side)
+    }
+    here, load = machine(), os.getloadavg()[0]
+    command = f"python -m benchmarks.live {given.run.name} --drift {given.drift:g} --noise {given.noise:g} --seed {given.seed}"
+    command += f" --layers {given.layers}" if given.layers else ""
+    command += (
+        f" --side {' '.join(f'{side:g}' for side in given.side)} --side-layers {given.side_layers}"
+        if given.side
+        else ""
+    )
+    what = (
+        f"Part `{found.part.name}`, {len(found.part.faces)} facets, built by `{command}`. "
+        f"Machine: {here['cpu']}, {here['cores']} cores; {load:.1f} processes ran on it in the last minute."
+    )
+    given.output.mkdir(parents=True, exist_ok=True)
+    named = [table.assign(hexagons=name) for name, table in tables.items()]
+    pd.concat(named).round(4).to_csv(given.output / LATENCIES, index=False)
+    grouped = [by_islands(table).assign(hexagons=name) for name, table in tables.items()]
+    pd.concat(grouped).round(4).to_csv(given.output / SUMMARY, index=False)
+    report = text(tables, what)
+    (given.output / TEXT).write_text(report, encoding="utf-8")
+    print(report)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,45 @@
+"""The metal of a part that is half built: how uneven its surface is, and the sums that hold for all of its layers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pandas as pd
+
+from ebamcheck.mesh.part import Part
+from ebamcheck.metal import Surface
+from ebamcheck.program.checking.metal_below import MetalBelow
+from ebamcheck.settings.config import Config
+
+
+@dataclass(frozen=True, eq=False)
+class MetalSoFar:
+    """What stands when a layer begins.
+
+    Parameters
+    ----------
+    below
+        Sums over the layers that stand.
+    surface
+        Their surface by the text of their programs; None: taken as level.
+    """
+
+    below: MetalBelow = field(default_factory=MetalBelow)
+    surface: Surface | None = None
+
+    @classmethod
+    def none(cls, part: Part, config: Config) -> MetalSoFar:
+        """Return that of the bare plate, with room for all layers of a part."""
+        bead_mm = config.process.bead_width_mm
+        room_mm = bead_mm + config.process.machining_allowance_mm
+        low, high = part.bounds[0, :2] - room_mm, part.bounds[1, :2] + room_mm
+        return cls(MetalBelow(), Surface(np.concatenate([low, high]), bead_mm))
+
+    def measured(self) -> MetalSoFar:
+        """Return the same when its height was measured: its surface is on average there, and as uneven as it was."""
+        return self if self.surface is None else MetalSoFar(self.below, self.surface.measured())
+
+    def with_layer(self, layers: pd.DataFrame, surface: Surface, config: Config) -> MetalSoFar:
+        """Return it with a layer more, of which `layers` has the figures."""
+        return MetalSoFar(self.below.and_layers(layers, config.process), surface)

@@ -1,0 +1,192 @@
+"""Check of the wire of every bead by the place that it lies at, from the text and the sections alone.
+
+Where beads meet they share the metal of a layer, so that each takes as much wire as is missing under it. What a bead's place
+asks for is the metal of the layer there, over what all beads together lay there, as a mean over the bead's footprint. In a
+sound program that is nearly one number for all hatch beads, and another for all contours, whose flanks reach over the rim; a
+bead with more or less wire than its neighbours leave it, or that ends short of its place, stands out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import shapely
+from scipy import ndimage
+
+from ebamcheck.layers.stack import Layers
+from ebamcheck.metal import Surface, target_of
+from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.program.checking.checks import Check
+from ebamcheck.program.checking.deposit import STEP_SHARE, metal_places, pool_of, spread
+from ebamcheck.program.reading.motions import NCProgram
+from ebamcheck.program.reading.roles import beads_of
+from ebamcheck.program.toolpath.wire import metal_region, width_limits_mm
+from ebamcheck.scan.islands.regions import layer_section
+from ebamcheck.settings.config import Config
+from ebamcheck.settings.wire_speed import wire_mm2
+
+NAME = "wire of beads"
+
+LEAST_STRETCH = 0.5
+"""Length of a stretch, in bead widths, under which the steps beside it make its place."""
+
+MOST_OF_SHORT = 0.25
+"""The same of a bead that is shorter than it is wide: most of its place is that of its ends, which others share."""
+
+LEVELLING, MOST_LEVELLED = 0.3, 0.2
+"""Share of what lies too high or too low that a layer levels, and share of its height that this may come to: what is asked for
+is what a layer needs on the surface that is there."""
+
+MOST = MOST_LEVELLED
+"""Wire that a bead may lack, over what it has, or have too much of, over what its place asks for: what the layer above levels.
+Of the beads of sound programs of a blade, a torus, a cube and five small parts none is off by more than 0.142; a bead with
+0.7 of its wire lacks 0.23 and more."""
+
+MOST_OF_STRETCH = MOST + 0.15
+"""The same of a stretch of a bead at one speed of the wire: along a contour that changes where walls get thin, in steps of 15 %."""
+
+AT_LIMIT = 0.01
+"""A bead within this of the least or greatest wire cannot have less, or more."""
+
+LEAST_BEADS = 0.1
+"""Length of a bead, in bead widths, under which it has hardly a place of its own."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Asked:
+    """What the places of one layer's motions ask for: sums over each bead (B,), by the way of their metal."""
+
+    bead: Ints
+    """(n,) bead of each place."""
+    along_mm: Floats
+    """(n,) length of bead that each place stands for."""
+    over: Floats
+    """(n,) metal that is asked for, over what is laid."""
+    at_limit: Floats
+    """(n,) -1 where the bead has the least wire, 1 where it has the most, else 0."""
+
+
+def bead_wire_check(nc: NCProgram, config: Config, z_of: Floats, layers: Layers) -> Check:
+    """Check that every bead has the wire that its place asks for, as others of its kind have.
+
+    Parameters
+    ----------
+    z_of
+        (L,) Z of each of the `layers` in the program.
+    """
+    beads = beads_of(nc)
+    rows, size = beads.rows, len(nc)
+    step = np.ones(rows.size, np.bool_)
+    step[1:] = (np.diff(beads.bead) != 0) | (np.diff(nc.wire_mm_s[rows]) != 0.0)
+    own = np.full(size, -1, np.int64)
+    own[rows] = np.cumsum(step) - 1
+    found = _asked(nc, config, z_of, layers, own)
+    bead_mm = config.process.bead_width_mm
+    stretches = _compared(nc, found, rows[step], LEAST_STRETCH * bead_mm, MOST_OF_STRETCH, 0.0)
+    of_bead = replace(found, bead=beads.bead[step][found.bead])
+    whole = _compared(nc, of_bead, beads.first, LEAST_BEADS * bead_mm, MOST, bead_mm)
+    first, off, judged, most = (np.concatenate(both) for both in zip(whole, stretches, strict=True))
+    return _worst(nc, first, off, judged, most)
+
+
+def _compared(
+    nc: NCProgram,
+    found: _Asked,
+    first: Ints,
+    least_mm: float,
+    most: float,
+    short_mm: float,
+) -> tuple[Ints, Floats, Bools, Floats]:
+    """What the places of beads, or of stretches of them, ask for over what others of their kind do.
+
+    Parameters
+    ----------
+    first
+        (B,) first motion of each.
+    least_mm, short_mm
+        Length under which one is not judged, and under which :data:`MOST_OF_SHORT` is its limit.
+    most
+        Limit of what is lacking, and of what is too much.
+
+    Returns
+    -------
+    tuple
+        First motions, what is asked for over the median of the kind, whether it is judged, and its limit, (B,) each.
+    """
+    count = first.size
+    bead, weight = found.bead, found.along_mm
+    length = np.bincount(bead, weight, minlength=count)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        asked = np.bincount(bead, weight * found.over, minlength=count) / length
+        limit = np.bincount(bead, weight * found.at_limit, minlength=count) / length
+    contour = nc.ring[first] >= 0
+    off = np.zeros(count)
+    for mine in ((length >= least_mm) & contour, (length >= least_mm) & ~contour):
+        if mine.any():
+            off[mine] = asked[mine] / np.median(asked[mine])
+    excused = ((off > 1.0) & (limit > 0.5)) | ((off < 1.0) & (limit < -0.5))
+    allowed = np.where(length < short_mm, MOST_OF_SHORT, most)
+    return first, off, (off > 0.0) & ~excused, allowed
+
+
+def _worst(nc: NCProgram, first: Ints, off: Floats, judged: Bools, most: Floats) -> Check:
+    """The bead that is furthest over its limit `most` (B,), or nearest to it, as a check; `first` (B,) is the first motion of each."""
+    if not judged.any():
+        return Check(NAME, True, 0.0, MOST, "of the wire", "", "no bead has a place of its own")
+    far = np.where(judged, np.maximum(off, 1.0 / np.where(off > 0.0, off, 1.0)) - 1.0, 0.0)
+    k = int(np.argmax(far / most))
+    row = int(first[k])
+    said = f"a bead has {1.0 / off[k]:.3g} times the wire that its place asks for"
+    text = f"{int(judged.sum())} beads and stretches of beads; {said}, compared with the others"
+    x_mm, y_mm = (float(v) for v in nc.start[row, :2])
+    return Check(
+        NAME, bool(far[k] <= most[k]), float(far[k]), float(most[k]), "of the wire", nc.where(row), text,
+        int(nc.layer[row]), x_mm, y_mm,
+    )  # fmt: skip
+
+
+def _asked(nc: NCProgram, config: Config, z_of: Floats, layers: Layers, own: Ints) -> _Asked:
+    """What the places of all motions ask for, layer by layer on the surface that is there; `own` is the bead of each motion."""
+    process = config.process
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mm2 = np.nan_to_num(nc.wire_mm_s * wire_mm2(config) / (nc.feed_mm_min / 60.0), posinf=0.0)
+    rows = np.flatnonzero(nc.deposit & nc.wire & np.isfinite(nc.start).all(axis=1) & (own >= 0))
+    sections = [metal_region(layer_section(layers.polygons(k)), config) for k in range(len(layers))]
+    bounds = np.nan_to_num(shapely.total_bounds(sections))
+    surface = Surface(np.asarray(bounds, np.float64), process.bead_width_mm)
+    step, pool = surface.step_mm, pool_of(process.bead_width_mm, surface.step_mm)
+    thickness = np.diff(z_of, prepend=config.base_mm)
+    found = [_Asked(np.zeros(0, np.int64), *np.zeros((3, 0)))]
+    for k, section in enumerate(sections):
+        height = float(thickness[k])
+        mine = rows[nc.layer[rows] == k]
+        target = target_of(section, step, 2.0 * process.bead_width_mm)
+        if not (target.share.size and mine.size and height > 0.0):
+            surface.add(target, target.share, height)
+            continue
+        places, volume, row = metal_places(nc, mine, mm2, process.bead_width_mm * STEP_SHARE)
+        laid = ndimage.convolve(spread(target, places, volume) / step**2, pool, mode="constant")
+        levelled = LEVELLING * surface.over_mm(target) / height
+        surface.add(target, laid, height)
+        wanted = target.share * height * (1.0 - np.clip(levelled, -MOST_LEVELLED, MOST_LEVELLED))
+        over = np.divide(wanted, laid, out=np.zeros_like(laid), where=laid > 1e-9 * height)
+        along = nc.lengths[row] / np.bincount(row, minlength=len(nc))[row]
+        asked = _read(ndimage.convolve(over, pool, mode="constant"), (places - target.origin) / step)
+        least, most = width_limits_mm(config, height)
+        width = mm2[row] / height
+        limit = 1.0 * (width >= most * (1.0 - AT_LIMIT)) - 1.0 * (width <= least * (1.0 + AT_LIMIT))
+        found.append(_Asked(own[row], along, asked, limit))
+    return _Asked(
+        np.concatenate([a.bead for a in found]),
+        np.concatenate([a.along_mm for a in found]),
+        np.concatenate([a.over for a in found]),
+        np.concatenate([a.at_limit for a in found]),
+    )
+
+
+def _read(field: Floats, at: Floats) -> Floats:
+    """Values (n,) of a field (rows, columns) at places `at` (n, 2), in cells; 0 beside it."""
+    return np.asarray(
+        ndimage.map_coordinates(field, (at - 0.5).T[::-1], order=1, mode="constant"), np.float64
+    )

@@ -1,0 +1,72 @@
+"""Check of the words of the motions that lay metal: a program that names X and Y in every block names them in each.
+
+An axis that is left out stays where it was: a word that was lost leaves a motion that every control drives, to a wrong place;
+and a way that was lost leaves the tool over the last bead. Programs of another form, in which blocks name what changes, show no such loss and are left out.
+"""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from ebamcheck.program.checking.checks import Check, count_check
+from ebamcheck.program.reading.motions import RAPID, NCProgram
+from ebamcheck.program.reading.roles import beads_of
+
+NAME = "words of motions"
+
+_ASIDE = re.compile(rb"\([^)]*\)|;.*")
+"""Comments, and the lists of a polynomial, whose axis stands before them."""
+
+MOST_WHOLE = 0.9
+"""Share of the blocks with metal that name both axes from which on it is the form of the program to do so."""
+
+FEW = 2
+"""So many beads without a way are a loss in a program of any size."""
+
+
+def words_check(nc: NCProgram) -> Check:
+    """Check that no block of a bead lacks an axis that nearly all others name, and no way to a bead lacks its place."""
+    lines = [file.data.split(b"\n") for file in nc.files]
+    text = f"{len(nc)} motions name X and Y as the others do"
+    return count_check(NAME, [*_blocks(nc, lines), *_ways(nc, lines)], text)
+
+
+def _blocks(nc: NCProgram, lines: list[list[bytes]]) -> list[tuple[str, str]]:
+    """Blocks of metal that lack an axis."""
+    metal = np.flatnonzero(nc.deposit & (nc.kind != RAPID))
+    places = sorted(set(zip(nc.file[metal].tolist(), nc.line[metal].tolist(), strict=True)))
+    lacking = [(file, line, absent) for file, line in places if (absent := _absent(lines[file][line - 1]))]
+    whole = len(places) - len(lacking)
+    if whole < MOST_WHOLE * len(places):
+        return []  # A program in which blocks name what changes.
+    return [
+        (
+            f"{nc.files[file].name}:{line}",
+            f"names no {' and no '.join(absent)}, as {whole} other blocks of beads do",
+        )
+        for file, line, absent in lacking
+    ]
+
+
+def _ways(nc: NCProgram, lines: list[list[bytes]]) -> list[tuple[str, str]]:
+    """Beads to which the tool rises and descends without a rapid in X or Y between."""
+    beads = beads_of(nc)
+    before = np.concatenate([[-1], beads.last[:-1]]) if len(beads) else beads.last
+    bare, hops = [], 0
+    for after, first in zip(before.tolist(), beads.first.tolist(), strict=True):
+        rapids = [row for row in range(after + 1, first) if nc.kind[row] == RAPID]
+        codes = [lines[nc.file[row]][nc.line[row] - 1] for row in rapids]
+        hops += bool(codes)
+        if codes and all(_absent(code) == ["X", "Y"] for code in codes):
+            bare.append(
+                (nc.where(first), "is reached by a rise and a descent on one spot: the way to it is missing")
+            )
+    return bare if len(bare) <= max(FEW, (1.0 - MOST_WHOLE) * hops) else []
+
+
+def _absent(line: bytes) -> list[str]:
+    """Axes of the plane that a block does not name."""
+    code = _ASIDE.sub(b"", line).upper()
+    return [axis for axis in "XY" if axis.encode() not in code]

@@ -1,0 +1,317 @@
+"""The waiting main program judged by what it does: its text is run against doors that answer, are silent, late, or wrong.
+
+A small machine runs the text block by block: labels, jumps, assignments of R parameters and variables, waits, messages, stops,
+calls by name. What it does not know is refused. It shares no code with the writer, and asks for nothing of how the loop is
+written: what counts is which layers are called, when, and what is off when the program stops.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+from ebamcheck.errors import InputError
+from ebamcheck.program.checking.checks import Check, count_check
+from ebamcheck.program.controls.sinumerik.control import NAME
+from ebamcheck.program.controls.sinumerik.words import read_block
+from ebamcheck.program.language.template_rules import checked_templates
+from ebamcheck.program.language.words import WordError
+from ebamcheck.program.reading.recognition import Templates
+from ebamcheck.settings.config import Config
+
+CHECK = "handshake"
+
+BLOCKS_A_POLL = 60
+"""Blocks for each time that a program asks within the time-out after which one that has not ended is taken for one that never does."""
+
+ROUNDING_S = 1e-6
+"""Of sums of times."""
+
+LONGEST_BLOCK = 200
+"""Characters of a block."""
+
+_BLOCK = re.compile(r"N(\d+) (?:([A-Z_][A-Z0-9_]+): )?(.+)")
+_TOKEN = re.compile(r'\s*(R\d+|[A-Z_][A-Z0-9_]*|\d+\.?\d*|"[^"]*"|<<|==|<>|>=|<=|[-+<>(),])')
+_SET = re.compile(r"(R\d+|[A-Z_][A-Z0-9_]+)=(?!=)(.+)")
+_JUMP = re.compile(r"(?:IF (.+) )?GOTO([FB]) ([A-Z_][A-Z0-9_]+)")
+_DEF = re.compile(r"DEF (INT|STRING\[\d+\]) ([A-Z_][A-Z0-9_]+)")
+
+Door = Callable[["Run"], None]
+"""What is on the other side: it sees the machine whenever time has gone by, and may set R parameters."""
+
+
+@dataclass
+class Run:
+    """The machine while it runs a text."""
+
+    door: Door
+    watched: frozenset[str]
+    """Parameters that the door writes: the control reads ahead unless STOPRE stands before."""
+    values: dict[str, Any] = field(default_factory=dict)
+    time_s: float = 0.0
+    on: set[str] = field(default_factory=set)
+    calls: list[tuple[str, float]] = field(default_factory=list)
+    stops: list[tuple[str, float, bool]] = field(default_factory=list)
+    """M0 or M30, when, and whether beam and wire were commanded off since time went by."""
+    faults: list[tuple[int, str]] = field(default_factory=list)
+    fresh: bool = False
+    off: set[str] = field(default_factory=set)
+    shown: str = ""
+    line: int = 0
+
+    def passes(self, seconds: float) -> None:
+        """Let time go by: what was read or commanded before it is old then."""
+        self.time_s += seconds
+        self.fresh = False
+        self.off.clear()
+        self.door(self)
+
+
+def handshake_check(text: str, file: str, config: Config) -> Check:
+    """Judge the text of a waiting main program; see :func:`scenarios` for what it has to stand."""
+    try:
+        faults = [(f"{file}:{line}", what) for line, what in _faults(text, config)]
+    except InputError as error:
+        where, _, what = str(error).partition(" ")
+        faults = [(f"{file}:{where}", what)]
+    return count_check(CHECK, faults, "the main program waits for released layers and for nothing else")
+
+
+def _faults(text: str, config: Config) -> Iterator[tuple[int, str]]:
+    lines = text.split("\n")
+    ends = [i for i, line in enumerate(lines, 1) if _BLOCK.fullmatch(line) and _code(line) == "M30"]
+    if len(ends) != 1 or any(line.startswith("N") for line in lines[ends[0] :]):
+        yield (ends[-1] if ends else len(lines)), f"{len(ends)} blocks M30: one ends the program"
+        return
+    for i, line in enumerate(lines, 1):
+        if len(line) > LONGEST_BLOCK or not line.isascii():
+            yield i, f"is no block of at most {LONGEST_BLOCK} ASCII characters"
+    for name, door, wanted in scenarios(config):
+        run = run_text(text, door, config)
+        yield from run.faults[:1]
+        what = wanted(run)
+        if what:
+            yield ends[0], f"{name}: {what}"
+
+
+def _code(line: str) -> str:
+    found = _BLOCK.fullmatch(line)
+    return found[3] if found else ""
+
+
+# -- doors -------------------------------------------------------------------------------------------
+
+
+def scenarios(config: Config) -> list[tuple[str, Door, Callable[[Run], str]]]:
+    """Doors by name, and what is wrong with what the program did, empty if nothing."""
+    machine = config.machine
+    done, released, number, wait = (f"R{machine.live_r + k}" for k in range(4))
+    stem, limit_s, poll_s = machine.program_name[:10], machine.live_timeout_s, machine.live_poll_s
+    numbers, wait_s, last = (1, 2, 1), 3.0 * poll_s, 3
+
+    def good(run: Run) -> None:
+        layer = int(run.values.get(done, 0)) + 1
+        if layer <= last:
+            run.values |= {number: numbers[layer - 1], wait: wait_s}
+        run.values[released] = layer if layer <= last else -1
+
+    def silent(run: Run) -> None:
+        pass
+
+    def old(run: Run) -> None:
+        # What was left by a build of before: it holds until the program has begun.
+        if not run.values:
+            run.values |= {done: 4.0, released: 1.0, number: 9.0}
+
+    def wrong(run: Run) -> None:
+        run.values |= {released: int(run.values.get(done, 0)) + 2, number: 1}
+
+    def late(run: Run) -> None:
+        if run.stops:
+            good(run)
+
+    def called(run: Run, layers: int = last) -> str:
+        names = [f"{stem}_K{k + 1:04d}R{numbers[k]}_L0001" for k in range(layers)]
+        if [name for name, _ in run.calls] != names:
+            return f"calls {', '.join(name for name, _ in run.calls) or 'nothing'}, not {', '.join(names)}"
+        early = [k for k in range(1, layers) if run.calls[k][1] - run.calls[k - 1][1] < wait_s - ROUNDING_S]
+        if early:
+            return f"calls layer {early[0] + 1} before its least wait of {wait_s:g} s is over"
+        return _ended(run)
+
+    def waited(run: Run) -> str:
+        if run.calls:
+            return f"calls {run.calls[0][0]}, which nobody released"
+        if not run.stops:
+            return "never stops waiting"
+        code, at_s, off = run.stops[0]
+        if not limit_s <= at_s <= limit_s + 2.0 * poll_s:
+            return f"stops after {at_s:g} s, the stated time-out is {limit_s:g} s"
+        if code != ("M0" if machine.live_late == "stop" else "M30"):
+            return f"ends waiting by {code}; machine.live_late is {machine.live_late!r}"
+        if not off:
+            return "does not command wire and beam off when it stops waiting"
+        return "" if run.shown else "stops without a message"
+
+    def resumed(run: Run) -> str:
+        return called(run) if machine.live_late == "stop" else ""
+
+    return [
+        ("released layers", good, called),
+        ("a silent server", silent, waited),
+        ("values of before", old, waited),
+        ("another layer than the next", wrong, waited),
+        ("a release after the time-out", late, resumed),
+    ]
+
+
+def _ended(run: Run) -> str:
+    if not run.stops or run.stops[-1][0] != "M30":
+        return "does not end when the part is built"
+    return "" if run.stops[-1][2] else "does not command wire and beam off at its end"
+
+
+# -- the machine -------------------------------------------------------------------------------------
+
+
+def run_text(text: str, door: Door, config: Config) -> Run:
+    """Run a text to its end; one that goes on for ever after a stop is left there.
+
+    Raises
+    ------
+    InputError
+        For a block that is not understood, as ``LINE what``.
+    """
+    templates = Templates(checked_templates(config.machine, NAME))
+    first = config.machine.live_r
+    run = Run(door, frozenset(f"R{first + k}" for k in (1, 2, 3)))
+    blocks = [
+        (i, m[2] or "", m[3]) for i, line in enumerate(text.split("\n"), 1) if (m := _BLOCK.fullmatch(line))
+    ]
+    labels = {label: k for k, (_, label, _) in enumerate(blocks) if label}
+    run.door(run)
+    at, most = 0, int(BLOCKS_A_POLL * (config.machine.live_timeout_s / config.machine.live_poll_s + 100.0))
+    for _ in range(most):
+        if at >= len(blocks) or (run.stops and (run.stops[-1][0] == "M30" or len(run.stops) > 1)):
+            return run
+        run.line, _, code = blocks[at]
+        try:
+            at = _step(run, code.partition(" ;")[0].rstrip(), at, labels, templates)
+        except (WordError, ValueError, KeyError, TypeError, IndexError) as error:
+            raise InputError(f"{run.line} {code!r} is not understood: {error}") from None
+    run.faults.append((run.line, f"has not ended after {most} blocks"))
+    return run
+
+
+def _step(run: Run, code: str, at: int, labels: dict[str, int], templates: Templates) -> int:
+    """Run one block; return the next."""
+    if jump := _JUMP.fullmatch(code):
+        if jump[1] and not Expression(jump[1], run).value():
+            return at + 1
+        target = labels[jump[3]]
+        if (target > at) != (jump[2] == "F"):
+            raise ValueError(f"GOTO{jump[2]} leads the other way")
+        return target
+    if code == "STOPRE":
+        run.fresh = True
+    elif code in ("M0", "M30"):
+        run.stops.append((code, run.time_s, {"beam_off", "wire_stop"} <= run.off and not run.on))
+        run.passes(1.0)
+    elif found := re.fullmatch(r'MSG\((?:"([^"]*)")?\)', code):
+        run.shown = found[1] or ""
+    elif found := re.fullmatch(r"G4 F(=?)(.+)", code):
+        seconds = float(Expression(found[2], run).value()) if found[1] else float(found[2])
+        if seconds < 0.0:
+            raise ValueError("waits a negative time")
+        run.passes(seconds)
+    elif found := re.fullmatch(r"CALL ([A-Z_][A-Z0-9_]+)", code):
+        run.calls.append((str(run.values[found[1]]), run.time_s))
+        run.passes(0.0)
+    elif found := _DEF.fullmatch(code):
+        run.values[found[2]] = 0 if found[1] == "INT" else ""
+    elif change := templates.find(code):
+        for event, _ in change.actions:
+            run.on |= {event} & {"beam_on", "wire_start"}
+            if event in ("beam_off", "wire_stop"):
+                run.off.add(event)
+                run.on.discard("beam_on" if event == "beam_off" else "wire_start")
+    elif (found := _SET.fullmatch(code)) and (re.fullmatch(r"R\d+", found[1]) or found[1] in run.values):
+        run.values[found[1]] = Expression(found[2], run).value()
+    else:
+        read_block(code)
+    return at + 1
+
+
+class Expression:
+    """An expression of the control: sums, comparisons, strings put together by ``<<``, and SUBSTR."""
+
+    def __init__(self, text: str, run: Run) -> None:
+        self._tokens: list[str] = _TOKEN.findall(text)
+        if "".join(self._tokens) != text.replace(" ", ""):
+            raise ValueError(f"{text!r} is no expression")
+        self._at, self._run = 0, run
+
+    def value(self) -> Any:
+        """Work it out."""
+        left = self._joined()
+        if self._next() in ("==", "<>", ">=", "<=", ">", "<"):
+            sign, right = self._take(), self._joined()
+            left = {
+                "==": left == right, "<>": left != right, ">=": left >= right, "<=": left <= right,
+                ">": left > right, "<": left < right,
+            }[sign]  # fmt: skip
+        if self._next():
+            raise ValueError(f"{self._next()!r} is left over")
+        return left
+
+    def _next(self) -> str:
+        return self._tokens[self._at] if self._at < len(self._tokens) else ""
+
+    def _take(self) -> str:
+        self._at += 1
+        return self._tokens[self._at - 1]
+
+    def _joined(self) -> Any:
+        value = self._sum()
+        while self._next() == "<<":
+            self._take()
+            right = self._sum()
+            if isinstance(right, float) and not right.is_integer():
+                raise ValueError("a broken number in a name")
+            value = f"{value}{right if isinstance(right, str) else int(right)}"
+        return value
+
+    def _sum(self) -> Any:
+        value = self._one()
+        while self._next() in ("+", "-"):
+            sign, right = self._take(), self._one()
+            value = value + right if sign == "+" else value - right
+        return value
+
+    def _one(self) -> Any:
+        token = self._take()
+        if token == "-":
+            return -self._one()
+        if token.startswith('"'):
+            return token[1:-1]
+        if token[0].isdigit():
+            return float(token)
+        if token == "SUBSTR":
+            text, start, count = self._arguments()
+            return str(text)[int(start) : int(start) + int(count)]
+        if token in self._run.watched and not self._run.fresh:
+            self._run.faults.append(
+                (self._run.line, f"{token} is read without STOPRE since time has gone by")
+            )
+        return self._run.values.get(token, 0.0) if re.fullmatch(r"R\d+", token) else self._run.values[token]
+
+    def _arguments(self) -> list[Any]:
+        found = []
+        if self._take() != "(":
+            raise ValueError("SUBSTR without its arguments")
+        while True:
+            found.append(self._joined())
+            if self._take() == ")":
+                return found

@@ -1,0 +1,38 @@
+"""Colours that readers tell apart, colour-blind ones too: of lines, and along a scale."""
+
+from __future__ import annotations
+
+import numpy as np
+
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#882255")
+"""Okabe and Ito's colours, with Tol's wine in place of their yellow, which is not seen on white."""
+
+DASHES = ("", "9 6", "3 7", "9 4 2 4", "1 5", "14 6", "5 5", "12 3 2 3 2 3")
+"""Lines that lie on each other stay visible by their dashes."""
+
+VIRIDIS = ((68, 1, 84), (71, 45, 123), (59, 82, 139), (44, 114, 142), (33, 145, 140), (40, 174, 128), (94, 201, 98), (173, 220, 48), (253, 231, 37))  # fmt: skip
+"""Colours from first to last: even to the eye and in grey (van der Walt and Smith 2015, CC0)."""
+
+
+def mixed(share: float) -> tuple[int, int, int]:
+    """Red, green and blue for a share between 0 and 1; what lies beyond has the colour of the end."""
+    at = min(max(share, 0.0), 1.0) * (len(VIRIDIS) - 1)
+    step = min(int(at), len(VIRIDIS) - 2)
+    low, high = VIRIDIS[step], VIRIDIS[step + 1]
+    red, green, blue = (round(a + (at - step) * (b - a)) for a, b in zip(low, high, strict=True))
+    return red, green, blue
+
+
+def ramp(share: float) -> str:
+    """Colour for a share between 0 and 1, as a picture names it.
+
+    Examples
+    --------
+    >>> ramp(0.0), ramp(1.0)
+    ('#440154', '#fde725')
+    """
+    return "#" + "".join(f"{part:02x}" for part in mixed(share))
+
+
+SCALE = np.array([mixed(n / 255.0) for n in range(256)], np.uint8)
+"""(256, 3) colours of an image along the scale."""

@@ -1,0 +1,58 @@
+"""Limits of the gates that a run has widened are told, in the run and when it is verified."""
+
+from __future__ import annotations
+
+import shutil
+
+import pytest
+from command_line import write_stl
+from parts import box
+
+from benchmarks.faults.judging import reseal
+from benchmarks.faults.subjects import SUBJECTS
+from ebamcheck.pipeline import run_job
+from ebamcheck.pipeline.loose_limits import WIDER_IF_GREATER, WIDER_IF_LESS, loose_limits
+from ebamcheck.pipeline.run_folder import RunFolder
+from ebamcheck.pipeline.verify import verify_run
+from ebamcheck.settings.config import Config
+
+
+def changed(name, factor):
+    section, key = name.split(".")
+    return Config().changed(**{section: {key: factor * getattr(getattr(Config(), section), key)}})
+
+
+@pytest.mark.parametrize("name", WIDER_IF_GREATER + WIDER_IF_LESS)
+def test_a_wider_limit_is_told_with_both_values_and_a_narrower_one_is_not(name):
+    wider, narrower = (1.2, 0.8) if name in WIDER_IF_GREATER else (0.8, 1.01)
+    (found,) = loose_limits(changed(name, wider))
+    assert found.severity == "warning"
+    assert name in found.text
+    assert "default" in found.text
+    assert list(loose_limits(changed(name, narrower))) == []
+
+
+def test_limits_that_follow_from_others_are_held_against_these():
+    assert list(loose_limits(Config())) == []
+    assert list(loose_limits(Config().changed(process={"bead_width_mm": 8.0}))) == []
+    for process in ({"surface_tolerance_mm": 4.0}, {"interpass_limit_k": 1000.0}):
+        (found,) = loose_limits(Config().changed(process=process))
+        assert next(iter(process)) in found.text
+
+
+def test_a_run_tells_it_and_a_record_that_leaves_it_out_is_found(tmp_path):
+    part = write_stl(box((0, 0, 0), (24, 24, 5)), tmp_path / "cube.stl")
+    config = SUBJECTS["cube"].config("plain-gcode", process={"mass_tolerance": 0.5})
+    result = run_job(part, tmp_path / "run", config)
+    assert "process.mass_tolerance 0.5 (default 0.02)" in "".join(
+        f["text"] for f in result.manifest["findings"] if f["code"] == "limit-widened"
+    )
+    copy = tmp_path / "copy"
+    shutil.copytree(tmp_path / "run", copy)
+    record = RunFolder(copy).manifest()
+    record["findings"] = [f for f in record["findings"] if f["code"] != "limit-widened"]
+    RunFolder(copy).write_manifest(record)
+    reseal(copy, "MAIN.gcode")
+    assert "limit-widened is left out" in next(
+        c.text for c in verify_run(copy, part) if c.name == "record" and not c.passed
+    )
