@@ -67,7 +67,7 @@ TEXT = """# Reference parts from mesh to program
 
 By `python -m benchmarks.acceptance`, default settings, backends {backends}, on {cpu}.
 
-*plan and program*: the greatest difference of a layer's sums by the plan's events and by the text (lengths of contours, hatch and travel; times; waits; wire), over the greatest layer; and wire starts by both. *metal over sections*: what the text lays over the part's sections times the layer height, within {share:.0%} asked for; *over solid*: over the exact volume of the solid, which layers of whole height cannot always meet. *entry*: the greatest temperature of the surface when a bead is entered, by the plan and by a balance of the text.
+*plan and program*: the greatest difference of a layer's sums by the plan's events and by the text (lengths of contours, hatch and travel; times; waits; wire), over the greatest layer; and wire starts by both. *metal over sections*: what the text lays over the part's sections times the layer height, within {share:.0f} % asked for; *over solid*: over the exact volume of the solid, which layers of whole height cannot always meet. *entry*: the greatest temperature of the surface when a bead is entered, by the plan and by a balance of the text.
 
 {table}
 {causes}"""
@@ -149,7 +149,7 @@ def rendered(table: pd.DataFrame) -> str:
     return TEXT.format(
         backends=" and ".join(BACKENDS),
         cpu=machine()["cpu"],
-        share=MASS_SHARE,
+        share=100.0 * MASS_SHARE,
         table=markdown(pd.DataFrame(rows)),
         causes="\n".join(["What shut the gates:", "", *causes]) + "\n" if causes else "",
     )

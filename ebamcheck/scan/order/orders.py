@@ -14,7 +14,8 @@ of adjacent regions"), since the nearest island is a neighbour that is still hot
 opposite; ``raster`` is what a machine does without a strategy, ``stride`` leaves out all but every n-th
 island of it at first, ``random`` is a seeded shuffle. Distance has no memory of time; ``least-heat`` and
 ``thermal`` have: they ask a heat model (:mod:`ebamcheck.heat`) which island is coolest when the beam gets
-there, the latter with a price on the way there (:mod:`ebamcheck.scan.order.thermal`). Others are found by the entry
+there, the latter with a price on the way there (:mod:`ebamcheck.scan.order.thermal`), and at the end of the island that is
+coolest (:mod:`ebamcheck.scan.order.cool_entries`); the others enter at the nearest. Others are found by the entry
 point group ``ebamcheck.orders``.
 """
 
