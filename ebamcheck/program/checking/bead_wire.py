@@ -39,8 +39,12 @@ stretches of the blade lack up to 0.225 and have up to 0.186 too much."""
 LEAST_STRETCH = 0.5
 """Length of a stretch, in bead widths, under which the steps beside it make its place."""
 
-MOST_OF_SHORT = 0.25
-"""The same of a bead that is shorter than it is wide: most of its place is that of its ends, which others share."""
+MOST_OF_SHORT, MOST_OF_SPOT = 0.35, 1.0
+"""The same of a bead that is shorter than it is wide, or than half of that: its place is that of its ends, which others share."""
+
+LAYER_ROOM = 1.25
+"""Factor by which a layer as a whole may ask for more or less: what it lays in all has a check of its own (``metal of layers``),
+and near the pole of a sphere beads lie where they fit."""
 
 LEVELLING, MOST_LEVELLED = 0.3, 0.2
 """Share of what lies too high or too low that a layer levels, and share of its height that this may come to: what is asked for
@@ -127,10 +131,25 @@ def _compared(
     for mine in ((length >= least_mm) & contour, (length >= least_mm) & ~contour):
         if mine.any():
             off[mine] = asked[mine] / np.median(asked[mine])
+    off /= _of_layers(off, length, nc.layer[first])
     excused = ((off > 1.0) & (limit > 0.5)) | ((off < 1.0) & (limit < -0.5))
     lacking, excess = most
     allowed = np.where(length < short_mm, MOST_OF_SHORT, np.where(off > 1.0, lacking, excess))
+    allowed = np.where(length < 0.5 * short_mm, MOST_OF_SPOT, allowed)
     return first, off, (off > 0.0) & ~excused, allowed
+
+
+def _of_layers(off: Floats, length_mm: Floats, layer: Ints) -> Floats:
+    """What the layer of each bead as a whole asks for, (B,): the middle of its length, by which nothing else is changed."""
+    result = np.ones(off.size)
+    known = np.flatnonzero(off > 0.0)
+    order = known[np.lexsort((off[known], layer[known]))]
+    for mine in np.split(order, np.flatnonzero(np.diff(layer[order])) + 1):
+        if mine.size:
+            along = np.cumsum(length_mm[mine])
+            middle = off[mine[np.searchsorted(along, 0.5 * along[-1])]]
+            result[np.flatnonzero(layer == layer[mine[0]])] = min(max(middle, 1.0 / LAYER_ROOM), LAYER_ROOM)
+    return result
 
 
 def _worst(nc: NCProgram, first: Ints, off: Floats, judged: Bools, most: Floats) -> Check:
