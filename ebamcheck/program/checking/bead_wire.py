@@ -131,7 +131,7 @@ def _compared(
     for mine in ((length >= least_mm) & contour, (length >= least_mm) & ~contour):
         if mine.any():
             off[mine] = asked[mine] / np.median(asked[mine])
-    off /= _of_layers(off, length, nc.layer[first])
+    off /= _of_layers(off, nc.layer[first])
     excused = ((off > 1.0) & (limit > 0.5)) | ((off < 1.0) & (limit < -0.5))
     lacking, excess = most
     allowed = np.where(length < short_mm, MOST_OF_SHORT, np.where(off > 1.0, lacking, excess))
@@ -139,16 +139,17 @@ def _compared(
     return first, off, (off > 0.0) & ~excused, allowed
 
 
-def _of_layers(off: Floats, length_mm: Floats, layer: Ints) -> Floats:
-    """What the layer of each bead as a whole asks for, (B,): the middle of its length, by which nothing else is changed."""
+def _of_layers(off: Floats, layer: Ints) -> Floats:
+    """What the layer of each bead asks for as a whole, (B,): what all of its beads ask for at least; 1 where some ask for more and some for less."""
     result = np.ones(off.size)
     known = np.flatnonzero(off > 0.0)
-    order = known[np.lexsort((off[known], layer[known]))]
-    for mine in np.split(order, np.flatnonzero(np.diff(layer[order])) + 1):
-        if mine.size:
-            along = np.cumsum(length_mm[mine])
-            middle = off[mine[np.searchsorted(along, 0.5 * along[-1])]]
-            result[np.flatnonzero(layer == layer[mine[0]])] = min(max(middle, 1.0 / LAYER_ROOM), LAYER_ROOM)
+    if known.size:
+        number = layer[known] - layer[known].min()
+        least, most = np.full(number.max() + 1, np.inf), np.zeros(number.max() + 1)
+        np.minimum.at(least, number, off[known])
+        np.maximum.at(most, number, off[known])
+        shared = np.where(least > 1.0, least, np.where(most < 1.0, most, 1.0))
+        result[known] = np.clip(shared, 1.0 / LAYER_ROOM, LAYER_ROOM)[number]
     return result
 
 
