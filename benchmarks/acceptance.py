@@ -166,7 +166,9 @@ def main() -> None:
     options.output.mkdir(parents=True, exist_ok=True)
     file = options.output / TABLE
     known = pd.read_csv(file).to_dict("records") if file.is_file() else []
-    rows: dict[str, dict[str, Any]] = {str(found["part"]): dict(found) for found in known}
+    rows: dict[str, dict[str, Any]] = {
+        str(found["part"]): {str(k): v for k, v in found.items()} for found in known
+    }
     runs = {name: partial(row, name, model, config) for name, model in models(tuple(options.parts)).items()}
     for name, run in runs.items():
         if name in rows and not options.again:

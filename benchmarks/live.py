@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
+import os
 import tempfile
 import time
 from collections.abc import Sequence
@@ -101,9 +102,9 @@ def text(tables: dict[str, pd.DataFrame], what: str) -> str:
     head = ["hexagons", "islands", "layers", "median, s", "99th percentile, s", "processor, median, s", "99th percentile, s"]  # fmt: skip
     rows = []
     for name, table in tables.items():
-        for row in by_islands(table).itertuples():
-            times = (row.median_s, row.p99_s, row.processor_median_s, row.processor_p99_s)
-            rows.append([name, str(row.islands), str(row.layers), *(f"{t:.3f}" for t in times)])
+        for row in by_islands(table).to_dict("records"):
+            times = (row["median_s"], row["p99_s"], row["processor_median_s"], row["processor_p99_s"])
+            rows.append([name, str(row["islands"]), str(row["layers"]), *(f"{t:.3f}" for t in times)])
     aims = " and ".join(f"{aim:g} s for up to {n} islands" for n, aim in TARGETS_S.items())
     return (
         f"# Latency of a live build\n\n{what}\n\n{markdown_table(head, rows)}\n\nAimed at in a running server are {aims}. "
@@ -123,21 +124,28 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--side", type=float, nargs="*", default=[], help="builds with hexagons of these sides, mm, too"
     )
+    parser.add_argument("--side-layers", type=int, default=14, help="layers of each of those")
     parser.add_argument("-o", "--output", type=Path, default=Path("reports/live"))
     given = parser.parse_args(arguments)
     growth = Growth(given.drift, given.noise, given.seed)
     found = finished_run(given.run, given.part)
     tables = {
-        "planned" if side is None else f"{side:g} mm": built(found, growth, side, given.layers)
+        "planned" if side is None else f"{side:g} mm": built(
+            found, growth, side, given.layers if side is None else given.side_layers
+        )
         for side in (None, *given.side)
     }
-    here = machine()
+    here, load = machine(), os.getloadavg()[0]
     command = f"python -m benchmarks.live {given.run.name} --drift {given.drift:g} --noise {given.noise:g} --seed {given.seed}"
     command += f" --layers {given.layers}" if given.layers else ""
-    command += f" --side {' '.join(f'{side:g}' for side in given.side)}" if given.side else ""
+    command += (
+        f" --side {' '.join(f'{side:g}' for side in given.side)} --side-layers {given.side_layers}"
+        if given.side
+        else ""
+    )
     what = (
         f"Part `{found.part.name}`, {len(found.part.faces)} facets, built by `{command}`. "
-        f"Machine: {here['cpu']}, {here['cores']} cores."
+        f"Machine: {here['cpu']}, {here['cores']} cores; {load:.1f} processes ran on it in the last minute."
     )
     given.output.mkdir(parents=True, exist_ok=True)
     named = [table.assign(hexagons=name) for name, table in tables.items()]

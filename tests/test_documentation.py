@@ -73,6 +73,7 @@ WITHOUT_UNIT = {
     "edge_tolerance",  # of the height of a layer
     "gap_width",  # over the bead width
     "seed",
+    "live_r",  # number of an R parameter
     "most_layers",  # counts
     "most_points",
     "most_islands",
@@ -359,7 +360,7 @@ def test_every_page_is_linked():
 
 
 def test_every_picture_is_small_and_shown():
-    folders = [ROOT / "reports" / name for name in ("pictures", "benchmarks")]
+    folders = [ROOT / "reports" / name for name in ("pictures", "benchmarks", "live")]
     shown = {
         (document.parent / link).resolve().relative_to(ROOT).as_posix()
         for document in (README, *PAGES)

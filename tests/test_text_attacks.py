@@ -176,7 +176,7 @@ def beads(text):
     return [m.span() for m in re.finditer(r"^M42 P1 S.*\nM8.*\n(?:.*\n)*?M9", text, re.MULTILINE)]
 
 
-@pytest.mark.parametrize("factor", [0.7, 1.3])
+@pytest.mark.parametrize("factor", [0.7, 1.5])
 @pytest.mark.parametrize("nth", [0, 1, 2, 3])
 def test_the_wire_of_one_bead_is_held_against_its_place(made, tmp_path, nth, factor):
     """Contour and hatch of two layers; the more of a place's metal is the bead's own, the more it is off."""

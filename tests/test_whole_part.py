@@ -16,7 +16,6 @@ from ebamcheck.layers.stack import from_polygons
 from ebamcheck.scan import plan_stack
 from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.scan.order import orders as order
-from ebamcheck.scan.order.orders import GEOMETRIC
 from ebamcheck.scan.plan.whole_part import WHOLE_PART, scan_part
 from ebamcheck.settings.config import Config
 
@@ -151,13 +150,15 @@ def test_carried_heat_changes_the_order_alone_and_makes_it_cooler():
 def test_orders_that_ask_no_heat_have_no_heat_in_their_metrics():
     plan = plan_stack(plates(2), Config().changed(process={"interpass": "off"}), order="raster")
     assert plan.metrics[["body_mean_k", "entry_max_k"]].isna().all(axis=None)
-    assert set(GEOMETRIC) < set(order.ORDERS)
     bare = order.LayerIslands(np.zeros((3, 2)), np.ones(3), np.zeros((0, 2), np.int64))
-    for name in sorted(GEOMETRIC):
-        assert len(order.scan_order(name, bare)) == 3
-    for name in sorted(set(order.ORDERS) - GEOMETRIC):
+    asking = [name for name in order.ORDERS if order.needs_heat(name)]
+    assert asking == ["least-heat", "thermal"]
+    for name in asking:
         with pytest.raises(SettingsError, match="how long islands take"):
             order.scan_order(name, bare)
+    for name in set(order.ORDERS) - set(asking):
+        assert len(order.scan_order(name, bare)) == 3
+    assert order.needs_heat(lambda islands: np.arange(len(islands)))
 
 
 @pytest.mark.parametrize("threads", ["1", "2"])

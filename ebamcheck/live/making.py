@@ -43,7 +43,7 @@ from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.toolpath.bead_ends import planned_path
 from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.scan.islands.regions import layer_section
-from ebamcheck.scan.order.orders import GEOMETRIC
+from ebamcheck.scan.order.orders import needs_heat
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.scan.plan.stacking import in_order, stack_plans
 from ebamcheck.scan.plan.whole_part import Stack, laid_layer, ordered_on
@@ -338,7 +338,7 @@ class LayerMaker:
             [section], np.array([smooth.heights[0]]), [wanted.layer + wanted.shifted], self.bottom_mm
         )
         laid, islands = laid_layer(stack, 0, config, seed)
-        carry = config.scan.carry_heat and order not in GEOMETRIC
+        carry = config.scan.carry_heat and needs_heat(order)
         done, part, last = ordered_on(
             heat.part, heat.last, laid, islands, wanted.thickness_mm, config, order, carry, not heat.laid
         )

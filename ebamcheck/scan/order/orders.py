@@ -138,7 +138,25 @@ class LayerIslands:
 
 
 Order = Callable[[LayerIslands], Ints]
-"""An order: from the islands of a layer, a permutation (I,) of their indices."""
+"""An order: from the islands of a layer, a permutation (I,) of their indices.
+
+One that never asks the heat model may say so by an attribute `needs_heat` that is false: its layers are then planned
+without the heat that those below have left.
+"""
+
+
+@dataclass(frozen=True)
+class HouseOrder:
+    """An order of the house, and what it says of itself."""
+
+    plan: Order
+    needs_heat: bool = False
+    cool_entries: bool = False
+    """Whether islands are entered at cooler ends than the nearest ones."""
+
+    def __call__(self, islands: LayerIslands) -> Ints:
+        """Order the islands."""
+        return self.plan(islands)
 
 
 def scan_order(name: str | Order, islands: LayerIslands) -> Ints:
@@ -149,7 +167,7 @@ def scan_order(name: str | Order, islands: LayerIslands) -> Ints:
     SettingsError
         If there is no order of that name.
     """
-    order = name if callable(name) else ORDERS.get(name) or _plugin(name)
+    order = named_order(name)
     if not len(islands):
         return np.zeros(0, np.int64)
     found = np.asarray(order(islands), np.int64)
@@ -161,8 +179,25 @@ def scan_order(name: str | Order, islands: LayerIslands) -> Ints:
     return found
 
 
+def needs_heat(name: str | Order) -> bool:
+    """Whether an order asks the heat model: what it says itself, and yes for one that says nothing.
+
+    Examples
+    --------
+    >>> needs_heat("raster"), needs_heat("thermal")
+    (False, True)
+    """
+    return bool(getattr(named_order(name), "needs_heat", True))
+
+
+def named_order(name: str | Order) -> Order:
+    """Order of the house or of the entry point group; raises :class:`SettingsError` with the names there are."""
+    if not isinstance(name, str):
+        return name
+    return ORDERS.get(name) or _plugin(name)
+
+
 def _plugin(name: str) -> Order:
-    """Find an order of the entry point group; raises :class:`SettingsError` with the names there are."""
     installed = registry.names(registry.ORDERS)
     if name not in installed:
         known = ", ".join([*ORDERS, *installed])
@@ -249,8 +284,8 @@ def longest_travel_mm(islands: LayerIslands) -> float:
 
 
 def entry_ways(name: str | Order, islands: LayerIslands, order: Ints) -> Ints:
-    """Way (I,) by which each island of an order is entered: the nearest, but for `thermal` the coolest that is near enough."""
-    if len(order) > 1 and (name == "thermal" or name is thermal):
+    """Way (I,) by which each island of an order is entered: the nearest, or for an order of cool entries the coolest near enough."""
+    if len(order) > 1 and getattr(named_order(name), "cool_entries", False):
         rapid = islands.profile.machine.rapid_mm_s
         return cool_ways(islands.heat, islands.driven, order, rapid, longest_travel_mm(islands))
     return np.full(len(order), NEAREST, np.int64)
@@ -291,18 +326,15 @@ def greedy(centroid: Floats, first: int, rule: int) -> Ints:
 
 
 ORDERS: Mapping[str, Order] = {
-    "nearest": nearest_any,
-    "nearest-any": nearest_any,
-    "nearest-last": nearest_last,
-    "nearest-sum": nearest_sum,
-    "farthest": farthest,
-    "raster": raster,
-    "stride": stride,
-    "random": shuffled,
-    "least-heat": least_heat,
-    "thermal": thermal,
+    "nearest": HouseOrder(nearest_any),
+    "nearest-any": HouseOrder(nearest_any),
+    "nearest-last": HouseOrder(nearest_last),
+    "nearest-sum": HouseOrder(nearest_sum),
+    "farthest": HouseOrder(farthest),
+    "raster": HouseOrder(raster),
+    "stride": HouseOrder(stride),
+    "random": HouseOrder(shuffled),
+    "least-heat": HouseOrder(least_heat, needs_heat=True),
+    "thermal": HouseOrder(thermal, needs_heat=True, cool_entries=True),
 }
 """Orders of the house by name."""
-
-GEOMETRIC = frozenset(ORDERS) - {"least-heat", "thermal"}
-"""Orders that never ask the heat model; those that are installed may."""

@@ -10,7 +10,7 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.backend import Progress
 from ebamcheck.layers.stack import Layers
 from ebamcheck.scan.islands.regions import layer_section
-from ebamcheck.scan.order.orders import GEOMETRIC
+from ebamcheck.scan.order.orders import needs_heat
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.scan.plan.stacking import in_order, stack_plans
 from ebamcheck.scan.plan.whole_part import Stack, ordered_layers
@@ -59,7 +59,7 @@ def plan_scan(
     profile = profile or Config()
     name, number = order or profile.scan.order, profile.scan.seed if seed is None else seed
     stack = Stack([layer_section(polygons)], np.array([height_mm], np.float64), [layer])
-    asked = name not in GEOMETRIC
+    asked = needs_heat(name)
     carry = asked and profile.scan.carry_heat
     planned = ordered_layers(stack, profile, name, number, carry=carry, driven=asked)
     return stack_plans([in_order(done) for done in planned], profile, name, number)
@@ -93,7 +93,7 @@ def plan_stack(
     plate_mm = float(layers.heights.min(initial=np.inf)) - 0.5 * profile.layer_height_mm
     sections = [layer_section(layers.polygons(k)) for k in range(len(layers))]
     stack = Stack(sections, layers.heights, range(len(layers)), plate_mm)
-    carry = profile.scan.carry_heat and name not in GEOMETRIC
+    carry = profile.scan.carry_heat and needs_heat(name)
     driven = profile.process.interpass != "off"
     planned = []
     for done in ordered_layers(stack, profile, name, number, carry, driven):
