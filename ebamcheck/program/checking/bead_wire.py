@@ -31,8 +31,12 @@ NAME = "wire of beads"
 LEAST_STRETCH = 0.5
 """Length of a stretch, in bead widths, under which the steps beside it make its place."""
 
-MOST_OF_SHORT = 0.25
-"""The same of a bead that is shorter than it is wide: most of its place is that of its ends, which others share."""
+MOST_OF_SHORT, MOST_OF_SPOT = 0.35, 1.0
+"""The same of a bead that is shorter than it is wide, or than half of that: its place is that of its ends, which others share."""
+
+LAYER_ROOM = 1.25
+"""Factor by which a layer as a whole may ask for more or less: what it lays in all has a check of its own (``metal of layers``),
+and near the pole of a sphere beads lie where they fit."""
 
 LEVELLING, MOST_LEVELLED = 0.3, 0.2
 """Share of what lies too high or too low that a layer levels, and share of its height that this may come to: what is asked for
@@ -125,9 +129,30 @@ def _compared(
     for mine in ((length >= least_mm) & contour, (length >= least_mm) & ~contour):
         if mine.any():
             off[mine] = asked[mine] / np.median(asked[mine])
+    off /= _of_layers(off, nc.layer[first])
     excused = ((off > 1.0) & (limit > 0.5)) | ((off < 1.0) & (limit < -0.5))
+<<<<<<< HEAD
+    lacking, excess = most
+    allowed = np.where(length < short_mm, MOST_OF_SHORT, np.where(off > 1.0, lacking, excess))
+    allowed = np.where(length < 0.5 * short_mm, MOST_OF_SPOT, allowed)
+=======
     allowed = np.where(length < short_mm, MOST_OF_SHORT, most)
+>>>>>>> main
     return first, off, (off > 0.0) & ~excused, allowed
+
+
+def _of_layers(off: Floats, layer: Ints) -> Floats:
+    """What the layer of each bead asks for as a whole, (B,): what all of its beads ask for at least; 1 where some ask for more and some for less."""
+    result = np.ones(off.size)
+    known = np.flatnonzero(off > 0.0)
+    if known.size:
+        number = layer[known] - layer[known].min()
+        least, most = np.full(number.max() + 1, np.inf), np.zeros(number.max() + 1)
+        np.minimum.at(least, number, off[known])
+        np.maximum.at(most, number, off[known])
+        shared = np.where(least > 1.0, least, np.where(most < 1.0, most, 1.0))
+        result[known] = np.clip(shared, 1.0 / LAYER_ROOM, LAYER_ROOM)[number]
+    return result
 
 
 def _worst(nc: NCProgram, first: Ints, off: Floats, judged: Bools, most: Floats) -> Check:
