@@ -28,14 +28,6 @@ from ebamcheck.settings.wire_speed import wire_mm2
 
 NAME = "wire of beads"
 
-MOST_LACKING, MOST_EXCESS = 0.2, 0.16
-"""Wire that a bead may lack, over what it has, and have too much of, over what its place asks for: what the layer above levels, or
-a little less. Of the beads of a blade, a torus, a cube and two spheres none lacks over 0.133 or has over 0.142 too much; at 0.7 of its
-wire a bead lacks 0.23 and more, at 1.3 it has 0.17 too much."""
-
-STRETCH_LACKING, STRETCH_EXCESS = 0.35, 0.3
-"""The same of a stretch of a bead at one speed of the wire: along a contour that changes where walls get thin, in steps of 15 %."""
-
 LEAST_STRETCH = 0.5
 """Length of a stretch, in bead widths, under which the steps beside it make its place."""
 
@@ -49,6 +41,14 @@ and near the pole of a sphere beads lie where they fit."""
 LEVELLING, MOST_LEVELLED = 0.3, 0.2
 """Share of what lies too high or too low that a layer levels, and share of its height that this may come to: what is asked for
 is what a layer needs on the surface that is there."""
+
+MOST = MOST_LEVELLED
+"""Wire that a bead may lack, over what it has, or have too much of, over what its place asks for: what the layer above levels.
+Of the beads of sound programs of a blade, a torus, a cube and five small parts none is off by more than 0.142; a bead with
+0.7 of its wire lacks 0.23 and more, one of 1.3 has 0.17 and more too much."""
+
+MOST_OF_STRETCH = MOST + 0.15
+"""The same of a stretch of a bead at one speed of the wire: along a contour that changes where walls get thin, in steps of 15 %."""
 
 AT_LIMIT = 0.01
 """A bead within this of the least or greatest wire cannot have less, or more."""
@@ -87,11 +87,9 @@ def bead_wire_check(nc: NCProgram, config: Config, z_of: Floats, layers: Layers)
     own[rows] = np.cumsum(step) - 1
     found = _asked(nc, config, z_of, layers, own)
     bead_mm = config.process.bead_width_mm
-    stretches = _compared(
-        nc, found, rows[step], LEAST_STRETCH * bead_mm, (STRETCH_LACKING, STRETCH_EXCESS), 0.0
-    )
+    stretches = _compared(nc, found, rows[step], LEAST_STRETCH * bead_mm, MOST_OF_STRETCH, 0.0)
     of_bead = replace(found, bead=beads.bead[step][found.bead])
-    whole = _compared(nc, of_bead, beads.first, LEAST_BEADS * bead_mm, (MOST_LACKING, MOST_EXCESS), bead_mm)
+    whole = _compared(nc, of_bead, beads.first, LEAST_BEADS * bead_mm, MOST, bead_mm)
     first, off, judged, most = (np.concatenate(both) for both in zip(whole, stretches, strict=True))
     return _worst(nc, first, off, judged, most)
 
@@ -101,7 +99,7 @@ def _compared(
     found: _Asked,
     first: Ints,
     least_mm: float,
-    most: tuple[float, float],
+    most: float,
     short_mm: float,
 ) -> tuple[Ints, Floats, Bools, Floats]:
     """What the places of beads, or of stretches of them, ask for over what others of their kind do.
@@ -113,7 +111,7 @@ def _compared(
     least_mm, short_mm
         Length under which one is not judged, and under which :data:`MOST_OF_SHORT` is its limit.
     most
-        Limits of what is lacking and of what is too much.
+        Limit of what is lacking, and of what is too much.
 
     Returns
     -------
@@ -133,8 +131,7 @@ def _compared(
             off[mine] = asked[mine] / np.median(asked[mine])
     off /= _of_layers(off, nc.layer[first])
     excused = ((off > 1.0) & (limit > 0.5)) | ((off < 1.0) & (limit < -0.5))
-    lacking, excess = most
-    allowed = np.where(length < short_mm, MOST_OF_SHORT, np.where(off > 1.0, lacking, excess))
+    allowed = np.where(length < short_mm, MOST_OF_SHORT, most)
     allowed = np.where(length < 0.5 * short_mm, MOST_OF_SPOT, allowed)
     return first, off, (off > 0.0) & ~excused, allowed
 
@@ -156,7 +153,7 @@ def _of_layers(off: Floats, layer: Ints) -> Floats:
 def _worst(nc: NCProgram, first: Ints, off: Floats, judged: Bools, most: Floats) -> Check:
     """The bead that is furthest over its limit `most` (B,), or nearest to it, as a check; `first` (B,) is the first motion of each."""
     if not judged.any():
-        return Check(NAME, True, 0.0, MOST_EXCESS, "of the wire", "", "no bead has a place of its own")
+        return Check(NAME, True, 0.0, MOST, "of the wire", "", "no bead has a place of its own")
     far = np.where(judged, np.maximum(off, 1.0 / np.where(off > 0.0, off, 1.0)) - 1.0, 0.0)
     k = int(np.argmax(far / most))
     row = int(first[k])
