@@ -22,6 +22,7 @@ from ebamcheck.curves.regions.normals import region_normals
 from ebamcheck.curves.regions.offsets import NOTHING_TOLD, Offsets, vertex_offsets
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import NO_TWIN, Index, edge_groups, split_corners, twins
+from ebamcheck.numeric.elimination import eliminated
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats
 from ebamcheck.settings.curves import CurveSettings
@@ -249,35 +250,13 @@ def _equations(vertices: Floats, faces: Index, sectors: Index, means: Floats, sc
 def _tilt_by_quadrics(means: Floats, equations: Floats, least_cosines: Floats, normals: Floats) -> None:
     """Tilt mean normals to those of the quadrics, where there is one and it lies among the facets' normals."""
     for s in range(len(means)):
-        if not _solve(equations[s]):
+        if not eliminated(equations[s], COEFFICIENTS, LEAST_PIVOT):
             continue
         u, w = _frame(means[s])
         n = means[s] - equations[s, 0, COEFFICIENTS] * u - equations[s, 1, COEFFICIENTS] * w
         n /= np.sqrt(_dot(n, n))
         if _dot(n, means[s]) >= least_cosines[s]:
             normals[s] = n
-
-
-@kernel
-def _solve(A: Floats) -> bool:
-    """Solve symmetric equations (5, 6) in place by elimination; false where they do not tell all unknowns."""
-    n = COEFFICIENTS
-    for i in range(n):
-        if not A[i, i] > 0.0:
-            return False
-    diagonal = np.array([A[i, i] for i in range(n)])
-    for i in range(n):
-        if not A[i, i] > LEAST_PIVOT * diagonal[i]:
-            return False
-        for j in range(i + 1, n):
-            factor = A[j, i] / A[i, i]
-            for k in range(i, n + 1):
-                A[j, k] -= factor * A[i, k]
-    for i in range(n - 1, -1, -1):
-        for k in range(i + 1, n):
-            A[i, n] -= A[i, k] * A[k, n]
-        A[i, n] /= A[i, i]
-    return True
 
 
 def corners_of_vertices(faces: Index, vertex_count: int) -> tuple[NDArray[np.int64], Index]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ebamcheck.mesh.topology import Index
+from ebamcheck.numeric.elimination import eliminated
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats
 
@@ -62,7 +63,7 @@ def foretold(
         if not scale > 0.0:
             continue
         _equations(rows, count, weights, terms, A, B)
-        if not (_eliminated(A) and _eliminated(B)):
+        if not (eliminated(A, CUBIC, LEAST_PIVOT) and eliminated(B, CUBIC, LEAST_PIVOT)):
             continue
         c, d, e = A[3, CUBIC], A[4, CUBIC], A[5, CUBIC]
         own, size = _sagitta(vertices, faces, starts, corners, s, here, u, w, c, d, e)
@@ -205,27 +206,6 @@ def _equations(rows: Floats, count: int, weights: Floats, row: Floats, A: Floats
             A[i, CUBIC] += weights[k] * row[i] * rows[k, 2]
     B[:, :CUBIC] = A[:, :CUBIC]
     B[0, CUBIC] = 1.0
-
-
-@kernel
-def _eliminated(A: Floats) -> bool:
-    """Solve symmetric equations (n, n + 1) in place; false where a pivot is lost."""
-    n = CUBIC
-    diagonal = np.empty(n)
-    for i in range(n):
-        diagonal[i] = A[i, i]
-    for i in range(n):
-        if not A[i, i] > LEAST_PIVOT * diagonal[i]:
-            return False
-        for j in range(i + 1, n):
-            factor = A[j, i] / A[i, i]
-            for k in range(i, n + 1):
-                A[j, k] -= factor * A[i, k]
-    for i in range(n - 1, -1, -1):
-        for k in range(i + 1, n):
-            A[i, n] -= A[i, k] * A[k, n]
-        A[i, n] /= A[i, i]
-    return True
 
 
 @kernel

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ebamcheck.mesh.topology import Index
+from ebamcheck.numeric.elimination import eliminated
 from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Bools, Floats
 
@@ -283,27 +284,7 @@ def _solved(rows: Floats, count: int, size: int, A: Floats, scales: Floats, firs
             return False
         for j in range(i):
             A[i, j] = A[j, i]
-    return _eliminated(A, size)
-
-
-@kernel
-def _eliminated(A: Floats, n: int) -> bool:
-    """Solve symmetric equations (n, n + 1) in place; false where a pivot is lost."""
-    diagonal = np.empty(CUBIC)
-    for i in range(n):
-        diagonal[i] = A[i, i]
-    for i in range(n):
-        if not A[i, i] > LEAST_PIVOT * diagonal[i]:
-            return False
-        for j in range(i + 1, n):
-            factor = A[j, i] / A[i, i]
-            for k in range(i, n + 1):
-                A[j, k] -= factor * A[i, k]
-    for i in range(n - 1, -1, -1):
-        for k in range(i + 1, n):
-            A[i, n] -= A[i, k] * A[k, n]
-        A[i, n] /= A[i, i]
-    return True
+    return eliminated(A, size, LEAST_PIVOT)
 
 
 @kernel

@@ -1,0 +1,43 @@
+"""Elimination: small symmetric equations solved in place, as fits within kernels need them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Floats
+
+
+@kernel
+def eliminated(equations: Floats, count: int, least_pivot: float) -> bool:
+    """Solve symmetric positive equations in place.
+
+    Parameters
+    ----------
+    equations
+        (n, n + 1) at least, with the right side in column `count`; the unknowns take its place.
+    count
+        Unknowns n.
+    least_pivot
+        Share of a diagonal element that has to be left of it, or the equations do not tell all unknowns.
+
+    Returns
+    -------
+    bool
+        Whether all unknowns are told.
+    """
+    diagonal = np.empty(count)
+    for i in range(count):
+        diagonal[i] = equations[i, i]
+    for i in range(count):
+        if not equations[i, i] > least_pivot * diagonal[i]:
+            return False
+        for j in range(i + 1, count):
+            factor = equations[j, i] / equations[i, i]
+            for k in range(i, count + 1):
+                equations[j, k] -= factor * equations[i, k]
+    for i in range(count - 1, -1, -1):
+        for k in range(i + 1, count):
+            equations[i, count] -= equations[i, k] * equations[k, count]
+        equations[i, count] /= equations[i, i]
+    return True
