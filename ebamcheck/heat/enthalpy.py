@@ -6,6 +6,7 @@ With h the heat content of a volume and theta the integral of the conductivity o
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,12 +60,15 @@ class EnthalpyTables:
         place = np.asarray(heat_content_j_mm3, np.float64) / self.step_j_mm3
         table = self.temperature_k
         inside = np.minimum(np.maximum(place, 0.0), len(table) - 1.0)
-        node = np.minimum(inside.astype(np.int64), len(table) - 2)
+        # A place that is no number, from a feed of 0 for instance, has no temperature: it stays none.
+        node = np.minimum(np.nan_to_num(inside).astype(np.int64), len(table) - 2)
         return np.asarray((table[node + 1] - table[node]) * (inside - node) + table[node], np.float64)
 
     def temperature_of(self, heat_content_j_mm3: float) -> float:
         """Temperature at one heat content, K: the same as :meth:`temperature`, to the last bit, and ten times as fast."""
         table = self.temperature_k
+        if math.isnan(heat_content_j_mm3):
+            return math.nan
         inside = min(max(heat_content_j_mm3 / self.step_j_mm3, 0.0), len(table) - 1.0)
         node = min(int(inside), len(table) - 2)
         low = table.item(node)

@@ -79,6 +79,9 @@ def bead_wire_check(nc: NCProgram, config: Config, z_of: Floats, layers: Layers)
     z_of
         (L,) Z of each of the `layers` in the program.
     """
+    if config.base_mm > 0.0:
+        text = "what the lowest layer lies on, and so what its beads have to level, is not in the program"
+        return Check(NAME, True, 0.0, MOST, "of the wire", "", text)
     beads = beads_of(nc)
     rows, size = beads.rows, len(nc)
     step = np.ones(rows.size, np.bool_)
