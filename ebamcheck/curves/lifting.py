@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ebamcheck.curves.ends_ahead import is_contradicted, most_of_free
 from ebamcheck.curves.plausible import judge_ends, plausible_height, plausible_share
 from ebamcheck.curves.regions import FREEFORM, PLANE, STRIP
 from ebamcheck.curves.surface_edges import (
@@ -148,6 +149,7 @@ class Lifting:
             corners,
             normals.with_regions,
             *normals.sagittas,
+            normals.ends,
             False,
             1.0,
         )
@@ -207,6 +209,8 @@ def _lift(
                 # The cubic leaves its chord by at most a quarter of the bend.
                 height = 0.25 * np.sqrt(max(dot(bend_low, bend_low), dot(bend_high, bend_high)))
                 share = found.share[i] * plausible_share(height, found.plausible[i])
+                if smooth and mesh.ends.turns.size and not mesh.scattered:
+                    share = min(share, _told_share(mesh, up, down, height, dot(bend_low, up_low) > 0.0))
                 bend_low, bend_high = scaled(bend_low, share), scaled(bend_high, share)
                 t = _place(mesh.vertices[low, 2], chord[2], bend_low[2], bend_high[2], heights[i], t)
                 found.bound[i] = share * height / FLATTEST_SURFACE
@@ -229,6 +233,14 @@ def _lift(
             found.plane_before[i] = mesh.region[up // 3]
         if mesh.kind[down // 3] == PLANE:
             found.plane_after[i] = mesh.region[down // 3]
+
+
+@kernel
+def _told_share(mesh: SurfaceMesh, up: int, down: int, height: float, outward: bool) -> float:
+    """Share of a lift that the turns ahead of the ends of its edge let be."""
+    if mesh.kind[up // 3] == STRIP and mesh.kind[down // 3] == STRIP:
+        return 0.0 if is_contradicted(mesh.ends, up, outward, height) else 1.0
+    return float(min(1.0, most_of_free(mesh.ends, up, outward, mesh.typical) / height))
 
 
 @kernel
