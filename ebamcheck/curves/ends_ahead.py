@@ -12,10 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.curves.per_part import once_a_part
-from ebamcheck.curves.sagitta import EDGES_A_BLOCK, flat_mm, sagitta_of_end, surface_of
+from ebamcheck.curves.sagitta import EDGES_A_BLOCK, flat_mm, sagitta_of_end
 from ebamcheck.curves.ways_ahead import Surface, dot, no_way, norm, walk
-from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import NO_TWIN
 from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Floats
@@ -56,37 +54,35 @@ def nothing_asked() -> EndsAhead:
     )
 
 
-@once_a_part
-def ends_ahead(part: Part, crease_angle_deg: float) -> EndsAhead:
-    """Ask the ends of all smooth edges of a mesh.
+def ends_ahead(surface: Surface, step: int = 1) -> EndsAhead:
+    """Ask the ends of the smooth edges of a mesh.
 
     Parameters
     ----------
-    part
-        The mesh.
-    crease_angle_deg
-        Edges whose facets differ by this angle or more are sharp.
+    surface
+        The mesh as walks read it.
+    step
+        Every so many facets are asked, with their neighbours: a sample tells of the whole mesh.
     """
-    surface = surface_of(part, np.cos(np.deg2rad(crease_angle_deg)))
-    count = 3 * len(part.faces)
+    count = 3 * len(surface.faces)
     found = EndsAhead(
         np.full((count, 2), np.nan, np.float32), np.zeros((count, 2), np.float32), np.zeros(count, np.int8)
     )
-    flat = flat_mm(part.vertices)
+    flat = flat_mm(surface.vertices)
 
     def work(first: int, last: int) -> None:
-        _ask(surface, flat, first, last, found)
+        _ask(surface, flat, step, first, last, found)
 
     run_blocks(work, count, EDGES_A_BLOCK)
     return found
 
 
 @kernel
-def _ask(surface: Surface, flat: float, first: int, last: int, found: EndsAhead) -> None:
+def _ask(surface: Surface, flat: float, step: int, first: int, last: int, found: EndsAhead) -> None:
     way = no_way()
     for h in range(first, last):
         g = surface.twin[h]
-        if g == NO_TWIN or g < h or surface.sharp[h]:
+        if h // 3 % step or g == NO_TWIN or surface.sharp[h] or (g < h and g // 3 % step == 0):
             continue
         a, b = surface.faces[h // 3, h % 3], surface.faces[h // 3, (h % 3 + 1) % 3]
         along = surface.vertices[b] - surface.vertices[a]
@@ -125,6 +121,12 @@ def most_of_free(ends: EndsAhead, half_edge: int, outward: bool, typical: float)
         if ratio > VERY_FAR:
             most = min(most, typical)
     return float(most)
+
+
+@kernel
+def is_far(ends: EndsAhead, half_edge: int) -> bool:
+    """Whether an end of an edge is far from what lies ahead."""
+    return bool(max(ends.ratio[half_edge, 0], ends.ratio[half_edge, 1]) > FAR)
 
 
 @kernel

@@ -16,9 +16,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.curves.ends_ahead import is_contradicted, most_of_free
-from ebamcheck.curves.plausible import judge_ends, plausible_height, plausible_share
+from ebamcheck.curves.ends_ahead import ends_ahead, is_contradicted, most_of_free, nothing_asked
+from ebamcheck.curves.plausible import are_far_ends_right, judge_ends, plausible_height, plausible_share
 from ebamcheck.curves.regions import FREEFORM, PLANE, STRIP
+from ebamcheck.curves.sagitta import surface_of
 from ebamcheck.curves.surface_edges import (
     SurfaceMesh,
     Vector,
@@ -70,6 +71,9 @@ NOISE_LIFT = 0.5
 
 NO_PLANE = -1
 """In place of a plane's number: the segment is in none."""
+
+MOST_ASKED = 20_000
+"""Facets whose edges are asked first, evenly spread over the mesh: more would tell no better whether all must be."""
 
 POINTS_A_BLOCK = 4096
 
@@ -149,16 +153,19 @@ class Lifting:
             corners,
             normals.with_regions,
             *normals.sagittas,
-            normals.ends,
+            nothing_asked(),
+            True,
             False,
             1.0,
         )
+        if normals.with_regions:
+            mesh = _with_ends(mesh, part, normals)
         ends = judge_ends(mesh)
         rough = mesh.rough.copy()
         share = normals.offsets.lift_share
         if ends.is_rough or share == 0.0:
             rough[mesh.sectors[mesh.kind == FREEFORM]] = True
-        self.mesh = mesh._replace(scattered=ends.is_scattered, rough=rough, share=share)
+        self.mesh = mesh._replace(scattered=ends.is_scattered and mesh.far_ends_right, rough=rough, share=share)
 
     def lift(self, layers: Layers) -> Sides:
         """Lift the points of layers that carry their edges; points without one stay where they are."""
@@ -174,6 +181,16 @@ class Lifting:
 
         run_blocks(work, len(layers.points), POINTS_A_BLOCK)
         return found
+
+
+def _with_ends(mesh: SurfaceMesh, part: Part, normals: SurfaceNormals) -> SurfaceMesh:
+    """The mesh with what lies ahead of its edges, as far as that has a say: first some are asked, then all if need be."""
+    surface = surface_of(part, np.cos(np.deg2rad(normals.crease_angle_deg)))
+    mesh = mesh._replace(ends=ends_ahead(surface, -(-len(part.faces) // MOST_ASKED)))
+    right = are_far_ends_right(mesh)
+    if right and normals.offsets.is_in_rows:
+        return mesh._replace(ends=nothing_asked())
+    return mesh._replace(ends=ends_ahead(surface), far_ends_right=right)
 
 
 @kernel
@@ -209,7 +226,7 @@ def _lift(
                 # The cubic leaves its chord by at most a quarter of the bend.
                 height = 0.25 * np.sqrt(max(dot(bend_low, bend_low), dot(bend_high, bend_high)))
                 share = found.share[i] * plausible_share(height, found.plausible[i])
-                if smooth and mesh.ends.turns.size and not mesh.scattered:
+                if smooth and mesh.ends.turns.size:
                     share = min(share, _told_share(mesh, up, down, height, dot(bend_low, up_low) > 0.0))
                 bend_low, bend_high = scaled(bend_low, share), scaled(bend_high, share)
                 t = _place(mesh.vertices[low, 2], chord[2], bend_low[2], bend_high[2], heights[i], t)
@@ -240,6 +257,8 @@ def _told_share(mesh: SurfaceMesh, up: int, down: int, height: float, outward: b
     """Share of a lift that the turns ahead of the ends of its edge let be."""
     if mesh.kind[up // 3] == STRIP and mesh.kind[down // 3] == STRIP:
         return 0.0 if is_contradicted(mesh.ends, up, outward, height) else 1.0
+    if mesh.far_ends_right:
+        return 1.0
     return float(min(1.0, most_of_free(mesh.ends, up, outward, mesh.typical) / height))
 
 

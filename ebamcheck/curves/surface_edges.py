@@ -42,6 +42,7 @@ class SurfaceMesh(NamedTuple):
     largest: Floats
     typical: float
     ends: EndsAhead
+    far_ends_right: bool
     scattered: bool
     share: float
 

@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.curves.ends_ahead import EndsAhead, ends_ahead, nothing_asked
 from ebamcheck.curves.flat_sides import flat_sides, keep_flat
 from ebamcheck.curves.per_part import once_a_part
 from ebamcheck.curves.plausible import Sagittas, mesh_sagittas, no_sagittas
@@ -63,8 +62,8 @@ class SurfaceNormals(NamedTuple):
     """How far facets stand from their surface, by their turns."""
     offsets: Offsets
     """Whether the vertices lie on the surface; nothing told without regions."""
-    ends: EndsAhead
-    """What the turns ahead of edges tell; nothing is asked where the mesh is a tessellator's, whose normals need no witness."""
+    crease_angle_deg: float
+    """Angle by which they were estimated."""
 
 
 @once_a_part
@@ -87,7 +86,6 @@ def surface_normals(part: Part, settings: CurveSettings) -> SurfaceNormals:
     label = regions.groups.label
     found = region_normals(part, twin, regions)
     smooth, kind = twin != NO_TWIN, regions.kind[label]
-    offsets = vertex_offsets(part.vertices, part.faces, smooth, found.fans, kind == FREEFORM)
     return SurfaceNormals(
         found.rows,
         found.normals,
@@ -100,8 +98,8 @@ def surface_normals(part: Part, settings: CurveSettings) -> SurfaceNormals:
         np.nan_to_num(found.noise, nan=np.inf),
         True,
         mesh_sagittas(part.vertices, part.faces, twin, regions.groups.normals[label], kind),
-        offsets,
-        nothing_asked() if offsets.is_in_rows else ends_ahead(part, settings.crease_angle_deg),
+        vertex_offsets(part.vertices, part.faces, smooth, found.fans, kind == FREEFORM),
+        settings.crease_angle_deg,
     )
 
 
@@ -131,7 +129,7 @@ def _plain_normals(part: Part, twin: Index, crease_angle_deg: float) -> SurfaceN
         False,
         no_sagittas(len(vertices)),
         NOTHING_TOLD,
-        nothing_asked(),
+        crease_angle_deg,
     )
 
 

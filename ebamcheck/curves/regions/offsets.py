@@ -75,9 +75,9 @@ class Offsets(NamedTuple):
             return 1.0
         if self.told < LEAST_TOLD:
             return 0.0
-        # Beyond the surface, or inside of it, where no program puts them: then the neighbours do not tell the surface.
-        known = abs(self.offset) + ERRORS * self.error <= LARGEST_OFFSET
-        return 1.0 if known else HALF
+        if self.offset + ERRORS * self.error < -LARGEST_OFFSET:
+            return HALF  # inside of the surface, where no program puts them: their neighbours do not tell it
+        return 1.0 if self.offset + ERRORS * self.error <= LARGEST_OFFSET else HALF
 
 
 NOTHING_TOLD = Offsets(0, 0.0, 0, 0.0, np.inf)
