@@ -26,8 +26,10 @@ FAR = 3.0
 rounding is; see :data:`ebamcheck.curves.sagitta.WIDTH_RATIO`."""
 
 VERY_FAR = 6.0
-"""An edge this many times longer than the chord ahead is lifted by no more than the mesh's median sagitta: an error of a
-turn counts for so much there that it tells no more."""
+"""An edge this many times longer than the chord ahead: an error of a turn counts for so much there that it tells little."""
+
+MOST_OF_TYPICAL = 0.5
+"""Times the mesh's median sagitta that such an edge is lifted at most."""
 
 MOST_OF_TOLD = 2.0
 """Times what a far end tells, that an edge is lifted at most: it scatters by as much where the normals are right."""
@@ -44,7 +46,7 @@ class EndsAhead(NamedTuple):
     ratio: Rows
     """Length of the edge over that of the chord ahead; 0 at a crease."""
     turns: NDArray[np.int8]
-    """(3 F,) turns that were met ahead of both ends."""
+    """(3 F,) turns that were met ahead of both ends; -1 where nothing was asked."""
 
 
 def nothing_asked() -> EndsAhead:
@@ -66,7 +68,7 @@ def ends_ahead(surface: Surface, step: int = 1) -> EndsAhead:
     """
     count = 3 * len(surface.faces)
     found = EndsAhead(
-        np.full((count, 2), np.nan, np.float32), np.zeros((count, 2), np.float32), np.zeros(count, np.int8)
+        np.full((count, 2), np.nan, np.float32), np.zeros((count, 2), np.float32), np.full(count, -1, np.int8)
     )
     flat = flat_mm(surface.vertices)
 
@@ -119,7 +121,7 @@ def most_of_free(ends: EndsAhead, half_edge: int, outward: bool, typical: float)
         if ratio > FAR:
             most = min(most, max(MOST_OF_TOLD * side * ends.told[half_edge, end], 0.0))
         if ratio > VERY_FAR:
-            most = min(most, typical)
+            most = min(most, MOST_OF_TYPICAL * typical)
     return float(most)
 
 

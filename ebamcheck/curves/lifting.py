@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ebamcheck.curves.ends_ahead import ends_ahead, is_contradicted, most_of_free, nothing_asked
-from ebamcheck.curves.plausible import are_far_ends_right, judge_ends, plausible_height, plausible_share
+from ebamcheck.curves.plausible import judge_ends, judge_far_ends, plausible_height, plausible_share
 from ebamcheck.curves.regions import FREEFORM, PLANE, STRIP
 from ebamcheck.curves.sagitta import surface_of
 from ebamcheck.curves.surface_edges import (
@@ -158,14 +158,16 @@ class Lifting:
             False,
             1.0,
         )
+        noisy = False
         if normals.with_regions:
-            mesh = _with_ends(mesh, part, normals)
+            mesh, noisy = _with_ends(mesh, part, normals)
         ends = judge_ends(mesh)
         rough = mesh.rough.copy()
         share = normals.offsets.lift_share
-        if ends.is_rough or share == 0.0:
+        if ends.is_rough or noisy or share == 0.0:
             rough[mesh.sectors[mesh.kind == FREEFORM]] = True
-        self.mesh = mesh._replace(scattered=ends.is_scattered and mesh.far_ends_right, rough=rough, share=share)
+        scattered = ends.is_scattered and mesh.far_ends_right
+        self.mesh = mesh._replace(scattered=scattered, rough=rough, share=share)
 
     def lift(self, layers: Layers) -> Sides:
         """Lift the points of layers that carry their edges; points without one stay where they are."""
@@ -183,14 +185,17 @@ class Lifting:
         return found
 
 
-def _with_ends(mesh: SurfaceMesh, part: Part, normals: SurfaceNormals) -> SurfaceMesh:
-    """The mesh with what lies ahead of its edges, as far as that has a say: first some are asked, then all if need be."""
+def _with_ends(mesh: SurfaceMesh, part: Part, normals: SurfaceNormals) -> tuple[SurfaceMesh, bool]:
+    """The mesh with what lies ahead of its edges, as far as that has a say, and whether it speaks of noise.
+
+    First some edges are asked, then all if need be.
+    """
     surface = surface_of(part, np.cos(np.deg2rad(normals.crease_angle_deg)))
     mesh = mesh._replace(ends=ends_ahead(surface, -(-len(part.faces) // MOST_ASKED)))
-    right = are_far_ends_right(mesh)
-    if right and normals.offsets.is_in_rows:
-        return mesh._replace(ends=nothing_asked())
-    return mesh._replace(ends=ends_ahead(surface), far_ends_right=right)
+    found = judge_far_ends(mesh)
+    if found.are_right and normals.offsets.is_in_rows:
+        return mesh._replace(ends=nothing_asked()), False
+    return mesh._replace(ends=ends_ahead(surface), far_ends_right=found.are_right), found.are_noise
 
 
 @kernel
@@ -225,9 +230,10 @@ def _lift(
                     bend_high = scaled(bend_high, np.sqrt(lesser / dot(bend_high, bend_high)))
                 # The cubic leaves its chord by at most a quarter of the bend.
                 height = 0.25 * np.sqrt(max(dot(bend_low, bend_low), dot(bend_high, bend_high)))
-                share = found.share[i] * plausible_share(height, found.plausible[i])
+                share = plausible_share(height, found.plausible[i])
                 if smooth and mesh.ends.turns.size:
                     share = min(share, _told_share(mesh, up, down, height, dot(bend_low, up_low) > 0.0))
+                share *= found.share[i]
                 bend_low, bend_high = scaled(bend_low, share), scaled(bend_high, share)
                 t = _place(mesh.vertices[low, 2], chord[2], bend_low[2], bend_high[2], heights[i], t)
                 found.bound[i] = share * height / FLATTEST_SURFACE
