@@ -19,6 +19,7 @@ import numpy as np
 from ebamcheck.curves.ends_ahead import ends_ahead, is_contradicted, most_of_free, nothing_asked
 from ebamcheck.curves.plausible import judge_ends, judge_far_ends, plausible_height, plausible_share
 from ebamcheck.curves.regions import FREEFORM, PLANE, STRIP
+from ebamcheck.curves.regions.rims import INWARD, OUTWARD
 from ebamcheck.curves.sagitta import surface_of
 from ebamcheck.curves.surface_edges import (
     SurfaceMesh,
@@ -71,6 +72,10 @@ NOISE_LIFT = 0.5
 
 NO_PLANE = -1
 """In place of a plane's number: the segment is in none."""
+
+OF_ROUNDING = 4.0
+"""Times the median sagitta of the mesh up to which a bend beside a strip may be a coarse rounding's: who tessellates keeps to
+one chord error."""
 
 MOST_ASKED = 20_000
 """Facets whose edges are asked first, evenly spread over the mesh: more would tell no better whether all must be."""
@@ -153,6 +158,7 @@ class Lifting:
             corners,
             normals.with_regions,
             *normals.sagittas,
+            normals.rims,
             nothing_asked(),
             True,
             False,
@@ -230,9 +236,12 @@ def _lift(
                     bend_high = scaled(bend_high, np.sqrt(lesser / dot(bend_high, bend_high)))
                 # The cubic leaves its chord by at most a quarter of the bend.
                 height = 0.25 * np.sqrt(max(dot(bend_low, bend_low), dot(bend_high, bend_high)))
+                outward = dot(bend_low, up_low) > 0.0
+                if smooth:
+                    found.share[i] *= _sure_share(mesh, up, down, height, outward)
                 share = plausible_share(height, found.plausible[i])
                 if smooth and mesh.ends.turns.size:
-                    share = min(share, _told_share(mesh, up, down, height, dot(bend_low, up_low) > 0.0))
+                    share = min(share, _told_share(mesh, up, down, height, outward))
                 share *= found.share[i]
                 bend_low, bend_high = scaled(bend_low, share), scaled(bend_high, share)
                 t = _place(mesh.vertices[low, 2], chord[2], bend_low[2], bend_high[2], heights[i], t)
@@ -256,6 +265,23 @@ def _lift(
             found.plane_before[i] = mesh.region[up // 3]
         if mesh.kind[down // 3] == PLANE:
             found.plane_after[i] = mesh.region[down // 3]
+
+
+@kernel
+def _sure_share(mesh: SurfaceMesh, up: int, down: int, height: float, outward: bool) -> float:
+    """Share of a lift inside of a strip that leaves it no farther from the surface, be the bends at its sides a rounding's or not.
+
+    If they are, the surface is the rim's sagitta off to the other side: the error without a lift is the difference of both.
+    """
+    if mesh.kind[up // 3] != STRIP or mesh.kind[down // 3] != STRIP:
+        return 1.0
+    rim = max(
+        mesh.rims[mesh.region[up // 3], INWARD if outward else OUTWARD],
+        mesh.rims[mesh.region[down // 3], INWARD if outward else OUTWARD],
+    )
+    if rim > OF_ROUNDING * mesh.typical:
+        return 1.0
+    return float(min(max(2.0 * (1.0 - rim / height), 0.0), 1.0))
 
 
 @kernel

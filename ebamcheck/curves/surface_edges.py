@@ -41,6 +41,7 @@ class SurfaceMesh(NamedTuple):
     mean: Floats
     largest: Floats
     typical: float
+    rims: Floats
     ends: EndsAhead
     far_ends_right: bool
     scattered: bool
