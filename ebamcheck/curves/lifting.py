@@ -15,6 +15,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ebamcheck.curves.ends_ahead import ends_ahead, is_contradicted, most_of_free, nothing_asked
 from ebamcheck.curves.plausible import judge_ends, judge_far_ends, plausible_height, plausible_share
@@ -76,6 +77,9 @@ NO_PLANE = -1
 OF_ROUNDING = 4.0
 """Times the median sagitta of the mesh up to which a bend beside a strip may be a coarse rounding's: who tessellates keeps to
 one chord error."""
+
+BY_CHANCE = 0.1
+"""Strips over freely curved facets, up to which two facets of a decimated mesh lie in one plane by chance."""
 
 MOST_ASKED = 20_000
 """Facets whose edges are asked first, evenly spread over the mesh: more would tell no better whether all must be."""
@@ -171,7 +175,7 @@ class Lifting:
         rough = mesh.rough.copy()
         share = normals.offsets.lift_share
         if ends.is_rough or noisy or share == 0.0:
-            rough[mesh.sectors[mesh.kind == FREEFORM]] = True
+            rough[mesh.sectors[_nothing_to_tell(mesh.kind)]] = True
         scattered = ends.is_scattered and mesh.far_ends_right
         self.mesh = mesh._replace(scattered=scattered, rough=rough, share=share)
 
@@ -189,6 +193,13 @@ class Lifting:
 
         run_blocks(work, len(layers.points), POINTS_A_BLOCK)
         return found
+
+
+def _nothing_to_tell(kind: NDArray[np.uint8]) -> Bools:
+    """Facets (F,) of which nothing is told where freely curved ones do not tell a surface: these, and the few strips beside."""
+    free, strip = kind == FREEFORM, kind == STRIP
+    by_chance = np.count_nonzero(strip) <= BY_CHANCE * np.count_nonzero(free)
+    return np.asarray(free | strip if by_chance else free)
 
 
 def _with_ends(mesh: SurfaceMesh, part: Part, normals: SurfaceNormals) -> tuple[SurfaceMesh, bool]:
