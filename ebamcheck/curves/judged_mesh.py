@@ -18,7 +18,7 @@ BY_CHANCE = 0.1
 """Strips over freely curved facets, up to which two facets of a decimated mesh lie in one plane by chance."""
 
 MOST_ASKED = 20_000
-"""Facets whose edges are asked first, evenly spread over the mesh: more would tell no better whether all must be."""
+"""Facets whose edges are asked first, evenly spread over the mesh: more would tell no better of noise."""
 
 
 def judged_mesh(part: Part, normals: SurfaceNormals) -> SurfaceMesh:
@@ -76,11 +76,11 @@ def _nothing_to_tell(kind: NDArray[np.uint8]) -> Bools:
 def _with_ends(mesh: SurfaceMesh, part: Part, normals: SurfaceNormals) -> tuple[SurfaceMesh, bool]:
     """The mesh with what lies ahead of its edges, as far as that has a say, and whether it speaks of noise.
 
-    First some edges are asked, then all if need be.
+    Some edges tell of noise. All are asked where the mesh is no tessellator's; the normals of one's need no such witness.
     """
     surface = surface_of(part, np.cos(np.deg2rad(normals.crease_angle_deg)))
     mesh = mesh._replace(ends=ends_ahead(surface, -(-len(part.faces) // MOST_ASKED)))
     found = judge_far_ends(mesh)
-    if found.are_right and normals.offsets.is_in_rows:
-        return mesh._replace(ends=nothing_asked()), False
+    if normals.offsets.is_in_rows:
+        return mesh._replace(ends=nothing_asked()), found.are_noise
     return mesh._replace(ends=ends_ahead(surface), far_ends_right=found.are_right), found.are_noise
