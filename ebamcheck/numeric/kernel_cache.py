@@ -20,11 +20,10 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
-import llvmlite.binding as llvm
 from numba.core import config as numba_config
 from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
-from numba.core.runtime import _nrt_python as nrt
 
+from ebamcheck.numeric.kernel_running import ready_to_run
 from ebamcheck.numeric.kernel_stamp import kernel_stamp
 
 UNREADABLE = (OSError, EOFError, ValueError, pickle.UnpicklingError, AttributeError, ImportError)
@@ -49,22 +48,13 @@ class KernelCache(FunctionCache):
         Numba would first set up all that it compiles with, which takes longer than all kernels of a command; it does so
         anyway when it compiles something.
         """
-        _make_known()
+        ready_to_run()
         return self._load_overload(signature, context)  # type: ignore[no-untyped-call]
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
         """Keep a compiled version; where there is no room for it, the next process compiles again."""
         with contextlib.suppress(OSError):
             super().save_overload(signature, compiled)  # type: ignore[no-untyped-call]
-
-
-@cache
-def _make_known() -> None:
-    """Tell the loader of machine code where the functions are that kernels call: numba's memory, and hashes of texts."""
-    from numba.cpython import hashing  # noqa: F401 (its symbols are there once it is imported)
-
-    for name, address in nrt.c_helpers.items():
-        llvm.add_symbol(name if name.startswith("_") else f"NRT_{name}", address)
 
 
 class _SharedFile(IndexDataCacheFile):
