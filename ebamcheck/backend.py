@@ -110,6 +110,9 @@ class Slicer(Protocol):
         (``"winding > 0"`` is the house rule).
     Settings
         The slicer's settings, a :class:`BackendSettings`.
+
+    A slicer of this house that is nothing but kernels of this project may have ``isolated = False``, too: then
+    ``ebamcheck slice`` runs it in its own process. All others are run in one of theirs.
     """
 
     name: ClassVar[str]
