@@ -9,17 +9,14 @@ import importlib
 from functools import cache
 from typing import Any
 
-from numba.np import linalg
-
-_llvm: Any = importlib.import_module("llvmlite.binding")
-_runtime: Any = importlib.import_module("numba.core.runtime._nrt_python")
-
 
 @cache
 def ready_to_run() -> None:
     """Tell the loader of machine code where the functions are that kernels call: those of memory and of hashes."""
-    for name, address in _runtime.c_helpers.items():
-        _llvm.add_symbol(name if name.startswith("_") else f"NRT_{name}", address)
+    llvm: Any = importlib.import_module("llvmlite.binding")
+    runtime: Any = importlib.import_module("numba.core.runtime._nrt_python")
+    for name, address in runtime.c_helpers.items():
+        llvm.add_symbol(name if name.startswith("_") else f"NRT_{name}", address)
     importlib.import_module("numba.cpython.hashing")
     _import_array_functions()
 
@@ -29,7 +26,7 @@ def _import_array_functions() -> None:
 
     SciPy is there: this project depends on it. Kernels that call it look for it again as they are compiled.
     """
-    searching: Any = linalg
+    searching: Any = importlib.import_module("numba.np.linalg")
     look, searching.ensure_blas = searching.ensure_blas, lambda: None
     try:
         importlib.import_module("numba.np.arraymath")
