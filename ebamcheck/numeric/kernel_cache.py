@@ -23,6 +23,7 @@ from typing import Any
 from numba.core import config as numba_config
 from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
 
+from ebamcheck.numeric.kernel_library import loading
 from ebamcheck.numeric.kernel_running import ready_to_run
 from ebamcheck.numeric.kernel_stamp import kernel_stamp
 
@@ -49,7 +50,8 @@ class KernelCache(FunctionCache):
         anyway when it compiles something.
         """
         ready_to_run()
-        return self._load_overload(signature, context)  # type: ignore[no-untyped-call]
+        with loading(context.codegen()):
+            return self._load_overload(signature, context)  # type: ignore[no-untyped-call]
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
         """Keep a compiled version; where there is no room for it, the next process compiles again."""
