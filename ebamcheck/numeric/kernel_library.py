@@ -28,14 +28,14 @@ class LoadedLibrary(JITCodeLibrary):
         name, _, (machine_code, bitcode) = state
         made: Any = cls.__new__(cls)
         # Not that of the class between them, which makes an empty module to be filled.
-        CodeLibrary.__init__(made, codegen, name)  # type: ignore[no-untyped-call]
+        CodeLibrary.__init__(made, codegen, name)
         made._linking_libraries = []
         made._bitcode, made._parsed = bitcode, None
         made._finalized = made._disable_inspection = True
         engine = codegen._engine
         engine._ee.add_object_file(_llvm.ObjectFileRef.from_data(machine_code))
         engine.finalize_object()
-        return made
+        return made  # type: ignore[no-any-return]
 
     def get_pointer_to_function(self, name: str) -> int:
         """Address of a function; that of the kernel itself is there."""
