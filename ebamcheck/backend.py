@@ -34,7 +34,7 @@ CoplanarRule = Literal["half-open", "undefined"]
 class BackendSettings(BaseModel):
     """Base of a slicer's own settings: unknown keys are refused, values do not change."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 @dataclass(frozen=True)
