@@ -23,6 +23,7 @@ from typing import Any
 from numba.core import config as numba_config
 from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
 
+from ebamcheck.numeric.kernel_compiling import ready_to_compile
 from ebamcheck.numeric.kernel_library import loading
 from ebamcheck.numeric.kernel_running import ready_to_run
 from ebamcheck.numeric.kernel_stamp import kernel_stamp
@@ -51,7 +52,10 @@ class KernelCache(FunctionCache):
         """
         ready_to_run()
         with loading(context.codegen()):
-            return self._load_overload(signature, context)  # type: ignore[no-untyped-call]
+            found = self._load_overload(signature, context)  # type: ignore[no-untyped-call]
+        if found is None:
+            ready_to_compile()
+        return found
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
         """Keep a compiled version; where there is no room for it, the next process compiles again."""
