@@ -149,5 +149,4 @@ def _is_cached(kernel: Any, text: str) -> bool:
         types = types_of(text)
     except UnknownType:
         return True
-    cache = kernel._cache
-    return cache._index_key(types, kernel.targetctx.codegen()) in cache._cache_file._load_index()
+    return bool(kernel._cache.holds(types, kernel.targetctx.codegen()))
