@@ -134,12 +134,9 @@ def asked(folder, code):
 
 
 def test_kernels_that_are_compiled_set_up_no_compiler(tmp_path):
-    code = "import sys, chain; print(chain.outer(1.0), *('numba.cpython.setobj scipy.linalg'.split() & sys.modules.keys()))"
-    code = code.replace(
-        "'numba.cpython.setobj scipy.linalg'.split()", "{'numba.cpython.setobj', 'scipy.linalg'}"
-    )
-    assert sorted(asked(tmp_path, code)) == ["6.0", "numba.cpython.setobj", "scipy.linalg"]
-    assert asked(tmp_path, code) == ["6.0"]
+    code = "import sys, chain; print(chain.outer(1.0), 'numba.cpython.setobj' in sys.modules)"
+    assert asked(tmp_path, code) == ["6.0", "True"]
+    assert asked(tmp_path, code) == ["6.0", "False"]
 
 
 def test_a_kernel_is_compiled_with_one_that_was_loaded(tmp_path):
