@@ -24,7 +24,7 @@ from ebamcheck.scan.heat.near_field import entry_rise, exact_depth, of_layer
 from ebamcheck.scan.heat.pieces import WAYS, island_tiles, line_pieces
 from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.scan.order.all_orders import MOST_LISTED, best_of_all
-from ebamcheck.scan.order.annealing import high_mean
+from ebamcheck.scan.order.annealing import Layer, high_mean
 from ebamcheck.scan.order.entry_options import ways_between
 from ebamcheck.scan.order.orders import scan_order
 from ebamcheck.scan.order.simulation import clocked, entered, entry_points, ways_driven
@@ -361,7 +361,7 @@ def test_all_orders_of_five_islands_hold_none_better():
     every = [np.array(order) for order in itertools.permutations(range(count))]
     shortest = min(times_of(islands, order)[2] for order in every)
     for longest_mm in (0.5 * shortest, 1.2 * shortest, 1e9):
-        found = best_of_all(table, ways, beside, drive.time_s, RAPID, longest_mm)
+        found = best_of_all(Layer(table, ways, beside, drive.time_s, RAPID), longest_mm)
         ranks = [ranked(islands.heat, drive, beside, RAPID, order, longest_mm) for order in every]
         fewest = min(rank[0] for rank in ranks)
         ranks = [rank for rank in ranks if rank[0] == fewest]

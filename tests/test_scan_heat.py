@@ -26,6 +26,7 @@ from ebamcheck.scan.order.annealing import (
     HOTTEST_EVERY,
     TOUCH_SHARE,
     WARMTH,
+    Layer,
     annealed,
     drive_from,
     entry_temperature,
@@ -290,13 +291,11 @@ def test_the_table_of_influences_is_the_heat_model(base):
     exact = np.maximum(*entry_points(heat, drive, order, start, end))
     table, ways = influence(heat, drive.time_s, float(end.max())), ways_between(drive)
     log = new_log(len(order))
-    drive_from(0, order, ways.jump_mm, ways.way, FREE, drive.time_s, RAPID, log)
+    layer = Layer(table, ways, FREE, drive.time_s, RAPID)
+    drive_from(0, order, layer, log)
     assert log.start_s == pytest.approx(start[order])
     assert log.travel_mm[-1] == pytest.approx(travel)
-    found = [
-        entry_temperature(n, order, table.rise_k, table.nodes_per_root_s, table.fresh, drive.time_s, log)
-        for n in range(len(order))
-    ]
+    found = [entry_temperature(n, order, layer, log) for n in range(len(order))]
     assert found == pytest.approx(exact[order], rel=0.02, abs=0.02 * np.abs(exact).max())
 
 
@@ -318,9 +317,7 @@ def test_a_rise_of_the_table_is_that_of_two_islands_driven_alone(base):
             start[island] += since
             end[island] = start[island] + drive.time_s[island]
             exact = entered(heat, np.array([source, island]), start, end)[0][island]
-            found = looked_up(
-                table.rise_k, table.nodes_per_root_s, table.fresh.horizon_s, island, source, since
-            )
+            found = looked_up(table, island, source, since)
             assert found == pytest.approx(exact, rel=0.02, abs=1.0)
             before = max(before, abs(exact))
         assert before > 0.0
@@ -359,7 +356,7 @@ def test_annealing_keeps_to_the_travel_that_is_allowed(choices):
     table = influence(heat, drive.time_s, 2 * float(end.max()))
     ways, random = ways_between(drive), np.random.default_rng(0)
     beside = touching(choices.neighbours, len(choices))
-    better = annealed(table, ways, beside, drive.time_s, RAPID, order, travel, 100.0, 3000, random)
+    better = annealed(Layer(table, ways, beside, drive.time_s, RAPID), order, travel, 100.0, 3000, random)
     begin, stop, way = clocked(better, drive.entry, drive.leave, drive.time_s, RAPID)
     assert way <= travel + 1e-6
     hottest = [
@@ -381,13 +378,13 @@ def test_giving_moves_up_early_changes_nothing(choices):
         0.9 * travel,
     )
 
-    def driven(tried):
+    layer = Layer(table, ways, beside, drive.time_s, RAPID)
+
+    def simulated(tried):
         log = new_log(count)
-        drive_from(0, tried, ways.jump_mm, ways.way, beside, drive.time_s, RAPID, log)
+        drive_from(0, tried, layer, log)
         for n in range(count):
-            log.entry_k[n] = entry_temperature(
-                n, tried, table.rise_k, table.nodes_per_root_s, table.fresh, drive.time_s, log
-            )
+            log.entry_k[n] = entry_temperature(n, tried, layer, log)
         warm, far = high_mean(log.entry_k), max(0.0, log.travel_mm[-1] - allowed_mm)
         return log, warm, price * far, int(log.touches[-1])
 
@@ -397,7 +394,7 @@ def test_giving_moves_up_early_changes_nothing(choices):
     random = np.random.default_rng(7)
     places = random.integers(0, count, (steps, 2))
     leniency = random.exponential(size=steps) * np.linspace(1.0, 0.0, steps)
-    kept, (log, *parts) = order, driven(order)
+    kept, (log, *parts) = order, simulated(order)
     first_warm = parts[0]
     cost = cost_of(*parts)
     best, least, warmth = kept, cost, WARMTH * cost
@@ -407,15 +404,13 @@ def test_giving_moves_up_early_changes_nothing(choices):
             continue
         tried = np.empty_like(kept)
         move(kept, a, b, step % 3, tried)
-        tried_log, *parts = driven(tried)
+        tried_log, *parts = simulated(tried)
         new_cost = cost_of(*parts)
         if new_cost < cost + warmth * leniency[step]:
             kept, log, cost = tried, tried_log, new_cost
             if cost < least:
                 best, least = kept, cost
-    found = annealed(
-        table, ways, beside, drive.time_s, RAPID, order, allowed_mm, price, steps, np.random.default_rng(7)
-    )
+    found = annealed(layer, order, allowed_mm, price, steps, np.random.default_rng(7))
     assert np.array_equal(found, best)
     assert not np.array_equal(found, order)
 

@@ -13,6 +13,7 @@ from ebamcheck.heat import HeatModel, Medium, contour_modes, depth_modes
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.scan.filling.hatch import Vectors
 from ebamcheck.scan.filling.schedule import IslandDrive
+from ebamcheck.scan.heat.amplitudes import Modes
 from ebamcheck.scan.heat.near_field import NearField, near_field
 from ebamcheck.settings.config import Config
 
@@ -80,9 +81,9 @@ class IslandHeat:
         return self.near
 
     @property
-    def columns(self) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    def modes(self) -> Modes:
         """What every kernel reads first."""
-        return self.mean, self.plane_rate, self.depth_rate, self.in_layer, self.source_k_s
+        return Modes(self.mean, self.plane_rate, self.depth_rate, self.in_layer, self.source_k_s)
 
 
 def island_heat(

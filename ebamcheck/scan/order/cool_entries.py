@@ -17,7 +17,8 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.filling.schedule import IslandDrive
 from ebamcheck.scan.filling.turns import JOINED_MM
-from ebamcheck.scan.heat.aged_heat import by_island, with_late_heat
+from ebamcheck.scan.heat.aged_heat import late_modes, with_late_heat
+from ebamcheck.scan.heat.amplitudes import Modes, Timetable
 from ebamcheck.scan.heat.island_heat import IslandHeat
 from ebamcheck.scan.heat.near_field import NearField, entry_rise
 from ebamcheck.scan.heat.pieces import WAYS
@@ -102,8 +103,8 @@ def rises_at_entries(
 
 def _old_k(heat: IslandHeat, at: Floats, order: Ints, start_s: Floats, end_s: Floats) -> Floats:
     """Rises (I, 4) by heat older than the horizon, at ends with modes (I, 4, K)."""
-    horizon_s = heat.fresh.horizon_s
-    return old_at_entries(*heat.columns, order, start_s, end_s, horizon_s, heat.start_k.copy(), at)
+    timetable = Timetable(order, start_s, end_s)
+    return old_at_entries(heat.modes, timetable, heat.fresh.horizon_s, heat.start_k.copy(), at)
 
 
 def affordable(rise_k: Floats, order: Ints, entry: Floats, leave: Floats, longest_mm: float) -> Ints:
@@ -212,37 +213,22 @@ def young_at_entries(
 
 
 @kernel
-def old_at_entries(
-    mean: Floats,
-    plane_rate: Floats,
-    depth_rate: Floats,
-    in_layer: Floats,
-    source: Floats,
-    order: Ints,
-    start: Floats,
-    end: Floats,
-    age: float,
-    state: Floats,
-    at: Floats,
-) -> Floats:
+def old_at_entries(modes: Modes, timetable: Timetable, age: float, state: Floats, at: Floats) -> Floats:
     """Rises at all ends (I, 4) by what the layer begins with and by heat of at least an age, K.
 
     See :func:`~ebamcheck.scan.heat.aged_heat.entered_with_aged`; `state` (K, N) is used up.
     """
-    fallen = by_island(mean * np.exp(-plane_rate * age).reshape(-1, 1))
-    in_layer_late = in_layer * np.exp(-depth_rate * age)
-    rise = np.zeros((len(start), WAYS))
+    aged = late_modes(modes, age)
+    rise = np.zeros((len(timetable.start_s), WAYS))
     clock, place = 0.0, 0
-    for island in order:
-        place = with_late_heat(
-            state, fallen, plane_rate, depth_rate, in_layer_late, source, order, start, end, age, clock,
-            start[island], place,
-        )  # fmt: skip
-        clock = start[island]
-        for k in range(mean.shape[0]):
+    for island in timetable.order:
+        start = timetable.start_s[island]
+        place = with_late_heat(state, aged, timetable, age, clock, start, place)
+        clock = start
+        for k in range(modes.mean.shape[0]):
             surface = 0.0
-            for n in range(len(depth_rate)):
-                surface += in_layer[n] * state[k, n]
+            for n in range(len(modes.depth_rate)):
+                surface += modes.in_layer[n] * state[k, n]
             for w in range(WAYS):
                 rise[island, w] += at[island, w, k] * surface
     return rise

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,8 +12,7 @@ from ebamcheck.scan.filling.schedule import IslandDrive
 from ebamcheck.scan.filling.turns import JOINED_MM
 
 
-@dataclass(frozen=True, eq=False)
-class Ways:
+class Ways(NamedTuple):
     """Jumps between islands.
 
     Parameters
