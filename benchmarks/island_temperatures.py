@@ -105,9 +105,12 @@ def compared(profile: Config, sides_mm: tuple[float, float], waves: tuple[float,
     """Entry temperatures of several orders on a rectangle, by the model and by references of some waves."""
     section = layer_section(shapely.box(0.0, 0.0, *sides_mm))
     choices = lay_islands(section, profile, 0, HEIGHT_MM).choices(profile, 0)
-    heat, drive, rapid = choices.heat, choices.driven, profile.machine.rapid_mm_s
+    heat, schedule, rapid = choices.heat, choices.known_schedule, profile.machine.rapid_mm_s
     orders = [scan_order(name, choices) for name in ORDERS]
-    driven = [(order, *clocked(order, drive.entry, drive.leave, drive.time_s, rapid)[:2]) for order in orders]
+    driven = [
+        (order, *clocked(order, schedule.entry, schedule.leave, schedule.time_s, rapid)[:2])
+        for order in orders
+    ]
     converging = references(heat, choices, driven, waves)
     rows = []
     for n, (name, times) in enumerate(zip(ORDERS, driven, strict=True)):

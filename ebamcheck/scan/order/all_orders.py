@@ -7,7 +7,7 @@ import numpy as np
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Ints
 from ebamcheck.scan.filling.turns import JOINED_MM
-from ebamcheck.scan.order.annealing import Layer, drive_from, entry_temperature, new_log, power
+from ebamcheck.scan.order.annealing import Layer, entry_temperature, new_log, power, timed_from
 from ebamcheck.scan.order.touching import touching_successors
 
 MOST_LISTED = 8
@@ -33,7 +33,7 @@ def best_of_all(layer: Layer, longest_mm: float) -> Ints:
     best, best_touches, best_far, best_total = order.copy(), count, np.inf, np.inf
     log, first = new_log(count), 0
     while first >= 0:
-        drive_from(first, order, layer, log)
+        timed_from(first, order, layer, log)
         total = 0.0
         for place in range(count):
             if place >= first:

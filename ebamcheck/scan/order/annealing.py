@@ -14,7 +14,7 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.heat.influence import Influence, looked_up
 from ebamcheck.scan.heat.near_field import at_root
-from ebamcheck.scan.order.entry_options import Ways
+from ebamcheck.scan.order.entry_options import EntryOptions
 from ebamcheck.scan.order.touching import Touching, touch
 
 WARMTH = 0.005
@@ -48,7 +48,7 @@ class Layer(NamedTuple):
     """
 
     table: Influence
-    ways: Ways
+    ways: EntryOptions
     beside: Touching
     time_s: Floats
     rapid_mm_s: float
@@ -118,7 +118,7 @@ def improved(
     count = len(order)
     kept, tried, best = order.copy(), order.copy(), order.copy()
     log, tried_log = new_log(count), new_log(count)
-    drive_from(0, kept, layer, log)
+    timed_from(0, kept, layer, log)
     total = powers_from(0, 0, 0, np.arange(count), kept, layer, np.inf, log)
     cost = (total / count) ** (1.0 / HIGH)
     touch_price = TOUCH_SHARE * cost
@@ -134,7 +134,7 @@ def improved(
         first = min(a, b)
         move(kept, a, b, step % 3, tried)
         copy_start(log, first, tried_log)
-        drive_from(first, tried, layer, tried_log)
+        timed_from(first, tried, layer, tried_log)
         too_far = price * max(0.0, tried_log.travel_mm[-1] - longest) + touch_price * tried_log.touches[-1]
         allowed = cost + warmth * leniency[step]
         if too_far >= allowed:
@@ -220,7 +220,7 @@ def move(order: Ints, a: int, b: int, kind: int, result: Ints) -> None:
 
 
 @kernel
-def drive_from(first: int, order: Ints, layer: Layer, log: Log) -> None:
+def timed_from(first: int, order: Ints, layer: Layer, log: Log) -> None:
     """Time the islands from a place on, entering each by the nearest way."""
     for n in range(first, len(order)):
         if n == 0:

@@ -1,4 +1,4 @@
-"""Islands driven one after the other on the heat model: when, and how warm each is when the beam enters it."""
+"""Simulation of an order on the heat model: when, and how warm each is when the beam enters it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.scan.filling.schedule import IslandDrive
+from ebamcheck.scan.filling.schedule import IslandSchedule
 from ebamcheck.scan.heat.aged_heat import entered_with_aged
 from ebamcheck.scan.heat.amplitudes import (
     LEAST_DECAY,
@@ -25,7 +25,7 @@ from ebamcheck.scan.order.entry_options import nearest_way
 def entry_temperatures(
     heat: IslandHeat, area_mm2: Floats, order: Ints, start_s: Floats, end_s: Floats
 ) -> tuple[Floats, Floats]:
-    """Drive an order on the heat model.
+    """Simulate an order on the heat model.
 
     Parameters
     ----------
@@ -61,12 +61,12 @@ def entered(heat: IslandHeat, order: Ints, start_s: Floats, end_s: Floats) -> tu
 
 
 def entry_points(
-    heat: IslandHeat, drive: IslandDrive, order: Ints, start_s: Floats, end_s: Floats
+    heat: IslandHeat, schedule: IslandSchedule, order: Ints, start_s: Floats, end_s: Floats
 ) -> tuple[Floats, Floats]:
     """Mean temperature rise of each island, and that under the beam, when the beam enters it, (I,) K by island."""
     timetable = Timetable(order, start_s, end_s)
     old_k = _old_k(heat, heat.fresh, timetable)
-    way = ways_driven(order, drive.entry, drive.leave)
+    way = nearest_ways(order, schedule.entry, schedule.leave)
     means_k, points_k = _young_k(heat, heat.fresh, timetable, way)
     return old_k + means_k, old_k + points_k
 
@@ -156,7 +156,7 @@ def simulated(modes: Modes, share: Floats, timetable: Timetable, state: Floats) 
 
 
 @kernel
-def ways_driven(order: Ints, entry: Floats, leave: Floats) -> Ints:
+def nearest_ways(order: Ints, entry: Floats, leave: Floats) -> Ints:
     """Way by which each island is driven, by island (I,), entering each the nearest way."""
     ways = np.zeros(len(entry), np.int64)
     for n in range(1, len(order)):

@@ -17,7 +17,7 @@ import numpy as np
 
 from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
-from ebamcheck.scan.filling.schedule import IslandDrive
+from ebamcheck.scan.filling.schedule import IslandSchedule
 from ebamcheck.scan.filling.turns import JOINED_MM
 from ebamcheck.scan.heat.aged_heat import late_modes, with_late_heat
 from ebamcheck.scan.heat.amplitudes import Modes, Timetable, at_surface
@@ -26,7 +26,7 @@ from ebamcheck.scan.heat.island_heat import IslandHeat
 from ebamcheck.scan.heat.near_field import NearField, young_rise
 from ebamcheck.scan.order.all_orders import MOST_LISTED, best_of_all
 from ebamcheck.scan.order.annealing import Layer, annealed, high_mean
-from ebamcheck.scan.order.entry_options import nearest_way, ways_between
+from ebamcheck.scan.order.entry_options import entry_options, nearest_way
 from ebamcheck.scan.order.simulation import clocked, entry_points
 from ebamcheck.scan.order.touching import Touching, touching, touching_successors
 
@@ -59,7 +59,7 @@ TIE_K = 1e-6
 
 def thermal_order(
     heat: IslandHeat,
-    drive: IslandDrive,
+    schedule: IslandSchedule,
     neighbours: Ints,
     rapid_mm_s: float,
     width_mm: float,
@@ -87,22 +87,22 @@ def thermal_order(
     random
         Source of these moves.
     """
-    count = len(drive)
-    price_k_mm = float(np.mean(own_rise(heat, drive))) / width_mm
+    count = len(schedule)
+    price_k_mm = float(np.mean(own_rise(heat, schedule))) / width_mm
     beside = touching(neighbours, count)
     if count <= MOST_LISTED:
-        ways = ways_between(drive)
-        latest_s = float(drive.time_s.sum() + (count - 1) * ways.jump_mm.max() / rapid_mm_s)
-        table = influence(heat, drive.time_s, latest_s)
-        return best_of_all(Layer(table, ways, beside, drive.time_s, rapid_mm_s), longest_mm)
+        ways = entry_options(schedule)
+        latest_s = float(schedule.time_s.sum() + (count - 1) * ways.jump_mm.max() / rapid_mm_s)
+        table = influence(heat, schedule.time_s, latest_s)
+        return best_of_all(Layer(table, ways, beside, schedule.time_s, rapid_mm_s), longest_mm)
     tries = _tries(count, len(heat.plane_rate))
 
     def plans(start: int, stop: int) -> list[tuple[Ints, Rank]]:
         done = []
         for price, first in tries[start:stop]:
             paid = price * price_k_mm
-            order = greedy_order(heat, drive, beside, rapid_mm_s, first, paid, paid * start_travel_mm)
-            done.append((order, ranked(heat, drive, beside, rapid_mm_s, order, longest_mm)))
+            order = greedy_order(heat, schedule, beside, rapid_mm_s, first, paid, paid * start_travel_mm)
+            done.append((order, ranked(heat, schedule, beside, rapid_mm_s, order, longest_mm)))
         return done
 
     # Threads pay on layers of many islands only.
@@ -111,10 +111,10 @@ def thermal_order(
     best, best_rank = plans_made[0]
     if count > MOST_ISLANDS or steps == 0:
         return best
-    *_, end_s, travel = clocked(best, drive.entry, drive.leave, drive.time_s, rapid_mm_s)
+    *_, end_s, travel = clocked(best, schedule.entry, schedule.leave, schedule.time_s, rapid_mm_s)
     # Twice the time of a way that is too long: none met in the search takes longer.
-    table = influence(heat, drive.time_s, float(end_s.max()) + max(travel, longest_mm) / rapid_mm_s)
-    layer = Layer(table, ways_between(drive), beside, drive.time_s, rapid_mm_s)
+    table = influence(heat, schedule.time_s, float(end_s.max()) + max(travel, longest_mm) / rapid_mm_s)
+    layer = Layer(table, entry_options(schedule), beside, schedule.time_s, rapid_mm_s)
     most = min(steps, MOVES_AN_ISLAND * count)
     begun = [start for start, _ in plans_made[: max(1, int(MOST_MOVES / (most * count)))]]
     sources = random.spawn(len(begun))
@@ -126,7 +126,7 @@ def thermal_order(
         ]
 
     for tried in itertools.chain(*run_blocks(improved, len(begun))):
-        rank = ranked(heat, drive, beside, rapid_mm_s, tried, longest_mm)
+        rank = ranked(heat, schedule, beside, rapid_mm_s, tried, longest_mm)
         if better(rank, best_rank):
             best, best_rank = tried, rank
     return best
@@ -144,30 +144,35 @@ def better(rank: Rank, than: Rank) -> bool:
     return rank[:2] < than[:2] or (rank[:2] == than[:2] and rank[2] < than[2] - TIE_K)
 
 
-def own_rise(heat: IslandHeat, drive: IslandDrive) -> Floats:
+def own_rise(heat: IslandHeat, schedule: IslandSchedule) -> Floats:
     """Mean temperature rise of each island by its own heat when the beam leaves it, (I,) K."""
-    rise = np.zeros(len(drive))
+    rise = np.zeros(len(schedule))
     for n, wave in enumerate(heat.in_layer):
         decay_s = heat.plane_rate[:, None] + heat.depth_rate[n]
-        held = -np.expm1(-decay_s * drive.time_s) / np.where(decay_s > 0.0, decay_s, 1.0)
-        held = np.where(decay_s > 0.0, held, drive.time_s)
+        held = -np.expm1(-decay_s * schedule.time_s) / np.where(decay_s > 0.0, decay_s, 1.0)
+        held = np.where(decay_s > 0.0, held, schedule.time_s)
         rise += wave**2 * heat.source_k_s * (heat.mean**2 * held).sum(axis=0)
     return rise
 
 
 def ranked(
-    heat: IslandHeat, drive: IslandDrive, beside: Touching, rapid_mm_s: float, order: Ints, longest_mm: float
+    heat: IslandHeat,
+    schedule: IslandSchedule,
+    beside: Touching,
+    rapid_mm_s: float,
+    order: Ints,
+    longest_mm: float,
 ) -> Rank:
     """Rank of a plan: touching successors; travel beyond what is allowed, mm; high mean of the entry temperatures, K."""
-    start_s, end_s, travel = clocked(order, drive.entry, drive.leave, drive.time_s, rapid_mm_s)
-    means_k, points_k = entry_points(heat, drive, order, start_s, end_s)
+    start_s, end_s, travel = clocked(order, schedule.entry, schedule.leave, schedule.time_s, rapid_mm_s)
+    means_k, points_k = entry_points(heat, schedule, order, start_s, end_s)
     too_near = int(touching_successors(beside, order).sum())
     return too_near, max(0.0, travel - longest_mm), high_mean(np.maximum(means_k, points_k))
 
 
 def greedy_order(
     heat: IslandHeat,
-    drive: IslandDrive,
+    schedule: IslandSchedule,
     beside: Touching,
     rapid_mm_s: float,
     first: int,
@@ -175,12 +180,14 @@ def greedy_order(
     start_k: float,
 ) -> Ints:
     """Order islands by heat for one price of travel (K/mm) and of a wire start (K)."""
-    layer = _Layer(heat.modes, heat.fresh, beside, drive.entry, drive.leave, drive.time_s, rapid_mm_s)
+    layer = _Layer(
+        heat.modes, heat.fresh, beside, schedule.entry, schedule.leave, schedule.time_s, rapid_mm_s
+    )
     return coolest_first(layer, _Prices(price_k_mm, start_k), first, heat.mean.copy(), heat.start_k.copy())
 
 
 class _Layer(NamedTuple):
-    """What a greedy plan reads; see :class:`~ebamcheck.scan.filling.schedule.IslandDrive`."""
+    """What a greedy plan reads; see :class:`~ebamcheck.scan.filling.schedule.IslandSchedule`."""
 
     modes: Modes
     near: NearField
