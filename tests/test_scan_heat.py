@@ -317,7 +317,9 @@ def test_a_rise_of_the_table_is_that_of_two_islands_driven_alone(base):
             start[island] += since
             end[island] = start[island] + schedule.time_s[island]
             exact = entered(heat, np.array([source, island]), start, end)[0][island]
-            found = looked_up(table, island, source, since)
+            found = looked_up(
+                table.rise_k, table.nodes_per_root_s, table.fresh.horizon_s, island, source, since
+            )
             assert found == pytest.approx(exact, rel=0.02, abs=1.0)
             before = max(before, abs(exact))
         assert before > 0.0

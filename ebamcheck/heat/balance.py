@@ -28,7 +28,7 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.heat.enthalpy import HOTTEST_K, EnthalpyTables, enthalpy_tables
-from ebamcheck.heat.marching import Column, march
+from ebamcheck.heat.marching import march
 from ebamcheck.heat.medium import STEFAN_BOLTZMANN_W_M2K4
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
@@ -270,7 +270,7 @@ class HeatColumn:
         if duration_s <= 0.0 or not len(self.content):
             return
         process = self.profile.process
-        column = Column(
+        column = (
             self._material.temperature_k,
             self._material.theta_w_mm,
             self._material.step_j_mm3,

@@ -137,13 +137,13 @@ def young_heat(near: NearField, source: Floats, time: Floats, since: Floats, ris
 
 
 @kernel
-def looked_up(table: Influence, island: int, source: int, since: float) -> float:
+def looked_up(rise: Table, nodes: float, horizon: float, island: int, source: int, since: float) -> float:
     """Rise of an island by a source a time after its end, linear between nodes in the root of the time."""
-    rise, horizon, young = table.rise_k, table.fresh.horizon_s, YOUNG_NODES - 1
+    young = YOUNG_NODES - 1
     if since < horizon:
         place = young * np.sqrt(max(since, 0.0) / horizon)
     else:
-        place = young + table.nodes_per_root_s * np.sqrt(since - horizon)
+        place = young + nodes * np.sqrt(since - horizon)
     node = min(int(place), rise.shape[2] - 2)
     share = min(place - node, 1.0)
     low, high = rise[island, source, node], rise[island, source, node + 1]

@@ -222,14 +222,15 @@ def move(order: Ints, a: int, b: int, kind: int, result: Ints) -> None:
 @kernel
 def timed_from(first: int, order: Ints, layer: Layer, log: Log) -> None:
     """Time the islands from a place on, entering each by the nearest way."""
+    jump, way, time = layer.ways.jump_mm, layer.ways.way, layer.time_s
     for n in range(first, len(order)):
         if n == 0:
             log.start_s[0], log.way[0], log.travel_mm[0], log.touches[0] = 0.0, 0, 0.0, 0
             continue
         last, island, left_by = order[n - 1], order[n], log.way[n - 1]
-        distance = layer.ways.jump_mm[last, left_by, island]
-        log.start_s[n] = log.start_s[n - 1] + layer.time_s[last] + distance / layer.rapid_mm_s
-        log.way[n] = layer.ways.way[last, left_by, island]
+        distance = jump[last, left_by, island]
+        log.start_s[n] = log.start_s[n - 1] + time[last] + distance / layer.rapid_mm_s
+        log.way[n] = way[last, left_by, island]
         log.travel_mm[n] = log.travel_mm[n - 1] + distance
         log.touches[n] = log.touches[n - 1] + touch(layer.beside, last, island)
 
@@ -237,20 +238,23 @@ def timed_from(first: int, order: Ints, layer: Layer, log: Log) -> None:
 @kernel
 def entry_temperature(place: int, order: Ints, layer: Layer, log: Log) -> float:
     """Rise of the island at a place when the beam enters it: its mean, or that of its entry if it is more."""
-    island, now, fresh = order[place], log.start_s[place], layer.table.fresh
-    temperature = looked_up(layer.table, island, len(order), now)
+    # Taken out of their tuples once: the first loop is where planning spends its time.
+    rise, nodes, fresh = layer.table.rise_k, layer.table.nodes_per_root_s, layer.table.fresh
+    horizon, time, start = fresh.horizon_s, layer.time_s, log.start_s
+    island, now = order[place], start[place]
+    temperature = looked_up(rise, nodes, horizon, island, len(order), now)
     for earlier in range(place):
         source = order[earlier]
-        since = now - log.start_s[earlier] - layer.time_s[source]
-        temperature += looked_up(layer.table, island, source, since)
+        since = now - start[earlier] - time[source]
+        temperature += looked_up(rise, nodes, horizon, island, source, since)
     excess = 0.0
     for earlier in range(place - 1, -1, -1):
         source = order[earlier]
-        since = now - log.start_s[earlier] - layer.time_s[source]
-        if since >= fresh.horizon_s:
+        since = now - start[earlier] - time[source]
+        if since >= horizon:
             break
         row = fresh.slot[island, source]
         if row >= 0:
-            root = np.sqrt(max(since, 0.0) / fresh.horizon_s)
+            root = np.sqrt(max(since, 0.0) / horizon)
             excess += at_root(fresh.excess_k[row, log.way[place], log.way[earlier]], root)
     return temperature + max(excess, 0.0)
