@@ -21,6 +21,9 @@ FOUR_MM = Config().changed(
 )
 """Settings of the plate with a certificate."""
 
+THICK_FAST = FOUR_MM.changed(layers={"layer_height_mm": 6.0})
+"""The same in two layers."""
+
 THICK = Config().changed(layers={"layer_height_mm": 6.0}, process=WIDE)
 """Settings of the plate that every slicer cuts."""
 
@@ -49,6 +52,16 @@ def certified_plate(factory: pytest.TempPathFactory) -> tuple[Path, Path]:
         lambda at: run_job(write_stl(frame(), at / "frame.stl"), at / "frame.run", FOUR_MM),
     )
     return folder / "frame.run", folder / "frame.stl"
+
+
+def plate_of_two_layers(factory: pytest.TempPathFactory) -> Path:
+    """Folder of a validated run of the plate in two layers."""
+    folder = made_once(
+        factory,
+        "two-layers",
+        lambda at: run_job(write_stl(frame(), at / "frame.stl"), at / "frame.run", THICK_FAST),
+    )
+    return folder / "frame.run"
 
 
 def thin_plate(factory: pytest.TempPathFactory) -> tuple[Path, Path]:

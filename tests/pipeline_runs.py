@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import json
 
-from command_line import FAST
-from finished_runs import THICK
+from finished_runs import THICK_FAST
 
-SETTINGS = THICK.changed(slicing={"backends": tuple(FAST.split(","))})
+SETTINGS = THICK_FAST
 
 
 class Listener:

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from command_line import FAST, ebamcheck, frame, write_stl
-from finished_runs import THICK, plate_of_every_slicer
+from finished_runs import THICK, plate_of_every_slicer, plate_of_two_layers
 from parts import box, join, moved, sphere
 from pipeline_runs import SETTINGS, Listener, contents, gates, untimed
 
@@ -219,14 +219,14 @@ def test_settings_and_part_change_the_fingerprint(tmp_path, monkeypatch):
     assert len(set(seen)) == 6
 
 
-def test_a_check_slices_and_compares_and_makes_no_program(tmp_path):
+def test_a_check_slices_and_compares_and_makes_no_program(tmp_path, tmp_path_factory):
     path = write_stl(frame(), tmp_path / "a.stl")
     checked = check_job(path, tmp_path / "check.run", SETTINGS)
-    run_job(path, tmp_path / "whole.run", SETTINGS)
+    whole = plate_of_two_layers(tmp_path_factory)
     assert checked.exit_code == ExitCode.PASS
     assert gates(checked) == {"input": True, "agreement": True}
     for name in ("layers.csv", "compare.csv", "compare.parquet", "layers/planecut.parquet"):
-        assert sha256_of_file(tmp_path / "check.run" / name) == sha256_of_file(tmp_path / "whole.run" / name)
+        assert sha256_of_file(tmp_path / "check.run" / name) == sha256_of_file(whole / name)
     assert not (tmp_path / "check.run" / "program").exists()
     page = (tmp_path / "check.run" / "report.html").read_text()
     assert "✔ AGREED" in page

@@ -7,7 +7,7 @@ import subprocess
 import sys
 
 import pytest
-from command_line import WIDE_TOML, ebamcheck, frame, write_stl
+from command_line import WIDE_TOML, ebamcheck, frame, started, write_stl
 from parts import box, moved, sphere
 
 from ebamcheck.commands.preflight import preflight_command
@@ -163,7 +163,7 @@ def test_the_command_tells_by_its_exit_code(block, capsys):
 
 
 def test_the_preflight_is_a_command(block, tmp_path):
-    done = ebamcheck("preflight", block.name, "--place", "-990,0", cwd=tmp_path)
+    done = started("preflight", block.name, "--place", "-990,0", cwd=tmp_path)
     assert (done.returncode, done.stderr) == (1, "")
     assert "beyond machine.travel_min_mm" in done.stdout
     assert ebamcheck("preflight", "gone.stl", cwd=tmp_path).returncode == 2

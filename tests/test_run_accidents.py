@@ -10,7 +10,7 @@ import subprocess
 import psutil
 import pytest
 from command_line import FAST, WIDE_TOML, command, ebamcheck, frame, write_stl
-from finished_runs import plate_of_every_slicer
+from finished_runs import plate_of_every_slicer, plate_of_two_layers
 from pipeline_runs import SETTINGS, Listener, contents, gates, untimed
 
 from ebamcheck.errors import ExitCode, SettingsError
@@ -25,7 +25,7 @@ def plate(tmp_path_factory):
     return plate_of_every_slicer(tmp_path_factory)
 
 
-def test_a_killed_run_goes_on_to_the_same_result(tmp_path):
+def test_a_killed_run_goes_on_to_the_same_result(tmp_path, tmp_path_factory):
     write_stl(frame(), tmp_path / "frame.stl")
     (tmp_path / "ebamcheck.toml").write_text(
         f"slicing.backends = {FAST.split(',')}\nlayers.layer_height_mm = 6.0\n{WIDE_TOML}"
@@ -40,9 +40,9 @@ def test_a_killed_run_goes_on_to_the_same_result(tmp_path):
     second = ebamcheck("run", "frame.stl", "-o", "a.run", "--resume", cwd=tmp_path)
     assert second.returncode == 0, second.stderr
     assert "layers of the former run are kept" in second.stderr
-    run_job(tmp_path / "frame.stl", tmp_path / "b.run", SETTINGS)
-    assert contents(tmp_path / "a.run") == contents(tmp_path / "b.run")
-    assert untimed(tmp_path / "a.run") == untimed(tmp_path / "b.run")
+    sound = plate_of_two_layers(tmp_path_factory)
+    assert contents(tmp_path / "a.run") == contents(sound)
+    assert untimed(tmp_path / "a.run") == untimed(sound)
     assert not unfinished.exists()
 
 

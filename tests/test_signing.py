@@ -10,7 +10,7 @@ import stat
 import subprocess
 
 import pytest
-from command_line import ebamcheck
+from command_line import ebamcheck, started
 from finished_runs import certified_plate, thin_plate
 from sealed_runs import failed
 
@@ -201,10 +201,10 @@ def test_keys_signatures_and_trust_from_the_command_line(run, made, tmp_path):
     def here(*arguments):
         return ebamcheck(*arguments, cwd=tmp_path)
 
-    assert here("key", "keys/jane").returncode == 0
-    done = here(
+    assert started("key", "keys/jane", cwd=tmp_path).returncode == 0
+    done = started(
         "sign", "copy.run", "--key", "keys/jane.key", "--name", "Jane Doe", "--part-number", "B-17",
-        "--lot", "wire=W-1234", "--deviation", "plate re-used",
+        "--lot", "wire=W-1234", "--deviation", "plate re-used", cwd=tmp_path,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert read_certificate(run / CERTIFICATE)["release"] | {"x": 0} == {
