@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from regression_plugin import BLOCK
+from regression_plugin import ALLOWED_MM, BLOCK, ROUGH_MM
 
-from ebamcheck.errors import InputError, SettingsError
+from ebamcheck.commands.regress import regress
+from ebamcheck.errors import BackendMissing, InputError, SettingsError
 from ebamcheck.plugins.model import models
 from ebamcheck.regression import (
     Measured,
@@ -152,6 +153,10 @@ def test_a_tolerance_file_is_read_and_unknown_metrics_are_refused(tmp_path):
         read_tolerances(path)
 
 
+def test_the_loss_that_is_planted_is_that_which_the_tolerance_allows():
+    assert LENGTH.allowed(ROUGH_MM) == pytest.approx(ALLOWED_MM, rel=1e-12)
+
+
 def test_every_metric_has_a_tolerance_and_a_column_that_is_measured():
     assert len(set(NAMES)) == len(NAMES)
     assert {metric.column for metric in METRICS} == set(LAYER_COLUMNS)
@@ -218,3 +223,22 @@ def test_the_committed_baselines_are_those_of_the_matrix():
     }
     assert {(k.model, k.backend, k.settings_hash) for k in held} == expected
     assert all(e.measured.metrics["beyond_bound_layers"] == 0 for e in held.values() if e.measured.metrics)
+
+
+# -- what is asked for -----------------------------------------------------------------------------------
+
+
+def test_what_is_unknown_is_refused_with_the_right_code(tmp_path):
+    def asked(**options):
+        return regress(
+            baselines=tmp_path,
+            output=tmp_path / "out",
+            **{"models": "cube", "backends": "planecut", **options},
+        )
+
+    with pytest.raises(BackendMissing, match="unknown backend 'nosuch'"):
+        asked(backends="nosuch")
+    with pytest.raises(SettingsError, match="unknown model 'nosuch'"):
+        asked(models="nosuch")
+    with pytest.raises(SettingsError, match="give failed or all"):
+        asked(update_baseline="some")
