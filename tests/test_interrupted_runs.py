@@ -94,6 +94,7 @@ def killed_and_resumed(job, folder, kills, seed):
     assert [path.name for path in folder.glob(".*")] == []
 
 
+@pytest.mark.slow
 def test_checks_killed_at_random_moments_come_to_the_same_bytes(tmp_path):
     write_stl(sphere(12.0, 24, 48), tmp_path / "part.stl")
     (tmp_path / "ebamcheck.toml").write_text(SETTINGS)
