@@ -67,8 +67,8 @@ def whole_run(factory: pytest.TempPathFactory) -> RunFolder:
 
     folder = made_once(factory, "ellipsoid", lambda at: run(parts(12), at, 8.0, parts(48)))
     # Reports are written into it: each file has a copy of its own.
-    shutil.copytree(folder / "run", copied := factory.mktemp("whole") / "run")
-    return RunFolder(copied)
+    shutil.copytree(folder, copied := factory.mktemp("whole") / "ellipsoid")
+    return RunFolder(copied / "run")
 
 
 def data(node: ElementTree.Element) -> list[float]:
