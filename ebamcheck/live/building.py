@@ -98,6 +98,25 @@ class Building:
         self.heights.write(ended=True)
         self._journal.__exit__(None, None, None)
 
+    @property
+    def expected_done(self) -> int:
+        """Number of layers that are done when the next reading comes; 0 before anything is published."""
+        return 0 if self._standing is None else self._standing.done + 1
+
+    @property
+    def told(self) -> Answer:
+        """The last answer that became the state."""
+        return dict(self._told)
+
+    @property
+    def journal_file(self) -> Path:
+        """File of the journal."""
+        return self._journal.path
+
+    def note(self, entry: Answer) -> None:
+        """Write down what a door did with what is published; it changes no decision."""
+        self._journal.append(entry)
+
     # -- what comes in ------------------------------------------------------------------------------
 
     def start(self) -> Answer:
@@ -123,7 +142,7 @@ class Building:
                         f"layer {reading.done} was measured before, at {self._last.height_mm:g} mm: the first reading counts",
                     )
                 )
-        expected = self._standing.done + 1
+        expected = self.expected_done
         if self.finished:
             return self._refused(Refusal("finished", "the part is built: no layer is left"))
         if reading.done != expected:
@@ -135,11 +154,10 @@ class Building:
 
     def status(self) -> Answer:
         """Tell what is published, and what is expected."""
-        standing = self._standing
         return {
             "answer": "status",
             "published": read_current(self.folder),
-            "expected_done": 0 if standing is None else standing.done + 1,
+            "expected_done": self.expected_done,
             "finished": self.finished,
             "top_mm": self.rule.slopes.top_mm,
         }

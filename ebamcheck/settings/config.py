@@ -21,6 +21,7 @@ from ebamcheck.settings.base import Section
 from ebamcheck.settings.curves import CurveSettings
 from ebamcheck.settings.machine import KinematicsSettings, MachineSettings
 from ebamcheck.settings.material import MaterialSettings
+from ebamcheck.settings.opcua import OpcuaSettings
 from ebamcheck.settings.process import ProcessSettings
 from ebamcheck.settings.scan import ScanSettings
 from ebamcheck.settings.selection import MachineChoice, MachineSections, RegressionSettings
@@ -50,6 +51,7 @@ class Config(Section):
     material: MaterialSettings = MaterialSettings()
     regression: RegressionSettings = RegressionSettings()
     machines: MachineSections = MachineSections()
+    opcua: OpcuaSettings = OpcuaSettings()
     work: WorkSettings = WorkSettings()
 
     def __repr__(self) -> str:
