@@ -37,6 +37,8 @@ class OpcuaSettings(Section):
     """User of the control who may write R parameters and files; needed unless `anonymous`."""
     password_variable: str = "EBAMCHECK_OPCUA_PASSWORD"
     """Environment variable that holds the password: passwords do not belong into settings, which go into records."""
+    password_file: str = ""
+    """File that holds the password, where that variable is not set; readable by its owner alone."""
     anonymous: bool = False
     """Write without a user: for a desk alone."""
     r_node: str = "ns=2;s=/Channel/Parameter/R[u1,{r}]"

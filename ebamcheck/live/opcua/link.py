@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 SESSION_MS = 60_000
 """Session time-out that is asked for: that of a SINUMERIK."""
 
+FILES = ("certificate", "private_key", "server_certificate")
+"""Settings that name files which a protected channel needs."""
+
 T = TypeVar("T")
 
 RIGHTS = ("BadUserAccessDenied", "BadNotWritable", "BadWriteNotSupported", "BadSecurityModeInsufficient")
@@ -62,22 +65,76 @@ def checked(opcua: OpcuaSettings) -> None:
     SettingsError
         If certificates, user or password are missing.
     """
+    installed()
+    if opcua.problem:
+        raise SettingsError(opcua.problem)
+    if opcua.security != "none":
+        for key in FILES:
+            _content(opcua, key)
+    if opcua.user and opcua.security != "none":
+        password_of(opcua)
+
+
+def _content(opcua: OpcuaSettings, key: str) -> tuple[bytes, str]:
+    """Content of a certificate or key, which is one, and its form."""
+    from cryptography import x509
+    from cryptography.hazmat.primitives import serialization
+
+    path = Path(str(getattr(opcua, key)))
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise SettingsError(f"opcua.{key} {str(path)!r}: cannot be read: {error.strerror}") from None
+    pem = b"-----BEGIN" in content
+    try:
+        if key == "private_key":
+            (serialization.load_pem_private_key if pem else serialization.load_der_private_key)(content, None)
+        else:
+            (x509.load_pem_x509_certificate if pem else x509.load_der_x509_certificate)(content)
+    except (ValueError, TypeError):
+        what = "key without a password" if key == "private_key" else "certificate"
+        raise SettingsError(f"opcua.{key} {str(path)!r}: is no {what} in PEM or DER") from None
+    return content, "pem" if pem else "der"
+
+
+def installed() -> None:
+    """Refuse a machine without asyncua, and keep its log off the terminal: what matters is told by us, in one line.
+
+    Raises
+    ------
+    ExtraMissing
+        If it is not installed.
+    """
     try:
         import asyncua  # noqa: F401
     except ImportError:
         raise missing("asyncua", "opcua", "--opcua") from None
-    if opcua.problem:
-        raise SettingsError(opcua.problem)
-    for key in ("certificate", "private_key", "server_certificate"):
-        path = str(getattr(opcua, key))
-        if path and opcua.security != "none" and not Path(path).is_file():
-            raise SettingsError(f"opcua.{key} {path!r}: there is no such file")
-    if opcua.user and opcua.security != "none" and not os.environ.get(opcua.password_variable):
-        raise SettingsError(
-            f"the environment variable {opcua.password_variable} is not set: it holds the password of {opcua.user!r}"
-        )
-    # What matters is told by us, in one line.
     logging.getLogger("asyncua").setLevel(logging.CRITICAL + 1)
+
+
+def password_of(opcua: OpcuaSettings) -> str:
+    """Password of the user.
+
+    Raises
+    ------
+    SettingsError
+        If there is none, or others may read its file.
+    """
+    found = os.environ.get(opcua.password_variable, "")
+    if found or not opcua.password_file:
+        if not found:
+            raise SettingsError(
+                f"the environment variable {opcua.password_variable} is not set: it holds the password of {opcua.user!r}; "
+                "or give opcua.password_file"
+            )
+        return found
+    path = Path(opcua.password_file)
+    try:
+        if path.stat().st_mode & 0o077:
+            raise SettingsError(f"opcua.password_file {path}: others may read it: chmod 600 {path}")
+        return path.read_text(encoding="utf-8").strip()
+    except OSError as error:
+        raise SettingsError(f"opcua.password_file {path}: cannot be read: {error.strerror}") from None
 
 
 class Link:
@@ -124,20 +181,23 @@ class Link:
     async def _connect(self, client: Client) -> None:
         from asyncua import ua
         from asyncua.crypto import security_policies
+        from asyncua.crypto.uacrypto import CertProperties
 
         opcua = self._opcua
         if opcua.security != "none":
             mode = {"sign": "Sign", "sign_and_encrypt": "SignAndEncrypt"}[opcua.security]
+            own, key, control = (CertProperties(*_content(opcua, name)) for name in FILES)
+            # The certificate of the control is given: that of whoever answers is not asked for.
             await client.set_security(
                 getattr(security_policies, f"SecurityPolicy{opcua.policy}"),
-                certificate=opcua.certificate,
-                private_key=opcua.private_key,
-                server_certificate=opcua.server_certificate,
+                own,
+                key,
+                server_certificate=control,
                 mode=getattr(ua.MessageSecurityMode, mode),
             )
             if opcua.user:
                 client.set_user(opcua.user)
-                client.set_password(os.environ.get(opcua.password_variable, ""))
+                client.set_password(password_of(opcua))
         await client.connect()
 
     async def _subscribe(self, client: Client) -> None:

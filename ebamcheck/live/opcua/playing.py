@@ -27,7 +27,7 @@ LEAST_WAIT_S = 0.05
 SHOWN_S = 0.6
 """Time for which a wrong value is shown: several times the grid."""
 
-FAULT_S = 1.5
+FAULT_S = 1.0
 """Time for which writes are refused or lost, or the server is away."""
 
 MANY = 10**9

@@ -9,7 +9,8 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
+from urllib.parse import urlsplit
 
 from ebamcheck.live.opcua.panel import Panel
 from ebamcheck.settings.machine import MachineSettings
@@ -20,6 +21,9 @@ GRID_S = 0.1
 
 SESSIONS = 10
 """Sessions of a SINUMERIK's server."""
+
+AWAY_S = 1.0
+"""Time for which a server is away that broke in the middle of an upload."""
 
 LONGER_THAN_AWAY_S = 5.0
 """Time for which an upload hangs that the server does not outlive."""
@@ -58,10 +62,11 @@ class PlayedServer:
 
     async def start(self) -> None:
         """Come up, with the values and files of the panel."""
-        from asyncua import Server, ua
+        from asyncua import ua
         from asyncua.server.internal_session import InternalSession
+        from asyncua.server.server import Server
 
-        server = Server(user_manager=_Users(self._access))
+        server = Server(user_manager=cast(Any, _Users(self._access)))
         await server.init()
         server.set_endpoint(self._opcua.url)
         server.set_server_name("ebamcheck machine")
@@ -105,7 +110,7 @@ class PlayedServer:
         self._server = server
 
     async def stop(self) -> None:
-        """Go away; connections break."""
+        """End for good."""
         server, self._server = self._server, None
         if server is not None:
             with contextlib.suppress(Exception):
@@ -125,13 +130,23 @@ class PlayedServer:
             await self.stop()
 
     async def away(self, seconds: float, full_s: float = 0.0) -> None:
-        """Be away for a time, and then without a session left for another."""
+        """Be away for a time, as a control that is switched off, and then without a session left for another."""
+        from asyncua.server.binary_server_asyncio import BinaryServer
         from asyncua.server.internal_session import InternalSession
 
-        await self.stop()
+        server = self._server
+        if server is None:
+            return
+        await server.bserver.stop()
         await asyncio.sleep(seconds)
         self.panel.full = full_s > 0.0
-        await self.start()
+        InternalSession.max_connections = 0 if self.panel.full else self._sessions
+        url = urlsplit(self._opcua.url)
+        server.bserver = BinaryServer(
+            server.iserver, url.hostname or "127.0.0.1", url.port or 4840, server.limits
+        )
+        server.bserver.set_policies(server._policies)
+        await server.bserver.start()
         if full_s:
             await asyncio.sleep(full_s)
             self.panel.full = False
@@ -146,11 +161,9 @@ class PlayedServer:
             await asyncio.sleep(GRID_S)
             if self.broke.is_set():
                 self.broke.clear()
-                await self.away(1.0)
-                shown = {}
+                await self.away(AWAY_S)
             server = self._server
             if server is None:
-                shown = {}
                 continue
             for number, value in self.panel.snapshot().items():
                 if number in self._nodes and repr(shown.get(number)) != repr(value):
@@ -169,7 +182,7 @@ class PlayedServer:
         def write(node: Any, attribute: Any, value: Any) -> None:
             if not self._from_within:
                 if self.panel.rights == "refused":
-                    raise ServiceError(ua.StatusCodes.BadUserAccessDenied)
+                    raise ServiceError(_status("BadUserAccessDenied").value)
                 now = self.panel.write(number, float(value.Value.Value))
                 value = ua.DataValue(ua.Variant(now, ua.VariantType.Double))
             node.attributes[attribute].value = value
@@ -177,13 +190,12 @@ class PlayedServer:
         return write
 
     async def _upload(self, parent: Any, path: Any, data: Any, replace: Any) -> Any:
-        from asyncua import ua
 
         place, content = str(path.Value), bytes(data.Value or b"")
         if self.panel.rights == "refused":
-            return ua.StatusCode(ua.StatusCodes.BadUserAccessDenied)
+            return _status("BadUserAccessDenied")
         if place in self.panel.files and not replace.Value:
-            return ua.StatusCode(ua.StatusCodes.BadBrowseNameDuplicated)
+            return _status("BadBrowseNameDuplicated")
         if self.panel.upload(place, content):
             self.broke.set()
             await asyncio.sleep(LONGER_THAN_AWAY_S)
@@ -194,11 +206,10 @@ class PlayedServer:
 
         found = self.panel.files.get(str(path.Value))
         if found is None:
-            return ua.StatusCode(ua.StatusCodes.BadNotFound)
+            return _status("BadNotFound")
         return [ua.Variant(found, ua.VariantType.ByteString)]
 
     async def _known_certificate(self, certificate: Any, description: Any) -> None:
-        from asyncua import ua
         from asyncua.common.utils import ServiceError
         from cryptography import x509
         from cryptography.hazmat.primitives.serialization import Encoding
@@ -206,7 +217,15 @@ class PlayedServer:
         assert self._access is not None
         known = x509.load_pem_x509_certificate(self._access.client_certificate.read_bytes())
         if certificate.public_bytes(Encoding.DER) != known.public_bytes(Encoding.DER):
-            raise ServiceError(ua.StatusCodes.BadCertificateUntrusted)
+            raise ServiceError(_status("BadCertificateUntrusted").value)
+
+
+def _status(name: str) -> Any:
+    """Return a status by its name."""
+    from asyncua import ua
+    from asyncua.ua.status_codes import StatusCodes
+
+    return ua.StatusCode(getattr(StatusCodes, name))
 
 
 class _Users:
