@@ -18,6 +18,7 @@ from command_line import FAST, ebamcheck, write_stl
 from parts import box
 
 from ebamcheck.errors import SettingsError
+from ebamcheck.live.bed import Growth
 from ebamcheck.live.building import Building
 from ebamcheck.live.journal import read_journal
 from ebamcheck.live.loading import finished_run

@@ -19,6 +19,7 @@ from pydantic.fields import FieldInfo
 from ebamcheck.errors import SettingsError
 from ebamcheck.settings.base import Section
 from ebamcheck.settings.curves import CurveSettings
+from ebamcheck.settings.height_map import HeightMapSettings
 from ebamcheck.settings.machine import KinematicsSettings, MachineSettings
 from ebamcheck.settings.material import MaterialSettings
 from ebamcheck.settings.opcua import OpcuaSettings
@@ -52,6 +53,7 @@ class Config(Section):
     regression: RegressionSettings = RegressionSettings()
     machines: MachineSections = MachineSections()
     opcua: OpcuaSettings = OpcuaSettings()
+    height_map: HeightMapSettings = HeightMapSettings()
     work: WorkSettings = WorkSettings()
 
     def __repr__(self) -> str:
