@@ -16,10 +16,12 @@ from typing import Any
 
 from ebamcheck.errors import EbamcheckError, InputError
 from ebamcheck.live.heat_so_far import HeatSoFar
+from ebamcheck.live.height_map import MENDING, figures_of
 from ebamcheck.live.heights import HeightRule, height_rule
 from ebamcheck.live.heights_table import HeightsTable, laid_height
 from ebamcheck.live.journal import Journal, read_journal
 from ebamcheck.live.making import LayerMaker, MadeLayer, Wanted, failure_of, program_settings_sha256
+from ebamcheck.live.map_reading import map_reading
 from ebamcheck.live.metal_so_far import MetalSoFar
 from ebamcheck.live.publishing import (
     JOURNAL,
@@ -31,6 +33,7 @@ from ebamcheck.live.publishing import (
     read_current,
 )
 from ebamcheck.live.readings import Reading, Refusal, fault_of, reading_of
+from ebamcheck.metal.surface import MENDED
 
 TRIES = ((1.0, 0), (0.97, 0), (1.03, 0), (1.0, 3), (1.0, 6))
 """What is tried one after the other until every gate is open: heights of the layer over the planned one, since a plane
@@ -127,7 +130,13 @@ class Building:
 
     def height(self, message: dict[str, Any]) -> Answer:
         """Take a measured height, and publish the layer on it."""
-        reading = reading_of(message)
+        if self._standing is None and "height_map" in message:
+            return self._refused(Refusal("not-started", "nothing is published yet: send `start` first"))
+        reading = (
+            map_reading(message, self.metal, self.maker.config, self._last)
+            if "height_map" in message
+            else reading_of(message)
+        )
         if isinstance(reading, Refusal):
             return self._refused(reading)
         if self._standing is None:
@@ -166,7 +175,7 @@ class Building:
 
     def _decide(self, reading: Reading) -> Answer:
         """Write a reading down, plan on it, and publish the next layer or say why not."""
-        self._journal.append({"kind": "height", "done": reading.done, "height_mm": reading.height_mm})
+        self._journal.append(reading.entry())
         answer, made = self._made(reading)
         if made is None:
             if answer["answer"] == "done":
@@ -221,7 +230,12 @@ class Building:
         limits, why = self.rule.limits, ""
         program = self.maker.config.machine.program_name
         self.folder.mkdir(parents=True, exist_ok=True)
-        for number, (factor, shifted) in enumerate(TRIES, 1):
+        measured = None
+        if reading.cells is not None and self.metal.surface is not None:
+            measured = figures_of(reading.cells, self.metal.surface, self.maker.config)
+        shares = MENDING if measured else (MENDED,)
+        tries = [(1.0, 0, share) for share in shares[:-1]] + [(*how, shares[-1]) for how in TRIES]
+        for number, (factor, shifted, mended) in enumerate(tries, 1):
             thickness_mm = float(plan.thickness_mm[0]) * factor
             inside = (
                 limits.least_mm <= thickness_mm <= limits.most_mm and base_mm + thickness_mm <= top_mm + 1e-9
@@ -232,14 +246,19 @@ class Building:
             wanted = Wanted(reading.done, base_mm, thickness_mm, name, shifted)
             staged = Path(tempfile.mkdtemp(prefix=".making.", dir=self.folder))
             try:
-                made = self.maker.make(wanted, self.heat, staged / PROGRAM, self.metal)
+                metal = self.metal if measured is None else self.metal.mapped(measured, mended)
+                made = self.maker.make(wanted, self.heat, staged / PROGRAM, metal)
                 if made.passed:
+                    of_map = None
+                    if measured is not None:
+                        of_map = {**measured.told(), "sha256": reading.map_sha256, "mended": mended}
                     certificate = certificate_of(
-                        made, self.maker.part, self.maker.primary, self.maker.witness
+                        made, self.maker.part, self.maker.primary, self.maker.witness, of_map
                     )
                     answer = {"answer": "published", "layers_left": len(plan), "said": list(plan.said),
                               "cusp_mm": float(plan.cusp_mm[0]), "seconds": made.seconds,
                               "islands": made.islands, "tries": number}  # fmt: skip
+                    answer |= {} if of_map is None else {"height_map": of_map}
                     return answer, (staged, made, certificate)
                 why = why or made.why
             except Exception as error:  # whatever a stage meets, the server stays
@@ -282,7 +301,7 @@ class Building:
         for entry in entries:
             kind = entry.get("kind")
             if kind == "height":
-                waiting = Reading(int(entry["done"]), float(entry["height_mm"]))
+                waiting = Reading.of_entry(entry)
             elif waiting is not None and kind in ("layer", "done"):
                 self._again(waiting, entry)
                 waiting = None

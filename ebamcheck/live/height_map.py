@@ -27,6 +27,13 @@ from ebamcheck.settings.config import Config
 RIM_BEADS = 0.5
 """Width of the border, over the bead width, on which the flank of a bead lies."""
 
+UNEVEN_SHARE = 0.5
+"""Share of the usual height of a layer that a hump may have where no limit is set: the tip of the wire passes over it."""
+
+MENDING = (1.0, 0.6, 0.3)
+"""Shares of a measured unevenness that a layer is tried to mend, one after the other, until every gate is open: the most that
+can be proved. A layer gets at most a fifth thicker or thinner for it (``MOST_MENDED``)."""
+
 KEPT_MM = 1e-3
 """Step in which heights are kept."""
 
@@ -209,7 +216,9 @@ def figures_of(cells: MapCells, surface: Surface, config: Config) -> MapFigures:
         mean_mm, float(spots.flat[top]), _place(surface, top), -float(spots.flat[low]), _place(surface, low),
         math.degrees(math.atan(math.hypot(*slope))), math.degrees(math.atan2(slope[1], slope[0])) % 360.0, share, over,
     )  # fmt: skip
-    limit = config.process.largest_unevenness_mm if settings.uneven_mm is None else settings.uneven_mm
+    limit = settings.uneven_mm
+    if limit is None:
+        limit = min(config.process.largest_unevenness_mm, UNEVEN_SHARE * config.layer_height_mm)
     if max(figures.hump_mm, figures.dip_mm) > limit:
         hump = figures.hump_mm >= figures.dip_mm
         off, (x, y) = (figures.hump_mm, figures.hump_at_mm) if hump else (figures.dip_mm, figures.dip_at_mm)

@@ -33,4 +33,4 @@ class HeightMapSettings(Section):
     """Share of the layer of which the height has to be known; holes get that of the nearest place."""
     uneven_mm: Annotated[float, Between(0.001, 100.0)] | None = None
     """How far a spot of a bead may lie over or under the mean of the layer; a layer that is more uneven is refused with the place.
-    None: process.surface_tolerance_mm, or half a bead width where that is not set."""
+    None: half the usual height of a layer, and no more than process.surface_tolerance_mm."""
