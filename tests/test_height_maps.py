@@ -107,7 +107,7 @@ def test_one_surface_is_the_same_from_every_kind_of_file(metal, tmp_path):
     Image.fromarray(height[::-1].astype(np.float32)).save(tmp_path / "m.tif")
     (tmp_path / "m.tif.frame.toml").write_text(up.replace('"up"', '"down"'))
     # A quarter turn to the left: what was along X is along Y.
-    np.save(tmp_path / "turned.npy", height.T[:, ::-1])
+    np.save(tmp_path / "turned.npy", height.T[::-1])
     (tmp_path / "turned.npy.frame.toml").write_text(
         f'origin_mm = [{x.max()}, -3.0]\nstep_mm = [0.5, 0.5]\nturn_deg = 90.0\nrows = "up"\n'
     )
@@ -323,14 +323,14 @@ def test_wire_follows_the_local_thickness_along_the_beads_and_the_surface_gets_f
         near = np.hypot(places[:, 0] - x, places[:, 1] - y) < radius
         return float(np.mean(program.wire_mm_s[row[near]] / program.feed_mm_min[row[near]]))
 
-    # On the hump there is less room: less wire, by up to the fifth that a layer may be thinner.
-    ratio = (wire_at(known, 14.0, 18.0) / wire_at(known, 32.0, 18.0)) / (
-        wire_at(blind, 14.0, 18.0) / wire_at(blind, 32.0, 18.0)
-    )
-    assert 0.72 < ratio < 0.92
+    # On the hump there is less room: less wire, by up to the fifth that a layer may be thinner; and more around it.
+    assert 0.75 < wire_at(known, 14.0, 18.0) / wire_at(blind, 14.0, 18.0) < 0.9
+    assert wire_at(known, 34.0, 28.0) > wire_at(blind, 34.0, 28.0)
     # Along one hatch line it changes, too.
     lines = np.flatnonzero(known.deposit & known.wire)
-    assert len(np.unique(known.wire_mm_s[lines])) > 2 * len(np.unique(blind.wire_mm_s[lines]))
+    assert len(np.unique(known.wire_mm_s[lines])) > 1.5 * len(
+        np.unique(blind.wire_mm_s[blind.deposit & blind.wire])
+    )
     process = maker.config.process
     assert (known.wire_mm_s[lines] <= process.wire_speed_max_mm_s + 1e-9).all()
     assert (known.wire_mm_s[lines] >= process.wire_speed_min_mm_s - 1e-9).all()
