@@ -248,6 +248,38 @@ def test_nothing_is_released_before_a_program_waits(maker, tmp_path):
     asyncio.run(play())
 
 
+def test_texts_go_to_nodes_of_the_profile_and_a_map_stands_for_the_height(maker, tmp_path):
+    nodes = {role: f"ns=2;s=/Plc/{role}" for role in ("name", "sha256", "map")}
+
+    async def play():
+        opcua = on_a_desk(nodes=nodes)
+        async with control(maker, opcua) as at, door(maker, tmp_path / "b", opcua) as told:
+            await until(lambda: at["released"] == 1.0)
+            current = json.loads((tmp_path / "b" / "current.json").read_text())
+            assert at.panel.texts == {"name": current["name"], "sha256": current["sha256"]}
+            top = current["thickness_mm"]
+            x, y = np.meshgrid(np.arange(0.0, 31.0), np.arange(0.0, 25.0))
+            rows = [f"{a},{b},{top + 0.01 * (a - 15.0)}" for a, b in zip(x.ravel(), y.ravel(), strict=True)]
+            (tmp_path / "m.csv").write_text("\n".join(["x_mm,y_mm,height_mm", *rows]))
+            await write_from_outside(maker, opcua, "map", str(tmp_path / "none.csv"))
+            at["done"], at["measured"] = 1.0, 1.0
+            await until(lambda: "map" in codes(told))
+            assert at["released"] == 1.0
+            await write_from_outside(maker, opcua, "map", str(tmp_path / "m.csv"))
+            await until(lambda: at["released"] == 2.0)
+            published = next(text for text in reversed(told) if text["answer"] == "published")
+            assert published["height_map"]["slope_deg"] == pytest.approx(math.degrees(0.01), abs=0.02)
+            assert published["base_mm"] == pytest.approx(top, abs=0.01)
+
+    asyncio.run(play())
+
+
+async def write_from_outside(maker, opcua, role, text):
+    """Another client, as who measures is one."""
+    async with Link(maker.config.machine, opcua) as link:
+        await link.write_text(role, text)
+
+
 def test_a_release_that_is_gone_waits_for_the_operator(maker, tmp_path):
     async def play():
         opcua = on_a_desk()

@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 
 from ebamcheck.commands.options import JsonOption, numbers, print_json
@@ -17,6 +18,7 @@ from ebamcheck.live.making import LayerMaker
 from ebamcheck.live.map_files import read_map
 from ebamcheck.live.metal_so_far import MetalSoFar
 from ebamcheck.live.relaying import Relayered, relayer
+from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.program.checking.metal_below import MetalBelow
 
 
@@ -66,6 +68,11 @@ def relayer_command(
     layers = len(found.thickness_mm)
     if not 0 <= layer < layers:
         raise SettingsError(f"--layer {layer}: the run has the layers 0 to {layers - 1}")
+    if turned is not None and not (found.config.machine.tilt_axes or alike(turned, run)):
+        raise SettingsError(
+            f"--direction {direction}: the control {found.config.machine.control!r} has no axes that turn the part between layers "
+            "(machine.tilt_axes)"
+        )
     heat = heat_under(found.plan, layer, found.thickness_mm, found.busy_s(), found.config)
     folder = output or run.with_name(f"{run.resolve().name.removesuffix('.run')}.live")
     with LayerMaker(found.part, found.config, found.primary, annealing) as maker:
@@ -81,6 +88,13 @@ def relayer_command(
     else:
         _tell(done, found, layer)
     return ExitCode.PASS if done.place is not None else ExitCode.OUT_OF_TOLERANCE
+
+
+def alike(direction: tuple[float, ...], run: Path) -> bool:
+    """Whether a direction is that of a run."""
+    was = np.array(RunFolder(run).manifest()["settings"]["part"]["direction"], np.float64)
+    now = np.array(direction, np.float64)
+    return bool(np.allclose(was / np.linalg.norm(was), now / np.linalg.norm(now), atol=1e-9))
 
 
 def mapped(

@@ -10,13 +10,13 @@ from __future__ import annotations
 import shutil
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from ebamcheck.errors import EbamcheckError, InputError
+from ebamcheck.live.ground import Ground
 from ebamcheck.live.heat_so_far import HeatSoFar
-from ebamcheck.live.height_map import MENDING, figures_of
 from ebamcheck.live.heights import HeightRule, height_rule
 from ebamcheck.live.heights_table import HeightsTable, laid_height
 from ebamcheck.live.journal import Journal, read_journal
@@ -32,8 +32,8 @@ from ebamcheck.live.publishing import (
     publish,
     read_current,
 )
+from ebamcheck.live.pyrometer import fault_of_temperature, temperature_of
 from ebamcheck.live.readings import Reading, Refusal, fault_of, reading_of
-from ebamcheck.metal.surface import MENDED
 
 TRIES = ((1.0, 0), (0.97, 0), (1.03, 0), (1.0, 3), (1.0, 6))
 """What is tried one after the other until every gate is open: heights of the layer over the planned one, since a plane
@@ -132,11 +132,7 @@ class Building:
         """Take a measured height, and publish the layer on it."""
         if self._standing is None and "height_map" in message:
             return self._refused(Refusal("not-started", "nothing is published yet: send `start` first"))
-        reading = (
-            map_reading(message, self.metal, self.maker.config, self._last)
-            if "height_map" in message
-            else reading_of(message)
-        )
+        reading = self._read(message)
         if isinstance(reading, Refusal):
             return self._refused(reading)
         if self._standing is None:
@@ -159,7 +155,21 @@ class Building:
                 Refusal("counter-jump", f"{reading.done} layers are said to be done, expected are {expected}")
             )
         fault = fault_of(reading, self._standing.base_mm, self._standing.top_mm)
+        if fault is None and reading.surface_k is not None:
+            warm = fault_of_temperature(self.heat, reading.surface_k, self.maker.config)
+            fault = Refusal("temperature", warm) if warm else None
         return self._refused(fault) if fault else self._decide(reading)
+
+    def _read(self, message: dict[str, Any]) -> Reading | Refusal:
+        """What a message says that was measured."""
+        surface_k = temperature_of(message)
+        if isinstance(surface_k, str):
+            return Refusal("temperature", surface_k)
+        if "height_map" in message:
+            reading = map_reading(message, self.metal, self.maker.config, self._last)
+        else:
+            reading = reading_of(message)
+        return reading if isinstance(reading, Refusal) else replace(reading, surface_k=surface_k)
 
     def status(self) -> Answer:
         """Tell what is published, and what is expected."""
@@ -185,6 +195,8 @@ class Building:
         staged, layer, certificate = made
         try:
             entry = {"kind": "layer", "name": certificate["name"], "files": certificate["files"]}
+            if "temperature" in answer:
+                entry["why_wait"] = f"{certificate['wait_s']:g} s: {answer['temperature']['why']}"
             current = publish(self.folder, layer, certificate, before=lambda: self._journal.append(entry))
         except (EbamcheckError, OSError) as error:
             answer = _kept(reading, failure_of(error))
@@ -230,11 +242,9 @@ class Building:
         limits, why = self.rule.limits, ""
         program = self.maker.config.machine.program_name
         self.folder.mkdir(parents=True, exist_ok=True)
-        measured = None
-        if reading.cells is not None and self.metal.surface is not None:
-            measured = figures_of(reading.cells, self.metal.surface, self.maker.config)
-        shares = MENDING if measured else (MENDED,)
-        tries = [(1.0, 0, share) for share in shares[:-1]] + [(*how, shares[-1]) for how in TRIES]
+        ground = Ground.of(reading, self.heat, self.metal, self.maker.config)
+        *first, last = ground.mending
+        tries = [(1.0, 0, share) for share in first] + [(*how, last) for how in TRIES]
         for number, (factor, shifted, mended) in enumerate(tries, 1):
             thickness_mm = float(plan.thickness_mm[0]) * factor
             inside = (
@@ -246,19 +256,15 @@ class Building:
             wanted = Wanted(reading.done, base_mm, thickness_mm, name, shifted)
             staged = Path(tempfile.mkdtemp(prefix=".making.", dir=self.folder))
             try:
-                metal = self.metal if measured is None else self.metal.mapped(measured, mended)
-                made = self.maker.make(wanted, self.heat, staged / PROGRAM, metal)
+                made = self.maker.make(wanted, ground.heat, staged / PROGRAM, ground.surface(mended))
                 if made.passed:
-                    of_map = None
-                    if measured is not None:
-                        of_map = {**measured.told(), "sha256": reading.map_sha256, "mended": mended}
+                    told = ground.told(mended)
                     certificate = certificate_of(
-                        made, self.maker.part, self.maker.primary, self.maker.witness, of_map
+                        made, self.maker.part, self.maker.primary, self.maker.witness, told
                     )
                     answer = {"answer": "published", "layers_left": len(plan), "said": list(plan.said),
                               "cusp_mm": float(plan.cusp_mm[0]), "seconds": made.seconds,
-                              "islands": made.islands, "tries": number}  # fmt: skip
-                    answer |= {} if of_map is None else {"height_map": of_map}
+                              "islands": made.islands, "tries": number, **told}  # fmt: skip
                     return answer, (staged, made, certificate)
                 why = why or made.why
             except Exception as error:  # whatever a stage meets, the server stays

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +36,7 @@ def map_reading(
     try:
         cells = in_cells(read_map(Path(name), config.height_map), metal.surface)
         if last is not None and (last.done, last.map_sha256) == (done, cells.sha256):
-            return last
+            return replace(last, surface_k=None)
         figures = figures_of(cells, metal.surface, config)
     except UnevenLayer as error:
         return Refusal(error.code, str(error))

@@ -58,7 +58,7 @@ def certificate_of(
 ) -> dict[str, Any]:
     """What is known of a made layer, as its certificate holds it: nothing of the clock, so that it can be made again.
 
-    What was `measured` under it beside its height, a map, is kept there, too.
+    What was `measured` under it beside its height is kept there, too.
     """
     wanted, files = made.wanted, made.files
     return dict(
@@ -94,7 +94,7 @@ def certificate_of(
                 "files": {} if files is None else dict(files.sha256),
                 "validated": made.passed,
             }
-            | ({} if measured is None else {"height_map": dict(measured)})
+            | dict(measured or {})
         )
     )
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from ebamcheck.live.height_map import MapCells
@@ -37,12 +37,13 @@ class Refusal:
 
 @dataclass(frozen=True)
 class Reading:
-    """A height that was measured when so many layers were done, and the map of which it is the mean, if there is one."""
+    """A height that was measured when so many layers were done; the map of which it is the mean, and the temperature, if there are."""
 
     done: int
     height_mm: float
     cells: MapCells | None = field(default=None, compare=False)
     map_sha256: str = ""
+    surface_k: float | None = None
 
     @classmethod
     def of_map(cls, done: int, mean_mm: float, cells: MapCells) -> Reading:
@@ -52,15 +53,17 @@ class Reading:
     def entry(self) -> dict[str, Any]:
         """Line of the journal."""
         values: dict[str, Any] = {"kind": "height", "done": self.done, "height_mm": self.height_mm}
+        if self.surface_k is not None:
+            values["surface_k"] = self.surface_k
         return values if self.cells is None else {**values, "map": self.cells.entry()}
 
     @classmethod
     def of_entry(cls, entry: dict[str, Any]) -> Reading:
         """Take it back from a line of the journal."""
-        done, height_mm = int(entry["done"]), float(entry["height_mm"])
-        if "map" not in entry:
-            return cls(done, height_mm)
-        return cls.of_map(done, height_mm, MapCells.of_entry(entry["map"]))
+        found = cls(int(entry["done"]), float(entry["height_mm"]))
+        if "map" in entry:
+            found = cls.of_map(found.done, found.height_mm, MapCells.of_entry(entry["map"]))
+        return replace(found, surface_k=entry.get("surface_k"))
 
 
 def parsed(line: bytes) -> dict[str, Any] | Refusal:

@@ -11,13 +11,14 @@ from typing import Any
 from ebamcheck.atomic_file import made_folder
 from ebamcheck.errors import SettingsError
 from ebamcheck.json_values import json_text
+from ebamcheck.live.ground import Ground
 from ebamcheck.live.heat_so_far import HeatSoFar
-from ebamcheck.live.height_map import MENDING, MapCells, figures_of
+from ebamcheck.live.height_map import MapCells
 from ebamcheck.live.heights import height_rule
 from ebamcheck.live.making import LayerMaker, MadeLayer, Wanted
 from ebamcheck.live.metal_so_far import MetalSoFar
 from ebamcheck.live.publishing import LAYERS, PROGRAM, certificate_of, layer_name, publish
-from ebamcheck.metal.surface import MENDED
+from ebamcheck.live.readings import Reading
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,19 +70,15 @@ def relayer(
     while (folder / LAYERS / layer_name(program, layer, number)).exists():
         number += 1
     wanted, said = wanted_layer(maker, layer, measured_mm, layer_name(program, layer, number))
-    measured = None
-    if cells is not None and metal is not None and metal.surface is not None:
-        measured = figures_of(cells, metal.surface, maker.config)
-    shares = MENDING if measured else (MENDED,)
-    for share in shares:
+    known = MetalSoFar() if metal is None else metal
+    reading = Reading(layer, measured_mm) if cells is None else Reading.of_map(layer, measured_mm, cells)
+    ground = Ground.of(reading, heat, known, maker.config)
+    for share in ground.mending:
         staged = Path(tempfile.mkdtemp(prefix=".making.", dir=folder))
         try:
-            under = metal if measured is None or metal is None else metal.mapped(measured, share)
+            under = None if metal is None else ground.surface(share)
             made = maker.make(wanted, heat, staged / PROGRAM, under)
-            of_map = None
-            if measured is not None and cells is not None:
-                of_map = {**measured.told(), "sha256": cells.sha256, "mended": share}
-            certificate = certificate_of(made, maker.part, maker.primary, maker.witness, of_map)
+            certificate = certificate_of(made, maker.part, maker.primary, maker.witness, ground.told(share))
             if made.passed:
                 publish(folder, made, certificate)
                 return Relayered(made, certificate, said, folder / LAYERS / wanted.name)

@@ -210,15 +210,19 @@ class Door:
         # Two looks have to agree: values that are written one by one are not there at once.
         await asyncio.sleep(self._opcua.grid_s)
         again = await link.seen()
-        key = repr((seen.measured, seen.height))
-        if repr((again.measured, again.height)) != key or again.done != seen.done:
+        if again.reading != seen.reading:
             link.changed.set()
             return
-        if self._measured == key:
+        if self._measured == seen.reading:
             return
-        self._measured = key
-        height: Any = None if math.isnan(seen.height) else seen.height
-        message = {"event": "height", "done": done, "height_mm": height}
+        self._measured = seen.reading
+        message: dict[str, Any] = {"event": "height", "done": done}
+        if seen.map:
+            message["height_map"] = seen.map
+        else:
+            message["height_mm"] = None if math.isnan(seen.height) else seen.height
+        if seen.surface_k != 0.0:
+            message["surface_k"] = seen.surface_k
         self._tell(await asyncio.to_thread(self._building.height, message))
         link.changed.set()
 

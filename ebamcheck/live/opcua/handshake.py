@@ -59,11 +59,21 @@ class Seen:
     begin_at: float
     owner: float
     digest: float
+    map: str = ""
+    surface_k: float = 0.0
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> Seen:
         """Take values as they came."""
-        return cls(**{role: _number(values.get(role)) for role in ROLES})
+        name = values.get("map")
+        text = name.strip() if isinstance(name, str) else ""
+        numbers = {role: _number(values.get(role)) for role in ROLES}
+        return cls(**numbers, map=text, surface_k=_number(values.get("surface_k", 0.0)))
+
+    @property
+    def reading(self) -> str:
+        """What was measured, to be compared: heights that are no numbers are alike, too."""
+        return repr((self.done, self.measured, self.height, self.map))
 
 
 def _number(value: Any) -> float:

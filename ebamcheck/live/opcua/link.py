@@ -218,7 +218,9 @@ class Link:
 
     async def seen(self) -> Seen:
         """Read all values at once."""
-        values = await self._read({role: self._ids[role] for role in ROLES})
+        values = await self._read(
+            {role: self._ids[role] for role in (*ROLES, "map", "surface_k") if role in self._ids}
+        )
         return Seen.of(values)
 
     async def _read(self, ids: Mapping[str, str]) -> dict[str, Any]:

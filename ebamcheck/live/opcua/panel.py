@@ -35,6 +35,8 @@ class Panel:
 
     values: dict[int, float] = field(default_factory=dict)
     """R parameters by number; those that are not there are 0."""
+    texts: dict[str, str] = field(default_factory=dict)
+    """Variables of text, by what they are."""
     files: dict[str, bytes] = field(default_factory=dict)
     """Files by their place."""
     rights: str = "operate"

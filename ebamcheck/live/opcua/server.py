@@ -14,7 +14,7 @@ from urllib.parse import urlsplit
 
 from ebamcheck.live.opcua.panel import Panel
 from ebamcheck.settings.machine import MachineSettings
-from ebamcheck.settings.opcua import OpcuaSettings
+from ebamcheck.settings.opcua import TEXT_ROLES, OpcuaSettings
 
 GRID_S = 0.1
 """Grid on which a SINUMERIK samples its values."""
@@ -86,6 +86,11 @@ class PlayedServer:
             await node.set_writable()
             server.set_attribute_value_setter(node_id, self._setter(number))
             self._nodes[number] = node
+        for role in (role for role in TEXT_ROLES if role in self._opcua.nodes):
+            node_id = ua.NodeId.from_string(self._opcua.nodes[role])
+            node = await server.nodes.objects.add_variable(node_id, role, self.panel.texts.get(role, ""))
+            await node.set_writable()
+            server.set_attribute_value_setter(node_id, self._text_setter(role))
         methods = await server.nodes.objects.add_object(
             ua.NodeId.from_string(self._opcua.methods_node), "Methods"
         )
@@ -186,6 +191,14 @@ class PlayedServer:
                 now = self.panel.write(number, float(value.Value.Value))
                 value = ua.DataValue(ua.Variant(now, ua.VariantType.Double))
             node.attributes[attribute].value = value
+
+        return write
+
+    def _text_setter(self, role: str) -> Any:
+        def write(node: Any, attribute: Any, value: Any) -> None:
+            if self.panel.rights == "operate":
+                self.panel.texts[role] = str(value.Value.Value or "")
+                node.attributes[attribute].value = value
 
         return write
 
