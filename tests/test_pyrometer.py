@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 
+import numpy as np
 import pytest
 from command_line import FAST, ebamcheck, write_stl
 from parts import box
@@ -16,7 +17,7 @@ from ebamcheck.live.journal import read_journal
 from ebamcheck.live.loading import finished_run
 from ebamcheck.live.making import LayerMaker, Wanted
 from ebamcheck.live.publishing import LAYERS
-from ebamcheck.live.pyrometer import ALIKE_K, corrected, fault_of_temperature, temperature_of
+from ebamcheck.live.pyrometer import Warmth, corrected, fault_of_warmth, warmth_of
 from ebamcheck.settings.config import Config
 
 SIZE = (30, 24, 5.2)
@@ -42,46 +43,52 @@ def heat(maker, tmp_path_factory):
     return made.heat
 
 
-@pytest.mark.parametrize("off_k", [-120.0, -40.0, -5.0, 5.0, 40.0, 120.0])
-def test_the_corrected_model_reads_what_was_measured(heat, off_k):
-    before = heat.surface_k
-    after, said = corrected(heat, before + off_k)
-    assert after.surface_k == pytest.approx(before + off_k, abs=0.1)
+@pytest.mark.parametrize("after_s", [0.0, 2.0, 30.0])
+@pytest.mark.parametrize("off_k", [-120.0, -5.0, 0.0, 5.0, 120.0])
+def test_the_corrected_model_reads_what_was_measured(heat, off_k, after_s):
+    before, then = heat.surface_k, heat.rested(after_s)
+    after, said = corrected(heat, Warmth(then.surface_k + off_k, after_s), Config())
+    assert after.surface_k == pytest.approx(then.surface_k + off_k, abs=0.1)
     assert heat.surface_k == before
-    assert (said.rested_s > 0.0) == (off_k < 0.0)
-    assert (said.added_j > 0.0) == (off_k > 0.0)
-    assert ("colder" if off_k < 0 else "warmer") in said.told()["why"]
-    stored = after.part.column.stored_j - heat.part.column.stored_j
-    assert (stored > 0.0) == (off_k > 0.0)
-
-
-def test_what_a_pyrometer_cannot_tell_corrects_nothing(heat):
-    after, said = corrected(heat, heat.surface_k + 0.9 * ALIKE_K)
-    assert after is heat
-    assert said.rested_s == said.added_j == 0.0
+    assert (said.factor > 1.0) == (off_k > 0.0)
+    assert f"{abs(off_k):.0f} K {'warmer' if off_k > 0.0 else 'colder'}" in said.why
+    stored = [found.part.column.stored_j for found in (after, then)]
+    assert (stored[0] - stored[1]) * off_k >= 0.0
+    # What differs across the section, and the cold base, keep their place in it.
+    assert np.allclose(after.part.state, said.factor * then.part.state)
+    rise = [
+        found.part.column.temperature_k - Config().process.ambient_temperature_k for found in (after, then)
+    ]
+    assert np.allclose(rise[0], said.factor * rise[1], atol=0.1)
 
 
 def test_temperatures_out_of_limits_are_refused_with_the_limit(heat):
     config = Config()
-    warm = heat.surface_k
-    assert fault_of_temperature(heat, warm, config) == ""
-    assert "process.pyrometer_limit_k" in fault_of_temperature(heat, warm + 151.0, config)
     wide = config.changed(process={"pyrometer_limit_k": 1000.0})
-    assert fault_of_temperature(heat, warm + 151.0, wide) == ""
+    warm = heat.rested(20.0).surface_k
+    assert fault_of_warmth(heat, Warmth(warm, 20.0), config) == ""
+    assert "process.pyrometer_limit_k" in fault_of_warmth(heat, Warmth(warm + 151.0, 20.0), config)
+    assert fault_of_warmth(heat, Warmth(warm + 151.0, 20.0), wide) == ""
     for value in (-3.0, 20.0, 5000.0, 1e300):
-        assert "give kelvins" in fault_of_temperature(heat, value, wide)
-    assert "on which something was laid" in fault_of_temperature(HeatSoFar.cold(config), 300.0, config)
+        assert "give kelvins" in fault_of_warmth(heat, Warmth(value, 20.0), wide)
+    for after_s in (-1.0, 1e6):
+        assert "after_s" in fault_of_warmth(heat, Warmth(warm, after_s), wide)
+    assert "on which something was laid" in fault_of_warmth(
+        HeatSoFar.cold(config), Warmth(300.0, 0.0), config
+    )
 
 
 @pytest.mark.parametrize("value", ["hot", True, float("nan"), float("inf"), [300.0]])
 def test_what_is_no_temperature_is_said(value):
-    assert "is not a finite number of kelvins" in temperature_of({"surface_k": value})
+    assert "give a finite number of kelvins" in warmth_of({"surface_k": value, "after_s": 1.0})
+    assert "give a finite number of seconds" in warmth_of({"surface_k": 700.0, "after_s": value})
+    assert "give a finite number of seconds" in warmth_of({"surface_k": 700.0})
 
 
 def test_none_is_none():
-    assert temperature_of({}) is None
-    assert temperature_of({"surface_k": None}) is None
-    assert temperature_of({"surface_k": 700}) == 700.0
+    assert warmth_of({}) is None
+    assert warmth_of({"surface_k": None}) is None
+    assert warmth_of({"surface_k": 700, "after_s": 3}) == Warmth(700.0, 3.0)
 
 
 def ask(building, **message):
@@ -95,12 +102,13 @@ def test_the_wait_follows_the_temperature_and_the_journal_says_why(maker, heat, 
         try:
             first = ask(building, event="start")
             height = {"event": "height", "done": 1, "height_mm": first["thickness_mm"]}
-            warm = building.heat.surface_k
-            assert ask(building, **height, surface_k="hot")["code"] == "temperature"
-            assert ask(building, **height, surface_k=warm + 400.0)["code"] == "temperature"
-            answer = ask(building, **height, **({} if off_k is None else {"surface_k": warm + off_k}))
+            warm = building.heat.rested(8.0).surface_k
+            assert ask(building, **height, surface_k="hot", after_s=8.0)["code"] == "temperature"
+            assert ask(building, **height, surface_k=warm + 400.0, after_s=8.0)["code"] == "temperature"
+            read = {} if off_k is None else {"surface_k": warm + off_k, "after_s": 8.0}
+            answer = ask(building, **height, **read)
             assert answer["answer"] == "published", answer
-            waits[name], told[name] = answer["wait_s"] + answer["layer_s"], answer
+            waits[name], told[name] = answer["wait_s"], answer
         finally:
             building.close()
     assert waits["colder"] < waits["as worked out"] < waits["warmer"]

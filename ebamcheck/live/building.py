@@ -32,7 +32,7 @@ from ebamcheck.live.publishing import (
     publish,
     read_current,
 )
-from ebamcheck.live.pyrometer import fault_of_temperature, temperature_of
+from ebamcheck.live.pyrometer import fault_of_warmth, warmth_of
 from ebamcheck.live.readings import Reading, Refusal, fault_of, reading_of
 
 TRIES = ((1.0, 0), (0.97, 0), (1.03, 0), (1.0, 3), (1.0, 6))
@@ -155,21 +155,21 @@ class Building:
                 Refusal("counter-jump", f"{reading.done} layers are said to be done, expected are {expected}")
             )
         fault = fault_of(reading, self._standing.base_mm, self._standing.top_mm)
-        if fault is None and reading.surface_k is not None:
-            warm = fault_of_temperature(self.heat, reading.surface_k, self.maker.config)
-            fault = Refusal("temperature", warm) if warm else None
+        if fault is None and reading.warmth is not None:
+            why = fault_of_warmth(self.heat, reading.warmth, self.maker.config)
+            fault = Refusal("temperature", why) if why else None
         return self._refused(fault) if fault else self._decide(reading)
 
     def _read(self, message: dict[str, Any]) -> Reading | Refusal:
         """What a message says that was measured."""
-        surface_k = temperature_of(message)
-        if isinstance(surface_k, str):
-            return Refusal("temperature", surface_k)
+        warmth = warmth_of(message)
+        if isinstance(warmth, str):
+            return Refusal("temperature", warmth)
         if "height_map" in message:
             reading = map_reading(message, self.metal, self.maker.config, self._last)
         else:
             reading = reading_of(message)
-        return reading if isinstance(reading, Refusal) else replace(reading, surface_k=surface_k)
+        return reading if isinstance(reading, Refusal) else replace(reading, warmth=warmth)
 
     def status(self) -> Answer:
         """Tell what is published, and what is expected."""
@@ -258,6 +258,8 @@ class Building:
             try:
                 made = self.maker.make(wanted, ground.heat, staged / PROGRAM, ground.surface(mended))
                 if made.passed:
+                    # The least wait counts from the end of the layer below.
+                    made = replace(made, wait_s=ground.since_s + made.wait_s)
                     told = ground.told(mended)
                     certificate = certificate_of(
                         made, self.maker.part, self.maker.primary, self.maker.witness, told

@@ -21,7 +21,7 @@ class Ground:
     Parameters
     ----------
     heat, metal
-        As worked out; the heat is corrected where a temperature was measured.
+        As worked out; the heat is that of the moment at which a temperature was measured, and corrected by it.
     figures, map_sha256
         What a height map says, and its hash; None and empty without one.
     correction
@@ -40,9 +40,14 @@ class Ground:
         figures = correction = None
         if reading.cells is not None and metal.surface is not None:
             figures = figures_of(reading.cells, metal.surface, config)
-        if reading.surface_k is not None:
-            heat, correction = corrected(heat, reading.surface_k)
+        if reading.warmth is not None:
+            heat, correction = corrected(heat, reading.warmth, config)
         return cls(heat, metal, figures, reading.map_sha256, correction)
+
+    @property
+    def since_s(self) -> float:
+        """Time since the layer was done, at which the heat is known."""
+        return 0.0 if self.correction is None else self.correction.measured.after_s
 
     @property
     def mending(self) -> tuple[float, ...]:

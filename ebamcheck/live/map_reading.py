@@ -36,7 +36,7 @@ def map_reading(
     try:
         cells = in_cells(read_map(Path(name), config.height_map), metal.surface)
         if last is not None and (last.done, last.map_sha256) == (done, cells.sha256):
-            return replace(last, surface_k=None)
+            return replace(last, warmth=None)
         figures = figures_of(cells, metal.surface, config)
     except UnevenLayer as error:
         return Refusal(error.code, str(error))

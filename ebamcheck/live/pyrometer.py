@@ -1,31 +1,33 @@
 """A measured temperature of the surface beside the height: it corrects the heat that the next layer is planned on.
 
-The model knows the heat of the part when its uppermost layer was done. A pyrometer that reads less says that the part has rested
-since, or loses more than was thought: the model rests for the time after which it reads the same, and the wait gets shorter. One
-that reads more puts the heat into the uppermost layer that makes it read the same, and the wait gets longer.
+The model knows the heat of the part when its uppermost layer was done, and lets it rest until the moment at which the pyrometer was
+read. What is least known of it is how much of the beam's power the part takes up, in which its rise over the chamber is linear as long as
+conduction carries the heat: so the whole rise is multiplied by that of the surface as measured over that as worked out. A colder part
+waits shorter, a warmer one longer.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 from ebamcheck.live.heat_so_far import HeatSoFar
 from ebamcheck.settings.config import Config
 
-ALIKE_K = 1.0
-"""Difference that is no difference: what a pyrometer cannot tell."""
+LONGEST_S = 4.0 * 3600.0
+"""Time after a layer up to which a temperature is taken."""
 
-LONGEST_REST_S = 4.0 * 3600.0
-"""Time for which a model rests at most."""
+LEAST_RISE_K = 20.0
+"""Rise of the surface over the chamber, by the model, under which a factor says nothing of it."""
 
-STEPS = 40
-"""Halvings of a search: a rest of hours to a hundredth of a microsecond."""
 
-SOAK_S = 1.0
-"""Time in which heat is put into the uppermost layer."""
+@dataclass(frozen=True)
+class Warmth:
+    """Mean temperature of the surface, K, and the time after the layer at which it was read."""
+
+    surface_k: float
+    after_s: float
 
 
 @dataclass(frozen=True)
@@ -34,91 +36,78 @@ class Correction:
 
     Parameters
     ----------
-    measured_k, modelled_k
-        Mean temperature of the surface, measured and by the model before it was corrected.
-    rested_s, added_j
-        What corrected it: one of them is 0.
+    measured
+        What it read.
+    modelled_k
+        Temperature of the surface then, by the model before it was corrected.
+    factor
+        By which the rise over the chamber is multiplied.
     """
 
-    measured_k: float
+    measured: Warmth
     modelled_k: float
-    rested_s: float
-    added_j: float
+    factor: float
+
+    @property
+    def why(self) -> str:
+        """The reason, in words."""
+        off_k = self.measured.surface_k - self.modelled_k
+        what = f"{abs(off_k):.0f} K {'warmer' if off_k > 0.0 else 'colder'} than worked out"
+        return f"{self.measured.after_s:g} s after the layer the part is {what}: its rise counts {self.factor:.3f} times"
 
     def told(self) -> dict[str, Any]:
         """Return the figures and the reason, for answer, journal and certificate."""
-        if self.rested_s:
-            why = f"the part is {self.modelled_k - self.measured_k:.0f} K colder than worked out: the model rests {self.rested_s:.1f} s more"
-        elif self.added_j:
-            why = f"the part is {self.measured_k - self.modelled_k:.0f} K warmer than worked out: the model takes up {1e-3 * self.added_j:.2f} kJ more"
-        else:
-            why = "the part is as warm as worked out"
         return {
-            "measured_k": self.measured_k, "modelled_k": round(self.modelled_k, 3), "rested_s": round(self.rested_s, 3),
-            "added_j": round(self.added_j, 3), "why": why,
+            "measured_k": self.measured.surface_k, "after_s": self.measured.after_s, "modelled_k": round(self.modelled_k, 3),
+            "factor": round(self.factor, 6), "why": self.why,
         }  # fmt: skip
 
 
-def temperature_of(message: dict[str, Any]) -> float | str | None:
+def warmth_of(message: dict[str, Any]) -> Warmth | str | None:
     """Return the temperature of a message, None where it has none, or what is wrong with it."""
-    value = message.get("surface_k")
-    if value is None:
+    if message.get("surface_k") is None:
         return None
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        return f"surface_k {value!r:.20}: is not a finite number of kelvins"
-    return float(value)
+    values = []
+    for name, unit in (("surface_k", "kelvins"), ("after_s", "seconds since the layer was done")):
+        value = message.get(name)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            return f"{name} {value!r:.20}: give a finite number of {unit}"
+        values.append(float(value))
+    return Warmth(*values)
 
 
-def fault_of_temperature(heat: HeatSoFar, measured_k: float, config: Config) -> str:
+def fault_of_warmth(heat: HeatSoFar, found: Warmth, config: Config) -> str:
     """What is wrong with a measured temperature; empty: it is used."""
     if not heat.laid:
         return "surface_k is of a part on which something was laid"
-    modelled_k, limit_k = heat.surface_k, config.process.pyrometer_limit_k
-    low_k, high_k = config.process.ambient_temperature_k, config.material.solidus_k
-    if not low_k <= measured_k <= high_k:
-        return f"surface_k {measured_k:g} is not between the chamber's {low_k:g} K and the solidus, {high_k:g} K: give kelvins"
-    if abs(measured_k - modelled_k) > limit_k:
+    if not 0.0 <= found.after_s <= LONGEST_S:
+        return f"after_s {found.after_s:g} is not from 0 to {LONGEST_S:g} s"
+    chamber_k, limit_k = config.process.ambient_temperature_k, config.process.pyrometer_limit_k
+    if not chamber_k <= found.surface_k <= config.material.solidus_k:
         return (
-            f"surface_k {measured_k:g} is {abs(measured_k - modelled_k):.0f} K off the model, {modelled_k:.0f} K: over "
+            f"surface_k {found.surface_k:g} is not between the chamber's {chamber_k:g} K and the solidus, "
+            f"{config.material.solidus_k:g} K: give kelvins"
+        )
+    modelled_k = heat.rested(found.after_s).surface_k
+    if abs(found.surface_k - modelled_k) > limit_k:
+        return (
+            f"surface_k {found.surface_k:g} is {abs(found.surface_k - modelled_k):.0f} K off the model, {modelled_k:.0f} K then: over "
             f"process.pyrometer_limit_k, {limit_k:g} K"
         )
-    if _rested(heat, LONGEST_REST_S) > measured_k + ALIKE_K:
-        return (
-            f"surface_k {measured_k:g} is colder than the part gets within {LONGEST_REST_S / 3600.0:g} hours"
-        )
+    if modelled_k - chamber_k < LEAST_RISE_K:
+        return f"surface_k: the part is as cold as the chamber ({modelled_k:.0f} K), of which a factor says nothing"
     return ""
 
 
-def corrected(heat: HeatSoFar, measured_k: float) -> tuple[HeatSoFar, Correction]:
-    """Return the heat whose surface is as warm as was measured, and what was done to it."""
-    modelled_k = heat.surface_k
-    if abs(measured_k - modelled_k) <= ALIKE_K:
-        return heat, Correction(measured_k, modelled_k, 0.0, 0.0)
-    if measured_k < modelled_k:
-        rest_s = _found(lambda t: modelled_k - _rested(heat, t), modelled_k - measured_k, LONGEST_REST_S)
-        return heat.rested(rest_s), Correction(measured_k, modelled_k, rest_s, 0.0)
-    most_j = 1.0
-    while _soaked(heat, most_j).surface_k < measured_k:
-        most_j *= 4.0
-    added_j = _found(lambda e: _soaked(heat, e).surface_k - modelled_k, measured_k - modelled_k, most_j)
-    return _soaked(heat, added_j), Correction(measured_k, modelled_k, 0.0, added_j)
-
-
-def _rested(heat: HeatSoFar, duration_s: float) -> float:
-    return heat.rested(duration_s).surface_k
-
-
-def _soaked(heat: HeatSoFar, energy_j: float) -> HeatSoFar:
-    """The same heat with so much more in the uppermost layer."""
-    part = heat.part.copy()
-    part.column.advance(SOAK_S, energy_j)
-    return replace(heat, part=part)
-
-
-def _found(rising: Callable[[float], float], wanted: float, most: float) -> float:
-    """Place from 0 to `most` at which a function that rises comes to a value."""
-    low, high = 0.0, most
-    for _ in range(STEPS):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if rising(middle) < wanted else (low, middle)
-    return high
+def corrected(heat: HeatSoFar, found: Warmth, config: Config) -> tuple[HeatSoFar, Correction]:
+    """Return the heat at the moment of the reading, as warm as was measured, and what was done to it."""
+    then = heat.rested(found.after_s)
+    modelled_k, chamber_k = then.surface_k, config.process.ambient_temperature_k
+    factor = (found.surface_k - chamber_k) / (modelled_k - chamber_k)
+    part = then.part.copy()
+    column = part.column
+    assert column.tables is not None
+    rise_k = factor * (column.temperature_k - chamber_k)
+    column.content = column.tables.heat_content(chamber_k + rise_k)
+    part.state = factor * part.state
+    return replace(then, part=part), Correction(found, modelled_k, factor)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from ebamcheck.live.height_map import MapCells
+from ebamcheck.live.pyrometer import Warmth, warmth_of
 
 LONGEST_LINE = 4096
 """Bytes of a line; a reading takes a hundred."""
@@ -43,7 +44,7 @@ class Reading:
     height_mm: float
     cells: MapCells | None = field(default=None, compare=False)
     map_sha256: str = ""
-    surface_k: float | None = None
+    warmth: Warmth | None = None
 
     @classmethod
     def of_map(cls, done: int, mean_mm: float, cells: MapCells) -> Reading:
@@ -53,8 +54,8 @@ class Reading:
     def entry(self) -> dict[str, Any]:
         """Line of the journal."""
         values: dict[str, Any] = {"kind": "height", "done": self.done, "height_mm": self.height_mm}
-        if self.surface_k is not None:
-            values["surface_k"] = self.surface_k
+        if self.warmth is not None:
+            values |= {"surface_k": self.warmth.surface_k, "after_s": self.warmth.after_s}
         return values if self.cells is None else {**values, "map": self.cells.entry()}
 
     @classmethod
@@ -63,7 +64,8 @@ class Reading:
         found = cls(int(entry["done"]), float(entry["height_mm"]))
         if "map" in entry:
             found = cls.of_map(found.done, found.height_mm, MapCells.of_entry(entry["map"]))
-        return replace(found, surface_k=entry.get("surface_k"))
+        warmth = warmth_of(entry)
+        return replace(found, warmth=warmth) if isinstance(warmth, Warmth) else found
 
 
 def parsed(line: bytes) -> dict[str, Any] | Refusal:

@@ -18,6 +18,9 @@ where that of the time left (R5) is left out: the program alone uses it."""
 TEXT_ROLES = ("name", "sha256", "map")
 """Further nodes, of text, which a control has only where the settings name them."""
 
+WARMTH_ROLES = ("surface_k", "after_s")
+"""The same of numbers, of a pyrometer."""
+
 
 class OpcuaSettings(Section):
     """The control as an OPC UA server (`ebamcheck live RUN --opcua`); the defaults are those of a SINUMERIK 840D sl."""
@@ -49,8 +52,8 @@ class OpcuaSettings(Section):
     nodes: dict[str, str] = Field(default={})
     """Nodes that are no R parameters, by what they are: done, released, number, wait, waited, height, measured, begin_at, owner,
     digest; and, where the control has such variables for text, name and sha256, which are written, and map: the name of the file of
-    a height map, which stands for the height where it is not empty; and surface_k, the temperature that a pyrometer reads, K,
-    which is used where it is not 0."""
+    a height map, which stands for the height where it is not empty; and surface_k and after_s, the temperature
+    that a pyrometer read, K, and how long after the layer, s, which are used where the first is not 0."""
     methods_node: str = "ns=2;s=/Methods"
     """Object whose methods copy files."""
     upload_node: str = "ns=2;s=/Methods/CopyFileToServer"
@@ -88,7 +91,7 @@ class OpcuaSettings(Section):
     @field_validator("nodes")
     @classmethod
     def _known_roles(cls, value: dict[str, str]) -> dict[str, str]:
-        known = (*ROLES, *TEXT_ROLES, "surface_k")
+        known = (*ROLES, *TEXT_ROLES, *WARMTH_ROLES)
         for role in value:
             if role not in known:
                 raise ValueError(f"{role!r} is none of {', '.join(known)}")

@@ -222,7 +222,7 @@ class Door:
         else:
             message["height_mm"] = None if math.isnan(seen.height) else seen.height
         if seen.surface_k != 0.0:
-            message["surface_k"] = seen.surface_k
+            message |= {"surface_k": seen.surface_k, "after_s": seen.after_s}
         self._tell(await asyncio.to_thread(self._building.height, message))
         link.changed.set()
 

@@ -14,7 +14,7 @@ from typing import Any
 
 from ebamcheck.errors import InputError
 from ebamcheck.settings.machine import MachineSettings
-from ebamcheck.settings.opcua import ROLES, OpcuaSettings
+from ebamcheck.settings.opcua import ROLES, WARMTH_ROLES, OpcuaSettings
 
 OFFSETS = dict(zip(ROLES, (0, 1, 2, 3, 4, 6, 7, 8, 9, 10), strict=True))
 """R parameter of each role, counted from ``machine.live_r``; the fifth is the program's own."""
@@ -61,6 +61,7 @@ class Seen:
     digest: float
     map: str = ""
     surface_k: float = 0.0
+    after_s: float = 0.0
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> Seen:
@@ -68,7 +69,8 @@ class Seen:
         name = values.get("map")
         text = name.strip() if isinstance(name, str) else ""
         numbers = {role: _number(values.get(role)) for role in ROLES}
-        return cls(**numbers, map=text, surface_k=_number(values.get("surface_k", 0.0)))
+        warmth = {role: _number(values.get(role, 0.0)) for role in WARMTH_ROLES}
+        return cls(**numbers, **warmth, map=text)
 
     @property
     def reading(self) -> str:

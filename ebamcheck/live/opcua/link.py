@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
 from ebamcheck.live.opcua.handshake import Seen, file_path, node_ids
 from ebamcheck.settings.machine import MachineSettings
-from ebamcheck.settings.opcua import ROLES, OpcuaSettings
+from ebamcheck.settings.opcua import ROLES, WARMTH_ROLES, OpcuaSettings
 from ebamcheck.showing.plotting import missing
 
 if TYPE_CHECKING:
@@ -219,7 +219,7 @@ class Link:
     async def seen(self) -> Seen:
         """Read all values at once."""
         values = await self._read(
-            {role: self._ids[role] for role in (*ROLES, "map", "surface_k") if role in self._ids}
+            {role: self._ids[role] for role in (*ROLES, "map", *WARMTH_ROLES) if role in self._ids}
         )
         return Seen.of(values)
 
