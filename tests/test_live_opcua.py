@@ -382,6 +382,41 @@ def test_counts_that_are_none_release_nothing(maker, tmp_path):
     asyncio.run(play())
 
 
+def test_no_exception_ends_the_server(maker, tmp_path, monkeypatch):
+    async def play():
+        opcua = on_a_desk()
+        async with control(maker, opcua) as at, door(maker, tmp_path / "b", opcua) as told:
+            await until(lambda: at["released"] == 1.0)
+            with monkeypatch.context() as patch:
+                patch.setattr(Building, "height", lambda self, message: 1 // 0)
+                at["done"], at["height"], at["measured"] = 1.0, 1.7, 1.0
+                await until(lambda: "held" in codes(told))
+                assert "ZeroDivisionError" in told[-1]["reason"]
+                assert "\n" not in told[-1]["reason"]
+            # The same height is taken when the fault is gone.
+            await until(lambda: at["released"] == 2.0)
+
+    asyncio.run(play())
+
+
+def test_a_text_that_was_changed_on_disk_is_not_sent(maker, tmp_path):
+    async def play():
+        opcua = on_a_desk()
+        async with control(maker, opcua, waits=False) as at, door(maker, tmp_path / "b", opcua) as told:
+            await until(lambda: "waiting" in codes(told))
+            current = json.loads((tmp_path / "b" / "current.json").read_text())
+            path = tmp_path / "b" / current["program"]
+            path.write_text(path.read_text().replace("M17", "M17 ; changed"))
+            task = asyncio.create_task(at.wait())
+            await until(lambda: "held" in codes(told))
+            task.cancel()
+            assert "is not the file that was verified" in told[-1]["reason"]
+            assert at.panel.files == {}
+            assert at["released"] == 0.0
+
+    asyncio.run(play())
+
+
 def test_a_node_that_is_not_there_is_a_matter_of_settings(maker, tmp_path):
     async def play():
         opcua = on_a_desk()
@@ -421,7 +456,8 @@ def test_nobody_writes_without_certificate_and_user(maker, tmp_path):
             async with Link(maker.config.machine, ours) as link:
                 await link.write("wait", 3.0)
             assert at["wait"] == 3.0
-            for bad in (ours.model_copy(update={"password_file": str(wrong)}), strange, opcua):
+            not_it = ours.model_copy(update={"server_certificate": str(other.certificate)})
+            for bad in (ours.model_copy(update={"password_file": str(wrong)}), strange, not_it, opcua):
                 with pytest.raises((LoginRefused, LinkLost)):
                     async with Link(maker.config.machine, bad) as link:
                         await link.write("wait", 4.0)

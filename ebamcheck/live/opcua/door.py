@@ -16,12 +16,12 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from ebamcheck.errors import InputError, SettingsError
+from ebamcheck.errors import EbamcheckError, SettingsError
 from ebamcheck.live.building import Answer, Building
 from ebamcheck.live.journal import read_journal
 from ebamcheck.live.making import failure_of
 from ebamcheck.live.opcua.handshake import BUILT, OFFSETS, Seen, digest, program_number
-from ebamcheck.live.opcua.link import Link, LinkLost, LoginRefused, NotTaken
+from ebamcheck.live.opcua.link import Link, LinkLost, NotTaken
 from ebamcheck.settings.machine import MachineSettings
 from ebamcheck.settings.opcua import OpcuaSettings
 
@@ -96,14 +96,19 @@ class Door:
                         ever, pause_s = True, self._opcua.retry_s
                         await self._changed(link)
             except LinkLost as error:
-                self._say("lost", reason=str(error), kept="what was published stays; trying again")
-            except (LoginRefused, NotTaken) as error:
+                self._lost(str(error))
+            except EbamcheckError as error:
                 # Before anything was done, this is a matter of settings and not of time.
                 if not ever:
                     raise SettingsError(str(error)) from None
-                self._say("lost", reason=str(error), kept="what was published stays; trying again")
+                self._lost(str(error))
+            except Exception as error:  # whatever the connection comes to, the server stays
+                self._lost(failure_of(error))
             await asyncio.sleep(pause_s)
             pause_s = min(2.0 * pause_s, self._opcua.longest_retry_s)
+
+    def _lost(self, reason: str) -> None:
+        self._say("lost", reason=reason, kept="what was published stays; trying again")
 
     def _fresh_link(self) -> None:
         self._waited, self._waits_since = math.nan, -math.inf
@@ -130,7 +135,9 @@ class Door:
             return await self._step(link, seen)
         except NotTaken as error:
             self._hold(error.code, str(error))
-        except (InputError, SettingsError, OSError) as error:
+        except LinkLost:
+            raise
+        except Exception as error:  # a full disk, a fault of the software: what was published stays
             self._hold("held", failure_of(error))
         return None
 
@@ -215,7 +222,6 @@ class Door:
             return
         if self._measured == seen.reading:
             return
-        self._measured = seen.reading
         message: dict[str, Any] = {"event": "height", "done": done}
         if seen.map:
             message["height_map"] = seen.map
@@ -224,6 +230,8 @@ class Door:
         if seen.surface_k != 0.0:
             message |= {"surface_k": seen.surface_k, "after_s": seen.after_s}
         self._tell(await asyncio.to_thread(self._building.height, message))
+        # One that a fault of ours came in between is taken again.
+        self._measured = seen.reading
         link.changed.set()
 
     # -- releases ----------------------------------------------------------------------------------
