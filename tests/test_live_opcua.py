@@ -495,27 +495,29 @@ def test_addresses_that_are_none_or_hold_a_password_are_refused(url):
 # -- commands ----------------------------------------------------------------------------------------
 
 
-def test_two_commands_build_the_part_on_a_desk(place, tmp_path):
+def test_two_commands_build_the_part_on_a_desk_though_one_is_killed(place, tmp_path):
     url = free_url()
     machine = subprocess.Popen(
         [sys.executable, "-m", "ebamcheck", "machine", str(place / "box.run"), "--opcua", "--url", url,
-         "--drift", "0.1", "--speed", "2000", "-o", str(tmp_path / "desk"), "--fault", "away@1"],
+         "--drift", "0.1", "--speed", "2000", "-o", str(tmp_path / "desk"), "--fault", "away@2"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ,
     )  # fmt: skip
+    arguments = [
+        "live", str(place / "box.run"), "--opcua", "-c", str(tmp_path / "desk" / "opcua.toml"), "-o", str(tmp_path / "b"),
+    ]  # fmt: skip
     try:
         for line in machine.stdout:
             if line.startswith("layer"):
                 break
-        done = ebamcheck(
-            "live",
-            place / "box.run",
-            "--opcua",
-            "-c",
-            tmp_path / "desk" / "opcua.toml",
-            "-o",
-            tmp_path / "b",
-            cwd=tmp_path,
+        first = subprocess.Popen(
+            [sys.executable, "-m", "ebamcheck", *arguments], stdout=subprocess.PIPE, text=True, env=os.environ
         )
+        for line in first.stdout:
+            if json.loads(line)["answer"] == "released":
+                break
+        first.kill()
+        first.communicate()
+        done = ebamcheck(*arguments, cwd=tmp_path)
         out, err = machine.communicate(timeout=LONGEST_S)
     finally:
         machine.kill()
@@ -526,9 +528,22 @@ def test_two_commands_build_the_part_on_a_desk(place, tmp_path):
     assert answers[-1]["answer"] == "built"
     assert "the top came out" in out
     assert err == ""
-    assert (tmp_path / "desk" / "machine.csv").read_text().count("\n") == 1 + sum(
-        a["answer"] == "released" for a in answers
-    )
+    entries = list(read_journal(tmp_path / "b" / "journal.jsonl"))
+    released = [entry["sha256"] for entry in entries if entry["kind"] == "released"]
+    rows = (tmp_path / "desk" / "machine.csv").read_text().splitlines()
+    column = rows[0].split(",").index("sha256")
+    assert [row.split(",")[column] for row in rows[1:]] == released
+
+
+def test_an_address_in_use_is_told_in_one_line(place, tmp_path):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        url = f"opc.tcp://127.0.0.1:{taken.getsockname()[1]}"
+        done = ebamcheck("machine", place / "box.run", "--opcua", "--url", url, "-o", "desk", cwd=tmp_path)
+    assert done.returncode == 2, done.stderr
+    assert "cannot listen there" in done.stderr
+    assert done.stderr.count("\n") == 1
 
 
 @pytest.mark.parametrize(
