@@ -59,7 +59,7 @@ class Door:
         self._measured: str | None = None
         self._done_since: tuple[int, float] | None = None
         self._released: int | None = None
-        self._uploaded: set[str] = set()
+        self._uploaded = ""
         self._retry_at, self._pause_s = -math.inf, opcua.retry_s
         self._recall()
 
@@ -67,7 +67,7 @@ class Door:
         """Take from the journal what was done to the control before."""
         for entry in read_journal(self._building.journal_file):
             if entry["kind"] == UPLOADED:
-                self._uploaded.add(str(entry["file"]))
+                self._uploaded = str(entry["file"])
             elif entry["kind"] == RELEASED:
                 self._released = int(entry["layer"])
             elif entry["kind"] == AGAIN:
@@ -307,13 +307,13 @@ class Door:
         there = await link.download(name)
         if there == data:
             return
-        if there is not None and name not in self._uploaded and not self._opcua.replace:
+        if there is not None and name != self._uploaded and not self._opcua.replace:
             raise NotTaken(
                 "file-exists", f"the control has another file {name}, of another build: delete it there, or set opcua.replace"
             )  # fmt: skip
-        if name not in self._uploaded:
+        if name != self._uploaded:
             self._note(UPLOADED, file=name, sha256=sha256)
-            self._uploaded.add(name)
+            self._uploaded = name
         await link.upload(name, data, replace=there is not None)
         found = await link.download(name)
         if found is None or hashlib.sha256(found).hexdigest() != sha256:
