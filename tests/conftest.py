@@ -6,6 +6,12 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+# A run of the suite repeats the one before it; `--hypothesis-profile=search` looks for new examples.
+settings.register_profile("repeatable", derandomize=True)
+settings.register_profile("search")
+settings.load_profile("repeatable")
 
 
 @pytest.fixture(scope="session")
