@@ -89,8 +89,8 @@ def refereed_entries(model: Referee, plan: ScanPlan, profile: Config) -> tuple[F
 
 def _entered_s(plan: ScanPlan, profile: Config) -> Floats:
     """Time at which each island of a plan is entered, (I,); 0 for those without lines."""
-    driven = simulate_order(plan, profile).sort_values("island")
-    return np.asarray(driven["start_s"].fillna(0.0).to_numpy(np.float64), np.float64)
+    simulated = simulate_order(plan, profile).sort_values("island")
+    return np.asarray(simulated["start_s"].fillna(0.0).to_numpy(np.float64), np.float64)
 
 
 def _driven(
