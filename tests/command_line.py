@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import io
+import logging
 import os
 import resource
+import signal
 import subprocess
 import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import numpy as np
 
+from ebamcheck.commands.main import main
 from ebamcheck.mesh.part import Part, from_arrays
 from ebamcheck.mesh.stl import FACET
 
@@ -33,7 +40,54 @@ WIDE_TOML = "\n".join(
 def ebamcheck(
     *arguments: object, cwd: Path, limit_bytes: int = 0, **environment: str
 ) -> subprocess.CompletedProcess[str]:
-    """Run the program to its end; with a limit, no file of it can grow beyond that."""
+    """Run the program to its end: in this process, which spares its start, unless it has an environment or limit of its own."""
+    if environment or limit_bytes:
+        return started(*arguments, cwd=cwd, limit_bytes=limit_bytes, **environment)
+    out, err = (io.TextIOWrapper(io.BytesIO(), "utf-8") for _ in range(2))
+    with _as_found(), redirect_stdout(out), redirect_stderr(err):
+        os.chdir(cwd)
+        sys.argv = ["ebamcheck", *map(str, arguments)]
+        try:
+            main()
+        except SystemExit as left:
+            code = int(left.code or 0)
+    out.seek(0)
+    err.seek(0)
+    return subprocess.CompletedProcess(arguments, code, out.read(), err.read())
+
+
+@contextmanager
+def _as_found() -> Iterator[None]:
+    """Leave the process as a command has found it, and warn as a process of its own does: once, and without raising."""
+    folder, argv, variables = Path.cwd(), sys.argv, dict(os.environ)
+    ends, wording = signal.getsignal(signal.SIGTERM), warnings.formatwarning
+    root = logging.getLogger()
+    handlers, level = root.handlers[:], root.level
+    root.handlers.clear()
+    try:
+        with warnings.catch_warnings():
+            warnings.resetwarnings()
+            for quiet in (DeprecationWarning, PendingDeprecationWarning, ImportWarning, ResourceWarning):
+                warnings.simplefilter("ignore", quiet)
+            try:
+                yield
+            finally:
+                logging.captureWarnings(capture=False)
+    finally:
+        root.handlers[:] = handlers
+        root.setLevel(level)
+        warnings.formatwarning = wording
+        signal.signal(signal.SIGTERM, ends)
+        os.environ.clear()
+        os.environ.update(variables)
+        sys.argv = argv
+        os.chdir(folder)
+
+
+def started(
+    *arguments: object, cwd: Path, limit_bytes: int = 0, **environment: str
+) -> subprocess.CompletedProcess[str]:
+    """Run the program to its end as a process of its own; with a limit, no file of it can grow beyond that."""
     return subprocess.run(
         command(*arguments),
         cwd=cwd,

@@ -6,6 +6,34 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+# A run of the suite repeats the one before it; `--hypothesis-profile=search` looks for new examples.
+settings.register_profile("repeatable", derandomize=True)
+settings.register_profile("search")
+settings.load_profile("repeatable")
+
+LONGEST_FIRST = (
+    "test_pipeline.py", "test_live.py", "test_cli.py", "test_run_accidents.py", "test_isolation.py", "test_faults.py",
+    "test_motion_faults.py", "test_conformance.py", "test_regression.py", "test_scan_command.py", "test_surface_curves.py",
+    "test_enemies.py", "test_enemy_slicers.py", "test_enemy_reports.py", "test_partitions.py", "test_interrupted_runs.py",
+    "test_controls.py", "test_diagnosis.py", "test_signing.py", "test_scan_stacks.py", "test_whole_part.py",
+    "test_reference_models.py", "test_interpass.py", "test_text_attacks.py", "test_entry_program.py", "test_kernels.py",
+    "test_bounds.py", "test_laws.py", "test_chance_curves.py", "test_tutorials.py",
+)  # fmt: skip
+"""Files that take longest, in quick or slow tests."""
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Have the workers take files in the order given here; their own is that of the number of tests."""
+    if hasattr(config.option, "loadscopereorder"):
+        config.option.loadscopereorder = False
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the longest files first: the workers then end at about the same time."""
+    places = {name: place for place, name in enumerate(LONGEST_FIRST)}
+    items.sort(key=lambda item: places.get(item.path.name, len(places)))
 
 
 @pytest.fixture(scope="session")

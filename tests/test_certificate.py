@@ -7,7 +7,8 @@ import shutil
 
 import numpy as np
 import pytest
-from command_line import WIDE, frame, write_stl
+from command_line import write_stl
+from finished_runs import FOUR_MM, certified_plate
 from parts import box
 
 from ebamcheck.errors import InputError
@@ -20,21 +21,15 @@ from ebamcheck.pipeline.certificate import CERTIFICATE, RELEASE, read_certificat
 from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.pipeline.verify import settings_beside, verify, verify_against_part
-from ebamcheck.settings.config import Config
 from ebamcheck_reports import html
 
-SETTINGS = Config().changed(
-    layers={"layer_height_mm": 4.0}, slicing={"backends": ("planecut", "manifold")}, process=WIDE
-)
 MAIN, SECOND = "MAIN.MPF", "MAIN_L0002.SPF"
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     """A finished run of a plate with a hole, with its certificate, and the part's file."""
-    folder = tmp_path_factory.mktemp("made")
-    path = write_stl(frame(), folder / "frame.stl")
-    return run_job(path, folder / "frame.run", SETTINGS).folder.path, path
+    return certified_plate(tmp_path_factory)
 
 
 @pytest.fixture
@@ -45,14 +40,14 @@ def copy(made, tmp_path):
     return RunFolder(tmp_path / "copy.run"), tmp_path / "frame.stl"
 
 
-def failures(run, part, settings=SETTINGS):
+def failures(run, part, settings=FOUR_MM):
     checks = verify_against_part(run.path / "program" / MAIN, part, settings)
     return {c.name: c for c in checks if not c.passed}
 
 
 def test_an_untouched_program_passes_every_check(copy):
     run, part = copy
-    checks = verify_against_part(run.path / "program" / MAIN, part, SETTINGS)
+    checks = verify_against_part(run.path / "program" / MAIN, part, FOUR_MM)
     assert [c for c in checks if not c.passed] == []
     assert {"certificate seal", "section", "smooth section", "coverage", "hatch spacing"} <= {
         c.name for c in checks
@@ -87,7 +82,7 @@ def test_the_certificate_says_what_was_made_from_what(copy):
         } == set(check)
     assert {"path", "metal", "interpass temperature"} & {c["name"] for c in found["checks"]}
     assert found["release"] == RELEASE
-    assert found["smoothing"]["tolerance_mm"] == SETTINGS.machine.smoothing_tolerance_mm
+    assert found["smoothing"]["tolerance_mm"] == FOUR_MM.machine.smoothing_tolerance_mm
     assert found["not_proved"]
 
 
@@ -147,16 +142,16 @@ def test_a_changed_byte_is_named(copy):
 
 def test_other_settings_are_named(copy):
     run, part = copy
-    other = SETTINGS.changed(slicing={"time_limit_s": 500.0})
+    other = FOUR_MM.changed(slicing={"time_limit_s": 500.0})
     # The header states the hash of all settings; one that no line of it contradicts is told by the certificate alone.
     assert set(failures(run, part, other)) == {"settings unchanged"}
-    other = SETTINGS.changed(machine={"name": "another"})
+    other = FOUR_MM.changed(machine={"name": "another"})
     assert set(failures(run, part, other)) == {"settings unchanged", "profile unchanged", "header"}
 
 
 def test_a_program_in_a_run_is_verified_with_the_settings_of_the_run(copy):
     run, part = copy
-    assert settings_beside(run.path / "program" / MAIN) == SETTINGS
+    assert settings_beside(run.path / "program" / MAIN) == FOUR_MM
     checks = verify(run.path / "program" / MAIN, part)
     assert [c for c in checks if not c.passed] == []
 
@@ -311,7 +306,7 @@ def block(tmp_path_factory):
     """A run of a solid block, which has long hatch lines, without a certificate."""
     folder = tmp_path_factory.mktemp("block")
     path = write_stl(box((0, 0, 0), (90, 70, 8)), folder / "block.stl")
-    return run_job(path, folder / "block.run", SETTINGS).folder.path, path
+    return run_job(path, folder / "block.run", FOUR_MM).folder.path, path
 
 
 @pytest.mark.parametrize("nth", [0, 2, 6])
@@ -329,7 +324,7 @@ def test_a_missing_hatch_line_is_found_from_text_and_part_alone(block, tmp_path,
         ends = [re.search(r"X(\S+) Y(\S+)", lines[k]).groups() for k in (i, i + 1)]
         return np.linalg.norm(np.subtract(*np.array(ends, dtype=float)))
 
-    least_mm = 2.5 * SETTINGS.process.hatch_spacing_mm
+    least_mm = 2.5 * FOUR_MM.process.hatch_spacing_mm
     i = [i for i in turns if i + 2 in turns and length(i) > least_mm][nth]
     del lines[i : i + 2]
     p.write(lines)

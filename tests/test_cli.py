@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import json
-import logging
 import os
 import re
 import signal
 import subprocess
-import sys
-import warnings
+from functools import partial
 
 import numpy as np
 import psutil
 import pytest
-from command_line import FAST, WIDE_TOML, command, ebamcheck, frame, write_stl
+from command_line import FAST, WIDE_TOML, command, ebamcheck, frame, started, write_stl
 from parts import box
 
-from ebamcheck.commands import main as cli
 from ebamcheck.layers.files import read_layers
 from ebamcheck.settings.config import Config, load_config
+from ebamcheck.settings.explained import explained_schema
 
 AREA_MM2 = 40.0 * 40.0 - 14.0 * 16.0
 
@@ -34,31 +32,15 @@ def place(tmp_path_factory):
     (folder / "ebamcheck.toml").write_text(
         f"slicing.backends = {FAST.split(',')}\nlayers.layer_height_mm = 6.0\n{WIDE_TOML}\n"
     )
-    done = ebamcheck("run", "frame.stl", "-o", "frame.run", "--reference", "frame.stl", cwd=folder)
+    done = started("run", "frame.stl", "-o", "frame.run", "--reference", "frame.stl", cwd=folder)
     assert (done.returncode, done.stderr) == (0, "")
     return folder
 
 
 @pytest.fixture
-def here(place, monkeypatch, capsys):
-    """Run a command in this process, which spares its start: for those whose work is in what they say."""
-
-    def run(*arguments, cwd=place):
-        monkeypatch.chdir(cwd)
-        monkeypatch.setattr(sys, "argv", ["ebamcheck", *map(str, arguments)])
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as left:
-            cli.main()
-        told = capsys.readouterr()
-        return subprocess.CompletedProcess(arguments, int(left.value.code or 0), told.out, told.err)
-
-    monkeypatch.setattr(warnings, "formatwarning", warnings.formatwarning)
-    monkeypatch.delenv("EBAMCHECK_DEBUG", raising=False)
-    handler = signal.getsignal(signal.SIGTERM)
-    yield run
-    signal.signal(signal.SIGTERM, handler)
-    logging.captureWarnings(capture=False)
-    os.environ.pop("EBAMCHECK_DEBUG", None)
+def here(place):
+    """Run a command beside the parts, unless it is told where."""
+    return partial(ebamcheck, cwd=place)
 
 
 def strict(text):
@@ -85,7 +67,7 @@ def test_the_run_took_up_the_settings_of_its_folder(place):
 
 
 def test_version_help_and_start_are_there(place):
-    assert re.fullmatch(r"ebamcheck \d+\.\d+\.\d+\n", ebamcheck("--version", cwd=place).stdout)
+    assert re.fullmatch(r"ebamcheck \d+\.\d+\.\d+\n", started("--version", cwd=place).stdout)
     text = ebamcheck("--help", cwd=place).stdout
     for name in ("run", "inspect", "slice", "compare", "backends", "warm", "verify", "config"):
         assert f"  {name} " in text
@@ -97,6 +79,10 @@ def test_version_help_and_start_are_there(place):
     bare = ebamcheck(cwd=place)
     assert (bare.returncode, bare.stdout) == (2, "")
     assert bare.stderr.startswith("Usage")
+
+
+def test_a_command_of_a_plugin_is_a_process_as_well(place):
+    one_line(started("relayer", "nosuch.run", "-o", "x", cwd=place), 2, "nosuch.run")
 
 
 def test_the_version_needs_no_numerics(place):
@@ -182,7 +168,7 @@ def test_config_prints_what_is_in_force(place, here, tmp_path):
     printed.write_text(here("config").stdout)
     assert load_config(printed) == load_config(place / "ebamcheck.toml")
     assert here("config", "-c", printed, cwd=tmp_path).stdout == printed.read_text()
-    assert strict(here("config", "--schema").stdout) == Config.model_json_schema()
+    assert strict(here("config", "--schema").stdout) == explained_schema(Config)
 
 
 def test_verify_a_run_and_a_program(place, here):
@@ -234,7 +220,7 @@ def test_debug_shows_where_an_error_came_from(place, here):
 
 
 def test_wrong_environment_is_told(place):
-    told = ebamcheck("slice", "frame.stl", "-o", "x.cli", cwd=place, EBAMCHECK_THREADS="many")
+    told = started("slice", "frame.stl", "-o", "x.cli", cwd=place, EBAMCHECK_THREADS="many")
     one_line(told, 2, "EBAMCHECK_THREADS='many'")
 
 
@@ -267,11 +253,11 @@ def test_internal_errors_are_one_line_with_code_3(place, tmp_path):
     (info / "entry_points.txt").write_text(
         "[ebamcheck.commands]\nloose = loose_plugin:loose\ngone = nosuch:gone\n"
     )
-    told = ebamcheck("loose", cwd=place, PYTHONPATH=str(tmp_path))
+    told = started("loose", cwd=place, PYTHONPATH=str(tmp_path))
     assert told.returncode == 3
     (error,) = told.stderr.splitlines()
     assert error.startswith("ebamcheck: internal error: ValueError: two lines")
-    told = ebamcheck("--help", cwd=place, PYTHONPATH=str(tmp_path))
+    told = started("--help", cwd=place, PYTHONPATH=str(tmp_path))
     assert told.returncode == 0
     assert "command 'gone' was left out" in told.stderr
     assert "loose" in told.stdout
@@ -290,7 +276,7 @@ def test_names_of_any_kind(place, name):
     path = os.fsencode(place) + b"/" + name
     with open(path, "wb") as file:
         file.write((place / "frame.stl").read_bytes())
-    told = ebamcheck("inspect", os.fsdecode(name), "--json", cwd=place, PYTHONIOENCODING="ascii")
+    told = started("inspect", os.fsdecode(name), "--json", cwd=place, PYTHONIOENCODING="ascii")
     assert (told.returncode, strict(told.stdout)["verdict"]) == (0, "sound")
     one_line(ebamcheck("inspect", os.fsdecode(b"no-" + name), cwd=place), 2, "there is no such file")
 
@@ -336,6 +322,6 @@ def test_a_full_disk_is_told(place):
 
 @pytest.mark.slow
 def test_warm(place):
-    told = ebamcheck("warm", cwd=place)
+    told = started("warm", cwd=place)
     assert (told.returncode, told.stderr) == (0, "")
     assert "kernels are compiled" in told.stdout

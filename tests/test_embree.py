@@ -1,148 +1,22 @@
-"""The ray-casting backend: its promise attacked with shapes that hide between rays."""
+"""The ray-casting backend: rings, winding, blocks, and parts that are not whole."""
 
 from __future__ import annotations
 
-import csv
 import logging
-from collections import defaultdict
 
 import numpy as np
 import pytest
 import shapely
-from parts import box, join, moved, sphere, tilted, torus, turn_z
-from scipy.spatial.transform import Rotation
-from section_oracle import depth_beyond, exact_section, prism, winding
+from embree_parts import MODES, PARTS, SLICER, cut, heights_in, region, same
+from parts import box, join, moved, sphere
+from section_oracle import depth_beyond, exact_section, prism
 
-import ebamcheck
 from ebamcheck.errors import BackendFailed, SettingsError
 from ebamcheck.layers.stack import concatenate
 from ebamcheck.mesh.part import from_arrays
-from ebamcheck_embree import Embree
 from ebamcheck_embree.grid import automatic_cell_mm, grid_over
 from ebamcheck_embree.hits import borders
 from ebamcheck_embree.scene import Scene
-
-SLICER = Embree()
-MODES = ("in-plane", "vertical")
-
-if not SLICER.probe().available:
-    pytest.skip(SLICER.probe().why, allow_module_level=True)
-
-
-def cut(part, heights, progress=None, **settings):
-    with SLICER.prepare(part, SLICER.Settings(**settings)) as prepared:
-        return prepared.slice(np.atleast_1d(np.asarray(heights, float)), progress)
-
-
-def heights_in(part, count=4):
-    low, high = part.bounds[:, 2]
-    return low + (high - low) * (np.arange(count) + 0.37) / count
-
-
-def region(layers, k=0):
-    return shapely.union_all(layers.polygons(k))
-
-
-def same(a, b):
-    return all(
-        np.array_equal(getattr(a, c), getattr(b, c))
-        for c in ("heights", "points", "ring_starts", "layer_starts", "closed", "dropped")
-    )
-
-
-WEDGE = shapely.Polygon([(0, 0), (30, 0.9), (0, 1.8)])
-COMB = shapely.union_all(
-    [shapely.box(0, 0, 20, 2)] + [shapely.box(x, 1, x + 0.55, 9) for x in np.arange(0, 20, 0.83)]
-)
-THIN = shapely.box(0, 0, 20, 20).difference(shapely.box(0.13, 0.13, 19.87, 19.87))
-GAP = shapely.box(0, 0, 20, 10).difference(shapely.box(-1, 5, 15, 5.07))
-PLATE = shapely.box(0, 0, 30, 20).difference(shapely.Point(12, 9).buffer(5))
-STAR = shapely.Polygon(
-    [
-        ((10 if k % 2 else 1.5) * np.cos(k * np.pi / 9), (10 if k % 2 else 1.5) * np.sin(k * np.pi / 9))
-        for k in range(18)
-    ]
-)
-
-PARTS = {
-    "box": box((0, 0, 0), (10, 7, 5)),
-    "tilted box": tilted(box((0, 0, 0), (30, 7, 4))),
-    "sphere": sphere(),
-    "torus": torus(),
-    "tilted torus": tilted(torus()),
-    "cylinder": prism(shapely.Point(3, 4).buffer(8, quad_segs=24), 0.0, 5.0),
-    "plate with hole": prism(PLATE, 0.0, 4.0),
-    "wedge": prism(WEDGE, 0.0, 4.0),
-    "turned wedge": moved(prism(WEDGE, 0.0, 4.0), turn_z(44.9)),
-    "comb": prism(COMB, 0.0, 3.0),
-    "turned comb": moved(prism(COMB, 0.0, 3.0), turn_z(31.0)),
-    "tilted comb": tilted(prism(COMB, 0.0, 3.0)),
-    "thin wall": prism(THIN, 0.0, 3.0),
-    "turned thin wall": moved(prism(THIN, 0.0, 3.0), turn_z(45.0)),
-    "gap": prism(GAP, 0.0, 3.0),
-    "turned gap": moved(prism(GAP, 0.0, 3.0), turn_z(13.0)),
-    "star": tilted(prism(STAR, 0.0, 3.0)),
-    "overlapping": tilted(join(box((0, 0, 0), (10, 10, 10)), box((5, 5, 2), (16, 14, 13)))),
-}
-
-
-def random_solid(rng):
-    """Prism of a random outline, turned anyhow, now and then with a second body through it."""
-    pieces = [shapely.Polygon(rng.uniform(-10, 10, (3, 2))) for _ in range(rng.integers(1, 7))]
-    outline = max(shapely.get_parts(shapely.union_all(pieces)), key=lambda piece: piece.area)
-    turn = Rotation.from_quat(rng.normal(size=4)).as_matrix()
-    bodies = [moved(prism(outline, 0.0, rng.uniform(0.5, 8)), turn)]
-    if rng.random() < 0.5:
-        bodies.append(moved(box(rng.uniform(-5, 0, 3), rng.uniform(1, 6, 3)), turn))
-    return join(*bodies)
-
-
-@pytest.mark.parametrize("mode", MODES)
-@pytest.mark.parametrize("seed", range(40))
-def test_bound_is_kept_by_random_solids(seed, mode, caplog):
-    rng = np.random.default_rng(seed)
-    part = random_solid(rng)
-    heights = np.sort(rng.uniform(*part.bounds[:, 2], 2))
-    settings = {"mode": mode, "grid_mm": float(rng.choice([0.1, 0.2, 0.5, 1.5]))}
-    bound = SLICER.error_bound_mm(part, SLICER.Settings(**settings))
-    layers = cut(part, heights, **settings)
-    for k, z in enumerate(heights):
-        assert depth_beyond(region(layers, k), exact_section(part, z), bound * 1.0005) < 1e-9
-    assert "do not pair" not in caplog.text
-
-
-@pytest.mark.parametrize("mode", MODES)
-@pytest.mark.parametrize("cell_mm", [0.1, 0.37, 1.3])
-@pytest.mark.parametrize("name", PARTS)
-def test_bound_is_kept(name, cell_mm, mode):
-    part = PARTS[name]
-    settings = SLICER.Settings(mode=mode, grid_mm=cell_mm)
-    bound = SLICER.error_bound_mm(part, settings)
-    layers = cut(part, heights_in(part), mode=mode, grid_mm=cell_mm)
-    for k, z in enumerate(layers.heights):
-        assert depth_beyond(region(layers, k), exact_section(part, z), bound * 1.0005) == 0.0
-
-
-def test_bound_is_not_idle():
-    """Thin walls do vanish between rays: the promise says how thick they may be, not that they stay."""
-    walls = [box((x, 0, 0), (x + 0.4, 20, 2)) for x in (0.0, 3.3, 6.7, 9.9, 13.2)]
-    part = join(*walls, box((20, 0, 0), (24, 20, 2)))
-    layers = cut(part, [1.0], grid_mm=1.0)
-    assert 1 <= layers.ring_counts()[0] < len(walls) + 1
-
-
-def test_corners_of_the_section_are_not_cut():
-    """In-plane contours turn where the mesh's section turns, where that is in a cell the contour passes."""
-    outline = shapely.Point(0.3, 0.4).buffer(8, quad_segs=6)
-    part = prism(outline, 0.0, 2.0)
-    cell_mm = 0.3
-    layers = cut(part, [1.0], grid_mm=cell_mm)
-    by_chords = cut(part, [1.0], grid_mm=cell_mm, mode="vertical")
-    difference = region(layers).symmetric_difference(outline).area
-    assert difference < 0.01 * region(by_chords).symmetric_difference(outline).area
-    corners = shapely.get_coordinates(outline.exterior)[:-1]
-    gaps = np.linalg.norm(corners[:, None] - layers.points[None], axis=2).min(axis=1)
-    assert (gaps < 1e-9).mean() > 0.8
 
 
 @pytest.mark.parametrize("name", PARTS)
@@ -239,29 +113,6 @@ def test_shells_that_abut_and_overlap_on_a_lattice(seed, mode, caplog):
             [shapely.box(*a[:2], *b[:2]) for a, b in zip(low[inside], high[inside], strict=True)]
         )
         assert depth_beyond(region(layers, k), exact, bound_mm * 1.0005) < 1e-9
-
-
-@pytest.mark.parametrize("mode", MODES)
-def test_far_from_the_origin(mode):
-    part = PARTS["tilted torus"]
-    far = moved(part, shift=(1e6, -1e6, 1e6))
-    near, off = cut(part, heights_in(part), mode=mode), cut(far, heights_in(part) + 1e6, mode=mode)
-    assert off.areas() == pytest.approx(near.areas(), rel=1e-4)
-    assert off.ring_counts().tolist() == near.ring_counts().tolist()
-    for k, z in enumerate(heights_in(part)):
-        bound = SLICER.error_bound_mm(far, SLICER.Settings(mode=mode))
-        shifted = shapely.transform(region(off, k), lambda p: p - (1e6, -1e6))
-        assert depth_beyond(shifted, exact_section(part, z), bound * 1.0005) == 0.0
-
-
-@pytest.mark.parametrize("mode", MODES)
-def test_mirrored_part_gives_mirrored_area(mode):
-    part = PARTS["star"]
-    mirrored = moved(part, np.diag([-1, 1, 1]))
-    heights = heights_in(part)
-    assert cut(mirrored, heights, mode=mode).areas() == pytest.approx(
-        cut(part, heights, mode=mode).areas(), rel=2e-3
-    )
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -439,35 +290,3 @@ def test_borders_of_many_overlapping_shells_by_counting():
         assert found[1].tolist() == (np.flatnonzero(np.diff(inside, prepend=False)) * 1.0).tolist()
         assert found[3].all()
         assert found[4].all()
-
-
-def test_winding_oracle_on_a_square():
-    square = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], float)
-    cut_of_square = np.stack([square, np.roll(square, -1, axis=0)], axis=1)
-    assert winding(cut_of_square, 0.5, 0.5) == 1
-    assert winding(cut_of_square[:, ::-1], 0.5, 0.5) == -1
-    assert winding(cut_of_square, 1.5, 0.5) == 0
-
-
-@pytest.mark.corpus
-@pytest.mark.slow
-def test_reference_areas_of_the_corpus(corpus):
-    by_file = defaultdict(list)
-    with (corpus / "REFERENCE.csv").open() as table:
-        for row in csv.DictReader(table):
-            if row["simple"] == "1" and (corpus / row["file"]).exists():
-                by_file[row["file"]].append(row)
-    compared = 0
-    for file, rows in by_file.items():
-        rows.sort(key=lambda row: float(row["z"]))
-        part = ebamcheck.load(corpus / file)
-        layers = cut(part, [float(row["z"]) for row in rows])
-        bound = SLICER.error_bound_mm(part, SLICER.Settings())
-        for k, row in enumerate(rows):
-            allowed = 0.05 * bound * float(row["perimeter"])
-            assert layers.areas()[k] == pytest.approx(float(row["signed_area"]), abs=allowed), (
-                file,
-                row["z"],
-            )
-        compared += len(rows)
-    assert compared > 100

@@ -1,42 +1,20 @@
-"""Plugins of strangers that crash, hang, lie or leave: they are lost with a reason, and everything else goes on."""
+"""Plugins of strangers that crash, hang, lie or leave when they are loaded: they are left out with a reason."""
 
 from __future__ import annotations
 
 import json
-import os
 import subprocess
-import time
 from importlib.metadata import EntryPoint
 
-import numpy as np
-import psutil
 import pytest
-from command_line import WIDE_TOML, ebamcheck, frame, write_stl
-from enemy_plugin import SLICERS
+from command_line import ebamcheck
+from enemy_text import HONEST
 from fake_distribution import environment, found_here, install
-from parts import box
 
-import ebamcheck as api
-from ebamcheck.errors import BackendFailed, BackendMissing, SettingsError
-from ebamcheck.json_values import sha256_of_file
-from ebamcheck.pipeline.report_writers import write_reports
+from ebamcheck.errors import SettingsError
 from ebamcheck.plugins import answers as plugin_answers
 from ebamcheck.plugins import registry
 from ebamcheck.plugins.model import models
-from ebamcheck.plugins.processes import run_limited
-from ebamcheck.slicers.isolation import Limits, slice_all
-from ebamcheck.slicers.slicing import Slicing
-
-TESTS = os.path.dirname(__file__)
-
-HONEST = """
-from ebamcheck_planecut import PlaneCut
-from ebamcheck.backend import Probe
-import os, signal, sys
-class S(PlaneCut):
-    name = {name!r}
-    priority = 1
-"""
 
 AT_IMPORT = {
     "exits": ("import sys; sys.exit(7)", "SystemExit: 7"),
@@ -94,8 +72,12 @@ def here(enemies, monkeypatch):
 @pytest.fixture(scope="module")
 def told(enemies):
     """What `ebamcheck backends` says, as text and as JSON; the JSON by name."""
-    text = ebamcheck("backends", cwd=enemies, **environment(enemies))
-    records = ebamcheck("backends", "--json", cwd=enemies, **environment(enemies))
+    with pytest.MonkeyPatch.context() as patch:
+        found_here(enemies, patch)
+        # In one process, where each plugin is asked once.
+        text = ebamcheck("backends", cwd=enemies)
+        records = ebamcheck("backends", "--json", cwd=enemies)
+        registry.forget()
     assert (text.returncode, records.returncode) == (0, 0), text.stderr + records.stderr
     return text.stdout, json.loads(records.stdout)
 
@@ -173,9 +155,6 @@ def test_no_process_is_started_where_there_are_no_strangers(monkeypatch):
     registry.forget()
 
 
-# -- what is kept ----------------------------------------------------------------------------------------
-
-
 def counted(folder, text, version="1"):
     """A distribution whose import leaves a mark."""
     head = f"open({str(folder / 'imports')!r}, 'a').write('x')\n"
@@ -232,192 +211,3 @@ def test_settings_of_a_stranger_are_checked_by_it(tmp_path, monkeypatch):
     with pytest.raises(SettingsError, match=r"'counted', setting 'grid_mm'.*'wide'.*it knows: grid_mm"):
         registry.slicer_settings("counted", {"grid_mm": "wide"})
     registry.forget()
-
-
-# -- while they slice ------------------------------------------------------------------------------------
-
-HEIGHTS = np.linspace(0.1, 1.9, 40)
-
-
-@pytest.fixture(scope="module")
-def slicing_enemies(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("slicing")
-    points = {name: f"enemy_plugin:{name.replace('-', '_')}" for name in SLICERS}
-    points |= {"forks": "enemy_plugin:FORKS", "loose": "enemy_plugin:LOOSE"}
-    return install(folder, "slicing-enemies", {registry.BACKENDS: points})
-
-
-@pytest.fixture(scope="module")
-def sliced(slicing_enemies, tmp_path_factory):
-    """What became of all of them and of an honest slicer, run side by side."""
-    with pytest.MonkeyPatch.context() as patch:
-        found_here(slicing_enemies, patch, TESTS)
-        target = tmp_path_factory.mktemp("layers")
-        backends = {name: registry.slicer_settings(name, {}) for name in (*SLICERS, "planecut", "manifold")}
-        steps = dict.fromkeys(backends, 0)
-
-        def progress(name, done):
-            steps[name] += done
-
-        outcomes = slice_all(box(), HEIGHTS, backends, target, Limits(time_s=300.0, processes=3), progress)
-        registry.forget()
-    assert max(steps.values()) <= 40
-    return outcomes, target
-
-
-@pytest.mark.parametrize("name", SLICERS)
-def test_a_slicer_that_lies_is_lost_and_reported(sliced, name):
-    import re
-
-    outcome = sliced[0][name]
-    assert (outcome.failure, outcome.file) == ("crashed", None)
-    assert re.search(SLICERS[name][1], outcome.why), outcome.why
-    assert "\n" not in outcome.why
-
-
-def test_the_others_go_on(sliced):
-    outcomes, target = sliced
-    for name in ("planecut", "manifold"):
-        assert outcomes[name].read().areas() == pytest.approx([4.0] * 40)
-    assert sorted(file.name for file in target.iterdir()) == ["manifold.parquet", "planecut.parquet"]
-
-
-def test_no_child_of_a_worker_outlives_it(slicing_enemies, tmp_path, monkeypatch):
-    found_here(slicing_enemies, monkeypatch, TESTS)
-    settings = {"forks": registry.slicer_settings("forks", {})}
-    assert slice_all(box(), HEIGHTS, settings, tmp_path)["forks"].failure == ""
-    sleeping = ["import time; time.sleep(600)"]
-    left = []
-    for process in psutil.process_iter():
-        try:
-            if process.cmdline()[2:] == sleeping and process.status() != psutil.STATUS_ZOMBIE:
-                left.append(process)
-        except psutil.Error:
-            continue
-    assert left == []
-    registry.forget()
-
-
-def test_a_stranger_slices_in_no_process_but_its_own(slicing_enemies, monkeypatch):
-    found_here(slicing_enemies, monkeypatch, TESTS)
-    assert api.slice(box(), [1.0], backend="loose").areas().tolist() == [4.0]
-    with Slicing(box(), "loose") as slicing:
-        assert slicing.at(1.0).areas().tolist() == [4.0]
-    with pytest.raises(BackendFailed, match="'leaver' crashed: its process ended with code 0"):
-        api.slice(box(), [1.0], backend="leaver")
-    with pytest.raises(
-        BackendFailed, match=r"'loose' of slicing-enemies 1 runs in a process of its own only"
-    ):
-        registry.slicer("loose").prepare(box(), registry.slicer_settings("loose", {}))
-    assert registry.one_method("loose", "planecut")
-    assert not registry.one_method("manifold", "planecut")
-    with pytest.raises(BackendMissing, match="unknown backend 'nobody'"):
-        registry.loaded_slicer("nobody")
-    registry.forget()
-
-
-# -- reports, and a whole run ----------------------------------------------------------------------------
-
-WRITERS = {
-    "exits": "import sys; sys.exit(0)",
-    "leaves": "import os; os._exit(0)",
-    "raises": "raise RuntimeError('no ink')",
-    "clears": "import shutil; shutil.rmtree(run.path)",
-    "forges": "(run.path / 'run.json').write_text('{}'); (run.path / 'certificate.json').write_text('{}')",
-    "links": "import os; os.symlink('/etc/passwd', run.path / 'link.txt')",
-    "good": "(run.path / 'mine').mkdir(); (run.path / 'mine' / 'good.txt').write_text(run.manifest()['job'])",
-}
-"""Bodies of report writers."""
-
-
-@pytest.fixture(scope="module")
-def writers(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("writers")
-    text = "".join(f"def {name}(run):\n    {body}\n" for name, body in WRITERS.items())
-    reports = {name: f"enemy_writers:{name}" for name in WRITERS} | {"html": "enemy_writers:clears"}
-    backends = {"fewer": "enemy_plugin:fewer", "gone": "no_such_module:S", "loose": "enemy_plugin:LOOSE"}
-    return install(
-        folder, "writers", {registry.REPORTS: reports, registry.BACKENDS: backends}, {"enemy_writers": text}
-    )
-
-
-def test_a_run_among_enemies_is_whole_and_honest(writers, tmp_path):
-    write_stl(frame(), tmp_path / "frame.stl")
-    (tmp_path / "ebamcheck.toml").write_text(WIDE_TOML)
-    done = ebamcheck(
-        "check", "frame.stl", "--layer-height", 3, "--backends", "planecut,manifold,fewer,loose",
-        cwd=tmp_path, **environment(writers, TESTS),
-    )  # fmt: skip
-    assert done.returncode == 0, done.stdout + done.stderr
-    folder = tmp_path / "frame.run"
-    manifest = json.loads((folder / "run.json").read_text())
-    assert manifest["job"] == "check"
-    assert {n: b["status"] for n, b in manifest["backends"].items()} == {
-        "planecut": "done", "manifold": "done", "fewer": "crashed", "loose": "done",
-    }  # fmt: skip
-    for name, digest in manifest["files"].items():
-        assert sha256_of_file(folder / name) == digest, name
-    assert (folder / "report.html").is_file()
-    assert (folder / "mine" / "good.txt").read_text() == "check"
-    assert not {"link.txt", "certificate.json"} & {file.name for file in folder.iterdir()}
-    for said in (
-        "'exits' of writers 1 was lost: it ended the process with code 0",
-        "'leaves' of writers 1 was lost: it ended the process with code 0",
-        "'raises' of writers 1 was lost: it ended the process with code 1: RuntimeError: no ink",
-        "'clears' of writers 1: it removed files of its copy of the run",
-        "'forges' of writers 1: it changed run.json, which is not its own",
-        "'forges' of writers 1: certificate.json is a name of the run's own",
-        "'links' of writers 1: link.txt is no plain file",
-        "plugin 'html' of ebamcheck.reports",
-    ):
-        assert said in done.stderr, (said, done.stderr)
-    # The loose one agrees with everything; the run does not rest on it.
-    assert manifest["comparison"]["evidence"] == [
-        {"methods": ["planecut", "manifold"], "first_layer": 0, "last_layer": 3}
-    ]
-    assert "0.7 mm is over 0.6 mm" in manifest["comparison"]["no_evidence"]["loose"]
-    assert {"no-evidence", "backend-lost"} <= {f["code"] for f in manifest["findings"]}
-    gate = next(g for g in manifest["gates"] if g["name"] == "agreement")
-    assert "every one rests on planecut and manifold" in gate["text"]
-
-
-def test_two_methods_of_which_one_proves_nothing_are_not_enough(writers, tmp_path):
-    write_stl(frame(), tmp_path / "frame.stl")
-    (tmp_path / "ebamcheck.toml").write_text(WIDE_TOML)
-    done = ebamcheck(
-        "check", "frame.stl", "--layer-height", 6, "--backends", "planecut,loose",
-        cwd=tmp_path, **environment(writers, TESTS),
-    )  # fmt: skip
-    assert done.returncode == 5, done.stdout + done.stderr
-    assert "2 methods left, no two of which are independent evidence: loose is no evidence" in done.stdout
-
-
-def test_house_writers_write_where_strangers_may_not(tmp_path):
-    """Nothing but the run's own folder is written to; a folder that is no run is left with a note for each writer."""
-    notes = []
-    write_reports(tmp_path, notes.append)
-    assert len(notes) == len(registry.names(registry.REPORTS))
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(
-    ("code", "why"),
-    [
-        ("hoard = b'x' * 700_000_000; import time; time.sleep(60)", "over the limit of 300 MB"),
-        ("import time; time.sleep(60)", "it took over 4 s"),
-        ("raise ValueError('a\\x1b[31mb')", r"with code 1: ValueError: a \[31mb$"),
-        ("import os, shutil; shutil.rmtree(os.environ['TMPDIR'])", "^$"),
-        ("pass", "^$"),
-    ],
-)
-def test_limits_of_a_process(tmp_path, monkeypatch, code, why):
-    import re
-
-    (tmp_path / "limited.py").write_text(code)
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    (tmp_path / "work").mkdir()
-    begun = time.monotonic()
-    ended = run_limited(["limited"], tmp_path / "work", 4.0, 300.0)
-    assert re.search(why, ended.why), ended.why
-    assert "\x1b" not in ended.why
-    assert time.monotonic() - begun < 60.0

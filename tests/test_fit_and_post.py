@@ -81,12 +81,27 @@ def test_post_of_a_control_or_folder_that_is_not_there(stl: Path, tmp_path: Path
 
 
 def test_post_writes_one_layer_for_a_simulator_alone(stl: Path, tmp_path: Path) -> None:
-    arguments = ("post", stl, "--layer-height", 3, "--layer", 1, "-o", tmp_path / "p", "--control")
+    (tmp_path / "wide.toml").write_text(WIDE_TOML)
+    thick = ("-c", tmp_path / "wide.toml", "--layer-height", 20)
+    arguments = ("post", stl, *thick, "--layer", 1, "-o", tmp_path / "p", "--control")
     code, text = run(*arguments, "3dthesis")
     assert code == ExitCode.PASS, text
     assert f"{tmp_path / 'p' / 'run.sh'} runs it" in text
     heights = {line.split()[3] for line in (tmp_path / "p" / "Path.txt").read_text().splitlines()[1:]}
-    assert heights == {"6.000000"}
+    assert heights == {"40.000000"}
     code, text = run(*arguments, "linuxcnc")
     assert code == ExitCode.USAGE
     assert "linuxcnc takes a whole program" in text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [(("--control", "abacus"), "abacus"), (("--control", "linuxcnc", "--layer", 1), "whole program")],
+)
+def test_a_control_that_cannot_be_posted_for_is_refused_before_the_part_is_read(
+    tmp_path: Path, arguments: tuple[object, ...], told: str
+) -> None:
+    code, text = run("post", tmp_path / "gone.stl", "-o", tmp_path / "p", *arguments)
+    assert code == ExitCode.USAGE
+    assert told in text
+    assert "gone.stl" not in text

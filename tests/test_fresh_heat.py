@@ -1,14 +1,14 @@
-"""Fresh heat beside the modes: against integrals, closed forms and converged modes; and orders that keep off hot borders."""
+"""Fresh heat beside the modes: against integrals, closed forms and converged modes."""
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import shapely
+from fresh_layers import PLATE, PROFILE, islands_of, times_of
 from scipy.integrate import quad
 from scipy.special import erf
 from scipy.stats import norm
@@ -19,29 +19,9 @@ from ebamcheck.heat import Medium
 from ebamcheck.scan.filling.hatch import Vectors
 from ebamcheck.scan.heat import island_heat
 from ebamcheck.scan.heat.enclosed import enclosed_share
-from ebamcheck.scan.heat.influence import influence
 from ebamcheck.scan.heat.near_field import entry_rise, exact_depth, of_layer
 from ebamcheck.scan.heat.pieces import WAYS, island_tiles, line_pieces
-from ebamcheck.scan.islands.regions import layer_section
-from ebamcheck.scan.order.all_orders import MOST_LISTED, best_of_all
-from ebamcheck.scan.order.annealing import high_mean
-from ebamcheck.scan.order.entry_options import ways_between
-from ebamcheck.scan.order.orders import scan_order
-from ebamcheck.scan.order.simulation import clocked, entered, entry_points, ways_driven
-from ebamcheck.scan.order.thermal import ranked
-from ebamcheck.scan.order.touching import touching, touching_successors
-from ebamcheck.scan.plan.laying import lay_islands
-from ebamcheck.settings.config import Config
-
-PROFILE = Config()
-RAPID = PROFILE.machine.rapid_mm_s
-HEIGHT_MM = 10.0
-PLATE = shapely.box(0, 0, 160, 110)
-
-
-def islands_of(section, **scan):
-    profile = PROFILE.changed(scan=scan)
-    return lay_islands(layer_section(section), profile, 0, HEIGHT_MM).choices(profile, 0)
+from ebamcheck.scan.order.simulation import entry_points
 
 
 @pytest.fixture(scope="module")
@@ -49,13 +29,8 @@ def choices():
     return islands_of(PLATE)
 
 
-def times_of(islands, order):
-    drive = islands.driven
-    return clocked(np.asarray(order), drive.entry, drive.leave, drive.time_s, RAPID)
-
-
 def test_pieces_hold_all_heat_and_follow_the_way(choices):
-    drive, lines = choices.driven, choices.lines
+    schedule, lines = choices.known_schedule, choices.lines
     pieces = line_pieces(lines, choices.centroid, choices.area_mm2, 4.0)
     starts = pieces.first[:-1]
     assert np.add.reduceat(pieces.share, starts) == pytest.approx(1.0)
@@ -66,8 +41,8 @@ def test_pieces_hold_all_heat_and_follow_the_way(choices):
             own = slice(pieces.first[island], pieces.first[island + 1])
             soonest = pieces.place[own][np.argmin(pieces.passed[way, own])]
             latest = pieces.place[own][np.argmax(pieces.passed[way, own])]
-            assert np.hypot(*(soonest - drive.entry[island, way])) <= 2.0 + 1e-9
-            assert np.hypot(*(latest - drive.leave[island, way])) <= 2.0 + 1e-9
+            assert np.hypot(*(soonest - schedule.entry[island, way])) <= 2.0 + 1e-9
+            assert np.hypot(*(latest - schedule.leave[island, way])) <= 2.0 + 1e-9
 
 
 def test_an_island_without_lines_is_one_piece_at_its_centroid():
@@ -185,12 +160,12 @@ def test_the_share_in_sight_is_exact_on_borders_in_corners_and_in_walls(variance
 
 @pytest.mark.parametrize("since", [0.3, 1.0, 2.0])
 def test_the_entry_is_as_hot_as_an_integral_over_the_moving_beam(choices, since):
-    near, heat, drive, lines = choices.heat.fresh, choices.heat, choices.driven, choices.lines
+    near, heat, schedule, lines = choices.heat.fresh, choices.heat, choices.known_schedule, choices.lines
     alpha, process = Medium.of(PROFILE).diffusivity_mm2_s, PROFILE.process
     middle = int(np.argmin(np.hypot(*(choices.centroid - [80.0, 55.0]).T)))
     pairs = choices.neighbours
     beside = int(np.setdiff1d(pairs[(pairs == middle).any(axis=1)], [middle])[0])
-    time_s = drive.time_s[beside]
+    time_s = schedule.time_s[beside]
     own = lines.island == beside
     a, b = lines.start[own], lines.end[own]
     edges = np.concatenate([[0.0], np.cumsum(np.hypot(*(b - a).T))])
@@ -215,7 +190,7 @@ def test_the_entry_is_as_hot_as_an_integral_over_the_moving_beam(choices, since)
             rise,
             youngest,
             oldest,
-            (drive.entry[middle, way], bead2),
+            (schedule.entry[middle, way], bead2),
             points=knots[(knots > youngest) & (knots < oldest)],
             limit=200,
         )
@@ -234,7 +209,7 @@ def test_nothing_passes_a_gap():
     assert not near.exact[near.pair[across]].any()
     order = np.lexsort((apart.centroid[:, 1], apart.centroid[:, 0]))
     start, end, _ = times_of(apart, order)
-    _, points = entry_points(apart.heat, apart.driven, order, start, end)
+    _, points = entry_points(apart.heat, apart.known_schedule, order, start, end)
     first_beyond = order[np.searchsorted(apart.centroid[order, 0], 60.25)]
     assert abs(points[first_beyond]) < 5.0
 
@@ -249,162 +224,3 @@ def test_few_modes_with_fresh_heat_are_within_a_tenth_of_converged_ones(monkeypa
     assert error["with fresh heat"].max() < 0.1
     assert (error["with fresh heat"] < 0.6 * error["modes alone"]).all()
     assert table["error_of_max"].unstack()["with fresh heat"].abs().max() < 0.1
-
-
-def renumbered(islands, order):
-    """Return the same islands with other numbers: number n is what was order[n]."""
-    place = np.argsort(order)
-    drive = islands.driven
-    lines = islands.lines
-    by_island = np.argsort(place[lines.island], kind="stable")
-    return replace(
-        islands,
-        centroid=islands.centroid[order],
-        area_mm2=islands.area_mm2[order],
-        neighbours=np.sort(place[islands.neighbours], axis=1),
-        polygons=islands.polygons[order],
-        drive=replace(
-            drive,
-            entry=drive.entry[order],
-            leave=drive.leave[order],
-            beam_s=drive.beam_s[order],
-            time_s=drive.time_s[order],
-        ),
-        lines=Vectors(place[lines.island][by_island], lines.start[by_island], lines.end[by_island]),
-    )
-
-
-def moved(islands, angle_deg, shift_mm):
-    """Return the same islands turned and shifted as a whole."""
-    turn = np.deg2rad(angle_deg)
-    matrix = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
-
-    def there(points):
-        return points @ matrix + shift_mm
-
-    def body(shape):
-        return affinity.translate(affinity.rotate(shape, angle_deg, origin=(0, 0)), *shift_mm)
-
-    polygons = np.empty(len(islands), object)
-    polygons[:] = [body(p) for p in islands.polygons]
-    drive, lines = islands.driven, islands.lines
-    return replace(
-        islands,
-        centroid=there(islands.centroid),
-        section=body(islands.section),
-        polygons=polygons,
-        drive=replace(drive, entry=there(drive.entry), leave=there(drive.leave)),
-        lines=Vectors(lines.island, there(lines.start), there(lines.end)),
-    )
-
-
-def cost_of(islands, order):
-    start, end, travel = times_of(islands, order)
-    return travel, np.maximum(*entry_points(islands.heat, islands.driven, order, start, end))
-
-
-def test_numbers_of_islands_change_no_cost(choices):
-    shuffle = np.random.default_rng(1).permutation(len(choices))
-    order = scan_order("farthest", choices)
-    travel, entry_k = cost_of(choices, order)
-    other = renumbered(choices, shuffle)
-    same_travel, same_k = cost_of(other, np.argsort(shuffle)[order])
-    assert same_travel == pytest.approx(travel)
-    assert same_k == pytest.approx(entry_k[shuffle], rel=1e-6, abs=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("angle_deg", "shift_mm", "share"),
-    [(0.0, (300.0, -70.0), 1e-6), (90.0, (0.0, 0.0), 1e-6), (33.0, (5.0, 8.0), 0.05)],
-)
-def test_the_cost_does_not_depend_on_where_the_layer_lies(choices, angle_deg, shift_mm, share):
-    order = scan_order("thermal", choices)
-    travel, entry_k = cost_of(choices, order)
-    same_travel, same_k = cost_of(moved(choices, angle_deg, np.array(shift_mm)), order)
-    assert same_travel == pytest.approx(travel)
-    # Cells of the modes lie along the axes: a turn between changes them a little.
-    assert high_mean(same_k) == pytest.approx(high_mean(entry_k), rel=share)
-
-
-def test_touching_successors_are_counted_where_there_was_a_choice():
-    pairs, count = np.array([[0, 1], [0, 2], [1, 3], [2, 3]]), 4
-    beside = touching(pairs, count)
-    sets = {frozenset(pair) for pair in pairs.tolist()}
-    for order in itertools.permutations(range(count)):
-        found = touching_successors(beside, np.array(order))
-        for n in range(count):
-            last, rest = order[n - 1], order[n:]
-            hot = n > 0 and {last, order[n]} in sets
-            choice = n > 0 and any({last, other} not in sets for other in rest)
-            assert found[n] == (hot and choice)
-    assert touching_successors(beside, np.array([0, 1, 2, 3])).tolist() == [False, True, False, False]
-
-
-@pytest.mark.parametrize("partition", ["hexagons", "squares"])
-def test_no_island_follows_one_that_it_touches(partition):
-    islands = islands_of(PLATE, partition=partition, hexagon_side_mm=10.0)
-    beside = touching(islands.neighbours, len(islands))
-    for order in ("thermal", "least-heat"):
-        assert not touching_successors(beside, scan_order(order, islands)).any()
-    assert touching_successors(beside, scan_order("raster", islands)).mean() > 0.5
-
-
-def test_all_orders_of_five_islands_hold_none_better():
-    islands = islands_of(
-        shapely.box(0, 0, 62, 34).difference(shapely.box(20, 0, 24, 20)), hexagon_side_mm=11.0
-    )
-    count, drive = len(islands), islands.driven
-    assert 5 <= count <= 6
-    beside, ways = touching(islands.neighbours, count), ways_between(drive)
-    longest_s = float(drive.time_s.sum() + count * ways.jump_mm.max() / RAPID)
-    table = influence(islands.heat, drive.time_s, longest_s)
-    every = [np.array(order) for order in itertools.permutations(range(count))]
-    shortest = min(times_of(islands, order)[2] for order in every)
-    for longest_mm in (0.5 * shortest, 1.2 * shortest, 1e9):
-        found = best_of_all(table, ways, beside, drive.time_s, RAPID, longest_mm)
-        ranks = [ranked(islands.heat, drive, beside, RAPID, order, longest_mm) for order in every]
-        fewest = min(rank[0] for rank in ranks)
-        ranks = [rank for rank in ranks if rank[0] == fewest]
-        least_far = min(rank[1] for rank in ranks)
-        coolest = min(rank[2] for rank in ranks if rank[1] < least_far + 1e-6)
-        touches, far, warm = ranked(islands.heat, drive, beside, RAPID, found, longest_mm)
-        assert far == pytest.approx(least_far, abs=1e-6)
-        assert touches == fewest
-        # The table lies between nodes of time.
-        assert warm <= 1.02 * coolest
-    assert max(rank[2] for rank in ranks) > 1.5 * coolest
-
-
-def test_small_layers_take_the_best_of_all_orders():
-    islands = islands_of(shapely.box(0, 0, 48, 36))
-    assert 5 <= len(islands) <= MOST_LISTED
-    drive, beside = islands.driven, touching(islands.neighbours, len(islands))
-    longest_mm = 0.5 * times_of(islands, scan_order("farthest", islands))[2]
-    best = ranked(islands.heat, drive, beside, RAPID, scan_order("thermal", islands), longest_mm)
-    random = np.random.default_rng(0)
-    for _ in range(300):
-        other = ranked(islands.heat, drive, beside, RAPID, random.permutation(len(islands)), longest_mm)
-        # The table lies between nodes of time.
-        assert best[0] <= other[0]
-        if best[0] == other[0]:
-            assert best[1] <= other[1] + 1e-6
-            assert best[1] < other[1] - 1e-6 or best[2] <= 1.02 * other[2]
-
-
-def test_ways_are_those_that_are_clocked(choices):
-    drive, order = choices.driven, scan_order("farthest", choices)
-    way = ways_driven(order, drive.entry, drive.leave)
-    gone = np.hypot(
-        *(drive.entry[order[1:], way[order[1:]]] - drive.leave[order[:-1], way[order[:-1]]]).T
-    ).sum()
-    assert gone == pytest.approx(times_of(choices, order)[2])
-
-
-def test_without_fresh_heat_the_modes_stand_alone(choices):
-    order = scan_order("raster", choices)
-    start, end, _ = times_of(choices, order)
-    alone, _ = entered(replace(choices.heat, near=None), order, start, end)
-    means, points = entry_points(choices.heat, choices.driven, order, start, end)
-    assert means == pytest.approx(entered(choices.heat, order, start, end)[0])
-    # In rows, each island is begun beside the border just laid: far hotter than its mean.
-    assert np.median(points[order[1:]] / alone[order[1:]]) > 1.5

@@ -22,7 +22,9 @@ from ebamcheck.scan.filling.gaps import (
 from ebamcheck.scan.islands.regions import ARC_SEGMENTS, CRUMB, JOIN_MM, layer_regions
 from ebamcheck.settings.config import Config
 
-PROFILE = Config()
+PROFILE = Config().changed(scan={"order": "raster"}, process={"interpass": "off"})
+"""What is covered does not hang on the order, and this one takes no heat model."""
+
 WIDTH, SPACING = PROFILE.process.bead_width_mm, PROFILE.process.hatch_spacing_mm
 LAYER = 3
 """A layer whose cells are shifted and turned."""

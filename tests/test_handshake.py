@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 
 import pytest
-from command_line import FAST, ebamcheck, write_stl
+from command_line import FAST, ebamcheck, started, write_stl
 from parts import box
 
 from ebamcheck.errors import SettingsError
@@ -110,7 +110,7 @@ def test_a_run_writes_it_and_verify_judges_its_text(tmp_path):
     text = path.read_text()
     assert record["validated"]
     assert "; VALIDATED" in text
-    again = ebamcheck("verify", "box.run", "--part", "box.stl", "--json", cwd=tmp_path)
+    again = started("verify", "box.run", "--part", "box.stl", "--json", cwd=tmp_path)
     checks = {check["name"]: check for check in json.loads(again.stdout)}
     assert again.returncode == 0, [check for check in checks.values() if not check["passed"]]
     assert checks["handshake"]["passed"]

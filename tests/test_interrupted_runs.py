@@ -12,7 +12,7 @@ import time
 
 import numpy as np
 import pytest
-from command_line import FAST, WIDE_TOML, command, ebamcheck, frame, write_stl
+from command_line import FAST, WIDE_TOML, command, ebamcheck, frame, started, write_stl
 from parts import box, sphere
 
 from ebamcheck import scratch
@@ -94,6 +94,7 @@ def killed_and_resumed(job, folder, kills, seed):
     assert [path.name for path in folder.glob(".*")] == []
 
 
+@pytest.mark.slow
 def test_checks_killed_at_random_moments_come_to_the_same_bytes(tmp_path):
     write_stl(sphere(12.0, 24, 48), tmp_path / "part.stl")
     (tmp_path / "ebamcheck.toml").write_text(SETTINGS)
@@ -247,7 +248,7 @@ def test_a_slice_that_was_killed_leaves_nothing_once_the_next_is_made(tmp_path):
     left = tmp_path / f".part.parquet{scratch.MARK}abc"
     left.mkdir()
     (left / "planecut.parquet").write_text("half")
-    done = ebamcheck("slice", "part.stl", "-o", "part.parquet", cwd=tmp_path)
+    done = started("slice", "part.stl", "-o", "part.parquet", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert sorted(path.name for path in tmp_path.iterdir()) == ["part.parquet", "part.stl"]
     assert len(read_parquet(tmp_path / "part.parquet")) == len(

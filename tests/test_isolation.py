@@ -5,10 +5,8 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-import signal
 import time
 from importlib.metadata import EntryPoint
-from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -16,86 +14,25 @@ from fake_distribution import found_here, install
 from parts import box, tilted, torus
 
 import ebamcheck
-from ebamcheck.backend import BackendSettings, Probe
-from ebamcheck.errors import BackendFailed, BackendMissing, SettingsError
+from ebamcheck.backend import Probe
+from ebamcheck.errors import BackendMissing, SettingsError
 from ebamcheck.plugins import registry
 from ebamcheck.slicers.isolation import Limits, slice_all
-from ebamcheck_planecut import PlaneCut
 
 HEIGHTS = np.linspace(0.1, 1.9, 40)
 
 
-class Troubled(PlaneCut):
-    """A real slicer that comes to grief the way its settings say."""
-
-    name: ClassVar[str] = "troubled"
-    priority: ClassVar[int] = 1
-
-    class Settings(BackendSettings):
-        trouble: str = "none"
-
-    def prepare(self, part, settings):
-        match settings.trouble:
-            case "abort":
-                os.abort()
-            case "kill":
-                os.kill(os.getpid(), signal.SIGKILL)
-            case "hang":
-                time.sleep(600)
-            case "memory":
-                self.hoard = [np.ones(40_000_000) for _ in range(60) if time.sleep(0.02) is None]
-            case "raise":
-                raise RuntimeError("it broke\non two lines")
-            case "refuse":
-                raise BackendFailed("the mesh is not to its liking: 3 open edges")
-            case "stop":
-                return StopsHalfWay(PlaneCut().prepare(part, PlaneCut.Settings()))
-        return PlaneCut().prepare(part, PlaneCut.Settings())
-
-
-class StopsHalfWay:
-    """Cuts its first block and hangs in the second."""
-
-    def __init__(self, prepared):
-        self.prepared, self.calls = prepared, 0
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, kind, error, trace):
-        pass
-
-    def slice(self, heights, progress=None):
-        self.calls += 1
-        if self.calls > 1:
-            time.sleep(600)
-        return self.prepared.slice(heights, progress)
-
-
-class Absent(PlaneCut):
-    name: ClassVar[str] = "absent"
-
-    def probe(self):
-        return Probe(False, why="no such device", hint="install one")
-
-
-class Raising(PlaneCut):
-    name: ClassVar[str] = "raising"
-
-    def probe(self):
-        raise OSError("driver not found")
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory):
+    """A distribution of slicers that come to grief, which worker processes find, too."""
+    points = {name.lower(): f"troubled_plugin:{name}" for name in ("Troubled", "Absent", "Raising")}
+    folder = tmp_path_factory.mktemp("troubled")
+    return install(folder, "troubled-plugin", {registry.BACKENDS: points})
 
 
 @pytest.fixture
-def plugins(tmp_path, monkeypatch):
-    """Install the slicers above as a distribution that worker processes find, too."""
-    text = (
-        f"import sys; sys.path.insert(0, {os.path.dirname(__file__)!r})\n"
-        "from test_isolation import Absent, Raising, Troubled\n"
-    )
-    points = {name.lower(): f"troubled_plugin:{name}" for name in ("Troubled", "Absent", "Raising")}
-    install(tmp_path, "troubled-plugin", {registry.BACKENDS: points}, {"troubled_plugin": text})
-    found_here(tmp_path, monkeypatch)
+def plugins(installed, monkeypatch):
+    found_here(installed, monkeypatch, os.path.dirname(__file__))
     yield
     registry.forget()
 

@@ -228,16 +228,18 @@ def test_a_fault_is_found_where_it_is_with_comments_and_without(parts, tmp_path,
     text = written(part, control, tmp_path / "p")
     where = plant(text)
     text.save()
+    commented = {}
     for planned, wanted in ((True, against_plan), (False, alone)):
-        found = {n: c for n, c in checks_of(text, part, planned).items() if not c.passed}
+        checks = checks_of(text, part, planned)
+        commented[planned] = verdict(checks)
+        found = {n: c for n, c in checks.items() if not c.passed}
         assert wanted <= found.keys(), (planned, {n: (c.where, c.text) for n, c in found.items()})
         if where is not None:
             assert any(near(c.where, where) for c in found.values()), (planned, where, found)
-    commented = {p: verdict(text, part, p) for p in (True, False)}
     text.strip()
     text.save()
     for planned, before in commented.items():
-        assert verdict(text, part, planned) == before
+        assert verdict(checks_of(text, part, planned)) == before
 
 
 def near(found, planted):
@@ -251,9 +253,9 @@ NAMES = ("names and headers", "end of program", "block length", "blank", "size o
 """Checks of the text itself, in which comments count."""
 
 
-def verdict(text, part, planned):
+def verdict(checks):
     """What every check says, but where."""
-    return {n: (c.passed, c.value) for n, c in checks_of(text, part, planned).items() if n not in NAMES}
+    return {n: (c.passed, c.value) for n, c in checks.items() if n not in NAMES}
 
 
 @pytest.mark.parametrize("control", POSTS)
@@ -263,9 +265,9 @@ def test_an_honest_program_passes_and_comments_change_nothing(parts, tmp_path, s
     text = written(part, control, tmp_path / "p")
     before = {}
     for planned in (True, False):
-        failed = {n: (c.where, c.text) for n, c in checks_of(text, part, planned).items() if not c.passed}
-        assert failed == {}
-        before[planned] = verdict(text, part, planned)
+        checks = checks_of(text, part, planned)
+        assert {n: (c.where, c.text) for n, c in checks.items() if not c.passed} == {}
+        before[planned] = verdict(checks)
     # Every comment says another ring, island or layer now; then there is none.
     for name, lines in text.lines.items():
         text.lines[name] = [re.sub(r"^; (RING|ISLAND) \d+", "; RING 7", line) for line in lines]
@@ -275,7 +277,7 @@ def test_an_honest_program_passes_and_comments_change_nothing(parts, tmp_path, s
             text.strip()
             text.save()
         for planned in (True, False):
-            assert verdict(text, part, planned) == before[planned]
+            assert verdict(checks_of(text, part, planned)) == before[planned]
 
 
 @pytest.mark.parametrize("control", POSTS)

@@ -1,73 +1,30 @@
-"""The main job from part to validated program: what it makes, and what becomes of it when something goes wrong."""
+"""The main job from part to validated program: what it makes of parts of every kind."""
 
 from __future__ import annotations
 
-import contextlib
-import json
-import os
-import re
 import shutil
-import subprocess
 
 import numpy as np
 import pandas as pd
-import psutil
 import pytest
-from command_line import FAST, WIDE, WIDE_TOML, command, ebamcheck, frame, write_stl
+from command_line import FAST, ebamcheck, frame, write_stl
+from finished_runs import THICK, plate_of_every_slicer, plate_of_two_layers
 from parts import box, join, moved, sphere
+from pipeline_runs import SETTINGS, Listener, contents, gates, untimed
 
-from ebamcheck.errors import ExitCode, InputError, SettingsError
+from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.json_values import sha256_of_file
 from ebamcheck.layers.files import LayerFile
 from ebamcheck.mesh.part import from_arrays
 from ebamcheck.pipeline import check_job, run_job
 from ebamcheck.pipeline.run_folder import RunFolder
-from ebamcheck.pipeline.verify import verify, verify_against_part, verify_run
-from ebamcheck.settings.config import Config
-
-THICK = Config().changed(layers={"layer_height_mm": 6.0}, process=WIDE)
-SETTINGS = THICK.changed(slicing={"backends": tuple(FAST.split(","))})
-
-
-class Listener:
-    """Keeps what a run says."""
-
-    def __init__(self):
-        self.notes, self.stages = [], []
-
-    def stage(self, name, total):
-        self.stages.append(name)
-
-    def advance(self, steps):
-        pass
-
-    def note(self, text):
-        self.notes.append(text)
-
-
-def gates(result):
-    return {gate.name: gate.passed for gate in result.gates}
-
-
-def untimed(folder):
-    return json.loads((folder / "run.json").read_text())
-
-
-def contents(folder):
-    """Bytes of every file that is a function of part and settings alone."""
-    return {
-        str(path.relative_to(folder)): path.read_bytes()
-        for path in sorted(folder.rglob("*"))
-        if path.suffix in (".parquet", ".csv", ".MPF", ".SPF") and path.name != "summary.csv"
-    }
+from ebamcheck.pipeline.verify import verify_run
 
 
 @pytest.fixture(scope="module")
 def plate(tmp_path_factory):
     """A finished run with every backend there is, of a plate with a hole."""
-    folder = tmp_path_factory.mktemp("plate")
-    path = write_stl(frame(), folder / "frame.stl")
-    return run_job(path, folder / "frame.run", THICK), path
+    return plate_of_every_slicer(tmp_path_factory)
 
 
 @pytest.fixture
@@ -128,77 +85,6 @@ def test_all_backends_give_the_same_bytes_again(tmp_path):
         assert done.returncode == 0, done.stdout + done.stderr
     assert contents(tmp_path / "1") == contents(tmp_path / "2")
     assert untimed(tmp_path / "1") == untimed(tmp_path / "2")
-
-
-def test_a_killed_run_goes_on_to_the_same_result(tmp_path):
-    write_stl(frame(), tmp_path / "frame.stl")
-    (tmp_path / "ebamcheck.toml").write_text(
-        f"slicing.backends = {FAST.split(',')}\nlayers.layer_height_mm = 6.0\n{WIDE_TOML}"
-    )
-    first = subprocess.Popen(command("run", "frame.stl", "-o", "a.run"), cwd=tmp_path)
-    unfinished = tmp_path / ".a.run.unfinished" / "layers"
-    while not list(unfinished.glob("*.parquet")):
-        assert first.poll() is None
-    first.kill()
-    first.wait()
-    assert not (tmp_path / "a.run").exists()
-    second = ebamcheck("run", "frame.stl", "-o", "a.run", "--resume", cwd=tmp_path)
-    assert second.returncode == 0, second.stderr
-    assert "layers of the former run are kept" in second.stderr
-    run_job(tmp_path / "frame.stl", tmp_path / "b.run", SETTINGS)
-    assert contents(tmp_path / "a.run") == contents(tmp_path / "b.run")
-    assert untimed(tmp_path / "a.run") == untimed(tmp_path / "b.run")
-    assert not unfinished.exists()
-
-
-def test_a_killed_backend_is_told_and_the_others_are_whole(plate, tmp_path):
-    path = plate[1]
-    (tmp_path / "ebamcheck.toml").write_text(WIDE_TOML)
-    run = subprocess.Popen(
-        command("run", path, "--layer-height", 6, "-o", "k.run"),
-        cwd=tmp_path,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    victims = []
-    while not victims:
-        assert run.poll() is None
-        # A worker that ends while it is looked at has no command line any more.
-        with contextlib.suppress(psutil.Error):
-            victims = [
-                p
-                for p in psutil.Process(run.pid).children()
-                if p.cmdline()[1:5] == ["-P", "-m", "ebamcheck.slicers.worker", "embree"]
-            ]
-    victims[0].kill()
-    text = run.communicate()[0]
-    assert run.returncode == 0
-    assert "3 methods agree on 2 of 2 layers; lost: embree killed" in text
-    manifest = untimed(tmp_path / "k.run")
-    assert manifest["backends"]["embree"]["status"] == "killed"
-    assert "SIGKILL" in manifest["backends"]["embree"]["why"]
-    whole = contents(plate[0].folder.path)
-    for name in ("planecut", "stencil", "manifold"):
-        if manifest["backends"][name]["status"] == "done":
-            assert (tmp_path / "k.run" / "layers" / f"{name}.parquet").read_bytes() == whole[
-                f"layers/{name}.parquet"
-            ]
-    assert {n: b for n, b in contents(tmp_path / "k.run").items() if n.startswith("program/")} == {
-        n: b for n, b in whole.items() if n.startswith("program/")
-    }
-
-
-def test_of_two_methods_one_fails(tmp_path):
-    path = write_stl(from_arrays(frame().vertices, frame().faces[:-1], "open"), tmp_path / "open.stl")
-    result = run_job(path, tmp_path / "open.run", SETTINGS)
-    assert result.exit_code is ExitCode.OUT_OF_TOLERANCE
-    assert (gates(result)["input"], gates(result)["agreement"]) == (False, False)
-    manifest = result.folder.manifest()
-    assert manifest["backends"]["manifold"]["status"] == "refused"
-    assert manifest["backends"]["planecut"]["open_paths"] > 0
-    assert "open" in manifest["gates"][0]["text"]
-    assert any("manifold refused" in found["text"] for found in manifest["findings"])
-    assert "NOT VALIDATED" in (result.folder.program_folder / "MAIN.MPF").read_text()
 
 
 def test_inside_out_is_named_and_turned_over_when_asked(tmp_path):
@@ -267,22 +153,6 @@ def test_heights_beside_the_part_are_refused(tmp_path):
         run_job(path, tmp_path / "a.run", SETTINGS.changed(layers={"heights_mm": (2.0, 1.0)}))
 
 
-def test_a_report_writer_that_raises_is_a_note(tmp_path, monkeypatch):
-    (tmp_path / "raising_writer.py").write_text("def write(run):\n    raise OSError('no ink')\n")
-    info = tmp_path / "raising_writer-1.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: raising-writer\nVersion: 1\n")
-    (info / "entry_points.txt").write_text("[ebamcheck.reports]\nraising = raising_writer:write\n")
-    monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")]))
-    listener = Listener()
-    result = run_job(write_stl(frame(), tmp_path / "f.stl"), tmp_path / "f.run", SETTINGS, observer=listener)
-    assert result.exit_code is ExitCode.PASS
-    (note,) = listener.notes
-    assert "'raising'" in note
-    assert "OSError: no ink" in note
-
-
 @pytest.mark.parametrize(("solidus_k", "pause_s", "told"), [(310.0, 0.0, True), (1877.0, 600.0, False)])
 def test_layers_too_hot_for_the_heat_model_are_told(tmp_path, solidus_k, pause_s, told):
     listener = Listener()
@@ -297,54 +167,6 @@ def test_layers_too_hot_for_the_heat_model_are_told(tmp_path, solidus_k, pause_s
     assert len(found) == told
     assert all(f["text"].startswith(f"{hot} of {len(rows)} layers") for f in found)
     assert all(f["figure"] == rows["entry_max_k"].max() + 293.15 for f in found)
-
-
-def test_an_untouched_run_verifies(plate):
-    checks = verify_run(plate[0].folder.path, plate[1])
-    assert all(check.passed for check in checks)
-    assert {"settings unchanged", "part unchanged", "file unchanged", "gate program"} <= {
-        c.name for c in checks
-    }
-
-
-@pytest.mark.parametrize(
-    "name", ["program/MAIN.MPF", "program/MAIN_L0002.SPF", "layers/planecut.parquet", "scan.csv"]
-)
-def test_verify_finds_one_changed_byte(copy, name):
-    data = bytearray((copy / name).read_bytes())
-    data[len(data) // 2] ^= 1
-    (copy / name).write_bytes(data)
-    assert [c.where for c in verify_run(copy) if not c.passed] == [name]
-
-
-def test_verify_finds_other_settings_a_lost_file_and_another_part(copy, plate):
-    other = write_stl(box(), copy.parent / "other.stl")
-    assert [c.name for c in verify_run(copy, other) if not c.passed] == ["part unchanged"]
-    os.remove(copy / "beads.parquet")
-    assert [(c.where, c.text) for c in verify_run(copy) if not c.passed] == [
-        ("beads.parquet", "the file is missing")
-    ]
-    record = json.loads((copy / "run.json").read_text())
-    record["settings"]["process"]["bead_width_mm"] = 7.0
-    (copy / "run.json").write_text(json.dumps(record))
-    assert "settings unchanged" in [c.name for c in verify_run(copy) if not c.passed]
-    del record["files"]
-    (copy / "run.json").write_text(json.dumps(record))
-    with pytest.raises(InputError, match=r"run\.json: is not whole: KeyError at 'files'"):
-        verify_run(copy)
-
-
-def test_a_program_without_its_run_asks_for_its_settings(plate, tmp_path):
-    program = shutil.copytree(plate[0].folder.program_folder, tmp_path / "alone") / "MAIN.MPF"
-    lines = program.read_text().splitlines()
-    program.write_text("\n".join([*lines[:20], "R10=40", *lines[20:], ""]))
-    (found,) = [c for c in verify(program, plate[1]) if not c.passed]
-    assert found.text.startswith(
-        "unknown word 'R10=40'; no run lies beside the program, so the default settings"
-    )
-    assert "--config" in found.text
-    (found,) = [c for c in verify(program, plate[1], THICK) if not c.passed]
-    assert found.text == "unknown word 'R10=40'"
 
 
 def test_a_finished_run_is_kept_whatever_is_asked_for(copy, plate):
@@ -365,16 +187,6 @@ def test_a_finished_run_is_kept_whatever_is_asked_for(copy, plate):
         copy / path.relative_to(kept): path.read_bytes() for path in kept.rglob("*") if path.is_file()
     } == before
     assert RunFolder(copy).manifest()["job"] == "check"
-
-
-def test_verify_a_program_against_a_part_finds_a_moved_hole(plate, tmp_path):
-    program = plate[0].folder.program_folder / "MAIN.MPF"
-    assert all(check.passed for check in verify_against_part(program, plate[1], THICK))
-    shifted = frame().vertices.copy()
-    inner = (shifted[:, 0] > 1) & (shifted[:, 0] < 39)
-    shifted[inner, 0] += 1.0
-    other = write_stl(from_arrays(shifted, frame().faces, "moved"), tmp_path / "moved.stl")
-    assert not all(check.passed for check in verify_against_part(program, other, THICK))
 
 
 def test_settings_and_part_change_the_fingerprint(tmp_path, monkeypatch):
@@ -407,86 +219,19 @@ def test_settings_and_part_change_the_fingerprint(tmp_path, monkeypatch):
     assert len(set(seen)) == 6
 
 
-def test_the_folder_is_free_again_after_a_failure(tmp_path, monkeypatch):
-    from ebamcheck.pipeline import cross_check
-
-    def fail(*_, **__):
-        raise RuntimeError("on the way")
-
-    path = write_stl(frame(), tmp_path / "a.stl")
-    with monkeypatch.context() as patch:
-        patch.setattr(cross_check, "slice_all", fail)
-        with pytest.raises(RuntimeError, match="on the way"):
-            run_job(path, tmp_path / "a.run", SETTINGS)
-    assert run_job(path, tmp_path / "a.run", SETTINGS, resume=True).folder == RunFolder(tmp_path / "a.run")
-
-
-def test_a_machine_without_opengl_goes_on_with_the_others(tmp_path):
-    write_stl(frame(), tmp_path / "frame.stl")
-    (tmp_path / "ebamcheck.toml").write_text(WIDE_TOML)
-    done = ebamcheck(
-        "run", "frame.stl", "--layer-height", 6, "-o", "a.run",
-        cwd=tmp_path, __EGL_VENDOR_LIBRARY_FILENAMES=os.devnull, DISPLAY="",
-    )  # fmt: skip
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "backend stencil is not available" in done.stdout
-    assert "libegl1" in done.stdout
-    stencil = untimed(tmp_path / "a.run")["backends"]["stencil"]
-    assert (stencil["status"], "libegl1" in stencil["why"]) == ("unavailable", True)
-    assert (tmp_path / "a.run" / "report.html").is_file()
-
-
-def test_a_full_disk_is_told_with_its_place(tmp_path, monkeypatch):
-    from ebamcheck.pipeline import cross_check
-
-    def fail(*_, **__):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(cross_check, "compare_all", fail)
-    with pytest.raises(
-        SettingsError, match=r"\.a\.run\.unfinished: cannot be written: No space left on device"
-    ):
-        run_job(write_stl(frame(), tmp_path / "a.stl"), tmp_path / "a.run", SETTINGS)
-    assert not (tmp_path / "a.run").exists()
-
-
-def test_layers_that_cannot_be_written_end_the_job_and_name_the_file(tmp_path):
-    """Files of this command may not grow to what the layers take."""
-    write_stl(frame(), tmp_path / "frame.stl")
-    done = ebamcheck(
-        "check", "frame.stl", "--layer-height", 0.005, "--backends", FAST, "-o", "a.run",
-        cwd=tmp_path, limit_bytes=60_000,
-    )  # fmt: skip
-    assert done.returncode == 2, done.stdout + done.stderr
-    (line,) = [line for line in done.stderr.splitlines() if line.startswith("ebamcheck: error")]
-    assert re.search(r"layers/\w+\.parquet: cannot be written: .*File too large", line), line
-    assert not (tmp_path / "a.run").exists()
-    assert not [f for f in (tmp_path / ".a.run.unfinished" / "layers").iterdir() if f.suffix == ".part"]
-
-
-def test_a_check_slices_and_compares_and_makes_no_program(tmp_path):
+def test_a_check_slices_and_compares_and_makes_no_program(tmp_path, tmp_path_factory):
     path = write_stl(frame(), tmp_path / "a.stl")
     checked = check_job(path, tmp_path / "check.run", SETTINGS)
-    run_job(path, tmp_path / "whole.run", SETTINGS)
+    whole = plate_of_two_layers(tmp_path_factory)
     assert checked.exit_code == ExitCode.PASS
     assert gates(checked) == {"input": True, "agreement": True}
     for name in ("layers.csv", "compare.csv", "compare.parquet", "layers/planecut.parquet"):
-        assert sha256_of_file(tmp_path / "check.run" / name) == sha256_of_file(tmp_path / "whole.run" / name)
+        assert sha256_of_file(tmp_path / "check.run" / name) == sha256_of_file(whole / name)
     assert not (tmp_path / "check.run" / "program").exists()
     page = (tmp_path / "check.run" / "report.html").read_text()
     assert "✔ AGREED" in page
     assert "program/" not in page
     assert all(check.passed for check in verify_run(tmp_path / "check.run", path))
-
-
-def test_a_check_of_methods_that_differ_ends_with_code_1_and_names_them(tmp_path):
-    write_stl(frame(), tmp_path / "frame.stl")
-    done = ebamcheck(
-        "check", "frame.stl", "--layer-height", 6, "--backends", "planecut", "-o", "a.run", cwd=tmp_path
-    )
-    assert done.returncode in (1, 5), done.stdout
-    assert "NOT AGREED" in done.stdout
-    assert "1 method left, two are needed" in done.stdout
 
 
 def test_the_size_of_blocks_changes_nothing(tmp_path):

@@ -1,4 +1,4 @@
-"""Reference models beyond the first six: closed forms, meshes, turned solids, named cases and the ladder."""
+"""Reference models beyond the first six: closed forms, meshes and named cases."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ import trimesh
 from scipy import special
 
 import ebamcheck
-from ebamcheck.errors import SettingsError
 from ebamcheck.layers.heights import layer_heights
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck_models import (
@@ -20,39 +19,23 @@ from ebamcheck_models import (
     CASES,
     COMB,
     CONE,
-    CUBE,
     CYLINDER,
     HELICAL_CHANNEL,
     IMPELLER,
-    LADDER,
-    LADDER_TOLERANCES_MM,
     MODELS,
-    PRISM,
     PYRAMID,
     SPHERE,
     THIN_WALLS,
     TILTED_PLATE,
     TWO_SPHERES,
-    TurnableModel,
 )
 from ebamcheck_models import impeller as impeller_shape
 from ebamcheck_models.__main__ import main
 from ebamcheck_models.narrow import WIDTHS_MM
 from ebamcheck_models.polyhedra import Polyhedron
-from ebamcheck_models.ring_wall import RingWall
 from ebamcheck_models.two_spheres import lens_area
 
 ALL = pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
-TURNABLE = [m for m in MODELS.values() if isinstance(m, TurnableModel) and m.name != "menger-3"]
-ROUND = ["cone", "cylinder", "two-spheres", "helical-channel", "impeller", "bracket", "ladder"]
-DIRECTIONS = [
-    (1.0, 0.0, 0.0),
-    (0.0, 0.0, -1.0),
-    (0.3, -0.5, 0.8),
-    (-0.7, 0.6, -0.2),
-    (0.0, 1.0, 1e-3),
-    (1e-4, 0.0, 1.0),
-]
 
 
 def heights_of(model, count, seed=0):
@@ -261,74 +244,6 @@ def test_the_tilted_plate_is_a_millimetre_thick():
     assert sides.min() == pytest.approx(1.0 / math.hypot(normal[0], normal[1]), rel=1e-4)
 
 
-# -- turned solids ---------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("model", TURNABLE, ids=lambda m: m.name)
-@pytest.mark.parametrize("direction", DIRECTIONS[:4], ids=str)
-def test_a_turned_model_is_the_part_turned_along_the_direction(model, direction):
-    turned = model.turned(direction)
-    part = model.tessellate(0.02).along(direction)
-    assert turned.volume == pytest.approx(model.volume, rel=1e-9)
-    assert np.abs(turned.bounds - part.bounds).max() <= 0.021
-    if model not in (SPHERE, TWO_SPHERES):  # their meshes keep their poles
-        assert np.abs(turned.tessellate(0.02).vertices - part.vertices).max() < 1e-3
-    heights = heights_of(turned, 4, seed=6)
-    cut = ebamcheck.slice(part, heights, backend="planecut")
-    for k, z in enumerate(heights.tolist()):
-        polygons = turned.section(z)
-        length = sum(p.length for p in polygons)
-        assert sum(p.area for p in polygons) == pytest.approx(turned.area(z), abs=2e-3 * length)
-        # 20 times the tolerance: a plane nearly along a wall shows its chords stretched.
-        assert difference(polygons, cut, k) <= 20 * 0.02 * length
-
-
-@pytest.mark.parametrize(
-    "model", [CUBE, PRISM, BRACKET, CONE, CYLINDER, TWO_SPHERES, PYRAMID], ids=lambda m: m.name
-)
-@pytest.mark.parametrize("direction", DIRECTIONS, ids=str)
-def test_the_area_of_a_turned_model_integrates_to_its_volume(model, direction):
-    turned = model.turned(direction)
-    low, high = turned.bounds[:, 2]
-    nodes, weights = np.polynomial.legendre.leggauss(8)
-    edges = np.linspace(low, high, 21)
-    total = 0.0
-    for a, b in pairwise(edges):
-        z = a + 0.5 * (nodes + 1.0) * (b - a)
-        total += 0.5 * (b - a) * float(weights @ [turned.area(h) for h in z.tolist()])
-    assert total == pytest.approx(model.volume, rel=1e-2)
-
-
-def test_turned_sections_in_closed_form():
-    diagonal = CUBE.turned((1.0, 1.0, 1.0))
-    assert diagonal.area(math.sqrt(3) * 10.0) == pytest.approx(3 * math.sqrt(3) / 4 * 400.0)
-    assert CYLINDER.turned((1.0, 0.0, 0.0)).area(7.0) == pytest.approx(60.0 * 2 * math.sqrt(625.0 - 49.0))
-    slope = np.array([math.sin(0.3), 0.0, math.cos(0.3)])
-    assert CYLINDER.turned(slope).area(30.0 * slope[2]) == pytest.approx(math.pi * 625.0 / math.cos(0.3))
-    # A parabola: the plane is parallel to a side of the cone, half a base radius beyond the axis.
-    side = np.array([50.0, 0.0, 25.0]) / math.hypot(50.0, 25.0)
-    half_chord, depth = 25.0 * math.sqrt(0.75), math.hypot(50.0, 25.0) * 0.25
-    height = float(side @ [-12.5, 0.0, 0.0])
-    assert CONE.turned(side).area(height) == pytest.approx(4 / 3 * half_chord * depth, rel=1e-9)
-    assert CONE.turned((0.0, 0.0, -1.0)).area(-10.0) == pytest.approx(CONE.area(10.0))
-
-
-def test_turning_twice_is_turning_by_the_product():
-    once = PRISM.turned((0.3, -0.5, 0.8))
-    again = once.turned((0.1, 0.9, 0.2))
-    assert again.volume == pytest.approx(PRISM.volume)
-    z = float(again.bounds.mean(axis=0)[2])
-    upright = CUBE.turned((1.0, 0.0, 0.0)).turned((-0.0, 0.0, 1.0))
-    assert sum(p.area for p in again.section(z)) == pytest.approx(again.area(z), rel=1e-5)
-    assert upright.area(5.0) == pytest.approx(400.0)
-
-
-def test_a_direction_of_no_length_is_refused():
-    for model in TURNABLE:
-        with pytest.raises(SettingsError, match="direction"):
-            model.turned((0.0, 0.0, 0.0))
-
-
 # -- named cases -----------------------------------------------------------------------------------
 
 
@@ -361,107 +276,6 @@ def test_touching_cubes_are_two_rings_and_two_regions():
     assert len(touching.section(5.0)) == 2
     cut = ebamcheck.slice(touching.tessellate(1.0), [5.0], backend="planecut")
     assert cut.areas() == pytest.approx([200.0])
-
-
-# -- the ladder ------------------------------------------------------------------------------------
-
-
-def test_the_ladder_has_the_papers_layers_and_size():
-    low, high = LADDER.bounds
-    assert (high - low) == pytest.approx([245.0, 207.0, 897.6], rel=2e-3)
-    assert len(layer_heights(LADDER.tessellate(1.0), 0.2)) == 4488
-    assert LADDER_TOLERANCES_MM == (1.0, 0.8, 0.4, 0.08, 0.06, 0.04, 0.01, 0.006, 0.004, 0.002, 0.001)
-
-
-def test_the_ladders_meshes_grow_as_the_papers_files():
-    # Its binary STL files, MB; 50 bytes a facet. The 0.4 and 0.8 mm are swapped in the printed list.
-    sizes = (0.23, 0.30, 0.46, 0.91, 1.14, 1.80, 5.88, 9.04)
-    counts = [len(LADDER.tessellate(t).faces) for t in LADDER_TOLERANCES_MM[: len(sizes)]]
-    assert counts == sorted(counts)
-    for count, megabytes in zip(counts, sizes, strict=True):
-        assert 0.6 < count * 50e-6 / megabytes < 1.6
-
-
-@pytest.mark.parametrize("tolerance_mm", [1.0, 0.1, 0.01])
-def test_no_point_of_the_ladder_is_farther_from_its_surface_than_the_tolerance(tolerance_mm):
-    assert farthest_from_ladder(tolerance_mm, 20_000) <= tolerance_mm
-
-
-@pytest.mark.slow
-def test_the_top_of_the_ladder():
-    part = LADDER.tessellate(0.001)
-    assert 1_440_000 < len(part.faces) < 1_520_000
-    assert np.array_equal(part.vertices, part.vertices.astype(np.float32))
-    assert farthest_from_ladder(0.001, 100_000) <= 0.001
-    heights = layer_heights(part, 0.2)
-    cut = ebamcheck.slice(part, heights, backend="planecut")
-    assert open_rings(cut) == 0
-    wanted = np.array([LADDER.area(z) for z in heights.tolist()])
-    # A third of the deepest lack of a chord, all along the walls; lips lean and show more of it.
-    assert np.abs(cut.areas() - wanted)[60:-60].max() <= 0.001 * 1400.0
-    assert np.abs(cut.areas() - wanted).sum() * 0.2 <= 0.001 * 1400.0 * 897.6
-
-
-def farthest_from_ladder(tolerance_mm, count):
-    """Greatest distance of random points of facets from the surface, by its implicit forms."""
-    rng = np.random.default_rng(2)
-    triangles = LADDER.tessellate(tolerance_mm).triangles
-    chosen = triangles[rng.integers(0, len(triangles), count)]
-    weights = rng.dirichlet([1.0, 1.0, 1.0], count)
-    weights[::3] = [0.5, 0.0, 0.5]
-    points = np.einsum("ij,ijk->ik", weights, chosen)
-    step = 1e-4
-    forms = [ring_form, *(channel_form(c) for c in LADDER.channels)]
-    found = np.full(count, np.inf)
-    for form in forms:
-        value = form(points)
-        slope = [(form(points + step * e) - form(points - step * e)) / (2 * step) for e in np.eye(3)]
-        # First order; forms are squared distances in units of the half axes, hence (1 + |value|).
-        found = np.minimum(found, np.abs(value) / np.linalg.norm(slope, axis=0))
-    return found.max()
-
-
-def ring_form(points):
-    """Distance, in half widths and lips, from the middle of the wall less one: 0 on the surface."""
-    x, y, z = points.T
-    angle = np.arctan2(y, x)
-    turned = angle - math.radians(LADDER.twist_deg) * z / LADDER.height_mm
-    middle = LADDER.radius_mm * (1 + LADDER.bulge * np.sin(math.pi * z / LADDER.height_mm))
-    middle = middle + LADDER.oval_mm * np.cos(2 * turned) + LADDER.lobes_mm * np.cos(3 * turned)
-    half = LADDER.half_mm + LADDER.half_oval_mm * np.cos(2 * turned)
-    off = (np.hypot(x, y) - middle) / half
-    return np.hypot(off, beyond(z, 0.0, LADDER.height_mm, LADDER.lip_mm)) - 1.0
-
-
-def channel_form(channel):
-    def form(points):
-        x, y, z = points.T
-        place = math.radians(channel.angle_deg) + math.radians(LADDER.twist_deg) * z / LADDER.height_mm
-        turned = place - math.radians(LADDER.twist_deg) * z / LADDER.height_mm
-        middle = LADDER.radius_mm * (1 + LADDER.bulge * np.sin(math.pi * z / LADDER.height_mm))
-        middle = middle + LADDER.oval_mm * np.cos(2 * turned) + LADDER.lobes_mm * np.cos(3 * turned)
-        out = (x * np.cos(place) + y * np.sin(place) - middle) / channel.through_mm
-        along = (-x * np.sin(place) + y * np.cos(place)) / channel.along_mm
-        ends = channel.ends
-        return np.sqrt(out**2 + along**2 + beyond(z, ends.low_mm, ends.high_mm, ends.cap_mm) ** 2) - 1.0
-
-    return form
-
-
-def beyond(z, low, high, cap):
-    return np.maximum(0.0, np.maximum(low + cap - z, z - high + cap)) / cap
-
-
-def test_the_ladders_channels_are_closed_and_lie_in_the_wall():
-    assert isinstance(LADDER, RingWall)
-    for z in (0.1, 20.0, 100.0, 500.0, 855.0, 890.0, 897.5):
-        (region,) = LADDER.section(z)
-        open_here = sum(c.ends.low_mm < z < c.ends.high_mm for c in LADDER.channels)
-        assert len(region.interiors) == 1 + open_here
-        rings = [region.exterior, *region.interiors]
-        assert min(a.distance(b) for i, a in enumerate(rings) for b in rings[:i]) > (
-            2.0 if open_here else 0.5
-        )
 
 
 # -- the command -----------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Orders by heat, their comparison, and the kernels against the heat model itself."""
+"""Orders by heat and their comparison, driven by the heat model."""
 
 from __future__ import annotations
 
@@ -19,26 +19,13 @@ from ebamcheck.heat.one_blas_thread import one_blas_thread
 from ebamcheck.plugins import registry
 from ebamcheck.scan import ORDERS, LayerIslands, plan_scan
 from ebamcheck.scan.filling.turns import turns_and_jumps_mm
-from ebamcheck.scan.heat.influence import influence, looked_up
 from ebamcheck.scan.heat.island_heat import island_heat
 from ebamcheck.scan.islands.regions import layer_section
-from ebamcheck.scan.order.annealing import (
-    HOTTEST_EVERY,
-    TOUCH_SHARE,
-    WARMTH,
-    annealed,
-    drive_from,
-    entry_temperature,
-    high_mean,
-    move,
-    new_log,
-)
-from ebamcheck.scan.order.entry_options import ways_between
 from ebamcheck.scan.order.orders import scan_order
 from ebamcheck.scan.order.simulation import clocked, entered, entry_points, entry_temperatures
 from ebamcheck.scan.order.thermal import greedy_order, own_rise
-from ebamcheck.scan.order.touching import touching, touching_successors
-from ebamcheck.scan.plan.comparing import COMPARED, FIGURES, OrderComparison
+from ebamcheck.scan.order.touching import touching
+from ebamcheck.scan.plan.comparing import COMPARED, FIGURES
 from ebamcheck.scan.plan.laying import lay_islands
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.scan import SCAN_ORDERS
@@ -69,10 +56,10 @@ def test_every_name_is_in_the_settings_and_in_the_table():
 
 
 def test_driven_islands_are_the_heat_model_step_by_step(laid, choices):
-    drive = choices.driven
+    schedule = choices.known_schedule
     heat = replace(choices.heat, near=None)
     order = np.random.default_rng(3).permutation(len(choices))
-    start, end, _ = clocked(order, drive.entry, drive.leave, drive.time_s, RAPID)
+    start, end, _ = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
     entry_k, excess = entry_temperatures(heat, choices.area_mm2, order, start, end)
     assert entry_k == pytest.approx(entered(heat, order, start, end)[0])
     # By the model itself, from the same modes.
@@ -93,9 +80,9 @@ def test_driven_islands_are_the_heat_model_step_by_step(laid, choices):
 
 
 def test_an_island_is_heated_by_the_power_that_the_part_takes_up(laid, choices):
-    heat, drive = choices.heat, choices.driven
+    heat, schedule = choices.heat, choices.known_schedule
     medium = Medium.of(PROFILE)
-    energy = heat.source_k_s * drive.time_s * medium.heat_capacity_j_mm3k
+    energy = heat.source_k_s * schedule.time_s * medium.heat_capacity_j_mm3k
     lines, spacing = laid.lines, PROFILE.process.hatch_spacing_mm
     length = np.hypot(*(lines.end - lines.start).T).sum()
     # The turns at either side of an island count by their mean.
@@ -110,37 +97,37 @@ def test_heat_of_a_thin_plate_is_energy_over_heat_capacity():
     profile = PROFILE.changed(process={"base": "insulated"}, material={"emissivity": 0.0})
     section = layer_section(PLATE)
     choices = lay_islands(section, profile, 0, 0.0).choices(profile, 0)
-    drive, heat = choices.driven, choices.heat
+    schedule, heat = choices.known_schedule, choices.heat
     order = np.arange(len(choices))
-    start, end, _ = clocked(order, drive.entry, drive.leave, drive.time_s, RAPID)
+    start, end, _ = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
     medium = Medium.of(profile)
     end[order[-1]] += 1e6
     start[order[-1]] += 1e6
     late, _ = entered(heat, order, start, end)
-    energy = (heat.source_k_s * drive.time_s)[:-1].sum() * medium.heat_capacity_j_mm3k
+    energy = (heat.source_k_s * schedule.time_s)[:-1].sum() * medium.heat_capacity_j_mm3k
     even = energy / (medium.heat_capacity_j_mm3k * section.area * profile.process.base_plate_mm)
     assert late[-1] == pytest.approx(even, rel=1e-6)
 
 
 def test_greedy_takes_the_best_score_at_every_step(choices):
-    drive, heat = choices.driven, choices.heat
+    schedule, heat = choices.known_schedule, choices.heat
     price, start_k = 0.7, 5.0
-    order = greedy_order(heat, drive, FREE, RAPID, 4, price, start_k)
+    order = greedy_order(heat, schedule, FREE, RAPID, 4, price, start_k)
     assert order[0] == 4
     assert np.array_equal(np.sort(order), np.arange(len(choices)))
-    start, end, _ = clocked(order, drive.entry, drive.leave, drive.time_s, RAPID)
+    start, end, _ = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
     way = 0
     for n in range(len(order) - 1):
-        x, y = drive.leave[order[n], way]
-        reach = np.hypot(drive.entry[:, :, 0] - x, drive.entry[:, :, 1] - y)
+        x, y = schedule.leave[order[n], way]
+        reach = np.hypot(schedule.entry[:, :, 0] - x, schedule.entry[:, :, 1] - y)
         score = np.full(len(order), np.inf)
         for j in order[n + 1 :]:
             # Temperature at exactly the time of entry, by driving the order so far and then this island.
             tried = np.append(order[: n + 1], j)
             begin, stop = start.copy(), end.copy()
             begin[j] = end[order[n]] + reach[j].min() / RAPID
-            stop[j] = begin[j] + drive.time_s[j]
-            warm = np.maximum(*entry_points(heat, drive, tried, begin, stop))[j]
+            stop[j] = begin[j] + schedule.time_s[j]
+            warm = np.maximum(*entry_points(heat, schedule, tried, begin, stop))[j]
             score[j] = warm + price * reach[j].min() + start_k
         # Between the earliest and the latest entry the kernel takes temperature as linear: 3 % at most.
         assert score[order[n + 1]] <= 1.03 * score.min() + 1.0
@@ -148,11 +135,11 @@ def test_greedy_takes_the_best_score_at_every_step(choices):
 
 
 def test_own_rise_is_that_of_one_island_alone(choices):
-    heat, drive = choices.heat, choices.driven
+    heat, schedule = choices.heat, choices.known_schedule
     island = 7
-    own = own_rise(heat, drive)[island]
+    own = own_rise(heat, schedule)[island]
     begin, stop = np.zeros(len(choices)), np.zeros(len(choices))
-    stop[island] = begin[island] + drive.time_s[island]
+    stop[island] = begin[island] + schedule.time_s[island]
     begin_again = stop[island]
     twice = np.array([island, island])
     assert own > 50.0
@@ -189,27 +176,12 @@ def test_plans_by_heat_repeat_to_the_last_bit():
 
 
 def test_travel_is_paid_for(choices):
-    drive = choices.driven
+    schedule = choices.known_schedule
     travel = []
     for price in (0.0, 1.0, 100.0):
-        order = greedy_order(choices.heat, drive, FREE, RAPID, 0, price, 0.0)
-        travel.append(clocked(order, drive.entry, drive.leave, drive.time_s, RAPID)[2])
+        order = greedy_order(choices.heat, schedule, FREE, RAPID, 0, price, 0.0)
+        travel.append(clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)[2])
     assert travel[0] > travel[1] > travel[2]
-
-
-def test_annealing_helps_or_leaves_it():
-    settings = {"order": "thermal"}
-    plain = OrderComparison.of(PLATE, PROFILE.changed(scan={**settings, "annealing_steps": 0}), 0, 0.0)
-    long = OrderComparison.of(PLATE, PROFILE.changed(scan={**settings, "annealing_steps": 400}), 0, 0.0)
-    keys = []
-    for compared in (plain, long):
-        islands = compared.islands
-        drive, heat = islands.driven, islands.heat
-        order = scan_order("thermal", islands)
-        start, end, _ = clocked(order, drive.entry, drive.leave, drive.time_s, RAPID)
-        entry, _ = entered(heat, order, start, end)
-        keys.append(high_mean(entry))
-    assert keys[1] < keys[0]
 
 
 def test_stride_and_random(choices):
@@ -221,11 +193,11 @@ def test_stride_and_random(choices):
 
 
 def test_a_finer_simulation_agrees_with_the_plan_on_what_is_hot(laid, choices):
-    drive = choices.driven
-    fine = island_heat(PLATE, laid.islands, drive.beam_s, drive.time_s, PROFILE, 10.0, fine=True)
+    schedule = choices.known_schedule
+    fine = island_heat(PLATE, laid.islands, schedule.beam_s, schedule.time_s, PROFILE, 10.0, fine=True)
     assert fine.mean.shape[0] > choices.heat.mean.shape[0]
     order = scan_order("farthest", choices)
-    start, end, _ = clocked(order, drive.entry, drive.leave, drive.time_s, RAPID)
+    start, end, _ = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
     coarse_k, _ = entry_temperatures(choices.heat, choices.area_mm2, order, start, end)
     fine_k, _ = entry_temperatures(fine, choices.area_mm2, order, start, end)
     assert np.corrcoef(coarse_k, fine_k)[0, 1] > 0.99
@@ -276,148 +248,6 @@ def test_two_thousand_islands_are_planned():
     plan = plan_scan(shapely.box(0, 0, 400, 230), profile, order="thermal")
     assert len(plan.islands) > 2000
     assert np.array_equal(np.sort(plan.order), np.arange(len(plan.islands)))
-
-
-@pytest.mark.parametrize("base", ["cooled", "insulated"])
-def test_the_table_of_influences_is_the_heat_model(base):
-    profile = PROFILE.changed(process={"base": base})
-    choices = lay_islands(layer_section(PLATE), profile, 0, 10.0).choices(profile, 0)
-    drive, heat = choices.driven, choices.heat
-    before = np.random.default_rng(5).normal(size=heat.start_k.shape) * np.exp(-heat.plane_rate)[:, None]
-    heat = replace(heat, start_k=300.0 * before)
-    order = np.random.default_rng(4).permutation(len(choices))
-    start, end, travel = clocked(order, drive.entry, drive.leave, drive.time_s, RAPID)
-    exact = np.maximum(*entry_points(heat, drive, order, start, end))
-    table, ways = influence(heat, drive.time_s, float(end.max())), ways_between(drive)
-    log = new_log(len(order))
-    drive_from(0, order, ways.jump_mm, ways.way, FREE, drive.time_s, RAPID, log)
-    assert log.start_s == pytest.approx(start[order])
-    assert log.travel_mm[-1] == pytest.approx(travel)
-    found = [
-        entry_temperature(n, order, table.rise_k, table.nodes_per_root_s, table.fresh, drive.time_s, log)
-        for n in range(len(order))
-    ]
-    assert found == pytest.approx(exact[order], rel=0.02, abs=0.02 * np.abs(exact).max())
-
-
-@pytest.mark.parametrize("base", ["cooled", "insulated"])
-def test_a_rise_of_the_table_is_that_of_two_islands_driven_alone(base):
-    profile = PROFILE.changed(process={"base": base})
-    choices = lay_islands(layer_section(PLATE), profile, 0, 10.0).choices(profile, 0)
-    drive, heat, count = choices.driven, choices.heat, len(choices)
-    horizon_s = heat.fresh.horizon_s
-    table = influence(heat, drive.time_s, 300.0)
-    pairs = [*choices.neighbours[::9].tolist(), *np.random.default_rng(8).integers(0, count, (8, 2)).tolist()]
-    for source, island in pairs:
-        if source == island:
-            continue
-        before = 0.0
-        for since in horizon_s * np.array([0.0, 0.3, 0.7, 0.999, 1.001, 1.5, 3.0, 12.0]):
-            start, end = np.zeros(count), np.zeros(count)
-            start[island] = end[source] = drive.time_s[source]
-            start[island] += since
-            end[island] = start[island] + drive.time_s[island]
-            exact = entered(heat, np.array([source, island]), start, end)[0][island]
-            found = looked_up(
-                table.rise_k, table.nodes_per_root_s, table.fresh.horizon_s, island, source, since
-            )
-            assert found == pytest.approx(exact, rel=0.02, abs=1.0)
-            before = max(before, abs(exact))
-        assert before > 0.0
-
-
-def test_ways_are_the_nearest_ones(choices):
-    drive, ways = choices.driven, ways_between(choices.driven)
-    apart = np.linalg.norm(drive.leave[:, :, None, None] - drive.entry[None, None], axis=-1)
-    assert ways.jump_mm == pytest.approx(apart.min(axis=-1), abs=1e-5)
-    assert np.take_along_axis(apart, ways.way[..., None], -1)[..., 0] == pytest.approx(ways.jump_mm)
-
-
-@pytest.mark.parametrize(("low", "high"), [(0.0, 500.0), (-3.0, 20.0)])
-def test_the_high_mean_lies_between_the_mean_and_the_greatest(low, high):
-    entry_k = np.random.default_rng(1).uniform(low, high, 40)
-    assert entry_k.mean() < high_mean(entry_k) < entry_k.max()
-    assert high_mean(np.full(5, high)) == pytest.approx(high)
-    assert high_mean(3.0 * entry_k) == pytest.approx(3.0 * high_mean(entry_k))
-
-
-@pytest.mark.parametrize("kind", [0, 1, 2])
-def test_moves_keep_every_island(kind):
-    order = np.arange(9)[::-1].copy()
-    for a, b in ((2, 6), (6, 2), (0, 8), (8, 0), (3, 4)):
-        tried = np.empty_like(order)
-        move(order, a, b, kind, tried)
-        assert np.array_equal(np.sort(tried), np.arange(9))
-        assert np.array_equal(tried[: min(a, b)], order[: min(a, b)])
-        assert tried[b] == order[a]
-
-
-def test_annealing_keeps_to_the_travel_that_is_allowed(choices):
-    drive, heat = choices.driven, choices.heat
-    order = greedy_order(heat, drive, FREE, RAPID, 0, 1.0, 0.0)
-    start, end, travel = clocked(order, drive.entry, drive.leave, drive.time_s, RAPID)
-    table = influence(heat, drive.time_s, 2 * float(end.max()))
-    ways, random = ways_between(drive), np.random.default_rng(0)
-    beside = touching(choices.neighbours, len(choices))
-    better = annealed(table, ways, beside, drive.time_s, RAPID, order, travel, 100.0, 3000, random)
-    begin, stop, way = clocked(better, drive.entry, drive.leave, drive.time_s, RAPID)
-    assert way <= travel + 1e-6
-    hottest = [
-        np.maximum(*entry_points(heat, drive, *plan)).max()
-        for plan in ((better, begin, stop), (order, start, end))
-    ]
-    assert hottest[0] < hottest[1]
-    assert not touching_successors(beside, better).any()
-
-
-def test_giving_moves_up_early_changes_nothing(choices):
-    drive, heat, steps, price = choices.driven, choices.heat, 300, 0.5
-    count, beside = len(choices), touching(choices.neighbours, len(choices))
-    order = np.random.default_rng(2).permutation(count)
-    *_, end, travel = clocked(order, drive.entry, drive.leave, drive.time_s, RAPID)
-    table, ways, allowed_mm = (
-        influence(heat, drive.time_s, 2 * float(end.max())),
-        ways_between(drive),
-        0.9 * travel,
-    )
-
-    def driven(tried):
-        log = new_log(count)
-        drive_from(0, tried, ways.jump_mm, ways.way, beside, drive.time_s, RAPID, log)
-        for n in range(count):
-            log.entry_k[n] = entry_temperature(
-                n, tried, table.rise_k, table.nodes_per_root_s, table.fresh, drive.time_s, log
-            )
-        warm, far = high_mean(log.entry_k), max(0.0, log.travel_mm[-1] - allowed_mm)
-        return log, warm, price * far, int(log.touches[-1])
-
-    def cost_of(warm, far, touches):
-        return warm + far + touches * TOUCH_SHARE * first_warm
-
-    random = np.random.default_rng(7)
-    places = random.integers(0, count, (steps, 2))
-    leniency = random.exponential(size=steps) * np.linspace(1.0, 0.0, steps)
-    kept, (log, *parts) = order, driven(order)
-    first_warm = parts[0]
-    cost = cost_of(*parts)
-    best, least, warmth = kept, cost, WARMTH * cost
-    for step, (a, b) in enumerate(places):
-        a = int(np.argmax(log.entry_k)) if step % HOTTEST_EVERY == 0 else a
-        if a == b:
-            continue
-        tried = np.empty_like(kept)
-        move(kept, a, b, step % 3, tried)
-        tried_log, *parts = driven(tried)
-        new_cost = cost_of(*parts)
-        if new_cost < cost + warmth * leniency[step]:
-            kept, log, cost = tried, tried_log, new_cost
-            if cost < least:
-                best, least = kept, cost
-    found = annealed(
-        table, ways, beside, drive.time_s, RAPID, order, allowed_mm, price, steps, np.random.default_rng(7)
-    )
-    assert np.array_equal(found, best)
-    assert not np.array_equal(found, order)
 
 
 def blas_threads():

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from section_zoo import ZOO, star
 from shapely import affinity
@@ -77,6 +77,8 @@ def test_beads_lie_in_the_wall_apart_and_are_no_stubs(wall):
     assert sum(turned) == pytest.approx(sum(line.length for line in lines), rel=0.05, abs=WIDTH)
 
 
+@example(0.0, [1.0, 1.0, 13.0])  # a leg narrower than the taper of the rest
+@example(0.5, [13.0, 1.0, 1.0, 1.0, 13.0, 1.0])
 @settings(deadline=None, max_examples=60)
 @given(st.floats(0.0, 2 * math.pi), st.lists(st.floats(1.0, 14.0), min_size=2, max_size=6))
 def test_walls_of_any_course_of_width_are_filled(turn, widths):

@@ -20,6 +20,9 @@ from ebamcheck.scan.plan.whole_part import WHOLE_PART, scan_part
 from ebamcheck.settings.config import Config
 
 MEDIUM = Medium(conductivity_w_mmk=0.020, heat_capacity_j_mm3k=4300 * 700 * 1e-9)
+BRIEF = Config().changed(scan={"annealing_steps": 1000})
+"""Orders are improved for a fortieth of the usual time: nothing here hangs on how good they are."""
+
 RING = shapely.Point(3, 4).buffer(40, 64).difference(shapely.Point(10, 4).buffer(12, 32))
 PLATE = shapely.box(0, 0, 120, 90).difference(shapely.Point(70, 50).buffer(16, 32))
 
@@ -122,15 +125,16 @@ def sections_of(layers):
 
 def test_a_program_drives_the_order_that_the_whole_part_was_planned_in():
     layers = plates(10)
-    plan, sections = plan_stack(layers, Config()), sections_of(layers)
-    rows = list(scan_part(sections, layers.heights, Config(), "thermal", 0))
+    plan, sections = plan_stack(layers, BRIEF), sections_of(layers)
+    rows = list(scan_part(sections, layers.heights, BRIEF, "thermal", 0))
     for name in ("islands", "body_mean_k", "entry_max_k"):
         assert plan.metrics[name].tolist() == [row[name] for row in rows]
-    alone = ebamcheck.plan_scan(sections[0], Config(), height_mm=float(layers.heights[0]))
+    alone = ebamcheck.plan_scan(sections[0], BRIEF, height_mm=float(layers.heights[0]))
     assert np.array_equal(plan.islands_of(0), alone.order)
     assert plan.metrics["entry_max_k"][0] == alone.metrics["entry_max_k"][0]
 
 
+@pytest.mark.slow
 def test_carried_heat_changes_the_order_alone_and_makes_it_cooler():
     layers, free = plates(10), Config().changed(process={"interpass": "off"})
     cold = free.changed(scan={"carry_heat": False})
@@ -179,7 +183,7 @@ def test_who_stops_taking_layers_stops_their_making(threads, monkeypatch):
 
 
 def test_threads_do_not_change_a_plan_from_cold(monkeypatch):
-    layers, cold = plates(9), Config().changed(scan={"carry_heat": False})
+    layers, cold = plates(9), BRIEF.changed(scan={"carry_heat": False})
     orders = []
     for threads in ("1", "3"):
         monkeypatch.setenv("EBAMCHECK_THREADS", threads)

@@ -41,6 +41,8 @@ class Workshop:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         folder.mkdir(parents=True, exist_ok=True)
+        self.sound: dict[tuple[str, str, str], frozenset[str]] = {}
+        """Names of the checks that fail for a sound program, by way of verification, part and control."""
 
     def part(self, subject: Subject) -> Path:
         """File of a part."""

@@ -67,7 +67,7 @@ class Planter:
 
     def __init__(self, workshop: Workshop, seed: int, parts: tuple[str, ...] = tuple(SUBJECTS)) -> None:
         self._workshop, self._seed, self._parts = workshop, seed, parts
-        self._sound: dict[tuple[str, str, str], frozenset[str]] = {}
+        self._sound = workshop.sound
 
     def planted(self, fault: Fault) -> tuple[Ground, Finished, list[Place]]:
         """Plant a fault in the first of the parts, in random order, that has a place for it.

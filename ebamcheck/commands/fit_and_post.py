@@ -129,6 +129,11 @@ def post_command(
 
     Example: ebamcheck post blade.run --control linuxcnc -o blade.ngc
     """
+    if control:
+        # What cannot be written is refused before anything is sliced.
+        control_named(control)
+        if layer is not None:
+            case_post(control)
     if (source / MANIFEST).is_file():
         settings, beads, plan, sha256 = stack_of_run(source, config)
         checked_window(settings)

@@ -38,7 +38,7 @@ def software(manifest: Mapping[str, Any]) -> dict[str, Any]:
         "source": source_state(),
         "python": f"{platform.python_implementation()} {platform.python_version()}",
         "system": f"{platform.platform()}, {' '.join(platform.libc_ver())}".rstrip(", "),
-        "dependencies": dependencies(),
+        "dependencies": dict(dependencies()),
         "backends": {
             name: {"device": found["device"], "versions": found["versions"]}
             for name, found in manifest["backends"].items()
@@ -74,7 +74,8 @@ def commit() -> str:
     return (found or "").strip()
 
 
-def dependencies() -> dict[str, str]:
+@functools.cache
+def dependencies() -> Mapping[str, str]:
     """Version of every distribution that ebamcheck requires, and that these require in turn, by name."""
     found: dict[str, str] = {}
     waiting = ["ebamcheck"]

@@ -37,6 +37,9 @@ TAPER, TAPER_SHARE = 0.2, 0.1
 greatest width, where that is less: its round end covers half a bead more, no spot that stays is wide enough for a
 gap bead, and no more than a hundredth of a wedge stays."""
 
+LEFT_SHARE = 0.02
+"""Share of a wall's area that its end may leave without a bead, at most: a leg of even width holds more, and is no taper."""
+
 ALONE = 1.01
 """Greatest width, over the bead's, of a wall that one bead fills: it reaches both sides."""
 
@@ -235,14 +238,14 @@ def _side_by_side(
 ) -> list[shapely.LineString]:
     """Lines along a path, as many at each place as the wall is wide there; free ends reach the end of the wall."""
     points, local = _measured(path, wall, STEP * bead_width_mm)
-    least = min(TAPER * bead_width_mm, TAPER_SHARE * float(local.max()))
-    low, high = np.flatnonzero(local >= least)[[0, -1]]
-    low, high = (low if free[0] else 0), (high if free[1] else len(points) - 1)
+    steps = np.hypot(*np.diff(points, axis=0).T)
+    least_mm = min(TAPER * bead_width_mm, TAPER_SHARE * float(local.max()))
+    low = _end_of_taper(local, steps, least_mm) if free[0] else 0
+    high = len(points) - 1 - (_end_of_taper(local[::-1], steps[::-1], least_mm) if free[1] else 0)
     reached = [free[0] and low == 0, free[1] and high == len(points) - 1]
     if high == low:  # a point is no line
         low, high = max(low - 1, 0), min(high + 1, len(points) - 1)
-    points, local = points[low : high + 1], local[low : high + 1]
-    steps = np.hypot(*np.diff(points, axis=0).T)
+    points, local, steps = points[low : high + 1], local[low : high + 1], steps[low:high]
     counts = _steady(_beads(local, bead_width_mm, spacing_mm), steps, LEAST_RUN * bead_width_mm)
     normal = _normals(points, path.is_ring)
     runs = np.split(np.arange(len(counts)), np.flatnonzero(np.diff(counts)) + 1)
@@ -267,6 +270,16 @@ def _side_by_side(
         _extended(line, [reached[0] and at[0], reached[1] and at[1]], beyond_mm)
         for line, (_, at) in zip(lines, done, strict=True)
     ]
+
+
+def _end_of_taper(local_mm: Floats, steps_mm: Floats, least_mm: float) -> int:
+    """First place along a path that is as wide as a least width; the least is halved while too much metal lies before it."""
+    area = np.append(0.0, np.cumsum(0.5 * (local_mm[1:] + local_mm[:-1]) * steps_mm))
+    while True:
+        place = int(np.flatnonzero(local_mm >= least_mm)[0])
+        if area[place] <= LEFT_SHARE * area[-1]:
+            return place
+        least_mm *= 0.5
 
 
 def _going_on(before: int, after: int) -> list[int]:

@@ -1,0 +1,29 @@
+"""Runs with a certificate, and what a forger makes of one, for the tests of signing."""
+
+from __future__ import annotations
+
+from ebamcheck.pipeline.certificate import (
+    CERTIFICATE,
+    certificate,
+    file_hashes,
+    read_certificate,
+    write_sealed,
+)
+from ebamcheck.pipeline.run_folder import RunFolder
+from ebamcheck.pipeline.verify import verify_run
+
+
+def failed(run, **given):
+    return {c.name: c for c in verify_run(run, **given) if not c.passed}
+
+
+def resealed(run):
+    """What a forger does who knows this code: everything that follows from the record, and all hashes, made anew."""
+    manifest = RunFolder(run).manifest()
+    old = read_certificate(run / CERTIFICATE)
+    fields = {
+        **certificate(manifest, old["software"]),
+        "release": old["release"],
+        "files": file_hashes(run),
+    }
+    write_sealed(run / CERTIFICATE, fields)

@@ -1,0 +1,187 @@
+"""Orders planned with fresh heat: they do not hang on names or places, and small layers take the best of all."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+from fresh_layers import PLATE, RAPID, islands_of, times_of
+from shapely import affinity
+
+from ebamcheck.scan.filling.hatch import Vectors
+from ebamcheck.scan.heat.influence import influence
+from ebamcheck.scan.order.all_orders import MOST_LISTED, best_of_all
+from ebamcheck.scan.order.annealing import Layer, high_mean
+from ebamcheck.scan.order.entry_options import entry_options
+from ebamcheck.scan.order.orders import scan_order
+from ebamcheck.scan.order.simulation import entered, entry_points, nearest_ways
+from ebamcheck.scan.order.thermal import ranked
+from ebamcheck.scan.order.touching import touching, touching_successors
+
+
+@pytest.fixture(scope="module")
+def choices():
+    return islands_of(PLATE)
+
+
+def renumbered(islands, order):
+    """Return the same islands with other numbers: number n is what was order[n]."""
+    place = np.argsort(order)
+    schedule = islands.known_schedule
+    lines = islands.lines
+    by_island = np.argsort(place[lines.island], kind="stable")
+    return replace(
+        islands,
+        centroid=islands.centroid[order],
+        area_mm2=islands.area_mm2[order],
+        neighbours=np.sort(place[islands.neighbours], axis=1),
+        polygons=islands.polygons[order],
+        schedule=replace(
+            schedule,
+            entry=schedule.entry[order],
+            leave=schedule.leave[order],
+            beam_s=schedule.beam_s[order],
+            time_s=schedule.time_s[order],
+        ),
+        lines=Vectors(place[lines.island][by_island], lines.start[by_island], lines.end[by_island]),
+    )
+
+
+def moved(islands, angle_deg, shift_mm):
+    """Return the same islands turned and shifted as a whole."""
+    turn = np.deg2rad(angle_deg)
+    matrix = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
+
+    def there(points):
+        return points @ matrix + shift_mm
+
+    def body(shape):
+        return affinity.translate(affinity.rotate(shape, angle_deg, origin=(0, 0)), *shift_mm)
+
+    polygons = np.empty(len(islands), object)
+    polygons[:] = [body(p) for p in islands.polygons]
+    schedule, lines = islands.known_schedule, islands.lines
+    return replace(
+        islands,
+        centroid=there(islands.centroid),
+        section=body(islands.section),
+        polygons=polygons,
+        schedule=replace(schedule, entry=there(schedule.entry), leave=there(schedule.leave)),
+        lines=Vectors(lines.island, there(lines.start), there(lines.end)),
+    )
+
+
+def cost_of(islands, order):
+    start, end, travel = times_of(islands, order)
+    return travel, np.maximum(*entry_points(islands.heat, islands.known_schedule, order, start, end))
+
+
+def test_numbers_of_islands_change_no_cost(choices):
+    shuffle = np.random.default_rng(1).permutation(len(choices))
+    order = scan_order("farthest", choices)
+    travel, entry_k = cost_of(choices, order)
+    other = renumbered(choices, shuffle)
+    same_travel, same_k = cost_of(other, np.argsort(shuffle)[order])
+    assert same_travel == pytest.approx(travel)
+    assert same_k == pytest.approx(entry_k[shuffle], rel=1e-6, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("angle_deg", "shift_mm", "share"),
+    [(0.0, (300.0, -70.0), 1e-6), (90.0, (0.0, 0.0), 1e-6), (33.0, (5.0, 8.0), 0.05)],
+)
+def test_the_cost_does_not_depend_on_where_the_layer_lies(choices, angle_deg, shift_mm, share):
+    order = scan_order("thermal", choices)
+    travel, entry_k = cost_of(choices, order)
+    same_travel, same_k = cost_of(moved(choices, angle_deg, np.array(shift_mm)), order)
+    assert same_travel == pytest.approx(travel)
+    # Cells of the modes lie along the axes: a turn between changes them a little.
+    assert high_mean(same_k) == pytest.approx(high_mean(entry_k), rel=share)
+
+
+def test_touching_successors_are_counted_where_there_was_a_choice():
+    pairs, count = np.array([[0, 1], [0, 2], [1, 3], [2, 3]]), 4
+    beside = touching(pairs, count)
+    sets = {frozenset(pair) for pair in pairs.tolist()}
+    for order in itertools.permutations(range(count)):
+        found = touching_successors(beside, np.array(order))
+        for n in range(count):
+            last, rest = order[n - 1], order[n:]
+            hot = n > 0 and {last, order[n]} in sets
+            choice = n > 0 and any({last, other} not in sets for other in rest)
+            assert found[n] == (hot and choice)
+    assert touching_successors(beside, np.array([0, 1, 2, 3])).tolist() == [False, True, False, False]
+
+
+@pytest.mark.parametrize("partition", ["hexagons", "squares"])
+def test_no_island_follows_one_that_it_touches(partition):
+    islands = islands_of(PLATE, partition=partition, hexagon_side_mm=10.0)
+    beside = touching(islands.neighbours, len(islands))
+    for order in ("thermal", "least-heat"):
+        assert not touching_successors(beside, scan_order(order, islands)).any()
+    assert touching_successors(beside, scan_order("raster", islands)).mean() > 0.5
+
+
+def test_all_orders_of_five_islands_hold_none_better():
+    islands = islands_of(
+        shapely.box(0, 0, 62, 34).difference(shapely.box(20, 0, 24, 20)), hexagon_side_mm=11.0
+    )
+    count, schedule = len(islands), islands.known_schedule
+    assert 5 <= count <= 6
+    beside, ways = touching(islands.neighbours, count), entry_options(schedule)
+    longest_s = float(schedule.time_s.sum() + count * ways.jump_mm.max() / RAPID)
+    table = influence(islands.heat, schedule.time_s, longest_s)
+    every = [np.array(order) for order in itertools.permutations(range(count))]
+    shortest = min(times_of(islands, order)[2] for order in every)
+    for longest_mm in (0.5 * shortest, 1.2 * shortest, 1e9):
+        found = best_of_all(Layer(table, ways, beside, schedule.time_s, RAPID), longest_mm)
+        ranks = [ranked(islands.heat, schedule, beside, RAPID, order, longest_mm) for order in every]
+        fewest = min(rank[0] for rank in ranks)
+        ranks = [rank for rank in ranks if rank[0] == fewest]
+        least_far = min(rank[1] for rank in ranks)
+        coolest = min(rank[2] for rank in ranks if rank[1] < least_far + 1e-6)
+        touches, far, warm = ranked(islands.heat, schedule, beside, RAPID, found, longest_mm)
+        assert far == pytest.approx(least_far, abs=1e-6)
+        assert touches == fewest
+        # The table lies between nodes of time.
+        assert warm <= 1.02 * coolest
+    assert max(rank[2] for rank in ranks) > 1.5 * coolest
+
+
+def test_small_layers_take_the_best_of_all_orders():
+    islands = islands_of(shapely.box(0, 0, 48, 36))
+    assert 5 <= len(islands) <= MOST_LISTED
+    schedule, beside = islands.known_schedule, touching(islands.neighbours, len(islands))
+    longest_mm = 0.5 * times_of(islands, scan_order("farthest", islands))[2]
+    best = ranked(islands.heat, schedule, beside, RAPID, scan_order("thermal", islands), longest_mm)
+    random = np.random.default_rng(0)
+    for _ in range(300):
+        other = ranked(islands.heat, schedule, beside, RAPID, random.permutation(len(islands)), longest_mm)
+        # The table lies between nodes of time.
+        assert best[0] <= other[0]
+        if best[0] == other[0]:
+            assert best[1] <= other[1] + 1e-6
+            assert best[1] < other[1] - 1e-6 or best[2] <= 1.02 * other[2]
+
+
+def test_ways_are_those_that_are_clocked(choices):
+    schedule, order = choices.known_schedule, scan_order("farthest", choices)
+    way = nearest_ways(order, schedule.entry, schedule.leave)
+    gone = np.hypot(
+        *(schedule.entry[order[1:], way[order[1:]]] - schedule.leave[order[:-1], way[order[:-1]]]).T
+    ).sum()
+    assert gone == pytest.approx(times_of(choices, order)[2])
+
+
+def test_without_fresh_heat_the_modes_stand_alone(choices):
+    order = scan_order("raster", choices)
+    start, end, _ = times_of(choices, order)
+    alone, _ = entered(replace(choices.heat, near=None), order, start, end)
+    means, points = entry_points(choices.heat, choices.known_schedule, order, start, end)
+    assert means == pytest.approx(entered(choices.heat, order, start, end)[0])
+    # In rows, each island is begun beside the border just laid: far hotter than its mean.
+    assert np.median(points[order[1:]] / alone[order[1:]]) > 1.5

@@ -1,0 +1,155 @@
+"""Files of the post-processors: stamped and deterministic, nothing written over, tables for heat simulators."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from nc_stack import hatch, make_curves, make_plan, stack
+from posted_curves import CONTROLS, TEXT_CONTROLS, TOLERANCE_MM, away, curve_points, smooth_curves, wrote
+
+from ebamcheck.errors import InputError, SettingsError
+from ebamcheck.program import mark_validated, read_program
+from ebamcheck.settings.config import Config
+
+# -- decimals --------------------------------------------------------------------------------------
+
+
+def test_decimals_follow_the_tolerances():
+    auto = Config().machine
+    assert auto.printed_decimals == 6
+    assert auto.model_copy(update={"line_tolerance_mm": 1e-5}).printed_decimals == 7
+    assert Config().changed(machine={"decimals": 4}).machine.printed_decimals == 4
+
+
+# -- files -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("control", CONTROLS)
+def test_every_post_is_stamped_and_deterministic(control, tmp_path):
+    curves, plan = stack(count=2)
+    files, _ = wrote(tmp_path, {"control": control}, curves, plan, "one")
+    again, _ = wrote(tmp_path, {"control": control}, curves, plan, "two")
+    assert files.sha256 == again.sha256
+    assert not files.validated
+    assert sum(files.blocks.values()) > 10
+    before = {name: (files.folder / name).read_bytes() for name in files.names}
+    stamped = mark_validated(files)
+    for name in files.names:
+        after = (files.folder / name).read_bytes()
+        assert after != before[name]
+        assert after == before[name].replace(b"; NOT VALIDATED", b"; VALIDATED", 1)
+    assert mark_validated(stamped, False).sha256 == files.sha256
+    wrote(tmp_path, {"control": control}, curves, plan, "one")  # takes the place of its own
+
+
+@pytest.mark.parametrize("control", CONTROLS)
+def test_no_post_writes_over_other_files(control, tmp_path):
+    (tmp_path / "program").mkdir()
+    (tmp_path / "program" / "Path.txt").write_text("Mode of transport\ntrain\n")
+    with pytest.raises(SettingsError, match=r"Path\.txt"):
+        wrote(tmp_path, {"control": control}, smooth_curves())
+
+
+def test_an_unknown_control_is_refused_by_name(tmp_path):
+    with pytest.raises(SettingsError, match="linuxcnc"):
+        wrote(tmp_path, {"control": "heidenhain"}, smooth_curves())
+
+
+def test_the_text_of_a_linuxcnc_program(tmp_path):
+    square = np.array([(0, 0), (10, 0), (10, 10), (0, 0)], float)
+    curves = make_curves([0.8], [[[(square, None)]]], [True])
+    plan = make_plan([0.8], [(0, hatch(2, 2, 2, 6.0))])
+    files, _ = wrote(tmp_path, {"control": "linuxcnc", "decimals": 3}, curves, plan)
+    lines = files.main.read_text().splitlines()
+    assert files.names == ("MAIN.ngc",)
+    assert lines[:2] == ["; MAIN", "; NOT VALIDATED"]
+    modes = ["G17 G21 G90 G91.1 G94", "G40 G49 G80", "G92.1", "G54", "G64 P0.05"]
+    off = ["M65 P1 ; wire off", "M65 P0 ; beam off"]
+    beam = ["M68 E0 Q60 ; accelerating voltage, kV", "M68 E1 Q120 ; beam current, mA"]
+    on = [
+        "M68 E1 Q120 ; beam current, mA",
+        "M64 P0 ; beam on",
+        "M68 E2 Q33.333333 ; wire speed, mm/s",
+        "M64 P1 ; wire on",
+    ]
+    assert [line for line in lines[2:] if ": " not in line] == [
+        *modes,
+        *off,
+        *beam,
+        *modes,
+        "(MSG, LAYER 1 OF 1)",
+        *beam,
+        "G0 Z21.676",
+        "; RING 0",
+        "G0 X0.000 Y0.000",
+        "G0 Z1.676",
+        *on,
+        "G1 X10.000 Y0.000 F600",
+        "G1 X10.000 Y10.000",
+        "G1 X0.000 Y0.000",
+        *off,
+        "; ISLAND 0",
+        "G0 X2.000 Y2.000",
+        *on,
+        "G1 X8.000 Y2.000 F600",
+        "G1 X8.000 Y6.320 ; TURN",
+        "G1 X2.000 Y6.320",
+        *off,
+        "G0 Z21.676",
+        *off,
+        "M67 E2 Q0 ; wire speed, mm/s",
+        "M68 E0 Q0 ; accelerating voltage, kV",
+        "M68 E1 Q0 ; beam current, mA",
+        "G0 Z21.676",
+        "G0 X0.000 Y0.000",
+        "M2",
+    ]
+
+
+# -- heat simulators -------------------------------------------------------------------------------
+
+
+def segments(path, skipped, blank):
+    lines = path.read_text().splitlines()
+    return np.array([[float(v) for v in line.split(blank)] for line in lines[skipped:]])
+
+
+def test_paths_of_heat_simulators_are_the_same_path_in_their_own_units(tmp_path):
+    curves, plan = smooth_curves(), make_plan([0.8], [(0, hatch(-10, -10, 3, 12.0))])
+    files = {c: wrote(tmp_path, {"control": c}, curves, plan, c)[0].main for c in CONTROLS[3:]}
+    thesis = segments(files["3dthesis"], 1, "\t")
+    adamantine = segments(files["adamantine"], 3, " ")
+    foam = segments(files["additivefoam"], 1, " ")
+    assert [path.name for path in files.values()] == ["Path.txt", "scan_path.txt", "scanPath"]
+    assert files["additivefoam"].parent.name == "constant"
+    assert int(files["adamantine"].read_text().splitlines()[1]) == len(adamantine)
+    assert thesis[0, 0] == 1  # all three begin with a spot
+    assert (thesis[:, 5] > 0).all()
+    scale = np.array([1, 1e-3, 1e-3, 1e-3, 1, 1])
+    assert np.allclose(thesis * scale, adamantine, rtol=0, atol=1e-12)
+    assert np.allclose(adamantine * [1, 1, 1, 1, 7200, 1], foam, rtol=0, atol=1e-12)
+    line = thesis[:, 0] == 0
+    assert (thesis[line, 4] == 1).all()
+    assert (thesis[~line, 4] == 0).all()
+    assert (thesis[line, 5] == 0.01).all()  # 10 mm/s in m/s
+    assert (~line).sum() == 4  # three contours, and one hatch whose turns are under beam
+    whole = np.vstack([curve_points(curves, p, 4000) for p in range(4)])
+    ring = thesis[: np.flatnonzero(~line)[1], 1:3]
+    assert away(ring, whole) < 1e-4  # the chords of the dense curve
+    assert away(whole[::40], ring) < TOLERANCE_MM
+    jump = np.linalg.norm(np.diff(thesis[:, 1:4], axis=0), axis=1)[~line[1:]]
+    assert thesis[~line, 5][1:] == pytest.approx(jump / 100.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("control", CONTROLS[3:])
+def test_path_tables_are_no_programs(control, tmp_path):
+    files, config = wrote(tmp_path, {"control": control}, smooth_curves())
+    with pytest.raises(InputError, match=r":1:1: the path table of a heat simulator"):
+        read_program(files.main, config)
+
+
+def test_a_stack_without_layers_is_a_file_that_does_nothing(tmp_path):
+    for control in CONTROLS:
+        files, config = wrote(tmp_path, {"control": control}, make_curves([], [], []))
+        if control in TEXT_CONTROLS:
+            assert not read_program(files.main, config).deposit.any()

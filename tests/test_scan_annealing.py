@@ -1,0 +1,202 @@
+"""Annealing of orders by heat: it helps or leaves it, and its table of influences is the heat model itself."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+
+from ebamcheck.scan.heat.influence import influence, looked_up
+from ebamcheck.scan.islands.regions import layer_section
+from ebamcheck.scan.order.annealing import (
+    HOTTEST_EVERY,
+    TOUCH_SHARE,
+    WARMTH,
+    Layer,
+    annealed,
+    entry_temperature,
+    high_mean,
+    move,
+    new_log,
+    timed_from,
+)
+from ebamcheck.scan.order.entry_options import entry_options
+from ebamcheck.scan.order.orders import scan_order
+from ebamcheck.scan.order.simulation import clocked, entered, entry_points
+from ebamcheck.scan.order.thermal import greedy_order
+from ebamcheck.scan.order.touching import touching, touching_successors
+from ebamcheck.scan.plan.comparing import OrderComparison
+from ebamcheck.scan.plan.laying import lay_islands
+from ebamcheck.settings.config import Config
+
+PROFILE = Config()
+RAPID = PROFILE.machine.rapid_mm_s
+FREE = touching(np.zeros((0, 2), np.int64), 1000)
+"""No island touches another: none is kept from following any."""
+
+PLATE = shapely.box(0, 0, 160, 110).difference(shapely.Point(95, 60).buffer(22, 32))
+
+
+@pytest.fixture(scope="module")
+def laid():
+    return lay_islands(layer_section(PLATE), PROFILE, 0, 10.0)
+
+
+@pytest.fixture(scope="module")
+def choices(laid):
+    return laid.choices(PROFILE, 0)
+
+
+def test_annealing_helps_or_leaves_it():
+    settings = {"order": "thermal"}
+    plain = OrderComparison.of(PLATE, PROFILE.changed(scan={**settings, "annealing_steps": 0}), 0, 0.0)
+    long = OrderComparison.of(PLATE, PROFILE.changed(scan={**settings, "annealing_steps": 400}), 0, 0.0)
+    keys = []
+    for compared in (plain, long):
+        islands = compared.islands
+        schedule, heat = islands.known_schedule, islands.heat
+        order = scan_order("thermal", islands)
+        start, end, _ = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
+        entry, _ = entered(heat, order, start, end)
+        keys.append(high_mean(entry))
+    assert keys[1] < keys[0]
+
+
+@pytest.mark.parametrize("base", ["cooled", "insulated"])
+def test_the_table_of_influences_is_the_heat_model(base):
+    profile = PROFILE.changed(process={"base": base})
+    choices = lay_islands(layer_section(PLATE), profile, 0, 10.0).choices(profile, 0)
+    schedule, heat = choices.known_schedule, choices.heat
+    before = np.random.default_rng(5).normal(size=heat.start_k.shape) * np.exp(-heat.plane_rate)[:, None]
+    heat = replace(heat, start_k=300.0 * before)
+    order = np.random.default_rng(4).permutation(len(choices))
+    start, end, travel = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
+    exact = np.maximum(*entry_points(heat, schedule, order, start, end))
+    table, ways = influence(heat, schedule.time_s, float(end.max())), entry_options(schedule)
+    log = new_log(len(order))
+    layer = Layer(table, ways, FREE, schedule.time_s, RAPID)
+    timed_from(0, order, layer, log)
+    assert log.start_s == pytest.approx(start[order])
+    assert log.travel_mm[-1] == pytest.approx(travel)
+    found = [entry_temperature(n, order, layer, log) for n in range(len(order))]
+    assert found == pytest.approx(exact[order], rel=0.02, abs=0.02 * np.abs(exact).max())
+
+
+@pytest.mark.parametrize("base", ["cooled", "insulated"])
+def test_a_rise_of_the_table_is_that_of_two_islands_driven_alone(base):
+    profile = PROFILE.changed(process={"base": base})
+    choices = lay_islands(layer_section(PLATE), profile, 0, 10.0).choices(profile, 0)
+    schedule, heat, count = choices.known_schedule, choices.heat, len(choices)
+    horizon_s = heat.fresh.horizon_s
+    table = influence(heat, schedule.time_s, 300.0)
+    pairs = [*choices.neighbours[::9].tolist(), *np.random.default_rng(8).integers(0, count, (8, 2)).tolist()]
+    for source, island in pairs:
+        if source == island:
+            continue
+        before = 0.0
+        for since in horizon_s * np.array([0.0, 0.3, 0.7, 0.999, 1.001, 1.5, 3.0, 12.0]):
+            start, end = np.zeros(count), np.zeros(count)
+            start[island] = end[source] = schedule.time_s[source]
+            start[island] += since
+            end[island] = start[island] + schedule.time_s[island]
+            exact = entered(heat, np.array([source, island]), start, end)[0][island]
+            found = looked_up(
+                table.rise_k, table.nodes_per_root_s, table.fresh.horizon_s, island, source, since
+            )
+            assert found == pytest.approx(exact, rel=0.02, abs=1.0)
+            before = max(before, abs(exact))
+        assert before > 0.0
+
+
+def test_ways_are_the_nearest_ones(choices):
+    schedule, ways = choices.known_schedule, entry_options(choices.known_schedule)
+    apart = np.linalg.norm(schedule.leave[:, :, None, None] - schedule.entry[None, None], axis=-1)
+    assert ways.jump_mm == pytest.approx(apart.min(axis=-1), abs=1e-5)
+    assert np.take_along_axis(apart, ways.way[..., None], -1)[..., 0] == pytest.approx(ways.jump_mm)
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.0, 500.0), (-3.0, 20.0)])
+def test_the_high_mean_lies_between_the_mean_and_the_greatest(low, high):
+    entry_k = np.random.default_rng(1).uniform(low, high, 40)
+    assert entry_k.mean() < high_mean(entry_k) < entry_k.max()
+    assert high_mean(np.full(5, high)) == pytest.approx(high)
+    assert high_mean(3.0 * entry_k) == pytest.approx(3.0 * high_mean(entry_k))
+
+
+@pytest.mark.parametrize("kind", [0, 1, 2])
+def test_moves_keep_every_island(kind):
+    order = np.arange(9)[::-1].copy()
+    for a, b in ((2, 6), (6, 2), (0, 8), (8, 0), (3, 4)):
+        tried = np.empty_like(order)
+        move(order, a, b, kind, tried)
+        assert np.array_equal(np.sort(tried), np.arange(9))
+        assert np.array_equal(tried[: min(a, b)], order[: min(a, b)])
+        assert tried[b] == order[a]
+
+
+def test_annealing_keeps_to_the_travel_that_is_allowed(choices):
+    schedule, heat = choices.known_schedule, choices.heat
+    order = greedy_order(heat, schedule, FREE, RAPID, 0, 1.0, 0.0)
+    start, end, travel = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
+    table = influence(heat, schedule.time_s, 2 * float(end.max()))
+    ways, random = entry_options(schedule), np.random.default_rng(0)
+    beside = touching(choices.neighbours, len(choices))
+    better = annealed(Layer(table, ways, beside, schedule.time_s, RAPID), order, travel, 100.0, 3000, random)
+    begin, stop, way = clocked(better, schedule.entry, schedule.leave, schedule.time_s, RAPID)
+    assert way <= travel + 1e-6
+    hottest = [
+        np.maximum(*entry_points(heat, schedule, *plan)).max()
+        for plan in ((better, begin, stop), (order, start, end))
+    ]
+    assert hottest[0] < hottest[1]
+    assert not touching_successors(beside, better).any()
+
+
+def test_giving_moves_up_early_changes_nothing(choices):
+    schedule, heat, steps, price = choices.known_schedule, choices.heat, 300, 0.5
+    count, beside = len(choices), touching(choices.neighbours, len(choices))
+    order = np.random.default_rng(2).permutation(count)
+    *_, end, travel = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
+    table, ways, allowed_mm = (
+        influence(heat, schedule.time_s, 2 * float(end.max())),
+        entry_options(schedule),
+        0.9 * travel,
+    )
+
+    layer = Layer(table, ways, beside, schedule.time_s, RAPID)
+
+    def simulated(tried):
+        log = new_log(count)
+        timed_from(0, tried, layer, log)
+        for n in range(count):
+            log.entry_k[n] = entry_temperature(n, tried, layer, log)
+        warm, far = high_mean(log.entry_k), max(0.0, log.travel_mm[-1] - allowed_mm)
+        return log, warm, price * far, int(log.touches[-1])
+
+    def cost_of(warm, far, touches):
+        return warm + far + touches * TOUCH_SHARE * first_warm
+
+    random = np.random.default_rng(7)
+    places = random.integers(0, count, (steps, 2))
+    leniency = random.exponential(size=steps) * np.linspace(1.0, 0.0, steps)
+    kept, (log, *parts) = order, simulated(order)
+    first_warm = parts[0]
+    cost = cost_of(*parts)
+    best, least, warmth = kept, cost, WARMTH * cost
+    for step, (a, b) in enumerate(places):
+        a = int(np.argmax(log.entry_k)) if step % HOTTEST_EVERY == 0 else a
+        if a == b:
+            continue
+        tried = np.empty_like(kept)
+        move(kept, a, b, step % 3, tried)
+        tried_log, *parts = simulated(tried)
+        new_cost = cost_of(*parts)
+        if new_cost < cost + warmth * leniency[step]:
+            kept, log, cost = tried, tried_log, new_cost
+            if cost < least:
+                best, least = kept, cost
+    found = annealed(layer, order, allowed_mm, price, steps, np.random.default_rng(7))
+    assert np.array_equal(found, best)
+    assert not np.array_equal(found, order)
