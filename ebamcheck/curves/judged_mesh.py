@@ -17,8 +17,8 @@ from ebamcheck.numeric.rings import Bools
 BY_CHANCE = 0.1
 """Strips over freely curved facets, up to which two facets of a decimated mesh lie in one plane by chance."""
 
-MOST_ASKED = 20_000
-"""Facets whose edges are asked first, evenly spread over the mesh: more would tell no better of noise."""
+MOST_ASKED = 5_000
+"""Facets of a tessellator's mesh whose edges are asked, evenly spread over it: more would tell no better of noise."""
 
 
 def judged_mesh(part: Part, normals: SurfaceNormals) -> SurfaceMesh:
@@ -78,9 +78,10 @@ def _with_ends(mesh: SurfaceMesh, part: Part, normals: SurfaceNormals) -> tuple[
 
     Some edges tell of noise. All are asked where the mesh is no tessellator's; the normals of one's need no such witness.
     """
+    in_rows = normals.offsets.is_in_rows
     surface = surface_of(part, np.cos(np.deg2rad(normals.crease_angle_deg)))
-    mesh = mesh._replace(ends=ends_ahead(surface, -(-len(part.faces) // MOST_ASKED)))
+    mesh = mesh._replace(ends=ends_ahead(surface, -(-len(part.faces) // MOST_ASKED) if in_rows else 1))
     found = judge_far_ends(mesh)
-    if normals.offsets.is_in_rows:
+    if in_rows:
         return mesh._replace(ends=nothing_asked()), found.are_noise
-    return mesh._replace(ends=ends_ahead(surface), far_ends_right=found.are_right), found.are_noise
+    return mesh._replace(far_ends_right=found.are_right), found.are_noise
