@@ -23,6 +23,7 @@ from benchmarks.scan_orders import markdown
 from ebamcheck.heat import depth_modes
 from ebamcheck.heat.rectangle import rectangle_modes
 from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.scan.heat.amplitudes import Modes, Timetable
 from ebamcheck.scan.heat.island_heat import IslandHeat
 from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.scan.order.orders import LayerIslands, scan_order
@@ -85,7 +86,7 @@ def references(
             block = replace(plane, wave_x=plane.wave_x[some], wave_y=plane.wave_y[some])
             mean = np.zeros((count, len(block.wave_x)))
             np.add.at(mean, island, weight[:, None] * block.at(points))
-            columns = (
+            modes = Modes(
                 np.ascontiguousarray(mean.T),
                 alpha * block.eigenvalue,
                 alpha * depth.wave_number**2,
@@ -93,7 +94,9 @@ def references(
                 heat.source_k_s,
             )
             for total, (order, start_s, end_s) in zip(totals, driven, strict=True):
-                total += entered_into(*columns, order, start_s, end_s, np.zeros((len(block.wave_x), deep)))
+                total += entered_into(
+                    modes, Timetable(order, start_s, end_s), np.zeros((len(block.wave_x), deep))
+                )
         found.append([total.copy() for total in totals])
     return found
 
@@ -102,9 +105,12 @@ def compared(profile: Config, sides_mm: tuple[float, float], waves: tuple[float,
     """Entry temperatures of several orders on a rectangle, by the model and by references of some waves."""
     section = layer_section(shapely.box(0.0, 0.0, *sides_mm))
     choices = lay_islands(section, profile, 0, HEIGHT_MM).choices(profile, 0)
-    heat, drive, rapid = choices.heat, choices.driven, profile.machine.rapid_mm_s
+    heat, schedule, rapid = choices.heat, choices.known_schedule, profile.machine.rapid_mm_s
     orders = [scan_order(name, choices) for name in ORDERS]
-    driven = [(order, *clocked(order, drive.entry, drive.leave, drive.time_s, rapid)[:2]) for order in orders]
+    driven = [
+        (order, *clocked(order, schedule.entry, schedule.leave, schedule.time_s, rapid)[:2])
+        for order in orders
+    ]
     converging = references(heat, choices, driven, waves)
     rows = []
     for n, (name, times) in enumerate(zip(ORDERS, driven, strict=True)):

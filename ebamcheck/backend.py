@@ -34,7 +34,7 @@ CoplanarRule = Literal["half-open", "undefined"]
 class BackendSettings(BaseModel):
     """Base of a slicer's own settings: unknown keys are refused, values do not change."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 @dataclass(frozen=True)
@@ -110,6 +110,9 @@ class Slicer(Protocol):
         (``"winding > 0"`` is the house rule).
     Settings
         The slicer's settings, a :class:`BackendSettings`.
+
+    A slicer of this house that is nothing but kernels of this project may have ``isolated = False``, too: then
+    ``ebamcheck slice`` runs it in its own process. All others are run in one of theirs.
     """
 
     name: ClassVar[str]

@@ -22,5 +22,5 @@ def islands_of(section, **scan):
 
 
 def times_of(islands, order):
-    drive = islands.driven
-    return clocked(np.asarray(order), drive.entry, drive.leave, drive.time_s, RAPID)
+    schedule = islands.known_schedule
+    return clocked(np.asarray(order), schedule.entry, schedule.leave, schedule.time_s, RAPID)

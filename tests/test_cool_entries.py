@@ -22,7 +22,7 @@ from ebamcheck.scan.order.cool_entries import (
 )
 from ebamcheck.scan.order.orders import entry_ways, longest_travel_mm, scan_order
 from ebamcheck.scan.order.path import NEAREST, in_sequence
-from ebamcheck.scan.order.simulation import clocked, entry_points, ways_driven
+from ebamcheck.scan.order.simulation import clocked, entry_points, nearest_ways
 from ebamcheck.scan.plan.comparing import OrderComparison
 from ebamcheck.scan.plan.laying import lay_islands
 from ebamcheck.scan.plan.planning import plan_scan
@@ -50,9 +50,9 @@ def order(choices):
 
 def driven_by(islands, order, ways):
     """Start, end, travel, and the rises at all ends."""
-    drive = islands.driven
-    start, end, travel = clocked_by(order, drive.entry, drive.leave, drive.time_s, RAPID, ways)
-    at = modes_at_entries(islands.heat, drive)
+    schedule = islands.known_schedule
+    start, end, travel = clocked_by(order, schedule.entry, schedule.leave, schedule.time_s, RAPID, ways)
+    at = modes_at_entries(islands.heat, schedule)
     return start, end, travel, rises_at_entries(islands.heat, at, order, start, end, ways)
 
 
@@ -63,19 +63,21 @@ def entered_at(islands, order, ways):
 
 
 def test_by_the_nearest_ways_an_order_is_clocked_as_ever(choices, order):
-    drive = choices.driven
-    ways = ways_driven(order, drive.entry, drive.leave)
-    found = clocked_by(order, drive.entry, drive.leave, drive.time_s, RAPID, ways)
-    for ours, known in zip(found, clocked(order, drive.entry, drive.leave, drive.time_s, RAPID), strict=True):
+    schedule = choices.known_schedule
+    ways = nearest_ways(order, schedule.entry, schedule.leave)
+    found = clocked_by(order, schedule.entry, schedule.leave, schedule.time_s, RAPID, ways)
+    for ours, known in zip(
+        found, clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID), strict=True
+    ):
         assert ours == pytest.approx(known)
 
 
 def test_the_mean_over_many_ends_is_near_that_of_the_island(choices, order):
     # Old heat is read at the very ends, not as the mean over the island: the two agree in the mean over all islands.
-    drive = choices.driven
-    ways = ways_driven(order, drive.entry, drive.leave)
+    schedule = choices.known_schedule
+    ways = nearest_ways(order, schedule.entry, schedule.leave)
     start, end, _, rise_k = driven_by(choices, order, ways)
-    means_k, points_k = entry_points(choices.heat, drive, order, start, end)
+    means_k, points_k = entry_points(choices.heat, schedule, order, start, end)
     at_entry = rise_k[np.arange(len(order)), ways]
     assert np.corrcoef(at_entry, points_k)[0, 1] > 0.9
     assert rise_k.mean() == pytest.approx(means_k.mean(), rel=0.1)
@@ -85,15 +87,15 @@ def test_the_mean_over_many_ends_is_near_that_of_the_island(choices, order):
 
 def test_a_field_of_one_mode_is_read_at_the_ends_by_its_own_shape(choices):
     # Nothing heats before the first island: it finds what the layer begins with, at the place of each end.
-    heat, drive = choices.heat, choices.driven
+    heat, schedule = choices.heat, choices.known_schedule
     start_k = heat.model.cold()
     start_k[1, 0] = 700.0
     warm = heat.__class__(**{**vars(heat), "start_k": start_k})
     first = np.arange(len(choices))
     zeros = np.zeros(len(choices), np.int64)
-    start, end, _ = clocked_by(first, drive.entry, drive.leave, drive.time_s, RAPID, zeros)
-    rise_k = rises_at_entries(warm, modes_at_entries(warm, drive), first, start, end, zeros)
-    exact = heat.model.plane.at(drive.entry[0]) @ (start_k @ heat.in_layer)
+    start, end, _ = clocked_by(first, schedule.entry, schedule.leave, schedule.time_s, RAPID, zeros)
+    rise_k = rises_at_entries(warm, modes_at_entries(warm, schedule), first, start, end, zeros)
+    exact = heat.model.plane.at(schedule.entry[0]) @ (start_k @ heat.in_layer)
     assert np.ptp(exact) > 0.0
     assert rise_k[0] == pytest.approx(exact)
 
@@ -118,12 +120,12 @@ def test_no_ways_at_all_are_better_at_a_price(seed):
 
 
 def test_travel_is_kept_and_more_of_it_is_never_warmer(choices, order):
-    drive = choices.driven
-    ways = ways_driven(order, drive.entry, drive.leave)
+    schedule = choices.known_schedule
+    ways = nearest_ways(order, schedule.entry, schedule.leave)
     *_, nearest_mm, rise_k = driven_by(choices, order, ways)
     warm = np.inf
     for share in (0.5, 0.97, 1.0, 1.05, 1.2, 3.0):
-        chosen = affordable(rise_k, order, drive.entry, drive.leave, share * nearest_mm)
+        chosen = affordable(rise_k, order, schedule.entry, schedule.leave, share * nearest_mm)
         travel_mm = entered_at(choices, order, chosen)[1]
         if share < 0.9:  # no ways are as short: the shortest, which are no longer than the nearest
             assert travel_mm <= nearest_mm
@@ -136,16 +138,16 @@ def test_travel_is_kept_and_more_of_it_is_never_warmer(choices, order):
 
 
 def test_thermal_enters_islands_at_cooler_ends_within_its_travel(choices, order):
-    drive = choices.driven
-    nearest = ways_driven(order, drive.entry, drive.leave)
+    schedule = choices.known_schedule
+    nearest = nearest_ways(order, schedule.entry, schedule.leave)
     before_k, before_mm = entered_at(choices, order, nearest)
     ways = entry_ways("thermal", choices, order)
     after_k, after_mm = entered_at(choices, order, ways)
     assert after_mm <= max(longest_travel_mm(choices), before_mm) + 1e-6
     assert high_mean(after_k) < 0.97 * high_mean(before_k)
-    assert np.array_equal(cool_ways(choices.heat, drive, order, RAPID, longest_travel_mm(choices)), ways), (
-        "the same whenever it is asked"
-    )
+    assert np.array_equal(
+        cool_ways(choices.heat, schedule, order, RAPID, longest_travel_mm(choices)), ways
+    ), "the same whenever it is asked"
 
 
 @pytest.mark.parametrize("name", ["raster", "farthest", "nearest", "least-heat"])
@@ -184,12 +186,12 @@ def test_the_plan_has_the_ways_that_were_chosen_and_the_comparison_reads_them():
     compared = OrderComparison.of(PLATE, PROFILE, 0, height_mm)
     result = compared.result("thermal", 0)
     first = result.plan.vectors.drop_duplicates("island")
-    drive = compared.islands.driven
+    schedule = compared.islands.known_schedule
     order = np.argsort(result.rank)
     ways = entry_ways("thermal", compared.islands, order)
     begun = first.set_index("island")[["x0", "y0"]].to_numpy()[np.argsort(first["island"].to_numpy())]
     assert begun == pytest.approx(
-        drive.entry[first["island"].sort_values(), ways[first["island"].sort_values()]]
+        schedule.entry[first["island"].sort_values(), ways[first["island"].sort_values()]]
     )
 
 
@@ -200,8 +202,8 @@ def test_on_layers_of_models_the_hottest_entry_is_cooler_than_by_the_nearest_end
     for _, height_mm, section in layers((model,)):
         islands = islands_of(section, int(height_mm / PROFILE.layer_height_mm), height_mm)
         order = scan_order("thermal", islands)
-        drive = islands.driven
-        before_k, _ = entered_at(islands, order, ways_driven(order, drive.entry, drive.leave))
+        schedule = islands.known_schedule
+        before_k, _ = entered_at(islands, order, nearest_ways(order, schedule.entry, schedule.leave))
         after_k, _ = entered_at(islands, order, entry_ways("thermal", islands, order))
         ratios.append(after_k.max() / before_k.max())
     assert np.median(ratios) < 0.95

@@ -30,7 +30,7 @@ def choices():
 
 
 def test_pieces_hold_all_heat_and_follow_the_way(choices):
-    drive, lines = choices.driven, choices.lines
+    schedule, lines = choices.known_schedule, choices.lines
     pieces = line_pieces(lines, choices.centroid, choices.area_mm2, 4.0)
     starts = pieces.first[:-1]
     assert np.add.reduceat(pieces.share, starts) == pytest.approx(1.0)
@@ -41,8 +41,8 @@ def test_pieces_hold_all_heat_and_follow_the_way(choices):
             own = slice(pieces.first[island], pieces.first[island + 1])
             soonest = pieces.place[own][np.argmin(pieces.passed[way, own])]
             latest = pieces.place[own][np.argmax(pieces.passed[way, own])]
-            assert np.hypot(*(soonest - drive.entry[island, way])) <= 2.0 + 1e-9
-            assert np.hypot(*(latest - drive.leave[island, way])) <= 2.0 + 1e-9
+            assert np.hypot(*(soonest - schedule.entry[island, way])) <= 2.0 + 1e-9
+            assert np.hypot(*(latest - schedule.leave[island, way])) <= 2.0 + 1e-9
 
 
 def test_an_island_without_lines_is_one_piece_at_its_centroid():
@@ -160,12 +160,12 @@ def test_the_share_in_sight_is_exact_on_borders_in_corners_and_in_walls(variance
 
 @pytest.mark.parametrize("since", [0.3, 1.0, 2.0])
 def test_the_entry_is_as_hot_as_an_integral_over_the_moving_beam(choices, since):
-    near, heat, drive, lines = choices.heat.fresh, choices.heat, choices.driven, choices.lines
+    near, heat, schedule, lines = choices.heat.fresh, choices.heat, choices.known_schedule, choices.lines
     alpha, process = Medium.of(PROFILE).diffusivity_mm2_s, PROFILE.process
     middle = int(np.argmin(np.hypot(*(choices.centroid - [80.0, 55.0]).T)))
     pairs = choices.neighbours
     beside = int(np.setdiff1d(pairs[(pairs == middle).any(axis=1)], [middle])[0])
-    time_s = drive.time_s[beside]
+    time_s = schedule.time_s[beside]
     own = lines.island == beside
     a, b = lines.start[own], lines.end[own]
     edges = np.concatenate([[0.0], np.cumsum(np.hypot(*(b - a).T))])
@@ -190,7 +190,7 @@ def test_the_entry_is_as_hot_as_an_integral_over_the_moving_beam(choices, since)
             rise,
             youngest,
             oldest,
-            (drive.entry[middle, way], bead2),
+            (schedule.entry[middle, way], bead2),
             points=knots[(knots > youngest) & (knots < oldest)],
             limit=200,
         )

@@ -14,14 +14,15 @@ from ebamcheck.scan.order.annealing import (
     HOTTEST_EVERY,
     TOUCH_SHARE,
     WARMTH,
+    Layer,
     annealed,
-    drive_from,
     entry_temperature,
     high_mean,
     move,
     new_log,
+    timed_from,
 )
-from ebamcheck.scan.order.entry_options import ways_between
+from ebamcheck.scan.order.entry_options import entry_options
 from ebamcheck.scan.order.orders import scan_order
 from ebamcheck.scan.order.simulation import clocked, entered, entry_points
 from ebamcheck.scan.order.thermal import greedy_order
@@ -55,9 +56,9 @@ def test_annealing_helps_or_leaves_it():
     keys = []
     for compared in (plain, long):
         islands = compared.islands
-        drive, heat = islands.driven, islands.heat
+        schedule, heat = islands.known_schedule, islands.heat
         order = scan_order("thermal", islands)
-        start, end, _ = clocked(order, drive.entry, drive.leave, drive.time_s, RAPID)
+        start, end, _ = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
         entry, _ = entered(heat, order, start, end)
         keys.append(high_mean(entry))
     assert keys[1] < keys[0]
@@ -67,21 +68,19 @@ def test_annealing_helps_or_leaves_it():
 def test_the_table_of_influences_is_the_heat_model(base):
     profile = PROFILE.changed(process={"base": base})
     choices = lay_islands(layer_section(PLATE), profile, 0, 10.0).choices(profile, 0)
-    drive, heat = choices.driven, choices.heat
+    schedule, heat = choices.known_schedule, choices.heat
     before = np.random.default_rng(5).normal(size=heat.start_k.shape) * np.exp(-heat.plane_rate)[:, None]
     heat = replace(heat, start_k=300.0 * before)
     order = np.random.default_rng(4).permutation(len(choices))
-    start, end, travel = clocked(order, drive.entry, drive.leave, drive.time_s, RAPID)
-    exact = np.maximum(*entry_points(heat, drive, order, start, end))
-    table, ways = influence(heat, drive.time_s, float(end.max())), ways_between(drive)
+    start, end, travel = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
+    exact = np.maximum(*entry_points(heat, schedule, order, start, end))
+    table, ways = influence(heat, schedule.time_s, float(end.max())), entry_options(schedule)
     log = new_log(len(order))
-    drive_from(0, order, ways.jump_mm, ways.way, FREE, drive.time_s, RAPID, log)
+    layer = Layer(table, ways, FREE, schedule.time_s, RAPID)
+    timed_from(0, order, layer, log)
     assert log.start_s == pytest.approx(start[order])
     assert log.travel_mm[-1] == pytest.approx(travel)
-    found = [
-        entry_temperature(n, order, table.rise_k, table.nodes_per_root_s, table.fresh, drive.time_s, log)
-        for n in range(len(order))
-    ]
+    found = [entry_temperature(n, order, layer, log) for n in range(len(order))]
     assert found == pytest.approx(exact[order], rel=0.02, abs=0.02 * np.abs(exact).max())
 
 
@@ -89,9 +88,9 @@ def test_the_table_of_influences_is_the_heat_model(base):
 def test_a_rise_of_the_table_is_that_of_two_islands_driven_alone(base):
     profile = PROFILE.changed(process={"base": base})
     choices = lay_islands(layer_section(PLATE), profile, 0, 10.0).choices(profile, 0)
-    drive, heat, count = choices.driven, choices.heat, len(choices)
+    schedule, heat, count = choices.known_schedule, choices.heat, len(choices)
     horizon_s = heat.fresh.horizon_s
-    table = influence(heat, drive.time_s, 300.0)
+    table = influence(heat, schedule.time_s, 300.0)
     pairs = [*choices.neighbours[::9].tolist(), *np.random.default_rng(8).integers(0, count, (8, 2)).tolist()]
     for source, island in pairs:
         if source == island:
@@ -99,9 +98,9 @@ def test_a_rise_of_the_table_is_that_of_two_islands_driven_alone(base):
         before = 0.0
         for since in horizon_s * np.array([0.0, 0.3, 0.7, 0.999, 1.001, 1.5, 3.0, 12.0]):
             start, end = np.zeros(count), np.zeros(count)
-            start[island] = end[source] = drive.time_s[source]
+            start[island] = end[source] = schedule.time_s[source]
             start[island] += since
-            end[island] = start[island] + drive.time_s[island]
+            end[island] = start[island] + schedule.time_s[island]
             exact = entered(heat, np.array([source, island]), start, end)[0][island]
             found = looked_up(
                 table.rise_k, table.nodes_per_root_s, table.fresh.horizon_s, island, source, since
@@ -112,8 +111,8 @@ def test_a_rise_of_the_table_is_that_of_two_islands_driven_alone(base):
 
 
 def test_ways_are_the_nearest_ones(choices):
-    drive, ways = choices.driven, ways_between(choices.driven)
-    apart = np.linalg.norm(drive.leave[:, :, None, None] - drive.entry[None, None], axis=-1)
+    schedule, ways = choices.known_schedule, entry_options(choices.known_schedule)
+    apart = np.linalg.norm(schedule.leave[:, :, None, None] - schedule.entry[None, None], axis=-1)
     assert ways.jump_mm == pytest.approx(apart.min(axis=-1), abs=1e-5)
     assert np.take_along_axis(apart, ways.way[..., None], -1)[..., 0] == pytest.approx(ways.jump_mm)
 
@@ -138,17 +137,17 @@ def test_moves_keep_every_island(kind):
 
 
 def test_annealing_keeps_to_the_travel_that_is_allowed(choices):
-    drive, heat = choices.driven, choices.heat
-    order = greedy_order(heat, drive, FREE, RAPID, 0, 1.0, 0.0)
-    start, end, travel = clocked(order, drive.entry, drive.leave, drive.time_s, RAPID)
-    table = influence(heat, drive.time_s, 2 * float(end.max()))
-    ways, random = ways_between(drive), np.random.default_rng(0)
+    schedule, heat = choices.known_schedule, choices.heat
+    order = greedy_order(heat, schedule, FREE, RAPID, 0, 1.0, 0.0)
+    start, end, travel = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
+    table = influence(heat, schedule.time_s, 2 * float(end.max()))
+    ways, random = entry_options(schedule), np.random.default_rng(0)
     beside = touching(choices.neighbours, len(choices))
-    better = annealed(table, ways, beside, drive.time_s, RAPID, order, travel, 100.0, 3000, random)
-    begin, stop, way = clocked(better, drive.entry, drive.leave, drive.time_s, RAPID)
+    better = annealed(Layer(table, ways, beside, schedule.time_s, RAPID), order, travel, 100.0, 3000, random)
+    begin, stop, way = clocked(better, schedule.entry, schedule.leave, schedule.time_s, RAPID)
     assert way <= travel + 1e-6
     hottest = [
-        np.maximum(*entry_points(heat, drive, *plan)).max()
+        np.maximum(*entry_points(heat, schedule, *plan)).max()
         for plan in ((better, begin, stop), (order, start, end))
     ]
     assert hottest[0] < hottest[1]
@@ -156,23 +155,23 @@ def test_annealing_keeps_to_the_travel_that_is_allowed(choices):
 
 
 def test_giving_moves_up_early_changes_nothing(choices):
-    drive, heat, steps, price = choices.driven, choices.heat, 300, 0.5
+    schedule, heat, steps, price = choices.known_schedule, choices.heat, 300, 0.5
     count, beside = len(choices), touching(choices.neighbours, len(choices))
     order = np.random.default_rng(2).permutation(count)
-    *_, end, travel = clocked(order, drive.entry, drive.leave, drive.time_s, RAPID)
+    *_, end, travel = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
     table, ways, allowed_mm = (
-        influence(heat, drive.time_s, 2 * float(end.max())),
-        ways_between(drive),
+        influence(heat, schedule.time_s, 2 * float(end.max())),
+        entry_options(schedule),
         0.9 * travel,
     )
 
-    def driven(tried):
+    layer = Layer(table, ways, beside, schedule.time_s, RAPID)
+
+    def simulated(tried):
         log = new_log(count)
-        drive_from(0, tried, ways.jump_mm, ways.way, beside, drive.time_s, RAPID, log)
+        timed_from(0, tried, layer, log)
         for n in range(count):
-            log.entry_k[n] = entry_temperature(
-                n, tried, table.rise_k, table.nodes_per_root_s, table.fresh, drive.time_s, log
-            )
+            log.entry_k[n] = entry_temperature(n, tried, layer, log)
         warm, far = high_mean(log.entry_k), max(0.0, log.travel_mm[-1] - allowed_mm)
         return log, warm, price * far, int(log.touches[-1])
 
@@ -182,7 +181,7 @@ def test_giving_moves_up_early_changes_nothing(choices):
     random = np.random.default_rng(7)
     places = random.integers(0, count, (steps, 2))
     leniency = random.exponential(size=steps) * np.linspace(1.0, 0.0, steps)
-    kept, (log, *parts) = order, driven(order)
+    kept, (log, *parts) = order, simulated(order)
     first_warm = parts[0]
     cost = cost_of(*parts)
     best, least, warmth = kept, cost, WARMTH * cost
@@ -192,14 +191,12 @@ def test_giving_moves_up_early_changes_nothing(choices):
             continue
         tried = np.empty_like(kept)
         move(kept, a, b, step % 3, tried)
-        tried_log, *parts = driven(tried)
+        tried_log, *parts = simulated(tried)
         new_cost = cost_of(*parts)
         if new_cost < cost + warmth * leniency[step]:
             kept, log, cost = tried, tried_log, new_cost
             if cost < least:
                 best, least = kept, cost
-    found = annealed(
-        table, ways, beside, drive.time_s, RAPID, order, allowed_mm, price, steps, np.random.default_rng(7)
-    )
+    found = annealed(layer, order, allowed_mm, price, steps, np.random.default_rng(7))
     assert np.array_equal(found, best)
     assert not np.array_equal(found, order)

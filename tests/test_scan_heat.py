@@ -56,10 +56,10 @@ def test_every_name_is_in_the_settings_and_in_the_table():
 
 
 def test_driven_islands_are_the_heat_model_step_by_step(laid, choices):
-    drive = choices.driven
+    schedule = choices.known_schedule
     heat = replace(choices.heat, near=None)
     order = np.random.default_rng(3).permutation(len(choices))
-    start, end, _ = clocked(order, drive.entry, drive.leave, drive.time_s, RAPID)
+    start, end, _ = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
     entry_k, excess = entry_temperatures(heat, choices.area_mm2, order, start, end)
     assert entry_k == pytest.approx(entered(heat, order, start, end)[0])
     # By the model itself, from the same modes.
@@ -80,9 +80,9 @@ def test_driven_islands_are_the_heat_model_step_by_step(laid, choices):
 
 
 def test_an_island_is_heated_by_the_power_that_the_part_takes_up(laid, choices):
-    heat, drive = choices.heat, choices.driven
+    heat, schedule = choices.heat, choices.known_schedule
     medium = Medium.of(PROFILE)
-    energy = heat.source_k_s * drive.time_s * medium.heat_capacity_j_mm3k
+    energy = heat.source_k_s * schedule.time_s * medium.heat_capacity_j_mm3k
     lines, spacing = laid.lines, PROFILE.process.hatch_spacing_mm
     length = np.hypot(*(lines.end - lines.start).T).sum()
     # The turns at either side of an island count by their mean.
@@ -97,37 +97,37 @@ def test_heat_of_a_thin_plate_is_energy_over_heat_capacity():
     profile = PROFILE.changed(process={"base": "insulated"}, material={"emissivity": 0.0})
     section = layer_section(PLATE)
     choices = lay_islands(section, profile, 0, 0.0).choices(profile, 0)
-    drive, heat = choices.driven, choices.heat
+    schedule, heat = choices.known_schedule, choices.heat
     order = np.arange(len(choices))
-    start, end, _ = clocked(order, drive.entry, drive.leave, drive.time_s, RAPID)
+    start, end, _ = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
     medium = Medium.of(profile)
     end[order[-1]] += 1e6
     start[order[-1]] += 1e6
     late, _ = entered(heat, order, start, end)
-    energy = (heat.source_k_s * drive.time_s)[:-1].sum() * medium.heat_capacity_j_mm3k
+    energy = (heat.source_k_s * schedule.time_s)[:-1].sum() * medium.heat_capacity_j_mm3k
     even = energy / (medium.heat_capacity_j_mm3k * section.area * profile.process.base_plate_mm)
     assert late[-1] == pytest.approx(even, rel=1e-6)
 
 
 def test_greedy_takes_the_best_score_at_every_step(choices):
-    drive, heat = choices.driven, choices.heat
+    schedule, heat = choices.known_schedule, choices.heat
     price, start_k = 0.7, 5.0
-    order = greedy_order(heat, drive, FREE, RAPID, 4, price, start_k)
+    order = greedy_order(heat, schedule, FREE, RAPID, 4, price, start_k)
     assert order[0] == 4
     assert np.array_equal(np.sort(order), np.arange(len(choices)))
-    start, end, _ = clocked(order, drive.entry, drive.leave, drive.time_s, RAPID)
+    start, end, _ = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
     way = 0
     for n in range(len(order) - 1):
-        x, y = drive.leave[order[n], way]
-        reach = np.hypot(drive.entry[:, :, 0] - x, drive.entry[:, :, 1] - y)
+        x, y = schedule.leave[order[n], way]
+        reach = np.hypot(schedule.entry[:, :, 0] - x, schedule.entry[:, :, 1] - y)
         score = np.full(len(order), np.inf)
         for j in order[n + 1 :]:
             # Temperature at exactly the time of entry, by driving the order so far and then this island.
             tried = np.append(order[: n + 1], j)
             begin, stop = start.copy(), end.copy()
             begin[j] = end[order[n]] + reach[j].min() / RAPID
-            stop[j] = begin[j] + drive.time_s[j]
-            warm = np.maximum(*entry_points(heat, drive, tried, begin, stop))[j]
+            stop[j] = begin[j] + schedule.time_s[j]
+            warm = np.maximum(*entry_points(heat, schedule, tried, begin, stop))[j]
             score[j] = warm + price * reach[j].min() + start_k
         # Between the earliest and the latest entry the kernel takes temperature as linear: 3 % at most.
         assert score[order[n + 1]] <= 1.03 * score.min() + 1.0
@@ -135,11 +135,11 @@ def test_greedy_takes_the_best_score_at_every_step(choices):
 
 
 def test_own_rise_is_that_of_one_island_alone(choices):
-    heat, drive = choices.heat, choices.driven
+    heat, schedule = choices.heat, choices.known_schedule
     island = 7
-    own = own_rise(heat, drive)[island]
+    own = own_rise(heat, schedule)[island]
     begin, stop = np.zeros(len(choices)), np.zeros(len(choices))
-    stop[island] = begin[island] + drive.time_s[island]
+    stop[island] = begin[island] + schedule.time_s[island]
     begin_again = stop[island]
     twice = np.array([island, island])
     assert own > 50.0
@@ -176,11 +176,11 @@ def test_plans_by_heat_repeat_to_the_last_bit():
 
 
 def test_travel_is_paid_for(choices):
-    drive = choices.driven
+    schedule = choices.known_schedule
     travel = []
     for price in (0.0, 1.0, 100.0):
-        order = greedy_order(choices.heat, drive, FREE, RAPID, 0, price, 0.0)
-        travel.append(clocked(order, drive.entry, drive.leave, drive.time_s, RAPID)[2])
+        order = greedy_order(choices.heat, schedule, FREE, RAPID, 0, price, 0.0)
+        travel.append(clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)[2])
     assert travel[0] > travel[1] > travel[2]
 
 
@@ -193,11 +193,11 @@ def test_stride_and_random(choices):
 
 
 def test_a_finer_simulation_agrees_with_the_plan_on_what_is_hot(laid, choices):
-    drive = choices.driven
-    fine = island_heat(PLATE, laid.islands, drive.beam_s, drive.time_s, PROFILE, 10.0, fine=True)
+    schedule = choices.known_schedule
+    fine = island_heat(PLATE, laid.islands, schedule.beam_s, schedule.time_s, PROFILE, 10.0, fine=True)
     assert fine.mean.shape[0] > choices.heat.mean.shape[0]
     order = scan_order("farthest", choices)
-    start, end, _ = clocked(order, drive.entry, drive.leave, drive.time_s, RAPID)
+    start, end, _ = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
     coarse_k, _ = entry_temperatures(choices.heat, choices.area_mm2, order, start, end)
     fine_k, _ = entry_temperatures(fine, choices.area_mm2, order, start, end)
     assert np.corrcoef(coarse_k, fine_k)[0, 1] > 0.99

@@ -28,7 +28,7 @@ from ebamcheck.curves import (
     fit_deviation,
 )
 from ebamcheck.curves.arcs import arc_through
-from ebamcheck.curves.oriented_contours import FLAT_MM
+from ebamcheck.curves.thinning import FLAT_MM
 from ebamcheck.curves.vertex_normals import surface_normals
 from ebamcheck.errors import EbamcheckError, SettingsError
 from ebamcheck.layers.stack import Layers, from_polygons

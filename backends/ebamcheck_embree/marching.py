@@ -54,51 +54,45 @@ def links(
             if cell == far:
                 break
             ins = outs = 0
-            if p < p_end and row_node[p] - 1 == cell:  # leaving the material rightwards: the contour goes up
-                if (p - row_starts[j]) % 2 == 1:
-                    into[ins] = p
-                    ins += 1
-                else:
-                    out_of[outs] = p
-                    outs += 1
+            # Leaving the material rightwards in the lower row, the contour goes up; entering it upwards, right.
+            if p < p_end and row_node[p] - 1 == cell:
+                ins, outs = _add(p, (p - row_starts[j]) % 2 == 1, into, out_of, ins, outs)
                 p += 1
             if q < q_end and row_node[q] - 1 == cell:
-                if (q - row_starts[j + 1]) % 2 == 1:
-                    out_of[outs] = q
-                    outs += 1
-                else:
-                    into[ins] = q
-                    ins += 1
+                ins, outs = _add(q, (q - row_starts[j + 1]) % 2 == 0, into, out_of, ins, outs)
                 q += 1
-            if c < c_end and col_node[c] == cell:  # entering the material upwards: the contour goes right
-                if up[c]:
-                    into[ins] = base + c
-                    ins += 1
-                else:
-                    out_of[outs] = base + c
-                    outs += 1
+            if c < c_end and col_node[c] == cell:
+                ins, outs = _add(base + c, up[c], into, out_of, ins, outs)
                 c += 1
-            if c < c_end and col_node[c] == cell + 1:
-                if up[c]:
-                    out_of[outs] = base + c
-                    outs += 1
-                else:
-                    into[ins] = base + c
-                    ins += 1
-            straight = True
-            if ins == 2 and not points.size:
-                # In by a row's edge: the material lies lower left and upper right, and straight goes around either.
-                straight = into[0] < base
-            elif ins == 2:
-                straight = _gap(points, into[0], out_of[0]) + _gap(points, into[1], out_of[1]) <= (
-                    _gap(points, into[0], out_of[1]) + _gap(points, into[1], out_of[0])
-                )
+            if c < c_end and col_node[c] == cell + 1:  # of the next cell, too
+                ins, outs = _add(base + c, not up[c], into, out_of, ins, outs)
+            straight = ins < 2 or _goes_straight(into, out_of, base, points)
             for n in range(ins):
                 after[into[n]] = out_of[n if straight else 1 - n]
                 if ins == 1:
                     cells[into[n], 0], cells[into[n], 1] = cell, j
             least = cell + 1
     return after, cells
+
+
+@kernel
+def _add(knot: int, enters: bool, into: Ints, out_of: Ints, ins: int, outs: int) -> tuple[int, int]:
+    """Note a knot by which the contour enters or leaves a cell; how many of both there are."""
+    if enters:
+        into[ins] = knot
+        return ins + 1, outs
+    out_of[outs] = knot
+    return ins, outs + 1
+
+
+@kernel
+def _goes_straight(into: Ints, out_of: Ints, base: int, points: Floats) -> bool:
+    """Whether, of two ways into a cell and two out of it, the first goes with the first: see :func:`links`."""
+    if not points.size:
+        # In by a row's edge: the material lies lower left and upper right, and straight goes around either.
+        return bool(into[0] < base)
+    straight = _gap(points, into[0], out_of[0]) + _gap(points, into[1], out_of[1])
+    return bool(straight <= _gap(points, into[0], out_of[1]) + _gap(points, into[1], out_of[0]))
 
 
 @kernel

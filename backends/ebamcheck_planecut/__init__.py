@@ -27,6 +27,7 @@ class PlaneCut:
     coplanar_rule: ClassVar[CoplanarRule] = "half-open"
     inside_rule: ClassVar[str] = "winding > 0"
     Settings: ClassVar[type[BackendSettings]] = PlaneCutSettings
+    isolated: ClassVar[bool] = False
 
     def probe(self) -> Probe:
         """Tell that it runs wherever numba does."""

@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from skimage.measure import find_contours
 
 from ebamcheck.errors import BackendFailed
 from ebamcheck.numeric.rings import Floats
@@ -98,6 +97,8 @@ def contours(solid: Bits) -> list[Floats]:
     list of numpy.ndarray
         Rings (n, 2) in pixels from the corner of the image, whose last point is their first one.
     """
+    from skimage.measure import find_contours
+
     rows, columns = np.flatnonzero(solid.any(axis=1)), np.flatnonzero(solid.any(axis=0))
     if not rows.size:
         return []

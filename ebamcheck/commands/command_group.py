@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import ast
 import functools
+import importlib.util
 import os
 import sys
 import traceback
 from collections.abc import Callable
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
 from typing import Any, cast
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 from ebamcheck.errors import EbamcheckError, ExitCode
 from ebamcheck.plugins.points import is_house, sorted_out
@@ -27,6 +30,16 @@ RESUMABLE = ("run", "check")
 class CommandGroup(TyperGroup):
     """The house's commands, and those of installed plugin packages, each loaded when it is first asked for."""
 
+    _is_listing = False
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """List all commands; those of the house with what their sources say, for which none is loaded."""
+        self._is_listing = True
+        try:
+            super().format_commands(ctx, formatter)
+        finally:
+            self._is_listing = False
+
     def list_commands(self, ctx: Any) -> list[str]:
         """Names of all commands: the house's own first."""
         own = super().list_commands(ctx)
@@ -36,6 +49,8 @@ class CommandGroup(TyperGroup):
         """Return a command; None where there is none of that name or its plugin is broken."""
         if (own := super().get_command(ctx, cmd_name)) is not None or cmd_name not in _plugins():
             return own
+        if self._is_listing and is_house(_plugins()[cmd_name]):
+            return TyperCommand(cmd_name, help=_told_in_source(_plugins()[cmd_name]))
         try:
             function = _loaded(_plugins()[cmd_name])
         except Exception as error:
@@ -49,6 +64,27 @@ class CommandGroup(TyperGroup):
 @functools.cache
 def _plugins() -> dict[str, EntryPoint]:
     return sorted_out(entry_points(group=COMMANDS))[0]
+
+
+def _told_in_source(point: EntryPoint) -> str:
+    """Docstring of a function of the house that an entry point names; only the topmost package is imported for it."""
+    module, _, name = point.value.partition(":")
+    top, *within = module.split(".")
+    spec = importlib.util.find_spec(top)
+    assert spec is not None
+    assert spec.origin is not None
+    return _docstring(Path(spec.origin).parent.joinpath(*within), name)
+
+
+def _docstring(module: Path, name: str) -> str:
+    """Docstring of a function of a module, or of one beside it from which a package takes it."""
+    file = module / "__init__.py" if module.is_dir() else module.with_suffix(".py")
+    for node in ast.parse(file.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.FunctionDef) and node.name == name:
+            return ast.get_docstring(node) or ""
+        if isinstance(node, ast.ImportFrom) and node.module and name in (one.name for one in node.names):
+            return _docstring(module / node.module.rpartition(".")[2], name)
+    return ""
 
 
 def _loaded(point: EntryPoint) -> Callable[..., Any]:

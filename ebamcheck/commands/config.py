@@ -32,7 +32,9 @@ def config_command(
     if merge is not None:
         return _merged(merge)
     if schema:
-        print_json(Config.model_json_schema())
+        from ebamcheck.settings.explained import explained_schema
+
+        print_json(explained_schema(Config))
         return ExitCode.PASS
     settings = settings_of(config, "", "", None)
     if output is None:

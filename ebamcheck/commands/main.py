@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import io
 import logging
 import os
@@ -9,7 +10,7 @@ import signal
 import sys
 import warnings
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import typer
 
@@ -25,9 +26,6 @@ from ebamcheck.commands.verify import verify
 from ebamcheck.commands.warm_command import warm_command
 from ebamcheck.errors import ExitCode
 
-if TYPE_CHECKING:
-    pass
-
 app = typer.Typer(
     name="ebamcheck",
     cls=CommandGroup,
@@ -40,8 +38,8 @@ app = typer.Typer(
     "4 a required backend is missing, 5 nothing compared, 130 interrupted.",
 )
 
-SLICE_SUFFIXES = (".parquet", ".cli", ".svg")
-"""Formats that `ebamcheck slice` writes; looked at before the work, not after it."""
+OBJECTS_BEFORE_GC = 50_000
+"""New objects until Python looks for rings of dead ones: imports make hundreds of thousands, and none that die."""
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
@@ -129,6 +127,7 @@ command(
 
 def main() -> None:
     """Entry point of the program; ``--debug`` may stand anywhere."""
+    gc.set_threshold(OBJECTS_BEFORE_GC)
     if "--debug" in sys.argv:
         sys.argv.remove("--debug")
         sys.argv.insert(1, "--debug")

@@ -2,17 +2,34 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import Progress, TaskID
+
+
+class LineObserver:
+    """Shows what is noted of a run, line by line on standard error."""
+
+    def stage(self, name: str, total: int) -> None:
+        """Show nothing: a bar is for terminals."""
+
+    def advance(self, steps: int) -> None:
+        """Show nothing."""
+
+    def note(self, text: str) -> None:
+        """Print a line."""
+        print(f"ebamcheck: {text}", file=sys.stderr)
 
 
 class TerminalObserver:
-    """Shows the stages of a run on standard error."""
+    """Shows the stages of a run on a terminal."""
 
     def __init__(self, bars: Progress) -> None:
         self._bars = bars
@@ -20,7 +37,7 @@ class TerminalObserver:
 
     def stage(self, name: str, total: int) -> None:
         """Finish the bar of the last stage and begin one."""
-        self._finish()
+        self.finish()
         self._task = self._bars.add_task(name, total=max(total, 1))
 
     def advance(self, steps: int) -> None:
@@ -30,28 +47,42 @@ class TerminalObserver:
 
     def note(self, text: str) -> None:
         """Print a line above the bars."""
-        if self._bars.console.is_terminal:
-            self._bars.console.print(f"ebamcheck: {text}", markup=False, highlight=False, soft_wrap=True)
-        else:
-            print(f"ebamcheck: {text}", file=sys.stderr)
+        self._bars.console.print(f"ebamcheck: {text}", markup=False, highlight=False, soft_wrap=True)
 
-    def _finish(self) -> None:
+    def finish(self) -> None:
+        """Fill the bar of the last stage."""
         if self._task is not None:
             task = self._bars.tasks[self._task]
             self._bars.update(self._task, completed=task.total)
 
 
 @contextmanager
-def watched() -> Iterator[TerminalObserver]:
+def watched() -> Iterator[LineObserver | TerminalObserver]:
     """Show progress while the block runs."""
-    console = Console(stderr=True)
-    with _bars(console) as bars, announced(bars):
+    if not may_be_terminal():
+        with announced():
+            yield LineObserver()
+        return
+    with _terminal_bars() as bars, announced(bars):
         observer = TerminalObserver(bars)
         yield observer
-        observer._finish()
+        observer.finish()
+
+
+def may_be_terminal() -> bool:
+    """Whether bars may be shown: what shows them takes a tenth of a second to load."""
+    return sys.stderr.isatty() or any(os.environ.get(name) for name in ("FORCE_COLOR", "TTY_COMPATIBLE"))
+
+
+def _terminal_bars() -> Progress:
+    from rich.console import Console
+
+    return _bars(Console(stderr=True))
 
 
 def _bars(console: Console) -> Progress:
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
     columns = (
         TextColumn("{task.description:>20}"),
         BarColumn(),
@@ -68,9 +99,15 @@ LINE_EVERY_S = 15.0
 
 
 class Announcer:
-    """Tells on standard error which kernel is compiled: by a bar on a terminal, else by a line now and then."""
+    """Tells on standard error which kernel is compiled: by a bar on a terminal, else by a line now and then.
 
-    def __init__(self, bars: Progress) -> None:
+    Parameters
+    ----------
+    bars
+        Those that are shown anyway; where there are none, they are made for the first kernel.
+    """
+
+    def __init__(self, bars: Progress | None = None) -> None:
         self._bars = bars
         self._task: TaskID | None = None
         self._began = self._told = 0.0
@@ -84,7 +121,9 @@ class Announcer:
         first, self._number = not self._number, number
         if first:
             self._began = now
-        if self._bars.console.is_terminal:
+            if self._bars is None and may_be_terminal():
+                self._bars = _terminal_bars()
+        if self._bars is not None and self._bars.console.is_terminal:
             if self._task is None:
                 self._is_ours = not self._bars.live.is_started
                 self._bars.start()
@@ -98,7 +137,7 @@ class Announcer:
         """Say what was compiled, if anything was."""
         if not self._number:
             return
-        if self._task is not None:
+        if self._bars is not None and self._task is not None:
             self._bars.update(self._task, completed=self._number, total=self._number)
             self._bars.remove_task(self._task)
             if self._is_ours:
@@ -116,7 +155,7 @@ def announced(bars: Progress | None = None) -> Iterator[None]:
     """Tell of kernels that are compiled while the block runs; `bars` are those that are shown anyway."""
     from ebamcheck.numeric import compiling
 
-    announcer = Announcer(_bars(Console(stderr=True)) if bars is None else bars)
+    announcer = Announcer(bars)
     try:
         with compiling.heard_by(announcer.kernel):
             yield

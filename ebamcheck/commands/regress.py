@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -69,14 +70,8 @@ def regress(
     path = config or (DEFAULT_CONFIG if DEFAULT_CONFIG.is_file() else None)
     wanted = load_config(path)
     settings = wanted.regression
-    if update_baseline not in ("", "failed", "all"):
-        raise SettingsError(f"--update-baseline {update_baseline!r}: give failed or all")
     own = {name: values for name, values in wanted.slicing.settings.items() if values}
-    if update_baseline and own:
-        raise SettingsError(
-            f"--update-baseline: {path} has slicing.settings.{next(iter(own))}, under which no baseline is made: leave it "
-            "out, or put it into the matrix as a variant"
-        )
+    _check_update(update_baseline, own, path)
     table = (
         checked(Tolerances, settings.tolerances, f"{path}: regression.tolerances")
         if tolerances is None
@@ -100,6 +95,17 @@ def regress(
     if not as_json:
         typer.echo(f"\nbaselines written: {', '.join(map(str, changed)) or 'none, nothing changed'}")
     return accepted(found).exit_code
+
+
+def _check_update(update_baseline: str, own: Mapping[str, object], path: Path | None) -> None:
+    """Refuse an unknown mode, and baselines under slicers' settings (by name) of one's own."""
+    if update_baseline not in ("", "failed", "all"):
+        raise SettingsError(f"--update-baseline {update_baseline!r}: give failed or all")
+    if update_baseline and own:
+        raise SettingsError(
+            f"--update-baseline: {path} has slicing.settings.{next(iter(own))}, under which no baseline is made: leave it "
+            "out, or put it into the matrix as a variant"
+        )
 
 
 def summary(found: Regression) -> list[str]:

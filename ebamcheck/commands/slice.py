@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
@@ -47,25 +48,31 @@ def slice_command(
     yes: YesOption = False,
 ) -> ExitCode:
     """Slice a part with one backend and write its layers."""
-    from ebamcheck.slicers.worker_pool import WorkerPool
-
     if output.suffix.lower() not in SLICE_SUFFIXES:
         raise SettingsError(
             f"{output}: unknown slice format {output.suffix!r}: use {', '.join(SLICE_SUFFIXES)}"
         )
-    # The worker's interpreter comes up while this one does, and while the part is read.
-    with WorkerPool(ahead=1) as pool:
+    from ebamcheck.plugins import registry
+
+    settings = settings_of(config, units, direction, layer_height)
+    name = backend or settings.slicing.primary or registry.default_backend()
+    values = {**settings.slicing.settings.get(name, {}), **assignments(setting or [])}
+    registry.slicer_settings(name, values)
+    with ExitStack() as opened:
+        from ebamcheck.slicers.here import may_run_here
+
+        pool = None
+        if not may_run_here(name):
+            from ebamcheck.slicers.worker_pool import WorkerPool
+
+            # The worker's interpreter comes up while the part is read.
+            pool = opened.enter_context(WorkerPool(ahead=1))
         from ebamcheck.commands.progress import announced
         from ebamcheck.layers.cuts import heights_within
         from ebamcheck.layers.heights import layer_heights
-        from ebamcheck.plugins import registry
-        from ebamcheck.slicers.isolation import Limits
+        from ebamcheck.slicers.outcome import Limits
         from ebamcheck.slicers.slicing import slice_to_file
 
-        settings = settings_of(config, units, direction, layer_height)
-        name = backend or settings.slicing.primary or registry.default_backend()
-        values = {**settings.slicing.settings.get(name, {}), **assignments(setting or [])}
-        registry.slicer_settings(name, values)
         with announced():
             placed = loaded(part, settings)
             wanted = (

@@ -8,8 +8,6 @@ from typing import Any
 from ebamcheck.backend import Slicer
 from ebamcheck.drawing.tables import text_table
 from ebamcheck.findings import in_words
-from ebamcheck.pipeline.statement import statement
-from ebamcheck.pipeline.worst import worst_line
 from ebamcheck.plugins import registry
 from ebamcheck.plugins.points import BrokenPlugin
 from ebamcheck.plugins.stranger import StrangerSlicer
@@ -82,6 +80,8 @@ def backends_text(records: Sequence[Mapping[str, Any]], left_out: Sequence[Broke
 
 def run_summary(manifest: Mapping[str, Any]) -> str:
     """What a run came to: slicers, pairs, gates, findings and verdict."""
+    from ebamcheck.pipeline.worst import worst_line
+
     slicers = [
         [name, b["status"], b["rings"], b["open_paths"], b["points"], float(b["error_bound_mm"]),
          float(manifest["timings"]["backends"][name]["slice_s"]), b["why"] or b["device"]]
@@ -115,6 +115,8 @@ def run_summary(manifest: Mapping[str, Any]) -> str:
 
 def _verdict(manifest: Mapping[str, Any]) -> str:
     """The last word on a job, of a program another than of a cross-check alone, and what it means."""
+    from ebamcheck.pipeline.statement import statement
+
     good, bad = ("AGREED", "NOT AGREED") if manifest.get("job") == "check" else ("VALIDATED", "NOT VALIDATED")
     word = good if manifest["exit_code"] == 0 else f"{bad} (exit code {manifest['exit_code']})"
     return "\n".join([word, *statement(manifest).lines()])

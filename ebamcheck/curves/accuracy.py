@@ -284,9 +284,7 @@ def _block_errors(
     polar = np.full((mine.size, len(MEASURES)), np.nan)
     normal = np.full((mine.size, len(MEASURES)), np.nan)
     outer = _orientation(ours) > 0
-    _pair_errors(
-        a.points, a.ring_starts, b.points, b.ring_starts, mine, partner, outer, theta, samples, polar, normal
-    )
+    _pair_errors(a, b, (mine, partner), outer[mine], theta, samples, polar, normal)
     return RingErrors(
         mine + measured.layer_starts[start], partner + reference.layer_starts[start], polar, normal
     )
@@ -329,23 +327,27 @@ def _pairs(
 
 
 @kernel
+def _ring(rings: SampledRings, ring: int) -> Floats:
+    """Points of a ring."""
+    return rings.points[rings.ring_starts[ring] : rings.ring_starts[ring + 1]]
+
+
+@kernel
 def _pair_errors(
-    points: Floats,
-    ring_starts: Ints,
-    other_points: Floats,
-    other_starts: Ints,
-    mine: Ints,
-    partner: Ints,
+    a: SampledRings,
+    b: SampledRings,
+    pairs: tuple[Ints, Ints],
     outer: Bools,
     theta: Floats,
     samples: int,
     polar: Floats,
     normal: Floats,
 ) -> None:
-    for k in range(mine.size):
-        ours = closed_points(points[ring_starts[mine[k]] : ring_starts[mine[k] + 1]], True)
-        theirs = closed_points(other_points[other_starts[partner[k]] : other_starts[partner[k] + 1]], True)
-        if outer[mine[k]]:
+    """Measure pairs of rings; the polar errors of `outer` ones alone."""
+    for k in range(outer.size):
+        ours = closed_points(_ring(a, pairs[0][k]), True)
+        theirs = closed_points(_ring(b, pairs[1][k]), True)
+        if outer[k]:
             x = 0.5 * (theirs[:, 0].min() + theirs[:, 0].max())
             y = 0.5 * (theirs[:, 1].min() + theirs[:, 1].max())
             _measure(ray_radii(ours, x, y, theta) - ray_radii(theirs, x, y, theta), polar[k])

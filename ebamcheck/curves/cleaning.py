@@ -48,9 +48,8 @@ def clean(
     collapsed = np.zeros(count, dtype=np.bool_)
 
     def work(first: int, last: int) -> None:
-        _clean_rings(
-            points, ring_starts, closed, near_point_mm, collinear_mm, first, last, sweep, sizes, collapsed
-        )
+        given = points, ring_starts, closed
+        _clean_rings(given, near_point_mm, collinear_mm, first, last, sweep, sizes, collapsed)
 
     run_blocks(work, count, RINGS_A_BLOCK)
     starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
@@ -60,9 +59,7 @@ def clean(
 
 @kernel
 def _clean_rings(
-    points: Floats,
-    ring_starts: Ints,
-    closed: Bools,
+    given: tuple[Floats, Ints, Bools],
     near: float,
     collinear: float,
     first: int,
@@ -71,6 +68,7 @@ def _clean_rings(
     sizes: Ints,
     collapsed: Bools,
 ) -> None:
+    points, ring_starts, closed = given
     for r in range(first, last):
         a, b = ring_starts[r], ring_starts[r + 1]
         rows = sweep[a:b]

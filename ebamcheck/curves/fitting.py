@@ -17,7 +17,7 @@ from ebamcheck.curves.evidence import joined
 from ebamcheck.curves.fallback import with_fallback
 from ebamcheck.curves.interpolation import CENTRIPETAL, CHORD_LENGTH, interpolate
 from ebamcheck.curves.lifting import Lifting, as_they_are
-from ebamcheck.curves.oriented_contours import Strands, strands
+from ebamcheck.curves.oriented_contours import OrientedContours, orient
 from ebamcheck.curves.reduction import reduced_segments, smooth_segments
 from ebamcheck.curves.sagitta import sagittas
 from ebamcheck.curves.segments import Segments, pieces_of
@@ -204,24 +204,24 @@ def _interpolated(layers: Layers, settings: CurveSettings, power: float) -> Curv
 
 
 def _fit_surface(layers: Layers, settings: CurveSettings, lifting: Lifting | None) -> Curves:
-    found = _strands(layers, settings, lifting)
+    found = _oriented(layers, settings, lifting)
     return _curves(layers, smooth_segments(found, layers.closed))
 
 
 def _fit_bounded(layers: Layers, settings: CurveSettings, lifting: Lifting | None) -> Curves:
-    found = _strands(layers, settings, lifting)
+    found = _oriented(layers, settings, lifting)
     return _curves(layers, reduced_segments(found, layers.closed, settings.tolerance_mm))
 
 
-def _strands(layers: Layers, settings: CurveSettings, lifting: Lifting | None) -> Strands:
-    """Strands of the lifted contours, else of the cleaned contours as they are."""
+def _oriented(layers: Layers, settings: CurveSettings, lifting: Lifting | None) -> OrientedContours:
+    """Oriented: the lifted contours, else of the cleaned contours as they are."""
     if lifting is not None:
-        return strands(lifting.lift(layers), layers.ring_starts, layers.closed, settings)
+        return orient(lifting.lift(layers), layers.ring_starts, layers.closed, settings)
     cleaned = clean(
         layers.points, layers.ring_starts, layers.closed, settings.near_point_mm, settings.collinear_mm
     )
     sides = as_they_are(np.ascontiguousarray(layers.points)[cleaned.rows])
-    return strands(sides, cleaned.starts, layers.closed, settings, SHARE_OF_BULGE * settings.largest_bulge_mm)
+    return orient(sides, cleaned.starts, layers.closed, settings, SHARE_OF_BULGE * settings.largest_bulge_mm)
 
 
 def _curves(layers: Layers, segments: Segments) -> Curves:

@@ -1,6 +1,6 @@
 """Reduction: the fewest lines, arcs and cubics that stay within a tolerance of a curve through many points.
 
-Each goes as far as it can, from a point and direction of the strand to another point and its direction, so that
+Each goes as far as it can, from a point and direction of the contour to another point and its direction, so that
 the pieces join without a kink. A circle stays a circle: an arc is taken where it fits twice as close as it must.
 """
 
@@ -11,7 +11,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.curves.oriented_contours import Strands
+from ebamcheck.curves.one_segment import (
+    LARGEST_SWEEP_RAD,
+    Path,
+    arc_end,
+    fit_arc,
+    fit_cubic,
+    length_of,
+    own_cubic,
+    path_of,
+)
+from ebamcheck.curves.oriented_contours import OrientedContours
 from ebamcheck.curves.segments import Segments, set_cubic
 from ebamcheck.curves.splitting import ARC, LINE, SPLINE
 from ebamcheck.numeric.kernels import kernel, run_blocks
@@ -24,59 +34,31 @@ tolerance is that of the settings or this, so that on a coarse mesh what lifting
 LEAST_TOLERANCE_MM = 0.0005
 """Tolerance however small the bulges are: half of the least distance of contour points."""
 
-ARC_SHARE = 0.5
-"""An arc is taken where it keeps this share of the tolerance, and so is a circle and not merely near one."""
 
-ARC_DIRECTION_RAD = 2e-3
-"""An arc may end in a direction that is off by this; what follows starts in the arc's."""
-
-LARGEST_RADIUS_MM = 10_000.0
-"""Arcs of a larger radius are nearly straight, and their centres too far away to tell: they are written as cubics."""
-
-LARGEST_SWEEP_RAD = np.deg2rad(170.0)
-"""Sweep of one arc; controls take under half a turn by radius without doubt."""
-
-LARGEST_TURN_RAD = np.deg2rad(120.0)
-"""Turn of one cubic; more make loops."""
-
-NEWTON_STEPS = 2
-"""Steps by which parameters move towards the feet of the points, between two solutions."""
-
-SAMPLES_A_SEGMENT = 4
-"""Places of each segment of the strand that the reduced curve must stay near to."""
-
-CLOSED_LOOP_SHARE = 0.01
-"""A range whose ends are nearer than this share of its length is not tried as one piece."""
-
-
-class _Path(NamedTuple):
-    """A chain of cubics through points, with samples along it."""
+class _Written(NamedTuple):
+    """Columns into which segments are written."""
 
     points: Floats
-    """(n + 1, 2) joints."""
-    directions: Floats
-    """(n + 1, 2) unit directions at the joints."""
-    samples: Floats
-    """(SAMPLES_A_SEGMENT n + 1, 2)."""
-    lengths: Floats
-    """(SAMPLES_A_SEGMENT n + 1,) length along the samples, mm."""
-    turns: Floats
-    """(n + 1,) signed turn up to each joint, rad."""
+    """(n, 4, 2) Bezier points."""
+    kind: NDArray[np.uint8]
+    """(n,)"""
+    corner: Bools
+    """(n,) the segment starts at a corner."""
 
 
-def smooth_segments(strands: Strands, closed: Bools) -> Segments:
-    """One cubic or line for each segment of the strands."""
-    return _blocks(strands, closed, -1.0)
+def smooth_segments(contours: OrientedContours, closed: Bools) -> Segments:
+    """One cubic or line for each segment of the contours."""
+    return _blocks(contours, closed, -1.0)
 
 
-def reduced_segments(strands: Strands, closed: Bools, tolerance_mm: float) -> Segments:
+def reduced_segments(contours: OrientedContours, closed: Bools, tolerance_mm: float) -> Segments:
     """Lines, arcs and cubics, as few as the tolerance lets be."""
-    return _blocks(strands, closed, tolerance_mm)
+    return _blocks(contours, closed, tolerance_mm)
 
 
-def _blocks(strands: Strands, closed: Bools, tolerance_mm: float) -> Segments:
+def _blocks(contours: OrientedContours, closed: Bools, tolerance_mm: float) -> Segments:
     def work(first: int, last: int) -> tuple[Floats, NDArray[np.uint8], Bools, Ints]:
-        return _segments_of_rings(strands, closed, tolerance_mm, first, last)
+        return _segments_of_rings(contours, closed, tolerance_mm, first, last)
 
     blocks = run_blocks(work, closed.size)
     counts = np.concatenate([block[3] for block in blocks])
@@ -90,50 +72,46 @@ def _blocks(strands: Strands, closed: Bools, tolerance_mm: float) -> Segments:
 
 @kernel
 def _segments_of_rings(
-    strands: Strands, closed: Bools, tolerance: float, first: int, last: int
+    contours: OrientedContours, closed: Bools, tolerance: float, first: int, last: int
 ) -> tuple[Floats, NDArray[np.uint8], Bools, Ints]:
     """Bezier points, kinds, corners, and number of segments a ring; a negative tolerance keeps every segment."""
-    total = strands.starts[last] - strands.starts[first]
-    points = np.empty((total, 4, 2))
-    kind = np.empty(total, np.uint8)
-    corner = np.empty(total, np.bool_)
+    total = contours.starts[last] - contours.starts[first]
+    found = _Written(np.empty((total, 4, 2)), np.empty(total, np.uint8), np.empty(total, np.bool_))
     counts = np.zeros(last - first, np.int64)
     n = 0
     for r in range(first, last):
-        a, size = strands.starts[r], strands.starts[r + 1] - strands.starts[r]
+        a, size = contours.starts[r], contours.starts[r + 1] - contours.starts[r]
         segments = size if closed[r] and size > 1 else size - 1
         at = n
         k = 0
         while k < segments:
-            if strands.straight[a + k]:
-                points[n, 0] = strands.points[a + k]
-                points[n, 3] = strands.points[a + (k + 1) % size]
-                points[n, 1], points[n, 2] = points[n, 0], points[n, 3]
-                kind[n] = LINE
-                corner[n] = strands.corner[a + k]
+            if contours.straight[a + k]:
+                found.points[n, 0] = contours.points[a + k]
+                found.points[n, 3] = contours.points[a + (k + 1) % size]
+                found.points[n, 1], found.points[n, 2] = found.points[n, 0], found.points[n, 3]
+                found.kind[n] = LINE
+                found.corner[n] = contours.corner[a + k]
                 n += 1
                 k += 1
                 continue
             end = k + 1
-            while end < segments and not (strands.corner[a + end] or strands.straight[a + end]):
+            while end < segments and not (contours.corner[a + end] or contours.straight[a + end]):
                 end += 1
-            n = _chain(strands, a, size, k, end, tolerance, points, kind, corner, n)
+            n = _chain(contours, a, size, k, end, tolerance, found, n)
             k = end
         counts[r - first] = n - at
-    return points[:n].copy(), kind[:n].copy(), corner[:n].copy(), counts
+    return found.points[:n].copy(), found.kind[:n].copy(), found.corner[:n].copy(), counts
 
 
 @kernel
 def _chain(
-    strands: Strands,
+    contours: OrientedContours,
     a: int,
     size: int,
     k: int,
     end: int,
     tolerance: float,
-    points: Floats,
-    kind: NDArray[np.uint8],
-    corner: Bools,
+    found: _Written,
     n: int,
 ) -> int:
     """Write the segments of one smooth chain, from its segment k up to `end`; returns the place after them."""
@@ -142,81 +120,29 @@ def _chain(
     bulge = 0.0
     for i in range(count):
         p, q = a + k + i, a + (k + i + 1) % size
-        set_cubic(cubics[i], strands.points[p], strands.points[q], strands.after[p], strands.before[q])
-        chord = _length(strands.points[q] - strands.points[p])
-        bulge = max(bulge, 0.25 * chord * max(abs(strands.after[p]), abs(strands.before[q])))
+        set_cubic(cubics[i], contours.points[p], contours.points[q], contours.after[p], contours.before[q])
+        chord = length_of(contours.points[q] - contours.points[p])
+        bulge = max(bulge, 0.25 * chord * max(abs(contours.after[p]), abs(contours.before[q])))
     if tolerance < 0.0:
         for i in range(count):
-            points[n], kind[n], corner[n] = cubics[i], SPLINE, i == 0 and strands.corner[a + k]
+            found.points[n], found.kind[n], found.corner[n] = (
+                cubics[i],
+                SPLINE,
+                i == 0 and contours.corner[a + k],
+            )
             n += 1
         return n
     allowed = min(tolerance, max(SHARE_OF_BULGE * bulge, LEAST_TOLERANCE_MM))
-    path = _path(cubics)
-    corner[n] = strands.corner[a + k]
-    return _reduce(path, allowed, points, kind, corner, n)
-
-
-@kernel
-def _path(cubics: Floats) -> _Path:
-    count = len(cubics)
-    joints = np.empty((count + 1, 2))
-    directions = np.empty((count + 1, 2))
-    samples = np.empty((SAMPLES_A_SEGMENT * count + 1, 2))
-    lengths = np.zeros(SAMPLES_A_SEGMENT * count + 1)
-    turns = np.zeros(count + 1)
-    for i in range(count):
-        B = cubics[i]
-        joints[i] = B[0]
-        directions[i] = _unit(B[1] - B[0], B[3] - B[0])
-        for j in range(SAMPLES_A_SEGMENT):
-            _cubic_at(B, j / SAMPLES_A_SEGMENT, samples[SAMPLES_A_SEGMENT * i + j])
-    joints[count] = cubics[count - 1, 3]
-    samples[SAMPLES_A_SEGMENT * count] = joints[count]
-    directions[count] = _unit(
-        cubics[count - 1, 3] - cubics[count - 1, 2], cubics[count - 1, 3] - cubics[count - 1, 0]
-    )
-    for j in range(1, len(samples)):
-        lengths[j] = lengths[j - 1] + _length(samples[j] - samples[j - 1])
-    for i in range(count):
-        turns[i + 1] = turns[i] + _angle(directions[i], directions[i + 1])
-    return _Path(joints, directions, samples, lengths, turns)
-
-
-@kernel
-def _length(v: Floats) -> float:
-    return float(np.hypot(v[0], v[1]))
-
-
-@kernel
-def _unit(v: Floats, instead: Floats) -> Floats:
-    """Unit vector along v, or along another where v has no length."""
-    length = np.hypot(v[0], v[1])
-    if length == 0.0:
-        v, length = instead, max(np.hypot(instead[0], instead[1]), 1e-300)
-    return np.asarray(v / length)
-
-
-@kernel
-def _angle(a: Floats, b: Floats) -> float:
-    return float(np.arctan2(a[0] * b[1] - a[1] * b[0], a[0] * b[0] + a[1] * b[1]))
-
-
-@kernel
-def _cubic_at(B: Floats, t: float, point: Floats) -> None:
-    s = 1.0 - t
-    for axis in range(2):
-        point[axis] = (
-            s * s * s * B[0, axis] + 3.0 * s * t * (s * B[1, axis] + t * B[2, axis]) + t * t * t * B[3, axis]
-        )
+    path = path_of(cubics)
+    found.corner[n] = contours.corner[a + k]
+    return _reduce(path, allowed, found, n)
 
 
 @kernel
 def _reduce(
-    path: _Path,
+    path: Path,
     tolerance: float,
-    points: Floats,
-    kind: NDArray[np.uint8],
-    corner: Bools,
+    found: _Written,
     n: int,
 ) -> int:
     """Write the fewest segments along a path, each as long as can be; returns the place after them."""
@@ -227,20 +153,20 @@ def _reduce(
     guess = 1
     B = np.empty((4, 2))
     while i < last:
-        found = _farthest(path, direction, i, guess, tolerance, False, B)
-        round_ = _farthest(path, direction, i, max(found - i, 1), tolerance, True, B)
+        reached = _farthest(path, direction, i, guess, tolerance, False, B)
+        round_ = _farthest(path, direction, i, max(reached - i, 1), tolerance, True, B)
         is_arc = round_ - i > 1 and (
-            round_ >= found or abs(path.turns[round_] - path.turns[i]) > 0.9 * LARGEST_SWEEP_RAD
+            round_ >= reached or abs(path.turns[round_] - path.turns[i]) > 0.9 * LARGEST_SWEEP_RAD
         )
-        j = round_ if is_arc else found
+        j = round_ if is_arc else reached
         if is_arc:
-            _fit_arc(path, direction, i, j, tolerance, B)
-        elif not _fit_cubic(path, direction, i, j, tolerance, B):
-            _own_cubic(path, direction, i, B)  # a single segment is what it is
-        points[n], kind[n] = B, ARC if is_arc else SPLINE
+            fit_arc(path, direction, i, j, tolerance, B)
+        elif not fit_cubic(path, direction, i, j, tolerance, B):
+            own_cubic(path, direction, i, B)  # a single segment is what it is
+        found.points[n], found.kind[n] = B, ARC if is_arc else SPLINE
         if n > begin:
-            corner[n] = False
-        direction[:] = _arc_end(B) if is_arc else path.directions[j]
+            found.corner[n] = False
+        direction[:] = arc_end(B) if is_arc else path.directions[j]
         n += 1
         guess = j - i
         i = j
@@ -249,7 +175,7 @@ def _reduce(
 
 @kernel
 def _farthest(
-    path: _Path, direction: Floats, i: int, guess: int, tolerance: float, round_: bool, B: Floats
+    path: Path, direction: Floats, i: int, guess: int, tolerance: float, round_: bool, B: Floats
 ) -> int:
     """Farthest joint that one segment from joint i reaches within the tolerance; i + 1 at least."""
     last = len(path.points) - 1
@@ -258,9 +184,9 @@ def _farthest(
     while low < high - 1:  # from the guess outward, then by halves
         size = min(low + step, high - 1) if step > 0 else (low + high) // 2
         fits = (
-            _fit_arc(path, direction, i, i + size, tolerance, B)
+            fit_arc(path, direction, i, i + size, tolerance, B)
             if round_
-            else _fit_cubic(path, direction, i, i + size, tolerance, B)
+            else fit_cubic(path, direction, i, i + size, tolerance, B)
         )
         if fits:
             low = size
@@ -269,147 +195,3 @@ def _farthest(
             high = size
             step = 0
     return i + low
-
-
-@kernel
-def _fit_arc(path: _Path, direction: Floats, i: int, j: int, tolerance: float, B: Floats) -> bool:
-    """Arc from joint i in a direction to joint j; whether it fits."""
-    p, q = path.points[i], path.points[j]
-    x, y = q[0] - p[0], q[1] - p[1]
-    chord = np.hypot(x, y)
-    half = np.arctan2(direction[0] * y - direction[1] * x, direction[0] * x + direction[1] * y)
-    if abs(half) > 0.5 * LARGEST_SWEEP_RAD or chord >= 2.0 * LARGEST_RADIUS_MM * np.sin(abs(half)):
-        return False
-    if abs(path.turns[j] - path.turns[i] - 2.0 * half) > ARC_DIRECTION_RAD:
-        return False
-    rise = 0.5 * chord * np.tan(0.5 * half)
-    B[0], B[3] = p, q
-    B[1, 0] = 0.5 * (p[0] + q[0]) + rise * y / chord
-    B[1, 1] = 0.5 * (p[1] + q[1]) - rise * x / chord
-    B[2] = B[1]
-    radius = 0.5 * chord / np.sin(half)
-    cx, cy = p[0] - radius * direction[1], p[1] + radius * direction[0]
-    for k in range(SAMPLES_A_SEGMENT * i, SAMPLES_A_SEGMENT * j):
-        off = abs(np.hypot(path.samples[k, 0] - cx, path.samples[k, 1] - cy) - abs(radius))
-        if off > ARC_SHARE * tolerance:
-            return False
-    return True
-
-
-@kernel
-def _arc_end(B: Floats) -> Floats:
-    """Direction at the end of an arc: its chord turned by what its middle says."""
-    chord = _unit(B[3] - B[0], B[3] - B[0])
-    along = _unit(B[1] - B[0], chord)
-    half = 2.0 * _angle(along, chord)
-    c, s = np.cos(half), np.sin(half)
-    return np.array([c * chord[0] - s * chord[1], s * chord[0] + c * chord[1]])
-
-
-@kernel
-def _own_cubic(path: _Path, direction: Floats, i: int, B: Floats) -> None:
-    """Cubic over one segment of the path, from the direction in which the last one ended."""
-    p, q = path.points[i], path.points[i + 1]
-    chord = q - p
-    set_cubic(B, p, q, _angle(direction, chord), _angle(chord, path.directions[i + 1]))
-
-
-@kernel
-def _fit_cubic(path: _Path, direction: Floats, i: int, j: int, tolerance: float, B: Floats) -> bool:
-    """Cubic from joint i in a direction to joint j in its own, nearest to the samples; whether it fits."""
-    if abs(path.turns[j] - path.turns[i]) > LARGEST_TURN_RAD:
-        return False
-    first, last = SAMPLES_A_SEGMENT * i, SAMPLES_A_SEGMENT * j
-    length = path.lengths[last] - path.lengths[first]
-    p, q = path.points[i], path.points[j]
-    chord = np.hypot(q[0] - p[0], q[1] - p[1])
-    if chord <= CLOSED_LOOP_SHARE * length:
-        return False
-    back = path.directions[j]
-    B[0], B[3] = p, q
-    stride = max(1, (last - first) // 24)  # two legs follow from a few places; all are checked
-    count = (last - first) // stride
-    t = np.empty(count)
-    for k in range(count):
-        t[k] = (path.lengths[first + k * stride] - path.lengths[first]) / length
-    for step in range(NEWTON_STEPS + 1):
-        _set_legs(path.samples, first, stride, t, direction, back, length, B)
-        if step < NEWTON_STEPS:
-            for k in range(count):
-                t[k] = _foot(B, path.samples[first + k * stride], t[k])
-    guess = 0.0
-    for k in range(first + 1, last):
-        guess = (path.lengths[k] - path.lengths[first]) / length
-        if _distance(B, path.samples[k], guess) > tolerance:
-            return False
-    return True
-
-
-@kernel
-def _set_legs(
-    samples: Floats,
-    first: int,
-    stride: int,
-    t: Floats,
-    direction: Floats,
-    back: Floats,
-    length: float,
-    B: Floats,
-) -> None:
-    """Legs of a cubic with given ends and directions by least squares (Schneider 1990); those of a circle where they fail."""
-    c00 = c01 = c11 = r0 = r1 = 0.0
-    for k in range(t.size):
-        u = t[k]
-        s = 1.0 - u
-        b1, b2 = 3.0 * s * s * u, 3.0 * s * u * u
-        start, end = s * s * (s + 3.0 * u), u * u * (u + 3.0 * s)
-        for axis in range(2):
-            a0, a1 = b1 * direction[axis], -b2 * back[axis]
-            rest = samples[first + k * stride, axis] - start * B[0, axis] - end * B[3, axis]
-            c00 += a0 * a0
-            c01 += a0 * a1
-            c11 += a1 * a1
-            r0 += a0 * rest
-            r1 += a1 * rest
-    determinant = c00 * c11 - c01 * c01
-    even = length / 3.0
-    legs = np.array([even, even])
-    if determinant > 1e-9 * c00 * c11:
-        legs[0] = (r0 * c11 - r1 * c01) / determinant
-        legs[1] = (r1 * c00 - r0 * c01) / determinant
-        if not (0.25 * even < legs[0] < 3.0 * even and 0.25 * even < legs[1] < 3.0 * even):
-            legs[:] = even
-    for axis in range(2):
-        B[1, axis] = B[0, axis] + legs[0] * direction[axis]
-        B[2, axis] = B[3, axis] - legs[1] * back[axis]
-
-
-@kernel
-def _foot(B: Floats, point: Floats, t: float) -> float:
-    """Move a parameter towards the foot of a point by a step of Gauss and Newton."""
-    s = 1.0 - t
-    dot = square = 0.0
-    for axis in range(2):
-        at = s * s * s * B[0, axis] + 3.0 * s * t * (s * B[1, axis] + t * B[2, axis]) + t * t * t * B[3, axis]
-        d = 3.0 * (
-            s * s * (B[1, axis] - B[0, axis])
-            + 2.0 * s * t * (B[2, axis] - B[1, axis])
-            + t * t * (B[3, axis] - B[2, axis])
-        )
-        dot += (at - point[axis]) * d
-        square += d * d
-    if square == 0.0:
-        return t
-    return float(min(max(t - dot / square, 0.0), 1.0))
-
-
-@kernel
-def _distance(B: Floats, point: Floats, guess: float) -> float:
-    """Distance of a point from the cubic near a parameter: that of a point of it, so never too small."""
-    t = _foot(B, point, _foot(B, point, guess))
-    s = 1.0 - t
-    square = 0.0
-    for axis in range(2):
-        at = s * s * s * B[0, axis] + 3.0 * s * t * (s * B[1, axis] + t * B[2, axis]) + t * t * t * B[3, axis]
-        square += (at - point[axis]) ** 2
-    return float(np.sqrt(square))

@@ -51,7 +51,7 @@ def leg_over_chord(start: float, end: float) -> float:
 
 @kernel
 def set_cubic(B: Floats, p: Floats, q: Floats, start: float, end: float) -> None:
-    """Write the cubic from p to q whose directions leave the chord by the given angles (rad; see :class:`Strands`)."""
+    """Write the cubic from p to q whose directions leave the chord by the given angles (rad; see :class:`OrientedContours`)."""
     x, y = q[0] - p[0], q[1] - p[1]
     leg = leg_over_chord(start, end)
     c, s = np.cos(start) * leg, np.sin(start) * leg

@@ -43,6 +43,18 @@ class Runs(NamedTuple):
     """(P, 2, 2) unit directions at the two ends of a run, NaN where they are free."""
 
 
+class _Marked(NamedTuple):
+    """Clean rings with their corners and straight segments."""
+
+    points: Floats
+    cleaned: CleanRings
+    closed: Bools
+    corners: Bools
+    """(K,) whether a kept point is a corner."""
+    straight: Bools
+    """(K,) whether the segment after it is straight."""
+
+
 def split(
     points: Floats,
     cleaned: CleanRings,
@@ -59,19 +71,20 @@ def split(
     next to a straight segment (where there is no corner) it takes that segment's direction as its
     tangent.
     """
-    ring_count = closed.size
-    rows = cleaned.rows.copy()
-    corners = np.zeros(rows.size, dtype=np.bool_)
-    straight = np.zeros(rows.size, dtype=np.bool_)
+    ring_count, size = closed.size, cleaned.rows.size
+    marked = _Marked(
+        points,
+        cleaned._replace(rows=cleaned.rows.copy()),
+        closed,
+        np.zeros(size, np.bool_),
+        np.zeros(size, np.bool_),
+    )
     largest_turn = np.deg2rad(180.0 - corner_angle_deg + ANGLE_ROUNDING_DEG)
     pieces = np.zeros(ring_count, dtype=np.int64)
     sizes = np.zeros(ring_count, dtype=np.int64)
 
     def mark(first: int, last: int) -> None:
-        _mark(
-            points, rows, cleaned.starts, closed, cleaned.collapsed, largest_turn,
-            straight_run_mm, first, last, corners, straight, pieces, sizes,
-        )  # fmt: skip
+        _mark(marked, largest_turn, straight_run_mm, first, last, pieces, sizes)
 
     run_blocks(mark, ring_count, RINGS_A_BLOCK)
     ring_starts = np.concatenate([[0], np.cumsum(pieces)]).astype(np.int64)
@@ -87,10 +100,7 @@ def split(
     )
 
     def fill(first: int, last: int) -> None:
-        _fill(
-            points, rows, cleaned.starts, closed, cleaned.collapsed, corners, straight,
-            first, last, places, runs,
-        )  # fmt: skip
+        _fill(marked, first, last, places, runs)
 
     run_blocks(fill, ring_count, RINGS_A_BLOCK)
     return runs
@@ -106,17 +116,11 @@ def _turn(points: Floats, i: int, j: int, k: int) -> float:
 
 @kernel
 def _mark(
-    points: Floats,
-    rows: Ints,
-    starts: Ints,
-    closed: Bools,
-    collapsed: Bools,
+    marked: _Marked,
     largest_turn: float,
     straight_run: float,
     first_ring: int,
     last_ring: int,
-    corners: Bools,
-    straight: Bools,
     pieces: Ints,
     sizes: Ints,
 ) -> None:
@@ -125,6 +129,7 @@ def _mark(
     ``corners[k]`` belongs to the k-th kept point and ``straight[k]`` to the segment after it;
     `sizes` counts the points of all pieces of a ring, shared ones twice.
     """
+    points, (rows, starts, collapsed), closed, corners, straight = marked
     for ring in range(first_ring, last_ring):
         a, b = starts[ring], starts[ring + 1]
         n = b - a
@@ -183,20 +188,9 @@ def _mark_long(
 
 
 @kernel
-def _fill(
-    points: Floats,
-    rows: Ints,
-    starts: Ints,
-    closed: Bools,
-    collapsed: Bools,
-    corners: Bools,
-    straight: Bools,
-    first_ring: int,
-    last_ring: int,
-    places: Ints,
-    runs: Runs,
-) -> None:
+def _fill(marked: _Marked, first_ring: int, last_ring: int, places: Ints, runs: Runs) -> None:
     """Write the points, kinds and tangents of all runs, ring by ring."""
+    points, (rows, starts, collapsed), closed, corners, straight = marked
     for ring in range(first_ring, last_ring):
         place = places[ring]
         a, n = starts[ring], starts[ring + 1] - starts[ring]

@@ -269,21 +269,19 @@ class HeatColumn:
         """Let a time go by, in which the uppermost layer takes up heat."""
         if duration_s <= 0.0 or not len(self.content):
             return
-        gone = march(
-            self.content,
+        process = self.profile.process
+        column = (
             self._material.temperature_k,
             self._material.theta_w_mm,
             self._material.step_j_mm3,
             self._cells[0],
             self._cells[1],
             self._radiating,
-            self.profile.process.ambient_temperature_k,
-            self.profile.process.base == "cooled",
-            self._top,
-            energy_j / duration_s,
-            duration_s,
-            FEW_STEPS if duration_s <= SHORT_S else STEPS,
+            process.ambient_temperature_k,
+            process.base == "cooled",
         )
+        steps = FEW_STEPS if duration_s <= SHORT_S else STEPS
+        gone = march(self.content, column, self._top, energy_j / duration_s, duration_s, steps)
         self.absorbed_j += energy_j
         self.base_j += float(gone[0])
         self.radiated_j += float(gone[1])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,35 +30,73 @@ def looked_up(table: Floats, step: float, content: float) -> tuple[float, float]
     return table[node] + slope * (place - node), slope / step
 
 
+class Column(NamedTuple):
+    """Cells of a heat column, from its base up, and what they are made of.
+
+    Parameters
+    ----------
+    temperature, theta, table_step
+        Temperature, K, and heat potential, W/mm, over the heat content at even steps, J/mm^3.
+    size, area
+        (n,) length along the column, mm, and section of the cells, mm^2.
+    radiating
+        (n,) heat that a cell radiates over T^4 - Ta^4.
+    ambient
+        Temperature of the chamber, K.
+    cooled
+        Whether the base keeps the temperature of the table; else no heat passes it.
+    """
+
+    temperature: Floats
+    theta: Floats
+    table_step: float
+    size: Floats
+    area: Floats
+    radiating: Floats
+    ambient: float
+    cooled: bool
+
+
+ColumnFields = tuple[Floats, Floats, float, Floats, Floats, Floats, float, bool]
+"""The fields of a :class:`Column` as a plain tuple: of a named one numba finds the type in Python, 10 us a call."""
+
+
+class _Step(NamedTuple):
+    """Columns (n,) of a time step: values with their slopes over the heat content, and the tridiagonal equations."""
+
+    volume: Floats
+    half: Floats
+    flow: Floats
+    flow_slope: Floats
+    lost: Floats
+    lost_slope: Floats
+    diagonal: Floats
+    upper: Floats
+    right: Floats
+
+
 @kernel
 def march(
-    content: Floats,
-    temperature: Floats,
-    theta: Floats,
-    table_step: float,
-    size: Floats,
-    area: Floats,
-    radiating: Floats,
-    ambient: float,
-    cooled: bool,
-    top: int,
-    power: float,
-    duration: float,
-    steps: int,
+    content: Floats, fields: ColumnFields, top: int, power: float, duration: float, steps: int
 ) -> Floats:
     """Age a column; `content` goes from the first to the last state. Returns the heat to the table and radiated, J.
 
-    What leaves in a step is counted as the last Newton step has it, whose solution balances exactly.
+    The cells from `top` up are heated by a power, W. What leaves in a step is counted as the last Newton step has
+    it, whose solution balances exactly.
     """
+    column = Column(*fields)
     count = len(content)
-    volume, half = size * area, 0.5 * size / area
-    heated = volume[top:].sum()
+    half = 0.5 * column.size / column.area
+    work = _Step(
+        column.size * column.area, half, np.empty(count), np.empty(count), np.empty(count), np.empty(count),
+        np.empty(count), np.empty(count), np.empty(count),
+    )  # fmt: skip
+    source = np.zeros(count)
+    heated = work.volume[top:].sum()
+    for i in range(top, count):
+        source[i] = power * work.volume[i] / heated
     gone = np.zeros(2)
-    warm, warm_slope = np.empty(count), np.empty(count)
-    flow, flow_slope = np.empty(count), np.empty(count)
-    lost, lost_slope = np.empty(count), np.empty(count)
-    diagonal, upper, right = np.empty(count), np.empty(count), np.empty(count)
-    base = 1.0 / half[0] if cooled else 0.0
+    base = 1.0 / half[0] if column.cooled else 0.0
     before = 0.0
     for solve in range(2 * steps):
         step, stage = solve // 2 + 1, solve % 2
@@ -70,48 +109,68 @@ def march(
             # What the first stage changes, over its share of the step, goes on for the rest of it.
             old += (content - old) * ((1.0 - STAGE) / STAGE)
         for turn in range(NEWTON_STEPS):
-            for i in range(count):
-                warm[i], warm_slope[i] = looked_up(temperature, table_step, content[i])
-                flow[i], flow_slope[i] = looked_up(theta, table_step, content[i])
-                lost[i] = radiating[i] * (warm[i] ** 4 - ambient**4)
-                lost_slope[i] = radiating[i] * 4.0 * warm[i] ** 3 * warm_slope[i]
-            for i in range(count):
-                source = power * volume[i] / heated if i >= top else 0.0
-                rest = source - lost[i] - volume[i] * (content[i] - old[i]) / time
-                pivot = volume[i] / time + lost_slope[i]
-                if i == 0:
-                    rest -= base * flow[0]
-                    pivot += base * flow_slope[0]
-                else:
-                    link = 1.0 / (half[i - 1] + half[i])
-                    rest -= link * (flow[i] - flow[i - 1])
-                    pivot += link * flow_slope[i]
-                if i + 1 < count:
-                    link = 1.0 / (half[i] + half[i + 1])
-                    rest -= link * (flow[i] - flow[i + 1])
-                    pivot += link * flow_slope[i]
-                    upper[i] = -link * flow_slope[i + 1]
-                if i > 0:
-                    lower = -flow_slope[i - 1] / (half[i - 1] + half[i])
-                    factor = lower / diagonal[i - 1]
-                    pivot -= factor * upper[i - 1]
-                    rest -= factor * right[i - 1]
-                diagonal[i], right[i] = pivot, rest
-            largest = 0.0
-            for i in range(count - 1, -1, -1):
-                if i + 1 < count:
-                    right[i] -= upper[i] * right[i + 1]
-                right[i] /= diagonal[i]
-                largest = max(largest, abs(right[i]))
+            _look_up(content, column, work)
+            _eliminate(content, old, source, base, time, work)
+            largest = _solve(work)
             last = largest < NEWTON_J_MM3 or turn == NEWTON_STEPS - 1
             # All cells change alike, so that the balance holds along the way; the last step is a whole one.
             share = 1.0 if last else min(1.0, LARGEST_CHANGE_J_MM3 / largest)
             for i in range(count):
-                content[i] += share * right[i]
+                content[i] += share * work.right[i]
             if last:
                 break
         weight = STAGE if stage else 1.0 - STAGE
-        gone[0] += weight * whole * base * (flow[0] + flow_slope[0] * right[0])
+        gone[0] += weight * whole * base * (work.flow[0] + work.flow_slope[0] * work.right[0])
         for i in range(count):
-            gone[1] += weight * whole * (lost[i] + lost_slope[i] * right[i])
+            gone[1] += weight * whole * (work.lost[i] + work.lost_slope[i] * work.right[i])
     return gone
+
+
+@kernel
+def _look_up(content: Floats, column: Column, work: _Step) -> None:
+    """Set the heat potential and the radiation of each cell, with their slopes."""
+    ambient = column.ambient
+    for i in range(len(content)):
+        warm, slope = looked_up(column.temperature, column.table_step, content[i])
+        work.flow[i], work.flow_slope[i] = looked_up(column.theta, column.table_step, content[i])
+        work.lost[i] = column.radiating[i] * (warm**4 - ambient**4)
+        work.lost_slope[i] = column.radiating[i] * 4.0 * warm**3 * slope
+
+
+@kernel
+def _eliminate(content: Floats, old: Floats, source: Floats, base: float, time: float, work: _Step) -> None:
+    """Set the equations of a Newton step, and eliminate what lies under their diagonal."""
+    count, half, flow, flow_slope = len(content), work.half, work.flow, work.flow_slope
+    for i in range(count):
+        rest = source[i] - work.lost[i] - work.volume[i] * (content[i] - old[i]) / time
+        pivot = work.volume[i] / time + work.lost_slope[i]
+        if i == 0:
+            rest -= base * flow[0]
+            pivot += base * flow_slope[0]
+        else:
+            link = 1.0 / (half[i - 1] + half[i])
+            rest -= link * (flow[i] - flow[i - 1])
+            pivot += link * flow_slope[i]
+        if i + 1 < count:
+            link = 1.0 / (half[i] + half[i + 1])
+            rest -= link * (flow[i] - flow[i + 1])
+            pivot += link * flow_slope[i]
+            work.upper[i] = -link * flow_slope[i + 1]
+        if i > 0:
+            lower = -flow_slope[i - 1] / (half[i - 1] + half[i])
+            factor = lower / work.diagonal[i - 1]
+            pivot -= factor * work.upper[i - 1]
+            rest -= factor * work.right[i - 1]
+        work.diagonal[i], work.right[i] = pivot, rest
+
+
+@kernel
+def _solve(work: _Step) -> float:
+    """Put the solution in the place of the right side; returns the largest change, J/mm^3."""
+    largest, count = 0.0, work.right.size
+    for i in range(count - 1, -1, -1):
+        if i + 1 < count:
+            work.right[i] -= work.upper[i] * work.right[i + 1]
+        work.right[i] /= work.diagonal[i]
+        largest = max(largest, abs(work.right[i]))
+    return largest

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import shapely
@@ -169,7 +170,7 @@ def judged(
     entered_s: Floats,
     until_s: float,
 ) -> Verdict:
-    """Drive a beam along lines and read islands when they are entered.
+    """Lead a beam along lines and read islands when they are entered.
 
     Parameters
     ----------
@@ -192,26 +193,13 @@ def judged(
     readings = np.argsort(entered_s, kind="stable")
     times_s = time_steps(until_s, model.longest_step_s, entered_s)
     state = content.copy()
-    entry_k, balance = driven_by_beam(
+    path = np.column_stack([lines - np.tile(model.origin, 2), begin_s, end_s])
+    entry_k, balance = heated_by_beam(
         state,
-        model.tables.temperature_k,
-        model.tables.theta_w_mm,
-        model.tables.step_j_mm3,
-        model.solid,
-        model.cell_mm,
-        model.cooled,
-        model.radiation_w_mm2k4,
-        model.ambient_k,
+        _Body.of(model),
+        _Beam(path, power_w, model.sigma_mm),
+        _Readings(readings.astype(np.int64), np.asarray(entered_s, np.float64), first, cells, weights),
         times_s,
-        np.column_stack([lines - np.tile(model.origin, 2), begin_s, end_s]),
-        power_w,
-        model.sigma_mm,
-        model.boiling_j_mm3,
-        readings.astype(np.int64),
-        np.asarray(entered_s, np.float64),
-        first,
-        cells,
-        weights,
     )
     entry_k[np.diff(first) == 0] = np.nan
     return Verdict(entry_k, state, *balance.tolist())
@@ -235,78 +223,127 @@ def at_content(table: Floats, step: float, content: float) -> float:
     return float(table[node] + (table[node + 1] - table[node]) * (place - node))
 
 
+class _Body(NamedTuple):
+    """The columns of a :class:`Referee` that its steps read."""
+
+    temperature: Floats
+    theta: Floats
+    table_step: float
+    solid: Bools
+    cell: Floats
+    cooled: bool
+    radiation: float
+    ambient: float
+    boiling: float
+
+    @classmethod
+    def of(cls, model: Referee) -> _Body:
+        return cls(
+            model.tables.temperature_k,
+            model.tables.theta_w_mm,
+            model.tables.step_j_mm3,
+            model.solid,
+            model.cell_mm,
+            model.cooled,
+            model.radiation_w_mm2k4,
+            model.ambient_k,
+            model.boiling_j_mm3,
+        )
+
+
+class _Beam(NamedTuple):
+    """Lines (V, 6) x0, y0, x1, y1, and the times at which the beam is there; power, W; standard deviation, mm."""
+
+    lines: Floats
+    power: float
+    sigma: float
+
+
+class _Readings(NamedTuple):
+    """Islands in the order in which they are entered, and when; first entry, cells and weights as of
+    :meth:`Referee.reading`."""
+
+    order: Ints
+    entered: Floats
+    first: Ints
+    cells: Ints
+    weights: Floats
+
+
 @kernel
-def driven_by_beam(
-    content: Floats,
-    temperature: Floats,
-    theta: Floats,
-    table_step: float,
-    solid: Bools,
-    cell: Floats,
-    cooled: bool,
-    radiation: float,
-    ambient: float,
-    times: Floats,
-    lines: Floats,
-    power: float,
-    sigma: float,
-    boiling: float,
-    readings: Ints,
-    entered: Floats,
-    first: Ints,
-    cells: Ints,
-    weights: Floats,
+def heated_by_beam(
+    content: Floats, body: _Body, beam: _Beam, readings: _Readings, times: Floats
 ) -> tuple[Floats, Floats]:
     """March in time; `content` goes from the first to the last state.
 
     Returns the temperature rise of the islands, and absorbed, to the base, radiated, evaporated (J), hottest (K).
     """
-    layers, rows, columns = content.shape
-    potential = np.zeros((layers, rows, columns))
-    entry_k, balance = np.zeros(len(entered)), np.zeros(5)
-    volume, face = cell[0] * cell[1] * cell[2], cell[0] * cell[1]
-    steps = len(times) - 1
-    line, reading = 0, 0
-    for step in range(steps + 1):
+    potential = np.zeros(content.shape)
+    entry_k, balance = np.zeros(len(readings.entered)), np.zeros(5)
+    line, read = 0, 0
+    for step in range(len(times)):
         now = times[step]
-        while reading < len(readings) and entered[readings[reading]] <= now:
-            island = readings[reading]
-            for m in range(first[island], first[island + 1]):
-                row, column = cells[m] // columns, cells[m] % columns
-                warm = at_content(temperature, table_step, content[0, row, column])
-                entry_k[island] += weights[m] * (warm - ambient)
-            reading += 1
-        if step == steps:
+        while read < len(readings.order) and readings.entered[readings.order[read]] <= now:
+            island = readings.order[read]
+            entry_k[island] = _read(content, body, readings, island)
+            read += 1
+        if step == len(times) - 1:
             break
         step_s = times[step + 1] - now
-        over = step_s / cell**2
-        for z in range(layers):
-            for row in range(rows):
-                for column in range(columns):
-                    if solid[row, column]:
-                        potential[z, row, column] = at_content(theta, table_step, content[z, row, column])
+        _set_potential(content, body, potential)
         # Radiation and the base see the temperatures at the beginning of the step, as conduction does.
+        _lose(content, body, potential, step_s, balance)
+        conduct(content, potential, body.solid, step_s / body.cell**2)
+        line = heat_along(content, body, beam, line, now, now + step_s, balance)
+    return entry_k, balance
+
+
+@kernel
+def _read(content: Floats, body: _Body, readings: _Readings, island: int) -> float:
+    """Mean temperature rise of the cells of an island."""
+    columns, rise = body.solid.shape[1], 0.0
+    for m in range(readings.first[island], readings.first[island + 1]):
+        row, column = readings.cells[m] // columns, readings.cells[m] % columns
+        warm = at_content(body.temperature, body.table_step, content[0, row, column])
+        rise += readings.weights[m] * (warm - body.ambient)
+    return rise
+
+
+@kernel
+def _set_potential(content: Floats, body: _Body, potential: Floats) -> None:
+    layers, rows, columns = content.shape
+    for z in range(layers):
         for row in range(rows):
             for column in range(columns):
-                if not solid[row, column]:
-                    continue
-                surplus = content[0, row, column] - boiling
-                if surplus > 0.0:
-                    content[0, row, column] = boiling
-                    balance[3] += surplus * volume
-                warm = at_content(temperature, table_step, content[0, row, column])
-                balance[4] = max(balance[4], warm)
-                lost = radiation * (warm**4 - ambient**4) * face * step_s
-                content[0, row, column] -= lost / volume
-                balance[2] += lost
-                if cooled:
-                    # The base lies half a cell under the last centre.
-                    passed = 2.0 * potential[layers - 1, row, column] / cell[2] * face * step_s
-                    content[layers - 1, row, column] -= passed / volume
-                    balance[1] += passed
-        conduct(content, potential, solid, over)
-        line = heat_along(content, solid, cell, lines, line, now, now + step_s, power, sigma, balance)
-    return entry_k, balance
+                if body.solid[row, column]:
+                    here = at_content(body.theta, body.table_step, content[z, row, column])
+                    potential[z, row, column] = here
+
+
+@kernel
+def _lose(content: Floats, body: _Body, potential: Floats, step_s: float, balance: Floats) -> None:
+    """Take away what evaporates, radiates from the surface, and passes the base in a step."""
+    layers, rows, columns = content.shape
+    face, depth = body.cell[0] * body.cell[1], body.cell[2]
+    volume = body.cell[0] * body.cell[1] * body.cell[2]
+    for row in range(rows):
+        for column in range(columns):
+            if not body.solid[row, column]:
+                continue
+            surplus = content[0, row, column] - body.boiling
+            if surplus > 0.0:
+                content[0, row, column] = body.boiling
+                balance[3] += surplus * volume
+            warm = at_content(body.temperature, body.table_step, content[0, row, column])
+            balance[4] = max(balance[4], warm)
+            lost = body.radiation * (warm**4 - body.ambient**4) * face * step_s
+            content[0, row, column] -= lost / volume
+            balance[2] += lost
+            if body.cooled:
+                # The base lies half a cell under the last centre.
+                passed = 2.0 * potential[layers - 1, row, column] / depth * face * step_s
+                content[layers - 1, row, column] -= passed / volume
+                balance[1] += passed
 
 
 @kernel
@@ -335,18 +372,10 @@ def conduct(content: Floats, potential: Floats, solid: Bools, over: Floats) -> N
 
 @kernel
 def heat_along(
-    content: Floats,
-    solid: Bools,
-    cell: Floats,
-    lines: Floats,
-    line: int,
-    begin: float,
-    end: float,
-    power: float,
-    sigma: float,
-    balance: Floats,
+    content: Floats, body: _Body, beam: _Beam, line: int, begin: float, end: float, balance: Floats
 ) -> int:
     """Add what the beam brings from one time to another; returns the line that it is on."""
+    lines, cell = beam.lines, body.cell
     volume = cell[0] * cell[1] * cell[2]
     while line < len(lines):
         starts, ends = lines[line, 4], lines[line, 5]
@@ -355,9 +384,9 @@ def heat_along(
             share = (0.5 * (low + high) - starts) / (ends - starts)
             x = lines[line, 0] + share * (lines[line, 2] - lines[line, 0])
             y = lines[line, 1] + share * (lines[line, 3] - lines[line, 1])
-            heat = power * (high - low) / volume
-            reach = sigma / cell[:2]
-            balance[0] += volume * spread(content, solid, x / cell[0], y / cell[1], reach, heat)
+            heat = beam.power * (high - low) / volume
+            reach = beam.sigma / cell[:2]
+            balance[0] += volume * spread(content, body.solid, x / cell[0], y / cell[1], reach, heat)
         if ends > end:
             break
         line += 1

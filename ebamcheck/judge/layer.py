@@ -21,7 +21,6 @@ import numpy as np
 import pandas as pd
 import shapely
 from numpy.typing import NDArray
-from scipy.stats import kendalltau, spearmanr
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.curves import Curves
@@ -108,6 +107,8 @@ class JudgedLayer:
 
     def figures(self) -> dict[str, float]:
         """Greatest rises, agreement in rank, and how much hotter one model is than the other."""
+        from scipy.stats import kendalltau, spearmanr
+
         table = self.table
         ours, theirs = table["model_k"].to_numpy(), table["thesis_k"].to_numpy()
         # The first island is cold in any model.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import shapely
 from numpy.typing import NDArray
 
 from ebamcheck.errors import BackendFailed
@@ -61,6 +60,8 @@ def refuse_crossing(layers: Layers, tolerance_mm: float, name: str) -> None:
     first, second = _near_pairs(layers)
     if not first.size:
         return
+    import shapely
+
     used, index = np.unique(np.concatenate([first, second]), return_inverse=True)
     sizes = np.diff(layers.ring_starts)[used]
     ring = np.repeat(np.arange(used.size), sizes)

@@ -10,13 +10,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
-import shapely
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.showing import short_text
 from ebamcheck.showing.outline_svg import outline_svg
 
 if TYPE_CHECKING:
+    import shapely
+
     from ebamcheck.layers.stack import Layers
     from ebamcheck.numeric.rings import Floats
 

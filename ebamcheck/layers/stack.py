@@ -9,9 +9,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import shapely
 from numpy.typing import ArrayLike, NDArray
-from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.layers import canonical_form
@@ -21,6 +19,10 @@ from ebamcheck.numeric.kernels import run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 if TYPE_CHECKING:
+    # It loads where polygons are made; most commands make none.
+    import shapely
+    from shapely.geometry.base import BaseGeometry
+
     from ebamcheck.mesh.part import Part
 
 UP = (0.0, 0.0, 1.0)
@@ -177,6 +179,8 @@ class Layers:
         An outer ring is solid inside if it and the rings around it wind more than 0 times: where rounding has put an
         outer ring into a hole with the same outline, there is nothing.
         """
+        import shapely
+
         holes: dict[int, list[Floats]] = {}
         for r in self.rings_of(layer):
             if self.ring_areas[r] < 0 and self.parents[r] >= 0:
@@ -342,6 +346,8 @@ def from_rings(
 
 def from_polygons(heights: ArrayLike, layers: Sequence[Iterable[BaseGeometry]], **labels: Any) -> Layers:
     """Build layers from shapely polygons (or multi-polygons), one collection a layer."""
+    import shapely
+
     stack: list[list[Floats]] = []
     for layer in layers:
         found: list[Floats] = []
@@ -381,6 +387,8 @@ def concatenate(blocks: Sequence[Layers]) -> Layers:
 
 def valid_polygons(geometry: BaseGeometry) -> list[shapely.Polygon]:
     """Polygons with area in a geometry, made valid where they are not."""
+    import shapely
+
     if not geometry.is_valid:
         geometry = shapely.make_valid(geometry)
     parts = shapely.get_parts(geometry)

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import shapely
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.layers.stack import Layers
@@ -308,6 +307,8 @@ def _view(box: Box, width_px: float, margin_px: float, top_px: float) -> _View:
 
 def _reduced(points: Floats, closed: bool, tolerance_mm: float) -> Floats:
     """Points of a line that stays within the tolerance of all of them (Douglas and Peucker 1973)."""
+    import shapely
+
     if len(points) < 4:
         return points
     # A closed ring is cut at its first point and the one farthest from it, so that both stay.

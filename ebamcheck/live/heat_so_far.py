@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ebamcheck.heat.balance import HeatColumn, LayerShape
-from ebamcheck.scan.heat.interpass import Drive
+from ebamcheck.scan.heat.interpass import SimulatedLayer
 from ebamcheck.scan.heat.part_heat import PartHeat
 from ebamcheck.scan.plan.columns import PlanOfLayers, ScanPlan
 from ebamcheck.settings.config import Config
@@ -18,7 +18,7 @@ class HeatSoFar:
     """Heat of a part when its uppermost layer is done, and how that was driven; None: that is not known."""
 
     part: PartHeat
-    last: Drive | None = None
+    last: SimulatedLayer | None = None
 
     @property
     def laid(self) -> bool:

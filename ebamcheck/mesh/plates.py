@@ -22,12 +22,10 @@ import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-import shapely
 from pydantic import BeforeValidator, Field, ValidationError
-from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.json_values import sha256_of_file, sha256_of_json
@@ -37,6 +35,9 @@ from ebamcheck.mesh.placing import placing_of
 from ebamcheck.settings.base import Angle, Between, Place, Section
 from ebamcheck.settings.slicing import Component
 from ebamcheck.settings.units import known_as
+
+if TYPE_CHECKING:
+    from shapely.geometry.base import BaseGeometry
 
 PLATE_SUFFIX = ".toml"
 
@@ -180,6 +181,8 @@ def plate_sha256(path: Path) -> str:
 
 def outline(part: Part) -> BaseGeometry:
     """Convex outline of a part, seen from above."""
+    import shapely
+
     hull: BaseGeometry = shapely.MultiPoint(part.vertices[:, :2]).convex_hull
     return hull
 
@@ -257,6 +260,8 @@ def _joined(path: Path, plate: Plate, placed: list[tuple[Member, Part]]) -> Plat
 
 def _check_apart(path: Path, part: PlatePart) -> None:
     """Refuse parts that are nearer to each other than the clearance; names the nearest two."""
+    import shapely
+
     outlines = np.array(part.outlines(), object)
     tree = shapely.STRtree(outlines)
     a, b = tree.query(outlines, predicate="dwithin", distance=part.clearance_mm)

@@ -50,17 +50,9 @@ def balanced_widths(
     array
         (B,) mm.
     """
-    width = iterated(
-        found.starts,
-        found.cell,
-        found.length_mm,
-        share.ravel(),
-        weight.ravel(),
-        cell_mm2,
-        np.array(width_mm, np.float64),
-        *limits_mm,
-        ITERATIONS,
-    )
+    columns = found.starts, found.cell, found.length_mm
+    width = np.array(width_mm, np.float64)
+    iterate(columns, share.ravel(), weight.ravel(), cell_mm2, width, limits_mm, ITERATIONS)
     laid = found.laid(width, share.size, cell_mm2).sum()
     if laid <= 0.0:
         return width
@@ -70,19 +62,18 @@ def balanced_widths(
 
 
 @kernel
-def iterated(
-    starts: Ints,
-    cell: Ints,
-    length_mm: Floats,
+def iterate(
+    columns: tuple[Ints, Ints, Floats],
     share: Floats,
     weight: Floats,
     cell_mm2: float,
     width: Floats,
-    least: float,
-    most: float,
+    limits_mm: tuple[float, float],
     steps: int,
-) -> Floats:
-    """Change `width` step by step, and return it."""
+) -> None:
+    """Change `width` step by step, by footprints' starts, cells and lengths."""
+    starts, cell, length_mm = columns
+    least, most = limits_mm
     laid = np.empty(share.size)
     for _ in range(steps):
         laid[:] = 0.0
@@ -98,4 +89,3 @@ def iterated(
                     wanted += counted * share[cell[n]] / laid[cell[n]]
             if whole > 0.0:
                 width[bead] = min(max(width[bead] * wanted / whole, least), most)
-    return width

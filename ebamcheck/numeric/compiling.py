@@ -140,7 +140,7 @@ def begun(name: str, others: Iterable[str] = ()) -> None:
 
 def missing() -> list[str]:
     """Kernels of the modules that are loaded of which the cache holds nothing; those never called are among them."""
-    return sorted(name_of(found) for found in loaded_kernels() if not found._cache._cache_file._load_index())
+    return sorted(name_of(found) for found in loaded_kernels() if not found._cache.holds_any())
 
 
 def loaded_kernels() -> list[Any]:

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ebamcheck.numeric import compiling
+from ebamcheck.numeric.kernel_compiling import only_compile
 from ebamcheck.numeric.kernel_list import Listed, kernel_named
 from ebamcheck.numeric.kernel_stamp import seen_by
 from ebamcheck.numeric.kernels import thread_count
@@ -119,6 +120,7 @@ def _run(tasks: dict[str, Task], pool: ProcessPoolExecutor, count: int) -> dict[
 def _begin_to_compile() -> None:
     """Have this process tell nobody of its kernels, and end when the one that began it does, however that ends."""
     compiling.leave_to_parent()
+    only_compile()
     parent = multiprocessing.parent_process()
 
     def wait_for_it() -> None:
@@ -147,5 +149,4 @@ def _is_cached(kernel: Any, text: str) -> bool:
         types = types_of(text)
     except UnknownType:
         return True
-    cache = kernel._cache
-    return cache._index_key(types, kernel.targetctx.codegen()) in cache._cache_file._load_index()
+    return bool(kernel._cache.holds(types, kernel.targetctx.codegen()))

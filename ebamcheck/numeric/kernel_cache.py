@@ -23,6 +23,10 @@ from typing import Any
 from numba.core import config as numba_config
 from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
 
+from ebamcheck.numeric import ready_kernels
+from ebamcheck.numeric.kernel_compiling import ready_to_compile
+from ebamcheck.numeric.kernel_library import loading
+from ebamcheck.numeric.kernel_running import ready_to_run
 from ebamcheck.numeric.kernel_stamp import kernel_stamp
 
 UNREADABLE = (OSError, EOFError, ValueError, pickle.UnpicklingError, AttributeError, ImportError)
@@ -40,6 +44,33 @@ class KernelCache(FunctionCache):
         name = f"{function.__module__.rpartition('.')[2]}.{function.__qualname__}"
         base = re.sub(r"[^\w.-]", "", name) + f".{sys.implementation.cache_tag}"
         self._cache_file = _SharedFile(self._cache_path, base, function)
+
+    def load_overload(self, signature: Any, context: Any) -> Any:
+        """Read a compiled version, if there is one.
+
+        Numba would first set up all that it compiles with, which takes longer than all kernels of a command; it does so
+        anyway when it compiles something.
+        """
+        ready_to_run()
+        ready = ready_kernels.loaded(self._py_func, signature)
+        with loading(context.codegen()):
+            if ready is not None:
+                return self._impl.rebuild(context, ready)
+            found = self._load_overload(signature, context)  # type: ignore[no-untyped-call]
+        if found is None:
+            ready_to_compile()
+        return found
+
+    def holds(self, signature: Any, codegen: Any) -> bool:
+        """Whether a version need not be compiled."""
+        return (
+            ready_kernels.holds(self._py_func, signature)
+            or self._index_key(signature, codegen) in self._cache_file._load_index()  # type: ignore[no-untyped-call]
+        )
+
+    def holds_any(self) -> bool:
+        """Whether any version is compiled."""
+        return ready_kernels.holds(self._py_func) or bool(self._cache_file._load_index())  # type: ignore[no-untyped-call]
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
         """Keep a compiled version; where there is no room for it, the next process compiles again."""

@@ -264,10 +264,12 @@ def available_slicer(name: str) -> Slicer:
 
 def default_backend() -> str:
     """Name of the available exact slicer of the highest priority."""
-    usable = [slicer(name) for name in house_slicers() if slicer(name).exact and probe(name).available]
-    if not usable:
-        raise BackendMissing("no exact backend is available: see `ebamcheck backends` for the reasons")
-    return max(usable, key=lambda s: (s.priority, s.name)).name
+    exact = [slicer(name) for name in house_slicers() if slicer(name).exact]
+    # From the first choice down: most machines can run it, and none other is probed.
+    for one in sorted(exact, key=lambda s: (s.priority, s.name), reverse=True):
+        if probe(one.name).available:
+            return one.name
+    raise BackendMissing("no exact backend is available: see `ebamcheck backends` for the reasons")
 
 
 def slicer_settings(name: str, values: Mapping[str, Any]) -> BackendSettings:

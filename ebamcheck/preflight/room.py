@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
-import shapely
-from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.mesh.part import Part
 from ebamcheck.numeric.rings import Bools, Floats
 from ebamcheck.preflight.checks import RUN, PreflightCheck
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process import KeepOut
+
+if TYPE_CHECKING:
+    from shapely.geometry.base import BaseGeometry
 
 OFF_MIDDLE = (0.7548776662e-5, 0.5698402910e-5)
 """Where in a zone a point is looked at, beside its middle, in shares of its extents: powers of the plastic number."""
@@ -99,6 +101,8 @@ def _plate(part: Part, low: tuple[float, float], high: tuple[float, float]) -> P
 def _keep_out(part: Part, zone: KeepOut) -> PreflightCheck:
     """Check that the part keeps out of a zone: no facet of it there, and the zone not within the metal."""
     name = f"keep-out {zone.name}"
+    import shapely
+
     outline = shapely.make_valid(shapely.Polygon(zone.outline_mm))
     away = float(shapely.distance(outline, shapely.box(*part.bounds[:, :2].ravel())))
     if away > 0.0:
@@ -116,6 +120,8 @@ def _keep_out(part: Part, zone: KeepOut) -> PreflightCheck:
 
 def enters(part: Part, zone: KeepOut, outline: BaseGeometry) -> bool:
     """Whether a part, standing on Z 0, has metal in a zone."""
+    import shapely
+
     corners: Floats = part.triangles
     z = corners[:, :, 2] - float(part.bounds[0, 2])
     near = _box_meets(corners, outline)

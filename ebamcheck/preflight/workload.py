@@ -7,11 +7,11 @@ parts that were measured, on a core of 2020s make, and right within a factor of 
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import psutil
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.layers.heights import crossing_counts
@@ -74,7 +74,7 @@ def workload(part: Part, heights: Floats, config: Config, job: str) -> Workload:
     points = int(crossing_counts(part, heights).sum())
     named = len({*config.slicing.backends, *config.slicing.witnesses})
     methods = named if config.slicing.backends else HOUSE_SLICERS + named
-    side_by_side = min(methods, config.slicing.processes or psutil.cpu_count() or 1)
+    side_by_side = min(methods, config.slicing.processes or os.cpu_count() or 1)
     pairs = methods * (methods - 1) / 2
     at_once = min(points, config.slicing.block_points)
     time_s = START_S + points * (SLICE_S * methods + COMPARE_S * pairs)
@@ -123,10 +123,15 @@ def _width_mm(area_mm2: float, border_mm: float, config: Config) -> float:
     return min(max(round(width / spacing), BEADS_ACROSS[0]), BEADS_ACROSS[1]) * spacing
 
 
+def _memory_mb() -> float:
+    """Memory of this machine, MB."""
+    return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") * 1e-6
+
+
 def work_checks(work: Workload, config: Config, yes: bool) -> Iterator[PreflightCheck]:
     """Hold the work against what the settings allow without a question; with `yes` it is told and goes on."""
     limits = config.work
-    memory_mb = limits.most_memory_mb or psutil.virtual_memory().total * 1e-6
+    memory_mb = limits.most_memory_mb or _memory_mb()
     for name, what, figure, limit, unit in (
         ("layers", "layers", float(work.layers), float(limits.most_layers), "layers"),
         ("points", "contour points", float(work.points), float(limits.most_points), "points"),

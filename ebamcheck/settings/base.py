@@ -80,6 +80,4 @@ Temperature = Annotated[float, Between(1.0, 1e4)]
 class Section(BaseModel):
     """Base of every section: unknown keys are refused, values do not change, defaults are checked."""
 
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, validate_default=True, use_attribute_docstrings=True
-    )
+    model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)

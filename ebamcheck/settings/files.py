@@ -17,6 +17,7 @@ from ebamcheck.atomic_file import replacing
 from ebamcheck.errors import SettingsError
 from ebamcheck.settings.base import Section
 from ebamcheck.settings.config import Config, validated
+from ebamcheck.settings.explained import explanations
 from ebamcheck.settings.text import WIDTH, as_toml, told_beside, value_text
 
 
@@ -108,11 +109,13 @@ def _complete(root: Any, name: str, section: Section, found: Merged) -> None:
     there = "" if is_new else table.as_string()
     waiting = ""
     item: Item | None = None
-    for key, info in type(section).model_fields.items():
+    for key in type(section).model_fields:
         value = getattr(section, key)
         if key in table:
             continue
-        said = textwrap.wrap(info.description or "", WIDTH, initial_indent="# ", subsequent_indent="# ")
+        said = textwrap.wrap(
+            explanations(type(section)).get(key, ""), WIDTH, initial_indent="# ", subsequent_indent="# "
+        )
         explained = "".join(f"{line}\n" for line in [*said, *told_beside(name, key)])
         if value is None or isinstance(value, dict):
             # What is not set stands as a comment, with the next key that is.

@@ -10,6 +10,7 @@ import tomlkit
 
 from ebamcheck.settings.base import Section
 from ebamcheck.settings.config import Config
+from ebamcheck.settings.explained import explanations
 from ebamcheck.settings.wording import EXAMPLES, PLACEHOLDERS, TEMPLATES
 
 WIDTH = 100
@@ -39,9 +40,10 @@ def _of_section(name: str, section: Section) -> list[str]:
         return known[1]
     lines = [f"# {_first_line(section)}", f"[{name}]"]
     tables: list[str] = []
-    for key, info in type(section).model_fields.items():
+    said = explanations(type(section))
+    for key in type(section).model_fields:
         value = getattr(section, key)
-        lines += _explained(info.description or "")
+        lines += _explained(said.get(key, ""))
         lines += told_beside(name, key)
         if isinstance(value, dict):
             tables += _tables(f"{name}.{key}", value)

@@ -12,7 +12,7 @@ import selectors
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +20,8 @@ import numpy as np
 import psutil
 from numpy.typing import NDArray
 
-from ebamcheck.backend import BackendSettings, Probe, Progress
-from ebamcheck.errors import BackendFailed, BackendMissing, SettingsError
-from ebamcheck.layers import files as layer_files
+from ebamcheck.backend import BackendSettings, Progress
+from ebamcheck.errors import BackendFailed, SettingsError
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.numeric import compiling
@@ -31,6 +30,9 @@ from ebamcheck.plugins import registry
 from ebamcheck.plugins.processes import LARGEST_SAID_BYTES, code_in_words
 from ebamcheck.scratch import scratch_folder
 from ebamcheck.slicers.layer_forms import file_fault
+from ebamcheck.slicers.outcome import Failure
+from ebamcheck.slicers.outcome import Limits as Limits
+from ebamcheck.slicers.outcome import Outcome as Outcome
 from ebamcheck.slicers.worker import write_part
 from ebamcheck.slicers.worker_events import (
     CHUNK_BYTES,
@@ -43,7 +45,9 @@ from ebamcheck.slicers.worker_events import (
     event_of,
     probe_of,
 )
-from ebamcheck.slicers.worker_pool import Failure, Worker, WorkerPool
+from ebamcheck.slicers.worker_pool import Worker, WorkerPool
+
+DEFAULT_LIMITS = Limits()
 
 KILLS = ("SIGKILL", "SIGTERM", "SIGINT", "SIGHUP")
 """Signals that come from outside."""
@@ -53,49 +57,6 @@ POLL_S = 0.05
 
 CHILDREN_S = 1.0
 """How often processes that a worker has started are looked for."""
-
-
-@dataclass(frozen=True)
-class Limits:
-    """What a backend's process may use, and how many there are at a time."""
-
-    time_s: float = 600.0
-    memory_mb: float = 8192.0
-    processes: int | None = None
-    """Processes side by side; None: as many as there are cores."""
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What became of one backend."""
-
-    name: str
-    failure: Failure = ""
-    why: str = ""
-    file: Path | None = None
-    """Where its layers lie; None where it failed."""
-    probe: Probe = field(default_factory=lambda: Probe(False))
-    error_bound_mm: float = 0.0
-    height_bound_mm: float = 0.0
-    rings: int = 0
-    open_paths: int = 0
-    points: int = 0
-    prepare_s: float = 0.0
-    slice_s: float = 0.0
-    compile_s: float = 0.0
-    """Time in which kernels were compiled; it is in none of the others."""
-    peak_mb: float = 0.0
-
-    def made(self) -> Path:
-        """File of its layers; raises what it failed of."""
-        if self.file is None:
-            kind = BackendMissing if self.failure == "unavailable" else BackendFailed
-            raise kind(f"backend {self.name!r} {self.failure}: {self.why}")
-        return self.file
-
-    def read(self) -> Layers:
-        """Read all its layers; raises what it failed of."""
-        return layer_files.read_parquet(self.made())
 
 
 def slice_isolated(
@@ -113,7 +74,7 @@ def slice_isolated(
 
 
 def declared_bounds(
-    part: Part, backends: Mapping[str, BackendSettings], limits: Limits = Limits()
+    part: Part, backends: Mapping[str, BackendSettings], limits: Limits = DEFAULT_LIMITS
 ) -> dict[str, tuple[float, float]]:
     """Error bound and height bound of a part, mm, by backend; strangers are asked in processes of their own.
 
@@ -145,7 +106,7 @@ def slice_all(
     heights: NDArray[np.float64],
     backends: Mapping[str, BackendSettings],
     target: Path,
-    limits: Limits = Limits(),
+    limits: Limits = DEFAULT_LIMITS,
     progress: Callable[[str, int], None] | None = None,
     finished: Callable[[Outcome], None] | None = None,
     borders: NDArray[np.int64] | None = None,

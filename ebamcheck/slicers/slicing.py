@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,8 +25,11 @@ from ebamcheck.plugins import registry
 from ebamcheck.scratch import scratch_folder
 from ebamcheck.settings.slicing import SlicingSettings
 from ebamcheck.showing import short_text
-from ebamcheck.slicers.isolation import Limits, Outcome, slice_all, slice_isolated
-from ebamcheck.slicers.worker_pool import WorkerPool
+from ebamcheck.slicers.here import cut_here, fits_here, may_run_here
+from ebamcheck.slicers.outcome import Limits, Outcome
+
+if TYPE_CHECKING:
+    from ebamcheck.slicers.worker_pool import WorkerPool
 
 _Result = TypeVar("_Result")
 
@@ -81,6 +84,8 @@ def slice_part(
     if not isolate:
         registry.available_slicer(name)
     if isolate or registry.is_stranger(name):
+        from ebamcheck.slicers.isolation import slice_isolated
+
         layers = slice_isolated(name, part, increasing, checked, limits, progress)
     else:
         with registry.slicer(name).prepare(part, checked) as prepared:
@@ -100,6 +105,8 @@ def slice_to_file(
     **settings: Any,
 ) -> Outcome:
     """Cut a part into a file of layers, in a process of the backend's own.
+
+    A backend that is nothing but kernels of this project cuts in this process, unless the part is very large.
 
     Parameters
     ----------
@@ -133,14 +140,20 @@ def slice_to_file(
     name, path = backend or registry.default_backend(), Path(path)
     wanted = checked_heights(heights)
     increasing, where = np.unique(wanted, return_inverse=True)
-    chosen = {name: registry.slicer_settings(name, settings)}
+    chosen = registry.slicer_settings(name, settings)
     borders = layer_blocks(part, increasing, block_points)
+    limits = limits or Limits()
     try:
         # Beside the file, so that what is whole is moved and not copied.
         with scratch_folder(f".{path.name}", path.parent) as folder:
-            outcome = slice_all(
-                part, increasing, chosen, folder, limits or Limits(), borders=borders, pool=pool
-            )[name]
+            if may_run_here(name) and fits_here(part, block_points, limits):
+                outcome = cut_here(part, increasing, name, chosen, folder, limits, borders)
+            else:
+                from ebamcheck.slicers.isolation import slice_all
+
+                outcome = slice_all(
+                    part, increasing, {name: chosen}, folder, limits, borders=borders, pool=pool
+                )[name]
             if path.suffix.lower() == ".parquet" and is_rising(wanted):
                 os.replace(outcome.made(), path)
                 return replace(outcome, file=path)
@@ -316,6 +329,8 @@ class _Apart:
         pass
 
     def slice(self, heights: NDArray[np.float64], progress: Progress | None = None) -> Layers:
+        from ebamcheck.slicers.isolation import slice_isolated
+
         return slice_isolated(self._backend, self._part, heights, self._settings, progress=progress)
 
 

@@ -8,7 +8,6 @@ list processes.
 from __future__ import annotations
 
 import contextlib
-import itertools
 import json
 import os
 import sys
@@ -19,20 +18,15 @@ from pathlib import Path
 from typing import Any, TypedDict
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ebamcheck.backend import Prepared
-from ebamcheck.errors import BackendFailed, EbamcheckError, SettingsError
-from ebamcheck.layers import files as layer_files
 from ebamcheck.layers.blocks import KeptBlocks
-from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.numeric import compiling
 from ebamcheck.numeric.kernels import bring_up
 from ebamcheck.plugins import registry
 from ebamcheck.plugins.processes import die_with
 from ebamcheck.plugins.trial import probed
-from ebamcheck.slicers.layer_forms import form_fault
+from ebamcheck.slicers.cutting import cut
 
 TOLD_EVERY_S = 0.05
 """Progress is told no more often than this."""
@@ -81,10 +75,6 @@ def read_part(folder: Path) -> Part:
     return part
 
 
-class NotLayers(Exception):
-    """A slicer returned what no later stage can read."""
-
-
 def _work(order: Order, tell: Callable[..., None]) -> None:
     """Slice in this process and tell the parent how it goes."""
     folder, file = Path(order["folder"]), Path(order["file"])
@@ -107,72 +97,11 @@ def _work(order: Order, tell: Callable[..., None]) -> None:
     # A single block is as good as the whole file.
     keep = order["keep_blocks"] and borders.size > 2
     blocks = KeptBlocks(file, part.sha256, order["backend"]) if keep else None
-    start = slicer_time()
-    try:
-        with slicer.prepare(part, settings) as prepared:
-            tell(prepare_s=slicer_time() - start)
-            _write(_blocks(prepared, part, heights, borders, tell, blocks), file, tell)
-    except NotLayers as error:
-        tell(failure="crashed", why=str(error))
-        return
-    except EbamcheckError as error:
-        tell(failure="refused", why=str(error))
-        return
-    except MemoryError:
-        tell(failure="out of memory", why="an allocation failed")
+    if not cut(slicer, part, settings, heights, borders, file, tell, blocks):
         return
     if blocks is not None:
         blocks.remove()
     tell(peak_mb=_peak_mb())
-
-
-def _write(blocks: Iterator[Layers], file: Path, tell: Callable[..., None]) -> None:
-    """Write what the slicer gives, and tell a file that cannot be written from a slicer that refuses."""
-    try:
-        layer_files.write_blocks(blocks, file)
-    except SettingsError as error:
-        tell(unwritable=str(error))
-    else:
-        tell(written=True)
-
-
-def _blocks(
-    prepared: Prepared,
-    part: Part,
-    heights: NDArray[np.float64],
-    borders: NDArray[np.int64],
-    tell: Callable[..., None],
-    kept: KeptBlocks | None,
-) -> Iterator[Layers]:
-    """Cut one block of layers after the other and tell what they hold; the time is that of the slicer alone."""
-    seconds, rings, open_paths, points = 0.0, 0, 0, 0
-    for first, past in itertools.pairwise(borders.tolist()):
-        layers = None if kept is None else kept.read(heights[first:past])
-        if layers is not None:
-            tell(done=past - first)
-        else:
-            start = slicer_time()
-            try:
-                layers = prepared.slice(heights[first:past], lambda done: tell(done=done))
-            except (EbamcheckError, OSError) as error:
-                raise BackendFailed(str(error)) from error
-            took = slicer_time() - start
-            seconds += took
-            if fault := form_fault(layers, part, heights[first:past]):
-                raise NotLayers(fault)
-            if kept is not None and kept.is_worth(took):
-                kept.write(layers)
-        closed = int(np.count_nonzero(layers.closed))
-        rings, open_paths = rings + closed, open_paths + layers.closed.size - closed
-        points += len(layers.points)
-        tell(slice_s=seconds, rings=rings, open_paths=open_paths, points=points)
-        yield layers
-        del layers  # so that there are never two blocks in memory
-
-
-def slicer_time() -> float:
-    """Seconds of a clock that stands still while this process compiles kernels."""
-    return time.perf_counter() - compiling.seconds()
 
 
 def _peak_mb() -> float:

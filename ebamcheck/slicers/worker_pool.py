@@ -12,7 +12,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import IO, TYPE_CHECKING, Any, Literal, Self
+from typing import IO, TYPE_CHECKING, Any, Self
 
 from ebamcheck.plugins.processes import (
     MARK,
@@ -28,10 +28,8 @@ if TYPE_CHECKING:
     # A pool is there to start before such imports, not after them.
     import psutil
 
+    from ebamcheck.slicers.outcome import Failure
     from ebamcheck.slicers.worker import Order
-
-Failure = Literal["", "unavailable", "refused", "crashed", "timed out", "out of memory", "killed"]
-"""What can become of a worker but success."""
 
 AHEAD = "ahead"
 """Label, in a list of processes, of a worker that does not know yet what it will do."""

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
+from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.curves import LIFTED
 from ebamcheck.errors import InputError
@@ -145,31 +146,20 @@ def verify_program(
         path = planned_path(curves, plan, config)
     tracks = path or tracks_known(curves, plan, config)
     nc, match = _with_roles(nc, tracks, layers, z_of, offset, config)
-    turn_limit_mm = TURN_SPACINGS * config.process.hatch_spacing_mm
-    checks = text_checks(nc, config, sha256) + header_checks(nc, config, truth or Truth(), known)
-    checks += state_checks(nc, config, turn_limit_mm)
-    checks.append(wire_check(nc, config, path))
     planned = None if plan is None else interpass_of(plan, config)
     sections = known_sections(plan, smooth, layers)
-    if planned is not None:
-        shares = planned.power_share
-    elif (scheduled := scheduled_shares(known, config)) is not None:
-        shares = scheduled
-    elif heat:
-        shares = shares_of_text(nc, config, sections)
-    else:
-        shares = np.minimum(layer_shares(nc, config.process.power_w), 1.0)
-    checks += [*bead_end_checks(nc, config, shares), closure_check(nc, curves, tolerance_mm)]
-    checks += [
-        repeated_blocks(nc),
-        words_check(nc),
-        increment_check(nc, config),
-        ramp_check(nc, config),
-        window_check(nc, config),
-        value_check(nc, config),
-        *process_checks(nc, config),
+    shares = planned.power_share if planned is not None else _power_shares(nc, config, known, sections, heat)
+    checks = [
+        *text_checks(nc, config, sha256),
+        *header_checks(nc, config, truth or Truth(), known),
+        *state_checks(nc, config, TURN_SPACINGS * config.process.hatch_spacing_mm),
+        wire_check(nc, config, path),
+        *bead_end_checks(nc, config, shares),
+        closure_check(nc, curves, tolerance_mm),
+        *_block_checks(nc, config),
+        wait_check(nc, config, planned),
+        wait_height_check(nc, config),
     ]
-    checks += [wait_check(nc, config, planned), wait_height_check(nc, config)]
     if heat:
         checks += heat_checks(nc, config, sections, before)
     checks += clearance_checks(nc, z_of, config, layers)
@@ -194,6 +184,35 @@ def verify_program(
     if beads:
         checks += bead_checks(nc, config, z_of, layers)
     return checks
+
+
+def _power_shares(
+    nc: NCProgram,
+    config: Config,
+    heights: ArrayLike | None,
+    sections: Sequence[BaseGeometry] | None,
+    heat: bool,
+) -> Floats:
+    """Share of the beam's power in each layer (L,) where no plan tells: by the schedule, else as the text has it."""
+    scheduled = scheduled_shares(heights, config)
+    if scheduled is not None:
+        return scheduled
+    if heat:
+        return shares_of_text(nc, config, sections)
+    return np.minimum(layer_shares(nc, config.process.power_w), 1.0)
+
+
+def _block_checks(nc: NCProgram, config: Config) -> list[Check]:
+    """Checks of single blocks and of the values that they set, from the text alone."""
+    return [
+        repeated_blocks(nc),
+        words_check(nc),
+        increment_check(nc, config),
+        ramp_check(nc, config),
+        window_check(nc, config),
+        value_check(nc, config),
+        *process_checks(nc, config),
+    ]
 
 
 def _with_roles(

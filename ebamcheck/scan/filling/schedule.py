@@ -13,7 +13,7 @@ from ebamcheck.settings.config import Config
 
 
 @dataclass(frozen=True, eq=False)
-class IslandDrive:
+class IslandSchedule:
     """Columns of the islands of a layer.
 
     Parameters
@@ -36,7 +36,7 @@ class IslandDrive:
         return len(self.time_s)
 
 
-def island_drive(lines: Vectors, chained: Bools, profile: Config) -> IslandDrive:
+def island_schedule(lines: Vectors, chained: Bools, profile: Config) -> IslandSchedule:
     """Work out how islands are driven.
 
     Parameters
@@ -49,7 +49,9 @@ def island_drive(lines: Vectors, chained: Bools, profile: Config) -> IslandDrive
     count = len(chained)
     a, b = lines.start, lines.end
     if not len(a):
-        return IslandDrive(np.zeros((count, 4, 2)), np.zeros((count, 4, 2)), np.zeros(count), np.zeros(count))
+        return IslandSchedule(
+            np.zeros((count, 4, 2)), np.zeros((count, 4, 2)), np.zeros(count), np.zeros(count)
+        )
     after = np.cumsum(np.bincount(lines.island, minlength=count))
     last = np.maximum(after - 1, 0)
     first = np.minimum(np.concatenate([[0], after[:-1]]), len(a) - 1)
@@ -65,4 +67,4 @@ def island_drive(lines: Vectors, chained: Bools, profile: Config) -> IslandDrive
     jump = np.where(turned, jump, 0.5 * (jump + other_jump))
     beam_s = np.bincount(lines.island, np.hypot(*(b - a).T) + turn, count) / profile.process.travel_speed_mm_s
     inner_s = np.bincount(lines.island, jump, count) / profile.machine.rapid_mm_s
-    return IslandDrive(entry, leave, beam_s, np.asarray(beam_s + inner_s, np.float64))
+    return IslandSchedule(entry, leave, beam_s, np.asarray(beam_s + inner_s, np.float64))

@@ -6,7 +6,6 @@ entered is a sum over the islands before it, whatever the number of modes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -52,8 +51,7 @@ class FreshTable(NamedTuple):
     excess_k: Table
 
 
-@dataclass(frozen=True, eq=False)
-class Influence:
+class Influence(NamedTuple):
     """Temperature rises by islands and times.
 
     Parameters

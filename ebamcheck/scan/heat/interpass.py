@@ -34,8 +34,8 @@ PERCENT = 100
 
 
 @dataclass(frozen=True, eq=False)
-class Drive:
-    """One layer as it is driven.
+class SimulatedLayer:
+    """One layer as it is simulated.
 
     Parameters
     ----------
@@ -93,8 +93,8 @@ class LayerJob:
     lowest: bool
 
 
-def cool_drive(job: LayerJob, found: PartHeat, profile: Config, guess: float = 0.0) -> Drive:
-    """Choose power and waits of a layer by the settings, and drive it.
+def cooled_layer(job: LayerJob, found: PartHeat, profile: Config, guess: float = 0.0) -> SimulatedLayer:
+    """Choose power and waits of a layer by the settings, and simulate it.
 
     Parameters
     ----------
@@ -107,11 +107,11 @@ def cool_drive(job: LayerJob, found: PartHeat, profile: Config, guess: float = 0
     waits = profile.process.interpass in ("dwell", "both")
     ring_wait_s = 0.0
     while True:
-        driven = drive(job, found, profile, share, waits, ring_wait_s)
-        assert driven is not None
-        if (driven.bead_wait_s[1 : job.beads.rings] == driven.ring_wait_s).all():
-            return driven
-        ring_wait_s = driven.ring_wait_s
+        done = simulate(job, found, profile, share, waits, ring_wait_s)
+        assert done is not None
+        if (done.bead_wait_s[1 : job.beads.rings] == done.ring_wait_s).all():
+            return done
+        ring_wait_s = done.ring_wait_s
 
 
 def power_share(job: LayerJob, found: PartHeat, profile: Config, guess: float = 0.0) -> float:
@@ -128,7 +128,7 @@ def power_share(job: LayerJob, found: PartHeat, profile: Config, guess: float = 
     low, high = math.ceil(PERCENT * least), PERCENT
 
     def fits(percent: int) -> bool:
-        return drive(job, found, profile, percent / PERCENT, waits=False, keep=True) is not None
+        return simulate(job, found, profile, percent / PERCENT, waits=False, keep=True) is not None
 
     if fits(high):
         return 1.0
@@ -168,7 +168,7 @@ def greatest_that_fits(fits: Callable[[int], bool], low: int, high: int, guess: 
     return low
 
 
-def drive(
+def simulate(
     job: LayerJob,
     found: PartHeat,
     profile: Config,
@@ -176,8 +176,8 @@ def drive(
     waits: bool,
     ring_wait_s: float = 0.0,
     keep: bool = False,
-) -> Drive | None:
-    """Drive a layer at a share of the power.
+) -> SimulatedLayer | None:
+    """Simulate a layer at a share of the power.
 
     Parameters
     ----------
@@ -204,7 +204,7 @@ def drive(
             bead += 1
         if not done:
             return None
-    return run.drive(ring_wait_s)
+    return run.result(ring_wait_s)
 
 
 def _island_done(run: _Run, first: int, last: int) -> bool:
@@ -222,7 +222,7 @@ def _island_done(run: _Run, first: int, last: int) -> bool:
 
 
 class _Run:
-    """A layer while it is driven: the part's heat, and what was found, bead by bead."""
+    """A layer while it is simulated: the part's heat, and what was found, bead by bead."""
 
     def __init__(
         self, job: LayerJob, profile: Config, share: float, part: PartHeat, waits: bool, keep: bool
@@ -241,7 +241,7 @@ class _Run:
         self._begun = 0
 
     def lay(self, bead: int, least_s: float) -> bool:
-        """Wait, not less than `least_s`, and lay a bead; False where it is too hot and that ends the drive."""
+        """Wait, not less than `least_s`, and lay a bead; False where it is too hot and that ends the simulation."""
         beads, first = self._job.beads, bead == 0
         checked = first or self._every
         away_s, rise_s = (
@@ -280,14 +280,14 @@ class _Run:
         laid_s = float(time_s[first[self._begun] : first[bead]].sum())
         return Before(self._before.state, laid_s + float(self.away_s[self._begun + 1 : bead].sum()))
 
-    def drive(self, ring_wait_s: float) -> Drive:
+    def result(self, ring_wait_s: float) -> SimulatedLayer:
         """What was found in the whole layer."""
         bead_wait_s = self.wait_s.copy()
         bead_wait_s[:1] = 0.0
         before_s = self._pause_s + float(self.wait_s[:1].sum())
         time_s = float(self.away_s.sum()) - before_s + float(self._job.beads.time_s.sum())
         part = self.part
-        return Drive(
+        return SimulatedLayer(
             self._share, before_s, ring_wait_s, bead_wait_s, self.bed_k, self.mean_k, self._body_k, self._enter_k,
             part.column.surface_k, time_s, part,
         )  # fmt: skip

@@ -12,7 +12,8 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.heat import HeatModel, Medium, contour_modes, depth_modes
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.scan.filling.hatch import Vectors
-from ebamcheck.scan.filling.schedule import IslandDrive
+from ebamcheck.scan.filling.schedule import IslandSchedule
+from ebamcheck.scan.heat.amplitudes import Modes
 from ebamcheck.scan.heat.near_field import NearField, near_field
 from ebamcheck.settings.config import Config
 
@@ -80,9 +81,9 @@ class IslandHeat:
         return self.near
 
     @property
-    def columns(self) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    def modes(self) -> Modes:
         """What every kernel reads first."""
-        return self.mean, self.plane_rate, self.depth_rate, self.in_layer, self.source_k_s
+        return Modes(self.mean, self.plane_rate, self.depth_rate, self.in_layer, self.source_k_s)
 
 
 def island_heat(
@@ -139,7 +140,7 @@ def island_heat(
 
 def with_fresh_heat(
     heat: IslandHeat,
-    drive: IslandDrive,
+    schedule: IslandSchedule,
     lines: Vectors,
     section: BaseGeometry,
     islands: NDArray[np.object_],
@@ -147,5 +148,5 @@ def with_fresh_heat(
 ) -> IslandHeat:
     """Add the fresh heat that the modes lack to the heat model of a layer: see :mod:`ebamcheck.scan.heat.near_field`."""
     bead_mm = profile.process.bead_width_mm
-    near = near_field(heat.model, heat.complete, drive, lines, section, islands, bead_mm)
+    near = near_field(heat.model, heat.complete, schedule, lines, section, islands, bead_mm)
     return replace(heat, near=near)

@@ -32,7 +32,7 @@ from ebamcheck.heat.referee import BEAM_SHARE
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.filling.hatch import Vectors
-from ebamcheck.scan.filling.schedule import IslandDrive
+from ebamcheck.scan.filling.schedule import IslandSchedule
 from ebamcheck.scan.heat.enclosed import enclosed_share
 from ebamcheck.scan.heat.pieces import WAYS, Pieces, Tiles, island_tiles, line_pieces
 
@@ -111,7 +111,7 @@ class NearField(NamedTuple):
 def near_field(
     model: HeatModel,
     complete: float,
-    drive: IslandDrive,
+    schedule: IslandSchedule,
     lines: Vectors,
     section: BaseGeometry,
     islands: NDArray[np.object_],
@@ -152,7 +152,7 @@ def near_field(
     inside = of_islands(section, tiles, spread)
     free /= 0.5 * (inside[pairs[:, 0]] + inside[pairs[:, 1]])
     free[hidden(section, pieces, pairs, centroid, bead_mm)] = 0.0
-    beam_mm2, entry = 2.0 * (BEAM_SHARE * bead_mm) ** 2, np.ascontiguousarray(drive.entry)
+    beam_mm2, entry = 2.0 * (BEAM_SHARE * bead_mm) ** 2, np.ascontiguousarray(schedule.entry)
     around = beam_mm2 + float(pieces.variance.mean()) + spread[::2]
     return NearField(
         horizon_s=horizon_s,

@@ -12,7 +12,7 @@ from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.filling.hatch import Vectors
 
 WAYS = 4
-"""Ways of driving an island, as in :class:`~ebamcheck.scan.filling.schedule.IslandDrive`."""
+"""Ways of driving an island, as in :class:`~ebamcheck.scan.filling.schedule.IslandSchedule`."""
 
 
 HALVED = 1

@@ -106,10 +106,15 @@ def layer_section(polygons: BaseGeometry | Iterable[BaseGeometry]) -> BaseGeomet
     Raises
     ------
     GeometryError
-        If a coordinate is not finite.
+        If a coordinate is not finite, or something else than a geometry is given.
     """
     given = [polygons] if isinstance(polygons, BaseGeometry) else list(polygons)
     for number, geometry in enumerate(given):
+        if not isinstance(geometry, BaseGeometry):
+            raise GeometryError(
+                f"polygon {number} of the layer is a {type(geometry).__name__}, not a shapely geometry: "
+                "give those of one layer, such as layers.polygons(3)"
+            )
         if not np.isfinite(shapely.get_coordinates(geometry)).all():
             raise GeometryError(
                 f"polygon {number} of the layer has a coordinate that is not finite: mend the contour"

@@ -5,28 +5,21 @@ from __future__ import annotations
 import numpy as np
 
 from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.numeric.rings import Ints
 from ebamcheck.scan.filling.turns import JOINED_MM
-from ebamcheck.scan.heat.influence import FreshTable, Influence, Table
-from ebamcheck.scan.order.annealing import drive_from, entry_temperature, new_log, power
-from ebamcheck.scan.order.entry_options import Ways
-from ebamcheck.scan.order.touching import Touching, touching_successors
+from ebamcheck.scan.order.annealing import Layer, entry_temperature, new_log, power, timed_from
+from ebamcheck.scan.order.touching import touching_successors
 
 MOST_LISTED = 8
 """Islands of which all orders are tried: 40320."""
 
 
-def best_of_all(
-    table: Influence, ways: Ways, beside: Touching, time_s: Floats, rapid_mm_s: float, longest_mm: float
-) -> Ints:
+@kernel
+def best_of_all(layer: Layer, longest_mm: float) -> Ints:
     """Order islands by trying all orders: fewest touching successors, then least travel too long, then coolest.
 
     Parameters
     ----------
-    beside
-        Islands that touch.
-    time_s
-        (I,) time in which each island is scanned.
     longest_mm
         Travel that is allowed.
 
@@ -35,35 +28,21 @@ def best_of_all(
     Ints
         (I,) the best order; the first of equal ones in the order of the alphabet.
     """
-    columns = (table.rise_k, table.nodes_per_root_s, table.fresh, ways.jump_mm, ways.way, beside)
-    return listed(*columns, time_s, rapid_mm_s, longest_mm)
-
-
-@kernel
-def listed(
-    rise: Table,
-    nodes: float,
-    fresh: FreshTable,
-    jump: Floats,
-    way: Ints,
-    beside: Touching,
-    time: Floats,
-    rapid: float,
-    longest: float,
-) -> Ints:
-    """See :func:`best_of_all`."""
-    count = len(time)
+    count = len(layer.time_s)
     order = np.arange(count)
     best, best_touches, best_far, best_total = order.copy(), count, np.inf, np.inf
     log, first = new_log(count), 0
     while first >= 0:
-        drive_from(first, order, jump, way, beside, time, rapid, log)
+        timed_from(first, order, layer, log)
         total = 0.0
         for place in range(count):
             if place >= first:
-                log.entry_k[place] = entry_temperature(place, order, rise, nodes, fresh, time, log)
+                log.entry_k[place] = entry_temperature(place, order, layer, log)
             total += power(log.entry_k[place])
-        far, touches = max(0.0, log.travel_mm[-1] - longest), touching_successors(beside, order).sum()
+        far, touches = (
+            max(0.0, log.travel_mm[-1] - longest_mm),
+            touching_successors(layer.beside, order).sum(),
+        )
         shorter, as_short = far < best_far - JOINED_MM, far <= best_far + JOINED_MM
         as_good = touches == best_touches and (shorter or (as_short and total < best_total))
         if touches < best_touches or as_good:

@@ -12,9 +12,9 @@ import numpy as np
 
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.scan.heat.influence import FreshTable, Influence, Table, looked_up
+from ebamcheck.scan.heat.influence import Influence, looked_up
 from ebamcheck.scan.heat.near_field import at_root
-from ebamcheck.scan.order.entry_options import Ways
+from ebamcheck.scan.order.entry_options import EntryOptions
 from ebamcheck.scan.order.touching import Touching, touch
 
 WARMTH = 0.005
@@ -28,6 +28,30 @@ HOTTEST_EVERY = 10
 
 HIGH = 12
 """Exponent of :func:`high_mean`: a maximum alone would see no gain until the very hottest island is cooler."""
+
+
+class Layer(NamedTuple):
+    """What orders of a layer's islands are tried on.
+
+    Parameters
+    ----------
+    table
+        Temperature rises of islands by each other.
+    ways
+        Jumps between islands.
+    beside
+        Islands that touch.
+    time_s
+        (I,) time in which each island is scanned.
+    rapid_mm_s
+        Speed of jumps.
+    """
+
+    table: Influence
+    ways: EntryOptions
+    beside: Touching
+    time_s: Floats
+    rapid_mm_s: float
 
 
 class Log(NamedTuple):
@@ -47,11 +71,7 @@ def high_mean(entry_k: Floats) -> float:
 
 
 def annealed(
-    table: Influence,
-    ways: Ways,
-    beside: Touching,
-    time_s: Floats,
-    rapid_mm_s: float,
+    layer: Layer,
     order: Ints,
     longest_mm: float,
     price_k_mm: float,
@@ -65,10 +85,6 @@ def annealed(
 
     Parameters
     ----------
-    beside
-        Islands that touch.
-    time_s
-        (I,) time in which each island is scanned.
     order
         (I,) islands in scan order.
     longest_mm
@@ -85,34 +101,12 @@ def annealed(
         return order
     places = random.integers(0, count, (steps, 2))
     leniency = random.exponential(size=steps) * np.linspace(1.0, 0.0, steps)
-    return improved(
-        table.rise_k,
-        table.nodes_per_root_s,
-        table.fresh,
-        ways.jump_mm,
-        ways.way,
-        beside,
-        time_s,
-        rapid_mm_s,
-        np.asarray(order, np.int64),
-        longest_mm,
-        price_k_mm,
-        places,
-        leniency,
-        warmth,
-    )
+    return improved(layer, np.asarray(order, np.int64), longest_mm, price_k_mm, places, leniency, warmth)
 
 
 @kernel
 def improved(
-    rise: Table,
-    nodes: float,
-    fresh: FreshTable,
-    jump: Floats,
-    way: Ints,
-    beside: Touching,
-    time: Floats,
-    rapid: float,
+    layer: Layer,
     order: Ints,
     longest: float,
     price: float,
@@ -124,8 +118,8 @@ def improved(
     count = len(order)
     kept, tried, best = order.copy(), order.copy(), order.copy()
     log, tried_log = new_log(count), new_log(count)
-    drive_from(0, kept, jump, way, beside, time, rapid, log)
-    total = powers_from(0, 0, 0, np.arange(count), kept, rise, nodes, fresh, time, np.inf, log)
+    timed_from(0, kept, layer, log)
+    total = powers_from(0, 0, 0, np.arange(count), kept, layer, np.inf, log)
     cost = (total / count) ** (1.0 / HIGH)
     touch_price = TOUCH_SHARE * cost
     cost += price * max(0.0, log.travel_mm[-1] - longest) + touch_price * log.touches[-1]
@@ -140,13 +134,13 @@ def improved(
         first = min(a, b)
         move(kept, a, b, step % 3, tried)
         copy_start(log, first, tried_log)
-        drive_from(first, tried, jump, way, beside, time, rapid, tried_log)
+        timed_from(first, tried, layer, tried_log)
         too_far = price * max(0.0, tried_log.travel_mm[-1] - longest) + touch_price * tried_log.touches[-1]
         allowed = cost + warmth * leniency[step]
         if too_far >= allowed:
             continue
         most = count * power(allowed - too_far)
-        total = powers_from(first, a, b, by_heat, tried, rise, nodes, fresh, time, most, tried_log)
+        total = powers_from(first, a, b, by_heat, tried, layer, most, tried_log)
         if total > most:
             continue
         cost = (total / count) ** (1.0 / HIGH) + too_far
@@ -160,17 +154,7 @@ def improved(
 
 @kernel
 def powers_from(
-    first: int,
-    a: int,
-    b: int,
-    by_heat: Ints,
-    order: Ints,
-    rise: Table,
-    nodes: float,
-    fresh: FreshTable,
-    time: Floats,
-    most: float,
-    log: Log,
+    first: int, a: int, b: int, by_heat: Ints, order: Ints, layer: Layer, most: float, log: Log
 ) -> float:
     """Sum of the powers of the entry temperatures, those from a place on worked out; any sum beyond `most` if it is more.
 
@@ -183,7 +167,7 @@ def powers_from(
         place = a if n == -2 else b if n == -1 else by_heat[n]
         if place < first or (n == -1 and a == b) or (n >= 0 and place in (a, b)):
             continue
-        log.entry_k[place] = entry_temperature(place, order, rise, nodes, fresh, time, log)
+        log.entry_k[place] = entry_temperature(place, order, layer, log)
         total += power(log.entry_k[place])
         if total > most:
             break
@@ -236,48 +220,41 @@ def move(order: Ints, a: int, b: int, kind: int, result: Ints) -> None:
 
 
 @kernel
-def drive_from(
-    first: int,
-    order: Ints,
-    jump: Floats,
-    way: Ints,
-    beside: Touching,
-    time: Floats,
-    rapid: float,
-    log: Log,
-) -> None:
+def timed_from(first: int, order: Ints, layer: Layer, log: Log) -> None:
     """Time the islands from a place on, entering each by the nearest way."""
+    jump, way, time = layer.ways.jump_mm, layer.ways.way, layer.time_s
     for n in range(first, len(order)):
         if n == 0:
             log.start_s[0], log.way[0], log.travel_mm[0], log.touches[0] = 0.0, 0, 0.0, 0
             continue
         last, island, left_by = order[n - 1], order[n], log.way[n - 1]
         distance = jump[last, left_by, island]
-        log.start_s[n] = log.start_s[n - 1] + time[last] + distance / rapid
+        log.start_s[n] = log.start_s[n - 1] + time[last] + distance / layer.rapid_mm_s
         log.way[n] = way[last, left_by, island]
         log.travel_mm[n] = log.travel_mm[n - 1] + distance
-        log.touches[n] = log.touches[n - 1] + touch(beside, last, island)
+        log.touches[n] = log.touches[n - 1] + touch(layer.beside, last, island)
 
 
 @kernel
-def entry_temperature(
-    place: int, order: Ints, rise: Table, nodes: float, fresh: FreshTable, time: Floats, log: Log
-) -> float:
+def entry_temperature(place: int, order: Ints, layer: Layer, log: Log) -> float:
     """Rise of the island at a place when the beam enters it: its mean, or that of its entry if it is more."""
-    island, now = order[place], log.start_s[place]
-    temperature = looked_up(rise, nodes, fresh.horizon_s, island, len(order), now)
+    # Taken out of their tuples once: the first loop is where planning spends its time.
+    rise, nodes, fresh = layer.table.rise_k, layer.table.nodes_per_root_s, layer.table.fresh
+    horizon, time, start = fresh.horizon_s, layer.time_s, log.start_s
+    island, now = order[place], start[place]
+    temperature = looked_up(rise, nodes, horizon, island, len(order), now)
     for earlier in range(place):
         source = order[earlier]
-        since = now - log.start_s[earlier] - time[source]
-        temperature += looked_up(rise, nodes, fresh.horizon_s, island, source, since)
+        since = now - start[earlier] - time[source]
+        temperature += looked_up(rise, nodes, horizon, island, source, since)
     excess = 0.0
     for earlier in range(place - 1, -1, -1):
         source = order[earlier]
-        since = now - log.start_s[earlier] - time[source]
-        if since >= fresh.horizon_s:
+        since = now - start[earlier] - time[source]
+        if since >= horizon:
             break
         row = fresh.slot[island, source]
         if row >= 0:
-            root = np.sqrt(max(since, 0.0) / fresh.horizon_s)
+            root = np.sqrt(max(since, 0.0) / horizon)
             excess += at_root(fresh.excess_k[row, log.way[place], log.way[earlier]], root)
     return temperature + max(excess, 0.0)

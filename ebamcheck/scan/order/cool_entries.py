@@ -15,14 +15,15 @@ import numpy as np
 
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.scan.filling.schedule import IslandDrive
+from ebamcheck.scan.filling.schedule import IslandSchedule
 from ebamcheck.scan.filling.turns import JOINED_MM
-from ebamcheck.scan.heat.aged_heat import by_island, with_late_heat
+from ebamcheck.scan.heat.aged_heat import late_modes, with_late_heat
+from ebamcheck.scan.heat.amplitudes import Modes, Timetable
 from ebamcheck.scan.heat.island_heat import IslandHeat
 from ebamcheck.scan.heat.near_field import NearField, entry_rise
 from ebamcheck.scan.heat.pieces import WAYS
 from ebamcheck.scan.order.annealing import high_mean, power
-from ebamcheck.scan.order.simulation import ways_driven
+from ebamcheck.scan.order.simulation import nearest_ways
 
 ROUNDS = 3
 """Rounds of choosing ends, each with the heat of islands as driven by those of the round before."""
@@ -39,7 +40,7 @@ TIE = 1e-12
 
 
 def cool_ways(
-    heat: IslandHeat, drive: IslandDrive, order: Ints, rapid_mm_s: float, longest_mm: float
+    heat: IslandHeat, schedule: IslandSchedule, order: Ints, rapid_mm_s: float, longest_mm: float
 ) -> Ints:
     """Choose the way by which each island is entered.
 
@@ -53,17 +54,17 @@ def cool_ways(
     Returns
     -------
     Ints
-        (I,) ways by island, as in :class:`~ebamcheck.scan.filling.schedule.IslandDrive`. Travel, and :func:`high_mean`
+        (I,) ways by island, as in :class:`~ebamcheck.scan.filling.schedule.IslandSchedule`. Travel, and :func:`high_mean`
         of the rises at the entries, are no more than by the nearest ways, but for travel that is allowed.
     """
-    best = ways = ways_driven(order, drive.entry, drive.leave)
+    best = ways = nearest_ways(order, schedule.entry, schedule.leave)
     if len(order) < 2:
         return best
-    columns = order, drive.entry, drive.leave, drive.time_s, rapid_mm_s
+    columns = order, schedule.entry, schedule.leave, schedule.time_s, rapid_mm_s
     start_s, end_s, travel_mm = clocked_by(*columns, ways)
     allowed_mm = max(longest_mm, travel_mm)
     # Other ends change the times by a fraction of a second: old heat, which is most of the work, does not see it.
-    old_k = _old_k(heat, modes_at_entries(heat, drive), order, start_s, end_s)
+    old_k = _old_k(heat, modes_at_entries(heat, schedule), order, start_s, end_s)
     least_k, every = np.inf, np.arange(len(order))
     for n in range(ROUNDS + 1):
         start_s, end_s, _ = clocked_by(*columns, ways)
@@ -72,14 +73,14 @@ def cool_ways(
         if found_k < least_k * (1.0 - TIE):
             best, least_k = ways, found_k
         if n < ROUNDS:
-            ways = affordable(rise_k, order, drive.entry, drive.leave, allowed_mm)
+            ways = affordable(rise_k, order, schedule.entry, schedule.leave, allowed_mm)
     return best
 
 
-def modes_at_entries(heat: IslandHeat, drive: IslandDrive) -> Floats:
+def modes_at_entries(heat: IslandHeat, schedule: IslandSchedule) -> Floats:
     """Modes of the section at all ends of the islands, (I, 4, K)."""
-    places = np.ascontiguousarray(drive.entry).reshape(-1, 2)
-    return np.ascontiguousarray(heat.model.plane.at(places)).reshape(len(drive), WAYS, -1)
+    places = np.ascontiguousarray(schedule.entry).reshape(-1, 2)
+    return np.ascontiguousarray(heat.model.plane.at(places)).reshape(len(schedule), WAYS, -1)
 
 
 def rises_at_entries(
@@ -102,8 +103,8 @@ def rises_at_entries(
 
 def _old_k(heat: IslandHeat, at: Floats, order: Ints, start_s: Floats, end_s: Floats) -> Floats:
     """Rises (I, 4) by heat older than the horizon, at ends with modes (I, 4, K)."""
-    horizon_s = heat.fresh.horizon_s
-    return old_at_entries(*heat.columns, order, start_s, end_s, horizon_s, heat.start_k.copy(), at)
+    timetable = Timetable(order, start_s, end_s)
+    return old_at_entries(heat.modes, timetable, heat.fresh.horizon_s, heat.start_k.copy(), at)
 
 
 def affordable(rise_k: Floats, order: Ints, entry: Floats, leave: Floats, longest_mm: float) -> Ints:
@@ -114,7 +115,7 @@ def affordable(rise_k: Floats, order: Ints, entry: Floats, leave: Floats, longes
     rise_k
         (I, 4) rises at the ends.
     entry, leave
-        (I, 4, 2) as in :class:`~ebamcheck.scan.filling.schedule.IslandDrive`.
+        (I, 4, 2) as in :class:`~ebamcheck.scan.filling.schedule.IslandSchedule`.
     """
     top_k = float(rise_k.min(axis=1).max())
     share = np.maximum(rise_k, 0.0) / (top_k if top_k > 0.0 else 1.0)
@@ -212,37 +213,22 @@ def young_at_entries(
 
 
 @kernel
-def old_at_entries(
-    mean: Floats,
-    plane_rate: Floats,
-    depth_rate: Floats,
-    in_layer: Floats,
-    source: Floats,
-    order: Ints,
-    start: Floats,
-    end: Floats,
-    age: float,
-    state: Floats,
-    at: Floats,
-) -> Floats:
+def old_at_entries(modes: Modes, timetable: Timetable, age: float, state: Floats, at: Floats) -> Floats:
     """Rises at all ends (I, 4) by what the layer begins with and by heat of at least an age, K.
 
     See :func:`~ebamcheck.scan.heat.aged_heat.entered_with_aged`; `state` (K, N) is used up.
     """
-    fallen = by_island(mean * np.exp(-plane_rate * age).reshape(-1, 1))
-    in_layer_late = in_layer * np.exp(-depth_rate * age)
-    rise = np.zeros((len(start), WAYS))
+    aged = late_modes(modes, age)
+    rise = np.zeros((len(timetable.start_s), WAYS))
     clock, place = 0.0, 0
-    for island in order:
-        place = with_late_heat(
-            state, fallen, plane_rate, depth_rate, in_layer_late, source, order, start, end, age, clock,
-            start[island], place,
-        )  # fmt: skip
-        clock = start[island]
-        for k in range(mean.shape[0]):
+    for island in timetable.order:
+        start = timetable.start_s[island]
+        place = with_late_heat(state, aged, timetable, age, clock, start, place)
+        clock = start
+        for k in range(modes.mean.shape[0]):
             surface = 0.0
-            for n in range(len(depth_rate)):
-                surface += in_layer[n] * state[k, n]
+            for n in range(len(modes.depth_rate)):
+                surface += modes.in_layer[n] * state[k, n]
             for w in range(WAYS):
                 rise[island, w] += at[island, w, k] * surface
     return rise

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.scan.filling.schedule import IslandDrive
+from ebamcheck.scan.filling.schedule import IslandSchedule
 from ebamcheck.scan.filling.turns import JOINED_MM
 
 
-@dataclass(frozen=True, eq=False)
-class Ways:
+class EntryOptions(NamedTuple):
     """Jumps between islands.
 
     Parameters
@@ -28,9 +27,9 @@ class Ways:
     way: Ints
 
 
-def ways_between(drive: IslandDrive) -> Ways:
+def entry_options(schedule: IslandSchedule) -> EntryOptions:
     """Tabulate the jumps between all islands of a layer."""
-    return Ways(*tabulated(drive.entry, drive.leave))
+    return EntryOptions(*tabulated(schedule.entry, schedule.leave))
 
 
 @kernel
@@ -46,7 +45,7 @@ def nearest_way(entry: Floats, x: float, y: float) -> tuple[float, int]:
 
 @kernel
 def tabulated(entry: Floats, leave: Floats) -> tuple[Floats, Ints]:
-    """Return the columns of :class:`Ways`."""
+    """Return the columns of :class:`EntryOptions`."""
     count, ways = leave.shape[:2]
     jump = np.empty((count, ways, count))
     way = np.empty((count, ways, count), np.int64)

@@ -5,21 +5,20 @@ from __future__ import annotations
 import numpy as np
 
 from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.scan.heat.amplitudes import at_surface, decay, field, heat_island
 from ebamcheck.scan.heat.island_heat import IslandHeat
-from ebamcheck.scan.order.simulation import at_surface, decay, field, heat_island
 
 
 def island_history(heat: IslandHeat, order: Ints, start_s: Floats, end_s: Floats) -> Floats:
     """Mean temperature rises (I, I) K: a row for the end of each island in scan order, a column an island."""
-    mean, plane_rate, depth_rate, in_layer, source = heat.columns
+    modes = heat.modes
     state = heat.start_k.copy()
-    rows = np.empty((len(order), mean.shape[1]))
+    rows = np.empty((len(order), len(modes.source_k_s)))
     clock = 0.0
     for n, island in enumerate(order.tolist()):
         duration = end_s[island] - start_s[island]
-        decay(state, plane_rate, depth_rate, start_s[island] - clock + duration)
-        own = np.ascontiguousarray(mean[:, island])
-        heat_island(state, own, plane_rate, depth_rate, in_layer, source[island], duration)
-        rows[n] = field(mean, at_surface(state, plane_rate, depth_rate, in_layer, 0.0))
+        decay(state, modes, start_s[island] - clock + duration)
+        heat_island(state, modes, island, duration)
+        rows[n] = field(modes, at_surface(state, modes))
         clock = float(end_s[island])
     return rows

@@ -36,7 +36,7 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.plugins import registry
 from ebamcheck.scan.filling.hatch import Vectors
-from ebamcheck.scan.filling.schedule import IslandDrive
+from ebamcheck.scan.filling.schedule import IslandSchedule
 from ebamcheck.scan.heat.island_heat import IslandHeat, island_heat, with_fresh_heat
 from ebamcheck.scan.order.cool_entries import cool_ways
 from ebamcheck.scan.order.path import NEAREST
@@ -78,8 +78,8 @@ class LayerIslands:
         Solid region of the layer.
     polygons
         (I,) the islands.
-    drive
-        How each is driven. Without it, orders that ask for times or heat cannot be used.
+    schedule
+        When and where each is scanned. Without it, orders that ask for times or heat cannot be used.
     lines
         Lines of the islands, sorted by island; None: each counts as a blob of its area.
     before
@@ -95,7 +95,7 @@ class LayerIslands:
     height_mm: float = 0.0
     section: BaseGeometry = field(default_factory=shapely.Polygon)
     polygons: NDArray[np.object_] = field(default_factory=lambda: np.zeros(0, object))
-    drive: IslandDrive | None = None
+    schedule: IslandSchedule | None = None
     lines: Vectors | None = None
     before: Callable[[HeatModel], Floats] | None = None
 
@@ -108,13 +108,13 @@ class LayerIslands:
         return np.random.default_rng((self.seed, self.layer))
 
     @cached_property
-    def driven(self) -> IslandDrive:
-        """How the islands are driven; raises :class:`SettingsError` where that is not known."""
-        if self.drive is None:
+    def known_schedule(self) -> IslandSchedule:
+        """When and where the islands are scanned; raises :class:`SettingsError` where that is not known."""
+        if self.schedule is None:
             raise SettingsError(
-                "this order asks how long islands take: give LayerIslands their polygons and drive"
+                "this order asks how long islands take: give LayerIslands their polygons and schedule"
             )
-        return self.drive
+        return self.schedule
 
     @cached_property
     def heat(self) -> IslandHeat:
@@ -126,16 +126,16 @@ class LayerIslands:
     @cached_property
     def cold_heat(self) -> IslandHeat:
         """The heat model of the layer on a cold part, set up when it is first asked for."""
-        drive = self.driven
+        schedule = self.known_schedule
         modes = island_heat(
-            self.section, self.polygons, drive.beam_s, drive.time_s, self.profile, self.height_mm
+            self.section, self.polygons, schedule.beam_s, schedule.time_s, self.profile, self.height_mm
         )
         return self.with_fresh_heat(modes)
 
     def with_fresh_heat(self, modes: IslandHeat) -> IslandHeat:
         """Add the fresh heat between these islands to a heat model of the layer that has its modes alone."""
         lines = NO_LINES if self.lines is None else self.lines
-        return with_fresh_heat(modes, self.driven, lines, self.section, self.polygons, self.profile)
+        return with_fresh_heat(modes, self.known_schedule, lines, self.section, self.polygons, self.profile)
 
 
 Order = Callable[[LayerIslands], Ints]
@@ -256,7 +256,7 @@ def least_heat(islands: LayerIslands) -> Ints:
     """Next the island that is coolest when the beam gets there, however far it is."""
     rapid = islands.profile.machine.rapid_mm_s
     beside = touching(islands.neighbours, len(islands))
-    return greedy_order(islands.heat, islands.driven, beside, rapid, _seeded_start(islands), 0.0, 0.0)
+    return greedy_order(islands.heat, islands.known_schedule, beside, rapid, _seeded_start(islands), 0.0, 0.0)
 
 
 def thermal(islands: LayerIslands) -> Ints:
@@ -266,7 +266,7 @@ def thermal(islands: LayerIslands) -> Ints:
     settings = islands.profile.scan
     return thermal_order(
         islands.heat,
-        islands.driven,
+        islands.known_schedule,
         islands.neighbours,
         islands.profile.machine.rapid_mm_s,
         width_mm=float(np.sqrt(islands.area_mm2.mean())),
@@ -279,8 +279,8 @@ def thermal(islands: LayerIslands) -> Ints:
 
 def longest_travel_mm(islands: LayerIslands) -> float:
     """Travel between islands that `thermal` may take: its share of that of `farthest`."""
-    drive, rapid = islands.driven, islands.profile.machine.rapid_mm_s
-    *_, travel = clocked(farthest(islands), drive.entry, drive.leave, drive.time_s, rapid)
+    schedule, rapid = islands.known_schedule, islands.profile.machine.rapid_mm_s
+    *_, travel = clocked(farthest(islands), schedule.entry, schedule.leave, schedule.time_s, rapid)
     return islands.profile.scan.travel_share * float(travel)
 
 
@@ -288,7 +288,7 @@ def entry_ways(name: str | Order, islands: LayerIslands, order: Ints) -> Ints:
     """Way (I,) by which each island of an order is entered: the nearest, or for an order of cool entries the coolest near enough."""
     if len(order) > 1 and getattr(named_order(name), "cool_entries", False):
         rapid = islands.profile.machine.rapid_mm_s
-        return cool_ways(islands.heat, islands.driven, order, rapid, longest_travel_mm(islands))
+        return cool_ways(islands.heat, islands.known_schedule, order, rapid, longest_travel_mm(islands))
     return np.full(len(order), NEAREST, np.int64)
 
 

@@ -32,7 +32,7 @@ def in_sequence(
     chained
         (I,) whether the lines of an island follow each other end to start.
     ways
-        (I,) way by which each island is entered, as in :class:`~ebamcheck.scan.filling.schedule.IslandDrive`;
+        (I,) way by which each island is entered, as in :class:`~ebamcheck.scan.filling.schedule.IslandSchedule`;
         :data:`NEAREST`: the nearest.
 
     Returns

@@ -1,4 +1,4 @@
-"""Islands driven one after the other on the heat model: when, and how warm each is when the beam enters it."""
+"""Simulation of an order on the heat model: when, and how warm each is when the beam enters it."""
 
 from __future__ import annotations
 
@@ -6,20 +6,26 @@ import numpy as np
 
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.scan.filling.schedule import IslandDrive
+from ebamcheck.scan.filling.schedule import IslandSchedule
 from ebamcheck.scan.heat.aged_heat import entered_with_aged
+from ebamcheck.scan.heat.amplitudes import (
+    LEAST_DECAY,
+    Modes,
+    Timetable,
+    at_surface,
+    decay,
+    field,
+    heat_island,
+)
 from ebamcheck.scan.heat.island_heat import IslandHeat
 from ebamcheck.scan.heat.near_field import NearField, young_rise
 from ebamcheck.scan.order.entry_options import nearest_way
-
-LEAST_DECAY = 1e-9
-"""Amplitudes that fall by less than this while an island is scanned do not fall."""
 
 
 def entry_temperatures(
     heat: IslandHeat, area_mm2: Floats, order: Ints, start_s: Floats, end_s: Floats
 ) -> tuple[Floats, Floats]:
-    """Drive an order on the heat model.
+    """Simulate an order on the heat model.
 
     Parameters
     ----------
@@ -37,52 +43,51 @@ def entry_temperatures(
         island's own heat, over the mean temperature (excess uniformity).
     """
     share = area_mm2 / area_mm2.sum()
-    entry_k, excess = driven(*heat.columns, share, order, start_s, end_s, heat.start_k.copy())
+    timetable = Timetable(order, start_s, end_s)
+    entry_k, excess = simulated(heat.modes, share, timetable, heat.start_k.copy())
     if heat.near is None:
         return entry_k, excess
-    return _old_k(heat, heat.near, order, start_s, end_s) + _young_k(heat, heat.near, order, start_s, end_s)[
-        0
-    ], excess
+    young_k, _ = _young_k(heat, heat.near, timetable)
+    return _old_k(heat, heat.near, timetable) + young_k, excess
 
 
 def entered(heat: IslandHeat, order: Ints, start_s: Floats, end_s: Floats) -> tuple[Floats, Floats]:
     """Entry temperatures (I,) by island alone, which is far less work, and the amplitudes (K, N) at the end."""
-    state = heat.start_k.copy()
-    entry_k = entered_into(*heat.columns, order, start_s, end_s, state)
+    state, timetable = heat.start_k.copy(), Timetable(order, start_s, end_s)
+    entry_k = entered_into(heat.modes, timetable, state)
     if heat.near is not None:
-        entry_k = _old_k(heat, heat.near, order, start_s, end_s)
-        entry_k += _young_k(heat, heat.near, order, start_s, end_s)[0]
+        entry_k = _old_k(heat, heat.near, timetable) + _young_k(heat, heat.near, timetable)[0]
     return entry_k, state
 
 
 def entry_points(
-    heat: IslandHeat, drive: IslandDrive, order: Ints, start_s: Floats, end_s: Floats
+    heat: IslandHeat, schedule: IslandSchedule, order: Ints, start_s: Floats, end_s: Floats
 ) -> tuple[Floats, Floats]:
     """Mean temperature rise of each island, and that under the beam, when the beam enters it, (I,) K by island."""
-    old_k = _old_k(heat, heat.fresh, order, start_s, end_s)
-    way = ways_driven(order, drive.entry, drive.leave)
-    means_k, points_k = _young_k(heat, heat.fresh, order, start_s, end_s, way)
+    timetable = Timetable(order, start_s, end_s)
+    old_k = _old_k(heat, heat.fresh, timetable)
+    way = nearest_ways(order, schedule.entry, schedule.leave)
+    means_k, points_k = _young_k(heat, heat.fresh, timetable, way)
     return old_k + means_k, old_k + points_k
 
 
-def _old_k(heat: IslandHeat, near: NearField, order: Ints, start_s: Floats, end_s: Floats) -> Floats:
+def _old_k(heat: IslandHeat, near: NearField, timetable: Timetable) -> Floats:
     """Entry temperatures (I,) by heat older than the horizon, of which the modes have all."""
-    return entered_with_aged(*heat.columns, order, start_s, end_s, near.horizon_s, heat.start_k.copy())
+    return entered_with_aged(heat.modes, timetable, near.horizon_s, heat.start_k.copy())
 
 
 def _young_k(
-    heat: IslandHeat, near: NearField, order: Ints, start_s: Floats, end_s: Floats, way: Ints | None = None
+    heat: IslandHeat, near: NearField, timetable: Timetable, way: Ints | None = None
 ) -> tuple[Floats, Floats]:
     """What younger heat adds, (I,) K: to the means of islands, and to the places where they are entered by a way."""
-    ways = np.zeros(len(start_s), np.int64) if way is None else way
-    return freshly_heated(near, heat.source_k_s, order, start_s, end_s, ways)
+    ways = np.zeros(len(timetable.start_s), np.int64) if way is None else way
+    return freshly_heated(near, heat.source_k_s, timetable, ways)
 
 
 @kernel
-def freshly_heated(
-    near: NearField, source: Floats, order: Ints, start: Floats, end: Floats, way: Ints
-) -> tuple[Floats, Floats]:
+def freshly_heated(near: NearField, source: Floats, timetable: Timetable, way: Ints) -> tuple[Floats, Floats]:
     """Rises by heat younger than the horizon, (I,) K: of the means of islands, and of their entries."""
+    order, start, end = timetable
     means, points = np.zeros(len(start)), np.zeros(len(start))
     place = np.full(len(start), -1)
     for n in range(len(order)):
@@ -101,110 +106,44 @@ def freshly_heated(
 
 
 @kernel
-def decay(state: Floats, plane_rate: Floats, depth_rate: Floats, time: float) -> None:
-    """Let all amplitudes (K, N) fall for a time."""
-    through = np.exp(-depth_rate * time)
-    for k in range(state.shape[0]):
-        across = np.exp(-plane_rate[k] * time)
-        for n in range(state.shape[1]):
-            state[k, n] *= across * through[n]
-
-
-@kernel
-def heat_island(
-    state: Floats,
-    mean: Floats,
-    plane_rate: Floats,
-    depth_rate: Floats,
-    in_layer: Floats,
-    source: float,
-    time: float,
-) -> None:
-    """Add what an island with mode means (K,) leaves at the end of the time in which it is heated."""
-    through = np.exp(-depth_rate * time)
-    for k in range(state.shape[0]):
-        across = np.exp(-plane_rate[k] * time)
-        for n in range(state.shape[1]):
-            rate = plane_rate[k] + depth_rate[n]
-            held = time if rate * time < LEAST_DECAY else (1.0 - across * through[n]) / rate
-            state[k, n] += source * held * mean[k] * in_layer[n]
-
-
-@kernel
-def at_surface(
-    state: Floats, plane_rate: Floats, depth_rate: Floats, in_layer: Floats, time: float
-) -> Floats:
-    """Amplitudes (K,) of the section's modes in the layer, after another time."""
-    through = in_layer * np.exp(-depth_rate * time)
-    result = np.empty(state.shape[0])
-    for k in range(state.shape[0]):
-        total = 0.0
-        for n in range(state.shape[1]):
-            total += state[k, n] * through[n]
-        result[k] = total * np.exp(-plane_rate[k] * time)
-    return result
-
-
-@kernel
-def entered_into(
-    mean: Floats,
-    plane_rate: Floats,
-    depth_rate: Floats,
-    in_layer: Floats,
-    source: Floats,
-    order: Ints,
-    start: Floats,
-    end: Floats,
-    state: Floats,
-) -> Floats:
+def entered_into(modes: Modes, timetable: Timetable, state: Floats) -> Floats:
     """Entry temperature of each island; `state` goes from the first to the last amplitudes."""
-    modes, waves, count = mean.shape[0], len(depth_rate), mean.shape[1]
-    entry_k = np.zeros(count)
+    plane_rate, depth_rate, in_layer = modes.plane_rate, modes.depth_rate, modes.in_layer
+    entry_k = np.zeros(modes.mean.shape[1])
     clock = 0.0
-    for island in order:
-        pause, duration = start[island] - clock, end[island] - start[island]
+    for island in timetable.order:
+        pause = timetable.start_s[island] - clock
+        duration = timetable.end_s[island] - timetable.start_s[island]
         through_pause, through = np.exp(-depth_rate * pause), np.exp(-depth_rate * duration)
         temperature = 0.0
-        for k in range(modes):
-            shape = mean[k, island]
+        for k in range(len(plane_rate)):
+            shape = modes.mean[k, island]
             across_pause, across = np.exp(-plane_rate[k] * pause), np.exp(-plane_rate[k] * duration)
-            for n in range(waves):
+            for n in range(len(depth_rate)):
                 before = state[k, n] * (across_pause * through_pause[n])
                 temperature += shape * in_layer[n] * before
                 rate, fall = plane_rate[k] + depth_rate[n], across * through[n]
                 held = duration if rate * duration < LEAST_DECAY else (1.0 - fall) / rate
-                state[k, n] = before * fall + source[island] * held * shape * in_layer[n]
+                state[k, n] = before * fall + modes.source_k_s[island] * held * shape * in_layer[n]
         entry_k[island] = temperature
-        clock = end[island]
+        clock = timetable.end_s[island]
     return entry_k
 
 
 @kernel
-def driven(
-    mean: Floats,
-    plane_rate: Floats,
-    depth_rate: Floats,
-    in_layer: Floats,
-    source: Floats,
-    share: Floats,
-    order: Ints,
-    start: Floats,
-    end: Floats,
-    state: Floats,
-) -> tuple[Floats, Floats]:
+def simulated(modes: Modes, share: Floats, timetable: Timetable, state: Floats) -> tuple[Floats, Floats]:
     """Entry temperature and excess uniformity of each island, see :func:`entry_temperatures`."""
-    count = mean.shape[1]
+    count = modes.mean.shape[1]
     entry_k, excess = np.zeros(count), np.zeros(count)
     clock = 0.0
-    for island in order:
-        decay(state, plane_rate, depth_rate, start[island] - clock)
-        entry_k[island] = field(mean, at_surface(state, plane_rate, depth_rate, in_layer, 0.0))[island]
-        duration = end[island] - start[island]
-        decay(state, plane_rate, depth_rate, duration)
-        others = field(mean, at_surface(state, plane_rate, depth_rate, in_layer, 0.0))
-        own = mean[:, island]
-        heat_island(state, own, plane_rate, depth_rate, in_layer, source[island], duration)
-        total = field(mean, at_surface(state, plane_rate, depth_rate, in_layer, 0.0))
+    for island in timetable.order:
+        decay(state, modes, timetable.start_s[island] - clock)
+        entry_k[island] = field(modes, at_surface(state, modes))[island]
+        duration = timetable.end_s[island] - timetable.start_s[island]
+        decay(state, modes, duration)
+        others = field(modes, at_surface(state, modes))
+        heat_island(state, modes, island, duration)
+        total = field(modes, at_surface(state, modes))
         middle, average, spread = 0.0, 0.0, 0.0
         for j in range(count):
             middle += share[j] * others[j]
@@ -212,22 +151,12 @@ def driven(
         for j in range(count):
             spread += share[j] * (others[j] - middle) ** 2
         excess[island] = np.sqrt(spread) / average if average > 0.0 else 0.0
-        clock = end[island]
+        clock = timetable.end_s[island]
     return entry_k, excess
 
 
 @kernel
-def field(mean: Floats, amplitudes: Floats) -> Floats:
-    """Temperature rise of all islands, (I,)."""
-    result = np.zeros(mean.shape[1])
-    for k in range(mean.shape[0]):
-        for j in range(mean.shape[1]):
-            result[j] += amplitudes[k] * mean[k, j]
-    return result
-
-
-@kernel
-def ways_driven(order: Ints, entry: Floats, leave: Floats) -> Ints:
+def nearest_ways(order: Ints, entry: Floats, leave: Floats) -> Ints:
     """Way by which each island is driven, by island (I,), entering each the nearest way."""
     ways = np.zeros(len(entry), np.int64)
     for n in range(1, len(order)):

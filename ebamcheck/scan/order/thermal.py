@@ -11,21 +11,23 @@ is short enough are improved (:mod:`~ebamcheck.scan.order.annealing`). Of a few 
 from __future__ import annotations
 
 import itertools
+from typing import NamedTuple
 
 import numpy as np
 
 from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
-from ebamcheck.scan.filling.schedule import IslandDrive
+from ebamcheck.scan.filling.schedule import IslandSchedule
 from ebamcheck.scan.filling.turns import JOINED_MM
-from ebamcheck.scan.heat.aged_heat import by_island, with_late_heat
+from ebamcheck.scan.heat.aged_heat import late_modes, with_late_heat
+from ebamcheck.scan.heat.amplitudes import Modes, Timetable, at_surface
 from ebamcheck.scan.heat.influence import MOST_ISLANDS, influence
 from ebamcheck.scan.heat.island_heat import IslandHeat
 from ebamcheck.scan.heat.near_field import NearField, young_rise
 from ebamcheck.scan.order.all_orders import MOST_LISTED, best_of_all
-from ebamcheck.scan.order.annealing import annealed, high_mean
-from ebamcheck.scan.order.entry_options import nearest_way, ways_between
-from ebamcheck.scan.order.simulation import at_surface, clocked, entry_points
+from ebamcheck.scan.order.annealing import Layer, annealed, high_mean
+from ebamcheck.scan.order.entry_options import entry_options, nearest_way
+from ebamcheck.scan.order.simulation import clocked, entry_points
 from ebamcheck.scan.order.touching import Touching, touching, touching_successors
 
 PRICES = (0.005, 0.01, 0.0025, 0.02, 0.04, 0.08, 0.16)
@@ -57,7 +59,7 @@ TIE_K = 1e-6
 
 def thermal_order(
     heat: IslandHeat,
-    drive: IslandDrive,
+    schedule: IslandSchedule,
     neighbours: Ints,
     rapid_mm_s: float,
     width_mm: float,
@@ -85,22 +87,22 @@ def thermal_order(
     random
         Source of these moves.
     """
-    count = len(drive)
-    price_k_mm = float(np.mean(own_rise(heat, drive))) / width_mm
+    count = len(schedule)
+    price_k_mm = float(np.mean(own_rise(heat, schedule))) / width_mm
     beside = touching(neighbours, count)
     if count <= MOST_LISTED:
-        ways = ways_between(drive)
-        latest_s = float(drive.time_s.sum() + (count - 1) * ways.jump_mm.max() / rapid_mm_s)
-        table = influence(heat, drive.time_s, latest_s)
-        return best_of_all(table, ways, beside, drive.time_s, rapid_mm_s, longest_mm)
+        ways = entry_options(schedule)
+        latest_s = float(schedule.time_s.sum() + (count - 1) * ways.jump_mm.max() / rapid_mm_s)
+        table = influence(heat, schedule.time_s, latest_s)
+        return best_of_all(Layer(table, ways, beside, schedule.time_s, rapid_mm_s), longest_mm)
     tries = _tries(count, len(heat.plane_rate))
 
     def plans(start: int, stop: int) -> list[tuple[Ints, Rank]]:
         done = []
         for price, first in tries[start:stop]:
             paid = price * price_k_mm
-            order = greedy_order(heat, drive, beside, rapid_mm_s, first, paid, paid * start_travel_mm)
-            done.append((order, ranked(heat, drive, beside, rapid_mm_s, order, longest_mm)))
+            order = greedy_order(heat, schedule, beside, rapid_mm_s, first, paid, paid * start_travel_mm)
+            done.append((order, ranked(heat, schedule, beside, rapid_mm_s, order, longest_mm)))
         return done
 
     # Threads pay on layers of many islands only.
@@ -109,25 +111,22 @@ def thermal_order(
     best, best_rank = plans_made[0]
     if count > MOST_ISLANDS or steps == 0:
         return best
-    *_, end_s, travel = clocked(best, drive.entry, drive.leave, drive.time_s, rapid_mm_s)
+    *_, end_s, travel = clocked(best, schedule.entry, schedule.leave, schedule.time_s, rapid_mm_s)
     # Twice the time of a way that is too long: none met in the search takes longer.
-    table = influence(heat, drive.time_s, float(end_s.max()) + max(travel, longest_mm) / rapid_mm_s)
-    ways = ways_between(drive)
+    table = influence(heat, schedule.time_s, float(end_s.max()) + max(travel, longest_mm) / rapid_mm_s)
+    layer = Layer(table, entry_options(schedule), beside, schedule.time_s, rapid_mm_s)
     most = min(steps, MOVES_AN_ISLAND * count)
     begun = [start for start, _ in plans_made[: max(1, int(MOST_MOVES / (most * count)))]]
     sources = random.spawn(len(begun))
 
     def improved(start: int, stop: int) -> list[Ints]:
         return [
-            annealed(
-                table, ways, beside, drive.time_s, rapid_mm_s, begun[n], longest_mm, price_k_mm, most,
-                sources[n], WARMTHS[n % len(WARMTHS)],
-            )
+            annealed(layer, begun[n], longest_mm, price_k_mm, most, sources[n], WARMTHS[n % len(WARMTHS)])
             for n in range(start, stop)
-        ]  # fmt: skip
+        ]
 
     for tried in itertools.chain(*run_blocks(improved, len(begun))):
-        rank = ranked(heat, drive, beside, rapid_mm_s, tried, longest_mm)
+        rank = ranked(heat, schedule, beside, rapid_mm_s, tried, longest_mm)
         if better(rank, best_rank):
             best, best_rank = tried, rank
     return best
@@ -145,30 +144,35 @@ def better(rank: Rank, than: Rank) -> bool:
     return rank[:2] < than[:2] or (rank[:2] == than[:2] and rank[2] < than[2] - TIE_K)
 
 
-def own_rise(heat: IslandHeat, drive: IslandDrive) -> Floats:
+def own_rise(heat: IslandHeat, schedule: IslandSchedule) -> Floats:
     """Mean temperature rise of each island by its own heat when the beam leaves it, (I,) K."""
-    rise = np.zeros(len(drive))
+    rise = np.zeros(len(schedule))
     for n, wave in enumerate(heat.in_layer):
         decay_s = heat.plane_rate[:, None] + heat.depth_rate[n]
-        held = -np.expm1(-decay_s * drive.time_s) / np.where(decay_s > 0.0, decay_s, 1.0)
-        held = np.where(decay_s > 0.0, held, drive.time_s)
+        held = -np.expm1(-decay_s * schedule.time_s) / np.where(decay_s > 0.0, decay_s, 1.0)
+        held = np.where(decay_s > 0.0, held, schedule.time_s)
         rise += wave**2 * heat.source_k_s * (heat.mean**2 * held).sum(axis=0)
     return rise
 
 
 def ranked(
-    heat: IslandHeat, drive: IslandDrive, beside: Touching, rapid_mm_s: float, order: Ints, longest_mm: float
+    heat: IslandHeat,
+    schedule: IslandSchedule,
+    beside: Touching,
+    rapid_mm_s: float,
+    order: Ints,
+    longest_mm: float,
 ) -> Rank:
     """Rank of a plan: touching successors; travel beyond what is allowed, mm; high mean of the entry temperatures, K."""
-    start_s, end_s, travel = clocked(order, drive.entry, drive.leave, drive.time_s, rapid_mm_s)
-    means_k, points_k = entry_points(heat, drive, order, start_s, end_s)
+    start_s, end_s, travel = clocked(order, schedule.entry, schedule.leave, schedule.time_s, rapid_mm_s)
+    means_k, points_k = entry_points(heat, schedule, order, start_s, end_s)
     too_near = int(touching_successors(beside, order).sum())
     return too_near, max(0.0, travel - longest_mm), high_mean(np.maximum(means_k, points_k))
 
 
 def greedy_order(
     heat: IslandHeat,
-    drive: IslandDrive,
+    schedule: IslandSchedule,
     beside: Touching,
     rapid_mm_s: float,
     first: int,
@@ -176,147 +180,188 @@ def greedy_order(
     start_k: float,
 ) -> Ints:
     """Order islands by heat for one price of travel (K/mm) and of a wire start (K)."""
-    return coolest_first(
-        heat.mean.copy(),
-        heat.plane_rate,
-        heat.depth_rate,
-        heat.in_layer,
-        heat.source_k_s,
-        drive.entry,
-        drive.leave,
-        drive.time_s,
-        rapid_mm_s,
-        first,
-        price_k_mm,
-        start_k,
-        heat.start_k.copy(),
-        heat.fresh,
-        beside,
+    layer = _Layer(
+        heat.modes, heat.fresh, beside, schedule.entry, schedule.leave, schedule.time_s, rapid_mm_s
+    )
+    return coolest_first(layer, _Prices(price_k_mm, start_k), first, heat.mean.copy(), heat.start_k.copy())
+
+
+class _Layer(NamedTuple):
+    """What a greedy plan reads; see :class:`~ebamcheck.scan.filling.schedule.IslandSchedule`."""
+
+    modes: Modes
+    near: NearField
+    beside: Touching
+    entry: Floats
+    leave: Floats
+    time_s: Floats
+    rapid_mm_s: float
+
+
+class _Prices(NamedTuple):
+    """What travel and a start of the wire cost in the choice of the next island."""
+
+    travel_k_mm: float
+    start_k: float
+
+
+class _Greedy(NamedTuple):
+    """A greedy plan while it grows, by island (I,) but for its order."""
+
+    order: Ints
+    start_s: Floats
+    end_s: Floats
+    way: Ints
+    scanned: Bools
+    jump_mm: Floats
+    """Travel to an island that is left, ..."""
+    by: Ints
+    """... and the way by which it is then entered."""
+    fresh_mean_k: Floats
+    fresh_entry_k: Floats
+    touches: Ints
+    """Place in the order of the last island that an island touches."""
+
+
+@kernel
+def _begun(count: int) -> _Greedy:
+    """Room for a plan of some islands."""
+    return _Greedy(
+        np.empty(count, np.int64),
+        np.empty(count),
+        np.empty(count),
+        np.empty(count, np.int64),
+        np.zeros(count, np.bool_),
+        np.empty(count),
+        np.empty(count, np.int64),
+        np.zeros(count),
+        np.zeros(count),
+        np.full(count, -1),
     )
 
 
 @kernel
-def coolest_first(
-    mean: Floats,
-    plane_rate: Floats,
-    depth_rate: Floats,
-    in_layer: Floats,
-    source: Floats,
-    entry: Floats,
-    leave: Floats,
-    time: Floats,
-    rapid: float,
-    first: int,
-    price: float,
-    start_price: float,
-    state: Floats,
-    near: NearField,
-    beside: Touching,
-) -> Ints:
-    """Order by score; `mean` (K, I) and `state` (K, N) are used up.
+def coolest_first(layer: _Layer, prices: _Prices, first: int, mean: Floats, state: Floats) -> Ints:
+    """Order by score; `mean` (K, I) and `state` (K, N), those that the layer begins with, are used up.
 
     Old heat, of which the modes have all, is linear between the earliest and the latest entry.
     """
-    modes, count = mean.shape
-    order = np.empty(count, np.int64)
+    count, horizon = mean.shape[1], layer.near.horizon_s
+    plan = _begun(count)
+    aged = late_modes(layer.modes, horizon)
     left = np.arange(count)
     now, soon = np.empty(count), np.empty(count)
-    ways, scanned = np.empty(count, np.int64), np.zeros(count, np.bool_)
-    begin, end = np.empty(count), np.empty(count)
-    fallen = by_island(mean * np.exp(-plane_rate * near.horizon_s).reshape(-1, 1))
-    in_layer_late = in_layer * np.exp(-depth_rate * near.horizon_s)
-    jumps, by = np.empty(count), np.empty(count, np.int64)
-    means, points, touches = np.zeros(count), np.zeros(count), np.full(count, -1)
-    clock, latest, aged = 0.0, 0.0, 0
-    for axis in range(2):
-        latest += np.ptp(entry[:, :, axis]) / rapid
+    latest = _longest_jump_s(layer)
+    clock, reached = 0.0, 0
     place, way, jump = first, 0, 0.0
     for n in range(count):
         island = left[place]
-        order[n] = island
-        last, begin[island] = clock, clock + jump / rapid
-        clock = begin[island] + time[island]
-        ways[island], end[island], scanned[island] = way, clock, True
-        x, y = leave[island, way, 0], leave[island, way, 1]
-        aged = with_late_heat(
-            state, fallen, plane_rate, depth_rate, in_layer_late, source, order[: n + 1], begin, end, near.horizon_s,
-            last, clock, aged,
-        )  # fmt: skip
+        plan.order[n] = island
+        last, plan.start_s[island] = clock, clock + jump / layer.rapid_mm_s
+        clock = plan.start_s[island] + layer.time_s[island]
+        plan.way[island], plan.end_s[island], plan.scanned[island] = way, clock, True
+        timetable = Timetable(plan.order[: n + 1], plan.start_s, plan.end_s)
+        reached = with_late_heat(state, aged, timetable, horizon, last, clock, reached)
         rest = count - n - 1
         if rest == 0:
             break
         # The last island takes the place of the one that was scanned: those left stay side by side.
         left[place] = left[rest]
         mean[:, place] = mean[:, rest]
-        early = at_surface(state, plane_rate, depth_rate, in_layer, 0.0)
         ahead = state.copy()
-        with_late_heat(
-            ahead, fallen, plane_rate, depth_rate, in_layer_late, source, order[: n + 1], begin, end, near.horizon_s,
-            clock, clock + latest, aged,
-        )  # fmt: skip
-        late = at_surface(ahead, plane_rate, depth_rate, in_layer, 0.0)
-        now[:rest] = 0.0
-        soon[:rest] = 0.0
-        for k in range(modes):
-            e, s = early[k], late[k]
-            row = mean[k]
-            for j in range(rest):
-                now[j] += e * row[j]
-                soon[j] += s * row[j]
+        with_late_heat(ahead, aged, timetable, horizon, clock, clock + latest, reached)
+        _set_old_heat(
+            mean, at_surface(state, layer.modes), at_surface(ahead, layer.modes), now[:rest], soon[:rest]
+        )
+        x, y = layer.leave[island, way, 0], layer.leave[island, way, 1]
         for candidate in left[:rest]:
-            jumps[candidate], by[candidate] = nearest_way(entry[candidate], x, y)
-        add_fresh(near, source, time, order[: n + 1], ways, end, scanned, jumps, by, rapid, means, points)
-        for m in range(beside.first[island], beside.first[island + 1]):
-            touches[beside.other[m]] = n
-        best, best_island, best_touches = np.inf, -1, True
-        for j in range(rest):
-            candidate = left[j]
-            nearest = jumps[candidate]
-            share = nearest / rapid / latest if latest > 0.0 else 0.0
-            score = now[j] + (soon[j] - now[j]) * share + max(means[candidate], points[candidate])
-            score += price * nearest
-            means[candidate], points[candidate] = 0.0, 0.0
-            if nearest > JOINED_MM:
-                score += start_price
-            hot = touches[candidate] == n
-            if hot and not best_touches:
-                continue
-            cooler = score < best - TIE_K or (score < best + TIE_K and candidate < best_island)
-            if cooler or (best_touches and not hot):
-                best, best_island, best_touches = score, candidate, hot
-                place, way, jump = j, by[candidate], nearest
-    return order
+            plan.jump_mm[candidate], plan.by[candidate] = nearest_way(layer.entry[candidate], x, y)
+        _set_fresh_heat(layer, plan, n)
+        for m in range(layer.beside.first[island], layer.beside.first[island + 1]):
+            plan.touches[layer.beside.other[m]] = n
+        place = _coolest(layer, plan, n, left[:rest], now, soon, latest, prices)
+        way, jump = plan.by[left[place]], plan.jump_mm[left[place]]
+    return plan.order
 
 
 @kernel
-def add_fresh(
-    near: NearField,
-    source: Floats,
-    time: Floats,
-    order: Ints,
-    ways: Ints,
-    end: Floats,
-    scanned: Bools,
-    jumps: Floats,
-    by: Ints,
-    rapid: float,
-    means: Floats,
-    points: Floats,
-) -> None:
-    """Add what young heat does to the islands (I,) that are left: to their means, and where each would be entered.
+def _longest_jump_s(layer: _Layer) -> float:
+    """Time of a jump along both sides of the layer's bounding rectangle, which none exceeds."""
+    longest = 0.0
+    for axis in range(2):
+        longest += np.ptp(layer.entry[:, :, axis]) / layer.rapid_mm_s
+    return longest
 
-    `order`, `ways`, `end` are the islands scanned so far; `jumps`, `by` the travel to each of the others and its way.
-    """
-    now = end[order[-1]]
-    for n in range(len(order) - 1, -1, -1):
-        last = order[n]
-        if now - end[last] > near.horizon_s:
+
+@kernel
+def _set_old_heat(mean: Floats, early: Floats, late: Floats, now: Floats, soon: Floats) -> None:
+    """Rises of the islands left by amplitudes (K,) at the earliest and the latest entry, in one pass over the means."""
+    now[:] = 0.0
+    soon[:] = 0.0
+    for k in range(mean.shape[0]):
+        e, s = early[k], late[k]
+        row = mean[k]
+        for j in range(now.size):
+            now[j] += e * row[j]
+            soon[j] += s * row[j]
+
+
+@kernel
+def _set_fresh_heat(layer: _Layer, plan: _Greedy, n: int) -> None:
+    """What heat younger than the horizon, of the first n + 1 islands, does to those left: their means and entries."""
+    near, source, now = layer.near, layer.modes.source_k_s, plan.end_s[plan.order[n]]
+    plan.fresh_mean_k[:] = 0.0
+    plan.fresh_entry_k[:] = 0.0
+    for earlier in range(n, -1, -1):
+        last = plan.order[earlier]
+        if now - plan.end_s[last] > near.horizon_s:
             break
         for p in range(near.first[last], near.first[last + 1]):
             i = near.other[p]
-            if scanned[i]:
+            if plan.scanned[i]:
                 continue
-            since = now - end[last] + jumps[i] / rapid
-            mean, point = young_rise(near, near.pair[p], i, by[i], last, ways[last], since, time[last])
-            means[i] += source[last] * mean
-            points[i] += source[last] * point
+            since = now - plan.end_s[last] + plan.jump_mm[i] / layer.rapid_mm_s
+            mean, entry = young_rise(
+                near, near.pair[p], i, plan.by[i], last, plan.way[last], since, layer.time_s[last]
+            )
+            plan.fresh_mean_k[i] += source[last] * mean
+            plan.fresh_entry_k[i] += source[last] * entry
+
+
+@kernel
+def _coolest(
+    layer: _Layer,
+    plan: _Greedy,
+    n: int,
+    left: Ints,
+    now: Floats,
+    soon: Floats,
+    latest_s: float,
+    prices: _Prices,
+) -> int:
+    """Place among the islands left of that with the least score; of one that touches the last only where all do.
+
+    Parameters
+    ----------
+    now, soon
+        Rises by old heat at the earliest and at the latest entry.
+    latest_s
+        Time between the two.
+    """
+    place, best, best_island, best_touches = 0, np.inf, -1, True
+    for j in range(left.size):
+        candidate = left[j]
+        jump = plan.jump_mm[candidate]
+        share = jump / layer.rapid_mm_s / latest_s if latest_s > 0.0 else 0.0
+        score = now[j] + (soon[j] - now[j]) * share
+        score += max(plan.fresh_mean_k[candidate], plan.fresh_entry_k[candidate])
+        score += prices.travel_k_mm * jump
+        if jump > JOINED_MM:
+            score += prices.start_k
+        hot = plan.touches[candidate] == n
+        if hot and not best_touches:
+            continue
+        cooler = score < best - TIE_K or (score < best + TIE_K and candidate < best_island)
+        if cooler or (best_touches and not hot):
+            place, best, best_island, best_touches = j, score, candidate, hot
+    return place

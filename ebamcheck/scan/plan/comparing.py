@@ -16,7 +16,7 @@ from ebamcheck.scan.heat.island_heat import IslandHeat, island_heat
 from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.scan.order.cool_entries import modes_at_entries, rises_at_entries
 from ebamcheck.scan.order.orders import ORDERS, LayerIslands, entry_ways, scan_order
-from ebamcheck.scan.order.simulation import entry_temperatures, ways_driven
+from ebamcheck.scan.order.simulation import entry_temperatures, nearest_ways
 from ebamcheck.scan.order.touching import touching, touching_successors
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.scan.plan.laying import LaidLayer, lay_islands
@@ -158,9 +158,9 @@ class OrderComparison:
         islands = laid.choices(profile, profile.scan.seed)
         heat = None
         if len(islands):
-            drive = islands.driven
+            schedule = islands.known_schedule
             modes = island_heat(
-                section, laid.islands, drive.beam_s, drive.time_s, profile, height_mm, fine=True
+                section, laid.islands, schedule.beam_s, schedule.time_s, profile, height_mm, fine=True
             )
             heat = islands.with_fresh_heat(modes)
         return cls(laid, islands, heat, profile)
@@ -180,7 +180,7 @@ class OrderComparison:
         plan = stack_plans(
             [in_order(OrderedLayer(self.laid, islands, order, ways))], self.profile, name, seed
         )
-        driven = simulate_order(plan, self.profile)
+        simulated = simulate_order(plan, self.profile)
         count = len(order)
         rank = np.empty(count, np.int64)
         rank[order] = np.arange(count)
@@ -190,15 +190,15 @@ class OrderComparison:
                 plan, rank, nothing, nothing, nothing, nothing, nothing, np.zeros(0, np.bool_), 0.0
             )
         # An island without lines is passed in no time.
-        end_s = driven["end_s"].ffill().fillna(0.0)
-        start_s = driven["start_s"].fillna(end_s)
-        by_island = np.argsort(driven["island"].to_numpy())
+        end_s = simulated["end_s"].ffill().fillna(0.0)
+        start_s = simulated["start_s"].fillna(end_s)
+        by_island = np.argsort(simulated["island"].to_numpy())
         begins, ends = start_s.to_numpy()[by_island], end_s.to_numpy()[by_island]
         entry_k, excess = entry_temperatures(self.heat, islands.area_mm2, order, begins, ends)
         point_k = self._points_k(islands, order, ways, begins, ends)
         hot = np.empty(count, np.bool_)
         hot[order] = touching_successors(touching(islands.neighbours, count), order)
-        travel_mm = float(driven["travel_mm"].sum())
+        travel_mm = float(simulated["travel_mm"].sum())
         return OrderResult(plan, rank, begins, ends, entry_k, point_k, excess, hot, travel_mm)
 
     def _points_k(
@@ -206,8 +206,10 @@ class OrderComparison:
     ) -> Floats:
         """Temperature rises (I,) under the beam where it enters the islands."""
         assert self.heat is not None
-        drive = islands.driven
+        schedule = islands.known_schedule
         if (ways < 0).any():
-            ways = ways_driven(order, drive.entry, drive.leave)
-        rises_k = rises_at_entries(self.heat, modes_at_entries(self.heat, drive), order, start_s, end_s, ways)
+            ways = nearest_ways(order, schedule.entry, schedule.leave)
+        rises_k = rises_at_entries(
+            self.heat, modes_at_entries(self.heat, schedule), order, start_s, end_s, ways
+        )
         return np.asarray(rises_k[np.arange(len(order)), ways], np.float64)

@@ -13,7 +13,7 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.filling.fill import fill_layer
 from ebamcheck.scan.filling.hatch import Vectors
-from ebamcheck.scan.filling.schedule import island_drive
+from ebamcheck.scan.filling.schedule import island_schedule
 from ebamcheck.scan.islands import clipping as cells
 from ebamcheck.scan.islands.borders import shared_borders
 from ebamcheck.scan.islands.lattice import LATTICES, planned_side_mm
@@ -53,7 +53,7 @@ class LaidLayer:
             height_mm=self.height_mm - plate_mm,
             section=self.regions.section,
             polygons=self.islands,
-            drive=island_drive(self.lines, self.chained, profile),
+            schedule=island_schedule(self.lines, self.chained, profile),
             lines=self.lines,
         )
 

@@ -61,7 +61,7 @@ def plan_scan(
     stack = Stack([layer_section(polygons)], np.array([height_mm], np.float64), [layer])
     asked = needs_heat(name)
     carry = asked and profile.scan.carry_heat
-    planned = ordered_layers(stack, profile, name, number, carry=carry, driven=asked)
+    planned = ordered_layers(stack, profile, name, number, carry=carry, simulated=asked)
     return stack_plans([in_order(done) for done in planned], profile, name, number)
 
 
@@ -94,9 +94,9 @@ def plan_stack(
     sections = [layer_section(layers.polygons(k)) for k in range(len(layers))]
     stack = Stack(sections, layers.heights, range(len(layers)), plate_mm)
     carry = profile.scan.carry_heat and needs_heat(name)
-    driven = profile.process.interpass != "off"
+    simulated = profile.process.interpass != "off"
     planned = []
-    for done in ordered_layers(stack, profile, name, number, carry, driven):
+    for done in ordered_layers(stack, profile, name, number, carry, simulated):
         planned.append(in_order(done))
         if progress is not None:
             progress(1)

@@ -7,7 +7,6 @@ import math
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from scipy.stats import kendalltau
 
 from ebamcheck.heat.referee import Referee, Verdict, judged, referee
 from ebamcheck.numeric.rings import Floats
@@ -47,6 +46,9 @@ def second_opinion(model: Referee, result: OrderResult, profile: Config) -> dict
         Figures as :data:`OPINION` names them, K; the correlation is NaN where fewer than two islands are warmed before
         they are entered.
     """
+    # Half a second to load, for those who compare orders.
+    from scipy.stats import kendalltau
+
     islands_k, spots_k = refereed_entries(model, result.plan, profile)
     warmed = (result.rank > 0) & np.isfinite(islands_k)
     enough = int(warmed.sum()) > 1
@@ -87,8 +89,8 @@ def refereed_entries(model: Referee, plan: ScanPlan, profile: Config) -> tuple[F
 
 def _entered_s(plan: ScanPlan, profile: Config) -> Floats:
     """Time at which each island of a plan is entered, (I,); 0 for those without lines."""
-    driven = simulate_order(plan, profile).sort_values("island")
-    return np.asarray(driven["start_s"].fillna(0.0).to_numpy(np.float64), np.float64)
+    simulated = simulate_order(plan, profile).sort_values("island")
+    return np.asarray(simulated["start_s"].fillna(0.0).to_numpy(np.float64), np.float64)
 
 
 def _driven(

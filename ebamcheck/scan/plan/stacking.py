@@ -122,18 +122,18 @@ def _settings(profile: Config, order: str, seed: int) -> dict[str, Any]:
 
 def _measured(plan: ScanPlan, planned: Sequence[LayerPlan], profile: Config) -> pd.DataFrame:
     """One row a layer, as :data:`METRICS` says."""
-    driven = simulate_order(plan, profile)
+    simulated = simulate_order(plan, profile)
     end = np.full(len(plan.islands), np.nan)
-    end[driven["island"]] = driven["end_s"]
+    end[simulated["island"]] = simulated["end_s"]
     interval = neighbour_intervals_s(end, plan.neighbours)
     pair_layer = plan.island_layer[plan.neighbours[:, 0]]
-    of_layer = driven["layer"].to_numpy()
+    of_layer = simulated["layer"].to_numpy()
 
     def total(values: pd.Series) -> Floats:
         return np.bincount(of_layer, values.to_numpy(np.float64), minlength=len(planned)).astype(np.float64)
 
-    length, turn = total(driven["length_mm"]), total(driven["turn_mm"])
-    travel = total(driven["travel_mm"] + driven["inner_travel_mm"])
+    length, turn = total(simulated["length_mm"]), total(simulated["turn_mm"])
+    travel = total(simulated["travel_mm"] + simulated["inner_travel_mm"])
     spread = [interval[pair_layer == k] for k in range(len(planned))]
     spread = [values[np.isfinite(values)] for values in spread]
     area = np.array([p.laid.regions.section.area for p in planned], np.float64)
@@ -152,7 +152,7 @@ def _measured(plan: ScanPlan, planned: Sequence[LayerPlan], profile: Config) -> 
         "hatch_length_mm": length,
         "turn_length_mm": turn,
         "travel_mm": travel,
-        "starts": total(driven["starts"]).astype(np.int64),
+        "starts": total(simulated["starts"]).astype(np.int64),
         "time_s": (length + turn) / profile.process.travel_speed_mm_s + travel / profile.machine.rapid_mm_s,
         "interval_p10_s": [float(np.quantile(v, EARLY)) if v.size else math.nan for v in spread],
         "interval_min_s": [float(v.min()) if v.size else math.nan for v in spread],

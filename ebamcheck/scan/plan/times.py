@@ -1,4 +1,4 @@
-"""When each island is scanned: the scan order driven at the speeds of the process and the machine."""
+"""When each island is scanned: the scan order at the speeds of the process and the machine."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ EARLY = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class _Driven:
+class _Schedule:
     """Lines of a plan as they are driven, (V,) each: `turn` and `jump` before a line with the beam on and off, mm."""
 
     island: Ints
@@ -35,7 +35,7 @@ class _Driven:
     end_s: Floats
 
 
-def _driven(plan: ScanPlan, profile: Config) -> _Driven:
+def _scheduled(plan: ScanPlan, profile: Config) -> _Schedule:
     table = plan.vectors
     island = table["island"].to_numpy()
     start, end = table[["x0", "y0"]].to_numpy(), table[["x1", "y1"]].to_numpy()
@@ -44,13 +44,13 @@ def _driven(plan: ScanPlan, profile: Config) -> _Driven:
     way = jumps_mm(start, end, new_layer)
     on = follows(island, start, end, profile.process.hatch_spacing_mm)
     turn, jump = np.where(on, way, 0.0), np.where(on, 0.0, way)
-    drive = length / profile.process.travel_speed_mm_s
+    laying = length / profile.process.travel_speed_mm_s
     to_it = turn / profile.process.travel_speed_mm_s + jump / profile.machine.rapid_mm_s
-    total = np.cumsum(drive + to_it)
+    total = np.cumsum(laying + to_it)
     group = np.cumsum(new_layer) - 1
-    offset = (total - drive)[new_layer][group] if len(length) else total
+    offset = (total - laying)[new_layer][group] if len(length) else total
     ends = total - offset
-    return _Driven(island, start, end, length, turn, jump, new_layer, ends - drive, ends)
+    return _Schedule(island, start, end, length, turn, jump, new_layer, ends - laying, ends)
 
 
 def simulate_order(plan: ScanPlan, profile: Config) -> pd.DataFrame:
@@ -66,21 +66,21 @@ def simulate_order(plan: ScanPlan, profile: Config) -> pd.DataFrame:
         between its own lines), ``length_mm`` of its lines, ``turn_mm`` of the turns between them and
         ``starts`` of the wire. An island without lines has NaN times.
     """
-    driven = _driven(plan, profile)
-    island, jump = driven.island, driven.jump
+    scheduled = _scheduled(plan, profile)
+    island, jump = scheduled.island, scheduled.jump
     new_island = np.diff(island, prepend=-1) != 0
 
     count = len(plan.order)
     first = np.flatnonzero(new_island)
     last = np.flatnonzero(np.diff(island, append=-1) != 0)
     start_s, end_s, before = np.full(count, np.nan), np.full(count, np.nan), np.zeros(count)
-    start_s[island[first]], end_s[island[first]] = driven.begin_s[first], driven.end_s[last]
+    start_s[island[first]], end_s[island[first]] = scheduled.begin_s[first], scheduled.end_s[last]
     before[island[first]] = jump[first]
     by_island = {
         "inner_travel_mm": np.where(new_island, 0.0, jump),
-        "length_mm": driven.length,
-        "turn_mm": driven.turn,
-        "starts": (jump > 0) | driven.new_layer,
+        "length_mm": scheduled.length,
+        "turn_mm": scheduled.turn,
+        "starts": (jump > 0) | scheduled.new_layer,
     }
     order = plan.order
     totals = {name: np.bincount(island, values, minlength=count)[order] for name, values in by_island.items()}
@@ -108,16 +108,19 @@ def beam_lines(plan: ScanPlan, profile: Config) -> tuple[Floats, Floats, Floats]
     begin_s, end_s
         (n,) from 0 in every layer.
     """
-    driven = _driven(plan, profile)
-    turn = np.flatnonzero(driven.turn > 0.0)
-    turn_s = driven.turn[turn] / profile.process.travel_speed_mm_s
+    scheduled = _scheduled(plan, profile)
+    turn = np.flatnonzero(scheduled.turn > 0.0)
+    turn_s = scheduled.turn[turn] / profile.process.travel_speed_mm_s
     ends = np.vstack(
-        [np.hstack([driven.start, driven.end]), np.hstack([driven.end[turn - 1], driven.start[turn]])]
+        [
+            np.hstack([scheduled.start, scheduled.end]),
+            np.hstack([scheduled.end[turn - 1], scheduled.start[turn]]),
+        ]
     )
-    begin = np.concatenate([driven.begin_s, driven.begin_s[turn] - turn_s])
-    end = np.concatenate([driven.end_s, driven.begin_s[turn]])
+    begin = np.concatenate([scheduled.begin_s, scheduled.begin_s[turn] - turn_s])
+    end = np.concatenate([scheduled.end_s, scheduled.begin_s[turn]])
     # A turn is driven before the line that it leads to.
-    order = np.argsort(np.concatenate([np.arange(len(driven.length)), turn - 0.5]), kind="stable")
+    order = np.argsort(np.concatenate([np.arange(len(scheduled.length)), turn - 0.5]), kind="stable")
     return ends[order], begin[order], end[order]
 
 

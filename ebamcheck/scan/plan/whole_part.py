@@ -19,7 +19,7 @@ from ebamcheck.heat.balance import HeatColumn, LayerShape
 from ebamcheck.heat.one_blas_thread import one_blas_thread
 from ebamcheck.numeric.kernels import run_blocks, thread_count
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.scan.heat.interpass import Drive, LayerJob, cool_drive
+from ebamcheck.scan.heat.interpass import LayerJob, SimulatedLayer, cooled_layer
 from ebamcheck.scan.heat.part_heat import Beads, PartHeat
 from ebamcheck.scan.order.orders import LayerIslands, Order, entry_ways, scan_order
 from ebamcheck.scan.plan.bead_sequence import bead_sequence
@@ -51,7 +51,7 @@ WHOLE_PART = {
 
 @dataclass(frozen=True)
 class LayerHeat:
-    """A layer driven on the heat model; figures as in :data:`WHOLE_PART`."""
+    """A layer simulated on the heat model; figures as in :data:`WHOLE_PART`."""
 
     body_mean_k: float
     entry_max_k: float
@@ -75,7 +75,7 @@ class LayerHeat:
 @dataclass(frozen=True, eq=False)
 class OrderedLayer:
     """A layer, what its order knew of it, the order (I,), the way (I,) by which each island is entered (see
-    :func:`~ebamcheck.scan.order.path.in_sequence`), and its heat where it was driven."""
+    :func:`~ebamcheck.scan.order.path.in_sequence`), and its heat where it was simulated."""
 
     laid: LaidLayer
     islands: LayerIslands
@@ -116,7 +116,7 @@ class Stack:
 
 
 def ordered_layers(
-    stack: Stack, profile: Config, order: str | Order, seed: int, carry: bool, driven: bool = True
+    stack: Stack, profile: Config, order: str | Order, seed: int, carry: bool, simulated: bool = True
 ) -> Iterator[OrderedLayer]:
     """Put layers in order, from below.
 
@@ -124,7 +124,7 @@ def ordered_layers(
     ----------
     carry
         Let each order know the heat that is left below; else it is that of a cold part.
-    driven
+    simulated
         Drive each layer on the heat model, and find its waits and power. Always done where heat is carried.
 
     Yields
@@ -132,7 +132,7 @@ def ordered_layers(
     OrderedLayer
         As soon as it is done.
     """
-    if not (carry or driven):
+    if not (carry or simulated):
         yield from _prepared(stack, lambda k: _cold(stack, k, profile, order, seed))
         return
     part, last = PartHeat(HeatColumn(profile)), None
@@ -145,7 +145,7 @@ def ordered_layers(
 
 def ordered_on(
     part: PartHeat,
-    last: Drive | None,
+    last: SimulatedLayer | None,
     laid: LaidLayer,
     islands: LayerIslands,
     thickness_mm: float,
@@ -153,13 +153,13 @@ def ordered_on(
     order: str | Order,
     carry: bool,
     lowest: bool,
-) -> tuple[OrderedLayer, PartHeat, Drive | None]:
-    """Put one layer in order on the heat that those under it have left, and drive it.
+) -> tuple[OrderedLayer, PartHeat, SimulatedLayer | None]:
+    """Put one layer in order on the heat that those under it have left, and simulate it.
 
     Parameters
     ----------
     part, last
-        Heat of the part when the layer under this one is done, and how that was driven, where it is known.
+        Heat of the part when the layer under this one is done, and how that was simulated, where it is known.
     thickness_mm
         Height of the layer.
     carry
@@ -170,7 +170,7 @@ def ordered_on(
     Returns
     -------
     tuple
-        The layer; and the heat of the part when it is done, and how it was driven: those before where it has no metal.
+        The layer; and the heat of the part when it is done, and how it was simulated: those before where it has no metal.
     """
     with one_blas_thread():
         part = part.under(islands.cold_heat.model if len(islands) else None)
@@ -182,11 +182,11 @@ def ordered_on(
             return OrderedLayer(laid, known, found, ways), part, last
         beads, travel_mm = bead_sequence(laid, islands, found, ways)
         guess = 0.0 if last is None else last.power_share
-        drive = cool_drive(LayerJob(beads, shape, islands.height_mm, lowest), part, profile, guess)
+        done = cooled_layer(LayerJob(beads, shape, islands.height_mm, lowest), part, profile, guess)
     return (
-        OrderedLayer(laid, known, found, ways, _figures(drive, travel_mm, beads, len(found), profile)),
-        drive.after,
-        drive,
+        OrderedLayer(laid, known, found, ways, _figures(done, travel_mm, beads, len(found), profile)),
+        done.after,
+        done,
     )
 
 
@@ -265,7 +265,7 @@ def laid_layer(stack: Stack, k: int, profile: Config, seed: int) -> tuple[LaidLa
 
 
 def _knowing(
-    islands: LayerIslands, laid: LaidLayer, part: PartHeat, last: Drive | None, profile: Config
+    islands: LayerIslands, laid: LaidLayer, part: PartHeat, last: SimulatedLayer | None, profile: Config
 ) -> LayerIslands:
     """Let an order know the heat with which the islands of a layer begin: its contours are laid.
 
@@ -288,28 +288,30 @@ def _knowing(
     return after
 
 
-def _figures(drive: Drive, travel_mm: float, beads: Beads, islands: int, profile: Config) -> LayerHeat:
+def _figures(
+    done: SimulatedLayer, travel_mm: float, beads: Beads, islands: int, profile: Config
+) -> LayerHeat:
     # Beyond the boiling point the model says that it is too hot, not how hot.
     boiling_k, ambient_k = profile.material.boiling_k, profile.process.ambient_temperature_k
-    rise_k = np.minimum(drive.bed_k, boiling_k) - ambient_k
+    rise_k = np.minimum(done.bed_k, boiling_k) - ambient_k
     entry_k = rise_k if rise_k.size else np.zeros(1)
     island_wait_s, inner_wait_s = np.zeros(islands), np.zeros(islands)
-    waits, inner = drive.bead_wait_s[beads.rings :], beads.inner[beads.rings :]
+    waits, inner = done.bead_wait_s[beads.rings :], beads.inner[beads.rings :]
     island_wait_s[beads.islands[~inner]] = waits[~inner]
     inner_wait_s[beads.islands[inner]] = waits[inner]
     return LayerHeat(
-        body_mean_k=drive.body_k,
+        body_mean_k=done.body_k,
         entry_max_k=float(entry_k.max()),
         entry_sd_k=float(entry_k.std()),
         travel_mm=travel_mm,
-        time_s=drive.time_s,
-        wait_s=drive.wait_s,
-        power_share=drive.power_share,
-        enter_k=min(drive.enter_k, boiling_k),
-        leave_k=min(drive.leave_k, boiling_k),
-        stored_j=drive.after.column.stored_j,
-        ring_wait_s=drive.ring_wait_s,
+        time_s=done.time_s,
+        wait_s=done.wait_s,
+        power_share=done.power_share,
+        enter_k=min(done.enter_k, boiling_k),
+        leave_k=min(done.leave_k, boiling_k),
+        stored_j=done.after.column.stored_j,
+        ring_wait_s=done.ring_wait_s,
         island_wait_s=island_wait_s,
         inner_wait_s=inner_wait_s,
-        mean_k=drive.mean_k,
+        mean_k=done.mean_k,
     )
