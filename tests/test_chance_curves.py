@@ -18,7 +18,11 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.settings.curves import CurveSettings
 from ebamcheck.slicers.slicing import slice_part
 
-BROKE_ONCE = (1, 7, 8, 9, 10, 61, 94, 117, 139, 150, 218, 272, 365, 242, 330, 388, 386, 109, 148)
+FAR_ENDS = (318, 341, 347, 185, 725, 727, 867, 974, 1048, 178, 970, 996, 1032, 379, 466, 739)
+"""Seeds that broke the law by lifts of edges far longer than what lies ahead of them: flat sides that run into roundings (318 to
+1048), noise (178 to 1032); by a strip of a coarse rounding (379), and by one of two facets (466, 739)."""
+
+BROKE_ONCE = (1, 7, 8, 9, 10, 61, 94, 117, 139, 150, 218, 272, 365, 242, 330, 388, 386, 109, 148, *FAR_ENDS)
 """Seeds that once broke the law, of a kind each: a long side beside a rounding, a seam, noise in planes and in a turned part,
 vertices off their surface, a plate of 38 facets; wedges, a box and turned parts of a few hundred facets that are left by
 quadrics (94 to 365); splines by chord length through uneven points (242, 330); a mesh
@@ -34,14 +38,13 @@ def test_seeds_that_once_broke_the_law_hold_it(seed: int) -> None:
 
 
 BREAKING = {
-    307: "largest error 1.19 of the contour's",
-    318: "RMS 8 % worse",
-    341: "largest error 1.06 of the contour's",
-    347: "largest error 1.21 of the contour's",
-    379: "largest error 1.15 of the contour's",
+    276: "largest error 1.08 of the contour's",
+    307: "largest error 1.07 of the contour's",
+    707: "RMS 16 % worse",
+    988: "largest error 1.14 of the contour's",
 }
-"""Seeds on which the law is broken today: long edges bend to the wrong side in simplified meshes (307, 318, 341) and one left
-by quadrics (347), and a coarse crease is lifted where the surface lies nearly level (379)."""
+"""Seeds of 100 to 1100 on which the law is broken today: what is left of long edges on simplified turned parts (276, 307) and
+on one left by quadrics (988), and a turned part of 450 facets that quadrics left in rows by chance (707)."""
 
 
 @pytest.mark.slow

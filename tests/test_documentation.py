@@ -75,6 +75,8 @@ WITHOUT_UNIT = {
     "gap_width",  # over the bead width
     "seed",
     "live_r",  # number of an R parameter
+    "hole",  # value in a file
+    "least_known",  # fraction of an area
     "most_layers",  # counts
     "most_points",
     "most_islands",

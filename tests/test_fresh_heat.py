@@ -209,7 +209,7 @@ def test_nothing_passes_a_gap():
     assert not near.exact[near.pair[across]].any()
     order = np.lexsort((apart.centroid[:, 1], apart.centroid[:, 0]))
     start, end, _ = times_of(apart, order)
-    _, points = entry_points(apart.heat, apart.driven, order, start, end)
+    _, points = entry_points(apart.heat, apart.known_schedule, order, start, end)
     first_beyond = order[np.searchsorted(apart.centroid[order, 0], 60.25)]
     assert abs(points[first_beyond]) < 5.0
 

@@ -158,10 +158,26 @@ def test_bad_arguments_are_one_line(place, tmp_path, arguments, said):
     assert not (tmp_path / "o").exists()
 
 
+def test_another_direction_needs_axes_that_turn_the_part(place, tmp_path):
+    arguments = ("--layer", 1, "--measured-z", 1.7, "-o", tmp_path / "o")
+    done = ebamcheck("relayer", place / "box.run", *arguments, "--direction", "1,0,0", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "no axes that turn the part between layers (machine.tilt_axes)" in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not (tmp_path / "o").exists()
+    # The direction of the run itself needs none.
+    done = ebamcheck("relayer", place / "box.run", *arguments, "--direction", "0,0,2", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+
+
 def test_another_direction_cuts_the_part_turned(place, tmp_path):
+    run = shutil.copytree(place / "box.run", tmp_path / "box.run")
+    manifest = json.loads((run / "run.json").read_text())
+    manifest["settings"]["machine"]["tilt_axes"] = True
+    (run / "run.json").write_text(json.dumps(manifest))
     done = ebamcheck(
-        "relayer", place / "box.run", "--layer", 1, "--measured-z", 1.7, "--direction", "1,0,0", "-o", tmp_path / "o",
-        "--json", cwd=tmp_path,
+        "relayer", run, "--layer", 1, "--measured-z", 1.7, "--direction", "1,0,0", "-o", tmp_path / "o",
+        "--part", place / "box.stl", "--json", cwd=tmp_path,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr + done.stdout
     told = json.loads(done.stdout)

@@ -1,4 +1,4 @@
-"""``ebamcheck live RUN``: waits for measured heights and publishes a proved layer on each, over standard input and output."""
+"""``ebamcheck live RUN``: waits for measured heights and publishes a proved layer on each, by lines or on a control."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from ebamcheck.commands.live_opcua import follow_control, opcua_of
 from ebamcheck.commands.options import numbers
 from ebamcheck.errors import ExitCode, InputError, SettingsError
 from ebamcheck.live.building import Building
@@ -17,6 +18,7 @@ from ebamcheck.live.heights import height_rule
 from ebamcheck.live.journal import read_journal
 from ebamcheck.live.loading import finished_run
 from ebamcheck.live.making import LayerMaker
+from ebamcheck.live.opcua.link import checked
 from ebamcheck.live.publishing import JOURNAL
 
 MODES = ("uniform", "adaptive", "listed")
@@ -51,8 +53,20 @@ def live_command(
         Path | None,
         typer.Option(help="A journal: make its build again and compare every byte; nothing is waited for."),
     ] = None,
+    opcua: Annotated[
+        bool, typer.Option("--opcua", help="Lead the build on a control, by OPC UA; needs ebamcheck[opcua].")
+    ] = False,
+    url: Annotated[
+        str, typer.Option(help="With --opcua: address of the control, in place of that of the settings.")
+    ] = "",
+    config: Annotated[
+        Path | None,
+        typer.Option(
+            "-c", "--config", help="With --opcua: file whose section [opcua] stands for that of the run."
+        ),
+    ] = None,
 ) -> ExitCode:
-    """Follow a build: for every measured height that comes in as a line of JSON, publish the next layer, proved.
+    """Follow a build: for every measured height that comes in, publish the next layer, proved.
 
     Example: ebamcheck live blade.run
     """
@@ -60,7 +74,12 @@ def live_command(
         raise SettingsError(f"--heights {heights!r}: choose one of {', '.join(MODES)}")
     if not timeout > 0.0:
         raise SettingsError(f"--timeout {timeout}: give a positive number of seconds")
+    if (url or config) and not opcua:
+        raise SettingsError("--url and --config belong to --opcua")
     found = finished_run(run, part)
+    link = opcua_of(found.config, config, url) if opcua else None
+    if link is not None:
+        checked(link)
     listed = numbers(tops, "--tops") if tops else ()
     first = next(read_journal(replay), {}) if replay else {}
     if replay:
@@ -76,6 +95,8 @@ def live_command(
         folder = output or run.with_name(f"{run.resolve().name.removesuffix('.run')}.live")
         building = Building(maker, folder, rule)
         try:
+            if link is not None:
+                return follow_control(building, link)
             serve(building, Lines(sys.stdin.fileno()), sys.stdout, timeout)
         finally:
             building.close()

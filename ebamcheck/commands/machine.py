@@ -13,10 +13,13 @@ import numpy as np
 import typer
 
 from ebamcheck.atomic_file import replacing
+from ebamcheck.commands.live_opcua import play_control
 from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.live.bed import Growth
 from ebamcheck.live.heights import bead_limits
 from ebamcheck.live.loading import finished_run
+from ebamcheck.live.opcua.panel import FAULTS
+from ebamcheck.live.opcua.server import SESSIONS
 from ebamcheck.live.playing import Played, Server, play
 
 TABLE = "machine.csv"
@@ -27,7 +30,12 @@ START = "from ebamcheck.commands.main import main; import sys; sys.argv[0] = 'eb
 def machine_command(
     run: Annotated[Path, typer.Argument(help="A finished run folder.")],
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Folder of the build; default: RUN.live.")
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            help="Folder of the build, or with --opcua of keys and table; default: RUN.live, RUN.opcua.",
+        ),
     ] = None,
     part: Annotated[Path | None, typer.Option(help="The part, if it is not where it was.")] = None,
     drift: Annotated[
@@ -42,6 +50,20 @@ def machine_command(
         bool, typer.Option("--faults", help="Send bad lines before every reading; each has to be refused.")
     ] = False,
     layers: Annotated[int | None, typer.Option(min=1, help="Stop after so many layers.")] = None,
+    opcua: Annotated[
+        bool,
+        typer.Option(
+            "--opcua", help="Be a control with an OPC UA server, and wait for `ebamcheck live RUN --opcua`."
+        ),
+    ] = False,
+    url: Annotated[str, typer.Option(help="With --opcua: address to listen at.")] = "",
+    fault: Annotated[
+        list[str] | None,
+        typer.Option(help=f"With --opcua: NAME@LAYER, also several times; {', '.join(FAULTS)}."),
+    ] = None,
+    sessions: Annotated[
+        int, typer.Option(min=1, help="With --opcua: sessions that the server has.")
+    ] = SESSIONS,
 ) -> ExitCode:
     """Play a machine: start `ebamcheck live RUN` beside it and build the part, whose layers grow by a stated law.
 
@@ -50,7 +72,16 @@ def machine_command(
     if not (math.isfinite(speed) and speed > 0.0):
         raise SettingsError(f"--speed {speed}: give a positive number")
     growth = Growth(drift, noise, seed)
+    if not opcua and (url or fault):
+        raise SettingsError("--url and --fault belong to --opcua")
+    if opcua and (faults or layers):
+        raise SettingsError(
+            "--faults and --layers belong to the lines of JSON; with --opcua give --fault NAME@LAYER"
+        )
     found = finished_run(run, part)
+    if opcua:
+        desk = output or run.with_name(f"{run.resolve().name.removesuffix('.run')}.opcua")
+        return play_control(found, desk, url, growth, speed, fault or [], sessions)
     limits = bead_limits(found.config)
     folder = output or run.with_name(f"{run.resolve().name.removesuffix('.run')}.live")
     command = [sys.executable, "-c", START, "live", str(run.resolve()), "-o", str(folder.resolve())]

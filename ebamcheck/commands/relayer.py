@@ -6,22 +6,33 @@ import math
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 
 from ebamcheck.commands.options import JsonOption, numbers, print_json
 from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.live.heat_so_far import heat_under
+from ebamcheck.live.height_map import MapCells, figures_of, in_cells
 from ebamcheck.live.loading import FinishedRun, finished_run
 from ebamcheck.live.making import LayerMaker
+from ebamcheck.live.map_files import read_map
+from ebamcheck.live.metal_so_far import MetalSoFar
 from ebamcheck.live.relaying import Relayered, relayer
+from ebamcheck.pipeline.run_folder import RunFolder
+from ebamcheck.program.checking.metal_below import MetalBelow
 
 
 def relayer_command(
     run: Annotated[Path, typer.Argument(help="A finished run folder.")],
     layer: Annotated[int, typer.Option(help="Layer that comes next, counted from 0.")],
     measured_z: Annotated[
-        float, typer.Option(help="Height of what stands, over the base plate, mm: the layer is laid on it.")
-    ],
+        float | None,
+        typer.Option(help="Height of what stands, over the base plate, mm: the layer is laid on it."),
+    ] = None,
+    height_map: Annotated[
+        Path | None,
+        typer.Option(help="Measured surface of what stands, in place of --measured-z: CSV, NPY or TIFF."),
+    ] = None,
     direction: Annotated[
         str,
         typer.Option(help="Slicing direction in the file's coordinates, as X,Y,Z; default: that of the run."),
@@ -42,7 +53,11 @@ def relayer_command(
 
     Example: ebamcheck relayer blade.run --layer 12 --measured-z 20.4
     """
-    if not math.isfinite(measured_z) or measured_z < 0.0:
+    if (measured_z is None) == (height_map is None):
+        raise SettingsError("give --measured-z or --height-map: the mean of a map is its height")
+    if height_map is not None and direction:
+        raise SettingsError("--height-map is of the layers that were laid: it does not go with --direction")
+    if measured_z is not None and (not math.isfinite(measured_z) or measured_z < 0.0):
         raise SettingsError(f"--measured-z {measured_z}: give a height over the base plate in mm")
     turned = None
     if direction:
@@ -53,17 +68,47 @@ def relayer_command(
     layers = len(found.thickness_mm)
     if not 0 <= layer < layers:
         raise SettingsError(f"--layer {layer}: the run has the layers 0 to {layers - 1}")
+    if turned is not None and not (found.config.machine.tilt_axes or alike(turned, run)):
+        raise SettingsError(
+            f"--direction {direction}: the control {found.config.machine.control!r} has no axes that turn the part between layers "
+            "(machine.tilt_axes)"
+        )
     heat = heat_under(found.plan, layer, found.thickness_mm, found.busy_s(), found.config)
     folder = output or run.with_name(f"{run.resolve().name.removesuffix('.run')}.live")
     with LayerMaker(found.part, found.config, found.primary, annealing) as maker:
         # Along another direction other layers would have been laid than those that the run knows.
         metal = None if turned else found.metal_under(layer)
-        done = relayer(maker, heat, layer, measured_z, folder, metal)
+        cells: MapCells | None = None
+        if height_map is not None:
+            metal, cells, measured_z = mapped(found, maker, layer, metal, height_map)
+        assert measured_z is not None
+        done = relayer(maker, heat, layer, measured_z, folder, metal, cells)
     if as_json:
         print_json({**done.certificate, "place": done.place, "said": done.said, "seconds": done.made.seconds})
     else:
         _tell(done, found, layer)
     return ExitCode.PASS if done.place is not None else ExitCode.OUT_OF_TOLERANCE
+
+
+def alike(direction: tuple[float, ...], run: Path) -> bool:
+    """Whether a direction is that of a run."""
+    was = np.array(RunFolder(run).manifest()["settings"]["part"]["direction"], np.float64)
+    now = np.array(direction, np.float64)
+    return bool(np.allclose(was / np.linalg.norm(was), now / np.linalg.norm(now), atol=1e-9))
+
+
+def mapped(
+    found: FinishedRun, maker: LayerMaker, layer: int, metal: MetalSoFar | None, file: Path
+) -> tuple[MetalSoFar, MapCells, float]:
+    """Metal under a layer of a run, a map in its cells, and the mean of the map."""
+    if layer == 0:
+        raise SettingsError("--height-map is of a layer that was laid: on the plate give --measured-z")
+    below = metal.below if metal is not None else MetalBelow()
+    middle_mm = float(found.tops_mm[layer - 1] - 0.5 * found.thickness_mm[layer - 1])
+    metal = MetalSoFar.on(below, maker.section_at(middle_mm), found.part, found.config)
+    assert metal.surface is not None
+    cells = in_cells(read_map(file, found.config.height_map), metal.surface)
+    return metal, cells, figures_of(cells, metal.surface, found.config).mean_mm
 
 
 def _tell(done: Relayered, found: FinishedRun, layer: int) -> None:
@@ -77,6 +122,12 @@ def _tell(done: Relayered, found: FinishedRun, layer: int) -> None:
         stays = f", {old['name']}" if old else ""
         typer.echo(f"layer {layer}: {done.made.why}; the old layer stays{stays}")
         return
+    if of_map := done.certificate.get("height_map"):
+        typer.echo(
+            f"map: mean {of_map['mean_mm']:.3f} mm, {of_map['hump_mm']:.2f} mm over it at {tuple(of_map['hump_at_mm'])}, "
+            f"{of_map['dip_mm']:.2f} mm under it at {tuple(of_map['dip_at_mm'])}, slope {of_map['slope_deg']:.2f} deg; "
+            f"{100 * of_map['mended']:.0f} % of it is mended"
+        )
     seconds = sum(done.made.seconds.values())
     typer.echo(
         f"layer {layer}: Z {wanted.base_mm:.3f} to {wanted.top_mm:.3f} mm, cut at {done.made.cut_mm:.3f} mm, "

@@ -15,9 +15,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ebamcheck.curves.plausible import judge_ends, plausible_height, plausible_share
+from ebamcheck.curves.ends_ahead import ends_ahead, is_contradicted, most_of_free, nothing_asked
+from ebamcheck.curves.plausible import judge_ends, judge_far_ends, plausible_height, plausible_share
 from ebamcheck.curves.regions import FREEFORM, PLANE, STRIP
+from ebamcheck.curves.regions.rims import INWARD, OUTWARD
+from ebamcheck.curves.sagitta import surface_of
 from ebamcheck.curves.surface_edges import (
     SurfaceMesh,
     Vector,
@@ -69,6 +73,16 @@ NOISE_LIFT = 0.5
 
 NO_PLANE = -1
 """In place of a plane's number: the segment is in none."""
+
+OF_ROUNDING = 4.0
+"""Times the median sagitta of the mesh up to which a bend beside a strip may be a coarse rounding's: who tessellates keeps to
+one chord error."""
+
+BY_CHANCE = 0.1
+"""Strips over freely curved facets, up to which two facets of a decimated mesh lie in one plane by chance."""
+
+MOST_ASKED = 20_000
+"""Facets whose edges are asked first, evenly spread over the mesh: more would tell no better whether all must be."""
 
 POINTS_A_BLOCK = 4096
 
@@ -148,15 +162,22 @@ class Lifting:
             corners,
             normals.with_regions,
             *normals.sagittas,
+            normals.rims,
+            nothing_asked(),
+            True,
             False,
             1.0,
         )
+        noisy = False
+        if normals.with_regions:
+            mesh, noisy = _with_ends(mesh, part, normals)
         ends = judge_ends(mesh)
         rough = mesh.rough.copy()
         share = normals.offsets.lift_share
-        if ends.is_rough or share == 0.0:
-            rough[mesh.sectors[mesh.kind == FREEFORM]] = True
-        self.mesh = mesh._replace(scattered=ends.is_scattered, rough=rough, share=share)
+        if ends.is_rough or noisy or share == 0.0:
+            rough[mesh.sectors[_nothing_to_tell(mesh.kind)]] = True
+        scattered = ends.is_scattered and mesh.far_ends_right
+        self.mesh = mesh._replace(scattered=scattered, rough=rough, share=share)
 
     def lift(self, layers: Layers) -> Sides:
         """Lift the points of layers that carry their edges; points without one stay where they are."""
@@ -172,6 +193,26 @@ class Lifting:
 
         run_blocks(work, len(layers.points), POINTS_A_BLOCK)
         return found
+
+
+def _nothing_to_tell(kind: NDArray[np.uint8]) -> Bools:
+    """Facets (F,) of which nothing is told where freely curved ones do not tell a surface: these, and the few strips beside."""
+    free, strip = kind == FREEFORM, kind == STRIP
+    by_chance = np.count_nonzero(strip) <= BY_CHANCE * np.count_nonzero(free)
+    return np.asarray(free | strip if by_chance else free)
+
+
+def _with_ends(mesh: SurfaceMesh, part: Part, normals: SurfaceNormals) -> tuple[SurfaceMesh, bool]:
+    """The mesh with what lies ahead of its edges, as far as that has a say, and whether it speaks of noise.
+
+    First some edges are asked, then all if need be.
+    """
+    surface = surface_of(part, np.cos(np.deg2rad(normals.crease_angle_deg)))
+    mesh = mesh._replace(ends=ends_ahead(surface, -(-len(part.faces) // MOST_ASKED)))
+    found = judge_far_ends(mesh)
+    if found.are_right and normals.offsets.is_in_rows:
+        return mesh._replace(ends=nothing_asked()), False
+    return mesh._replace(ends=ends_ahead(surface), far_ends_right=found.are_right), found.are_noise
 
 
 @kernel
@@ -206,7 +247,13 @@ def _lift(
                     bend_high = scaled(bend_high, np.sqrt(lesser / dot(bend_high, bend_high)))
                 # The cubic leaves its chord by at most a quarter of the bend.
                 height = 0.25 * np.sqrt(max(dot(bend_low, bend_low), dot(bend_high, bend_high)))
-                share = found.share[i] * plausible_share(height, found.plausible[i])
+                outward = dot(bend_low, up_low) > 0.0
+                if smooth:
+                    found.share[i] *= _sure_share(mesh, up, down, height, outward)
+                share = plausible_share(height, found.plausible[i])
+                if smooth and mesh.ends.turns.size:
+                    share = min(share, _told_share(mesh, up, down, height, outward))
+                share *= found.share[i]
                 bend_low, bend_high = scaled(bend_low, share), scaled(bend_high, share)
                 t = _place(mesh.vertices[low, 2], chord[2], bend_low[2], bend_high[2], heights[i], t)
                 found.bound[i] = share * height / FLATTEST_SURFACE
@@ -229,6 +276,33 @@ def _lift(
             found.plane_before[i] = mesh.region[up // 3]
         if mesh.kind[down // 3] == PLANE:
             found.plane_after[i] = mesh.region[down // 3]
+
+
+@kernel
+def _sure_share(mesh: SurfaceMesh, up: int, down: int, height: float, outward: bool) -> float:
+    """Share of a lift inside of a strip that leaves it no farther from the surface, be the bends at its sides a rounding's or not.
+
+    If they are, the surface is the rim's sagitta off to the other side: the error without a lift is the difference of both.
+    """
+    if mesh.kind[up // 3] != STRIP or mesh.kind[down // 3] != STRIP:
+        return 1.0
+    rim = max(
+        mesh.rims[mesh.region[up // 3], INWARD if outward else OUTWARD],
+        mesh.rims[mesh.region[down // 3], INWARD if outward else OUTWARD],
+    )
+    if rim > OF_ROUNDING * mesh.typical:
+        return 1.0
+    return float(min(max(2.0 * (1.0 - rim / height), 0.0), 1.0))
+
+
+@kernel
+def _told_share(mesh: SurfaceMesh, up: int, down: int, height: float, outward: bool) -> float:
+    """Share of a lift that the turns ahead of the ends of its edge let be."""
+    if mesh.kind[up // 3] == STRIP and mesh.kind[down // 3] == STRIP:
+        return 0.0 if is_contradicted(mesh.ends, up, outward, height) else 1.0
+    if mesh.far_ends_right:
+        return 1.0
+    return float(min(1.0, most_of_free(mesh.ends, up, outward, mesh.typical) / height))
 
 
 @kernel

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ebamcheck.curves.ends_ahead import is_far, most_of_free
 from ebamcheck.curves.regions import FREEFORM, PLANE
 from ebamcheck.curves.surface_edges import (
     SurfaceMesh,
@@ -71,6 +72,16 @@ on surfaces, saddles among them, however meshed."""
 
 LEAST_TOLD = 20
 """Edges from which that share means something: fewer do not tell a surface from what a decimation has left of one."""
+
+LEAST_FAR = 10
+"""Edges with a far end from which it means something how many of them are borne out."""
+
+RIGHT_SHARE = 0.6
+"""Share of such edges that are borne out, under which none is believed: it is 0.6 or more on meshes of scattered points and on
+decimated ones of surfaces that are curved all over, and under 0.5 where flat sides run into roundings."""
+
+NOISE_SHARE = 0.7
+"""Of the length of all edges that tell a bend, that far ends contradict, from which it is noise: half at most in others."""
 
 LEAST_SAGITTA_MM = 1e-6
 """Facets that turn by less do not count among those that tell the median."""
@@ -178,6 +189,58 @@ def plausible_share(height: float, plausible: float) -> float:
     if height <= plausible:
         return 1.0
     return float((plausible / height) ** 2)
+
+
+class FarEnds(NamedTuple):
+    """What the turns ahead say of what the normals ask for, at edges that are far longer than the chords ahead of them."""
+
+    are_right: bool
+    """They bear it out, as on meshes of scattered points and on decimated ones of a surface that is curved all over; a
+    tessellator's mesh has next to no such edges."""
+    are_noise: bool
+    """They contradict it, at most of all edges: no surface is so."""
+
+
+def judge_far_ends(mesh: SurfaceMesh) -> FarEnds:
+    """Judge a mesh by the edges that are far longer than the chords ahead of them."""
+    count, told, right, every = _count_far(mesh)
+    if count < LEAST_FAR:
+        return FarEnds(True, False)
+    return FarEnds(bool(right >= RIGHT_SHARE * told), bool(told - right >= NOISE_SHARE * every))
+
+
+@kernel
+def _count_far(mesh: SurfaceMesh) -> tuple[int, float, float, float]:
+    """Smooth edges between freely curved facets that tell a bend and have a far end; lengths of them, of those borne out, and
+    of all that tell a bend. Contours meet an edge by its length.
+    """
+    count, told, right, every = 0, 0.0, 0.0, 0.0
+    for h in range(mesh.smooth.size):
+        f, k = h // 3, h % 3
+        if not mesh.smooth[h] or mesh.kind[f] != FREEFORM or mesh.ends.turns[h] < 0:
+            continue
+        low, high = mesh.faces[f, k], mesh.faces[f, (k + 1) % 3]
+        if low > high:
+            continue
+        up, down = half_edges(mesh, low, high)
+        if up < 0 or down < 0 or mesh.kind[down // 3] != FREEFORM:
+            continue
+        chord = minus(vector(mesh.vertices, high), vector(mesh.vertices, low))
+        n, m = normals_of(mesh, up)
+        p, q = bend_at(chord, n, n, True), bend_at(chord, m, m, True)
+        height = 0.25 * np.sqrt(min(dot(p, p), dot(q, q)))
+        if height < TELLS * mesh.typical or dot(p, q) >= 0.0:
+            continue
+        length = np.sqrt(dot(chord, chord))
+        every += length
+        if not is_far(mesh.ends, h):
+            continue
+        count += 1
+        told += length
+        height *= plausible_share(height, plausible_height(mesh, low, high))
+        if height <= most_of_free(mesh.ends, h, dot(p, n) > 0.0, np.inf):
+            right += length
+    return count, told, right, every
 
 
 class Ends(NamedTuple):

@@ -67,21 +67,27 @@ def sagittas(part: Part, crease_angle_deg: float) -> Sagittas:
     crease_angle_deg
         Edges whose facets differ by this angle or more are sharp.
     """
-    surface = _surface_of(part, np.cos(np.deg2rad(crease_angle_deg)))
+    surface = surface_of(part, np.cos(np.deg2rad(crease_angle_deg)))
     count = 3 * len(part.faces)
-    flat_mm = max(FLAT_MM, 4.0 * coordinate_rounding_mm(part.vertices))
+    flat = flat_mm(part.vertices)
     plane = np.zeros(len(part.faces), np.bool_)
-    found = Sagittas(np.zeros(count), np.zeros(count), plane, flat_mm)
+    found = Sagittas(np.zeros(count), np.zeros(count), plane, flat)
 
     def work(first: int, last: int) -> None:
-        _of_edges(surface, flat_mm, first, last, found.of_edge, found.of_side)
+        _of_edges(surface, flat, first, last, found.of_edge, found.of_side)
 
     run_blocks(work, count, EDGES_A_BLOCK)
-    _limit_in_planes(surface, flat_mm, found.of_edge, found.of_side, plane)
+    _limit_in_planes(surface, flat, found.of_edge, found.of_side, plane)
     return found
 
 
-def _surface_of(part: Part, least_cosine: float) -> Surface:
+def flat_mm(vertices: Floats) -> float:
+    """How far the joint of two chords may lie from the line over both where they are one, mm: by the file's rounding."""
+    return max(FLAT_MM, 4.0 * coordinate_rounding_mm(vertices))
+
+
+def surface_of(part: Part, least_cosine: float) -> Surface:
+    """What walks over a mesh read; edges whose facets' normals have a lesser cosine are sharp."""
     vertices, faces = part.vertices, part.faces
     groups = edge_groups(faces, len(vertices))
     twin = twins(vertices, faces, groups.half_edges, groups.starts)
@@ -166,6 +172,13 @@ def _sagitta(length: float, way: Way) -> float:
         if way.joints[end] > 0:
             span = max(span, _span(chord, end, way))
     return float(0.5 * chord * np.tan(0.25 * min(span, LARGEST_SPAN_RAD)))
+
+
+@kernel
+def sagitta_of_end(chord: float, end: int, way: Way) -> float:
+    """Height of the arc over an edge by the span that one end tells, mm, positive to the outside."""
+    height = 0.5 * chord * np.tan(0.25 * min(_span(chord, end, way), LARGEST_SPAN_RAD))
+    return float(height if way.turns[end, 0] > 0.0 else -height)
 
 
 @kernel

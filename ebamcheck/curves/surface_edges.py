@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ebamcheck.curves.ends_ahead import EndsAhead
 from ebamcheck.mesh.topology import Index
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
@@ -40,6 +41,9 @@ class SurfaceMesh(NamedTuple):
     mean: Floats
     largest: Floats
     typical: float
+    rims: Floats
+    ends: EndsAhead
+    far_ends_right: bool
     scattered: bool
     share: float
 

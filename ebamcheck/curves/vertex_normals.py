@@ -20,6 +20,7 @@ from ebamcheck.curves.regions import FREEFORM, PLANE, find_regions
 from ebamcheck.curves.regions.noise import rough_rows
 from ebamcheck.curves.regions.normals import region_normals
 from ebamcheck.curves.regions.offsets import NOTHING_TOLD, Offsets, vertex_offsets
+from ebamcheck.curves.regions.rims import rim_sagittas
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import NO_TWIN, Index, edge_groups, split_corners, twins
 from ebamcheck.numeric.elimination import eliminated
@@ -62,6 +63,10 @@ class SurfaceNormals(NamedTuple):
     """How far facets stand from their surface, by their turns."""
     offsets: Offsets
     """Whether the vertices lie on the surface; nothing told without regions."""
+    rims: Floats
+    """(G, 2) how far a surface would stand off the strip of each region if the bends at its sides were a rounding's."""
+    crease_angle_deg: float
+    """Angle by which they were estimated."""
 
 
 @once_a_part
@@ -80,6 +85,7 @@ def surface_normals(part: Part, settings: CurveSettings) -> SurfaceNormals:
     twin = twins(part.vertices, part.faces, groups.half_edges, groups.starts)
     if settings.regions == "off":
         return _plain_normals(part, twin, settings.crease_angle_deg)
+    whole = twin.copy()
     regions = find_regions(part, twin, settings)
     label = regions.groups.label
     found = region_normals(part, twin, regions)
@@ -97,6 +103,8 @@ def surface_normals(part: Part, settings: CurveSettings) -> SurfaceNormals:
         True,
         mesh_sagittas(part.vertices, part.faces, twin, regions.groups.normals[label], kind),
         vertex_offsets(part.vertices, part.faces, smooth, found.fans, kind == FREEFORM),
+        rim_sagittas(twin, whole, label, regions.borders, regions.kind),
+        settings.crease_angle_deg,
     )
 
 
@@ -126,6 +134,8 @@ def _plain_normals(part: Part, twin: Index, crease_angle_deg: float) -> SurfaceN
         False,
         no_sagittas(len(vertices)),
         NOTHING_TOLD,
+        np.zeros((0, 2)),
+        crease_angle_deg,
     )
 
 

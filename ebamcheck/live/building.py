@@ -10,16 +10,18 @@ from __future__ import annotations
 import shutil
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from ebamcheck.errors import EbamcheckError, InputError
+from ebamcheck.live.ground import Ground
 from ebamcheck.live.heat_so_far import HeatSoFar
 from ebamcheck.live.heights import HeightRule, height_rule
 from ebamcheck.live.heights_table import HeightsTable, laid_height
 from ebamcheck.live.journal import Journal, read_journal
 from ebamcheck.live.making import LayerMaker, MadeLayer, Wanted, failure_of, program_settings_sha256
+from ebamcheck.live.map_reading import map_reading
 from ebamcheck.live.metal_so_far import MetalSoFar
 from ebamcheck.live.publishing import (
     JOURNAL,
@@ -30,6 +32,7 @@ from ebamcheck.live.publishing import (
     publish,
     read_current,
 )
+from ebamcheck.live.pyrometer import fault_of_warmth, warmth_of
 from ebamcheck.live.readings import Reading, Refusal, fault_of, reading_of
 
 TRIES = ((1.0, 0), (0.97, 0), (1.03, 0), (1.0, 3), (1.0, 6))
@@ -98,6 +101,25 @@ class Building:
         self.heights.write(ended=True)
         self._journal.__exit__(None, None, None)
 
+    @property
+    def expected_done(self) -> int:
+        """Number of layers that are done when the next reading comes; 0 before anything is published."""
+        return 0 if self._standing is None else self._standing.done + 1
+
+    @property
+    def told(self) -> Answer:
+        """The last answer that became the state."""
+        return dict(self._told)
+
+    @property
+    def journal_file(self) -> Path:
+        """File of the journal."""
+        return self._journal.path
+
+    def note(self, entry: Answer) -> None:
+        """Write down what a door did with what is published; it changes no decision."""
+        self._journal.append(entry)
+
     # -- what comes in ------------------------------------------------------------------------------
 
     def start(self) -> Answer:
@@ -108,7 +130,9 @@ class Building:
 
     def height(self, message: dict[str, Any]) -> Answer:
         """Take a measured height, and publish the layer on it."""
-        reading = reading_of(message)
+        if self._standing is None and "height_map" in message:
+            return self._refused(Refusal("not-started", "nothing is published yet: send `start` first"))
+        reading = self._read(message)
         if isinstance(reading, Refusal):
             return self._refused(reading)
         if self._standing is None:
@@ -123,7 +147,7 @@ class Building:
                         f"layer {reading.done} was measured before, at {self._last.height_mm:g} mm: the first reading counts",
                     )
                 )
-        expected = self._standing.done + 1
+        expected = self.expected_done
         if self.finished:
             return self._refused(Refusal("finished", "the part is built: no layer is left"))
         if reading.done != expected:
@@ -131,15 +155,28 @@ class Building:
                 Refusal("counter-jump", f"{reading.done} layers are said to be done, expected are {expected}")
             )
         fault = fault_of(reading, self._standing.base_mm, self._standing.top_mm)
+        if fault is None and reading.warmth is not None:
+            why = fault_of_warmth(self.heat, reading.warmth, self.maker.config)
+            fault = Refusal("temperature", why) if why else None
         return self._refused(fault) if fault else self._decide(reading)
+
+    def _read(self, message: dict[str, Any]) -> Reading | Refusal:
+        """What a message says that was measured."""
+        warmth = warmth_of(message)
+        if isinstance(warmth, str):
+            return Refusal("temperature", warmth)
+        if "height_map" in message:
+            reading = map_reading(message, self.metal, self.maker.config, self._last)
+        else:
+            reading = reading_of(message)
+        return reading if isinstance(reading, Refusal) else replace(reading, warmth=warmth)
 
     def status(self) -> Answer:
         """Tell what is published, and what is expected."""
-        standing = self._standing
         return {
             "answer": "status",
             "published": read_current(self.folder),
-            "expected_done": 0 if standing is None else standing.done + 1,
+            "expected_done": self.expected_done,
             "finished": self.finished,
             "top_mm": self.rule.slopes.top_mm,
         }
@@ -148,7 +185,7 @@ class Building:
 
     def _decide(self, reading: Reading) -> Answer:
         """Write a reading down, plan on it, and publish the next layer or say why not."""
-        self._journal.append({"kind": "height", "done": reading.done, "height_mm": reading.height_mm})
+        self._journal.append(reading.entry())
         answer, made = self._made(reading)
         if made is None:
             if answer["answer"] == "done":
@@ -158,6 +195,8 @@ class Building:
         staged, layer, certificate = made
         try:
             entry = {"kind": "layer", "name": certificate["name"], "files": certificate["files"]}
+            if "temperature" in answer:
+                entry["why_wait"] = f"{certificate['wait_s']:g} s: {answer['temperature']['why']}"
             current = publish(self.folder, layer, certificate, before=lambda: self._journal.append(entry))
         except (EbamcheckError, OSError) as error:
             answer = _kept(reading, failure_of(error))
@@ -203,7 +242,10 @@ class Building:
         limits, why = self.rule.limits, ""
         program = self.maker.config.machine.program_name
         self.folder.mkdir(parents=True, exist_ok=True)
-        for number, (factor, shifted) in enumerate(TRIES, 1):
+        ground = Ground.of(reading, self.heat, self.metal, self.maker.config)
+        *first, last = ground.mending
+        tries = [(1.0, 0, share) for share in first] + [(*how, last) for how in TRIES]
+        for number, (factor, shifted, mended) in enumerate(tries, 1):
             thickness_mm = float(plan.thickness_mm[0]) * factor
             inside = (
                 limits.least_mm <= thickness_mm <= limits.most_mm and base_mm + thickness_mm <= top_mm + 1e-9
@@ -214,14 +256,17 @@ class Building:
             wanted = Wanted(reading.done, base_mm, thickness_mm, name, shifted)
             staged = Path(tempfile.mkdtemp(prefix=".making.", dir=self.folder))
             try:
-                made = self.maker.make(wanted, self.heat, staged / PROGRAM, self.metal)
+                made = self.maker.make(wanted, ground.heat, staged / PROGRAM, ground.surface(mended))
                 if made.passed:
+                    # The least wait counts from the end of the layer below.
+                    made = replace(made, wait_s=ground.since_s + made.wait_s)
+                    told = ground.told(mended)
                     certificate = certificate_of(
-                        made, self.maker.part, self.maker.primary, self.maker.witness
+                        made, self.maker.part, self.maker.primary, self.maker.witness, told
                     )
                     answer = {"answer": "published", "layers_left": len(plan), "said": list(plan.said),
                               "cusp_mm": float(plan.cusp_mm[0]), "seconds": made.seconds,
-                              "islands": made.islands, "tries": number}  # fmt: skip
+                              "islands": made.islands, "tries": number, **told}  # fmt: skip
                     return answer, (staged, made, certificate)
                 why = why or made.why
             except Exception as error:  # whatever a stage meets, the server stays
@@ -264,7 +309,7 @@ class Building:
         for entry in entries:
             kind = entry.get("kind")
             if kind == "height":
-                waiting = Reading(int(entry["done"]), float(entry["height_mm"]))
+                waiting = Reading.of_entry(entry)
             elif waiting is not None and kind in ("layer", "done"):
                 self._again(waiting, entry)
                 waiting = None

@@ -16,6 +16,7 @@ from types import TracebackType
 from typing import Self
 
 import numpy as np
+from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.backend import BackendSettings
 from ebamcheck.comparison import compare_all
@@ -202,6 +203,11 @@ class LayerMaker:
     def height_mm(self) -> float:
         """Height of the part: Z of its top."""
         return float(self.part.size[2])
+
+    def section_at(self, height_mm: float) -> BaseGeometry:
+        """Section of the part at a height over its lowest point."""
+        cut = self._slicings[self.primary].at(self.bottom_mm + height_mm)
+        return layer_section(cut.polygons(0))
 
     def config_of(self, wanted: Wanted) -> Config:
         """Settings of the program of one layer: those of the run, with its height and name."""

@@ -6,10 +6,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pandas as pd
+from shapely.geometry.base import BaseGeometry
 
+from ebamcheck.live.height_map import MapFigures
 from ebamcheck.mesh.part import Part
-from ebamcheck.metal import Surface
+from ebamcheck.metal import Surface, target_of
 from ebamcheck.program.checking.metal_below import MetalBelow
+from ebamcheck.program.toolpath.wire import metal_region
 from ebamcheck.settings.config import Config
 
 
@@ -39,6 +42,21 @@ class MetalSoFar:
     def measured(self) -> MetalSoFar:
         """Return the same when its height was measured: its surface is on average there, and as uneven as it was."""
         return self if self.surface is None else MetalSoFar(self.below, self.surface.measured())
+
+    @classmethod
+    def on(cls, below: MetalBelow, section: BaseGeometry, part: Part, config: Config) -> MetalSoFar:
+        """Return that of layers of which the section of the uppermost is known, and no more of its surface."""
+        level = cls.none(part, config).surface
+        assert level is not None
+        target = target_of(metal_region(section, config), level.step_mm, 2.0 * config.process.bead_width_mm)
+        level.add(target, target.share, 1.0)
+        return cls(below, level)
+
+    def mapped(self, figures: MapFigures, mended: float) -> MetalSoFar:
+        """Return it with the surface that was measured, of which the next layer is to mend a share."""
+        if self.surface is None:
+            return self
+        return MetalSoFar(self.below, self.surface.with_map(figures.over_mm).mending(mended))
 
     def with_layer(self, layers: pd.DataFrame, surface: Surface, config: Config) -> MetalSoFar:
         """Return it with a layer more, of which `layers` has the figures."""

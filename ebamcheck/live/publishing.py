@@ -53,8 +53,13 @@ def called_name(made: MadeLayer) -> str:
     return made.files.names[1] if suffix and len(made.files.names) > 1 else made.files.names[0]
 
 
-def certificate_of(made: MadeLayer, part: Part, primary: str, witness: str) -> dict[str, Any]:
-    """What is known of a made layer, as its certificate holds it: nothing of the clock, so that it can be made again."""
+def certificate_of(
+    made: MadeLayer, part: Part, primary: str, witness: str, measured: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """What is known of a made layer, as its certificate holds it: nothing of the clock, so that it can be made again.
+
+    What was `measured` under it beside its height is kept there, too.
+    """
     wanted, files = made.wanted, made.files
     return dict(
         plain(
@@ -89,6 +94,7 @@ def certificate_of(made: MadeLayer, part: Part, primary: str, witness: str) -> d
                 "files": {} if files is None else dict(files.sha256),
                 "validated": made.passed,
             }
+            | dict(measured or {})
         )
     )
 

@@ -8,8 +8,11 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
+
+from ebamcheck.live.height_map import MapCells
+from ebamcheck.live.pyrometer import Warmth, warmth_of
 
 LONGEST_LINE = 4096
 """Bytes of a line; a reading takes a hundred."""
@@ -35,10 +38,34 @@ class Refusal:
 
 @dataclass(frozen=True)
 class Reading:
-    """A height that was measured when so many layers were done."""
+    """A height that was measured when so many layers were done; the map of which it is the mean, and the temperature, if there are."""
 
     done: int
     height_mm: float
+    cells: MapCells | None = field(default=None, compare=False)
+    map_sha256: str = ""
+    warmth: Warmth | None = None
+
+    @classmethod
+    def of_map(cls, done: int, mean_mm: float, cells: MapCells) -> Reading:
+        """Return the reading of a map."""
+        return cls(done, mean_mm, cells, cells.sha256)
+
+    def entry(self) -> dict[str, Any]:
+        """Line of the journal."""
+        values: dict[str, Any] = {"kind": "height", "done": self.done, "height_mm": self.height_mm}
+        if self.warmth is not None:
+            values |= {"surface_k": self.warmth.surface_k, "after_s": self.warmth.after_s}
+        return values if self.cells is None else {**values, "map": self.cells.entry()}
+
+    @classmethod
+    def of_entry(cls, entry: dict[str, Any]) -> Reading:
+        """Take it back from a line of the journal."""
+        found = cls(int(entry["done"]), float(entry["height_mm"]))
+        if "map" in entry:
+            found = cls.of_map(found.done, found.height_mm, MapCells.of_entry(entry["map"]))
+        warmth = warmth_of(entry)
+        return replace(found, warmth=warmth) if isinstance(warmth, Warmth) else found
 
 
 def parsed(line: bytes) -> dict[str, Any] | Refusal:
@@ -59,11 +86,10 @@ def reading_of(message: dict[str, Any]) -> Reading | Refusal:
     unit = message.get("unit", UNIT)
     if unit != UNIT:
         return Refusal("unit", f"unit {unit!r:.20}: heights are in mm and are not converted")
-    done, height = message.get("done"), message.get("height_mm")
-    if done is None:
-        return Refusal("missing", "`done`, the number of layers that are done, is missing")
-    if not isinstance(done, int) or isinstance(done, bool) or done < 0:
-        return Refusal("counter", f"done {done!r:.20}: give the number of layers that are done")
+    done = done_of(message)
+    if isinstance(done, Refusal):
+        return done
+    height = message.get("height_mm")
     if height is None:
         return Refusal("missing", "`height_mm` is missing")
     if isinstance(height, bool) or not isinstance(height, int | float):
@@ -75,6 +101,16 @@ def reading_of(message: dict[str, Any]) -> Reading | Refusal:
     if not math.isfinite(height_mm):
         return Refusal("not-a-number", f"height_mm {height_mm}: is not finite")
     return Reading(done, height_mm)
+
+
+def done_of(message: dict[str, Any]) -> int | Refusal:
+    """Return how many layers are done, by a message."""
+    done = message.get("done")
+    if done is None:
+        return Refusal("missing", "`done`, the number of layers that are done, is missing")
+    if not isinstance(done, int) or isinstance(done, bool) or done < 0:
+        return Refusal("counter", f"done {done!r:.20}: give the number of layers that are done")
+    return done
 
 
 def fault_of(reading: Reading, base_mm: float, top_mm: float) -> Refusal | None:

@@ -11,11 +11,14 @@ from typing import Any
 from ebamcheck.atomic_file import made_folder
 from ebamcheck.errors import SettingsError
 from ebamcheck.json_values import json_text
+from ebamcheck.live.ground import Ground
 from ebamcheck.live.heat_so_far import HeatSoFar
+from ebamcheck.live.height_map import MapCells
 from ebamcheck.live.heights import height_rule
 from ebamcheck.live.making import LayerMaker, MadeLayer, Wanted
 from ebamcheck.live.metal_so_far import MetalSoFar
 from ebamcheck.live.publishing import LAYERS, PROGRAM, certificate_of, layer_name, publish
+from ebamcheck.live.readings import Reading
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,10 +57,12 @@ def relayer(
     measured_mm: float,
     folder: Path,
     metal: MetalSoFar | None = None,
+    cells: MapCells | None = None,
 ) -> Relayered:
     """Make a layer at a measured height, and publish it under a new name in `folder` if every gate is open.
 
-    What is known of the metal under it, `metal`, counts where sums and means over all layers are judged.
+    What is known of the metal under it, `metal`, counts where sums and means over all layers are judged. Of a map, `cells`, of
+    which `measured_mm` is the mean, as much is mended as can be proved.
     """
     number = 1
     program = maker.config.machine.program_name
@@ -65,14 +70,19 @@ def relayer(
     while (folder / LAYERS / layer_name(program, layer, number)).exists():
         number += 1
     wanted, said = wanted_layer(maker, layer, measured_mm, layer_name(program, layer, number))
-    staged = Path(tempfile.mkdtemp(prefix=".making.", dir=folder))
-    try:
-        made = maker.make(wanted, heat, staged / PROGRAM, metal)
-        certificate = certificate_of(made, maker.part, maker.primary, maker.witness)
-        if not made.passed:
-            (folder / f"{wanted.name}.refused.json").write_text(json_text(certificate), encoding="utf-8")
-            return Relayered(made, certificate, said, None)
-        publish(folder, made, certificate)
-    finally:
-        shutil.rmtree(staged, ignore_errors=True)
-    return Relayered(made, certificate, said, folder / LAYERS / wanted.name)
+    known = MetalSoFar() if metal is None else metal
+    reading = Reading(layer, measured_mm) if cells is None else Reading.of_map(layer, measured_mm, cells)
+    ground = Ground.of(reading, heat, known, maker.config)
+    for share in ground.mending:
+        staged = Path(tempfile.mkdtemp(prefix=".making.", dir=folder))
+        try:
+            under = None if metal is None else ground.surface(share)
+            made = maker.make(wanted, heat, staged / PROGRAM, under)
+            certificate = certificate_of(made, maker.part, maker.primary, maker.witness, ground.told(share))
+            if made.passed:
+                publish(folder, made, certificate)
+                return Relayered(made, certificate, said, folder / LAYERS / wanted.name)
+        finally:
+            shutil.rmtree(staged, ignore_errors=True)
+    (folder / f"{wanted.name}.refused.json").write_text(json_text(certificate), encoding="utf-8")
+    return Relayered(made, certificate, said, None)

@@ -31,6 +31,9 @@ FILM = 0.25
 """Height of metal over that of the layer from which on a bead has reached a place: its flank is thinner."""
 
 
+MENDED = 0.3
+"""Share of what lies too high or too low under a layer that is mended by it, where that is worked out and not measured."""
+
 DOME = 0.5**0.5
 """Distance from its line, over half its width, up to which a bead is at least half as high as in its middle."""
 
@@ -85,6 +88,37 @@ class Surface:
         self._over_mm: Floats = np.zeros((rows, columns))
         self._share: Floats = np.zeros((rows, columns))
         self._bead = bead_width_mm / self.step_mm
+        self.mended = MENDED
+        self.mapped = False
+
+    @property
+    def corner(self) -> tuple[int, int]:
+        """Column and row of the grid's first cell, counted from the origin of the part."""
+        return int(self._corner[0]), int(self._corner[1])
+
+    @property
+    def share(self) -> Floats:
+        """(rows, columns) share of each cell that the last layer has of metal."""
+        return self._share
+
+    def with_map(self, over_mm: Floats) -> Surface:
+        """Return a surface as uneven as it was measured.
+
+        Parameters
+        ----------
+        over_mm
+            (rows, columns) height of each cell over the measured height of the layer; cells without metal do not count.
+        """
+        made = self.copy()
+        made._over_mm = np.where(self._share > 0.0, over_mm, 0.0)
+        made.mapped = True
+        return made
+
+    def mending(self, share: float) -> Surface:
+        """Return the same surface, of which a layer is to mend another share."""
+        made = self.copy()
+        made.mended = share
+        return made
 
     def copy(self) -> Surface:
         """Return the same surface, on which can be built by itself."""
@@ -93,6 +127,8 @@ class Surface:
     def measured(self) -> Surface:
         """Return the surface of a part whose height was measured: uneven as it was, and on average at that height."""
         made = self.copy()
+        if self.mapped:
+            return made
         metal = self._share.sum()
         if metal > 0.0:
             mean_mm = float((self._share * self._over_mm).sum() / metal)
@@ -132,7 +168,8 @@ class Surface:
             raised = before + np.divide(excess, share, out=np.zeros_like(share), where=metal)
             built[at] = share
             over[at] = levelled(raised, share, self._bead)
-        self._over_mm, self._share = over, built
+        # What is left of a map is worked out and no longer measured.
+        self._over_mm, self._share, self.mapped, self.mended = over, built, False, MENDED
 
     def _window(self, target: Target) -> tuple[slice, slice]:
         """Where the cells of a layer lie in the grid."""

@@ -19,8 +19,10 @@ from pydantic.fields import FieldInfo
 from ebamcheck.errors import SettingsError
 from ebamcheck.settings.base import Section
 from ebamcheck.settings.curves import CurveSettings
+from ebamcheck.settings.height_map import HeightMapSettings
 from ebamcheck.settings.machine import KinematicsSettings, MachineSettings
 from ebamcheck.settings.material import MaterialSettings
+from ebamcheck.settings.opcua import OpcuaSettings
 from ebamcheck.settings.process import ProcessSettings
 from ebamcheck.settings.scan import ScanSettings
 from ebamcheck.settings.selection import MachineChoice, MachineSections, RegressionSettings
@@ -50,6 +52,8 @@ class Config(Section):
     material: MaterialSettings = MaterialSettings()
     regression: RegressionSettings = RegressionSettings()
     machines: MachineSections = MachineSections()
+    opcua: OpcuaSettings = OpcuaSettings()
+    height_map: HeightMapSettings = HeightMapSettings()
     work: WorkSettings = WorkSettings()
 
     def __repr__(self) -> str:

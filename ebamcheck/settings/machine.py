@@ -147,6 +147,8 @@ class MachineSettings(Section):
     """Blocks before the first motion of a layer."""
     layer_end: tuple[str, ...] = ()
     """Blocks after the last motion of a layer."""
+    tilt_axes: bool = False
+    """The machine can turn the part between layers. Off, `relayer --direction` is refused."""
     live_r: Annotated[int, Between(0, 990)] = 100
     """First of the six R parameters by which a main program that waits between layers (`run --live`) and a server agree: layers
     done, layer released (-1: the part is built), number of its program, least wait before it, and two of the program's own."""

@@ -166,6 +166,8 @@ class ProcessSettings(Section):
     and waits where the least power is still too much (both), or nothing (off)."""
     interpass_limit_k: Temperature | None = None
     """Temperature over which no bead may be entered; None: that of the material. With `interpass` off, the solidus."""
+    pyrometer_limit_k: Annotated[float, Between(1.0, 1000.0)] = 150.0
+    """How far a measured temperature of the surface may lie off the model, which it then corrects (`live`); beyond it is refused."""
     interpass_at: Literal["bead", "layer"] = "bead"
     """Where the limit holds: wherever the beam comes on, at contours, islands and their further beads, which may be waited
     for within a layer, too, or at the first bead of each layer alone."""

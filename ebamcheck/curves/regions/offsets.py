@@ -75,6 +75,8 @@ class Offsets(NamedTuple):
             return 1.0
         if self.told < LEAST_TOLD:
             return 0.0
+        if self.offset + ERRORS * self.error < -LARGEST_OFFSET:
+            return HALF  # inside of the surface, where no program puts them: their neighbours do not tell it
         return 1.0 if self.offset + ERRORS * self.error <= LARGEST_OFFSET else HALF
 
 

@@ -144,8 +144,7 @@ def is_link(twin: Index, label: Index, kind: Kinds, borders: Borders, h: int) ->
     g = twin[h]
     if g == NO_TWIN or label[h // 3] == label[g // 3]:
         return False
-    other = kind[label[g // 3]]
-    return bool(other in (STRIP, PLANE) or borders.width[h] < LIKE * borders.width[g])
+    return bool(borders.width[h] < LIKE * borders.width[g])
 
 
 @kernel

@@ -48,8 +48,8 @@ MOST_SPACINGS = 1.6
 """Greatest width over the bead spacing: a bead stands that much higher over the layer than its neighbours, which the
 next layer still melts."""
 
-MENDED = 0.3
-"""Share of what lies too high or too low under a layer that is mended by it."""
+ALIKE_MAPPED = 1.05
+"""The same of all beads on a surface that was measured: what is known is followed more closely."""
 
 MOST_MENDED = 0.2
 """Share of its height by which a layer is planned thicker or thinner for that at most."""
@@ -92,11 +92,14 @@ def with_wire(path: Toolpath, plan: ScanColumns, config: Config, decimals: int) 
     lengths = segment_lengths(path.kind, points)
     tracks = Tracks.of(path, lengths)
     whole = config.machine.curve_form == "bspline" and not config.machine.poly_licensed
+    stands: Surface | None = getattr(plan, "stands", None)
+    mapped = stands is not None and stands.mapped
+    # On a surface that was measured the wire of every bead follows it; else hatch beads have one wire each.
+    divided = np.ones(tracks.low.size, np.bool_) if mapped else _along_walls(path, plan)
     division = _Division.of(
-        tracks, _along_walls(path, plan), math.inf if whole else STRETCH_BEADS * config.process.bead_width_mm
+        tracks, divided, math.inf if whole else STRETCH_BEADS * config.process.bead_width_mm
     )
     regions = [metal_region(section, config) for section in sections]
-    stands: Surface | None = getattr(plan, "stands", None)
     surface = Surface(np.nan_to_num(shapely.total_bounds(regions)), config.process.bead_width_mm)
     if stands is not None:
         surface = stands.copy()
@@ -138,7 +141,8 @@ def _flat(
     wanted, weight = _wanted(target, surface, thickness_mm, config)
     limits = width_limits_mm(config, thickness_mm)
     width = balanced_widths(beads.footprints, wanted, weight, cell_mm2, nominal, limits)
-    first = np.flatnonzero(runs_alike(division.track(beads.every), width, ALIKE))
+    alike = ALIKE_MAPPED if surface.mapped else ALIKE
+    first = np.flatnonzero(runs_alike(division.track(beads.every), width, alike))
     runs = beads.footprints.joined(first)
     width = np.add.reduceat(width, first) / np.diff(np.append(first, width.size))
     width = balanced_widths(runs, wanted, weight, cell_mm2, width, limits)
@@ -151,7 +155,7 @@ def _flat(
 
 def _wanted(target: Target, surface: Surface, thickness_mm: float, config: Config) -> tuple[Floats, Floats]:
     """Metal that each cell of a layer is to get, layers high, and how much the cell counts."""
-    over = MENDED * surface.over_mm(target) / thickness_mm
+    over = surface.mended * surface.over_mm(target) / thickness_mm
     wanted = target.share * np.clip(1.0 - over, 1.0 - MOST_MENDED, 1.0 + MOST_MENDED)
     # Metal is moved; in all, the layer gets as much more or less as its tolerance leaves room for.
     most = MASS_ROOM * config.process.mass_tolerance

@@ -176,8 +176,8 @@ def _ended(run: Run) -> str:
 # -- the machine -------------------------------------------------------------------------------------
 
 
-def run_text(text: str, door: Door, config: Config) -> Run:
-    """Run a text to its end; one that goes on for ever after a stop is left there.
+def run_text(text: str, door: Door, config: Config, most_blocks: int | None = None) -> Run:
+    """Run a text to its end; one that goes on for ever after a stop, or for `most_blocks`, is left there.
 
     Raises
     ------
@@ -192,7 +192,9 @@ def run_text(text: str, door: Door, config: Config) -> Run:
     ]
     labels = {label: k for k, (_, label, _) in enumerate(blocks) if label}
     run.door(run)
-    at, most = 0, int(BLOCKS_A_POLL * (config.machine.live_timeout_s / config.machine.live_poll_s + 100.0))
+    machine = config.machine
+    at, most = 0, int(BLOCKS_A_POLL * (machine.live_timeout_s / machine.live_poll_s + 100.0))
+    most = most if most_blocks is None else most_blocks
     for _ in range(most):
         if at >= len(blocks) or (run.stops and (run.stops[-1][0] == "M30" or len(run.stops) > 1)):
             return run

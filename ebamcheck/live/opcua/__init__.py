@@ -1,0 +1,1 @@
+"""The second door of a build: the control as an OPC UA server, and a control to try it on."""

@@ -1,0 +1,221 @@
+"""Both sides of a connection on a desk: keys, certificates, a user and a profile for the door; and the whole played control."""
+
+from __future__ import annotations
+
+import asyncio
+import datetime
+import ipaddress
+import os
+import secrets
+import threading
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import rsa
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+from ebamcheck.atomic_file import made_folder
+from ebamcheck.errors import InputError, SettingsError
+from ebamcheck.live.bed import Growth
+from ebamcheck.live.opcua.panel import FAULTS, Panel
+from ebamcheck.live.opcua.playing import PlayedLayer, PlayedProgram
+from ebamcheck.live.opcua.server import SESSIONS, Access, PlayedServer
+from ebamcheck.program.language.control import control
+from ebamcheck.settings.config import Config
+from ebamcheck.settings.opcua import OpcuaSettings
+
+PROFILE, PASSWORD = "opcua.toml", "password"
+"""Files of a desk's folder: settings for `live --config`, and the password of its user."""
+
+USER = "ebamcheck"
+
+DAYS = 365
+"""Time for which the certificates of a desk hold."""
+
+ENDED_S = 2.0
+"""Time for which the server stays when the program has ended: somebody reads the last values."""
+
+
+def desk_profile(folder: Path, opcua: OpcuaSettings) -> Access:
+    """Make keys, certificates, a user and a profile in a folder; what is there already is used again."""
+    made_folder(folder)
+    host = urlsplit(opcua.url).hostname or "127.0.0.1"
+    for name, uri in (("server", "urn:ebamcheck:machine"), ("client", opcua.application_uri)):
+        if not (folder / f"{name}.pem").is_file():
+            _certificate(folder, name, uri, host)
+    password = folder / PASSWORD
+    if not password.is_file():
+        _write_own(password, secrets.token_urlsafe(18).encode())
+    place = folder.resolve()
+    lines = [
+        "# Made by `ebamcheck machine RUN --opcua` for a desk: use it with `ebamcheck live RUN --opcua --config THIS`.",
+        "[opcua]",
+        f'url = "{opcua.url}"',
+        'security = "sign_and_encrypt"',
+        f'certificate = "{place / "client.pem"}"',
+        f'private_key = "{place / "client-key.pem"}"',
+        f'server_certificate = "{place / "server.pem"}"',
+        f'user = "{USER}"',
+        f'password_file = "{place / PASSWORD}"',
+        "",
+    ]
+    (folder / PROFILE).write_text("\n".join(lines), encoding="utf-8")
+    return Access(
+        folder / "server.pem",
+        folder / "server-key.pem",
+        folder / "client.pem",
+        USER,
+        password.read_text().strip(),
+    )
+
+
+def _certificate(folder: Path, name: str, uri: str, host: str) -> None:
+    """Make a key and a certificate signed by itself."""
+    key = rsa.generate_private_key(public_exponent=65537, key_size=2048)
+    subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, f"ebamcheck {name}")])
+    now = datetime.datetime.now(datetime.UTC)
+    names: list[x509.GeneralName] = [x509.UniformResourceIdentifier(uri)]
+    try:
+        names.append(x509.IPAddress(ipaddress.ip_address(host)))
+    except ValueError:
+        names.append(x509.DNSName(host))
+    usage = x509.KeyUsage(True, True, True, True, False, True, False, False, False)
+    made = (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(subject)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(now - datetime.timedelta(minutes=5))
+        .not_valid_after(now + datetime.timedelta(days=DAYS))
+        .add_extension(x509.SubjectAlternativeName(names), critical=False)
+        .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=False)
+        .add_extension(usage, critical=False)
+        .add_extension(
+            x509.ExtendedKeyUsage([ExtendedKeyUsageOID.CLIENT_AUTH, ExtendedKeyUsageOID.SERVER_AUTH]),
+            critical=False,
+        )
+        .sign(key, hashes.SHA256())
+    )
+    pem = serialization.Encoding.PEM
+    text = key.private_bytes(pem, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
+    _write_own(folder / f"{name}-key.pem", text)
+    (folder / f"{name}.pem").write_bytes(made.public_bytes(pem))
+
+
+def _write_own(path: Path, content: bytes) -> None:
+    """Write a file that nobody else may read."""
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+    with os.fdopen(descriptor, "wb") as file:
+        file.write(content)
+
+
+def faults_of(texts: list[str]) -> dict[int, tuple[str, ...]]:
+    """Faults by layer, of texts such as ``away@3``.
+
+    Raises
+    ------
+    SettingsError
+        For a fault or a layer that there is not.
+
+    Examples
+    --------
+    >>> faults_of(["away@3", "late@3", "reset@5"])
+    {3: ('away', 'late'), 5: ('reset',)}
+    """
+    found: dict[int, tuple[str, ...]] = {}
+    for text in texts:
+        name, _, layer = text.partition("@")
+        if name not in FAULTS or not (layer.isascii() and layer.isdigit() and int(layer) > 0):
+            raise SettingsError(
+                f"--fault {text!r}: give NAME@LAYER, with the layer from 1 and a name of {', '.join(FAULTS)}"
+            )
+        found[int(layer)] = (*found.get(int(layer), ()), name)
+    return found
+
+
+def waiting_text(config: Config, top_mm: float) -> str:
+    """Text of the main program that waits.
+
+    Raises
+    ------
+    SettingsError
+        If none is written for the control.
+    """
+    own = control(config.machine.control)
+    if not own.waiting:
+        raise SettingsError(
+            f"machine.control {config.machine.control!r}: no main program is written that waits between layers"
+        )
+    return str(own.load("waiting")(config, top_mm, {})[1])
+
+
+async def played(
+    config: Config,
+    opcua: OpcuaSettings,
+    access: Access | None,
+    top_mm: float,
+    growth: Growth,
+    speed: float,
+    faults: Mapping[int, tuple[str, ...]],
+    told: Callable[[PlayedLayer], None],
+    sessions: int = SESSIONS,
+    panel: Panel | None = None,
+) -> tuple[PlayedProgram, bool]:
+    """Play a control until its program ends; what it laid, and whether it came to its end.
+
+    Raises
+    ------
+    InputError
+        If nobody can listen at the address.
+    BackendFailed
+        If a program is called that is not on the control.
+    """
+    panel = panel or Panel()
+    server = PlayedServer(panel, config.machine, opcua, access, sessions)
+    loop = asyncio.get_running_loop()
+
+    def act(away_s: float, full_s: float) -> None:
+        asyncio.run_coroutine_threadsafe(server.away(away_s, full_s), loop)
+
+    program = PlayedProgram(
+        panel, config, opcua, waiting_text(config, top_mm), growth, speed, faults, act, told
+    )
+    try:
+        async with server.serving():
+            ended = await _in_thread(program)
+            await asyncio.sleep(ENDED_S)
+    except OSError as error:
+        raise InputError(f"{opcua.url}: cannot listen there: {error.strerror or error}") from None
+    return program, ended
+
+
+async def _in_thread(program: PlayedProgram) -> bool:
+    """Run the program in a thread that an interrupt does not wait for."""
+    loop = asyncio.get_running_loop()
+    future: asyncio.Future[bool] = loop.create_future()
+
+    def settle(ended: bool | None, error: BaseException | None) -> None:
+        if future.done():
+            return
+        if error is None:
+            future.set_result(bool(ended))
+        else:
+            future.set_exception(error)
+
+    def run() -> None:
+        try:
+            ended, error = program.run(), None
+        except BaseException as raised:
+            ended, error = None, raised
+        if not loop.is_closed():
+            loop.call_soon_threadsafe(settle, ended, error)
+
+    threading.Thread(target=run, name="played program", daemon=True).start()
+    try:
+        return await future
+    finally:
+        program.stopped = True

@@ -1,0 +1,109 @@
+"""What the nodes of the handshake are, what was seen in them, and what a layer puts into them.
+
+R parameters from ``machine.live_r`` on: the first six are those of the waiting main program, the others are of the server and of
+who measures.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ebamcheck.errors import InputError
+from ebamcheck.settings.machine import MachineSettings
+from ebamcheck.settings.opcua import ROLES, WARMTH_ROLES, OpcuaSettings
+
+OFFSETS = dict(zip(ROLES, (0, 1, 2, 3, 4, 6, 7, 8, 9, 10), strict=True))
+"""R parameter of each role, counted from ``machine.live_r``; the fifth is the program's own."""
+
+BUILT = -1.0
+"""In ``released``: the part is built."""
+
+DIGEST_DIGITS = 12
+"""Hexadecimal digits of the SHA-256 that an R parameter holds as a whole number, without rounding."""
+
+
+def node_ids(machine: MachineSettings, opcua: OpcuaSettings) -> dict[str, str]:
+    """Node of every role.
+
+    Examples
+    --------
+    >>> node_ids(MachineSettings(), OpcuaSettings())["height"]
+    'ns=2;s=/Channel/Parameter/R[u1,106]'
+    """
+    stock = {
+        role: opcua.r_node.replace("{r}", str(machine.live_r + offset)) for role, offset in OFFSETS.items()
+    }
+    return stock | opcua.nodes
+
+
+def file_path(machine: MachineSettings, opcua: OpcuaSettings, name: str) -> str:
+    """Place of a program on the control."""
+    return f"{opcua.folder.replace('{directory}', machine.workpiece_directory)}/{name}"
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Values of the handshake as they were read at once; NaN for one that is no number."""
+
+    done: float
+    released: float
+    number: float
+    wait: float
+    waited: float
+    height: float
+    measured: float
+    begin_at: float
+    owner: float
+    digest: float
+    map: str = ""
+    surface_k: float = 0.0
+    after_s: float = 0.0
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any]) -> Seen:
+        """Take values as they came."""
+        name = values.get("map")
+        text = name.strip() if isinstance(name, str) else ""
+        numbers = {role: _number(values.get(role)) for role in ROLES}
+        warmth = {role: _number(values.get(role, 0.0)) for role in WARMTH_ROLES}
+        return cls(**numbers, **warmth, map=text)
+
+    @property
+    def reading(self) -> str:
+        """What was measured, to be compared: heights that are no numbers are alike, too."""
+        return repr((self.done, self.measured, self.height, self.map))
+
+
+def _number(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return math.nan
+    return float(value)
+
+
+def program_number(name: str) -> int:
+    """Number of a layer's program, as its name ends.
+
+    Examples
+    --------
+    >>> program_number("MAIN_K0037R2")
+    2
+    """
+    found = re.search(r"R(\d+)$", name)
+    if found is None:
+        raise InputError(f"the name {name!r} of a layer does not end with its number")
+    return int(found[1])
+
+
+def digest(sha256: str) -> float:
+    """First digits of a SHA-256 as a whole number.
+
+    Examples
+    --------
+    >>> digest("ffffffffffff" + 52 * "0") == 2**48 - 1
+    True
+    """
+    return float(int(sha256[:DIGEST_DIGITS], 16))

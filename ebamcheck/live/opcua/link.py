@@ -1,0 +1,371 @@
+"""A connection to the control: read, write and read back, copy files, and tell in one line what went wrong."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+from collections.abc import Awaitable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from ebamcheck.errors import EbamcheckError, InputError, SettingsError
+from ebamcheck.live.opcua.handshake import Seen, file_path, node_ids
+from ebamcheck.settings.machine import MachineSettings
+from ebamcheck.settings.opcua import ROLES, WARMTH_ROLES, OpcuaSettings
+from ebamcheck.showing.plotting import missing
+
+if TYPE_CHECKING:
+    from asyncua.client.client import Client
+
+SESSION_MS = 60_000
+"""Session time-out that is asked for: that of a SINUMERIK."""
+
+FILES = ("certificate", "private_key", "server_certificate")
+"""Settings that name files which a protected channel needs."""
+
+T = TypeVar("T")
+
+RIGHTS = ("BadUserAccessDenied", "BadNotWritable", "BadWriteNotSupported", "BadSecurityModeInsufficient")
+LOGIN = ("BadIdentityTokenInvalid", "BadIdentityTokenRejected", "BadUserAccessDenied")
+CERTIFICATES = ("BadSecurityChecksFailed", "BadCertificate")
+FULL = (
+    "BadTooManySessions",
+    "BadMaxConnectionsReached",
+    "BadTooManySubscriptions",
+    "BadTooManyMonitoredItems",
+)
+GONE = ("BadSession", "BadConnection", "BadServer", "BadShutdown", "BadSecureChannel", "BadTcp", "BadCommunication", "BadTimeout", "BadRequestTimeout", *FULL)  # fmt: skip
+
+
+class LinkLost(EbamcheckError):
+    """The control is not there, or has gone."""
+
+
+class NotTaken(EbamcheckError):
+    """The control is there and does not do what it was asked for; `code` says what kind of refusal it is."""
+
+    def __init__(self, code: str, reason: str) -> None:
+        super().__init__(reason)
+        self.code = code
+
+
+class LoginRefused(EbamcheckError):
+    """The control does not let us in: certificate, user or password."""
+
+
+def checked(opcua: OpcuaSettings) -> None:
+    """Refuse settings with which nothing could be written, or a machine without asyncua, before anything is begun.
+
+    Raises
+    ------
+    ExtraMissing
+        If asyncua is not installed.
+    SettingsError
+        If certificates, user or password are missing.
+    """
+    installed()
+    if opcua.problem:
+        raise SettingsError(opcua.problem)
+    if opcua.security != "none":
+        for key in FILES:
+            _content(opcua, key)
+    if opcua.user and opcua.security != "none":
+        password_of(opcua)
+
+
+def _content(opcua: OpcuaSettings, key: str) -> tuple[bytes, str]:
+    """Content of a certificate or key, which is one, and its form."""
+    from cryptography import x509
+    from cryptography.hazmat.primitives import serialization
+
+    path = Path(str(getattr(opcua, key)))
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise SettingsError(f"opcua.{key} {str(path)!r}: cannot be read: {error.strerror}") from None
+    pem = b"-----BEGIN" in content
+    try:
+        if key == "private_key":
+            (serialization.load_pem_private_key if pem else serialization.load_der_private_key)(content, None)
+        else:
+            (x509.load_pem_x509_certificate if pem else x509.load_der_x509_certificate)(content)
+    except (ValueError, TypeError):
+        what = "key without a password" if key == "private_key" else "certificate"
+        raise SettingsError(f"opcua.{key} {str(path)!r}: is no {what} in PEM or DER") from None
+    return content, "pem" if pem else "der"
+
+
+def installed() -> None:
+    """Refuse a machine without asyncua, and keep its log off the terminal: what matters is told by us, in one line.
+
+    Raises
+    ------
+    ExtraMissing
+        If it is not installed.
+    """
+    try:
+        import asyncua  # noqa: F401
+    except ImportError:
+        raise missing("asyncua", "opcua", "--opcua") from None
+    logging.getLogger("asyncua").setLevel(logging.CRITICAL + 1)
+
+
+def password_of(opcua: OpcuaSettings) -> str:
+    """Password of the user.
+
+    Raises
+    ------
+    SettingsError
+        If there is none, or others may read its file.
+    """
+    found = os.environ.get(opcua.password_variable, "")
+    if found or not opcua.password_file:
+        if not found:
+            raise SettingsError(
+                f"the environment variable {opcua.password_variable} is not set: it holds the password of {opcua.user!r}; "
+                "or give opcua.password_file"
+            )
+        return found
+    path = Path(opcua.password_file)
+    try:
+        if path.stat().st_mode & 0o077:
+            raise SettingsError(f"opcua.password_file {path}: others may read it: chmod 600 {path}")
+        return path.read_text(encoding="utf-8").strip()
+    except OSError as error:
+        raise SettingsError(f"opcua.password_file {path}: cannot be read: {error.strerror}") from None
+
+
+class Link:
+    """A connection; `async with` opens and closes it.
+
+    Raises
+    ------
+    LinkLost
+        By every method, if the control does not answer.
+    NotTaken
+        If it refuses.
+    """
+
+    def __init__(self, machine: MachineSettings, opcua: OpcuaSettings) -> None:
+        self._machine, self._opcua = machine, opcua
+        self._ids = node_ids(machine, opcua)
+        self._client: Client | None = None
+        self.changed = asyncio.Event()
+
+    async def __aenter__(self) -> Link:
+        """Connect, log in and subscribe."""
+        from asyncua.client.client import Client
+
+        opcua = self._opcua
+        client = Client(opcua.url, timeout=opcua.request_s)
+        client.session_timeout = SESSION_MS
+        client.application_uri = opcua.application_uri
+        client.name = client.description = "ebamcheck live"
+        try:
+            await self._answered(self._connect(client), "the connection", connecting=True)
+            self._client = client
+            await self._answered(self._subscribe(client), "the subscription", connecting=True)
+        except BaseException:
+            await self._drop(client)
+            raise
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        """Log out, if anybody is there to hear it."""
+        if self._client is not None:
+            await self._drop(self._client)
+        self._client = None
+
+    async def _connect(self, client: Client) -> None:
+        from asyncua import ua
+        from asyncua.crypto import security_policies
+        from asyncua.crypto.uacrypto import CertProperties
+
+        opcua = self._opcua
+        if opcua.security != "none":
+            mode = {"sign": "Sign", "sign_and_encrypt": "SignAndEncrypt"}[opcua.security]
+            own, key, control = (CertProperties(*_content(opcua, name)) for name in FILES)
+            # The certificate of the control is given: that of whoever answers is not asked for.
+            await client.set_security(
+                getattr(security_policies, f"SecurityPolicy{opcua.policy}"),
+                own,
+                key,
+                server_certificate=control,
+                mode=getattr(ua.MessageSecurityMode, mode),
+            )
+            if opcua.user:
+                client.set_user(opcua.user)
+                client.set_password(password_of(opcua))
+        await client.connect()
+
+    async def _subscribe(self, client: Client) -> None:
+        subscription = await client.create_subscription(1000.0 * self._opcua.grid_s, _Told(self.changed))
+        watched = [
+            client.get_node(self._ids[role]) for role in ROLES if role not in ("number", "wait", "digest")
+        ]
+        await subscription.subscribe_data_change(watched)
+
+    async def _drop(self, client: Client) -> None:
+        # A server that has gone hears nothing; what matters is that our side is closed.
+        with suppress(Exception, asyncio.CancelledError):
+            await asyncio.wait_for(client.disconnect(), self._opcua.request_s)
+        with suppress(Exception):
+            client.disconnect_socket()
+
+    # -- values ------------------------------------------------------------------------------------
+
+    async def seen(self) -> Seen:
+        """Read all values at once."""
+        values = await self._read(
+            {role: self._ids[role] for role in (*ROLES, "map", *WARMTH_ROLES) if role in self._ids}
+        )
+        return Seen.of(values)
+
+    async def _read(self, ids: Mapping[str, str]) -> dict[str, Any]:
+        client = self._there()
+        nodes = [client.get_node(node) for node in ids.values()]
+        found = await self._answered(client.read_attributes(nodes), f"reading {', '.join(ids)}")
+        values: dict[str, Any] = {}
+        for (role, node), value in zip(ids.items(), found, strict=True):
+            status = value.StatusCode
+            if status is not None and status.name == "BadNodeIdUnknown":
+                raise NotTaken(
+                    "node", f"the control has no node {node!r} ({role}): set opcua.nodes or opcua.r_node"
+                )
+            good = status is None or status.is_good()
+            values[role] = value.Value.Value if good and value.Value is not None else None
+        return values
+
+    async def write(self, role: str, value: float) -> None:
+        """Write a number and read it back: without the right, a write can be lost without an error."""
+        await self._write(role, float(value))
+
+    async def write_text(self, role: str, value: str) -> None:
+        """Write a text where the control has a node for it, and read it back."""
+        if role in self._ids:
+            await self._write(role, value)
+
+    async def _write(self, role: str, value: float | str) -> None:
+        from asyncua import ua
+
+        client, node = self._there(), self._ids[role]
+        kind = ua.VariantType.String if isinstance(value, str) else ua.VariantType.Double
+        data = ua.DataValue(ua.Variant(value, kind))
+        await self._answered(client.get_node(node).write_value(data), f"writing {role}")
+        found = (await self._read({role: node}))[role]
+        if found != value:
+            raise NotTaken(
+                "write-lost",
+                f"{role} was written as {value!r} and reads {found!r}: the control takes no writes, or another writes to it",
+            )
+
+    # -- files -------------------------------------------------------------------------------------
+
+    async def upload(self, name: str, data: bytes, replace: bool) -> None:
+        """Write a file."""
+        from asyncua import ua
+
+        await self._call(
+            self._opcua.upload_node, f"uploading {name}",
+            ua.Variant(file_path(self._machine, self._opcua, name), ua.VariantType.String),
+            ua.Variant(data, ua.VariantType.ByteString), ua.Variant(replace, ua.VariantType.Boolean),
+        )  # fmt: skip
+
+    async def download(self, name: str) -> bytes | None:
+        """Read a file back; None where there is none."""
+        from asyncua import ua
+
+        path = ua.Variant(file_path(self._machine, self._opcua, name), ua.VariantType.String)
+        try:
+            found = await self._call(self._opcua.download_node, f"reading {name} back", path)
+        except NotTaken as error:
+            if error.code == "no-file":
+                return None
+            raise
+        if not isinstance(found, bytes):
+            raise NotTaken("other-file", f"reading {name} back gave {type(found).__name__}, no file")
+        return found
+
+    async def _call(self, method: str, what: str, *arguments: Any) -> Any:
+        from asyncua import ua
+
+        client = self._there()
+        parent = client.get_node(self._opcua.methods_node)
+        return await self._answered(parent.call_method(ua.NodeId.from_string(method), *arguments), what)
+
+    # -- answers -----------------------------------------------------------------------------------
+
+    def _there(self) -> Client:
+        if self._client is None:
+            raise LinkLost(f"{self._opcua.url}: not connected")
+        return self._client
+
+    async def _answered(self, asked: Awaitable[T], what: str, connecting: bool = False) -> T:
+        """Wait for an answer; every fault becomes one of ours."""
+        url = self._opcua.url
+        try:
+            # The client has its own limit of a request; this one holds for what it does not count.
+            return await asyncio.wait_for(asked, 3.0 * self._opcua.request_s)
+        except asyncio.CancelledError:
+            task = asyncio.current_task()
+            if task is not None and task.cancelling():
+                raise
+            raise LinkLost(f"{url}: the connection broke while {what} was under way") from None
+        except TimeoutError:
+            raise LinkLost(f"{url}: no answer in time to {what}") from None
+        except EbamcheckError:
+            raise
+        except Exception as error:
+            raise _ours(error, url, what, connecting) from None
+
+
+class _Told:
+    """Takes the notifications of a subscription: something has changed, and all is read at once then."""
+
+    def __init__(self, changed: asyncio.Event) -> None:
+        self._changed = changed
+
+    def datachange_notification(self, node: Any, value: Any, data: Any) -> None:
+        self._changed.set()
+
+    def status_change_notification(self, status: Any) -> None:
+        self._changed.set()
+
+
+def _ours(error: Exception, url: str, what: str, connecting: bool) -> EbamcheckError:
+    """Return the error of ours for one of the library or the system."""
+    from asyncua.ua.uaerrors import UaError, UaStatusCodeError
+
+    text = " ".join(str(error).split()) or type(error).__name__
+    if isinstance(error, UaStatusCodeError):
+        name = type(error).__name__
+        if name.startswith(FULL):
+            return LinkLost(f"{url}: the control has no session left ({name})")
+        if connecting and name.startswith((*LOGIN, *CERTIFICATES)):
+            return LoginRefused(f"{url}: {name}: check opcua.user, the password and the certificates")
+        if name.startswith(GONE):
+            return LinkLost(f"{url}: {what} failed ({name})")
+        if name in RIGHTS:
+            return NotTaken(
+                "rights", f"{what} is refused ({name}): the user has no operate right on the control"
+            )
+        if name in ("BadNodeIdUnknown", "BadNodeIdInvalid", "BadMethodInvalid", "BadNothingToDo"):
+            return NotTaken(
+                "node",
+                f"{what}: the control has no such node ({name}): see the section opcua of the settings",
+            )
+        if name in ("BadNotFound", "BadNoMatch", "BadFileNotFound"):
+            return NotTaken("no-file", f"{what}: there is no such file")
+        if name in ("BadBrowseNameDuplicated", "BadEntryExists", "BadNodeIdExists"):
+            return NotTaken("file-exists", f"{what}: a file of that name is there already")
+        return NotTaken("refused", f"{what} is refused ({name})")
+    if isinstance(error, UaError) and connecting:
+        return LoginRefused(f"{url}: {text}")
+    if isinstance(error, FileNotFoundError):
+        return InputError(f"{error.filename}: cannot be read")
+    if isinstance(error, OSError | UaError | EOFError):
+        return LinkLost(f"{url}: {what}: {text}")
+    # Whatever else the library comes to, the server stays and tries again.
+    return LinkLost(f"{url}: {what}: {type(error).__name__}: {text}")

@@ -1,0 +1,281 @@
+"""The program behind a played control: the text of the waiting main program is run block by block, layers grow, heights come.
+
+Layers take the time of their text over a speed; waits of the main program are shortened likewise, to no less than the time in
+which a server can answer. The faults of :data:`ebamcheck.live.opcua.panel.FAULTS` happen at the layers at which they were asked for.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import re
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from ebamcheck.errors import BackendFailed
+from ebamcheck.live.bed import Growth
+from ebamcheck.live.opcua.handshake import OFFSETS, file_path
+from ebamcheck.live.opcua.panel import Panel
+from ebamcheck.program.controls.sinumerik.handshake import Run, run_text
+from ebamcheck.settings.config import Config
+from ebamcheck.settings.opcua import OpcuaSettings
+
+LEAST_WAIT_S = 0.05
+"""Least real time of a wait of the main program, however fast it plays."""
+
+SHOWN_S = 0.6
+"""Time for which a wrong value is shown: several times the grid."""
+
+FAULT_S = 1.0
+"""Time for which writes are refused or lost, or the server is away."""
+
+MANY = 10**9
+"""Blocks after which a program that plays counts as endless: never."""
+
+Tell = Callable[["PlayedLayer"], None]
+
+
+@dataclass(frozen=True)
+class PlayedLayer:
+    """A layer that was called and laid."""
+
+    layer: int
+    name: str
+    sha256: str
+    base_mm: float
+    planned_mm: float
+    grown_mm: float
+    wait_s: float
+
+
+class Reset(Exception):
+    """RESET on the control: the program ends where it is."""
+
+
+class PlayedProgram:
+    """The program, the bed and who measures.
+
+    Parameters
+    ----------
+    text
+        Of the waiting main program.
+    faults
+        Names of faults by layer, from 1.
+    act
+        Called for what the server is to do: be away for a time, and be full for another.
+    """
+
+    def __init__(
+        self,
+        panel: Panel,
+        config: Config,
+        opcua: OpcuaSettings,
+        text: str,
+        growth: Growth,
+        speed: float,
+        faults: Mapping[int, tuple[str, ...]] | None = None,
+        act: Callable[[float, float], None] = lambda away_s, full_s: None,
+        told: Tell = lambda row: None,
+    ) -> None:
+        self.panel, self._config, self._opcua, self._text = panel, config, opcua, text
+        self._growth, self._speed, self._act, self._told = growth, speed, act, told
+        self._faults = {layer: list(names) for layer, names in (faults or {}).items()}
+        self._first = config.machine.live_r
+        self.bed_mm, self.laid = 0.0, list[PlayedLayer]()
+        self._known: dict[int, float] = {}
+        self._calls, self._time_s = 0, 0.0
+        self._waiting: tuple[int, float] | None = None
+        self._operator: float | None = None
+        self._since = time.monotonic()
+        self.stopped = False
+
+    def run(self) -> bool:
+        """Play until the part is built, or the program stops for good; whether it came to its end.
+
+        Raises
+        ------
+        BackendFailed
+            If a program is called that is not on the control.
+        """
+        self._before(1)
+        while not self.stopped:
+            self._calls, self._time_s, self._known = 0, 0.0, {}
+            try:
+                run = run_text(self._text, self._door, self._config, MANY)
+            except Reset:
+                continue
+            return bool(run.stops) and run.stops[-1][0] == "M30"
+        return False
+
+    # -- the door of the text ----------------------------------------------------------------------
+
+    def _r(self, role: str) -> int:
+        return self._first + OFFSETS[role]
+
+    def _door(self, run: Run) -> None:
+        """Time has gone by in the text: let it go by here, lay what was called, and exchange R parameters."""
+        if self.stopped:
+            raise Reset
+        self._exchange(run)
+        if len(run.calls) > self._calls:
+            self._calls = len(run.calls)
+            self._lay(run.calls[-1][0])
+        elif run.time_s > self._time_s:
+            time.sleep(max((run.time_s - self._time_s) / self._speed, LEAST_WAIT_S))
+            self._time_s = run.time_s
+            self._measure()
+            self._command()
+        self._exchange(run)
+
+    def _exchange(self, run: Run) -> None:
+        """What the program has set goes out; all else comes in."""
+        for number in range(self._first, self._first + 12):
+            name = f"R{number}"
+            mine = float(run.values.get(name, self._known.get(number, self.panel.get(number))))
+            if name in run.values and mine != self._known.get(number):
+                self.panel.set(number, mine)
+            self._known[number] = self.panel.get(number)
+            if name in run.values or run.values:
+                run.values[name] = self._known[number]
+
+    def _command(self) -> None:
+        """The operator, once the program waits again."""
+        if (
+            self._operator is not None
+            and self.panel.get(self._r("waited")) > 2.0 * self._config.machine.live_poll_s
+        ):
+            self.panel.set(self._r("begin_at"), self._operator)
+            self._operator = None
+
+    # -- layers ------------------------------------------------------------------------------------
+
+    def _lay(self, name: str) -> None:
+        content = self.panel.files.get(file_path(self._config.machine, self._opcua, f"{name}.SPF"))
+        if content is None:
+            raise BackendFailed(f"alarm 14011: the main program calls {name}, which is not on the control")
+        text, layer = content.decode("ascii"), int(self.panel.get(self._r("done"))) + 1
+        wait_s = time.monotonic() - self._since
+        planned_mm = top_of(text) - self.bed_mm
+        seconds = planned_s(text, self._config.machine.rapid_mm_s) / self._speed
+        if self._has(layer, "reset"):
+            time.sleep(0.5 * seconds)
+            self._operator = float(layer)
+            raise Reset
+        time.sleep(seconds)
+        grown_mm = self._growth.grown_mm(layer - 1, planned_mm)
+        row = PlayedLayer(
+            layer, name, hashlib.sha256(content).hexdigest(), self.bed_mm, planned_mm, grown_mm, wait_s
+        )
+        self.bed_mm += grown_mm
+        self.laid.append(row)
+        self._told(row)
+        self._waiting, self._since = (layer, self.bed_mm), time.monotonic()
+
+    def _has(self, layer: int, name: str) -> bool:
+        """Whether a fault is to happen now; it happens once."""
+        found = self._faults.get(layer, [])
+        if name in found:
+            found.remove(name)
+            return True
+        return False
+
+    def _before(self, layer: int) -> None:
+        """Faults on the way to a layer."""
+        self.panel.break_next = self._has(layer, "upload")
+        self.panel.swap_next = self._has(layer, "other-file")
+        if self._has(layer, "other-client"):
+            self.panel.overwritten[self._r("number")] = 99.0
+        for name, rights in (("refuse", "refused"), ("lost-writes", "lost")):
+            if self._has(layer, name):
+                self.panel.rights = rights
+                self._rights_until = time.monotonic() + FAULT_S
+
+    def _measure(self) -> None:
+        """The height of a layer that is done, once its count is shown; with the faults of who measures."""
+        if self.panel.rights != "operate" and time.monotonic() >= self._rights_until:
+            self.panel.rights = "operate"
+        if self._waiting is None or self.panel.get(self._r("done")) != self._waiting[0]:
+            return
+        layer, height = self._waiting
+        if self._has(layer, "reset-between"):
+            self._operator = float(layer + 1)
+            raise Reset
+        self._waiting = None
+        if self._has(layer, "late"):
+            time.sleep(FAULT_S)
+        if self._has(layer, "away"):
+            self._act(FAULT_S, 0.0)
+        if self._has(layer, "sessions"):
+            self._act(0.5, FAULT_S)
+        self._before(layer + 1)
+        if self._has(layer, "count"):
+            self.panel.set(self._r("done"), layer + 7.0)
+            time.sleep(SHOWN_S)
+            self.panel.set(self._r("done"), float(layer))
+            time.sleep(SHOWN_S)
+        for name, shown, of in (
+            ("missing", math.nan, layer),
+            ("absurd", height + 500.0, layer),
+            ("inches", height / 25.4, layer),
+            ("jump", height, layer + 3),
+        ):
+            if self._has(layer, name):
+                self._show(shown, of)
+                time.sleep(SHOWN_S)
+                self.panel.set(self._r("measured"), 0.0)
+        self._show(height, layer)
+        if self._has(layer, "repeated"):
+            time.sleep(SHOWN_S)
+            self._show(height + 0.4, layer)
+
+    def _show(self, height: float, layer: int) -> None:
+        self.panel.set(self._r("height"), height)
+        self.panel.set(self._r("measured"), float(layer))
+
+
+_PLACE = re.compile(r"(?:PO\[([XY])\]=\(|([XY])=?)(-?\d+\.?\d*)")
+
+
+def top_of(text: str) -> float:
+    """Z of the top of the layer that a text lays: the lowest Z of its blocks.
+
+    Examples
+    --------
+    >>> top_of("%_N_A_SPF\\n; Z 1.0\\nN10 G0 Z21.5\\nN20 G0 Z1.5\\nN30 G1 X1 F600\\n")
+    1.5
+    """
+    return min(
+        float(z)
+        for line in text.split("\n")
+        if line[:1] == "N"
+        for z in re.findall(r" Z(-?\d+\.?\d*)", line.partition(";")[0])
+    )
+
+
+def planned_s(text: str, rapid_mm_s: float) -> float:
+    """Time of a layer by its text: chords over feed, rapid moves, and waits; near enough for a machine that plays.
+
+    Examples
+    --------
+    >>> planned_s("N10 G0 X0 Y0\\nN20 G1 X10 Y0 F600\\nN30 X10 Y20\\nN40 G4 F2\\n", 100.0)
+    5.0
+    """
+    seconds, feed_mm_s, rapid, x, y = 0.0, 1.0, False, 0.0, 0.0
+    for line in text.split("\n"):
+        if line[:1] != "N":
+            continue
+        code = line.partition(";")[0]
+        if pause := re.search(r" G4 F(\d+\.?\d*)", code):
+            seconds += float(pause[1])
+            continue
+        if feed := re.search(r" F(\d+\.?\d*)", code):
+            feed_mm_s = float(feed[1]) / 60.0
+        if mode := re.search(r" (G0|G1|G2|G3|POLY|BSPLINE)\b", code):
+            rapid = mode[1] == "G0"
+        to = {(a or b): float(value) for a, b, value in _PLACE.findall(code)}
+        if to:
+            new = to.get("X", x), to.get("Y", y)
+            seconds += math.dist((x, y), new) / (rapid_mm_s if rapid else max(feed_mm_s, 1e-3))
+            x, y = new
+    return seconds

@@ -1,0 +1,262 @@
+"""A played control as an OPC UA server: R parameters on a grid of 100 ms, file upload, users, rights, a limit of sessions."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import secrets
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+from urllib.parse import urlsplit
+
+from ebamcheck.live.opcua.panel import Panel
+from ebamcheck.settings.machine import MachineSettings
+from ebamcheck.settings.opcua import TEXT_ROLES, OpcuaSettings
+
+GRID_S = 0.1
+"""Grid on which a SINUMERIK samples its values."""
+
+SESSIONS = 10
+"""Sessions of a SINUMERIK's server."""
+
+AWAY_S = 1.0
+"""Time for which a server is away that broke in the middle of an upload."""
+
+LONGER_THAN_AWAY_S = 5.0
+"""Time for which an upload hangs that the server does not outlive."""
+
+R_PARAMETERS = 12
+"""R parameters from ``machine.live_r`` on that are shown."""
+
+
+@dataclass(frozen=True)
+class Access:
+    """Who may connect to the played control: a certificate and a user; None: anybody, unprotected."""
+
+    certificate: Path
+    private_key: Path
+    client_certificate: Path
+    user: str
+    password: str
+
+
+class PlayedServer:
+    """The server in front of a panel; `async with serving()` keeps it up, and it may go away and come back."""
+
+    def __init__(
+        self,
+        panel: Panel,
+        machine: MachineSettings,
+        opcua: OpcuaSettings,
+        access: Access | None,
+        sessions: int = SESSIONS,
+    ) -> None:
+        self.panel, self._machine, self._opcua = panel, machine, opcua
+        self._access, self._sessions = access, sessions
+        self._server: Any = None
+        self.broke = asyncio.Event()
+        self._from_within = False
+
+    async def start(self) -> None:
+        """Come up, with the values and files of the panel."""
+        from asyncua import ua
+        from asyncua.server.internal_session import InternalSession
+        from asyncua.server.server import Server
+
+        server = Server(user_manager=cast(Any, _Users(self._access)))
+        await server.init()
+        server.set_endpoint(self._opcua.url)
+        server.set_server_name("ebamcheck machine")
+        if self._access is None:
+            server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
+        else:
+            server.set_security_policy([ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt])
+            server.set_identity_tokens([ua.UserNameIdentityToken])
+            await server.load_certificate(self._access.certificate)
+            await server.load_private_key(self._access.private_key)
+            server.set_certificate_validator(self._known_certificate)
+        await server.register_namespace("SinumerikVarProvider")
+        self._nodes: dict[int, Any] = {}
+        for number in range(self._machine.live_r, self._machine.live_r + R_PARAMETERS):
+            node_id = ua.NodeId.from_string(self._opcua.r_node.replace("{r}", str(number)))
+            node = await server.nodes.objects.add_variable(node_id, f"R{number}", self.panel.get(number))
+            await node.set_writable()
+            server.set_attribute_value_setter(node_id, self._setter(number))
+            self._nodes[number] = node
+        for role in (role for role in TEXT_ROLES if role in self._opcua.nodes):
+            node_id = ua.NodeId.from_string(self._opcua.nodes[role])
+            node = await server.nodes.objects.add_variable(node_id, role, self.panel.texts.get(role, ""))
+            await node.set_writable()
+            server.set_attribute_value_setter(node_id, self._text_setter(role))
+        methods = await server.nodes.objects.add_object(
+            ua.NodeId.from_string(self._opcua.methods_node), "Methods"
+        )
+        text, data, flag = ua.VariantType.String, ua.VariantType.ByteString, ua.VariantType.Boolean
+        await methods.add_method(
+            ua.NodeId.from_string(self._opcua.upload_node),
+            "CopyFileToServer",
+            self._upload,
+            [text, data, flag],
+            [],
+        )
+        await methods.add_method(
+            ua.NodeId.from_string(self._opcua.download_node),
+            "CopyFileFromServer",
+            self._download,
+            [text],
+            [data],
+        )
+        # The library counts sessions over all servers of a process, which has this one alone.
+        InternalSession.max_connections = 0 if self.panel.full else self._sessions
+        await server.start()
+        self._server = server
+
+    async def stop(self) -> None:
+        """End for good."""
+        server, self._server = self._server, None
+        if server is not None:
+            with contextlib.suppress(Exception):
+                await server.stop()
+
+    @asynccontextmanager
+    async def serving(self) -> AsyncIterator[PlayedServer]:
+        """Be up, and show the panel on its grid."""
+        await self.start()
+        task = asyncio.create_task(self._show())
+        try:
+            yield self
+        finally:
+            task.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await task
+            await self.stop()
+
+    async def away(self, seconds: float, full_s: float = 0.0) -> None:
+        """Be away for a time, as a control that is switched off, and then without a session left for another."""
+        from asyncua.server.binary_server_asyncio import BinaryServer
+        from asyncua.server.internal_session import InternalSession
+
+        server = self._server
+        if server is None:
+            return
+        await server.bserver.stop()
+        await asyncio.sleep(seconds)
+        self.panel.full = full_s > 0.0
+        InternalSession.max_connections = 0 if self.panel.full else self._sessions
+        url = urlsplit(self._opcua.url)
+        server.bserver = BinaryServer(
+            server.iserver, url.hostname or "127.0.0.1", url.port or 4840, server.limits
+        )
+        server.bserver.set_policies(server._policies)
+        await server.bserver.start()
+        if full_s:
+            await asyncio.sleep(full_s)
+            self.panel.full = False
+            InternalSession.max_connections = self._sessions
+
+    async def _show(self) -> None:
+        """Copy what has changed in the panel to the nodes, every 100 ms; go away where an upload asks for it."""
+        from asyncua import ua
+
+        shown: dict[int, float] = {}
+        while True:
+            await asyncio.sleep(GRID_S)
+            if self.broke.is_set():
+                self.broke.clear()
+                await self.away(AWAY_S)
+            server = self._server
+            if server is None:
+                continue
+            for number, value in self.panel.snapshot().items():
+                if number in self._nodes and repr(shown.get(number)) != repr(value):
+                    shown[number] = value
+                    data = ua.DataValue(ua.Variant(value, ua.VariantType.Double))
+                    self._from_within = True
+                    try:
+                        await server.write_attribute_value(self._nodes[number].nodeid, data)
+                    finally:
+                        self._from_within = False
+
+    def _setter(self, number: int) -> Any:
+        from asyncua import ua
+        from asyncua.common.utils import ServiceError
+
+        def write(node: Any, attribute: Any, value: Any) -> None:
+            if not self._from_within:
+                if self.panel.rights == "refused":
+                    raise ServiceError(_status("BadUserAccessDenied").value)
+                now = self.panel.write(number, float(value.Value.Value))
+                value = ua.DataValue(ua.Variant(now, ua.VariantType.Double))
+            node.attributes[attribute].value = value
+
+        return write
+
+    def _text_setter(self, role: str) -> Any:
+        def write(node: Any, attribute: Any, value: Any) -> None:
+            if self.panel.rights == "operate":
+                self.panel.texts[role] = str(value.Value.Value or "")
+                node.attributes[attribute].value = value
+
+        return write
+
+    async def _upload(self, parent: Any, path: Any, data: Any, replace: Any) -> Any:
+
+        place, content = str(path.Value), bytes(data.Value or b"")
+        if self.panel.rights == "refused":
+            return _status("BadUserAccessDenied")
+        if place in self.panel.files and not replace.Value:
+            return _status("BadBrowseNameDuplicated")
+        if self.panel.upload(place, content):
+            self.broke.set()
+            await asyncio.sleep(LONGER_THAN_AWAY_S)
+        return []
+
+    async def _download(self, parent: Any, path: Any) -> Any:
+        from asyncua import ua
+
+        found = self.panel.files.get(str(path.Value))
+        if found is None:
+            return _status("BadNotFound")
+        return [ua.Variant(found, ua.VariantType.ByteString)]
+
+    async def _known_certificate(self, certificate: Any, description: Any) -> None:
+        from asyncua.common.utils import ServiceError
+        from cryptography import x509
+        from cryptography.hazmat.primitives.serialization import Encoding
+
+        assert self._access is not None
+        known = x509.load_pem_x509_certificate(self._access.client_certificate.read_bytes())
+        if certificate.public_bytes(Encoding.DER) != known.public_bytes(Encoding.DER):
+            raise ServiceError(_status("BadCertificateUntrusted").value)
+
+
+def _status(name: str) -> Any:
+    """Return a status by its name."""
+    from asyncua import ua
+    from asyncua.ua.status_codes import StatusCodes
+
+    return ua.StatusCode(getattr(StatusCodes, name))
+
+
+class _Users:
+    """One user with a password; or anybody, where there is no access to be kept."""
+
+    def __init__(self, access: Access | None) -> None:
+        self._access = access
+
+    def get_user(
+        self, iserver: Any, username: str | None = None, password: Any = None, certificate: Any = None
+    ) -> Any:
+        from asyncua.crypto.permission_rules import User, UserRole
+
+        if self._access is None:
+            return User(role=UserRole.User)
+        given = password.decode() if isinstance(password, bytes) else str(password or "")
+        if username == self._access.user and secrets.compare_digest(
+            given.encode(), self._access.password.encode()
+        ):
+            return User(role=UserRole.User, name=username)
+        return None
