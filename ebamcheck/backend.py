@@ -111,7 +111,7 @@ class Slicer(Protocol):
     Settings
         The slicer's settings, a :class:`BackendSettings`.
 
-    A slicer of this house that is nothing but kernels of this project may have ``isolated = False``, too: then
+    A slicer of this house of this project's own kernels may have ``isolated = False``, too: then
     ``ebamcheck slice`` runs it in its own process. All others are run in one of theirs.
     """
 

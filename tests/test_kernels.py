@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 
@@ -149,3 +150,36 @@ def test_blocks_cover_the_range_in_order(monkeypatch, threads):
     for count in (0, 1, 7, 1000):
         blocks = kernels.run_blocks(lambda a, b: list(range(a, b)), count)
         assert [i for block in blocks for i in block] == list(range(count))
+
+
+SORTER = """
+import numpy as np
+from ebamcheck.numeric.kernels import kernel
+
+@kernel
+def places(x):
+    return np.argsort(x)
+"""
+
+
+def test_machine_code_of_two_processes_has_no_name_in_common(tmp_path):
+    # The loader takes the first of two functions of one name for both: once `sort` ran in the place of `argsort`.
+    names = []
+    for module in ("first", "second"):
+        (tmp_path / f"{module}.py").write_text(SORTER)
+        found = subprocess.run(
+            [
+                sys.executable,
+                "-c",
+                f"import numpy, {module}; print({module}.places(numpy.array([3.0, 1.0, 2.0])))",
+            ],
+            env={**os.environ, "PYTHONPATH": str(tmp_path)},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        assert found.stdout.strip() == "[1 2 0]"
+        (compiled,) = tmp_path.rglob(f"{module}.places*.nbc")
+        names.append(set(re.findall(rb"_ZN5numba4misc9quicksort\w+", compiled.read_bytes())))
+        assert names[-1]
+    assert not names[0] & names[1]

@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import shapely
 from numpy.typing import NDArray
 
 from ebamcheck.layers.stack import Layers
@@ -155,6 +154,8 @@ def unite(layer: Layers, kind: int) -> tuple[Floats, Ints, Bools, NDArray[np.int
         sizes = np.diff(layer.ring_starts)[keep]
         starts = np.concatenate([[0], np.cumsum(sizes)])
         return layer.points[rows], starts, layer.closed[keep], layer.edge[rows], layer.edge_t[rows]
+    import shapely
+
     faces = _arrangement(layer)
     inner = shapely.get_coordinates(shapely.point_on_surface(faces)) if len(faces) else np.zeros((0, 2))
     winding = winding_numbers(inner, layer.points, layer.ring_starts, layer.closed)
@@ -177,6 +178,8 @@ def unite(layer: Layers, kind: int) -> tuple[Floats, Ints, Bools, NDArray[np.int
 
 def _arrangement(layer: Layers) -> NDArray[np.object_]:
     """Bounded faces of the arrangement of all closed rings of a layer, as shapely polygons."""
+    import shapely
+
     lines = [
         shapely.LineString(np.vstack([layer.ring(r), layer.ring(r)[:1]]))
         for r in np.flatnonzero(layer.closed).tolist()

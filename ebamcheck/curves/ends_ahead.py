@@ -16,7 +16,6 @@ from ebamcheck.curves.sagitta import EDGES_A_BLOCK, flat_mm, sagitta_of_end
 from ebamcheck.curves.ways_ahead import Surface, dot, no_way, norm, walk
 from ebamcheck.mesh.topology import NO_TWIN
 from ebamcheck.numeric.kernels import kernel, run_blocks
-from ebamcheck.numeric.rings import Floats
 
 Rows = NDArray[np.float32]
 """Half of the memory of other columns: these only limit."""
@@ -51,9 +50,7 @@ class EndsAhead(NamedTuple):
 
 def nothing_asked() -> EndsAhead:
     """Of a mesh whose edges need no such witness."""
-    return EndsAhead(
-        np.zeros((0, 2), np.float32), np.zeros((0, 2), np.float32), np.zeros(0, np.int8)
-    )
+    return EndsAhead(np.zeros((0, 2), np.float32), np.zeros((0, 2), np.float32), np.zeros(0, np.int8))
 
 
 def ends_ahead(surface: Surface, step: int = 1) -> EndsAhead:

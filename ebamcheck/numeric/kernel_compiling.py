@@ -1,16 +1,51 @@
-"""What numba is spared when it compiles kernels."""
+"""How numba compiles kernels here: what it is spared, and names in machine code that no other process gives."""
 
 from __future__ import annotations
 
 import gc
 import importlib
+import itertools
+import os
+import secrets
+from collections.abc import Iterator
 from functools import cache
 from typing import Any
 
+from numba.core.bytecode import FunctionIdentity
 from numba.extending import overload
 
 OBJECTS_BEFORE_GC = 100_000
 """New objects until Python looks for rings of dead ones, in a process that does nothing but compile."""
+
+
+NUMBER_BITS = 60
+"""Bits of the first number that a process gives: two processes come to the same ones once in 10^12 times."""
+
+
+class _OwnNumbers:
+    """Numbers of the functions that a process compiles, which no other process gives.
+
+    Numba counts from 1 in every process, and names machine code by these numbers. What it compiles into a kernel along with
+    it, such as a sort, keeps its name on disk. Of two kernels that were compiled by two processes and are loaded by a third,
+    both with a function of one name, the loader takes the first for both: ``sort`` ran in the place of ``argsort``, and
+    what it returned was taken for places in memory.
+    """
+
+    def __init__(self) -> None:
+        self._process = -1
+        self._numbers: Iterator[int] = iter(())
+
+    def __next__(self) -> int:
+        if self._process != os.getpid():  # a forked process, too, counts for itself
+            self._process, self._numbers = os.getpid(), itertools.count(secrets.randbits(NUMBER_BITS))
+        return next(self._numbers)
+
+
+def number_functions() -> None:
+    """Let this process, and all that it forks, name machine code by numbers of their own."""
+    identity: Any = FunctionIdentity
+    if not isinstance(identity._unique_ids, _OwnNumbers):
+        identity._unique_ids = _OwnNumbers()
 
 
 @cache

@@ -18,13 +18,17 @@ OUR_PACKAGES = "ebamcheck"
 """Modules whose names begin so, and the kernel's own package, may hold what a kernel sees."""
 
 
+FORM = 2
+"""Form of what is compiled: 2 since names in machine code are a process's own."""
+
+
 def kernel_stamp(function: Callable[..., Any], python: str = sys.version) -> str:
     """SHA-256 over the code of a function and all that it refers to.
 
     Names are looked up when this is called: by the first call of a kernel, all of its module is there. `python` is the
     version of Python, as precisely as it matters.
     """
-    made = hashlib.sha256(python.encode())
+    made = hashlib.sha256(f"{FORM} {python}".encode())
     for line in sorted(set(_parts(_plain(function), {}))):
         made.update(line.encode("utf-8", "backslashreplace") + b"\0")
     return made.hexdigest()

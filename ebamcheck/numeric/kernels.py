@@ -18,9 +18,12 @@ from numba import types
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.numeric.kernel_cache import kernel_cache
+from ebamcheck.numeric.kernel_compiling import number_functions
 
 NARROW = (types.int8, types.int16, types.int32)
 """Whole numbers that a kernel takes as 64 bits wide when another one passes them."""
+
+number_functions()
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _Result = TypeVar("_Result")

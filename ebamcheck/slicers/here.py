@@ -1,4 +1,4 @@
-"""Slicing to a file in this process: for backends that are nothing but this project's kernels, where memory is no question.
+"""Slicing to a file in this process: for backends of this project's kernels (and shapely), where memory is no question.
 
 A process of its own is what ends a crash, a hang or a flood of memory. Kernels of this project, tested on hostile meshes,
 have none of these to fear, and an interpreter takes longer to come up than most parts take to be cut.

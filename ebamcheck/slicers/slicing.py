@@ -106,7 +106,7 @@ def slice_to_file(
 ) -> Outcome:
     """Cut a part into a file of layers, in a process of the backend's own.
 
-    A backend that is nothing but kernels of this project cuts in this process, unless the part is very large.
+    A backend of this project's own kernels cuts in this process, unless the part is very large.
 
     Parameters
     ----------

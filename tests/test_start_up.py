@@ -1,0 +1,160 @@
+"""What a command loads before it works: no more than it needs, in no more processes than it needs."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+import typer
+
+from ebamcheck.commands.main import app
+from ebamcheck.layers.files import read_layers
+from ebamcheck.mesh.stl_writer import write_triangles
+from ebamcheck.slicers.here import fits_here, may_run_here
+from ebamcheck.slicers.isolation import slice_all
+from ebamcheck.slicers.outcome import Limits
+from ebamcheck.slicers.slicing import slice_to_file
+from ebamcheck_models import CUBE
+
+LOADED = """
+import sys
+from ebamcheck.commands.main import main
+sys.argv = ["ebamcheck", *sys.argv[1:]]
+try:
+    main()
+except SystemExit as end:
+    assert not end.code, end.code
+print("loaded:", *sys.modules)
+"""
+
+CHAIN = """
+from ebamcheck.numeric.kernels import kernel
+
+@kernel
+def inner(x: float) -> float:
+    return 3.0 * x
+
+@kernel
+def outer(x: float) -> float:
+    return 2.0 * inner(x)
+
+@kernel
+def spread(into, taken):
+    into[1:] = taken
+"""
+
+
+@pytest.fixture(scope="module")
+def part(tmp_path_factory):
+    path = tmp_path_factory.mktemp("part") / "cube.stl"
+    write_triangles(CUBE.tessellate(0.1).triangles, path)
+    return path
+
+
+def loaded(*arguments) -> set[str]:
+    """Modules that a command has loaded when it ends."""
+    done = subprocess.run(
+        [sys.executable, "-c", LOADED, *map(str, arguments)], capture_output=True, text=True, check=True
+    )
+    return set(done.stdout.splitlines()[-1].split()[1:])
+
+
+def test_help_loads_no_command():
+    assert loaded("--help").isdisjoint(
+        {"numpy", "numba", "pandas", "ebamcheck.live", "ebamcheck_reports.paper"}
+    )
+
+
+def test_the_list_of_commands_says_what_each_of_them_says_of_itself():
+    group = typer.main.get_command(app)
+    context = typer.Context(group, info_name="ebamcheck", max_content_width=300, terminal_width=300)
+    listed = " ".join(group.get_help(context).split())
+    for name in group.list_commands(context):
+        told = group.get_command(context, name).get_short_help_str(60).removesuffix("...")
+        assert told
+        assert f"{name} {told}" in listed, name
+
+
+def test_slice_loads_what_it_needs(part, tmp_path):
+    found = loaded("slice", part, "-o", tmp_path / "cube.parquet")
+    heavy = {"pandas", "rich", "shapely", "psutil", "trimesh", "OpenGL", "scipy.linalg", "networkx"}
+    assert sorted(found & heavy) == []
+    assert "ebamcheck.slicers.worker_pool" not in found, "its own kernels need no process of their own"
+
+
+def test_slice_gives_other_backends_a_process_of_their_own(part, tmp_path):
+    found = loaded("slice", part, "--backend", "embree", "-o", tmp_path / "cube.parquet")
+    assert "ebamcheck.slicers.worker_pool" in found
+    assert not may_run_here("embree")
+
+
+def test_here_and_in_a_process_of_its_own_the_file_is_the_same(tmp_path):
+    cube, heights = CUBE.tessellate(0.1), [1.0, 2.0, 3.5]
+    outcome = slice_to_file(cube, heights, tmp_path / "here.parquet", "planecut")
+    from ebamcheck.plugins import registry
+
+    settings = {"planecut": registry.slicer_settings("planecut", {})}
+    apart = slice_all(cube, read_layers(tmp_path / "here.parquet").heights, settings, tmp_path)["planecut"]
+    assert (tmp_path / "here.parquet").read_bytes() == apart.made().read_bytes()
+    assert (outcome.rings, outcome.open_paths, outcome.points) == (
+        apart.rings,
+        apart.open_paths,
+        apart.points,
+    )
+    assert outcome.error_bound_mm == apart.error_bound_mm
+
+
+def test_a_part_that_may_come_near_the_limit_of_memory_is_watched_from_outside():
+    cube = CUBE.tessellate(0.1)
+    assert fits_here(cube, 4_000_000, Limits())
+    assert not fits_here(cube, 4_000_000, Limits(memory_mb=1000.0))
+
+
+def test_time_here_is_limited_as_well(tmp_path):
+    from ebamcheck.errors import BackendFailed
+
+    with pytest.raises(BackendFailed, match=r"'planecut' timed out: took over 1e-09 s"):
+        slice_to_file(CUBE.tessellate(0.1), [1.0], tmp_path / "cube.parquet", limits=Limits(time_s=1e-9))
+    assert list(tmp_path.iterdir()) == []
+
+
+# -- kernels -------------------------------------------------------------------------------------------
+
+
+def asked(folder, code):
+    """What a new process prints that has the kernels of CHAIN."""
+    (folder / "chain.py").write_text(CHAIN)
+    environment = {**os.environ, "PYTHONPATH": f"{folder}:{os.environ.get('PYTHONPATH', '')}"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
+    )
+    return done.stdout.split()
+
+
+def test_kernels_that_are_compiled_set_up_no_compiler(tmp_path):
+    code = "import sys, chain; print(chain.outer(1.0), 'numba.cpython.setobj' in sys.modules)"
+    assert asked(tmp_path, code) == ["6.0", "True"]
+    assert asked(tmp_path, code) == ["6.0", "False"]
+
+
+def test_a_kernel_is_compiled_with_one_that_was_loaded(tmp_path):
+    assert asked(tmp_path, "import chain; print(chain.inner(1.0))") == ["3.0"]
+    code = "import chain as c; print(c.inner(1.0), c.outer(1.0), *(sum(f.stats.cache_hits.values()) for f in (c.inner, c.outer)))"
+    assert asked(tmp_path, code) == ["3.0", "6.0", "1", "0"]
+
+
+@pytest.mark.parametrize("round_", ["compiled", "loaded"])
+def test_an_array_of_another_shape_is_told_in_one_line(tmp_path, round_):
+    code = (
+        "import numpy as np, chain\n"
+        "a = np.zeros(4); chain.spread(a, np.ones(3)); print(a.sum())\n"
+        "try:\n    chain.spread(a, np.ones(2))\nexcept ValueError as error:\n    print(*str(error).split())"
+    )
+    if round_ == "loaded":
+        asked(tmp_path, code)
+    assert asked(tmp_path, code) == [
+        "3.0",
+        *["cannot", "assign", "an", "array", "to", "a", "slice", "of", "another", "shape"],
+    ]
