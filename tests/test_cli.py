@@ -82,7 +82,7 @@ def test_version_help_and_start_are_there(place):
 
 
 def test_a_command_of_a_plugin_is_a_process_as_well(place):
-    one_line(started("relayer", "nosuch.run", "-o", "x", cwd=place), 2, "nosuch.run")
+    one_line(started("relayer", "nosuch.run", cwd=place), 2, "Missing option", "relayer --help")
 
 
 def test_the_version_needs_no_numerics(place):

@@ -69,7 +69,9 @@ def test_a_sphere_is_validated(tmp_path):
 
 def test_runs_differ_in_timings_alone(tmp_path):
     write_stl(sphere(12.0, 24, 48), tmp_path / "ball.stl")
-    (tmp_path / "ebamcheck.toml").write_text(f"slicing.backends = {FAST.split(',')}")
+    (tmp_path / "ebamcheck.toml").write_text(
+        f"slicing.backends = {FAST.split(',')}\nscan.annealing_steps = 1000"
+    )
     for threads in ("1", "2"):
         done = ebamcheck("run", "ball.stl", "-o", threads, cwd=tmp_path, EBAMCHECK_THREADS=threads)
         assert done.returncode == 0, done.stdout + done.stderr
