@@ -285,6 +285,8 @@ class LayerMaker:
             read = control(config.machine.control).load("reader")
             program, _ = matched(read(files.main, config), path)
             weighing = self._aside.submit(metal_checks, program, witness, stands, config)
+            # The program of the layer below ended with a rise, which the plan counts: it is not in the text of this one.
+            rise_s = config.machine.safe_height_mm / config.machine.rapid_mm_s
             checks = verify_program(
                 program,
                 config=config,
@@ -293,7 +295,7 @@ class LayerMaker:
                 path=path,
                 layers=witness,
                 heat=True,
-                before=heat.rested(wait_s).part.column,
+                before=heat.rested(wait_s + rise_s).part.column,
                 sha256=files.sha256,
                 smooth=smooth if config.curves.method in LIFTED else None,
             )
