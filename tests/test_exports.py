@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import locale
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -16,7 +17,7 @@ from parts import box
 import ebamcheck
 from ebamcheck.errors import SettingsError
 from ebamcheck.export.saving import CURVE_TOLERANCE_MM
-from ebamcheck.export.slices_3mf import slice_heights
+from ebamcheck.export.slices_3mf import keeping_locale, slice_heights
 from ebamcheck.layers.files import read_layers
 from ebamcheck.layers.stack import Layers, from_rings
 from ebamcheck.showing.plotting import ExtraMissing
@@ -132,7 +133,11 @@ def test_3mf_slices_are_what_lib3mf_reads(layers: Layers, tmp_path: Path, with_m
     model = lib3mf.get_wrapper().CreateModel()
     reader = model.QueryReader("3mf")
     reader.SetStrictModeActive(True)
-    reader.ReadFromFile(str(ebamcheck.save(stack, tmp_path / "a.3mf")))
+    before = locale.setlocale(locale.LC_ALL)
+    saved = ebamcheck.save(stack, tmp_path / "a.3mf")
+    assert locale.setlocale(locale.LC_ALL) == before
+    with keeping_locale():
+        reader.ReadFromFile(str(saved))
     assert reader.GetWarningCount() == 0
     stacks = model.GetSliceStacks()
     assert stacks.MoveNext()

@@ -5,6 +5,9 @@ A slice stands for the metal up to its ``ztop``: half way from one cut to the ne
 
 from __future__ import annotations
 
+import contextlib
+import locale
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +19,16 @@ from ebamcheck.errors import SettingsError
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.showing.plotting import missing
+
+
+@contextlib.contextmanager
+def keeping_locale() -> Iterator[None]:
+    """Put the locale of the process back, which lib3mf sets to C: files would else be read as ASCII from then on."""
+    before = locale.setlocale(locale.LC_ALL)
+    try:
+        yield
+    finally:
+        locale.setlocale(locale.LC_ALL, before)
 
 
 def write_stack(layers: Layers, path: str | Path) -> None:
@@ -53,7 +66,7 @@ def write_stack(layers: Layers, path: str | Path) -> None:
     body.SetSlicesMeshResolution(resolution.Lowres if rough else resolution.Fullres)
     model.AddBuildItem(body, wrapper.GetIdentityTransform())
     writer = model.QueryWriter("3mf")
-    with replacing(path) as temporary:
+    with replacing(path) as temporary, keeping_locale():
         writer.WriteToFile(str(temporary))
 
 
