@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.curves.lifting import NO_PLANE, Sides
+from ebamcheck.curves.sides import NO_PLANE, Sides
 from ebamcheck.curves.plausible import plausible_share
 from ebamcheck.curves.thinning import FLAT_MM, distance, is_sharp
 from ebamcheck.numeric.kernels import kernel
@@ -74,16 +74,27 @@ def set_angles(sides: Sides, ring: Ring, closed: bool) -> None:
             ahead = _angle_to(ax, ay, sides.before[i])
         else:  # the circle through the three points
             ahead = turn * np.hypot(ax, ay) / (np.hypot(ax, ay) + np.hypot(bx, by))
-        # Between the two chords: a direction beyond them would bend the curve out and back.
-        ring.before[k] = min(max(ahead, min(turn, 0.0)), max(turn, 0.0))
+        if not (sides.sure_before[i] and sides.sure_after[i]):
+            # Between the two chords: a direction beyond them would bend the curve out and back.
+            ahead = min(max(ahead, min(turn, 0.0)), max(turn, 0.0))
+        ring.before[k] = ahead
         ring.after[k] = turn - ring.before[k]
 
 
 @kernel
-def limit_at_corners(ring: Ring) -> None:
+def _is_sure(sides: Sides, ring: Ring, k: int) -> bool:
+    """Whether the segment after point k lies on an exact surface at both of its ends."""
+    m = (k + 1) % ring.rows.size
+    return bool(sides.sure_after[ring.rows[k]] and sides.sure_before[ring.rows[m]])
+
+
+@kernel
+def limit_at_corners(sides: Sides, ring: Ring) -> None:
     """At a corner a segment bends no more than at its other end, and as a circle where nothing is known."""
     n = ring.corner.size
     for k in range(n):
+        if _is_sure(sides, ring, k):
+            continue
         m = (k + 1) % n
         start, end = ring.after[k], ring.before[m]
         if ring.corner[k] and np.isnan(start):
@@ -102,13 +113,14 @@ def limit_at_corners(ring: Ring) -> None:
 
 
 @kernel
-def spare_long_segments(points: Floats, ring: Ring) -> None:
+def spare_long_segments(sides: Sides, ring: Ring) -> None:
     """Turn directions towards a segment that is far longer than the one beside it and bends far more there than at
     its other end: it goes over into something else, and is no part of the bend."""
     n = ring.rows.size
+    points = sides.points
     ahead, back = ring.after.copy(), ring.before.copy()
     for k in range(n):
-        if ring.corner[k]:
+        if ring.corner[k] or (_is_sure(sides, ring, k) and _is_sure(sides, ring, k - 1)):
             continue
         m = (k + 1) % n
         to, away = (
@@ -141,6 +153,8 @@ def keep_plausible(sides: Sides, ring: Ring, closed: bool) -> None:
             * distance(sides.points, ring.rows[k], ring.rows[m])
             * max(abs(ring.after[k]), abs(ring.before[m]))
         )
+        if _is_sure(sides, ring, k):
+            continue
         share[k] = plausible_share(bulge, max(sides.plausible[ring.rows[k]], sides.plausible[ring.rows[m]]))
         share[k] *= max(sides.share[ring.rows[k]], sides.share[ring.rows[m]])
     for k in range(n):

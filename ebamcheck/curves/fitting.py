@@ -16,7 +16,8 @@ from ebamcheck.curves.edges import with_edges
 from ebamcheck.curves.evidence import joined
 from ebamcheck.curves.fallback import with_fallback
 from ebamcheck.curves.interpolation import CENTRIPETAL, CHORD_LENGTH, interpolate
-from ebamcheck.curves.lifting import Lifting, as_they_are
+from ebamcheck.curves.lifting import Lifting
+from ebamcheck.curves.sides import as_they_are
 from ebamcheck.curves.oriented_contours import OrientedContours, orient
 from ebamcheck.curves.reduction import reduced_segments, smooth_segments
 from ebamcheck.curves.sagitta import sagittas
@@ -93,9 +94,9 @@ def fit(
     part = _part_of(layers, part)
     known = None if part is None else with_edges(layers, part, checked.near_point_mm)
     lifting = _lifting(known or layers, part, method, checked) if method in LIFTED else None
-    allowing = (
-        None if part is None or known is None else Allowing(part, sagittas(part, checked.crease_angle_deg))
-    )
+    allowing = None
+    if part is not None and known is not None:
+        allowing = Allowing(part, sagittas(part, checked.crease_angle_deg), lifting and lifting.exact)
     contours = known or layers
     blocks = []
     for start in range(0, max(len(layers), 1), LAYERS_A_STEP):

@@ -1,0 +1,283 @@
+"""Fits of forms to vertices: the simplest first, each by least squares of the distances.
+
+A form is told by its vertices only where they leave nothing open: one place more than it has unknowns along each of its
+two ways at least. Two rims of vertices lie on a cylinder, but on many other quadrics, too; that a cylinder runs straight from
+rim to rim is told by its strips. A sphere and other quadrics have to be the only quadric through their vertices.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from scipy.optimize import leastsq
+
+from ebamcheck.curves.exact.forms import (
+    CONE,
+    CYLINDER,
+    OWN,
+    PLACE,
+    QUADRIC,
+    SIZE,
+    SPHERE,
+    TORUS,
+    distances,
+)
+from ebamcheck.numeric.rings import Floats
+
+MOST_POINTS = 400
+"""Vertices that a fit takes at most, evenly spread; all are judged by what it finds."""
+
+LEAST_RULINGS = 4
+"""Distinct rulings of a cylinder or cone: three always lie on one."""
+
+LEAST_PROFILE = 4
+"""Distinct points of a torus' profile: three always lie on one circle."""
+
+OWN_CUBICS = 4
+"""Cubic surfaces that a quadric is a part of; were there more through some vertices, they would not bear it out."""
+
+MOST_RADIUS = 1e3
+"""Radii over the size of what is fitted, from which it may as well be flat."""
+
+
+def told_forms(points: Floats, places: Floats, normals: Floats, tolerance_mm: float) -> Iterator[Floats]:
+    """Forms on which vertices lie, the simplest first.
+
+    Parameters
+    ----------
+    points
+        (n, 3) vertices, mm.
+    places, normals
+        (m, 3) middles and unit normals of facets, to begin with.
+    tolerance_mm
+        How far a vertex may lie from its surface.
+
+    Yields
+    ------
+    rows (SIZE,) of :mod:`ebamcheck.curves.exact.forms`; their side is to be set.
+    """
+    if len(points) > MOST_POINTS:
+        points = points[np.linspace(0, len(points) - 1, MOST_POINTS).astype(np.int64)]
+    if len(places) > MOST_POINTS:
+        chosen = np.linspace(0, len(places) - 1, MOST_POINTS).astype(np.int64)
+        places, normals = places[chosen], normals[chosen]
+    size = float(np.ptp(points, axis=0).max(initial=0.0))
+    if len(points) < 6 or size <= 0.0:
+        return
+    middle = points.mean(axis=0)
+    quadrics = _Quadrics(points, middle, size, tolerance_mm)
+    if quadrics.count:
+        if quadrics.count == 1:
+            yield from _kept(_sphere(points, middle), points, size, tolerance_mm)
+        for first in (_cylinder, _cone):
+            for row in _kept(first(points, places, normals), points, size, tolerance_mm):
+                if _rulings(row, points, tolerance_mm) >= LEAST_RULINGS:
+                    yield row
+    for row in _kept(_torus(points, places, normals), points, size, tolerance_mm):
+        if _profile_points(row, points, tolerance_mm) >= LEAST_PROFILE:
+            yield row
+    if quadrics.count == 1 and quadrics.borne_out:
+        yield quadrics.only
+
+
+def _kept(row: Floats | None, points: Floats, size: float, tolerance_mm: float) -> Iterator[Floats]:
+    """The form fitted from where it is, if the points lie on it."""
+    if row is None or not np.isfinite(row).all():
+        return
+    found = _refined(row, points)
+    if np.abs(found[OWN : OWN + 5]).max() > MOST_RADIUS * size:
+        return
+    off = distances(found, points)
+    if np.abs(off).max() <= tolerance_mm:
+        yield found
+
+
+class _Quadrics:
+    """Quadrics through points: how many, and the only one."""
+
+    def __init__(self, points: Floats, middle: Floats, size: float, tolerance_mm: float) -> None:
+        unit = (points - middle) / size
+        least = tolerance_mm / size
+        rows = _monomials(unit)
+        self.count = 0
+        self.borne_out = False
+        if len(unit) < rows.shape[1]:
+            self.count = 2
+            return
+        _, values, vectors = np.linalg.svd(rows / np.sqrt(len(unit)), full_matrices=False)
+        self.count = int(np.count_nonzero(values <= least))
+        if self.count != 1:
+            return
+        own = vectors[-1]
+        row = np.zeros(SIZE)
+        row[PLACE - 1], row[PLACE : PLACE + 3] = QUADRIC, middle
+        row[OWN : OWN + 10] = own / np.concatenate([np.full(6, size * size), np.full(3, size), [1.0]])
+        if np.abs(distances(row, points)).max() > tolerance_mm:
+            self.count = 0
+            return
+        self.only = row
+        cubics = np.concatenate([rows, _cubic_monomials(unit)], axis=1)
+        if len(unit) >= cubics.shape[1]:
+            values = np.linalg.svd(cubics / np.sqrt(len(unit)), compute_uv=False)
+            self.borne_out = int(np.count_nonzero(values <= least)) <= OWN_CUBICS
+
+
+def _monomials(p: Floats) -> Floats:
+    x, y, z = p.T
+    return np.column_stack([x * x, y * y, z * z, x * y, x * z, y * z, x, y, z, np.ones(len(p))])
+
+
+def _cubic_monomials(p: Floats) -> Floats:
+    x, y, z = p.T
+    squares = (x * x, y * y, z * z)
+    return np.column_stack([s * t for s in squares for t in (x, y, z)] + [x * y * z])
+
+
+# -- first guesses -----------------------------------------------------------------------------------------
+
+
+def _sphere(points: Floats, middle: Floats) -> Floats:
+    off = points - middle
+    rows = np.column_stack([2.0 * off, np.ones(len(off))])
+    solution = np.linalg.lstsq(rows, (off * off).sum(axis=1), rcond=None)[0]
+    row = np.zeros(SIZE)
+    row[0], row[PLACE : PLACE + 3] = SPHERE, middle + solution[:3]
+    row[OWN] = np.linalg.norm(off - solution[:3], axis=1).mean()
+    return row
+
+
+def _axis_by_normals(normals: Floats) -> Floats:
+    """The direction with which all normals make the same angle."""
+    return np.asarray(np.linalg.svd(normals - normals.mean(axis=0), full_matrices=False)[2][-1])
+
+
+def _across(axis: Floats) -> Floats:
+    """Two unit vectors (2, 3) across an axis."""
+    return np.asarray(np.linalg.svd(axis[None])[2][1:])
+
+
+def _cylinder(points: Floats, places: Floats, normals: Floats) -> Floats | None:
+    axis = np.linalg.svd(normals, full_matrices=False)[2][-1]
+    frame = _across(axis)
+    centre, radius = _circle(points @ frame.T)
+    row = np.zeros(SIZE)
+    row[0], row[PLACE : PLACE + 3] = CYLINDER, centre @ frame + axis * float((points @ axis).mean())
+    row[OWN : OWN + 3], row[OWN + 3] = axis, radius
+    return row
+
+
+def _cone(points: Floats, places: Floats, normals: Floats) -> Floats | None:
+    axis = _axis_by_normals(normals)
+    tip = np.linalg.lstsq(normals, (normals * places).sum(axis=1), rcond=None)[0]
+    off = points - tip
+    along = off @ axis
+    if along.mean() < 0.0:
+        axis, along = -axis, -along
+    across = np.linalg.norm(off - along[:, None] * axis, axis=1)
+    angle = float(np.median(np.arctan2(across, along)))
+    row = np.zeros(SIZE)
+    row[0], row[PLACE : PLACE + 3] = CONE, tip
+    row[OWN : OWN + 5] = *axis, np.cos(angle), np.sin(angle)
+    return row
+
+
+def _torus(points: Floats, places: Floats, normals: Floats) -> Floats | None:
+    """Axis: the line that all normals meet (Pottmann and Wallner, Computational Line Geometry, 2001, chapter 4)."""
+    middle = points.mean(axis=0)
+    size = float(np.ptp(points, axis=0).max())
+    off = (places - middle) / size
+    lines = np.concatenate([np.cross(off, normals), normals], axis=1)
+    direction, moment = np.split(np.linalg.svd(lines, full_matrices=False)[2][-1], 2)
+    length = float(np.linalg.norm(direction))
+    if length < 1e-9:
+        return None
+    axis = direction / length
+    foot = np.cross(direction, moment) / (length * length)
+    at = (points - middle) / size - foot
+    along = at @ axis
+    across = np.linalg.norm(at - along[:, None] * axis, axis=1)
+    centre, tube = _circle(np.column_stack([across, along]))
+    row = np.zeros(SIZE)
+    row[0], row[PLACE : PLACE + 3] = TORUS, middle + size * (foot + centre[1] * axis)
+    row[OWN : OWN + 5] = *axis, size * centre[0], size * tube
+    return row
+
+
+def _circle(points: Floats) -> tuple[Floats, float]:
+    """Centre and radius of the circle through points (n, 2)."""
+    middle = points.mean(axis=0)
+    off = points - middle
+    rows = np.column_stack([2.0 * off, np.ones(len(off))])
+    solution = np.linalg.lstsq(rows, (off * off).sum(axis=1), rcond=None)[0]
+    return middle + solution[:2], float(np.linalg.norm(off - solution[:2], axis=1).mean())
+
+
+# -- refinement --------------------------------------------------------------------------------------------
+
+
+def _refined(row: Floats, points: Floats) -> Floats:
+    """The form of least squares of distances, from a first guess; positions and sizes in units of the points' size."""
+    size = float(np.ptp(points, axis=0).max())
+    with_parameters, count = _moves(row, size)
+
+    def off(parameters: Floats) -> Floats:
+        return np.asarray(distances(with_parameters(parameters), points) / size)
+
+    if len(points) <= count:
+        return row
+    found = leastsq(off, np.zeros(count), ftol=1e-15, xtol=1e-12, maxfev=40 * (count + 1))[0]
+    return with_parameters(np.asarray(found))
+
+
+def _moves(row: Floats, size: float) -> tuple[Callable[[Floats], Floats], int]:
+    """The form moved by parameters, and how many these are."""
+    kind = int(row[0])
+    frame = np.zeros((2, 3)) if kind == SPHERE else _across(row[OWN : OWN + 3])
+    shifts = frame if kind == CYLINDER else np.eye(3)
+    tilts = 0 if kind == SPHERE else 2
+    own = {SPHERE: 1, CYLINDER: 1, CONE: 1, TORUS: 2}[kind]
+    at = len(shifts)
+
+    def moved(parameters: Floats) -> Floats:
+        result = row.copy()
+        result[PLACE : PLACE + 3] += size * (parameters[:at] @ shifts)
+        if tilts:
+            axis = row[OWN : OWN + 3] + parameters[at : at + 2] @ frame
+            result[OWN : OWN + 3] = axis / np.linalg.norm(axis)
+        more = parameters[at + tilts :]
+        if kind == SPHERE:
+            result[OWN] += size * more[0]
+        elif kind == CONE:
+            angle = np.arctan2(row[OWN + 4], row[OWN + 3]) + more[0]
+            result[OWN + 3 : OWN + 5] = np.cos(angle), np.sin(angle)
+        else:
+            result[OWN + 3 : OWN + 3 + own] += size * more
+        return result
+
+    return moved, at + tilts + own
+
+
+# -- what is told ------------------------------------------------------------------------------------------
+
+
+def _rulings(row: Floats, points: Floats, tolerance_mm: float) -> int:
+    """Distinct rulings of a cylinder or cone that points lie on."""
+    axis = row[OWN : OWN + 3]
+    off = points - row[PLACE : PLACE + 3]
+    flat = off @ _across(axis).T
+    reach = float(np.linalg.norm(flat, axis=1).max())
+    return _distinct(np.unwrap(np.sort(np.arctan2(flat[:, 1], flat[:, 0]))) * reach, 20.0 * tolerance_mm)
+
+
+def _profile_points(row: Floats, points: Floats, tolerance_mm: float) -> int:
+    """Distinct points of the profile of a torus, by their angle about its tube."""
+    axis = row[OWN : OWN + 3]
+    off = points - row[PLACE : PLACE + 3]
+    along = off @ axis
+    across = np.linalg.norm(off - along[:, None] * axis, axis=1) - row[OWN + 3]
+    return _distinct(np.sort(np.arctan2(along, across)) * abs(row[OWN + 4]), 20.0 * tolerance_mm)
+
+
+def _distinct(places: Floats, apart: float) -> int:
+    return 1 + int(np.count_nonzero(np.diff(np.sort(places)) > apart))

@@ -1,0 +1,55 @@
+"""Placing: contour points of exact surfaces go onto their sections, with the directions of these."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ebamcheck.curves.exact.forms import FLAT, KIND, SIDE, signed_distance
+from ebamcheck.curves.exact.sections import LEAST_SLOPE, on_both, on_one
+from ebamcheck.curves.sides import Sides
+from ebamcheck.curves.surface_edges import SurfaceMesh
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Floats
+
+SMOOTH_COSINE = np.cos(np.deg2rad(5.0))
+"""Cosine of the angle between the directions of two sections up to which a contour goes on smoothly."""
+
+
+@kernel
+def is_placed(mesh: SurfaceMesh, up: int, down: int, z: float, i: int, found: Sides) -> bool:
+    """Place point i of contours, on the edge of two half-edges, if the surfaces on both sides are known.
+
+    Planes count as surfaces beside others; two of them have a straight edge.
+    """
+    mine, other = mesh.exact[up // 3], mesh.exact[down // 3]
+    if mine < 0 or other < 0:
+        return False
+    curved = int(mesh.forms[mine, KIND]) != FLAT, int(mesh.forms[other, KIND]) != FLAT
+    if not (curved[0] or curved[1]):
+        return False
+    x, y = found.points[i, 0], found.points[i, 1]
+    if mine == other:
+        known, x, y = on_one(mesh.forms[mine], x, y, z)
+    else:
+        known, x, y = on_both(mesh.forms[mine], mesh.forms[other], x, y, z)
+    if not known:
+        return False
+    before, after = found.before[i], found.after[i]
+    if not _set_along(mesh.forms[mine], x, y, z, before) or not _set_along(mesh.forms[other], x, y, z, after):
+        return False
+    found.points[i, 0], found.points[i, 1] = x, y
+    found.smooth[i] = before[0] * after[0] + before[1] * after[1] >= SMOOTH_COSINE
+    found.sure_before[i], found.sure_after[i] = curved
+    found.flat[i] = found.flat[i] and not curved[1]
+    return True
+
+
+@kernel
+def _set_along(row: Floats, x: float, y: float, z: float, direction: Floats) -> bool:
+    """Set the direction of a section with the solid to its left; whether it has one."""
+    _, u, v, _ = signed_distance(row, x, y, z)
+    slope = np.sqrt(u * u + v * v)
+    if slope < LEAST_SLOPE:
+        return False
+    direction[0], direction[1] = -row[SIDE] * v / slope, row[SIDE] * u / slope
+    return True
