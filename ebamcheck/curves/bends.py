@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.curves.sides import NO_PLANE, Sides
+from ebamcheck.curves.sides import NO_FORM, NO_PLANE, Sides
 from ebamcheck.curves.plausible import plausible_share
 from ebamcheck.curves.thinning import FLAT_MM, distance, is_sharp
 from ebamcheck.numeric.kernels import kernel
@@ -74,7 +74,7 @@ def set_angles(sides: Sides, ring: Ring, closed: bool) -> None:
             ahead = _angle_to(ax, ay, sides.before[i])
         else:  # the circle through the three points
             ahead = turn * np.hypot(ax, ay) / (np.hypot(ax, ay) + np.hypot(bx, by))
-        if not (sides.sure_before[i] and sides.sure_after[i]):
+        if sides.form_before[i] == NO_FORM or sides.form_after[i] == NO_FORM:
             # Between the two chords: a direction beyond them would bend the curve out and back.
             ahead = min(max(ahead, min(turn, 0.0)), max(turn, 0.0))
         ring.before[k] = ahead
@@ -85,7 +85,8 @@ def set_angles(sides: Sides, ring: Ring, closed: bool) -> None:
 def _is_sure(sides: Sides, ring: Ring, k: int) -> bool:
     """Whether the segment after point k lies on an exact surface at both of its ends."""
     m = (k + 1) % ring.rows.size
-    return bool(sides.sure_after[ring.rows[k]] and sides.sure_before[ring.rows[m]])
+    form = sides.form_after[ring.rows[k]]
+    return bool(form != NO_FORM and form == sides.form_before[ring.rows[m]])
 
 
 @kernel

@@ -217,7 +217,7 @@ def _fit_bounded(layers: Layers, settings: CurveSettings, lifting: Lifting | Non
 def _oriented(layers: Layers, settings: CurveSettings, lifting: Lifting | None) -> OrientedContours:
     """Oriented: the lifted contours, else of the cleaned contours as they are."""
     if lifting is not None:
-        return orient(lifting.lift(layers), layers.ring_starts, layers.closed, settings)
+        return orient(*lifting.lifted_rings(layers), layers.closed, settings)
     cleaned = clean(
         layers.points, layers.ring_starts, layers.closed, settings.near_point_mm, settings.collinear_mm
     )

@@ -15,6 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from ebamcheck.curves.exact.placing import is_placed
+from ebamcheck.curves.exact.refining import refined
 from ebamcheck.curves.judged_mesh import judged_mesh
 from ebamcheck.curves.plausible import plausible_height, plausible_share
 from ebamcheck.curves.regions import FREEFORM, PLANE, STRIP
@@ -37,7 +38,7 @@ from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import Index
 from ebamcheck.numeric.kernels import kernel, run_blocks
-from ebamcheck.numeric.rings import Floats
+from ebamcheck.numeric.rings import Floats, Ints
 
 MOST_STEPS = 60
 """Steps towards the place of a layer on a curved edge; as many halvings bring it to rounding."""
@@ -101,6 +102,12 @@ class Lifting:
 
         run_blocks(work, len(layers.points), POINTS_A_BLOCK)
         return found
+
+    def lifted_rings(self, layers: Layers) -> tuple[Sides, Ints]:
+        """Lift the points of layers, and put more between them on exact surfaces; with where the rings start then."""
+        sides = self.lift(layers)
+        heights = np.repeat(layers.heights, np.diff(layers.layer_starts))
+        return refined(self.exact.rows, sides, heights, layers.ring_starts, layers.closed)
 
 
 @kernel

@@ -12,6 +12,9 @@ from ebamcheck.numeric.rings import Bools, Floats
 NO_PLANE = -1
 """In place of a plane's number: the segment is in none."""
 
+NO_FORM = -1
+"""In place of the number of an exact surface, where it is not known."""
+
 
 class Sides(NamedTuple):
     """Points of contours, and the directions in which a contour comes to and leaves each."""
@@ -36,10 +39,11 @@ class Sides(NamedTuple):
     """(N,) of what the normals ask for, that points are lifted by and segments bend by there."""
     plausible: Floats
     """(N,) how high the surface plausibly stands over the facets there, over the sine of their slope, mm."""
-    sure_before: Bools
-    """(N,) the segment that ends at the point lies on an exact surface, and its direction there is that of the section."""
-    sure_after: Bools
-    """(N,) the same of the segment that begins at the point."""
+    form_before: Index
+    """(N,) exact surface on which the segment that ends at the point lies, whose section has its direction there;
+    :data:`NO_FORM` for none."""
+    form_after: Index
+    """(N,) exact surface on which the segment that begins at the point lies."""
 
 
 def as_they_are(points: Floats) -> Sides:
@@ -57,6 +61,6 @@ def as_they_are(points: Floats) -> Sides:
         np.zeros(count, np.bool_),
         np.ones(count),
         np.full(count, np.inf),
-        np.zeros(count, np.bool_),
-        np.zeros(count, np.bool_),
+        np.full(count, NO_FORM, np.int32),
+        np.full(count, NO_FORM, np.int32),
     )

@@ -93,6 +93,7 @@ def surface_normals(part: Part, settings: CurveSettings) -> SurfaceNormals:
     label = regions.groups.label
     found = region_normals(part, twin, regions)
     smooth, kind = twin != NO_TWIN, regions.kind[label]
+    offsets = vertex_offsets(part.vertices, part.faces, smooth, found.fans, kind == FREEFORM)
     return SurfaceNormals(
         found.rows,
         found.normals,
@@ -105,10 +106,10 @@ def surface_normals(part: Part, settings: CurveSettings) -> SurfaceNormals:
         np.nan_to_num(found.noise, nan=np.inf),
         True,
         mesh_sagittas(part.vertices, part.faces, twin, regions.groups.normals[label], kind),
-        vertex_offsets(part.vertices, part.faces, smooth, found.fans, kind == FREEFORM),
+        offsets,
         rim_sagittas(twin, whole, label, regions.borders, regions.kind),
         settings.crease_angle_deg,
-        exact_surfaces(part, twin, whole, regions),
+        exact_surfaces(part, twin, whole, regions, offsets.is_in_rows),
     )
 
 

@@ -17,7 +17,7 @@ from ebamcheck.curves.exact.fitting import told_forms
 from ebamcheck.curves.exact.forms import FLAT, KIND, OWN, PLACE, SIDE, SIZE, signed_distance
 from ebamcheck.curves.exact.growing import Ground, grown
 from ebamcheck.curves.exact.told import told_corners
-from ebamcheck.curves.regions.segmentation import PLANE, Regions
+from ebamcheck.curves.regions.segmentation import PLANE, STRIP, Regions
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import NO_TWIN, Index, split_corners
 from ebamcheck.numeric.kernels import kernel
@@ -55,7 +55,9 @@ def no_surfaces(facet_count: int) -> ExactSurfaces:
     return ExactSurfaces(np.full(facet_count, NO_SURFACE, np.int32), np.zeros((0, SIZE)))
 
 
-def exact_surfaces(part: Part, twin: Index, across: Index, regions: Regions) -> ExactSurfaces:
+def exact_surfaces(
+    part: Part, twin: Index, across: Index, regions: Regions, in_rows: bool
+) -> ExactSurfaces:
     """Find the exact surfaces of a mesh, and the planes beside them.
 
     Parameters
@@ -68,13 +70,16 @@ def exact_surfaces(part: Part, twin: Index, across: Index, regions: Regions) -> 
         (3 F,) the same, at creases too.
     regions
         Its regions.
+    in_rows
+        Whether a tessellator made the mesh: strips of another lie in one plane by chance.
     """
-    return _Search(part, twin, across, regions).run()
+    return _Search(part, twin, across, regions, in_rows).run()
 
 
 class _Search:
-    def __init__(self, part: Part, twin: Index, across: Index, regions: Regions) -> None:
+    def __init__(self, part: Part, twin: Index, across: Index, regions: Regions, in_rows: bool) -> None:
         self.across = across
+        self.in_rows = in_rows
         groups = regions.groups
         vertices, faces = part.vertices, part.faces
         sectors = split_corners(faces, twin)
@@ -177,7 +182,8 @@ class _Search:
         corners = np.unique(ground.faces[facets][ground.told[facets]])
         normals = ground.normals[ground.label[facets]]
         places = self.middles[facets]
-        for row in told_forms(ground.vertices[corners], places, normals, self.tolerance_mm):
+        straight = bool((self.kind[groups] == STRIP).all()) and self.in_rows
+        for row in told_forms(ground.vertices[corners], places, normals, self.tolerance_mm, straight):
             row[SIDE] = np.sign(_facing(row, places, normals))
             if row[SIDE] != 0.0:
                 yield row

@@ -31,6 +31,9 @@ MOST_POINTS = 400
 LEAST_RULINGS = 4
 """Distinct rulings of a cylinder or cone: three always lie on one."""
 
+LEAST_RIMS = 2
+"""Distinct heights of vertices along the axis of a cylinder or cone of strips; of one of other facets one more."""
+
 LEAST_PROFILE = 4
 """Distinct points of a torus' profile: three always lie on one circle."""
 
@@ -41,7 +44,9 @@ MOST_RADIUS = 1e3
 """Radii over the size of what is fitted, from which it may as well be flat."""
 
 
-def told_forms(points: Floats, places: Floats, normals: Floats, tolerance_mm: float) -> Iterator[Floats]:
+def told_forms(
+    points: Floats, places: Floats, normals: Floats, tolerance_mm: float, straight: bool
+) -> Iterator[Floats]:
     """Forms on which vertices lie, the simplest first.
 
     Parameters
@@ -52,6 +57,8 @@ def told_forms(points: Floats, places: Floats, normals: Floats, tolerance_mm: fl
         (m, 3) middles and unit normals of facets, to begin with.
     tolerance_mm
         How far a vertex may lie from its surface.
+    straight
+        Whether the facets are strips, which tell that the surface is straight from rim to rim.
 
     Yields
     ------
@@ -72,7 +79,11 @@ def told_forms(points: Floats, places: Floats, normals: Floats, tolerance_mm: fl
             yield from _kept(_sphere(points, middle), points, size, tolerance_mm)
         for first in (_cylinder, _cone):
             for row in _kept(first(points, places, normals), points, size, tolerance_mm):
-                if _rulings(row, points, tolerance_mm) >= LEAST_RULINGS:
+                rims = LEAST_RIMS if straight else LEAST_RIMS + 1
+                if (
+                    _rulings(row, points, tolerance_mm) >= LEAST_RULINGS
+                    and _rims(row, points, tolerance_mm) >= rims
+                ):
                     yield row
     for row in _kept(_torus(points, places, normals), points, size, tolerance_mm):
         if _profile_points(row, points, tolerance_mm) >= LEAST_PROFILE:
@@ -268,6 +279,11 @@ def _rulings(row: Floats, points: Floats, tolerance_mm: float) -> int:
     flat = off @ _across(axis).T
     reach = float(np.linalg.norm(flat, axis=1).max())
     return _distinct(np.unwrap(np.sort(np.arctan2(flat[:, 1], flat[:, 0]))) * reach, 20.0 * tolerance_mm)
+
+
+def _rims(row: Floats, points: Floats, tolerance_mm: float) -> int:
+    """Distinct heights of points along an axis."""
+    return _distinct((points - row[PLACE : PLACE + 3]) @ row[OWN : OWN + 3], 20.0 * tolerance_mm)
 
 
 def _profile_points(row: Floats, points: Floats, tolerance_mm: float) -> int:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from ebamcheck.curves.exact.forms import FLAT, KIND, SIDE, signed_distance
-from ebamcheck.curves.exact.sections import LEAST_SLOPE, on_both, on_one
+from ebamcheck.curves.exact.forms import FLAT, KIND
+from ebamcheck.curves.exact.sections import on_both, on_one, set_along
 from ebamcheck.curves.sides import Sides
 from ebamcheck.curves.surface_edges import SurfaceMesh
 from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Floats
 
-SMOOTH_COSINE = np.cos(np.deg2rad(5.0))
-"""Cosine of the angle between the directions of two sections up to which a contour goes on smoothly."""
+SMOOTH_COSINE = np.cos(np.deg2rad(0.5))
+"""Cosine of the angle between the directions of two sections up to which a contour goes on smoothly; more would bend a long
+segment beside a small rounding by what the place of their joint leaves open."""
 
 
 @kernel
@@ -35,21 +35,13 @@ def is_placed(mesh: SurfaceMesh, up: int, down: int, z: float, i: int, found: Si
     if not known:
         return False
     before, after = found.before[i], found.after[i]
-    if not _set_along(mesh.forms[mine], x, y, z, before) or not _set_along(mesh.forms[other], x, y, z, after):
+    if not set_along(mesh.forms[mine], x, y, z, before) or not set_along(mesh.forms[other], x, y, z, after):
         return False
     found.points[i, 0], found.points[i, 1] = x, y
     found.smooth[i] = before[0] * after[0] + before[1] * after[1] >= SMOOTH_COSINE
-    found.sure_before[i], found.sure_after[i] = curved
+    if curved[0]:
+        found.form_before[i] = mine
+    if curved[1]:
+        found.form_after[i] = other
     found.flat[i] = found.flat[i] and not curved[1]
-    return True
-
-
-@kernel
-def _set_along(row: Floats, x: float, y: float, z: float, direction: Floats) -> bool:
-    """Set the direction of a section with the solid to its left; whether it has one."""
-    _, u, v, _ = signed_distance(row, x, y, z)
-    slope = np.sqrt(u * u + v * v)
-    if slope < LEAST_SLOPE:
-        return False
-    direction[0], direction[1] = -row[SIDE] * v / slope, row[SIDE] * u / slope
     return True

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ebamcheck.curves.exact.forms import FLAT, KIND, Signed, signed_distance
+from ebamcheck.curves.exact.forms import FLAT, KIND, SIDE, Signed, signed_distance
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats
 
@@ -66,7 +66,7 @@ def on_both(row: Floats, other: Floats, x: float, y: float, z: float) -> Place:
     sine = abs(at[1] * beside[2] - at[2] * beside[1]) / (slope * sloping)
     if sine < LEAST_SINE:
         return _midway(row, other, x, y, z)
-    allowed = MOST_GROWTH * (abs(at[0]) / slope + abs(beside[0]) / sloping) / sine + CLOSE_MM
+    allowed = MOST_GROWTH * (abs(at[0]) / slope + abs(beside[0]) / sloping) + CLOSE_MM
     u, v = x, y
     for _ in range(MOST_STEPS):
         if abs(at[0]) <= CLOSE_MM and abs(beside[0]) <= CLOSE_MM:
@@ -92,3 +92,14 @@ def _midway(row: Floats, other: Floats, x: float, y: float, z: float) -> Place:
     if not found or not too:
         return False, x, y
     return True, 0.5 * (u + s), 0.5 * (v + t)
+
+
+@kernel
+def set_along(row: Floats, x: float, y: float, z: float, direction: Floats) -> bool:
+    """Set the direction of a section with the solid to its left; whether it has one."""
+    _, u, v, _ = signed_distance(row, x, y, z)
+    slope = np.sqrt(u * u + v * v)
+    if slope < LEAST_SLOPE:
+        return False
+    direction[0], direction[1] = -row[SIDE] * v / slope, row[SIDE] * u / slope
+    return True
