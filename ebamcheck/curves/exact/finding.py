@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 
 from ebamcheck.curves.exact.fitting import told_forms
 from ebamcheck.curves.exact.forms import FLAT, KIND, OWN, PLACE, SIDE, SIZE, signed_distance
-from ebamcheck.curves.exact.growing import Ground, grown
+from ebamcheck.curves.exact.growing import Ground, absorb, grown
 from ebamcheck.curves.exact.told import told_corners
 from ebamcheck.curves.regions.segmentation import PLANE, STRIP, Regions
 from ebamcheck.mesh.part import Part
@@ -55,9 +55,7 @@ def no_surfaces(facet_count: int) -> ExactSurfaces:
     return ExactSurfaces(np.full(facet_count, NO_SURFACE, np.int32), np.zeros((0, SIZE)))
 
 
-def exact_surfaces(
-    part: Part, twin: Index, across: Index, regions: Regions, in_rows: bool
-) -> ExactSurfaces:
+def exact_surfaces(part: Part, twin: Index, across: Index, regions: Regions, in_rows: bool) -> ExactSurfaces:
     """Find the exact surfaces of a mesh, and the planes beside them.
 
     Parameters
@@ -94,6 +92,7 @@ class _Search:
         self.taken: Bools = np.zeros(len(groups.normals), np.bool_)
         self.of_group = np.full(len(groups.normals), NO_SURFACE, np.int32)
         self.rows: list[Floats] = []
+        self.sagittas: list[float] = []
         self.failed = 0
 
     def run(self) -> ExactSurfaces:
@@ -107,23 +106,29 @@ class _Search:
                 self._try(patch)
                 if self.failed >= MOST_TRIALS:
                     break
-        self._add_planes()
         label = self.of_group[self.ground.label]
-        return ExactSurfaces(label.astype(np.int32), np.array(self.rows).reshape(-1, SIZE))
+        rows = np.array(self.rows).reshape(-1, SIZE)
+        free = self.kind[self.ground.label] != PLANE
+        while absorb(self.ground, self.across, free, rows, np.array(self.sagittas), self.tolerance_mm, label):
+            pass
+        return self._with_planes(label, rows)
 
-    def _add_planes(self) -> None:
-        """Number the planes beside surfaces: creases between both are sections of both."""
+    def _with_planes(self, label: Index, rows: Floats) -> ExactSurfaces:
+        """Number the planes beside surfaces, too: creases between both are sections of both."""
         ground = self.ground
-        beside = self.of_group[ground.label[self.across[self.across != NO_TWIN] // 3]] != NO_SURFACE
-        groups = ground.label[np.flatnonzero(self.across != NO_TWIN)[beside] // 3]
-        for group in np.unique(groups[(self.kind[groups] == PLANE) & ~self.taken[groups]]).tolist():
+        half = np.flatnonzero(self.across != NO_TWIN)
+        beside = half[label[self.across[half] // 3] != NO_SURFACE] // 3
+        beside = beside[(self.kind[ground.label[beside]] == PLANE) & (label[beside] == NO_SURFACE)]
+        found = [rows]
+        for number, group in enumerate(np.unique(ground.label[beside]).tolist(), len(rows)):
             facets = ground.facets[ground.starts[group] : ground.starts[group + 1]]
-            row = np.zeros(SIZE)
-            row[KIND], row[SIDE] = FLAT, 1.0
-            row[PLACE : PLACE + 3] = ground.vertices[np.unique(ground.faces[facets])].mean(axis=0)
-            row[OWN : OWN + 3] = ground.normals[group]
-            self.of_group[group] = len(self.rows)
-            self.rows.append(row)
+            row = np.zeros((1, SIZE))
+            row[0, KIND], row[0, SIDE] = FLAT, 1.0
+            row[0, PLACE : PLACE + 3] = ground.vertices[np.unique(ground.faces[facets])].mean(axis=0)
+            row[0, OWN : OWN + 3] = ground.normals[group]
+            label[facets] = number
+            found.append(row)
+        return ExactSurfaces(label, np.concatenate(found))
 
     def _pieces(self) -> Iterator[Index]:
         """Smooth pieces of groups of one kind, the largest first."""
@@ -162,7 +167,8 @@ class _Search:
         for row in self._forms(groups):
             found = self._grown(row, groups)
             if found is not None:
-                row, groups = found
+                row, groups, sagitta = found
+                self.sagittas.append(sagitta)
                 self.taken[groups] = True
                 self.of_group[groups] = len(self.rows)
                 self.rows.append(row)
@@ -188,7 +194,7 @@ class _Search:
             if row[SIDE] != 0.0:
                 yield row
 
-    def _grown(self, row: Floats, groups: Index) -> tuple[Floats, Index] | None:
+    def _grown(self, row: Floats, groups: Index) -> tuple[Floats, Index, float] | None:
         """The surface with all groups that lie on it, once it grows no more; None where it does not bear them out."""
         sagittas = np.empty(len(self.taken))
         before = 0
@@ -202,13 +208,13 @@ class _Search:
                 grown(self.ground, seeds, self.taken, row, self.tolerance_mm, largest, sagittas)
             groups = np.flatnonzero(sagittas >= 0.0).astype(np.int32)
             if len(groups) <= before:
-                return row, groups
+                return row, groups, float(sagittas.max())
             before = len(groups)
             refitted = next(self._forms(groups), None)
             if refitted is None or refitted[0] != row[0]:
                 return None
             row = refitted
-        return row, groups
+        return None
 
 
 def _without_flat_sides(sagittas: Floats) -> float:

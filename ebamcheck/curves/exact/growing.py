@@ -38,7 +38,13 @@ class Ground(NamedTuple):
 
 @kernel
 def grown(
-    ground: Ground, seeds: Index, taken: Bools, row: Floats, tolerance: float, largest: float, sagittas: Floats
+    ground: Ground,
+    seeds: Index,
+    taken: Bools,
+    row: Floats,
+    tolerance: float,
+    largest: float,
+    sagittas: Floats,
 ) -> int:
     """Groups on a surface that are reached from seed groups over groups on it.
 
@@ -107,9 +113,7 @@ def _stands_off(ground: Ground, group: int, row: Floats, tolerance: float) -> fl
                 if off > tolerance:
                     return np.inf
             farthest = max(farthest, off)
-            middle = signed_distance(
-                row, 0.5 * (p[0] + q[0]), 0.5 * (p[1] + q[1]), 0.5 * (p[2] + q[2])
-            )
+            middle = signed_distance(row, 0.5 * (p[0] + q[0]), 0.5 * (p[1] + q[1]), 0.5 * (p[2] + q[2]))
             farthest = max(farthest, abs(middle[0]))
             x += p[0] / 3.0
             y += p[1] / 3.0
@@ -125,3 +129,59 @@ def _stands_off(ground: Ground, group: int, row: Floats, tolerance: float) -> fl
             return np.inf
     several = ground.starts[group + 1] - ground.starts[group] > 1
     return farthest if told >= (LEAST_TOLD if several else LEAST_TOLD - 1) else np.inf
+
+
+@kernel
+def absorb(
+    ground: Ground, across: Index, free: Bools, rows: Floats, sagittas: Floats, tolerance: float, label: Index
+) -> int:
+    """Give facets beside a surface to it that stand off no farther than its own: slivers, whose normals say nothing.
+
+    Parameters
+    ----------
+    ground, across
+        The mesh, and the half-edge across each (3 F,), at creases too.
+    free
+        (F,) facets that may be given away.
+    rows
+        (S, SIZE) surfaces.
+    sagittas
+        (S,) how far the facets of each stand off at most, mm.
+    tolerance
+        How far told corners may lie off, mm.
+    label
+        (F,) surface of each facet, of which those without one take one.
+
+    Returns
+    -------
+    int
+        How many were given.
+    """
+    count = 0
+    for f in range(len(label)):
+        if label[f] >= 0 or not free[f]:
+            continue
+        for k in range(3):
+            h = across[3 * f + k]
+            if h == NO_TWIN or label[h // 3] < 0:
+                continue
+            surface = label[h // 3]
+            if _is_beside(ground, f, rows[surface], sagittas[surface], tolerance):
+                label[f] = surface
+                count += 1
+                break
+    return count
+
+
+@kernel
+def _is_beside(ground: Ground, f: int, row: Floats, largest: float, tolerance: float) -> bool:
+    """Whether a facet stands off a surface by no more than `largest`, its told corners by no more than `tolerance`."""
+    x = y = z = 0.0
+    for k in range(3):
+        p, q = ground.vertices[ground.faces[f, k]], ground.vertices[ground.faces[f, (k + 1) % 3]]
+        off = abs(signed_distance(row, p[0], p[1], p[2])[0])
+        middle = signed_distance(row, 0.5 * (p[0] + q[0]), 0.5 * (p[1] + q[1]), 0.5 * (p[2] + q[2]))
+        if off > (tolerance if ground.told[f, k] else largest) or abs(middle[0]) > largest:
+            return False
+        x, y, z = x + p[0] / 3.0, y + p[1] / 3.0, z + p[2] / 3.0
+    return bool(abs(signed_distance(row, x, y, z)[0]) <= largest)

@@ -17,9 +17,7 @@ STRAIGHT_COSINE = 0.99
 """Two edges at a vertex may be one line where the cosine of the angle between them is this near to -1."""
 
 
-def told_corners(
-    vertices: Floats, faces: Index, label: Index, sectors: Index, tolerance_mm: float
-) -> Bools:
+def told_corners(vertices: Floats, faces: Index, label: Index, sectors: Index, tolerance_mm: float) -> Bools:
     """Corners of facets (F, 3) whose vertices lie on the surface.
 
     Parameters
