@@ -2,7 +2,7 @@
 
 A form is told by its vertices only where they leave nothing open: one place more than it has unknowns along each of its
 two ways at least. Two rims of vertices lie on a cylinder, but on many other quadrics, too; that a cylinder runs straight from
-rim to rim is told by its strips. A sphere and other quadrics have to be the only quadric through their vertices.
+rim to rim is told by its strips. A sphere and other quadrics have to be the only quadric through their vertices, and no quadric may go through those of a torus.
 """
 
 from __future__ import annotations
@@ -85,9 +85,10 @@ def told_forms(
                     and _rims(row, points, tolerance_mm) >= rims
                 ):
                     yield row
-    for row in _kept(_torus(points, places, normals), points, size, tolerance_mm):
-        if _profile_points(row, points, tolerance_mm) >= LEAST_PROFILE:
-            yield row
+    else:
+        for row in _kept(_torus(points, places, normals), points, size, tolerance_mm):
+            if _profile_points(row, points, tolerance_mm) >= LEAST_PROFILE:
+                yield row
     if quadrics.count == 1 and quadrics.borne_out:
         yield quadrics.only
 
