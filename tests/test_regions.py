@@ -30,9 +30,10 @@ from curve_parts import (
 )
 
 from ebamcheck.curves import contour_error, fit
-from ebamcheck.curves.lifting import NO_PLANE, Lifting
+from ebamcheck.curves.lifting import Lifting
 from ebamcheck.curves.regions.rounding import coordinate_error_mm, plane_tolerance_mm
 from ebamcheck.curves.regions.surfaces import surfaces
+from ebamcheck.curves.sides import NO_PLANE
 from ebamcheck.curves.vertex_normals import surface_normals
 from ebamcheck.drawing.regions import regions_svg
 from ebamcheck.mesh.part import Part

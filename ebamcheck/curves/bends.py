@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.curves.sides import NO_FORM, NO_PLANE, Sides
 from ebamcheck.curves.plausible import plausible_share
+from ebamcheck.curves.sides import NO_FORM, NO_PLANE, Sides
 from ebamcheck.curves.thinning import FLAT_MM, distance, is_sharp
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints

@@ -17,11 +17,11 @@ from ebamcheck.curves.evidence import joined
 from ebamcheck.curves.fallback import with_fallback
 from ebamcheck.curves.interpolation import CENTRIPETAL, CHORD_LENGTH, interpolate
 from ebamcheck.curves.lifting import Lifting
-from ebamcheck.curves.sides import as_they_are
 from ebamcheck.curves.oriented_contours import OrientedContours, orient
 from ebamcheck.curves.reduction import reduced_segments, smooth_segments
 from ebamcheck.curves.sagitta import sagittas
 from ebamcheck.curves.segments import Segments, pieces_of
+from ebamcheck.curves.sides import as_they_are
 from ebamcheck.curves.splitting import LINE, split
 from ebamcheck.curves.vertex_normals import surface_normals
 from ebamcheck.errors import GeometryError, SettingsError
@@ -96,7 +96,8 @@ def fit(
     lifting = _lifting(known or layers, part, method, checked) if method in LIFTED else None
     allowing = None
     if part is not None and known is not None:
-        allowing = Allowing(part, sagittas(part, checked.crease_angle_deg), lifting and lifting.exact)
+        exact = None if lifting is None else lifting.exact
+        allowing = Allowing(part, sagittas(part, checked.crease_angle_deg), exact)
     contours = known or layers
     blocks = []
     for start in range(0, max(len(layers), 1), LAYERS_A_STEP):

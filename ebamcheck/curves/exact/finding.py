@@ -21,7 +21,7 @@ from ebamcheck.curves.regions.segmentation import PLANE, STRIP, Regions
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import NO_TWIN, Index, split_corners
 from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.numeric.rings import Bools, Floats
 
 FIT = 3.0
 """Tolerances of a plane within which the vertices lie on a fitted surface; its own place and size take their share."""
@@ -176,15 +176,10 @@ class _Search:
         self.failed += 1
         return False
 
-    def _facets(self, groups: Index) -> Ints:
-        chosen = np.zeros(len(self.taken), np.bool_)
-        chosen[groups] = True
-        return np.flatnonzero(chosen[self.ground.label])
-
     def _forms(self, groups: Index) -> Iterator[Floats]:
         """Forms of groups by their told vertices, with their sides."""
         ground = self.ground
-        facets = self._facets(groups)
+        facets = _facets_of(ground.starts, ground.facets, groups)
         corners = np.unique(ground.faces[facets][ground.told[facets]])
         normals = ground.normals[ground.label[facets]]
         places = self.middles[facets]
@@ -227,6 +222,21 @@ def _without_flat_sides(sagittas: Floats) -> float:
 def _facing(row: Floats, places: Floats, normals: Floats) -> float:
     """Mean cosine between normals of facets and the direction in which distances from a surface grow."""
     return float(np.mean(_cosines(row, places, normals)))
+
+
+@kernel
+def _facets_of(starts: Index, facets: Index, groups: Index) -> Index:
+    """Facets of some groups."""
+    count = 0
+    for group in groups:
+        count += starts[group + 1] - starts[group]
+    found = np.empty(count, np.int32)
+    n = 0
+    for group in groups:
+        for place in range(starts[group], starts[group + 1]):
+            found[n] = facets[place]
+            n += 1
+    return found
 
 
 @kernel

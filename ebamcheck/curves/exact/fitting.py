@@ -7,10 +7,9 @@ rim to rim is told by its strips. A sphere and other quadrics have to be the onl
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
-from scipy.optimize import leastsq
 
 from ebamcheck.curves.exact.forms import (
     CONE,
@@ -23,10 +22,14 @@ from ebamcheck.curves.exact.forms import (
     TORUS,
     distances,
 )
+from ebamcheck.curves.exact.least_squares import refined
 from ebamcheck.numeric.rings import Floats
 
 MOST_POINTS = 400
 """Vertices that a fit takes at most, evenly spread; all are judged by what it finds."""
+
+LEAST_POINTS = 6
+"""Vertices from which a fit is tried: any five lie on a cylinder, or nearly so."""
 
 LEAST_RULINGS = 4
 """Distinct rulings of a cylinder or cone: three always lie on one."""
@@ -69,8 +72,10 @@ def told_forms(
     if len(places) > MOST_POINTS:
         chosen = np.linspace(0, len(places) - 1, MOST_POINTS).astype(np.int64)
         places, normals = places[chosen], normals[chosen]
-    size = float(np.ptp(points, axis=0).max(initial=0.0))
-    if len(points) < 6 or size <= 0.0:
+    if len(points) < LEAST_POINTS:
+        return
+    size = float(np.ptp(points, axis=0).max())
+    if size <= 0.0:
         return
     middle = points.mean(axis=0)
     quadrics = _Quadrics(points, middle, size, tolerance_mm)
@@ -97,7 +102,7 @@ def _kept(row: Floats | None, points: Floats, size: float, tolerance_mm: float) 
     """The form fitted from where it is, if the points lie on it."""
     if row is None or not np.isfinite(row).all():
         return
-    found = _refined(row, points)
+    found = refined(row, points, tolerance_mm)
     if np.abs(found[OWN : OWN + 5]).max() > MOST_RADIUS * size:
         return
     off = distances(found, points)
@@ -223,51 +228,6 @@ def _circle(points: Floats) -> tuple[Floats, float]:
     rows = np.column_stack([2.0 * off, np.ones(len(off))])
     solution = np.linalg.lstsq(rows, (off * off).sum(axis=1), rcond=None)[0]
     return middle + solution[:2], float(np.linalg.norm(off - solution[:2], axis=1).mean())
-
-
-# -- refinement --------------------------------------------------------------------------------------------
-
-
-def _refined(row: Floats, points: Floats) -> Floats:
-    """The form of least squares of distances, from a first guess; positions and sizes in units of the points' size."""
-    size = float(np.ptp(points, axis=0).max())
-    with_parameters, count = _moves(row, size)
-
-    def off(parameters: Floats) -> Floats:
-        return np.asarray(distances(with_parameters(parameters), points) / size)
-
-    if len(points) <= count:
-        return row
-    found = leastsq(off, np.zeros(count), ftol=1e-15, xtol=1e-12, maxfev=40 * (count + 1))[0]
-    return with_parameters(np.asarray(found))
-
-
-def _moves(row: Floats, size: float) -> tuple[Callable[[Floats], Floats], int]:
-    """The form moved by parameters, and how many these are."""
-    kind = int(row[0])
-    frame = np.zeros((2, 3)) if kind == SPHERE else _across(row[OWN : OWN + 3])
-    shifts = frame if kind == CYLINDER else np.eye(3)
-    tilts = 0 if kind == SPHERE else 2
-    own = {SPHERE: 1, CYLINDER: 1, CONE: 1, TORUS: 2}[kind]
-    at = len(shifts)
-
-    def moved(parameters: Floats) -> Floats:
-        result = row.copy()
-        result[PLACE : PLACE + 3] += size * (parameters[:at] @ shifts)
-        if tilts:
-            axis = row[OWN : OWN + 3] + parameters[at : at + 2] @ frame
-            result[OWN : OWN + 3] = axis / np.linalg.norm(axis)
-        more = parameters[at + tilts :]
-        if kind == SPHERE:
-            result[OWN] += size * more[0]
-        elif kind == CONE:
-            angle = np.arctan2(row[OWN + 4], row[OWN + 3]) + more[0]
-            result[OWN + 3 : OWN + 5] = np.cos(angle), np.sin(angle)
-        else:
-            result[OWN + 3 : OWN + 3 + own] += size * more
-        return result
-
-    return moved, at + tilts + own
 
 
 # -- what is told ------------------------------------------------------------------------------------------

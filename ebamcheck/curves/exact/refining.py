@@ -49,7 +49,7 @@ def refined(
     if (parts == 1).all():
         return sides, ring_starts
     at = np.concatenate([[0], np.cumsum(parts)]).astype(np.int64)
-    more = Sides(*(np.repeat(column, parts, axis=0) for column in sides))
+    more = Sides._make(np.repeat(column, parts, axis=0) for column in sides)
     rings = np.repeat(np.arange(closed.size), np.diff(ring_starts))
     _fill(forms, sides, heights[rings], at, _following(ring_starts), more)
     return more, at[ring_starts]
