@@ -93,7 +93,7 @@ def surface_normals(part: Part, settings: CurveSettings) -> SurfaceNormals:
     label = regions.groups.label
     found = region_normals(part, twin, regions)
     smooth, kind = twin != NO_TWIN, regions.kind[label]
-    offsets = vertex_offsets(part.vertices, part.faces, smooth, found.fans, kind == FREEFORM)
+    stands_off = mesh_sagittas(part.vertices, part.faces, twin, regions.groups.normals[label], kind)
     return SurfaceNormals(
         found.rows,
         found.normals,
@@ -105,11 +105,11 @@ def surface_normals(part: Part, settings: CurveSettings) -> SurfaceNormals:
         rough_rows(part.vertices, part.faces, found),
         np.nan_to_num(found.noise, nan=np.inf),
         True,
-        mesh_sagittas(part.vertices, part.faces, twin, regions.groups.normals[label], kind),
-        offsets,
+        stands_off,
+        vertex_offsets(part.vertices, part.faces, smooth, found.fans, kind == FREEFORM),
         rim_sagittas(twin, whole, label, regions.borders, regions.kind),
         settings.crease_angle_deg,
-        exact_surfaces(part, twin, whole, regions, offsets.is_in_rows),
+        exact_surfaces(part, twin, whole, regions, stands_off.typical),
     )
 
 

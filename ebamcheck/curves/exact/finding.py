@@ -31,6 +31,10 @@ NO_SURFACE = -1
 GAP = 4.0
 """A group that stands this many times farther off than any less far one does is a flat side whose ends lie on the surface."""
 
+MOST_OF_TYPICAL = 25.0
+"""Times what facets of the mesh stand off as a rule that those of an exact surface may; on meshes of scattered points long ones
+do so."""
+
 PATCHES = (48, 16)
 """Groups about a seed that are tried."""
 
@@ -55,7 +59,9 @@ def no_surfaces(facet_count: int) -> ExactSurfaces:
     return ExactSurfaces(np.full(facet_count, NO_SURFACE, np.int32), np.zeros((0, SIZE)))
 
 
-def exact_surfaces(part: Part, twin: Index, across: Index, regions: Regions, in_rows: bool) -> ExactSurfaces:
+def exact_surfaces(
+    part: Part, twin: Index, across: Index, regions: Regions, typical_mm: float
+) -> ExactSurfaces:
     """Find the exact surfaces of a mesh, and the planes beside them.
 
     Parameters
@@ -68,16 +74,16 @@ def exact_surfaces(part: Part, twin: Index, across: Index, regions: Regions, in_
         (3 F,) the same, at creases too.
     regions
         Its regions.
-    in_rows
-        Whether a tessellator made the mesh: strips of another lie in one plane by chance.
+    typical_mm
+        How far facets stand off the surface as a rule, by their turns.
     """
-    return _Search(part, twin, across, regions, in_rows).run()
+    return _Search(part, twin, across, regions, typical_mm).run()
 
 
 class _Search:
-    def __init__(self, part: Part, twin: Index, across: Index, regions: Regions, in_rows: bool) -> None:
+    def __init__(self, part: Part, twin: Index, across: Index, regions: Regions, typical_mm: float) -> None:
         self.across = across
-        self.in_rows = in_rows
+        self.largest_mm = MOST_OF_TYPICAL * typical_mm
         groups = regions.groups
         vertices, faces = part.vertices, part.faces
         sectors = split_corners(faces, twin)
@@ -183,7 +189,7 @@ class _Search:
         corners = np.unique(ground.faces[facets][ground.told[facets]])
         normals = ground.normals[ground.label[facets]]
         places = self.middles[facets]
-        straight = bool((self.kind[groups] == STRIP).all()) and self.in_rows
+        straight = bool((self.kind[groups] == STRIP).all())
         for row in told_forms(ground.vertices[corners], places, normals, self.tolerance_mm, straight):
             row[SIDE] = np.sign(_facing(row, places, normals))
             if row[SIDE] != 0.0:
@@ -194,7 +200,7 @@ class _Search:
         sagittas = np.empty(len(self.taken))
         before = 0
         for _ in range(MOST_ROUNDS):
-            count = grown(self.ground, groups, self.taken, row, self.tolerance_mm, np.inf, sagittas)
+            count = grown(self.ground, groups, self.taken, row, self.tolerance_mm, self.largest_mm, sagittas)
             if count < 2:
                 return None
             largest = _without_flat_sides(sagittas[sagittas >= 0.0])

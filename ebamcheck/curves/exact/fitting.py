@@ -34,8 +34,11 @@ LEAST_POINTS = 6
 LEAST_RULINGS = 4
 """Distinct rulings of a cylinder or cone: three always lie on one."""
 
-LEAST_RIMS = 2
-"""Distinct heights of vertices along the axis of a cylinder or cone of strips; of one of other facets one more."""
+LEAST_HEIGHTS = 3
+"""Distinct heights along the axis of a cylinder or cone that is told by its vertices alone."""
+
+APART = 20.0
+"""Tolerances by which places differ that are distinct."""
 
 LEAST_PROFILE = 4
 """Distinct points of a torus' profile: three always lie on one circle."""
@@ -84,11 +87,7 @@ def told_forms(
             yield from _kept(_sphere(points, middle), points, size, tolerance_mm)
         for first in (_cylinder, _cone):
             for row in _kept(first(points, places, normals), points, size, tolerance_mm):
-                rims = LEAST_RIMS if straight else LEAST_RIMS + 1
-                if (
-                    _rulings(row, points, tolerance_mm) >= LEAST_RULINGS
-                    and _rims(row, points, tolerance_mm) >= rims
-                ):
+                if _is_ruled(row, points, tolerance_mm, straight):
                     yield row
     else:
         for row in _kept(_torus(points, places, normals), points, size, tolerance_mm):
@@ -233,18 +232,19 @@ def _circle(points: Floats) -> tuple[Floats, float]:
 # -- what is told ------------------------------------------------------------------------------------------
 
 
-def _rulings(row: Floats, points: Floats, tolerance_mm: float) -> int:
-    """Distinct rulings of a cylinder or cone that points lie on."""
+def _is_ruled(row: Floats, points: Floats, tolerance_mm: float, straight: bool) -> bool:
+    """Whether points tell the rulings of a cylinder or cone: by two on each of them where strips do, else at three heights."""
     axis = row[OWN : OWN + 3]
     off = points - row[PLACE : PLACE + 3]
     flat = off @ _across(axis).T
     reach = float(np.linalg.norm(flat, axis=1).max())
-    return _distinct(np.unwrap(np.sort(np.arctan2(flat[:, 1], flat[:, 0]))) * reach, 20.0 * tolerance_mm)
-
-
-def _rims(row: Floats, points: Floats, tolerance_mm: float) -> int:
-    """Distinct heights of points along an axis."""
-    return _distinct((points - row[PLACE : PLACE + 3]) @ row[OWN : OWN + 3], 20.0 * tolerance_mm)
+    angles = np.unwrap(np.sort(np.arctan2(flat[:, 1], flat[:, 0]))) * reach
+    rulings = _distinct(angles, APART * tolerance_mm)
+    if rulings < LEAST_RULINGS:
+        return False
+    if straight and len(points) >= 2 * rulings:
+        return True
+    return _distinct(off @ axis, APART * tolerance_mm) >= LEAST_HEIGHTS
 
 
 def _profile_points(row: Floats, points: Floats, tolerance_mm: float) -> int:
@@ -253,7 +253,7 @@ def _profile_points(row: Floats, points: Floats, tolerance_mm: float) -> int:
     off = points - row[PLACE : PLACE + 3]
     along = off @ axis
     across = np.linalg.norm(off - along[:, None] * axis, axis=1) - row[OWN + 3]
-    return _distinct(np.sort(np.arctan2(along, across)) * abs(row[OWN + 4]), 20.0 * tolerance_mm)
+    return _distinct(np.sort(np.arctan2(along, across)) * abs(row[OWN + 4]), APART * tolerance_mm)
 
 
 def _distinct(places: Floats, apart: float) -> int:

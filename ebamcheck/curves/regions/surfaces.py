@@ -100,7 +100,9 @@ def surfaces(part: Part, settings: CurveSettings) -> list[Surface]:
 def _form(normals: SurfaceNormals) -> Ints:
     """Exact surface (F,) of each facet; -1 for planes and what is not known."""
     label, rows = normals.exact
-    return np.where((label >= 0) & (rows[label, KIND] != FLAT), label, -1) if len(rows) else label
+    if not len(rows):
+        return label.astype(np.int64)
+    return np.where((label >= 0) & (rows[label, KIND] != FLAT), label, -1).astype(np.int64)
 
 
 def _connected(part: Part, normals: SurfaceNormals) -> Ints:
