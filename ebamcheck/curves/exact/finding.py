@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 
 from ebamcheck.curves.exact.fitting import told_forms
 from ebamcheck.curves.exact.forms import FLAT, KIND, OWN, PLACE, SIDE, SIZE, signed_distance
-from ebamcheck.curves.exact.growing import Ground, absorb, grown
+from ebamcheck.curves.exact.growing import Ground, absorb, grown, touching
 from ebamcheck.curves.exact.told import told_corners
 from ebamcheck.curves.regions.segmentation import PLANE, STRIP, Regions
 from ebamcheck.mesh.part import Part
@@ -43,6 +43,19 @@ MOST_TRIALS = 240
 
 MOST_ROUNDS = 6
 """Rounds of growth and fit for one surface; it grows no more after two or three as a rule."""
+
+
+TANGENT_COSINE = np.cos(np.deg2rad(0.6))
+"""Cosine of the angle between two surfaces that touch along their border, by what the rounding of a file leaves."""
+
+TANGENT = 0.9
+"""Share of the known edges beside, along which they touch."""
+
+BESIDE = 0.4
+"""Share of the smooth edges of a surface's border beyond which something is known: one of two rims, about."""
+
+LEAST_BESIDE = 6
+"""Such edges at least."""
 
 
 class ExactSurfaces(NamedTuple):
@@ -100,9 +113,11 @@ class _Search:
         self.rows: list[Floats] = []
         self.sagittas: list[float] = []
         self.failed = 0
+        self.supported = False
+        """Whether surfaces are looked for that others have to bear out."""
 
     def run(self) -> ExactSurfaces:
-        """Ask each smooth piece of one kind as a whole, then at places of it."""
+        """Ask each smooth piece of one kind as a whole, then at places of it; then what is left between surfaces."""
         for piece in self._pieces():
             if self.failed >= MOST_TRIALS:
                 break
@@ -112,6 +127,15 @@ class _Search:
                 self._try(patch)
                 if self.failed >= MOST_TRIALS:
                     break
+        self.supported = True
+        for _ in range(MOST_ROUNDS):
+            known = len(self.rows)
+            for piece in self._pieces():
+                if self.failed >= 2 * MOST_TRIALS:
+                    break
+                self._try(piece)
+            if len(self.rows) == known:
+                break
         label = self.of_group[self.ground.label]
         rows = np.array(self.rows).reshape(-1, SIZE)
         free = self.kind[self.ground.label] != PLANE
@@ -142,6 +166,7 @@ class _Search:
         half = np.flatnonzero(ground.twin != NO_TWIN)
         a, b = ground.label[half // 3], ground.label[ground.twin[half] // 3]
         joined = (self.kind[a] == self.kind[b]) & (self.kind[a] != PLANE) & (a != b)
+        joined &= ~(self.taken[a] | self.taken[b])
         count = len(self.kind)
         links = coo_matrix((np.ones(joined.sum()), (a[joined], b[joined])), (count, count))
         piece = connected_components(links, directed=False)[1]
@@ -150,7 +175,7 @@ class _Search:
         pieces = np.split(order, np.cumsum(np.bincount(piece))[:-1])
         for number in np.argsort(-area, kind="stable"):
             groups = pieces[number]
-            if len(groups) > 1 and self.kind[groups[0]] != PLANE:
+            if len(groups) > 1 and self.kind[groups[0]] != PLANE and not self.taken[groups[0]]:
                 yield groups
 
     def _patches(self, piece: Index) -> Iterator[Index]:
@@ -190,7 +215,8 @@ class _Search:
         normals = ground.normals[ground.label[facets]]
         places = self.middles[facets]
         straight = bool((self.kind[groups] == STRIP).all())
-        for row in told_forms(ground.vertices[corners], places, normals, self.tolerance_mm, straight):
+        vertices = ground.vertices[corners]
+        for row in told_forms(vertices, places, normals, self.tolerance_mm, straight, self.supported):
             row[SIDE] = np.sign(_facing(row, places, normals))
             if row[SIDE] != 0.0:
                 yield row
@@ -209,6 +235,8 @@ class _Search:
                 grown(self.ground, seeds, self.taken, row, self.tolerance_mm, largest, sagittas)
             groups = np.flatnonzero(sagittas >= 0.0).astype(np.int32)
             if len(groups) <= before:
+                if self.supported and not self._is_borne_out(row, groups):
+                    return None
                 return row, groups, float(sagittas.max())
             before = len(groups)
             refitted = next(self._forms(groups), None)
@@ -216,6 +244,15 @@ class _Search:
                 return None
             row = refitted
         return None
+
+    def _is_borne_out(self, row: Floats, groups: Index) -> bool:
+        """Whether surfaces and planes that go on smoothly from groups touch their surface all along."""
+        rows = np.array(self.rows).reshape(-1, SIZE)
+        planes = self.kind == PLANE
+        found = touching(self.ground, groups, self.of_group, rows, planes, row, TANGENT_COSINE)
+        return (
+            found.known >= max(LEAST_BESIDE, BESIDE * found.smooth) and found.tangent >= TANGENT * found.known
+        )
 
 
 def _without_flat_sides(sagittas: Floats) -> float:

@@ -51,7 +51,12 @@ MOST_RADIUS = 1e3
 
 
 def told_forms(
-    points: Floats, places: Floats, normals: Floats, tolerance_mm: float, straight: bool
+    points: Floats,
+    places: Floats,
+    normals: Floats,
+    tolerance_mm: float,
+    straight: bool = False,
+    supported: bool = False,
 ) -> Iterator[Floats]:
     """Forms on which vertices lie, the simplest first.
 
@@ -65,6 +70,8 @@ def told_forms(
         How far a vertex may lie from its surface.
     straight
         Whether the facets are strips, which tell that the surface is straight from rim to rim.
+    supported
+        Whether others will bear out what is found: two rims do for a cylinder or cone then, and three rings for a torus.
 
     Yields
     ------
@@ -87,11 +94,11 @@ def told_forms(
             yield from _kept(_sphere(points, middle), points, size, tolerance_mm)
         for first in (_cylinder, _cone):
             for row in _kept(first(points, places, normals), points, size, tolerance_mm):
-                if _is_ruled(row, points, tolerance_mm, straight):
+                if _is_ruled(row, points, tolerance_mm, straight or supported):
                     yield row
-    else:
+    if supported or not quadrics.count:
         for row in _kept(_torus(points, places, normals), points, size, tolerance_mm):
-            if _profile_points(row, points, tolerance_mm) >= LEAST_PROFILE:
+            if _profile_points(row, points, tolerance_mm) >= LEAST_PROFILE - supported:
                 yield row
     if quadrics.count == 1 and quadrics.borne_out:
         yield quadrics.only

@@ -185,3 +185,68 @@ def _is_beside(ground: Ground, f: int, row: Floats, largest: float, tolerance: f
             return False
         x, y, z = x + p[0] / 3.0, y + p[1] / 3.0, z + p[2] / 3.0
     return bool(abs(signed_distance(row, x, y, z)[0]) <= largest)
+
+
+class Beside(NamedTuple):
+    """Edges at which groups of a surface go on smoothly to others."""
+
+    smooth: int
+    """All of them."""
+    known: int
+    """Those beyond which lies a known surface or a plane."""
+    tangent: int
+    """Those of them along which it touches the surface."""
+
+
+@kernel
+def touching(
+    ground: Ground, groups: Index, of_group: Index, rows: Floats, planes: Bools, row: Floats, cosine: float
+) -> Beside:
+    """Count the edges of some groups beyond which known surfaces touch that of the groups.
+
+    Parameters
+    ----------
+    ground
+        The mesh.
+    groups
+        Groups of the surface.
+    of_group
+        (G,) known surface of each group; -1 for none.
+    rows
+        (S, SIZE) known surfaces.
+    planes
+        (G,) groups that are planes.
+    row
+        The surface.
+    cosine
+        Of the angle up to which two surfaces touch.
+    """
+    mine = np.zeros(len(of_group), np.bool_)
+    mine[groups] = True
+    smooth = known = tangent = 0
+    for group in groups:
+        for place in range(ground.starts[group], ground.starts[group + 1]):
+            for k in range(3):
+                f = ground.facets[place]
+                h = ground.twin[3 * f + k]
+                if h == NO_TWIN or mine[ground.label[h // 3]]:
+                    continue
+                smooth += 1
+                other = ground.label[h // 3]
+                if of_group[other] < 0 and not planes[other]:
+                    continue
+                known += 1
+                least = 1.0
+                for end in (k, (k + 1) % 3):
+                    p = ground.vertices[ground.faces[f, end]]
+                    _, x, y, z = signed_distance(row, p[0], p[1], p[2])
+                    u, v, w = ground.normals[other, 0], ground.normals[other, 1], ground.normals[other, 2]
+                    side = row[SIDE]
+                    if of_group[other] >= 0:
+                        beside = rows[of_group[other]]
+                        _, u, v, w = signed_distance(beside, p[0], p[1], p[2])
+                        side *= beside[SIDE]
+                    least = min(least, side * (x * u + y * v + z * w))
+                if least >= cosine:
+                    tangent += 1
+    return Beside(smooth, known, tangent)
