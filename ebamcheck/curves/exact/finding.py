@@ -17,6 +17,7 @@ from ebamcheck.curves.exact.fitting import told_forms
 from ebamcheck.curves.exact.forms import FLAT, KIND, OWN, PLACE, SIDE, SIZE, signed_distance
 from ebamcheck.curves.exact.growing import Ground, absorb, grown, touching
 from ebamcheck.curves.exact.told import told_corners
+from ebamcheck.curves.regions.borders import LIKE
 from ebamcheck.curves.regions.segmentation import PLANE, STRIP, Regions
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import NO_TWIN, Index, split_corners
@@ -118,24 +119,19 @@ class _Search:
 
     def run(self) -> ExactSurfaces:
         """Ask each smooth piece of one kind as a whole, then at places of it; then what is left between surfaces."""
-        for piece in self._pieces():
-            if self.failed >= MOST_TRIALS:
-                break
-            if self._try(piece):
-                continue
-            for patch in self._patches(piece):
-                self._try(patch)
-                if self.failed >= MOST_TRIALS:
-                    break
+        for piece in self._pieces(np.inf):
+            if not self._try(piece):
+                for patch in self._patches(piece):
+                    self._try(patch)
+        known = 0
+        for piece in self._pieces(LIKE) if self.rows else ():
+            self._try(piece)
         self.supported = True
-        for _ in range(MOST_ROUNDS):
+        while len(self.rows) > known:
             known = len(self.rows)
-            for piece in self._pieces():
-                if self.failed >= 2 * MOST_TRIALS:
-                    break
-                self._try(piece)
-            if len(self.rows) == known:
-                break
+            for most in (np.inf, LIKE):
+                for piece in self._pieces(most):
+                    self._try(piece)
         label = self.of_group[self.ground.label]
         rows = np.array(self.rows).reshape(-1, SIZE)
         free = self.kind[self.ground.label] != PLANE
@@ -160,13 +156,17 @@ class _Search:
             found.append(row)
         return ExactSurfaces(label, np.concatenate(found))
 
-    def _pieces(self) -> Iterator[Index]:
-        """Smooth pieces of groups of one kind, the largest first."""
+    def _pieces(self, most: float) -> Iterator[Index]:
+        """Smooth pieces of groups of one kind that nothing has taken, the largest first.
+
+        Neighbours differ in area by less than a factor: rows of a rounding are narrow, and a wall that they touch is not.
+        """
         ground = self.ground
         half = np.flatnonzero(ground.twin != NO_TWIN)
         a, b = ground.label[half // 3], ground.label[ground.twin[half] // 3]
         joined = (self.kind[a] == self.kind[b]) & (self.kind[a] != PLANE) & (a != b)
         joined &= ~(self.taken[a] | self.taken[b])
+        joined &= np.maximum(self.areas[a], self.areas[b]) < most * np.minimum(self.areas[a], self.areas[b])
         count = len(self.kind)
         links = coo_matrix((np.ones(joined.sum()), (a[joined], b[joined])), (count, count))
         piece = connected_components(links, directed=False)[1]
@@ -193,7 +193,7 @@ class _Search:
     def _try(self, groups: Index) -> bool:
         """Look for the surface of some groups; take all that lie on it."""
         groups = groups[~self.taken[groups]]
-        if len(groups) < 2:
+        if len(groups) < 2 or self.failed >= MOST_TRIALS * (1 + self.supported):
             return False
         for row in self._forms(groups):
             found = self._grown(row, groups)
