@@ -121,7 +121,8 @@ def spare_long_segments(sides: Sides, ring: Ring) -> None:
     points = sides.points
     ahead, back = ring.after.copy(), ring.before.copy()
     for k in range(n):
-        if ring.corner[k] or (_is_sure(sides, ring, k) and _is_sure(sides, ring, k - 1)):
+        here, there = _is_sure(sides, ring, k), _is_sure(sides, ring, k - 1)
+        if ring.corner[k] or (here and there):
             continue
         m = (k + 1) % n
         to, away = (
@@ -129,20 +130,26 @@ def spare_long_segments(sides: Sides, ring: Ring) -> None:
             distance(points, ring.rows[k], ring.rows[m]),
         )
         turn = ring.before[k] + ring.after[k]
-        if away >= STRAIGHT_RATIO * to and abs(ahead[k]) > STRAIGHT_RATIO * abs(back[m]):
+        if not here and away >= STRAIGHT_RATIO * to and abs(ahead[k]) > STRAIGHT_RATIO * abs(back[m]):
             ring.after[k] = np.copysign(STRAIGHT_RATIO * abs(back[m]), ahead[k])
-            ring.before[k] = turn - ring.after[k]
-        elif to >= STRAIGHT_RATIO * away and abs(back[k]) > STRAIGHT_RATIO * abs(ahead[k - 1]):
+            if there:
+                ring.corner[k] = True
+            else:
+                ring.before[k] = turn - ring.after[k]
+        elif not there and to >= STRAIGHT_RATIO * away and abs(back[k]) > STRAIGHT_RATIO * abs(ahead[k - 1]):
             ring.before[k] = np.copysign(STRAIGHT_RATIO * abs(ahead[k - 1]), back[k])
-            ring.after[k] = turn - ring.before[k]
+            if here:
+                ring.corner[k] = True
+            else:
+                ring.after[k] = turn - ring.before[k]
 
 
 @kernel
 def keep_plausible(sides: Sides, ring: Ring, closed: bool) -> None:
     """Bend segments less that would leave their chords by more than the surface plausibly does.
 
-    What such a segment turns less at an end, its neighbour turns more, unless that then bends too much itself: there is a
-    kink then, as the contour has.
+    What such a segment turns less at an end, its neighbour turns more, unless that then bends too much itself or lies on an
+    exact surface: there is a kink then, as the contour has.
     """
     n = ring.rows.size
     last = n if closed else n - 1
@@ -170,7 +177,8 @@ def keep_plausible(sides: Sides, ring: Ring, closed: bool) -> None:
             distance(sides.points, ring.rows[k - 1], ring.rows[k]),
             distance(sides.points, ring.rows[k], ring.rows[(k + 1) % n]),
         )
-        if share[k] < 1.0 and share[k - 1] < 1.0:
+        sure = _is_sure(sides, ring, k if share[k] == 1.0 else k - 1)
+        if sure or (share[k] < 1.0 and share[k - 1] < 1.0):
             ring.corner[k] = True
             ring.before[k] *= share[k - 1]
             ring.after[k] *= share[k]
@@ -224,6 +232,10 @@ def mark_straight(sides: Sides, ring: Ring, closed: bool, straight_run: float) -
         if not ring.straight[k]:
             continue
         m = (k + 1) % n
+        if _is_sure(sides, ring, k - 1):
+            ring.corner[k] = True
+        if _is_sure(sides, ring, m):
+            ring.corner[m] = True
         if not ring.corner[k]:
             ring.before[k] += ring.after[k]
         if not ring.corner[m]:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ebamcheck.curves.exact.placing import is_placed
+from ebamcheck.curves.exact.placing import is_placed, place_beside
 from ebamcheck.curves.exact.refining import refined
 from ebamcheck.curves.judged_mesh import judged_mesh
 from ebamcheck.curves.plausible import plausible_height, plausible_share
@@ -129,7 +129,9 @@ def _lift(
         if mesh.kind[down // 3] == PLANE:
             found.plane_after[i] = mesh.region[down // 3]
         if not is_placed(mesh, up, down, heights[i], i, found):
+            x, y = found.points[i, 0], found.points[i, 1]
             _lift_by_normals(mesh, up, down, heights[i], edge_t[i], i, found)
+            place_beside(mesh, up, down, (x, y, heights[i]), i, found)
 
 
 @kernel

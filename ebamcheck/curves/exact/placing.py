@@ -7,7 +7,7 @@ import numpy as np
 from ebamcheck.curves.exact.forms import FLAT, KIND
 from ebamcheck.curves.exact.sections import on_both, on_one, set_along
 from ebamcheck.curves.sides import Sides
-from ebamcheck.curves.surface_edges import SurfaceMesh
+from ebamcheck.curves.surface_edges import SurfaceMesh, Vector
 from ebamcheck.numeric.kernels import kernel
 
 SMOOTH_COSINE = np.cos(np.deg2rad(0.5))
@@ -45,3 +45,23 @@ def is_placed(mesh: SurfaceMesh, up: int, down: int, z: float, i: int, found: Si
         found.form_after[i] = other
     found.flat[i] = found.flat[i] and not curved[1]
     return True
+
+
+@kernel
+def place_beside(mesh: SurfaceMesh, up: int, down: int, at: Vector, i: int, found: Sides) -> None:
+    """Place point i, lifted by normals from `at`, on the one surface that is known on one side of its edge alone."""
+    mine, other = mesh.exact[up // 3], mesh.exact[down // 3]
+    if (mine < 0) == (other < 0):
+        return
+    form = max(mine, other)
+    if int(mesh.forms[form, KIND]) == FLAT:
+        return
+    known, x, y = on_one(mesh.forms[form], at[0], at[1], at[2])
+    along = found.before[i] if mine >= 0 else found.after[i]
+    if not known or not set_along(mesh.forms[form], x, y, at[2], along):
+        return
+    found.points[i, 0], found.points[i, 1] = x, y
+    if mine >= 0:
+        found.form_before[i] = form
+    else:
+        found.form_after[i] = form

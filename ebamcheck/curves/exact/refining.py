@@ -9,8 +9,11 @@ from ebamcheck.curves.sides import NO_FORM, NO_PLANE, Sides
 from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 
-LARGEST_SPAN_RAD = np.deg2rad(40.0)
-"""Turn of a section up to which a cubic follows it to a few thousandths of its sagitta's thousandth."""
+FOLLOWED, TOO_LONG, LOST = range(3)
+"""What is told of a segment in parts."""
+
+LARGEST_SPAN_RAD = np.deg2rad(20.0)
+"""Turn of a section up to which a cubic follows it to some 1e-5 of its length."""
 
 LEAST_SPAN_RAD = np.deg2rad(1.0)
 """Turn of a section under which it is as good as straight."""
@@ -83,35 +86,40 @@ def _count_parts(
             form = sides.form_after[i]
             if form == NO_FORM or form != sides.form_before[j] or (j == a and not closed[r]):
                 continue
-            count = 1
-            while count < MOST_PARTS and not _follows(forms[form], sides, i, j, heights[r], count, direction):
-                count *= 2
-            parts[i] = count
+            count, told = 1, TOO_LONG
+            while told == TOO_LONG and count < MOST_PARTS:
+                told = _told(forms[form], sides, i, j, heights[r], count, direction)
+                if told == TOO_LONG:
+                    count *= 2
+            if told == TOO_LONG:
+                told = _told(forms[form], sides, i, j, heights[r], count, direction)
+            parts[i] = 1 if told == LOST else count
 
 
 @kernel
-def _follows(row: Floats, sides: Sides, i: int, j: int, z: float, parts: int, direction: Floats) -> bool:
-    """Whether each of so many parts of a segment is short enough for a cubic; so they are where the section is lost."""
+def _told(row: Floats, sides: Sides, i: int, j: int, z: float, parts: int, direction: Floats) -> int:
+    """Whether cubics follow so many parts of a segment, one is too long for that, or the section is lost."""
     x, y = sides.points[i, 0], sides.points[i, 1]
     dx, dy = sides.points[j, 0] - x, sides.points[j, 1] - y
     ux, uy = sides.after[i, 0], sides.after[i, 1]
     u, v = x, y
+    told = FOLLOWED
     for k in range(1, parts + 1):
         s, t, known = sides.points[j, 0], sides.points[j, 1], True
         direction[:] = sides.before[j]
         if k < parts:
             known, s, t = on_one(row, x + dx * k / parts, y + dy * k / parts, z)
             if not known or not set_along(row, s, t, z, direction):
-                return True
+                return LOST
         ax, ay = s - u, t - v
         start = np.arctan2(ux * ay - uy * ax, ux * ax + uy * ay)
         end = np.arctan2(ax * direction[1] - ay * direction[0], ax * direction[0] + ay * direction[1])
         span = abs(start) + abs(end)
         if span > LARGEST_SPAN_RAD or (span > LEAST_SPAN_RAD and abs(start - end) > UNEVEN * span):
-            return False
+            told = TOO_LONG
         ux, uy = direction[0], direction[1]
         u, v = s, t
-    return True
+    return told
 
 
 @kernel
