@@ -34,6 +34,9 @@ LEAST_POINTS = 6
 LEAST_RULINGS = 4
 """Distinct rulings of a cylinder or cone: three always lie on one."""
 
+SPARE = 7
+"""Vertices beyond the unknowns of a form that no strips tell: a decimated mesh has six or eight on many a cylinder by chance."""
+
 LEAST_HEIGHTS = 3
 """Distinct heights along the axis of a cylinder or cone that is told by its vertices alone."""
 
@@ -94,9 +97,9 @@ def told_forms(
             yield from _kept(_sphere(points, middle), points, size, tolerance_mm)
         for first in (_cylinder, _cone):
             for row in _kept(first(points, places, normals), points, size, tolerance_mm):
-                if _is_ruled(row, points, tolerance_mm, straight or supported):
+                if _is_ruled(row, points, tolerance_mm, straight, supported):
                     yield row
-    if supported or not quadrics.count:
+    if len(points) >= 7 + SPARE and (supported or not quadrics.count):
         for row in _kept(_torus(points, places, normals), points, size, tolerance_mm):
             if _profile_points(row, points, tolerance_mm) >= LEAST_PROFILE - supported:
                 yield row
@@ -239,7 +242,7 @@ def _circle(points: Floats) -> tuple[Floats, float]:
 # -- what is told ------------------------------------------------------------------------------------------
 
 
-def _is_ruled(row: Floats, points: Floats, tolerance_mm: float, straight: bool) -> bool:
+def _is_ruled(row: Floats, points: Floats, tolerance_mm: float, straight: bool, supported: bool) -> bool:
     """Whether points tell the rulings of a cylinder or cone: by two on each of them where strips do, else at three heights."""
     axis = row[OWN : OWN + 3]
     off = points - row[PLACE : PLACE + 3]
@@ -251,7 +254,9 @@ def _is_ruled(row: Floats, points: Floats, tolerance_mm: float, straight: bool) 
         return False
     if straight and len(points) >= 2 * rulings:
         return True
-    return _distinct(off @ axis, APART * tolerance_mm) >= LEAST_HEIGHTS
+    if len(points) < SPARE + (6 if int(row[0]) == CONE else 5):
+        return False
+    return _distinct(off @ axis, APART * tolerance_mm) >= (LEAST_HEIGHTS - supported)
 
 
 def _profile_points(row: Floats, points: Floats, tolerance_mm: float) -> int:
