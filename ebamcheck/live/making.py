@@ -6,10 +6,8 @@ control gets is the text that was verified, and anybody can verify it again from
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
@@ -25,6 +23,7 @@ from ebamcheck.curves.per_part import keep_surface_of
 from ebamcheck.errors import BackendMissing, EbamcheckError, SettingsError
 from ebamcheck.json_values import sha256_of_json
 from ebamcheck.layers.stack import Layers
+from ebamcheck.live.clock import Clock
 from ebamcheck.live.heat_so_far import HeatSoFar
 from ebamcheck.live.metal_so_far import MetalSoFar
 from ebamcheck.mesh.inspection import inspect
@@ -116,22 +115,6 @@ class MadeLayer:
     def why(self) -> str:
         """What the shut gates say; empty where all are open."""
         return "; ".join(f"gate {gate.name}: {gate.text}" for gate in self.gates if not gate.passed)
-
-
-class Clock:
-    """Times of named stages, s."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        """Time a block."""
-        begin = time.perf_counter()
-        try:
-            yield
-        finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - begin
 
 
 class LayerMaker:
