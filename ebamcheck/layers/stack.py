@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from ebamcheck.errors import SettingsError
 from ebamcheck.layers import canonical_form
 from ebamcheck.layers import items as stack_items
+from ebamcheck.layers.polygons import valid_polygons
 from ebamcheck.numeric import rings
 from ebamcheck.numeric.kernels import run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
@@ -383,18 +384,6 @@ def concatenate(blocks: Sequence[Layers]) -> Layers:
         edge_t=np.concatenate([b.edge_t for b in blocks if b.edge_t is not None]) if with_edges else None,
         dropped=np.concatenate([b.dropped for b in blocks]),
     )
-
-
-def valid_polygons(geometry: BaseGeometry) -> list[shapely.Polygon]:
-    """Polygons with area in a geometry, made valid where they are not."""
-    import shapely
-
-    if not geometry.is_valid:
-        geometry = shapely.make_valid(geometry)
-    parts = shapely.get_parts(geometry)
-    if any(part.geom_type == "GeometryCollection" or part.geom_type.startswith("Multi") for part in parts):
-        return [polygon for part in parts for polygon in valid_polygons(part)]
-    return [part for part in parts if part.geom_type == "Polygon" and part.area > 0]
 
 
 def _expand(starts: Ints, wanted: Ints) -> tuple[Ints, Ints]:

@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.errors import GeometryError
-from ebamcheck.layers.stack import Layers, from_polygons, valid_polygons
+from ebamcheck.layers.polygons import valid_polygons
+from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.settings.config import Config
 
