@@ -217,8 +217,8 @@ def test_nothing_passes_a_gap():
 def test_few_modes_with_fresh_heat_are_within_a_tenth_of_converged_ones(monkeypatch):
     """As on 2000 islands: one mode for five islands. The whole layer is in reports/scan/islands.md."""
     monkeypatch.setattr(island_heat, "PLANNING_MODES", 30)
-    profile = PROFILE.changed(scan={"hexagon_side_mm": 4.0})
-    table = compared(profile, (110.0, 70.0), (1.0, 0.7)).set_index(["order", "model"])
+    config = PROFILE.changed(scan={"hexagon_side_mm": 4.0})
+    table = compared(config, (110.0, 70.0), (1.0, 0.7)).set_index(["order", "model"])
     error = table["rms_error_over_rms"].unstack()
     assert error["reference, 1 w"].max() < 0.02
     assert error["with fresh heat"].max() < 0.1

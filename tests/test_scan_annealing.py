@@ -66,8 +66,8 @@ def test_annealing_helps_or_leaves_it():
 
 @pytest.mark.parametrize("base", ["cooled", "insulated"])
 def test_the_table_of_influences_is_the_heat_model(base):
-    profile = PROFILE.changed(process={"base": base})
-    choices = lay_islands(layer_section(PLATE), profile, 0, 10.0).choices(profile, 0)
+    config = PROFILE.changed(process={"base": base})
+    choices = lay_islands(layer_section(PLATE), config, 0, 10.0).choices(config, 0)
     schedule, heat = choices.known_schedule, choices.heat
     before = np.random.default_rng(5).normal(size=heat.start_k.shape) * np.exp(-heat.plane_rate)[:, None]
     heat = replace(heat, start_k=300.0 * before)
@@ -86,8 +86,8 @@ def test_the_table_of_influences_is_the_heat_model(base):
 
 @pytest.mark.parametrize("base", ["cooled", "insulated"])
 def test_a_rise_of_the_table_is_that_of_two_islands_driven_alone(base):
-    profile = PROFILE.changed(process={"base": base})
-    choices = lay_islands(layer_section(PLATE), profile, 0, 10.0).choices(profile, 0)
+    config = PROFILE.changed(process={"base": base})
+    choices = lay_islands(layer_section(PLATE), config, 0, 10.0).choices(config, 0)
     schedule, heat, count = choices.known_schedule, choices.heat, len(choices)
     horizon_s = heat.fresh.horizon_s
     table = influence(heat, schedule.time_s, 300.0)

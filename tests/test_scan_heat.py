@@ -94,18 +94,18 @@ def test_an_island_is_heated_by_the_power_that_the_part_takes_up(laid, choices):
 
 
 def test_heat_of_a_thin_plate_is_energy_over_heat_capacity():
-    profile = PROFILE.changed(process={"base": "insulated"}, material={"emissivity": 0.0})
+    config = PROFILE.changed(process={"base": "insulated"}, material={"emissivity": 0.0})
     section = layer_section(PLATE)
-    choices = lay_islands(section, profile, 0, 0.0).choices(profile, 0)
+    choices = lay_islands(section, config, 0, 0.0).choices(config, 0)
     schedule, heat = choices.known_schedule, choices.heat
     order = np.arange(len(choices))
     start, end, _ = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
-    medium = Medium.of(profile)
+    medium = Medium.of(config)
     end[order[-1]] += 1e6
     start[order[-1]] += 1e6
     late, _ = entered(heat, order, start, end)
     energy = (heat.source_k_s * schedule.time_s)[:-1].sum() * medium.heat_capacity_j_mm3k
-    even = energy / (medium.heat_capacity_j_mm3k * section.area * profile.process.base_plate_mm)
+    even = energy / (medium.heat_capacity_j_mm3k * section.area * config.process.base_plate_mm)
     assert late[-1] == pytest.approx(even, rel=1e-6)
 
 
@@ -157,8 +157,8 @@ def test_own_rise_is_that_of_one_island_alone(choices):
 
 @pytest.mark.parametrize("base", ["cooled", "insulated"])
 def test_thermal_is_cooler_and_shorter_than_farthest(base):
-    profile = PROFILE.changed(process={"base": base})
-    table = ebamcheck.compare_orders(PLATE, profile, ["raster", "farthest", "thermal"]).set_index("order")
+    config = PROFILE.changed(process={"base": base})
+    table = ebamcheck.compare_orders(PLATE, config, ["raster", "farthest", "thermal"]).set_index("order")
     thermal = table.loc["thermal"]
     assert thermal["travel_mm"] <= 0.5 * table.loc["farthest", "travel_mm"] + 1e-6
     assert thermal["time_s"] <= 1.1 * table.loc["raster", "time_s"]
@@ -244,8 +244,8 @@ def test_an_installed_order_plans(tmp_path, monkeypatch):
 
 
 def test_two_thousand_islands_are_planned():
-    profile = PROFILE.changed(scan={"hexagon_side_mm": 4.0})
-    plan = plan_scan(shapely.box(0, 0, 400, 230), profile, order="thermal")
+    config = PROFILE.changed(scan={"hexagon_side_mm": 4.0})
+    plan = plan_scan(shapely.box(0, 0, 400, 230), config, order="thermal")
     assert len(plan.islands) > 2000
     assert np.array_equal(np.sort(plan.order), np.arange(len(plan.islands)))
 

@@ -70,13 +70,13 @@ def test_what_the_new_section_does_not_cover_is_dropped():
 
 
 def rows_of_six(base, emissivity):
-    profile = Config().changed(
+    config = Config().changed(
         process={"base": base, "interpass": "off"},
         material={"emissivity": emissivity},
         scan={"annealing_steps": 200},
     )
-    heights = (np.arange(6) + 0.5) * profile.layer_height_mm
-    rows = list(scan_part([layer_section(PLATE)] * 6, heights, profile, "thermal", 0))
+    heights = (np.arange(6) + 0.5) * config.layer_height_mm
+    rows = list(scan_part([layer_section(PLATE)] * 6, heights, config, "thermal", 0))
     assert [set(row) for row in rows] == [set(WHOLE_PART)] * 6
     assert rows[0]["body_mean_k"] == 0.0
     return rows
@@ -101,11 +101,11 @@ def test_layers_get_warmer_until_they_lose_what_they_get(base):
 
 
 def test_a_pause_lets_it_cool_and_an_empty_layer_passes_heat_on():
-    profile = Config().changed(scan={"order": "raster"}, process={"interpass": "off"})
+    config = Config().changed(scan={"order": "raster"}, process={"interpass": "off"})
     sections = [layer_section(PLATE), shapely.Polygon(), layer_section(PLATE)]
     heights = np.array([1.0, 2.6, 4.3])
     warm, cool = (
-        list(scan_part(sections, heights, profile.changed(process={"layer_pause_s": pause_s}), "raster", 0))
+        list(scan_part(sections, heights, config.changed(process={"layer_pause_s": pause_s}), "raster", 0))
         for pause_s in (0.0, 500.0)
     )
     assert warm[1]["islands"] == 0

@@ -56,7 +56,7 @@ def order_pictures(
     at_end = {name: _at_end(compared.heat, plane, result) for name, result in results.items()}
     hottest = max(float(result.entry_k.max()) for result in results.values())
     warmest = max(float(np.quantile(last_k, COMMON)) for last_k in at_end.values())
-    scale = TemperatureScale.of(compared.profile, max(hottest, warmest))
+    scale = TemperatureScale.of(compared.config, max(hottest, warmest))
     for name, result in results.items():
         title = f"{what}: entry temperature rise, {name}"
         files[f"{name}-entry.svg"] = islands_svg(

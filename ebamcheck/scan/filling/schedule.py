@@ -36,7 +36,7 @@ class IslandSchedule:
         return len(self.time_s)
 
 
-def island_schedule(lines: Vectors, chained: Bools, profile: Config) -> IslandSchedule:
+def island_schedule(lines: Vectors, chained: Bools, config: Config) -> IslandSchedule:
     """Work out how islands are driven.
 
     Parameters
@@ -59,12 +59,12 @@ def island_schedule(lines: Vectors, chained: Bools, profile: Config) -> IslandSc
     leave = np.stack([b[last], a[last], a[first], b[first]], axis=1)
     for way in (1, 3):
         entry[chained, way], leave[chained, way] = entry[chained, 0], leave[chained, 0]
-    spacing = profile.process.hatch_spacing_mm
+    spacing = config.process.hatch_spacing_mm
     turn, jump = turns_and_jumps_mm(lines.island, a, b, spacing)
     other_turn, other_jump = turns_and_jumps_mm(lines.island, b, a, spacing)
     turned = chained[lines.island]
     turn = np.where(turned, turn, 0.5 * (turn + other_turn))
     jump = np.where(turned, jump, 0.5 * (jump + other_jump))
-    beam_s = np.bincount(lines.island, np.hypot(*(b - a).T) + turn, count) / profile.process.travel_speed_mm_s
-    inner_s = np.bincount(lines.island, jump, count) / profile.machine.rapid_mm_s
+    beam_s = np.bincount(lines.island, np.hypot(*(b - a).T) + turn, count) / config.process.travel_speed_mm_s
+    inner_s = np.bincount(lines.island, jump, count) / config.machine.rapid_mm_s
     return IslandSchedule(entry, leave, beam_s, np.asarray(beam_s + inner_s, np.float64))

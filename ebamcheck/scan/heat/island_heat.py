@@ -91,7 +91,7 @@ def island_heat(
     islands: NDArray[np.object_],
     beam_s: Floats,
     time_s: Floats,
-    profile: Config,
+    config: Config,
     height_mm: float,
     fine: bool = False,
 ) -> IslandHeat:
@@ -110,7 +110,7 @@ def island_heat(
     fine
         Resolve waves shorter than an island, for a simulation; a plan needs none under its width.
     """
-    medium, process = Medium.of(profile), profile.process
+    medium, process = Medium.of(config), config.process
     width_mm = math.sqrt(section.area / max(len(islands), 1))
     largest = (2.0 * math.pi / (width_mm * (SIMULATION_WAVE if fine else PLANNING_WAVE))) ** 2
     planned = max(1, min(PLANNING_MODES, int(PLANNING_WORK / max(len(islands), 1) ** 2)))
@@ -120,9 +120,9 @@ def island_heat(
     waves = min(MOST_DEPTH_MODES, math.ceil(depth_mm * math.sqrt(largest) / math.pi) + 1)
     loss = medium.radiation_w_mm2k / medium.conductivity_w_mmk
     depth = depth_modes(depth_mm, waves, process.base == "cooled", loss)
-    model = HeatModel(plane, depth, medium, min(profile.layer_height_mm, depth_mm))
+    model = HeatModel(plane, depth, medium, min(config.layer_height_mm, depth_mm))
     on = np.divide(beam_s, time_s, out=np.zeros_like(beam_s), where=time_s > 0)
-    power_w = process.power_w * profile.material.absorptivity * on
+    power_w = process.power_w * config.material.absorptivity * on
     return IslandHeat(
         mean=np.ascontiguousarray(plane.means(islands).T),
         plane_rate=medium.diffusivity_mm2_s * plane.eigenvalue,
@@ -144,9 +144,9 @@ def with_fresh_heat(
     lines: Vectors,
     section: BaseGeometry,
     islands: NDArray[np.object_],
-    profile: Config,
+    config: Config,
 ) -> IslandHeat:
     """Add the fresh heat that the modes lack to the heat model of a layer: see :mod:`ebamcheck.scan.heat.near_field`."""
-    bead_mm = profile.process.bead_width_mm
+    bead_mm = config.process.bead_width_mm
     near = near_field(heat.model, heat.complete, schedule, lines, section, islands, bead_mm)
     return replace(heat, near=near)

@@ -70,7 +70,7 @@ class LayerIslands:
         Index of the layer.
     seed
         Seed of the run; :meth:`random` mixes the layer into it.
-    profile
+    config
         Settings.
     height_mm
         Height of the layer over the base plate.
@@ -91,7 +91,7 @@ class LayerIslands:
     neighbours: Ints
     layer: int = 0
     seed: int = 0
-    profile: Config = field(default_factory=Config)
+    config: Config = field(default_factory=Config)
     height_mm: float = 0.0
     section: BaseGeometry = field(default_factory=shapely.Polygon)
     polygons: NDArray[np.object_] = field(default_factory=lambda: np.zeros(0, object))
@@ -128,14 +128,14 @@ class LayerIslands:
         """The heat model of the layer on a cold part, set up when it is first asked for."""
         schedule = self.known_schedule
         modes = island_heat(
-            self.section, self.polygons, schedule.beam_s, schedule.time_s, self.profile, self.height_mm
+            self.section, self.polygons, schedule.beam_s, schedule.time_s, self.config, self.height_mm
         )
         return self.with_fresh_heat(modes)
 
     def with_fresh_heat(self, modes: IslandHeat) -> IslandHeat:
         """Add the fresh heat between these islands to a heat model of the layer that has its modes alone."""
         lines = NO_LINES if self.lines is None else self.lines
-        return with_fresh_heat(modes, self.known_schedule, lines, self.section, self.polygons, self.profile)
+        return with_fresh_heat(modes, self.known_schedule, lines, self.section, self.polygons, self.config)
 
 
 Order = Callable[[LayerIslands], Ints]
@@ -243,7 +243,7 @@ def raster(islands: LayerIslands) -> Ints:
 
 def stride(islands: LayerIslands) -> Ints:
     """Every n-th island of the raster, then those after them, and so on."""
-    rows, step = raster(islands), islands.profile.scan.stride
+    rows, step = raster(islands), islands.config.scan.stride
     return np.concatenate([rows[n::step] for n in range(step)])
 
 
@@ -254,7 +254,7 @@ def shuffled(islands: LayerIslands) -> Ints:
 
 def least_heat(islands: LayerIslands) -> Ints:
     """Next the island that is coolest when the beam gets there, however far it is."""
-    rapid = islands.profile.machine.rapid_mm_s
+    rapid = islands.config.machine.rapid_mm_s
     beside = touching(islands.neighbours, len(islands))
     return greedy_order(islands.heat, islands.known_schedule, beside, rapid, _seeded_start(islands), 0.0, 0.0)
 
@@ -263,12 +263,12 @@ def thermal(islands: LayerIslands) -> Ints:
     """Next a cool island that is near: the coolest plan whose travel is well under that of `farthest`."""
     if len(islands) == 1:
         return np.zeros(1, np.int64)
-    settings = islands.profile.scan
+    settings = islands.config.scan
     return thermal_order(
         islands.heat,
         islands.known_schedule,
         islands.neighbours,
-        islands.profile.machine.rapid_mm_s,
+        islands.config.machine.rapid_mm_s,
         width_mm=float(np.sqrt(islands.area_mm2.mean())),
         longest_mm=longest_travel_mm(islands),
         start_travel_mm=settings.start_travel_mm,
@@ -279,15 +279,15 @@ def thermal(islands: LayerIslands) -> Ints:
 
 def longest_travel_mm(islands: LayerIslands) -> float:
     """Travel between islands that `thermal` may take: its share of that of `farthest`."""
-    schedule, rapid = islands.known_schedule, islands.profile.machine.rapid_mm_s
+    schedule, rapid = islands.known_schedule, islands.config.machine.rapid_mm_s
     *_, travel = clocked(farthest(islands), schedule.entry, schedule.leave, schedule.time_s, rapid)
-    return islands.profile.scan.travel_share * float(travel)
+    return islands.config.scan.travel_share * float(travel)
 
 
 def entry_ways(name: str | Order, islands: LayerIslands, order: Ints) -> Ints:
     """Way (I,) by which each island of an order is entered: the nearest, or for an order of cool entries the coolest near enough."""
     if len(order) > 1 and getattr(named_order(name), "cool_entries", False):
-        rapid = islands.profile.machine.rapid_mm_s
+        rapid = islands.config.machine.rapid_mm_s
         return cool_ways(islands.heat, islands.known_schedule, order, rapid, longest_travel_mm(islands))
     return np.full(len(order), NEAREST, np.int64)
 

@@ -46,23 +46,23 @@ def bead_sequence(laid: LaidLayer, islands: LayerIslands, order: Ints, ways: Int
     beads, travel_mm
         And the jumps between islands.
     """
-    profile = islands.profile
-    speed, rapid = profile.process.travel_speed_mm_s, profile.machine.rapid_mm_s
+    config = islands.config
+    speed, rapid = config.process.travel_speed_mm_s, config.machine.rapid_mm_s
     rings = _rings(laid)
-    count = np.array([_pieces(ring.length, profile) for ring in rings], np.int64)
+    count = np.array([_pieces(ring.length, config) for ring in rings], np.int64)
     ring_mm = np.array([ring.length for ring in rings])
-    ring_mm += np.minimum(profile.process.overlap_mm, ring_mm)
+    ring_mm += np.minimum(config.process.overlap_mm, ring_mm)
     model = islands.cold_heat.model if len(islands) else None
-    path = _island_path(laid, order, ways, profile)
+    path = _island_path(laid, order, ways, config)
     columns, times = [_along(rings, count, model)], [np.repeat(ring_mm / speed / np.maximum(count, 1), count)]
-    shares = [np.repeat(mean_power(ring_mm, profile.process), count)]
+    shares = [np.repeat(mean_power(ring_mm, config.process), count)]
     if len(order):
         columns.append(uneven(islands.cold_heat.mean[:, path.island], islands.cold_heat.model))
         times.append(path.bead_mm / speed)
-        shares.append(mean_power(path.bead_mm, profile.process))
+        shares.append(mean_power(path.bead_mm, config.process))
     move_mm = np.concatenate([_to_rings(rings, path.start), np.hypot(*(path.start[1:] - path.end[:-1]).T)])
-    up_and_down_mm = 2.0 * profile.machine.safe_height_mm
-    rises = _rises(move_mm, profile)
+    up_and_down_mm = 2.0 * config.machine.safe_height_mm
+    rises = _rises(move_mm, config)
     rises[:1] = up_and_down_mm
     inner = np.zeros(len(move_mm), np.bool_)
     inner[len(rings) :] = np.diff(path.island, prepend=-1) == 0
@@ -104,7 +104,7 @@ class _IslandPath:
     bead_mm: Floats
 
 
-def _island_path(laid: LaidLayer, order: Ints, ways: Ints, profile: Config) -> _IslandPath:
+def _island_path(laid: LaidLayer, order: Ints, ways: Ints, config: Config) -> _IslandPath:
     lines, count = laid.lines, len(laid.islands)
     if not len(order):
         return _IslandPath(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
@@ -113,7 +113,7 @@ def _island_path(laid: LaidLayer, order: Ints, ways: Ints, profile: Config) -> _
     island, swap = lines.island[rows], turned[:, None]
     a = np.where(swap, lines.end[rows], lines.start[rows])
     b = np.where(swap, lines.start[rows], lines.end[rows])
-    spacing = profile.process.hatch_spacing_mm
+    spacing = config.process.hatch_spacing_mm
     turn, _ = turns_and_jumps_mm(island, a, b, spacing)
     begins = np.flatnonzero(~follows(island, a, b, spacing))
     ends = np.append(begins[1:], len(island)) - 1
@@ -121,10 +121,10 @@ def _island_path(laid: LaidLayer, order: Ints, ways: Ints, profile: Config) -> _
     return _IslandPath(island[begins], a[begins], b[ends], bead_mm)
 
 
-def _rises(move_mm: Floats, profile: Config) -> Floats:
+def _rises(move_mm: Floats, config: Config) -> Floats:
     """Way up and down on moves with the beam off, mm."""
-    far = move_mm > NEAR_SPACINGS * profile.process.hatch_spacing_mm
-    return np.where(far, 2.0 * profile.machine.safe_height_mm, 0.0)
+    far = move_mm > NEAR_SPACINGS * config.process.hatch_spacing_mm
+    return np.where(far, 2.0 * config.machine.safe_height_mm, 0.0)
 
 
 def _to_rings(rings: list[shapely.LinearRing], entry: Floats) -> Floats:
@@ -146,8 +146,8 @@ def _rings(laid: LaidLayer) -> list[shapely.LinearRing]:
     return sorted(turned, key=lambda ring: ring.coords[0])
 
 
-def _pieces(length_mm: float, profile: Config) -> int:
-    return max(1, round(length_mm / (PIECE_BEADS * profile.process.bead_width_mm)))
+def _pieces(length_mm: float, config: Config) -> int:
+    return max(1, round(length_mm / (PIECE_BEADS * config.process.bead_width_mm)))
 
 
 def _along(rings: list[shapely.LinearRing], count: Ints, model: HeatModel | None) -> Floats:

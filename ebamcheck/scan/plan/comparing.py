@@ -102,7 +102,7 @@ class OrderResult:
 
 def compare_orders(
     polygons: BaseGeometry | Iterable[BaseGeometry],
-    profile: Config | None = None,
+    config: Config | None = None,
     orders: Sequence[str] | None = None,
     seeds: int = SEEDS,
     layer: int = 0,
@@ -114,20 +114,20 @@ def compare_orders(
 
     Parameters
     ----------
-    polygons, profile, layer, height_mm
+    polygons, config, layer, height_mm
         As for :func:`ebamcheck.plan_scan`; the height is that over the base plate.
     orders
         Names; all of the house if None.
     seeds
-        Seeds over which `random` is averaged; the other orders take the seed of the profile.
+        Seeds over which `random` is averaged; the other orders take the seed of the settings.
 
     Returns
     -------
     DataFrame
         One row an order, columns as in :data:`FIGURES`; temperatures are NaN for a layer without islands.
     """
-    profile = profile or Config()
-    compared = OrderComparison.of(polygons, profile, layer, height_mm)
+    config = config or Config()
+    compared = OrderComparison.of(polygons, config, layer, height_mm)
     names = COMPARED if orders is None else orders
     rows = [figures_of(name, compared.results(name, seeds)) for name in names]
     return pd.DataFrame(rows, columns=list(FIGURES))
@@ -146,41 +146,39 @@ class OrderComparison:
     laid: LaidLayer
     islands: LayerIslands
     heat: IslandHeat | None
-    profile: Config
+    config: Config
 
     @classmethod
     def of(
-        cls, polygons: BaseGeometry | Iterable[BaseGeometry], profile: Config, layer: int, height_mm: float
+        cls, polygons: BaseGeometry | Iterable[BaseGeometry], config: Config, layer: int, height_mm: float
     ) -> OrderComparison:
         """Divide a layer into islands and set up its heat model."""
         section = layer_section(polygons)
-        laid = lay_islands(section, profile, layer, height_mm)
-        islands = laid.choices(profile, profile.scan.seed)
+        laid = lay_islands(section, config, layer, height_mm)
+        islands = laid.choices(config, config.scan.seed)
         heat = None
         if len(islands):
             schedule = islands.known_schedule
             modes = island_heat(
-                section, laid.islands, schedule.beam_s, schedule.time_s, profile, height_mm, fine=True
+                section, laid.islands, schedule.beam_s, schedule.time_s, config, height_mm, fine=True
             )
             heat = islands.with_fresh_heat(modes)
-        return cls(laid, islands, heat, profile)
+        return cls(laid, islands, heat, config)
 
     def results(self, name: str, seeds: int) -> Iterator[OrderResult]:
-        """Plan one order and drive it, one after the other: `random` for several seeds, others for that of the profile."""
-        tried = range(seeds) if name == RANDOM else (self.profile.scan.seed,)
+        """Plan one order and drive it, one after the other: `random` for several seeds, others for that of the settings."""
+        tried = range(seeds) if name == RANDOM else (self.config.scan.seed,)
         if not len(tried):
             raise SettingsError(f"seeds {seeds}: give at least 1 for the order {RANDOM!r}")
         return (self.result(name, seed) for seed in tried)
 
     def result(self, name: str, seed: int) -> OrderResult:
         """Plan one order and drive it."""
-        islands = self.islands if seed == self.islands.seed else self.laid.choices(self.profile, seed)
+        islands = self.islands if seed == self.islands.seed else self.laid.choices(self.config, seed)
         order = scan_order(name, islands)
         ways = entry_ways(name, islands, order)
-        plan = stack_plans(
-            [in_order(OrderedLayer(self.laid, islands, order, ways))], self.profile, name, seed
-        )
-        simulated = simulate_order(plan, self.profile)
+        plan = stack_plans([in_order(OrderedLayer(self.laid, islands, order, ways))], self.config, name, seed)
+        simulated = simulate_order(plan, self.config)
         count = len(order)
         rank = np.empty(count, np.int64)
         rank[order] = np.arange(count)
