@@ -91,7 +91,7 @@ def references(
                 alpha * block.eigenvalue,
                 alpha * depth.wave_number**2,
                 depth.mean_of_layer(model.layer_mm),
-                heat.source_k_s,
+                heat.modes.source_k_s,
             )
             for total, (order, start_s, end_s) in zip(totals, driven, strict=True):
                 total += entered_into(
@@ -105,8 +105,8 @@ def compared(config: Config, sides_mm: tuple[float, float], waves: tuple[float, 
     """Entry temperatures of several orders on a rectangle, by the model and by references of some waves."""
     section = layer_section(shapely.box(0.0, 0.0, *sides_mm))
     choices = lay_islands(section, config, 0, HEIGHT_MM).choices(config, 0)
-    heat, schedule, rapid = choices.heat, choices.known_schedule, config.machine.rapid_mm_s
-    orders = [scan_order(name, choices) for name in ORDERS]
+    heat, schedule, rapid = choices.cold_heat(), choices.known_schedule, config.machine.rapid_mm_s
+    orders = [scan_order(name, choices, heat) for name in ORDERS]
     driven = [
         (order, *clocked(order, schedule.entry, schedule.leave, schedule.time_s, rapid)[:2])
         for order in orders

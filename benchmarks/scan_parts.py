@@ -49,11 +49,11 @@ def layer_rows() -> list[dict[str, Any]]:
     for _ in range(2):
         islands = laid.choices(config, config.scan.seed)
         began = time.perf_counter()
-        modes = islands.heat.mean.shape[0]
+        heat = islands.cold_heat()
         ready = time.perf_counter()
-        entry_ways("thermal", islands, scan_order("thermal", islands))
+        entry_ways("thermal", islands, scan_order("thermal", islands, heat), heat)
         done = time.perf_counter()
-    what = f"a layer of {len(islands)} islands, {modes} modes"
+    what = f"a layer of {len(islands)} islands, {len(heat.modes.plane_rate)} modes"
     return [row(f"{what}: set-up", ready - began, SETUP_S), row(f"{what}: plan", done - ready, PLAN_S)]
 
 

@@ -52,8 +52,9 @@ def driven_by(islands, order, ways):
     """Start, end, travel, and the rises at all ends."""
     schedule = islands.known_schedule
     start, end, travel = clocked_by(order, schedule.entry, schedule.leave, schedule.time_s, RAPID, ways)
-    at = modes_at_entries(islands.heat, schedule)
-    return start, end, travel, rises_at_entries(islands.heat, at, order, start, end, ways)
+    heat = islands.cold_heat()
+    at = modes_at_entries(heat, schedule)
+    return start, end, travel, rises_at_entries(heat, at, order, start, end, ways)
 
 
 def entered_at(islands, order, ways):
@@ -77,7 +78,7 @@ def test_the_mean_over_many_ends_is_near_that_of_the_island(choices, order):
     schedule = choices.known_schedule
     ways = nearest_ways(order, schedule.entry, schedule.leave)
     start, end, _, rise_k = driven_by(choices, order, ways)
-    means_k, points_k = entry_points(choices.heat, schedule, order, start, end)
+    means_k, points_k = entry_points(choices.cold_heat(), schedule, order, start, end)
     at_entry = rise_k[np.arange(len(order)), ways]
     assert np.corrcoef(at_entry, points_k)[0, 1] > 0.9
     assert rise_k.mean() == pytest.approx(means_k.mean(), rel=0.1)
@@ -87,7 +88,7 @@ def test_the_mean_over_many_ends_is_near_that_of_the_island(choices, order):
 
 def test_a_field_of_one_mode_is_read_at_the_ends_by_its_own_shape(choices):
     # Nothing heats before the first island: it finds what the layer begins with, at the place of each end.
-    heat, schedule = choices.heat, choices.known_schedule
+    heat, schedule = choices.cold_heat(), choices.known_schedule
     start_k = heat.model.cold()
     start_k[1, 0] = 700.0
     warm = heat.__class__(**{**vars(heat), "start_k": start_k})
@@ -95,7 +96,7 @@ def test_a_field_of_one_mode_is_read_at_the_ends_by_its_own_shape(choices):
     zeros = np.zeros(len(choices), np.int64)
     start, end, _ = clocked_by(first, schedule.entry, schedule.leave, schedule.time_s, RAPID, zeros)
     rise_k = rises_at_entries(warm, modes_at_entries(warm, schedule), first, start, end, zeros)
-    exact = heat.model.plane.at(schedule.entry[0]) @ (start_k @ heat.in_layer)
+    exact = heat.model.plane.at(schedule.entry[0]) @ (start_k @ heat.modes.in_layer)
     assert np.ptp(exact) > 0.0
     assert rise_k[0] == pytest.approx(exact)
 
@@ -146,7 +147,7 @@ def test_thermal_enters_islands_at_cooler_ends_within_its_travel(choices, order)
     assert after_mm <= max(longest_travel_mm(choices), before_mm) + 1e-6
     assert high_mean(after_k) < 0.97 * high_mean(before_k)
     assert np.array_equal(
-        cool_ways(choices.heat, schedule, order, RAPID, longest_travel_mm(choices)), ways
+        cool_ways(choices.cold_heat(), schedule, order, RAPID, longest_travel_mm(choices)), ways
     ), "the same whenever it is asked"
 
 

@@ -135,7 +135,8 @@ def layer_in_half_space(age_s):
 
 def test_the_function_of_the_depth_is_that_of_a_half_space(choices):
     age = np.array([0.05, 0.2, 1.0, 4.0])
-    model = replace(choices.heat.model, medium=replace(choices.heat.model.medium, radiation_w_mm2k=0.0))
+    known = choices.cold_heat().model
+    model = replace(known, medium=replace(known.medium, radiation_w_mm2k=0.0))
     found = of_layer(exact_depth(model), model, age)
     assert found == pytest.approx(layer_in_half_space(age), rel=0.01)
     # The few waves of the plan do not carry it while it is fresh.
@@ -160,7 +161,8 @@ def test_the_share_in_sight_is_exact_on_borders_in_corners_and_in_walls(variance
 
 @pytest.mark.parametrize("since", [0.3, 1.0, 2.0])
 def test_the_entry_is_as_hot_as_an_integral_over_the_moving_beam(choices, since):
-    near, heat, schedule, lines = choices.heat.fresh, choices.heat, choices.known_schedule, choices.lines
+    heat, schedule, lines = choices.cold_heat(), choices.known_schedule, choices.lines
+    near = heat.fresh
     alpha, process = Medium.of(PROFILE).diffusivity_mm2_s, PROFILE.process
     middle = int(np.argmin(np.hypot(*(choices.centroid - [80.0, 55.0]).T)))
     pairs = choices.neighbours
@@ -184,7 +186,7 @@ def test_the_entry_is_as_hot_as_an_integral_over_the_moving_beam(choices, since)
     bead2 = 2.0 * (0.25 * process.bead_width_mm) ** 2 + float(near.pieces.variance.mean())
     hottest = 0.0
     for way in range(WAYS):
-        found = heat.source_k_s[beside] * entry_rise(near, middle, way, beside, 0, since, time_s)
+        found = heat.modes.source_k_s[beside] * entry_rise(near, middle, way, beside, 0, since, time_s)
         knots = since + time_s - edges[1:-1]
         exact, _ = quad(
             rise,
@@ -194,7 +196,7 @@ def test_the_entry_is_as_hot_as_an_integral_over_the_moving_beam(choices, since)
             points=knots[(knots > youngest) & (knots < oldest)],
             limit=200,
         )
-        exact *= heat.source_k_s[beside]
+        exact *= heat.modes.source_k_s[beside]
         hottest = max(hottest, exact)
         assert found == pytest.approx(exact, rel=0.1, abs=20.0)
     assert hottest > 100.0
@@ -202,14 +204,15 @@ def test_the_entry_is_as_hot_as_an_integral_over_the_moving_beam(choices, since)
 
 def test_nothing_passes_a_gap():
     apart = islands_of(shapely.union_all([shapely.box(0, 0, 60, 60), shapely.box(60.5, 0, 120.5, 60)]))
-    near = apart.heat.fresh
+    heat = apart.cold_heat()
+    near = heat.fresh
     island = np.repeat(np.arange(len(apart)), np.diff(near.first))
     across = (apart.centroid[island, 0] < 60.25) != (apart.centroid[near.other, 0] < 60.25)
     assert across.any()
     assert not near.exact[near.pair[across]].any()
     order = np.lexsort((apart.centroid[:, 1], apart.centroid[:, 0]))
     start, end, _ = times_of(apart, order)
-    _, points = entry_points(apart.heat, apart.known_schedule, order, start, end)
+    _, points = entry_points(heat, apart.known_schedule, order, start, end)
     first_beyond = order[np.searchsorted(apart.centroid[order, 0], 60.25)]
     assert abs(points[first_beyond]) < 5.0
 

@@ -56,7 +56,7 @@ def test_annealing_helps_or_leaves_it():
     keys = []
     for compared in (plain, long):
         islands = compared.islands
-        schedule, heat = islands.known_schedule, islands.heat
+        schedule, heat = islands.known_schedule, islands.cold_heat()
         order = scan_order("thermal", islands)
         start, end, _ = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
         entry, _ = entered(heat, order, start, end)
@@ -68,8 +68,10 @@ def test_annealing_helps_or_leaves_it():
 def test_the_table_of_influences_is_the_heat_model(base):
     config = PROFILE.changed(process={"base": base})
     choices = lay_islands(layer_section(PLATE), config, 0, 10.0).choices(config, 0)
-    schedule, heat = choices.known_schedule, choices.heat
-    before = np.random.default_rng(5).normal(size=heat.start_k.shape) * np.exp(-heat.plane_rate)[:, None]
+    schedule, heat = choices.known_schedule, choices.cold_heat()
+    before = (
+        np.random.default_rng(5).normal(size=heat.start_k.shape) * np.exp(-heat.modes.plane_rate)[:, None]
+    )
     heat = replace(heat, start_k=300.0 * before)
     order = np.random.default_rng(4).permutation(len(choices))
     start, end, travel = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
@@ -88,7 +90,7 @@ def test_the_table_of_influences_is_the_heat_model(base):
 def test_a_rise_of_the_table_is_that_of_two_islands_driven_alone(base):
     config = PROFILE.changed(process={"base": base})
     choices = lay_islands(layer_section(PLATE), config, 0, 10.0).choices(config, 0)
-    schedule, heat, count = choices.known_schedule, choices.heat, len(choices)
+    schedule, heat, count = choices.known_schedule, choices.cold_heat(), len(choices)
     horizon_s = heat.fresh.horizon_s
     table = influence(heat, schedule.time_s, 300.0)
     pairs = [*choices.neighbours[::9].tolist(), *np.random.default_rng(8).integers(0, count, (8, 2)).tolist()]
@@ -137,7 +139,7 @@ def test_moves_keep_every_island(kind):
 
 
 def test_annealing_keeps_to_the_travel_that_is_allowed(choices):
-    schedule, heat = choices.known_schedule, choices.heat
+    schedule, heat = choices.known_schedule, choices.cold_heat()
     order = greedy_order(heat, schedule, FREE, RAPID, 0, 1.0, 0.0)
     start, end, travel = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
     table = influence(heat, schedule.time_s, 2 * float(end.max()))
@@ -155,7 +157,7 @@ def test_annealing_keeps_to_the_travel_that_is_allowed(choices):
 
 
 def test_giving_moves_up_early_changes_nothing(choices):
-    schedule, heat, steps, price = choices.known_schedule, choices.heat, 300, 0.5
+    schedule, heat, steps, price = choices.known_schedule, choices.cold_heat(), 300, 0.5
     count, beside = len(choices), touching(choices.neighbours, len(choices))
     order = np.random.default_rng(2).permutation(count)
     *_, end, travel = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)

@@ -78,4 +78,4 @@ def order_pictures(
 def _at_end(heat: IslandHeat, plane: ContourModes, result: OrderResult) -> Floats:
     """Temperature rise in the cells of the section when an order is done, (M,)."""
     _, state = entered(heat, np.argsort(result.rank), result.start_s, result.end_s)
-    return np.asarray(plane.values @ (state @ heat.in_layer), np.float64)
+    return np.asarray(plane.values @ (state @ heat.modes.in_layer), np.float64)

@@ -90,31 +90,31 @@ def influence(heat: IslandHeat, time_s: Floats, longest_s: float) -> Influence:
     old_heat(heat, time_s, near.horizon_s, since, rise)
     slot = np.full((count, count), -1, np.int32)
     slot[np.repeat(np.arange(count), np.diff(near.first)), near.other] = np.arange(len(near.other))
-    excess_k = young_heat(near, heat.source_k_s, time_s, since[:YOUNG_NODES], rise)
+    excess_k = young_heat(near, heat.modes.source_k_s, time_s, since[:YOUNG_NODES], rise)
     per_root = spacing**-0.5 if spacing > 0.0 else 0.0
     return Influence(rise, per_root, FreshTable(near.horizon_s, slot, excess_k))
 
 
 def old_heat(heat: IslandHeat, time_s: Floats, horizon_s: float, since_s: Floats, rise: Table) -> None:
     """Write the rises :attr:`Influence.rise_k` by heat older than the horizon, at times (Q,) after the end of a source."""
-    depth_rate = np.maximum(heat.depth_rate, LEAST_RATE)
-    rate = np.add.outer(heat.plane_rate, depth_rate)
-    across = np.exp(-np.multiply.outer(heat.plane_rate, since_s))
+    depth_rate = np.maximum(heat.modes.depth_rate, LEAST_RATE)
+    rate = np.add.outer(heat.modes.plane_rate, depth_rate)
+    across = np.exp(-np.multiply.outer(heat.modes.plane_rate, since_s))
     through = np.exp(-np.multiply.outer(depth_rate, since_s))
-    mean, weight = np.asarray(heat.mean, np.float32), heat.in_layer**2 / rate
+    mean, weight = np.asarray(heat.modes.mean, np.float32), heat.modes.in_layer**2 / rate
     at_horizon = (weight * np.exp(-rate * horizon_s)).sum(axis=1)[:, None]
     # Of a source that ended less than a horizon ago only what it began with is old.
     young = slice(0, int(np.searchsorted(since_s, horizon_s)))
     old = slice(young.stop, None)
     of_mode = np.empty_like(across)
-    for j, (time, source) in enumerate(zip(time_s.tolist(), heat.source_k_s.tolist(), strict=True)):
+    for j, (time, source) in enumerate(zip(time_s.tolist(), heat.modes.source_k_s.tolist(), strict=True)):
         fallen = np.exp(-rate * time)
         of_mode[:, old] = across[:, old] * ((weight * (1.0 - fallen)) @ through[:, old])
         begun = at_horizon - across[:, young] * ((weight * fallen) @ through[:, young])
         of_mode[:, young] = np.where(since_s[young] + time > horizon_s, begun, 0.0)
-        scaled = of_mode * (source * heat.mean[:, j, None])
+        scaled = of_mode * (source * heat.modes.mean[:, j, None])
         rise[:, j] = mean.T @ scaled.astype(np.float32)
-    rise[:, len(time_s)] = heat.mean.T @ (across * ((heat.start_k * heat.in_layer) @ through))
+    rise[:, len(time_s)] = heat.modes.mean.T @ (across * ((heat.start_k * heat.modes.in_layer) @ through))
 
 
 @kernel

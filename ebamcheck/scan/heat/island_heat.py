@@ -46,14 +46,8 @@ class IslandHeat:
 
     Parameters
     ----------
-    mean
-        (K, I) means of the section's modes over the islands.
-    plane_rate, depth_rate
-        (K,) and (N,), whose sums are the decays of the amplitudes, 1/s.
-    in_layer
-        (N,) means of the depth's modes over the layer.
-    source_k_s
-        (I,) beam power on the island over the heat capacity of a volume, while it is scanned.
+    modes
+        What every kernel reads first: means over the islands, rates, sources.
     start_k
         (K, N) amplitudes when the layer begins.
     model
@@ -64,11 +58,7 @@ class IslandHeat:
         Young heat between islands that are near each other, which the modes lack; None: by the modes alone.
     """
 
-    mean: Floats
-    plane_rate: Floats
-    depth_rate: Floats
-    in_layer: Floats
-    source_k_s: Floats
+    modes: Modes
     start_k: Floats
     model: HeatModel
     complete: float
@@ -79,11 +69,6 @@ class IslandHeat:
         """What the modes lack, where it is known."""
         assert self.near is not None, "the fresh heat of this model was not set up: see with_fresh_heat"
         return self.near
-
-    @property
-    def modes(self) -> Modes:
-        """What every kernel reads first."""
-        return Modes(self.mean, self.plane_rate, self.depth_rate, self.in_layer, self.source_k_s)
 
 
 def island_heat(
@@ -124,11 +109,13 @@ def island_heat(
     on = np.divide(beam_s, time_s, out=np.zeros_like(beam_s), where=time_s > 0)
     power_w = process.power_w * config.material.absorptivity * on
     return IslandHeat(
-        mean=np.ascontiguousarray(plane.means(islands).T),
-        plane_rate=medium.diffusivity_mm2_s * plane.eigenvalue,
-        depth_rate=medium.diffusivity_mm2_s * depth.wave_number**2,
-        in_layer=model.in_layer,
-        source_k_s=np.asarray(power_w / medium.heat_capacity_j_mm3k, np.float64),
+        modes=Modes(
+            mean=np.ascontiguousarray(plane.means(islands).T),
+            plane_rate=medium.diffusivity_mm2_s * plane.eigenvalue,
+            depth_rate=medium.diffusivity_mm2_s * depth.wave_number**2,
+            in_layer=model.in_layer,
+            source_k_s=np.asarray(power_w / medium.heat_capacity_j_mm3k, np.float64),
+        ),
         start_k=model.cold(),
         model=model,
         complete=min(

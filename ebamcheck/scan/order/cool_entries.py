@@ -68,7 +68,7 @@ def cool_ways(
     least_k, every = np.inf, np.arange(len(order))
     for n in range(ROUNDS + 1):
         start_s, end_s, _ = clocked_by(*columns, ways)
-        rise_k = old_k + young_at_entries(heat.fresh, heat.source_k_s, order, start_s, end_s, ways)
+        rise_k = old_k + young_at_entries(heat.fresh, heat.modes.source_k_s, order, start_s, end_s, ways)
         found_k = high_mean(rise_k[every, ways])
         if found_k < least_k * (1.0 - TIE):
             best, least_k = ways, found_k
@@ -97,7 +97,7 @@ def rises_at_entries(
     ways
         (I,) ways by which the islands are driven.
     """
-    young_k = young_at_entries(heat.fresh, heat.source_k_s, order, start_s, end_s, ways)
+    young_k = young_at_entries(heat.fresh, heat.modes.source_k_s, order, start_s, end_s, ways)
     return np.asarray(_old_k(heat, at, order, start_s, end_s) + young_k, np.float64)
 
 

@@ -81,7 +81,7 @@ def _young_k(
 ) -> tuple[Floats, Floats]:
     """What younger heat adds, (I,) K: to the means of islands, and to the places where they are entered by a way."""
     ways = np.zeros(len(timetable.start_s), np.int64) if way is None else way
-    return freshly_heated(near, heat.source_k_s, timetable, ways)
+    return freshly_heated(near, heat.modes.source_k_s, timetable, ways)
 
 
 @kernel

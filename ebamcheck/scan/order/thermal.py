@@ -95,7 +95,7 @@ def thermal_order(
         latest_s = float(schedule.time_s.sum() + (count - 1) * ways.jump_mm.max() / rapid_mm_s)
         table = influence(heat, schedule.time_s, latest_s)
         return best_of_all(Layer(table, ways, beside, schedule.time_s, rapid_mm_s), longest_mm)
-    tries = _tries(count, len(heat.plane_rate))
+    tries = _tries(count, len(heat.modes.plane_rate))
 
     def plans(start: int, stop: int) -> list[tuple[Ints, Rank]]:
         done = []
@@ -147,11 +147,11 @@ def better(rank: Rank, than: Rank) -> bool:
 def own_rise(heat: IslandHeat, schedule: IslandSchedule) -> Floats:
     """Mean temperature rise of each island by its own heat when the beam leaves it, (I,) K."""
     rise = np.zeros(len(schedule))
-    for n, wave in enumerate(heat.in_layer):
-        decay_s = heat.plane_rate[:, None] + heat.depth_rate[n]
+    for n, wave in enumerate(heat.modes.in_layer):
+        decay_s = heat.modes.plane_rate[:, None] + heat.modes.depth_rate[n]
         held = -np.expm1(-decay_s * schedule.time_s) / np.where(decay_s > 0.0, decay_s, 1.0)
         held = np.where(decay_s > 0.0, held, schedule.time_s)
-        rise += wave**2 * heat.source_k_s * (heat.mean**2 * held).sum(axis=0)
+        rise += wave**2 * heat.modes.source_k_s * (heat.modes.mean**2 * held).sum(axis=0)
     return rise
 
 
@@ -183,7 +183,9 @@ def greedy_order(
     layer = _Layer(
         heat.modes, heat.fresh, beside, schedule.entry, schedule.leave, schedule.time_s, rapid_mm_s
     )
-    return coolest_first(layer, _Prices(price_k_mm, start_k), first, heat.mean.copy(), heat.start_k.copy())
+    return coolest_first(
+        layer, _Prices(price_k_mm, start_k), first, heat.modes.mean.copy(), heat.start_k.copy()
+    )
 
 
 class _Layer(NamedTuple):

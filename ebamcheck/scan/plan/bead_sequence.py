@@ -16,8 +16,8 @@ import shapely
 from ebamcheck.heat import HeatModel
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.filling.turns import follows, turns_and_jumps_mm
+from ebamcheck.scan.heat.island_heat import IslandHeat
 from ebamcheck.scan.heat.part_heat import Beads, uneven
-from ebamcheck.scan.order.orders import LayerIslands
 from ebamcheck.scan.order.path import in_sequence
 from ebamcheck.scan.plan.laying import LaidLayer
 from ebamcheck.settings.config import Config
@@ -31,11 +31,15 @@ NEAR_SPACINGS = 2.0
 program has it."""
 
 
-def bead_sequence(laid: LaidLayer, islands: LayerIslands, order: Ints, ways: Ints) -> tuple[Beads, float]:
+def bead_sequence(
+    laid: LaidLayer, config: Config, heat: IslandHeat | None, order: Ints, ways: Ints
+) -> tuple[Beads, float]:
     """Put contours and islands in sequence, as the program drives them.
 
     Parameters
     ----------
+    heat
+        Heat model of the islands, whose modes the beads are read in; None where there are none.
     order
         Islands in scan order; without any, the contours alone are taken.
     ways
@@ -46,18 +50,17 @@ def bead_sequence(laid: LaidLayer, islands: LayerIslands, order: Ints, ways: Int
     beads, travel_mm
         And the jumps between islands.
     """
-    config = islands.config
     speed, rapid = config.process.travel_speed_mm_s, config.machine.rapid_mm_s
     rings = _rings(laid)
     count = np.array([_pieces(ring.length, config) for ring in rings], np.int64)
     ring_mm = np.array([ring.length for ring in rings])
     ring_mm += np.minimum(config.process.overlap_mm, ring_mm)
-    model = islands.cold_heat.model if len(islands) else None
+    model = None if heat is None else heat.model
     path = _island_path(laid, order, ways, config)
     columns, times = [_along(rings, count, model)], [np.repeat(ring_mm / speed / np.maximum(count, 1), count)]
     shares = [np.repeat(mean_power(ring_mm, config.process), count)]
-    if len(order):
-        columns.append(uneven(islands.cold_heat.mean[:, path.island], islands.cold_heat.model))
+    if heat is not None and len(order):
+        columns.append(uneven(heat.modes.mean[:, path.island], heat.model))
         times.append(path.bead_mm / speed)
         shares.append(mean_power(path.bead_mm, config.process))
     move_mm = np.concatenate([_to_rings(rings, path.start), np.hypot(*(path.start[1:] - path.end[:-1]).T)])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.heat.island_heat import IslandHeat, island_heat
 from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.scan.order.cool_entries import modes_at_entries, rises_at_entries
-from ebamcheck.scan.order.orders import ORDERS, LayerIslands, entry_ways, scan_order
+from ebamcheck.scan.order.orders import ORDERS, LayerIslands, entry_ways, needs_heat, scan_order
 from ebamcheck.scan.order.simulation import entry_temperatures, nearest_ways
 from ebamcheck.scan.order.touching import touching, touching_successors
 from ebamcheck.scan.plan.columns import ScanPlan
@@ -141,7 +142,7 @@ def figures_of(name: str, results: Iterable[OrderResult]) -> dict[str, Any]:
 
 @dataclass(frozen=True, eq=False)
 class OrderComparison:
-    """A layer on which orders are compared: islands and heat model are set up once."""
+    """A layer on which orders are compared: islands and heat models are set up once."""
 
     laid: LaidLayer
     islands: LayerIslands
@@ -165,6 +166,11 @@ class OrderComparison:
             heat = islands.with_fresh_heat(modes)
         return cls(laid, islands, heat, config)
 
+    @cached_property
+    def planning_heat(self) -> IslandHeat:
+        """Heat model that orders plan by, on a cold part; `heat`, on which they are driven, is finer."""
+        return self.islands.cold_heat()
+
     def results(self, name: str, seeds: int) -> Iterator[OrderResult]:
         """Plan one order and drive it, one after the other: `random` for several seeds, others for that of the settings."""
         tried = range(seeds) if name == RANDOM else (self.config.scan.seed,)
@@ -175,8 +181,9 @@ class OrderComparison:
     def result(self, name: str, seed: int) -> OrderResult:
         """Plan one order and drive it."""
         islands = self.islands if seed == self.islands.seed else self.laid.choices(self.config, seed)
-        order = scan_order(name, islands)
-        ways = entry_ways(name, islands, order)
+        known = self.planning_heat if needs_heat(name) and len(islands) > 1 else None
+        order = scan_order(name, islands, known)
+        ways = entry_ways(name, islands, order, known)
         plan = stack_plans([in_order(OrderedLayer(self.laid, islands, order, ways))], self.config, name, seed)
         simulated = simulate_order(plan, self.config)
         count = len(order)

@@ -20,8 +20,9 @@ from ebamcheck.heat.one_blas_thread import one_blas_thread
 from ebamcheck.numeric.kernels import run_blocks, thread_count
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.heat.interpass import LayerJob, SimulatedLayer, cooled_layer
+from ebamcheck.scan.heat.island_heat import IslandHeat
 from ebamcheck.scan.heat.part_heat import Beads, PartHeat
-from ebamcheck.scan.order.orders import LayerIslands, Order, entry_ways, scan_order
+from ebamcheck.scan.order.orders import LayerIslands, Order, entry_ways, needs_heat, scan_order
 from ebamcheck.scan.plan.bead_sequence import bead_sequence
 from ebamcheck.scan.plan.laying import LaidLayer, lay_islands
 from ebamcheck.settings.config import Config
@@ -73,8 +74,16 @@ class LayerHeat:
 
 
 @dataclass(frozen=True, eq=False)
+class ReadyIslands:
+    """Islands of a layer, and their heat model as it begins on a cold part; None where there are none."""
+
+    islands: LayerIslands
+    cold: IslandHeat | None
+
+
+@dataclass(frozen=True, eq=False)
 class OrderedLayer:
-    """A layer, what its order knew of it, the order (I,), the way (I,) by which each island is entered (see
+    """A layer, what its order knew of its islands, the order (I,), the way (I,) by which each island is entered (see
     :func:`~ebamcheck.scan.order.path.in_sequence`), and its heat where it was simulated."""
 
     laid: LaidLayer
@@ -136,9 +145,9 @@ def ordered_layers(
         yield from _prepared(stack, lambda k: _cold(stack, k, config, order, seed))
         return
     part, last = PartHeat(HeatColumn(config)), None
-    for k, (laid, islands) in enumerate(_prepared(stack, lambda k: laid_layer(stack, k, config, seed))):
+    for k, (laid, ready) in enumerate(_prepared(stack, lambda k: laid_layer(stack, k, config, seed))):
         done, part, last = ordered_on(
-            part, last, laid, islands, stack.thickness_mm(k, config), config, order, carry, last is None
+            part, last, laid, ready, stack.thickness_mm(k, config), config, order, carry, last is None
         )
         yield done
 
@@ -147,7 +156,7 @@ def ordered_on(
     part: PartHeat,
     last: SimulatedLayer | None,
     laid: LaidLayer,
-    islands: LayerIslands,
+    ready: ReadyIslands,
     thickness_mm: float,
     config: Config,
     order: str | Order,
@@ -172,19 +181,20 @@ def ordered_on(
     tuple
         The layer; and the heat of the part when it is done, and how it was simulated: those before where it has no metal.
     """
+    islands, cold = ready.islands, ready.cold
     with one_blas_thread():
-        part = part.under(islands.cold_heat.model if len(islands) else None)
+        part = part.under(None if cold is None else cold.model)
         shape = LayerShape.of(islands.section, thickness_mm)
-        known = _knowing(islands, laid, part, last, config) if carry else islands
-        found = scan_order(order, known)
-        ways = entry_ways(order, known, found)
+        begins = None if cold is None else _warmed(cold, islands, laid, part, last) if carry else cold
+        found = scan_order(order, islands, begins)
+        ways = entry_ways(order, islands, found, begins)
         if islands.section.area <= 0.0:
-            return OrderedLayer(laid, known, found, ways), part, last
-        beads, travel_mm = bead_sequence(laid, islands, found, ways)
+            return OrderedLayer(laid, islands, found, ways), part, last
+        beads, travel_mm = bead_sequence(laid, config, cold, found, ways)
         guess = 0.0 if last is None else last.power_share
         done = cooled_layer(LayerJob(beads, shape, islands.height_mm, lowest), part, config, guess)
     return (
-        OrderedLayer(laid, known, found, ways, _figures(done, travel_mm, beads, len(found), config)),
+        OrderedLayer(laid, islands, found, ways, _figures(done, travel_mm, beads, len(found), config)),
         done.after,
         done,
     )
@@ -250,42 +260,35 @@ def _cold(stack: Stack, k: int, config: Config, order: str | Order, seed: int) -
     """Divide one layer into islands and put them in order as on a cold part."""
     laid = lay_islands(stack.sections[k], config, stack.numbers[k], float(stack.heights_mm[k]))
     islands = laid.choices(config, seed, stack.plate_mm)
-    found = scan_order(order, islands)
-    return OrderedLayer(laid, islands, found, entry_ways(order, islands, found))
+    heat = islands.cold_heat() if needs_heat(order) and len(islands) > 1 else None
+    found = scan_order(order, islands, heat)
+    return OrderedLayer(laid, islands, found, entry_ways(order, islands, found, heat))
 
 
 @one_blas_thread()
-def laid_layer(stack: Stack, k: int, config: Config, seed: int) -> tuple[LaidLayer, LayerIslands]:
+def laid_layer(stack: Stack, k: int, config: Config, seed: int) -> tuple[LaidLayer, ReadyIslands]:
     """Divide one layer into islands, and set up its heat model."""
     laid = lay_islands(stack.sections[k], config, stack.numbers[k], float(stack.heights_mm[k]))
     islands = laid.choices(config, seed, stack.plate_mm)
-    if len(islands):
-        _ = islands.cold_heat
-    return laid, islands
+    return laid, ReadyIslands(islands, islands.cold_heat() if len(islands) else None)
 
 
-def _knowing(
-    islands: LayerIslands, laid: LaidLayer, part: PartHeat, last: SimulatedLayer | None, config: Config
-) -> LayerIslands:
-    """Let an order know the heat with which the islands of a layer begin: its contours are laid.
+def _warmed(
+    cold: IslandHeat, islands: LayerIslands, laid: LaidLayer, part: PartHeat, last: SimulatedLayer | None
+) -> IslandHeat:
+    """Heat with which the islands of a layer begin: its contours are laid on what the part has left.
 
     Power and wait are those of the layer below, since those of this one depend on its order.
     """
-    if not len(islands):
-        return islands
-    ahead = part.copy()
+    config, ahead = islands.config, part.copy()
     share, wait_s = (1.0, 0.0) if last is None else (last.power_share, last.wait_s)
     ahead.rest(wait_s)
-    beads, _ = bead_sequence(laid, islands, np.zeros(0, np.int64), np.zeros(0, np.int64))
+    beads, _ = bead_sequence(laid, config, cold, np.zeros(0, np.int64), np.zeros(0, np.int64))
     ahead.column.lay(LayerShape.of(islands.section, config.layer_height_mm))
     for ring in range(len(beads)):
         ahead.rest(float(beads.move_s[ring]))
         ahead.lay_bead(beads, ring, share * config.process.power_w * config.material.absorptivity)
-    begins = ahead.amplitudes()
-    after = replace(islands, before=lambda _: begins)
-    # The modes are found already; only the beginning is another one.
-    vars(after)["cold_heat"] = islands.cold_heat
-    return after
+    return replace(cold, start_k=ahead.amplitudes())
 
 
 def _figures(done: SimulatedLayer, travel_mm: float, beads: Beads, islands: int, config: Config) -> LayerHeat:
