@@ -173,20 +173,6 @@ def numbers(text: str, option: str) -> tuple[float, ...]:
         raise SettingsError(f"{option} {text!r}: give numbers, separated by commas") from None
 
 
-def assignments(assignments: list[str]) -> dict[str, Any]:
-    """Settings given as NAME=VALUE; values are JSON where they can be, else text."""
-    values: dict[str, Any] = {}
-    for assignment in assignments:
-        name, equals, value = assignment.partition("=")
-        if not equals:
-            raise SettingsError(f"--set {assignment!r}: write it as NAME=VALUE")
-        try:
-            values[name.strip()] = json.loads(value)
-        except json.JSONDecodeError:
-            values[name.strip()] = value
-    return values
-
-
 def print_json(value: Any) -> None:
     """Print a value as JSON with sorted keys."""
     from ebamcheck.json_values import plain
