@@ -67,6 +67,12 @@ class Layers:
         (L,) rings without area that were left out of each layer.
     mesh
         The part itself, where the layers were cut from one in this process; files do not hold it.
+
+    Examples
+    --------
+    >>> layers = from_rings([0.5, 1.5], [[[(0, 0), (2, 0), (2, 2), (0, 2)]], []])
+    >>> len(layers), layers.areas().tolist(), layers.ring(0).shape
+    (2, [4.0, 0.0], (4, 2))
     """
 
     heights: Floats

@@ -32,7 +32,27 @@ from ebamcheck.showing import short_text
 
 
 class Config(Section):
-    """All settings of a run."""
+    """All settings of a run.
+
+    Parameters
+    ----------
+    **sections
+        Sections by name, each a mapping of its keys; lengths are in mm, times in s, and other units stand in the names.
+        What is left out is as by default. :meth:`changed` makes others of them, :func:`load_config` reads a file.
+
+    Raises
+    ------
+    pydantic.ValidationError
+        If a key is unknown or a value out of range; :meth:`changed` and :func:`load_config` raise :class:`SettingsError`.
+
+    Examples
+    --------
+    >>> config = Config(layers={"layer_height_mm": 2.0})
+    >>> config, config.layer_height_mm
+    (<Config: layers.layer_height_mm = 2.0>, 2.0)
+    >>> config.changed(scan={"order": "raster"}).scan.order
+    'raster'
+    """
 
     part: PartSettings = PartSettings()
     layers: LayerSettings = LayerSettings()
@@ -115,11 +135,30 @@ class Config(Section):
 def load_config(path: str | Path | None = None) -> Config:
     """Read settings from a TOML file; without one, the defaults.
 
+    Parameters
+    ----------
+    path
+        The file; of a ``pyproject.toml`` its table ``tool.ebamcheck`` counts. None: no file.
+
+    Returns
+    -------
+    Config
+        All settings, checked.
+
     Raises
     ------
     SettingsError
         If the file is missing, is not TOML, or a key is unknown or a value out of range; the message
         names the key and the value.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "ebamcheck.toml"
+    ...     _ = file.write_text("[layers]\\nlayer_height_mm = 2.0")
+    ...     load_config(file)
+    <Config: layers.layer_height_mm = 2.0>
     """
     if path is None:
         return Config()

@@ -126,6 +126,20 @@ def compare_orders(
     -------
     DataFrame
         One row an order, columns as in :data:`FIGURES`; temperatures are NaN for a layer without islands.
+
+    Raises
+    ------
+    SettingsError
+        If an order is unknown, or there is no seed.
+    GeometryError
+        If a coordinate is not finite.
+
+    Examples
+    --------
+    >>> import shapely
+    >>> table = compare_orders(shapely.box(0, 0, 80, 60), orders=["raster", "thermal"]).set_index("order")
+    >>> bool(table["entry_max_k"]["thermal"] < table["entry_max_k"]["raster"])
+    True
     """
     config = config or Config()
     compared = OrderComparison.of(polygons, config, layer, height_mm)

@@ -42,6 +42,11 @@ def plan_scan(
     height_mm
         Its height over the base plate.
 
+    Returns
+    -------
+    ScanPlan
+        Islands, their order, hatch lines in mm, and metrics, as of a stack of one layer.
+
     Raises
     ------
     SettingsError
