@@ -10,14 +10,22 @@ import argparse
 import sys
 import time
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import shapely
 
 from benchmarks.machine import machine
-from benchmarks.scan_orders import BUILD_SIZE, DEFAULT_OUTPUT, LEAST_ISLANDS, MODELS, layers, markdown
+from benchmarks.scan_orders import (
+    BUILD_SIZE,
+    DEFAULT_OUTPUT,
+    LEAST_ISLANDS,
+    MODELS,
+    Ratio,
+    layers,
+    markdown,
+)
 from ebamcheck.judge import LayerCase, judge_layer
 from ebamcheck.scan.plan.comparing import OrderComparison
 from ebamcheck.settings.config import Config
@@ -32,15 +40,6 @@ plate the sum of all rises differs by 1.4 % from that over 64."""
 
 PLATES = ((90.0, 60.0, 12.0), (150.0, 80.0, 12.0), (150.0, 80.0, 60.0))
 """Sides and heights, mm, of plates on which the body of 3DThesis is that of our model: mirrors on all sides but the top."""
-
-
-class Ratio(NamedTuple):
-    """A greatest figure of `thermal` over that of another order; a target where the issue of orders sets one."""
-
-    what: str
-    figure: str
-    other: str
-    most: float | None = None
 
 
 RATIOS = (

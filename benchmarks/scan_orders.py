@@ -68,7 +68,7 @@ FIGURES = (
 
 
 class Ratio(NamedTuple):
-    """A figure of `thermal` over that of another order."""
+    """A greatest figure of `thermal` over that of another order; a target where the issue of orders sets one."""
 
     what: str
     figure: str

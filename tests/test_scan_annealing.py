@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import shapely
+from islands_of_a_plate import FREE, PLATE, PROFILE, RAPID, laid_plate
 
 from ebamcheck.scan.heat.influence import influence, looked_up
 from ebamcheck.scan.islands.regions import layer_section
@@ -29,24 +29,11 @@ from ebamcheck.scan.order.thermal import greedy_order
 from ebamcheck.scan.order.touching import touching, touching_successors
 from ebamcheck.scan.plan.comparing import OrderComparison
 from ebamcheck.scan.plan.laying import lay_islands
-from ebamcheck.settings.config import Config
-
-PROFILE = Config()
-RAPID = PROFILE.machine.rapid_mm_s
-FREE = touching(np.zeros((0, 2), np.int64), 1000)
-"""No island touches another: none is kept from following any."""
-
-PLATE = shapely.box(0, 0, 160, 110).difference(shapely.Point(95, 60).buffer(22, 32))
 
 
 @pytest.fixture(scope="module")
-def laid():
-    return lay_islands(layer_section(PLATE), PROFILE, 0, 10.0)
-
-
-@pytest.fixture(scope="module")
-def choices(laid):
-    return laid.choices(PROFILE, 0)
+def choices():
+    return laid_plate().choices(PROFILE, 0)
 
 
 def test_annealing_helps_or_leaves_it():

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import shapely
 from fake_distribution import found_here, install
+from islands_of_a_plate import FREE, PLATE, PROFILE, RAPID, laid_plate
 from threadpoolctl import threadpool_info
 
 import ebamcheck
@@ -24,23 +25,14 @@ from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.scan.order.orders import scan_order
 from ebamcheck.scan.order.simulation import clocked, entered, entry_points, entry_temperatures
 from ebamcheck.scan.order.thermal import greedy_order, own_rise
-from ebamcheck.scan.order.touching import touching
 from ebamcheck.scan.plan.comparing import COMPARED, FIGURES
 from ebamcheck.scan.plan.laying import lay_islands
-from ebamcheck.settings.config import Config
 from ebamcheck.settings.scan import SCAN_ORDERS
-
-PROFILE = Config()
-RAPID = PROFILE.machine.rapid_mm_s
-FREE = touching(np.zeros((0, 2), np.int64), 1000)
-"""No island touches another: none is kept from following any."""
-
-PLATE = shapely.box(0, 0, 160, 110).difference(shapely.Point(95, 60).buffer(22, 32))
 
 
 @pytest.fixture(scope="module")
 def laid():
-    return lay_islands(layer_section(PLATE), PROFILE, 0, 10.0)
+    return laid_plate()
 
 
 @pytest.fixture(scope="module")
