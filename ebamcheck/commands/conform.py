@@ -1,4 +1,4 @@
-"""The command ``ebamcheck conform``."""
+"""``ebamcheck conform``: the conformance kit for slicers and controls."""
 
 from __future__ import annotations
 

@@ -44,7 +44,8 @@ RotateOption = Annotated[
     float | None, typer.Option(help="Turn about the vertical, degrees, counter-clockwise from above.")
 ]
 YesOption = Annotated[
-    bool, typer.Option("--yes", help="Go on where the job is more work than the settings allow (work.*).")
+    bool,
+    typer.Option("--yes", help="Run the job even where it is more work than the settings allow (work.*)."),
 ]
 LayerHeightOption = Annotated[
     float | None, typer.Option(help="Layer height, mm; default: that of one bead of the process.")
@@ -65,7 +66,10 @@ FixOption = Annotated[
 ResumeOption = Annotated[bool, typer.Option("--resume", help="Go on with a killed job of the same input.")]
 ForceOption = Annotated[
     bool,
-    typer.Option("--force", help="Run although OUTPUT holds a finished run; that is kept under its date."),
+    typer.Option(
+        "--force",
+        help="Run even where OUTPUT holds a finished run; that one is moved to a name with its date.",
+    ),
 ]
 
 

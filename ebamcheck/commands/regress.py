@@ -1,4 +1,4 @@
-"""``ebamcheck regress``."""
+"""``ebamcheck regress``: how far every slicer is from the truth, held against the baselines."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Values that a user gave become settings in one way, and what is wrong with one is told in one form.
+"""Checks of the values that a user gives: one way from texts and tables to settings, and one form of message.
 
 A message reads ``WHERE: KEY: what it takes (given VALUE); which keys there are``, whether the value came from a settings
 file, a plate, a table of tolerances, the command line or the arguments of a function.

@@ -130,7 +130,7 @@ def slice_to_file(
     block_points
         Points of an exact contour that are in memory at a time.
     pool
-        Workers that were started ahead.
+        Workers that were spawned early, to hide the time of their imports.
     **settings
         The backend's own settings.
 

@@ -54,7 +54,7 @@ FIGURES = {
 
 @dataclass(frozen=True, eq=False)
 class OrderResult:
-    """One order driven on a layer.
+    """One order simulated on a layer.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def compare_orders(
     layer: int = 0,
     height_mm: float = 0.0,
 ) -> pd.DataFrame:
-    """Plan a layer in several orders and drive each on the heat model.
+    """Plan a layer in several orders and simulate each on the heat model.
 
     The simulation resolves waves as short as an island, of which a plan knows only those that last.
 
@@ -182,18 +182,18 @@ class OrderComparison:
 
     @cached_property
     def planning_heat(self) -> IslandHeat:
-        """Heat model that orders plan by, on a cold part; `heat`, on which they are driven, is finer."""
+        """Heat model that orders plan by, on a cold part; `heat`, on which they are simulated, is finer."""
         return self.islands.cold_heat()
 
     def results(self, name: str, seeds: int) -> Iterator[OrderResult]:
-        """Plan one order and drive it, one after the other: `random` for several seeds, others for that of the settings."""
+        """Plan one order and simulate it, one after the other: `random` for several seeds, others for that of the settings."""
         tried = range(seeds) if name == RANDOM else (self.config.scan.seed,)
         if not len(tried):
             raise SettingsError(f"seeds {seeds}: give at least 1 for the order {RANDOM!r}")
         return (self.result(name, seed) for seed in tried)
 
     def result(self, name: str, seed: int) -> OrderResult:
-        """Plan one order and drive it."""
+        """Plan one order and simulate it."""
         islands = self.islands if seed == self.islands.seed else self.laid.choices(self.config, seed)
         known = self.planning_heat if needs_heat(name) and len(islands) > 1 else None
         order = scan_order(name, islands, known)

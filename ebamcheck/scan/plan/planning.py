@@ -80,7 +80,7 @@ def plan_stack(
     """Plan a stack of layers, each as :func:`plan_scan` does, on all threads.
 
     An order that asks the heat model begins each layer with the heat that those under it have left, unless
-    `scan.carry_heat` is off. Whatever the order, each layer is driven with that heat for its power and waits, unless
+    `scan.carry_heat` is off. Whatever the order, each layer is simulated with that heat for its power and waits, unless
     `process.interpass` is off.
 
     Parameters

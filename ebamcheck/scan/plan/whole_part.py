@@ -134,7 +134,7 @@ def ordered_layers(
     carry
         Let each order know the heat that is left below; else it is that of a cold part.
     simulated
-        Drive each layer on the heat model, and find its waits and power. Always done where heat is carried.
+        Simulate each layer on the heat model, and find its waits and power. Always done where heat is carried.
 
     Yields
     ------
