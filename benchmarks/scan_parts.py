@@ -23,7 +23,7 @@ from ebamcheck.numeric.rings import Ints
 from ebamcheck.plugins.model import models
 from ebamcheck.scan import LayerIslands, ScanPlan, plan_stack
 from ebamcheck.scan.islands.regions import layer_section
-from ebamcheck.scan.order.orders import entry_ways, scan_order
+from ebamcheck.scan.order.orders import chosen_options, scan_order
 from ebamcheck.scan.plan.laying import lay_islands
 from ebamcheck.scan.plan.whole_part import scan_part
 from ebamcheck.settings.config import Config
@@ -51,7 +51,7 @@ def layer_rows() -> list[dict[str, Any]]:
         began = time.perf_counter()
         heat = islands.cold_heat()
         ready = time.perf_counter()
-        entry_ways("thermal", islands, scan_order("thermal", islands, heat), heat)
+        chosen_options("thermal", islands, scan_order("thermal", islands, heat), heat)
         done = time.perf_counter()
     what = f"a layer of {len(islands)} islands, {len(heat.modes.plane_rate)} modes"
     return [row(f"{what}: set-up", ready - began, SETUP_S), row(f"{what}: plan", done - ready, PLAN_S)]

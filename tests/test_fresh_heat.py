@@ -20,7 +20,7 @@ from ebamcheck.scan.filling.hatch import Vectors
 from ebamcheck.scan.heat import island_heat
 from ebamcheck.scan.heat.enclosed import enclosed_share
 from ebamcheck.scan.heat.near_field import entry_rise, exact_depth, of_layer
-from ebamcheck.scan.heat.pieces import WAYS, island_tiles, line_pieces
+from ebamcheck.scan.heat.pieces import OPTIONS, island_tiles, line_pieces
 from ebamcheck.scan.order.simulation import entry_points
 
 
@@ -34,15 +34,15 @@ def test_pieces_hold_all_heat_and_follow_the_way(choices):
     pieces = line_pieces(lines, choices.centroid, choices.area_mm2, 4.0)
     starts = pieces.first[:-1]
     assert np.add.reduceat(pieces.share, starts) == pytest.approx(1.0)
-    for way in range(WAYS):
+    for option in range(OPTIONS):
         # The middle of the heat comes half-way through the island's time.
-        assert np.add.reduceat(pieces.share * pieces.passed[way], starts) == pytest.approx(0.5)
+        assert np.add.reduceat(pieces.share * pieces.passed[option], starts) == pytest.approx(0.5)
         for island in range(len(choices)):
             own = slice(pieces.first[island], pieces.first[island + 1])
-            soonest = pieces.place[own][np.argmin(pieces.passed[way, own])]
-            latest = pieces.place[own][np.argmax(pieces.passed[way, own])]
-            assert np.hypot(*(soonest - schedule.entry[island, way])) <= 2.0 + 1e-9
-            assert np.hypot(*(latest - schedule.leave[island, way])) <= 2.0 + 1e-9
+            soonest = pieces.place[own][np.argmin(pieces.passed[option, own])]
+            latest = pieces.place[own][np.argmax(pieces.passed[option, own])]
+            assert np.hypot(*(soonest - schedule.entry[island, option])) <= 2.0 + 1e-9
+            assert np.hypot(*(latest - schedule.leave[island, option])) <= 2.0 + 1e-9
 
 
 def test_an_island_without_lines_is_one_piece_at_its_centroid():
@@ -185,14 +185,14 @@ def test_the_entry_is_as_hot_as_an_integral_over_the_moving_beam(choices, since)
     youngest, oldest = since, min(since + time_s, near.horizon_s)
     bead2 = 2.0 * (0.25 * process.bead_width_mm) ** 2 + float(near.pieces.variance.mean())
     hottest = 0.0
-    for way in range(WAYS):
-        found = heat.modes.source_k_s[beside] * entry_rise(near, middle, way, beside, 0, since, time_s)
+    for option in range(OPTIONS):
+        found = heat.modes.source_k_s[beside] * entry_rise(near, middle, option, beside, 0, since, time_s)
         knots = since + time_s - edges[1:-1]
         exact, _ = quad(
             rise,
             youngest,
             oldest,
-            (schedule.entry[middle, way], bead2),
+            (schedule.entry[middle, option], bead2),
             points=knots[(knots > youngest) & (knots < oldest)],
             limit=200,
         )

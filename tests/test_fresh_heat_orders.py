@@ -18,7 +18,7 @@ from ebamcheck.scan.order.all_orders import MOST_LISTED, best_of_all
 from ebamcheck.scan.order.annealing import Layer, high_mean
 from ebamcheck.scan.order.entry_options import entry_options
 from ebamcheck.scan.order.orders import scan_order
-from ebamcheck.scan.order.simulation import entered, entry_points, nearest_ways
+from ebamcheck.scan.order.simulation import entered, entry_points, nearest_options
 from ebamcheck.scan.order.thermal import ranked
 from ebamcheck.scan.order.touching import touching, touching_successors
 
@@ -132,13 +132,13 @@ def test_all_orders_of_five_islands_hold_none_better():
     )
     count, schedule, heat = len(islands), islands.known_schedule, islands.cold_heat()
     assert 5 <= count <= 6
-    beside, ways = touching(islands.neighbours, count), entry_options(schedule)
-    longest_s = float(schedule.time_s.sum() + count * ways.jump_mm.max() / RAPID)
+    beside, options = touching(islands.neighbours, count), entry_options(schedule)
+    longest_s = float(schedule.time_s.sum() + count * options.jump_mm.max() / RAPID)
     table = influence(heat, schedule.time_s, longest_s)
     every = [np.array(order) for order in itertools.permutations(range(count))]
     shortest = min(times_of(islands, order)[2] for order in every)
     for longest_mm in (0.5 * shortest, 1.2 * shortest, 1e9):
-        found = best_of_all(Layer(table, ways, beside, schedule.time_s, RAPID), longest_mm)
+        found = best_of_all(Layer(table, options, beside, schedule.time_s, RAPID), longest_mm)
         ranks = [ranked(heat, schedule, beside, RAPID, order, longest_mm) for order in every]
         fewest = min(rank[0] for rank in ranks)
         ranks = [rank for rank in ranks if rank[0] == fewest]
@@ -171,11 +171,11 @@ def test_small_layers_take_the_best_of_all_orders():
             assert best[1] < other[1] - 1e-6 or best[2] <= 1.02 * other[2]
 
 
-def test_ways_are_those_that_are_clocked(choices):
+def test_options_are_those_that_are_clocked(choices):
     schedule, order = choices.known_schedule, scan_order("farthest", choices)
-    way = nearest_ways(order, schedule.entry, schedule.leave)
+    option = nearest_options(order, schedule.entry, schedule.leave)
     gone = np.hypot(
-        *(schedule.entry[order[1:], way[order[1:]]] - schedule.leave[order[:-1], way[order[:-1]]]).T
+        *(schedule.entry[order[1:], option[order[1:]]] - schedule.leave[order[:-1], option[order[:-1]]]).T
     ).sum()
     assert gone == pytest.approx(times_of(choices, order)[2])
 

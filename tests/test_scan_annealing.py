@@ -63,9 +63,9 @@ def test_the_table_of_influences_is_the_heat_model(base):
     order = np.random.default_rng(4).permutation(len(choices))
     start, end, travel = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
     exact = np.maximum(*entry_points(heat, schedule, order, start, end))
-    table, ways = influence(heat, schedule.time_s, float(end.max())), entry_options(schedule)
+    table, options = influence(heat, schedule.time_s, float(end.max())), entry_options(schedule)
     log = new_log(len(order))
-    layer = Layer(table, ways, FREE, schedule.time_s, RAPID)
+    layer = Layer(table, options, FREE, schedule.time_s, RAPID)
     timed_from(0, order, layer, log)
     assert log.start_s == pytest.approx(start[order])
     assert log.travel_mm[-1] == pytest.approx(travel)
@@ -99,11 +99,11 @@ def test_a_rise_of_the_table_is_that_of_two_islands_driven_alone(base):
         assert before > 0.0
 
 
-def test_ways_are_the_nearest_ones(choices):
-    schedule, ways = choices.known_schedule, entry_options(choices.known_schedule)
+def test_options_are_the_nearest_ones(choices):
+    schedule, options = choices.known_schedule, entry_options(choices.known_schedule)
     apart = np.linalg.norm(schedule.leave[:, :, None, None] - schedule.entry[None, None], axis=-1)
-    assert ways.jump_mm == pytest.approx(apart.min(axis=-1), abs=1e-5)
-    assert np.take_along_axis(apart, ways.way[..., None], -1)[..., 0] == pytest.approx(ways.jump_mm)
+    assert options.jump_mm == pytest.approx(apart.min(axis=-1), abs=1e-5)
+    assert np.take_along_axis(apart, options.option[..., None], -1)[..., 0] == pytest.approx(options.jump_mm)
 
 
 @pytest.mark.parametrize(("low", "high"), [(0.0, 500.0), (-3.0, 20.0)])
@@ -130,11 +130,13 @@ def test_annealing_keeps_to_the_travel_that_is_allowed(choices):
     order = greedy_order(heat, schedule, FREE, RAPID, 0, 1.0, 0.0)
     start, end, travel = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
     table = influence(heat, schedule.time_s, 2 * float(end.max()))
-    ways, random = entry_options(schedule), np.random.default_rng(0)
+    options, random = entry_options(schedule), np.random.default_rng(0)
     beside = touching(choices.neighbours, len(choices))
-    better = annealed(Layer(table, ways, beside, schedule.time_s, RAPID), order, travel, 100.0, 3000, random)
-    begin, stop, way = clocked(better, schedule.entry, schedule.leave, schedule.time_s, RAPID)
-    assert way <= travel + 1e-6
+    better = annealed(
+        Layer(table, options, beside, schedule.time_s, RAPID), order, travel, 100.0, 3000, random
+    )
+    begin, stop, option = clocked(better, schedule.entry, schedule.leave, schedule.time_s, RAPID)
+    assert option <= travel + 1e-6
     hottest = [
         np.maximum(*entry_points(heat, schedule, *plan)).max()
         for plan in ((better, begin, stop), (order, start, end))
@@ -148,13 +150,13 @@ def test_giving_moves_up_early_changes_nothing(choices):
     count, beside = len(choices), touching(choices.neighbours, len(choices))
     order = np.random.default_rng(2).permutation(count)
     *_, end, travel = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
-    table, ways, allowed_mm = (
+    table, options, allowed_mm = (
         influence(heat, schedule.time_s, 2 * float(end.max())),
         entry_options(schedule),
         0.9 * travel,
     )
 
-    layer = Layer(table, ways, beside, schedule.time_s, RAPID)
+    layer = Layer(table, options, beside, schedule.time_s, RAPID)
 
     def simulated(tried):
         log = new_log(count)

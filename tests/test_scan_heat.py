@@ -114,9 +114,9 @@ def test_greedy_takes_the_best_score_at_every_step(choices):
     assert order[0] == 4
     assert np.array_equal(np.sort(order), np.arange(len(choices)))
     start, end, _ = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
-    way = 0
+    option = 0
     for n in range(len(order) - 1):
-        x, y = schedule.leave[order[n], way]
+        x, y = schedule.leave[order[n], option]
         reach = np.hypot(schedule.entry[:, :, 0] - x, schedule.entry[:, :, 1] - y)
         score = np.full(len(order), np.inf)
         for j in order[n + 1 :]:
@@ -129,7 +129,7 @@ def test_greedy_takes_the_best_score_at_every_step(choices):
             score[j] = warm + price * reach[j].min() + start_k
         # Between the earliest and the latest entry the kernel takes temperature as linear: 3 % at most.
         assert score[order[n + 1]] <= 1.03 * score.min() + 1.0
-        way = int(np.argmin(reach[order[n + 1]]))
+        option = int(np.argmin(reach[order[n + 1]]))
 
 
 def test_own_rise_is_that_of_one_island_alone(choices):

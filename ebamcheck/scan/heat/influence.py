@@ -15,7 +15,7 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.scan.heat.island_heat import IslandHeat
 from ebamcheck.scan.heat.near_field import NearField, entry_rise, young_mean
-from ebamcheck.scan.heat.pieces import WAYS
+from ebamcheck.scan.heat.pieces import OPTIONS
 
 NODES = 96
 """Times of the table."""
@@ -43,7 +43,7 @@ class FreshTable(NamedTuple):
     slot
         (I, I) row of the next table for an island and the source, or -1.
     excess_k
-        (P, 4, 4, N) of the temperature of its entry over its mean, by its way and that of the source.
+        (P, 4, 4, N) of the temperature of its entry over its mean, by its entry option and that of the source.
     """
 
     horizon_s: float
@@ -120,7 +120,7 @@ def old_heat(heat: IslandHeat, time_s: Floats, horizon_s: float, since_s: Floats
 @kernel
 def young_heat(near: NearField, source: Floats, time: Floats, since: Floats, rise: Table) -> Table:
     """Add young heat to the rises of means; returns its excess at entries (P, 4, 4, N) over the means, as in :class:`FreshTable`."""
-    excess = np.zeros((len(near.other), WAYS, WAYS, len(since)), np.float32)
+    excess = np.zeros((len(near.other), OPTIONS, OPTIONS, len(since)), np.float32)
     for i in range(len(near.first) - 1):
         for p in range(near.first[i], near.first[i + 1]):
             j = near.other[p]
@@ -129,10 +129,10 @@ def young_heat(near: NearField, source: Floats, time: Floats, since: Floats, ris
             for n in range(len(since)):
                 mean = young_mean(near, near.pair[p], since[n], time[j])
                 rise[i, j, n] += source[j] * mean
-                for way in range(WAYS):
-                    for left_by in range(WAYS):
-                        entry = entry_rise(near, i, way, j, left_by, since[n], time[j])
-                        excess[p, way, left_by, n] = source[j] * (entry - mean)
+                for option in range(OPTIONS):
+                    for left_by in range(OPTIONS):
+                        entry = entry_rise(near, i, option, j, left_by, since[n], time[j])
+                        excess[p, option, left_by, n] = source[j] * (entry - mean)
     return excess
 
 

@@ -36,7 +36,7 @@ from ebamcheck.plugins import registry
 from ebamcheck.scan.filling.hatch import Vectors
 from ebamcheck.scan.filling.schedule import IslandSchedule
 from ebamcheck.scan.heat.island_heat import IslandHeat, island_heat, with_fresh_heat
-from ebamcheck.scan.order.cool_entries import cool_ways
+from ebamcheck.scan.order.cool_entries import cool_options
 from ebamcheck.scan.order.path import NEAREST
 from ebamcheck.scan.order.simulation import clocked
 from ebamcheck.scan.order.thermal import greedy_order, thermal_order
@@ -277,15 +277,17 @@ def longest_travel_mm(islands: LayerIslands) -> float:
     return islands.config.scan.travel_share * float(travel)
 
 
-def entry_ways(name: str | Order, islands: LayerIslands, order: Ints, heat: IslandHeat | None = None) -> Ints:
-    """Way (I,) by which each island of an order is entered: the nearest, or for an order of cool entries the coolest near enough.
+def chosen_options(
+    name: str | Order, islands: LayerIslands, order: Ints, heat: IslandHeat | None = None
+) -> Ints:
+    """Entry option (I,) of each island of an order: the nearest, or for an order of cool entries the coolest near enough.
 
     The heat is that with which the layer begins; None: that of a cold part, set up where the order has cool entries.
     """
     if len(order) > 1 and getattr(named_order(name), "cool_entries", False):
         rapid = islands.config.machine.rapid_mm_s
         known = islands.cold_heat() if heat is None else heat
-        return cool_ways(known, islands.known_schedule, order, rapid, longest_travel_mm(islands))
+        return cool_options(known, islands.known_schedule, order, rapid, longest_travel_mm(islands))
     return np.full(len(order), NEAREST, np.int64)
 
 

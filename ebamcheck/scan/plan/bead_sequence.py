@@ -32,7 +32,7 @@ program has it."""
 
 
 def bead_sequence(
-    laid: LaidLayer, config: Config, heat: IslandHeat | None, order: Ints, ways: Ints
+    laid: LaidLayer, config: Config, heat: IslandHeat | None, order: Ints, options: Ints
 ) -> tuple[Beads, float]:
     """Put contours and islands in sequence, as the program drives them.
 
@@ -42,8 +42,8 @@ def bead_sequence(
         Heat model of the islands, whose modes the beads are read in; None where there are none.
     order
         Islands in scan order; without any, the contours alone are taken.
-    ways
-        Way by which each island is entered, see :func:`~ebamcheck.scan.order.path.in_sequence`.
+    options
+        Entry option of each island, see :func:`~ebamcheck.scan.order.path.in_sequence`.
 
     Returns
     -------
@@ -56,7 +56,7 @@ def bead_sequence(
     ring_mm = np.array([ring.length for ring in rings])
     ring_mm += np.minimum(config.process.overlap_mm, ring_mm)
     model = None if heat is None else heat.model
-    path = _island_path(laid, order, ways, config)
+    path = _island_path(laid, order, options, config)
     columns, times = [_along(rings, count, model)], [np.repeat(ring_mm / speed / np.maximum(count, 1), count)]
     shares = [np.repeat(mean_power(ring_mm, config.process), count)]
     if heat is not None and len(order):
@@ -107,12 +107,12 @@ class _IslandPath:
     bead_mm: Floats
 
 
-def _island_path(laid: LaidLayer, order: Ints, ways: Ints, config: Config) -> _IslandPath:
+def _island_path(laid: LaidLayer, order: Ints, options: Ints, config: Config) -> _IslandPath:
     lines, count = laid.lines, len(laid.islands)
     if not len(order):
         return _IslandPath(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
     first = np.concatenate([[0], np.cumsum(np.bincount(lines.island, minlength=count))]).astype(np.int64)
-    rows, turned = in_sequence(lines.start, lines.end, first, order, laid.chained, ways)
+    rows, turned = in_sequence(lines.start, lines.end, first, order, laid.chained, options)
     island, swap = lines.island[rows], turned[:, None]
     a = np.where(swap, lines.end[rows], lines.start[rows])
     b = np.where(swap, lines.start[rows], lines.end[rows])
@@ -133,8 +133,8 @@ def _rises(move_mm: Floats, config: Config) -> Floats:
 def _to_rings(rings: list[shapely.LinearRing], entry: Floats) -> Floats:
     """Shortest ways to each contour and from the last one to the first island, mm; to the first bead none is known."""
     stops = [*rings, *(shapely.Point(place) for place in entry[:1])]
-    ways = shapely.distance(np.array(stops[:-1], object), np.array(stops[1:], object))
-    return np.concatenate([np.zeros(len(stops[:1])), np.asarray(ways, np.float64)])
+    options = shapely.distance(np.array(stops[:-1], object), np.array(stops[1:], object))
+    return np.concatenate([np.zeros(len(stops[:1])), np.asarray(options, np.float64)])
 
 
 def _rings(laid: LaidLayer) -> list[shapely.LinearRing]:

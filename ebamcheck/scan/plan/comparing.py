@@ -16,8 +16,8 @@ from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.heat.island_heat import IslandHeat, island_heat
 from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.scan.order.cool_entries import modes_at_entries, rises_at_entries
-from ebamcheck.scan.order.orders import ORDERS, LayerIslands, entry_ways, needs_heat, scan_order
-from ebamcheck.scan.order.simulation import entry_temperatures, nearest_ways
+from ebamcheck.scan.order.orders import ORDERS, LayerIslands, chosen_options, needs_heat, scan_order
+from ebamcheck.scan.order.simulation import entry_temperatures, nearest_options
 from ebamcheck.scan.order.touching import touching, touching_successors
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.scan.plan.laying import LaidLayer, lay_islands
@@ -197,8 +197,10 @@ class OrderComparison:
         islands = self.islands if seed == self.islands.seed else self.laid.choices(self.config, seed)
         known = self.planning_heat if needs_heat(name) and len(islands) > 1 else None
         order = scan_order(name, islands, known)
-        ways = entry_ways(name, islands, order, known)
-        plan = stack_plans([in_order(OrderedLayer(self.laid, islands, order, ways))], self.config, name, seed)
+        options = chosen_options(name, islands, order, known)
+        plan = stack_plans(
+            [in_order(OrderedLayer(self.laid, islands, order, options))], self.config, name, seed
+        )
         simulated = simulate_order(plan, self.config)
         count = len(order)
         rank = np.empty(count, np.int64)
@@ -214,21 +216,21 @@ class OrderComparison:
         by_island = np.argsort(simulated["island"].to_numpy())
         begins, ends = start_s.to_numpy()[by_island], end_s.to_numpy()[by_island]
         entry_k, excess = entry_temperatures(self.heat, islands.area_mm2, order, begins, ends)
-        point_k = self._points_k(islands, order, ways, begins, ends)
+        point_k = self._points_k(islands, order, options, begins, ends)
         hot = np.empty(count, np.bool_)
         hot[order] = touching_successors(touching(islands.neighbours, count), order)
         travel_mm = float(simulated["travel_mm"].sum())
         return OrderResult(plan, rank, begins, ends, entry_k, point_k, excess, hot, travel_mm)
 
     def _points_k(
-        self, islands: LayerIslands, order: Ints, ways: Ints, start_s: Floats, end_s: Floats
+        self, islands: LayerIslands, order: Ints, options: Ints, start_s: Floats, end_s: Floats
     ) -> Floats:
         """Temperature rises (I,) under the beam where it enters the islands."""
         assert self.heat is not None
         schedule = islands.known_schedule
-        if (ways < 0).any():
-            ways = nearest_ways(order, schedule.entry, schedule.leave)
+        if (options < 0).any():
+            options = nearest_options(order, schedule.entry, schedule.leave)
         rises_k = rises_at_entries(
-            self.heat, modes_at_entries(self.heat, schedule), order, start_s, end_s, ways
+            self.heat, modes_at_entries(self.heat, schedule), order, start_s, end_s, options
         )
-        return np.asarray(rises_k[np.arange(len(order)), ways], np.float64)
+        return np.asarray(rises_k[np.arange(len(order)), options], np.float64)

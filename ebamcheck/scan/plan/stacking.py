@@ -39,13 +39,15 @@ class LayerPlan:
 def in_order(layer: OrderedLayer) -> LayerPlan:
     """Lines of a layer whose islands are put in order."""
     laid = layer.laid
-    return LayerPlan(laid, layer.order, _path(laid.lines, layer.order, laid.chained, layer.ways), layer.heat)
+    return LayerPlan(
+        laid, layer.order, _path(laid.lines, layer.order, laid.chained, layer.options), layer.heat
+    )
 
 
-def _path(vectors: Vectors, order: Ints, chained: Bools, ways: Ints) -> Vectors:
-    """Lines in scan order, every island entered by its way."""
+def _path(vectors: Vectors, order: Ints, chained: Bools, options: Ints) -> Vectors:
+    """Lines in scan order, every island entered by its option."""
     first = np.concatenate([[0], np.cumsum(np.bincount(vectors.island, minlength=order.size))])
-    rows, turned = in_sequence(vectors.start, vectors.end, first.astype(np.int64), order, chained, ways)
+    rows, turned = in_sequence(vectors.start, vectors.end, first.astype(np.int64), order, chained, options)
     a, b = vectors.start[rows], vectors.end[rows]
     swap = turned[:, None]
     return Vectors(vectors.island[rows], np.where(swap, b, a), np.where(swap, a, b))
@@ -94,7 +96,7 @@ def _vector_table(by_layer: Sequence[tuple[LayerPlan, Any]]) -> pd.DataFrame:
         return empty_vectors()
     start = np.concatenate([p.vectors.start for p, _ in by_layer])
     end = np.concatenate([p.vectors.end for p, _ in by_layer])
-    way = end - start
+    option = end - start
     return pd.DataFrame(
         {
             "island": np.concatenate([p.vectors.island + b for p, b in by_layer]),
@@ -102,7 +104,7 @@ def _vector_table(by_layer: Sequence[tuple[LayerPlan, Any]]) -> pd.DataFrame:
             "y0": start[:, 1],
             "x1": end[:, 0],
             "y1": end[:, 1],
-            "angle": np.degrees(np.arctan2(way[:, 1], way[:, 0])) % 360.0,
+            "angle": np.degrees(np.arctan2(option[:, 1], option[:, 0])) % 360.0,
         }
     )
 

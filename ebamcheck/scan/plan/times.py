@@ -41,9 +41,9 @@ def _scheduled(plan: ScanPlan, config: Config) -> _Schedule:
     start, end = table[["x0", "y0"]].to_numpy(), table[["x1", "y1"]].to_numpy()
     length = np.hypot(*(end - start).T)
     new_layer = np.diff(plan.island_layer[island], prepend=-1) != 0
-    way = jumps_mm(start, end, new_layer)
+    option = jumps_mm(start, end, new_layer)
     on = follows(island, start, end, config.process.hatch_spacing_mm)
-    turn, jump = np.where(on, way, 0.0), np.where(on, 0.0, way)
+    turn, jump = np.where(on, option, 0.0), np.where(on, 0.0, option)
     laying = length / config.process.travel_speed_mm_s
     to_it = turn / config.process.travel_speed_mm_s + jump / config.machine.rapid_mm_s
     total = np.cumsum(laying + to_it)

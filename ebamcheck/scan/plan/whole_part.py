@@ -22,7 +22,7 @@ from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.heat.interpass import LayerJob, SimulatedLayer, cooled_layer
 from ebamcheck.scan.heat.island_heat import IslandHeat
 from ebamcheck.scan.heat.part_heat import Beads, PartHeat
-from ebamcheck.scan.order.orders import LayerIslands, Order, entry_ways, needs_heat, scan_order
+from ebamcheck.scan.order.orders import LayerIslands, Order, chosen_options, needs_heat, scan_order
 from ebamcheck.scan.plan.bead_sequence import bead_sequence
 from ebamcheck.scan.plan.laying import LaidLayer, lay_islands
 from ebamcheck.settings.config import Config
@@ -83,13 +83,13 @@ class ReadyIslands:
 
 @dataclass(frozen=True, eq=False)
 class OrderedLayer:
-    """A layer, what its order knew of its islands, the order (I,), the way (I,) by which each island is entered (see
+    """A layer, what its order knew of its islands, the order (I,), the entry option (I,) of each island (see
     :func:`~ebamcheck.scan.order.path.in_sequence`), and its heat where it was simulated."""
 
     laid: LaidLayer
     islands: LayerIslands
     order: Ints
-    ways: Ints
+    options: Ints
     heat: LayerHeat | None = None
 
 
@@ -187,14 +187,14 @@ def ordered_on(
         shape = LayerShape.of(islands.section, thickness_mm)
         begins = None if cold is None else _warmed(cold, islands, laid, part, last) if carry else cold
         found = scan_order(order, islands, begins)
-        ways = entry_ways(order, islands, found, begins)
+        options = chosen_options(order, islands, found, begins)
         if islands.section.area <= 0.0:
-            return OrderedLayer(laid, islands, found, ways), part, last
-        beads, travel_mm = bead_sequence(laid, config, cold, found, ways)
+            return OrderedLayer(laid, islands, found, options), part, last
+        beads, travel_mm = bead_sequence(laid, config, cold, found, options)
         guess = 0.0 if last is None else last.power_share
         done = cooled_layer(LayerJob(beads, shape, islands.height_mm, lowest), part, config, guess)
     return (
-        OrderedLayer(laid, islands, found, ways, _figures(done, travel_mm, beads, len(found), config)),
+        OrderedLayer(laid, islands, found, options, _figures(done, travel_mm, beads, len(found), config)),
         done.after,
         done,
     )
@@ -262,7 +262,7 @@ def _cold(stack: Stack, k: int, config: Config, order: str | Order, seed: int) -
     islands = laid.choices(config, seed, stack.plate_mm)
     heat = islands.cold_heat() if needs_heat(order) and len(islands) > 1 else None
     found = scan_order(order, islands, heat)
-    return OrderedLayer(laid, islands, found, entry_ways(order, islands, found, heat))
+    return OrderedLayer(laid, islands, found, chosen_options(order, islands, found, heat))
 
 
 @one_blas_thread()
