@@ -193,11 +193,6 @@ class LayerFile:
         return int(self._starts[-1])
 
     @property
-    def row_groups(self) -> int:
-        """Blocks in which the layers were written."""
-        return self._starts.size - 1
-
-    @property
     def borders(self) -> Ints:
         """Where the blocks begin in which the layers were written, and where the last one ends."""
         return self._starts
