@@ -15,7 +15,7 @@ from ebamcheck.curves.sagitta import Sagittas
 from ebamcheck.numeric import kernels
 from ebamcheck.numeric.compiling_ahead import Task, longest_ways
 from ebamcheck.numeric.kernel_list import kernel_named, read_list, write_list
-from ebamcheck.numeric.type_text import UnknownType, text_of, type_of, types_of
+from ebamcheck.numeric.type_text import UnknownType, text_of, types_of
 
 KERNELS = """
 from ebamcheck.numeric.kernels import kernel
@@ -186,16 +186,17 @@ SAGITTAS = types.BaseTuple.from_types(
     ids=str,
 )  # fmt: skip
 def test_a_type_comes_back_from_its_text(made):
-    assert type_of(text_of(made)) == made
+    assert types_of(text_of(made)) == (made,)
     assert types_of(f"{text_of(made)}, int64") == (made, types.int64)
+    assert types_of("") == ()
 
 
 @pytest.mark.parametrize(
-    "text", ["", "int65", "array(int64)", "nowhere.Thing(int64)", "1 +", "3", "int8, int8", "a[0](int64)"]
+    "text", ["int65", "array(int64)", "nowhere.Thing(int64)", "1 +", "3", "int8, int65", "a[0](int64)"]
 )
 def test_a_text_that_is_no_type(text):
     with pytest.raises(UnknownType):
-        type_of(text)
+        types_of(text)
 
 
 def test_a_list_comes_back(tmp_path):

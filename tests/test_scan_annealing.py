@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import shapely
+from islands_of_a_plate import FREE, PLATE, PROFILE, RAPID, laid_plate
 
 from ebamcheck.scan.heat.influence import influence, looked_up
 from ebamcheck.scan.islands.regions import layer_section
@@ -29,24 +29,11 @@ from ebamcheck.scan.order.thermal import greedy_order
 from ebamcheck.scan.order.touching import touching, touching_successors
 from ebamcheck.scan.plan.comparing import OrderComparison
 from ebamcheck.scan.plan.laying import lay_islands
-from ebamcheck.settings.config import Config
-
-PROFILE = Config()
-RAPID = PROFILE.machine.rapid_mm_s
-FREE = touching(np.zeros((0, 2), np.int64), 1000)
-"""No island touches another: none is kept from following any."""
-
-PLATE = shapely.box(0, 0, 160, 110).difference(shapely.Point(95, 60).buffer(22, 32))
 
 
 @pytest.fixture(scope="module")
-def laid():
-    return lay_islands(layer_section(PLATE), PROFILE, 0, 10.0)
-
-
-@pytest.fixture(scope="module")
-def choices(laid):
-    return laid.choices(PROFILE, 0)
+def choices():
+    return laid_plate().choices(PROFILE, 0)
 
 
 def test_annealing_helps_or_leaves_it():
@@ -56,7 +43,7 @@ def test_annealing_helps_or_leaves_it():
     keys = []
     for compared in (plain, long):
         islands = compared.islands
-        schedule, heat = islands.known_schedule, islands.heat
+        schedule, heat = islands.known_schedule, islands.cold_heat()
         order = scan_order("thermal", islands)
         start, end, _ = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
         entry, _ = entered(heat, order, start, end)
@@ -66,17 +53,19 @@ def test_annealing_helps_or_leaves_it():
 
 @pytest.mark.parametrize("base", ["cooled", "insulated"])
 def test_the_table_of_influences_is_the_heat_model(base):
-    profile = PROFILE.changed(process={"base": base})
-    choices = lay_islands(layer_section(PLATE), profile, 0, 10.0).choices(profile, 0)
-    schedule, heat = choices.known_schedule, choices.heat
-    before = np.random.default_rng(5).normal(size=heat.start_k.shape) * np.exp(-heat.plane_rate)[:, None]
+    config = PROFILE.changed(process={"base": base})
+    choices = lay_islands(layer_section(PLATE), config, 0, 10.0).choices(config, 0)
+    schedule, heat = choices.known_schedule, choices.cold_heat()
+    before = (
+        np.random.default_rng(5).normal(size=heat.start_k.shape) * np.exp(-heat.modes.plane_rate)[:, None]
+    )
     heat = replace(heat, start_k=300.0 * before)
     order = np.random.default_rng(4).permutation(len(choices))
     start, end, travel = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
     exact = np.maximum(*entry_points(heat, schedule, order, start, end))
-    table, ways = influence(heat, schedule.time_s, float(end.max())), entry_options(schedule)
+    table, options = influence(heat, schedule.time_s, float(end.max())), entry_options(schedule)
     log = new_log(len(order))
-    layer = Layer(table, ways, FREE, schedule.time_s, RAPID)
+    layer = Layer(table, options, FREE, schedule.time_s, RAPID)
     timed_from(0, order, layer, log)
     assert log.start_s == pytest.approx(start[order])
     assert log.travel_mm[-1] == pytest.approx(travel)
@@ -86,9 +75,9 @@ def test_the_table_of_influences_is_the_heat_model(base):
 
 @pytest.mark.parametrize("base", ["cooled", "insulated"])
 def test_a_rise_of_the_table_is_that_of_two_islands_driven_alone(base):
-    profile = PROFILE.changed(process={"base": base})
-    choices = lay_islands(layer_section(PLATE), profile, 0, 10.0).choices(profile, 0)
-    schedule, heat, count = choices.known_schedule, choices.heat, len(choices)
+    config = PROFILE.changed(process={"base": base})
+    choices = lay_islands(layer_section(PLATE), config, 0, 10.0).choices(config, 0)
+    schedule, heat, count = choices.known_schedule, choices.cold_heat(), len(choices)
     horizon_s = heat.fresh.horizon_s
     table = influence(heat, schedule.time_s, 300.0)
     pairs = [*choices.neighbours[::9].tolist(), *np.random.default_rng(8).integers(0, count, (8, 2)).tolist()]
@@ -110,11 +99,11 @@ def test_a_rise_of_the_table_is_that_of_two_islands_driven_alone(base):
         assert before > 0.0
 
 
-def test_ways_are_the_nearest_ones(choices):
-    schedule, ways = choices.known_schedule, entry_options(choices.known_schedule)
+def test_options_are_the_nearest_ones(choices):
+    schedule, options = choices.known_schedule, entry_options(choices.known_schedule)
     apart = np.linalg.norm(schedule.leave[:, :, None, None] - schedule.entry[None, None], axis=-1)
-    assert ways.jump_mm == pytest.approx(apart.min(axis=-1), abs=1e-5)
-    assert np.take_along_axis(apart, ways.way[..., None], -1)[..., 0] == pytest.approx(ways.jump_mm)
+    assert options.jump_mm == pytest.approx(apart.min(axis=-1), abs=1e-5)
+    assert np.take_along_axis(apart, options.option[..., None], -1)[..., 0] == pytest.approx(options.jump_mm)
 
 
 @pytest.mark.parametrize(("low", "high"), [(0.0, 500.0), (-3.0, 20.0)])
@@ -137,15 +126,17 @@ def test_moves_keep_every_island(kind):
 
 
 def test_annealing_keeps_to_the_travel_that_is_allowed(choices):
-    schedule, heat = choices.known_schedule, choices.heat
+    schedule, heat = choices.known_schedule, choices.cold_heat()
     order = greedy_order(heat, schedule, FREE, RAPID, 0, 1.0, 0.0)
     start, end, travel = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
     table = influence(heat, schedule.time_s, 2 * float(end.max()))
-    ways, random = entry_options(schedule), np.random.default_rng(0)
+    options, random = entry_options(schedule), np.random.default_rng(0)
     beside = touching(choices.neighbours, len(choices))
-    better = annealed(Layer(table, ways, beside, schedule.time_s, RAPID), order, travel, 100.0, 3000, random)
-    begin, stop, way = clocked(better, schedule.entry, schedule.leave, schedule.time_s, RAPID)
-    assert way <= travel + 1e-6
+    better = annealed(
+        Layer(table, options, beside, schedule.time_s, RAPID), order, travel, 100.0, 3000, random
+    )
+    begin, stop, option = clocked(better, schedule.entry, schedule.leave, schedule.time_s, RAPID)
+    assert option <= travel + 1e-6
     hottest = [
         np.maximum(*entry_points(heat, schedule, *plan)).max()
         for plan in ((better, begin, stop), (order, start, end))
@@ -155,17 +146,17 @@ def test_annealing_keeps_to_the_travel_that_is_allowed(choices):
 
 
 def test_giving_moves_up_early_changes_nothing(choices):
-    schedule, heat, steps, price = choices.known_schedule, choices.heat, 300, 0.5
+    schedule, heat, steps, price = choices.known_schedule, choices.cold_heat(), 300, 0.5
     count, beside = len(choices), touching(choices.neighbours, len(choices))
     order = np.random.default_rng(2).permutation(count)
     *_, end, travel = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
-    table, ways, allowed_mm = (
+    table, options, allowed_mm = (
         influence(heat, schedule.time_s, 2 * float(end.max())),
         entry_options(schedule),
         0.9 * travel,
     )
 
-    layer = Layer(table, ways, beside, schedule.time_s, RAPID)
+    layer = Layer(table, options, beside, schedule.time_s, RAPID)
 
     def simulated(tried):
         log = new_log(count)

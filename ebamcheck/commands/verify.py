@@ -23,7 +23,7 @@ def verify(
     target: Annotated[Path, typer.Argument(help="A run folder, or a program (with --part).")],
     part: Annotated[
         Path | None,
-        typer.Option(help="The part that the program should make; of a run: if it is not where it was."),
+        typer.Option(help="File of the part that the program should make; of a run: if it was moved since."),
     ] = None,
     quick: Annotated[
         bool,

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
+from ebamcheck.atomic_file import COMPRESSION
 from ebamcheck.curves import LIFTED, Curves, fit
 from ebamcheck.findings import has_fault
 from ebamcheck.kinematics import side_by_side
@@ -179,7 +180,7 @@ def _witness(job: Job, layers: Layers, done: Sequence[str]) -> Layers:
 def _write_events(job: Job, path: Toolpath, plan: ScanPlan) -> dict[str, float]:
     """Write the events of the program and their totals by layer; the sums of these over the part."""
     events = process_events(path, plan, job.config)
-    events.to_parquet(job.folder.path / "events.parquet", index=False, compression="zstd")
+    events.to_parquet(job.folder.path / "events.parquet", index=False, compression=COMPRESSION)
     totals = event_totals(events, len(path.z), job.config)
     totals.to_csv(job.folder.path / "process.csv", index=False)
     sums = {name: float(totals[name].sum()) for name in totals.columns if name != "layer"}

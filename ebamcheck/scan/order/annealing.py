@@ -37,7 +37,7 @@ class Layer(NamedTuple):
     ----------
     table
         Temperature rises of islands by each other.
-    ways
+    options
         Jumps between islands.
     beside
         Islands that touch.
@@ -48,18 +48,18 @@ class Layer(NamedTuple):
     """
 
     table: Influence
-    ways: EntryOptions
+    options: EntryOptions
     beside: Touching
     time_s: Floats
     rapid_mm_s: float
 
 
 class Log(NamedTuple):
-    """An order driven, by place (I,): begin of the island, s, way of entry, travel so far, mm, entry temperature, K,
+    """An order driven, by place (I,): begin of the island, s, entry option, travel so far, mm, entry temperature, K,
     and how many islands so far touch the one before them."""
 
     start_s: Floats
-    way: Ints
+    option: Ints
     travel_mm: Floats
     entry_k: Floats
     touches: Ints
@@ -177,7 +177,7 @@ def powers_from(
 @kernel
 def copy_start(log: Log, stop: int, result: Log) -> None:
     """Copy what a log says of the places before one."""
-    result.start_s[:stop], result.way[:stop] = log.start_s[:stop], log.way[:stop]
+    result.start_s[:stop], result.option[:stop] = log.start_s[:stop], log.option[:stop]
     result.travel_mm[:stop], result.entry_k[:stop] = log.travel_mm[:stop], log.entry_k[:stop]
     result.touches[:stop] = log.touches[:stop]
 
@@ -221,16 +221,16 @@ def move(order: Ints, a: int, b: int, kind: int, result: Ints) -> None:
 
 @kernel
 def timed_from(first: int, order: Ints, layer: Layer, log: Log) -> None:
-    """Time the islands from a place on, entering each by the nearest way."""
-    jump, way, time = layer.ways.jump_mm, layer.ways.way, layer.time_s
+    """Time the islands from a place on, entering each by the nearest option."""
+    jump, option, time = layer.options.jump_mm, layer.options.option, layer.time_s
     for n in range(first, len(order)):
         if n == 0:
-            log.start_s[0], log.way[0], log.travel_mm[0], log.touches[0] = 0.0, 0, 0.0, 0
+            log.start_s[0], log.option[0], log.travel_mm[0], log.touches[0] = 0.0, 0, 0.0, 0
             continue
-        last, island, left_by = order[n - 1], order[n], log.way[n - 1]
+        last, island, left_by = order[n - 1], order[n], log.option[n - 1]
         distance = jump[last, left_by, island]
         log.start_s[n] = log.start_s[n - 1] + time[last] + distance / layer.rapid_mm_s
-        log.way[n] = way[last, left_by, island]
+        log.option[n] = option[last, left_by, island]
         log.travel_mm[n] = log.travel_mm[n - 1] + distance
         log.touches[n] = log.touches[n - 1] + touch(layer.beside, last, island)
 
@@ -256,5 +256,5 @@ def entry_temperature(place: int, order: Ints, layer: Layer, log: Log) -> float:
         row = fresh.slot[island, source]
         if row >= 0:
             root = np.sqrt(max(since, 0.0) / horizon)
-            excess += at_root(fresh.excess_k[row, log.way[place], log.way[earlier]], root)
+            excess += at_root(fresh.excess_k[row, log.option[place], log.option[earlier]], root)
     return temperature + max(excess, 0.0)
