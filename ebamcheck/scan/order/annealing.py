@@ -15,6 +15,7 @@ from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.heat.influence import Influence, looked_up
 from ebamcheck.scan.heat.near_field import at_root
 from ebamcheck.scan.order.entry_options import EntryOptions
+from ebamcheck.scan.order.moves import Driven, least_travel_mm, more_touches, move
 from ebamcheck.scan.order.touching import Touching, touch
 
 WARMTH = 0.005
@@ -131,12 +132,19 @@ def improved(
             a = by_heat[0]
         if a == b:
             continue
-        first = min(a, b)
-        move(kept, a, b, step % 3, tried)
+        first, kind = min(a, b), step % 3
+        allowed = cost + warmth * leniency[step]
+        touched = touch_price * (log.touches[-1] + more_touches(kept, a, b, kind, layer.beside))
+        # Most moves are given up by the touches, or by a travel that is too long in any case.
+        if touched >= allowed:
+            continue
+        least_mm = least_travel_mm(Driven(kept, log.way, log.travel_mm), a, b, kind, layer.ways)
+        if price * max(0.0, least_mm - longest) + touched >= allowed:
+            continue
+        move(kept, a, b, kind, tried)
         copy_start(log, first, tried_log)
         timed_from(first, tried, layer, tried_log)
         too_far = price * max(0.0, tried_log.travel_mm[-1] - longest) + touch_price * tried_log.touches[-1]
-        allowed = cost + warmth * leniency[step]
         if too_far >= allowed:
             continue
         most = count * power(allowed - too_far)
@@ -200,23 +208,6 @@ def power(temperature: float) -> float:
     warm = max(temperature, 0.0)
     fourth = (warm * warm) * (warm * warm)
     return fourth * fourth * fourth
-
-
-@kernel
-def move(order: Ints, a: int, b: int, kind: int, result: Ints) -> None:
-    """Exchange two places, move one to the other, or turn around all between them."""
-    result[:] = order
-    if kind == 0:
-        result[a], result[b] = order[b], order[a]
-    elif kind == 1:
-        step = 1 if b > a else -1
-        for place in range(a, b, step):
-            result[place] = order[place + step]
-        result[b] = order[a]
-    else:
-        low, high = min(a, b), max(a, b)
-        for n in range(high - low + 1):
-            result[low + n] = order[high - n]
 
 
 @kernel

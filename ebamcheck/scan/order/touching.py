@@ -27,7 +27,10 @@ def touching(neighbours: Ints, count: int) -> Touching:
 @kernel
 def touch(beside: Touching, one: int, other: int) -> bool:
     """Whether two islands have a common border."""
-    return bool(np.any(beside.other[beside.first[one] : beside.first[one + 1]] == other))
+    for m in range(beside.first[one], beside.first[one + 1]):  # noqa: SIM110 - no generator in a kernel
+        if beside.other[m] == other:
+            return True
+    return False
 
 
 @kernel
