@@ -104,7 +104,7 @@ def least_travel_mm(driven: Driven, a: int, b: int, kind: int, ways: EntryOption
         for place in range(high, low - 1, -1):
             at = _jumped(at, order[place], ways)
     at = _forward(at, high + 1, stop, driven, ways)
-    return at.travel_mm - ROUNDING * (at.travel_mm + driven.travel_mm[-1])
+    return float(at.travel_mm - ROUNDING * (at.travel_mm + driven.travel_mm[-1]))
 
 
 @kernel
