@@ -127,7 +127,7 @@ def improved(
     best_cost, warmth = cost, warm_share * cost
     by_heat = np.argsort(-log.entry_k)
     for step in range(len(places)):
-        a, b = places[step]
+        a, b = places[step, 0], places[step, 1]
         if step % HOTTEST_EVERY == 0:
             a = by_heat[0]
         if a == b:
