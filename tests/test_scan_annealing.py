@@ -26,7 +26,7 @@ from ebamcheck.scan.order.moves import Driven, least_travel_mm, more_touches, mo
 from ebamcheck.scan.order.orders import scan_order
 from ebamcheck.scan.order.simulation import clocked, entered, entry_points
 from ebamcheck.scan.order.thermal import greedy_order
-from ebamcheck.scan.order.touching import touching, touching_successors
+from ebamcheck.scan.order.touching import touch_table, touching, touching_successors
 from ebamcheck.scan.plan.comparing import OrderComparison
 from ebamcheck.scan.plan.laying import lay_islands
 from ebamcheck.settings.config import Config
@@ -153,7 +153,7 @@ def test_what_a_move_changes_is_what_the_moved_order_has(choices, kind):
         timed_from(0, order, layer, log)
         move(order, a, b, kind, tried)
         timed_from(0, tried, layer, moved)
-        assert more_touches(order, a, b, kind, beside) == moved.touches[-1] - log.touches[-1]
+        assert more_touches(order, a, b, kind, touch_table(beside)) == moved.touches[-1] - log.touches[-1]
         least_mm = least_travel_mm(Driven(order, log.way, log.travel_mm), a, b, kind, layer.ways)
         assert least_mm <= moved.travel_mm[-1] == pytest.approx(least_mm, rel=1e-8)
 

@@ -16,7 +16,7 @@ from ebamcheck.scan.heat.influence import Influence, looked_up
 from ebamcheck.scan.heat.near_field import at_root
 from ebamcheck.scan.order.entry_options import EntryOptions
 from ebamcheck.scan.order.moves import Driven, least_travel_mm, more_touches, move
-from ebamcheck.scan.order.touching import Touching, touch
+from ebamcheck.scan.order.touching import Touching, touch, touch_table
 
 WARMTH = 0.005
 """Worsening taken at the beginning, unless another is asked for."""
@@ -125,7 +125,7 @@ def improved(
     touch_price = TOUCH_SHARE * cost
     cost += price * max(0.0, log.travel_mm[-1] - longest) + touch_price * log.touches[-1]
     best_cost, warmth = cost, warm_share * cost
-    by_heat = np.argsort(-log.entry_k)
+    by_heat, beside = np.argsort(-log.entry_k), touch_table(layer.beside)
     for step in range(len(places)):
         a, b = places[step, 0], places[step, 1]
         if step % HOTTEST_EVERY == 0:
@@ -134,7 +134,7 @@ def improved(
             continue
         first, kind = min(a, b), step % 3
         allowed = cost + warmth * leniency[step]
-        touched = touch_price * (log.touches[-1] + more_touches(kept, a, b, kind, layer.beside))
+        touched = touch_price * (log.touches[-1] + more_touches(kept, a, b, kind, beside))
         # Most moves are given up by the touches, or by a travel that is too long in any case.
         if touched >= allowed:
             continue

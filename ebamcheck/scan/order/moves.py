@@ -9,9 +9,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.order.entry_options import EntryOptions
-from ebamcheck.scan.order.touching import Touching, touch
 
 EXCHANGE, SHIFT, TURN = 0, 1, 2
 """Kinds of moves: two places exchange their islands, one goes to the other, or all between them are turned around."""
@@ -54,8 +53,8 @@ def move(order: Ints, a: int, b: int, kind: int, result: Ints) -> None:
 
 
 @kernel
-def more_touches(order: Ints, a: int, b: int, kind: int, beside: Touching) -> int:
-    """How many more islands touch the one before them once an order is moved."""
+def more_touches(order: Ints, a: int, b: int, kind: int, beside: Bools) -> int:
+    """How many more islands touch the one before them once an order is moved; `beside` (I, I) tells which touch."""
     low, high = min(a, b), max(a, b)
     before, first, last, after = low - 1, low, high, high + 1
     if kind == TURN or (kind == EXCHANGE and high == low + 1):
@@ -76,11 +75,11 @@ def more_touches(order: Ints, a: int, b: int, kind: int, beside: Touching) -> in
 
 
 @kernel
-def _touch(order: Ints, one: int, other: int, beside: Touching) -> int:
+def _touch(order: Ints, one: int, other: int, beside: Bools) -> int:
     """Whether the islands at two places touch, as a number; none does beyond the ends."""
     if one < 0 or other >= len(order):
         return 0
-    return int(touch(beside, order[one], order[other]))
+    return int(beside[order[one], order[other]])
 
 
 @kernel

@@ -34,6 +34,17 @@ def touch(beside: Touching, one: int, other: int) -> bool:
 
 
 @kernel
+def touch_table(beside: Touching) -> Bools:
+    """Whether each two islands (I, I) have a common border."""
+    count = len(beside.first) - 1
+    table = np.zeros((count, count), np.bool_)
+    for one in range(count):
+        for m in range(beside.first[one], beside.first[one + 1]):
+            table[one, beside.other[m]] = True
+    return table
+
+
+@kernel
 def touching_successors(beside: Touching, order: Ints) -> Bools:
     """Whether each island (I,) of an order, by place, touches the one before it while another one was left that does not."""
     count = len(order)
