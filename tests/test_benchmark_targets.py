@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from benchmark_figures import one_round, raw_figures
 
-from benchmarks import target_rows
+from benchmarks import tables, target_rows
 from benchmarks.floors import FLOORS
 from benchmarks.targets import Figures
 
