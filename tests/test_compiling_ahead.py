@@ -238,3 +238,23 @@ def test_the_list_lacks_nothing_that_the_main_job_calls():
     """Where it fails: ``make kernel-list``."""
     done = subprocess.run([sys.executable, "-c", ALL], capture_output=True, text=True, check=True)
     assert json.loads(done.stdout.splitlines()[-1]) == []
+
+
+ROUND = """
+import json
+from ebamcheck.curves import fit
+from ebamcheck.numeric.compiling import loaded_kernels, name_of
+from ebamcheck.numeric.kernel_list import read_list
+from ebamcheck.slicers.slicing import slice_part
+from ebamcheck_models import MODELS
+part = MODELS["torus"].tessellate(0.3)
+fit(slice_part(part, [-2.0, 1.0]), part=part)
+listed = read_list()
+print(json.dumps([name_of(k) for k in loaded_kernels() if k.signatures and name_of(k) not in listed]))
+"""
+
+
+def test_the_list_holds_the_kernels_of_round_parts():
+    """A box has no curved region: a cone is fitted when the list is made. Where it fails: ``make kernel-list``."""
+    done = subprocess.run([sys.executable, "-c", ROUND], capture_output=True, text=True, check=True)
+    assert json.loads(done.stdout.splitlines()[-1]) == []

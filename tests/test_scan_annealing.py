@@ -18,15 +18,15 @@ from ebamcheck.scan.order.annealing import (
     annealed,
     entry_temperature,
     high_mean,
-    move,
     new_log,
     timed_from,
 )
 from ebamcheck.scan.order.entry_options import entry_options
+from ebamcheck.scan.order.moves import Driven, least_travel_mm, more_touches, move
 from ebamcheck.scan.order.orders import scan_order
 from ebamcheck.scan.order.simulation import clocked, entered, entry_points
 from ebamcheck.scan.order.thermal import greedy_order
-from ebamcheck.scan.order.touching import touching, touching_successors
+from ebamcheck.scan.order.touching import touch_table, touching, touching_successors
 from ebamcheck.scan.plan.comparing import OrderComparison
 from ebamcheck.scan.plan.laying import lay_islands
 
@@ -123,6 +123,28 @@ def test_moves_keep_every_island(kind):
         assert np.array_equal(np.sort(tried), np.arange(9))
         assert np.array_equal(tried[: min(a, b)], order[: min(a, b)])
         assert tried[b] == order[a]
+
+
+@pytest.mark.parametrize("kind", [0, 1, 2])
+def test_what_a_move_changes_is_what_the_moved_order_has(choices, kind):
+    schedule, heat, count = choices.known_schedule, choices.heat, len(choices)
+    beside = touching(choices.neighbours, count)
+    layer = Layer(
+        influence(heat, schedule.time_s, 1e3), entry_options(schedule), beside, schedule.time_s, RAPID
+    )
+    random = np.random.default_rng(11)
+    edges = [(0, 1), (1, 0), (0, count - 1), (count - 1, 0), (count - 2, count - 1), (count - 1, count - 3)]
+    for a, b in [*edges, *random.integers(0, count, (60, 2)).tolist()]:
+        if a == b:
+            continue
+        order, tried = random.permutation(count), np.empty(count, np.int64)
+        log, moved = new_log(count), new_log(count)
+        timed_from(0, order, layer, log)
+        move(order, a, b, kind, tried)
+        timed_from(0, tried, layer, moved)
+        assert more_touches(order, a, b, kind, touch_table(beside)) == moved.touches[-1] - log.touches[-1]
+        least_mm = least_travel_mm(Driven(order, log.way, log.travel_mm), a, b, kind, layer.ways)
+        assert least_mm <= moved.travel_mm[-1] == pytest.approx(least_mm, rel=1e-8)
 
 
 def test_annealing_keeps_to_the_travel_that_is_allowed(choices):

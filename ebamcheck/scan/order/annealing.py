@@ -15,7 +15,8 @@ from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.heat.influence import Influence, looked_up
 from ebamcheck.scan.heat.near_field import at_root
 from ebamcheck.scan.order.entry_options import EntryOptions
-from ebamcheck.scan.order.touching import Touching, touch
+from ebamcheck.scan.order.moves import Driven, least_travel_mm, more_touches, move
+from ebamcheck.scan.order.touching import Touching, touch, touch_table
 
 WARMTH = 0.005
 """Worsening taken at the beginning, unless another is asked for."""
@@ -124,19 +125,27 @@ def improved(
     touch_price = TOUCH_SHARE * cost
     cost += price * max(0.0, log.travel_mm[-1] - longest) + touch_price * log.touches[-1]
     best_cost, warmth = cost, warm_share * cost
-    by_heat = np.argsort(-log.entry_k)
+    by_heat, beside, options = np.argsort(-log.entry_k), touch_table(layer.beside), layer.options
+    driven = Driven(kept, log.option, log.travel_mm)
     for step in range(len(places)):
-        a, b = places[step]
+        a, b = places[step, 0], places[step, 1]
         if step % HOTTEST_EVERY == 0:
             a = by_heat[0]
         if a == b:
             continue
-        first = min(a, b)
-        move(kept, a, b, step % 3, tried)
+        first, kind = min(a, b), step % 3
+        allowed = cost + warmth * leniency[step]
+        touched = touch_price * (log.touches[-1] + more_touches(kept, a, b, kind, beside))
+        # Most moves are given up by the touches, or by a travel that is too long in any case.
+        if touched >= allowed:
+            continue
+        least_mm = least_travel_mm(driven, a, b, kind, options)
+        if price * max(0.0, least_mm - longest) + touched >= allowed:
+            continue
+        move(kept, a, b, kind, tried)
         copy_start(log, first, tried_log)
         timed_from(first, tried, layer, tried_log)
         too_far = price * max(0.0, tried_log.travel_mm[-1] - longest) + touch_price * tried_log.touches[-1]
-        allowed = cost + warmth * leniency[step]
         if too_far >= allowed:
             continue
         most = count * power(allowed - too_far)
@@ -146,7 +155,7 @@ def improved(
         cost = (total / count) ** (1.0 / HIGH) + too_far
         kept, tried = tried, kept
         log, tried_log = tried_log, log
-        by_heat = np.argsort(-log.entry_k)
+        by_heat, driven = np.argsort(-log.entry_k), Driven(kept, log.option, log.travel_mm)
         if cost < best_cost:
             best[:], best_cost = kept, cost
     return best
@@ -200,23 +209,6 @@ def power(temperature: float) -> float:
     warm = max(temperature, 0.0)
     fourth = (warm * warm) * (warm * warm)
     return fourth * fourth * fourth
-
-
-@kernel
-def move(order: Ints, a: int, b: int, kind: int, result: Ints) -> None:
-    """Exchange two places, move one to the other, or turn around all between them."""
-    result[:] = order
-    if kind == 0:
-        result[a], result[b] = order[b], order[a]
-    elif kind == 1:
-        step = 1 if b > a else -1
-        for place in range(a, b, step):
-            result[place] = order[place + step]
-        result[b] = order[a]
-    else:
-        low, high = min(a, b), max(a, b)
-        for n in range(high - low + 1):
-            result[low + n] = order[high - n]
 
 
 @kernel
