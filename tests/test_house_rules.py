@@ -25,16 +25,6 @@ MOST_PARAMETERS = 9
 REASON = re.compile(r"# \w+ parameters: \S")
 """How such a comment begins."""
 
-NO_REASON_YET = {
-    "ebamcheck/curves/allowances.py:_allow",
-    "ebamcheck/curves/evidence.py:_measure_rings",
-    "ebamcheck/curves/regions/foretold.py:_sagitta",
-    "ebamcheck/curves/regions/jets.py:_normal",
-    "ebamcheck/curves/regions/normals.py:_fill_ends",
-    "ebamcheck/curves/regions/normals.py:_strip_normals",
-}
-"""Kernels with more parameters whose reason is still to be stated, or whose columns are to be put together."""
-
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 
@@ -93,7 +83,7 @@ def test_functions_are_short():
 def test_kernels_have_few_parameters_or_a_reason_beside_them():
     many = [(path, place, f) for path, place, f in functions() if is_kernel(f)]
     many = [found for found in many if parameters(found[2]) > MOST_PARAMETERS]
-    assert {place for path, place, f in many if not is_told(path, f)} - NO_REASON_YET == set()
+    assert {place for path, place, f in many if not is_told(path, f)} == set()
 
 
 @pytest.mark.parametrize(

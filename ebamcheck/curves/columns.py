@@ -88,6 +88,16 @@ class Curves:
         Labels of the layers that were fitted.
     evidence
         What speaks for each ring, where the curves come from a fit in this process; files do not hold it.
+
+    Examples
+    --------
+    >>> from ebamcheck.curves import fit
+    >>> from ebamcheck.slicers.slicing import slice_part
+    >>> from ebamcheck_models import MODELS
+    >>> cube = MODELS["cube"].tessellate(0.1)
+    >>> curves = fit(slice_part(cube, [3.0, 6.0]), part=cube)
+    >>> len(curves), curves.block_count()
+    (2, 8)
     """
 
     heights: Floats

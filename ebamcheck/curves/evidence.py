@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -160,13 +160,18 @@ def _distances(
         np.full((count, 2), np.nan),
         _mean_limits(layers, allowed, slack_mm),
     )
-    points = np.ascontiguousarray(layers.points)
+    contours = _Contours(
+        np.ascontiguousarray(layers.points),
+        layers.ring_starts,
+        layers.closed,
+        allowed.limit_mm,
+        allowed.plane,
+    )
+    slacks = (slack_mm, plane_slack_mm)
+    told = _Told(found.value_mm, found.limit_mm, found.at, found.cause)
 
     def work(first: int, last: int) -> None:
-        _measure_rings(
-            points, layers.ring_starts, layers.closed, allowed.limit_mm, allowed.plane, slack_mm, plane_slack_mm,
-            spans.points, starts, first, last, found.value_mm, found.limit_mm, found.at, found.cause,
-        )  # fmt: skip
+        _measure_rings(contours, slacks, spans.points, starts, first, last, told)
 
     run_blocks(work, count, RINGS_A_BLOCK)
     return found
@@ -184,31 +189,46 @@ def _mean_limits(layers: Layers, allowed: Allowances, slack_mm: float) -> Floats
     return slack_mm + weighed / np.where(total > 0.0, total, 1.0)
 
 
+class _Contours(NamedTuple):
+    """Contours, and how far curves may leave them."""
+
+    points: Floats
+    ring_starts: Ints
+    closed: Bools
+    allowed: Floats
+    plane: Bools
+
+
+class _Told(NamedTuple):
+    """What is told of each ring; the columns of :class:`Evidence`."""
+
+    value: Floats
+    limit: Floats
+    at: Floats
+    cause: NDArray[np.uint8]
+
+
 @kernel
 def _measure_rings(
-    points: Floats,
-    ring_starts: Ints,
-    closed: Bools,
-    allowed: Floats,
-    plane: Bools,
-    slack: float,
-    plane_slack: float,
+    contours: _Contours,
+    slacks: tuple[float, float],
     spans: Floats,
     span_starts: Ints,
     first: int,
     last: int,
-    value: Floats,
-    limit: Floats,
-    at: Floats,
-    cause: NDArray[np.uint8],
+    told: _Told,
 ) -> None:
+    """Find where each ring of curves is farthest beyond what is allowed; slacks: anywhere, and inside of planes, mm."""
+    points, allowed, plane = contours.points, contours.allowed, contours.plane
+    value, limit, at, cause = told
+    slack, plane_slack = slacks
     for r in range(first, last):
-        a, b = ring_starts[r], ring_starts[r + 1]
+        a, b = contours.ring_starts[r], contours.ring_starts[r + 1]
         B = spans[span_starts[r] : span_starts[r + 1]]
         if b - a < 2 or len(B) == 0:
             continue
         along = _along(B)
-        contour = boxed(closed_points(points[a:b], closed[r]))
+        contour = boxed(closed_points(points[a:b], contours.closed[r]))
         curve = boxed(along)
         excess, guess = -np.inf, 0
         for i in range(len(along)):

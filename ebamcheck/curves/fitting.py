@@ -79,6 +79,11 @@ def fit(
     **changes
         Single settings in place of those in `settings`, as ``tolerance_mm=0.05``.
 
+    Returns
+    -------
+    Curves
+        Curves of the same layers and rings, with what speaks for each ring.
+
     Raises
     ------
     SettingsError
@@ -86,6 +91,18 @@ def fit(
         layers were cut from another part.
     GeometryError
         If a contour point is not finite.
+
+    Examples
+    --------
+    The side of a ball is a circle again, though its mesh is coarse:
+
+    >>> from ebamcheck_models import MODELS
+    >>> part = MODELS["sphere"].tessellate(0.2)
+    >>> from ebamcheck.slicers.slicing import slice_part
+    >>> layers = slice_part(part, [0.5])
+    >>> curves = fit(layers, part=part)
+    >>> len(layers.points) > 20, curves.block_count() < 5
+    (True, True)
     """
     if method not in METHODS:
         raise SettingsError(f"curve method {method!r} is unknown: choose one of {', '.join(METHODS)}")

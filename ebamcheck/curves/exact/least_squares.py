@@ -63,7 +63,7 @@ def refined(row: Floats, points: Floats, tolerance: float) -> Floats:
     off = distances(best, points) / size
     square = np.sum(off * off)
     damping = 1e-4
-    jacobian = np.empty((len(points), count))
+    jacobian = np.empty((count, len(points)))
     move = np.zeros(MOST_UNKNOWNS)
     equations = np.empty((count, count + 1))
     for step in range(MOST_STEPS):
@@ -74,13 +74,13 @@ def refined(row: Floats, points: Floats, tolerance: float) -> Floats:
         for k in range(count):
             move[:] = 0.0
             move[k] = STEP
-            jacobian[:, k] = (distances(_moved(best, move, size), points) / size - off) / STEP
+            jacobian[k] = (distances(_moved(best, move, size), points) / size - off) / STEP
         gained = False
         for _ in range(MOST_UNKNOWNS):
             for i in range(count):
                 for j in range(count):
-                    equations[i, j] = np.dot(jacobian[:, i], jacobian[:, j])
-                equations[i, count] = -np.dot(jacobian[:, i], off)
+                    equations[i, j] = np.dot(jacobian[i], jacobian[j])
+                equations[i, count] = -np.dot(jacobian[i], off)
                 equations[i, i] *= 1.0 + damping
                 equations[i, i] += 1e-300
             if eliminated(equations, count, NO_PIVOT):

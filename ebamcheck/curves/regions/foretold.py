@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from ebamcheck.mesh.topology import Index
@@ -23,6 +25,15 @@ LEAST_PIVOT = 1e-6
 
 SOFTENING = 0.3
 """Squared distance, in units of the first ring, to which neighbours are trusted alike."""
+
+
+class _Corners(NamedTuple):
+    """A mesh, and the corners of its facets by smooth fan."""
+
+    vertices: Floats
+    faces: Index
+    starts: Index
+    corners: Index
 
 
 @kernel
@@ -47,6 +58,7 @@ def foretold(
     A, B = np.empty((CUBIC, CUBIC + 1)), np.empty((CUBIC, CUBIC + 1))
     terms = np.empty(CUBIC)
     u, w, n = np.empty(3), np.empty(3), np.empty(3)
+    mesh = _Corners(vertices, faces, starts, corners)
     for s in range(first, last):
         if not asked[s]:
             continue
@@ -66,7 +78,7 @@ def foretold(
         if not (eliminated(A, CUBIC, LEAST_PIVOT) and eliminated(B, CUBIC, LEAST_PIVOT)):
             continue
         c, d, e = A[3, CUBIC], A[4, CUBIC], A[5, CUBIC]
-        own, size = _sagitta(vertices, faces, starts, corners, s, here, u, w, c, d, e)
+        own, size = _sagitta(mesh, s, here, u, w, c, d, e)
         expected = 0.0
         sizes = size
         for i in range(count):
@@ -74,9 +86,7 @@ def foretold(
             share = 0.0
             for k in range(CUBIC):
                 share += B[k, CUBIC] * terms[k]
-            other, size = _sagitta(
-                vertices, faces, starts, corners, of_fan[i], vertices[around[i]], u, w, c, d, e
-            )
+            other, size = _sagitta(mesh, of_fan[i], vertices[around[i]], u, w, c, d, e)
             expected += share * weights[i] * other
             sizes += size
         typical = sizes / (count + 1)
@@ -210,10 +220,7 @@ def _equations(rows: Floats, count: int, weights: Floats, row: Floats, A: Floats
 
 @kernel
 def _sagitta(
-    vertices: Floats,
-    faces: Index,
-    starts: Index,
-    corners: Index,
+    mesh: _Corners,
     s: int,
     here: Floats,
     u: Floats,
@@ -225,10 +232,10 @@ def _sagitta(
     """Mean sagitta of the edges of a fan under given curvatures, mm: signed, positive where convex; and its magnitude."""
     total = size = 0.0
     count = 0
-    for place in range(starts[s], starts[s + 1]):
-        f, k = corners[place] // 3, corners[place] % 3
+    for place in range(mesh.starts[s], mesh.starts[s + 1]):
+        f, k = mesh.corners[place] // 3, mesh.corners[place] % 3
         for step in (1, 2):
-            p = vertices[faces[f, (k + step) % 3]]
+            p = mesh.vertices[mesh.faces[f, (k + step) % 3]]
             x = y = 0.0
             for i in range(3):
                 x += (p[i] - here[i]) * u[i]

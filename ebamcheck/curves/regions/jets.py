@@ -72,6 +72,14 @@ class Jets(NamedTuple):
     """(S,) root mean square of what the jet leaves of its neighbours, per degree of freedom, mm; NaN without a jet."""
 
 
+class _Frame(NamedTuple):
+    """Unit vectors: a normal, and two that span the plane across it."""
+
+    n: Floats
+    u: Floats
+    w: Floats
+
+
 def jets(vertices: Floats, faces: Index, corners: Corners, means: Floats, least_cosines: Floats) -> Jets:
     """Fit jets to all sectors; the normal stays the mean where none is told or it leaves the facets' normals."""
     found = Jets(means.copy(), np.full(len(means), np.nan))
@@ -106,6 +114,7 @@ def _jets(
             continue
         n = means[s]
         _frame(n, u, w)
+        frame = _Frame(n, u, w)
         corner = corners.corners[corners.starts[s]]
         here = vertices[faces[corner // 3, corner % 3]]
         for i in range(count):
@@ -116,7 +125,7 @@ def _jets(
             rows[i, 2] = x * n[0] + y * n[1] + z * n[2]
         if not _even_out(rows, near, count, u, w, scales):
             continue
-        own = _normal(rows, near, QUADRIC, 0, equations, scales, n, u, w, least_cosines[s], normal)
+        own = _normal(rows, near, QUADRIC, 0, equations, scales, frame, least_cosines[s], normal)
         if own:
             found.normals[s] = normal
             if near > QUADRIC:
@@ -124,7 +133,7 @@ def _jets(
             if scales[0] > LONGEST_RING * scales[1] or scales[1] > LONGEST_RING * scales[0]:
                 continue
         size = CUBIC if _is_centred(rows, near) else QUADRIC
-        if not _normal(rows, count, size, SPARE, equations, scales, n, u, w, least_cosines[s], normal):
+        if not _normal(rows, count, size, SPARE, equations, scales, frame, least_cosines[s], normal):
             continue
         found.noise[s] = _residual(rows, count, size, equations)
         spread = np.arccos(min(max(least_cosines[s], -1.0), 1.0))
@@ -155,9 +164,7 @@ def _normal(
     spare: int,
     equations: Floats,
     scales: Floats,
-    n: Floats,
-    u: Floats,
-    w: Floats,
+    frame: _Frame,
     least_cosine: float,
     normal: Floats,
 ) -> bool:
@@ -167,7 +174,7 @@ def _normal(
     a, b = equations[0, size] / scales[0], equations[1, size] / scales[1]
     length = np.sqrt(1.0 + a * a + b * b)
     for i in range(3):
-        normal[i] = (n[i] - a * u[i] - b * w[i]) / length
+        normal[i] = (frame.n[i] - a * frame.u[i] - b * frame.w[i]) / length
     return bool(1.0 / length >= least_cosine)
 
 

@@ -38,6 +38,17 @@ class RegionNormals(NamedTuple):
     """(F, 3) smooth fan of each corner."""
 
 
+class _Mesh(NamedTuple):
+    """A mesh with its regions."""
+
+    vertices: Floats
+    faces: Index
+    twin: Index
+    groups: PlanarGroups
+    borders: Borders
+    kind: Kinds
+
+
 def region_normals(part: Part, twin: Index, regions: Regions) -> RegionNormals:
     """Find the normals at all corners of facets; `twin` lacks those across creases."""
     vertices, faces = part.vertices, part.faces
@@ -57,7 +68,11 @@ def region_normals(part: Part, twin: Index, regions: Regions) -> RegionNormals:
     rows = split_corners(faces, _inner_twins(twin, label, kind))
     row_count = int(rows.max(initial=-1)) + 1
     strips = _strip_normals(
-        vertices, faces, twin, regions.groups, regions.borders, kind, sectors, found.normals, rows, row_count
+        _Mesh(vertices, faces, twin, regions.groups, regions.borders, kind),
+        sectors,
+        found.normals,
+        rows,
+        row_count,
     )
     normals = _put_together(regions.groups, kind, sectors, found.normals, rows, strips, count)
     noise = np.full(row_count, np.nan)
@@ -139,12 +154,7 @@ def _between(n: Floats, m: Floats, share: float) -> Floats:
 
 @kernel
 def _strip_normals(
-    vertices: Floats,
-    faces: Index,
-    twin: Index,
-    groups: PlanarGroups,
-    borders: Borders,
-    kind: Kinds,
+    mesh: _Mesh,
     sectors: Index,
     curved: Floats,
     rows: Index,
@@ -155,6 +165,8 @@ def _strip_normals(
     Between two strips of a circle the normal turns by the share of each in their width. At a sharp border along the
     rulings it goes on as it came.
     """
+    vertices, faces, twin = mesh.vertices, mesh.faces, mesh.twin
+    groups, borders, kind = mesh.groups, mesh.borders, mesh.kind
     sums = np.zeros((row_count, 3))
     for h in range(twin.size):
         f, k = h // 3, h % 3
@@ -176,22 +188,22 @@ def _strip_normals(
             share = 1.0 if kind[b] == PLANE else borders.width[h] / (borders.width[h] + borders.width[g])
             n = _between(groups.normals[a], groups.normals[b], share)
         elif twin[h] == NO_TWIN:
-            n = _beyond(vertices, faces, twin, groups, borders, kind, h)
+            n = _beyond(mesh, h)
             if n[0] == 0.0 and n[1] == 0.0 and n[2] == 0.0:
                 continue
         else:
             continue
         sums[rows[f, k]] += n
         sums[rows[f, (k + 1) % 3]] += n
-    _fill_ends(vertices, faces, twin, groups, borders, kind, sectors, curved, rows, sums)
+    _fill_ends(mesh, sectors, curved, rows, sums)
     return sums
 
 
 @kernel
-def _beyond(
-    vertices: Floats, faces: Index, twin: Index, groups: PlanarGroups, borders: Borders, kind: Kinds, h: int
-) -> Floats:
+def _beyond(mesh: _Mesh, h: int) -> Floats:
     """Normal of a strip at a sharp border along its rulings, by how it turns at the ruling on its other side; else 0."""
+    vertices, faces, twin = mesh.vertices, mesh.faces, mesh.twin
+    groups, borders, kind = mesh.groups, mesh.borders, mesh.kind
     group = groups.label[h // 3]
     x, y, z = edge_direction(vertices, faces, h)
     for place in range(borders.starts[group], borders.starts[group + 1]):
@@ -212,18 +224,15 @@ def _beyond(
 
 @kernel
 def _fill_ends(
-    vertices: Floats,
-    faces: Index,
-    twin: Index,
-    groups: PlanarGroups,
-    borders: Borders,
-    kind: Kinds,
+    mesh: _Mesh,
     sectors: Index,
     curved: Floats,
     rows: Index,
     sums: Floats,
 ) -> None:
     """Corners of strips that lie on no ruling take the jet's normal, less its part along the rulings."""
+    vertices, faces, twin = mesh.vertices, mesh.faces, mesh.twin
+    groups, borders, kind = mesh.groups, mesh.borders, mesh.kind
     for f in range(len(faces)):
         group = groups.label[f]
         if kind[group] != STRIP:
