@@ -26,6 +26,7 @@ from ebamcheck.errors import BackendMissing, EbamcheckError, SettingsError
 from ebamcheck.json_values import sha256_of_json
 from ebamcheck.layers.stack import Layers
 from ebamcheck.live.heat_so_far import HeatSoFar
+from ebamcheck.live.layer_feed import at_layer_feed
 from ebamcheck.live.metal_so_far import MetalSoFar
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
@@ -209,10 +210,10 @@ class LayerMaker:
         cut = self._slicings[self.primary].at(self.bottom_mm + height_mm)
         return layer_section(cut.polygons(0))
 
-    def config_of(self, wanted: Wanted) -> Config:
-        """Settings of the program of one layer: those of the run, with its height and name."""
+    def config_of(self, wanted: Wanted, mapped: bool = False) -> Config:
+        """Settings of the program of one layer: those of the run, with its height and name, and the feed for that height."""
         cut_mm = self.bottom_mm + wanted.base_mm + 0.5 * wanted.thickness_mm
-        sections = self.config
+        sections = at_layer_feed(self.config, wanted.thickness_mm, mapped)
         # Values that were worked out here need no check of all others, which takes a while with many plugins.
         return sections.model_copy(
             update={
@@ -247,7 +248,7 @@ class LayerMaker:
             If a stage cannot do its work at all: the layer has no section, a slicer fails, a setting is wrong.
         """
         clock = Clock()
-        config = self.config_of(wanted)
+        config = self.config_of(wanted, metal is not None and metal.mapped_surface)
         cut_mm = config.layers.heights_mm[0]
         with clock.stage("slice"):
             cuts = {name: slicing.at(cut_mm) for name, slicing in self._slicings.items()}
