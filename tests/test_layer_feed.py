@@ -211,7 +211,7 @@ def test_on_a_map_the_feed_leaves_the_wire_room_for_the_local_height(maker, tmp_
 
     usual_mm_s, level, mean = laid(metal, "level")
     feed_mm_s, slope, middle = laid(under, "map")
-    assert feed_mm_s < usual_mm_s == maker.config.process.travel_speed_mm_s
+    assert feed_mm_s < usual_mm_s < maker.config.process.travel_speed_mm_s
     assert middle == pytest.approx(mean, rel=0.03)
     assert abs(level) < 0.1 * tilt
     assert slope == pytest.approx(-tilt, rel=0.3)
