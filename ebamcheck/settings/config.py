@@ -13,7 +13,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Self, get_args, get_origin
 
-from pydantic import BaseModel, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    model_serializer,
+    model_validator,
+)
 from pydantic.fields import FieldInfo
 
 from ebamcheck.errors import SettingsError
@@ -23,6 +29,7 @@ from ebamcheck.settings.height_map import HeightMapSettings
 from ebamcheck.settings.machine import KinematicsSettings, MachineSettings
 from ebamcheck.settings.material import MaterialSettings
 from ebamcheck.settings.opcua import OpcuaSettings
+from ebamcheck.settings.preheat import PreheatSettings
 from ebamcheck.settings.process import ProcessSettings
 from ebamcheck.settings.scan import ScanSettings
 from ebamcheck.settings.selection import MachineChoice, MachineSections, RegressionSettings
@@ -54,7 +61,18 @@ class Config(Section):
     machines: MachineSections = MachineSections()
     opcua: OpcuaSettings = OpcuaSettings()
     height_map: HeightMapSettings = HeightMapSettings()
+    preheat: PreheatSettings = PreheatSettings()
     work: WorkSettings = WorkSettings()
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out preheating where it is off and as it is by default: programs without it keep the hash of their settings."""
+        values: dict[str, Any] = handler(self)
+        if self.preheat == PreheatSettings():
+            values.pop("preheat", None)
+        if not self.machine.set_focus:
+            values.get("machine", {}).pop("set_focus", None)
+        return values
 
     def __repr__(self) -> str:
         """Name the settings that are not the default ones."""
@@ -113,7 +131,7 @@ class Config(Section):
         values = self.model_dump()
         for section, changes in sections.items():
             # Another material brings data of its own.
-            kept = values[section] if section != "material" or "name" not in changes else {}
+            kept = values.get(section, {}) if section != "material" or "name" not in changes else {}
             values[section] = {**kept, **changes}
         return validated(values, "settings")
 

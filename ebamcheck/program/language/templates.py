@@ -39,6 +39,7 @@ class ProcessValues:
     layer_pause_s: float
     layer: int
     height_mm: float
+    defocus: float = 0.0
     increments: Mapping[str, float] = field(default_factory=dict)
     """Least step of each value that has one: it is printed as a multiple of it."""
 

@@ -94,7 +94,7 @@ def plan_stack(
     sections = [layer_section(layers.polygons(k)) for k in range(len(layers))]
     stack = Stack(sections, layers.heights, range(len(layers)), plate_mm)
     carry = profile.scan.carry_heat and needs_heat(name)
-    simulated = profile.process.interpass != "off"
+    simulated = profile.process.interpass != "off" or profile.preheat.when != "off"
     planned = []
     for done in ordered_layers(stack, profile, name, number, carry, simulated):
         planned.append(in_order(done))

@@ -24,6 +24,7 @@ from ebamcheck.scan.heat.part_heat import Beads, PartHeat
 from ebamcheck.scan.order.orders import LayerIslands, Order, entry_ways, scan_order
 from ebamcheck.scan.plan.bead_sequence import bead_sequence
 from ebamcheck.scan.plan.laying import LaidLayer, lay_islands
+from ebamcheck.scan.plan.preheated import preheated
 from ebamcheck.settings.config import Config
 
 AHEAD = 8
@@ -70,6 +71,8 @@ class LayerHeat:
     """(I,) wait before each further bead of an island"""
     mean_k: Floats
     """(B,) mean temperature of the surface when each bead is entered, contours first, absolute"""
+    preheat_passes: int = 0
+    """Passes of the preheating scan before it"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +117,10 @@ class Stack:
         steps = np.diff(self.heights_mm)
         return float(steps[max(layer - 1, 0)]) if len(steps) else profile.layer_height_mm
 
+    def bottom_mm(self, layer: int, profile: Config) -> float:
+        """Z over the base plate on which one layer lies, by the sum of those under it."""
+        return sum(self.thickness_mm(k, profile) for k in range(layer))
+
 
 def ordered_layers(
     stack: Stack, profile: Config, order: str | Order, seed: int, carry: bool, simulated: bool = True
@@ -137,10 +144,12 @@ def ordered_layers(
         return
     part, last = PartHeat(HeatColumn(profile)), None
     for k, (laid, islands) in enumerate(_prepared(stack, lambda k: laid_layer(stack, k, profile, seed))):
+        thick_mm = stack.thickness_mm(k, profile)
+        part, passes = preheated(part, stack.sections, k, stack.bottom_mm(k, profile), profile)
         done, part, last = ordered_on(
-            part, last, laid, islands, stack.thickness_mm(k, profile), profile, order, carry, last is None
+            part, last, laid, islands, thick_mm, profile, order, carry, last is None
         )
-        yield done
+        yield done if done.heat is None else replace(done, heat=replace(done.heat, preheat_passes=passes))
 
 
 def ordered_on(
