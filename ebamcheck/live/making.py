@@ -34,11 +34,13 @@ from ebamcheck.pipeline import gates
 from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.fit_evidence import judged
 from ebamcheck.pipeline.gates import Gate
+from ebamcheck.pipeline.live_program import without_preheating
 from ebamcheck.pipeline.programming import bead_paths, smooth_layers
 from ebamcheck.plugins import registry
 from ebamcheck.program import Check, ProgramFiles, mark_validated, verify_program
 from ebamcheck.program.checking.deposit import deposit
 from ebamcheck.program.checking.deposit_checks import deposit_checks
+from ebamcheck.program.checking.hatch_form import form_checks
 from ebamcheck.program.checking.matching import matched
 from ebamcheck.program.language.control import control
 from ebamcheck.program.reading.motions import NCProgram
@@ -154,11 +156,12 @@ class LayerMaker:
     BackendMissing
         If there are no two exact slicers on this machine.
     SettingsError
-        If programs of the control are not read back.
+        If programs of the control are not read back, or the settings ask for preheating.
     """
 
     def __init__(self, part: Part, config: Config, primary: str = "", annealing_steps: int = 0) -> None:
         name = config.machine.control
+        without_preheating(config, "layers between layers")
         if not control(name).is_read:
             raise SettingsError(
                 f"machine.control {name!r}: what is written for it is not read back, so that no layer of it can be proved"
@@ -301,7 +304,7 @@ class LayerMaker:
                 smooth=smooth if config.curves.method in LIFTED else None,
             )
             of_metal, stands = weighing.result()
-            checks += of_metal
+            checks += [*of_metal, *form_checks(program, config)]
             made += [
                 gates.deposit_gate(checks, config),
                 gates.heat_gate(checks, plan.metrics, config),

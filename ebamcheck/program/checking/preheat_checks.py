@@ -22,7 +22,7 @@ from ebamcheck.program.language.safe_end import safe_end_mm
 from ebamcheck.program.reading.motions import RAPID, STRAIGHT, NCProgram
 from ebamcheck.scan.filling.preheat_lines import pass_length_mm, pass_lines
 from ebamcheck.scan.heat.preheating import BeamWay, SurfaceK, spot_peak_k
-from ebamcheck.scan.plan.preheated import AIM_K, Scanned, asked_for, passes_asked, scanned
+from ebamcheck.scan.plan.preheated import AIM_K, Scanned, asked_for, is_cold, passes_asked, scanned
 from ebamcheck.settings.config import Config
 
 VALUE_SHARE = 1e-3
@@ -285,7 +285,7 @@ def _scans(nc: NCProgram, config: Config, sections: list[BaseGeometry]) -> list[
         if driven is None:
             return
         passes = _passes(way, on, config)
-        needed = k == 0 or begins_k < config.preheat.target_k
+        needed = column is None or is_cold(column, config)
         wanted = passes_asked(on, column, config) if needed else 0
         found.append(_Found(k, on, way, begins_k, driven[0].read(), passes, wanted, _place_of(nc, k)))
 

@@ -15,6 +15,9 @@ from ebamcheck.scan.heat.part_heat import PartHeat, decayed
 from ebamcheck.scan.heat.preheating import BeamWay, SurfaceHeat, bare_plate
 from ebamcheck.settings.config import Config
 
+LEAST_REST_S = 5.0
+"""Time in which the surface of a layer that was just laid comes to what lies under it, at least."""
+
 AIM_K = 3.0
 """The plan aims so far over the target: travel and chunks of time make no more between plan and text."""
 
@@ -58,7 +61,7 @@ def preheated(
     if not asked_for(k, config) or sections[k].area <= 0.0:
         return part, 0
     on = scanned(sections, k, z_mm, config)
-    if on.region.is_empty or (k and part.column.surface_k >= config.preheat.target_k):
+    if on.region.is_empty or (k and not is_cold(part.column, config)):
         return part, 0
     column = bare_plate(on.body, config) if k == 0 else part.column.copy()
     heat, passes, time_s = _driven(surface_heat(on, column, config), on.region, config)
@@ -70,6 +73,13 @@ def preheated(
         after.column = heat.column
         decayed(after.state, *after._rates, time_s)
     return after, passes
+
+
+def is_cold(column: HeatColumn, config: Config) -> bool:
+    """Whether what stands is colder than the target once its surface has had as long to even out as after a scan."""
+    rested = column.copy()
+    rested.advance(max(config.preheat.soak_s, LEAST_REST_S))
+    return rested.surface_k < config.preheat.target_k
 
 
 def passes_asked(on: Scanned, column: HeatColumn | None, config: Config) -> int:

@@ -37,7 +37,7 @@ from ebamcheck.program.writing.layer_text import (
     layer_blocks,
     motion_text,
 )
-from ebamcheck.program.writing.preheat_text import checked_preheating, preheat_blocks, preheat_passes
+from ebamcheck.program.writing.preheat_text import preheat_blocks, preheat_passes
 from ebamcheck.program.writing.safe_states import end_blocks, start_blocks
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import MachineSettings
@@ -120,7 +120,6 @@ def _preheating(
     digits: int,
 ) -> dict[str, list[str]]:
     """Names and blocks of the preheating scans, each before the layer of its number."""
-    checked_preheating(config)
     passes = preheat_passes(plan)
     found = {}
     for k in np.flatnonzero(passes).tolist():
