@@ -15,6 +15,7 @@ from typing import Any, Self, get_args, get_origin
 
 from pydantic import (
     BaseModel,
+    SerializationInfo,
     SerializerFunctionWrapHandler,
     ValidationError,
     model_serializer,
@@ -65,9 +66,13 @@ class Config(Section):
     work: WorkSettings = WorkSettings()
 
     @model_serializer(mode="wrap")
-    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+    def _as_before(
+        self, handler: SerializerFunctionWrapHandler, info: SerializationInfo
+    ) -> dict[str, Any]:
         """Leave out preheating where it is off and as it is by default: programs without it keep the hash of their settings."""
         values: dict[str, Any] = handler(self)
+        if info.mode == "json":  # hashes are of the values themselves
+            return values
         if self.preheat == PreheatSettings():
             values.pop("preheat", None)
         if not self.machine.set_focus:
