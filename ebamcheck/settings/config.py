@@ -66,9 +66,7 @@ class Config(Section):
     work: WorkSettings = WorkSettings()
 
     @model_serializer(mode="wrap")
-    def _as_before(
-        self, handler: SerializerFunctionWrapHandler, info: SerializationInfo
-    ) -> dict[str, Any]:
+    def _as_before(self, handler: SerializerFunctionWrapHandler, info: SerializationInfo) -> dict[str, Any]:
         """Leave out preheating where it is off and as it is by default: programs without it keep the hash of their settings."""
         values: dict[str, Any] = handler(self)
         if info.mode == "json":  # hashes are of the values themselves
