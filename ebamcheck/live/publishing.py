@@ -18,7 +18,7 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.program.language.control import control
 from ebamcheck.program.language.files import LONGEST_NAME
 from ebamcheck.settings.process_window import nominal_wire_speed_mm_s
-from ebamcheck.settings.text import as_toml
+from ebamcheck.settings.text import values_as_toml
 from ebamcheck.version import __version__
 
 CERTIFICATE, SETTINGS, PROGRAM = "layer.json", "settings.toml", "program"
@@ -129,7 +129,7 @@ def publish(
     if not made.passed or made.files is None:
         raise InputError(f"layer {made.wanted.layer}: is not validated and cannot be published: {made.why}")
     staged = made.files.folder.parent
-    (staged / SETTINGS).write_text(as_toml(made.config), encoding="utf-8")
+    (staged / SETTINGS).write_text(values_as_toml(made.config), encoding="utf-8")
     (staged / CERTIFICATE).write_text(json_text(certificate), encoding="utf-8")
     for name, wanted in made.files.sha256.items():
         _check_hash(made.files.folder / name, wanted)
