@@ -20,8 +20,8 @@ import numpy as np
 
 from ebamcheck.mesh.stl_writer import write_triangles
 
-SIDES_MM, LAYER_MM = (30.0, 24.0), 1.6755
-"""Section of the column, and about the height of a layer by default."""
+RADIUS_MM, CORNERS, LAYER_MM = 16.0, 48, 1.6755
+"""Radius and corners of the column, and about the height of a layer by default. A box would leave its corners bare, layer by layer."""
 
 EVERY = 10
 """Memory is read after so many layers."""
@@ -38,14 +38,18 @@ class Seen:
 
 
 def column(height_mm: float) -> np.ndarray:
-    """Triangles (12, 3, 3) of a box on the plate."""
-    corner = np.array(
-        [[x, y, z] for z in (0.0, height_mm) for y in (0.0, SIDES_MM[1]) for x in (0.0, SIDES_MM[0])]
-    )
-    quads = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
-    return np.array(
-        [corner[[a, b, c]] for q in quads for a, b, c in ((q[0], q[1], q[2]), (q[0], q[2], q[3]))]
-    )
+    """Triangles (n, 3, 3) of a round column on the plate."""
+    angle = 2.0 * np.pi * np.arange(CORNERS) / CORNERS
+    low = np.column_stack([RADIUS_MM * np.cos(angle), RADIUS_MM * np.sin(angle), np.zeros(CORNERS)])
+    high, after = low + np.array([0.0, 0.0, height_mm]), np.roll(np.arange(CORNERS), -1)
+    foot, top = np.zeros((CORNERS, 3)), np.tile([0.0, 0.0, height_mm], (CORNERS, 1))
+    sides = [
+        (low, low[after], high[after]),
+        (low, high[after], high),
+        (foot, low[after], low),
+        (top, high, high[after]),
+    ]
+    return np.concatenate([np.stack(side, axis=1) for side in sides])
 
 
 def command(*arguments: object) -> list[str]:
@@ -67,9 +71,8 @@ def made_run(folder: Path, layers: int) -> Path:
         check=False,
     )  # fmt: skip
     if done.returncode:
-        raise SystemExit(
-            f"the run of the column ends with exit code {done.returncode}: {done.stdout[-600:]} {done.stderr}"
-        )
+        shut = [line for line in done.stdout.splitlines() if line.startswith(("FAIL", "fault"))]
+        raise SystemExit(f"the run of the column ends with exit code {done.returncode}: {shut} {done.stderr}")
     return run
 
 

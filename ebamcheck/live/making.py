@@ -28,6 +28,7 @@ from ebamcheck.layers.stack import Layers
 from ebamcheck.live.heat_so_far import HeatSoFar
 from ebamcheck.live.layer_feed import at_layer_feed
 from ebamcheck.live.metal_so_far import MetalSoFar
+from ebamcheck.live.turned import Stands, turned_checks
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline import gates
@@ -178,6 +179,8 @@ class LayerMaker:
         # What every layer has alike is made once, and written out once.
         self._of_part = config.part.model_copy(update={"direction": part.direction})
         self._of_scan = config.scan.model_copy(update={"annealing_steps": annealing_steps})
+        self.stands: Stands | None = None
+        """What stands of a part that is turned between layers; None: it is not."""
         self._open = ExitStack()
         self._aside = self._open.enter_context(ThreadPoolExecutor(1))
         self._slicings = {
@@ -305,6 +308,9 @@ class LayerMaker:
             )
             of_metal, stands = weighing.result()
             checks += [*of_metal, *form_checks(program, config)]
+            if self.stands is not None:
+                section = layer_section(witness.polygons(0))
+                checks += turned_checks(program, section, cut_mm, self.stands, config)
             made += [
                 gates.deposit_gate(checks, config),
                 gates.heat_gate(checks, plan.metrics, config),
