@@ -62,7 +62,9 @@ def made_run(folder: Path, layers: int) -> Path:
     height_mm = LAYER_MM * layers
     write_triangles(column(height_mm), folder / "column.stl")
     top = max(1500.0, height_mm + 100.0)
-    (folder / "column.toml").write_text(f"[machine]\ntravel_max_mm = [1000.0, 1000.0, {top}]\n")
+    (folder / "column.toml").write_text(
+        f"[process]\nsurface_tolerance_mm = 100.0\n[machine]\ntravel_max_mm = [1000.0, 1000.0, {top}]\n"
+    )
     run = folder / "column.run"
     done = subprocess.run(
         command("run", folder / "column.stl", "-o", run, "--backends", "planecut,manifold", "-c", folder / "column.toml", "--yes"),
