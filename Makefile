@@ -68,6 +68,7 @@ wheel: setup ## Build a wheel that brings its kernels compiled, for x86-64-v3 an
 
 container: ## Build a container with that wheel, where podman or docker is there
 	@engine=$$(command -v podman || command -v docker) || { echo "neither podman nor docker is there" >&2; exit 2; }; \
+	"$$engine" info >/dev/null 2>&1 || { echo "$$engine is there, but does not answer: start its service, or install podman" >&2; exit 2; }; \
 	$(MAKE) wheel; \
 	python=$$($(BIN)/python -c 'import sys; print("%d.%d" % sys.version_info[:2])'); \
 	"$$engine" build --build-arg PYTHON="$$python" -f .ci/Containerfile -t ebamcheck .

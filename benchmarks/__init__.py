@@ -18,6 +18,6 @@ slows all of them, and what could not be measured is said in its place. The modu
     Which measurements are taken, and in which order.
 ``overlap_cost``, ``latency``, ``bitmaps``, ``crossings``
     What the targets ask for beyond times.
-``spread``, ``figures``, ``targets``, ``target_rows``, ``tables``, ``plot``, ``machine``
+``spread``, ``figures``, ``floors``, ``targets``, ``target_rows``, ``tables``, ``plot``, ``machine``
     What becomes of the figures.
 """

@@ -97,13 +97,13 @@ def of_meshes(folder: Path) -> Iterator[tuple[BaseGeometry, int]]:
         yield from ((section, LAYERS[k % len(LAYERS)]) for k, section in enumerate(sections))
 
 
-def measured(section: BaseGeometry, layer: int, profile: Config) -> dict[str, Any]:
+def measured(section: BaseGeometry, layer: int, config: Config) -> dict[str, Any]:
     """Islands of a section's plan, share of its area that is covered, and lines that leave it."""
-    plan = plan_scan(section, profile, order=ORDER, layer=layer)
+    plan = plan_scan(section, config, order=ORDER, layer=layer)
     ends = plan.vectors[["x0", "y0", "x1", "y1"]].to_numpy()
     lines = np.asarray(shapely.linestrings(ends.reshape(-1, 2, 2)), object)
     centres = [*lines, *shapely.get_parts(shapely.boundary(plan.contours))]
-    beads = shapely.buffer(centres, 0.5 * profile.process.bead_width_mm, quad_segs=ARC_SEGMENTS)
+    beads = shapely.buffer(centres, 0.5 * config.process.bead_width_mm, quad_segs=ARC_SEGMENTS)
     region = shapely.buffer(section, OUTSIDE * max(1.0, float(np.abs(section.bounds).max())))
     shapely.prepare(region)
     return {
@@ -113,16 +113,16 @@ def measured(section: BaseGeometry, layer: int, profile: Config) -> dict[str, An
     }
 
 
-def row(group: str, sections: Iterator[tuple[BaseGeometry, int]], profile: Config) -> dict[str, Any]:
+def row(group: str, sections: Iterator[tuple[BaseGeometry, int]], config: Config) -> dict[str, Any]:
     """Row of the table of a group of sections."""
-    found = pd.DataFrame([measured(s, layer, profile) for s, layer in sections if s.area > 0.0])
+    found = pd.DataFrame([measured(s, layer, config) for s, layer in sections if s.area > 0.0])
     covered = found["coverage"]
     return {
         "group": group,
         "sections": len(found),
         "islands": int(found["islands"].sum()),
         **{name: f"{covered.quantile(share):.4f}" for name, share in QUANTILES.items()},
-        f"below {profile.scan.least_coverage:.0%}": int((covered < profile.scan.least_coverage).sum()),
+        f"below {config.scan.least_coverage:.0%}": int((covered < config.scan.least_coverage).sum()),
         "vectors outside": int(found["outside"].sum()),
     }
 
@@ -132,11 +132,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-o", "--output", type=Path, default=DEFAULT_OUTPUT)
     options = parser.parse_args()
-    began, profile = time.perf_counter(), Config()
+    began, config = time.perf_counter(), Config()
     groups = {"reference models": of_models(), "random sections": of_chance()}
     if folder := os.environ.get(CORPUS):
         groups["meshes from the field"] = of_meshes(Path(folder))
-    table = pd.DataFrame([row(group, sections, profile) for group, sections in groups.items()])
+    table = pd.DataFrame([row(group, sections, config) for group, sections in groups.items()])
     seconds, here = time.perf_counter() - began, machine()
     by = f"By `python -m benchmarks.coverage`, {seconds:.0f} s on {here['cores']} cores of {here['cpu']}."
     options.output.mkdir(parents=True, exist_ok=True)

@@ -27,7 +27,8 @@ from benchmarks.machine import machine
 from benchmarks.scan_orders import markdown
 from ebamcheck.curves import Curves
 from ebamcheck.errors import EbamcheckError
-from ebamcheck.layers.stack import Layers, valid_polygons
+from ebamcheck.layers.polygons import valid_polygons
+from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.files import load
 from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline import run_job

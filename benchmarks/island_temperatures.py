@@ -91,7 +91,7 @@ def references(
                 alpha * block.eigenvalue,
                 alpha * depth.wave_number**2,
                 depth.mean_of_layer(model.layer_mm),
-                heat.source_k_s,
+                heat.modes.source_k_s,
             )
             for total, (order, start_s, end_s) in zip(totals, driven, strict=True):
                 total += entered_into(
@@ -101,12 +101,12 @@ def references(
     return found
 
 
-def compared(profile: Config, sides_mm: tuple[float, float], waves: tuple[float, ...]) -> pd.DataFrame:
+def compared(config: Config, sides_mm: tuple[float, float], waves: tuple[float, ...]) -> pd.DataFrame:
     """Entry temperatures of several orders on a rectangle, by the model and by references of some waves."""
     section = layer_section(shapely.box(0.0, 0.0, *sides_mm))
-    choices = lay_islands(section, profile, 0, HEIGHT_MM).choices(profile, 0)
-    heat, schedule, rapid = choices.heat, choices.known_schedule, profile.machine.rapid_mm_s
-    orders = [scan_order(name, choices) for name in ORDERS]
+    choices = lay_islands(section, config, 0, HEIGHT_MM).choices(config, 0)
+    heat, schedule, rapid = choices.cold_heat(), choices.known_schedule, config.machine.rapid_mm_s
+    orders = [scan_order(name, choices, heat) for name in ORDERS]
     driven = [
         (order, *clocked(order, schedule.entry, schedule.leave, schedule.time_s, rapid)[:2])
         for order in orders
@@ -140,8 +140,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-o", "--output", type=Path, default=Path("reports/scan"))
     options = parser.parse_args()
-    profile = Config().changed(scan={"hexagon_side_mm": HEXAGON_MM})
-    table = compared(profile, SIDES_MM, WAVES)
+    config = Config().changed(scan={"hexagon_side_mm": HEXAGON_MM})
+    table = compared(config, SIDES_MM, WAVES)
     digits = {"mean_k": 0, "max_k": 0, "rms_error_over_rms": 3, "error_of_max": 3}
     for column, places in digits.items():
         table[column] = table[column].map(f"{{:.{places}f}}".format)

@@ -10,14 +10,22 @@ import argparse
 import sys
 import time
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import shapely
 
 from benchmarks.machine import machine
-from benchmarks.scan_orders import BUILD_SIZE, DEFAULT_OUTPUT, LEAST_ISLANDS, MODELS, layers, markdown
+from benchmarks.scan_orders import (
+    BUILD_SIZE,
+    DEFAULT_OUTPUT,
+    LEAST_ISLANDS,
+    MODELS,
+    Ratio,
+    layers,
+    markdown,
+)
 from ebamcheck.judge import LayerCase, judge_layer
 from ebamcheck.scan.plan.comparing import OrderComparison
 from ebamcheck.settings.config import Config
@@ -32,15 +40,6 @@ plate the sum of all rises differs by 1.4 % from that over 64."""
 
 PLATES = ((90.0, 60.0, 12.0), (150.0, 80.0, 12.0), (150.0, 80.0, 60.0))
 """Sides and heights, mm, of plates on which the body of 3DThesis is that of our model: mirrors on all sides but the top."""
-
-
-class Ratio(NamedTuple):
-    """A greatest figure of `thermal` over that of another order; a target where the issue of orders sets one."""
-
-    what: str
-    figure: str
-    other: str
-    most: float | None = None
 
 
 RATIOS = (
@@ -81,19 +80,19 @@ Plates on an insulated base that do not radiate, with mirrors for their sides an
 """Text of the report."""
 
 
-def judged(names: tuple[str, ...], profile: Config) -> pd.DataFrame:
+def judged(names: tuple[str, ...], config: Config) -> pd.DataFrame:
     """Judge the orders on all layers that are large enough: one row a layer and order."""
     rows: list[dict[str, Any]] = []
     for name, height_mm, section in layers(names):
         began = time.perf_counter()
-        layer = int(height_mm / profile.layer_height_mm)
-        comparison = OrderComparison.of(section, profile, layer, height_mm)
+        layer = int(height_mm / config.layer_height_mm)
+        comparison = OrderComparison.of(section, config, layer, height_mm)
         if len(comparison.islands) < LEAST_ISLANDS:
             continue
         for order in ORDERS:
-            plan = comparison.result(order, profile.scan.seed).plan
-            case = LayerCase.of(plan, 0, section, profile, height_mm=height_mm)
-            figures = judge_layer(case, profile).figures()
+            plan = comparison.result(order, config.scan.seed).plan
+            case = LayerCase.of(plan, 0, section, config, height_mm=height_mm)
+            figures = judge_layer(case, config).figures()
             rows.append({"model": name, "height_mm": height_mm, "order": order, **figures})
         took = time.perf_counter() - began
         print(
@@ -104,9 +103,9 @@ def judged(names: tuple[str, ...], profile: Config) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def same_body(profile: Config) -> pd.DataFrame:
+def same_body(config: Config) -> pd.DataFrame:
     """Judge the orders on plates on an insulated base that do not radiate: one row a plate and order."""
-    plain = profile.changed(process={"base": "insulated"}, material={"emissivity": 0.0})
+    plain = config.changed(process={"base": "insulated"}, material={"emissivity": 0.0})
     rows: list[dict[str, Any]] = []
     for wide, deep, height_mm in PLATES:
         section = shapely.box(0.0, 0.0, wide, deep)
@@ -166,9 +165,9 @@ def spread_row(what: str, values: np.ndarray, most: float | None = None) -> dict
     }
 
 
-def layer_table(table: pd.DataFrame, profile: Config) -> pd.DataFrame:
+def layer_table(table: pd.DataFrame, config: Config) -> pd.DataFrame:
     """Greatest rises of every layer by 3DThesis; over boiling, where its linear heat ends, only that they are over it."""
-    most_k = profile.material.boiling_k - profile.process.ambient_temperature_k
+    most_k = config.material.boiling_k - config.process.ambient_temperature_k
 
     def told(value: float) -> str:
         return f"> {most_k:.0f}" if value > most_k else f"{value:.0f}"
@@ -183,7 +182,7 @@ def layer_table(table: pd.DataFrame, profile: Config) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def report(table: pd.DataFrame, bodies: pd.DataFrame, thesis: str, profile: Config) -> str:
+def report(table: pd.DataFrame, bodies: pd.DataFrame, thesis: str, config: Config) -> str:
     """Write the report."""
     groups = {"": table, f" (without {' and '.join(BUILD_SIZE)})": table[~table["model"].isin(BUILD_SIZE)]}
     rows = [row for suffix, some in groups.items() if len(some) for row in ratio_rows(some, suffix)]
@@ -196,7 +195,7 @@ def report(table: pd.DataFrame, bodies: pd.DataFrame, thesis: str, profile: Conf
         models=table["model"].nunique(),
         ratios=markdown(pd.DataFrame(rows)),
         bodies=markdown(body_table(bodies)),
-        layers=markdown(layer_table(table, profile)),
+        layers=markdown(layer_table(table, config)),
     )
 
 
@@ -211,12 +210,12 @@ def main() -> None:
     )
     options = parser.parse_args()
     options.output.mkdir(parents=True, exist_ok=True)
-    profile, files = Config(), [options.output / name for name in (TABLE, SAME_BODY)]
+    config, files = Config(), [options.output / name for name in (TABLE, SAME_BODY)]
     if not options.render:
-        judged(tuple(options.models.split(",")), profile).round(4).to_csv(files[0], index=False)
-        same_body(profile).round(4).to_csv(files[1], index=False)
+        judged(tuple(options.models.split(",")), config).round(4).to_csv(files[0], index=False)
+        same_body(config).round(4).to_csv(files[1], index=False)
     table, bodies = (pd.read_csv(file) for file in files)
-    text = report(table, bodies, options.thesis, profile)
+    text = report(table, bodies, options.thesis, config)
     (options.output / "judged.md").write_text(text, encoding="utf-8")
     print(text)
 

@@ -63,7 +63,7 @@ def built(found: FinishedRun, growth: Growth, side_mm: float | None, most: int |
                     rows.append({"layer": layer + 1, "islands": answer["islands"], "tries": answer["tries"],
                                  "wall_s": seconds, "processor_s": spent, **stages})  # fmt: skip
                 elif answer["answer"] != "done":
-                    raise SystemExit(f"the build stands at layer {layer + 1}: {answer}")
+                    raise SystemExit(f"the build stopped at layer {layer + 1}: {answer}")
         finally:
             building.close()
     return pd.DataFrame(rows)

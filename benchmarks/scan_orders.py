@@ -68,7 +68,7 @@ FIGURES = (
 
 
 class Ratio(NamedTuple):
-    """A figure of `thermal` over that of another order."""
+    """A greatest figure of `thermal` over that of another order; a target where the issue of orders sets one."""
 
     what: str
     figure: str
@@ -102,7 +102,7 @@ LEAST_TAU = 0.9
 
 
 def compared(
-    names: tuple[str, ...], orders: tuple[str, ...], profile: Config
+    names: tuple[str, ...], orders: tuple[str, ...], config: Config
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Compare orders on all layers that are large enough.
 
@@ -110,15 +110,15 @@ def compared(
     """
     plans, ranks = [], []
     for name, height_mm, section in layers(names):
-        layer = int(height_mm / profile.layer_height_mm)
-        comparison = OrderComparison.of(section, profile, layer, height_mm)
+        layer = int(height_mm / config.layer_height_mm)
+        comparison = OrderComparison.of(section, config, layer, height_mm)
         if len(comparison.islands) < LEAST_ISLANDS:
             continue
-        judge = referee_of(comparison.laid, profile)
+        judge = referee_of(comparison.laid, config)
         rows, by_island = [], []
         for order in orders:
             for result in comparison.results(order, SEEDS):
-                by_referee = second_opinion(judge, result, profile)
+                by_referee = second_opinion(judge, result, config)
                 by_island.append(by_referee.pop("referee_tau"))
                 rows.append({"order": order, **result.figures(), **by_referee})
         table = pd.DataFrame(rows)
@@ -245,8 +245,8 @@ def main() -> None:
     for base in options.bases:
         files = [options.output / f"{base}-{what}.csv" for what in ("plans", "ranks")]
         if not options.render:
-            profile = Config().changed(process={"base": base})
-            found = compared(tuple(options.models.split(",")), tuple(options.orders.split(",")), profile)
+            config = Config().changed(process={"base": base})
+            found = compared(tuple(options.models.split(",")), tuple(options.orders.split(",")), config)
             for table, file in zip(found, files, strict=True):
                 table.round(4).to_csv(file, index=False)
         plans, ranks = (pd.read_csv(file) for file in files)

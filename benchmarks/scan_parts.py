@@ -23,7 +23,7 @@ from ebamcheck.numeric.rings import Ints
 from ebamcheck.plugins.model import models
 from ebamcheck.scan import LayerIslands, ScanPlan, plan_stack
 from ebamcheck.scan.islands.regions import layer_section
-from ebamcheck.scan.order.orders import entry_ways, scan_order
+from ebamcheck.scan.order.orders import chosen_options, scan_order
 from ebamcheck.scan.plan.laying import lay_islands
 from ebamcheck.scan.plan.whole_part import scan_part
 from ebamcheck.settings.config import Config
@@ -44,16 +44,16 @@ SETUP_S, PLAN_S, PART_S = 20.0, 1.0, 300.0
 def layer_rows() -> list[dict[str, Any]]:
     """Set-up of the heat model of the large layer, and its order and entries; the first turn brings the compiled code up."""
     section, side_mm = LARGE
-    profile = Config().changed(scan={"hexagon_side_mm": side_mm})
-    laid = lay_islands(layer_section(section), profile, 0, 30.0)
+    config = Config().changed(scan={"hexagon_side_mm": side_mm})
+    laid = lay_islands(layer_section(section), config, 0, 30.0)
     for _ in range(2):
-        islands = laid.choices(profile, profile.scan.seed)
+        islands = laid.choices(config, config.scan.seed)
         began = time.perf_counter()
-        modes = islands.heat.mean.shape[0]
+        heat = islands.cold_heat()
         ready = time.perf_counter()
-        entry_ways("thermal", islands, scan_order("thermal", islands))
+        chosen_options("thermal", islands, scan_order("thermal", islands, heat), heat)
         done = time.perf_counter()
-    what = f"a layer of {len(islands)} islands, {modes} modes"
+    what = f"a layer of {len(islands)} islands, {len(heat.modes.plane_rate)} modes"
     return [row(f"{what}: set-up", ready - began, SETUP_S), row(f"{what}: plan", done - ready, PLAN_S)]
 
 
@@ -63,12 +63,10 @@ def part_rows() -> list[dict[str, Any]]:
     low, high = model.bounds[:, 2]
     height_mm = (high - low) / LAYERS
     heights = height_mm * (np.arange(LAYERS) + 0.5)
-    profile = Config().changed(
-        scan={"hexagon_side_mm": SIDE_MM}, layers={"layer_height_mm": float(height_mm)}
-    )
+    config = Config().changed(scan={"hexagon_side_mm": SIDE_MM}, layers={"layer_height_mm": float(height_mm)})
     sections = [layer_section(model.section(float(low + z))) for z in heights.tolist()]
     began = time.perf_counter()
-    found = pd.DataFrame(scan_part(sections, heights, profile, "thermal", profile.scan.seed))
+    found = pd.DataFrame(scan_part(sections, heights, config, "thermal", config.scan.seed))
     seconds = time.perf_counter() - began
     what = f"{PART}, {LAYERS} layers of {found['islands'].min()} to {found['islands'].max()} islands"
     return [row(f"{what}: order and heat", seconds, PART_S)]
@@ -79,18 +77,18 @@ def carry_rows() -> list[dict[str, Any]]:
     rows = []
     for name, model in models(CARRIED).items():
         low, high = model.bounds[:, 2]
-        profile = Config()
-        heights = np.arange(0.5 * profile.layer_height_mm, high - low, profile.layer_height_mm)[:MOST_LAYERS]
+        config = Config()
+        heights = np.arange(0.5 * config.layer_height_mm, high - low, config.layer_height_mm)[:MOST_LAYERS]
         stack = from_polygons(heights, [model.section(float(low + z)) for z in heights.tolist()])
         sections = [layer_section(stack.polygons(k)) for k in range(len(stack))]
-        cold = plan_stack(stack, profile.changed(scan={"carry_heat": False}))
+        cold = plan_stack(stack, config.changed(scan={"carry_heat": False}))
 
         def from_cold(islands: LayerIslands, cold: ScanPlan = cold) -> Ints:
             return cold.islands_of(islands.layer) - np.searchsorted(cold.island_layer, islands.layer)
 
         hottest = []
         for order in ("thermal", from_cold):
-            found = scan_part(sections, heights, profile, order, profile.scan.seed)
+            found = scan_part(sections, heights, config, order, config.scan.seed)
             hottest.append(np.array([layer["entry_max_k"] for layer in found]))
         ratio = hottest[0] / hottest[1]
         low_share, middle, high_share = np.nanquantile(ratio, [0.1, 0.5, 0.9])

@@ -89,7 +89,7 @@ def targets_text(raw: Raw) -> str:
     columns = ["what", "target"]
     for series in results:
         facets = raw["parts"][f"{series}-{_top(raw, series)}"]["facets"]
-        columns += [f"`{series}`, {facets:,} facets", ""]
+        columns += [f"`{series}`, {facets:,} facets", "", "floor"]
     text = ["# Targets", "", *_head(raw), ""]
     if results:
         rows = [_target_row(list(row), remarks) for row in zip(*results.values(), strict=True)]
@@ -99,7 +99,8 @@ def targets_text(raw: Raw) -> str:
     if alone:
         text += [
             markdown_table(
-                ["what", "target", "measured", "", "remark"], [_target_row([r], remarks) for r in alone]
+                ["what", "target", "measured", "", "floor", "remark"],
+                [_target_row([r], remarks) for r in alone],
             ),
             "",
         ]
@@ -139,7 +140,7 @@ def readme_text(raw: Raw) -> str:
 def _target_row(results: Sequence[Result], remarks: Mapping[str, str]) -> list[str]:
     target = results[0].target
     limit = "-" if target.limit is None else f"at most {quantity(target.limit, target.unit)}"
-    cells = [text for result in results for text in (result.text, result.verdict)]
+    cells = [text for result in results for text in (result.text, result.verdict, result.floor_text)]
     return [target.what, limit, *cells, remarks.get(target.key, "")]
 
 
@@ -187,10 +188,16 @@ def _head(raw: Raw) -> list[str]:
     quick = "**A quick trial of the benchmark itself: its figures mean nothing.** " if raw["quick"] else ""
     return [
         f"{quick}Made by `{raw['command']}` on {machine['started']}: {machine['cpu']}, {machine['cores']} cores, "
-        f"{machine['memory_gb']:g} GB, load at the start {machine['load_at_start'][0]:g}; OpenGL renderer "
+        f"{machine['memory_gb']:g} GB, {_bandwidth(machine)}load at the start {machine['load_at_start'][0]:g}; OpenGL renderer "
         f"{raw['renderer'] or 'none'}; ebamcheck {machine['ebamcheck']} ({machine['commit'] or 'no commit'}), "
         f"Python {machine['python']}, {packages}" + (f"; {programs}" if programs else "") + ".",
     ]
+
+
+def _bandwidth(machine: Mapping[str, Any]) -> str:
+    """Copy bandwidth, where it was measured: floors are bytes that must be touched over it."""
+    found = machine.get("copy_bytes_s")
+    return f"copies {1e-9 * found:.1f} GB/s (read and written), " if found else ""
 
 
 def _measured_methods(raw: Raw, parts: Mapping[str, Raw]) -> list[str]:
@@ -208,7 +215,14 @@ def _top(raw: Raw, series: str) -> int:
 
 
 def _figures(raw: Raw, series: str) -> Figures:
-    return Figures(raw["cells"], raw["targets"].get(series, {}), raw["parts"], series, _top(raw, series))
+    return Figures(
+        raw["cells"],
+        raw["targets"].get(series, {}),
+        raw["parts"],
+        series,
+        _top(raw, series),
+        raw["machine"].get("copy_bytes_s"),
+    )
 
 
 def _cell(text: str) -> str:

@@ -72,6 +72,7 @@ def _tasks(part: BenchmarkPart, small: BenchmarkPart, effort: Effort) -> list[Ta
     return [
         Task("cold", lambda: cold_slice(part.path, part.layer_mm), many),
         Task("start-up", lambda: cold_slice(model_file("cube", 1.0), 10.0), many),
+        Task("imports", imports, many),
         Task("in order", task("time", planecut), many),
         Task("shuffled", task("time", {**planecut, "stl": str(mixed.path)}), many),
         Task("overlaps", task("overlaps", layers), many),
@@ -95,6 +96,12 @@ def cold_slice(stl: Path, layer_mm: float) -> Raw:
             str(Path(folder, "out.parquet")),
         ]
         return command(arguments, COMMAND_LIMIT_S)
+
+
+def imports() -> Raw:
+    """Time an interpreter that imports the libraries that every slice needs, and nothing of ours: the floor of a start."""
+    code = "import numba, numpy, pyarrow.parquet, pydantic, shapely, typer"
+    return _watched([sys.executable, "-c", code], COMMAND_LIMIT_S)
 
 
 def check_command(
@@ -138,7 +145,14 @@ def command(
 ) -> Raw:
     """Run ``ebamcheck`` with these arguments in a process of its own."""
     # The installed script, as a user starts it.
-    watched = watch([str(Path(sys.executable).with_name("ebamcheck")), *arguments], limit_s, memory_mb)
+    return _watched([str(Path(sys.executable).with_name("ebamcheck")), *arguments], limit_s, memory_mb, fine)
+
+
+def _watched(
+    arguments: Sequence[str], limit_s: float, memory_mb: float = float("inf"), fine: Sequence[int] = (0,)
+) -> Raw:
+    """Run a process under limits."""
+    watched = watch(list(arguments), limit_s, memory_mb)
     status = "done" if watched.code in fine and not watched.ended else watched.ended or "failed"
     return {
         "status": {"time": "over", "memory": "over"}.get(status, status),

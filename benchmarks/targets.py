@@ -22,6 +22,8 @@ class Figures:
     parts: Mapping[str, Raw]
     series: str
     top: int
+    copy_bytes_s: float | None = None
+    """Copy bandwidth of the machine; None where it was not measured."""
 
     def times(self, method: str, steps: Iterable[str] = SLICE) -> Spread | None:
         """Times of a method at the top."""
@@ -73,6 +75,8 @@ class Result:
     target: Target
     measured: Spread | None
     why: str = ""
+    floor: float | None = None
+    """What the figure cannot be under on this machine; None where that is not known."""
 
     @property
     def met(self) -> bool | None:
@@ -99,9 +103,14 @@ class Result:
         """The figure with its spread."""
         return "-" if self.measured is None else spread_text(self.measured, self.target.unit)
 
+    @property
+    def floor_text(self) -> str:
+        """The floor in the target's unit."""
+        return "-" if self.floor is None else quantity(self.floor, self.target.unit)
 
-def judged(target: Target, figures: Figures) -> Result:
-    """Hold figures against a target."""
+
+def judged(target: Target, figures: Figures, floor: float | None = None) -> Result:
+    """Hold figures against a target, with its floor beside it."""
     measured = target.measure(figures)
     why = (
         figures.why(target.task)
@@ -110,4 +119,4 @@ def judged(target: Target, figures: Figures) -> Result:
         if measured is None
         else ""
     )
-    return Result(target, measured, why)
+    return Result(target, measured, why, floor)

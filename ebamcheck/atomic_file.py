@@ -7,9 +7,13 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Final
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.scratch import owned_file, sweep_parts
+
+COMPRESSION: Final = "lz4"
+"""Compression of the Parquet files of a run: coordinates hardly get smaller by a slower one."""
 
 
 def made_folder(path: Path) -> Path:

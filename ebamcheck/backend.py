@@ -113,6 +113,19 @@ class Slicer(Protocol):
 
     A slicer of this house of this project's own kernels may have ``isolated = False``, too: then
     ``ebamcheck slice`` runs it in its own process. All others are run in one of theirs.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from ebamcheck_models import CUBE
+    >>> from ebamcheck_planecut import PlaneCut
+    >>> slicer: Slicer = PlaneCut()
+    >>> part, settings = CUBE.tessellate(0.1), slicer.Settings()
+    >>> with slicer.prepare(part, settings) as prepared:
+    ...     prepared.slice(np.array([1.0, 3.0])).areas().tolist()
+    [400.0, 400.0]
+    >>> slicer.error_bound_mm(part, settings) < 1e-6
+    True
     """
 
     name: ClassVar[str]

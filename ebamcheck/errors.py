@@ -21,6 +21,19 @@ class EbamcheckError(Exception):
     """Base of every error that a user can cause and mend.
 
     The message is one line: what was wrong, where, with which value, and what to do.
+
+    Parameters
+    ----------
+    *args
+        The message.
+
+    Examples
+    --------
+    >>> try:
+    ...     raise SettingsError("layer height 0 mm: give a positive number of millimetres")
+    ... except EbamcheckError as error:
+    ...     print(error.exit_code.name, error)
+    USAGE layer height 0 mm: give a positive number of millimetres
     """
 
     exit_code: ExitCode = ExitCode.INTERNAL
@@ -45,7 +58,18 @@ class BackendMissing(EbamcheckError):
 
 
 class BackendFailed(EbamcheckError):
-    """A backend crashed, hung, ran out of memory or refused the part."""
+    """A backend crashed, hung, ran out of memory or refused the part.
+
+    Parameters
+    ----------
+    *args
+        The message.
+
+    Examples
+    --------
+    >>> BackendFailed("mine: the part is open at 3 edges").exit_code
+    <ExitCode.OUT_OF_TOLERANCE: 1>
+    """
 
     exit_code = ExitCode.OUT_OF_TOLERANCE
 

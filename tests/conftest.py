@@ -14,7 +14,7 @@ settings.register_profile("search")
 settings.load_profile("repeatable")
 
 LONGEST_FIRST = (
-    "test_pipeline.py", "test_live.py", "test_live_opcua.py", "test_cli.py", "test_run_accidents.py", "test_isolation.py",
+    "test_pipeline.py", "test_live_server.py", "test_live_opcua.py", "test_live.py", "test_cli.py", "test_run_accidents.py", "test_isolation.py",
     "test_faults.py", "test_motion_faults.py", "test_conformance.py", "test_regression.py", "test_scan_command.py", "test_surface_curves.py",
     "test_enemies.py", "test_enemy_slicers.py", "test_enemy_reports.py", "test_partitions.py", "test_interrupted_runs.py",
     "test_controls.py", "test_diagnosis.py", "test_signing.py", "test_scan_stacks.py", "test_whole_part.py",

@@ -14,7 +14,9 @@ import shapely
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import Delaunay
 
+from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part, from_arrays
+from ebamcheck.slicers.slicing import slice_part
 
 Array = NDArray[np.float64]
 Maker = Callable[[float], Part]
@@ -330,3 +332,14 @@ def scattered_torus(points: int, seed: int = 1) -> Part:
     p, q = 2.0 * np.pi * u, 2.0 * np.pi * v
     r = big + small * np.cos(q)
     return from_arrays(np.column_stack([r * np.cos(p), r * np.sin(p), small * np.sin(q)]), index[triangles])
+
+
+def heights_of(part: Part, count: int) -> Array:
+    """Heights in the middle of so many layers of a part."""
+    low, high = part.bounds[:, 2]
+    return low + (high - low) * (np.arange(count) + 0.5) / count
+
+
+def sliced(part: Part, count: int = 6) -> Layers:
+    """So many layers of a part, by the default slicer."""
+    return slice_part(part, heights_of(part, count))

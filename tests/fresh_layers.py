@@ -17,8 +17,8 @@ PLATE = shapely.box(0, 0, 160, 110)
 
 
 def islands_of(section, **scan):
-    profile = PROFILE.changed(scan=scan)
-    return lay_islands(layer_section(section), profile, 0, HEIGHT_MM).choices(profile, 0)
+    config = PROFILE.changed(scan=scan)
+    return lay_islands(layer_section(section), config, 0, HEIGHT_MM).choices(config, 0)
 
 
 def times_of(islands, order):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+
 from ebamcheck.pipeline.certificate import (
     CERTIFICATE,
     certificate,
@@ -10,6 +12,7 @@ from ebamcheck.pipeline.certificate import (
     write_sealed,
 )
 from ebamcheck.pipeline.run_folder import RunFolder
+from ebamcheck.pipeline.signing import make_key, read_private_key, trusted_keys
 from ebamcheck.pipeline.verify import verify_run
 
 
@@ -27,3 +30,16 @@ def resealed(run):
         "files": file_hashes(run),
     }
     write_sealed(run / CERTIFICATE, fields)
+
+
+def copied(made, place):
+    """A copy of a run, which may be altered."""
+    return shutil.copytree(made[0], place / "copy.run")
+
+
+def two_keys(place):
+    """Keys of an approver, who is trusted, and of a stranger."""
+    (place / "trusted").mkdir()
+    jane, _ = make_key(place / "trusted" / "jane")
+    stranger, _ = make_key(place / "stranger")
+    return read_private_key(jane), read_private_key(stranger), trusted_keys([place / "trusted"])

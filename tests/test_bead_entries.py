@@ -67,7 +67,7 @@ class Made:
     def planned(self, layer):
         """Beads of one layer by the plan."""
         done = self.ordered[layer]
-        return bead_sequence(done.laid, done.islands, done.order, done.ways)[0]
+        return bead_sequence(done.laid, self.config, done.islands.cold_heat(), done.order, done.options)[0]
 
     def entries(self):
         """Beads of the text as they are entered, with nothing known but the text."""

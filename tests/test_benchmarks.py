@@ -18,6 +18,7 @@ from benchmarks.bitmaps import exact_image
 from benchmarks.crossings import farthest_mm
 from benchmarks.even_mesh import even_mesh
 from benchmarks.figures import cell_times, is_scaled, ratio, total_s
+from benchmarks.floors import FLOORS
 from benchmarks.ladder import Effort, measure_ladder
 from benchmarks.methods import Method
 from benchmarks.spread import Spread, quantity, spread, spread_text
@@ -159,6 +160,37 @@ def test_growth_is_per_facet_and_point_over_the_base_size():
 def test_memory_is_related_to_file_and_layers():
     memory = results()["planecut-memory"]
     assert memory.measured.median == pytest.approx(300e6 / (50 * 1_480_000 + 16 * 8_000_000))
+
+
+def test_a_floor_is_the_bytes_that_must_be_touched_over_the_bandwidth():
+    raw, done = raw_figures(), {"status": "done", "why": ""}
+    tasks = {
+        "imports": [{**done, "wall_s": 0.5}],
+        "in order": [{**done, "rounds": [one_round(0.4)]}],
+    }
+    told = target_rows.evaluate(Figures(raw["cells"], tasks, raw["parts"], "ladder", 11, copy_bytes_s=1e9))
+    floors = {result.target.key: result.floor for result in told}
+    cut_s = (50 * 1_480_000 + 16 * 8_000_000) / 1e9
+    assert floors["planecut-seconds"] == pytest.approx(cut_s)
+    assert floors["cold"] == pytest.approx(0.5 + cut_s)
+    assert floors["shuffled"] == pytest.approx(1.0 + 3 * 64 * 1_480_000 / 1e9 / 0.4)
+    assert floors["growth"] == 1.0
+    assert floors["planecut-manifold"] is None  # the library by itself was not measured
+    assert floors["literal"] is None
+    shown = {result.target.key: result.floor_text for result in told}
+    assert shown["planecut-seconds"] == "202 ms"
+    assert shown["literal"] == "-"
+    assert all(result.floor is None or result.floor > 0.0 for result in told)
+
+
+def test_without_the_bandwidth_no_floor_of_bytes_is_told():
+    floors = {key: result.floor for key, result in results().items()}
+    assert floors["planecut-seconds"] is None
+    assert floors["compare"] is None
+
+
+def test_every_floor_belongs_to_a_target():
+    assert set(FLOORS) <= {target.key for target in target_rows.TARGETS}
 
 
 def test_one_failed_turn_spoils_a_task():

@@ -200,7 +200,7 @@ def test_verify_a_run_and_a_program(place, here):
         (["run", "frame.stl", "--backends", "planecut,nosuch"], 4, ["unknown backend 'nosuch'", "planecut"]),
         (["slice", "frame.stl", "-o", "x.foo"], 2, ["unknown slice format '.foo'"]),
         (["slice", "frame.stl", "-o", "nosuch/x.cli"], 2, ["nosuch/x.cli: cannot be written"]),
-        (["slice", "frame.stl", "-o", "x.cli", "--set", "pixel=1"], 2, ["setting 'pixel'", "it knows: overlaps"]),
+        (["slice", "frame.stl", "-o", "x.cli", "--set", "pixel=1"], 2, ["backend 'planecut': pixel: unknown key", "known keys: overlaps"]),
         (["slice", "frame.stl", "-o", "x.cli", "--heights", "1,nan"], 2, ["height 1 is nan"]),
         (["compare", "frame.stl", "frame.stl"], 2, ["cannot read layers"]),
         (["verify", "nosuch"], 2, ["nosuch: there is no such"]),

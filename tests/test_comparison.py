@@ -77,7 +77,7 @@ def test_consensus_is_the_largest_consistent_set(count, gated, agreeing, expecte
     marks = [
         np.array([f"{names[i]}{names[j]}" in text.split() for i, j in couples]) for text in (gated, agreeing)
     ]
-    members, verdict = agreement(count, couples, *marks)
+    members, verdict = agreement(couples, *marks)
     assert ("".join(names[i] for i in members), verdict) == expected
 
 

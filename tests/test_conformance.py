@@ -206,9 +206,9 @@ def test_the_command_refuses_what_it_does_not_know():
         conform_command(["teapot"])
     with pytest.raises(SettingsError, match="unknown model 'teapot'"):
         conform_command(["planecut"], models="teapot")
-    with pytest.raises(SettingsError, match="setting 'pixel'"):
+    with pytest.raises(SettingsError, match="pixel: unknown key"):
         conform_command(["planecut"], models="none", setting=["pixel=3"])
-    with pytest.raises(SettingsError, match="key=value"):
+    with pytest.raises(SettingsError, match="write it as NAME=VALUE"):
         conform_command(["planecut"], models="none", setting=["pixel"])
 
 

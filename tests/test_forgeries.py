@@ -10,7 +10,7 @@ import pytest
 from command_line import write_stl
 from finished_runs import FOUR_MM, certified_plate, thin_plate
 from parts import box
-from sealed_runs import failed, resealed
+from sealed_runs import copied, failed, resealed, two_keys
 
 from ebamcheck.errors import InputError
 from ebamcheck.json_values import (
@@ -28,40 +28,30 @@ from ebamcheck.pipeline.certificate import (
 from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.pipeline.signing import (
     SIGNATURES,
-    make_key,
-    read_private_key,
     sign,
     signature_check,
-    trusted_keys,
 )
 from ebamcheck.pipeline.verify import verify_run
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """A validated run of a plate with a hole, and the part's file."""
     return certified_plate(tmp_path_factory)
 
 
 @pytest.fixture(scope="module")
 def shut(tmp_path_factory):
-    """A run that is not validated: a plate so thin that no bead fits it."""
     return thin_plate(tmp_path_factory)
 
 
 @pytest.fixture
 def run(made, tmp_path):
-    shutil.copytree(made[0], tmp_path / "copy.run")
-    return tmp_path / "copy.run"
+    return copied(made, tmp_path)
 
 
 @pytest.fixture
 def keys(tmp_path):
-    """Keys of an approver, who is trusted, and of a stranger."""
-    (tmp_path / "trusted").mkdir()
-    jane, _ = make_key(tmp_path / "trusted" / "jane")
-    stranger, _ = make_key(tmp_path / "stranger")
-    return read_private_key(jane), read_private_key(stranger), trusted_keys([tmp_path / "trusted"])
+    return two_keys(tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from ebamcheck.scan.filling.hatch import Vectors
 from ebamcheck.scan.heat import island_heat
 from ebamcheck.scan.heat.enclosed import enclosed_share
 from ebamcheck.scan.heat.near_field import entry_rise, exact_depth, of_layer
-from ebamcheck.scan.heat.pieces import WAYS, island_tiles, line_pieces
+from ebamcheck.scan.heat.pieces import OPTIONS, island_tiles, line_pieces
 from ebamcheck.scan.order.simulation import entry_points
 
 
@@ -34,15 +34,15 @@ def test_pieces_hold_all_heat_and_follow_the_way(choices):
     pieces = line_pieces(lines, choices.centroid, choices.area_mm2, 4.0)
     starts = pieces.first[:-1]
     assert np.add.reduceat(pieces.share, starts) == pytest.approx(1.0)
-    for way in range(WAYS):
+    for option in range(OPTIONS):
         # The middle of the heat comes half-way through the island's time.
-        assert np.add.reduceat(pieces.share * pieces.passed[way], starts) == pytest.approx(0.5)
+        assert np.add.reduceat(pieces.share * pieces.passed[option], starts) == pytest.approx(0.5)
         for island in range(len(choices)):
             own = slice(pieces.first[island], pieces.first[island + 1])
-            soonest = pieces.place[own][np.argmin(pieces.passed[way, own])]
-            latest = pieces.place[own][np.argmax(pieces.passed[way, own])]
-            assert np.hypot(*(soonest - schedule.entry[island, way])) <= 2.0 + 1e-9
-            assert np.hypot(*(latest - schedule.leave[island, way])) <= 2.0 + 1e-9
+            soonest = pieces.place[own][np.argmin(pieces.passed[option, own])]
+            latest = pieces.place[own][np.argmax(pieces.passed[option, own])]
+            assert np.hypot(*(soonest - schedule.entry[island, option])) <= 2.0 + 1e-9
+            assert np.hypot(*(latest - schedule.leave[island, option])) <= 2.0 + 1e-9
 
 
 def test_an_island_without_lines_is_one_piece_at_its_centroid():
@@ -135,7 +135,8 @@ def layer_in_half_space(age_s):
 
 def test_the_function_of_the_depth_is_that_of_a_half_space(choices):
     age = np.array([0.05, 0.2, 1.0, 4.0])
-    model = replace(choices.heat.model, medium=replace(choices.heat.model.medium, radiation_w_mm2k=0.0))
+    known = choices.cold_heat().model
+    model = replace(known, medium=replace(known.medium, radiation_w_mm2k=0.0))
     found = of_layer(exact_depth(model), model, age)
     assert found == pytest.approx(layer_in_half_space(age), rel=0.01)
     # The few waves of the plan do not carry it while it is fresh.
@@ -160,7 +161,8 @@ def test_the_share_in_sight_is_exact_on_borders_in_corners_and_in_walls(variance
 
 @pytest.mark.parametrize("since", [0.3, 1.0, 2.0])
 def test_the_entry_is_as_hot_as_an_integral_over_the_moving_beam(choices, since):
-    near, heat, schedule, lines = choices.heat.fresh, choices.heat, choices.known_schedule, choices.lines
+    heat, schedule, lines = choices.cold_heat(), choices.known_schedule, choices.lines
+    near = heat.fresh
     alpha, process = Medium.of(PROFILE).diffusivity_mm2_s, PROFILE.process
     middle = int(np.argmin(np.hypot(*(choices.centroid - [80.0, 55.0]).T)))
     pairs = choices.neighbours
@@ -183,18 +185,18 @@ def test_the_entry_is_as_hot_as_an_integral_over_the_moving_beam(choices, since)
     youngest, oldest = since, min(since + time_s, near.horizon_s)
     bead2 = 2.0 * (0.25 * process.bead_width_mm) ** 2 + float(near.pieces.variance.mean())
     hottest = 0.0
-    for way in range(WAYS):
-        found = heat.source_k_s[beside] * entry_rise(near, middle, way, beside, 0, since, time_s)
+    for option in range(OPTIONS):
+        found = heat.modes.source_k_s[beside] * entry_rise(near, middle, option, beside, 0, since, time_s)
         knots = since + time_s - edges[1:-1]
         exact, _ = quad(
             rise,
             youngest,
             oldest,
-            (schedule.entry[middle, way], bead2),
+            (schedule.entry[middle, option], bead2),
             points=knots[(knots > youngest) & (knots < oldest)],
             limit=200,
         )
-        exact *= heat.source_k_s[beside]
+        exact *= heat.modes.source_k_s[beside]
         hottest = max(hottest, exact)
         assert found == pytest.approx(exact, rel=0.1, abs=20.0)
     assert hottest > 100.0
@@ -202,14 +204,15 @@ def test_the_entry_is_as_hot_as_an_integral_over_the_moving_beam(choices, since)
 
 def test_nothing_passes_a_gap():
     apart = islands_of(shapely.union_all([shapely.box(0, 0, 60, 60), shapely.box(60.5, 0, 120.5, 60)]))
-    near = apart.heat.fresh
+    heat = apart.cold_heat()
+    near = heat.fresh
     island = np.repeat(np.arange(len(apart)), np.diff(near.first))
     across = (apart.centroid[island, 0] < 60.25) != (apart.centroid[near.other, 0] < 60.25)
     assert across.any()
     assert not near.exact[near.pair[across]].any()
     order = np.lexsort((apart.centroid[:, 1], apart.centroid[:, 0]))
     start, end, _ = times_of(apart, order)
-    _, points = entry_points(apart.heat, apart.known_schedule, order, start, end)
+    _, points = entry_points(heat, apart.known_schedule, order, start, end)
     first_beyond = order[np.searchsorted(apart.centroid[order, 0], 60.25)]
     assert abs(points[first_beyond]) < 5.0
 
@@ -217,8 +220,8 @@ def test_nothing_passes_a_gap():
 def test_few_modes_with_fresh_heat_are_within_a_tenth_of_converged_ones(monkeypatch):
     """As on 2000 islands: one mode for five islands. The whole layer is in reports/scan/islands.md."""
     monkeypatch.setattr(island_heat, "PLANNING_MODES", 30)
-    profile = PROFILE.changed(scan={"hexagon_side_mm": 4.0})
-    table = compared(profile, (110.0, 70.0), (1.0, 0.7)).set_index(["order", "model"])
+    config = PROFILE.changed(scan={"hexagon_side_mm": 4.0})
+    table = compared(config, (110.0, 70.0), (1.0, 0.7)).set_index(["order", "model"])
     error = table["rms_error_over_rms"].unstack()
     assert error["reference, 1 w"].max() < 0.02
     assert error["with fresh heat"].max() < 0.1

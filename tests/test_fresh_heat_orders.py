@@ -18,7 +18,7 @@ from ebamcheck.scan.order.all_orders import MOST_LISTED, best_of_all
 from ebamcheck.scan.order.annealing import Layer, high_mean
 from ebamcheck.scan.order.entry_options import entry_options
 from ebamcheck.scan.order.orders import scan_order
-from ebamcheck.scan.order.simulation import entered, entry_points, nearest_ways
+from ebamcheck.scan.order.simulation import entered, entry_points, nearest_options
 from ebamcheck.scan.order.thermal import ranked
 from ebamcheck.scan.order.touching import touching, touching_successors
 
@@ -77,7 +77,7 @@ def moved(islands, angle_deg, shift_mm):
 
 def cost_of(islands, order):
     start, end, travel = times_of(islands, order)
-    return travel, np.maximum(*entry_points(islands.heat, islands.known_schedule, order, start, end))
+    return travel, np.maximum(*entry_points(islands.cold_heat(), islands.known_schedule, order, start, end))
 
 
 def test_numbers_of_islands_change_no_cost(choices):
@@ -130,21 +130,21 @@ def test_all_orders_of_five_islands_hold_none_better():
     islands = islands_of(
         shapely.box(0, 0, 62, 34).difference(shapely.box(20, 0, 24, 20)), hexagon_side_mm=11.0
     )
-    count, schedule = len(islands), islands.known_schedule
+    count, schedule, heat = len(islands), islands.known_schedule, islands.cold_heat()
     assert 5 <= count <= 6
-    beside, ways = touching(islands.neighbours, count), entry_options(schedule)
-    longest_s = float(schedule.time_s.sum() + count * ways.jump_mm.max() / RAPID)
-    table = influence(islands.heat, schedule.time_s, longest_s)
+    beside, options = touching(islands.neighbours, count), entry_options(schedule)
+    longest_s = float(schedule.time_s.sum() + count * options.jump_mm.max() / RAPID)
+    table = influence(heat, schedule.time_s, longest_s)
     every = [np.array(order) for order in itertools.permutations(range(count))]
     shortest = min(times_of(islands, order)[2] for order in every)
     for longest_mm in (0.5 * shortest, 1.2 * shortest, 1e9):
-        found = best_of_all(Layer(table, ways, beside, schedule.time_s, RAPID), longest_mm)
-        ranks = [ranked(islands.heat, schedule, beside, RAPID, order, longest_mm) for order in every]
+        found = best_of_all(Layer(table, options, beside, schedule.time_s, RAPID), longest_mm)
+        ranks = [ranked(heat, schedule, beside, RAPID, order, longest_mm) for order in every]
         fewest = min(rank[0] for rank in ranks)
         ranks = [rank for rank in ranks if rank[0] == fewest]
         least_far = min(rank[1] for rank in ranks)
         coolest = min(rank[2] for rank in ranks if rank[1] < least_far + 1e-6)
-        touches, far, warm = ranked(islands.heat, schedule, beside, RAPID, found, longest_mm)
+        touches, far, warm = ranked(heat, schedule, beside, RAPID, found, longest_mm)
         assert far == pytest.approx(least_far, abs=1e-6)
         assert touches == fewest
         # The table lies between nodes of time.
@@ -156,11 +156,14 @@ def test_small_layers_take_the_best_of_all_orders():
     islands = islands_of(shapely.box(0, 0, 48, 36))
     assert 5 <= len(islands) <= MOST_LISTED
     schedule, beside = islands.known_schedule, touching(islands.neighbours, len(islands))
+    heat = islands.cold_heat()
     longest_mm = 0.5 * times_of(islands, scan_order("farthest", islands))[2]
-    best = ranked(islands.heat, schedule, beside, RAPID, scan_order("thermal", islands), longest_mm)
+    best = ranked(heat, schedule, beside, RAPID, scan_order("thermal", islands), longest_mm)
     random = np.random.default_rng(0)
     for _ in range(300):
-        other = ranked(islands.heat, schedule, beside, RAPID, random.permutation(len(islands)), longest_mm)
+        other = ranked(
+            islands.cold_heat(), schedule, beside, RAPID, random.permutation(len(islands)), longest_mm
+        )
         # The table lies between nodes of time.
         assert best[0] <= other[0]
         if best[0] == other[0]:
@@ -168,11 +171,11 @@ def test_small_layers_take_the_best_of_all_orders():
             assert best[1] < other[1] - 1e-6 or best[2] <= 1.02 * other[2]
 
 
-def test_ways_are_those_that_are_clocked(choices):
+def test_options_are_those_that_are_clocked(choices):
     schedule, order = choices.known_schedule, scan_order("farthest", choices)
-    way = nearest_ways(order, schedule.entry, schedule.leave)
+    option = nearest_options(order, schedule.entry, schedule.leave)
     gone = np.hypot(
-        *(schedule.entry[order[1:], way[order[1:]]] - schedule.leave[order[:-1], way[order[:-1]]]).T
+        *(schedule.entry[order[1:], option[order[1:]]] - schedule.leave[order[:-1], option[order[:-1]]]).T
     ).sum()
     assert gone == pytest.approx(times_of(choices, order)[2])
 
@@ -180,8 +183,9 @@ def test_ways_are_those_that_are_clocked(choices):
 def test_without_fresh_heat_the_modes_stand_alone(choices):
     order = scan_order("raster", choices)
     start, end, _ = times_of(choices, order)
-    alone, _ = entered(replace(choices.heat, near=None), order, start, end)
-    means, points = entry_points(choices.heat, choices.known_schedule, order, start, end)
-    assert means == pytest.approx(entered(choices.heat, order, start, end)[0])
+    heat = choices.cold_heat()
+    alone, _ = entered(replace(heat, near=None), order, start, end)
+    means, points = entry_points(heat, choices.known_schedule, order, start, end)
+    assert means == pytest.approx(entered(heat, order, start, end)[0])
     # In rows, each island is begun beside the border just laid: far hotter than its mean.
     assert np.median(points[order[1:]] / alone[order[1:]]) > 1.5

@@ -266,13 +266,13 @@ def test_mean_of_an_island_is_that_of_its_points():
 
 
 def test_medium_of_a_profile():
-    profile = Config().changed(process={"surface_temperature_k": 1200.0})
-    medium = Medium.of(profile)
-    material = profile.material
+    config = Config().changed(process={"surface_temperature_k": 1200.0})
+    medium = Medium.of(config)
+    material = config.material
     assert medium.diffusivity_mm2_s == pytest.approx(
         material.conductivity_w_mk / material.density_kg_m3 / material.heat_capacity_j_kgk * 1e6
     )
-    cold = profile.process.ambient_temperature_k
+    cold = config.process.ambient_temperature_k
     flux = material.emissivity * STEFAN_BOLTZMANN_W_M2K4 * (1200.0**4 - cold**4)
     assert 1e6 * medium.radiation_w_mm2k * (1200.0 - cold) == pytest.approx(flux)
 

@@ -70,8 +70,8 @@ def test_what_is_absorbed_is_stored_conducted_away_or_radiated(base):
 
 
 def test_an_insulated_body_ends_even_at_the_temperature_of_its_heat_content():
-    profile = PROFILE.changed(process={"base": "insulated"}, material={"emissivity": 0.0})
-    model = referee(PLATE, profile, 0.0, 3.0)
+    config = PROFILE.changed(process={"base": "insulated"}, material={"emissivity": 0.0})
+    model = referee(PLATE, config, 0.0, 3.0)
     found = judged(
         model, model.cold(), LINE, np.array([0.0]), np.array([5.0]), 6000.0, WHOLE, np.array([4e3]), 4e3
     )
@@ -105,8 +105,8 @@ def test_a_steady_slab_of_changing_conductivity():
 
 def test_a_warm_half_melts_and_cools_as_an_error_function():
     # Constant data: a step of temperature spreads as erf (Carslaw & Jaeger 1959, section 2.4).
-    profile = PROFILE.changed(material=CONSTANT, process={"base": "insulated"})
-    model = referee(shapely.box(0, 0, 120, 3), profile, 0.0, 1.5)
+    config = PROFILE.changed(material=CONSTANT, process={"base": "insulated"})
+    model = referee(shapely.box(0, 0, 120, 3), config, 0.0, 1.5)
     content = model.cold()
     content[:, :, :40] = model.tables.heat_content(893.15)
     found = judged(model, content, np.zeros((0, 4)), np.zeros(0), np.zeros(0), 0.0, WHOLE, np.zeros(1), 20.0)
@@ -139,13 +139,13 @@ def test_steps_end_where_islands_are_entered_and_none_is_too_long():
 
 
 def test_on_constant_data_it_agrees_with_the_linear_model():
-    profile = PROFILE.changed(material=CONSTANT)
-    model = referee(shapely.box(0, 0, 60, 42), profile, 5.0, 2.0)
+    config = PROFILE.changed(material=CONSTANT)
+    model = referee(shapely.box(0, 0, 60, 42), config, 5.0, 2.0)
     islands = np.array([shapely.box(x, y, x + 12, y + 14) for x in range(0, 60, 12) for y in (0, 14, 28)])
     found = judged(
         model, model.cold(), LINE, np.array([0.0]), np.array([5.0]), 3000.0, islands, np.full(15, 12.0), 12.0
     )
-    medium = Medium.of(profile)
+    medium = Medium.of(config)
     linear = HeatModel(
         rectangle_modes(60, 42, 1.0), depth_modes(30.0, 40, True), medium, float(model.cell_mm[2])
     )

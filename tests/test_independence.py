@@ -85,17 +85,15 @@ def test_law_of_evidence(count, data):
     couples = list(combinations(range(count), 2))
     draw = st.lists(st.booleans(), min_size=len(couples), max_size=len(couples)).map(np.array)
     gated, agrees, counts = (data.draw(draw) for _ in range(3))
-    members, verdict = agreement(count, couples, gated, agrees, counts)
-    assert agreement(count, couples, gated, agrees, np.ones_like(counts)) == agreement(
-        count, couples, gated, agrees
-    )
+    members, verdict = agreement(couples, gated, agrees, counts)
+    assert agreement(couples, gated, agrees, np.ones_like(counts)) == agreement(couples, gated, agrees)
     pair = best_pair(members, count, gated & agrees & counts, np.arange(len(couples), dtype=float))
     if verdict == "agree":
         assert pair is not None
         assert set(pair) <= set(members)
         k = couples.index(pair)
         assert (gated & agrees & counts)[k]
-    none = agreement(count, couples, gated, agrees, np.zeros_like(counts))
+    none = agreement(couples, gated, agrees, np.zeros_like(counts))
     assert none[1] in ("not-compared", "undecided")
     foes = {c for c, g, ok in zip(couples, gated, agrees, strict=True) if g and not ok}
     assert not foes & set(product(members, members))

@@ -1,32 +1,26 @@
-"""A build between its layers: one layer end to end, the server, its journal, and a machine that plays the other side."""
+"""Layers made while a build goes on, end to end, and the readings of heights that ask for them."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import shutil
-import tracemalloc
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from command_line import FAST, command, ebamcheck, write_stl
+from command_line import ebamcheck
+from live_boxes import failed_checks, maker_of, run_of_box
 
-from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.live.bed import Growth, bad_lines
+from ebamcheck.errors import SettingsError
+from ebamcheck.live.bed import bad_lines
 from ebamcheck.live.building import Building
 from ebamcheck.live.desk import answer_to
 from ebamcheck.live.heat_so_far import HeatSoFar, heat_under
-from ebamcheck.live.heights_table import PLOT, TABLE, HeightsTable, laid_height, read_heights
-from ebamcheck.live.journal import Journal, read_journal
 from ebamcheck.live.loading import finished_run
 from ebamcheck.live.making import LayerMaker, Wanted
-from ebamcheck.live.playing import Server, play
-from ebamcheck.live.publishing import CURRENT, JOURNAL, LAYERS, certificate_of, publish, read_current
+from ebamcheck.live.publishing import CURRENT, LAYERS, certificate_of, publish, read_current
 from ebamcheck.live.readings import Reading, Refusal, fault_of, parsed, reading_of
-from ebamcheck.pipeline.verify import verify
-from ebamcheck.settings.config import Config, load_config
-from tests.parts import box
+from ebamcheck.settings.config import Config
 
 SIZE = (30, 24, 12)
 
@@ -34,17 +28,12 @@ SIZE = (30, 24, 12)
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
     """Folder with a run of a box of seven layers."""
-    folder = tmp_path_factory.mktemp("live")
-    write_stl(box(upper=SIZE), folder / "box.stl")
-    done = ebamcheck("run", "box.stl", "-o", "box.run", "--backends", FAST, cwd=folder)
-    assert done.returncode == 0, done.stderr
-    return folder
+    return run_of_box(tmp_path_factory, SIZE)
 
 
 @pytest.fixture(scope="module")
 def maker(place):
-    found = finished_run(place / "box.run")
-    with LayerMaker(found.part, found.config, found.primary) as made:
+    with maker_of(place) as made:
         yield made
 
 
@@ -53,13 +42,6 @@ def building(maker, tmp_path):
     made = Building(maker, tmp_path / "b")
     yield made
     made.close()
-
-
-def verified(folder, part):
-    """Whether a published layer passes by its text, part and settings alone."""
-    checks = verify(folder / "program", part, load_config(folder / "settings.toml"))
-    assert len(checks) > 50
-    return [check for check in checks if not check.passed]
 
 
 # -- one layer ---------------------------------------------------------------------------------------
@@ -80,7 +62,7 @@ def test_relayer_publishes_a_layer_at_the_measured_height_that_verifies_from_its
     assert told["cut_mm"] == pytest.approx(5.3 + 6.7 / 8)
     assert f"Z {5.3 + 6.7 / 4:.6f}" in text
     assert "; VALIDATED" in text
-    assert verified(folder, place / "box.stl") == []
+    assert failed_checks(folder, place / "box.stl") == []
     for name, sha256 in told["files"].items():
         assert hashlib.sha256((folder / "program" / name).read_bytes()).hexdigest() == sha256
     assert {gate["name"] for gate in told["gates"]} == {
@@ -101,12 +83,12 @@ def test_a_text_that_was_changed_does_not_verify(maker, place, tmp_path):
     assert made.passed, made.why
     publish(tmp_path / "b", made, certificate_of(made, maker.part, maker.primary, maker.witness))
     folder = tmp_path / "b" / LAYERS / "MAIN_K0003R1"
-    assert verified(folder, place / "box.stl") == []
+    assert failed_checks(folder, place / "box.stl") == []
     path = folder / "program" / "MAIN_K0003R1_L0001.SPF"
     text = path.read_text()
     path.write_text(text.replace("Z5.000000", "Z6.600000"))
     assert path.read_text() != text
-    failed = {check.name for check in verified(folder, place / "box.stl")}
+    failed = {check.name for check in failed_checks(folder, place / "box.stl")}
     assert failed & {"layer heights", "process window", "header", "layers"}, failed
 
 
@@ -269,283 +251,3 @@ def test_hostile_json_is_refused():
         assert isinstance(parsed(line), Refusal) or line == b""
     assert reading_of({"done": 1, "height_mm": 10**400}).code == "not-a-number"
     assert reading_of({"done": True, "height_mm": 1.0}).code == "counter"
-
-
-# -- the journal -------------------------------------------------------------------------------------
-
-
-def test_a_changed_or_missing_line_shows(tmp_path):
-    path = tmp_path / "j.jsonl"
-    with Journal(path) as journal:
-        for k in range(5):
-            journal.append({"kind": "height", "done": k})
-    lines = path.read_bytes().split(b"\n")
-    path.write_bytes(b"\n".join([*lines[:2], *lines[3:]]))
-    with pytest.raises(InputError, match="does not follow"):
-        list(read_journal(path))
-    path.write_bytes(b"\n".join(lines).replace(b'"done":2', b'"done":7'))
-    with pytest.raises(InputError, match="does not follow"):
-        list(read_journal(path))
-
-
-def test_a_line_that_was_cut_off_goes_and_the_rest_stays(tmp_path):
-    path = tmp_path / "j.jsonl"
-    with Journal(path) as journal:
-        journal.append({"kind": "height", "done": 0})
-        journal.append({"kind": "height", "done": 1})
-    whole = path.read_bytes()
-    first = whole.index(b"\n") + 1
-    for cut in range(first, len(whole)):
-        path.write_bytes(whole[:cut])
-        assert len(list(read_journal(path))) == 1
-        with Journal(path) as journal:
-            assert journal.lines == 1
-        assert path.read_bytes() == whole[:first]
-
-
-def test_two_servers_on_one_journal_are_refused(tmp_path):
-    with Journal(tmp_path / "j"), pytest.raises(SettingsError, match="another server"):
-        Journal(tmp_path / "j")
-
-
-def test_replay_gives_the_same_bytes_and_another_build_is_refused(place, maker, tmp_path):
-    made = Building(maker, tmp_path / "b")
-    made.start()
-    made.height({"done": 1, "height_mm": 1.9})
-    made.height({"done": 2, "height_mm": 3.3})
-    made.close()
-    files = {
-        p.relative_to(tmp_path / "b"): p.read_bytes() for p in (tmp_path / "b").rglob("*") if p.is_file()
-    }
-    fresh = tmp_path / "c"
-    fresh.mkdir()
-    shutil.copy(tmp_path / "b" / JOURNAL, fresh / JOURNAL)
-    again = Building(maker, fresh)
-    again.close()
-    assert {p.relative_to(fresh): p.read_bytes() for p in fresh.rglob("*") if p.is_file()} == files
-    done = ebamcheck("live", place / "box.run", "--replay", fresh / JOURNAL, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert "3 layers made again" in done.stdout
-    other = maker.config.changed(process={"wire_retract_mm": 1.5})
-    with (
-        LayerMaker(maker.part, other, maker.primary) as changed,
-        pytest.raises(InputError, match="another build"),
-    ):
-        Building(changed, fresh)
-
-
-def test_a_journal_whose_layer_is_not_what_comes_out_is_refused(place, maker, tmp_path):
-    with Journal(tmp_path / "b" / JOURNAL) as journal:
-        building = Building(maker, tmp_path / "x")
-        journal.append({"kind": "begin", **building._of()})
-        building.close()
-        journal.append({"kind": "height", "done": 0, "height_mm": 0.0})
-        journal.append({"kind": "layer", "name": "MAIN_K0001R1", "files": {"MAIN_K0001R1.MPF": "0" * 64}})
-    with pytest.raises(InputError, match="other bytes"):
-        Building(maker, tmp_path / "b")
-    done = ebamcheck("live", place / "box.run", "--replay", tmp_path / "b" / JOURNAL, cwd=tmp_path)
-    assert done.returncode == 1
-
-
-@pytest.mark.parametrize("place_of_kill", ["staged", "renamed", "journalled"])
-def test_a_kill_at_any_moment_leaves_the_last_validated_layer(maker, tmp_path, monkeypatch, place_of_kill):
-    from ebamcheck.live import building as module
-    from ebamcheck.live import publishing
-
-    class Killed(BaseException):
-        """What no handler catches, as a kill is not caught."""
-
-    folder = tmp_path / "b"
-    made = Building(maker, folder)
-    made.start()
-    told = read_current(folder)
-
-    def kill(*_args, **_kwargs):
-        raise Killed
-
-    if place_of_kill == "staged":
-        monkeypatch.setattr(module, "publish", kill)
-    elif place_of_kill == "renamed":
-        appended = made._journal.append
-        monkeypatch.setattr(
-            made._journal, "append", lambda entry: kill() if entry["kind"] == "layer" else appended(entry)
-        )
-    else:
-        monkeypatch.setattr(publishing, "write_synced", kill)
-    with pytest.raises(Killed):
-        made.height({"done": 1, "height_mm": 1.9})
-    made.close()
-    monkeypatch.undo()
-    assert read_current(folder) == told
-    called = folder / told["program"]
-    assert hashlib.sha256(called.read_bytes()).hexdigest() == told["sha256"]
-    again = Building(maker, folder)
-    answer = again.height({"done": 1, "height_mm": 1.9})
-    again.close()
-    assert answer["answer"] == "published"
-    assert answer["layer"] == 1
-    untouched = Building(maker, tmp_path / "never")
-    untouched.start()
-    assert untouched.height({"done": 1, "height_mm": 1.9})["sha256"] == answer["sha256"]
-    untouched.close()
-
-
-def test_a_file_that_was_exchanged_before_publishing_is_not_published(maker, tmp_path):
-    made = maker.make(
-        Wanted(2, 3.4, 1.6, "MAIN_K0003R1"), HeatSoFar.cold(maker.config), tmp_path / "s" / "program"
-    )
-    certificate = certificate_of(made, maker.part, maker.primary, maker.witness)
-    path = made.files.folder / made.files.names[1]
-    path.write_text(path.read_text() + "\n")
-    with pytest.raises(SettingsError, match="not the file that was verified"):
-        publish(tmp_path / "b", made, certificate)
-    assert read_current(tmp_path / "b") is None
-
-
-def test_what_is_not_validated_is_never_published(maker, tmp_path):
-    made = maker.make(
-        Wanted(2, 3.4, 0.5, "MAIN_K0003R1"), HeatSoFar.cold(maker.config), tmp_path / "s" / "program"
-    )
-    assert not made.passed
-    assert "process window" in made.why
-    with pytest.raises(InputError, match="not validated"):
-        publish(tmp_path / "b", made, certificate_of(made, maker.part, maker.primary, maker.witness))
-    assert not (tmp_path / "b").exists()
-
-
-def test_memory_does_not_grow_over_thousands_of_lines(building):
-    first = building.start()
-    good = json.dumps({"event": "height", "done": 1, "height_mm": 1.8}).encode()
-    bad = bad_lines(1, 0.0, first["thickness_mm"])
-    answer_to(building, good)
-
-    def round_of(count):
-        for k in range(count):
-            answer_to(building, bad[k % len(bad)][1])
-            answer_to(building, good)
-
-    round_of(200)
-    tracemalloc.start()
-    round_of(200)
-    before = tracemalloc.get_traced_memory()[0]
-    round_of(2000)
-    grown = tracemalloc.get_traced_memory()[0] - before
-    tracemalloc.stop()
-    assert grown < 100_000, grown
-
-
-# -- the whole loop ----------------------------------------------------------------------------------
-
-
-def test_the_server_outlives_bad_input_and_ends_with_its_input(place, tmp_path):
-    server = Server(command("live", place / "box.run", "-o", tmp_path / "b"), cwd=tmp_path)
-    try:
-        assert server.tell(event="status")["published"] is None
-        assert server.ask(b"x" * 1_000_000)["code"] == "unreadable"
-        assert server.tell(event="start")["answer"] == "published"
-        assert server.tell(event="reset")["published"]["layer"] == 0
-        assert server.tell(event="stop") == {"answer": "stopped"}
-    finally:
-        server.close()
-
-
-def test_a_server_without_a_line_says_that_it_waits(place, tmp_path):
-    server = Server(command("live", place / "box.run", "-o", tmp_path / "b", "--timeout", 0.2), cwd=tmp_path)
-    try:
-        answer = server.tell(event="start")
-        while answer["answer"] == "late":
-            answer = json.loads(server._process.stdout.readline())
-        late = json.loads(server._process.stdout.readline())
-        assert late["answer"] == "late"
-        assert late["published"]["name"] == answer["name"]
-        assert server.tell(event="height", done=1, height_mm=1.8)["answer"] == "published"
-    finally:
-        server.close()
-
-
-@pytest.mark.parametrize(("drift", "seed"), [(0.1, 1), (-0.1, 2)])
-def test_a_build_with_drift_and_noise_ends_at_the_top_and_every_layer_verifies(place, tmp_path, drift, seed):
-    out = tmp_path / "b"
-    done = ebamcheck(
-        "machine", place / "box.run", "-o", out, "--drift", drift, "--noise", 0.05, "--seed", seed, "--speed", 1e6,
-        "--faults", cwd=tmp_path,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "the top came out" in done.stdout
-    entries = list(read_journal(out / JOURNAL))
-    layers = [entry["name"] for entry in entries if entry["kind"] == "layer"]
-    assert sorted(layers) == sorted(p.name for p in (out / LAYERS).iterdir())
-    last = next(entry for entry in entries if entry["kind"] == "done")
-    assert abs(last["off_mm"]) < 0.42
-    for name in layers:
-        assert verified(out / LAYERS / name, place / "box.stl") == []
-    table = (out / "machine.csv").read_text().strip().split("\n")
-    assert len(table) == len(layers) + 1
-
-
-def test_a_server_killed_in_the_middle_goes_on_where_it_was(place, tmp_path):
-    out = tmp_path / "b"
-    start = command("live", place / "box.run", "-o", out)
-    server = Server(start, cwd=tmp_path)
-    answer = play(server, out, Growth(0.1), 1e6, most_layers=2)
-    assert answer["layer"] == 2
-    server.kill()
-    again = Server(start, cwd=tmp_path)
-    try:
-        assert again.tell(event="status")["published"]["name"] == answer["name"]
-        assert again.tell(event="start")["sha256"] == answer["sha256"]
-        last = play(again, out, Growth(0.1), 1e6)
-    finally:
-        again.close()
-    whole = Server(command("live", place / "box.run", "-o", tmp_path / "w"), cwd=tmp_path)
-    try:
-        assert play(whole, tmp_path / "w", Growth(0.1), 1e6) == last
-    finally:
-        whole.close()
-    names = sorted(p.name for p in (out / LAYERS).iterdir())
-    assert names == sorted(p.name for p in (tmp_path / "w" / LAYERS).iterdir())
-    for name in names:
-        for file in sorted((out / LAYERS / name / "program").iterdir()):
-            assert file.read_bytes() == (tmp_path / "w" / LAYERS / name / "program" / file.name).read_bytes()
-
-
-@pytest.mark.parametrize(
-    "options", [{"drift": float("nan")}, {"drift": 5.0}, {"noise": -0.1}, {"noise": 2.0}]
-)
-def test_growth_that_no_bead_has_is_refused(options):
-    with pytest.raises(SettingsError):
-        Growth(**options)
-
-
-def test_heights_of_a_build_are_tabled_and_drawn_and_come_out_the_same_again(maker, tmp_path):
-    folder = tmp_path / "b"
-    building = Building(maker, folder)
-    answers = [building.start()]
-    measured = []
-    for k in range(3):
-        last = answers[-1]
-        measured.append(last["base_mm"] + 1.08 * last["thickness_mm"])
-        answers.append(building.height({"done": k + 1, "height_mm": measured[-1]}))
-        building.heights.write()
-    building.close()
-    table = read_heights(folder / TABLE)
-    tops = [answer["base_mm"] + answer["thickness_mm"] for answer in answers[:3]]
-    assert table["layer"].tolist() == [0, 1, 2]
-    assert table["measured_top_mm"] == pytest.approx(measured, rel=1e-6)
-    assert table["corrected_top_mm"] == pytest.approx(tops, rel=1e-6)
-    assert table["deviation_mm"] == pytest.approx(np.subtract(measured, tops), rel=1e-5)
-    assert table["planned_top_mm"] == pytest.approx(building.rule.plan(0.0).tops_mm[:3], rel=1e-6)
-    assert table["grown_mm"] == pytest.approx(1.08 * table["thickness_mm"], rel=1e-5)
-    drawn = ElementTree.fromstring((folder / PLOT).read_text())
-    lines = [line for line in drawn.iter() if line.tag.endswith("polyline")]
-    assert len(lines) == 6
-    assert all(len(line.get("points").split()) == 3 for line in lines)
-    before = {name: (folder / name).read_bytes() for name in (TABLE, PLOT)}
-    Building(maker, folder).close()
-    assert {name: (folder / name).read_bytes() for name in before} == before
-
-
-def test_a_table_that_cannot_be_written_costs_the_table_alone(tmp_path):
-    table = HeightsTable(tmp_path / "nowhere")
-    table.add(laid_height(0, np.array([1.7]), 0.0, 1.7, 1.9, 0.0))
-    table.write(ended=True)

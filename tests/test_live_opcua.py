@@ -6,47 +6,21 @@ import asyncio
 import hashlib
 import json
 import math
-import os
-import re
 import shutil
-import socket
-import subprocess
-import sys
-from contextlib import asynccontextmanager
 
 import numpy as np
 import pytest
-from command_line import FAST, ebamcheck, write_stl
-from parts import box
+from live_boxes import maker_of, run_of_box
+from opcua_controls import built, codes, control, door, on_a_desk, sound, until
 
 from ebamcheck.errors import SettingsError
-from ebamcheck.live.bed import Growth
 from ebamcheck.live.building import Building
-from ebamcheck.live.journal import read_journal
-from ebamcheck.live.loading import finished_run
-from ebamcheck.live.making import LayerMaker
-from ebamcheck.live.publishing import LAYERS
-from ebamcheck.pipeline.verify import verify
-from ebamcheck.program.controls.sinumerik.handshake import run_text
-from ebamcheck.program.controls.sinumerik.waiting import waiting_program
-from ebamcheck.settings.config import Config, load_config
-from ebamcheck.settings.opcua import OpcuaSettings
-from ebamcheck.showing.plotting import ExtraMissing
-
-pytest.importorskip("asyncua", reason="needs the extra opcua: pip install 'ebamcheck[opcua]'")
-
-from ebamcheck.live.opcua.desk import desk_profile, faults_of, played
 from ebamcheck.live.opcua.door import Door
-from ebamcheck.live.opcua.handshake import OFFSETS, file_path, node_ids
-from ebamcheck.live.opcua.link import Link, LinkLost, LoginRefused, checked, installed
-from ebamcheck.live.opcua.panel import FAULTS, Panel
-from ebamcheck.live.opcua.playing import planned_s, top_of
-from ebamcheck.live.opcua.server import PlayedServer
+from ebamcheck.live.opcua.link import Link, installed
+from ebamcheck.live.opcua.panel import FAULTS
+from ebamcheck.live.publishing import LAYERS
 
 SIZE = (30, 24, 5.2)
-
-LONGEST_S = 90.0
-"""Time after which a build that does not end is taken for one that never does."""
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -57,81 +31,13 @@ def quiet():
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
     """Folder with a run of a box of three layers."""
-    folder = tmp_path_factory.mktemp("opcua")
-    write_stl(box(upper=SIZE), folder / "box.stl")
-    done = ebamcheck("run", "box.stl", "-o", "box.run", "--backends", FAST, cwd=folder)
-    assert done.returncode == 0, done.stderr
-    return folder
+    return run_of_box(tmp_path_factory, SIZE)
 
 
 @pytest.fixture(scope="module")
 def maker(place):
-    found = finished_run(place / "box.run")
-    with LayerMaker(found.part, found.config, found.primary) as made:
+    with maker_of(place) as made:
         yield made
-
-
-def free_url():
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        return f"opc.tcp://127.0.0.1:{found.getsockname()[1]}"
-
-
-def on_a_desk(**changes):
-    quick = {"look_s": 0.2, "retry_s": 0.1, "longest_retry_s": 0.4, "request_s": 2.0}
-    return OpcuaSettings(**{"url": free_url(), "security": "none", "anonymous": True, **quick, **changes})
-
-
-def built(maker, folder, faults=(), **changes):
-    """Build the box on a played control; what was told, and what the control laid."""
-    opcua, told = on_a_desk(late_s=0.4, **changes), []
-
-    async def both():
-        building = Building(maker, folder)
-        try:
-            door = Door(building, maker.config.machine, opcua, told.append)
-            side = asyncio.create_task(
-                played(
-                    maker.config,
-                    opcua,
-                    None,
-                    maker.height_mm,
-                    Growth(0.05),
-                    2000.0,
-                    faults_of(list(faults)),
-                    lambda row: None,
-                )
-            )
-            answer = await asyncio.wait_for(door.run(), LONGEST_S)
-            program, ended = await side
-            return answer, program, ended
-        finally:
-            building.close()
-
-    return (*asyncio.run(both()), told)
-
-
-def sound(folder, part, program, answer, ended):
-    """Every law of a build that went through: what was called was validated, and what was measured is true."""
-    assert ended
-    assert answer["answer"] == "built"
-    entries = list(read_journal(folder / "journal.jsonl"))
-    released = [entry for entry in entries if entry["kind"] == "released"]
-    published = {entry["name"]: entry["files"] for entry in entries if entry["kind"] == "layer"}
-    for row in program.laid:
-        assert row.sha256 in published[row.name.removesuffix("_L0001")].values()
-        assert row.sha256 in {entry["sha256"] for entry in released}
-    assert [row.layer for row in program.laid] == list(range(1, len(published) + 1))
-    tops = np.cumsum([row.grown_mm for row in program.laid])
-    measured = [entry["height_mm"] for entry in entries if entry["kind"] == "height"]
-    taken = [h for h in measured if h != 0.0]
-    assert np.allclose(taken, tops, atol=1e-9)
-    for name in published:
-        checks = verify(
-            folder / LAYERS / name / "program", part, load_config(folder / LAYERS / name / "settings.toml")
-        )
-        assert len(checks) > 50
-        assert [check for check in checks if not check.passed] == []
 
 
 BUILDS = {
@@ -168,65 +74,6 @@ def test_every_fault_is_in_a_build():
 
 
 # -- a control without a program ---------------------------------------------------------------------
-
-
-class Control:
-    """A panel behind a server, on which a test plays the program itself."""
-
-    def __init__(self, config, opcua):
-        self.panel, self.config, self.opcua = Panel(), config, opcua
-        self._waiting = None
-
-    def __getitem__(self, role):
-        return self.panel.get(self.config.machine.live_r + OFFSETS[role])
-
-    def __setitem__(self, role, value):
-        self.panel.set(self.config.machine.live_r + OFFSETS[role], value)
-
-    async def wait(self):
-        """Be a program that waits: it counts the time."""
-        while True:
-            self["waited"] = self["waited"] + 0.5
-            await asyncio.sleep(0.1)
-
-    def file(self, name):
-        return file_path(self.config.machine, self.opcua, name)
-
-
-@asynccontextmanager
-async def control(maker, opcua, waits=True, access=None):
-    made = Control(maker.config, opcua)
-    async with PlayedServer(made.panel, maker.config.machine, opcua, access).serving():
-        task = asyncio.create_task(made.wait()) if waits else None
-        try:
-            yield made
-        finally:
-            if task:
-                task.cancel()
-
-
-@asynccontextmanager
-async def door(maker, folder, opcua):
-    told, building = [], Building(maker, folder)
-    task = asyncio.create_task(Door(building, maker.config.machine, opcua, told.append).run())
-    try:
-        yield told
-    finally:
-        task.cancel()
-        await asyncio.gather(task, return_exceptions=True)
-        building.close()
-
-
-async def until(condition, limit_s=20.0):
-    for _ in range(int(limit_s / 0.05)):
-        if condition():
-            return
-        await asyncio.sleep(0.05)
-    raise AssertionError("it does not come to it")
-
-
-def codes(told):
-    return [text.get("code", text["answer"]) for text in told]
 
 
 def test_nothing_is_released_before_a_program_waits(maker, tmp_path):
@@ -431,186 +278,3 @@ def test_a_node_that_is_not_there_is_a_matter_of_settings(maker, tmp_path):
             building.close()
 
     asyncio.run(play())
-
-
-# -- security ----------------------------------------------------------------------------------------
-
-
-def test_nobody_writes_without_certificate_and_user(maker, tmp_path):
-    opcua = on_a_desk()
-    access = desk_profile(tmp_path / "desk", opcua)
-    ours = load_config(tmp_path / "desk" / "opcua.toml").opcua
-    checked(ours)
-    other = desk_profile(tmp_path / "other", opcua)
-    strange = ours.model_copy(
-        update={
-            "certificate": str(other.client_certificate),
-            "private_key": str(tmp_path / "other" / "client-key.pem"),
-        }
-    )
-    wrong = tmp_path / "wrong"
-    wrong.write_text("guess")
-    wrong.chmod(0o600)
-
-    async def play():
-        async with control(maker, opcua, access=access) as at:
-            async with Link(maker.config.machine, ours) as link:
-                await link.write("wait", 3.0)
-            assert at["wait"] == 3.0
-            not_it = ours.model_copy(update={"server_certificate": str(other.certificate)})
-            for bad in (ours.model_copy(update={"password_file": str(wrong)}), strange, not_it, opcua):
-                with pytest.raises((LoginRefused, LinkLost)):
-                    async with Link(maker.config.machine, bad) as link:
-                        await link.write("wait", 4.0)
-            assert at["wait"] == 3.0
-
-    asyncio.run(play())
-    assert (tmp_path / "desk" / "password").stat().st_mode & 0o077 == 0
-    assert (tmp_path / "desk" / "client-key.pem").stat().st_mode & 0o077 == 0
-    (tmp_path / "desk" / "password").chmod(0o644)
-    with pytest.raises(SettingsError, match="others may read it"):
-        checked(ours)
-
-
-@pytest.mark.parametrize(
-    ("changes", "said"),
-    [
-        ({}, "opcua.certificate is missing"),
-        ({"security": "none"}, "no password goes over an open channel"),
-        ({"certificate": "a", "private_key": "b", "server_certificate": "c"}, "opcua.user is missing"),
-        ({"certificate": "/nowhere", "private_key": "b", "server_certificate": "c", "user": "u"}, "opcua.certificate '/nowhere': cannot be read"),
-        ({"certificate": __file__, "private_key": "b", "server_certificate": "c", "user": "u"}, "is no certificate in PEM or DER"),
-    ],
-)  # fmt: skip
-def test_what_is_missing_for_a_safe_connection_is_told_before_anything_begins(changes, said):
-    with pytest.raises(SettingsError, match=said):
-        checked(OpcuaSettings(**changes))
-
-
-@pytest.mark.parametrize("url", ["http://a", "opc.tcp://", "opc.tcp://user:secret@host:4840"])
-def test_addresses_that_are_none_or_hold_a_password_are_refused(url):
-    with pytest.raises(SettingsError, match=r"opcua\.url"):
-        Config().changed(opcua={"url": url})
-
-
-# -- commands ----------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_two_commands_build_the_part_on_a_desk_though_one_is_killed(place, tmp_path):
-    url = free_url()
-    machine = subprocess.Popen(
-        [sys.executable, "-m", "ebamcheck", "machine", str(place / "box.run"), "--opcua", "--url", url,
-         "--drift", "0.1", "--speed", "2000", "-o", str(tmp_path / "desk"), "--fault", "away@2"],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ,
-    )  # fmt: skip
-    arguments = [
-        "live", str(place / "box.run"), "--opcua", "-c", str(tmp_path / "desk" / "opcua.toml"), "-o", str(tmp_path / "b"),
-    ]  # fmt: skip
-    try:
-        for line in machine.stdout:
-            if line.startswith("layer"):
-                break
-        first = subprocess.Popen(
-            [sys.executable, "-m", "ebamcheck", *arguments], stdout=subprocess.PIPE, text=True, env=os.environ
-        )
-        for line in first.stdout:
-            if json.loads(line)["answer"] == "released":
-                break
-        first.kill()
-        first.communicate()
-        done = ebamcheck(*arguments, cwd=tmp_path)
-        out, err = machine.communicate(timeout=LONGEST_S)
-    finally:
-        machine.kill()
-        machine.wait()
-    assert done.returncode == 0, done.stderr
-    assert machine.returncode == 0, err
-    answers = [json.loads(line) for line in done.stdout.splitlines()]
-    assert answers[-1]["answer"] == "built"
-    assert "the top came out" in out
-    assert err == ""
-    entries = list(read_journal(tmp_path / "b" / "journal.jsonl"))
-    released = [entry["sha256"] for entry in entries if entry["kind"] == "released"]
-    rows = (tmp_path / "desk" / "machine.csv").read_text().splitlines()
-    column = rows[0].split(",").index("sha256")
-    assert [row.split(",")[column] for row in rows[1:]] == released
-
-
-def test_an_address_in_use_is_told_in_one_line(place, tmp_path):
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        url = f"opc.tcp://127.0.0.1:{taken.getsockname()[1]}"
-        done = ebamcheck("machine", place / "box.run", "--opcua", "--url", url, "-o", "desk", cwd=tmp_path)
-    assert done.returncode == 2, done.stderr
-    assert "cannot listen there" in done.stderr
-    assert done.stderr.count("\n") == 1
-
-
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (("live", "--url", "opc.tcp://a"), "belong to --opcua"),
-        (("live", "--opcua"), "opcua.certificate is missing"),
-        (("machine", "--fault", "away@1"), "belong to --opcua"),
-        (("machine", "--opcua", "--fault", "away"), "give NAME@LAYER"),
-        (("machine", "--opcua", "--faults"), "give --fault NAME@LAYER"),
-    ],
-)
-def test_options_that_do_not_go_together_are_told_in_one_line(arguments, said, place, tmp_path):
-    name, *more = arguments
-    done = ebamcheck(name, place / "box.run", *more, cwd=tmp_path)
-    assert done.returncode == 2, done.stderr
-    assert said in done.stderr
-    assert done.stderr.count("\n") == 1
-
-
-def test_without_asyncua_the_extra_is_named(monkeypatch):
-    monkeypatch.setitem(sys.modules, "asyncua", None)
-    with pytest.raises(ExtraMissing, match=r"ebamcheck\[opcua\]"):
-        installed()
-
-
-# -- the text ----------------------------------------------------------------------------------------
-
-
-def test_the_main_program_goes_on_at_the_layer_that_the_server_says():
-    config = Config().changed(machine={"live_timeout_s": 60.0})
-
-    def door(run):
-        # After a RESET the program counts from 0: the server sets its count, and then releases.
-        if run.time_s > 2.0 and run.values.get("R100") == 0.0:
-            run.values |= {"R100": 5.0, "R102": 2.0, "R101": 6.0}
-        elif run.calls:
-            run.values["R101"] = -1.0
-
-    run = run_text(waiting_program(config, 12.0)[1], door, config)
-    assert [name for name, _ in run.calls] == ["MAIN_K0006R2_L0001"]
-    assert run.stops[-1][0] == "M30"
-    assert not run.faults
-
-
-def test_nodes_are_those_of_the_profile():
-    machine = replace_section(Config().machine, live_r=200)
-    nodes = node_ids(machine, OpcuaSettings(nodes={"height": "ns=3;i=5"}))
-    assert nodes["done"] == "ns=2;s=/Channel/Parameter/R[u1,200]"
-    assert nodes["measured"] == "ns=2;s=/Channel/Parameter/R[u1,207]"
-    assert nodes["height"] == "ns=3;i=5"
-    with pytest.raises(SettingsError, match="'top' is none of done"):
-        Config().changed(opcua={"nodes": {"top": "ns=3;i=5"}})
-
-
-def replace_section(section, **changes):
-    return section.model_copy(update=changes)
-
-
-def test_the_played_control_reads_top_and_time_from_the_text_alone(maker, place):
-    text = next((place / "box.run" / "program").glob("*_L0001.SPF")).read_text()
-    assert top_of(text) == pytest.approx(finished_run(place / "box.run").tops_mm[0], abs=1e-6)
-    table = (place / "box.run" / "process.csv").read_text().splitlines()
-    row = dict(zip(table[0].split(","), table[1].split(","), strict=True))
-    waits_s = sum(float(found) for found in re.findall(r" G4 F([\d.]+)", text))
-    driven_s = float(row["deposit_s"]) + float(row["travel_s"])
-    # Rapid moves up and down are left out.
-    assert float(row["deposit_s"]) <= planned_s(text, 100.0) - waits_s <= driven_s

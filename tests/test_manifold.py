@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import csv
-from collections import defaultdict
-
 import numpy as np
 import pytest
 import shapely
+from corpus_sections import simple_sections
 from parts import box, join, moved, sphere, tilted, torus
 from section_oracle import depth_beyond, exact_section, prism, rational_area
 
@@ -230,14 +228,8 @@ def test_no_heights_and_heights_beyond_the_part():
 
 @pytest.mark.corpus
 def test_reference_areas_and_loops_of_the_corpus(corpus):
-    by_file = defaultdict(list)
-    with (corpus / "REFERENCE.csv").open() as table:
-        for row in csv.DictReader(table):
-            if row["simple"] == "1" and (corpus / row["file"]).exists():
-                by_file[row["file"]].append(row)
     compared = 0
-    for file, rows in by_file.items():
-        rows.sort(key=lambda row: float(row["z"]))
+    for file, rows in simple_sections(corpus).items():
         part = ebamcheck.load(corpus / file)
         try:
             layers = cut(part, [float(row["z"]) for row in rows])

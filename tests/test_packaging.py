@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 import tomllib
@@ -147,3 +148,13 @@ def test_every_entry_point_loads_from_the_wheel_alone(wheel: Path, tmp_path: Pat
 def test_groups_are_those_of_the_project():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert {"console_scripts", *project["entry-points"]} == GROUPS
+
+
+def test_setup_asks_the_code_what_it_can_answer_and_brings_what_the_site_needs():
+    setup = (ROOT / ".ci" / "setup").read_text()
+    asked = re.findall(r"/bin/python\" -c '([^']+)'", setup)
+    assert asked
+    for code in asked:
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+        assert (done.returncode in (0, 1), done.stderr) == (True, ""), code
+    assert "'.[test,docs]'" in setup

@@ -48,8 +48,8 @@ def inner_borders(plan):
 
 @pytest.fixture(scope="module", params=list(LATTICES))
 def stacked(request):
-    profile = with_partition(request.param, LAID)
-    plans = [plan_scan(PLATE, profile, layer=k) for k in range(LAYERS)]
+    config = with_partition(request.param, LAID)
+    plans = [plan_scan(PLATE, config, layer=k) for k in range(LAYERS)]
     return request.param, plans
 
 
@@ -233,8 +233,8 @@ DEGENERATE = {
 def test_degenerate_layers_are_planned_soundly(case, name):
     given = DEGENERATE[case]
     # An order knows of cells, not of how they were cut: the one by heat is asked for once.
-    profile = with_partition(name, PROFILE if name == "hexagons" else LAID)
-    plan = plan_scan(given, profile, layer=5)
+    config = with_partition(name, PROFILE if name == "hexagons" else LAID)
+    plan = plan_scan(given, config, layer=5)
     row = plan.metrics.iloc[0]
     assert row["covered_fraction"] >= 0.98
     assert np.isfinite(row[["area_mm2", "hatch_length_mm", "time_s", "laid_share"]].to_numpy(float)).all()

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 import pytest
 import shapely
+from corpus_sections import simple_sections
 from numpy.testing import assert_allclose
 from parts import box, join, moved, sphere, tilted, torus, turn_z, welded
 
@@ -249,11 +249,9 @@ def test_any_slicing_direction_keeps_the_volume(direction):
 
 @pytest.mark.corpus
 def test_reference_rows_of_the_corpus(corpus: Path):
-    with (corpus / "REFERENCE.csv").open(newline="", encoding="utf-8") as file:
-        rows = [row for row in csv.DictReader(file) if row["simple"] == "1"]
-    assert len(rows) > 100
-    for name in sorted({row["file"] for row in rows}):
-        here = [row for row in rows if row["file"] == name]
+    rows = simple_sections(corpus)
+    assert sum(map(len, rows.values())) > 100
+    for name, here in sorted(rows.items()):
         layers = cut(ebamcheck.load(corpus / name), [float(row["z"]) for row in here])
         assert layers.ring_counts().tolist() == [int(row["n_loops"]) for row in here], name
         # The reference prints twelve digits.

@@ -24,6 +24,68 @@ from ebamcheck.settings.config import Config
 
 SQUARE = np.array([(0, 0), (10, 0), (10, 10), (0, 10), (0, 0)], float)
 
+SQUARE_AND_ISLAND = [
+    "G17 G710 G90 G94",
+    "G40 D0",
+    "TRANS",
+    "G54",
+    "SOFT FFWON G642",
+    "CTOL=0.05",
+    'MSG("LAYER 1 OF 2")',
+    "H1=60 ; accelerating voltage, kV",
+    "H2=120 ; beam current, mA",
+    "G0 Z21.600",
+    "; RING 0",
+    "G0 X0.000 Y0.000",
+    "G0 Z1.600",
+    "M60 ; beam on",
+    "H3=31.830989 ; wire speed, mm/s",
+    "M62 ; wire on",
+    "G1 X10.000 Y0.000 F600",
+    "G1 X10.000 Y10.000",
+    "G1 X0.000 Y10.000",
+    "G1 X0.000 Y0.000",
+    "M63 ; wire off",
+    "M61 ; beam off",
+    "; ISLAND 0",
+    "G0 X2.000 Y2.000",
+    "M60 ; beam on",
+    "H3=31.830989 ; wire speed, mm/s",
+    "M62 ; wire on",
+    "G1 X8.000 Y2.000 F600",
+    "G1 X8.000 Y6.320 ; TURN",
+    "G1 X2.000 Y6.320",
+    "M63 ; wire off",
+    "M61 ; beam off",
+    "G0 Z21.600",
+    "M17",
+]
+"""Blocks of a layer with one contour and one island."""
+
+MAIN_OF_TWO_LAYERS = [
+    "G17 G710 G90 G94",
+    "G40 D0",
+    "TRANS",
+    "G54",
+    "SOFT FFWON G642",
+    "CTOL=0.05",
+    "M63 ; wire off",
+    "M61 ; beam off",
+    "H1=60 ; accelerating voltage, kV",
+    "H2=120 ; beam current, mA",
+    "MAIN_L0001",
+    "MAIN_L0002",
+    "M63 ; wire off",
+    "M61 ; beam off",
+    "H3=0 ; wire speed, mm/s",
+    "H1=0 ; accelerating voltage, kV",
+    "H2=0 ; beam current, mA",
+    "G0 Z23.200",
+    "G0 X0.000 Y0.000",
+    "M30",
+]
+"""Blocks of the main program over two layers."""
+
 
 def failed(checks):
     return [(c.name, c.where, c.text) for c in checks if not c.passed]
@@ -45,68 +107,12 @@ def test_the_text_of_a_square_and_an_island(tmp_path):
     ]
     numbers = [int(line.split()[0][1:]) for line in lines if line.startswith("N")]
     assert numbers == list(range(10, 10 * len(numbers) + 1, 10))
-    assert [re.sub(r"^N\d+ ", "", line) for line in lines[4:]] == [
-        "G17 G710 G90 G94",
-        "G40 D0",
-        "TRANS",
-        "G54",
-        "SOFT FFWON G642",
-        "CTOL=0.05",
-        'MSG("LAYER 1 OF 2")',
-        "H1=60 ; accelerating voltage, kV",
-        "H2=120 ; beam current, mA",
-        "G0 Z21.600",
-        "; RING 0",
-        "G0 X0.000 Y0.000",
-        "G0 Z1.600",
-        "M60 ; beam on",
-        "H3=31.830989 ; wire speed, mm/s",
-        "M62 ; wire on",
-        "G1 X10.000 Y0.000 F600",
-        "G1 X10.000 Y10.000",
-        "G1 X0.000 Y10.000",
-        "G1 X0.000 Y0.000",
-        "M63 ; wire off",
-        "M61 ; beam off",
-        "; ISLAND 0",
-        "G0 X2.000 Y2.000",
-        "M60 ; beam on",
-        "H3=31.830989 ; wire speed, mm/s",
-        "M62 ; wire on",
-        "G1 X8.000 Y2.000 F600",
-        "G1 X8.000 Y6.320 ; TURN",
-        "G1 X2.000 Y6.320",
-        "M63 ; wire off",
-        "M61 ; beam off",
-        "G0 Z21.600",
-        "M17",
-    ]
+    assert [re.sub(r"^N\d+ ", "", line) for line in lines[4:]] == SQUARE_AND_ISLAND
     empty = (files.folder / "MAIN_L0002.SPF").read_text().splitlines()
     assert empty[13:] == ["N100 G0 Z23.200", "N110 G0 Z23.200", "N120 M17"]
     main = (files.folder / "MAIN.MPF").read_text().splitlines()
     assert main[0] == "%_N_MAIN_MPF"
-    assert [line.split(" ", 1)[1] for line in main if line.startswith("N")] == [
-        "G17 G710 G90 G94",
-        "G40 D0",
-        "TRANS",
-        "G54",
-        "SOFT FFWON G642",
-        "CTOL=0.05",
-        "M63 ; wire off",
-        "M61 ; beam off",
-        "H1=60 ; accelerating voltage, kV",
-        "H2=120 ; beam current, mA",
-        "MAIN_L0001",
-        "MAIN_L0002",
-        "M63 ; wire off",
-        "M61 ; beam off",
-        "H3=0 ; wire speed, mm/s",
-        "H1=0 ; accelerating voltage, kV",
-        "H2=0 ; beam current, mA",
-        "G0 Z23.200",
-        "G0 X0.000 Y0.000",
-        "M30",
-    ]
+    assert [line.split(" ", 1)[1] for line in main if line.startswith("N")] == MAIN_OF_TWO_LAYERS
 
 
 def test_same_input_same_bytes_and_hashes_of_what_is_on_disk(tmp_path):

@@ -30,9 +30,10 @@ from curve_parts import (
 )
 
 from ebamcheck.curves import contour_error, fit
-from ebamcheck.curves.lifting import NO_PLANE, Lifting
+from ebamcheck.curves.lifting import FLATTEST_SURFACE, Lifting
 from ebamcheck.curves.regions.rounding import coordinate_error_mm, plane_tolerance_mm
 from ebamcheck.curves.regions.surfaces import surfaces
+from ebamcheck.curves.sides import NO_PLANE
 from ebamcheck.curves.vertex_normals import surface_normals
 from ebamcheck.drawing.regions import regions_svg
 from ebamcheck.mesh.part import Part
@@ -221,7 +222,7 @@ def test_points_of_planes_stay_and_say_so() -> None:
     assert inside.any()
     assert np.array_equal(sides.points[inside], cut.points[inside])
     moved = np.hypot(*(sides.points - cut.points).T)
-    assert (moved <= sides.bound + 1e-12).all()
+    assert moved.max() <= 0.05 / FLATTEST_SURFACE  # the chord error of the mesh
     assert moved.max() > 0.01
 
 

@@ -164,9 +164,9 @@ def test_times_of_one_island_by_hand():
     # One whole solid whose fill is 24 x 10.8 mm: three lines, 3.6 mm apart at most 4.32, each 0.3 spacings short of both
     # borders, and two turns between them with the beam on.
     inset = PROFILE.contour_offset_mm + PROFILE.process.hatch_spacing_mm / 2
-    profile = PROFILE.changed(scan={"hexagon_side_mm": 30.0})
-    plan = plan_scan(shapely.box(0, 0, 24 + 2 * inset, 10.8 + 2 * inset), profile)
-    driven = simulate_order(plan, profile)
+    config = PROFILE.changed(scan={"hexagon_side_mm": 30.0})
+    plan = plan_scan(shapely.box(0, 0, 24 + 2 * inset, 10.8 + 2 * inset), config)
+    driven = simulate_order(plan, config)
     assert plan.island_kind.tolist() == ["whole"]
     lines = 3 * (24 - 2 * 0.3 * 4.32)
     assert driven["end_s"].tolist() == pytest.approx([(lines + 2 * 3.6) / 10.0])

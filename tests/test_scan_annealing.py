@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import shapely
+from islands_of_a_plate import FREE, PLATE, PROFILE, RAPID, laid_plate
 
 from ebamcheck.scan.heat.influence import influence, looked_up
 from ebamcheck.scan.islands.regions import layer_section
@@ -18,35 +18,22 @@ from ebamcheck.scan.order.annealing import (
     annealed,
     entry_temperature,
     high_mean,
-    move,
     new_log,
     timed_from,
 )
 from ebamcheck.scan.order.entry_options import entry_options
+from ebamcheck.scan.order.moves import Driven, least_travel_mm, more_touches, move
 from ebamcheck.scan.order.orders import scan_order
 from ebamcheck.scan.order.simulation import clocked, entered, entry_points
 from ebamcheck.scan.order.thermal import greedy_order
-from ebamcheck.scan.order.touching import touching, touching_successors
+from ebamcheck.scan.order.touching import touch_table, touching, touching_successors
 from ebamcheck.scan.plan.comparing import OrderComparison
 from ebamcheck.scan.plan.laying import lay_islands
-from ebamcheck.settings.config import Config
-
-PROFILE = Config()
-RAPID = PROFILE.machine.rapid_mm_s
-FREE = touching(np.zeros((0, 2), np.int64), 1000)
-"""No island touches another: none is kept from following any."""
-
-PLATE = shapely.box(0, 0, 160, 110).difference(shapely.Point(95, 60).buffer(22, 32))
 
 
 @pytest.fixture(scope="module")
-def laid():
-    return lay_islands(layer_section(PLATE), PROFILE, 0, 10.0)
-
-
-@pytest.fixture(scope="module")
-def choices(laid):
-    return laid.choices(PROFILE, 0)
+def choices():
+    return laid_plate().choices(PROFILE, 0)
 
 
 def test_annealing_helps_or_leaves_it():
@@ -56,7 +43,7 @@ def test_annealing_helps_or_leaves_it():
     keys = []
     for compared in (plain, long):
         islands = compared.islands
-        schedule, heat = islands.known_schedule, islands.heat
+        schedule, heat = islands.known_schedule, islands.cold_heat()
         order = scan_order("thermal", islands)
         start, end, _ = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
         entry, _ = entered(heat, order, start, end)
@@ -66,17 +53,19 @@ def test_annealing_helps_or_leaves_it():
 
 @pytest.mark.parametrize("base", ["cooled", "insulated"])
 def test_the_table_of_influences_is_the_heat_model(base):
-    profile = PROFILE.changed(process={"base": base})
-    choices = lay_islands(layer_section(PLATE), profile, 0, 10.0).choices(profile, 0)
-    schedule, heat = choices.known_schedule, choices.heat
-    before = np.random.default_rng(5).normal(size=heat.start_k.shape) * np.exp(-heat.plane_rate)[:, None]
+    config = PROFILE.changed(process={"base": base})
+    choices = lay_islands(layer_section(PLATE), config, 0, 10.0).choices(config, 0)
+    schedule, heat = choices.known_schedule, choices.cold_heat()
+    before = (
+        np.random.default_rng(5).normal(size=heat.start_k.shape) * np.exp(-heat.modes.plane_rate)[:, None]
+    )
     heat = replace(heat, start_k=300.0 * before)
     order = np.random.default_rng(4).permutation(len(choices))
     start, end, travel = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
     exact = np.maximum(*entry_points(heat, schedule, order, start, end))
-    table, ways = influence(heat, schedule.time_s, float(end.max())), entry_options(schedule)
+    table, options = influence(heat, schedule.time_s, float(end.max())), entry_options(schedule)
     log = new_log(len(order))
-    layer = Layer(table, ways, FREE, schedule.time_s, RAPID)
+    layer = Layer(table, options, FREE, schedule.time_s, RAPID)
     timed_from(0, order, layer, log)
     assert log.start_s == pytest.approx(start[order])
     assert log.travel_mm[-1] == pytest.approx(travel)
@@ -86,9 +75,9 @@ def test_the_table_of_influences_is_the_heat_model(base):
 
 @pytest.mark.parametrize("base", ["cooled", "insulated"])
 def test_a_rise_of_the_table_is_that_of_two_islands_driven_alone(base):
-    profile = PROFILE.changed(process={"base": base})
-    choices = lay_islands(layer_section(PLATE), profile, 0, 10.0).choices(profile, 0)
-    schedule, heat, count = choices.known_schedule, choices.heat, len(choices)
+    config = PROFILE.changed(process={"base": base})
+    choices = lay_islands(layer_section(PLATE), config, 0, 10.0).choices(config, 0)
+    schedule, heat, count = choices.known_schedule, choices.cold_heat(), len(choices)
     horizon_s = heat.fresh.horizon_s
     table = influence(heat, schedule.time_s, 300.0)
     pairs = [*choices.neighbours[::9].tolist(), *np.random.default_rng(8).integers(0, count, (8, 2)).tolist()]
@@ -110,11 +99,11 @@ def test_a_rise_of_the_table_is_that_of_two_islands_driven_alone(base):
         assert before > 0.0
 
 
-def test_ways_are_the_nearest_ones(choices):
-    schedule, ways = choices.known_schedule, entry_options(choices.known_schedule)
+def test_options_are_the_nearest_ones(choices):
+    schedule, options = choices.known_schedule, entry_options(choices.known_schedule)
     apart = np.linalg.norm(schedule.leave[:, :, None, None] - schedule.entry[None, None], axis=-1)
-    assert ways.jump_mm == pytest.approx(apart.min(axis=-1), abs=1e-5)
-    assert np.take_along_axis(apart, ways.way[..., None], -1)[..., 0] == pytest.approx(ways.jump_mm)
+    assert options.jump_mm == pytest.approx(apart.min(axis=-1), abs=1e-5)
+    assert np.take_along_axis(apart, options.option[..., None], -1)[..., 0] == pytest.approx(options.jump_mm)
 
 
 @pytest.mark.parametrize(("low", "high"), [(0.0, 500.0), (-3.0, 20.0)])
@@ -136,16 +125,40 @@ def test_moves_keep_every_island(kind):
         assert tried[b] == order[a]
 
 
+@pytest.mark.parametrize("kind", [0, 1, 2])
+def test_what_a_move_changes_is_what_the_moved_order_has(choices, kind):
+    schedule, heat, count = choices.known_schedule, choices.heat, len(choices)
+    beside = touching(choices.neighbours, count)
+    layer = Layer(
+        influence(heat, schedule.time_s, 1e3), entry_options(schedule), beside, schedule.time_s, RAPID
+    )
+    random = np.random.default_rng(11)
+    edges = [(0, 1), (1, 0), (0, count - 1), (count - 1, 0), (count - 2, count - 1), (count - 1, count - 3)]
+    for a, b in [*edges, *random.integers(0, count, (60, 2)).tolist()]:
+        if a == b:
+            continue
+        order, tried = random.permutation(count), np.empty(count, np.int64)
+        log, moved = new_log(count), new_log(count)
+        timed_from(0, order, layer, log)
+        move(order, a, b, kind, tried)
+        timed_from(0, tried, layer, moved)
+        assert more_touches(order, a, b, kind, touch_table(beside)) == moved.touches[-1] - log.touches[-1]
+        least_mm = least_travel_mm(Driven(order, log.way, log.travel_mm), a, b, kind, layer.ways)
+        assert least_mm <= moved.travel_mm[-1] == pytest.approx(least_mm, rel=1e-8)
+
+
 def test_annealing_keeps_to_the_travel_that_is_allowed(choices):
-    schedule, heat = choices.known_schedule, choices.heat
+    schedule, heat = choices.known_schedule, choices.cold_heat()
     order = greedy_order(heat, schedule, FREE, RAPID, 0, 1.0, 0.0)
     start, end, travel = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
     table = influence(heat, schedule.time_s, 2 * float(end.max()))
-    ways, random = entry_options(schedule), np.random.default_rng(0)
+    options, random = entry_options(schedule), np.random.default_rng(0)
     beside = touching(choices.neighbours, len(choices))
-    better = annealed(Layer(table, ways, beside, schedule.time_s, RAPID), order, travel, 100.0, 3000, random)
-    begin, stop, way = clocked(better, schedule.entry, schedule.leave, schedule.time_s, RAPID)
-    assert way <= travel + 1e-6
+    better = annealed(
+        Layer(table, options, beside, schedule.time_s, RAPID), order, travel, 100.0, 3000, random
+    )
+    begin, stop, option = clocked(better, schedule.entry, schedule.leave, schedule.time_s, RAPID)
+    assert option <= travel + 1e-6
     hottest = [
         np.maximum(*entry_points(heat, schedule, *plan)).max()
         for plan in ((better, begin, stop), (order, start, end))
@@ -155,17 +168,17 @@ def test_annealing_keeps_to_the_travel_that_is_allowed(choices):
 
 
 def test_giving_moves_up_early_changes_nothing(choices):
-    schedule, heat, steps, price = choices.known_schedule, choices.heat, 300, 0.5
+    schedule, heat, steps, price = choices.known_schedule, choices.cold_heat(), 300, 0.5
     count, beside = len(choices), touching(choices.neighbours, len(choices))
     order = np.random.default_rng(2).permutation(count)
     *_, end, travel = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
-    table, ways, allowed_mm = (
+    table, options, allowed_mm = (
         influence(heat, schedule.time_s, 2 * float(end.max())),
         entry_options(schedule),
         0.9 * travel,
     )
 
-    layer = Layer(table, ways, beside, schedule.time_s, RAPID)
+    layer = Layer(table, options, beside, schedule.time_s, RAPID)
 
     def simulated(tried):
         log = new_log(count)

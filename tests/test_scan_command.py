@@ -225,7 +225,7 @@ def test_the_referee_gives_its_opinion_beside_the_model(plate, tmp_path):
         assert row["referee_point_max_k"] > 0.9 * row["referee_max_k"]
     refused = ebamcheck("scan", plate, "--all", "--referee", cwd=tmp_path)
     assert refused.returncode == 2
-    assert refused.stderr.strip().endswith("--referee: judges one layer, give it with --height Z")
+    assert refused.stderr.strip().endswith("--referee judges one layer: give it with --height Z")
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import shapely
 from fake_distribution import found_here, install
+from islands_of_a_plate import FREE, PLATE, PROFILE, RAPID, laid_plate
 from threadpoolctl import threadpool_info
 
 import ebamcheck
@@ -24,23 +25,14 @@ from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.scan.order.orders import scan_order
 from ebamcheck.scan.order.simulation import clocked, entered, entry_points, entry_temperatures
 from ebamcheck.scan.order.thermal import greedy_order, own_rise
-from ebamcheck.scan.order.touching import touching
 from ebamcheck.scan.plan.comparing import COMPARED, FIGURES
 from ebamcheck.scan.plan.laying import lay_islands
-from ebamcheck.settings.config import Config
 from ebamcheck.settings.scan import SCAN_ORDERS
-
-PROFILE = Config()
-RAPID = PROFILE.machine.rapid_mm_s
-FREE = touching(np.zeros((0, 2), np.int64), 1000)
-"""No island touches another: none is kept from following any."""
-
-PLATE = shapely.box(0, 0, 160, 110).difference(shapely.Point(95, 60).buffer(22, 32))
 
 
 @pytest.fixture(scope="module")
 def laid():
-    return lay_islands(layer_section(PLATE), PROFILE, 0, 10.0)
+    return laid_plate()
 
 
 @pytest.fixture(scope="module")
@@ -57,32 +49,38 @@ def test_every_name_is_in_the_settings_and_in_the_table():
 
 def test_driven_islands_are_the_heat_model_step_by_step(laid, choices):
     schedule = choices.known_schedule
-    heat = replace(choices.heat, near=None)
+    heat = replace(choices.cold_heat(), near=None)
     order = np.random.default_rng(3).permutation(len(choices))
     start, end, _ = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
     entry_k, excess = entry_temperatures(heat, choices.area_mm2, order, start, end)
     assert entry_k == pytest.approx(entered(heat, order, start, end)[0])
     # By the model itself, from the same modes.
-    rate = np.add.outer(heat.plane_rate, heat.depth_rate)
+    rate = np.add.outer(heat.modes.plane_rate, heat.modes.depth_rate)
     state, clock = np.zeros_like(rate), 0.0
     for island in order[:12]:
         state = state * np.exp(-rate * (start[island] - clock))
-        assert entry_k[island] == pytest.approx(heat.mean[:, island] @ (state @ heat.in_layer), abs=1e-6)
+        assert entry_k[island] == pytest.approx(
+            heat.modes.mean[:, island] @ (state @ heat.modes.in_layer), abs=1e-6
+        )
         time = end[island] - start[island]
-        gain = np.multiply.outer(heat.mean[:, island], heat.in_layer) * -np.expm1(-rate * time) / rate
+        gain = (
+            np.multiply.outer(heat.modes.mean[:, island], heat.modes.in_layer)
+            * -np.expm1(-rate * time)
+            / rate
+        )
         cooled = state * np.exp(-rate * time)
-        others, state = cooled, cooled + heat.source_k_s[island] * gain
+        others, state = cooled, cooled + heat.modes.source_k_s[island] * gain
         weight = choices.area_mm2 / choices.area_mm2.sum()
-        rest, total = ((s @ heat.in_layer) @ heat.mean for s in (others, state))
+        rest, total = ((s @ heat.modes.in_layer) @ heat.modes.mean for s in (others, state))
         spread = math.sqrt(weight @ (rest - weight @ rest) ** 2)
         assert excess[island] == pytest.approx(spread / (weight @ total), abs=1e-9)
         clock = end[island]
 
 
 def test_an_island_is_heated_by_the_power_that_the_part_takes_up(laid, choices):
-    heat, schedule = choices.heat, choices.known_schedule
+    heat, schedule = choices.cold_heat(), choices.known_schedule
     medium = Medium.of(PROFILE)
-    energy = heat.source_k_s * schedule.time_s * medium.heat_capacity_j_mm3k
+    energy = heat.modes.source_k_s * schedule.time_s * medium.heat_capacity_j_mm3k
     lines, spacing = laid.lines, PROFILE.process.hatch_spacing_mm
     length = np.hypot(*(lines.end - lines.start).T).sum()
     # The turns at either side of an island count by their mean.
@@ -94,31 +92,31 @@ def test_an_island_is_heated_by_the_power_that_the_part_takes_up(laid, choices):
 
 
 def test_heat_of_a_thin_plate_is_energy_over_heat_capacity():
-    profile = PROFILE.changed(process={"base": "insulated"}, material={"emissivity": 0.0})
+    config = PROFILE.changed(process={"base": "insulated"}, material={"emissivity": 0.0})
     section = layer_section(PLATE)
-    choices = lay_islands(section, profile, 0, 0.0).choices(profile, 0)
-    schedule, heat = choices.known_schedule, choices.heat
+    choices = lay_islands(section, config, 0, 0.0).choices(config, 0)
+    schedule, heat = choices.known_schedule, choices.cold_heat()
     order = np.arange(len(choices))
     start, end, _ = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
-    medium = Medium.of(profile)
+    medium = Medium.of(config)
     end[order[-1]] += 1e6
     start[order[-1]] += 1e6
     late, _ = entered(heat, order, start, end)
-    energy = (heat.source_k_s * schedule.time_s)[:-1].sum() * medium.heat_capacity_j_mm3k
-    even = energy / (medium.heat_capacity_j_mm3k * section.area * profile.process.base_plate_mm)
+    energy = (heat.modes.source_k_s * schedule.time_s)[:-1].sum() * medium.heat_capacity_j_mm3k
+    even = energy / (medium.heat_capacity_j_mm3k * section.area * config.process.base_plate_mm)
     assert late[-1] == pytest.approx(even, rel=1e-6)
 
 
 def test_greedy_takes_the_best_score_at_every_step(choices):
-    schedule, heat = choices.known_schedule, choices.heat
+    schedule, heat = choices.known_schedule, choices.cold_heat()
     price, start_k = 0.7, 5.0
     order = greedy_order(heat, schedule, FREE, RAPID, 4, price, start_k)
     assert order[0] == 4
     assert np.array_equal(np.sort(order), np.arange(len(choices)))
     start, end, _ = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
-    way = 0
+    option = 0
     for n in range(len(order) - 1):
-        x, y = schedule.leave[order[n], way]
+        x, y = schedule.leave[order[n], option]
         reach = np.hypot(schedule.entry[:, :, 0] - x, schedule.entry[:, :, 1] - y)
         score = np.full(len(order), np.inf)
         for j in order[n + 1 :]:
@@ -131,11 +129,11 @@ def test_greedy_takes_the_best_score_at_every_step(choices):
             score[j] = warm + price * reach[j].min() + start_k
         # Between the earliest and the latest entry the kernel takes temperature as linear: 3 % at most.
         assert score[order[n + 1]] <= 1.03 * score.min() + 1.0
-        way = int(np.argmin(reach[order[n + 1]]))
+        option = int(np.argmin(reach[order[n + 1]]))
 
 
 def test_own_rise_is_that_of_one_island_alone(choices):
-    heat, schedule = choices.heat, choices.known_schedule
+    heat, schedule = choices.cold_heat(), choices.known_schedule
     island = 7
     own = own_rise(heat, schedule)[island]
     begin, stop = np.zeros(len(choices)), np.zeros(len(choices))
@@ -147,8 +145,10 @@ def test_own_rise_is_that_of_one_island_alone(choices):
     doubled = replace(
         heat,
         near=None,
-        mean=np.hstack([heat.mean, heat.mean[:, [island]]]),
-        source_k_s=np.append(heat.source_k_s, 0.0),
+        modes=heat.modes._replace(
+            mean=np.hstack([heat.modes.mean, heat.modes.mean[:, [island]]]),
+            source_k_s=np.append(heat.modes.source_k_s, 0.0),
+        ),
     )
     twice[1] = len(choices)
     entry, _ = entered(doubled, twice, np.append(begin, begin_again), np.append(stop, begin_again))
@@ -157,8 +157,8 @@ def test_own_rise_is_that_of_one_island_alone(choices):
 
 @pytest.mark.parametrize("base", ["cooled", "insulated"])
 def test_thermal_is_cooler_and_shorter_than_farthest(base):
-    profile = PROFILE.changed(process={"base": base})
-    table = ebamcheck.compare_orders(PLATE, profile, ["raster", "farthest", "thermal"]).set_index("order")
+    config = PROFILE.changed(process={"base": base})
+    table = ebamcheck.compare_orders(PLATE, config, ["raster", "farthest", "thermal"]).set_index("order")
     thermal = table.loc["thermal"]
     assert thermal["travel_mm"] <= 0.5 * table.loc["farthest", "travel_mm"] + 1e-6
     assert thermal["time_s"] <= 1.1 * table.loc["raster", "time_s"]
@@ -176,10 +176,10 @@ def test_plans_by_heat_repeat_to_the_last_bit():
 
 
 def test_travel_is_paid_for(choices):
-    schedule = choices.known_schedule
+    schedule, heat = choices.known_schedule, choices.cold_heat()
     travel = []
     for price in (0.0, 1.0, 100.0):
-        order = greedy_order(choices.heat, schedule, FREE, RAPID, 0, price, 0.0)
+        order = greedy_order(heat, schedule, FREE, RAPID, 0, price, 0.0)
         travel.append(clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)[2])
     assert travel[0] > travel[1] > travel[2]
 
@@ -193,12 +193,12 @@ def test_stride_and_random(choices):
 
 
 def test_a_finer_simulation_agrees_with_the_plan_on_what_is_hot(laid, choices):
-    schedule = choices.known_schedule
+    schedule, coarse = choices.known_schedule, choices.cold_heat()
     fine = island_heat(PLATE, laid.islands, schedule.beam_s, schedule.time_s, PROFILE, 10.0, fine=True)
-    assert fine.mean.shape[0] > choices.heat.mean.shape[0]
+    assert fine.modes.mean.shape[0] > coarse.modes.mean.shape[0]
     order = scan_order("farthest", choices)
     start, end, _ = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
-    coarse_k, _ = entry_temperatures(choices.heat, choices.area_mm2, order, start, end)
+    coarse_k, _ = entry_temperatures(coarse, choices.area_mm2, order, start, end)
     fine_k, _ = entry_temperatures(fine, choices.area_mm2, order, start, end)
     assert np.corrcoef(coarse_k, fine_k)[0, 1] > 0.99
 
@@ -244,8 +244,8 @@ def test_an_installed_order_plans(tmp_path, monkeypatch):
 
 
 def test_two_thousand_islands_are_planned():
-    profile = PROFILE.changed(scan={"hexagon_side_mm": 4.0})
-    plan = plan_scan(shapely.box(0, 0, 400, 230), profile, order="thermal")
+    config = PROFILE.changed(scan={"hexagon_side_mm": 4.0})
+    plan = plan_scan(shapely.box(0, 0, 400, 230), config, order="thermal")
     assert len(plan.islands) > 2000
     assert np.array_equal(np.sort(plan.order), np.arange(len(plan.islands)))
 

@@ -168,8 +168,8 @@ def test_a_coordinate_that_is_not_finite_is_refused():
 
 @pytest.mark.slow
 def test_ten_thousand_islands():
-    profile = PROFILE.changed(scan={"hexagon_side_mm": 2.5})
-    plan = plan_scan(disc(0, 0, 235).difference(disc(50, 50, 40)), profile)
+    config = PROFILE.changed(scan={"hexagon_side_mm": 2.5})
+    plan = plan_scan(disc(0, 0, 235).difference(disc(50, 50, 40)), config)
     assert len(plan.islands) > 9_900
     assert np.array_equal(np.sort(plan.order), np.arange(len(plan.islands)))
     assert plan.metrics["covered_fraction"][0] > 0.999

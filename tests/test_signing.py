@@ -12,7 +12,7 @@ import subprocess
 import pytest
 from command_line import ebamcheck, started
 from finished_runs import certified_plate, thin_plate
-from sealed_runs import failed
+from sealed_runs import copied, failed, two_keys
 
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.json_values import (
@@ -36,29 +36,22 @@ from ebamcheck.pipeline.verify import verify, verify_run
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """A validated run of a plate with a hole, and the part's file."""
     return certified_plate(tmp_path_factory)
 
 
 @pytest.fixture(scope="module")
 def shut(tmp_path_factory):
-    """A run that is not validated: a plate so thin that no bead fits it."""
     return thin_plate(tmp_path_factory)
 
 
 @pytest.fixture
 def run(made, tmp_path):
-    shutil.copytree(made[0], tmp_path / "copy.run")
-    return tmp_path / "copy.run"
+    return copied(made, tmp_path)
 
 
 @pytest.fixture
 def keys(tmp_path):
-    """Keys of an approver, who is trusted, and of a stranger."""
-    (tmp_path / "trusted").mkdir()
-    jane, _ = make_key(tmp_path / "trusted" / "jane")
-    stranger, _ = make_key(tmp_path / "stranger")
-    return read_private_key(jane), read_private_key(stranger), trusted_keys([tmp_path / "trusted"])
+    return two_keys(tmp_path)
 
 
 # -- what holds --------------------------------------------------------------------------------------

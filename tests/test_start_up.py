@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import subprocess
 import sys
@@ -158,3 +159,19 @@ def test_an_array_of_another_shape_is_told_in_one_line(tmp_path, round_):
         "3.0",
         *["cannot", "assign", "an", "array", "to", "a", "slice", "of", "another", "shape"],
     ]
+
+
+OTHERS = "import sys; from ebamcheck.plugins import registry; registry.default_backend(); print(sorted(sys.modules))"
+
+
+def test_the_default_slicer_is_found_without_the_kernels_of_the_others():
+    done = subprocess.run([sys.executable, "-c", OTHERS], capture_output=True, text=True, check=True)
+    loaded = set(ast.literal_eval(done.stdout))
+    assert "ebamcheck_stencil.slicer" in loaded
+    others = {
+        "ebamcheck_stencil.crossings",
+        "ebamcheck_stencil.openings",
+        "ebamcheck_prusa.images",
+        "ebamcheck_cura.gcode",
+    }
+    assert loaded & others == set()

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import csv
-from collections import defaultdict
-
 import moderngl
 import numpy as np
 import pytest
 import shapely
+from corpus_sections import simple_sections
 from stencil_cuts import (
     BOTH_MODES,
     PROBE,
@@ -283,15 +281,10 @@ class TestWithOpenGL:
     @pytest.mark.corpus
     @pytest.mark.slow
     def test_areas_of_real_meshes(self, corpus):
-        rows = defaultdict(list)
-        with (corpus / "REFERENCE.csv").open(newline="") as file:
-            for row in csv.DictReader(file):
-                if row["simple"] == "1":
-                    rows[row["file"]].append(row)
+        rows = simple_sections(corpus)
         assert len(rows) > 20
         for name, planes in rows.items():
             part = ebamcheck.load(corpus / name)
-            planes.sort(key=lambda row: float(row["z"]))
             layers = cut(part, [float(row["z"]) for row in planes])
             r = Stencil().error_bound_mm(part, Stencil.Settings())
             for k, row in enumerate(planes):

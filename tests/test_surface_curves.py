@@ -11,23 +11,18 @@ from typing import Any
 import numpy as np
 import pytest
 import shapely
-from geomdl import NURBS
-from geomdl import BSpline as GeomdlBSpline
-from scipy.interpolate import BSpline
+from curve_parts import sliced
 from scipy.spatial import Delaunay
 
 import ebamcheck
 from ebamcheck.curves import (
-    ARC,
     LINE,
-    SPLINE,
     Curves,
     contour_error,
     error_reduction,
     fit,
     fit_deviation,
 )
-from ebamcheck.curves.arcs import arc_through
 from ebamcheck.curves.thinning import FLAT_MM
 from ebamcheck.curves.vertex_normals import surface_normals
 from ebamcheck.errors import EbamcheckError, SettingsError
@@ -41,15 +36,6 @@ MODELS = models()
 LADDER = MODELS["ladder"]
 METHODS = ("surface", "bounded")
 TOLERANCE_MM = 0.02
-
-
-def heights_of(part: Part, count: int) -> np.ndarray[Any, np.dtype[np.float64]]:
-    low, high = part.bounds[:, 2]
-    return low + (high - low) * (np.arange(count) + 0.5) / count
-
-
-def sliced(part: Part, count: int = 6) -> Layers:
-    return slice_part(part, heights_of(part, count))
 
 
 def truth(model: Any, layers: Layers) -> Layers:
@@ -306,71 +292,6 @@ def test_pieces_join_without_a_kink(method: str) -> None:
         assert kink[-1] < 5e-3  # where the ring closes, an arc may end a little off
 
 
-def test_a_circle_is_written_as_arcs_of_its_radius() -> None:
-    part = MODELS["cylinder"].tessellate(0.05)
-    layers = sliced(part, 4)
-    curves = fit(layers, part=part)
-    assert set(curves.kind) == {ARC}
-    assert curves.block_count() <= 3 * 4
-    truth_mm = np.hypot(*layers.points.T).max()
-    for i in range(curves.kind.size):
-        arc = arc_through(np.ascontiguousarray(curves.piece(i).control))
-        assert arc.radius == pytest.approx(truth_mm, abs=0.003)
-        assert abs(np.degrees(arc.sweep)) <= 171.0
-
-
-def test_geomdl_and_scipy_evaluate_every_piece_alike() -> None:
-    part = LADDER.tessellate(0.4)
-    for method in METHODS:
-        curves = fit(sliced(part, 2), method, part=part)
-        for i in range(curves.kind.size):
-            piece = curves.piece(i)
-            if piece.kind == SPLINE:
-                at = np.linspace(0.0, piece.knots[-1], 17)
-                ours = curves.evaluate(i, at)
-                assert np.abs(ours - BSpline(piece.knots, piece.control, 3)(at)).max() < 1e-9
-                other = GeomdlBSpline.Curve()
-                other.degree = 3
-                other.ctrlpts = piece.control.tolist()
-                other.knotvector = (piece.knots / piece.knots[-1]).tolist()
-                theirs = np.array(other.evaluate_list((at / piece.knots[-1]).tolist()))
-                assert np.abs(ours - theirs).max() < 1e-9
-            elif piece.kind == ARC:
-                assert_is_rational_quadratic(curves, i)
-
-
-def assert_is_rational_quadratic(curves: Curves, i: int) -> None:
-    """The arc is geomdl's rational quadratic through the same ends, with the corner of the tangents between."""
-    arc = arc_through(np.ascontiguousarray(curves.piece(i).control))
-    start, end = curves.piece(i).control[[0, 2]]
-    middle = arc.start + 0.5 * arc.sweep
-    weight = np.cos(0.5 * arc.sweep)
-    tip = np.array([arc.x, arc.y]) + arc.radius / weight * np.array([np.cos(middle), np.sin(middle)])
-    curve = NURBS.Curve()
-    curve.degree = 2
-    curve.ctrlptsw = [[*start, 1.0], [*(weight * tip), weight], [*end, 1.0]]
-    curve.knotvector = [0, 0, 0, 1, 1, 1]
-    points = np.array(curve.evaluate_list(np.linspace(0.0, 1.0, 9).tolist()))
-    assert np.abs(np.hypot(*(points - [arc.x, arc.y]).T) - arc.radius).max() < 1e-9
-    half = curves.evaluate(i, [0.5 * abs(arc.sweep) * arc.radius])
-    assert np.abs(half - points[4]).max() < 1e-9
-
-
-def test_bezier_spans_of_an_arc_stay_on_it() -> None:
-    part = MODELS["cylinder"].tessellate(0.05)
-    curves = fit(sliced(part, 1), part=part)
-    spans = curves.bezier_spans()
-    t = np.linspace(0.0, 1.0, 7)[:, None, None]
-    s = 1.0 - t
-    B = spans.points
-    points = s**3 * B[:, 0] + 3 * s * s * t * B[:, 1] + 3 * s * t * t * B[:, 2] + t**3 * B[:, 3]
-    arcs = [arc_through(np.ascontiguousarray(curves.piece(i).control)) for i in range(curves.kind.size)]
-    for k, i in enumerate(spans.piece):
-        off = np.hypot(points[:, k, 0] - arcs[i].x, points[:, k, 1] - arcs[i].y) - arcs[i].radius
-        assert np.abs(off).max() < 1e-9
-    assert curves.lengths().sum() == pytest.approx(sum(abs(a.sweep) * a.radius for a in arcs), rel=1e-9)
-
-
 # -- normals -------------------------------------------------------------------------------------------
 
 
@@ -402,16 +323,6 @@ def test_a_flat_side_keeps_its_plane_beside_a_rounding() -> None:
 
 
 # -- files and wrong use -------------------------------------------------------------------------------
-
-
-def test_arcs_come_back_from_their_file(tmp_path: Path) -> None:
-    part = MODELS["prism"].tessellate(0.1)
-    curves = fit(sliced(part, 3), part=part)
-    assert {LINE, ARC} <= set(curves.kind)
-    curves.to_parquet(tmp_path / "curves.parquet")
-    back = Curves.from_parquet(tmp_path / "curves.parquet")
-    for name in ("kind", "control", "knots", "control_starts", "knot_starts", "ring_starts", "closed"):
-        assert np.array_equal(getattr(back, name), getattr(curves, name))
 
 
 def test_without_part_or_edges_the_contour_itself_is_followed() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from ebamcheck.layers.stack import from_polygons
 from ebamcheck.scan import plan_stack
 from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.scan.order import orders as order
-from ebamcheck.scan.plan.whole_part import WHOLE_PART, scan_part
+from ebamcheck.scan.plan.whole_part import WHOLE_PART, Stack, ordered_layers, scan_part
 from ebamcheck.settings.config import Config
 
 MEDIUM = Medium(conductivity_w_mmk=0.020, heat_capacity_j_mm3k=4300 * 700 * 1e-9)
@@ -70,13 +71,13 @@ def test_what_the_new_section_does_not_cover_is_dropped():
 
 
 def rows_of_six(base, emissivity):
-    profile = Config().changed(
+    config = Config().changed(
         process={"base": base, "interpass": "off"},
         material={"emissivity": emissivity},
         scan={"annealing_steps": 200},
     )
-    heights = (np.arange(6) + 0.5) * profile.layer_height_mm
-    rows = list(scan_part([layer_section(PLATE)] * 6, heights, profile, "thermal", 0))
+    heights = (np.arange(6) + 0.5) * config.layer_height_mm
+    rows = list(scan_part([layer_section(PLATE)] * 6, heights, config, "thermal", 0))
     assert [set(row) for row in rows] == [set(WHOLE_PART)] * 6
     assert rows[0]["body_mean_k"] == 0.0
     return rows
@@ -101,11 +102,11 @@ def test_layers_get_warmer_until_they_lose_what_they_get(base):
 
 
 def test_a_pause_lets_it_cool_and_an_empty_layer_passes_heat_on():
-    profile = Config().changed(scan={"order": "raster"}, process={"interpass": "off"})
+    config = Config().changed(scan={"order": "raster"}, process={"interpass": "off"})
     sections = [layer_section(PLATE), shapely.Polygon(), layer_section(PLATE)]
     heights = np.array([1.0, 2.6, 4.3])
     warm, cool = (
-        list(scan_part(sections, heights, profile.changed(process={"layer_pause_s": pause_s}), "raster", 0))
+        list(scan_part(sections, heights, config.changed(process={"layer_pause_s": pause_s}), "raster", 0))
         for pause_s in (0.0, 500.0)
     )
     assert warm[1]["islands"] == 0
@@ -162,7 +163,36 @@ def test_orders_that_ask_no_heat_have_no_heat_in_their_metrics():
             order.scan_order(name, bare)
     for name in set(order.ORDERS) - set(asking):
         assert len(order.scan_order(name, bare)) == 3
-    assert order.needs_heat(lambda islands: np.arange(len(islands)))
+    assert not order.needs_heat(lambda islands: np.arange(len(islands)))
+
+
+class Asking:
+    """A stranger's order that asks for heat, and keeps what it was handed."""
+
+    needs_heat = True
+
+    def __init__(self):
+        self.handed = []
+
+    def __call__(self, islands, heat):
+        self.handed.append((islands, heat))
+        return np.arange(len(islands))
+
+
+def test_who_needs_heat_is_handed_it_and_the_islands_hold_none():
+    layers = plates(2)
+    stack = Stack(sections_of(layers), layers.heights, range(len(layers)))
+    warm, cold = Asking(), Asking()
+    for asking in (warm, cold):
+        list(ordered_layers(stack, BRIEF, asking, 0, carry=asking is warm))
+    for (islands, begins), (_, from_cold) in zip(warm.handed, cold.handed, strict=True):
+        assert len(islands) > 1
+        assert begins.modes is not from_cold.modes
+        assert np.array_equal(begins.modes.mean, from_cold.modes.mean)
+        assert not from_cold.start_k.any()
+        assert np.abs(begins.start_k).max() > 1.0
+        # Nothing was put into the islands: they are what they were made of.
+        assert set(vars(islands)) == {field.name for field in fields(order.LayerIslands)}
 
 
 @pytest.mark.parametrize("threads", ["1", "2"])

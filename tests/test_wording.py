@@ -4,11 +4,17 @@ import re
 import tomllib
 from dataclasses import fields
 
+import numpy as np
 import pytest
 
-from ebamcheck.errors import SettingsError
+from ebamcheck.errors import InputError, SettingsError
+from ebamcheck.live.map_files import read_map
+from ebamcheck.mesh.plates import read_plate
+from ebamcheck.plugins import registry
 from ebamcheck.program.language.templates import ProcessValues
-from ebamcheck.settings.config import Config, validated
+from ebamcheck.regression.settings import read_tolerances
+from ebamcheck.settings.checking import assignments
+from ebamcheck.settings.config import Config, load_config, validated
 from ebamcheck.settings.text import as_toml
 from ebamcheck.settings.wording import EXAMPLES, PLACEHOLDERS, TEMPLATES
 
@@ -39,7 +45,7 @@ def test_a_value_of_the_wrong_type_is_told_in_plain_words(section, key):
     ("text", "said"),
     [
         ('machine.beam_on = "M60"', 'it takes a list of blocks, such as ["M60 ; beam on"] (given \'M60\')'),
-        ("process.keep_out = [{ outline_mm = 5 }]", "process.keep_out.0.outline_mm: it takes a list, each a list of 2 numbers"),
+        ("process.keep_out = [{ outline_mm = 5 }]", "process.keep_out 1.outline_mm: it takes a list, each a list of 2 numbers"),
         ('scan.partition = "z"', 'it takes one of "hexagons", "squares", "stripes", "whole"'),
         ("part = 5", "part: it takes a table of settings (given 5)"),
     ],
@@ -67,3 +73,48 @@ def test_config_documents_keep_out_and_placeholders():
     assert f"# Example: keep_out = {EXAMPLES['process.keep_out']}" in text
     assert all(f"#   {{{name}}}  {meaning}" in text for name, meaning in PLACEHOLDERS.items())
     validated(tomllib.loads(text), "config")
+
+
+FORM = re.compile(r"^[^:]+: [\w. ]+: .+; (known keys: .+|`ebamcheck config` lists every key)$")
+
+
+def from_a_file(at):
+    (at / "f.toml").write_text("[process]\nbead_width_mm = 'wide'")
+    load_config(at / "f.toml")
+
+
+def from_a_plate(at):
+    (at / "plate.toml").write_text("clearance_mm = 'wide'")
+    read_plate(at / "plate.toml")
+
+
+def from_tolerances(at):
+    (at / "t.toml").write_text("[metrics.area_mm2]\nabsolute = 'wide'")
+    read_tolerances(at / "t.toml")
+
+
+def from_a_frame(at):
+    np.save(at / "m.npy", np.ones((3, 3)))
+    (at / "m.npy.frame.toml").write_text("unit_mm = 'wide'")
+    read_map(at / "m.npy", Config().height_map)
+
+
+def from_the_command_line(at):
+    registry.slicer_settings("stencil", assignments(["pixel_mm=wide"]))
+
+
+def from_arguments(at):
+    Config().changed(curves={"tolerance_mm": "wide"})
+
+
+@pytest.mark.parametrize(
+    "given",
+    [from_a_file, from_a_plate, from_tolerances, from_a_frame, from_the_command_line, from_arguments],
+)
+def test_whatever_a_value_comes_from_it_is_refused_in_one_form(given, tmp_path):
+    with pytest.raises((SettingsError, InputError)) as told:
+        given(tmp_path)
+    message = str(told.value)
+    assert FORM.match(message.removeprefix(str(tmp_path))), message
+    assert "it takes a number" in message
+    assert "(given 'wide')" in message

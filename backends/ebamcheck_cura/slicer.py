@@ -25,7 +25,6 @@ from ebamcheck.slicers.outside.placement import (
     scale_to,
 )
 from ebamcheck.slicers.outside.programs import Program, ProgramSettings, working_folder
-from ebamcheck_cura.gcode import read_paths
 
 PROGRAM = Program(
     name="CuraEngine",
@@ -155,6 +154,8 @@ class _Cut:
             file = folder / "part.gcode"
             if not file.exists():
                 raise PROGRAM.failed(f"wrote no G-code for part {self.part.name!r}", said)
+            from ebamcheck_cura.gcode import read_paths
+
             paths = read_paths(file.read_bytes())
         bound_mm = Cura().error_bound_mm(self.part, self.settings)
         return directed_by_nesting(placement.layers(paths, **self.labels), bound_mm, Cura.name)

@@ -27,7 +27,6 @@ from ebamcheck.slicers.outside.placement import (
     scale_to,
 )
 from ebamcheck.slicers.outside.programs import Program, ProgramSettings, working_folder
-from ebamcheck_prusa.images import archived_images, contours
 
 PROGRAM = Program(
     name="PrusaSlicer",
@@ -162,6 +161,8 @@ class _Cut:
 
     def __call__(self, lattice: Lattice) -> Layers:
         """Cut at the planes of a lattice."""
+        from ebamcheck_prusa.images import archived_images, contours
+
         scale = scale_to(self.part, WORKING_SIZE)
         placement = Placement(self.part, lattice, scale, LENGTH_UNIT)
         layer = math.ldexp(1.0, math.floor(math.log2(TALLEST / placement.layer_count)))

@@ -13,10 +13,7 @@ from ebamcheck.errors import BackendMissing, SettingsError
 from ebamcheck.mesh.part import Part
 from ebamcheck.settings.base import Between
 from ebamcheck_stencil import opengl
-from ebamcheck_stencil.draw_once import draw_crossings
-from ebamcheck_stencil.drawn_once import DrawnOnce
 from ebamcheck_stencil.field_of_view import SUBPIXELS, WORD_BITS, FieldOfView, field_of_view
-from ebamcheck_stencil.openings import border, capped
 
 log = logging.getLogger(__name__)
 
@@ -125,6 +122,10 @@ class Stencil:
         SettingsError
             If the pixel is too small for the driver's largest viewport.
         """
+        from ebamcheck_stencil.draw_once import draw_crossings
+        from ebamcheck_stencil.drawn_once import DrawnOnce
+        from ebamcheck_stencil.openings import capped
+
         checked = _checked(settings)
         view = field_of_view(part, checked.pixel_mm)
         context = opengl.open_context()
@@ -153,6 +154,8 @@ class Stencil:
 
 def _warn_of_openings(part: Part) -> None:
     """Say that the literal mode counts wrong where a ray leaves through a hole: it caps none, as the paper does not."""
+    from ebamcheck_stencil.openings import border
+
     edges = len(
         border(np.unique(part.vertices + 0.0, axis=0, return_inverse=True)[1].reshape(-1)[part.faces])
     )

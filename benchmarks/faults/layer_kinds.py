@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import shapely
@@ -318,31 +319,28 @@ def seam_moved(ground: Ground) -> list[Place]:
 @kind("program of another part", "metal")
 def other_part(ground: Ground) -> list[Place]:
     """Put the program of another part in the place of this one's."""
-    if ground.other is None:
-        raise NotHereError
     name = "cube" if ground.subject.name != "cube" else "prism"
-    ground.text.files = ground.other(name).files
-    ground.what = f"the program is that of the part {name}"
-    return [Place(file, 1, len(lines)) for file, lines in ground.text.files.items()]
+    return _exchanged(ground, f"that of the part {name}", name)
 
 
 @kind("program of another layer height", "metal", subjects=("cube", "prism", "bored"))
 def other_layers(ground: Ground) -> list[Place]:
     """Put the program of the same part, cut into other layers, in the place of this one's."""
-    if ground.other is None:
-        raise NotHereError
-    ground.text.files = ground.other(ground.subject.name, layers={"layer_height_mm": 1.25}).files
-    ground.what = "the program is that of layers of 1.25 mm"
-    return [Place(file, 1, len(lines)) for file, lines in ground.text.files.items()]
+    return _exchanged(ground, "that of layers of 1.25 mm", layers={"layer_height_mm": 1.25})
 
 
 @kind("program of another bead width", "metal", subjects=("cube", "prism", "bored"))
 def other_width(ground: Ground) -> list[Place]:
     """Put the program of the same part by narrower beads in the place of this one's."""
+    return _exchanged(ground, "that of beads of 5 mm", process={"bead_width_mm": 5.0})
+
+
+def _exchanged(ground: Ground, what: str, name: str = "", **changes: dict[str, Any]) -> list[Place]:
+    """Put another program in the place of this one's; every line of it is at fault."""
     if ground.other is None:
         raise NotHereError
-    ground.text.files = ground.other(ground.subject.name, process={"bead_width_mm": 5.0}).files
-    ground.what = "the program is that of beads of 5 mm"
+    ground.text.files = ground.other(name or ground.subject.name, **changes).files
+    ground.what = f"the program is {what}"
     return [Place(file, 1, len(lines)) for file, lines in ground.text.files.items()]
 
 

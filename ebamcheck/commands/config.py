@@ -59,7 +59,7 @@ def _merged(path: Path) -> ExitCode:
     )
     for text in made.unknown:
         typer.echo(
-            f"ebamcheck: {path}: {text}; it is kept, but no command takes the file until it is removed",
+            f"ebamcheck: {path}: {text}; it stays in the file, but no command accepts the file until you remove it",
             err=True,
         )
     return ExitCode.USAGE if made.unknown else ExitCode.PASS

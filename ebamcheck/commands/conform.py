@@ -1,14 +1,15 @@
-"""The command ``ebamcheck conform``."""
+"""``ebamcheck conform``: the conformance kit for slicers and controls."""
 
 from __future__ import annotations
 
 import json
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from ebamcheck.errors import ExitCode, SettingsError
+from ebamcheck.errors import ExitCode
 from ebamcheck.plugins import registry
+from ebamcheck.settings.checking import assignments
 from ebamcheck.testing.conformance import conform, conform_control, markdown_table
 
 # Annotations of a command are read when it is registered, so their names must exist at run time.
@@ -27,7 +28,7 @@ def conform_command(
     ] = None,
     setting: Annotated[
         list[str] | None,
-        typer.Option("--set", help="A setting of the backend, or of the machine, as key=value; repeatable."),
+        typer.Option("--set", help="A setting of the backend, or of the machine, as NAME=VALUE; repeatable."),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
     markdown: Annotated[
@@ -40,7 +41,7 @@ def conform_command(
 
     Example: ebamcheck conform planecut --models cube,sphere
     """
-    values = dict(_setting(text) for text in setting or ())
+    values = assignments(setting or ())
     if controls:
         found = [conform_control(name, values) for name in names or registry.names(registry.CONTROLS)]
     else:
@@ -54,14 +55,3 @@ def conform_command(
     else:
         typer.echo("\n\n".join(c.table() for c in found))
     return ExitCode.PASS if all(c.passed for c in found) else ExitCode.OUT_OF_TOLERANCE
-
-
-def _setting(text: str) -> tuple[str, Any]:
-    """Read ``key=value``; the value as JSON where it is, else as text."""
-    key, equals, value = text.partition("=")
-    if not (key and equals):
-        raise SettingsError(f"--set {text!r}: give key=value")
-    try:
-        return key, json.loads(value)
-    except ValueError:
-        return key, value

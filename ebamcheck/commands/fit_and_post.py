@@ -164,7 +164,7 @@ def post_command(
     typer.echo(f"{files.main}: {len(files.names)} files, {blocks} blocks for {settings.machine.control}")
     if not is_read:
         script = next(name for name in files.names if name in SCRIPTS)
-        typer.echo(f"NOT VALIDATED: no reader proves a case; {files.folder / script} runs it")
+        typer.echo(f"NOT VALIDATED: a simulator's case is not read back; {files.folder / script} runs it")
     else:
         typer.echo(
             "NOT VALIDATED: check it with `ebamcheck verify`, or let `ebamcheck run` make and validate one"

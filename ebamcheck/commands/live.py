@@ -31,10 +31,12 @@ def live_command(
         typer.Option(
             "-o",
             "--output",
-            help="Folder of the build; default: RUN.live. One that is there is gone on with.",
+            help="Folder of the build; default: RUN.live. A build that was begun there goes on.",
         ),
     ] = None,
-    part: Annotated[Path | None, typer.Option(help="The part, if it is not where it was.")] = None,
+    part: Annotated[
+        Path | None, typer.Option(help="File of the part, if it was moved since the run.")
+    ] = None,
     heights: Annotated[str, typer.Option(help=f"How heights are chosen: {', '.join(MODES)}.")] = MODES[0],
     cusp: Annotated[float, typer.Option(help="Greatest cusp of adaptive heights, mm.")] = 0.5,
     tops: Annotated[

@@ -30,8 +30,8 @@ TABLE = "machine.csv"
 
 def opcua_of(config: Config, file: Path | None, url: str) -> OpcuaSettings:
     """Settings of the connection: those of the run, in whose place those of a file may stand, with another address."""
-    opcua = (load_config(file) if file else config).opcua
-    return OpcuaSettings.model_validate(opcua.model_dump() | ({"url": url} if url else {}))
+    found = load_config(file) if file else config
+    return (found.changed(opcua={"url": url}) if url else found).opcua
 
 
 def follow_control(building: Building, opcua: OpcuaSettings) -> ExitCode:

@@ -37,7 +37,9 @@ def machine_command(
             help="Folder of the build, or with --opcua of keys and table; default: RUN.live, RUN.opcua.",
         ),
     ] = None,
-    part: Annotated[Path | None, typer.Option(help="The part, if it is not where it was.")] = None,
+    part: Annotated[
+        Path | None, typer.Option(help="File of the part, if it was moved since the run.")
+    ] = None,
     drift: Annotated[
         float, typer.Option(help="Share by which every layer comes out higher than planned.")
     ] = 0.0,
@@ -103,13 +105,13 @@ def machine_command(
     seconds = np.array([row.answer_s for row in rows])
     median, late = np.median(seconds), np.quantile(seconds, 0.99)
     typer.echo(
-        f"\n{len(rows)} layers; from height to program {median:.3f} s (median), {late:.3f} s (99th percentile)"
+        f"\n{len(rows)} layers; from the height to the program {median:.3f} s (median), {late:.3f} s (99th percentile)"
     )
     if answer["answer"] == "published":
         typer.echo(f"stopped at Z {answer['base_mm']:.3f} mm, as asked for")
         return ExitCode.PASS
     if answer["answer"] != "done":
-        typer.echo(f"the build stands at layer {len(rows)}: {answer.get('reason', answer)}")
+        typer.echo(f"the build stopped at layer {len(rows)}: {answer.get('reason', answer)}")
         return ExitCode.OUT_OF_TOLERANCE
     tolerance_mm = 0.5 * limits.least_mm
     off_mm = float(answer["off_mm"])

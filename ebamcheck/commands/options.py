@@ -44,7 +44,8 @@ RotateOption = Annotated[
     float | None, typer.Option(help="Turn about the vertical, degrees, counter-clockwise from above.")
 ]
 YesOption = Annotated[
-    bool, typer.Option("--yes", help="Go on where the job is more work than the settings allow (work.*).")
+    bool,
+    typer.Option("--yes", help="Run the job even where it is more work than the settings allow (work.*)."),
 ]
 LayerHeightOption = Annotated[
     float | None, typer.Option(help="Layer height, mm; default: that of one bead of the process.")
@@ -65,7 +66,10 @@ FixOption = Annotated[
 ResumeOption = Annotated[bool, typer.Option("--resume", help="Go on with a killed job of the same input.")]
 ForceOption = Annotated[
     bool,
-    typer.Option("--force", help="Run although OUTPUT holds a finished run; that is kept under its date."),
+    typer.Option(
+        "--force",
+        help="Run even where OUTPUT holds a finished run; that one is moved to a name with its date.",
+    ),
 ]
 
 
@@ -171,20 +175,6 @@ def numbers(text: str, option: str) -> tuple[float, ...]:
         return tuple(float(number) for number in text.split(","))
     except ValueError:
         raise SettingsError(f"{option} {text!r}: give numbers, separated by commas") from None
-
-
-def assignments(assignments: list[str]) -> dict[str, Any]:
-    """Settings given as NAME=VALUE; values are JSON where they can be, else text."""
-    values: dict[str, Any] = {}
-    for assignment in assignments:
-        name, equals, value = assignment.partition("=")
-        if not equals:
-            raise SettingsError(f"--set {assignment!r}: write it as NAME=VALUE")
-        try:
-            values[name.strip()] = json.loads(value)
-        except json.JSONDecodeError:
-            values[name.strip()] = value
-    return values
 
 
 def print_json(value: Any) -> None:

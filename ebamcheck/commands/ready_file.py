@@ -53,7 +53,7 @@ def main(arguments: list[str]) -> int:
         print(f"{path}: {write_file(path, packages)} versions of kernels, for {LEVEL}")
         return 0
     if platform.machine() != "x86_64":
-        print(f"kernels that are ready are made on x86-64 only, not on {platform.machine()}", file=sys.stderr)
+        print(f"ready-made kernels are compiled on x86-64 only, not on {platform.machine()}", file=sys.stderr)
         return 2
     with scratch_folder() as folder:
         environment = {

@@ -1,4 +1,4 @@
-"""``ebamcheck regress``."""
+"""``ebamcheck regress``: how far every slicer is from the truth, held against the baselines."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ from ebamcheck.regression.job import (
 )
 from ebamcheck.regression.junit import write_junit
 from ebamcheck.regression.page import write_page
-from ebamcheck.regression.settings import Tolerances, checked, read_tolerances
+from ebamcheck.regression.settings import Tolerances, read_tolerances
+from ebamcheck.settings.checking import checked
 from ebamcheck.settings.config import load_config
 from ebamcheck.slicers.isolation import Limits
 

@@ -41,7 +41,9 @@ def relayer_command(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Folder of the new layers; default: RUN.live.")
     ] = None,
-    part: Annotated[Path | None, typer.Option(help="The part, if it is not where it was.")] = None,
+    part: Annotated[
+        Path | None, typer.Option(help="File of the part, if it was moved since the run.")
+    ] = None,
     annealing: Annotated[
         int,
         typer.Option(

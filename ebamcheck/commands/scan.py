@@ -59,7 +59,7 @@ def scan_command(
         bool,
         typer.Option(
             "--referee",
-            help="With --height: drive each order also on a nonlinear model of the heat, which shares nothing with ours.",
+            help="With --height: simulate each order on a nonlinear model of the heat, too, which shares nothing with ours.",
         ),
     ] = False,
     config: ConfigOption = None,
@@ -83,7 +83,7 @@ def scan_command(
     if pause is not None and not all_layers:
         raise SettingsError("--pause: the wait between layers belongs to --all")
     if referee and all_layers:
-        raise SettingsError("--referee: judges one layer, give it with --height Z")
+        raise SettingsError("--referee judges one layer: give it with --height Z")
     placed = loaded(part, settings)
     if height is None:
         if len(wanted) != 1:

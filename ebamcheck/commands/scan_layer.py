@@ -137,7 +137,7 @@ def _referee(layer: OrderComparison, settings: Config) -> Opinion:
 def _compare(
     layer: OrderComparison, orders: tuple[str, ...], seeds: int, done: _Compared, judge: Opinion | None
 ) -> Iterator[None]:
-    """Plan and drive one order after the other, with a bar that moves with each plan."""
+    """Plan and simulate one order after the other, with a bar that moves with each plan."""
     with watched() as observer:
         observer.stage("orders", sum(seeds if name == RANDOM else 1 for name in orders))
         for name in orders:

@@ -56,7 +56,7 @@ def order_pictures(
     at_end = {name: _at_end(compared.heat, plane, result) for name, result in results.items()}
     hottest = max(float(result.entry_k.max()) for result in results.values())
     warmest = max(float(np.quantile(last_k, COMMON)) for last_k in at_end.values())
-    scale = TemperatureScale.of(compared.profile, max(hottest, warmest))
+    scale = TemperatureScale.of(compared.config, max(hottest, warmest))
     for name, result in results.items():
         title = f"{what}: entry temperature rise, {name}"
         files[f"{name}-entry.svg"] = islands_svg(
@@ -78,4 +78,4 @@ def order_pictures(
 def _at_end(heat: IslandHeat, plane: ContourModes, result: OrderResult) -> Floats:
     """Temperature rise in the cells of the section when an order is done, (M,)."""
     _, state = entered(heat, np.argsort(result.rank), result.start_s, result.end_s)
-    return np.asarray(plane.values @ (state @ heat.in_layer), np.float64)
+    return np.asarray(plane.values @ (state @ heat.modes.in_layer), np.float64)

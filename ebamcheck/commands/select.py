@@ -1,4 +1,4 @@
-"""``ebamcheck select``."""
+"""``ebamcheck select``: which slicers suit this machine, by accuracy and speed on a part."""
 
 from __future__ import annotations
 
@@ -122,10 +122,12 @@ def _table(workpiece: Workpiece, trials: list[Trial], choice: Choice, tolerance_
     chosen = (
         f"primary: {choice.primary}; required: {', '.join(choice.required)}"
         if choice.primary
-        else f"no slicer is fit for {tolerance_mm:g} mm"
+        else f"no slicer is accurate to {tolerance_mm:g} mm"
     )
     alone = (
-        "" if choice.witness or not choice.primary else "\nno second slicer is fit: a run needs two to agree"
+        ""
+        if choice.witness or not choice.primary
+        else "\nthere is no second slicer of that accuracy: a run needs two that agree"
     )
     head = f"machine {machine_name()}: {workpiece.title}, {len(workpiece.timed)} layers"
     return f"{head}\n{text_table(columns, rows)}\n\n{RULES}\n\n{chosen}{alone}"

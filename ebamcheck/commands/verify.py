@@ -25,7 +25,7 @@ def verify(
     ],
     part: Annotated[
         Path | None,
-        typer.Option(help="The part that the program should make; of a run: if it is not where it was."),
+        typer.Option(help="File of the part that the program should make; of a run: if it was moved since."),
     ] = None,
     quick: Annotated[
         bool,

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from ebamcheck.plugins import registry
 from ebamcheck.scratch import scratch_folder
 from ebamcheck.settings.config import Config
-from ebamcheck.slicers.slicing import Slicing
+from ebamcheck.slicers.slicing import Slicing, slice_part
 
-_SIDE_MM = 40.0
+_SIDE_MM, _CONE_SIDES = 40.0, 32
 
 
 def warm_kernels() -> float:
@@ -34,16 +34,14 @@ def warm_kernels() -> float:
 
 def main_job() -> None:
     """Do the main job on a cube, in this process: it calls every kernel that the list is to name."""
-    from ebamcheck.mesh.stl import FACET
+    from ebamcheck.curves import fit
     from ebamcheck.pipeline import run_job
     from ebamcheck.scan import plan_scan
 
     with scratch_folder() as folder:
-        path = Path(folder, "cube.stl")
-        corners = _leaning_box()
-        facets = np.zeros(len(corners), FACET)
-        facets["corners"] = corners
-        path.write_bytes(b"warm".ljust(80) + np.uint32(len(facets)).tobytes() + facets.tobytes())
+        path, round_path = Path(folder, "cube.stl"), Path(folder, "cone.stl")
+        _write(_leaning_box(), path)
+        _write(_cone(), round_path)
         # In this process and one after the other: workers side by side would compile the same things twice.
         from ebamcheck.mesh.files import load
 
@@ -54,6 +52,9 @@ def main_job() -> None:
                     slicing.layers([1.0, 2.0, 3.0])
                     turned.at(1.0)
                     turned.layers(np.arange(20.0))
+        # A box has no curved region.
+        cone = load(round_path)
+        fit(slice_part(cone, [0.3 * _SIDE_MM, 0.6 * _SIDE_MM]), part=cone)
         level = logging.getLogger("ebamcheck").level
         logging.getLogger("ebamcheck").setLevel(logging.ERROR)
         # Two layers, far thicker than any process lays them.
@@ -63,6 +64,25 @@ def main_job() -> None:
         logging.getLogger("ebamcheck").setLevel(level)
         # The cube is one island, which needs no order.
         plan_scan(shapely.box(0.0, 0.0, 3.0 * _SIDE_MM, 2.0 * _SIDE_MM))
+
+
+def _write(corners: NDArray[np.float32], path: Path) -> None:
+    """Write facets (F, 3, 3) as binary STL."""
+    from ebamcheck.mesh.stl import FACET
+
+    facets = np.zeros(len(corners), FACET)
+    facets["corners"] = corners
+    path.write_bytes(b"warm".ljust(80) + np.uint32(len(facets)).tobytes() + facets.tobytes())
+
+
+def _cone() -> NDArray[np.float32]:
+    """Facets (F, 3, 3) of a cone that is as coarse as a curved surface can be told by."""
+    angle = 2.0 * np.pi * np.arange(_CONE_SIDES) / _CONE_SIDES
+    rim = np.column_stack([_SIDE_MM * np.cos(angle), _SIDE_MM * np.sin(angle), np.zeros(_CONE_SIDES)])
+    after = np.roll(rim, -1, axis=0)
+    tip, middle = np.tile([0.0, 0.0, _SIDE_MM], (_CONE_SIDES, 1)), np.zeros((_CONE_SIDES, 3))
+    sides, bottom = np.stack([rim, after, tip], axis=1), np.stack([after, rim, middle], axis=1)
+    return np.concatenate([sides, bottom]).astype(np.float32)
 
 
 def _leaning_box() -> NDArray[np.float32]:

@@ -224,9 +224,7 @@ def _verdicts(
             continue
         pattern = gated[:, layer].tobytes() + agrees[:, layer].tobytes()
         if pattern not in solved:
-            members, verdict = agreement(
-                len(names), couples, gated[:, layer], agrees[:, layer], counts[:, layer]
-            )
+            members, verdict = agreement(couples, gated[:, layer], agrees[:, layer], counts[:, layer])
             good = gated[:, layer] & agrees[:, layer] & counts[:, layer]
             solved[pattern] = members, verdict, best_pair(members, len(names), good, limits) or ()
         found.append(solved[pattern])
@@ -234,7 +232,6 @@ def _verdicts(
 
 
 def agreement(
-    count: int,
     couples: list[tuple[int, int]],
     gated: NDArray[np.bool_],
     agrees: NDArray[np.bool_],

@@ -48,6 +48,17 @@ RIDGE_SHARE = 0.75
 near a ridge do they tighten the bound enough to pay."""
 
 
+class Nearby(NamedTuple):
+    """What is known of the contours near a trapezoid, row by row as :func:`_look` fills it."""
+
+    sides: Floats
+    """(6, 4) nearest segments: of the middle, of the four corners, and of the farther contours."""
+    corners: Floats
+    """(6, 4) distances of the four corners from each of them, mm."""
+    guess: Ints
+    """(2,) segments of either region that were found last: the next search starts there."""
+
+
 class Deepest(NamedTuple):
     """Greatest depth found so far, and where."""
 
@@ -89,9 +100,7 @@ def search(
     """
     suspects = _suspects(a, b, from_a, from_b, difference, enough_mm(deepest.depth_mm, limit_mm))
     stack = np.empty((STACK, 7))
-    sides = np.empty((OTHER + 1, 4))
-    corners = np.empty((OTHER + 1, 4))
-    guess = np.full(2, -1, np.int64)
+    nearby = Nearby(np.empty((OTHER + 1, 4)), np.empty((OTHER + 1, 4)), np.full(2, -1, np.int64))
     nodes = 0
     # The most suspect first: what it proves rules out most of the others.
     for s in np.argsort(-suspects[:, 6], kind="mergesort"):
@@ -108,10 +117,9 @@ def search(
                 # All suspects still to come are bounded by this one.
                 rest = suspects[s, 6] if suspects[s, 6] < np.inf else _highest(stack, count + 1)
                 return Deepest(max(deepest.depth_mm, rest), deepest.x_mm, deepest.y_mm)
-            deepest, ceiling = _bound(
-                a, b, from_a, from_b, stack, count, sides, corners, guess, deepest, limit_mm
-            )
+            deepest, ceiling = _bound(a, b, from_a, from_b, stack, count, nearby, deepest, limit_mm)
             if ceiling > enough_mm(deepest.depth_mm, limit_mm):
+                sides = nearby.sides
                 side = math.hypot(sides[0, 2] - sides[0, 0], sides[0, 3] - sides[0, 1])
                 count += _split(stack, count, min(ceiling, stack[count, 6]), side + deepest.depth_mm)
     return deepest
@@ -186,12 +194,13 @@ def _highest(stack: Floats, count: int) -> float:
 
 @kernel
 def _bound(
-    a: Outline, b: Outline, from_a: bool, from_b: bool, stack: Floats, at: int, sides: Floats, corners: Floats,
-    guess: Ints, deepest: Deepest, limit_mm: float,
+    a: Outline, b: Outline, from_a: bool, from_b: bool, stack: Floats, at: int, nearby: Nearby, deepest: Deepest,
+    limit_mm: float,
 ) -> tuple[Deepest, float]:  # fmt: skip
     """Depth at the middle and corners of trapezoid `at` (a lower bound), and an upper bound over it."""
     y0, y1, l0, l1 = stack[at, 0], stack[at, 1], stack[at, 2], stack[at, 3]
     r0, r1 = stack[at, 4], stack[at, 5]
+    sides, corners, guess = nearby
     x, y = 0.25 * (l0 + l1 + r0 + r1), 0.5 * (y0 + y1)
     depth = _look(a, b, from_a, from_b, x, y, sides, guess, 0)
     if depth > deepest.depth_mm:

@@ -45,7 +45,7 @@ def linked_within(a: Outline, b: Outline, near: Ints, reach_mm: float) -> bool:
         stop = start
         while lengths[stop] >= 0.0:
             stop += 1
-        budget = _link_ring(a.segments, a.paths, places, near, start, stop, ring_of, taken, reach_mm, budget)
+        budget = _link_ring(a, places, near, start, stop, ring_of, taken, reach_mm, budget)
         if budget < 0:
             return False
         start = stop + 1
@@ -63,15 +63,15 @@ def _ring_of(paths: Ints, rings: int) -> Ints:
 
 @kernel
 def _link_ring(
-    segments: Floats, paths: Ints, places: Floats, near: Ints, start: int, stop: int, ring_of: Ints, taken: Bools,
-    reach_mm: float, budget: int,
+    a: Outline, places: Floats, near: Ints, start: int, stop: int, ring_of: Ints, taken: Bools, reach_mm: float,
+    budget: int,
 ) -> int:  # fmt: skip
     """Link the ring with samples ``start .. stop`` to a ring not taken yet; steps left, or -1 without luck."""
     if near[start] >= ring_of.size or taken[ring_of[near[start]]]:
         return -1
     ring = ring_of[near[start]]
     taken[ring] = True
-    first, size = paths[ring], paths[ring + 1] - paths[ring]
+    first, size = a.paths[ring], a.paths[ring + 1] - a.paths[ring]
     turns = 0
     for k in range(start, stop):
         # The last sample is the first place again.
@@ -85,7 +85,7 @@ def _link_ring(
         budget -= abs(steps)
         if (
             budget < 0
-            or _farthest_passed(segments, first, size, here, steps, places, k) > reach_mm * reach_mm
+            or _farthest_passed(a.segments, first, size, here, steps, places, k) > reach_mm * reach_mm
         ):
             return -1
         turns += steps

@@ -2,6 +2,10 @@
 
 Between two edges that are neighbours in the status of the sweep lies a trapezoid, wholly inside or outside
 either region (winding number > 0). See :mod:`ebamcheck.comparison.sweep_status` for how it goes on.
+
+It is the sweep of Bentley and Ottmann (Algorithms for reporting and counting geometric intersections, IEEE Transactions on
+Computers C-28, 1979, 643-647): crossings are looked for between neighbours alone. Their balanced tree and queue are a sorted
+table here and a scan of it, since the sections of a layer have few edges at one level.
 """
 
 from __future__ import annotations

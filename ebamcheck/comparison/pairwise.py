@@ -91,6 +91,15 @@ def compare(
     ------
     SettingsError
         If the heights or the parts differ, or a bound is negative or not finite.
+
+    Examples
+    --------
+    >>> from ebamcheck.layers.stack import from_rings
+    >>> square = [(0, 0), (2, 0), (2, 2), (0, 2)]
+    >>> wider = [(0, 0), (2.5, 0), (2.5, 2), (0, 2)]
+    >>> table = compare(from_rings([1.0], [[square]]), from_rings([1.0], [[wider]]))
+    >>> bool(table["agrees"][0]), float(table["symmetric_difference_mm2"][0]), float(table["hausdorff_mm"][0])
+    (False, 1.0, 0.5)
     """
     check_comparable({"a": a, "b": b}, check_part)
     limit = tolerance_mm + bound_a_mm + bound_b_mm

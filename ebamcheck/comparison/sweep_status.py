@@ -143,6 +143,7 @@ def settle(edges: Floats, marks: Ints, sums: Floats, difference: Floats, k: int,
         k -= 1
 
 
+# Twelve parameters: a tuple of the tables would cost reference counts at every call, see above.
 @kernel
 def start_pair(
     edges: Floats, marks: Ints, sums: Floats, difference: Floats, n: int, y: float, left: int, right: int,

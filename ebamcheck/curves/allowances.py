@@ -2,7 +2,7 @@
 
 A smooth surface through the corners of a facet leaves it, at barycentric places l, by 4 sum l_i l_j s_ij, where s_ij is
 how far it leaves the edge from i to j (the error of linear interpolation of a quadric). In the layer that is more the
-flatter the surface lies.
+flatter the surface lies. Of an exact surface the distance is known.
 """
 
 from __future__ import annotations
@@ -11,6 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ebamcheck.curves.exact import ExactSurfaces, no_surfaces
+from ebamcheck.curves.exact.forms import FLAT, KIND, signed_distance
+from ebamcheck.curves.exact.sections import slope_of
 from ebamcheck.curves.sagitta import Sagittas
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
@@ -24,6 +27,12 @@ by, to its side, is no farther from it than the contour was: this is the most th
 
 FLATTEST_SURFACE = 0.25
 """Sine of the slope under which a move in the layer is not let grow further; see :mod:`ebamcheck.curves.lifting`."""
+
+LEAST_LEVEL = 0.05
+"""Sine of the slope under which the distance of an exact surface in the layer is not let grow further."""
+
+ROOM = 1.5
+"""Times its distance to first order that a section of an exact surface may be from a contour."""
 
 NEIGHBOURS = 4
 """Segments on either side whose allowance a segment of a curved side shares: that of one, by the turns at the two ends of
@@ -42,6 +51,29 @@ class Allowances(NamedTuple):
     """(N,) the segment after the point lies in a plane of the part."""
 
 
+class _Told(NamedTuple):
+    """What a mesh tells of its surface."""
+
+    faces: Index
+    corner_starts: Ints
+    corners: Index
+    growth: Floats
+    of_edge: Floats
+    of_side: Floats
+    plane: Bools
+    exact: Index
+    forms: Floats
+
+
+class _Points(NamedTuple):
+    """Points of contours on the edges of a mesh."""
+
+    places: Floats
+    edge: Index
+    edge_t: Floats
+    following: Ints
+
+
 class Allowing:
     """Allowances of contours of one part; what they need of the mesh is found once.
 
@@ -51,21 +83,25 @@ class Allowing:
         The mesh that was cut.
     sagittas
         How far its surface can leave its edges.
+    exact
+        Surfaces of it that are known; none where they are not asked.
     """
 
-    def __init__(self, part: Part, sagittas: Sagittas) -> None:
-        self._part = part
-        self._sagittas = sagittas
+    def __init__(self, part: Part, sagittas: Sagittas, exact: ExactSurfaces | None = None) -> None:
         self.rounding_mm = sagittas.rounding_mm
         faces = part.faces
-        self._corners = np.argsort(faces.reshape(-1), kind="stable").astype(np.int32)
+        corners = np.argsort(faces.reshape(-1), kind="stable").astype(np.int32)
         sizes = np.bincount(faces.reshape(-1), minlength=len(part.vertices))
-        self._starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+        starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
         a, b, c = (part.vertices[faces[:, k]] for k in range(3))
         normals = np.cross(b - a, c - a)
         sizes = np.linalg.norm(normals, axis=1)
         level = np.hypot(normals[:, 0], normals[:, 1]) / np.where(sizes > 0.0, sizes, 1.0)
-        self._growth: Floats = 1.0 / np.maximum(level, FLATTEST_SURFACE)
+        growth = 1.0 / np.maximum(level, FLATTEST_SURFACE)
+        known = no_surfaces(len(faces)) if exact is None else exact
+        self._told = _Told(
+            faces, starts, corners, growth, sagittas.of_edge, sagittas.of_side, sagittas.plane, *known
+        )
 
     def of(self, layers: Layers) -> Allowances:
         """How far curves may leave contours; points without an edge not at all."""
@@ -76,14 +112,17 @@ class Allowing:
         following = np.arange(1, count + 1)
         filled = np.diff(layers.ring_starts) > 0
         following[layers.ring_starts[1:][filled] - 1] = layers.ring_starts[:-1][filled]
-        edge, edge_t = np.ascontiguousarray(layers.edge), np.ascontiguousarray(layers.edge_t)
+        ring_heights = np.repeat(layers.heights, np.diff(layers.layer_starts))
+        heights = np.repeat(ring_heights, np.diff(layers.ring_starts))
+        points = _Points(
+            np.ascontiguousarray(layers.points),
+            np.ascontiguousarray(layers.edge),
+            np.ascontiguousarray(layers.edge_t),
+            following,
+        )
 
         def work(first: int, last: int) -> None:
-            _allow(
-                self._part.faces, self._starts, self._corners, self._growth, self._sagittas.of_edge,
-                self._sagittas.of_side, self._sagittas.plane, edge, edge_t, following, first, last,
-                found.limit_mm, found.plane,
-            )  # fmt: skip
+            _allow(self._told, points, heights, first, last, found)
 
         run_blocks(work, count, POINTS_A_BLOCK)
         _share(found, following, layers)
@@ -114,54 +153,69 @@ def _share(found: Allowances, following: Ints, layers: Layers) -> None:
 
 
 @kernel
-def _allow(
-    faces: Index,
-    corner_starts: Ints,
-    corners: Index,
-    growth: Floats,
-    of_edge: Floats,
-    of_side: Floats,
-    plane: Bools,
-    edge: Index,
-    edge_t: Floats,
-    following: Ints,
-    first: int,
-    last: int,
-    found: Floats,
-    in_plane: Bools,
-) -> None:
-    here, there = np.zeros(3), np.zeros(3)
+def _allow(told: _Told, points: _Points, heights: Floats, first: int, last: int, found: Allowances) -> None:
     for i in range(first, last):
-        low, high = edge[i, 0], edge[i, 1]
+        low, high = points.edge[i, 0], points.edge[i, 1]
         if low < 0:
             continue
-        t = edge_t[i]
-        up, down = -1, -1
-        for place in range(corner_starts[low], corner_starts[low + 1]):
-            f, k = corners[place] // 3, corners[place] % 3
-            if faces[f, (k + 1) % 3] == high:
-                up = 3 * f + k
-            if faces[f, (k + 2) % 3] == high:
-                down = 3 * f + (k + 2) % 3
+        up, down = _half_edges(told, low, high)
+        t = points.edge_t[i]
+        x, y, z = points.places[i, 0], points.places[i, 1], heights[i]
+        arc = UNEVEN * 4.0 * t * (1.0 - t)
         if up >= 0:
-            found[i, 0] = UNEVEN * 4.0 * t * (1.0 - t) * of_edge[up] * growth[up // 3]
+            f = up // 3
+            found.limit_mm[i, 0] = max(arc * told.of_edge[up] * told.growth[f], _exact_mm(told, f, x, y, z))
         if down < 0:
             continue
-        found[i, 0] = max(found[i, 0], UNEVEN * 4.0 * t * (1.0 - t) * of_edge[down] * growth[down // 3])
-        f, j = down // 3, following[i]
-        here[:] = 0.0
-        there[:] = 0.0
+        f, j = down // 3, points.following[i]
+        here = max(arc * told.of_edge[down] * told.growth[f], _exact_mm(told, f, x, y, z))
+        found.limit_mm[i, 0] = max(found.limit_mm[i, 0], here)
+        x, y = 0.5 * (x + points.places[j, 0]), 0.5 * (y + points.places[j, 1])
+        exact = _exact_mm(told, f, x, y, z)
+        found.limit_mm[i, 1] = max(_of_middle(told, points, i, down), exact)
+        found.plane[i] = told.plane[f] and exact == 0.0
+
+
+@kernel
+def _half_edges(told: _Told, low: int, high: int) -> tuple[int, int]:
+    """Half-edges low -> high and high -> low; -1 for none."""
+    up, down = -1, -1
+    for place in range(told.corner_starts[low], told.corner_starts[low + 1]):
+        f, k = told.corners[place] // 3, told.corners[place] % 3
+        if told.faces[f, (k + 1) % 3] == high:
+            up = 3 * f + k
+        if told.faces[f, (k + 2) % 3] == high:
+            down = 3 * f + (k + 2) % 3
+    return up, down
+
+
+@kernel
+def _of_middle(told: _Told, points: _Points, i: int, down: int) -> float:
+    """What the middle of the segment after point i may move, by the sagittas of its facet's edges, mm."""
+    f, j = down // 3, points.following[i]
+    here, there = np.zeros(3), np.zeros(3)
+    for k in range(3):
+        v = told.faces[f, k]
+        for weights, point in ((here, i), (there, j)):
+            if v == points.edge[point, 0]:
+                weights[k] = 1.0 - points.edge_t[point]
+            elif v == points.edge[point, 1]:
+                weights[k] = points.edge_t[point]
+    middle = 0.0
+    if abs(there.sum() - 1.0) < 1e-9:
         for k in range(3):
-            v = faces[f, k]
-            here[k] = 1.0 - t if v == low else (t if v == high else 0.0)
-            there[k] = 1.0 - edge_t[j] if v == edge[j, 0] else (edge_t[j] if v == edge[j, 1] else 0.0)
-        middle = 0.0
-        if abs(there.sum() - 1.0) < 1e-9:
-            for k in range(3):
-                m = (k + 1) % 3
-                middle += 0.25 * (here[k] + there[k]) * (here[m] + there[m]) * of_side[3 * f + k]
-            middle *= 4.0
-        else:  # the segment goes on over other facets: a point between them was left out
-            middle = max(of_side[3 * f], of_side[3 * f + 1], of_side[3 * f + 2])
-        found[i, 1] = UNEVEN * middle * growth[f]
-        in_plane[i] = plane[f]
+            m = (k + 1) % 3
+            middle += (here[k] + there[k]) * (here[m] + there[m]) * told.of_side[3 * f + k]
+    else:  # the segment goes on over other facets: a point between them was left out
+        middle = max(told.of_side[3 * f], told.of_side[3 * f + 1], told.of_side[3 * f + 2])
+    return float(UNEVEN * middle * told.growth[f])
+
+
+@kernel
+def _exact_mm(told: _Told, f: int, x: float, y: float, z: float) -> float:
+    """How far the exact surface of a facet passes a place in the layer, mm; 0 where none is known, and of planes."""
+    row = told.exact[f]
+    if row < 0 or int(told.forms[row, KIND]) == FLAT:
+        return 0.0
+    at = signed_distance(told.forms[row], x, y, z)
+    return float(ROOM * abs(at[0]) / max(slope_of(at), LEAST_LEVEL))

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.curves.lifting import NO_PLANE, Sides
 from ebamcheck.curves.plausible import plausible_share
+from ebamcheck.curves.sides import NO_FORM, NO_PLANE, Sides
 from ebamcheck.curves.thinning import FLAT_MM, distance, is_sharp
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
@@ -74,16 +74,28 @@ def set_angles(sides: Sides, ring: Ring, closed: bool) -> None:
             ahead = _angle_to(ax, ay, sides.before[i])
         else:  # the circle through the three points
             ahead = turn * np.hypot(ax, ay) / (np.hypot(ax, ay) + np.hypot(bx, by))
-        # Between the two chords: a direction beyond them would bend the curve out and back.
-        ring.before[k] = min(max(ahead, min(turn, 0.0)), max(turn, 0.0))
+        if sides.form_before[i] == NO_FORM or sides.form_after[i] == NO_FORM:
+            # Between the two chords: a direction beyond them would bend the curve out and back.
+            ahead = min(max(ahead, min(turn, 0.0)), max(turn, 0.0))
+        ring.before[k] = ahead
         ring.after[k] = turn - ring.before[k]
 
 
 @kernel
-def limit_at_corners(ring: Ring) -> None:
+def _is_sure(sides: Sides, ring: Ring, k: int) -> bool:
+    """Whether the segment after point k lies on an exact surface at both of its ends."""
+    m = (k + 1) % ring.rows.size
+    form = sides.form_after[ring.rows[k]]
+    return bool(form != NO_FORM and form == sides.form_before[ring.rows[m]])
+
+
+@kernel
+def limit_at_corners(sides: Sides, ring: Ring) -> None:
     """At a corner a segment bends no more than at its other end, and as a circle where nothing is known."""
     n = ring.corner.size
     for k in range(n):
+        if _is_sure(sides, ring, k):
+            continue
         m = (k + 1) % n
         start, end = ring.after[k], ring.before[m]
         if ring.corner[k] and np.isnan(start):
@@ -102,13 +114,15 @@ def limit_at_corners(ring: Ring) -> None:
 
 
 @kernel
-def spare_long_segments(points: Floats, ring: Ring) -> None:
+def spare_long_segments(sides: Sides, ring: Ring) -> None:
     """Turn directions towards a segment that is far longer than the one beside it and bends far more there than at
     its other end: it goes over into something else, and is no part of the bend."""
     n = ring.rows.size
+    points = sides.points
     ahead, back = ring.after.copy(), ring.before.copy()
     for k in range(n):
-        if ring.corner[k]:
+        here, there = _is_sure(sides, ring, k), _is_sure(sides, ring, k - 1)
+        if ring.corner[k] or (here and there):
             continue
         m = (k + 1) % n
         to, away = (
@@ -116,20 +130,26 @@ def spare_long_segments(points: Floats, ring: Ring) -> None:
             distance(points, ring.rows[k], ring.rows[m]),
         )
         turn = ring.before[k] + ring.after[k]
-        if away >= STRAIGHT_RATIO * to and abs(ahead[k]) > STRAIGHT_RATIO * abs(back[m]):
+        if not here and away >= STRAIGHT_RATIO * to and abs(ahead[k]) > STRAIGHT_RATIO * abs(back[m]):
             ring.after[k] = np.copysign(STRAIGHT_RATIO * abs(back[m]), ahead[k])
-            ring.before[k] = turn - ring.after[k]
-        elif to >= STRAIGHT_RATIO * away and abs(back[k]) > STRAIGHT_RATIO * abs(ahead[k - 1]):
+            if there:
+                ring.corner[k] = True
+            else:
+                ring.before[k] = turn - ring.after[k]
+        elif not there and to >= STRAIGHT_RATIO * away and abs(back[k]) > STRAIGHT_RATIO * abs(ahead[k - 1]):
             ring.before[k] = np.copysign(STRAIGHT_RATIO * abs(ahead[k - 1]), back[k])
-            ring.after[k] = turn - ring.before[k]
+            if here:
+                ring.corner[k] = True
+            else:
+                ring.after[k] = turn - ring.before[k]
 
 
 @kernel
 def keep_plausible(sides: Sides, ring: Ring, closed: bool) -> None:
     """Bend segments less that would leave their chords by more than the surface plausibly does.
 
-    What such a segment turns less at an end, its neighbour turns more, unless that then bends too much itself: there is a
-    kink then, as the contour has.
+    What such a segment turns less at an end, its neighbour turns more, unless that then bends too much itself or lies on an
+    exact surface: there is a kink then, as the contour has.
     """
     n = ring.rows.size
     last = n if closed else n - 1
@@ -141,6 +161,8 @@ def keep_plausible(sides: Sides, ring: Ring, closed: bool) -> None:
             * distance(sides.points, ring.rows[k], ring.rows[m])
             * max(abs(ring.after[k]), abs(ring.before[m]))
         )
+        if _is_sure(sides, ring, k):
+            continue
         share[k] = plausible_share(bulge, max(sides.plausible[ring.rows[k]], sides.plausible[ring.rows[m]]))
         share[k] *= max(sides.share[ring.rows[k]], sides.share[ring.rows[m]])
     for k in range(n):
@@ -155,7 +177,8 @@ def keep_plausible(sides: Sides, ring: Ring, closed: bool) -> None:
             distance(sides.points, ring.rows[k - 1], ring.rows[k]),
             distance(sides.points, ring.rows[k], ring.rows[(k + 1) % n]),
         )
-        if share[k] < 1.0 and share[k - 1] < 1.0:
+        sure = _is_sure(sides, ring, k if share[k] == 1.0 else k - 1)
+        if sure or (share[k] < 1.0 and share[k - 1] < 1.0):
             ring.corner[k] = True
             ring.before[k] *= share[k - 1]
             ring.after[k] *= share[k]
@@ -209,6 +232,10 @@ def mark_straight(sides: Sides, ring: Ring, closed: bool, straight_run: float) -
         if not ring.straight[k]:
             continue
         m = (k + 1) % n
+        if _is_sure(sides, ring, k - 1):
+            ring.corner[k] = True
+        if _is_sure(sides, ring, m):
+            ring.corner[m] = True
         if not ring.corner[k]:
             ring.before[k] += ring.after[k]
         if not ring.corner[m]:

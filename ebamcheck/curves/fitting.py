@@ -16,12 +16,13 @@ from ebamcheck.curves.edges import with_edges
 from ebamcheck.curves.evidence import joined
 from ebamcheck.curves.fallback import with_fallback
 from ebamcheck.curves.interpolation import CENTRIPETAL, CHORD_LENGTH, interpolate
-from ebamcheck.curves.lifting import Lifting, as_they_are
+from ebamcheck.curves.lifting import Lifting
 from ebamcheck.curves.oriented_contours import OrientedContours, orient
 from ebamcheck.curves.per_part import once_a_part
 from ebamcheck.curves.reduction import reduced_segments, smooth_segments
 from ebamcheck.curves.sagitta import sagittas
 from ebamcheck.curves.segments import Segments, pieces_of
+from ebamcheck.curves.sides import as_they_are
 from ebamcheck.curves.splitting import LINE, split
 from ebamcheck.curves.vertex_normals import surface_normals
 from ebamcheck.errors import GeometryError, SettingsError
@@ -94,9 +95,10 @@ def fit(
     part = _part_of(layers, part)
     known = None if part is None else with_edges(layers, part, checked.near_point_mm)
     lifting = _lifting(known or layers, part, method, checked) if method in LIFTED else None
-    allowing = (
-        None if part is None or known is None else Allowing(part, sagittas(part, checked.crease_angle_deg))
-    )
+    allowing = None
+    if part is not None and known is not None:
+        exact = None if lifting is None else lifting.exact
+        allowing = Allowing(part, sagittas(part, checked.crease_angle_deg), exact)
     contours = known or layers
     blocks = []
     for start in range(0, max(len(layers), 1), LAYERS_A_STEP):
@@ -223,7 +225,7 @@ def _fit_bounded(layers: Layers, settings: CurveSettings, lifting: Lifting | Non
 def _oriented(layers: Layers, settings: CurveSettings, lifting: Lifting | None) -> OrientedContours:
     """Oriented: the lifted contours, else of the cleaned contours as they are."""
     if lifting is not None:
-        return orient(lifting.lift(layers), layers.ring_starts, layers.closed, settings)
+        return orient(*lifting.lifted_rings(layers), layers.closed, settings)
     cleaned = clean(
         layers.points, layers.ring_starts, layers.closed, settings.near_point_mm, settings.collinear_mm
     )

@@ -53,6 +53,7 @@ def judged_mesh(part: Part, normals: SurfaceNormals) -> SurfaceMesh:
         True,
         False,
         1.0,
+        *normals.exact,
     )
     noisy = False
     if normals.with_regions:

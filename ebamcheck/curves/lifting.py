@@ -12,13 +12,14 @@ which is much for a long edge beside fine facets.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
+from ebamcheck.curves.exact.placing import is_placed, place_beside
+from ebamcheck.curves.exact.refining import refined
 from ebamcheck.curves.judged_mesh import judged_mesh
 from ebamcheck.curves.plausible import plausible_height, plausible_share
 from ebamcheck.curves.regions import FREEFORM, PLANE, STRIP
+from ebamcheck.curves.sides import Sides, as_they_are
 from ebamcheck.curves.sure_lifts import sure_share, told_share
 from ebamcheck.curves.surface_edges import (
     SurfaceMesh,
@@ -37,7 +38,7 @@ from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import Index
 from ebamcheck.numeric.kernels import kernel, run_blocks
-from ebamcheck.numeric.rings import Bools, Floats
+from ebamcheck.numeric.rings import Floats, Ints
 
 MOST_STEPS = 60
 """Steps towards the place of a layer on a curved edge; as many halvings bring it to rounding."""
@@ -69,56 +70,7 @@ ALIKE = 2.0
 NOISE_LIFT = 0.5
 """Vertices that lie s off their surface tilt a normal so that it lifts an edge by a quarter to half of s."""
 
-NO_PLANE = -1
-"""In place of a plane's number: the segment is in none."""
-
 POINTS_A_BLOCK = 4096
-
-
-class Sides(NamedTuple):
-    """Points of contours, and the directions in which a contour comes to and leaves each."""
-
-    points: Floats
-    """(N, 2) mm."""
-    before: Floats
-    """(N, 2) unit direction on the side of the segment that ends at the point; NaN where unknown."""
-    after: Floats
-    """(N, 2) unit direction on the side of the segment that begins at the point; NaN where unknown."""
-    smooth: Bools
-    """(N,) the contour has no corner there."""
-    flat: Bools
-    """(N,) the segment after the point may be a flat side: its facet has a neighbour in its plane, or is not known."""
-    plane_before: Index
-    """(N,) plane in which the segment that ends at the point lies; :data:`NO_PLANE` for none."""
-    plane_after: Index
-    """(N,) plane in which the segment that begins at the point lies."""
-    bound: Floats
-    """(N,) how far the point may have been moved, mm: the sagitta of its edge, over the sine of the flattest slope."""
-    rough: Bools
-    """(N,) the noise of the mesh there exceeds what a lift could win: the point was left, and so should its chords be."""
-    share: Floats
-    """(N,) of what the normals ask for, that points are lifted by and segments bend by there."""
-    plausible: Floats
-    """(N,) how high the surface plausibly stands over the facets there, over the sine of their slope, mm."""
-
-
-def as_they_are(points: Floats) -> Sides:
-    """Sides of points of which nothing is known but their places (N, 2)."""
-    count = len(points)
-    unknown = np.full((count, 2), np.nan)
-    return Sides(
-        points,
-        unknown,
-        unknown.copy(),
-        np.zeros(count, np.bool_),
-        np.ones(count, np.bool_),
-        np.full(count, NO_PLANE, np.int32),
-        np.full(count, NO_PLANE, np.int32),
-        np.zeros(count),
-        np.zeros(count, np.bool_),
-        np.ones(count),
-        np.full(count, np.inf),
-    )
 
 
 class Lifting:
@@ -134,6 +86,7 @@ class Lifting:
 
     def __init__(self, part: Part, normals: SurfaceNormals) -> None:
         self.mesh = judged_mesh(part, normals)
+        self.exact = normals.exact
 
     def lift(self, layers: Layers) -> Sides:
         """Lift the points of layers that carry their edges; points without one stay where they are."""
@@ -150,6 +103,12 @@ class Lifting:
         run_blocks(work, len(layers.points), POINTS_A_BLOCK)
         return found
 
+    def lifted_rings(self, layers: Layers) -> tuple[Sides, Ints]:
+        """Lift the points of layers, and put more between them on exact surfaces; with where the rings start then."""
+        sides = self.lift(layers)
+        heights = np.repeat(layers.heights, np.diff(layers.layer_starts))
+        return refined(self.exact.rows, sides, heights, layers.ring_starts, layers.closed)
+
 
 @kernel
 def _lift(
@@ -159,59 +118,62 @@ def _lift(
         low, high = edge[i, 0], edge[i, 1]
         if low < 0:
             continue
+        # Facets look outward and solids lie to the left of a contour: the segment that ends here is in the facet
+        # that runs up this edge, the one that begins here in the facet that runs down.
         up, down = half_edges(mesh, low, high)
         if up < 0 or down < 0:
             continue
-        # Facets look outward and solids lie to the left of a contour: the segment that ends here is in the facet
-        # that runs up this edge, the one that begins here in the facet that runs down.
-        up_low, up_high = normals_of(mesh, up)
-        down_high, down_low = normals_of(mesh, down)
-        chord = minus(vector(mesh.vertices, high), vector(mesh.vertices, low))
-        smooth = mesh.smooth[up] and mesh.smooth[down]
-        t = edge_t[i]
-        found.plausible[i] = plausible_height(mesh, low, high)
-        found.rough[i] = _is_rough(mesh, up) or _is_rough(mesh, down)
-        if mesh.kind[up // 3] == FREEFORM or mesh.kind[down // 3] == FREEFORM:
-            found.share[i] = mesh.share
-        if not (found.rough[i] or _is_straight(mesh, up, down, smooth)):
-            bend_low, bend_high = _bends(mesh, up, down, chord, smooth)
-            flat = mesh.flat[up // 3] and mesh.flat[down // 3]
-            if _bends_alike(chord, bend_low, bend_high, flat):
-                if not (smooth and mesh.kind[up // 3] == STRIP and mesh.kind[down // 3] == STRIP):
-                    lesser = min(dot(bend_low, bend_low), dot(bend_high, bend_high))
-                    bend_low = scaled(bend_low, np.sqrt(lesser / dot(bend_low, bend_low)))
-                    bend_high = scaled(bend_high, np.sqrt(lesser / dot(bend_high, bend_high)))
-                # The cubic leaves its chord by at most a quarter of the bend.
-                height = 0.25 * np.sqrt(max(dot(bend_low, bend_low), dot(bend_high, bend_high)))
-                outward = dot(bend_low, up_low) > 0.0
-                if smooth:
-                    found.share[i] *= sure_share(mesh, up, down, height, outward)
-                share = plausible_share(height, found.plausible[i])
-                if smooth and mesh.ends.turns.size:
-                    share = min(share, told_share(mesh, up, down, height, outward))
-                share *= found.share[i]
-                bend_low, bend_high = scaled(bend_low, share), scaled(bend_high, share)
-                t = _place(mesh.vertices[low, 2], chord[2], bend_low[2], bend_high[2], heights[i], t)
-                found.bound[i] = share * height / FLATTEST_SURFACE
-                _move(
-                    found.points[i],
-                    vector(mesh.vertices, low),
-                    chord,
-                    bend_low,
-                    bend_high,
-                    t,
-                    found.bound[i],
-                )
-        _set_direction(up_low, up_high, t, found.before[i])
-        _set_direction(down_low, down_high, t, found.after[i])
-        x, y = 0.5 * (down_low[0] + down_high[0]), 0.5 * (down_low[1] + down_high[1])
-        found.plausible[i] /= max(np.hypot(x, y), FLATTEST_SURFACE)
-        found.smooth[i] = smooth
         found.flat[i] = mesh.flat[down // 3]
         if mesh.kind[up // 3] == PLANE:
             found.plane_before[i] = mesh.region[up // 3]
         if mesh.kind[down // 3] == PLANE:
             found.plane_after[i] = mesh.region[down // 3]
+        if not is_placed(mesh, up, down, heights[i], i, found):
+            x, y = found.points[i, 0], found.points[i, 1]
+            _lift_by_normals(mesh, up, down, heights[i], edge_t[i], i, found)
+            place_beside(mesh, up, down, (x, y, heights[i]), i, found)
+
+
+@kernel
+def _lift_by_normals(
+    mesh: SurfaceMesh, up: int, down: int, height: float, t: float, i: int, found: Sides
+) -> None:
+    """Lift point i of contours to the curved edge over its straight one."""
+    low, high = mesh.faces[up // 3, up % 3], mesh.faces[up // 3, (up % 3 + 1) % 3]
+    up_low, up_high = normals_of(mesh, up)
+    down_high, down_low = normals_of(mesh, down)
+    chord = minus(vector(mesh.vertices, high), vector(mesh.vertices, low))
+    smooth = mesh.smooth[up] and mesh.smooth[down]
+    found.plausible[i] = plausible_height(mesh, low, high)
+    found.rough[i] = _is_rough(mesh, up) or _is_rough(mesh, down)
+    if mesh.kind[up // 3] == FREEFORM or mesh.kind[down // 3] == FREEFORM:
+        found.share[i] = mesh.share
+    if not (found.rough[i] or _is_straight(mesh, up, down, smooth)):
+        bend_low, bend_high = _bends(mesh, up, down, chord, smooth)
+        flat = mesh.flat[up // 3] and mesh.flat[down // 3]
+        if _bends_alike(chord, bend_low, bend_high, flat):
+            if not (smooth and mesh.kind[up // 3] == STRIP and mesh.kind[down // 3] == STRIP):
+                lesser = min(dot(bend_low, bend_low), dot(bend_high, bend_high))
+                bend_low = scaled(bend_low, np.sqrt(lesser / dot(bend_low, bend_low)))
+                bend_high = scaled(bend_high, np.sqrt(lesser / dot(bend_high, bend_high)))
+            # The cubic leaves its chord by at most a quarter of the bend.
+            most = 0.25 * np.sqrt(max(dot(bend_low, bend_low), dot(bend_high, bend_high)))
+            outward = dot(bend_low, up_low) > 0.0
+            if smooth:
+                found.share[i] *= sure_share(mesh, up, down, most, outward)
+            share = plausible_share(most, found.plausible[i])
+            if smooth and mesh.ends.turns.size:
+                share = min(share, told_share(mesh, up, down, most, outward))
+            share *= found.share[i]
+            bend_low, bend_high = scaled(bend_low, share), scaled(bend_high, share)
+            start = vector(mesh.vertices, low)
+            t = _place(start[2], chord[2], bend_low[2], bend_high[2], height, t)
+            _move(found.points[i], start, chord, bend_low, bend_high, t, share * most / FLATTEST_SURFACE)
+    _set_direction(up_low, up_high, t, found.before[i])
+    _set_direction(down_low, down_high, t, found.after[i])
+    x, y = 0.5 * (down_low[0] + down_high[0]), 0.5 * (down_low[1] + down_high[1])
+    found.plausible[i] /= max(np.hypot(x, y), FLATTEST_SURFACE)
+    found.smooth[i] = smooth
 
 
 @kernel

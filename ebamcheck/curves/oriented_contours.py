@@ -22,7 +22,7 @@ from ebamcheck.curves.bends import (
     spare_long_segments,
     start_at_a_split,
 )
-from ebamcheck.curves.lifting import Sides
+from ebamcheck.curves.sides import Sides
 from ebamcheck.curves.thinning import without_flat, without_near
 from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
@@ -128,8 +128,8 @@ def _orient_rings(
             continue
         find_corners(sides, ring, closed[r], limits.largest_turn_rad)
         set_angles(sides, ring, closed[r])
-        limit_at_corners(ring)
-        spare_long_segments(sides.points, ring)
+        limit_at_corners(sides, ring)
+        spare_long_segments(sides, ring)
         keep_plausible(sides, ring, closed[r])
         mark_straight(sides, ring, closed[r], limits.straight_run_mm)
         keep_rough(sides, ring, closed[r])

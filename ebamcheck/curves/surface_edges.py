@@ -46,6 +46,10 @@ class SurfaceMesh(NamedTuple):
     far_ends_right: bool
     scattered: bool
     share: float
+    exact: Index
+    """(F,) exact surface of each facet; -1 for none."""
+    forms: Floats
+    """(S, SIZE) exact surfaces."""
 
 
 # Three numbers at a time are tuples: an array of three costs more than what is done with it.

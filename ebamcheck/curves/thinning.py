@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ebamcheck.curves.lifting import NO_PLANE, Sides
+from ebamcheck.curves.sides import NO_PLANE, Sides
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
 

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ebamcheck.curves.exact import ExactSurfaces, exact_surfaces, no_surfaces
 from ebamcheck.curves.flat_sides import flat_sides, keep_flat
 from ebamcheck.curves.per_part import once_a_part
 from ebamcheck.curves.plausible import Sagittas, mesh_sagittas, no_sagittas
@@ -67,6 +68,8 @@ class SurfaceNormals(NamedTuple):
     """(G, 2) how far a surface would stand off the strip of each region if the bends at its sides were a rounding's."""
     crease_angle_deg: float
     """Angle by which they were estimated."""
+    exact: ExactSurfaces
+    """Surfaces that are known by formula; none without regions."""
 
 
 @once_a_part
@@ -90,6 +93,7 @@ def surface_normals(part: Part, settings: CurveSettings) -> SurfaceNormals:
     label = regions.groups.label
     found = region_normals(part, twin, regions)
     smooth, kind = twin != NO_TWIN, regions.kind[label]
+    stands_off = mesh_sagittas(part.vertices, part.faces, twin, regions.groups.normals[label], kind)
     return SurfaceNormals(
         found.rows,
         found.normals,
@@ -101,10 +105,11 @@ def surface_normals(part: Part, settings: CurveSettings) -> SurfaceNormals:
         rough_rows(part.vertices, part.faces, found),
         np.nan_to_num(found.noise, nan=np.inf),
         True,
-        mesh_sagittas(part.vertices, part.faces, twin, regions.groups.normals[label], kind),
+        stands_off,
         vertex_offsets(part.vertices, part.faces, smooth, found.fans, kind == FREEFORM),
         rim_sagittas(twin, whole, label, regions.borders, regions.kind),
         settings.crease_angle_deg,
+        exact_surfaces(part, twin, whole, regions, stands_off.typical),
     )
 
 
@@ -136,6 +141,7 @@ def _plain_normals(part: Part, twin: Index, crease_angle_deg: float) -> SurfaceN
         NOTHING_TOLD,
         np.zeros((0, 2)),
         crease_angle_deg,
+        no_surfaces(len(faces)),
     )
 
 

@@ -16,6 +16,8 @@ COLOURS = {
     "cone": (240, 228, 66),
     "ruled": (213, 94, 0),
     "sphere": (204, 121, 167),
+    "torus": (0, 114, 178),
+    "quadric": (153, 153, 153),
     "freeform": (0, 158, 115),
 }
 """Colours that colour-blind readers tell apart (Okabe, Ito 2008)."""

@@ -56,11 +56,11 @@ class TemperatureScale:
     boiling: float
 
     @classmethod
-    def of(cls, profile: Config, hottest: float) -> TemperatureScale:
+    def of(cls, config: Config, hottest: float) -> TemperatureScale:
         """Scale up to the hottest rise, or to the boiling point where that is less."""
-        ambient_k = profile.process.ambient_temperature_k
-        boiling = profile.material.boiling_k - ambient_k
-        return cls(min(max(hottest, 1.0), boiling), profile.material.solidus_k - ambient_k, boiling)
+        ambient_k = config.process.ambient_temperature_k
+        boiling = config.material.boiling_k - ambient_k
+        return cls(min(max(hottest, 1.0), boiling), config.material.solidus_k - ambient_k, boiling)
 
     @property
     def marks(self) -> tuple[tuple[str, float], ...]:

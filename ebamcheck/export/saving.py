@@ -41,6 +41,16 @@ def save(value: Part | Layers | Curves | ScanPlan | Config, path: str | Path) ->
     ------
     SettingsError
         If the value has no such format, or the file cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from ebamcheck.layers.files import read_layers
+    >>> from ebamcheck.layers.stack import from_rings
+    >>> layers = from_rings([0.5], [[[(0, 0), (2, 0), (2, 2), (0, 2)]]])
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     read_layers(save(layers, Path(folder) / "square.parquet")).areas().tolist()
+    [4.0]
     """
     path = Path(path)
     for kind, writers in _writers().items():

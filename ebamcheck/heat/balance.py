@@ -130,15 +130,15 @@ class Balance:
     radiated_j: float
 
 
-def heat_balance(deposits: Deposits, profile: Config, tables: EnthalpyTables | None = None) -> Balance:
+def heat_balance(deposits: Deposits, config: Config, tables: EnthalpyTables | None = None) -> Balance:
     """Follow the heat of a whole program.
 
     Parameters
     ----------
     tables
-        The material; that of the profile, with all its data over temperature, if None.
+        The material; that of the settings, with all its data over temperature, if None.
     """
-    column = HeatColumn(profile, tables)
+    column = HeatColumn(config, tables)
     start_k, end_k = np.full(len(deposits), math.nan), np.full(len(deposits), math.nan)
     for k in range(len(deposits)):
         column.advance(float(deposits.wait_s[k]))
@@ -156,13 +156,13 @@ class HeatColumn:
 
     Parameters
     ----------
-    profile
+    config
         Plate, base, chamber and material.
     tables
-        The material; that of the profile, with all its data over temperature, if None.
+        The material; that of the settings, with all its data over temperature, if None.
     """
 
-    profile: Config
+    config: Config
     tables: EnthalpyTables | None = None
     absorbed_j: float = 0.0
     base_j: float = 0.0
@@ -177,9 +177,9 @@ class HeatColumn:
     _radiating: Floats = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
-        """Take the material of the profile where none is given."""
+        """Take the material of the settings where none is given."""
         if self.tables is None:
-            self.tables = enthalpy_tables(self.profile)
+            self.tables = enthalpy_tables(self.config)
 
     @property
     def _material(self) -> EnthalpyTables:
@@ -207,7 +207,7 @@ class HeatColumn:
     def _bare_k(self) -> float:
         """Temperature of the base plate on which nothing stands."""
         if not len(self.warm_plate):
-            return self.profile.process.ambient_temperature_k
+            return self.config.process.ambient_temperature_k
         return self._material.temperature_of(float(self.warm_plate[-1]))
 
     @property
@@ -222,7 +222,7 @@ class HeatColumn:
         """Mean temperature of the column over ambient, K."""
         if not len(self.content):
             return 0.0
-        rise_k = self.temperature_k - self.profile.process.ambient_temperature_k
+        rise_k = self.temperature_k - self.config.process.ambient_temperature_k
         return float(np.average(rise_k, weights=self._cells[0] * self._cells[1]))
 
     def _mean_k(self, start: int, stop: int) -> float:
@@ -240,14 +240,14 @@ class HeatColumn:
     def copy(self) -> HeatColumn:
         """Return the same column, to be aged by itself."""
         return HeatColumn(
-            self.profile, self.tables, self.absorbed_j, self.base_j, self.radiated_j,
+            self.config, self.tables, self.absorbed_j, self.base_j, self.radiated_j,
             self.content.copy(), self.warm_plate, self._cells, self._top, self._under, self._radiating,
         )  # fmt: skip
 
     def lay(self, shape: LayerShape) -> None:
         """Lay a cold layer on top; the first one brings the plate under it."""
         if not len(self.content):
-            self._stack(LayerShape(self.profile.process.base_plate_mm, shape.area_mm2, 0.0))
+            self._stack(LayerShape(self.config.process.base_plate_mm, shape.area_mm2, 0.0))
             if len(self.warm_plate):
                 self.content[:] = self.warm_plate
         self._under, self._top = self._top, len(self.content)
@@ -258,14 +258,14 @@ class HeatColumn:
 
     def lay_plate(self, area_mm2: float) -> None:
         """Put a bare base plate there, whose uppermost cell takes up the heat; nothing is laid on this column."""
-        self._stack(LayerShape(self.profile.process.base_plate_mm, area_mm2, 0.0))
+        self._stack(LayerShape(self.config.process.base_plate_mm, area_mm2, 0.0))
         self._under = self._top = len(self.content) - 1
         self._see()
 
     def _see(self) -> None:
         """Work out by which surface each cell radiates."""
         size, area, outer, inner, hole = self._cells
-        surface_mm2 = radiating_mm2(size, area, outer, inner, hole, self.profile.material.emissivity)
+        surface_mm2 = radiating_mm2(size, area, outer, inner, hole, self.config.material.emissivity)
         self._radiating = 1e-6 * STEFAN_BOLTZMANN_W_M2K4 * surface_mm2
 
     def _stack(self, shape: LayerShape) -> None:
@@ -290,7 +290,7 @@ class HeatColumn:
         """Let a time go by, in which the uppermost layer takes up heat."""
         if duration_s <= 0.0 or not len(self.content):
             return
-        process = self.profile.process
+        process = self.config.process
         column = (
             self._material.temperature_k,
             self._material.theta_w_mm,
@@ -308,14 +308,14 @@ class HeatColumn:
         self.radiated_j += float(gone[1])
 
 
-def constant_tables(profile: Config) -> EnthalpyTables:
+def constant_tables(config: Config) -> EnthalpyTables:
     """Return the material of the linear heat model: constant conductivity and heat capacity, no heat of fusion."""
-    material = profile.material
+    material = config.material
     rise_k = np.array([0.0, HOTTEST_K])
     capacity = 1e-9 * material.density_kg_m3 * material.heat_capacity_j_kgk
     return EnthalpyTables(
         step_j_mm3=capacity * HOTTEST_K,
-        temperature_k=profile.process.ambient_temperature_k + rise_k,
+        temperature_k=config.process.ambient_temperature_k + rise_k,
         theta_w_mm=1e-3 * material.conductivity_w_mk * rise_k,
     )
 

@@ -75,9 +75,9 @@ class EnthalpyTables:
         return float((table.item(node + 1) - low) * (inside - node) + low)
 
 
-def enthalpy_tables(profile: Config) -> EnthalpyTables:
-    """Sum up the data of a profile's material, with its heat of fusion spread from solidus to liquidus."""
-    material, ambient_k = profile.material, profile.process.ambient_temperature_k
+def enthalpy_tables(config: Config) -> EnthalpyTables:
+    """Sum up the data of the material, with its heat of fusion spread from solidus to liquidus."""
+    material, ambient_k = config.material, config.process.ambient_temperature_k
     capacities: Floats = np.array(material.heat_capacity_by_temperature, np.float64)
     conductivities: Floats = np.array(material.conductivity_by_temperature, np.float64)
     # The corners of the data are among the temperatures, so that the sums over straight pieces are exact.

@@ -34,9 +34,9 @@ class Medium:
         return self.conductivity_w_mmk / self.heat_capacity_j_mm3k
 
     @classmethod
-    def of(cls, profile: Config) -> Medium:
-        """Return the material of a profile, its radiation made linear at the surface temperature of the process."""
-        material, process = profile.material, profile.process
+    def of(cls, config: Config) -> Medium:
+        """Return the material of the settings, its radiation made linear at the surface temperature of the process."""
+        material, process = config.material, config.process
         warm, cold = process.surface_temperature_k, process.ambient_temperature_k
         # The secant of eps sigma (T^4 - Ta^4): exact at the surface temperature.
         radiation_w_m2k = material.emissivity * STEFAN_BOLTZMANN_W_M2K4 * (warm**2 + cold**2) * (warm + cold)

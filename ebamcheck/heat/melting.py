@@ -8,40 +8,40 @@ from ebamcheck.heat.enthalpy import enthalpy_tables
 from ebamcheck.settings.config import Config
 
 
-def melting_heat_j_kg(profile: Config) -> float:
+def melting_heat_j_kg(config: Config) -> float:
     """Heat that brings the material from the chamber's temperature to the liquidus and melts it, J/kg."""
-    tables = enthalpy_tables(profile)
-    content_j_mm3 = float(tables.heat_content(profile.material.liquidus_k))
-    return content_j_mm3 / (1e-9 * profile.material.density_kg_m3)
+    tables = enthalpy_tables(config)
+    content_j_mm3 = float(tables.heat_content(config.material.liquidus_k))
+    return content_j_mm3 / (1e-9 * config.material.density_kg_m3)
 
 
-def least_power_share(profile: Config, thickness_mm: float | None = None) -> float:
+def least_power_share(config: Config, thickness_mm: float | None = None) -> float:
     """Share of the beam's power that a layer of a thickness needs to melt; over 1: the beam is too weak for it.
 
     The melt pool takes the wire, of which travel speed, spacing of the beads and height of the layer ask so much, and
     the metal that is remelted with it; both are heated from the chamber's temperature, which is on the safe side. Where
     full power is too little for that, the whole of it is needed, and less is remelted; the wire alone is the least.
     """
-    process, material = profile.process, profile.material
-    height_mm = profile.layer_height_mm if thickness_mm is None else thickness_mm
+    process, material = config.process, config.material
+    height_mm = config.layer_height_mm if thickness_mm is None else thickness_mm
     laid_mm3_s = process.travel_speed_mm_s * process.hatch_spacing_mm * height_mm
-    wire_w = 1e-9 * material.density_kg_m3 * laid_mm3_s * melting_heat_j_kg(profile)
+    wire_w = 1e-9 * material.density_kg_m3 * laid_mm3_s * melting_heat_j_kg(config)
     wire = wire_w / (process.melting_efficiency * material.absorptivity * process.power_w)
     pool = wire / (1.0 - process.dilution)
     return pool if pool <= 1.0 else max(wire, 1.0)
 
 
-def entry_limit_k(profile: Config) -> float:
+def entry_limit_k(config: Config) -> float:
     """Temperature over which no bead may be entered, absolute, K."""
-    process, material = profile.process, profile.material
+    process, material = config.process, config.material
     if process.interpass_limit_k is not None:
         return process.interpass_limit_k
     return material.solidus_k if process.interpass == "off" else material.interpass_limit_k
 
 
-def scheduled_share(profile: Config, height_mm: float) -> float | None:
+def scheduled_share(config: Config, height_mm: float) -> float | None:
     """Share of the power at a height over the plate by the table of the settings; None where the heat decides."""
-    schedule = profile.process.power_schedule
+    schedule = config.process.power_schedule
     if isinstance(schedule, str):
         return None
     heights, shares = np.array(schedule, np.float64).T

@@ -19,7 +19,7 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.errors import GeometryError
 from ebamcheck.heat.one_blas_thread import one_blas_thread
 from ebamcheck.heat.section_grid import SectionGrid, section_grid
-from ebamcheck.layers.stack import valid_polygons
+from ebamcheck.layers.polygons import valid_polygons
 from ebamcheck.numeric.rings import Floats, Ints
 
 CELLS_PER_WAVE = 6.0

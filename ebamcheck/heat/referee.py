@@ -137,7 +137,7 @@ class Verdict:
     hottest_k: float
 
 
-def referee(section: BaseGeometry, profile: Config, height_mm: float, cell_mm: float) -> Referee:
+def referee(section: BaseGeometry, config: Config, height_mm: float, cell_mm: float) -> Referee:
     """Lay cubes of about the given width over a section.
 
     Raises
@@ -147,7 +147,7 @@ def referee(section: BaseGeometry, profile: Config, height_mm: float, cell_mm: f
     """
     x0, y0, x1, y1 = section.bounds
     columns, rows = max(1, round((x1 - x0) / cell_mm)), max(1, round((y1 - y0) / cell_mm))
-    depth_mm = max(height_mm, 0.0) + profile.process.base_plate_mm
+    depth_mm = max(height_mm, 0.0) + config.process.base_plate_mm
     layers = max(2, round(depth_mm / cell_mm))
     cell = np.array([(x1 - x0) / columns, (y1 - y0) / rows, depth_mm / layers])
     x, y = np.meshgrid(x0 + np.arange(columns) * cell[0], y0 + np.arange(rows) * cell[1])
@@ -155,18 +155,18 @@ def referee(section: BaseGeometry, profile: Config, height_mm: float, cell_mm: f
     solid = shapely.area(shapely.intersection(boxes, section)) >= HALF * cell[0] * cell[1]
     if not solid.any():
         raise GeometryError(f"the section has no room for a cell of {cell_mm:g} mm: give smaller cells")
-    tables = enthalpy_tables(profile)
+    tables = enthalpy_tables(config)
     return Referee(
         origin=np.array([x0, y0]),
         cell_mm=cell,
         solid=np.asarray(solid, np.bool_),
         layers=layers,
-        cooled=profile.process.base == "cooled",
+        cooled=config.process.base == "cooled",
         tables=tables,
-        radiation_w_mm2k4=1e-6 * profile.material.emissivity * STEFAN_BOLTZMANN_W_M2K4,
-        ambient_k=profile.process.ambient_temperature_k,
-        sigma_mm=BEAM_SHARE * profile.process.bead_width_mm,
-        boiling_j_mm3=float(tables.heat_content(profile.material.boiling_k)),
+        radiation_w_mm2k4=1e-6 * config.material.emissivity * STEFAN_BOLTZMANN_W_M2K4,
+        ambient_k=config.process.ambient_temperature_k,
+        sigma_mm=BEAM_SHARE * config.process.bead_width_mm,
+        boiling_j_mm3=float(tables.heat_content(config.material.boiling_k)),
     )
 
 

@@ -18,7 +18,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from ebamcheck.atomic_file import replacing
+from ebamcheck.atomic_file import COMPRESSION, replacing
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.layers import common_layer_interface
 from ebamcheck.layers import svg as layer_svg
@@ -125,7 +125,7 @@ def _writer(path: Path, schema: pa.Schema) -> pq.ParquetWriter:
     return pq.ParquetWriter(
         path,
         schema,
-        compression="lz4",
+        compression=COMPRESSION,
         use_dictionary=False,
         write_statistics=False,
         write_page_checksum=True,
@@ -191,11 +191,6 @@ class LayerFile:
     def __len__(self) -> int:
         """Return the number of layers."""
         return int(self._starts[-1])
-
-    @property
-    def row_groups(self) -> int:
-        """Blocks in which the layers were written."""
-        return self._starts.size - 1
 
     @property
     def borders(self) -> Ints:

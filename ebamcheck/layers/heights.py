@@ -23,10 +23,28 @@ def layer_heights(part: Part, layer_height: float) -> NDArray[np.float64]:
     The number of layers is the part's height over the layer height, rounded to the nearest, at least 1;
     layer k spans ``zmin + k h .. zmin + (k + 1) h`` and is cut at its middle.
 
+    Parameters
+    ----------
+    part
+        The part as placed.
+    layer_height
+        mm.
+
+    Returns
+    -------
+    ndarray
+        (L,) absolute heights of the cuts, mm, rising.
+
     Raises
     ------
     SettingsError
         If the layer height is not positive, or would give more than :data:`LARGEST_STACK` layers.
+
+    Examples
+    --------
+    >>> from ebamcheck_models import CUBE
+    >>> layer_heights(CUBE.tessellate(0.1), 5.0).tolist()
+    [2.5, 7.5, 12.5, 17.5]
     """
     if not (math.isfinite(layer_height) and layer_height > 0.0):
         raise SettingsError(f"layer height {layer_height} mm: give a positive number of millimetres")

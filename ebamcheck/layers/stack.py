@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from ebamcheck.errors import SettingsError
 from ebamcheck.layers import canonical_form
 from ebamcheck.layers import items as stack_items
+from ebamcheck.layers.polygons import valid_polygons
 from ebamcheck.numeric import rings
 from ebamcheck.numeric.kernels import run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
@@ -66,6 +67,12 @@ class Layers:
         (L,) rings without area that were left out of each layer.
     mesh
         The part itself, where the layers were cut from one in this process; files do not hold it.
+
+    Examples
+    --------
+    >>> layers = from_rings([0.5, 1.5], [[[(0, 0), (2, 0), (2, 2), (0, 2)]], []])
+    >>> len(layers), layers.areas().tolist(), layers.ring(0).shape
+    (2, [4.0, 0.0], (4, 2))
     """
 
     heights: Floats
@@ -383,18 +390,6 @@ def concatenate(blocks: Sequence[Layers]) -> Layers:
         edge_t=np.concatenate([b.edge_t for b in blocks if b.edge_t is not None]) if with_edges else None,
         dropped=np.concatenate([b.dropped for b in blocks]),
     )
-
-
-def valid_polygons(geometry: BaseGeometry) -> list[shapely.Polygon]:
-    """Polygons with area in a geometry, made valid where they are not."""
-    import shapely
-
-    if not geometry.is_valid:
-        geometry = shapely.make_valid(geometry)
-    parts = shapely.get_parts(geometry)
-    if any(part.geom_type == "GeometryCollection" or part.geom_type.startswith("Multi") for part in parts):
-        return [polygon for part in parts for polygon in valid_polygons(part)]
-    return [part for part in parts if part.geom_type == "Polygon" and part.area > 0]
 
 
 def _expand(starts: Ints, wanted: Ints) -> tuple[Ints, Ints]:

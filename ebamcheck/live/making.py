@@ -6,10 +6,8 @@ control gets is the text that was verified, and anybody can verify it again from
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
@@ -25,6 +23,7 @@ from ebamcheck.curves.per_part import keep_surface_of
 from ebamcheck.errors import BackendMissing, EbamcheckError, SettingsError
 from ebamcheck.json_values import sha256_of_json
 from ebamcheck.layers.stack import Layers
+from ebamcheck.live.clock import Clock
 from ebamcheck.live.heat_so_far import HeatSoFar
 from ebamcheck.live.layer_feed import at_layer_feed
 from ebamcheck.live.metal_so_far import MetalSoFar
@@ -33,7 +32,7 @@ from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline import gates
 from ebamcheck.pipeline.choice import witness_backend
-from ebamcheck.pipeline.fit_evidence import judged
+from ebamcheck.pipeline.fit_evidence import FitVerdict, judged
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.live_program import without_preheating
 from ebamcheck.pipeline.programming import bead_paths, smooth_layers
@@ -120,22 +119,6 @@ class MadeLayer:
     def why(self) -> str:
         """What the shut gates say; empty where all are open."""
         return "; ".join(f"gate {gate.name}: {gate.text}" for gate in self.gates if not gate.passed)
-
-
-class Clock:
-    """Times of named stages, s."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        """Time a block."""
-        begin = time.perf_counter()
-        try:
-            yield
-        finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - begin
 
 
 class LayerMaker:
@@ -255,21 +238,13 @@ class LayerMaker:
         """
         clock = Clock()
         config = self.config_of(wanted, metal is not None and metal.mapped_surface)
-        cut_mm = config.layers.heights_mm[0]
         with clock.stage("slice"):
-            cuts = {name: slicing.at(cut_mm) for name, slicing in self._slicings.items()}
+            cuts = self._cut(wanted, config)
         contours, witness = cuts[self.primary], cuts[self.witness]
-        if not len(contours.points) and not len(witness.points):
-            raise SettingsError(f"layer {wanted.layer}: the part has no section at {cut_mm:g} mm")
         # What only judges goes on beside what makes the program.
         comparing = self._aside.submit(self._agreement, cuts, clock)
         with clock.stage("fit"):
-            bound_mm = registry.slicer(self.primary).error_bound_mm(self.part, self._settings(self.primary))
-            of_curves = config.curves.model_copy(
-                update={"collinear_mm": max(config.curves.collinear_mm, bound_mm)}
-            )
-            curves = fit(contours, of_curves.method, of_curves, part=self.part)
-            verdict, _ = judged(curves, contours, self.part, config)
+            verdict = self._fitted(contours, config)
             smooth = smooth_layers(verdict.curves)
         stands = None if metal is None else metal.measured()
         with clock.stage("plan"):
@@ -310,18 +285,31 @@ class LayerMaker:
             checks += [*of_metal, *form_checks(program, config)]
             if self.stands is not None:
                 section = layer_section(witness.polygons(0))
-                checks += turned_checks(program, section, cut_mm, self.stands, config)
-            made += [
-                gates.deposit_gate(checks, config),
-                gates.heat_gate(checks, plan.metrics, config),
-                gates.program_gate(checks),
-            ]
+                checks += turned_checks(program, section, config.layers.heights_mm[0], self.stands, config)
+            made += _gates_of_program(checks, plan, config)
             if all(gate.passed for gate in made):
                 files = mark_validated(files)
         return MadeLayer(
-            wanted, config, cut_mm, files, tuple(made), tuple(checks), after, stands, wait_s, len(plan.islands),
-            after.layer_s, clock.seconds,
+            wanted, config, config.layers.heights_mm[0], files, tuple(made), tuple(checks), after, stands, wait_s,
+            len(plan.islands), after.layer_s, clock.seconds,
         )  # fmt: skip
+
+    def _cut(self, wanted: Wanted, config: Config) -> dict[str, Layers]:
+        """Section of the layer by both slicers."""
+        cut_mm = config.layers.heights_mm[0]
+        cuts = {name: slicing.at(cut_mm) for name, slicing in self._slicings.items()}
+        if not any(len(cut.points) for cut in cuts.values()):
+            raise SettingsError(f"layer {wanted.layer}: the part has no section at {cut_mm:g} mm")
+        return cuts
+
+    def _fitted(self, contours: Layers, config: Config) -> FitVerdict:
+        """Curves of the contours, and what the mesh says of them."""
+        bound_mm = registry.slicer(self.primary).error_bound_mm(self.part, self._settings(self.primary))
+        of_curves = config.curves.model_copy(
+            update={"collinear_mm": max(config.curves.collinear_mm, bound_mm)}
+        )
+        curves = fit(contours, of_curves.method, of_curves, part=self.part)
+        return judged(curves, contours, self.part, config)[0]
 
     def _agreement(self, cuts: dict[str, Layers], clock: Clock) -> Gate:
         """Whether both methods agree on the layer."""
@@ -388,6 +376,15 @@ def metal_checks(
             if not check.passed
         ]
     return checks, known.with_layer(found.layers, found.surface, config)
+
+
+def _gates_of_program(checks: list[Check], plan: ScanPlan, config: Config) -> list[Gate]:
+    """Gates that the text of a program has to pass."""
+    return [
+        gates.deposit_gate(checks, config),
+        gates.heat_gate(checks, plan.metrics, config),
+        gates.program_gate(checks),
+    ]
 
 
 def program_settings_sha256(config: Config) -> str:

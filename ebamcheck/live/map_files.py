@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from pydantic import ValidationError
 
 from ebamcheck.errors import InputError
 from ebamcheck.numeric.rings import Floats
+from ebamcheck.settings.checking import checked, read_toml
 from ebamcheck.settings.height_map import HeightMapSettings
 
 FRAME = ".frame.toml"
@@ -77,14 +76,8 @@ def _frame(path: Path, settings: HeightMapSettings) -> HeightMapSettings:
     beside = path.with_name(path.name + FRAME)
     if not beside.is_file():
         return settings
-    try:
-        values = tomllib.loads(beside.read_text(encoding="utf-8"))
-        return HeightMapSettings.model_validate(settings.model_dump() | values)
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{beside}: is not TOML: {error}") from None
-    except ValidationError as error:
-        first = error.errors()[0]
-        raise InputError(f"{beside}: {'.'.join(map(str, first['loc']))}: {first['msg']}") from None
+    values = settings.model_dump() | read_toml(beside, InputError)
+    return checked(HeightMapSettings, values, beside, error=InputError)
 
 
 def _from_csv(path: Path, frame: HeightMapSettings) -> HeightMap:

@@ -49,6 +49,16 @@ def load(path: str | Path, units: str = "mm") -> Part:
         If the file is missing, truncated, not what its name says, or holds NaN, inf or no facet.
     SettingsError
         If the unit is unknown.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import ebamcheck
+    >>> from ebamcheck_models import CUBE
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = ebamcheck.save(CUBE.tessellate(0.1), Path(folder) / "cube.stl")
+    ...     load(file, units="in").size.tolist()
+    [508.0, 508.0, 508.0]
     """
     unit = unit_named(units)
     return _read(Path(path), unit, UNITS_MM[unit])

@@ -88,6 +88,16 @@ def inspect(part: Part) -> Inspection:
     Edges with more than two facets are counted, and refused only where their facets do not pair up in
     opposite directions: bodies that touch along an edge have an inside.
 
+    Parameters
+    ----------
+    part
+        The part; where it stands does not matter.
+
+    Returns
+    -------
+    Inspection
+        Counts of defects, bodies, volumes in mm3, and the verdict.
+
     Examples
     --------
     >>> from ebamcheck.mesh.part import from_arrays

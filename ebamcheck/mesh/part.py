@@ -42,6 +42,15 @@ class Part:
         Unit of the file's numbers, converted once at reading.
     direction
         Slicing direction in the coordinates of the file; `vertices` are turned so that it points up.
+    notes
+        What reading it has to tell.
+
+    Examples
+    --------
+    >>> corners = [(0, 0, 0), (2, 0, 0), (0, 2, 0), (0, 0, 3)]
+    >>> part = from_arrays(corners, [(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)], "tip")
+    >>> part, part.volume
+    (<Part: tip, 4 facets, 2 x 2 x 3 mm>, 2.0)
     """
 
     vertices: NDArray[np.float64]

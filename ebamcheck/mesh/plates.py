@@ -18,14 +18,13 @@ after the other, so that layers, islands, heat, program and gates are those of t
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field, ValidationError
+from pydantic import BeforeValidator, Field
 
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.json_values import sha256_of_file, sha256_of_json
@@ -33,6 +32,7 @@ from ebamcheck.mesh.files import load
 from ebamcheck.mesh.part import Part, Vector
 from ebamcheck.mesh.placing import placing_of
 from ebamcheck.settings.base import Angle, Between, Place, Section
+from ebamcheck.settings.checking import checked, read_toml
 from ebamcheck.settings.slicing import Component
 from ebamcheck.settings.units import known_as
 
@@ -151,16 +151,7 @@ def load_plate(path: str | Path, units: str = "mm", direction: Vector = (0.0, 0.
 
 def read_plate(path: Path) -> Plate:
     """Read the file of a plate, and none of its parts."""
-    try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"{path}: is not TOML: {error}") from None
-    try:
-        plate = Plate.model_validate(values)
-    except ValidationError as error:
-        raise SettingsError(f"{path}: {_first_fault(error)}") from None
+    plate = checked(Plate, read_toml(path, InputError), path)
     for number, entry in enumerate(plate.parts, 1):
         if entry.copies > 1 and entry.step_mm is None:
             raise SettingsError(f"{path}: parts {number} ({entry.file}): {entry.copies} copies need step_mm")
@@ -185,21 +176,6 @@ def outline(part: Part) -> BaseGeometry:
 
     hull: BaseGeometry = shapely.MultiPoint(part.vertices[:, :2]).convex_hull
     return hull
-
-
-def _first_fault(error: ValidationError) -> str:
-    """First fault of a plate in words: place, fault and value."""
-    first: Any = error.errors()[0]
-    place = first["loc"]
-    if len(place) > 1 and place[0] == "parts" and isinstance(place[1], int):
-        place = (f"parts {place[1] + 1}", *place[2:])
-    key = ", ".join(str(k) for k in place) or "plate"
-    if first["type"] == "missing":
-        return f"{key}: is missing: every part has file and place_mm"
-    if first["type"] == "extra_forbidden":
-        known = ", ".join(Plate.model_fields if len(place) < 2 else PlateEntry.model_fields)
-        return f"{key}: unknown key: there are {known}"
-    return f"{key}: {first['msg']} (given {first.get('input')!r})"
 
 
 def _placed(path: Path, plate: Plate, units: str, direction: Vector) -> Iterator[tuple[Member, Part]]:

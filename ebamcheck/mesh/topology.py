@@ -113,17 +113,32 @@ def twins(
             result[half_edges[a]] = half_edges[a + 1]
             result[half_edges[a + 1]] = half_edges[a]
         elif b - a > 2:
-            _pair_around(vertices, faces, half_edges[a:b], result)
+            _pair_around(*_fan(vertices, faces, half_edges[a:b]), half_edges[a:b], result)
     return result
 
 
 @kernel
-def _pair_around(vertices: NDArray[np.float64], faces: Index, fan: Index, result: Index) -> None:
-    """Pair the half-edges of one edge by the angle of their facets around it."""
+def _fan(
+    vertices: NDArray[np.float64], faces: Index, fan: Index
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Ends of the edge of some half-edges and the third corners of their facets, (2 + n, 3), and which run low to high."""
     h = fan[0]
     tail, head = faces[h // 3, h % 3], faces[h // 3, (h % 3 + 1) % 3]
     low, high = min(tail, head), max(tail, head)
-    axis = vertices[high] - vertices[low]
+    corners, forward = np.empty((2 + fan.size, 3)), np.empty(fan.size, np.bool_)
+    for axis in range(3):
+        corners[0, axis], corners[1, axis] = vertices[low, axis], vertices[high, axis]
+        for i in range(fan.size):
+            corners[2 + i, axis] = vertices[faces[fan[i] // 3, (fan[i] % 3 + 2) % 3], axis]
+    for i in range(fan.size):
+        forward[i] = faces[fan[i] // 3, fan[i] % 3] == low
+    return corners, forward
+
+
+@kernel
+def _pair_around(corners: NDArray[np.float64], forward: NDArray[np.bool_], fan: Index, result: Index) -> None:
+    """Pair the half-edges of one edge by the angle of their facets around it; see :func:`_fan`."""
+    axis = corners[1] - corners[0]
     axis = axis / np.sqrt(np.sum(axis * axis))
     # Two directions across the edge span the plane in which angles are measured.
     least = np.argmin(np.abs(axis))
@@ -140,11 +155,8 @@ def _pair_around(vertices: NDArray[np.float64], faces: Index, fan: Index, result
     )
     n = fan.size
     angle = np.empty(n)
-    forward = np.empty(n, np.bool_)
     for i in range(n):
-        f, corner = fan[i] // 3, fan[i] % 3
-        forward[i] = faces[f, corner] == low
-        across = vertices[faces[f, (corner + 2) % 3]] - vertices[low]
+        across = corners[2 + i] - corners[0]
         angle[i] = np.arctan2(np.sum(across * w), np.sum(across * u))
     order = np.argsort(angle, kind="mergesort")
     # A facet that runs low -> high has the normal axis x across, towards growing angles: its solid lies before it,

@@ -9,7 +9,7 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.heat.section_grid import cell_shares, oriented_rings
-from ebamcheck.layers.stack import valid_polygons
+from ebamcheck.layers.polygons import valid_polygons
 from ebamcheck.numeric.rings import Floats
 
 CELLS_PER_BEAD = 6

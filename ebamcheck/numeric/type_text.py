@@ -46,14 +46,6 @@ def text_of(found: Any) -> str:
     raise UnknownType(f"{found} has no text")
 
 
-def type_of(text: str) -> Any:
-    """The numba type of a text of :func:`text_of`; :class:`UnknownType` where it is none here."""
-    found = types_of(text)
-    if len(found) != 1:
-        raise UnknownType(f"{text!r} is not one type")
-    return found[0]
-
-
 def types_of(text: str) -> tuple[Any, ...]:
     """The numba types of texts with commas between them."""
     try:

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from ebamcheck.atomic_file import COMPRESSION
 from ebamcheck.backend import BackendSettings
 from ebamcheck.comparison import Comparison, compare_all
 from ebamcheck.layers.blocks import count_kept, kept_blocks
@@ -113,7 +114,8 @@ def _compare(job: Job, outcomes: Mapping[str, Outcome], borders: NDArray[np.int6
             borders=borders,
             evidence=rule,
         )
-        comparison.pairs.to_parquet(job.folder.path / "compare.parquet", index=False)
+        pairs = job.folder.path / "compare.parquet"
+        comparison.pairs.to_parquet(pairs, index=False, compression=COMPRESSION)
         comparison.pairs.to_csv(job.folder.path / "compare.csv", index=False)
         _layer_table(comparison).to_csv(job.folder.path / "layers.csv", index=False)
     job.add_finding(*no_evidence(comparison))

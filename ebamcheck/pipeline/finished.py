@@ -35,6 +35,14 @@ class Run:
     ------
     InputError
         If it is no finished run; from every property, too, whose file is missing or damaged.
+
+    Examples
+    --------
+    >>> Run("nowhere")
+    Traceback (most recent call last):
+    ebamcheck.errors.InputError: nowhere: is no run folder: it has no run.json
+
+    :func:`run` makes one.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -199,6 +207,17 @@ def run(
     ------
     InputError, SettingsError, BackendMissing
         As of :func:`ebamcheck.pipeline.run_job`.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import ebamcheck
+    >>> from ebamcheck_models import CUBE
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = ebamcheck.save(CUBE.tessellate(0.1), Path(folder) / "cube.stl")
+    ...     made = run(file, Path(folder) / "cube.run", Config(slicing={"backends": ("planecut", "manifold")}))
+    ...     made.verdict, len(made.gates), len(made.layers)
+    ('VALIDATED', 7, 12)
     """
     file, folder, settings = _given(part, target, config)
     return Run(run_job(file, folder, settings, reference, resume, observer).folder.path)
@@ -212,7 +231,34 @@ def check(
     resume: bool = False,
     observer: Observer | None = None,
 ) -> Run:
-    """Slice with every backend and compare all pairs on every layer, as ``ebamcheck check``; parameters as of :func:`run`."""
+    """Slice with every backend and compare all pairs on every layer, as ``ebamcheck check``.
+
+    Parameters
+    ----------
+    part, target, config, resume, observer
+        As of :func:`run`.
+
+    Returns
+    -------
+    Run
+        Also where a gate is shut.
+
+    Raises
+    ------
+    InputError, SettingsError, BackendMissing
+        As of :func:`ebamcheck.pipeline.run_job`.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import ebamcheck
+    >>> from ebamcheck_models import CUBE
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = ebamcheck.save(CUBE.tessellate(0.1), Path(folder) / "cube.stl")
+    ...     made = check(file, Path(folder) / "cube.run", Config(slicing={"backends": ("planecut", "manifold")}))
+    ...     made.verdict, sorted(made.slicers)
+    ('AGREED', ['manifold', 'planecut'])
+    """
     file, folder, settings = _given(part, target, config)
     return Run(check_job(file, folder, settings, resume, observer).folder.path)
 

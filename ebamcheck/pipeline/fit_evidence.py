@@ -21,7 +21,7 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.settings.config import Config
 
 WHY: Mapping[str, str] = {
-    "sagitta": "the mesh does not speak for so much",
+    "sagitta": "the mesh is no evidence for so much of a lift",
     "plane": "a planar facet would have moved",
     "crossing": "it crosses itself or another ring",
     "turned": "it encloses nothing, or runs the other way",
@@ -174,7 +174,7 @@ def gate_text(verdict: FitVerdict) -> str:
     if verdict.open_rings:
         ring = int(np.flatnonzero(~found.accepted)[0])
         cause = CAUSES[int(found.cause[ring])]
-        text += f"; nothing speaks for {verdict.open_rings}: first at {verdict.place_of(ring)}: {WHY[cause]}: {REMEDY[cause]}"
+        text += f"; there is no evidence for {verdict.open_rings}: first at {verdict.place_of(ring)}: {WHY[cause]}: {REMEDY[cause]}"
     stack = verdict.stack
     if stack is not None and not stack.accepted:
         k = int(np.argmax(np.maximum(stack.jump_excess_mm, stack.volume_excess_mm3)))

@@ -103,7 +103,9 @@ def disagreement_in_words(
     place = frames(f.layer, f.height_mm, float(deposition_heights(heights, first_layer_mm, base_mm)[f.layer]))
     cause = f.cause_text or f.cause
     if f.metric == "empty":
-        return f"layer {f.layer}, empty in all although facets cross it: {cause} ({place}); {f.remedy}"
+        return (
+            f"layer {f.layer}, empty for every slicer although facets cross it: {cause} ({place}); {f.remedy}"
+        )
     unit = " mm" if f.metric == "depth" else " rings"
     return (
         f"{f.backend} against {f.against}: {cause}; {f.metric} {f.value:.4g} over {f.limit:.4g}{unit} at "

@@ -255,7 +255,7 @@ def compared(again: Again, manifest: Mapping[str, Any]) -> list[Check]:
             0.0,
             "faults",
             "run.json",
-            "the record has a gate that is none of ours",
+            "the record has a gate that this version does not know",
         )
         for name in unknown
     ]
@@ -271,7 +271,7 @@ def _record(again: Again, manifest: Mapping[str, Any]) -> Check:
     if part["name"] != Path(part["source"]).stem:
         faults.append(f"the part is called {part['name']!r}, its file {part['source']!r}")
     if bool(manifest["comparison"]["passed"]) != again.agrees:
-        faults.append("comparison.passed is not what was found")
+        faults.append("comparison.passed of the record differs from what was found")
     record = manifest.get("program")
     if record is not None and record["witness"] == manifest["primary"] != again.witness:
         faults.append(f"{record['witness']} is named as its own witness")

@@ -29,7 +29,7 @@ def no_evidence(comparison: Comparison) -> Iterator[Finding]:
         yield Finding(
             "warning",
             "no-evidence",
-            f"what {name} agrees with proves nothing: {why}, the share comparison.evidence_share of bead or layer",
+            f"agreement with {name} proves nothing: {why}, the share comparison.evidence_share of bead or layer",
             name,
             remedy=f"give {name} settings of a narrower bound, or run without it",
         )

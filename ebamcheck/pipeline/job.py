@@ -101,7 +101,7 @@ def run_job(
     config = config or Config()
     if not control(config.machine.control).is_read:
         raise SettingsError(
-            f"machine.control {config.machine.control!r} writes what no reader can prove, such as a case of a heat simulator: "
+            f"machine.control {config.machine.control!r} writes what is not read back, and so cannot be validated: "
             f"run for a control, then `ebamcheck post RUN --control {config.machine.control} -o FOLDER`"
         )
     if live:

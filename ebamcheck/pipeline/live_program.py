@@ -25,7 +25,7 @@ def check_waits(config: Config) -> None:
     name = config.machine.control
     if not control(name).waiting:
         raise SettingsError(
-            f"--live: for machine.control {name!r} no main program is written that waits between layers"
+            f"--live: for machine.control {name!r} there is no main program that waits between layers"
         )
     without_preheating(config, "--live")
 

@@ -55,7 +55,7 @@ def loose_limits(config: Config) -> Iterator[Finding]:
         float(len(found)),
         0.0,
         "limits",
-        "say why on the certificate, or take the settings back",
+        "say why on the certificate, or go back to the default limits",
     )
 
 

@@ -262,7 +262,7 @@ def _cooler(config: Config) -> str:
     if process.interpass == "off":
         return 'wait and lower the power (process.interpass = "both")'
     if process.interpass == "power":
-        return 'wait as well (process.interpass = "both"): the least power that melts the wire is too much'
+        return 'wait as well (process.interpass = "both"): even the least power that melts the wire leaves the part too hot'
     base = ", cool the table (process.base)" if process.base != "cooled" else ""
     return f"no wait is long enough: raise the limit (process.interpass_limit_k){base}, or lower the power further"
 

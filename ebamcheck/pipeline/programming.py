@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
+from ebamcheck.atomic_file import COMPRESSION
 from ebamcheck.curves import LIFTED, Curves, fit
 from ebamcheck.findings import has_fault
 from ebamcheck.kinematics import side_by_side
@@ -25,7 +26,7 @@ from ebamcheck.pipeline.live_program import write_live
 from ebamcheck.pipeline.plate_record import plate_record
 from ebamcheck.pipeline.work import Job
 from ebamcheck.program import Check, mark_validated, program_summary, read_program, verify_program
-from ebamcheck.program.checking.deposit import deposit
+from ebamcheck.program.checking.deposit import Deposit, deposit
 from ebamcheck.program.checking.deposit_checks import deposit_checks
 from ebamcheck.program.checking.matching import matched
 from ebamcheck.program.checking.metal_field import FIELD_FILE, write_field
@@ -179,17 +180,22 @@ def _witness(job: Job, layers: Layers, done: Sequence[str]) -> Layers:
 def _write_events(job: Job, path: Toolpath, plan: ScanPlan) -> dict[str, float]:
     """Write the events of the program and their totals by layer; the sums of these over the part."""
     events = process_events(path, plan, job.config)
-    events.to_parquet(job.folder.path / "events.parquet", index=False, compression="zstd")
+    events.to_parquet(job.folder.path / "events.parquet", index=False, compression=COMPRESSION)
     totals = event_totals(events, len(path.z), job.config)
     totals.to_csv(job.folder.path / "process.csv", index=False)
     sums = {name: float(totals[name].sum()) for name in totals.columns if name != "layer"}
     return {**sums, "time_s": sums["deposit_s"] + sums["travel_s"] + sums["wait_s"]}
 
 
-def _weighed(job: Job, program: NCProgram, witness: Layers) -> list[Check]:
-    """Lay the metal of the program over the sections of the witness, and check it."""
+def _laid(job: Job, program: NCProgram, witness: Layers) -> Deposit:
+    """Lay the metal of the program over the sections of the witness."""
     z_of = deposition_heights(witness.heights, job.config.layer_height_mm, job.config.base_mm)
-    found = deposit(program, witness, z_of, job.config)
+    return deposit(program, witness, z_of, job.config)
+
+
+def _weighed(job: Job, program: NCProgram, witness: Layers, found: Deposit) -> list[Check]:
+    """Record and check the metal of the program as it lies over the sections of the witness."""
+    z_of = deposition_heights(witness.heights, job.config.layer_height_mm, job.config.base_mm)
     found.layers.to_csv(job.folder.path / "deposit.csv", index=False)
     if found.worst >= 0:
         thickness_mm = float(np.diff(z_of, prepend=job.config.base_mm)[found.worst])
@@ -214,8 +220,11 @@ def _verified(job: Job, files: ProgramFiles, made: _Made, witness: Layers) -> Pr
     config = job.config
     program, _ = matched(read_program(files.main, config), made.path)
     job.add_finding(*noticed.of_seams(program, made.contours.heights, config))
+    # What asks for much arithmetic and little Python goes on beside the checks.
     with ThreadPoolExecutor(1) as aside:
         feeds = aside.submit(side_by_side, program, made.contours, config)
+        metal = aside.submit(_laid, job, program, witness)
+        times = aside.submit(build_times_s, program, config, known_sections(made.plan, witness))
         checks = verify_program(
             program,
             config=config,
@@ -228,7 +237,7 @@ def _verified(job: Job, files: ProgramFiles, made: _Made, witness: Layers) -> Pr
             smooth=made.smooth if config.curves.method in LIFTED else None,
         )
     job.add_finding(*noticed.of_limit(checks, made.plan, config))
-    checks += _weighed(job, program, witness)
+    checks += _weighed(job, program, witness, metal.result())
     checks = told(checks, program, made.contours.heights, config.layer_height_mm, config.base_mm)
     summary = program_summary(program, config)
     summary.to_csv(job.folder.path / "program.csv", index=False)
@@ -240,6 +249,6 @@ def _verified(job: Job, files: ProgramFiles, made: _Made, witness: Layers) -> Pr
         witness=witness.backend,
         totals={c: float(summary[c].sum()) for c in TOTALS},
         kinematics=kinematics,
-        build_s=build_times_s(program, config, known_sections(made.plan, witness)),
+        build_s=times.result(),
         plate=plate_record(job.part, config, program),
     )

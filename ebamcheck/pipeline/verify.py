@@ -74,6 +74,22 @@ def verify(
         If there is no such target, it cannot be read, or a trusted key is none.
     SettingsError
         If the target is no run folder and no part is given, or the part of a run is not found.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import ebamcheck
+    >>> from ebamcheck.scan import plan_stack
+    >>> from ebamcheck_models import CUBE
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     part = CUBE.tessellate(0.1)
+    ...     file = ebamcheck.save(part, Path(folder) / "cube.stl")
+    ...     layers = ebamcheck.slice(part, [1.0, 3.0])
+    ...     config = ebamcheck.Config(layers={"layer_height_mm": 2.0})
+    ...     program = ebamcheck.write_program(ebamcheck.fit(layers), plan_stack(layers), config, Path(folder) / "nc")
+    ...     checks = verify(program.main, file, config)
+    >>> checks[0].name, checks[0].passed, all(check.passed for check in checks)
+    ('part sound', True, False)
     """
     place, made_from = Path(target), None if part is None else Path(part)
     keys = trusted_keys(trusted) if trusted else None

@@ -20,7 +20,15 @@ from ebamcheck.plugins import registry
 
 @runtime_checkable
 class Model(Protocol):
-    """A solid known in closed form, in mm."""
+    """A solid known in closed form, in mm.
+
+    Examples
+    --------
+    >>> model = models(["sphere"])["sphere"]
+    >>> part = model.tessellate(0.01)
+    >>> bool(part.volume < model.volume < part.volume + 0.02 * model.area(0.0) * 4)
+    True
+    """
 
     @property
     def name(self) -> str:

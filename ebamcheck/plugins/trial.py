@@ -74,18 +74,10 @@ def probed(slicer: Slicer) -> Probe:
 
 def checked_settings(name: str, kind: Any, values: Mapping[str, Any]) -> BackendSettings:
     """Check settings of a slicer; raises :class:`SettingsError` naming the first that is wrong."""
-    from pydantic import ValidationError
+    from ebamcheck.settings.checking import checked
 
-    try:
-        checked: BackendSettings = kind(**values)
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(k) for k in first["loc"])
-        known = ", ".join(kind.model_fields) or "none"
-        raise SettingsError(
-            f"backend {name!r}, setting {key!r}: {first['msg']} (given {first.get('input')!r}); it knows: {known}"
-        ) from None
-    return checked
+    found: BackendSettings = checked(kind, values, f"backend {name!r}")
+    return found
 
 
 def lineage(slicer: object) -> list[str]:

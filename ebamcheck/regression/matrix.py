@@ -17,8 +17,8 @@ from ebamcheck.errors import SettingsError
 from ebamcheck.json_values import sha256_of_json
 from ebamcheck.plugins import registry
 from ebamcheck.plugins.model import Model, models
-from ebamcheck.regression.settings import checked, read_toml
 from ebamcheck.settings.base import Between, Section
+from ebamcheck.settings.checking import checked, read_toml
 
 MATRIX = "matrix.toml"
 

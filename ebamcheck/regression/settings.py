@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import tomllib
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypeVar
 
-from pydantic import Field, ValidationError, field_validator
+from pydantic import Field, field_validator
 
-from ebamcheck.errors import SettingsError
 from ebamcheck.regression.metrics import TOLERANCE_NAMES
 from ebamcheck.settings.base import NotNegative, Section
-
-_Kind = TypeVar("_Kind", bound=Section)
+from ebamcheck.settings.checking import checked, read_toml
 
 
 class Tolerance(Section):
@@ -86,23 +81,3 @@ def read_tolerances(path: Path) -> Tolerances:
         If the file cannot be read, is not TOML, or names what there is not.
     """
     return checked(Tolerances, read_toml(path), path)
-
-
-def read_toml(path: Path) -> dict[str, Any]:
-    """Read a TOML file; raises :class:`SettingsError` where it is none."""
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise SettingsError(f"{path}: cannot be read: {error.strerror}") from None
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise SettingsError(f"{path}: is not TOML: {error}") from None
-
-
-def checked(kind: type[_Kind], values: Mapping[str, Any], where: Path | str) -> _Kind:
-    """Check a table against its model, naming the first key that is wrong."""
-    try:
-        return kind.model_validate(values)
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(k) for k in first["loc"]) or "table"
-        raise SettingsError(f"{where}: {key}: {first['msg']}") from None

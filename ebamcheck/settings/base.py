@@ -1,4 +1,4 @@
-"""What every section of the settings is made of."""
+"""The base of all sections of the settings, and the ranges of their numbers."""
 
 from __future__ import annotations
 

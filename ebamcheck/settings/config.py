@@ -6,25 +6,13 @@ together are the *machine profile*.
 
 from __future__ import annotations
 
-import difflib
-import math
-import tomllib
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Self, get_args, get_origin
+from typing import Any, Self
 
-from pydantic import (
-    BaseModel,
-    SerializationInfo,
-    SerializerFunctionWrapHandler,
-    ValidationError,
-    model_serializer,
-    model_validator,
-)
-from pydantic.fields import FieldInfo
+from pydantic import SerializationInfo, SerializerFunctionWrapHandler, model_serializer, model_validator
 
-from ebamcheck.errors import SettingsError
 from ebamcheck.settings.base import Section
+from ebamcheck.settings.checking import checked, read_toml
 from ebamcheck.settings.curves import CurveSettings
 from ebamcheck.settings.height_map import HeightMapSettings
 from ebamcheck.settings.machine import KinematicsSettings, MachineSettings
@@ -33,20 +21,39 @@ from ebamcheck.settings.opcua import OpcuaSettings
 from ebamcheck.settings.preheat import PreheatSettings
 from ebamcheck.settings.process import ProcessSettings
 from ebamcheck.settings.scan import ScanSettings
-from ebamcheck.settings.selection import MachineChoice, MachineSections, RegressionSettings
+from ebamcheck.settings.selection import MachineSections, RegressionSettings
 from ebamcheck.settings.slicing import (
     ComparisonSettings,
     LayerSettings,
     PartSettings,
     SlicingSettings,
 )
-from ebamcheck.settings.wording import wanted
 from ebamcheck.settings.work import WorkSettings
 from ebamcheck.showing import short_text
 
 
 class Config(Section):
-    """All settings of a run."""
+    """All settings of a run.
+
+    Parameters
+    ----------
+    **sections
+        Sections by name, each a mapping of its keys; lengths are in mm, times in s, and other units stand in the names.
+        What is left out is as by default. :meth:`changed` makes others of them, :func:`load_config` reads a file.
+
+    Raises
+    ------
+    pydantic.ValidationError
+        If a key is unknown or a value out of range; :meth:`changed` and :func:`load_config` raise :class:`SettingsError`.
+
+    Examples
+    --------
+    >>> config = Config(layers={"layer_height_mm": 2.0})
+    >>> config, config.layer_height_mm
+    (<Config: layers.layer_height_mm = 2.0>, 2.0)
+    >>> config.changed(scan={"order": "raster"}).scan.order
+    'raster'
+    """
 
     part: PartSettings = PartSettings()
     layers: LayerSettings = LayerSettings()
@@ -142,23 +149,35 @@ class Config(Section):
 def load_config(path: str | Path | None = None) -> Config:
     """Read settings from a TOML file; without one, the defaults.
 
+    Parameters
+    ----------
+    path
+        The file; of a ``pyproject.toml`` its table ``tool.ebamcheck`` counts. None: no file.
+
+    Returns
+    -------
+    Config
+        All settings, checked.
+
     Raises
     ------
     SettingsError
         If the file is missing, is not TOML, or a key is unknown or a value out of range; the message
         names the key and the value.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "ebamcheck.toml"
+    ...     _ = file.write_text("[layers]\\nlayer_height_mm = 2.0")
+    ...     load_config(file)
+    <Config: layers.layer_height_mm = 2.0>
     """
     if path is None:
         return Config()
     path = Path(path)
-    try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise SettingsError(f"{path}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise SettingsError(f"{path}: is not UTF-8 text, as TOML must be") from None
-    except tomllib.TOMLDecodeError as error:
-        raise SettingsError(f"{path}: is not TOML: {error}") from None
+    values = read_toml(path)
     if path.name == "pyproject.toml":
         values = values.get("tool", {}).get("ebamcheck", {})
     return validated(values, str(path))
@@ -166,77 +185,4 @@ def load_config(path: str | Path | None = None) -> Config:
 
 def validated(values: dict[str, Any], where: str) -> Config:
     """Check a mapping of sections against :class:`Config`."""
-    try:
-        return Config.model_validate(values)
-    except ValidationError as error:
-        raise SettingsError(_told(error.errors()[0], where)) from None
-
-
-def _told(first: Mapping[str, Any], where: str) -> str:
-    """Say what is wrong with a value: where, what was given, and what it takes."""
-    # Behind the key stand types that were tried, which mean nothing to a user.
-    loc = first["loc"]
-    place = [*loc[:2], *(k for k in loc[2:] if isinstance(k, int) or _is_key(loc, k))]
-    key = ".".join(str(k) for k in place) or "settings"
-    given = first.get("input")
-    shown = "" if isinstance(given, dict | BaseModel) else f" (given {given!r})"
-    if first["type"] == "extra_forbidden":
-        key, what = ".".join(map(str, loc)), _unknown_key(loc)
-    elif isinstance(given, float) and not math.isfinite(given):
-        what = f"it takes {_wanted(loc)}, and a finite one{shown}"
-    elif first["type"] == "value_error":
-        what = str(first["msg"]).removeprefix("Value error, ") + shown
-    else:
-        what = f"it takes {_wanted(loc)}" + (
-            shown or f" (given a {'table' if isinstance(given, dict) else 'value'})"
-        )
-    return f"{where}: {key}: {what}; `ebamcheck config` lists every key"
-
-
-def _is_key(loc: tuple[int | str, ...], name: int | str) -> bool:
-    """Whether a part of a place is a key of a table, by itself or in a list."""
-    info = _field(loc)
-    if info is not None and get_origin(info.annotation) is dict:
-        return name == loc[2]
-    inner = _inner(loc)
-    return inner is not None and name in inner.model_fields
-
-
-def _inner(loc: tuple[int | str, ...]) -> type[BaseModel] | None:
-    """Kind of the tables in a setting that is a list of them."""
-    info = _field(loc)
-    kinds = get_args(info.annotation) if info is not None else ()
-    return next((k for k in kinds if isinstance(k, type) and issubclass(k, BaseModel)), None)
-
-
-def _field(loc: tuple[int | str, ...]) -> FieldInfo | None:
-    """The setting at a place; None where a section is meant."""
-    section = Config.model_fields.get(str(loc[0])) if len(loc) > 1 else None
-    kind = section.annotation if section else None
-    return (
-        kind.model_fields.get(str(loc[1])) if isinstance(kind, type) and issubclass(kind, BaseModel) else None
-    )
-
-
-def _wanted(loc: tuple[int | str, ...]) -> str:
-    """What a setting takes, in a user's words."""
-    info, inner = _field(loc), _inner(loc)
-    if info is None:
-        return (
-            "a table of settings"
-            if len(loc) <= 1
-            else "a table with " + ", ".join(MachineChoice.model_fields)
-        )
-    key = next((str(k) for k in loc[2:] if _is_key(loc, k)), "")
-    if inner is not None and key:
-        return wanted(f"{loc[0]}.{loc[1]}", key, inner.model_fields[key])
-    return wanted(str(loc[0]), str(loc[1]), info)
-
-
-def _unknown_key(place: tuple[int | str, ...]) -> str:
-    """Say that a key is unknown, and which known one of its section is most like it."""
-    section = Config.model_fields.get(str(place[0])) if len(place) > 1 else None
-    kind = section.annotation if section else Config
-    known = list(kind.model_fields) if isinstance(kind, type) and issubclass(kind, BaseModel) else []
-    near = difflib.get_close_matches(str(place[-1]), known, n=1)
-    return "unknown key" + (f" (did you mean {near[0]!r}?)" if near else "")
+    return checked(Config, values, where, "`ebamcheck config` lists every key")

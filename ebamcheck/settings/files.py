@@ -97,7 +97,7 @@ def merged(text: str, path: Path) -> Merged:
         after = after["tool"]["ebamcheck"]
     if validated(_known(after), str(path)) != before:
         raise SettingsError(
-            f"{path}: its form is one that keys cannot be added to: write its sections as [NAME]"
+            f"{path}: keys cannot be added to a file of this form: write its sections as [NAME]"
         )
     return found
 

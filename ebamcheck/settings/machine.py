@@ -193,7 +193,7 @@ class MachineSettings(Section):
         legal = re.fullmatch(r"([A-Z]{2}|_[A-Z])[A-Z0-9_]{0,17}|O[0-9]{4,8}", value)
         if not legal or value in DEVICES:
             raise ValueError(
-                "an NC name has 2 to 19 of A-Z, 0-9 and _, and starts with two letters or an underscore and a letter; "
+                "an NC name has 2 to 19 characters of A-Z, 0-9 and _, and starts with two letters or an underscore and a letter; "
                 "or it is the number of a program, such as O0001"
             )
         return value
@@ -217,7 +217,7 @@ class MachineSettings(Section):
             self.curve_form == "bspline" and not self.bspline_licensed
         ):
             raise ValueError(
-                f"curve_form {self.curve_form!r} needs an option that the control is said not to have"
+                f"curve_form {self.curve_form!r} needs machine.{self.curve_form}_licensed: the control is said not to have that option"
             )
         return self
 

@@ -134,7 +134,7 @@ def slice_all(
         Blocks of layers (:func:`~ebamcheck.layers.heights.layer_blocks`) that a backend cuts and writes one after the
         other; all at once if None.
     pool
-        Workers that were started ahead; started here if None.
+        Workers that were spawned early, to hide the time of their imports; spawned here if None.
     keep_blocks
         Keep every block that is cut until the file is whole, and take those that a killed process left in `target`.
     bounds_only

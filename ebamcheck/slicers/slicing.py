@@ -76,6 +76,13 @@ def slice_part(
         If it refuses the part, crashes or (isolated) outlives its limits.
     SettingsError
         If a height is not finite or a setting is wrong.
+
+    Examples
+    --------
+    >>> from ebamcheck_models import CUBE
+    >>> layers = slice_part(CUBE.tessellate(0.1), [1.0, 3.0])
+    >>> layers.areas().tolist(), layers.points.shape[1]
+    ([400.0, 400.0], 2)
     """
     name = backend or registry.default_backend()
     wanted = checked_heights(heights)
@@ -123,7 +130,7 @@ def slice_to_file(
     block_points
         Points of an exact contour that are in memory at a time.
     pool
-        Workers that were started ahead.
+        Workers that were spawned early, to hide the time of their imports.
     **settings
         The backend's own settings.
 

@@ -15,7 +15,25 @@ LOGGER = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Check:
-    """One check: a function from a subject to figures; those over their limit are violations."""
+    """One check: a function from a subject to figures; those over their limit are violations.
+
+    Parameters
+    ----------
+    name, summary
+        As the table of ``ebamcheck conform`` shows them.
+    find
+        The function.
+
+    Examples
+    --------
+    >>> from ebamcheck_models import CUBE
+    >>> from ebamcheck_planecut import PlaneCut
+    >>> def area(subject):
+    ...     off = abs(subject.cut(CUBE.tessellate(0.1), [1.0]).areas()[0] - 400.0)
+    ...     return [Figure("area", "cube", 0, off, 1e-9, "mm2 off")]
+    >>> Check("area", "the area of a cube", area).run(Subject(PlaneCut))[0].violated
+    False
+    """
 
     name: str
     summary: str

@@ -53,7 +53,21 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Conformance:
-    """What the kit found out about one slicer under one choice of settings."""
+    """What the kit found out about one slicer under one choice of settings.
+
+    Parameters
+    ----------
+    subject
+        Slicer and settings in words.
+    outcomes
+        What each check found.
+
+    Examples
+    --------
+    >>> found = Conformance("mine", (Outcome("bound", "stays within it", (Figure("bound", "cube", 0, 2.0, 1.0),)),))
+    >>> found.passed, len(found.violations)
+    (False, 1)
+    """
 
     subject: str
     outcomes: tuple[Outcome, ...]
@@ -121,12 +135,23 @@ def conform(
     progress
         Called with 1 after each check; there are ``len(CHECKS)``.
 
+    Returns
+    -------
+    Conformance
+        One outcome a check.
+
     Raises
     ------
     BackendMissing
         If the slicer is unknown or cannot run on this machine.
     SettingsError
         If a model is unknown or a setting is wrong.
+
+    Examples
+    --------
+    >>> conform("nosuch")  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    ebamcheck.errors.BackendMissing: unknown backend 'nosuch': ...
     """
     registry.available_slicer(name)
     # Its author asks for it: it runs in this process, a stranger's, too.
@@ -156,7 +181,29 @@ def examine(
     checks: Iterable[Check] = CHECKS,
     progress: Callable[[int], None] | None = None,
 ) -> Conformance:
-    """Run checks against a subject, or a slicer that need not be installed."""
+    """Run checks against a subject, or a slicer that need not be installed.
+
+    Parameters
+    ----------
+    subject
+        The slicer, its class, or one with settings and models.
+    checks
+        What to run; default: all.
+    progress
+        Called with 1 after each check.
+
+    Returns
+    -------
+    Conformance
+        One outcome a check.
+
+    Examples
+    --------
+    >>> from ebamcheck_planecut import PlaneCut
+    >>> found = examine(PlaneCut, [check for check in CHECKS if check.name == "settings"])
+    >>> found.passed, [outcome.verdict for outcome in found.outcomes]
+    (True, ['pass'])
+    """
     examined = subject if isinstance(subject, Subject) else Subject(subject)
     outcomes = []
     for check in checks:
@@ -167,7 +214,26 @@ def examine(
 
 
 def markdown_table(found: Sequence[Conformance]) -> str:
-    """Checks as rows and slicers as columns; in brackets the largest share of a limit that was needed."""
+    """Checks as rows and slicers as columns; in brackets the largest share of a limit that was needed.
+
+    Parameters
+    ----------
+    found
+        What was found out about each, by the same checks.
+
+    Returns
+    -------
+    str
+        A table in Markdown.
+
+    Examples
+    --------
+    >>> one = Outcome("bound", "stays within it", (Figure("bound", "cube", 0, 0.5, 1.0),))
+    >>> print(markdown_table([Conformance("mine", (one,))]))
+    | check | mine |
+    |---|---|
+    | bound | pass (0.50) |
+    """
     head = ["check", *(c.subject for c in found)]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     lines.extend(

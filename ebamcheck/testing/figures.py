@@ -11,11 +11,29 @@ NO_LAYER = -1
 
 @dataclass(frozen=True)
 class Figure:
-    """One figure of one check; it is a violation where the value is over the limit (or no number)."""
+    """One figure of one check; it is a violation where the value is over the limit (or no number).
+
+    Parameters
+    ----------
+    check
+        Name of the check.
+    model
+        Solid or reference model that was cut, or what was looked at.
+    layer
+        Index of the layer, :data:`NO_LAYER` for none in particular.
+    value, limit
+        In the unit that the text names.
+    text
+        What the value is.
+
+    Examples
+    --------
+    >>> print(Figure("bound", "cube", 3, 0.02, 0.01, "mm off the exact section"))
+    bound: cube, layer 3: 0.02 over 0.01: mm off the exact section
+    """
 
     check: str
     model: str
-    """Solid or reference model that was cut, or what was looked at."""
     layer: int
     value: float
     limit: float
@@ -37,5 +55,22 @@ def truth(check: str, model: str, holds: bool, text: str, layer: int = NO_LAYER)
 
 
 def violations(figures: Iterable[Figure]) -> list[Figure]:
-    """Those that are over their limit."""
+    """Those that are over their limit.
+
+    Parameters
+    ----------
+    figures
+        What checks found.
+
+    Returns
+    -------
+    list of Figure
+        In the same order.
+
+    Examples
+    --------
+    >>> found = [Figure("bound", "cube", 0, 0.5, 1.0), Figure("bound", "cube", 1, float("nan"), 1.0)]
+    >>> [figure.layer for figure in violations(found)]
+    [1]
+    """
     return [figure for figure in figures if figure.violated]

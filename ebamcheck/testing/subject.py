@@ -38,6 +38,14 @@ class Subject:
         Its settings; the defaults where none are given.
     models
         Reference models that it is to cut, by name.
+
+    Examples
+    --------
+    >>> from ebamcheck_models import CUBE
+    >>> from ebamcheck_planecut import PlaneCut
+    >>> subject = Subject(PlaneCut, {"overlaps": "keep"})
+    >>> print(subject, subject.cut(CUBE.tessellate(0.1), [1.0, 3.0]).areas().tolist())
+    planecut (overlaps=keep) [400.0, 400.0]
     """
 
     def __init__(

@@ -26,6 +26,13 @@ class SlicerSuite:
         Choices of settings that are tested, one after another; default: the slicer's defaults.
     models
         Names of the reference models it cuts; None for all that are installed.
+
+    Examples
+    --------
+    >>> from ebamcheck_planecut import PlaneCut
+    >>> class TestPlaneCut(SlicerSuite):
+    ...     slicer = PlaneCut
+    ...     models = ("cube",)
     """
 
     slicer: ClassVar[Slicer | type[Slicer]]
@@ -60,6 +67,11 @@ class ControlSuite:
         Name of the control under test, as its entry point has it.
     machine
         Settings of the machine section under which it is tested.
+
+    Examples
+    --------
+    >>> class TestPlain(ControlSuite):
+    ...     control = "plain-gcode"
     """
 
     control: ClassVar[str]

@@ -146,11 +146,6 @@ def windings(segments: Floats, places: Floats) -> Ints:
     return found
 
 
-def solid_at(contours: Contours, places: Floats) -> Bools:
-    """Whether places (N, 2) lie in the solid."""
-    return np.asarray(windings(contours.segments, np.ascontiguousarray(places)) > 0)
-
-
 def _between_solid_and_not(segments: Floats) -> Bools:
     """Whether each segment has solid on one side alone."""
     middle, along_it = 0.5 * (segments[:, :2] + segments[:, 2:]), segments[:, 2:] - segments[:, :2]

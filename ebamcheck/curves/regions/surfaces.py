@@ -1,7 +1,7 @@
-"""Surfaces of a part: its regions put together, with what a least-squares fit says of them.
+"""Surfaces of a part: its regions put together, with the figures of those that are known by formula.
 
-Strips that go over into each other are one surface: a cylinder where their vertices lie on one to the tolerance, a cone
-where all rulings meet in its tip, else a ruled surface. Freely curved facets are a sphere or a freeform patch.
+Facets of one exact surface are one; so are other strips that go over into each other, a ruled surface, and freely curved
+facets, a freeform patch.
 """
 
 from __future__ import annotations
@@ -13,20 +13,15 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from ebamcheck.curves.regions.segmentation import FREEFORM, PLANE, STRIP, Regions, find_regions
+from ebamcheck.curves.exact.forms import CONE, CYLINDER, FLAT, KIND, NAMES, OWN, SPHERE, TORUS
+from ebamcheck.curves.regions.segmentation import PLANE, STRIP
+from ebamcheck.curves.vertex_normals import SurfaceNormals, surface_normals
 from ebamcheck.mesh.part import Part
-from ebamcheck.mesh.topology import NO_TWIN, Index, edge_groups, twins
+from ebamcheck.mesh.topology import NO_TWIN, edge_groups, twins
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.settings.curves import CurveSettings
 
-SPARE = 3
-"""Places beyond the unknowns of a fit, from which it is evidence: three points lie on one circle always."""
-
-FIT = 3.0
-"""Tolerances of a plane within which the vertices lie on a fitted surface; its own place and size take their share."""
-
-
-KINDS = ("plane", "cylinder", "cone", "ruled", "sphere", "freeform")
+KINDS = ("plane", "cylinder", "cone", "sphere", "torus", "quadric", "ruled", "freeform")
 
 
 @dataclass(frozen=True)
@@ -36,7 +31,7 @@ class Surface:
     Parameters
     ----------
     kind
-        ``plane``, ``cylinder``, ``cone``, ``ruled``, ``sphere`` or ``freeform``.
+        One of :data:`KINDS`; a quadric is one that has no name here, as an ellipsoid.
     facets
         (n,) its facets.
     area_mm2
@@ -44,7 +39,7 @@ class Surface:
     size_mm
         Extents of its box.
     figure
-        What the fit says: ``"radius 5 mm"``; empty without one.
+        Its sizes: ``"radius 5 mm"``; empty where it has none.
     """
 
     kind: str
@@ -91,103 +86,65 @@ def table(found: list[Surface]) -> str:
 
 def surfaces(part: Part, settings: CurveSettings) -> list[Surface]:
     """Find the surfaces of a part, the largest first."""
-    groups = edge_groups(part.faces, len(part.vertices))
-    twin = twins(part.vertices, part.faces, groups.half_edges, groups.starts)
-    regions = find_regions(part, twin, settings)
-    label = _connected(twin, regions)
+    normals = surface_normals(part, settings.model_copy(update={"regions": "on"}))
+    label = _connected(part, normals)
     order = np.argsort(label, kind="stable")
     found = [
-        _surface(part, regions, twin, facets)
+        _surface(part, normals, facets)
         for facets in np.split(order, np.cumsum(np.bincount(label))[:-1])
         if len(facets)
     ]
     return sorted(found, key=lambda s: (-s.area_mm2, int(s.facets[0])))
 
 
-def _connected(twin: Index, regions: Regions) -> Ints:
+def _form(normals: SurfaceNormals) -> Ints:
+    """Exact surface (F,) of each facet; -1 for planes and what is not known."""
+    label, rows = normals.exact
+    if not len(rows):
+        return label.astype(np.int64)
+    return np.where((label >= 0) & (rows[label, KIND] != FLAT), label, -1).astype(np.int64)
+
+
+def _connected(part: Part, normals: SurfaceNormals) -> Ints:
     """Number (F,) of the surface of each facet."""
-    label, kind = regions.groups.label, regions.kind
-    half = np.flatnonzero(twin != NO_TWIN)
+    groups = edge_groups(part.faces, len(part.vertices))
+    twin = twins(part.vertices, part.faces, groups.half_edges, groups.starts)
+    form, region, kind = _form(normals), normals.region, normals.kind
+    half = np.flatnonzero((twin != NO_TWIN) & normals.smooth)
     a, b = half // 3, twin[half] // 3
-    joined = (label[a] == label[b]) | ((kind[label[a]] == kind[label[b]]) & (kind[label[a]] != PLANE))
-    links = coo_matrix((np.ones(joined.sum()), (a[joined], b[joined])), (len(label), len(label)))
+    unnamed = (form[a] < 0) & (form[b] < 0)
+    joined = unnamed & ((region[a] == region[b]) | ((kind[a] == kind[b]) & (kind[a] != PLANE)))
+    named = np.flatnonzero(form >= 0)
+    first = np.zeros(len(normals.exact.rows), np.int64)
+    first[form[named][::-1]] = named[::-1]
+    a, b = np.concatenate([a[joined], named]), np.concatenate([b[joined], first[form[named]]])
+    links = coo_matrix((np.ones(len(a)), (a, b)), (len(form), len(form)))
     return np.asarray(connected_components(links, directed=False)[1], np.int64)
 
 
-def _surface(part: Part, regions: Regions, twin: Index, facets: Ints) -> Surface:
+def _surface(part: Part, normals: SurfaceNormals, facets: Ints) -> Surface:
     corners = part.vertices[part.faces[facets]]
     area = 0.5 * np.linalg.norm(
         np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
     )
-    points = np.unique(corners.reshape(-1, 3), axis=0)
-    x, y, z = np.ptp(points, axis=0).tolist()
-    kind = regions.kind[regions.groups.label[facets[0]]]
-    name, figure = "plane", ""
-    if kind == FREEFORM:
-        name, figure = _curved(points, FIT * regions.tolerance_mm)
-    elif kind == STRIP:
-        name, figure = _ruled(part, regions, twin, facets, points)
+    x, y, z = np.ptp(corners.reshape(-1, 3), axis=0).tolist()
+    form = int(_form(normals)[facets[0]])
+    name, figure = {PLANE: "plane", STRIP: "ruled"}.get(int(normals.kind[facets[0]]), "freeform"), ""
+    if form >= 0:
+        row = normals.exact.rows[form]
+        name, figure = NAMES[int(row[KIND])], _figure(row)
     return Surface(name, facets, float(area.sum()), (x, y, z), figure)
 
 
-def _curved(points: Floats, allowed_mm: float) -> tuple[str, str]:
-    """Sphere or freeform patch, by least squares."""
-    if len(points) >= 4 + SPARE:
-        middle = points.mean(axis=0)
-        off = points - middle
-        rows = np.column_stack([2.0 * off, np.ones(len(off))])
-        solution = np.linalg.lstsq(rows, (off * off).sum(axis=1), rcond=None)[0]
-        radii = np.linalg.norm(off - solution[:3], axis=1)
-        if np.abs(radii - radii.mean()).max() <= allowed_mm:
-            return "sphere", f"radius {radii.mean():.6g} mm"
-    return "freeform", ""
-
-
-def _rulings(part: Part, regions: Regions, twin: Index, facets: Ints) -> tuple[Floats, Floats]:
-    """Starts and unit directions (n, 3) of the edges between two strips of a surface."""
-    half = (3 * facets[:, None] + np.arange(3)).reshape(-1)
-    half = half[twin[half] != NO_TWIN]
-    label, kind = regions.groups.label, regions.kind
-    a, b = label[half // 3], label[twin[half] // 3]
-    half = half[(a != b) & (kind[a] == STRIP) & (kind[b] == STRIP)]
-    start = part.vertices[part.faces[half // 3, half % 3]]
-    along = part.vertices[part.faces[half // 3, (half % 3 + 1) % 3]] - start
-    along /= np.linalg.norm(along, axis=1, keepdims=True)
-    return start, along
-
-
-def _ruled(part: Part, regions: Regions, twin: Index, facets: Ints, points: Floats) -> tuple[str, str]:
-    """Cylinder, cone or another ruled surface."""
-    allowed = FIT * regions.tolerance_mm
-    start, along = _rulings(part, regions, twin, facets)
-    if len(along) < 2:
-        return "ruled", ""
-    spread = np.linalg.svd(along)[2]
-    axis = spread[0]
-    reach = float(np.ptp(points, axis=0).max())
-    if np.linalg.norm(np.cross(along, axis), axis=1).max() * reach <= 2.0 * allowed:
-        across = np.unique(np.round(points @ spread[1:].T, 6), axis=0)
-        radius, off = _circle(across)
-        if len(across) >= 3 + SPARE and off <= allowed:
-            return "cylinder", f"radius {radius:.6g} mm"
-        return "ruled", ""
-    # The tip is nearest to the lines of all rulings.
-    projector = np.eye(3) - along[:, :, None] * along[:, None, :]
-    tip = np.linalg.lstsq(projector.sum(axis=0), np.einsum("nij,nj->i", projector, start), rcond=None)[0]
-    away = np.linalg.norm(np.einsum("nij,nj->ni", projector, start - tip), axis=1)
-    outward = np.where(((start - tip) * along).sum(axis=1)[:, None] < 0.0, -along, along)
-    normal = np.linalg.svd(outward - outward.mean(axis=0))[2][2]
-    slope = np.abs(outward @ normal)
-    far = np.linalg.norm(points - tip, axis=1).max()
-    if len(along) >= 3 + SPARE and away.max() <= allowed and np.ptp(slope) * far <= 2.0 * allowed:
-        return "cone", f"half angle {np.degrees(np.arccos(min(slope.mean(), 1.0))):.4g} degrees"
-    return "ruled", ""
-
-
-def _circle(points: Floats) -> tuple[float, float]:
-    """Radius of the circle through points (n, 2) by least squares, and the farthest that one lies from it, mm."""
-    off = points - points.mean(axis=0)
-    rows = np.column_stack([2.0 * off, np.ones(len(off))])
-    solution = np.linalg.lstsq(rows, (off * off).sum(axis=1), rcond=None)[0]
-    radii = np.linalg.norm(off - solution[:2], axis=1)
-    return float(radii.mean()), float(np.abs(radii - radii.mean()).max())
+def _figure(row: Floats) -> str:
+    """Sizes of an exact surface."""
+    kind = int(row[KIND])
+    if kind == SPHERE:
+        return f"radius {row[OWN]:.6g} mm"
+    if kind == CYLINDER:
+        return f"radius {row[OWN + 3]:.6g} mm"
+    if kind == CONE:
+        return f"half angle {np.degrees(np.arctan2(abs(row[OWN + 4]), abs(row[OWN + 3]))):.4g} degrees"
+    if kind == TORUS:
+        return f"ring radius {abs(row[OWN + 3]):.6g} mm, tube radius {abs(row[OWN + 4]):.6g} mm"
+    return ""

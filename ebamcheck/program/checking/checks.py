@@ -13,7 +13,14 @@ from ebamcheck.program.reading.motions import NCProgram
 
 @dataclass(frozen=True)
 class Check:
-    """One check: what was measured, against which limit, and where it is worst."""
+    """One check: what was measured, against which limit, and where it is worst.
+
+    Examples
+    --------
+    >>> slow = Check("rapids", False, 3.0, 0.0, "moves", "MAIN.MPF:12", "3 rapids are slow", remedy="write G0")
+    >>> slow.in_words()
+    'rapids at MAIN.MPF:12: 3 rapids are slow; write G0'
+    """
 
     name: str
     passed: bool

@@ -18,7 +18,8 @@ import shapely
 from scipy import ndimage
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.layers.stack import Layers, valid_polygons
+from ebamcheck.layers.polygons import valid_polygons
+from ebamcheck.layers.stack import Layers
 from ebamcheck.metal import Surface, Target, bead_centres, target_of
 from ebamcheck.metal.surface import FILM, HALF
 from ebamcheck.numeric.rings import Bools, Floats, Ints

@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from ebamcheck.atomic_file import COMPRESSION
 from ebamcheck.errors import InputError
 from ebamcheck.metal import Target
 from ebamcheck.numeric.rings import Floats
@@ -52,7 +53,7 @@ def write_field(path: Path, field: LayerField, layer: int, thickness_mm: float) 
     columns = {"share": field.target.share, "laid_mm": field.laid_mm, "over_mm": field.over_mm}
     table = pa.table({name: pa.array(cells.ravel().astype(np.float32)) for name, cells in columns.items()})
     table = table.replace_schema_metadata({"ebamcheck": json.dumps(header, sort_keys=True)})
-    pq.write_table(table, path, version="2.6", compression="zstd")
+    pq.write_table(table, path, version="2.6", compression=COMPRESSION)
 
 
 def read_field(path: Path) -> tuple[LayerField, int, float]:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ebamcheck.numeric.kernels import run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program.checking.checks import Check, count_check, worst_check
 from ebamcheck.program.checking.shapes import shape_distance
@@ -135,17 +136,28 @@ def contour_checks(
     spans = fitted_spans(curves, config.machine.printed_decimals, SAMPLES)
     distance, alike = _same_parameters(nc, rows, spans, count)
     limit = limit_mm + (config.machine.line_tolerance_mm if _has_chords(nc, rows, curves, config) else 0.0)
-    for ring in np.flatnonzero(~alike & (np.bincount(nc.ring[rows], minlength=count) > 0)):
-        mine = nc.ring[rows] == ring
-        samples = _samples_for(spans.points[spans.ring == ring], CHORD_SHARE * limit)
-        dense = fitted_spans(curves, config.machine.printed_decimals, samples, int(ring))
-        distance[mine] = _shape_distance(nc, rows[mine], dense.points)
+    rings = np.flatnonzero(~alike & (np.bincount(nc.ring[rows], minlength=count) > 0))
+    motions_of, spans_of = _grouped(nc.ring[rows], count), _grouped(spans.ring, count)
+
+    def work(start: int, stop: int) -> None:
+        for ring in rings[start:stop]:
+            mine = motions_of[ring]
+            samples = _samples_for(spans.points[spans_of[ring]], CHORD_SHARE * limit)
+            dense = fitted_spans(curves, config.machine.printed_decimals, samples, int(ring))
+            distance[mine] = _shape_distance(nc, rows[mine], dense.points)
+
+    run_blocks(work, len(rings))
     return [
         count_check("contour rings", faults, f"{count} rings, each once and in its layer"),
         worst_check(
             "contour path", nc, rows, distance, limit, "mm", "distance from the fitted curve, both ways"
         ),
     ]
+
+
+def _grouped(ring: Ints, count: int) -> list[Ints]:
+    """Places of each ring's own in a column, rising."""
+    return np.split(np.argsort(ring, kind="stable"), np.cumsum(np.bincount(ring, minlength=count))[:-1])
 
 
 def _has_chords(nc: NCProgram, rows: Ints, curves: CurveColumns, config: Config) -> bool:

@@ -11,6 +11,7 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.program.checking.checks import Check, worst_check
+from ebamcheck.program.checking.near_sides import side_distances, sides_of
 from ebamcheck.program.reading.motions import ARC, RAPID, STRAIGHT, NCProgram
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process import KeepOut
@@ -175,20 +176,9 @@ def _reach_deg(section: BaseGeometry, below: BaseGeometry, rise_mm: float) -> tu
     outer = places[~np.asarray(shapely.intersects_xy(below, places[:, 0], places[:, 1]))]
     if not len(outer):
         return 0.0, places[0]
-    away = _distances(outer, below)
+    away = side_distances(np.ascontiguousarray(outer), sides_of(below.boundary))
     k = int(np.argmax(away))
     return math.degrees(math.atan2(float(away[k]), max(rise_mm, 0.0))), outer[k]
-
-
-def _distances(places: Floats, region: BaseGeometry) -> Floats:
-    """Distances of places outside of a region from it, through a tree over the sides of its outline."""
-    sides = [
-        np.asarray(shapely.linestrings(np.stack([ring[:-1], ring[1:]], axis=1)))
-        for ring in map(shapely.get_coordinates, shapely.get_parts(region.boundary))
-    ]
-    tree = shapely.STRtree(np.concatenate(sides))
-    _, away = tree.query_nearest(shapely.points(places), return_distance=True, all_matches=False)
-    return np.asarray(away)
 
 
 def _nearest_row(nc: NCProgram, layer: int, place: Floats) -> int:

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.kernels import run_blocks
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.program.checking.checks import Check
+from ebamcheck.program.checking.near_sides import side_distances, sides_of
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.scan.islands.regions import inset, layer_section
 
@@ -176,7 +176,7 @@ def _sagitta(at: Floats, section: BaseGeometry) -> Floats:
         bounds.append(0.25 * length**2 * (share + np.roll(share, -1)))
         sides.append(np.stack([points, np.roll(points, -1, axis=0)], axis=1))
     lines = np.atleast_1d(np.asarray(shapely.linestrings(np.concatenate(sides)), dtype=np.object_))
-    _, nearest = _nearest_side(lines, at)
+    _, nearest = shapely.STRtree(lines).query_nearest(np.asarray(shapely.points(at)), all_matches=False)
     return np.asarray(np.concatenate(bounds)[nearest], np.float64)
 
 
@@ -232,23 +232,8 @@ def _width_mm(ring: shapely.LinearRing) -> float:
 
 
 def _distances(at: Floats, lines: BaseGeometry) -> Floats:
-    """Distance of points (n, 2) from lines, by a search tree of their segments."""
-    return _nearest_side(_segments(lines), at)[0]
-
-
-def _nearest_side(sides: NDArray[np.object_], at: Floats) -> tuple[Floats, Ints]:
-    """Distance of points (n, 2) from the nearest of some segments, and which that is."""
-    (_, which), away = shapely.STRtree(sides).query_nearest(
-        np.asarray(shapely.points(at)), return_distance=True, all_matches=False
-    )
-    return np.asarray(away, dtype=np.float64), np.asarray(which, dtype=np.int64)
-
-
-def _segments(lines: BaseGeometry) -> NDArray[np.object_]:
-    points, line = shapely.get_coordinates(shapely.get_parts(lines), return_index=True)
-    joined = np.flatnonzero(line[1:] == line[:-1])
-    pairs = np.stack([points[joined], points[joined + 1]], axis=1)
-    return np.atleast_1d(np.asarray(shapely.linestrings(pairs), dtype=np.object_))
+    """Distance of points (n, 2) from lines."""
+    return side_distances(np.ascontiguousarray(at), sides_of(lines))
 
 
 def _path(nc: NCProgram, rows: Ints, owner: Ints, at: Floats) -> BaseGeometry:

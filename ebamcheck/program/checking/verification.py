@@ -116,7 +116,7 @@ def verify_program(
     metal
         Lay the metal of the program over the `layers`, and check its mass and where it lies.
     heat
-        Drive a balance of the part's heat by the times, waits and power of the text, and check each bead's entry.
+        Work out a balance of the part's heat from the times, waits and power of the text, and check each bead's entry.
     before
         Heat of what stands when the program begins; None: the cold plate.
     heights

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.program.language.increments import increments_of, to_increment
@@ -48,8 +49,14 @@ class ProcessValues:
         """The values as they are printed, by name."""
         return {
             name: to_increment(value, self.increments.get(name, 0.0))
-            for name, value in vars(self).items()
-            if name != "increments"
+            for name, value in ((one, getattr(self, one)) for one in PLACEHOLDERS)
+        }
+
+    @cached_property
+    def _placeholders(self) -> Mapping[str, object]:
+        """What is put for each placeholder: worked out once for all templates of a moment."""
+        return {
+            name: value if isinstance(value, int) else _Value(value) for name, value in self.printed().items()
         }
 
     def at(self, power: float, wire: float) -> ProcessValues:
@@ -63,10 +70,11 @@ class ProcessValues:
 
     def fill(self, name: str, template: Iterable[str]) -> list[str]:
         """Fill the lines of the template `name`; raises :class:`SettingsError` for what makes no block."""
-        values: Mapping[str, object] = {
-            key: value if isinstance(value, int) else _Value(value) for key, value in self.printed().items()
-        }
-        return [_filled(f"machine.{name}", line, values) for line in template]
+        return [_filled(f"machine.{name}", line, self._placeholders) for line in template]
+
+
+PLACEHOLDERS = tuple(one.name for one in fields(ProcessValues) if one.name != "increments")
+"""Names that stand for values in a template."""
 
 
 def _filled(where: str, line: str, values: Mapping[str, object]) -> str:

@@ -35,10 +35,25 @@ def read_program(
         Which knot interval a BSPLINE block's PL carries (2 or 3, or "uniform" for none); None: as the header of
         the program states, else as the machine profile does.
 
+    Returns
+    -------
+    NCProgram
+        Every motion with its curve (mm), feed (mm/min), beam and wire, and the place in the text that it comes from.
+
     Raises
     ------
     InputError
         ``FILE:line:column: ...`` for a word or block that is not understood; also where a file is missing.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "square.ngc"
+    ...     _ = file.write_text("G21 G90 G94\\nG0 X0 Y0 Z5\\nG1 X10 F600\\nG1 Y10\\nM2\\n")
+    ...     nc = read_program(file)
+    >>> nc.lengths[1:].tolist(), nc.feed_mm_min[1:].tolist()
+    ([10.0, 10.0], [600.0, 600.0])
     """
     config = config or Config()
     known = {name: control for name, control in controls().items() if control.is_read}

@@ -14,7 +14,7 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.heat.melting import least_power_share
-from ebamcheck.layers.stack import valid_polygons
+from ebamcheck.layers.polygons import valid_polygons
 from ebamcheck.scan.islands.regions import CRUMB, mean_width_mm, split_thin
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import line_energy_j_mm

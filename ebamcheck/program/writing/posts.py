@@ -37,11 +37,29 @@ def write_program(
     header
         Further lines ``KEY: VALUE`` of the program's comment block (part hash, commit).
 
+    Returns
+    -------
+    ProgramFiles
+        Folder, names and hashes of the files.
+
     Raises
     ------
     SettingsError
         If no post-processor has that name, curves and plan are of different stacks, heights do not rise, a name
         is not legal, a template makes no block, or the control does not have the form of curves asked for.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import ebamcheck
+    >>> from ebamcheck.scan import plan_stack
+    >>> from ebamcheck_models import CUBE
+    >>> layers = ebamcheck.slice(CUBE.tessellate(0.1), [1.0, 3.0])
+    >>> config = ebamcheck.Config(machine={"control": "linuxcnc"}, layers={"layer_height_mm": 2.0})
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_program(ebamcheck.fit(layers), plan_stack(layers, config), config, Path(folder) / "program").names
+    ('MAIN.ngc',)
     """
     post = control(config.machine.control).load("writer")
     files: ProgramFiles = post(curves, plan, config, folder, validated=validated, header=header)

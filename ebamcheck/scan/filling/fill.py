@@ -54,29 +54,29 @@ class FilledLayer:
     widest_gap_mm: float = 0.0
 
 
-def fill_layer(regions: Regions, found: cells.Cells, profile: Config, layer: int) -> FilledLayer:
+def fill_layer(regions: Regions, found: cells.Cells, config: Config, layer: int) -> FilledLayer:
     """Fill the cells of the solids and the walls of a layer, and close the gaps that are left."""
     walls = [*regions.narrow_fills, *regions.bare_walls]
-    lines, chained = fill_islands(found, walls, len(regions.narrow_fills), profile, layer)
+    lines, chained = fill_islands(found, walls, len(regions.narrow_fills), config, layer)
     filled = FilledLayer(
         islands=np.concatenate([found.polygons, cells.column(walls)]),
         kind=np.concatenate([found.kind, np.full(len(walls), cells.THIN_WALL)]).astype(np.str_),
         lines=lines,
         chained=chained,
     )
-    return close_gaps(filled, regions, profile)
+    return close_gaps(filled, regions, config)
 
 
 def fill_islands(
-    found: cells.Cells, walls: Sequence[shapely.Polygon], narrow: int, profile: Config, layer: int
+    found: cells.Cells, walls: Sequence[shapely.Polygon], narrow: int, config: Config, layer: int
 ) -> tuple[Vectors, Bools]:
     """Lines of all islands, sorted by island, and which islands' lines follow each other.
 
     The first `narrow` of the walls lie between contour beads, with which their beads meet; the others are bare.
     """
-    width, spacing = profile.process.bead_width_mm, profile.process.hatch_spacing_mm
-    turn = profile.scan.first_angle_deg + layer * profile.scan.layer_angle_deg
-    angle = hatch_directions(found, spacing, turn, profile.scan.island_angle_deg)
+    width, spacing = config.process.bead_width_mm, config.process.hatch_spacing_mm
+    turn = config.scan.first_angle_deg + layer * config.scan.layer_angle_deg
+    angle = hatch_directions(found, spacing, turn, config.scan.island_angle_deg)
     hatched, _ = hatch(found.polygons, angle, width, spacing)
     hatched = trimmed(hatched, TRIM * spacing, SHORTEST_LINE * width)
     count = len(found.polygons)
@@ -108,21 +108,21 @@ def trimmed(lines: Vectors, by_mm: float, shortest_mm: float) -> Vectors:
     return Vectors(lines.island, lines.start + share * way, lines.end - share * way)
 
 
-def close_gaps(filled: FilledLayer, regions: Regions, profile: Config) -> FilledLayer:
+def close_gaps(filled: FilledLayer, regions: Regions, config: Config) -> FilledLayer:
     """Lay gap beads, see :mod:`ebamcheck.scan.filling.gaps`, and measure the coverage."""
-    width, section = profile.process.bead_width_mm, regions.section
+    width, section = config.process.bead_width_mm, regions.section
     beads = _beads(regions, filled.lines)
     bare = bare_samples(section, beads, width)
     chosen, widest_mm = spots_to_close(
         bare_spots(section, bare, beads, width),
-        profile.scan.gap_width * width,
+        config.scan.gap_width * width,
         section.area,
         bare.covered,
-        profile.scan.least_coverage,
+        config.scan.least_coverage,
     )
     if not chosen:
         return replace(filled, covered=bare.covered, widest_gap_mm=widest_mm)
-    gaps = gap_beads(chosen, section, filled.islands, width, profile.process.hatch_spacing_mm)
+    gaps = gap_beads(chosen, section, filled.islands, width, config.process.hatch_spacing_mm)
     added = len(gaps.polygons)
     line, start, end = line_rows(gaps.lines)
     lines = joined(filled.lines, Vectors(gaps.island[line], start, end))

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.layers.stack import valid_polygons
+from ebamcheck.layers.polygons import valid_polygons
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.filling.coverage import BareSamples
 from ebamcheck.scan.filling.hatch import SHORTEST_LINE

@@ -19,8 +19,8 @@ class IslandSchedule:
     Parameters
     ----------
     entry, leave
-        (I, 4, 2) points at which an island may be entered, and where it is then left, mm: the four ways of
-        :func:`ebamcheck.scan.order.path.in_sequence`; a way that is not open to an island repeats its first.
+        (I, 4, 2) points at which an island may be entered, and where it is then left, mm: the four entry options of
+        :func:`ebamcheck.scan.order.path.in_sequence`; an option that is not open to an island repeats its first.
     beam_s, time_s
         (I,) time with the beam on, lines and turns, and with the jumps between its own lines. An island may be driven
         from either side, with turns at the other ends of its lines: both count by their mean.
@@ -36,7 +36,7 @@ class IslandSchedule:
         return len(self.time_s)
 
 
-def island_schedule(lines: Vectors, chained: Bools, profile: Config) -> IslandSchedule:
+def island_schedule(lines: Vectors, chained: Bools, config: Config) -> IslandSchedule:
     """Work out how islands are driven.
 
     Parameters
@@ -57,14 +57,14 @@ def island_schedule(lines: Vectors, chained: Bools, profile: Config) -> IslandSc
     first = np.minimum(np.concatenate([[0], after[:-1]]), len(a) - 1)
     entry = np.stack([a[first], b[first], b[last], a[last]], axis=1)
     leave = np.stack([b[last], a[last], a[first], b[first]], axis=1)
-    for way in (1, 3):
-        entry[chained, way], leave[chained, way] = entry[chained, 0], leave[chained, 0]
-    spacing = profile.process.hatch_spacing_mm
+    for option in (1, 3):
+        entry[chained, option], leave[chained, option] = entry[chained, 0], leave[chained, 0]
+    spacing = config.process.hatch_spacing_mm
     turn, jump = turns_and_jumps_mm(lines.island, a, b, spacing)
     other_turn, other_jump = turns_and_jumps_mm(lines.island, b, a, spacing)
     turned = chained[lines.island]
     turn = np.where(turned, turn, 0.5 * (turn + other_turn))
     jump = np.where(turned, jump, 0.5 * (jump + other_jump))
-    beam_s = np.bincount(lines.island, np.hypot(*(b - a).T) + turn, count) / profile.process.travel_speed_mm_s
-    inner_s = np.bincount(lines.island, jump, count) / profile.machine.rapid_mm_s
+    beam_s = np.bincount(lines.island, np.hypot(*(b - a).T) + turn, count) / config.process.travel_speed_mm_s
+    inner_s = np.bincount(lines.island, jump, count) / config.machine.rapid_mm_s
     return IslandSchedule(entry, leave, beam_s, np.asarray(beam_s + inner_s, np.float64))

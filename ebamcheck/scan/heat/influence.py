@@ -15,7 +15,7 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.scan.heat.island_heat import IslandHeat
 from ebamcheck.scan.heat.near_field import NearField, entry_rise, young_mean
-from ebamcheck.scan.heat.pieces import WAYS
+from ebamcheck.scan.heat.pieces import OPTIONS
 
 NODES = 96
 """Times of the table."""
@@ -43,7 +43,7 @@ class FreshTable(NamedTuple):
     slot
         (I, I) row of the next table for an island and the source, or -1.
     excess_k
-        (P, 4, 4, N) of the temperature of its entry over its mean, by its way and that of the source.
+        (P, 4, 4, N) of the temperature of its entry over its mean, by its entry option and that of the source.
     """
 
     horizon_s: float
@@ -90,37 +90,37 @@ def influence(heat: IslandHeat, time_s: Floats, longest_s: float) -> Influence:
     old_heat(heat, time_s, near.horizon_s, since, rise)
     slot = np.full((count, count), -1, np.int32)
     slot[np.repeat(np.arange(count), np.diff(near.first)), near.other] = np.arange(len(near.other))
-    excess_k = young_heat(near, heat.source_k_s, time_s, since[:YOUNG_NODES], rise)
+    excess_k = young_heat(near, heat.modes.source_k_s, time_s, since[:YOUNG_NODES], rise)
     per_root = spacing**-0.5 if spacing > 0.0 else 0.0
     return Influence(rise, per_root, FreshTable(near.horizon_s, slot, excess_k))
 
 
 def old_heat(heat: IslandHeat, time_s: Floats, horizon_s: float, since_s: Floats, rise: Table) -> None:
     """Write the rises :attr:`Influence.rise_k` by heat older than the horizon, at times (Q,) after the end of a source."""
-    depth_rate = np.maximum(heat.depth_rate, LEAST_RATE)
-    rate = np.add.outer(heat.plane_rate, depth_rate)
-    across = np.exp(-np.multiply.outer(heat.plane_rate, since_s))
+    depth_rate = np.maximum(heat.modes.depth_rate, LEAST_RATE)
+    rate = np.add.outer(heat.modes.plane_rate, depth_rate)
+    across = np.exp(-np.multiply.outer(heat.modes.plane_rate, since_s))
     through = np.exp(-np.multiply.outer(depth_rate, since_s))
-    mean, weight = np.asarray(heat.mean, np.float32), heat.in_layer**2 / rate
+    mean, weight = np.asarray(heat.modes.mean, np.float32), heat.modes.in_layer**2 / rate
     at_horizon = (weight * np.exp(-rate * horizon_s)).sum(axis=1)[:, None]
     # Of a source that ended less than a horizon ago only what it began with is old.
     young = slice(0, int(np.searchsorted(since_s, horizon_s)))
     old = slice(young.stop, None)
     of_mode = np.empty_like(across)
-    for j, (time, source) in enumerate(zip(time_s.tolist(), heat.source_k_s.tolist(), strict=True)):
+    for j, (time, source) in enumerate(zip(time_s.tolist(), heat.modes.source_k_s.tolist(), strict=True)):
         fallen = np.exp(-rate * time)
         of_mode[:, old] = across[:, old] * ((weight * (1.0 - fallen)) @ through[:, old])
         begun = at_horizon - across[:, young] * ((weight * fallen) @ through[:, young])
         of_mode[:, young] = np.where(since_s[young] + time > horizon_s, begun, 0.0)
-        scaled = of_mode * (source * heat.mean[:, j, None])
+        scaled = of_mode * (source * heat.modes.mean[:, j, None])
         rise[:, j] = mean.T @ scaled.astype(np.float32)
-    rise[:, len(time_s)] = heat.mean.T @ (across * ((heat.start_k * heat.in_layer) @ through))
+    rise[:, len(time_s)] = heat.modes.mean.T @ (across * ((heat.start_k * heat.modes.in_layer) @ through))
 
 
 @kernel
 def young_heat(near: NearField, source: Floats, time: Floats, since: Floats, rise: Table) -> Table:
     """Add young heat to the rises of means; returns its excess at entries (P, 4, 4, N) over the means, as in :class:`FreshTable`."""
-    excess = np.zeros((len(near.other), WAYS, WAYS, len(since)), np.float32)
+    excess = np.zeros((len(near.other), OPTIONS, OPTIONS, len(since)), np.float32)
     for i in range(len(near.first) - 1):
         for p in range(near.first[i], near.first[i + 1]):
             j = near.other[p]
@@ -129,10 +129,10 @@ def young_heat(near: NearField, source: Floats, time: Floats, since: Floats, ris
             for n in range(len(since)):
                 mean = young_mean(near, near.pair[p], since[n], time[j])
                 rise[i, j, n] += source[j] * mean
-                for way in range(WAYS):
-                    for left_by in range(WAYS):
-                        entry = entry_rise(near, i, way, j, left_by, since[n], time[j])
-                        excess[p, way, left_by, n] = source[j] * (entry - mean)
+                for option in range(OPTIONS):
+                    for left_by in range(OPTIONS):
+                        entry = entry_rise(near, i, option, j, left_by, since[n], time[j])
+                        excess[p, option, left_by, n] = source[j] * (entry - mean)
     return excess
 
 

@@ -93,7 +93,7 @@ class LayerJob:
     lowest: bool
 
 
-def cooled_layer(job: LayerJob, found: PartHeat, profile: Config, guess: float = 0.0) -> SimulatedLayer:
+def cooled_layer(job: LayerJob, found: PartHeat, config: Config, guess: float = 0.0) -> SimulatedLayer:
     """Choose power and waits of a layer by the settings, and simulate it.
 
     Parameters
@@ -103,32 +103,32 @@ def cooled_layer(job: LayerJob, found: PartHeat, profile: Config, guess: float =
     guess
         Share of the power of the layer below: that of this one is found sooner where it is near.
     """
-    share = power_share(job, found, profile, guess)
-    waits = profile.process.interpass in ("dwell", "both")
+    share = power_share(job, found, config, guess)
+    waits = config.process.interpass in ("dwell", "both")
     ring_wait_s = 0.0
     while True:
-        done = simulate(job, found, profile, share, waits, ring_wait_s)
+        done = simulate(job, found, config, share, waits, ring_wait_s)
         assert done is not None
         if (done.bead_wait_s[1 : job.beads.rings] == done.ring_wait_s).all():
             return done
         ring_wait_s = done.ring_wait_s
 
 
-def power_share(job: LayerJob, found: PartHeat, profile: Config, guess: float = 0.0) -> float:
+def power_share(job: LayerJob, found: PartHeat, config: Config, guess: float = 0.0) -> float:
     """Share of the power of a layer: that of the table, or the greatest at which no bead is entered above the limit.
 
     The search begins at a guess; its result is the same wherever it begins, since less power is never hotter.
     """
-    scheduled = scheduled_share(profile, job.height_mm)
+    scheduled = scheduled_share(config, job.height_mm)
     if scheduled is not None:
         return scheduled
-    if profile.process.interpass not in ("power", "both"):
+    if config.process.interpass not in ("power", "both"):
         return 1.0
-    least = min(1.0, least_power_share(profile, job.shape.thickness_mm))
+    least = min(1.0, least_power_share(config, job.shape.thickness_mm))
     low, high = math.ceil(PERCENT * least), PERCENT
 
     def fits(percent: int) -> bool:
-        return simulate(job, found, profile, percent / PERCENT, waits=False, keep=True) is not None
+        return simulate(job, found, config, percent / PERCENT, waits=False, keep=True) is not None
 
     if fits(high):
         return 1.0
@@ -171,7 +171,7 @@ def greatest_that_fits(fits: Callable[[int], bool], low: int, high: int, guess: 
 def simulate(
     job: LayerJob,
     found: PartHeat,
-    profile: Config,
+    config: Config,
     share: float,
     waits: bool,
     ring_wait_s: float = 0.0,
@@ -188,7 +188,7 @@ def simulate(
     keep
         Give up, with None, as soon as a bead is entered above the limit.
     """
-    run = _Run(job, profile, share, found.copy(), waits, keep)
+    run = _Run(job, config, share, found.copy(), waits, keep)
     beads, bead = job.beads, 0
     while bead < len(beads):
         if beads.inner[bead]:
@@ -225,15 +225,15 @@ class _Run:
     """A layer while it is simulated: the part's heat, and what was found, bead by bead."""
 
     def __init__(
-        self, job: LayerJob, profile: Config, share: float, part: PartHeat, waits: bool, keep: bool
+        self, job: LayerJob, config: Config, share: float, part: PartHeat, waits: bool, keep: bool
     ) -> None:
-        process = profile.process
-        limit_k = entry_limit_k(profile)
+        process = config.process
+        limit_k = entry_limit_k(config)
         self.part = part
         self.wait_s, self.bed_k, self.mean_k, self.away_s = (np.zeros(len(job.beads)) for _ in range(4))
         self._job, self._share, self._waits, self._keep = job, share, waits, keep
         self._limit_k = limit_k - MARGIN * max(limit_k - process.ambient_temperature_k, 0.0)
-        self._power_w = share * process.power_w * profile.material.absorptivity
+        self._power_w = share * process.power_w * config.material.absorptivity
         self._pause_s = 0.0 if job.lowest else process.layer_pause_s
         self._every = process.interpass_at == "bead"
         self._body_k = self._enter_k = 0.0

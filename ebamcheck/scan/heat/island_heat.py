@@ -46,14 +46,8 @@ class IslandHeat:
 
     Parameters
     ----------
-    mean
-        (K, I) means of the section's modes over the islands.
-    plane_rate, depth_rate
-        (K,) and (N,), whose sums are the decays of the amplitudes, 1/s.
-    in_layer
-        (N,) means of the depth's modes over the layer.
-    source_k_s
-        (I,) beam power on the island over the heat capacity of a volume, while it is scanned.
+    modes
+        What every kernel reads first: means over the islands, rates, sources.
     start_k
         (K, N) amplitudes when the layer begins.
     model
@@ -64,11 +58,7 @@ class IslandHeat:
         Young heat between islands that are near each other, which the modes lack; None: by the modes alone.
     """
 
-    mean: Floats
-    plane_rate: Floats
-    depth_rate: Floats
-    in_layer: Floats
-    source_k_s: Floats
+    modes: Modes
     start_k: Floats
     model: HeatModel
     complete: float
@@ -80,18 +70,13 @@ class IslandHeat:
         assert self.near is not None, "the fresh heat of this model was not set up: see with_fresh_heat"
         return self.near
 
-    @property
-    def modes(self) -> Modes:
-        """What every kernel reads first."""
-        return Modes(self.mean, self.plane_rate, self.depth_rate, self.in_layer, self.source_k_s)
-
 
 def island_heat(
     section: BaseGeometry,
     islands: NDArray[np.object_],
     beam_s: Floats,
     time_s: Floats,
-    profile: Config,
+    config: Config,
     height_mm: float,
     fine: bool = False,
 ) -> IslandHeat:
@@ -110,7 +95,7 @@ def island_heat(
     fine
         Resolve waves shorter than an island, for a simulation; a plan needs none under its width.
     """
-    medium, process = Medium.of(profile), profile.process
+    medium, process = Medium.of(config), config.process
     width_mm = math.sqrt(section.area / max(len(islands), 1))
     largest = (2.0 * math.pi / (width_mm * (SIMULATION_WAVE if fine else PLANNING_WAVE))) ** 2
     planned = max(1, min(PLANNING_MODES, int(PLANNING_WORK / max(len(islands), 1) ** 2)))
@@ -120,15 +105,17 @@ def island_heat(
     waves = min(MOST_DEPTH_MODES, math.ceil(depth_mm * math.sqrt(largest) / math.pi) + 1)
     loss = medium.radiation_w_mm2k / medium.conductivity_w_mmk
     depth = depth_modes(depth_mm, waves, process.base == "cooled", loss)
-    model = HeatModel(plane, depth, medium, min(profile.layer_height_mm, depth_mm))
+    model = HeatModel(plane, depth, medium, min(config.layer_height_mm, depth_mm))
     on = np.divide(beam_s, time_s, out=np.zeros_like(beam_s), where=time_s > 0)
-    power_w = process.power_w * profile.material.absorptivity * on
+    power_w = process.power_w * config.material.absorptivity * on
     return IslandHeat(
-        mean=np.ascontiguousarray(plane.means(islands).T),
-        plane_rate=medium.diffusivity_mm2_s * plane.eigenvalue,
-        depth_rate=medium.diffusivity_mm2_s * depth.wave_number**2,
-        in_layer=model.in_layer,
-        source_k_s=np.asarray(power_w / medium.heat_capacity_j_mm3k, np.float64),
+        modes=Modes(
+            mean=np.ascontiguousarray(plane.means(islands).T),
+            plane_rate=medium.diffusivity_mm2_s * plane.eigenvalue,
+            depth_rate=medium.diffusivity_mm2_s * depth.wave_number**2,
+            in_layer=model.in_layer,
+            source_k_s=np.asarray(power_w / medium.heat_capacity_j_mm3k, np.float64),
+        ),
         start_k=model.cold(),
         model=model,
         complete=min(
@@ -144,9 +131,9 @@ def with_fresh_heat(
     lines: Vectors,
     section: BaseGeometry,
     islands: NDArray[np.object_],
-    profile: Config,
+    config: Config,
 ) -> IslandHeat:
     """Add the fresh heat that the modes lack to the heat model of a layer: see :mod:`ebamcheck.scan.heat.near_field`."""
-    bead_mm = profile.process.bead_width_mm
+    bead_mm = config.process.bead_width_mm
     near = near_field(heat.model, heat.complete, schedule, lines, section, islands, bead_mm)
     return replace(heat, near=near)

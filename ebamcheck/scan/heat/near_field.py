@@ -34,7 +34,7 @@ from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.filling.hatch import Vectors
 from ebamcheck.scan.filling.schedule import IslandSchedule
 from ebamcheck.scan.heat.enclosed import enclosed_share
-from ebamcheck.scan.heat.pieces import WAYS, Pieces, Tiles, island_tiles, line_pieces
+from ebamcheck.scan.heat.pieces import OPTIONS, Pieces, Tiles, island_tiles, line_pieces
 
 DIED_OUT = 3.0
 """Exponent by which the shortest wave of the modes has fallen at the horizon, at least: to 5 %."""
@@ -163,8 +163,8 @@ def near_field(
         pair=pair,
         exact=cumulated(free * depth, horizon_s),
         depth=depth,
-        inside=enclosed_share(section, entry.reshape(-1, 2), np.tile(around, (WAYS * count, 1))).reshape(
-            count, WAYS, -1
+        inside=enclosed_share(section, entry.reshape(-1, 2), np.tile(around, (OPTIONS * count, 1))).reshape(
+            count, OPTIONS, -1
         ),
         pieces=pieces,
         entry=entry,
@@ -271,7 +271,7 @@ def at_root(table: Floats, root: float) -> float:
 
 @kernel
 def young_rise(
-    near: NearField, pair: int, island: int, way: int, source: int, left_by: int, since: float, time: float
+    near: NearField, pair: int, island: int, option: int, source: int, left_by: int, since: float, time: float
 ) -> tuple[float, float]:
     """Rise of an island's mean temperature, and of that of its entry, by heat younger than the horizon; over K mm^3/s.
 
@@ -279,15 +279,15 @@ def young_rise(
     ----------
     pair
         Row of the two islands.
-    island, way
+    island, option
         Island, and its entry.
     source, left_by
-        Island that was heated, and the way in which it was driven.
+        Island that was heated, and its entry option.
     since, time
         Time since the end of its heating, and the time that took, s.
     """
     mean = young_mean(near, pair, since, time)
-    return mean, entry_rise(near, island, way, source, left_by, since, time)
+    return mean, entry_rise(near, island, option, source, left_by, since, time)
 
 
 @kernel
@@ -299,11 +299,11 @@ def young_mean(near: NearField, pair: int, since: float, time: float) -> float:
 
 @kernel
 def entry_rise(
-    near: NearField, island: int, way: int, source: int, left_by: int, since: float, time: float
+    near: NearField, island: int, option: int, source: int, left_by: int, since: float, time: float
 ) -> float:
     """Rise of the temperature at an entry by another island, over K mm^3/s of heating: see :func:`young_rise`."""
     pieces = near.pieces
-    x, y = near.entry[island, way]
+    x, y = near.entry[island, option]
     total = 0.0
     for m in range(pieces.first[source], pieces.first[source + 1]):
         age = since + (1.0 - pieces.passed[left_by, m]) * time
@@ -313,7 +313,7 @@ def entry_rise(
             continue
         root = np.sqrt(age / near.horizon_s)
         dense = pieces.share[m] * gaussian(away, variance)
-        total += dense * at_root(near.depth, root) / at_root(near.inside[island, way], root)
+        total += dense * at_root(near.depth, root) / at_root(near.inside[island, option], root)
     return total * time
 
 

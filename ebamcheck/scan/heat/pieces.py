@@ -1,4 +1,4 @@
-"""The lines of islands in short pieces: where their heat goes into the layer, and when, by each way of driving."""
+"""The lines of islands in short pieces: where their heat goes into the layer, and when, by each entry option."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.filling.hatch import Vectors
 
-WAYS = 4
-"""Ways of driving an island, as in :class:`~ebamcheck.scan.filling.schedule.IslandSchedule`."""
+OPTIONS = 4
+"""Entry options of an island, as in :class:`~ebamcheck.scan.filling.schedule.IslandSchedule`."""
 
 
 HALVED = 1
@@ -35,7 +35,7 @@ class Pieces(NamedTuple):
     share
         (M,) of the island's heat, and of its area.
     passed
-        (4, M) share of the island's time after which the beam is there, by the way of driving.
+        (4, M) share of the island's time after which the beam is there, by the entry option.
     variance
         (M,) of the heat around the middle along one axis, mm^2: that of a square tile of the same area.
     """

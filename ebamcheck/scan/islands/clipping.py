@@ -12,7 +12,7 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.layers.stack import valid_polygons
+from ebamcheck.layers.polygons import valid_polygons
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.islands.borders import polygon_edges, shared_edges
 from ebamcheck.scan.islands.lattice import SQRT3, Lattice

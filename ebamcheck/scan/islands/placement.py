@@ -25,7 +25,7 @@ ROWS_REPEAT = 3.0
 stripes repeat after less, sqrt(3) d, so that they are shifted over their whole period, too."""
 
 
-def layer_place(points: ArrayLike, side_mm: float, profile: Config, layer: int) -> Rectangle:
+def layer_place(points: ArrayLike, side_mm: float, config: Config, layer: int) -> Rectangle:
     """Rectangle around a layer over which its cells are laid, shifted and turned as the settings say.
 
     The rule of the lattice counts from the midpoint of L1 and from the start of L2. So a rectangle that is
@@ -40,10 +40,10 @@ def layer_place(points: ArrayLike, side_mm: float, profile: Config, layer: int) 
     layer
         Index of the layer.
     """
-    smallest = minimum_rectangle(points, profile.scan.rectangle)
-    turn = math.radians(layer * profile.scan.lattice_angle_deg)
+    smallest = minimum_rectangle(points, config.scan.rectangle)
+    turn = math.radians(layer * config.scan.lattice_angle_deg)
     around = smallest if turn == 0.0 else rectangle_along(points, smallest.angle_rad + turn)
-    if not profile.scan.lattice_shift or layer == 0:
+    if not config.scan.lattice_shift or layer == 0:
         return around
     first, second = shift_shares(layer)
     return shifted(around, (first - 0.5) * SQRT3 * side_mm, second * ROWS_REPEAT * side_mm)

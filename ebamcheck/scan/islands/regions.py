@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.errors import GeometryError
-from ebamcheck.layers.stack import Layers, from_polygons, valid_polygons
+from ebamcheck.layers.polygons import valid_polygons
+from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.settings.config import Config
 
@@ -81,11 +82,11 @@ class Regions:
     bare_walls: list[shapely.Polygon]
 
 
-def layer_regions(section: BaseGeometry, profile: Config) -> Regions:
+def layer_regions(section: BaseGeometry, config: Config) -> Regions:
     """Split the section of a layer into contour, solids and thin walls."""
-    width = profile.process.bead_width_mm
-    spacing = profile.process.hatch_spacing_mm
-    offset = profile.contour_offset_mm
+    width = config.process.bead_width_mm
+    spacing = config.process.hatch_spacing_mm
+    offset = config.contour_offset_mm
     contour = inset(section, offset)
     fill = shapely.simplify(inset(contour, 0.5 * spacing), FILL_TOLERANCE * width)
     narrow = max(THIN_WALL_BEADS * width - 2.0 * offset - spacing, spacing)

@@ -15,7 +15,8 @@ from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.heat.influence import Influence, looked_up
 from ebamcheck.scan.heat.near_field import at_root
 from ebamcheck.scan.order.entry_options import EntryOptions
-from ebamcheck.scan.order.touching import Touching, touch
+from ebamcheck.scan.order.moves import Driven, least_travel_mm, more_touches, move
+from ebamcheck.scan.order.touching import Touching, touch, touch_table
 
 WARMTH = 0.005
 """Worsening taken at the beginning, unless another is asked for."""
@@ -37,7 +38,7 @@ class Layer(NamedTuple):
     ----------
     table
         Temperature rises of islands by each other.
-    ways
+    options
         Jumps between islands.
     beside
         Islands that touch.
@@ -48,18 +49,18 @@ class Layer(NamedTuple):
     """
 
     table: Influence
-    ways: EntryOptions
+    options: EntryOptions
     beside: Touching
     time_s: Floats
     rapid_mm_s: float
 
 
 class Log(NamedTuple):
-    """An order driven, by place (I,): begin of the island, s, way of entry, travel so far, mm, entry temperature, K,
+    """An order driven, by place (I,): begin of the island, s, entry option, travel so far, mm, entry temperature, K,
     and how many islands so far touch the one before them."""
 
     start_s: Floats
-    way: Ints
+    option: Ints
     travel_mm: Floats
     entry_k: Floats
     touches: Ints
@@ -124,19 +125,27 @@ def improved(
     touch_price = TOUCH_SHARE * cost
     cost += price * max(0.0, log.travel_mm[-1] - longest) + touch_price * log.touches[-1]
     best_cost, warmth = cost, warm_share * cost
-    by_heat = np.argsort(-log.entry_k)
+    by_heat, beside, ways = np.argsort(-log.entry_k), touch_table(layer.beside), layer.ways
+    driven = Driven(kept, log.way, log.travel_mm)
     for step in range(len(places)):
-        a, b = places[step]
+        a, b = places[step, 0], places[step, 1]
         if step % HOTTEST_EVERY == 0:
             a = by_heat[0]
         if a == b:
             continue
-        first = min(a, b)
-        move(kept, a, b, step % 3, tried)
+        first, kind = min(a, b), step % 3
+        allowed = cost + warmth * leniency[step]
+        touched = touch_price * (log.touches[-1] + more_touches(kept, a, b, kind, beside))
+        # Most moves are given up by the touches, or by a travel that is too long in any case.
+        if touched >= allowed:
+            continue
+        least_mm = least_travel_mm(driven, a, b, kind, ways)
+        if price * max(0.0, least_mm - longest) + touched >= allowed:
+            continue
+        move(kept, a, b, kind, tried)
         copy_start(log, first, tried_log)
         timed_from(first, tried, layer, tried_log)
         too_far = price * max(0.0, tried_log.travel_mm[-1] - longest) + touch_price * tried_log.touches[-1]
-        allowed = cost + warmth * leniency[step]
         if too_far >= allowed:
             continue
         most = count * power(allowed - too_far)
@@ -146,7 +155,7 @@ def improved(
         cost = (total / count) ** (1.0 / HIGH) + too_far
         kept, tried = tried, kept
         log, tried_log = tried_log, log
-        by_heat = np.argsort(-log.entry_k)
+        by_heat, driven = np.argsort(-log.entry_k), Driven(kept, log.way, log.travel_mm)
         if cost < best_cost:
             best[:], best_cost = kept, cost
     return best
@@ -177,7 +186,7 @@ def powers_from(
 @kernel
 def copy_start(log: Log, stop: int, result: Log) -> None:
     """Copy what a log says of the places before one."""
-    result.start_s[:stop], result.way[:stop] = log.start_s[:stop], log.way[:stop]
+    result.start_s[:stop], result.option[:stop] = log.start_s[:stop], log.option[:stop]
     result.travel_mm[:stop], result.entry_k[:stop] = log.travel_mm[:stop], log.entry_k[:stop]
     result.touches[:stop] = log.touches[:stop]
 
@@ -203,34 +212,17 @@ def power(temperature: float) -> float:
 
 
 @kernel
-def move(order: Ints, a: int, b: int, kind: int, result: Ints) -> None:
-    """Exchange two places, move one to the other, or turn around all between them."""
-    result[:] = order
-    if kind == 0:
-        result[a], result[b] = order[b], order[a]
-    elif kind == 1:
-        step = 1 if b > a else -1
-        for place in range(a, b, step):
-            result[place] = order[place + step]
-        result[b] = order[a]
-    else:
-        low, high = min(a, b), max(a, b)
-        for n in range(high - low + 1):
-            result[low + n] = order[high - n]
-
-
-@kernel
 def timed_from(first: int, order: Ints, layer: Layer, log: Log) -> None:
-    """Time the islands from a place on, entering each by the nearest way."""
-    jump, way, time = layer.ways.jump_mm, layer.ways.way, layer.time_s
+    """Time the islands from a place on, entering each by the nearest option."""
+    jump, option, time = layer.options.jump_mm, layer.options.option, layer.time_s
     for n in range(first, len(order)):
         if n == 0:
-            log.start_s[0], log.way[0], log.travel_mm[0], log.touches[0] = 0.0, 0, 0.0, 0
+            log.start_s[0], log.option[0], log.travel_mm[0], log.touches[0] = 0.0, 0, 0.0, 0
             continue
-        last, island, left_by = order[n - 1], order[n], log.way[n - 1]
+        last, island, left_by = order[n - 1], order[n], log.option[n - 1]
         distance = jump[last, left_by, island]
         log.start_s[n] = log.start_s[n - 1] + time[last] + distance / layer.rapid_mm_s
-        log.way[n] = way[last, left_by, island]
+        log.option[n] = option[last, left_by, island]
         log.travel_mm[n] = log.travel_mm[n - 1] + distance
         log.touches[n] = log.touches[n - 1] + touch(layer.beside, last, island)
 
@@ -256,5 +248,5 @@ def entry_temperature(place: int, order: Ints, layer: Layer, log: Log) -> float:
         row = fresh.slot[island, source]
         if row >= 0:
             root = np.sqrt(max(since, 0.0) / horizon)
-            excess += at_root(fresh.excess_k[row, log.way[place], log.way[earlier]], root)
+            excess += at_root(fresh.excess_k[row, log.option[place], log.option[earlier]], root)
     return temperature + max(excess, 0.0)

@@ -1,4 +1,4 @@
-"""Where each island of an order is entered: at the coolest of its ends that the way between the islands affords.
+"""Where each island of an order is entered: at the coolest of its ends that the travel between the islands allows.
 
 An island has up to four ends at which it may be entered. The nearest one is often the one beside what was laid a minute
 ago, hundreds of kelvins warmer than the far side of the same island. Here the rise at every end is worked out: old heat
@@ -21,16 +21,16 @@ from ebamcheck.scan.heat.aged_heat import late_modes, with_late_heat
 from ebamcheck.scan.heat.amplitudes import Modes, Timetable
 from ebamcheck.scan.heat.island_heat import IslandHeat
 from ebamcheck.scan.heat.near_field import NearField, entry_rise
-from ebamcheck.scan.heat.pieces import WAYS
+from ebamcheck.scan.heat.pieces import OPTIONS
 from ebamcheck.scan.order.annealing import high_mean, power
-from ebamcheck.scan.order.simulation import nearest_ways
+from ebamcheck.scan.order.simulation import nearest_options
 
 ROUNDS = 3
 """Rounds of choosing ends, each with the heat of islands as driven by those of the round before."""
 
 DEAREST, CHEAPEST = 1e15, 1e-15
 """Prices of a millimetre between which the least is looked for that keeps the travel allowed, in powers of the greatest
-rise: by the dearest only the way counts, by the cheapest only the heat."""
+rise: by the dearest only the travel counts, by the cheapest only the heat."""
 
 HALVINGS = 50
 """Halvings of the range of prices, on a scale of decades: to 4 %."""
@@ -39,54 +39,54 @@ TIE = 1e-12
 """Sums closer than this share are equal: rounding must not decide between ends that mirror each other."""
 
 
-def cool_ways(
+def cool_options(
     heat: IslandHeat, schedule: IslandSchedule, order: Ints, rapid_mm_s: float, longest_mm: float
 ) -> Ints:
-    """Choose the way by which each island is entered.
+    """Choose the entry option of each island.
 
     Parameters
     ----------
     order
         (I,) islands in scan order.
     longest_mm
-        Travel between islands that is allowed; that by the nearest ways, where it is longer already.
+        Travel between islands that is allowed; that by the nearest options, where it is longer already.
 
     Returns
     -------
     Ints
-        (I,) ways by island, as in :class:`~ebamcheck.scan.filling.schedule.IslandSchedule`. Travel, and :func:`high_mean`
-        of the rises at the entries, are no more than by the nearest ways, but for travel that is allowed.
+        (I,) entry options by island, as in :class:`~ebamcheck.scan.filling.schedule.IslandSchedule`. Travel, and :func:`high_mean`
+        of the rises at the entries, are no more than by the nearest options, but for travel that is allowed.
     """
-    best = ways = nearest_ways(order, schedule.entry, schedule.leave)
+    best = options = nearest_options(order, schedule.entry, schedule.leave)
     if len(order) < 2:
         return best
     columns = order, schedule.entry, schedule.leave, schedule.time_s, rapid_mm_s
-    start_s, end_s, travel_mm = clocked_by(*columns, ways)
+    start_s, end_s, travel_mm = clocked_by(*columns, options)
     allowed_mm = max(longest_mm, travel_mm)
     # Other ends change the times by a fraction of a second: old heat, which is most of the work, does not see it.
     old_k = _old_k(heat, modes_at_entries(heat, schedule), order, start_s, end_s)
     least_k, every = np.inf, np.arange(len(order))
     for n in range(ROUNDS + 1):
-        start_s, end_s, _ = clocked_by(*columns, ways)
-        rise_k = old_k + young_at_entries(heat.fresh, heat.source_k_s, order, start_s, end_s, ways)
-        found_k = high_mean(rise_k[every, ways])
+        start_s, end_s, _ = clocked_by(*columns, options)
+        rise_k = old_k + young_at_entries(heat.fresh, heat.modes.source_k_s, order, start_s, end_s, options)
+        found_k = high_mean(rise_k[every, options])
         if found_k < least_k * (1.0 - TIE):
-            best, least_k = ways, found_k
+            best, least_k = options, found_k
         if n < ROUNDS:
-            ways = affordable(rise_k, order, schedule.entry, schedule.leave, allowed_mm)
+            options = affordable(rise_k, order, schedule.entry, schedule.leave, allowed_mm)
     return best
 
 
 def modes_at_entries(heat: IslandHeat, schedule: IslandSchedule) -> Floats:
     """Modes of the section at all ends of the islands, (I, 4, K)."""
     places = np.ascontiguousarray(schedule.entry).reshape(-1, 2)
-    return np.ascontiguousarray(heat.model.plane.at(places)).reshape(len(schedule), WAYS, -1)
+    return np.ascontiguousarray(heat.model.plane.at(places)).reshape(len(schedule), OPTIONS, -1)
 
 
 def rises_at_entries(
-    heat: IslandHeat, at: Floats, order: Ints, start_s: Floats, end_s: Floats, ways: Ints
+    heat: IslandHeat, at: Floats, order: Ints, start_s: Floats, end_s: Floats, options: Ints
 ) -> Floats:
-    """Temperature rises at all ends of each island when the beam enters it, (I, 4) K by island and way.
+    """Temperature rises at all ends of each island when the beam enters it, (I, 4) K by island and option.
 
     Parameters
     ----------
@@ -94,10 +94,10 @@ def rises_at_entries(
         (I, 4, K) modes at the ends, see :func:`modes_at_entries`.
     start_s, end_s
         (I,) times by island.
-    ways
-        (I,) ways by which the islands are driven.
+    options
+        (I,) entry options of the islands.
     """
-    young_k = young_at_entries(heat.fresh, heat.source_k_s, order, start_s, end_s, ways)
+    young_k = young_at_entries(heat.fresh, heat.modes.source_k_s, order, start_s, end_s, options)
     return np.asarray(_old_k(heat, at, order, start_s, end_s) + young_k, np.float64)
 
 
@@ -108,7 +108,7 @@ def _old_k(heat: IslandHeat, at: Floats, order: Ints, start_s: Floats, end_s: Fl
 
 
 def affordable(rise_k: Floats, order: Ints, entry: Floats, leave: Floats, longest_mm: float) -> Ints:
-    """Ways (I,) of the least high mean whose travel is allowed; those of the least travel if none is.
+    """Entry options (I,) of the least high mean whose travel is allowed; those of the least travel if none is.
 
     Parameters
     ----------
@@ -120,70 +120,70 @@ def affordable(rise_k: Floats, order: Ints, entry: Floats, leave: Floats, longes
     top_k = float(rise_k.min(axis=1).max())
     share = np.maximum(rise_k, 0.0) / (top_k if top_k > 0.0 else 1.0)
     low, high = np.log(CHEAPEST), np.log(DEAREST)
-    ways, travel_mm = ways_by_price(share, order, entry, leave, CHEAPEST)
+    options, travel_mm = options_by_price(share, order, entry, leave, CHEAPEST)
     if travel_mm <= longest_mm:
-        return ways
-    ways, _ = ways_by_price(share, order, entry, leave, DEAREST)
+        return options
+    options, _ = options_by_price(share, order, entry, leave, DEAREST)
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
-        tried, travel_mm = ways_by_price(share, order, entry, leave, float(np.exp(middle)))
+        tried, travel_mm = options_by_price(share, order, entry, leave, float(np.exp(middle)))
         if travel_mm <= longest_mm:
-            ways, high = tried, middle
+            options, high = tried, middle
         else:
             low = middle
-    return ways
+    return options
 
 
 @kernel
-def ways_by_price(
+def options_by_price(
     share: Floats, order: Ints, entry: Floats, leave: Floats, price: float
 ) -> tuple[Ints, float]:
-    """Ways (I,) by island of the least sum of powers of shares (I, 4) and of travel at a price, and their travel, mm."""
+    """Entry options (I,) by island of the least sum of powers of shares (I, 4) and of travel at a price, and their travel, mm."""
     count = len(order)
-    came_by = np.zeros((count, WAYS), np.int64)
-    total, following = np.empty(WAYS), np.empty(WAYS)
-    for w in range(WAYS):
+    came_by = np.zeros((count, OPTIONS), np.int64)
+    total, following = np.empty(OPTIONS), np.empty(OPTIONS)
+    for w in range(OPTIONS):
         total[w] = power(share[order[0], w])
     for n in range(1, count):
         last, island = order[n - 1], order[n]
-        for w in range(WAYS):
+        for w in range(OPTIONS):
             least, by = np.inf, 0
-            for v in range(WAYS):
+            for v in range(OPTIONS):
                 x, y = leave[last, v]
                 spent = total[v] + price * np.hypot(entry[island, w, 0] - x, entry[island, w, 1] - y)
                 if spent < least * (1.0 - TIE):
                     least, by = spent, v
             following[w], came_by[n, w] = least + power(share[island, w]), by
         total[:] = following
-    ways = np.zeros(count, np.int64)
-    way = 0
-    for w in range(1, WAYS):
-        if total[w] < total[way] * (1.0 - TIE):
-            way = w
+    options = np.zeros(count, np.int64)
+    option = 0
+    for w in range(1, OPTIONS):
+        if total[w] < total[option] * (1.0 - TIE):
+            option = w
     travel = 0.0
     for n in range(count - 1, -1, -1):
-        ways[order[n]] = way
+        options[order[n]] = option
         if n > 0:
-            by = came_by[n, way]
+            by = came_by[n, option]
             x, y = leave[order[n - 1], by]
-            jump = np.hypot(entry[order[n], way, 0] - x, entry[order[n], way, 1] - y)
+            jump = np.hypot(entry[order[n], option, 0] - x, entry[order[n], option, 1] - y)
             travel += jump if jump > JOINED_MM else 0.0
-            way = by
-    return ways, travel
+            option = by
+    return options, travel
 
 
 @kernel
 def clocked_by(
-    order: Ints, entry: Floats, leave: Floats, time: Floats, rapid: float, ways: Ints
+    order: Ints, entry: Floats, leave: Floats, time: Floats, rapid: float, options: Ints
 ) -> tuple[Floats, Floats, float]:
-    """Start and end of each island by island (I,), s, and the travel between them, mm, entering each by its way."""
+    """Start and end of each island by island (I,), s, and the travel between them, mm, entering each by its option."""
     start, end = np.empty(len(order)), np.empty(len(order))
     clock, travel = 0.0, 0.0
     for n in range(len(order)):
         island = order[n]
         if n > 0:
-            x, y = leave[order[n - 1], ways[order[n - 1]]]
-            jump = np.hypot(entry[island, ways[island], 0] - x, entry[island, ways[island], 1] - y)
+            x, y = leave[order[n - 1], options[order[n - 1]]]
+            jump = np.hypot(entry[island, options[island], 0] - x, entry[island, options[island], 1] - y)
             clock += jump / rapid
             travel += jump
         start[island] = clock
@@ -194,10 +194,10 @@ def clocked_by(
 
 @kernel
 def young_at_entries(
-    near: NearField, source: Floats, order: Ints, start: Floats, end: Floats, ways: Ints
+    near: NearField, source: Floats, order: Ints, start: Floats, end: Floats, options: Ints
 ) -> Floats:
     """Rises at all ends (I, 4) by heat younger than the horizon, K."""
-    rise = np.zeros((len(start), WAYS))
+    rise = np.zeros((len(start), OPTIONS))
     place = np.full(len(start), -1)
     for n in range(len(order)):
         place[order[n]] = n
@@ -207,8 +207,8 @@ def young_at_entries(
             since = start[i] - end[j]
             if place[j] >= place[i] or place[j] < 0 or since > near.horizon_s:
                 continue
-            for w in range(WAYS):
-                rise[i, w] += source[j] * entry_rise(near, i, w, j, ways[j], since, end[j] - start[j])
+            for w in range(OPTIONS):
+                rise[i, w] += source[j] * entry_rise(near, i, w, j, options[j], since, end[j] - start[j])
     return rise
 
 
@@ -219,7 +219,7 @@ def old_at_entries(modes: Modes, timetable: Timetable, age: float, state: Floats
     See :func:`~ebamcheck.scan.heat.aged_heat.entered_with_aged`; `state` (K, N) is used up.
     """
     aged = late_modes(modes, age)
-    rise = np.zeros((len(timetable.start_s), WAYS))
+    rise = np.zeros((len(timetable.start_s), OPTIONS))
     clock, place = 0.0, 0
     for island in timetable.order:
         start = timetable.start_s[island]
@@ -229,6 +229,6 @@ def old_at_entries(modes: Modes, timetable: Timetable, age: float, state: Floats
             surface = 0.0
             for n in range(len(modes.depth_rate)):
                 surface += modes.in_layer[n] * state[k, n]
-            for w in range(WAYS):
+            for w in range(OPTIONS):
                 rise[island, w] += at[island, w, k] * surface
     return rise

@@ -1,4 +1,4 @@
-"""The ways from each island to each other one: how far the gun jumps, and by which way the island is entered."""
+"""Entry options of islands: how far the gun jumps from each island to each other one, and by which option it enters."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ class EntryOptions(NamedTuple):
     Parameters
     ----------
     jump_mm
-        (I, 4, I) from an island that was entered by one of its ways to the nearest way into another one.
-    way
+        (I, 4, I) from an island that was entered by one of its options to the nearest option of another one.
+    option
         (I, 4, I) which one that is.
     """
 
     jump_mm: Floats
-    way: Ints
+    option: Ints
 
 
 def entry_options(schedule: IslandSchedule) -> EntryOptions:
@@ -33,25 +33,25 @@ def entry_options(schedule: IslandSchedule) -> EntryOptions:
 
 
 @kernel
-def nearest_way(entry: Floats, x: float, y: float) -> tuple[float, int]:
-    """Distance to the nearest of the ways (4, 2) into an island, mm, and which it is: the first of equal ones."""
-    nearest, way = np.inf, 0
+def nearest_option(entry: Floats, x: float, y: float) -> tuple[float, int]:
+    """Distance to the nearest of the entry options (4, 2) of an island, mm, and which it is: the first of equal ones."""
+    nearest, option = np.inf, 0
     for v in range(len(entry)):
         distance = np.hypot(entry[v, 0] - x, entry[v, 1] - y)
         if distance < nearest - JOINED_MM:
-            nearest, way = distance, v
-    return nearest, way
+            nearest, option = distance, v
+    return nearest, option
 
 
 @kernel
 def tabulated(entry: Floats, leave: Floats) -> tuple[Floats, Ints]:
     """Return the columns of :class:`EntryOptions`."""
-    count, ways = leave.shape[:2]
-    jump = np.empty((count, ways, count))
-    way = np.empty((count, ways, count), np.int64)
+    count, options = leave.shape[:2]
+    jump = np.empty((count, options, count))
+    option = np.empty((count, options, count), np.int64)
     for i in range(count):
-        for left_by in range(ways):
+        for left_by in range(options):
             x, y = leave[i, left_by]
             for j in range(count):
-                jump[i, left_by, j], way[i, left_by, j] = nearest_way(entry[j], x, y)
-    return jump, way
+                jump[i, left_by, j], option[i, left_by, j] = nearest_option(entry[j], x, y)
+    return jump, option

@@ -22,8 +22,7 @@ point group ``ebamcheck.orders``.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, field
 
 import numpy as np
 import shapely
@@ -31,14 +30,13 @@ from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.errors import SettingsError
-from ebamcheck.heat import HeatModel
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.plugins import registry
 from ebamcheck.scan.filling.hatch import Vectors
 from ebamcheck.scan.filling.schedule import IslandSchedule
 from ebamcheck.scan.heat.island_heat import IslandHeat, island_heat, with_fresh_heat
-from ebamcheck.scan.order.cool_entries import cool_ways
+from ebamcheck.scan.order.cool_entries import cool_options
 from ebamcheck.scan.order.path import NEAREST
 from ebamcheck.scan.order.simulation import clocked
 from ebamcheck.scan.order.thermal import greedy_order, thermal_order
@@ -56,7 +54,7 @@ TIE_MM = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class LayerIslands:
-    """What an order may know of the islands of one layer.
+    """What an order may know of the islands of one layer but their heat, which is a value of its own.
 
     Parameters
     ----------
@@ -70,7 +68,7 @@ class LayerIslands:
         Index of the layer.
     seed
         Seed of the run; :meth:`random` mixes the layer into it.
-    profile
+    config
         Settings.
     height_mm
         Height of the layer over the base plate.
@@ -82,8 +80,6 @@ class LayerIslands:
         When and where each is scanned. Without it, orders that ask for times or heat cannot be used.
     lines
         Lines of the islands, sorted by island; None: each counts as a blob of its area.
-    before
-        From the heat model of the layer, the amplitudes (K, N) at which it begins; None: cold.
     """
 
     centroid: Floats
@@ -91,13 +87,12 @@ class LayerIslands:
     neighbours: Ints
     layer: int = 0
     seed: int = 0
-    profile: Config = field(default_factory=Config)
+    config: Config = field(default_factory=Config)
     height_mm: float = 0.0
     section: BaseGeometry = field(default_factory=shapely.Polygon)
     polygons: NDArray[np.object_] = field(default_factory=lambda: np.zeros(0, object))
     schedule: IslandSchedule | None = None
     lines: Vectors | None = None
-    before: Callable[[HeatModel], Floats] | None = None
 
     def __len__(self) -> int:
         """Return the number of islands."""
@@ -107,7 +102,7 @@ class LayerIslands:
         """Random numbers of this layer, the same whenever it is planned."""
         return np.random.default_rng((self.seed, self.layer))
 
-    @cached_property
+    @property
     def known_schedule(self) -> IslandSchedule:
         """When and where the islands are scanned; raises :class:`SettingsError` where that is not known."""
         if self.schedule is None:
@@ -116,33 +111,25 @@ class LayerIslands:
             )
         return self.schedule
 
-    @cached_property
-    def heat(self) -> IslandHeat:
-        """The heat model of the layer and the temperature at which it begins."""
-        if self.before is None:
-            return self.cold_heat
-        return replace(self.cold_heat, start_k=self.before(self.cold_heat.model))
-
-    @cached_property
     def cold_heat(self) -> IslandHeat:
-        """The heat model of the layer on a cold part, set up when it is first asked for."""
+        """Set up the heat model of the layer, which begins as on a cold part."""
         schedule = self.known_schedule
         modes = island_heat(
-            self.section, self.polygons, schedule.beam_s, schedule.time_s, self.profile, self.height_mm
+            self.section, self.polygons, schedule.beam_s, schedule.time_s, self.config, self.height_mm
         )
         return self.with_fresh_heat(modes)
 
     def with_fresh_heat(self, modes: IslandHeat) -> IslandHeat:
         """Add the fresh heat between these islands to a heat model of the layer that has its modes alone."""
         lines = NO_LINES if self.lines is None else self.lines
-        return with_fresh_heat(modes, self.known_schedule, lines, self.section, self.polygons, self.profile)
+        return with_fresh_heat(modes, self.known_schedule, lines, self.section, self.polygons, self.config)
 
 
-Order = Callable[[LayerIslands], Ints]
-"""An order: from the islands of a layer, a permutation (I,) of their indices.
+Order = Callable[..., Ints]
+"""An order: from the islands of a layer, :class:`LayerIslands`, a permutation (I,) of their indices.
 
-One that never asks the heat model may say so by an attribute `needs_heat` that is false: its layers are then planned
-without the heat that those below have left.
+One with an attribute `needs_heat` that is true is called with a second value, the :class:`IslandHeat` with which the layer
+begins: that left by the layers below, where it is carried. The layers of others are planned without it.
 """
 
 
@@ -155,13 +142,18 @@ class HouseOrder:
     cool_entries: bool = False
     """Whether islands are entered at cooler ends than the nearest ones."""
 
-    def __call__(self, islands: LayerIslands) -> Ints:
+    def __call__(self, islands: LayerIslands, *heat: IslandHeat) -> Ints:
         """Order the islands."""
-        return self.plan(islands)
+        return self.plan(islands, *heat)
 
 
-def scan_order(name: str | Order, islands: LayerIslands) -> Ints:
+def scan_order(name: str | Order, islands: LayerIslands, heat: IslandHeat | None = None) -> Ints:
     """Order the islands of a layer by an order or its name, (I,) indices.
+
+    Parameters
+    ----------
+    heat
+        Heat with which the layer begins; None: that of a cold part, set up where the order needs it.
 
     Raises
     ------
@@ -169,9 +161,12 @@ def scan_order(name: str | Order, islands: LayerIslands) -> Ints:
         If there is no order of that name.
     """
     order = named_order(name)
-    if not len(islands):
-        return np.zeros(0, np.int64)
-    found = np.asarray(order(islands), np.int64)
+    if len(islands) < 2:
+        return np.arange(len(islands))
+    if needs_heat(order):
+        found = np.asarray(order(islands, islands.cold_heat() if heat is None else heat), np.int64)
+    else:
+        found = np.asarray(order(islands), np.int64)
     if not np.array_equal(np.sort(found), np.arange(len(islands))):
         raise SettingsError(
             f"scan.order {name!r} did not return every island of layer {islands.layer} once: "
@@ -181,14 +176,14 @@ def scan_order(name: str | Order, islands: LayerIslands) -> Ints:
 
 
 def needs_heat(name: str | Order) -> bool:
-    """Whether an order asks the heat model: what it says itself, and yes for one that says nothing.
+    """Whether an order asks the heat model: what it says itself, and no for one that says nothing.
 
     Examples
     --------
     >>> needs_heat("raster"), needs_heat("thermal")
     (False, True)
     """
-    return bool(getattr(named_order(name), "needs_heat", True))
+    return bool(getattr(named_order(name), "needs_heat", False))
 
 
 def named_order(name: str | Order) -> Order:
@@ -243,7 +238,7 @@ def raster(islands: LayerIslands) -> Ints:
 
 def stride(islands: LayerIslands) -> Ints:
     """Every n-th island of the raster, then those after them, and so on."""
-    rows, step = raster(islands), islands.profile.scan.stride
+    rows, step = raster(islands), islands.config.scan.stride
     return np.concatenate([rows[n::step] for n in range(step)])
 
 
@@ -252,23 +247,21 @@ def shuffled(islands: LayerIslands) -> Ints:
     return islands.random().permutation(len(islands)).astype(np.int64)
 
 
-def least_heat(islands: LayerIslands) -> Ints:
+def least_heat(islands: LayerIslands, heat: IslandHeat) -> Ints:
     """Next the island that is coolest when the beam gets there, however far it is."""
-    rapid = islands.profile.machine.rapid_mm_s
+    rapid = islands.config.machine.rapid_mm_s
     beside = touching(islands.neighbours, len(islands))
-    return greedy_order(islands.heat, islands.known_schedule, beside, rapid, _seeded_start(islands), 0.0, 0.0)
+    return greedy_order(heat, islands.known_schedule, beside, rapid, _seeded_start(islands), 0.0, 0.0)
 
 
-def thermal(islands: LayerIslands) -> Ints:
+def thermal(islands: LayerIslands, heat: IslandHeat) -> Ints:
     """Next a cool island that is near: the coolest plan whose travel is well under that of `farthest`."""
-    if len(islands) == 1:
-        return np.zeros(1, np.int64)
-    settings = islands.profile.scan
+    settings = islands.config.scan
     return thermal_order(
-        islands.heat,
+        heat,
         islands.known_schedule,
         islands.neighbours,
-        islands.profile.machine.rapid_mm_s,
+        islands.config.machine.rapid_mm_s,
         width_mm=float(np.sqrt(islands.area_mm2.mean())),
         longest_mm=longest_travel_mm(islands),
         start_travel_mm=settings.start_travel_mm,
@@ -279,16 +272,22 @@ def thermal(islands: LayerIslands) -> Ints:
 
 def longest_travel_mm(islands: LayerIslands) -> float:
     """Travel between islands that `thermal` may take: its share of that of `farthest`."""
-    schedule, rapid = islands.known_schedule, islands.profile.machine.rapid_mm_s
+    schedule, rapid = islands.known_schedule, islands.config.machine.rapid_mm_s
     *_, travel = clocked(farthest(islands), schedule.entry, schedule.leave, schedule.time_s, rapid)
-    return islands.profile.scan.travel_share * float(travel)
+    return islands.config.scan.travel_share * float(travel)
 
 
-def entry_ways(name: str | Order, islands: LayerIslands, order: Ints) -> Ints:
-    """Way (I,) by which each island of an order is entered: the nearest, or for an order of cool entries the coolest near enough."""
+def chosen_options(
+    name: str | Order, islands: LayerIslands, order: Ints, heat: IslandHeat | None = None
+) -> Ints:
+    """Entry option (I,) of each island of an order: the nearest, or for an order of cool entries the coolest near enough.
+
+    The heat is that with which the layer begins; None: that of a cold part, set up where the order has cool entries.
+    """
     if len(order) > 1 and getattr(named_order(name), "cool_entries", False):
-        rapid = islands.profile.machine.rapid_mm_s
-        return cool_ways(islands.heat, islands.known_schedule, order, rapid, longest_travel_mm(islands))
+        rapid = islands.config.machine.rapid_mm_s
+        known = islands.cold_heat() if heat is None else heat
+        return cool_options(known, islands.known_schedule, order, rapid, longest_travel_mm(islands))
     return np.full(len(order), NEAREST, np.int64)
 
 

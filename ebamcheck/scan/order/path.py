@@ -9,14 +9,14 @@ from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.filling.turns import JOINED_MM
 
 NEAREST = -1
-"""Way of an island that is entered from its corner nearest to where the last one ended."""
+"""Entry option of an island that is entered from its corner nearest to where the last one ended."""
 
 
 @kernel
 def in_sequence(
-    start: Floats, end: Floats, first: Ints, order: Ints, chained: Bools, ways: Ints
+    start: Floats, end: Floats, first: Ints, order: Ints, chained: Bools, options: Ints
 ) -> tuple[Ints, Bools]:
-    """Put the lines of islands in sequence, each island entered by its way, or by the one nearest to where the last ended.
+    """Put the lines of islands in sequence, each island entered by its option, or by the one nearest to where the last ended.
 
     An island's lines may be driven in either sequence and either direction; those of a `chained` one
     (bent lines along a wall) only forwards, or all backwards.
@@ -31,8 +31,8 @@ def in_sequence(
         (I,) islands in scan order.
     chained
         (I,) whether the lines of an island follow each other end to start.
-    ways
-        (I,) way by which each island is entered, as in :class:`~ebamcheck.scan.filling.schedule.IslandSchedule`;
+    options
+        (I,) entry option of each island, as in :class:`~ebamcheck.scan.filling.schedule.IslandSchedule`;
         :data:`NEAREST`: the nearest.
 
     Returns
@@ -54,8 +54,8 @@ def in_sequence(
         nearest = np.inf
         for variant in range(4):
             back, turn = variant >= 2, variant == 1 or variant == 2
-            if ways[island] >= 0:
-                if variant == ways[island]:
+            if options[island] >= 0:
+                if variant == options[island]:
                     backwards, flip = back, turn
                 continue
             if not known or (chained[island] and back != turn):

@@ -19,7 +19,7 @@ from ebamcheck.scan.heat.amplitudes import (
 )
 from ebamcheck.scan.heat.island_heat import IslandHeat
 from ebamcheck.scan.heat.near_field import NearField, young_rise
-from ebamcheck.scan.order.entry_options import nearest_way
+from ebamcheck.scan.order.entry_options import nearest_option
 
 
 def entry_temperatures(
@@ -66,8 +66,8 @@ def entry_points(
     """Mean temperature rise of each island, and that under the beam, when the beam enters it, (I,) K by island."""
     timetable = Timetable(order, start_s, end_s)
     old_k = _old_k(heat, heat.fresh, timetable)
-    way = nearest_ways(order, schedule.entry, schedule.leave)
-    means_k, points_k = _young_k(heat, heat.fresh, timetable, way)
+    option = nearest_options(order, schedule.entry, schedule.leave)
+    means_k, points_k = _young_k(heat, heat.fresh, timetable, option)
     return old_k + means_k, old_k + points_k
 
 
@@ -77,15 +77,17 @@ def _old_k(heat: IslandHeat, near: NearField, timetable: Timetable) -> Floats:
 
 
 def _young_k(
-    heat: IslandHeat, near: NearField, timetable: Timetable, way: Ints | None = None
+    heat: IslandHeat, near: NearField, timetable: Timetable, option: Ints | None = None
 ) -> tuple[Floats, Floats]:
-    """What younger heat adds, (I,) K: to the means of islands, and to the places where they are entered by a way."""
-    ways = np.zeros(len(timetable.start_s), np.int64) if way is None else way
-    return freshly_heated(near, heat.source_k_s, timetable, ways)
+    """What younger heat adds, (I,) K: to the means of islands, and to the places where they are entered by an option."""
+    options = np.zeros(len(timetable.start_s), np.int64) if option is None else option
+    return freshly_heated(near, heat.modes.source_k_s, timetable, options)
 
 
 @kernel
-def freshly_heated(near: NearField, source: Floats, timetable: Timetable, way: Ints) -> tuple[Floats, Floats]:
+def freshly_heated(
+    near: NearField, source: Floats, timetable: Timetable, option: Ints
+) -> tuple[Floats, Floats]:
     """Rises by heat younger than the horizon, (I,) K: of the means of islands, and of their entries."""
     order, start, end = timetable
     means, points = np.zeros(len(start)), np.zeros(len(start))
@@ -99,7 +101,7 @@ def freshly_heated(near: NearField, source: Floats, timetable: Timetable, way: I
             if place[j] >= place[i] or place[j] < 0 or since > near.horizon_s:
                 continue
             time = end[j] - start[j]
-            mean, point = young_rise(near, near.pair[p], i, way[i], j, way[j], since, time)
+            mean, point = young_rise(near, near.pair[p], i, option[i], j, option[j], since, time)
             means[i] += source[j] * mean
             points[i] += source[j] * point
     return means, points
@@ -156,32 +158,32 @@ def simulated(modes: Modes, share: Floats, timetable: Timetable, state: Floats) 
 
 
 @kernel
-def nearest_ways(order: Ints, entry: Floats, leave: Floats) -> Ints:
-    """Way by which each island is driven, by island (I,), entering each the nearest way."""
-    ways = np.zeros(len(entry), np.int64)
+def nearest_options(order: Ints, entry: Floats, leave: Floats) -> Ints:
+    """Entry option of each island, by island (I,): the nearest one."""
+    options = np.zeros(len(entry), np.int64)
     for n in range(1, len(order)):
-        x, y = leave[order[n - 1], ways[order[n - 1]]]
-        ways[order[n]] = nearest_way(entry[order[n]], x, y)[1]
-    return ways
+        x, y = leave[order[n - 1], options[order[n - 1]]]
+        options[order[n]] = nearest_option(entry[order[n]], x, y)[1]
+    return options
 
 
 @kernel
 def clocked(
     order: Ints, entry: Floats, leave: Floats, time: Floats, rapid: float
 ) -> tuple[Floats, Floats, float]:
-    """Start and end of each island by island (I,), s, and the travel between them, mm, entering each the nearest way."""
+    """Start and end of each island by island (I,), s, and the travel between them, mm, entering each by the nearest option."""
     start, end = np.empty(len(order)), np.empty(len(order))
     clock, travel = 0.0, 0.0
     x, y = entry[order[0], 0, 0], entry[order[0], 0, 1]
     for n in range(len(order)):
         island = order[n]
-        nearest, way = nearest_way(entry[island], x, y)
+        nearest, option = nearest_option(entry[island], x, y)
         if n == 0:
-            nearest, way = 0.0, 0
+            nearest, option = 0.0, 0
         clock += nearest / rapid
         travel += nearest
         start[island] = clock
         clock += time[island]
         end[island] = clock
-        x, y = leave[island, way, 0], leave[island, way, 1]
+        x, y = leave[island, option, 0], leave[island, option, 1]
     return start, end, travel

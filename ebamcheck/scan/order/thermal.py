@@ -26,7 +26,7 @@ from ebamcheck.scan.heat.island_heat import IslandHeat
 from ebamcheck.scan.heat.near_field import NearField, young_rise
 from ebamcheck.scan.order.all_orders import MOST_LISTED, best_of_all
 from ebamcheck.scan.order.annealing import Layer, annealed, high_mean
-from ebamcheck.scan.order.entry_options import entry_options, nearest_way
+from ebamcheck.scan.order.entry_options import entry_options, nearest_option
 from ebamcheck.scan.order.simulation import clocked, entry_points
 from ebamcheck.scan.order.touching import Touching, touching, touching_successors
 
@@ -91,11 +91,11 @@ def thermal_order(
     price_k_mm = float(np.mean(own_rise(heat, schedule))) / width_mm
     beside = touching(neighbours, count)
     if count <= MOST_LISTED:
-        ways = entry_options(schedule)
-        latest_s = float(schedule.time_s.sum() + (count - 1) * ways.jump_mm.max() / rapid_mm_s)
+        options = entry_options(schedule)
+        latest_s = float(schedule.time_s.sum() + (count - 1) * options.jump_mm.max() / rapid_mm_s)
         table = influence(heat, schedule.time_s, latest_s)
-        return best_of_all(Layer(table, ways, beside, schedule.time_s, rapid_mm_s), longest_mm)
-    tries = _tries(count, len(heat.plane_rate))
+        return best_of_all(Layer(table, options, beside, schedule.time_s, rapid_mm_s), longest_mm)
+    tries = _tries(count, len(heat.modes.plane_rate))
 
     def plans(start: int, stop: int) -> list[tuple[Ints, Rank]]:
         done = []
@@ -147,11 +147,11 @@ def better(rank: Rank, than: Rank) -> bool:
 def own_rise(heat: IslandHeat, schedule: IslandSchedule) -> Floats:
     """Mean temperature rise of each island by its own heat when the beam leaves it, (I,) K."""
     rise = np.zeros(len(schedule))
-    for n, wave in enumerate(heat.in_layer):
-        decay_s = heat.plane_rate[:, None] + heat.depth_rate[n]
+    for n, wave in enumerate(heat.modes.in_layer):
+        decay_s = heat.modes.plane_rate[:, None] + heat.modes.depth_rate[n]
         held = -np.expm1(-decay_s * schedule.time_s) / np.where(decay_s > 0.0, decay_s, 1.0)
         held = np.where(decay_s > 0.0, held, schedule.time_s)
-        rise += wave**2 * heat.source_k_s * (heat.mean**2 * held).sum(axis=0)
+        rise += wave**2 * heat.modes.source_k_s * (heat.modes.mean**2 * held).sum(axis=0)
     return rise
 
 
@@ -183,7 +183,9 @@ def greedy_order(
     layer = _Layer(
         heat.modes, heat.fresh, beside, schedule.entry, schedule.leave, schedule.time_s, rapid_mm_s
     )
-    return coolest_first(layer, _Prices(price_k_mm, start_k), first, heat.mean.copy(), heat.start_k.copy())
+    return coolest_first(
+        layer, _Prices(price_k_mm, start_k), first, heat.modes.mean.copy(), heat.start_k.copy()
+    )
 
 
 class _Layer(NamedTuple):
@@ -211,12 +213,12 @@ class _Greedy(NamedTuple):
     order: Ints
     start_s: Floats
     end_s: Floats
-    way: Ints
+    option: Ints
     scanned: Bools
     jump_mm: Floats
     """Travel to an island that is left, ..."""
     by: Ints
-    """... and the way by which it is then entered."""
+    """... and its entry option then."""
     fresh_mean_k: Floats
     fresh_entry_k: Floats
     touches: Ints
@@ -253,13 +255,13 @@ def coolest_first(layer: _Layer, prices: _Prices, first: int, mean: Floats, stat
     now, soon = np.empty(count), np.empty(count)
     latest = _longest_jump_s(layer)
     clock, reached = 0.0, 0
-    place, way, jump = first, 0, 0.0
+    place, option, jump = first, 0, 0.0
     for n in range(count):
         island = left[place]
         plan.order[n] = island
         last, plan.start_s[island] = clock, clock + jump / layer.rapid_mm_s
         clock = plan.start_s[island] + layer.time_s[island]
-        plan.way[island], plan.end_s[island], plan.scanned[island] = way, clock, True
+        plan.option[island], plan.end_s[island], plan.scanned[island] = option, clock, True
         timetable = Timetable(plan.order[: n + 1], plan.start_s, plan.end_s)
         reached = with_late_heat(state, aged, timetable, horizon, last, clock, reached)
         rest = count - n - 1
@@ -273,14 +275,14 @@ def coolest_first(layer: _Layer, prices: _Prices, first: int, mean: Floats, stat
         _set_old_heat(
             mean, at_surface(state, layer.modes), at_surface(ahead, layer.modes), now[:rest], soon[:rest]
         )
-        x, y = layer.leave[island, way, 0], layer.leave[island, way, 1]
+        x, y = layer.leave[island, option, 0], layer.leave[island, option, 1]
         for candidate in left[:rest]:
-            plan.jump_mm[candidate], plan.by[candidate] = nearest_way(layer.entry[candidate], x, y)
+            plan.jump_mm[candidate], plan.by[candidate] = nearest_option(layer.entry[candidate], x, y)
         _set_fresh_heat(layer, plan, n)
         for m in range(layer.beside.first[island], layer.beside.first[island + 1]):
             plan.touches[layer.beside.other[m]] = n
         place = _coolest(layer, plan, n, left[:rest], now, soon, latest, prices)
-        way, jump = plan.by[left[place]], plan.jump_mm[left[place]]
+        option, jump = plan.by[left[place]], plan.jump_mm[left[place]]
     return plan.order
 
 
@@ -322,7 +324,7 @@ def _set_fresh_heat(layer: _Layer, plan: _Greedy, n: int) -> None:
                 continue
             since = now - plan.end_s[last] + plan.jump_mm[i] / layer.rapid_mm_s
             mean, entry = young_rise(
-                near, near.pair[p], i, plan.by[i], last, plan.way[last], since, layer.time_s[last]
+                near, near.pair[p], i, plan.by[i], last, plan.option[last], since, layer.time_s[last]
             )
             plan.fresh_mean_k[i] += source[last] * mean
             plan.fresh_entry_k[i] += source[last] * entry

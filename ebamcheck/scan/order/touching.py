@@ -27,7 +27,21 @@ def touching(neighbours: Ints, count: int) -> Touching:
 @kernel
 def touch(beside: Touching, one: int, other: int) -> bool:
     """Whether two islands have a common border."""
-    return bool(np.any(beside.other[beside.first[one] : beside.first[one + 1]] == other))
+    for m in range(beside.first[one], beside.first[one + 1]):  # noqa: SIM110 - no generator in a kernel
+        if beside.other[m] == other:
+            return True
+    return False
+
+
+@kernel
+def touch_table(beside: Touching) -> Bools:
+    """Whether each two islands (I, I) have a common border."""
+    count = len(beside.first) - 1
+    table = np.zeros((count, count), np.bool_)
+    for one in range(count):
+        for m in range(beside.first[one], beside.first[one + 1]):
+            table[one, beside.other[m]] = True
+    return table
 
 
 @kernel

@@ -16,8 +16,8 @@ import shapely
 from ebamcheck.heat import HeatModel
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.filling.turns import follows, turns_and_jumps_mm
+from ebamcheck.scan.heat.island_heat import IslandHeat
 from ebamcheck.scan.heat.part_heat import Beads, uneven
-from ebamcheck.scan.order.orders import LayerIslands
 from ebamcheck.scan.order.path import in_sequence
 from ebamcheck.scan.plan.laying import LaidLayer
 from ebamcheck.settings.config import Config
@@ -31,38 +31,41 @@ NEAR_SPACINGS = 2.0
 program has it."""
 
 
-def bead_sequence(laid: LaidLayer, islands: LayerIslands, order: Ints, ways: Ints) -> tuple[Beads, float]:
+def bead_sequence(
+    laid: LaidLayer, config: Config, heat: IslandHeat | None, order: Ints, options: Ints
+) -> tuple[Beads, float]:
     """Put contours and islands in sequence, as the program drives them.
 
     Parameters
     ----------
+    heat
+        Heat model of the islands, whose modes the beads are read in; None where there are none.
     order
         Islands in scan order; without any, the contours alone are taken.
-    ways
-        Way by which each island is entered, see :func:`~ebamcheck.scan.order.path.in_sequence`.
+    options
+        Entry option of each island, see :func:`~ebamcheck.scan.order.path.in_sequence`.
 
     Returns
     -------
     beads, travel_mm
         And the jumps between islands.
     """
-    profile = islands.profile
-    speed, rapid = profile.process.travel_speed_mm_s, profile.machine.rapid_mm_s
+    speed, rapid = config.process.travel_speed_mm_s, config.machine.rapid_mm_s
     rings = _rings(laid)
-    count = np.array([_pieces(ring.length, profile) for ring in rings], np.int64)
+    count = np.array([_pieces(ring.length, config) for ring in rings], np.int64)
     ring_mm = np.array([ring.length for ring in rings])
-    ring_mm += np.minimum(profile.process.overlap_mm, ring_mm)
-    model = islands.cold_heat.model if len(islands) else None
-    path = _island_path(laid, order, ways, profile)
+    ring_mm += np.minimum(config.process.overlap_mm, ring_mm)
+    model = None if heat is None else heat.model
+    path = _island_path(laid, order, options, config)
     columns, times = [_along(rings, count, model)], [np.repeat(ring_mm / speed / np.maximum(count, 1), count)]
-    shares = [np.repeat(mean_power(ring_mm, profile.process), count)]
-    if len(order):
-        columns.append(uneven(islands.cold_heat.mean[:, path.island], islands.cold_heat.model))
+    shares = [np.repeat(mean_power(ring_mm, config.process), count)]
+    if heat is not None and len(order):
+        columns.append(uneven(heat.modes.mean[:, path.island], heat.model))
         times.append(path.bead_mm / speed)
-        shares.append(mean_power(path.bead_mm, profile.process))
+        shares.append(mean_power(path.bead_mm, config.process))
     move_mm = np.concatenate([_to_rings(rings, path.start), np.hypot(*(path.start[1:] - path.end[:-1]).T)])
-    up_and_down_mm = 2.0 * profile.machine.safe_height_mm
-    rises = _rises(move_mm, profile)
+    up_and_down_mm = 2.0 * config.machine.safe_height_mm
+    rises = _rises(move_mm, config)
     rises[:1] = up_and_down_mm
     inner = np.zeros(len(move_mm), np.bool_)
     inner[len(rings) :] = np.diff(path.island, prepend=-1) == 0
@@ -104,16 +107,16 @@ class _IslandPath:
     bead_mm: Floats
 
 
-def _island_path(laid: LaidLayer, order: Ints, ways: Ints, profile: Config) -> _IslandPath:
+def _island_path(laid: LaidLayer, order: Ints, options: Ints, config: Config) -> _IslandPath:
     lines, count = laid.lines, len(laid.islands)
     if not len(order):
         return _IslandPath(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
     first = np.concatenate([[0], np.cumsum(np.bincount(lines.island, minlength=count))]).astype(np.int64)
-    rows, turned = in_sequence(lines.start, lines.end, first, order, laid.chained, ways)
+    rows, turned = in_sequence(lines.start, lines.end, first, order, laid.chained, options)
     island, swap = lines.island[rows], turned[:, None]
     a = np.where(swap, lines.end[rows], lines.start[rows])
     b = np.where(swap, lines.start[rows], lines.end[rows])
-    spacing = profile.process.hatch_spacing_mm
+    spacing = config.process.hatch_spacing_mm
     turn, _ = turns_and_jumps_mm(island, a, b, spacing)
     begins = np.flatnonzero(~follows(island, a, b, spacing))
     ends = np.append(begins[1:], len(island)) - 1
@@ -121,17 +124,17 @@ def _island_path(laid: LaidLayer, order: Ints, ways: Ints, profile: Config) -> _
     return _IslandPath(island[begins], a[begins], b[ends], bead_mm)
 
 
-def _rises(move_mm: Floats, profile: Config) -> Floats:
+def _rises(move_mm: Floats, config: Config) -> Floats:
     """Way up and down on moves with the beam off, mm."""
-    far = move_mm > NEAR_SPACINGS * profile.process.hatch_spacing_mm
-    return np.where(far, 2.0 * profile.machine.safe_height_mm, 0.0)
+    far = move_mm > NEAR_SPACINGS * config.process.hatch_spacing_mm
+    return np.where(far, 2.0 * config.machine.safe_height_mm, 0.0)
 
 
 def _to_rings(rings: list[shapely.LinearRing], entry: Floats) -> Floats:
     """Shortest ways to each contour and from the last one to the first island, mm; to the first bead none is known."""
     stops = [*rings, *(shapely.Point(place) for place in entry[:1])]
-    ways = shapely.distance(np.array(stops[:-1], object), np.array(stops[1:], object))
-    return np.concatenate([np.zeros(len(stops[:1])), np.asarray(ways, np.float64)])
+    options = shapely.distance(np.array(stops[:-1], object), np.array(stops[1:], object))
+    return np.concatenate([np.zeros(len(stops[:1])), np.asarray(options, np.float64)])
 
 
 def _rings(laid: LaidLayer) -> list[shapely.LinearRing]:
@@ -146,8 +149,8 @@ def _rings(laid: LaidLayer) -> list[shapely.LinearRing]:
     return sorted(turned, key=lambda ring: ring.coords[0])
 
 
-def _pieces(length_mm: float, profile: Config) -> int:
-    return max(1, round(length_mm / (PIECE_BEADS * profile.process.bead_width_mm)))
+def _pieces(length_mm: float, config: Config) -> int:
+    return max(1, round(length_mm / (PIECE_BEADS * config.process.bead_width_mm)))
 
 
 def _along(rings: list[shapely.LinearRing], count: Ints, model: HeatModel | None) -> Floats:

@@ -14,6 +14,7 @@ import pyarrow.parquet as pq
 import shapely
 from numpy.typing import NDArray
 
+from ebamcheck.atomic_file import COMPRESSION
 from ebamcheck.errors import InputError
 from ebamcheck.metal import Surface
 from ebamcheck.numeric.rings import Floats, Ints
@@ -150,7 +151,7 @@ class ScanPlan:
 
     def to_parquet(self, path: str | Path) -> None:
         """Write one row an island (in the order of `islands`), with its lines as nested columns."""
-        pq.write_table(_to_table(self), path, version="2.6", compression="zstd")
+        pq.write_table(_to_table(self), path, version="2.6", compression=COMPRESSION)
 
     @classmethod
     def from_parquet(cls, path: str | Path) -> ScanPlan:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -15,8 +16,8 @@ from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.heat.island_heat import IslandHeat, island_heat
 from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.scan.order.cool_entries import modes_at_entries, rises_at_entries
-from ebamcheck.scan.order.orders import ORDERS, LayerIslands, entry_ways, scan_order
-from ebamcheck.scan.order.simulation import entry_temperatures, nearest_ways
+from ebamcheck.scan.order.orders import ORDERS, LayerIslands, chosen_options, needs_heat, scan_order
+from ebamcheck.scan.order.simulation import entry_temperatures, nearest_options
 from ebamcheck.scan.order.touching import touching, touching_successors
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.scan.plan.laying import LaidLayer, lay_islands
@@ -53,7 +54,7 @@ FIGURES = {
 
 @dataclass(frozen=True, eq=False)
 class OrderResult:
-    """One order driven on a layer.
+    """One order simulated on a layer.
 
     Parameters
     ----------
@@ -102,32 +103,46 @@ class OrderResult:
 
 def compare_orders(
     polygons: BaseGeometry | Iterable[BaseGeometry],
-    profile: Config | None = None,
+    config: Config | None = None,
     orders: Sequence[str] | None = None,
     seeds: int = SEEDS,
     layer: int = 0,
     height_mm: float = 0.0,
 ) -> pd.DataFrame:
-    """Plan a layer in several orders and drive each on the heat model.
+    """Plan a layer in several orders and simulate each on the heat model.
 
     The simulation resolves waves as short as an island, of which a plan knows only those that last.
 
     Parameters
     ----------
-    polygons, profile, layer, height_mm
+    polygons, config, layer, height_mm
         As for :func:`ebamcheck.plan_scan`; the height is that over the base plate.
     orders
         Names; all of the house if None.
     seeds
-        Seeds over which `random` is averaged; the other orders take the seed of the profile.
+        Seeds over which `random` is averaged; the other orders take the seed of the settings.
 
     Returns
     -------
     DataFrame
         One row an order, columns as in :data:`FIGURES`; temperatures are NaN for a layer without islands.
+
+    Raises
+    ------
+    SettingsError
+        If an order is unknown, or there is no seed.
+    GeometryError
+        If a coordinate is not finite.
+
+    Examples
+    --------
+    >>> import shapely
+    >>> table = compare_orders(shapely.box(0, 0, 80, 60), orders=["raster", "thermal"]).set_index("order")
+    >>> bool(table["entry_max_k"]["thermal"] < table["entry_max_k"]["raster"])
+    True
     """
-    profile = profile or Config()
-    compared = OrderComparison.of(polygons, profile, layer, height_mm)
+    config = config or Config()
+    compared = OrderComparison.of(polygons, config, layer, height_mm)
     names = COMPARED if orders is None else orders
     rows = [figures_of(name, compared.results(name, seeds)) for name in names]
     return pd.DataFrame(rows, columns=list(FIGURES))
@@ -141,46 +156,52 @@ def figures_of(name: str, results: Iterable[OrderResult]) -> dict[str, Any]:
 
 @dataclass(frozen=True, eq=False)
 class OrderComparison:
-    """A layer on which orders are compared: islands and heat model are set up once."""
+    """A layer on which orders are compared: islands and heat models are set up once."""
 
     laid: LaidLayer
     islands: LayerIslands
     heat: IslandHeat | None
-    profile: Config
+    config: Config
 
     @classmethod
     def of(
-        cls, polygons: BaseGeometry | Iterable[BaseGeometry], profile: Config, layer: int, height_mm: float
+        cls, polygons: BaseGeometry | Iterable[BaseGeometry], config: Config, layer: int, height_mm: float
     ) -> OrderComparison:
         """Divide a layer into islands and set up its heat model."""
         section = layer_section(polygons)
-        laid = lay_islands(section, profile, layer, height_mm)
-        islands = laid.choices(profile, profile.scan.seed)
+        laid = lay_islands(section, config, layer, height_mm)
+        islands = laid.choices(config, config.scan.seed)
         heat = None
         if len(islands):
             schedule = islands.known_schedule
             modes = island_heat(
-                section, laid.islands, schedule.beam_s, schedule.time_s, profile, height_mm, fine=True
+                section, laid.islands, schedule.beam_s, schedule.time_s, config, height_mm, fine=True
             )
             heat = islands.with_fresh_heat(modes)
-        return cls(laid, islands, heat, profile)
+        return cls(laid, islands, heat, config)
+
+    @cached_property
+    def planning_heat(self) -> IslandHeat:
+        """Heat model that orders plan by, on a cold part; `heat`, on which they are simulated, is finer."""
+        return self.islands.cold_heat()
 
     def results(self, name: str, seeds: int) -> Iterator[OrderResult]:
-        """Plan one order and drive it, one after the other: `random` for several seeds, others for that of the profile."""
-        tried = range(seeds) if name == RANDOM else (self.profile.scan.seed,)
+        """Plan one order and simulate it, one after the other: `random` for several seeds, others for that of the settings."""
+        tried = range(seeds) if name == RANDOM else (self.config.scan.seed,)
         if not len(tried):
             raise SettingsError(f"seeds {seeds}: give at least 1 for the order {RANDOM!r}")
         return (self.result(name, seed) for seed in tried)
 
     def result(self, name: str, seed: int) -> OrderResult:
-        """Plan one order and drive it."""
-        islands = self.islands if seed == self.islands.seed else self.laid.choices(self.profile, seed)
-        order = scan_order(name, islands)
-        ways = entry_ways(name, islands, order)
+        """Plan one order and simulate it."""
+        islands = self.islands if seed == self.islands.seed else self.laid.choices(self.config, seed)
+        known = self.planning_heat if needs_heat(name) and len(islands) > 1 else None
+        order = scan_order(name, islands, known)
+        options = chosen_options(name, islands, order, known)
         plan = stack_plans(
-            [in_order(OrderedLayer(self.laid, islands, order, ways))], self.profile, name, seed
+            [in_order(OrderedLayer(self.laid, islands, order, options))], self.config, name, seed
         )
-        simulated = simulate_order(plan, self.profile)
+        simulated = simulate_order(plan, self.config)
         count = len(order)
         rank = np.empty(count, np.int64)
         rank[order] = np.arange(count)
@@ -195,21 +216,21 @@ class OrderComparison:
         by_island = np.argsort(simulated["island"].to_numpy())
         begins, ends = start_s.to_numpy()[by_island], end_s.to_numpy()[by_island]
         entry_k, excess = entry_temperatures(self.heat, islands.area_mm2, order, begins, ends)
-        point_k = self._points_k(islands, order, ways, begins, ends)
+        point_k = self._points_k(islands, order, options, begins, ends)
         hot = np.empty(count, np.bool_)
         hot[order] = touching_successors(touching(islands.neighbours, count), order)
         travel_mm = float(simulated["travel_mm"].sum())
         return OrderResult(plan, rank, begins, ends, entry_k, point_k, excess, hot, travel_mm)
 
     def _points_k(
-        self, islands: LayerIslands, order: Ints, ways: Ints, start_s: Floats, end_s: Floats
+        self, islands: LayerIslands, order: Ints, options: Ints, start_s: Floats, end_s: Floats
     ) -> Floats:
         """Temperature rises (I,) under the beam where it enters the islands."""
         assert self.heat is not None
         schedule = islands.known_schedule
-        if (ways < 0).any():
-            ways = nearest_ways(order, schedule.entry, schedule.leave)
+        if (options < 0).any():
+            options = nearest_options(order, schedule.entry, schedule.leave)
         rises_k = rises_at_entries(
-            self.heat, modes_at_entries(self.heat, schedule), order, start_s, end_s, ways
+            self.heat, modes_at_entries(self.heat, schedule), order, start_s, end_s, options
         )
-        return np.asarray(rises_k[np.arange(len(order)), ways], np.float64)
+        return np.asarray(rises_k[np.arange(len(order)), options], np.float64)

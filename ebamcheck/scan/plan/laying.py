@@ -41,7 +41,7 @@ class LaidLayer:
     covered: float
     widest_gap_mm: float
 
-    def choices(self, profile: Config, seed: int, plate_mm: float = 0.0) -> LayerIslands:
+    def choices(self, config: Config, seed: int, plate_mm: float = 0.0) -> LayerIslands:
         """What an order may know of the layer; `plate_mm` is the height of the base plate."""
         return LayerIslands(
             centroid=self.centroid,
@@ -49,21 +49,21 @@ class LaidLayer:
             neighbours=self.neighbours,
             layer=self.layer,
             seed=seed,
-            profile=profile,
+            config=config,
             height_mm=self.height_mm - plate_mm,
             section=self.regions.section,
             polygons=self.islands,
-            schedule=island_schedule(self.lines, self.chained, profile),
+            schedule=island_schedule(self.lines, self.chained, config),
             lines=self.lines,
         )
 
 
-def lay_islands(section: BaseGeometry, profile: Config, layer: int, height_mm: float) -> LaidLayer:
+def lay_islands(section: BaseGeometry, config: Config, layer: int, height_mm: float) -> LaidLayer:
     """Divide one valid section into islands and fill them."""
-    regions = layer_regions(section, profile)
-    side = _side_mm(regions, profile)
-    found = _partition(regions, side, profile, layer)
-    filled = fill_layer(regions, found, profile, layer)
+    regions = layer_regions(section, config)
+    side = _side_mm(regions, config)
+    found = _partition(regions, side, config, layer)
+    filled = fill_layer(regions, found, config, layer)
     neighbours, border = shared_borders(filled.islands)
     return LaidLayer(
         layer=layer,
@@ -82,22 +82,22 @@ def lay_islands(section: BaseGeometry, profile: Config, layer: int, height_mm: f
     )
 
 
-def _side_mm(regions: Regions, profile: Config) -> float:
+def _side_mm(regions: Regions, config: Config) -> float:
     """Side of the hexagons: the one set, else planned from the solids; NaN without a solid."""
     if not regions.solids:
         return math.nan
-    if profile.scan.hexagon_side_mm is not None:
-        return profile.scan.hexagon_side_mm
+    if config.scan.hexagon_side_mm is not None:
+        return config.scan.hexagon_side_mm
     area, border = float(shapely.area(regions.solids).sum()), float(shapely.length(regions.solids).sum())
-    return planned_side_mm(area, border, profile.process.hatch_spacing_mm)
+    return planned_side_mm(area, border, config.process.hatch_spacing_mm)
 
 
-def _partition(regions: Regions, side_mm: float, profile: Config, layer: int) -> cells.Cells:
+def _partition(regions: Regions, side_mm: float, config: Config, layer: int) -> cells.Cells:
     """Lay the cells of the partition over the section and clip them to its solids."""
-    if profile.scan.partition == "whole" or not regions.solids:
+    if config.scan.partition == "whole" or not regions.solids:
         return cells.undivided(regions.solids)
-    place = layer_place(shapely.get_coordinates(regions.section), side_mm, profile, layer)
-    lattice = LATTICES[profile.scan.partition](place, side_mm)
+    place = layer_place(shapely.get_coordinates(regions.section), side_mm, config, layer)
+    lattice = LATTICES[config.scan.partition](place, side_mm)
     return cells.partition(
-        regions.solids, lattice, profile.process.bead_width_mm, profile.process.hatch_spacing_mm
+        regions.solids, lattice, config.process.bead_width_mm, config.process.hatch_spacing_mm
     )

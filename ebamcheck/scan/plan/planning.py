@@ -19,7 +19,7 @@ from ebamcheck.settings.config import Config
 
 def plan_scan(
     polygons: BaseGeometry | Iterable[BaseGeometry],
-    profile: Config | None = None,
+    config: Config | None = None,
     order: str | None = None,
     seed: int | None = None,
     layer: int = 0,
@@ -32,15 +32,20 @@ def plan_scan(
     polygons
         Solid regions of the layer as shapely geometries, mm; overlapping ones unite, invalid ones are
         made valid. No polygon gives a plan without islands.
-    profile
+    config
         Settings; the default ones if None.
     order, seed
         Name of the order (see :data:`ebamcheck.scan.ORDERS`) and seed of its random choices; those of
-        the profile if None.
+        the settings if None.
     layer
         Index of the layer, which turns and shifts the hatch and the cells, and seeds the start.
     height_mm
         Its height over the base plate.
+
+    Returns
+    -------
+    ScanPlan
+        Islands, their order, hatch lines in mm, and metrics, as of a stack of one layer.
 
     Raises
     ------
@@ -56,18 +61,18 @@ def plan_scan(
     >>> sorted(plan.order.tolist()) == list(range(len(plan.islands)))
     True
     """
-    profile = profile or Config()
-    name, number = order or profile.scan.order, profile.scan.seed if seed is None else seed
+    config = config or Config()
+    name, number = order or config.scan.order, config.scan.seed if seed is None else seed
     stack = Stack([layer_section(polygons)], np.array([height_mm], np.float64), [layer])
     asked = needs_heat(name)
-    carry = asked and profile.scan.carry_heat
-    planned = ordered_layers(stack, profile, name, number, carry=carry, simulated=asked)
-    return stack_plans([in_order(done) for done in planned], profile, name, number)
+    carry = asked and config.scan.carry_heat
+    planned = ordered_layers(stack, config, name, number, carry=carry, simulated=asked)
+    return stack_plans([in_order(done) for done in planned], config, name, number)
 
 
 def plan_stack(
     layers: Layers,
-    profile: Config | None = None,
+    config: Config | None = None,
     progress: Progress | None = None,
     order: str | None = None,
     seed: int | None = None,
@@ -75,7 +80,7 @@ def plan_stack(
     """Plan a stack of layers, each as :func:`plan_scan` does, on all threads.
 
     An order that asks the heat model begins each layer with the heat that those under it have left, unless
-    `scan.carry_heat` is off. Whatever the order, each layer is driven with that heat for its power and waits, unless
+    `scan.carry_heat` is off. Whatever the order, each layer is simulated with that heat for its power and waits, unless
     `process.interpass` is off.
 
     Parameters
@@ -84,20 +89,20 @@ def plan_stack(
         Contours; open paths bound no region and are not filled.
     progress
         Called with the number of layers done since the last call.
-    profile, order, seed
+    config, order, seed
         As for :func:`plan_scan`.
     """
-    profile = profile or Config()
-    name, number = order or profile.scan.order, profile.scan.seed if seed is None else seed
+    config = config or Config()
+    name, number = order or config.scan.order, config.scan.seed if seed is None else seed
     # Layers are cut at half their height: the part stands on the plate half a layer under the lowest cut.
-    plate_mm = float(layers.heights.min(initial=np.inf)) - 0.5 * profile.layer_height_mm
+    plate_mm = float(layers.heights.min(initial=np.inf)) - 0.5 * config.layer_height_mm
     sections = [layer_section(layers.polygons(k)) for k in range(len(layers))]
     stack = Stack(sections, layers.heights, range(len(layers)), plate_mm)
-    carry = profile.scan.carry_heat and needs_heat(name)
-    simulated = profile.process.interpass != "off" or profile.preheat.when != "off"
+    carry = config.scan.carry_heat and needs_heat(name)
+    simulated = config.process.interpass != "off" or config.preheat.when != "off"
     planned = []
-    for done in ordered_layers(stack, profile, name, number, carry, simulated):
+    for done in ordered_layers(stack, config, name, number, carry, simulated):
         planned.append(in_order(done))
         if progress is not None:
             progress(1)
-    return stack_plans(planned, profile, name, number)
+    return stack_plans(planned, config, name, number)

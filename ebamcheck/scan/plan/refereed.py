@@ -28,7 +28,7 @@ OPINION = {
 """Figures of a second opinion and what they are."""
 
 
-def second_opinion(model: Referee, result: OrderResult, profile: Config) -> dict[str, float]:
+def second_opinion(model: Referee, result: OrderResult, config: Config) -> dict[str, float]:
     """Drive a compared order on the referee as well.
 
     Parameters
@@ -37,7 +37,7 @@ def second_opinion(model: Referee, result: OrderResult, profile: Config) -> dict
         Referee of the layer, from :func:`referee_of`.
     result
         The order as the linear model drove it.
-    profile
+    config
         Settings of both.
 
     Returns
@@ -49,7 +49,7 @@ def second_opinion(model: Referee, result: OrderResult, profile: Config) -> dict
     # Half a second to load, for those who compare orders.
     from scipy.stats import kendalltau
 
-    islands_k, spots_k = refereed_entries(model, result.plan, profile)
+    islands_k, spots_k = refereed_entries(model, result.plan, config)
     warmed = (result.rank > 0) & np.isfinite(islands_k)
     enough = int(warmed.sum()) > 1
     tau = float(kendalltau(result.entry_k[warmed], islands_k[warmed]).statistic) if enough else math.nan
@@ -60,51 +60,51 @@ def second_opinion(model: Referee, result: OrderResult, profile: Config) -> dict
     }
 
 
-def referee_of(laid: LaidLayer, profile: Config, cells_per_island: float = CELLS_PER_ISLAND) -> Referee:
+def referee_of(laid: LaidLayer, config: Config, cells_per_island: float = CELLS_PER_ISLAND) -> Referee:
     """Set up the referee of a layer that has islands."""
     section = laid.regions.section
     width_mm = math.sqrt(section.area / len(laid.islands))
-    return referee(section, profile, laid.height_mm, width_mm / cells_per_island)
+    return referee(section, config, laid.height_mm, width_mm / cells_per_island)
 
 
-def refereed(model: Referee, plan: ScanPlan, profile: Config) -> Verdict:
+def refereed(model: Referee, plan: ScanPlan, config: Config) -> Verdict:
     """Drive a plan of one layer from cold; what it finds is by island of the plan."""
-    return _driven(model, plan, profile, plan.islands, _entered_s(plan, profile))
+    return _driven(model, plan, config, plan.islands, _entered_s(plan, config))
 
 
-def refereed_entries(model: Referee, plan: ScanPlan, profile: Config) -> tuple[Floats, Floats]:
+def refereed_entries(model: Referee, plan: ScanPlan, config: Config) -> tuple[Floats, Floats]:
     """Temperature rise of each island, and of a spot as wide as a bead where the beam enters it, (I,) K; NaN without lines."""
     first = plan.vectors.drop_duplicates("island")
     island = first["island"].to_numpy()
     spots = shapely.buffer(
-        shapely.points(first[["x0", "y0"]].to_numpy(np.float64)), 0.5 * profile.process.bead_width_mm
+        shapely.points(first[["x0", "y0"]].to_numpy(np.float64)), 0.5 * config.process.bead_width_mm
     )
-    entered_s, count = _entered_s(plan, profile), len(plan.islands)
+    entered_s, count = _entered_s(plan, config), len(plan.islands)
     read = np.concatenate([plan.islands, spots])
-    entry_k = _driven(model, plan, profile, read, np.concatenate([entered_s, entered_s[island]])).entry_k
+    entry_k = _driven(model, plan, config, read, np.concatenate([entered_s, entered_s[island]])).entry_k
     point_k = np.full(count, np.nan)
     point_k[island] = entry_k[count:]
     return entry_k[:count], point_k
 
 
-def _entered_s(plan: ScanPlan, profile: Config) -> Floats:
+def _entered_s(plan: ScanPlan, config: Config) -> Floats:
     """Time at which each island of a plan is entered, (I,); 0 for those without lines."""
-    simulated = simulate_order(plan, profile).sort_values("island")
+    simulated = simulate_order(plan, config).sort_values("island")
     return np.asarray(simulated["start_s"].fillna(0.0).to_numpy(np.float64), np.float64)
 
 
 def _driven(
-    model: Referee, plan: ScanPlan, profile: Config, read: NDArray[np.object_], entered_s: Floats
+    model: Referee, plan: ScanPlan, config: Config, read: NDArray[np.object_], entered_s: Floats
 ) -> Verdict:
     """Drive a plan of one layer from cold and read the temperatures of polygons, each at its time."""
-    ends, begin_s, end_s = beam_lines(plan, profile)
+    ends, begin_s, end_s = beam_lines(plan, config)
     return judged(
         model,
         model.cold(),
         ends,
         begin_s,
         end_s,
-        profile.process.power_w * profile.material.absorptivity,
+        config.process.power_w * config.material.absorptivity,
         read,
         entered_s,
         float(end_s[-1]) if len(end_s) else 0.0,

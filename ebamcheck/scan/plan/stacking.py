@@ -39,19 +39,21 @@ class LayerPlan:
 def in_order(layer: OrderedLayer) -> LayerPlan:
     """Lines of a layer whose islands are put in order."""
     laid = layer.laid
-    return LayerPlan(laid, layer.order, _path(laid.lines, layer.order, laid.chained, layer.ways), layer.heat)
+    return LayerPlan(
+        laid, layer.order, _path(laid.lines, layer.order, laid.chained, layer.options), layer.heat
+    )
 
 
-def _path(vectors: Vectors, order: Ints, chained: Bools, ways: Ints) -> Vectors:
-    """Lines in scan order, every island entered by its way."""
+def _path(vectors: Vectors, order: Ints, chained: Bools, options: Ints) -> Vectors:
+    """Lines in scan order, every island entered by its option."""
     first = np.concatenate([[0], np.cumsum(np.bincount(vectors.island, minlength=order.size))])
-    rows, turned = in_sequence(vectors.start, vectors.end, first.astype(np.int64), order, chained, ways)
+    rows, turned = in_sequence(vectors.start, vectors.end, first.astype(np.int64), order, chained, options)
     a, b = vectors.start[rows], vectors.end[rows]
     swap = turned[:, None]
     return Vectors(vectors.island[rows], np.where(swap, b, a), np.where(swap, a, b))
 
 
-def stack_plans(planned: Sequence[LayerPlan], profile: Config, order: str, seed: int) -> ScanPlan:
+def stack_plans(planned: Sequence[LayerPlan], config: Config, order: str, seed: int) -> ScanPlan:
     """Join layers into one plan and measure it."""
     base = np.cumsum([0] + [len(p.laid.islands) for p in planned])
     islands = _joined([p.laid.islands for p in planned], np.zeros(0, object))
@@ -71,11 +73,11 @@ def stack_plans(planned: Sequence[LayerPlan], profile: Config, order: str, seed:
         order=_joined([p.order + b for p, b in by_layer], np.zeros(0, np.int64)),
         vectors=_vector_table(by_layer),
         metrics=pd.DataFrame(columns=list(METRICS)),
-        settings=_settings(profile, order, seed),
+        settings=_settings(config, order, seed),
         island_wait_s=_joined([_waits_s(p, inner=False) for p in planned], np.zeros(0)),
         inner_wait_s=_joined([_waits_s(p, inner=True) for p in planned], np.zeros(0)),
     )
-    return replace(plan, metrics=_measured(plan, planned, profile))
+    return replace(plan, metrics=_measured(plan, planned, config))
 
 
 def _waits_s(layer: LayerPlan, inner: bool) -> Floats:
@@ -94,7 +96,7 @@ def _vector_table(by_layer: Sequence[tuple[LayerPlan, Any]]) -> pd.DataFrame:
         return empty_vectors()
     start = np.concatenate([p.vectors.start for p, _ in by_layer])
     end = np.concatenate([p.vectors.end for p, _ in by_layer])
-    way = end - start
+    option = end - start
     return pd.DataFrame(
         {
             "island": np.concatenate([p.vectors.island + b for p, b in by_layer]),
@@ -102,27 +104,27 @@ def _vector_table(by_layer: Sequence[tuple[LayerPlan, Any]]) -> pd.DataFrame:
             "y0": start[:, 1],
             "x1": end[:, 0],
             "y1": end[:, 1],
-            "angle": np.degrees(np.arctan2(way[:, 1], way[:, 0])) % 360.0,
+            "angle": np.degrees(np.arctan2(option[:, 1], option[:, 0])) % 360.0,
         }
     )
 
 
-def _settings(profile: Config, order: str, seed: int) -> dict[str, Any]:
+def _settings(config: Config, order: str, seed: int) -> dict[str, Any]:
     """What shaped the plan."""
     return {
         "order": order,
         "seed": seed,
-        "scan": profile.scan.model_dump(mode="json", exclude={"order", "seed"}),
-        "bead_width_mm": profile.process.bead_width_mm,
-        "bead_spacing": profile.process.bead_spacing,
-        "travel_speed_mm_s": profile.process.travel_speed_mm_s,
-        "rapid_mm_s": profile.machine.rapid_mm_s,
+        "scan": config.scan.model_dump(mode="json", exclude={"order", "seed"}),
+        "bead_width_mm": config.process.bead_width_mm,
+        "bead_spacing": config.process.bead_spacing,
+        "travel_speed_mm_s": config.process.travel_speed_mm_s,
+        "rapid_mm_s": config.machine.rapid_mm_s,
     }
 
 
-def _measured(plan: ScanPlan, planned: Sequence[LayerPlan], profile: Config) -> pd.DataFrame:
+def _measured(plan: ScanPlan, planned: Sequence[LayerPlan], config: Config) -> pd.DataFrame:
     """One row a layer, as :data:`METRICS` says."""
-    simulated = simulate_order(plan, profile)
+    simulated = simulate_order(plan, config)
     end = np.full(len(plan.islands), np.nan)
     end[simulated["island"]] = simulated["end_s"]
     interval = neighbour_intervals_s(end, plan.neighbours)
@@ -138,7 +140,7 @@ def _measured(plan: ScanPlan, planned: Sequence[LayerPlan], profile: Config) -> 
     spread = [values[np.isfinite(values)] for values in spread]
     area = np.array([p.laid.regions.section.area for p in planned], np.float64)
     contour = np.array([p.laid.regions.contour.length for p in planned], np.float64)
-    laid_mm2 = (contour + length + turn) * profile.process.hatch_spacing_mm
+    laid_mm2 = (contour + length + turn) * config.process.hatch_spacing_mm
     values: dict[str, Any] = {
         "layer": [p.laid.layer for p in planned],
         "height_mm": plan.heights,
@@ -153,11 +155,11 @@ def _measured(plan: ScanPlan, planned: Sequence[LayerPlan], profile: Config) -> 
         "turn_length_mm": turn,
         "travel_mm": travel,
         "starts": total(simulated["starts"]).astype(np.int64),
-        "time_s": (length + turn) / profile.process.travel_speed_mm_s + travel / profile.machine.rapid_mm_s,
+        "time_s": (length + turn) / config.process.travel_speed_mm_s + travel / config.machine.rapid_mm_s,
         "interval_p10_s": [float(np.quantile(v, EARLY)) if v.size else math.nan for v in spread],
         "interval_min_s": [float(v.min()) if v.size else math.nan for v in spread],
         **{name: [math.nan if p.heat is None else getattr(p.heat, name) for p in planned] for name in HEAT},
     }
-    if profile.preheat.when != "off":
+    if config.preheat.when != "off":
         values["preheat_passes"] = [0 if p.heat is None else p.heat.preheat_passes for p in planned]
     return pd.DataFrame(values, columns=[*METRICS, *(name for name in values if name not in METRICS)])

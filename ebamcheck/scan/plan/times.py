@@ -35,17 +35,17 @@ class _Schedule:
     end_s: Floats
 
 
-def _scheduled(plan: ScanPlan, profile: Config) -> _Schedule:
+def _scheduled(plan: ScanPlan, config: Config) -> _Schedule:
     table = plan.vectors
     island = table["island"].to_numpy()
     start, end = table[["x0", "y0"]].to_numpy(), table[["x1", "y1"]].to_numpy()
     length = np.hypot(*(end - start).T)
     new_layer = np.diff(plan.island_layer[island], prepend=-1) != 0
-    way = jumps_mm(start, end, new_layer)
-    on = follows(island, start, end, profile.process.hatch_spacing_mm)
-    turn, jump = np.where(on, way, 0.0), np.where(on, 0.0, way)
-    laying = length / profile.process.travel_speed_mm_s
-    to_it = turn / profile.process.travel_speed_mm_s + jump / profile.machine.rapid_mm_s
+    option = jumps_mm(start, end, new_layer)
+    on = follows(island, start, end, config.process.hatch_spacing_mm)
+    turn, jump = np.where(on, option, 0.0), np.where(on, 0.0, option)
+    laying = length / config.process.travel_speed_mm_s
+    to_it = turn / config.process.travel_speed_mm_s + jump / config.machine.rapid_mm_s
     total = np.cumsum(laying + to_it)
     group = np.cumsum(new_layer) - 1
     offset = (total - laying)[new_layer][group] if len(length) else total
@@ -53,7 +53,7 @@ def _scheduled(plan: ScanPlan, profile: Config) -> _Schedule:
     return _Schedule(island, start, end, length, turn, jump, new_layer, ends - laying, ends)
 
 
-def simulate_order(plan: ScanPlan, profile: Config) -> pd.DataFrame:
+def simulate_order(plan: ScanPlan, config: Config) -> pd.DataFrame:
     """Drive a plan: lines and turns at travel speed, jumps at rapid speed, every layer from time 0.
 
     Contour beads and the pause between layers are not part of it.
@@ -66,7 +66,7 @@ def simulate_order(plan: ScanPlan, profile: Config) -> pd.DataFrame:
         between its own lines), ``length_mm`` of its lines, ``turn_mm`` of the turns between them and
         ``starts`` of the wire. An island without lines has NaN times.
     """
-    scheduled = _scheduled(plan, profile)
+    scheduled = _scheduled(plan, config)
     island, jump = scheduled.island, scheduled.jump
     new_island = np.diff(island, prepend=-1) != 0
 
@@ -98,7 +98,7 @@ def simulate_order(plan: ScanPlan, profile: Config) -> pd.DataFrame:
     )
 
 
-def beam_lines(plan: ScanPlan, profile: Config) -> tuple[Floats, Floats, Floats]:
+def beam_lines(plan: ScanPlan, config: Config) -> tuple[Floats, Floats, Floats]:
     """Straight lines that the beam heats, in the order in which it does: lines and the turns to them.
 
     Returns
@@ -108,9 +108,9 @@ def beam_lines(plan: ScanPlan, profile: Config) -> tuple[Floats, Floats, Floats]
     begin_s, end_s
         (n,) from 0 in every layer.
     """
-    scheduled = _scheduled(plan, profile)
+    scheduled = _scheduled(plan, config)
     turn = np.flatnonzero(scheduled.turn > 0.0)
-    turn_s = scheduled.turn[turn] / profile.process.travel_speed_mm_s
+    turn_s = scheduled.turn[turn] / config.process.travel_speed_mm_s
     ends = np.vstack(
         [
             np.hstack([scheduled.start, scheduled.end]),

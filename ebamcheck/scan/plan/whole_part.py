@@ -20,8 +20,9 @@ from ebamcheck.heat.one_blas_thread import one_blas_thread
 from ebamcheck.numeric.kernels import run_blocks, thread_count
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.heat.interpass import LayerJob, SimulatedLayer, cooled_layer
+from ebamcheck.scan.heat.island_heat import IslandHeat
 from ebamcheck.scan.heat.part_heat import Beads, PartHeat
-from ebamcheck.scan.order.orders import LayerIslands, Order, entry_ways, scan_order
+from ebamcheck.scan.order.orders import LayerIslands, Order, chosen_options, needs_heat, scan_order
 from ebamcheck.scan.plan.bead_sequence import bead_sequence
 from ebamcheck.scan.plan.laying import LaidLayer, lay_islands
 from ebamcheck.scan.plan.preheated import preheated
@@ -76,14 +77,22 @@ class LayerHeat:
 
 
 @dataclass(frozen=True, eq=False)
+class ReadyIslands:
+    """Islands of a layer, and their heat model as it begins on a cold part; None where there are none."""
+
+    islands: LayerIslands
+    cold: IslandHeat | None
+
+
+@dataclass(frozen=True, eq=False)
 class OrderedLayer:
-    """A layer, what its order knew of it, the order (I,), the way (I,) by which each island is entered (see
+    """A layer, what its order knew of its islands, the order (I,), the entry option (I,) of each island (see
     :func:`~ebamcheck.scan.order.path.in_sequence`), and its heat where it was simulated."""
 
     laid: LaidLayer
     islands: LayerIslands
     order: Ints
-    ways: Ints
+    options: Ints
     heat: LayerHeat | None = None
 
 
@@ -112,18 +121,18 @@ class Stack:
         """Return the number of layers."""
         return len(self.sections)
 
-    def thickness_mm(self, layer: int, profile: Config) -> float:
+    def thickness_mm(self, layer: int, config: Config) -> float:
         """Height of one layer: the step from the one below, for the lowest that to the next, or the one set."""
         steps = np.diff(self.heights_mm)
-        return float(steps[max(layer - 1, 0)]) if len(steps) else profile.layer_height_mm
+        return float(steps[max(layer - 1, 0)]) if len(steps) else config.layer_height_mm
 
-    def bottom_mm(self, layer: int, profile: Config) -> float:
+    def bottom_mm(self, layer: int, config: Config) -> float:
         """Z over the base plate on which one layer lies, by the sum of those under it."""
-        return sum(self.thickness_mm(k, profile) for k in range(layer))
+        return sum(self.thickness_mm(k, config) for k in range(layer))
 
 
 def ordered_layers(
-    stack: Stack, profile: Config, order: str | Order, seed: int, carry: bool, simulated: bool = True
+    stack: Stack, config: Config, order: str | Order, seed: int, carry: bool, simulated: bool = True
 ) -> Iterator[OrderedLayer]:
     """Put layers in order, from below.
 
@@ -132,7 +141,7 @@ def ordered_layers(
     carry
         Let each order know the heat that is left below; else it is that of a cold part.
     simulated
-        Drive each layer on the heat model, and find its waits and power. Always done where heat is carried.
+        Simulate each layer on the heat model, and find its waits and power. Always done where heat is carried.
 
     Yields
     ------
@@ -140,14 +149,13 @@ def ordered_layers(
         As soon as it is done.
     """
     if not (carry or simulated):
-        yield from _prepared(stack, lambda k: _cold(stack, k, profile, order, seed))
+        yield from _prepared(stack, lambda k: _cold(stack, k, config, order, seed))
         return
-    part, last = PartHeat(HeatColumn(profile)), None
-    for k, (laid, islands) in enumerate(_prepared(stack, lambda k: laid_layer(stack, k, profile, seed))):
-        thick_mm = stack.thickness_mm(k, profile)
-        part, passes = preheated(part, stack.sections, k, stack.bottom_mm(k, profile), profile)
+    part, last = PartHeat(HeatColumn(config)), None
+    for k, (laid, ready) in enumerate(_prepared(stack, lambda k: laid_layer(stack, k, config, seed))):
+        part, passes = preheated(part, stack.sections, k, stack.bottom_mm(k, config), config)
         done, part, last = ordered_on(
-            part, last, laid, islands, thick_mm, profile, order, carry, last is None
+            part, last, laid, ready, stack.thickness_mm(k, config), config, order, carry, last is None
         )
         yield done if done.heat is None else replace(done, heat=replace(done.heat, preheat_passes=passes))
 
@@ -156,9 +164,9 @@ def ordered_on(
     part: PartHeat,
     last: SimulatedLayer | None,
     laid: LaidLayer,
-    islands: LayerIslands,
+    ready: ReadyIslands,
     thickness_mm: float,
-    profile: Config,
+    config: Config,
     order: str | Order,
     carry: bool,
     lowest: bool,
@@ -181,19 +189,20 @@ def ordered_on(
     tuple
         The layer; and the heat of the part when it is done, and how it was simulated: those before where it has no metal.
     """
+    islands, cold = ready.islands, ready.cold
     with one_blas_thread():
-        part = part.under(islands.cold_heat.model if len(islands) else None)
+        part = part.under(None if cold is None else cold.model)
         shape = LayerShape.of(islands.section, thickness_mm)
-        known = _knowing(islands, laid, part, last, profile) if carry else islands
-        found = scan_order(order, known)
-        ways = entry_ways(order, known, found)
+        begins = None if cold is None else _warmed(cold, islands, laid, part, last) if carry else cold
+        found = scan_order(order, islands, begins)
+        options = chosen_options(order, islands, found, begins)
         if islands.section.area <= 0.0:
-            return OrderedLayer(laid, known, found, ways), part, last
-        beads, travel_mm = bead_sequence(laid, islands, found, ways)
+            return OrderedLayer(laid, islands, found, options), part, last
+        beads, travel_mm = bead_sequence(laid, config, cold, found, options)
         guess = 0.0 if last is None else last.power_share
-        done = cooled_layer(LayerJob(beads, shape, islands.height_mm, lowest), part, profile, guess)
+        done = cooled_layer(LayerJob(beads, shape, islands.height_mm, lowest), part, config, guess)
     return (
-        OrderedLayer(laid, known, found, ways, _figures(done, travel_mm, beads, len(found), profile)),
+        OrderedLayer(laid, islands, found, options, _figures(done, travel_mm, beads, len(found), config)),
         done.after,
         done,
     )
@@ -202,7 +211,7 @@ def ordered_on(
 def scan_part(
     sections: Sequence[BaseGeometry],
     heights_mm: Floats,
-    profile: Config,
+    config: Config,
     order: str | Order,
     seed: int,
 ) -> Generator[dict[str, Any], None, None]:
@@ -222,7 +231,7 @@ def scan_part(
     """
     stack = Stack(sections, heights_mm, range(len(sections)))
     nothing = {**dict.fromkeys(WHOLE_PART, np.nan), "travel_mm": 0.0, "time_s": 0.0}
-    for done in ordered_layers(stack, profile, order, seed, carry=True):
+    for done in ordered_layers(stack, config, order, seed, carry=True):
         figures = nothing if done.heat is None else vars(done.heat)
         place = {"layer": done.laid.layer, "height_mm": done.islands.height_mm, "islands": len(done.islands)}
         yield {name: {**figures, **place}[name] for name in WHOLE_PART}
@@ -255,53 +264,44 @@ def _prepared(stack: Stack, prepare: Callable[[int], _Prepared]) -> Iterator[_Pr
 
 
 @one_blas_thread()
-def _cold(stack: Stack, k: int, profile: Config, order: str | Order, seed: int) -> OrderedLayer:
+def _cold(stack: Stack, k: int, config: Config, order: str | Order, seed: int) -> OrderedLayer:
     """Divide one layer into islands and put them in order as on a cold part."""
-    laid = lay_islands(stack.sections[k], profile, stack.numbers[k], float(stack.heights_mm[k]))
-    islands = laid.choices(profile, seed, stack.plate_mm)
-    found = scan_order(order, islands)
-    return OrderedLayer(laid, islands, found, entry_ways(order, islands, found))
+    laid = lay_islands(stack.sections[k], config, stack.numbers[k], float(stack.heights_mm[k]))
+    islands = laid.choices(config, seed, stack.plate_mm)
+    heat = islands.cold_heat() if needs_heat(order) and len(islands) > 1 else None
+    found = scan_order(order, islands, heat)
+    return OrderedLayer(laid, islands, found, chosen_options(order, islands, found, heat))
 
 
 @one_blas_thread()
-def laid_layer(stack: Stack, k: int, profile: Config, seed: int) -> tuple[LaidLayer, LayerIslands]:
+def laid_layer(stack: Stack, k: int, config: Config, seed: int) -> tuple[LaidLayer, ReadyIslands]:
     """Divide one layer into islands, and set up its heat model."""
-    laid = lay_islands(stack.sections[k], profile, stack.numbers[k], float(stack.heights_mm[k]))
-    islands = laid.choices(profile, seed, stack.plate_mm)
-    if len(islands):
-        _ = islands.cold_heat
-    return laid, islands
+    laid = lay_islands(stack.sections[k], config, stack.numbers[k], float(stack.heights_mm[k]))
+    islands = laid.choices(config, seed, stack.plate_mm)
+    return laid, ReadyIslands(islands, islands.cold_heat() if len(islands) else None)
 
 
-def _knowing(
-    islands: LayerIslands, laid: LaidLayer, part: PartHeat, last: SimulatedLayer | None, profile: Config
-) -> LayerIslands:
-    """Let an order know the heat with which the islands of a layer begin: its contours are laid.
+def _warmed(
+    cold: IslandHeat, islands: LayerIslands, laid: LaidLayer, part: PartHeat, last: SimulatedLayer | None
+) -> IslandHeat:
+    """Heat with which the islands of a layer begin: its contours are laid on what the part has left.
 
     Power and wait are those of the layer below, since those of this one depend on its order.
     """
-    if not len(islands):
-        return islands
-    ahead = part.copy()
+    config, ahead = islands.config, part.copy()
     share, wait_s = (1.0, 0.0) if last is None else (last.power_share, last.wait_s)
     ahead.rest(wait_s)
-    beads, _ = bead_sequence(laid, islands, np.zeros(0, np.int64), np.zeros(0, np.int64))
-    ahead.column.lay(LayerShape.of(islands.section, profile.layer_height_mm))
+    beads, _ = bead_sequence(laid, config, cold, np.zeros(0, np.int64), np.zeros(0, np.int64))
+    ahead.column.lay(LayerShape.of(islands.section, config.layer_height_mm))
     for ring in range(len(beads)):
         ahead.rest(float(beads.move_s[ring]))
-        ahead.lay_bead(beads, ring, share * profile.process.power_w * profile.material.absorptivity)
-    begins = ahead.amplitudes()
-    after = replace(islands, before=lambda _: begins)
-    # The modes are found already; only the beginning is another one.
-    vars(after)["cold_heat"] = islands.cold_heat
-    return after
+        ahead.lay_bead(beads, ring, share * config.process.power_w * config.material.absorptivity)
+    return replace(cold, start_k=ahead.amplitudes())
 
 
-def _figures(
-    done: SimulatedLayer, travel_mm: float, beads: Beads, islands: int, profile: Config
-) -> LayerHeat:
+def _figures(done: SimulatedLayer, travel_mm: float, beads: Beads, islands: int, config: Config) -> LayerHeat:
     # Beyond the boiling point the model says that it is too hot, not how hot.
-    boiling_k, ambient_k = profile.material.boiling_k, profile.process.ambient_temperature_k
+    boiling_k, ambient_k = config.material.boiling_k, config.process.ambient_temperature_k
     rise_k = np.minimum(done.bed_k, boiling_k) - ambient_k
     entry_k = rise_k if rise_k.size else np.zeros(1)
     island_wait_s, inner_wait_s = np.zeros(islands), np.zeros(islands)

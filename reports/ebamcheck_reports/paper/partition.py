@@ -26,9 +26,9 @@ UNTURNED: Final = {"lattice_angle_deg": 0.0, "lattice_shift": False}
 def measure(subject: Subject) -> tuple[dict[str, Any], list[Markup]]:
     """Partition the largest layer and picture its islands in their order."""
     section = subject.largest_section
-    profile = Config().changed(scan={"rectangle": RECTANGLE, "order": ORDER, **UNTURNED})
+    config = Config().changed(scan={"rectangle": RECTANGLE, "order": ORDER, **UNTURNED})
     regions = section.polygons(0)
-    plan = plan_scan(regions, profile, layer=subject.largest_layer, height_mm=float(section.heights[0]))
+    plan = plan_scan(regions, config, layer=subject.largest_layer, height_mm=float(section.heights[0]))
     figures = plan.metrics.iloc[0]
     record = {
         "layer": subject.largest_layer,
@@ -40,10 +40,10 @@ def measure(subject: Subject) -> tuple[dict[str, Any], list[Markup]]:
         "order": ORDER,
         "rectangle": RECTANGLE,
         "covered_fraction": float(figures["covered_fraction"]),
-        "bead_width_mm": profile.process.bead_width_mm,
+        "bead_width_mm": config.process.bead_width_mm,
     }
     picture = scan_picture.draw(
-        plan, section, 0, profile.process.bead_width_mm, "hexagons of the layer and their order"
+        plan, section, 0, config.process.bead_width_mm, "hexagons of the layer and their order"
     )
     return record, [scan_picture.key(), picture]
 

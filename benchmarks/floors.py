@@ -1,0 +1,136 @@
+"""Floors of the targets: what a figure cannot be under on this machine, from bytes that must be touched or a part measured alone.
+
+Bytes that must be touched are the file that is read and the layers that are written, or the layers that are compared;
+over the copy bandwidth of all cores, which every benchmark measures at its start (``machine``).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from benchmarks import methods
+from benchmarks.figures import cell_times, find, total_s
+from benchmarks.targets import SLICE, Figures
+from ebamcheck.numeric.kernels import run_blocks
+
+COPY_BYTES, COPIES = 1 << 28, 5
+"""Size of the array that is copied, far over any cache, and how often: the fastest copy counts."""
+
+LINE_BYTES = 64
+"""What the machine reads for a vertex at any place: a line of its cache."""
+
+Floor = Callable[[Figures], float | None]
+
+
+def copy_bandwidth() -> float:
+    """Bytes read and written in a second while an array is copied by all threads."""
+    source = np.zeros(COPY_BYTES // 8)
+    target = np.ones_like(source)
+
+    def work(start: int, stop: int) -> None:
+        target[start:stop] = source[start:stop]
+
+    best_s = np.inf
+    for _ in range(COPIES):
+        start = time.perf_counter()
+        run_blocks(work, len(source))
+        best_s = min(best_s, time.perf_counter() - start)
+    return 2.0 * COPY_BYTES / best_s
+
+
+def floor_of(key: str, figures: Figures) -> float | None:
+    """Floor of a target in its unit; None where there is none, or what it asks for was not measured."""
+    found = FLOORS.get(key)
+    return None if found is None else found(figures)
+
+
+def _touched_s(figures: Figures, count: float | None) -> float | None:
+    """Time to touch so many bytes."""
+    return count / figures.copy_bytes_s if count is not None and figures.copy_bytes_s else None
+
+
+def _output_bytes(figures: Figures, method: str) -> float | None:
+    cell = find(figures.cells, f"{figures.series}-{figures.top}", method)
+    return float(cell["runs"][-1]["rounds"][-1]["output_bytes"]) if cell and cell["runs"] else None
+
+
+def _file_bytes(figures: Figures) -> float:
+    return float(figures.parts[f"{figures.series}-{figures.top}"]["bytes"])
+
+
+def _cut_s(figures: Figures) -> float | None:
+    """File to contours: the file read and the layers written, once."""
+    output = _output_bytes(figures, "planecut")
+    return None if output is None else _touched_s(figures, _file_bytes(figures) + output)
+
+
+def _over(method: str, steps: tuple[str, ...] | None = None) -> Floor:
+    """The cut at its floor over the time of a peer."""
+
+    def floor(figures: Figures) -> float | None:
+        cell = find(figures.cells, f"{figures.series}-{figures.top}", method)
+        peer = cell_times(cell) if steps is None else cell_times(cell, steps)
+        cut_s = _cut_s(figures)
+        return None if peer is None or cut_s is None else cut_s / peer.median
+
+    return floor
+
+
+def _start_up_s(figures: Figures) -> float | None:
+    found = figures.told("imports", lambda answer: answer["wall_s"])
+    return None if found is None else found.median
+
+
+def _cold_s(figures: Figures) -> float | None:
+    """An interpreter with the libraries, and the cut at its floor."""
+    start_s, cut_s = _start_up_s(figures), _cut_s(figures)
+    return None if start_s is None or cut_s is None else start_s + cut_s
+
+
+def _shuffled(figures: Figures) -> float | None:
+    """The same work, and once a line of the cache for every corner of every facet where it lies anywhere."""
+    in_order = figures.told("in order", total_s)
+    facets = float(figures.parts[f"{figures.series}-{figures.top}"]["facets"])
+    extra_s = _touched_s(figures, 3.0 * LINE_BYTES * facets)
+    return None if in_order is None or extra_s is None else 1.0 + extra_s / in_order.median
+
+
+def _compare_s(figures: Figures) -> float | None:
+    """All points of all stacks that are compared, read once."""
+    sizes = [_output_bytes(figures, name) for name in ("planecut", "manifold", "embree", "stencil")]
+    known = [size for size in sizes if size is not None]
+    return _touched_s(figures, sum(known)) if len(known) > 1 else None
+
+
+def _cross_check_s(figures: Figures) -> float | None:
+    """The slowest slicer by itself, and the comparison at its floor."""
+    part = f"{figures.series}-{figures.top}"
+    times = [cell_times(find(figures.cells, part, name)) for name in ("manifold", "embree", "stencil")]
+    slowest, compare_s = max((t.median for t in times if t is not None), default=None), _compare_s(figures)
+    return None if slowest is None or compare_s is None else slowest + compare_s
+
+
+def _one(figures: Figures) -> float | None:
+    """Proportion, or the library's own time."""
+    return 1.0
+
+
+FLOORS: Mapping[str, Floor] = {
+    "planecut-prusa": _over(methods.PRUSA_STAGE, ("slice_s",)),
+    "planecut-manifold": _over(methods.MANIFOLD_ALONE, SLICE),
+    "planecut-seconds": _cut_s,
+    "planecut-memory": _one,
+    "planecut-memory-gained": _one,
+    "union-proportion": _one,
+    "cold": _cold_s,
+    "start-up": _start_up_s,
+    "growth": _one,
+    "shuffled": _shuffled,
+    "manifold": _one,
+    "compare": _compare_s,
+    "cross-check": _cross_check_s,
+}
+"""By the target's key; a row that is not here counts no bytes, and its remark says what it costs."""

@@ -1,0 +1,315 @@
+"""Exact surfaces of a mesh: on which facets lie whose vertices are on one form to the rounding of their file.
+
+Where a form is found, the part's surface is known between the vertices, too, however the mesh divides it: by formula, and
+not by normals that were estimated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from ebamcheck.curves.exact.fitting import told_forms
+from ebamcheck.curves.exact.forms import FLAT, KIND, OWN, PLACE, SIDE, SIZE, signed_distance
+from ebamcheck.curves.exact.growing import Ground, absorb, grown, touching
+from ebamcheck.curves.exact.told import told_corners
+from ebamcheck.curves.regions.borders import LIKE
+from ebamcheck.curves.regions.segmentation import PLANE, STRIP, Regions
+from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.topology import NO_TWIN, Index, split_corners
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Bools, Floats
+
+FIT = 3.0
+"""Tolerances of a plane within which the vertices lie on a fitted surface; its own place and size take their share."""
+
+NO_SURFACE = -1
+
+GAP = 4.0
+"""A group that stands this many times farther off than any less far one does is a flat side whose ends lie on the surface."""
+
+MOST_OF_TYPICAL = 25.0
+"""Times what facets of the mesh stand off as a rule that those of an exact surface may; on meshes of scattered points long ones
+do so."""
+
+PATCHES = (48, 16)
+"""Groups about a seed that are tried."""
+
+MOST_TRIALS = 240
+"""Seeds that may fail: a mesh of free forms alone is asked at so many places, evenly spread."""
+
+MOST_ROUNDS = 6
+"""Rounds of growth and fit for one surface; it grows no more after two or three as a rule."""
+
+
+TANGENT_COSINE = np.cos(np.deg2rad(0.6))
+"""Cosine of the angle between two surfaces that touch along their border, by what the rounding of a file leaves."""
+
+TANGENT = 0.9
+"""Share of the known edges beside, along which they touch."""
+
+BESIDE = 0.4
+"""Share of the smooth edges of a surface's border beyond which something is known: one of two rims, about."""
+
+LEAST_BESIDE = 6
+"""Such edges at least."""
+
+
+class ExactSurfaces(NamedTuple):
+    """Exact surfaces of a mesh, and the planes beside them."""
+
+    label: Index
+    """(F,) surface of each facet; :data:`NO_SURFACE` for none."""
+    rows: Floats
+    """(S, SIZE) surfaces, as :mod:`ebamcheck.curves.exact.forms` has them."""
+
+
+def no_surfaces(facet_count: int) -> ExactSurfaces:
+    """Where none is known."""
+    return ExactSurfaces(np.full(facet_count, NO_SURFACE, np.int32), np.zeros((0, SIZE)))
+
+
+def exact_surfaces(
+    part: Part, twin: Index, across: Index, regions: Regions, typical_mm: float
+) -> ExactSurfaces:
+    """Find the exact surfaces of a mesh, and the planes beside them.
+
+    Parameters
+    ----------
+    part
+        The mesh.
+    twin
+        (3 F,) half-edge across each; -1 at creases.
+    across
+        (3 F,) the same, at creases too.
+    regions
+        Its regions.
+    typical_mm
+        How far facets stand off the surface as a rule, by their turns.
+    """
+    return _Search(part, twin, across, regions, typical_mm).run()
+
+
+class _Search:
+    def __init__(self, part: Part, twin: Index, across: Index, regions: Regions, typical_mm: float) -> None:
+        self.across = across
+        self.largest_mm = MOST_OF_TYPICAL * typical_mm
+        groups = regions.groups
+        vertices, faces = part.vertices, part.faces
+        sectors = split_corners(faces, twin)
+        told = told_corners(vertices, faces, groups.label, sectors, regions.tolerance_mm)
+        self.ground = Ground(
+            vertices, faces, twin, groups.label, groups.starts, groups.facets, groups.normals, told
+        )
+        self.kind = regions.kind
+        self.areas = groups.areas
+        self.tolerance_mm = FIT * regions.tolerance_mm
+        self.middles: Floats = vertices[faces].mean(axis=1)
+        self.taken: Bools = np.zeros(len(groups.normals), np.bool_)
+        self.of_group = np.full(len(groups.normals), NO_SURFACE, np.int32)
+        self.rows: list[Floats] = []
+        self.sagittas: list[float] = []
+        self.failed = 0
+        self.supported = False
+        """Whether surfaces are looked for that others have to bear out."""
+
+    def run(self) -> ExactSurfaces:
+        """Ask each smooth piece of one kind as a whole, then at places of it; then what is left between surfaces."""
+        for piece in self._pieces(np.inf):
+            if not self._try(piece):
+                for patch in self._patches(piece):
+                    self._try(patch)
+        known = 0
+        for piece in self._pieces(LIKE) if self.rows else ():
+            self._try(piece)
+        self.supported = True
+        while len(self.rows) > known:
+            known = len(self.rows)
+            for most in (np.inf, LIKE):
+                for piece in self._pieces(most):
+                    self._try(piece)
+        label = self.of_group[self.ground.label]
+        rows = np.array(self.rows).reshape(-1, SIZE)
+        free = self.kind[self.ground.label] != PLANE
+        while absorb(self.ground, self.across, free, rows, np.array(self.sagittas), self.tolerance_mm, label):
+            pass
+        return self._with_planes(label, rows)
+
+    def _with_planes(self, label: Index, rows: Floats) -> ExactSurfaces:
+        """Number the planes beside surfaces, too: creases between both are sections of both."""
+        ground = self.ground
+        half = np.flatnonzero(self.across != NO_TWIN)
+        beside = half[label[self.across[half] // 3] != NO_SURFACE] // 3
+        beside = beside[(self.kind[ground.label[beside]] == PLANE) & (label[beside] == NO_SURFACE)]
+        found = [rows]
+        for number, group in enumerate(np.unique(ground.label[beside]).tolist(), len(rows)):
+            facets = ground.facets[ground.starts[group] : ground.starts[group + 1]]
+            row = np.zeros((1, SIZE))
+            row[0, KIND], row[0, SIDE] = FLAT, 1.0
+            row[0, PLACE : PLACE + 3] = ground.vertices[np.unique(ground.faces[facets])].mean(axis=0)
+            row[0, OWN : OWN + 3] = ground.normals[group]
+            label[facets] = number
+            found.append(row)
+        return ExactSurfaces(label, np.concatenate(found))
+
+    def _pieces(self, most: float) -> Iterator[Index]:
+        """Smooth pieces of groups of one kind that nothing has taken, the largest first.
+
+        Neighbours differ in area by less than a factor: rows of a rounding are narrow, and a wall that they touch is not.
+        """
+        ground = self.ground
+        half = np.flatnonzero(ground.twin != NO_TWIN)
+        a, b = ground.label[half // 3], ground.label[ground.twin[half] // 3]
+        joined = (self.kind[a] == self.kind[b]) & (self.kind[a] != PLANE) & (a != b)
+        joined &= ~(self.taken[a] | self.taken[b])
+        joined &= np.maximum(self.areas[a], self.areas[b]) < most * np.minimum(self.areas[a], self.areas[b])
+        count = len(self.kind)
+        links = coo_matrix((np.ones(joined.sum()), (a[joined], b[joined])), (count, count))
+        piece = connected_components(links, directed=False)[1]
+        area = np.bincount(piece, self.areas)
+        order = np.argsort(piece, kind="stable").astype(np.int32)
+        pieces = np.split(order, np.cumsum(np.bincount(piece))[:-1])
+        for number in np.argsort(-area, kind="stable"):
+            groups = pieces[number]
+            if len(groups) > 1 and self.kind[groups[0]] != PLANE and not self.taken[groups[0]]:
+                yield groups
+
+    def _patches(self, piece: Index) -> Iterator[Index]:
+        """Patches about seeds that are evenly spread over the area of a piece."""
+        share = np.cumsum(self.areas[piece])
+        seeds = min(len(piece), 4 + int(np.sqrt(len(piece))))
+        at = np.searchsorted(share, (np.arange(seeds) + 0.5) / seeds * share[-1])
+        for size in PATCHES:
+            if size >= len(piece):
+                continue
+            for seed in np.unique(piece[np.minimum(at, len(piece) - 1)]):
+                if not self.taken[seed]:
+                    yield _patch(self.ground, int(seed), self.taken, self.kind, size)
+
+    def _try(self, groups: Index) -> bool:
+        """Look for the surface of some groups; take all that lie on it."""
+        groups = groups[~self.taken[groups]]
+        if len(groups) < 2 or self.failed >= MOST_TRIALS * (1 + self.supported):
+            return False
+        for row in self._forms(groups):
+            found = self._grown(row, groups)
+            if found is not None:
+                row, groups, sagitta = found
+                self.sagittas.append(sagitta)
+                self.taken[groups] = True
+                self.of_group[groups] = len(self.rows)
+                self.rows.append(row)
+                return True
+        self.failed += 1
+        return False
+
+    def _forms(self, groups: Index) -> Iterator[Floats]:
+        """Forms of groups by their told vertices, with their sides."""
+        ground = self.ground
+        facets = _facets_of(ground.starts, ground.facets, groups)
+        corners = np.unique(ground.faces[facets][ground.told[facets]])
+        normals = ground.normals[ground.label[facets]]
+        places = self.middles[facets]
+        straight = bool((self.kind[groups] == STRIP).all())
+        vertices = ground.vertices[corners]
+        for row in told_forms(vertices, places, normals, self.tolerance_mm, straight, self.supported):
+            row[SIDE] = np.sign(_facing(row, places, normals))
+            if row[SIDE] != 0.0:
+                yield row
+
+    def _grown(self, row: Floats, groups: Index) -> tuple[Floats, Index, float] | None:
+        """The surface with all groups that lie on it, once it grows no more; None where it does not bear them out."""
+        sagittas = np.empty(len(self.taken))
+        before = 0
+        for _ in range(MOST_ROUNDS):
+            count = grown(self.ground, groups, self.taken, row, self.tolerance_mm, self.largest_mm, sagittas)
+            if count < 2:
+                return None
+            largest = _without_flat_sides(sagittas[sagittas >= 0.0])
+            if np.isfinite(largest):
+                seeds = groups[sagittas[groups] >= 0.0]
+                grown(self.ground, seeds, self.taken, row, self.tolerance_mm, largest, sagittas)
+            groups = np.flatnonzero(sagittas >= 0.0).astype(np.int32)
+            if len(groups) <= before:
+                if self.supported and not self._is_borne_out(row, groups):
+                    return None
+                return row, groups, float(sagittas.max())
+            before = len(groups)
+            refitted = next(self._forms(groups), None)
+            if refitted is None or refitted[0] != row[0]:
+                return None
+            row = refitted
+        return None
+
+    def _is_borne_out(self, row: Floats, groups: Index) -> bool:
+        """Whether surfaces and planes that go on smoothly from groups touch their surface all along."""
+        rows = np.array(self.rows).reshape(-1, SIZE)
+        planes = self.kind == PLANE
+        found = touching(self.ground, groups, self.of_group, rows, planes, row, TANGENT_COSINE)
+        return (
+            found.known >= max(LEAST_BESIDE, BESIDE * found.smooth) and found.tangent >= TANGENT * found.known
+        )
+
+
+def _without_flat_sides(sagittas: Floats) -> float:
+    """How far groups may stand off that are not far beyond all lesser ones of the upper half, mm."""
+    upper = np.sort(sagittas)[len(sagittas) // 2 :]
+    leaps = np.flatnonzero(upper[1:] > GAP * np.maximum(upper[:-1], 1e-9))
+    return float(1.01 * upper[leaps[0]]) if leaps.size else np.inf
+
+
+def _facing(row: Floats, places: Floats, normals: Floats) -> float:
+    """Mean cosine between normals of facets and the direction in which distances from a surface grow."""
+    return float(np.mean(_cosines(row, places, normals)))
+
+
+@kernel
+def _facets_of(starts: Index, facets: Index, groups: Index) -> Index:
+    """Facets of some groups."""
+    count = 0
+    for group in groups:
+        count += starts[group + 1] - starts[group]
+    found = np.empty(count, np.int32)
+    n = 0
+    for group in groups:
+        for place in range(starts[group], starts[group + 1]):
+            found[n] = facets[place]
+            n += 1
+    return found
+
+
+@kernel
+def _cosines(row: Floats, places: Floats, normals: Floats) -> Floats:
+    found = np.empty(len(places))
+    for i in range(len(places)):
+        _, x, y, z = signed_distance(row, places[i, 0], places[i, 1], places[i, 2])
+        found[i] = x * normals[i, 0] + y * normals[i, 1] + z * normals[i, 2]
+    return found
+
+
+@kernel
+def _patch(ground: Ground, seed: int, taken: Bools, kind: np.ndarray, size: int) -> Index:
+    """Groups about a seed, of its kind: the nearest by steps."""
+    queue = np.empty(size + 1, np.int32)
+    queue[0] = seed
+    first, last = 0, 1
+    seen = taken.copy()
+    seen[seed] = True
+    while first < last and last < size:
+        group = queue[first]
+        first += 1
+        for place in range(ground.starts[group], ground.starts[group + 1]):
+            for k in range(3):
+                h = ground.twin[3 * ground.facets[place] + k]
+                if h == NO_TWIN or last >= size:
+                    continue
+                other = ground.label[h // 3]
+                if not seen[other] and kind[other] == kind[seed]:
+                    seen[other] = True
+                    queue[last] = other
+                    last += 1
+    return queue[:last].copy()

@@ -1,0 +1,272 @@
+"""Fits of forms to vertices: the simplest first, each by least squares of the distances.
+
+A form is told by its vertices only where they leave nothing open: one place more than it has unknowns along each of its
+two ways at least. Two rims of vertices lie on a cylinder, but on many other quadrics, too; that a cylinder runs straight from
+rim to rim is told by its strips. A sphere and other quadrics have to be the only quadric through their vertices, and no quadric may go through those of a torus.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ebamcheck.curves.exact.forms import (
+    CONE,
+    CYLINDER,
+    OWN,
+    PLACE,
+    QUADRIC,
+    SIZE,
+    SPHERE,
+    TORUS,
+    distances,
+)
+from ebamcheck.curves.exact.least_squares import refined
+from ebamcheck.numeric.rings import Floats
+
+MOST_POINTS = 400
+"""Vertices that a fit takes at most, evenly spread; all are judged by what it finds."""
+
+LEAST_POINTS = 6
+"""Vertices from which a fit is tried: any five lie on a cylinder, or nearly so."""
+
+LEAST_RULINGS = 4
+"""Distinct rulings of a cylinder or cone: three always lie on one."""
+
+SPARE = 7
+"""Vertices beyond the unknowns of a form that no strips tell: a decimated mesh has six or eight on many a cylinder by chance."""
+
+LEAST_HEIGHTS = 3
+"""Distinct heights along the axis of a cylinder or cone that is told by its vertices alone."""
+
+APART = 20.0
+"""Tolerances by which places differ that are distinct."""
+
+LEAST_PROFILE = 4
+"""Distinct points of a torus' profile: three always lie on one circle."""
+
+OWN_CUBICS = 4
+"""Cubic surfaces that a quadric is a part of; were there more through some vertices, they would not bear it out."""
+
+MOST_RADIUS = 1e3
+"""Radii over the size of what is fitted, from which it may as well be flat."""
+
+
+def told_forms(
+    points: Floats,
+    places: Floats,
+    normals: Floats,
+    tolerance_mm: float,
+    straight: bool = False,
+    supported: bool = False,
+) -> Iterator[Floats]:
+    """Forms on which vertices lie, the simplest first.
+
+    Parameters
+    ----------
+    points
+        (n, 3) vertices, mm.
+    places, normals
+        (m, 3) middles and unit normals of facets, to begin with.
+    tolerance_mm
+        How far a vertex may lie from its surface.
+    straight
+        Whether the facets are strips, which tell that the surface is straight from rim to rim.
+    supported
+        Whether others will bear out what is found: two rims do for a cylinder or cone then, and three rings for a torus.
+
+    Yields
+    ------
+    rows (SIZE,) of :mod:`ebamcheck.curves.exact.forms`; their side is to be set.
+    """
+    if len(points) > MOST_POINTS:
+        points = points[np.linspace(0, len(points) - 1, MOST_POINTS).astype(np.int64)]
+    if len(places) > MOST_POINTS:
+        chosen = np.linspace(0, len(places) - 1, MOST_POINTS).astype(np.int64)
+        places, normals = places[chosen], normals[chosen]
+    if len(points) < LEAST_POINTS:
+        return
+    size = float(np.ptp(points, axis=0).max())
+    if size <= 0.0:
+        return
+    middle = points.mean(axis=0)
+    quadrics = _Quadrics(points, middle, size, tolerance_mm)
+    if quadrics.count:
+        if quadrics.count == 1:
+            yield from _kept(_sphere(points, middle), points, size, tolerance_mm)
+        for first in (_cylinder, _cone):
+            for row in _kept(first(points, places, normals), points, size, tolerance_mm):
+                if _is_ruled(row, points, tolerance_mm, straight, supported):
+                    yield row
+    if len(points) >= 7 + SPARE and (supported or not quadrics.count):
+        for row in _kept(_torus(points, places, normals), points, size, tolerance_mm):
+            if _profile_points(row, points, tolerance_mm) >= LEAST_PROFILE - supported:
+                yield row
+    if quadrics.count == 1 and quadrics.borne_out:
+        yield quadrics.only
+
+
+def _kept(row: Floats | None, points: Floats, size: float, tolerance_mm: float) -> Iterator[Floats]:
+    """The form fitted from where it is, if the points lie on it."""
+    if row is None or not np.isfinite(row).all():
+        return
+    found = refined(row, points, tolerance_mm)
+    if np.abs(found[OWN : OWN + 5]).max() > MOST_RADIUS * size:
+        return
+    off = distances(found, points)
+    if np.abs(off).max() <= tolerance_mm:
+        yield found
+
+
+class _Quadrics:
+    """Quadrics through points: how many, and the only one."""
+
+    def __init__(self, points: Floats, middle: Floats, size: float, tolerance_mm: float) -> None:
+        unit = (points - middle) / size
+        least = tolerance_mm / size
+        rows = _monomials(unit)
+        self.count = 0
+        self.borne_out = False
+        if len(unit) < rows.shape[1]:
+            self.count = 2
+            return
+        _, values, vectors = np.linalg.svd(rows / np.sqrt(len(unit)), full_matrices=False)
+        self.count = int(np.count_nonzero(values <= least))
+        if self.count != 1:
+            return
+        own = vectors[-1]
+        row = np.zeros(SIZE)
+        row[PLACE - 1], row[PLACE : PLACE + 3] = QUADRIC, middle
+        row[OWN : OWN + 10] = own / np.concatenate([np.full(6, size * size), np.full(3, size), [1.0]])
+        if np.abs(distances(row, points)).max() > tolerance_mm:
+            self.count = 0
+            return
+        self.only = row
+        cubics = np.concatenate([rows, _cubic_monomials(unit)], axis=1)
+        if len(unit) >= cubics.shape[1]:
+            values = np.linalg.svd(cubics / np.sqrt(len(unit)), compute_uv=False)
+            self.borne_out = int(np.count_nonzero(values <= least)) <= OWN_CUBICS
+
+
+def _monomials(p: Floats) -> Floats:
+    x, y, z = p.T
+    return np.column_stack([x * x, y * y, z * z, x * y, x * z, y * z, x, y, z, np.ones(len(p))])
+
+
+def _cubic_monomials(p: Floats) -> Floats:
+    x, y, z = p.T
+    squares = (x * x, y * y, z * z)
+    return np.column_stack([s * t for s in squares for t in (x, y, z)] + [x * y * z])
+
+
+# -- first guesses -----------------------------------------------------------------------------------------
+
+
+def _sphere(points: Floats, middle: Floats) -> Floats:
+    off = points - middle
+    rows = np.column_stack([2.0 * off, np.ones(len(off))])
+    solution = np.linalg.lstsq(rows, (off * off).sum(axis=1), rcond=None)[0]
+    row = np.zeros(SIZE)
+    row[0], row[PLACE : PLACE + 3] = SPHERE, middle + solution[:3]
+    row[OWN] = np.linalg.norm(off - solution[:3], axis=1).mean()
+    return row
+
+
+def _axis_by_normals(normals: Floats) -> Floats:
+    """The direction with which all normals make the same angle."""
+    return np.asarray(np.linalg.svd(normals - normals.mean(axis=0), full_matrices=False)[2][-1])
+
+
+def _across(axis: Floats) -> Floats:
+    """Two unit vectors (2, 3) across an axis."""
+    return np.asarray(np.linalg.svd(axis[None])[2][1:])
+
+
+def _cylinder(points: Floats, places: Floats, normals: Floats) -> Floats | None:
+    axis = np.linalg.svd(normals, full_matrices=False)[2][-1]
+    frame = _across(axis)
+    centre, radius = _circle(points @ frame.T)
+    row = np.zeros(SIZE)
+    row[0], row[PLACE : PLACE + 3] = CYLINDER, centre @ frame + axis * float((points @ axis).mean())
+    row[OWN : OWN + 3], row[OWN + 3] = axis, radius
+    return row
+
+
+def _cone(points: Floats, places: Floats, normals: Floats) -> Floats | None:
+    axis = _axis_by_normals(normals)
+    tip = np.linalg.lstsq(normals, (normals * places).sum(axis=1), rcond=None)[0]
+    off = points - tip
+    along = off @ axis
+    if along.mean() < 0.0:
+        axis, along = -axis, -along
+    across = np.linalg.norm(off - along[:, None] * axis, axis=1)
+    angle = float(np.median(np.arctan2(across, along)))
+    row = np.zeros(SIZE)
+    row[0], row[PLACE : PLACE + 3] = CONE, tip
+    row[OWN : OWN + 5] = *axis, np.cos(angle), np.sin(angle)
+    return row
+
+
+def _torus(points: Floats, places: Floats, normals: Floats) -> Floats | None:
+    """Axis: the line that all normals meet (Pottmann and Wallner, Computational Line Geometry, 2001, chapter 4)."""
+    middle = points.mean(axis=0)
+    size = float(np.ptp(points, axis=0).max())
+    off = (places - middle) / size
+    lines = np.concatenate([np.cross(off, normals), normals], axis=1)
+    direction, moment = np.split(np.linalg.svd(lines, full_matrices=False)[2][-1], 2)
+    length = float(np.linalg.norm(direction))
+    if length < 1e-9:
+        return None
+    axis = direction / length
+    foot = np.cross(direction, moment) / (length * length)
+    at = (points - middle) / size - foot
+    along = at @ axis
+    across = np.linalg.norm(at - along[:, None] * axis, axis=1)
+    centre, tube = _circle(np.column_stack([across, along]))
+    row = np.zeros(SIZE)
+    row[0], row[PLACE : PLACE + 3] = TORUS, middle + size * (foot + centre[1] * axis)
+    row[OWN : OWN + 5] = *axis, size * centre[0], size * tube
+    return row
+
+
+def _circle(points: Floats) -> tuple[Floats, float]:
+    """Centre and radius of the circle through points (n, 2)."""
+    middle = points.mean(axis=0)
+    off = points - middle
+    rows = np.column_stack([2.0 * off, np.ones(len(off))])
+    solution = np.linalg.lstsq(rows, (off * off).sum(axis=1), rcond=None)[0]
+    return middle + solution[:2], float(np.linalg.norm(off - solution[:2], axis=1).mean())
+
+
+# -- what is told ------------------------------------------------------------------------------------------
+
+
+def _is_ruled(row: Floats, points: Floats, tolerance_mm: float, straight: bool, supported: bool) -> bool:
+    """Whether points tell the rulings of a cylinder or cone: by two on each of them where strips do, else at three heights."""
+    axis = row[OWN : OWN + 3]
+    off = points - row[PLACE : PLACE + 3]
+    flat = off @ _across(axis).T
+    reach = float(np.linalg.norm(flat, axis=1).max())
+    angles = np.unwrap(np.sort(np.arctan2(flat[:, 1], flat[:, 0]))) * reach
+    rulings = _distinct(angles, APART * tolerance_mm)
+    if rulings < LEAST_RULINGS:
+        return False
+    if straight and len(points) >= 2 * rulings:
+        return True
+    if len(points) < SPARE + (6 if int(row[0]) == CONE else 5):
+        return False
+    return _distinct(off @ axis, APART * tolerance_mm) >= (LEAST_HEIGHTS - supported)
+
+
+def _profile_points(row: Floats, points: Floats, tolerance_mm: float) -> int:
+    """Distinct points of the profile of a torus, by their angle about its tube."""
+    axis = row[OWN : OWN + 3]
+    off = points - row[PLACE : PLACE + 3]
+    along = off @ axis
+    across = np.linalg.norm(off - along[:, None] * axis, axis=1) - row[OWN + 3]
+    return _distinct(np.sort(np.arctan2(along, across)) * abs(row[OWN + 4]), APART * tolerance_mm)
+
+
+def _distinct(places: Floats, apart: float) -> int:
+    return 1 + int(np.count_nonzero(np.diff(np.sort(places)) > apart))

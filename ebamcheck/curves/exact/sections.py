@@ -1,0 +1,105 @@
+"""Sections of exact surfaces: the place in a layer where one, or two that meet at an edge, run beside a contour's point."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ebamcheck.curves.exact.forms import FLAT, KIND, SIDE, Signed, signed_distance
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Floats
+
+MOST_STEPS = 40
+"""Newton's steps; they double their digits, so that a few do unless the surface lies nearly level."""
+
+CLOSE_MM = 1e-10
+"""A point this near to a surface lies on it."""
+
+LEAST_SLOPE = 0.02
+"""Horizontal part of a unit gradient under which a surface lies level in a layer: its section is not told by a point."""
+
+LEAST_SINE = np.sin(np.deg2rad(5.0))
+"""Sine of the angle between the sections of two surfaces from which both tell their common point."""
+
+MOST_GROWTH = 3.0
+"""Of the distance to first order, that a point may move: a section that lies farther off is another one."""
+
+Place = tuple[bool, float, float]
+"""Whether there is one; and it, mm."""
+
+
+@kernel
+def slope_of(at: Signed) -> float:
+    """Horizontal part of a unit gradient."""
+    return float(np.sqrt(at[1] * at[1] + at[2] * at[2]))
+
+
+@kernel
+def on_one(row: Floats, x: float, y: float, z: float) -> Place:
+    """The place on a surface's section straight ahead of a point."""
+    at = signed_distance(row, x, y, z)
+    slope = slope_of(at)
+    if slope < LEAST_SLOPE:
+        return False, x, y
+    allowed = MOST_GROWTH * abs(at[0]) / slope + CLOSE_MM
+    u, v = x, y
+    for _ in range(MOST_STEPS):
+        if abs(at[0]) <= CLOSE_MM:
+            break
+        square = at[1] * at[1] + at[2] * at[2]
+        if square < LEAST_SLOPE * LEAST_SLOPE:
+            return False, x, y
+        u -= at[0] * at[1] / square
+        v -= at[0] * at[2] / square
+        at = signed_distance(row, u, v, z)
+    if abs(at[0]) > CLOSE_MM or np.hypot(u - x, v - y) > allowed:
+        return False, x, y
+    return True, u, v
+
+
+@kernel
+def on_both(row: Floats, other: Floats, x: float, y: float, z: float) -> Place:
+    """The place where the sections of two surfaces meet beside a point; where they touch, midway between both."""
+    at, beside = signed_distance(row, x, y, z), signed_distance(other, x, y, z)
+    slope, sloping = slope_of(at), slope_of(beside)
+    if slope < LEAST_SLOPE or sloping < LEAST_SLOPE:
+        return False, x, y
+    sine = abs(at[1] * beside[2] - at[2] * beside[1]) / (slope * sloping)
+    if sine < LEAST_SINE:
+        return _midway(row, other, x, y, z)
+    allowed = MOST_GROWTH * (abs(at[0]) / slope + abs(beside[0]) / sloping) + CLOSE_MM
+    u, v = x, y
+    for _ in range(MOST_STEPS):
+        if abs(at[0]) <= CLOSE_MM and abs(beside[0]) <= CLOSE_MM:
+            break
+        determinant = at[1] * beside[2] - at[2] * beside[1]
+        if abs(determinant) < 1e-9:
+            return False, x, y
+        u -= (at[0] * beside[2] - beside[0] * at[2]) / determinant
+        v -= (at[1] * beside[0] - beside[1] * at[0]) / determinant
+        at, beside = signed_distance(row, u, v, z), signed_distance(other, u, v, z)
+    if max(abs(at[0]), abs(beside[0])) > CLOSE_MM or np.hypot(u - x, v - y) > allowed:
+        return False, x, y
+    return True, u, v
+
+
+@kernel
+def _midway(row: Floats, other: Floats, x: float, y: float, z: float) -> Place:
+    """Midway between the places on two surfaces that touch; a plane stays one."""
+    if int(row[KIND]) == FLAT or int(other[KIND]) == FLAT:
+        return on_one(row if int(row[KIND]) == FLAT else other, x, y, z)
+    found, u, v = on_one(row, x, y, z)
+    too, s, t = on_one(other, x, y, z)
+    if not found or not too:
+        return False, x, y
+    return True, 0.5 * (u + s), 0.5 * (v + t)
+
+
+@kernel
+def set_along(row: Floats, x: float, y: float, z: float, direction: Floats) -> bool:
+    """Set the direction of a section with the solid to its left; whether it has one."""
+    _, u, v, _ = signed_distance(row, x, y, z)
+    slope = np.sqrt(u * u + v * v)
+    if slope < LEAST_SLOPE:
+        return False
+    direction[0], direction[1] = -row[SIDE] * v / slope, row[SIDE] * u / slope
+    return True

@@ -1,0 +1,126 @@
+"""Moves of islands in an order, and what they do to its travel and to islands that touch, without driving it anew.
+
+A move leaves most of an order as it is: a few runs of islands follow each other as before, forward or turned around.
+Within a run that goes forward nothing changes once an island of it is entered by the same way as before.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.scan.order.entry_options import EntryOptions
+
+EXCHANGE, SHIFT, TURN = 0, 1, 2
+"""Kinds of moves: two places exchange their islands, one goes to the other, or all between them are turned around."""
+
+ROUNDING = 1e-9
+"""Share of the travel by which a sum over runs may miss the sum over all jumps: far more than rounding does."""
+
+
+class Driven(NamedTuple):
+    """An order, and by place (I,) the way by which each island is entered and the travel so far, mm."""
+
+    order: Ints
+    way: Ints
+    travel_mm: Floats
+
+
+class _Reached(NamedTuple):
+    """Where the gun is: the island that was scanned last (-1: none), the way by which it was entered, and the travel."""
+
+    island: int
+    way: int
+    travel_mm: float
+
+
+@kernel
+def move(order: Ints, a: int, b: int, kind: int, result: Ints) -> None:
+    """Exchange two places, move one to the other, or turn around all between them."""
+    result[:] = order
+    if kind == EXCHANGE:
+        result[a], result[b] = order[b], order[a]
+    elif kind == SHIFT:
+        step = 1 if b > a else -1
+        for place in range(a, b, step):
+            result[place] = order[place + step]
+        result[b] = order[a]
+    else:
+        low, high = min(a, b), max(a, b)
+        for n in range(high - low + 1):
+            result[low + n] = order[high - n]
+
+
+@kernel
+def more_touches(order: Ints, a: int, b: int, kind: int, beside: Bools) -> int:
+    """How many more islands touch the one before them once an order is moved; `beside` (I, I) tells which touch."""
+    low, high = min(a, b), max(a, b)
+    before, first, last, after = low - 1, low, high, high + 1
+    if kind == TURN or (kind == EXCHANGE and high == low + 1):
+        gained = _touch(order, before, last, beside) + _touch(order, first, after, beside)
+        return gained - _touch(order, before, first, beside) - _touch(order, last, after, beside)
+    lost = _touch(order, before, first, beside) + _touch(order, last, after, beside)
+    if kind == SHIFT and a < b:
+        lost += _touch(order, first, first + 1, beside)
+        gained = _touch(order, before, first + 1, beside) + _touch(order, last, first, beside)
+        return gained + _touch(order, first, after, beside) - lost
+    lost += _touch(order, last - 1, last, beside)
+    if kind == SHIFT:
+        gained = _touch(order, before, last, beside) + _touch(order, last, first, beside)
+        return gained + _touch(order, last - 1, after, beside) - lost
+    lost += _touch(order, first, first + 1, beside)
+    gained = _touch(order, before, last, beside) + _touch(order, last, first + 1, beside)
+    return gained + _touch(order, last - 1, first, beside) + _touch(order, first, after, beside) - lost
+
+
+@kernel
+def _touch(order: Ints, one: int, other: int, beside: Bools) -> int:
+    """Whether the islands at two places touch, as a number; none does beyond the ends."""
+    if one < 0 or other >= len(order):
+        return 0
+    return int(beside[order[one], order[other]])
+
+
+@kernel
+def least_travel_mm(driven: Driven, a: int, b: int, kind: int, ways: EntryOptions) -> float:
+    """Travel of an order once it is moved, less what rounding may have added: the sum over all jumps is no less."""
+    order, low, high, stop = driven.order, min(a, b), max(a, b), len(driven.order)
+    at = _Reached(-1, 0, 0.0)
+    if low > 0:
+        at = _Reached(order[low - 1], driven.way[low - 1], driven.travel_mm[low - 1])
+    if kind == EXCHANGE:
+        at = _forward(at, high, high + 1, driven, ways)
+        at = _forward(at, low + 1, high, driven, ways)
+        at = _forward(at, low, low + 1, driven, ways)
+    elif kind == SHIFT and a < b:
+        at = _forward(at, low + 1, high + 1, driven, ways)
+        at = _forward(at, low, low + 1, driven, ways)
+    elif kind == SHIFT:
+        at = _forward(at, high, high + 1, driven, ways)
+        at = _forward(at, low, high, driven, ways)
+    else:
+        for place in range(high, low - 1, -1):
+            at = _jumped(at, order[place], ways)
+    at = _forward(at, high + 1, stop, driven, ways)
+    return float(at.travel_mm - ROUNDING * (at.travel_mm + driven.travel_mm[-1]))
+
+
+@kernel
+def _jumped(at: _Reached, island: int, ways: EntryOptions) -> _Reached:
+    """Jump to an island; the first of an order is entered by its first way, and costs nothing."""
+    if at.island < 0:
+        return _Reached(island, 0, 0.0)
+    jump, way = ways.jump_mm[at.island, at.way, island], ways.way[at.island, at.way, island]
+    return _Reached(island, way, at.travel_mm + jump)
+
+
+@kernel
+def _forward(at: _Reached, start: int, stop: int, driven: Driven, ways: EntryOptions) -> _Reached:
+    """Go through the places of a run; from where an island is entered as before, all the rest is as before."""
+    for place in range(start, stop):
+        at = _jumped(at, driven.order[place], ways)
+        if at.way == driven.way[place]:
+            rest_mm = driven.travel_mm[stop - 1] - driven.travel_mm[place]
+            return _Reached(driven.order[stop - 1], driven.way[stop - 1], at.travel_mm + rest_mm)
+    return at

@@ -1,0 +1,22 @@
+"""A plate with a bore, divided into islands, for the tests of heat and orders."""
+
+from __future__ import annotations
+
+import numpy as np
+import shapely
+
+from ebamcheck.scan.islands.regions import layer_section
+from ebamcheck.scan.order.touching import touching
+from ebamcheck.scan.plan.laying import LaidLayer, lay_islands
+from ebamcheck.settings.config import Config
+
+PROFILE = Config()
+RAPID = PROFILE.machine.rapid_mm_s
+FREE = touching(np.zeros((0, 2), np.int64), 1000)
+"""No island touches another: none is kept from following any."""
+
+PLATE = shapely.box(0, 0, 160, 110).difference(shapely.Point(95, 60).buffer(22, 32))
+
+
+def laid_plate() -> LaidLayer:
+    return lay_islands(layer_section(PLATE), PROFILE, 0, 10.0)

@@ -1,0 +1,112 @@
+"""Sizes that the house keeps to: lines of a module, lines of a function, parameters of a kernel."""
+
+from __future__ import annotations
+
+import ast
+import re
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+FOLDERS = ("ebamcheck", "backends", "reference_models", "reports", "benchmarks", "tests", "docs")
+FILES = sorted(path for folder in FOLDERS for path in (ROOT / folder).rglob("*.py"))
+
+MOST_LINES = 400
+"""Lines of a module."""
+
+MOST_BODY = 60
+"""Lines of a function, without its head and docstring."""
+
+MOST_PARAMETERS = 9
+"""Parameters of a kernel, unless the comment above it says why there are more."""
+
+REASON = re.compile(r"# \w+ parameters: \S")
+"""How such a comment begins."""
+
+NO_REASON_YET = {
+    "ebamcheck/curves/allowances.py:_allow",
+    "ebamcheck/curves/evidence.py:_measure_rings",
+    "ebamcheck/curves/regions/foretold.py:_sagitta",
+    "ebamcheck/curves/regions/jets.py:_normal",
+    "ebamcheck/curves/regions/normals.py:_fill_ends",
+    "ebamcheck/curves/regions/normals.py:_strip_normals",
+}
+"""Kernels with more parameters whose reason is still to be stated, or whose columns are to be put together."""
+
+Function = ast.FunctionDef | ast.AsyncFunctionDef
+
+
+@cache
+def functions() -> list[tuple[Path, str, Function]]:
+    """Functions and methods of the house: file, place and code of each."""
+    return [
+        (path, f"{path.relative_to(ROOT).as_posix()}:{node.name}", node)
+        for path in FILES
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, Function)
+    ]
+
+
+def body_lines(function: Function) -> int:
+    """Lines of a function without its head and docstring."""
+    rest = function.body[1:] if ast.get_docstring(function) is not None else function.body
+    return (rest[-1].end_lineno or 0) - rest[0].lineno + 1 if rest else 0
+
+
+def is_kernel(function: Function) -> bool:
+    return any(ast.unparse(one).split("(")[0].endswith("kernel") for one in function.decorator_list)
+
+
+def parameters(function: Function) -> int:
+    arguments = function.args
+    return len(arguments.posonlyargs + arguments.args + arguments.kwonlyargs)
+
+
+def is_told(path: Path, function: Function) -> bool:
+    """Whether the comment above a kernel says why it has so many parameters."""
+    lines = path.read_text().splitlines()
+    first = min(one.lineno for one in function.decorator_list) - 2
+    while lines[first - 1].startswith("#"):
+        first -= 1
+    return bool(REASON.match(lines[first]))
+
+
+def test_there_is_something_to_measure():
+    kernels = [f for _, _, f in functions() if is_kernel(f)]
+    assert len(FILES) > 700
+    assert len(kernels) > 300
+    assert max(map(body_lines, kernels)) > 40
+    assert max(map(parameters, kernels)) > MOST_PARAMETERS
+
+
+def test_modules_are_short():
+    long = {str(path.relative_to(ROOT)): path.read_text().count("\n") for path in FILES}
+    assert {name: lines for name, lines in long.items() if lines > MOST_LINES} == {}
+
+
+def test_functions_are_short():
+    assert {place: lines for _, place, f in functions() if (lines := body_lines(f)) > MOST_BODY} == {}
+
+
+def test_kernels_have_few_parameters_or_a_reason_beside_them():
+    many = [(path, place, f) for path, place, f in functions() if is_kernel(f)]
+    many = [found for found in many if parameters(found[2]) > MOST_PARAMETERS]
+    assert {place for path, place, f in many if not is_told(path, f)} - NO_REASON_YET == set()
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("# Ten parameters: a tuple costs 10 us a call.\n@kernel\ndef f(a): ...", True),
+        ("# Ten parameters: a tuple costs 10 us a call,\n# as was measured.\n@kernel\ndef f(a): ...", True),
+        ("# Fast.\n@kernel\ndef f(a): ...", False),
+        ("x = 1\n@kernel\ndef f(a): ...", False),
+    ],
+)
+def test_a_reason_is_the_comment_above_the_kernel(text, told, tmp_path):
+    path = tmp_path / "m.py"
+    path.write_text(f"import y\n\n{text}\n")
+    function = next(node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, Function))
+    assert is_told(path, function) is told
