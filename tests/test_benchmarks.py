@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapely
+from benchmark_figures import cell, one_round, raw_figures
 
 import ebamcheck
 from benchmarks import __main__ as command
@@ -18,11 +19,9 @@ from benchmarks.bitmaps import exact_image
 from benchmarks.crossings import farthest_mm
 from benchmarks.even_mesh import even_mesh
 from benchmarks.figures import cell_times, is_scaled, ratio, total_s
-from benchmarks.floors import FLOORS
 from benchmarks.ladder import Effort, measure_ladder
 from benchmarks.methods import Method
 from benchmarks.spread import Spread, quantity, spread, spread_text
-from benchmarks.targets import Figures
 from benchmarks.timing import some_of
 from benchmarks.watch import run_task, watch
 from ebamcheck.curves import METHODS
@@ -35,47 +34,6 @@ from ebamcheck_models import LADDER, MODELS, write_stl
 from ebamcheck_stencil.field_of_view import field_of_view
 
 # -- figures -------------------------------------------------------------------------------------------
-
-
-def one_round(
-    seconds: float, layers_cut: int = 100, layers: int = 100, points: int = 1000
-) -> dict[str, object]:
-    return {
-        "load_s": 0.25 * seconds, "prepare_s": 0.25 * seconds, "slice_s": 0.5 * seconds,
-        "layers": layers, "layers_cut": layers_cut, "points": points, "rings": 10, "output_bytes": 16 * points,
-    }  # fmt: skip
-
-
-def cell(part: str, method: str, *seconds: float, **round_: int) -> dict[str, object]:
-    runs = [{"rounds": [one_round(s, **round_)], "peak_mb": 300.0, "resident_mb": 100.0} for s in seconds]
-    return {"part": part, "method": method, "status": "done", "why": "", "limit_s": 60.0, "runs": runs}
-
-
-def over(part: str, method: str) -> dict[str, object]:
-    return {**cell(part, method), "status": "over", "why": "ended after 60 s"}
-
-
-def raw_figures() -> dict[str, object]:
-    facets = {1: 4_000, 6: 38_000, 11: 1_480_000}
-    return {
-        "format": 1, "command": "python -m benchmarks", "quick": False, "renderer": "llvmpipe (made up)",
-        "machine": {
-            "cpu": "made up", "cores": 2, "memory_gb": 24.0, "load_at_start": [0.1, 0.1, 0.1], "started": "now",
-            "ebamcheck": "0", "commit": "", "python": "3", "packages": {"numpy": "2"}, "backends": {},
-        },
-        "methods": ["planecut", "stencil literal", "slic3r", "cura"],
-        "parts": {
-            f"ladder-{size}": {"series": "ladder", "size": size, "facets": n, "bytes": 50 * n, "layer_mm": 0.2}
-            for size, n in facets.items()
-        },
-        "cells": [
-            cell("ladder-1", "planecut", 0.01), cell("ladder-6", "planecut", 0.02, points=38_000),
-            cell("ladder-11", "planecut", 0.40, 0.42, 0.38, points=8_000_000),
-            cell("ladder-11", "stencil literal", 10.0, layers_cut=25), over("ladder-11", "slic3r"),
-            {**cell("ladder-11", "cura"), "status": "missing", "why": "the program | is not installed"},
-        ],
-        "targets": {"ladder": {}}, "demo": [], "scale": [],
-    }  # fmt: skip
 
 
 def test_the_spread_is_that_of_the_figures():
@@ -122,89 +80,6 @@ def test_heights_are_chosen_over_the_whole_part_and_all_where_there_are_few():
     chosen = some_of(heights, 9)
     assert np.array_equal(chosen, [10.0, 20.0, 30.0, 40.0, 50.0, 59.0, 69.0, 79.0, 89.0])
     assert np.array_equal(some_of(heights, 100), heights)
-
-
-# -- targets -------------------------------------------------------------------------------------------
-
-
-def results(**tasks: list[dict[str, object]]) -> dict[str, object]:
-    raw = raw_figures()
-    found = target_rows.evaluate(Figures(raw["cells"], tasks, raw["parts"], "ladder", 11))
-    return {result.target.key: result for result in found}
-
-
-def test_a_target_is_met_missed_or_says_why_it_was_not_measured():
-    told = results(
-        crossings=[{"status": "done", "why": "", "farthest_mm": 1e-6, "broken_layers": 3}],
-        cold=[{"status": "failed", "why": "it crashed"}],
-    )
-    assert told["planecut-seconds"].met
-    assert told["planecut-seconds"].verdict == "met"
-    assert told["embree-crossings"].met
-    assert told["embree-broken"].met is False
-    assert told["embree-broken"].verdict == "**missed** by 3"
-    assert told["cold"].verdict == "not measured (failed: it crashed)"
-    assert told["bitmaps"].verdict == "not measured (not measured)"
-    assert told["literal"].verdict == "no target"
-    assert told["literal"].measured.median == pytest.approx(2.5 + 20.0)
-
-
-def test_growth_is_per_facet_and_point_over_the_base_size():
-    base, small = 0.02 / (38_000 + 38_000), 0.01 / (4_000 + 1_000)
-    growth = results()["growth"]
-    assert growth.measured.median == pytest.approx(small / base)
-    assert growth.met is False
-    assert growth.verdict.startswith("**missed**: 2.53 times")
-
-
-def test_memory_is_related_to_file_and_layers():
-    memory = results()["planecut-memory"]
-    assert memory.measured.median == pytest.approx(300e6 / (50 * 1_480_000 + 16 * 8_000_000))
-
-
-def test_a_floor_is_the_bytes_that_must_be_touched_over_the_bandwidth():
-    raw, done = raw_figures(), {"status": "done", "why": ""}
-    tasks = {
-        "imports": [{**done, "wall_s": 0.5}],
-        "in order": [{**done, "rounds": [one_round(0.4)]}],
-    }
-    told = target_rows.evaluate(Figures(raw["cells"], tasks, raw["parts"], "ladder", 11, copy_bytes_s=1e9))
-    floors = {result.target.key: result.floor for result in told}
-    cut_s = (50 * 1_480_000 + 16 * 8_000_000) / 1e9
-    assert floors["planecut-seconds"] == pytest.approx(cut_s)
-    assert floors["cold"] == pytest.approx(0.5 + cut_s)
-    assert floors["shuffled"] == pytest.approx(1.0 + 3 * 64 * 1_480_000 / 1e9 / 0.4)
-    assert floors["growth"] == 1.0
-    assert floors["planecut-manifold"] is None  # the library by itself was not measured
-    assert floors["literal"] is None
-    shown = {result.target.key: result.floor_text for result in told}
-    assert shown["planecut-seconds"] == "202 ms"
-    assert shown["literal"] == "-"
-    assert all(result.floor is None or result.floor > 0.0 for result in told)
-
-
-def test_without_the_bandwidth_no_floor_of_bytes_is_told():
-    floors = {key: result.floor for key, result in results().items()}
-    assert floors["planecut-seconds"] is None
-    assert floors["compare"] is None
-
-
-def test_every_floor_belongs_to_a_target():
-    assert set(FLOORS) <= {target.key for target in target_rows.TARGETS}
-
-
-def test_one_failed_turn_spoils_a_task():
-    done = {"status": "done", "why": "", "wall_s": 1.0}
-    assert results(cold=[done, done])["cold"].met
-    assert results(cold=[done, {"status": "over", "why": "ended"}])["cold"].measured is None
-
-
-def test_every_remark_belongs_to_a_target():
-    import tomllib
-
-    keys = {t.key for t in (*target_rows.TARGETS, target_rows.DEMO, *target_rows.SCALE)}
-    assert len(keys) == len(target_rows.TARGETS) + 1 + len(target_rows.SCALE)
-    assert set(tomllib.loads(tables.REMARKS.read_text(encoding="utf-8"))) <= keys
 
 
 # -- tables and plot -----------------------------------------------------------------------------------

@@ -125,8 +125,8 @@ def improved(
     touch_price = TOUCH_SHARE * cost
     cost += price * max(0.0, log.travel_mm[-1] - longest) + touch_price * log.touches[-1]
     best_cost, warmth = cost, warm_share * cost
-    by_heat, beside, ways = np.argsort(-log.entry_k), touch_table(layer.beside), layer.ways
-    driven = Driven(kept, log.way, log.travel_mm)
+    by_heat, beside, options = np.argsort(-log.entry_k), touch_table(layer.beside), layer.options
+    driven = Driven(kept, log.option, log.travel_mm)
     for step in range(len(places)):
         a, b = places[step, 0], places[step, 1]
         if step % HOTTEST_EVERY == 0:
@@ -139,7 +139,7 @@ def improved(
         # Most moves are given up by the touches, or by a travel that is too long in any case.
         if touched >= allowed:
             continue
-        least_mm = least_travel_mm(driven, a, b, kind, ways)
+        least_mm = least_travel_mm(driven, a, b, kind, options)
         if price * max(0.0, least_mm - longest) + touched >= allowed:
             continue
         move(kept, a, b, kind, tried)
@@ -155,7 +155,7 @@ def improved(
         cost = (total / count) ** (1.0 / HIGH) + too_far
         kept, tried = tried, kept
         log, tried_log = tried_log, log
-        by_heat, driven = np.argsort(-log.entry_k), Driven(kept, log.way, log.travel_mm)
+        by_heat, driven = np.argsort(-log.entry_k), Driven(kept, log.option, log.travel_mm)
         if cost < best_cost:
             best[:], best_cost = kept, cost
     return best

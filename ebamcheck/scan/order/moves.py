@@ -1,7 +1,7 @@
 """Moves of islands in an order, and what they do to its travel and to islands that touch, without driving it anew.
 
 A move leaves most of an order as it is: a few runs of islands follow each other as before, forward or turned around.
-Within a run that goes forward nothing changes once an island of it is entered by the same way as before.
+Within a run that goes forward nothing changes once an island of it is entered by the same option as before.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ ROUNDING = 1e-9
 
 
 class Driven(NamedTuple):
-    """An order, and by place (I,) the way by which each island is entered and the travel so far, mm."""
+    """An order, and by place (I,) the option by which each island is entered and the travel so far, mm."""
 
     order: Ints
-    way: Ints
+    option: Ints
     travel_mm: Floats
 
 
 class _Reached(NamedTuple):
-    """Where the gun is: the island that was scanned last (-1: none), the way by which it was entered, and the travel."""
+    """Where the gun is: the island that was scanned last (-1: none), the option by which it was entered, and the travel."""
 
     island: int
-    way: int
+    option: int
     travel_mm: float
 
 
@@ -83,44 +83,44 @@ def _touch(order: Ints, one: int, other: int, beside: Bools) -> int:
 
 
 @kernel
-def least_travel_mm(driven: Driven, a: int, b: int, kind: int, ways: EntryOptions) -> float:
+def least_travel_mm(driven: Driven, a: int, b: int, kind: int, options: EntryOptions) -> float:
     """Travel of an order once it is moved, less what rounding may have added: the sum over all jumps is no less."""
     order, low, high, stop = driven.order, min(a, b), max(a, b), len(driven.order)
     at = _Reached(-1, 0, 0.0)
     if low > 0:
-        at = _Reached(order[low - 1], driven.way[low - 1], driven.travel_mm[low - 1])
+        at = _Reached(order[low - 1], driven.option[low - 1], driven.travel_mm[low - 1])
     if kind == EXCHANGE:
-        at = _forward(at, high, high + 1, driven, ways)
-        at = _forward(at, low + 1, high, driven, ways)
-        at = _forward(at, low, low + 1, driven, ways)
+        at = _forward(at, high, high + 1, driven, options)
+        at = _forward(at, low + 1, high, driven, options)
+        at = _forward(at, low, low + 1, driven, options)
     elif kind == SHIFT and a < b:
-        at = _forward(at, low + 1, high + 1, driven, ways)
-        at = _forward(at, low, low + 1, driven, ways)
+        at = _forward(at, low + 1, high + 1, driven, options)
+        at = _forward(at, low, low + 1, driven, options)
     elif kind == SHIFT:
-        at = _forward(at, high, high + 1, driven, ways)
-        at = _forward(at, low, high, driven, ways)
+        at = _forward(at, high, high + 1, driven, options)
+        at = _forward(at, low, high, driven, options)
     else:
         for place in range(high, low - 1, -1):
-            at = _jumped(at, order[place], ways)
-    at = _forward(at, high + 1, stop, driven, ways)
+            at = _jumped(at, order[place], options)
+    at = _forward(at, high + 1, stop, driven, options)
     return float(at.travel_mm - ROUNDING * (at.travel_mm + driven.travel_mm[-1]))
 
 
 @kernel
-def _jumped(at: _Reached, island: int, ways: EntryOptions) -> _Reached:
-    """Jump to an island; the first of an order is entered by its first way, and costs nothing."""
+def _jumped(at: _Reached, island: int, options: EntryOptions) -> _Reached:
+    """Jump to an island; the first of an order is entered by its first option, and costs nothing."""
     if at.island < 0:
         return _Reached(island, 0, 0.0)
-    jump, way = ways.jump_mm[at.island, at.way, island], ways.way[at.island, at.way, island]
-    return _Reached(island, way, at.travel_mm + jump)
+    jump, option = options.jump_mm[at.island, at.option, island], options.option[at.island, at.option, island]
+    return _Reached(island, option, at.travel_mm + jump)
 
 
 @kernel
-def _forward(at: _Reached, start: int, stop: int, driven: Driven, ways: EntryOptions) -> _Reached:
+def _forward(at: _Reached, start: int, stop: int, driven: Driven, options: EntryOptions) -> _Reached:
     """Go through the places of a run; from where an island is entered as before, all the rest is as before."""
     for place in range(start, stop):
-        at = _jumped(at, driven.order[place], ways)
-        if at.way == driven.way[place]:
+        at = _jumped(at, driven.order[place], options)
+        if at.option == driven.option[place]:
             rest_mm = driven.travel_mm[stop - 1] - driven.travel_mm[place]
-            return _Reached(driven.order[stop - 1], driven.way[stop - 1], at.travel_mm + rest_mm)
+            return _Reached(driven.order[stop - 1], driven.option[stop - 1], at.travel_mm + rest_mm)
     return at

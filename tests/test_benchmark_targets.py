@@ -1,0 +1,90 @@
+"""Targets of the benchmarks: which are met, and how far a floor lies under them."""
+
+from __future__ import annotations
+
+import pytest
+from benchmark_figures import one_round, raw_figures
+
+from benchmarks import tables, target_rows
+from benchmarks.floors import FLOORS
+from benchmarks.targets import Figures
+
+
+def results(**tasks: list[dict[str, object]]) -> dict[str, object]:
+    raw = raw_figures()
+    found = target_rows.evaluate(Figures(raw["cells"], tasks, raw["parts"], "ladder", 11))
+    return {result.target.key: result for result in found}
+
+
+def test_a_target_is_met_missed_or_says_why_it_was_not_measured():
+    told = results(
+        crossings=[{"status": "done", "why": "", "farthest_mm": 1e-6, "broken_layers": 3}],
+        cold=[{"status": "failed", "why": "it crashed"}],
+    )
+    assert told["planecut-seconds"].met
+    assert told["planecut-seconds"].verdict == "met"
+    assert told["embree-crossings"].met
+    assert told["embree-broken"].met is False
+    assert told["embree-broken"].verdict == "**missed** by 3"
+    assert told["cold"].verdict == "not measured (failed: it crashed)"
+    assert told["bitmaps"].verdict == "not measured (not measured)"
+    assert told["literal"].verdict == "no target"
+    assert told["literal"].measured.median == pytest.approx(2.5 + 20.0)
+
+
+def test_growth_is_per_facet_and_point_over_the_base_size():
+    base, small = 0.02 / (38_000 + 38_000), 0.01 / (4_000 + 1_000)
+    growth = results()["growth"]
+    assert growth.measured.median == pytest.approx(small / base)
+    assert growth.met is False
+    assert growth.verdict.startswith("**missed**: 2.53 times")
+
+
+def test_memory_is_related_to_file_and_layers():
+    memory = results()["planecut-memory"]
+    assert memory.measured.median == pytest.approx(300e6 / (50 * 1_480_000 + 16 * 8_000_000))
+
+
+def test_a_floor_is_the_bytes_that_must_be_touched_over_the_bandwidth():
+    raw, done = raw_figures(), {"status": "done", "why": ""}
+    tasks = {
+        "imports": [{**done, "wall_s": 0.5}],
+        "in order": [{**done, "rounds": [one_round(0.4)]}],
+    }
+    told = target_rows.evaluate(Figures(raw["cells"], tasks, raw["parts"], "ladder", 11, copy_bytes_s=1e9))
+    floors = {result.target.key: result.floor for result in told}
+    cut_s = (50 * 1_480_000 + 16 * 8_000_000) / 1e9
+    assert floors["planecut-seconds"] == pytest.approx(cut_s)
+    assert floors["cold"] == pytest.approx(0.5 + cut_s)
+    assert floors["shuffled"] == pytest.approx(1.0 + 3 * 64 * 1_480_000 / 1e9 / 0.4)
+    assert floors["growth"] == 1.0
+    assert floors["planecut-manifold"] is None  # the library by itself was not measured
+    assert floors["literal"] is None
+    shown = {result.target.key: result.floor_text for result in told}
+    assert shown["planecut-seconds"] == "202 ms"
+    assert shown["literal"] == "-"
+    assert all(result.floor is None or result.floor > 0.0 for result in told)
+
+
+def test_without_the_bandwidth_no_floor_of_bytes_is_told():
+    floors = {key: result.floor for key, result in results().items()}
+    assert floors["planecut-seconds"] is None
+    assert floors["compare"] is None
+
+
+def test_every_floor_belongs_to_a_target():
+    assert set(FLOORS) <= {target.key for target in target_rows.TARGETS}
+
+
+def test_one_failed_turn_spoils_a_task():
+    done = {"status": "done", "why": "", "wall_s": 1.0}
+    assert results(cold=[done, done])["cold"].met
+    assert results(cold=[done, {"status": "over", "why": "ended"}])["cold"].measured is None
+
+
+def test_every_remark_belongs_to_a_target():
+    import tomllib
+
+    keys = {t.key for t in (*target_rows.TARGETS, target_rows.DEMO, *target_rows.SCALE)}
+    assert len(keys) == len(target_rows.TARGETS) + 1 + len(target_rows.SCALE)
+    assert set(tomllib.loads(tables.REMARKS.read_text(encoding="utf-8"))) <= keys
