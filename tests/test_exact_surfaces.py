@@ -19,6 +19,7 @@ from curve_parts import (
 from benchmarks.curve_parts_meshes import bored, irregular_convex
 from benchmarks.curve_parts_solids import Bow, lathe
 from ebamcheck.curves import fit
+from ebamcheck.curves.allowances import Allowing
 from ebamcheck.curves.exact import ExactSurfaces
 from ebamcheck.curves.exact.fitting import told_forms
 from ebamcheck.curves.exact.forms import (
@@ -39,6 +40,7 @@ from ebamcheck.curves.exact.forms import (
 )
 from ebamcheck.curves.exact.sections import on_both, on_one
 from ebamcheck.curves.lifting import Lifting
+from ebamcheck.curves.sagitta import sagittas
 from ebamcheck.curves.vertex_normals import surface_normals
 from ebamcheck.mesh.part import Part, from_arrays
 from ebamcheck.numeric.rings import Floats
@@ -305,3 +307,21 @@ def test_the_order_of_facets_changes_no_surface() -> None:
 
 def test_without_regions_nothing_is_known() -> None:
     assert len(surface_normals(ellipsoid(), CurveSettings(regions="off")).exact.rows) == 0
+
+
+def test_a_surface_that_the_turns_of_the_mesh_do_not_bear_out_is_allowed_nothing() -> None:
+    part = turned(scattered_torus(3000), 1)
+    low, high = part.bounds[:, 2]
+    cut = slice_part(part, np.linspace(low, high, 6)[1:-1])
+    exact, turns = found_in(part), sagittas(part, SETTINGS.crease_angle_deg)
+    wrong = exact.rows.copy()
+    wrong[:, OWN + 4] += 5.0  # a tube thicker by 5 mm
+    steep = 1.0 / 0.05
+    for rows in (exact.rows, wrong):
+        allowed = Allowing(part, turns, exact._replace(rows=rows)).of(cut).limit_mm
+        assert allowed.max() <= 4.0 * turns.of_edge.max() * steep
+    true, false = (
+        Allowing(part, turns, exact._replace(rows=rows)).of(cut).limit_mm for rows in (exact.rows, wrong)
+    )
+    assert np.median(false) < 1.0
+    assert np.median(true) < np.median(false)

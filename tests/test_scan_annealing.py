@@ -127,7 +127,7 @@ def test_moves_keep_every_island(kind):
 
 @pytest.mark.parametrize("kind", [0, 1, 2])
 def test_what_a_move_changes_is_what_the_moved_order_has(choices, kind):
-    schedule, heat, count = choices.known_schedule, choices.heat, len(choices)
+    schedule, heat, count = choices.known_schedule, choices.cold_heat(), len(choices)
     beside = touching(choices.neighbours, count)
     layer = Layer(
         influence(heat, schedule.time_s, 1e3), entry_options(schedule), beside, schedule.time_s, RAPID
@@ -143,7 +143,7 @@ def test_what_a_move_changes_is_what_the_moved_order_has(choices, kind):
         move(order, a, b, kind, tried)
         timed_from(0, tried, layer, moved)
         assert more_touches(order, a, b, kind, touch_table(beside)) == moved.touches[-1] - log.touches[-1]
-        least_mm = least_travel_mm(Driven(order, log.way, log.travel_mm), a, b, kind, layer.ways)
+        least_mm = least_travel_mm(Driven(order, log.option, log.travel_mm), a, b, kind, layer.options)
         assert least_mm <= moved.travel_mm[-1] == pytest.approx(least_mm, rel=1e-8)
 
 

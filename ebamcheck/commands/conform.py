@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
+from ebamcheck.commands.options import assignments
 from ebamcheck.errors import ExitCode
 from ebamcheck.plugins import registry
-from ebamcheck.settings.checking import assignments
 from ebamcheck.testing.conformance import conform, conform_control, markdown_table
 
 # Annotations of a command are read when it is registered, so their names must exist at run time.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -175,6 +176,26 @@ def numbers(text: str, option: str) -> tuple[float, ...]:
         return tuple(float(number) for number in text.split(","))
     except ValueError:
         raise SettingsError(f"{option} {text!r}: give numbers, separated by commas") from None
+
+
+def assignments(texts: Iterable[str]) -> dict[str, Any]:
+    """Settings given as NAME=VALUE; values are JSON where they can be, else text.
+
+    Examples
+    --------
+    >>> assignments(["pixel_mm=0.1", "mode=literal"])
+    {'pixel_mm': 0.1, 'mode': 'literal'}
+    """
+    values: dict[str, Any] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not (name.strip() and equals):
+            raise SettingsError(f"--set {text!r}: write it as NAME=VALUE")
+        try:
+            values[name.strip()] = json.loads(value)
+        except ValueError:
+            values[name.strip()] = value
+    return values
 
 
 def print_json(value: Any) -> None:

@@ -15,13 +15,13 @@ from ebamcheck.commands.options import (
     PartArgument,
     UnitsOption,
     YesOption,
+    assignments,
     loaded,
     numbers,
     settings_of,
     within_work,
 )
 from ebamcheck.errors import ExitCode, SettingsError
-from ebamcheck.settings.checking import assignments
 
 SLICE_SUFFIXES = (".parquet", ".cli", ".svg")
 """Formats that are written; looked at before the work, not after it."""

@@ -2,7 +2,8 @@
 
 A smooth surface through the corners of a facet leaves it, at barycentric places l, by 4 sum l_i l_j s_ij, where s_ij is
 how far it leaves the edge from i to j (the error of linear interpolation of a quadric). In the layer that is more the
-flatter the surface lies. Of an exact surface the distance is known.
+flatter the surface lies. Of an exact surface the distance is known; what the turns of the mesh say of it is the limit all the
+same.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 from ebamcheck.curves.exact import ExactSurfaces, no_surfaces
 from ebamcheck.curves.exact.forms import FLAT, KIND, signed_distance
 from ebamcheck.curves.exact.sections import slope_of
+from ebamcheck.curves.plausible import LEAST_SAGITTA_MM
 from ebamcheck.curves.sagitta import Sagittas
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
@@ -33,6 +35,10 @@ LEAST_LEVEL = 0.05
 
 ROOM = 1.5
 """Times its distance to first order that a section of an exact surface may be from a contour."""
+
+OF_TURNS = 4.0
+"""Times the sagitta that the turns of the mesh tell, or the median of these, that an exact surface may stand over a facet: it
+stands at most 2.5 times as far, on regular, decimated and scattered meshes alike. The form is judged by what did not find it."""
 
 NEIGHBOURS = 4
 """Segments on either side whose allowance a segment of a curved side shares: that of one, by the turns at the two ends of
@@ -61,6 +67,7 @@ class _Told(NamedTuple):
     of_edge: Floats
     of_side: Floats
     plane: Bools
+    typical: float
     exact: Index
     forms: Floats
 
@@ -99,8 +106,18 @@ class Allowing:
         level = np.hypot(normals[:, 0], normals[:, 1]) / np.where(sizes > 0.0, sizes, 1.0)
         growth = 1.0 / np.maximum(level, FLATTEST_SURFACE)
         known = no_surfaces(len(faces)) if exact is None else exact
+        curved = sagittas.of_edge[sagittas.of_edge > LEAST_SAGITTA_MM]
+        typical = float(np.median(curved)) if curved.size else 0.0
         self._told = _Told(
-            faces, starts, corners, growth, sagittas.of_edge, sagittas.of_side, sagittas.plane, *known
+            faces,
+            starts,
+            corners,
+            growth,
+            sagittas.of_edge,
+            sagittas.of_side,
+            sagittas.plane,
+            typical,
+            *known,
         )
 
     def of(self, layers: Layers) -> Allowances:
@@ -218,4 +235,6 @@ def _exact_mm(told: _Told, f: int, x: float, y: float, z: float) -> float:
     if row < 0 or int(told.forms[row, KIND]) == FLAT:
         return 0.0
     at = signed_distance(told.forms[row], x, y, z)
-    return float(ROOM * abs(at[0]) / max(slope_of(at), LEAST_LEVEL))
+    own = max(told.of_edge[3 * f], told.of_edge[3 * f + 1], told.of_edge[3 * f + 2])
+    stands = min(ROOM * abs(at[0]), OF_TURNS * max(own, told.typical))
+    return float(stands / max(slope_of(at), LEAST_LEVEL))

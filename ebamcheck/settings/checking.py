@@ -7,10 +7,9 @@ file, a plate, a table of tolerances, the command line or the arguments of a fun
 from __future__ import annotations
 
 import difflib
-import json
 import math
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar, get_args, get_origin
 
@@ -34,26 +33,6 @@ def read_toml(path: Path, error: type[EbamcheckError] = SettingsError) -> dict[s
         raise error(f"{path}: is not UTF-8 text, as TOML must be") from None
     except tomllib.TOMLDecodeError as found:
         raise error(f"{path}: is not TOML: {found}") from None
-
-
-def assignments(texts: Iterable[str]) -> dict[str, Any]:
-    """Settings given as NAME=VALUE; values are JSON where they can be, else text.
-
-    Examples
-    --------
-    >>> assignments(["pixel_mm=0.1", "mode=literal"])
-    {'pixel_mm': 0.1, 'mode': 'literal'}
-    """
-    values: dict[str, Any] = {}
-    for text in texts:
-        name, equals, value = text.partition("=")
-        if not (name.strip() and equals):
-            raise SettingsError(f"--set {text!r}: write it as NAME=VALUE")
-        try:
-            values[name.strip()] = json.loads(value)
-        except ValueError:
-            values[name.strip()] = value
-    return values
 
 
 def checked(
