@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import shapely
@@ -12,10 +12,10 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.numeric.rings import Bools
 from ebamcheck.program.checking.checks import Check, count_check, event_place
-from ebamcheck.program.checking.preheat_way import scanned_heat, scans_of
+from ebamcheck.program.checking.preheat_way import WAITS, scanned_heat, scans_of
 from ebamcheck.program.checking.state_checks import extremes
 from ebamcheck.program.checking.text_heat import sections_of_text, text_beads, text_bed_k, text_shapes
-from ebamcheck.program.language.codes import BEAM_VALUES, DWELL, FOCUS
+from ebamcheck.program.language.codes import BEAM_VALUES, FOCUS
 from ebamcheck.program.language.files import layer_of_preheat
 from ebamcheck.program.language.increments import increments_of
 from ebamcheck.program.language.safe_end import safe_end_mm
@@ -37,8 +37,6 @@ LENGTH_SHARE = 0.02
 MOST_PASSES = 20000
 """More are not counted."""
 
-WAITS = ("layer_pause_s", DWELL)
-
 Faults = list[tuple[str, str]]
 
 
@@ -54,7 +52,6 @@ class _Found:
     passes: int
     wanted: int
     where: str = ""
-    faults: Faults = field(default_factory=list)
 
 
 def preheat_checks(nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] | None) -> list[Check]:
