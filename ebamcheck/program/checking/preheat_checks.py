@@ -31,11 +31,8 @@ VALUE_SHARE = 1e-3
 PLACE_MM = 0.01
 """How far beside the region a line may end: the decimals of the program."""
 
-LENGTH_SHARE = 0.02
-"""Share of a pass by which the way of a scan may be off that of whole passes."""
-
-MOST_PASSES = 20000
-"""More are not counted."""
+LENGTH_SHARE, MOST_PASSES = 0.02, 20000
+"""Share of a pass by which the way of a scan may be off that of whole passes; more of these are not counted."""
 
 Faults = list[tuple[str, str]]
 
