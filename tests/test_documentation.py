@@ -78,6 +78,9 @@ WITHOUT_UNIT = {
     "hole",  # value in a file
     "least_known",  # fraction of an area
     "most_layers",  # counts
+    "passes",  # counts
+    "most_passes",  # counts
+    "defocus",  # in the machine's own unit
     "most_points",
     "most_islands",
     "stride",  # islands

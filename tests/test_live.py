@@ -152,7 +152,8 @@ def test_another_direction_needs_axes_that_turn_the_part(place, tmp_path):
     assert done.returncode == 0, done.stderr
 
 
-def test_another_direction_cuts_the_part_turned(place, tmp_path):
+def test_another_direction_through_what_stands_is_refused(place, tmp_path):
+    """The part is cut turned, and the layer that stands is in the section: see test_turned_layers for what is built."""
     run = shutil.copytree(place / "box.run", tmp_path / "box.run")
     manifest = json.loads((run / "run.json").read_text())
     manifest["settings"]["machine"]["tilt_axes"] = True
@@ -161,14 +162,16 @@ def test_another_direction_cuts_the_part_turned(place, tmp_path):
         "relayer", run, "--layer", 1, "--measured-z", 1.7, "--direction", "1,0,0", "-o", tmp_path / "o",
         "--part", place / "box.stl", "--json", cwd=tmp_path,
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr + done.stdout
+    assert done.returncode == 1, done.stderr + done.stdout
     told = json.loads(done.stdout)
     assert told["direction"] == [1.0, 0.0, 0.0]
     # 30 mm of it stand upright now: 24 x 12 mm are cut.
     metal = next(gate for gate in told["gates"] if gate["name"] == "deposit")["text"]
     density = Config().material.density_kg_m3 * 1e-9
     assert f"{24 * 12 * told['thickness_mm'] * density:.3f} kg of part" in metal
-    assert failed_checks(tmp_path / "o" / LAYERS / told["name"], place / "box.stl") == []
+    assert "standing metal" in next(gate for gate in told["gates"] if gate["name"] == "program")["text"]
+    assert told["place"] is None
+    assert not (tmp_path / "o" / LAYERS / told["name"]).exists()
 
 
 @pytest.mark.parametrize("control", ["linuxcnc", "plain-gcode"])

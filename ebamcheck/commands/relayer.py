@@ -18,6 +18,7 @@ from ebamcheck.live.making import LayerMaker
 from ebamcheck.live.map_files import read_map
 from ebamcheck.live.metal_so_far import MetalSoFar
 from ebamcheck.live.relaying import Relayered, relayer
+from ebamcheck.live.turned import stands_of
 from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.program.checking.metal_below import MetalBelow
 
@@ -78,6 +79,10 @@ def relayer_command(
     heat = heat_under(found.plan, layer, found.thickness_mm, found.busy_s(), found.config)
     folder = output or run.with_name(f"{run.resolve().name.removesuffix('.run')}.live")
     with LayerMaker(found.part, found.config, found.primary, annealing) as maker:
+        if turned is not None and not alike(turned, run):
+            before = finished_run(run, part)
+            built_mm = float(before.tops_mm[layer - 1]) if layer else 0.0
+            maker.stands = stands_of(before.part, found.part, built_mm, before.config)
         # Along another direction other layers would have been laid than those that the run knows.
         metal = None if turned else found.metal_under(layer)
         cells: MapCells | None = None

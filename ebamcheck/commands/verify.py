@@ -16,11 +16,13 @@ from ebamcheck.commands.options import (
     print_json,
     settings_of,
 )
-from ebamcheck.errors import ExitCode
+from ebamcheck.errors import ExitCode, SettingsError
 
 
 def verify(
-    target: Annotated[Path, typer.Argument(help="A run folder, or a program (with --part).")],
+    target: Annotated[
+        Path, typer.Argument(help="A run folder; or, with --part, a program, or the folder of a live build.")
+    ],
     part: Annotated[
         Path | None,
         typer.Option(help="File of the part that the program should make; of a run: if it was moved since."),
@@ -40,10 +42,13 @@ def verify(
 ) -> ExitCode:
     """Work every gate of a finished run out again, or check a program against a part, from the program's text."""
     from ebamcheck.drawing.tables import text_table
+    from ebamcheck.live.verifying import is_build
     from ebamcheck.pipeline import verify as verification
     from ebamcheck.pipeline.certificate import find_record
     from ebamcheck.pipeline.run_folder import MANIFEST
 
+    if is_build(target):
+        return _build(target, part, as_json)
     # A run has its own settings: a file that lies about does not matter to it, nor to a program in it.
     own = (target / MANIFEST).is_file()
     if not own and target.exists() and not (config or units or layer_height):
@@ -62,3 +67,25 @@ def verify(
         failed = sum(not c.passed for c in checks)
         print(f"\n{len(checks) - failed} of {len(checks)} checks passed")
     return ExitCode.PASS if all(c.passed for c in checks) else ExitCode.OUT_OF_TOLERANCE
+
+
+def _build(folder: Path, part: Path | None, as_json: bool) -> ExitCode:
+    """Verify every published layer of a live build from its text alone."""
+    from ebamcheck.live.verifying import VerifiedLayer, verify_build
+
+    if part is None:
+        raise SettingsError(f"{folder}: is a live build: name its part with --part")
+
+    def tell(layer: VerifiedLayer) -> None:
+        if not as_json:
+            print(
+                f"{'pass' if layer.passed else 'FAIL'}  {layer.name}  {layer.checks} checks  {layer.why}".rstrip()
+            )
+
+    found = verify_build(folder, part, tell)
+    good = sum(layer.passed for layer in found)
+    if as_json:
+        print_json([vars(layer) for layer in found])
+    else:
+        print(f"\n{good} of {len(found)} published layers verify from their text alone")
+    return ExitCode.PASS if found and good == len(found) else ExitCode.OUT_OF_TOLERANCE

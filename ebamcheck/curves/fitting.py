@@ -18,6 +18,7 @@ from ebamcheck.curves.fallback import with_fallback
 from ebamcheck.curves.interpolation import CENTRIPETAL, CHORD_LENGTH, interpolate
 from ebamcheck.curves.lifting import Lifting
 from ebamcheck.curves.oriented_contours import OrientedContours, orient
+from ebamcheck.curves.per_part import once_a_part
 from ebamcheck.curves.reduction import reduced_segments, smooth_segments
 from ebamcheck.curves.sagitta import sagittas
 from ebamcheck.curves.segments import Segments, pieces_of
@@ -164,10 +165,16 @@ def _accepted(
     return curves
 
 
+@once_a_part
+def _lifting_of(part: Part, settings: CurveSettings) -> Lifting:
+    """Lifting of a part: where its layers are fitted one by one, the mesh is judged once."""
+    return Lifting(part, surface_normals(part, settings))
+
+
 def _lifting(layers: Layers, part: Part | None, method: str, settings: CurveSettings) -> Lifting | None:
     """Lifting of the contours of a part, or None where part or edges are not known and not needed."""
     if part is not None and layers.edge is not None:
-        return Lifting(part, surface_normals(part, settings))
+        return _lifting_of(part, settings)
     if method == "surface" and len(layers.points):
         lacking = (
             "part="

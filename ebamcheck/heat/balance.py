@@ -169,6 +169,8 @@ class HeatColumn:
     radiated_j: float = 0.0
     content: Floats = field(default_factory=lambda: np.zeros(0))
     """(n,) heat content of the cells over that at ambient temperature, from below, J/mm^3."""
+    warm_plate: Floats = field(default_factory=lambda: np.zeros(0))
+    """The same of the base plate before the first layer is laid, where it was preheated; empty: it is cold."""
     _cells: Floats = field(default_factory=lambda: np.zeros((5, 0)))
     _top: int = 0
     _under: int = 0
@@ -198,14 +200,21 @@ class HeatColumn:
     def surface_k(self) -> float:
         """Mean temperature of the uppermost layer, K; ambient before there is any."""
         if not len(self.content):
-            return self.config.process.ambient_temperature_k
+            return self._bare_k
         return self._mean_k(self._top, len(self.content))
+
+    @property
+    def _bare_k(self) -> float:
+        """Temperature of the base plate on which nothing stands."""
+        if not len(self.warm_plate):
+            return self.config.process.ambient_temperature_k
+        return self._material.temperature_of(float(self.warm_plate[-1]))
 
     @property
     def bed_k(self) -> float:
         """Temperature of what the next bead lies on: the warmer one of the uppermost layer and that under it, K."""
         if not len(self.content):
-            return self.config.process.ambient_temperature_k
+            return self._bare_k
         return max(self.surface_k, self._mean_k(self._under, self._top))
 
     @property
@@ -232,17 +241,29 @@ class HeatColumn:
         """Return the same column, to be aged by itself."""
         return HeatColumn(
             self.config, self.tables, self.absorbed_j, self.base_j, self.radiated_j,
-            self.content.copy(), self._cells, self._top, self._under, self._radiating,
+            self.content.copy(), self.warm_plate, self._cells, self._top, self._under, self._radiating,
         )  # fmt: skip
 
     def lay(self, shape: LayerShape) -> None:
         """Lay a cold layer on top; the first one brings the plate under it."""
         if not len(self.content):
             self._stack(LayerShape(self.config.process.base_plate_mm, shape.area_mm2, 0.0))
+            if len(self.warm_plate):
+                self.content[:] = self.warm_plate
         self._under, self._top = self._top, len(self.content)
         self._stack(shape)
         joined = joined_cells(self._cells[0], self._cells[1], self._cells[4], self._under)
         self._join(joined)
+        self._see()
+
+    def lay_plate(self, area_mm2: float) -> None:
+        """Put a bare base plate there, whose uppermost cell takes up the heat; nothing is laid on this column."""
+        self._stack(LayerShape(self.config.process.base_plate_mm, area_mm2, 0.0))
+        self._under = self._top = len(self.content) - 1
+        self._see()
+
+    def _see(self) -> None:
+        """Work out by which surface each cell radiates."""
         size, area, outer, inner, hole = self._cells
         surface_mm2 = radiating_mm2(size, area, outer, inner, hole, self.config.material.emissivity)
         self._radiating = 1e-6 * STEFAN_BOLTZMANN_W_M2K4 * surface_mm2

@@ -239,7 +239,7 @@ class Building:
             off_mm = base_mm - top_mm
             return {"answer": "done", "done": reading.done, "height_mm": base_mm, "off_mm": off_mm,
                     "said": list(plan.said)}, None  # fmt: skip
-        limits, why = self.rule.limits, ""
+        limits, why = self.rule.outer, ""
         program = self.maker.config.machine.program_name
         self.folder.mkdir(parents=True, exist_ok=True)
         ground = Ground.of(reading, self.heat, self.metal, self.maker.config)

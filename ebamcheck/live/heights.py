@@ -16,6 +16,7 @@ import numpy as np
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.heat.melting import least_power_share
+from ebamcheck.live.layer_feed import farthest_mm
 from ebamcheck.mesh.part import Part
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
@@ -72,6 +73,20 @@ def bead_limits(config: Config) -> Limits:
         )
     usual = min(max(config.layer_height_mm, least[0]), most[0])
     return Limits(least[0], most[0], usual, (least[1], most[1]))
+
+
+def feed_limits(config: Config, limits: Limits) -> Limits:
+    """Limits where the feed follows, too: those of the bead alone, as far as a feed is there for them."""
+    process = config.process
+    low, high = (share * process.bead_height_mm for share in process.layer_over_bead)
+    least = min(farthest_mm(config, limits.usual_mm, low), limits.least_mm)
+    most = max(farthest_mm(config, limits.usual_mm, high), limits.most_mm)
+    bead, feed = "process.layer_over_bead", "wire, beam and every feed"
+    why = (
+        bead if least <= low * (1.0 + ROUNDING) else feed,
+        bead if most >= high * (1.0 - ROUNDING) else feed,
+    )
+    return Limits(least, most, limits.usual_mm, why)
 
 
 def _melted_mm(config: Config, most_mm: float) -> float:
@@ -203,6 +218,8 @@ class HeightRule:
         Greatest cusp of ``adaptive``.
     listed_mm
         Tops of ``listed``, rising.
+    by_feed
+        Limits where the feed follows, too, which is used where nothing within `limits` fits; None: the feed stays.
     """
 
     slopes: Slopes
@@ -210,6 +227,12 @@ class HeightRule:
     mode: Mode = "uniform"
     cusp_mm: float = 0.5
     listed_mm: tuple[float, ...] = ()
+    by_feed: Limits | None = None
+
+    @property
+    def outer(self) -> Limits:
+        """Limits beyond which no layer can be laid."""
+        return self.by_feed or self.limits
 
     @property
     def met_mm(self) -> float:
@@ -243,7 +266,7 @@ class HeightRule:
 
     def _stations(self, base_mm: float) -> tuple[list[float], list[str]]:
         """Heights that are to be met exactly, rising up to the top, and which cannot."""
-        slopes, limits = self.slopes, self.limits
+        slopes, limits = self.slopes, self.outer
         top = slopes.top_mm
         if top - base_mm <= self.met_mm:
             over = base_mm - top
@@ -278,7 +301,7 @@ class HeightRule:
 
     def _between(self, low_mm: float, high_mm: float) -> tuple[list[float], str]:
         """Layers that fill the way from one height to the next, and what cannot be met."""
-        gap, limits = high_mm - low_mm, self.limits
+        gap, limits, outer = high_mm - low_mm, self.limits, self.outer
         if self.mode == "adaptive":
             wanted = self._by_cusp(low_mm, high_mm)
         elif self.mode == "listed":
@@ -286,38 +309,39 @@ class HeightRule:
         else:
             wanted = [limits.usual_mm] * max(1, round(gap / limits.usual_mm))
         scaled = np.array(wanted) * (gap / sum(wanted))
-        if self._within(scaled):
+        if self._within(scaled, outer if self.mode != "uniform" else limits):
             return scaled.tolist(), self._said_of_cusp(scaled, low_mm)
-        for count in sorted(
-            range(1, math.ceil(gap / limits.least_mm) + 1), key=lambda n: abs(n - len(wanted))
-        ):
-            even = np.full(count, gap / count)
-            if self._within(even):
-                said = ""
-                if self.mode == "listed":
-                    said = f"the step of {gap:.3f} mm to Z {high_mm:.3f} is laid in {count} layers: the greatest is {limits.most_mm:.3f} mm"
-                return even.tolist(), said or self._said_of_cusp(even, low_mm)
+        counts = sorted(range(1, math.ceil(gap / outer.least_mm) + 1), key=lambda n: abs(n - len(wanted)))
+        # The feed stays where it can.
+        for within in (limits, outer):
+            for count in counts:
+                even = np.full(count, gap / count)
+                if self._within(even, within):
+                    said = ""
+                    if self.mode == "listed" and count > 1:
+                        said = f"the step of {gap:.3f} mm to Z {high_mm:.3f} is laid in {count} layers: the greatest is {within.most_mm:.3f} mm"
+                    return even.tolist(), said or self._said_of_cusp(even, low_mm)
         count = max(1, round(gap / limits.usual_mm))
         said = (
-            f"from Z {low_mm:.3f} to {high_mm:.3f} mm no number of layers is within {limits.least_mm:.3f} mm "
-            f"({limits.why[0]}) .. {limits.most_mm:.3f} mm ({limits.why[1]})"
+            f"from Z {low_mm:.3f} to {high_mm:.3f} mm no number of layers is within {outer.least_mm:.3f} mm "
+            f"({outer.why[0]}) .. {outer.most_mm:.3f} mm ({outer.why[1]})"
         )
         return [gap / count] * count, said
 
-    def _within(self, thickness: Floats) -> bool:
-        low, high = self.limits.least_mm * (1.0 - ROUNDING), self.limits.most_mm * (1.0 + ROUNDING)
+    def _within(self, thickness: Floats, limits: Limits) -> bool:
+        low, high = limits.least_mm * (1.0 - ROUNDING), limits.most_mm * (1.0 + ROUNDING)
         return bool(((thickness >= low) & (thickness <= high)).all())
 
     def _by_cusp(self, low_mm: float, high_mm: float) -> list[float]:
         """Layers from below, each as thick as the cusp allows; together at least the way."""
-        made, z = [], low_mm
+        made, z, least_mm = [], low_mm, self.outer.least_mm
         while z < high_mm - ROUNDING:
             thick = self.limits.most_mm
-            while thick > self.limits.least_mm:
+            while thick > least_mm:
                 steep = self.slopes.steepest(z, min(z + thick, high_mm))
                 if thick * steep <= self.cusp_mm * (1.0 + ROUNDING):
                     break
-                thick = max(self.limits.least_mm, min(self.cusp_mm / steep, thick - self.slopes.step_mm))
+                thick = max(least_mm, min(self.cusp_mm / steep, thick - self.slopes.step_mm))
             made.append(thick)
             z += thick
         return made
@@ -332,7 +356,7 @@ class HeightRule:
             return ""
         return (
             f"the cusp of the layer up to Z {tops[k]:.3f} is {cusp[k]:.3f} mm, over {self.cusp_mm:g} mm: thinner layers than "
-            f"{self.limits.least_mm:.3f} mm ({self.limits.why[0]}) would be needed"
+            f"{self.outer.least_mm:.3f} mm ({self.outer.why[0]}) would be needed"
         )
 
 
@@ -354,4 +378,5 @@ def height_rule(
     ):
         raise SettingsError("listed heights must be positive and rise from layer to layer")
     limits = bead_limits(config)
-    return HeightRule(Slopes.of(part, limits.least_mm / STEPS_A_LAYER), limits, mode, cusp_mm, listed)
+    slopes = Slopes.of(part, limits.least_mm / STEPS_A_LAYER)
+    return HeightRule(slopes, limits, mode, cusp_mm, listed, feed_limits(config, limits))

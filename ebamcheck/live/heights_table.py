@@ -6,6 +6,7 @@ Both follow from the journal alone and are written between the layers, after the
 from __future__ import annotations
 
 import csv
+import math
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -133,6 +134,23 @@ def heights_plot(table: dict[str, Floats]) -> str:
     return "\n".join([*parts, "</svg>", ""])
 
 
+def ticks(low: float, most: float) -> list[float]:
+    """Round numbers from `low` to `most`, about five.
+
+    Examples
+    --------
+    >>> ticks(-0.06, 0.84)
+    [0.0, 0.2, 0.4, 0.6, 0.8]
+    >>> ticks(1.0, 175.0)
+    [50.0, 100.0, 150.0]
+    """
+    wide = (most - low) / 4.0
+    unit = 10.0 ** math.floor(math.log10(wide))
+    step = unit * next(factor for factor in (1.0, 2.0, 5.0, 10.0) if factor * unit >= 0.8 * wide)
+    first, last = math.ceil(low / step - 1e-9), math.floor(most / step + 1e-9)
+    return [round(k * step, 9) + 0.0 for k in range(first, last + 1)]
+
+
 def _panel(top_px: float, title: str, names: list[str], layer: Floats, columns: list[Floats]) -> list[str]:
     values = np.concatenate([column[np.isfinite(column)] for column in columns] or [np.zeros(1)])
     low, most = (float(values.min()), float(values.max())) if values.size else (0.0, 1.0)
@@ -150,12 +168,12 @@ def _panel(top_px: float, title: str, names: list[str], layer: Floats, columns: 
         f'<text x="{LEFT_PX:g}" y="{top_px - 6:g}">{title}</text>',
     ]
     parts += [
-        f'<text x="{LEFT_PX - 6:g}" y="{y(value) + 4:.1f}" text-anchor="end">{value:.3g}</text>'
-        for value in np.linspace(low, most, 5).tolist()
+        f'<text x="{LEFT_PX - 6:g}" y="{y(value) + 4:.1f}" text-anchor="end">{value:g}</text>'
+        for value in ticks(low, most)
     ]
     parts += [
-        f'<text x="{x(value):.1f}" y="{top_px + PANEL_PX + 16:g}" text-anchor="middle">{value + 1:.0f}</text>'
-        for value in np.linspace(0.0, last, 6).round().tolist()
+        f'<text x="{x(value - 1.0):.1f}" y="{top_px + PANEL_PX + 16:g}" text-anchor="middle">{value:g}</text>'
+        for value in sorted({1.0, *(t for t in ticks(1.0, last + 1.0) if t >= 1.0)})
     ]
     if low < 0.0 < most:
         parts.append(f'<path d="M{LEFT_PX:g} {y(0.0):.1f}h{wide:g}" stroke="#bbb"/>')

@@ -25,18 +25,22 @@ from ebamcheck.json_values import sha256_of_json
 from ebamcheck.layers.stack import Layers
 from ebamcheck.live.clock import Clock
 from ebamcheck.live.heat_so_far import HeatSoFar
+from ebamcheck.live.layer_feed import at_layer_feed
 from ebamcheck.live.metal_so_far import MetalSoFar
+from ebamcheck.live.turned import Stands, turned_checks
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline import gates
 from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.fit_evidence import FitVerdict, judged
 from ebamcheck.pipeline.gates import Gate
+from ebamcheck.pipeline.live_program import without_preheating
 from ebamcheck.pipeline.programming import bead_paths, smooth_layers
 from ebamcheck.plugins import registry
 from ebamcheck.program import Check, ProgramFiles, mark_validated, verify_program
 from ebamcheck.program.checking.deposit import deposit
 from ebamcheck.program.checking.deposit_checks import deposit_checks
+from ebamcheck.program.checking.hatch_form import form_checks
 from ebamcheck.program.checking.matching import matched
 from ebamcheck.program.language.control import control
 from ebamcheck.program.reading.motions import NCProgram
@@ -136,11 +140,12 @@ class LayerMaker:
     BackendMissing
         If there are no two exact slicers on this machine.
     SettingsError
-        If programs of the control are not read back.
+        If programs of the control are not read back, or the settings ask for preheating.
     """
 
     def __init__(self, part: Part, config: Config, primary: str = "", annealing_steps: int = 0) -> None:
         name = config.machine.control
+        without_preheating(config, "layers between layers")
         if not control(name).is_read:
             raise SettingsError(
                 f"machine.control {name!r}: what is written for it is not read back, so that no layer of it can be proved"
@@ -157,6 +162,8 @@ class LayerMaker:
         # What every layer has alike is made once, and written out once.
         self._of_part = config.part.model_copy(update={"direction": part.direction})
         self._of_scan = config.scan.model_copy(update={"annealing_steps": annealing_steps})
+        self.stands: Stands | None = None
+        """What stands of a part that is turned between layers; None: it is not."""
         self._open = ExitStack()
         self._aside = self._open.enter_context(ThreadPoolExecutor(1))
         self._slicings = {
@@ -192,10 +199,10 @@ class LayerMaker:
         cut = self._slicings[self.primary].at(self.bottom_mm + height_mm)
         return layer_section(cut.polygons(0))
 
-    def config_of(self, wanted: Wanted) -> Config:
-        """Settings of the program of one layer: those of the run, with its height and name."""
+    def config_of(self, wanted: Wanted, mapped: bool = False) -> Config:
+        """Settings of the program of one layer: those of the run, with its height and name, and the feed for that height."""
         cut_mm = self.bottom_mm + wanted.base_mm + 0.5 * wanted.thickness_mm
-        sections = self.config
+        sections = at_layer_feed(self.config, wanted.thickness_mm, mapped)
         # Values that were worked out here need no check of all others, which takes a while with many plugins.
         return sections.model_copy(
             update={
@@ -230,7 +237,7 @@ class LayerMaker:
             If a stage cannot do its work at all: the layer has no section, a slicer fails, a setting is wrong.
         """
         clock = Clock()
-        config = self.config_of(wanted)
+        config = self.config_of(wanted, metal is not None and metal.mapped_surface)
         with clock.stage("slice"):
             cuts = self._cut(wanted, config)
         contours, witness = cuts[self.primary], cuts[self.witness]
@@ -275,7 +282,10 @@ class LayerMaker:
                 smooth=smooth if config.curves.method in LIFTED else None,
             )
             of_metal, stands = weighing.result()
-            checks += of_metal
+            checks += [*of_metal, *form_checks(program, config)]
+            if self.stands is not None:
+                section = layer_section(witness.polygons(0))
+                checks += turned_checks(program, section, config.layers.heights_mm[0], self.stands, config)
             made += _gates_of_program(checks, plan, config)
             if all(gate.passed for gate in made):
                 files = mark_validated(files)

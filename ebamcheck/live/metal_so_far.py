@@ -39,6 +39,11 @@ class MetalSoFar:
         low, high = part.bounds[0, :2] - room_mm, part.bounds[1, :2] + room_mm
         return cls(MetalBelow(), Surface(np.concatenate([low, high]), bead_mm))
 
+    @property
+    def mapped_surface(self) -> bool:
+        """Whether the surface was measured place by place."""
+        return self.surface is not None and self.surface.mapped
+
     def measured(self) -> MetalSoFar:
         """Return the same when its height was measured: its surface is on average there, and as uneven as it was."""
         return self if self.surface is None else MetalSoFar(self.below, self.surface.measured())

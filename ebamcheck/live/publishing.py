@@ -17,7 +17,8 @@ from ebamcheck.live.making import MadeLayer
 from ebamcheck.mesh.part import Part
 from ebamcheck.program.language.control import control
 from ebamcheck.program.language.files import LONGEST_NAME
-from ebamcheck.settings.text import as_toml
+from ebamcheck.settings.process_window import nominal_wire_speed_mm_s
+from ebamcheck.settings.text import values_as_toml
 from ebamcheck.version import __version__
 
 CERTIFICATE, SETTINGS, PROGRAM = "layer.json", "settings.toml", "program"
@@ -73,6 +74,8 @@ def certificate_of(
                 "thickness_mm": wanted.thickness_mm,
                 "top_mm": wanted.top_mm,
                 "cut_mm": made.cut_mm,
+                "travel_speed_mm_s": made.config.process.travel_speed_mm_s,
+                "wire_speed_mm_s": nominal_wire_speed_mm_s(made.config, wanted.thickness_mm),
                 "direction": part.direction,
                 "control": made.config.machine.control,
                 "part": {
@@ -126,7 +129,7 @@ def publish(
     if not made.passed or made.files is None:
         raise InputError(f"layer {made.wanted.layer}: is not validated and cannot be published: {made.why}")
     staged = made.files.folder.parent
-    (staged / SETTINGS).write_text(as_toml(made.config), encoding="utf-8")
+    (staged / SETTINGS).write_text(values_as_toml(made.config), encoding="utf-8")
     (staged / CERTIFICATE).write_text(json_text(certificate), encoding="utf-8")
     for name, wanted in made.files.sha256.items():
         _check_hash(made.files.folder / name, wanted)
@@ -154,6 +157,7 @@ def current_of(certificate: Mapping[str, Any]) -> dict[str, Any]:
         "layer": certificate["layer"],
         "base_mm": certificate["base_mm"],
         "thickness_mm": certificate["thickness_mm"],
+        "travel_speed_mm_s": certificate["travel_speed_mm_s"],
         "program": f"{LAYERS}/{name}/{PROGRAM}/{called}",
         "sha256": certificate["files"][called],
         "wait_s": certificate["wait_s"],

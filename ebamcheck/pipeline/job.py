@@ -106,6 +106,10 @@ def run_job(
         )
     if live:
         check_waits(config)
+    if from_layer > 1 and config.preheat.when != "off":
+        raise SettingsError(
+            f"--from-layer {from_layer}: preheat.when is {config.preheat.when!r}, which belongs to a build from the plate: set it to 'off'"
+        )
     checked_window(config)
     usable_templates(config, config.machine.control)
     part = begun or ready(part_path, config, "run", yes)

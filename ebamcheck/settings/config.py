@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Self
 
-from pydantic import model_validator
+from pydantic import SerializationInfo, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from ebamcheck.settings.base import Section
 from ebamcheck.settings.checking import checked, read_toml
@@ -18,6 +18,7 @@ from ebamcheck.settings.height_map import HeightMapSettings
 from ebamcheck.settings.machine import KinematicsSettings, MachineSettings
 from ebamcheck.settings.material import MaterialSettings
 from ebamcheck.settings.opcua import OpcuaSettings
+from ebamcheck.settings.preheat import PreheatSettings
 from ebamcheck.settings.process import ProcessSettings
 from ebamcheck.settings.scan import ScanSettings
 from ebamcheck.settings.selection import MachineSections, RegressionSettings
@@ -68,7 +69,20 @@ class Config(Section):
     machines: MachineSections = MachineSections()
     opcua: OpcuaSettings = OpcuaSettings()
     height_map: HeightMapSettings = HeightMapSettings()
+    preheat: PreheatSettings = PreheatSettings()
     work: WorkSettings = WorkSettings()
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, handler: SerializerFunctionWrapHandler, info: SerializationInfo) -> dict[str, Any]:
+        """Leave out preheating where it is off and as it is by default: programs without it keep the hash of their settings."""
+        values: dict[str, Any] = handler(self)
+        if info.mode == "json":  # hashes are of the values themselves
+            return values
+        if self.preheat == PreheatSettings():
+            values.pop("preheat", None)
+        if not self.machine.set_focus:
+            values.get("machine", {}).pop("set_focus", None)
+        return values
 
     def __repr__(self) -> str:
         """Name the settings that are not the default ones."""
@@ -127,7 +141,7 @@ class Config(Section):
         values = self.model_dump()
         for section, changes in sections.items():
             # Another material brings data of its own.
-            kept = values[section] if section != "material" or "name" not in changes else {}
+            kept = values.get(section, {}) if section != "material" or "name" not in changes else {}
             values[section] = {**kept, **changes}
         return validated(values, "settings")
 

@@ -121,7 +121,7 @@ class MachineSettings(Section):
     """Other codes that templates may hold: M and H codes that move nothing and change neither beam nor wire, such as "M77"
     or "H9". All else in a template is refused."""
     # Templates: {power_w} {voltage_kv} {current_ma} {wire_mm_s} {wire_retract_mm} {feed_mm_min} {layer_pause_s}
-    # {layer} {height_mm} are filled in.
+    # {layer} {height_mm} are filled in; {defocus} in set_focus alone.
     beam_on: tuple[str, ...] = ("M60 ; beam on",)
     """Blocks that switch the beam on; the codes are the machine maker's."""
     beam_off: tuple[str, ...] = ("M61 ; beam off",)
@@ -143,6 +143,9 @@ class MachineSettings(Section):
     """Blocks that draw the stopped wire back, where the process asks for it."""
     layer_pause: tuple[str, ...] = ("G4 F{layer_pause_s} ; wait, s",)
     """Blocks that wait between two layers, where the process asks for it."""
+    set_focus: tuple[str, ...] = ()
+    """Blocks that set the focus of the beam to {defocus}, such as "H5={defocus} ; focus": for preheating, 0 for beads. Empty: the
+    machine has none."""
     layer_begin: tuple[str, ...] = ()
     """Blocks before the first motion of a layer."""
     layer_end: tuple[str, ...] = ()

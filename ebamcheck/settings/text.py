@@ -16,6 +16,14 @@ from ebamcheck.settings.wording import EXAMPLES, PLACEHOLDERS, TEMPLATES
 WIDTH = 100
 
 
+def values_as_toml(config: Config) -> str:
+    """Settings as TOML without a word of explanation, which takes a while to find: for a file that programs read."""
+    lines = ["# Settings of ebamcheck: `ebamcheck config` explains every key.", ""]
+    for name in type(config).model_fields:
+        lines += _of_section(name, getattr(config, name), False)
+    return "\n".join(lines)
+
+
 def as_toml(config: Config) -> str:
     """Settings as TOML: every key with its value, its explanation as a comment before it.
 
@@ -27,29 +35,29 @@ def as_toml(config: Config) -> str:
     return "\n".join(lines)
 
 
-_written: dict[int, tuple[Section, list[str]]] = {}
+_written: dict[tuple[int, bool], tuple[Section, list[str]]] = {}
 """Lines of sections that were written last. Sections do not change, and settings that differ in one share the others."""
 
 MOST_WRITTEN = 64
 
 
-def _of_section(name: str, section: Section) -> list[str]:
+def _of_section(name: str, section: Section, explained: bool = True) -> list[str]:
     """Lines of one section; those of the same object are written once."""
-    known = _written.get(id(section))
+    known = _written.get((id(section), explained))
     if known is not None and known[0] is section:
         return known[1]
-    lines = [f"# {_first_line(section)}", f"[{name}]"]
+    lines = [f"# {_first_line(section)}", f"[{name}]"] if explained else [f"[{name}]"]
     tables: list[str] = []
-    said = explanations(type(section))
+    said = explanations(type(section)) if explained else {}
     for key in type(section).model_fields:
         value = getattr(section, key)
         lines += _explained(said.get(key, ""))
-        lines += told_beside(name, key)
+        lines += told_beside(name, key) if explained else []
         if isinstance(value, dict):
             tables += _tables(f"{name}.{key}", value)
-            lines += [] if value else [f"# [{name}.{key}.NAME]"]
+            lines += [f"# [{name}.{key}.NAME]"] if explained and not value else []
         elif value is None:
-            lines.append(f"# {key} =")
+            lines += [f"# {key} ="] if explained else []
         else:
             lines.append(f"{key} = {_same_text(f'{name}.{key}', value)}")
     if section.model_extra:
@@ -57,8 +65,9 @@ def _of_section(name: str, section: Section) -> list[str]:
         tables += tomlkit.dumps({name: named}).removeprefix(f"[{name}]\n").splitlines()
     while len(_written) >= MOST_WRITTEN:
         del _written[next(iter(_written))]
-    _written[id(section)] = section, [*lines, "", *tables]
-    return _written[id(section)][1]
+    made = [*lines, "", *tables]
+    _written[id(section), explained] = section, made
+    return made
 
 
 @cache
@@ -91,8 +100,15 @@ def told_beside(section: str, key: str) -> list[str]:
 
 
 def _tables(path: str, values: dict[str, Any]) -> list[str]:
-    lines = []
+    plain = {name: value for name, value in values.items() if not isinstance(value, dict)}
+    lines = (
+        [f"[{path}]", *(f"{name} = {value_text(value)}" for name, value in plain.items()), ""]
+        if plain
+        else []
+    )
     for name, table in values.items():
+        if name in plain:
+            continue
         lines += [
             f"[{path}.{name}]",
             *(f"{k} = {value_text(v)}" for k, v in table.items() if v is not None),

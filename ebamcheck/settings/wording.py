@@ -22,6 +22,7 @@ PLACEHOLDERS: Mapping[str, str] = {
     "layer_pause_s": "wait between two layers, s",
     "layer": "number of the layer, from 1",
     "height_mm": "Z of the layer, mm",
+    "defocus": "focus of the beam, in the machine's own unit; in set_focus alone",
 }
 """What is filled in where it stands in braces in a template of the machine."""
 
@@ -34,6 +35,7 @@ TEMPLATES: Mapping[str, str] = {
     "set_wire": '["H3={wire_mm_s}"]',
     "wire_stop": '["M63"]',
     "wire_retract": '["H4={wire_retract_mm}"]',
+    "set_focus": '["H5={defocus} ; focus"]',
     "layer_pause": '["G4 F{layer_pause_s}"]',
     "layer_begin": '["MSG(\\"LAYER {layer} AT {height_mm}\\")"]',
     "layer_end": '["M77"]',

@@ -13,19 +13,22 @@ from ebamcheck.pipeline.run_folder import MANIFEST, RunFolder
 
 
 def report(
-    run: Annotated[Path, typer.Argument(help="A finished run folder.")],
+    run: Annotated[Path, typer.Argument(help="A finished run folder, or the folder of a live build.")],
     output: Annotated[
         Path | None,
         typer.Option("-o", "--output", help="FILE.html; default: NAME.html for the run NAME.run."),
     ] = None,
 ) -> ExitCode:
-    """Render the report of a finished run anew, as this version draws it; the run itself stays as it is.
+    """Render the report of a finished run, or of a live build, anew, as this version draws it; the run itself stays as it is.
 
     Example: ebamcheck report blade.run -o blade.html
     """
+    from ebamcheck.live.verifying import is_build
     from ebamcheck_reports.html import document
     from ebamcheck_reports.run_data import RunData
 
+    if is_build(run):
+        return _of_build(run, output or Path(f"{run.resolve().name}.html"))
     if not (run / MANIFEST).is_file():
         raise InputError(f"{run}: is no finished run folder: it has no {MANIFEST}")
     target = output or Path(f"{run.resolve().name.removesuffix('.run')}.html")
@@ -36,6 +39,19 @@ def report(
             f"{target}: lies in the run, whose certificate names every file by its hash: give another place with -o"
         )
     text = document(RunData(RunFolder(run)))
+    with replacing(target) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    typer.echo(f"report: {target}")
+    return ExitCode.PASS
+
+
+def _of_build(folder: Path, target: Path) -> ExitCode:
+    """Render the page of a live build."""
+    from ebamcheck_reports.build_page import document
+
+    if target.suffix.lower() != ".html":
+        raise SettingsError(f"{target}: give FILE.html")
+    text = document(folder)
     with replacing(target) as temporary:
         temporary.write_text(text, encoding="utf-8")
     typer.echo(f"report: {target}")

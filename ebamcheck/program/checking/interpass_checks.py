@@ -15,6 +15,7 @@ from ebamcheck.program.checking.checks import Check, count_check, event_place
 from ebamcheck.program.checking.text_heat import (
     PAUSE,
     TextBeads,
+    sections_of_text,
     text_beads,
     text_bed_k,
     text_shapes,
@@ -70,10 +71,14 @@ def heat_checks(
         Heat of what stands when the program begins; None: the cold plate. Of a program that begins on a part that is half
         built it has to be known: else its entries are not judged, since nothing in its text tells how warm the part is.
     """
-    beads, shapes = text_beads(nc, config), text_shapes(nc, config, sections)
+    known = sections_of_text(nc, config, sections)
+    beads, shapes = text_beads(nc, config), text_shapes(nc, config, known)
     if before is None and config.base_mm > 0.0:
         return [_melting(nc, config, shapes)]
-    return [_melting(nc, config, shapes), _entries(nc, beads, config, shapes, before)]
+    return [
+        _melting(nc, config, shapes),
+        _entries(nc, beads, config, shapes, before, known[0] if known else None),
+    ]
 
 
 def layer_shares(nc: NCProgram, power_w: float) -> Floats:
@@ -111,7 +116,8 @@ def shares_of_text(nc: NCProgram, config: Config, sections: Sequence[BaseGeometr
     beads = text_beads(nc, config)
     if not len(beads) or not np.isfinite(beads.time_s).all():
         return shares
-    bed_k, _ = text_bed_k(beads, config, text_shapes(nc, config, sections))
+    known = sections_of_text(nc, config, sections)
+    bed_k, _ = text_bed_k(beads, config, text_shapes(nc, config, known), lowest=known[0] if known else None)
     hottest_k = np.full(shares.size, -np.inf)
     np.maximum.at(hottest_k, beads.layer, bed_k - config.process.ambient_temperature_k)
     allowed_k = ROOM * (entry_limit_k(config) - config.process.ambient_temperature_k)
@@ -206,10 +212,11 @@ def _entries(
     config: Config,
     shapes: Sequence[LayerShape],
     before: HeatColumn | None = None,
+    lowest: BaseGeometry | None = None,
 ) -> Check:
     """Temperature of the surface when a bead is entered, by the balance, against the limit."""
     limit_k = entry_limit_k(config)
-    bed_k, _ = text_bed_k(beads, config, shapes, before)
+    bed_k, _ = text_bed_k(beads, config, shapes, before, lowest)
     checked = beads.enters_layer if config.process.interpass_at == "layer" else np.ones(len(beads), np.bool_)
     if not checked.any():
         return Check(INTERPASS, True, 0.0, limit_k, "K", "", "nothing is laid")

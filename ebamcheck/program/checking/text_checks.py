@@ -11,6 +11,7 @@ import numpy as np
 
 from ebamcheck.program.checking.checks import Check, count_check
 from ebamcheck.program.language.control import control
+from ebamcheck.program.language.files import layer_of_preheat
 from ebamcheck.program.reading.motions import NCProgram, SourceFile
 from ebamcheck.settings.config import Config
 
@@ -144,6 +145,8 @@ def _foreign(nc: NCProgram) -> Faults:
             continue
         name = event.removeprefix("call ")
         where = f"{nc.files[int(nc.events.file[i])].name}:{int(nc.events.line[i])}"
+        if layer_of_preheat(stem, name) is not None:
+            continue  # checked by itself: see preheat_checks
         found = _LAYER_NAME.fullmatch(name)
         if found is None or found[1] != stem or int(nc.events.file[i]) != 0:
             faults.append((where, f"{name} is no layer of {stem}: nothing says what it is for"))

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -16,7 +16,9 @@ from ebamcheck.heat.balance import HeatColumn, LayerShape
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.program.checking.preheat_way import begun_column, scans_of
 from ebamcheck.program.reading.motions import RAPID, NCProgram
+from ebamcheck.scan.heat.preheating import BeamWay
 from ebamcheck.settings.config import Config
 
 PAUSE = "layer_pause_s"
@@ -71,6 +73,8 @@ class TextBeads:
     energy_j: Floats
     peak_w: Floats
     stray: tuple[tuple[int, str], ...]
+    scans: Mapping[int, BeamWay] = field(default_factory=dict)
+    """Way of the beam that preheats before a layer, by its index."""
 
     def __len__(self) -> int:
         """Return the number of beads."""
@@ -120,6 +124,7 @@ def text_beads(nc: NCProgram, config: Config) -> TextBeads:
         energy_j=np.bincount(bead, power_w * seconds[rows], minlength=first.size).astype(np.float64),
         peak_w=np.maximum.reduceat(power_w, np.flatnonzero(changes)) if first.size else np.zeros(0),
         stray=tuple(stray),
+        scans=scans_of(nc, config),
     )
 
 
@@ -132,7 +137,12 @@ def _between(late_s: Floats, early_s: Floats) -> Floats:
 
 
 def text_bed_k(
-    beads: TextBeads, config: Config, shapes: Sequence[LayerShape], before: HeatColumn | None = None
+    beads: TextBeads,
+    config: Config,
+    shapes: Sequence[LayerShape],
+    before: HeatColumn | None = None,
+    lowest: BaseGeometry | None = None,
+    seen: Callable[[int, HeatColumn], None] = lambda layer, column: None,
 ) -> tuple[Floats, Floats]:
     """Follow the heat of a program by the balance of :mod:`ebamcheck.heat.balance`, bead by bead.
 
@@ -141,7 +151,11 @@ def text_bed_k(
     shapes
         (L,) of the layers.
     before
-        What stands when the program begins; None: the cold plate.
+        What stands when the program begins; None: the plate, cold or as the text preheats it.
+    lowest
+        Section of the lowest layer, where the plate is preheated.
+    seen
+        Called with each layer when it is entered, before it is preheated.
 
     Returns
     -------
@@ -150,18 +164,29 @@ def text_bed_k(
     leave_k
         (L,) that of each layer when it is done; NaN for one without a bead.
     """
-    column = HeatColumn(config) if before is None else before.copy()
+    column = begun_column(beads.scans, lowest, config) if before is None else before.copy()
     bed_k, leave_k = np.zeros(len(beads)), np.full(len(shapes), np.nan)
     enters = beads.enters_layer
     for n in range(len(beads)):
         column.advance(float(beads.move_s[n] + beads.wait_s[n]))
-        bed_k[n] = column.bed_k
         layer = int(beads.layer[n])
+        if enters[n]:
+            seen(layer, column)
+            _scan(column, beads, layer, config)
+        bed_k[n] = column.bed_k
         if enters[n] and shapes[layer].area_mm2 > 0.0:
             column.lay(shapes[layer])
         column.advance(float(beads.time_s[n]), float(beads.energy_j[n]) * config.material.absorptivity)
         leave_k[layer] = column.surface_k
     return bed_k, leave_k
+
+
+def _scan(column: HeatColumn, beads: TextBeads, layer: int, config: Config) -> None:
+    """Preheat what stands before a layer, as the text does; the plate was before it begins."""
+    way = beads.scans.get(layer)
+    if way is None or layer == 0:
+        return
+    column.advance(float(way.time_s.sum()), way.energy_j * config.material.absorptivity)
 
 
 def known_sections(plan: Any, *stacks: Layers | None) -> list[BaseGeometry] | None:
@@ -178,12 +203,20 @@ def sections_of(layers: Layers) -> list[BaseGeometry]:
     return [shapely.union_all(layers.polygons(k)) for k in range(len(layers))]
 
 
+def sections_of_text(
+    nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] | None
+) -> list[BaseGeometry]:
+    """Sections of the layers of a program: those known where they are as many, else what its contours enclose."""
+    if sections is not None and len(sections) == len(nc.layer_files):
+        return list(sections)
+    outlines = sections_of(nc.contours(OUTLINE_STEP_MM))
+    return [shapely.buffer(outline, config.contour_offset_mm) for outline in outlines]
+
+
 def text_shapes(nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] | None) -> list[LayerShape]:
     """Shapes of the layers of a program, of the sections where they are as many, else of what its contours enclose."""
     count = len(nc.layer_files)
-    if sections is None or len(sections) != count:
-        outlines = sections_of(nc.contours(OUTLINE_STEP_MM))
-        sections = [shapely.buffer(outline, config.contour_offset_mm) for outline in outlines]
+    sections = sections_of_text(nc, config, sections)
     steps = np.diff(nc.layer_heights, prepend=config.base_mm)
     usual = float(np.nanmedian(steps)) if np.isfinite(steps).any() else config.layer_height_mm
     steps = np.where(steps > 0.0, steps, usual)
@@ -198,7 +231,9 @@ def build_times_s(nc: NCProgram, config: Config, sections: Sequence[BaseGeometry
     """
     beads = text_beads(nc, config)
     busy_s = float((beads.time_s + beads.move_s).sum())
-    dwell_s = _dwell_s(beads, config, text_shapes(nc, config, sections))
+    known = sections_of_text(nc, config, sections)
+    busy_s += sum(float(way.time_s.sum()) for way in beads.scans.values())
+    dwell_s = _dwell_s(beads, config, text_shapes(nc, config, known), known[0] if known else None)
     return {
         "programmed": busy_s + float(beads.wait_s.sum()),
         "without_measures": busy_s,
@@ -206,14 +241,18 @@ def build_times_s(nc: NCProgram, config: Config, sections: Sequence[BaseGeometry
     }
 
 
-def _dwell_s(beads: TextBeads, config: Config, shapes: Sequence[LayerShape]) -> float:
+def _dwell_s(
+    beads: TextBeads, config: Config, shapes: Sequence[LayerShape], lowest: BaseGeometry | None
+) -> float:
     """Waits at full power, each found by steps of time that grow by a half."""
     limit_k, enters = entry_limit_k(config), beads.enters_layer
-    column, total_s = HeatColumn(config), 0.0
+    column, total_s = begun_column(beads.scans, lowest, config), 0.0
     # Ramps are part of the beads: their strongest motion has the full power of its layer.
     share = np.maximum(beads.peak_w / config.process.power_w, LEAST_SHARE)
     for n in range(len(beads)):
         column.advance(float(beads.move_s[n]))
+        if enters[n]:
+            _scan(column, beads, int(beads.layer[n]), config)
         checked = n > 0 and (config.process.interpass_at == "bead" or enters[n])
         wait_s, step_s = 0.0, 1.0
         while checked and column.bed_k > limit_k:

@@ -39,6 +39,7 @@ from ebamcheck.program.checking.path_checks import (
     layer_checks,
 )
 from ebamcheck.program.checking.plugged import plugged_checks
+from ebamcheck.program.checking.preheat_checks import preheat_checks
 from ebamcheck.program.checking.process_checks import process_checks
 from ebamcheck.program.checking.ramp_check import ramp_check
 from ebamcheck.program.checking.section_check import Evidence, section_check
@@ -162,6 +163,7 @@ def verify_program(
     ]
     if heat:
         checks += heat_checks(nc, config, sections, before)
+    checks += preheat_checks(nc, config, sections)
     checks += clearance_checks(nc, z_of, config, layers)
     checks += plugged_checks(nc, config)
     if known is None:

@@ -23,7 +23,10 @@ SWITCHES = ("beam_on", "beam_off", "wire_start", "wire_stop")
 
 BEAM_VALUES = ("voltage_kv", "current_ma", "power_w")
 WIRE_VALUES = ("wire_mm_s", "wire_retract_mm")
-VALUES = (*BEAM_VALUES, *WIRE_VALUES)
+FOCUS = "defocus"
+"""Meaning that sets the focus of the beam."""
+
+VALUES = (*BEAM_VALUES, *WIRE_VALUES, FOCUS)
 """Meanings that set a value, each with its unit in its name."""
 
 AUXILIARY = "auxiliary"
@@ -32,6 +35,7 @@ DWELL = "dwell_s"
 
 BEAM_TEMPLATES = ("beam_on", "beam_off", "set_beam", "set_power")
 WIRE_TEMPLATES = ("wire_start", "wire_stop", "set_wire", "wire_retract")
+FOCUS_TEMPLATES = ("set_focus",)
 
 _TOKEN = re.compile(
     rf"""(?:(?P<name>[A-Z][A-Z0-9_]*)\s*=\s*|(?P<letter>[A-Z])\s*)
@@ -101,6 +105,7 @@ class Codes:
             self._derive(templates, BEAM_TEMPLATES, BEAM_VALUES)
         if machine.wire_codes is None:
             self._derive(templates, WIRE_TEMPLATES, WIRE_VALUES)
+        self._derive(templates, FOCUS_TEMPLATES, (FOCUS,))
         for code in machine.aux_codes:
             self._meaning[self._auxiliary(code)] = AUXILIARY
 

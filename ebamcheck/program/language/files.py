@@ -82,6 +82,28 @@ def legal_name(name: str) -> str:
     return name
 
 
+PREHEAT_DIGITS = 4
+"""Digits of the layer in the name of a preheating subprogram, at least."""
+
+
+def preheat_name(stem: str, layer: int, digits: int = 4) -> str:
+    """Name of the subprogram that preheats before a layer, from 0, of the program `stem`."""
+    return f"{stem}_P{layer + 1:0{digits}d}"
+
+
+def layer_of_preheat(stem: str, name: str) -> int | None:
+    """Layer, from 0, before which a subprogram of the program `stem` preheats; None for another one.
+
+    Examples
+    --------
+    >>> layer_of_preheat("MAIN", "MAIN_P0003"), layer_of_preheat("MAIN", "MAIN_L0003")
+    (2, None)
+    """
+    begin, digits = f"{stem}_P", name.removeprefix(f"{stem}_P")
+    known = name.startswith(begin) and len(digits) >= PREHEAT_DIGITS and digits.isascii() and digits.isdigit()
+    return int(digits) - 1 if known else None
+
+
 def write_files(texts: Mapping[str, str], folder: Path, *, validated: bool) -> ProgramFiles:
     """Write all files of a program, the main one first in `texts`, or none of them.
 

@@ -11,7 +11,7 @@ from ebamcheck.settings.machine import MachineSettings
 
 TEMPLATES = (
     "beam_on", "beam_off", "wire_start", "wire_stop", "wire_retract",
-    "set_beam", "set_power", "set_wire", "layer_begin", "layer_end", "layer_pause",
+    "set_beam", "set_power", "set_wire", "set_focus", "layer_begin", "layer_end", "layer_pause",
 )  # fmt: skip
 """Templates of the machine profile."""
 

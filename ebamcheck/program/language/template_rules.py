@@ -16,6 +16,8 @@ from ebamcheck.program.language.codes import (
     BEAM_TEMPLATES,
     BEAM_VALUES,
     DWELL,
+    FOCUS,
+    FOCUS_TEMPLATES,
     SWITCHES,
     VALUES,
     WIRE_TEMPLATES,
@@ -35,6 +37,7 @@ NEEDED: Mapping[str, tuple[str, ...]] = {
     "set_wire": ("wire_mm_s",),
     "wire_start": ("wire_mm_s",),
     "wire_retract": ("wire_retract_mm",),
+    "set_focus": (FOCUS,),
 }
 """Values of which a template sets one, if it is not empty."""
 
@@ -124,6 +127,7 @@ def _check_value(name: str, block: str, action: Action) -> None:
         other = (name in BEAM_TEMPLATES and action.meaning in WIRE_VALUES) or (
             name in WIRE_TEMPLATES and action.meaning in BEAM_VALUES
         )
+        other = other or (name in FOCUS_TEMPLATES) != (action.meaning == FOCUS)
         if other:
             raise SettingsError(f"{where}: {action.word!r} sets {action.meaning}, which {name} must not")
         if filled and filled != action.meaning:

@@ -9,6 +9,7 @@ from functools import cached_property
 from ebamcheck.errors import SettingsError
 from ebamcheck.program.language.increments import increments_of, to_increment
 from ebamcheck.program.language.numbers import plain
+from ebamcheck.program.language.preheat_rules import checked_preheating
 from ebamcheck.program.language.profile import templates_of
 from ebamcheck.program.language.template_rules import checked_templates
 from ebamcheck.settings.config import Config
@@ -40,6 +41,7 @@ class ProcessValues:
     layer_pause_s: float
     layer: int
     height_mm: float
+    defocus: float = 0.0
     increments: Mapping[str, float] = field(default_factory=dict)
     """Least step of each value that has one: it is printed as a multiple of it."""
 
@@ -99,6 +101,7 @@ def usable_templates(config: Config, control: str) -> dict[str, tuple[str, ...]]
     SettingsError
         For a template that makes no block, or holds what it must not; see :mod:`ebamcheck.program.language.template_rules`.
     """
+    checked_preheating(config, control)
     templates = templates_of(config.machine, control)
     sample = process_values(config, 1, config.layer_height_mm, config.layer_height_mm)
     for name, lines in templates.items():

@@ -118,6 +118,9 @@ class NCProgram:
     numbers: Ints
     layer_files: tuple[str, ...]
     """(L,) file of each layer."""
+    preheating: NCProgram | None = None
+    """Motions and events of the preheating subprograms, which are none of the others; `layer` is the one before which each comes.
+    None: there are none."""
     dialect: str = "sinumerik-840d-sl"
     """Language of the text, by the name of a control: `sinumerik-840d-sl`, `linuxcnc` or `plain-gcode`."""
 

@@ -10,6 +10,7 @@ from ebamcheck.errors import InputError
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program.language.codes import DWELL, SWITCHES
 from ebamcheck.program.reading.motions import ARC, RAPID, Events, NCProgram, SourceFile
+from ebamcheck.program.reading.preheating import without_preheating
 from ebamcheck.program.reading.recognition import StateChange
 from ebamcheck.program.reading.roles import by_shape, with_travel
 
@@ -67,6 +68,11 @@ class Recorder:
         """Note where the file ended."""
         known = self.files[self.file]
         self.files[self.file] = SourceFile(known.name, known.data, known.line_count, end_line, end_code)
+
+    @property
+    def main_stem(self) -> str:
+        """Name of the main program without its ending."""
+        return self.files[0].name.rpartition(".")[0] if self.files else ""
 
     def error(self, what: str, column: int) -> InputError:
         """Return a refusal with its place; `column` counts from 0."""
@@ -195,7 +201,7 @@ class Recorder:
             layer_files=layer_files,
             dialect=self.dialect,
         )
-        return by_shape(made)
+        return by_shape(without_preheating(made))
 
     def _layers(self, layer: Ints, z: Floats, deposit: Bools) -> tuple[Ints, tuple[str, ...]]:
         """Layers as subprograms are called for them; in a program without calls, by the levels of Z of its deposits."""

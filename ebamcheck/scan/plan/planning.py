@@ -99,7 +99,7 @@ def plan_stack(
     sections = [layer_section(layers.polygons(k)) for k in range(len(layers))]
     stack = Stack(sections, layers.heights, range(len(layers)), plate_mm)
     carry = config.scan.carry_heat and needs_heat(name)
-    simulated = config.process.interpass != "off"
+    simulated = config.process.interpass != "off" or config.preheat.when != "off"
     planned = []
     for done in ordered_layers(stack, config, name, number, carry, simulated):
         planned.append(in_order(done))

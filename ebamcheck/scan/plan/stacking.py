@@ -160,4 +160,6 @@ def _measured(plan: ScanPlan, planned: Sequence[LayerPlan], config: Config) -> p
         "interval_min_s": [float(v.min()) if v.size else math.nan for v in spread],
         **{name: [math.nan if p.heat is None else getattr(p.heat, name) for p in planned] for name in HEAT},
     }
-    return pd.DataFrame(values, columns=list(METRICS))
+    if config.preheat.when != "off":
+        values["preheat_passes"] = [0 if p.heat is None else p.heat.preheat_passes for p in planned]
+    return pd.DataFrame(values, columns=[*METRICS, *(name for name in values if name not in METRICS)])

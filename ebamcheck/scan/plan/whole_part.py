@@ -25,6 +25,7 @@ from ebamcheck.scan.heat.part_heat import Beads, PartHeat
 from ebamcheck.scan.order.orders import LayerIslands, Order, chosen_options, needs_heat, scan_order
 from ebamcheck.scan.plan.bead_sequence import bead_sequence
 from ebamcheck.scan.plan.laying import LaidLayer, lay_islands
+from ebamcheck.scan.plan.preheated import preheated
 from ebamcheck.settings.config import Config
 
 AHEAD = 8
@@ -71,6 +72,8 @@ class LayerHeat:
     """(I,) wait before each further bead of an island"""
     mean_k: Floats
     """(B,) mean temperature of the surface when each bead is entered, contours first, absolute"""
+    preheat_passes: int = 0
+    """Passes of the preheating scan before it"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,6 +126,10 @@ class Stack:
         steps = np.diff(self.heights_mm)
         return float(steps[max(layer - 1, 0)]) if len(steps) else config.layer_height_mm
 
+    def bottom_mm(self, layer: int, config: Config) -> float:
+        """Z over the base plate on which one layer lies, by the sum of those under it."""
+        return sum(self.thickness_mm(k, config) for k in range(layer))
+
 
 def ordered_layers(
     stack: Stack, config: Config, order: str | Order, seed: int, carry: bool, simulated: bool = True
@@ -146,10 +153,11 @@ def ordered_layers(
         return
     part, last = PartHeat(HeatColumn(config)), None
     for k, (laid, ready) in enumerate(_prepared(stack, lambda k: laid_layer(stack, k, config, seed))):
+        part, passes = preheated(part, stack.sections, k, stack.bottom_mm(k, config), config)
         done, part, last = ordered_on(
             part, last, laid, ready, stack.thickness_mm(k, config), config, order, carry, last is None
         )
-        yield done
+        yield done if done.heat is None else replace(done, heat=replace(done.heat, preheat_passes=passes))
 
 
 def ordered_on(

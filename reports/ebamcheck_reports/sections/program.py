@@ -24,6 +24,7 @@ from ebamcheck_reports.markup import (
     table,
 )
 from ebamcheck_reports.run_data import RunData, layer_name
+from ebamcheck_reports.sections import preheating
 
 MOST_FILES = 12
 EXCERPT_LINES = 40
@@ -54,6 +55,7 @@ def render(run: RunData) -> Markup:
         ),
         _checks(run),
         *check_places.render(run),
+        *preheating.render(run),
         *_kinematics(run),
         element("h3", "Path of one layer as read back from the text"),
         *_picture(run),

@@ -15,6 +15,7 @@ from ebamcheck.program.controls.sinumerik.words import (
     END_CODES,
     read_block,
 )
+from ebamcheck.program.language.files import layer_of_preheat
 from ebamcheck.program.language.template_rules import checked_templates
 from ebamcheck.program.language.words import (
     NUMBER,
@@ -219,7 +220,7 @@ class SinumerikReader:
             raise WordError(f"{name} is called over {DEEPEST_CALL} levels deep", 0)
         self._end_spline()
         out.event(f"call {name}")
-        if depth == 0:
+        if depth == 0 and layer_of_preheat(out.main_stem, name) is None:
             out.layer(len(out.layer_files))
             out.layer_files.append(path.name)
         file, line = out.file, out.line

@@ -16,7 +16,15 @@ from ebamcheck.errors import SettingsError
 from ebamcheck.program.controls.sinumerik.control import CONTROL, NAME
 from ebamcheck.program.controls.sinumerik.spline_writing import even, spline_blocks
 from ebamcheck.program.language.comments import comment
-from ebamcheck.program.language.files import NOT_VALIDATED, VALIDATED, ProgramFiles, legal_name, write_files
+from ebamcheck.program.language.files import (
+    NOT_VALIDATED,
+    VALIDATED,
+    ProgramFiles,
+    layer_of_preheat,
+    legal_name,
+    preheat_name,
+    write_files,
+)
 from ebamcheck.program.language.header import header_lines
 from ebamcheck.program.language.numbers import plain
 from ebamcheck.program.language.templates import process_values, usable_templates
@@ -29,6 +37,7 @@ from ebamcheck.program.writing.layer_text import (
     layer_blocks,
     motion_text,
 )
+from ebamcheck.program.writing.preheat_text import preheat_blocks, preheat_passes
 from ebamcheck.program.writing.safe_states import end_blocks, start_blocks
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import MachineSettings
@@ -85,9 +94,10 @@ def write_program(
     digits = max(4, len(str(layers)))
     layer_names = [legal_name(f"{name}_L{k + 1:0{digits}d}") for k in range(layers)]
     status = VALIDATED if validated else NOT_VALIDATED
+    scans = _preheating(plan, path, config, form, templates, digits)
     texts = {
         f"{legal_name(name)}.MPF": _main_program(
-            config, form, status, path, layer_names, templates, header or {}
+            config, form, status, path, layer_names, list(scans), templates, header or {}
         )
     }
     motions = motion_text(path, form, _cubics(path, curves, machine, form))
@@ -96,7 +106,31 @@ def write_program(
         entry = [*modes(machine), f'MSG("LAYER {k + 1} OF {layers}")']
         blocks = layer_blocks(path, k, motions, config, form, templates, heat, entry)
         texts[f"{layer_name}.SPF"] = numbered([*_opening(layer_name, "SPF", config, status), *blocks, "M17"])
+    for scan_name, blocks in scans.items():
+        texts[f"{scan_name}.SPF"] = numbered([*_opening(scan_name, "SPF", config, status), *blocks, "M17"])
     return write_files(texts, Path(folder), validated=validated)
+
+
+def _preheating(
+    plan: ScanColumns,
+    path: Toolpath,
+    config: Config,
+    form: BlockFormat,
+    templates: Mapping[str, tuple[str, ...]],
+    digits: int,
+) -> dict[str, list[str]]:
+    """Names and blocks of the preheating scans, each before the layer of its number."""
+    passes = preheat_passes(plan)
+    found = {}
+    for k in np.flatnonzero(passes).tolist():
+        bottom_mm = float(path.z[k - 1]) if k else 0.0
+        values = process_values(config, k + 1, bottom_mm, float(path.thickness[k]))
+        entry = [*modes(config.machine), f'MSG("PREHEATING BEFORE LAYER {k + 1}")']
+        name = legal_name(preheat_name(config.machine.program_name, k, digits))
+        found[name] = preheat_blocks(
+            plan, k, bottom_mm, int(passes[k]), values, config, form, templates, entry
+        )
+    return found
 
 
 # -- forms of curves -------------------------------------------------------------------------------
@@ -158,18 +192,25 @@ def _main_program(
     status: str,
     path: Toolpath,
     layer_names: list[str],
+    scans: list[str],
     templates: Mapping[str, tuple[str, ...]],
     header: Mapping[str, str],
 ) -> str:
     machine = config.machine
     first, top = (float(path.z[0]), float(path.z[-1])) if len(path.z) else (0.0, 0.0)
     values = process_values(config, 1, first, first)
+    before = {layer_of_preheat(config.machine.program_name, scan): scan for scan in scans}
+    calls = [
+        name
+        for k, layer in enumerate(layer_names)
+        for name in ([before[k], layer] if k in before else [layer])
+    ]
     known = header_lines(config, CONTROL, len(layer_names)) | dict(header)
     lines = [
         *_opening(machine.program_name, "MPF", config, status),
         *(comment(f"{key}: {value}") for key, value in known.items()),
         *start_blocks(modes(machine), values, templates),
-        *layer_names,
+        *calls,
         *end_blocks(top, values, config, form, templates),
         "M30",
     ]

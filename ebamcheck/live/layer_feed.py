@@ -1,0 +1,131 @@
+"""The feed of one layer: that of the process, or as much slower or faster as its real height asks of wire and beam.
+
+Wire goes with feed times height, v_wire A = v b h. Within the limits of the wire the feed stays, and the wire follows the height.
+A layer that would take more wire than the feeder has, or than the beam melts, is laid slower; one that would take less than
+the feeder's least is laid faster: within the windows of feed, travel and line energy. Feed and wire change by the same factor, so
+that a bead by itself stays as high as it was, and limits of layer height over bead height mean the same.
+"""
+
+from __future__ import annotations
+
+import math
+
+from ebamcheck.heat.melting import melting_heat_j_kg
+from ebamcheck.program.toolpath.wire import MOST_MENDED
+from ebamcheck.settings.config import Config
+from ebamcheck.settings.process_window import line_energy_j_mm, nominal_wire_speed_mm_s, wire_area_mm2
+
+LOCAL = (1.0 - MOST_MENDED, 1.0 + MOST_MENDED)
+"""Least and greatest local height of a layer over its height, on a surface that was measured. The limits of a wire feed lie
+several times as far apart, so that one feed for the layer leaves the wire room to follow the local height all along."""
+
+EVEN = (1.0, 1.0)
+"""Least and greatest metal along a bead over that of the layer's height, on a surface that is taken as level."""
+
+CONTOURS = 1.25
+"""Wire of a bead along a contour over that of the layer, about: it lays the rim outside of it, too."""
+
+PARTS = (1.0, 0.75, 0.5, 0.25, 0.0)
+"""Powers of the room that is wanted, tried in turn."""
+
+SHARE_DIGITS = 4
+"""Decimals of a changed feed over that of the process."""
+
+HALVINGS = 50
+
+
+def speed_window(config: Config) -> tuple[float, float]:
+    """Least and greatest feed over that of the process, by the windows of feed, travel and line energy.
+
+    Examples
+    --------
+    >>> [round(share, 3) for share in speed_window(Config())]
+    [0.24, 4.8]
+    """
+    process, machine = config.process, config.machine
+    usual, energy = process.travel_speed_mm_s, line_energy_j_mm(config)
+    low = max(
+        machine.feed_min_mm_s / usual,
+        process.travel_window_mm_s[0] / usual,
+        energy / process.line_energy_j_mm[1],
+    )
+    high = min(
+        machine.feed_max_mm_s / usual,
+        process.travel_window_mm_s[1] / usual,
+        energy / process.line_energy_j_mm[0],
+    )
+    return low, high
+
+
+def speed_share(config: Config, thickness_mm: float, room: tuple[float, float] = EVEN) -> float | None:
+    """Return the feed of a layer over that of the process: the nearest to 1 within every limit; None: there is none.
+
+    Parameters
+    ----------
+    room
+        Least and greatest metal along the beads over that of the layer's height, for which the wire is to have room.
+
+    Examples
+    --------
+    >>> speed_share(Config(), 1.7)
+    1.0
+    >>> speed_share(Config().changed(process={"wire_speed_max_mm_s": 30.0}), 1.7)
+    0.821
+    """
+    process, material = config.process, config.material
+    wire = nominal_wire_speed_mm_s(config, thickness_mm)
+    low, high = speed_window(config)
+    low = max(low, process.wire_speed_min_mm_s / (wire * room[0]))
+    high = min(high, process.wire_speed_max_mm_s / (wire * room[1]))
+    metal_mm3_s = wire * wire_area_mm2(config)
+    high = min(high, process.power_w / (metal_mm3_s * process.metal_energy_j_mm3[0]))
+    low = max(low, process.power_w / (metal_mm3_s * process.metal_energy_j_mm3[1]))
+    melting_w = 1e-9 * material.density_kg_m3 * metal_mm3_s * melting_heat_j_kg(config)
+    high = min(high, process.melting_efficiency * material.absorptivity * process.power_w / melting_w)
+    if low > high:
+        return None
+    if low <= 1.0 <= high:
+        return 1.0
+    grid = 10.0**SHARE_DIGITS
+    share = math.ceil(low * grid) / grid if low > 1.0 else math.floor(high * grid) / grid
+    return share if low <= share <= high else min(max(1.0, low), high)
+
+
+def at_speed(config: Config, share: float) -> Config:
+    """Return the settings of a layer that is laid at a share of the feed of the process."""
+    if share == 1.0:
+        return config
+    process = config.process
+    changes = {
+        "travel_speed_mm_s": process.travel_speed_mm_s * share,
+        "wire_speed_mm_s": process.wire_speed_mm_s * share,
+    }
+    return config.model_copy(update={"process": process.model_copy(update=changes)})
+
+
+def layer_share(config: Config, thickness_mm: float, mapped: bool = False) -> float:
+    """Return the feed of a layer over that of the process; 1 where no feed is within every limit: the gates tell of it.
+
+    The feed of the process stays where the wire has room, at it, for the beads along contours, too; on a surface that was
+    measured, `mapped`, for the local height besides. Where no feed leaves that much room, as much of it as one leaves.
+    """
+    least, most = LOCAL if mapped else EVEN
+    room = (least, most * CONTOURS)
+    found = (speed_share(config, thickness_mm, (room[0] ** part, room[1] ** part)) for part in PARTS)
+    return next((share for share in found if share is not None), 1.0)
+
+
+def at_layer_feed(config: Config, thickness_mm: float, mapped: bool = False) -> Config:
+    """Return the settings of a layer of a height with its feed, by :func:`layer_share`."""
+    return at_speed(config, layer_share(config, thickness_mm, mapped))
+
+
+def farthest_mm(config: Config, from_mm: float, to_mm: float) -> float:
+    """Layer height nearest to `to_mm`, on the way from one that can be laid, for which there is a feed."""
+    if speed_share(config, to_mm) is not None:
+        return to_mm
+    good, bad = from_mm, to_mm
+    for _ in range(HALVINGS):
+        middle = 0.5 * (good + bad)
+        good, bad = (middle, bad) if speed_share(config, middle) is not None else (good, middle)
+    return good

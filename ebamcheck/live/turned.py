@@ -1,0 +1,252 @@
+"""A part that is turned between layers: what stands already, in the coordinates of the turned part, and what a layer may not meet.
+
+Sections of a turned part are cut across the whole of it. What was laid along the direction before stands on one side of a plane:
+a section that reaches into it would lay metal into metal. Seen along the new direction, what stands, the base plate among it, may
+rise beside a layer or over it: neither beam and wire may meet it, nor the head, a cylinder over the tip.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from scipy import ndimage
+from shapely.geometry.base import BaseGeometry
+
+from ebamcheck.errors import InputError
+from ebamcheck.mesh.part import Part
+from ebamcheck.numeric.rings import Floats
+from ebamcheck.program.checking.checks import Check
+from ebamcheck.program.reading.motions import NCProgram
+from ebamcheck.scan.islands.regions import layer_section
+from ebamcheck.settings.config import Config
+from ebamcheck.slicers.slicing import slice_part
+
+STEP_MM = 1.0
+"""Distance of the places by which what stands is known, at most; of larger ones as many as :data:`MOST_PLACES`."""
+
+MOST_PLACES = 4_000_000
+
+LEAST_MM2 = 1.0
+"""Area of a section within what stands that is no more than its border."""
+
+RIGID_MM = 1e-6
+"""How far a part may be from a turned one of the same file."""
+
+FAR_MM = 1e6
+
+
+@dataclass(frozen=True, eq=False)
+class Stands:
+    """What stands of a part that is turned.
+
+    Parameters
+    ----------
+    turn, shift
+        (3, 3) and (3,): a place p of the part as it was built lies at p @ turn + shift now.
+    built_mm
+        Height over the plate up to which it was built.
+    tops
+        (rows, columns) highest Z over the cells of a grid, -inf over none.
+    corner
+        X and Y of the grid's first cell.
+    step_mm
+        Side of a cell.
+    """
+
+    turn: Floats
+    shift: Floats
+    built_mm: float
+    tops: Floats
+    corner: Floats
+    step_mm: float
+
+    @property
+    def up(self) -> tuple[Floats, float]:
+        """Direction n of the layers before and a number d, now: a place p lies n . p - d over the plate."""
+        n = self.turn[2]
+        return n, float(n @ self.shift)
+
+
+def stands_of(before: Part, now: Part, built_mm: float, config: Config) -> Stands:
+    """What stands of a part that was built up to a height, where it is turned.
+
+    Parameters
+    ----------
+    before, now
+        The same part as it was built, and as it is turned.
+
+    Raises
+    ------
+    InputError
+        If they are not of one file.
+    """
+    turn, shift = _moved(before, now)
+    corners = before.vertices[before.faces]
+    level = float(before.bounds[0, 2])
+    plate = _plate(before, config)
+    step_mm = max(STEP_MM, float(np.sqrt(_area(corners) / MOST_PLACES)))
+    surface = _below(_places(corners, step_mm), level + built_mm)
+    cap = _cap(before, level + built_mm, step_mm)
+    places = np.vstack([surface, cap, plate(step_mm)]) @ turn + shift
+    corner = places[:, :2].min(axis=0) - step_mm
+    cell = np.floor((places[:, :2] - corner) / step_mm).astype(np.int64)
+    tops = np.full(cell.max(axis=0)[::-1] + 2, -np.inf)
+    np.maximum.at(tops, (cell[:, 1], cell[:, 0]), places[:, 2])
+    return Stands(turn, shift - turn[2] * level, built_mm, tops, corner, step_mm)
+
+
+def _moved(before: Part, now: Part) -> tuple[Floats, Floats]:
+    """Rigid motion that takes one part to the other, by its vertices."""
+    if before.vertices.shape != now.vertices.shape:
+        raise InputError(f"part {now.name!r}: is of another file than the one that was built")
+    middle = before.vertices.mean(axis=0)
+    turn, *_ = np.linalg.lstsq(before.vertices - middle, now.vertices - now.vertices.mean(axis=0), rcond=None)
+    u, _, v = np.linalg.svd(turn)
+    turn = np.asarray(u @ v, np.float64)
+    shift = now.vertices.mean(axis=0) - middle @ turn
+    scale = max(float(np.abs(before.bounds).max()), 1.0)
+    if np.abs(before.vertices @ turn + shift - now.vertices).max() > RIGID_MM * scale:
+        raise InputError(f"part {now.name!r}: is of another file than the one that was built")
+    return turn, np.asarray(shift, np.float64)
+
+
+def _area(corners: Floats) -> float:
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return float(0.5 * np.linalg.norm(across, axis=1).sum())
+
+
+def _places(corners: Floats, step_mm: float) -> Floats:
+    """Places on triangles (F, 3, 3), none of them further than a step from the next: (m, 3)."""
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    count = np.maximum(np.ceil(longest / step_mm).astype(np.int64), 1)
+    found = []
+    for n in np.unique(count).tolist():
+        i, j = (part.reshape(-1) for part in np.meshgrid(np.arange(n + 1), np.arange(n + 1)))
+        inside = i + j <= n
+        weight = np.stack([n - i - j, i, j], axis=1)[inside] / n
+        found.append(np.einsum("pk,fkc->fpc", weight, corners[count == n]).reshape(-1, 3))
+    return np.concatenate(found) if found else np.zeros((0, 3))
+
+
+def _below(places: Floats, z_mm: float) -> Floats:
+    return places[places[:, 2] <= z_mm]
+
+
+def _cap(part: Part, z_mm: float, step_mm: float) -> Floats:
+    """Places on the top of what was built: within the shadow of the part, which holds its section there."""
+    low, high = part.bounds[:, :2]
+    x, y = np.meshgrid(*(np.arange(a, b + step_mm, step_mm) for a, b in zip(low, high, strict=True)))
+    flat = np.column_stack([x.reshape(-1), y.reshape(-1)])
+    inside = _section(part, z_mm)
+    kept = flat[shapely.contains_xy(inside, flat[:, 0], flat[:, 1])] if not inside.is_empty else flat[:0]
+    return np.column_stack([kept, np.full(len(kept), z_mm)])
+
+
+def _section(part: Part, z_mm: float) -> BaseGeometry:
+    """Section of a part, as exact as its mesh."""
+    low, high = part.bounds[:, 2]
+    inside = min(max(z_mm, float(low) + 1e-6), float(high) - 1e-6)
+    found: BaseGeometry = layer_section(slice_part(part, [inside]).polygons(0))
+    return found
+
+
+def _plate(part: Part, config: Config) -> Callable[[float], Floats]:
+    """Places on the base plate by a step: that of the settings, else one as wide as the part."""
+    low, high = config.machine.base_plate_min_mm, config.machine.base_plate_max_mm
+    x0, y0 = low or part.bounds[0, :2].tolist()
+    x1, y1 = high or part.bounds[1, :2].tolist()
+    z, thick = float(part.bounds[0, 2]), config.process.base_plate_mm
+    a = np.array([[x, y, h] for h in (z - thick, z) for y in (y0, y1) for x in (x0, x1)], np.float64)
+    quads = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
+    corners = np.array([a[[q[0], *pair]] for q in quads for pair in ((q[1], q[2]), (q[2], q[3]))])
+    return lambda step_mm: _places(corners, step_mm)
+
+
+# -- checks ------------------------------------------------------------------------------------------
+
+
+def turned_checks(
+    nc: NCProgram, section: BaseGeometry, cut_mm: float, stands: Stands, config: Config
+) -> list[Check]:
+    """Checks of a layer of a turned part: nothing is laid into what stands, and nothing meets it.
+
+    Parameters
+    ----------
+    section
+        Of the layer, at the absolute height `cut_mm`.
+    """
+    return [_into(section, cut_mm, stands), *_meets(nc, cut_mm, stands, config)]
+
+
+def _into(section: BaseGeometry, cut_mm: float, stands: Stands) -> Check:
+    """Area of a section on the built side of the plane up to which the part was built."""
+    n, d = stands.up
+    name, room = "standing metal", stands.built_mm + d - n[2] * cut_mm
+    inside = shapely.intersection(section, _half_plane(n[:2], float(room)))
+    area = float(inside.area)
+    if area <= LEAST_MM2:
+        return Check(name, True, area, LEAST_MM2, "mm2", "", "the layer lies beside what stands already")
+    x, y = shapely.point_on_surface(inside).coords[0]
+    text = f"{area:.1f} mm2 of the section stand already, at ({x:.1f}, {y:.1f}): what was built reaches {stands.built_mm:g} mm along the direction before"
+    return Check(name, False, area, LEAST_MM2, "mm2", "", text, 0, float(x), float(y))
+
+
+def _half_plane(normal: Floats, most: float) -> BaseGeometry:
+    """Places p with n . p <= most, as a polygon that is large enough."""
+    size = float(np.hypot(*normal))
+    if size < 1e-12:
+        return shapely.box(-FAR_MM, -FAR_MM, FAR_MM, FAR_MM) if most >= 0.0 else shapely.Polygon()
+    unit = normal / size
+    along = np.array([-unit[1], unit[0]])
+    foot = unit * (most / size)
+    corners = [foot + FAR_MM * along, foot - FAR_MM * along]
+    corners += [corners[1] - FAR_MM * unit, corners[0] - FAR_MM * unit]
+    return shapely.Polygon(corners)
+
+
+def _meets(nc: NCProgram, cut_mm: float, stands: Stands, config: Config) -> list[Check]:
+    """Beam and wire, and the head, against the highest that stands around each place of the path."""
+    machine, process = config.machine, config.process
+    bottom_mm = cut_mm - 0.5 * config.layer_height_mm - config.base_mm
+    rows = np.flatnonzero(np.isfinite(nc.start).all(axis=1) & np.isfinite(nc.end).all(axis=1))
+    if not rows.size:
+        return []
+    row, places = nc.samples(rows, stands.step_mm)
+    first = np.concatenate([nc.start[rows, :2], places])
+    of = np.concatenate([rows, row])
+    # A move that changes its height is held to the lower of its ends all along.
+    tip = bottom_mm + np.minimum(nc.start[of, 2], nc.end[of, 2])
+    checks = []
+    for name, reach_mm, over_mm, what in (
+        ("beam over what stands", 0.5 * process.bead_width_mm, 0.0, "beam and wire meet"),
+        ("head over what stands", machine.head_radius_mm, machine.head_above_tip_mm, "the head meets"),
+    ):
+        into = _highest(first, reach_mm + stands.step_mm, stands) - (tip + over_mm)
+        worst = int(np.argmax(into))
+        value = float(max(into[worst], -FAR_MM))
+        x, y = first[worst].tolist()
+        if value <= 0.0:
+            text = f"{-value:.3g} mm over all that stands" if value > -FAR_MM else "nothing stands there"
+            checks.append(Check(name, True, value, 0.0, "mm", "", text))
+        else:
+            where = nc.where(int(of[worst]))
+            text = f"{what} what stands, base plate and part as they are turned, {value:.2f} mm deep at ({x:.1f}, {y:.1f})"
+            checks.append(Check(name, False, value, 0.0, "mm", where, text, 0, x, y))
+    return checks
+
+
+def _highest(places: Floats, reach_mm: float, stands: Stands) -> Floats:
+    """Highest Z of what stands within a distance of places (n, 2); -inf where nothing does."""
+    cells = int(np.ceil(reach_mm / stands.step_mm))
+    tops = np.pad(stands.tops, cells, constant_values=-np.inf)
+    y, x = np.mgrid[-cells : cells + 1, -cells : cells + 1]
+    disc = np.hypot(x, y) * stands.step_mm <= reach_mm + stands.step_mm
+    spread = ndimage.maximum_filter(tops, footprint=disc, mode="constant", cval=-np.inf)
+    at = np.floor((places - stands.corner) / stands.step_mm).astype(np.int64) + cells
+    inside = ((at >= 0) & (at < np.array(spread.shape)[::-1])).all(axis=1)
+    found = np.full(len(places), -np.inf)
+    found[inside] = spread[at[inside, 1], at[inside, 0]]
+    return found

@@ -1,0 +1,49 @@
+"""Preheating subprograms taken out of a program that was read: they lay no bead, and have checks of their own."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+
+from ebamcheck.numeric.rings import Bools, Ints
+from ebamcheck.program.language.files import layer_of_preheat
+from ebamcheck.program.reading.motions import Events, NCProgram
+
+OF_MOTIONS = (
+    "file", "line", "layer", "kind", "start", "end", "coefficients", "arc", "feed_mm_min", "beam", "wire", "power_w",
+    "wire_mm_s", "ring", "island", "turn", "goes_on",
+)  # fmt: skip
+"""Columns with a row for each motion."""
+
+
+def without_preheating(nc: NCProgram) -> NCProgram:
+    """Return a program with the motions and events of its preheating subprograms apart, by the files that they stand in.
+
+    What runs there stays in the order in which it runs; positions of the rest begin where the scan before left the tool.
+    """
+    stem = nc.files[0].name.rpartition(".")[0]
+    of_file = [layer_of_preheat(stem, file.name.rpartition(".")[0]) for file in nc.files]
+    if all(layer is None for layer in of_file):
+        return nc
+    layer = np.array([-1 if found is None else found for found in of_file], np.int64)
+    apart = layer[nc.file] >= 0
+    scans = _rows(nc, apart, layer[nc.events.file] >= 0)
+    scans = replace(scans, layer=layer[scans.file], layer_files=())
+    return replace(_rows(nc, ~apart, layer[nc.events.file] < 0), preheating=scans)
+
+
+def _rows(nc: NCProgram, motions: Bools, events: Bools) -> NCProgram:
+    """Some motions and some events of a program."""
+    assert {field.name for field in fields(nc)} >= set(OF_MOTIONS)
+    kept = {name: getattr(nc, name)[motions] for name in OF_MOTIONS}
+    before: Ints = np.concatenate([[0], np.cumsum(motions)]).astype(np.int64)
+    which, old = np.flatnonzero(events), nc.events
+    found = Events(
+        file=old.file[which],
+        line=old.line[which],
+        row=before[old.row[which]],
+        name=tuple(old.name[i] for i in which.tolist()),
+        value=old.value[which],
+    )
+    return replace(nc, events=found, **kept)

@@ -1,0 +1,222 @@
+"""The heat of a preheating scan: the mean of the body by the column of the balance, what differs across it by modes.
+
+The body is the base plate, or what stands under the layer that comes. The beam is wide and moves along lines; heat enters at the
+surface. Its way is given as pieces in time, from a plan or from the text of a program, and both are driven by the same steps.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from shapely.geometry.base import BaseGeometry
+
+from ebamcheck.heat import HeatModel, Medium, contour_modes, depth_modes
+from ebamcheck.heat.balance import LARGEST_CELL_MM, HeatColumn
+from ebamcheck.heat.one_blas_thread import one_blas_thread
+from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.scan.heat.part_heat import driven_bead
+from ebamcheck.settings.config import Config
+
+SIGMAS = 4.0
+"""Diameter of a spot over the standard deviation of its intensity (ISO 11146)."""
+
+MOST_MODES, DEPTH_MODES = 500, 12
+"""Modes of the section and of the depth."""
+
+CELLS = 4.0
+"""Cells of the section in the shortest wave."""
+
+CHUNK_S, LONG_S, CHUNKS = 10.0, 1.0, 1_000_000
+"""The column is stepped by about so long a time; waits from so long on are stepped by themselves; more than there ever are."""
+
+MOST_PLACES = 900
+"""Places at which the temperature is read, about."""
+
+MOMENTS = 400
+"""Moments of the past in the sum for the temperature under a moving spot."""
+
+
+@dataclass(frozen=True, eq=False)
+class BeamWay:
+    """What the beam does, piece by piece (n,), straight, in order of time.
+
+    Parameters
+    ----------
+    start, end
+        (n, 2) mm.
+    time_s, power_w
+        (n,) time of each, and the beam's power in it; 0 where it is off.
+    """
+
+    start: Floats
+    end: Floats
+    time_s: Floats
+    power_w: Floats
+
+    @property
+    def energy_j(self) -> float:
+        """Energy of the beam."""
+        return float(self.power_w @ self.time_s)
+
+    def cut(self, most_mm: float) -> BeamWay:
+        """Return the same way in pieces of at most a length."""
+        length = np.hypot(*(self.end - self.start).T)
+        count = np.where(self.power_w > 0.0, np.maximum(np.ceil(length / most_mm), 1.0), 1.0).astype(np.int64)
+        owner = np.repeat(np.arange(count.size), count)
+        number = np.arange(owner.size) - np.repeat(np.cumsum(count) - count, count)
+        low, high = (number / count[owner])[:, None], ((number + 1) / count[owner])[:, None]
+        way = (self.end - self.start)[owner]
+        a = self.start[owner]
+        return BeamWay(a + low * way, a + high * way, (self.time_s / count)[owner], self.power_w[owner])
+
+
+@dataclass(frozen=True)
+class SurfaceK:
+    """Temperatures of a scanned surface, absolute, K, and where it is coldest and hottest."""
+
+    mean_k: float
+    least_k: float
+    least_at_mm: tuple[float, float]
+    most_k: float
+    most_at_mm: tuple[float, float]
+
+    @property
+    def spread_k(self) -> float:
+        """Greatest difference."""
+        return self.most_k - self.least_k
+
+
+class SurfaceHeat:
+    """A body whose surface is scanned.
+
+    Parameters
+    ----------
+    column
+        Its mean, which grows warmer.
+    body, region
+        Outline of what the heat spreads in, and of what is scanned, where temperatures are read.
+    depth_mm
+        Of the body, down to the table.
+    """
+
+    def __init__(
+        self, column: HeatColumn, body: BaseGeometry, region: BaseGeometry, depth_mm: float, config: Config
+    ) -> None:
+        self.column, self._config = column, config
+        medium, spacing_mm = Medium.of(config), config.preheat.spacing_mm
+        largest = (2.0 * math.pi / max(2.0 * spacing_mm, 0.5 * config.preheat.spot_mm)) ** 2
+        plane = contour_modes(body, largest, MOST_MODES, CELLS)
+        loss = medium.radiation_w_mm2k / medium.conductivity_w_mmk
+        depth = depth_modes(depth_mm, DEPTH_MODES, config.process.base == "cooled", loss)
+        self.model = HeatModel(plane, depth, medium, min(LARGEST_CELL_MM, depth_mm))
+        flat = plane.integral()
+        self._mean = np.asarray((flat / (flat @ flat))[:, None], np.float64)
+        sigma_mm = config.preheat.spot_mm / SIGMAS
+        self._blur = np.exp(-0.5 * plane.eigenvalue * sigma_mm**2)[:, None]
+        self.state = self.model.cold()
+        self._places = _places(region)
+        self._at_places = plane.at(self._places) - self._mean.T
+        alpha = medium.diffusivity_mm2_s
+        self._rates = (alpha * plane.eigenvalue, alpha * depth.wave_number**2, self.model.in_layer)
+        self._piece_mm = 2.0 * spacing_mm
+
+    def copy(self) -> SurfaceHeat:
+        """Return the same body, to be driven by itself."""
+        other = object.__new__(SurfaceHeat)
+        vars(other).update(vars(self))
+        other.column, other.state = self.column.copy(), self.state.copy()
+        return other
+
+    @one_blas_thread()
+    def drive(self, way: BeamWay) -> None:
+        """Let the beam go its way."""
+        if not way.time_s.size:
+            return
+        taken = self._config.material.absorptivity
+        # A long wait is a time of its own: what is heated before it is not spread over it.
+        waits = (way.power_w == 0.0) & (way.time_s > LONG_S)
+        parts = np.cumsum(waits | np.concatenate([[False], waits[:-1]]))
+        chunk = parts * CHUNKS + np.floor(np.cumsum(np.where(waits, 0.0, way.time_s)) / CHUNK_S).astype(
+            np.int64
+        )
+        for number in np.unique(chunk):
+            rows = chunk == number
+            self.column.advance(
+                float(way.time_s[rows].sum()), float(way.power_w[rows] @ way.time_s[rows]) * taken
+            )
+        fine = way.cut(self._piece_mm)
+        shapes = (self.model.plane.at(0.5 * (fine.start + fine.end)).T - self._mean) * self._blur
+        source = fine.power_w * taken / self.model.medium.heat_capacity_j_mm3k
+        driven_bead(self.state, np.ascontiguousarray(shapes), *self._rates, source, fine.time_s)
+
+    def rest(self, duration_s: float) -> None:
+        """Let a time go by with the beam off."""
+        here = np.zeros((1, 2)) + self._places[:1]
+        self.drive(BeamWay(here, here, np.array([duration_s]), np.zeros(1)))
+
+    def read(self) -> SurfaceK:
+        """Read the temperatures of the scanned surface."""
+        away = self._at_places @ (self.state @ self.model.in_layer)
+        found = self.column.surface_k + away
+        low, high = int(np.argmin(found)), int(np.argmax(found))
+        return SurfaceK(
+            float(found.mean()), float(found[low]), self._place(low), float(found[high]), self._place(high)
+        )
+
+    def _place(self, n: int) -> tuple[float, float]:
+        x, y = self._places[n].tolist()
+        return round(x, 2), round(y, 2)
+
+    def content_under_region(self) -> Floats:
+        """Heat content of the cells of the column under what was scanned, J/mm^3."""
+        edges, depth = self.column.edges_mm, self.model.depth
+        below = np.maximum(edges[-1] - 0.5 * (edges[1:] + edges[:-1]), 0.0)
+        away = self._at_places.mean(axis=0) @ self.state @ depth.at(np.minimum(below, depth.depth_mm)).T
+        tables = self.column.tables
+        assert tables is not None
+        return tables.heat_content(self.column.temperature_k + away)
+
+
+def _places(region: BaseGeometry) -> Floats:
+    """Places on a lattice within a region (m, 2); at least one."""
+    step = math.sqrt(max(region.area, 1e-9) / MOST_PLACES)
+    x0, y0, x1, y1 = shapely.bounds(region)
+    x, y = (np.arange(a + 0.5 * step, b, step) for a, b in ((x0, x1), (y0, y1)))
+    grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    inside = grid[shapely.contains_xy(region, grid[:, 0], grid[:, 1])] if grid.size else grid
+    if len(inside):
+        return np.asarray(inside, np.float64)
+    return np.array([shapely.point_on_surface(region).coords[0]], np.float64)
+
+
+def bare_plate(body: BaseGeometry, config: Config) -> HeatColumn:
+    """Return the column of a base plate on which nothing stands yet, cold."""
+    column = HeatColumn(config)
+    column.lay_plate(body.area)
+    return column
+
+
+def spot_peak_k(power_w: float, speed_mm_s: float, config: Config) -> float:
+    """Rise of the surface under a moving beam of the settings' spot over what it comes to, K, at most.
+
+    A Gaussian source on a half space of constant data: each moment of the past has spread to the variance sigma^2 + 2 alpha t and
+    sunk in by 1 / sqrt(pi alpha t) (Cline and Anthony 1977). The sum is over sqrt(t), which takes the pole away.
+    """
+    medium, sigma = Medium.of(config), config.preheat.spot_mm / SIGMAS
+    alpha = medium.diffusivity_mm2_s
+    longest_s = 20.0 * sigma / speed_mm_s + sigma**2 / alpha
+    root = (np.arange(MOMENTS) + 0.5) * math.sqrt(longest_s) / MOMENTS
+    past_s, width = root**2, sigma**2 + 2.0 * alpha * root**2
+    behind = np.linspace(-2.0 * sigma, 6.0 * sigma, 81)[:, None]
+    away = np.exp(-((behind - speed_mm_s * past_s) ** 2) / (2.0 * width))
+    per_moment = away / (2.0 * math.pi * width) / np.sqrt(math.pi * alpha)
+    source = power_w * config.material.absorptivity / medium.heat_capacity_j_mm3k
+    return float(source * (2.0 * per_moment).sum(axis=1).max() * math.sqrt(longest_s) / MOMENTS)
+
+
+def layers_scanned(passes: Ints) -> Ints:
+    """Indices of the layers before which a scan comes, of the passes (L,) before each."""
+    return np.flatnonzero(passes > 0)

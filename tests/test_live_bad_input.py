@@ -1,0 +1,237 @@
+"""Every fault of the list of bad input, by name, at both doors: its stated answer, and nothing changed, released or lost."""
+
+import asyncio
+import errno
+import json
+import math
+import os
+import socket
+from contextlib import asynccontextmanager
+
+import pytest
+from parts import box
+
+from ebamcheck.live import publishing
+from ebamcheck.live.building import Building
+from ebamcheck.live.desk import answer_to
+from ebamcheck.live.making import LayerMaker
+from ebamcheck.live.publishing import read_current
+from ebamcheck.settings.config import Config
+from ebamcheck.settings.opcua import OpcuaSettings
+
+TOP_MM = 5.2
+
+
+@pytest.fixture(scope="module")
+def maker():
+    with LayerMaker(box(upper=(30, 24, TOP_MM)), Config()) as made:
+        yield made
+
+
+@pytest.fixture
+def building(maker, tmp_path):
+    made = Building(maker, tmp_path / "b")
+    yield made
+    made.close()
+
+
+def line(**values):
+    return json.dumps({"event": "height", **values}).encode()
+
+
+# Heights after the first layer, which was planned from 0 to about 1.73 mm.
+HEIGHTS = {
+    "missing": (None, "missing"),
+    "absurd": (40.0, "absurd"),
+    "absurd, endless": (1e300, "absurd"),
+    "decreasing": (-3.0, "decreasing"),
+    "nothing grown": (0.0, "decreasing"),
+    "no number": (math.nan, "not-a-number"),
+    "infinite": (math.inf, "not-a-number"),
+    "in inches": (1.75 / 25.4, "unit"),
+    "in metres": (1.75e-3, "unit"),
+    "in micrometres": (1750.0, "unit"),
+}
+
+
+@pytest.mark.parametrize("name", HEIGHTS)
+def test_a_bad_height_on_a_line_is_refused_and_the_next_good_one_counts(name, building):
+    height, code = HEIGHTS[name]
+    first = building.start()
+    before = read_current(building.folder)
+    answer = answer_to(building, line(done=1, height_mm=height))
+    assert (answer["answer"], answer["code"]) == ("refused", code)
+    assert read_current(building.folder) == before
+    good = answer_to(building, line(done=1, height_mm=1.8))
+    assert good["answer"] == "published"
+    assert good["layer"] == first["layer"] + 1
+
+
+TEXTS = {
+    "a text for a number": (line(done=1, height_mm="1.8"), "not-a-number"),
+    "a truth for a number": (line(done=1, height_mm=True), "not-a-number"),
+    "a list for a number": (line(done=1, height_mm=[1.8]), "not-a-number"),
+    "a number of a thousand digits": (b'{"event":"height","done":1,"height_mm":1' + b"0" * 1000 + b"}", "not-a-number"),
+    "another unit": (line(done=1, height_mm=1.8, unit="in"), "unit"),
+    "no counter": (line(height_mm=1.8), "missing"),
+    "a counter ahead": (line(done=3, height_mm=1.8), "counter-jump"),
+    "a negative counter": (line(done=-1, height_mm=1.8), "counter"),
+    "half a layer": (line(done=1.5, height_mm=1.8), "counter"),
+    "a counter of a hundred digits": (line(done=10**100, height_mm=1.8), "counter-jump"),
+    "no JSON": (b"height 1.8", "unreadable"),
+    "half a line": (b'{"event": "height", "done": 1, "hei', "unreadable"),
+    "a line without end": (b'{"event": "height"' + b" " * 5000 + b"}", "unreadable"),
+    "nested without end": (b"[" * 4000, "unreadable"),
+    "an event that is not known": (b'{"event": "launch"}', "event"),
+    "no event": (b"{}", "event"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_a_bad_line_is_refused_and_changes_nothing(name, building):
+    text, code = TEXTS[name]
+    building.start()
+    before = read_current(building.folder)
+    answer = answer_to(building, text)
+    assert (answer["answer"], answer["code"]) == ("refused", code)
+    assert "\n" not in answer["reason"]
+    assert read_current(building.folder) == before
+    assert building.expected_done == 1
+
+
+def test_a_counter_that_falls_back_is_refused(building):
+    building.start()
+    assert answer_to(building, line(done=1, height_mm=1.8))["answer"] == "published"
+    assert answer_to(building, line(done=0, height_mm=1.8))["code"] == "counter-jump"
+    assert building.expected_done == 2
+
+
+def test_a_repeated_height_is_answered_and_another_one_for_the_same_layer_refused(building):
+    building.start()
+    first = answer_to(building, line(done=1, height_mm=1.8))
+    again = answer_to(building, line(done=1, height_mm=1.8))
+    assert again == {**first, "again": True}
+    assert answer_to(building, line(done=1, height_mm=1.85))["code"] == "repeated"
+    assert building.expected_done == 2
+
+
+@pytest.mark.parametrize("place", ["certificate", "current"])
+def test_a_full_disk_keeps_the_layer_and_the_server_goes_on_when_there_is_room(place, building, monkeypatch):
+    building.start()
+    before = read_current(building.folder)
+    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    with monkeypatch.context() as patch:
+
+        def no_room(*given):
+            raise full
+
+        patch.setattr(publishing, "values_as_toml" if place == "certificate" else "write_synced", no_room)
+        kept = answer_to(building, line(done=1, height_mm=1.8))
+        assert kept["answer"] == "kept"
+        assert "No space left" in kept["reason"]
+    assert read_current(building.folder) == before
+    good = answer_to(building, line(done=1, height_mm=1.8))
+    assert good["answer"] == "published"
+    assert read_current(building.folder)["name"] == good["name"]
+
+
+def test_a_disk_without_room_for_the_journal_is_told_and_nothing_is_published(building, monkeypatch):
+    building.start()
+    before = read_current(building.folder)
+    with monkeypatch.context() as patch:
+
+        def no_room(entry):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+        patch.setattr(building._journal, "append", no_room)
+        answer = answer_to(building, line(done=1, height_mm=1.8))
+        assert answer["answer"] == "error"
+        assert "No space left" in answer["reason"]
+    assert read_current(building.folder) == before
+    assert answer_to(building, line(done=1, height_mm=1.8))["answer"] == "published"
+
+
+# -- the door of a control ---------------------------------------------------------------------------
+
+
+@asynccontextmanager
+async def on_a_control(maker, folder):
+    """A control on which a program waits, a door that leads it, and what that told."""
+    from ebamcheck.live.opcua.door import Door
+    from ebamcheck.live.opcua.handshake import OFFSETS
+    from ebamcheck.live.opcua.link import installed
+    from ebamcheck.live.opcua.panel import Panel
+    from ebamcheck.live.opcua.server import PlayedServer
+
+    installed()
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        url = f"opc.tcp://127.0.0.1:{found.getsockname()[1]}"
+    opcua = OpcuaSettings(
+        url=url, security="none", anonymous=True, look_s=0.1, retry_s=0.1, longest_retry_s=0.4, request_s=2.0
+    )
+    panel, told, first = Panel(), [], maker.config.machine.live_r
+
+    def r(role):
+        return first + OFFSETS[role]
+
+    async def program():
+        while True:
+            panel.set(r("waited"), panel.get(r("waited")) + 0.5)
+            await asyncio.sleep(0.05)
+
+    building = Building(maker, folder)
+    async with PlayedServer(panel, maker.config.machine, opcua, None).serving():
+        tasks = [
+            asyncio.create_task(program()),
+            asyncio.create_task(Door(building, maker.config.machine, opcua, told.append).run()),
+        ]
+        try:
+            yield panel, r, told
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+            building.close()
+
+
+async def until(condition, limit_s=20.0):
+    for _ in range(int(limit_s / 0.05)):
+        if condition():
+            return
+        await asyncio.sleep(0.05)
+    raise AssertionError("it does not come to it")
+
+
+def test_every_bad_height_on_a_control_is_refused_and_releases_nothing(maker, tmp_path):
+    pytest.importorskip("asyncua", reason="needs the extra opcua: pip install 'ebamcheck[opcua]'")
+
+    async def play():
+        async with on_a_control(maker, tmp_path / "b") as (panel, r, told):
+            await until(lambda: panel.get(r("released")) == 1.0)
+            panel.set(r("done"), 1.0)
+            # What no variable holds, `missing`, is one that is no number there.
+            for name, (height, code) in HEIGHTS.items():
+                shown = math.nan if height is None else height
+                wanted = {"not-a-number", "missing"} if height is None or not math.isfinite(shown) else {code}
+                told.clear()
+                panel.set(r("height"), shown)
+                panel.set(r("measured"), 1.0)
+                await until(lambda wanted=wanted: wanted & {text.get("code") for text in told})
+                assert panel.get(r("released")) == 1.0, name
+                panel.set(r("measured"), 0.0)
+                await asyncio.sleep(0.3)
+            for shown, code in ((3.0, "counter-jump"), (-1.0, "counter-jump")):
+                told.clear()
+                panel.set(r("height"), 1.8)
+                panel.set(r("measured"), shown)
+                await asyncio.sleep(0.6)
+                assert panel.get(r("released")) == 1.0
+                assert shown < 0 or code in {text.get("code") for text in told}
+                panel.set(r("measured"), 0.0)
+                await asyncio.sleep(0.3)
+            panel.set(r("height"), 1.8)
+            panel.set(r("measured"), 1.0)
+            await until(lambda: panel.get(r("released")) == 2.0)
+
+    asyncio.run(play())
