@@ -93,7 +93,7 @@ def test_settings_stand_in_pyproject_too(tmp_path):
         ("process.current_ma = 900", r"process: .*current_ma 900\.0 is over current_max_ma 250\.0"),
         ("machine.program_name = 'con'", r"machine\.program_name: .*an NC name"),
         ("machine.travel_min_mm = [0, 0, 2000]", r"machine: .*travel_min_mm must be under"),
-        ("machine.poly_licensed = false", r"machine: .*'poly' needs machine.poly_licensed"),
+        ("machine.poly_licensed = false", r"machine: .*'poly' needs machine\.poly_licensed"),
         ("slicing.settings.planecut = 4", r"slicing\.settings\.planecut: .*given 4"),
         ("x = ", "is not TOML"),
     ],
