@@ -24,7 +24,33 @@ FAR_ENDS = (318, 341, 347, 185, 725, 727, 867, 974, 1048, 178, 970, 996, 1032, 3
 """Seeds that broke the law by lifts of edges far longer than what lies ahead of them: flat sides that run into roundings (318 to
 1048), noise (178 to 1032); by a strip of a coarse rounding (379), and by one of two facets (466, 739)."""
 
-BROKE_ONCE = (1, 7, 8, 9, 10, 61, 94, 117, 139, 150, 218, 272, 365, 242, 330, 388, 386, 109, 148, *FAR_ENDS)
+FALSE_FORMS = (21, 53, 104, 162, 181, 213, 230, 281, 512, 688, 691)
+"""Seeds that broke the law while exact surfaces were taken for told that were not: by six or eight vertices of a decimated mesh,
+by two rims, by a torus that was a ball, and by segments beside them that took what these would not bend."""
+
+BROKE_ONCE = (
+    1,
+    7,
+    8,
+    9,
+    10,
+    61,
+    94,
+    117,
+    139,
+    150,
+    218,
+    272,
+    365,
+    242,
+    330,
+    388,
+    386,
+    109,
+    148,
+    *FAR_ENDS,
+    *FALSE_FORMS,
+)
 """Seeds that once broke the law, of a kind each: a long side beside a rounding, a seam, noise in planes and in a turned part,
 vertices off their surface, a plate of 38 facets; wedges, a box and turned parts of a few hundred facets that are left by
 quadrics (94 to 365); splines by chord length through uneven points (242, 330); a mesh
@@ -40,16 +66,17 @@ def test_seeds_that_once_broke_the_law_hold_it(seed: int) -> None:
 
 
 BREAKING = {
+    71: "largest error 1.07 of the contour's",
     276: "largest error 1.08 of the contour's",
     307: "largest error 1.07 of the contour's",
-    512: "largest error 1.09 of the contour's",
     543: "largest error 1.20 of the contour's",
     707: "RMS 17 % worse",
     988: "largest error 1.14 of the contour's",
+    1114: "largest error 1.60 of the contour's",
 }
-"""Seeds on which the law is broken today, of 100 to 599 and 700 to 1100: what is left of long edges on simplified turned parts
-(276, 307) and on one left by quadrics (988), long edges of a tessellator's mesh (512, 543), and a turned part of 450 facets that
-quadrics left in rows by chance (707)."""
+"""Seeds on which the law is broken today: what is left of long edges on simplified parts (71, 276, 307, 1114) and on one left by
+quadrics (988), a bend of 5 degrees in a coarse turned part (543), and a turned part of 450 facets that quadrics left in rows by
+chance (707)."""
 
 
 @pytest.mark.slow

@@ -94,6 +94,7 @@ def surface_normals(part: Part, settings: CurveSettings) -> SurfaceNormals:
     found = region_normals(part, twin, regions)
     smooth, kind = twin != NO_TWIN, regions.kind[label]
     stands_off = mesh_sagittas(part.vertices, part.faces, twin, regions.groups.normals[label], kind)
+    rims = rim_sagittas(twin, whole, label, regions.borders, regions.kind)
     return SurfaceNormals(
         found.rows,
         found.normals,
@@ -107,9 +108,9 @@ def surface_normals(part: Part, settings: CurveSettings) -> SurfaceNormals:
         True,
         stands_off,
         vertex_offsets(part.vertices, part.faces, smooth, found.fans, kind == FREEFORM),
-        rim_sagittas(twin, whole, label, regions.borders, regions.kind),
+        rims,
         settings.crease_angle_deg,
-        exact_surfaces(part, twin, whole, regions, stands_off.typical),
+        exact_surfaces(part, twin, whole, regions, rims, stands_off.typical),
     )
 
 

@@ -14,11 +14,13 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from ebamcheck.curves.exact.fitting import told_forms
-from ebamcheck.curves.exact.forms import FLAT, KIND, OWN, PLACE, SIDE, SIZE, signed_distance
+from ebamcheck.curves.exact.forms import FLAT, KIND, OWN, PLACE, SIDE, SIZE, distances, signed_distance
 from ebamcheck.curves.exact.growing import Ground, absorb, grown, touching
 from ebamcheck.curves.exact.told import told_corners
 from ebamcheck.curves.regions.borders import LIKE
+from ebamcheck.curves.regions.rims import INWARD, OUTWARD
 from ebamcheck.curves.regions.segmentation import PLANE, STRIP, Regions
+from ebamcheck.curves.sure_lifts import OF_ROUNDING
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import NO_TWIN, Index, split_corners
 from ebamcheck.numeric.kernels import kernel
@@ -74,7 +76,7 @@ def no_surfaces(facet_count: int) -> ExactSurfaces:
 
 
 def exact_surfaces(
-    part: Part, twin: Index, across: Index, regions: Regions, typical_mm: float
+    part: Part, twin: Index, across: Index, regions: Regions, rims: Floats, typical_mm: float
 ) -> ExactSurfaces:
     """Find the exact surfaces of a mesh, and the planes beside them.
 
@@ -88,15 +90,22 @@ def exact_surfaces(
         (3 F,) the same, at creases too.
     regions
         Its regions.
+    rims
+        (G, 2) how far a surface would stand off the strip of each group, inward and outward, mm, if the bends at its sides
+        were a rounding's.
     typical_mm
         How far facets stand off the surface as a rule, by their turns.
     """
-    return _Search(part, twin, across, regions, typical_mm).run()
+    return _Search(part, twin, across, regions, rims, typical_mm).run()
 
 
 class _Search:
-    def __init__(self, part: Part, twin: Index, across: Index, regions: Regions, typical_mm: float) -> None:
+    def __init__(
+        self, part: Part, twin: Index, across: Index, regions: Regions, rims: Floats, typical_mm: float
+    ) -> None:
         self.across = across
+        self.rims = rims
+        self.coarse_mm = OF_ROUNDING * typical_mm
         self.largest_mm = MOST_OF_TYPICAL * typical_mm
         groups = regions.groups
         vertices, faces = part.vertices, part.faces
@@ -237,6 +246,8 @@ class _Search:
             if len(groups) <= before:
                 if self.supported and not self._is_borne_out(row, groups):
                     return None
+                if self._may_be_rounding(row, groups, float(sagittas.max())):
+                    return None
                 return row, groups, float(sagittas.max())
             before = len(groups)
             refitted = next(self._forms(groups), None)
@@ -244,6 +255,19 @@ class _Search:
                 return None
             row = refitted
         return None
+
+    def _may_be_rounding(self, row: Floats, groups: Index, sagitta: float) -> bool:
+        """Whether strips may be a coarse rounding's, whose surface stands off them as far as that of their rulings would.
+
+        See :func:`ebamcheck.curves.sure_lifts.sure_share`.
+        """
+        if not (self.kind[groups] == STRIP).all():
+            return False
+        facets = _facets_of(self.ground.starts, self.ground.facets, groups)
+        off = distances(row, self.middles[facets])
+        other_way = INWARD if row[SIDE] * off.mean() < 0.0 else OUTWARD
+        rim = float(np.median(self.rims[groups, other_way]))
+        return 0.5 * sagitta < rim <= self.coarse_mm
 
     def _is_borne_out(self, row: Floats, groups: Index) -> bool:
         """Whether surfaces and planes that go on smoothly from groups touch their surface all along."""
