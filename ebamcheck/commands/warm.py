@@ -15,7 +15,8 @@ from ebamcheck.scratch import scratch_folder
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import Slicing, slice_part
 
-_SIDE_MM, _CONE_SIDES = 40.0, 32
+_SIDE_MM, _RING_SIDES = 48, 24
+_CONE_SIDES = 40.0, 32
 
 
 def warm_kernels() -> float:
@@ -39,9 +40,8 @@ def main_job() -> None:
     from ebamcheck.scan import plan_scan
 
     with scratch_folder() as folder:
-        path, round_path = Path(folder, "cube.stl"), Path(folder, "cone.stl")
+        path = Path(folder, "cube.stl")
         _write(_leaning_box(), path)
-        _write(_cone(), round_path)
         # In this process and one after the other: workers side by side would compile the same things twice.
         from ebamcheck.mesh.files import load
 
@@ -52,9 +52,12 @@ def main_job() -> None:
                     slicing.layers([1.0, 2.0, 3.0])
                     turned.at(1.0)
                     turned.layers(np.arange(20.0))
-        # A box has no curved region.
-        cone = load(round_path)
-        fit(slice_part(cone, [0.3 * _SIDE_MM, 0.6 * _SIDE_MM]), part=cone)
+        # A box has no curved region: a cone is lifted by its normals, a ring is a surface by formula.
+        for facets in (_cone(), _ring()):
+            round_path = Path(folder, "round.stl")
+            _write(facets, round_path)
+            curved = load(round_path)
+            fit(slice_part(curved, [0.3 * _SIDE_MM, 0.6 * _SIDE_MM]), part=curved)
         level = logging.getLogger("ebamcheck").level
         logging.getLogger("ebamcheck").setLevel(logging.ERROR)
         # Two layers, far thicker than any process lays them.
@@ -83,6 +86,18 @@ def _cone() -> NDArray[np.float32]:
     tip, middle = np.tile([0.0, 0.0, _SIDE_MM], (_CONE_SIDES, 1)), np.zeros((_CONE_SIDES, 3))
     sides, bottom = np.stack([rim, after, tip], axis=1), np.stack([after, rim, middle], axis=1)
     return np.concatenate([sides, bottom]).astype(np.float32)
+
+
+def _ring() -> NDArray[np.float32]:
+    """Facets (F, 3, 3) of a torus."""
+    u, v = np.meshgrid(*(2.0 * np.pi * np.arange(count + 1) / count for count in _RING_SIDES), indexing="ij")
+    across = _SIDE_MM * (2.0 + 0.5 * np.cos(v))
+    at = np.stack([across * np.cos(u), across * np.sin(u), 0.5 * _SIDE_MM * (1.0 + np.sin(v))], axis=-1)
+    a, b, c, d = at[:-1, :-1], at[1:, :-1], at[1:, 1:], at[:-1, 1:]
+    facets = np.concatenate(
+        [np.stack(corners, axis=2).reshape(-1, 3, 3) for corners in ((a, b, c), (a, c, d))]
+    )
+    return facets.astype(np.float32)
 
 
 def _leaning_box() -> NDArray[np.float32]:
