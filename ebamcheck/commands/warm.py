@@ -15,8 +15,8 @@ from ebamcheck.scratch import scratch_folder
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import Slicing, slice_part
 
-_SIDE_MM, _RING_SIDES = 48, 24
-_CONE_SIDES = 40.0, 32
+_SIDE_MM, _CONE_SIDES = 40.0, 32
+_RING_SIDES = 48, 24
 
 
 def warm_kernels() -> float:
