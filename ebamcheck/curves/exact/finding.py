@@ -6,7 +6,7 @@ not by normals that were estimated.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -41,12 +41,14 @@ do so."""
 PATCHES = (48, 16)
 """Groups about a seed that are tried."""
 
-MOST_TRIALS = 240
+MOST_PIECES = 1000
+"""Pieces that may fail, the largest first: those of a noisy mesh are many."""
+
+MOST_SEEDS = 240
 """Seeds that may fail: a mesh of free forms alone is asked at so many places, evenly spread."""
 
 MOST_ROUNDS = 6
 """Rounds of growth and fit for one surface; it grows no more after two or three as a rule."""
-
 
 TANGENT_COSINE = np.cos(np.deg2rad(0.6))
 """Cosine of the angle between two surfaces that touch along their border, by what the rounding of a file leaves."""
@@ -122,25 +124,22 @@ class _Search:
         self.of_group = np.full(len(groups.normals), NO_SURFACE, np.int32)
         self.rows: list[Floats] = []
         self.sagittas: list[float] = []
-        self.failed = 0
         self.supported = False
         """Whether surfaces are looked for that others have to bear out."""
 
     def run(self) -> ExactSurfaces:
         """Ask each smooth piece of one kind as a whole, then at places of it; then what is left between surfaces."""
-        for piece in self._pieces(np.inf):
-            if not self._try(piece):
-                for patch in self._patches(piece):
-                    self._try(patch)
+        self._try_each(self._pieces(np.inf), MOST_PIECES)
+        self._try_each(
+            (patch for piece in self._pieces(np.inf) for patch in self._patches(piece)), MOST_SEEDS
+        )
         known = 0
-        for piece in self._pieces(LIKE) if self.rows else ():
-            self._try(piece)
+        self._try_each(self._pieces(LIKE) if self.rows else (), MOST_PIECES)
         self.supported = True
         while len(self.rows) > known:
             known = len(self.rows)
             for most in (np.inf, LIKE):
-                for piece in self._pieces(most):
-                    self._try(piece)
+                self._try_each(self._pieces(most), MOST_PIECES)
         label = self.of_group[self.ground.label]
         rows = np.array(self.rows).reshape(-1, SIZE)
         free = self.kind[self.ground.label] != PLANE
@@ -199,10 +198,18 @@ class _Search:
                 if not self.taken[seed]:
                     yield _patch(self.ground, int(seed), self.taken, self.kind, size)
 
+    def _try_each(self, pieces: Iterable[Index], most: int) -> None:
+        """Look for the surface of each of some pieces, until too many have none."""
+        failed = 0
+        for piece in pieces:
+            failed += not self._try(piece)
+            if failed >= most:
+                break
+
     def _try(self, groups: Index) -> bool:
         """Look for the surface of some groups; take all that lie on it."""
         groups = groups[~self.taken[groups]]
-        if len(groups) < 2 or self.failed >= MOST_TRIALS * (1 + self.supported):
+        if len(groups) < 2:
             return False
         for row in self._forms(groups):
             found = self._grown(row, groups)
@@ -213,7 +220,6 @@ class _Search:
                 self.of_group[groups] = len(self.rows)
                 self.rows.append(row)
                 return True
-        self.failed += 1
         return False
 
     def _forms(self, groups: Index) -> Iterator[Floats]:
