@@ -70,7 +70,7 @@ def speed_share(config: Config, thickness_mm: float, room: tuple[float, float] =
     >>> speed_share(Config(), 1.7)
     1.0
     >>> speed_share(Config().changed(process={"wire_speed_max_mm_s": 30.0}), 1.7)
-    0.821
+    0.8213
     """
     process, material = config.process, config.material
     wire = nominal_wire_speed_mm_s(config, thickness_mm)
