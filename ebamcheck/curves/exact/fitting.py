@@ -46,6 +46,9 @@ APART = 20.0
 LEAST_PROFILE = 4
 """Distinct points of a torus' profile: three always lie on one circle."""
 
+CUBIC_TERMS = 20
+"""Coefficients of a cubic surface: so many vertices can tell whether they lie on others than those of a quadric."""
+
 OWN_CUBICS = 4
 """Cubic surfaces that a quadric is a part of; were there more through some vertices, they would not bear it out."""
 
@@ -93,7 +96,7 @@ def told_forms(
     middle = points.mean(axis=0)
     quadrics = _Quadrics(points, middle, size, tolerance_mm)
     if quadrics.count:
-        if quadrics.count == 1:
+        if quadrics.count == 1 and (quadrics.borne_out or len(points) < CUBIC_TERMS):
             yield from _kept(_sphere(points, middle), points, size, tolerance_mm)
         for first in (_cylinder, _cone):
             for row in _kept(first(points, places, normals), points, size, tolerance_mm):
@@ -144,7 +147,7 @@ class _Quadrics:
             return
         self.only = row
         cubics = np.concatenate([rows, _cubic_monomials(unit)], axis=1)
-        if len(unit) >= cubics.shape[1]:
+        if len(unit) >= CUBIC_TERMS:
             values = np.linalg.svd(cubics / np.sqrt(len(unit)), compute_uv=False)
             self.borne_out = int(np.count_nonzero(values <= least)) <= OWN_CUBICS
 
