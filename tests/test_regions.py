@@ -190,6 +190,13 @@ def test_the_order_of_facets_changes_no_region() -> None:
     )
 
 
+@pytest.mark.parametrize("noise_mm", [0.02, 0.1])
+def test_the_noise_of_a_freeform_patch_is_told(noise_mm: float) -> None:
+    patch = max(surfaces(noisy(scattered_torus(3000), noise_mm), SETTINGS), key=lambda s: len(s.facets))
+    assert patch.kind == "freeform"
+    assert 0.3 * noise_mm < float(patch.figure.split()[1]) < 3.0 * noise_mm
+
+
 def test_slivers_in_a_plane_belong_to_it() -> None:
     box = as_float32(turned(split_edges(extruded([polygon(4, 40.0)], 30.0), 150, 0.0, near=0.01), 2))
     assert kinds_of(box) == {"plane": 6}

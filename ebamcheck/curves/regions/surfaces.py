@@ -39,7 +39,8 @@ class Surface:
     size_mm
         Extents of its box.
     figure
-        Its sizes: ``"radius 5 mm"``; empty where it has none.
+        Its sizes: ``"radius 5 mm"``; of a freeform patch its noise: what a cubic through the vertices about leaves of each,
+        of which a part is the surface's own; empty where there is none.
     """
 
     kind: str
@@ -133,7 +134,16 @@ def _surface(part: Part, normals: SurfaceNormals, facets: Ints) -> Surface:
     if form >= 0:
         row = normals.exact.rows[form]
         name, figure = NAMES[int(row[KIND])], _figure(row)
+    elif name == "freeform":
+        figure = _noise(normals, facets)
     return Surface(name, facets, float(area.sum()), (x, y, z), figure)
+
+
+def _noise(normals: SurfaceNormals, facets: Ints) -> str:
+    """How far vertices stand off a smooth surface through their neighbours, as a median; empty where it is not told."""
+    noise = normals.noise[normals.sectors[facets]]
+    told = noise[np.isfinite(noise)]
+    return f"noise {np.median(told):.2g} mm" if told.size else ""
 
 
 def _figure(row: Floats) -> str:
