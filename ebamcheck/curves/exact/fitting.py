@@ -2,7 +2,8 @@
 
 A form is told by its vertices only where they leave nothing open: one place more than it has unknowns along each of its
 two ways at least. Two rims of vertices lie on a cylinder, but on many other quadrics, too; that a cylinder runs straight from
-rim to rim is told by its strips. A sphere and other quadrics have to be the only quadric through their vertices, and no quadric may go through those of a torus.
+rim to rim is told by its strips. A sphere and other quadrics have to be the only quadric through their vertices, and no
+quadric may go through those of a torus.
 """
 
 from __future__ import annotations
