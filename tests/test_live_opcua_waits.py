@@ -161,9 +161,7 @@ def test_a_door_that_is_cancelled_once_ends_though_its_control_is_mute(maker, tm
         opcua = on_a_desk(request_s=0.5)
         line_url = free_url()
         told, building = [], Building(maker, tmp_path / "b")
-        door = Door(
-            building, maker.config.machine, opcua.model_copy(update={"url": line_url}), told.append
-        )
+        door = Door(building, maker.config.machine, opcua.model_copy(update={"url": line_url}), told.append)
         try:
             async with control(maker, opcua) as at, Line(opcua.url).at(line_url) as line:
                 task = asyncio.create_task(door.run())
