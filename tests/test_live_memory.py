@@ -17,7 +17,7 @@ from ebamcheck.live.desk import Lines, serve
 from ebamcheck.live.loading import finished_run
 from ebamcheck.live.making import LayerMaker
 
-SETTLED, LAYERS = 30, 62
+SETTLED, LAYERS = 30, 50
 """Layers after which all is loaded, the texts of the last 64 sections of settings among it; and layers of the column."""
 
 MOST_BLOCKS = 8.0
