@@ -21,6 +21,7 @@ from ebamcheck.pipeline.certificate import CERTIFICATE, RELEASE, read_certificat
 from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.pipeline.verify import settings_beside, verify, verify_against_part
+from ebamcheck.plugins import registry
 from ebamcheck_reports import html
 
 MAIN, SECOND = "MAIN.MPF", "MAIN_L0002.SPF"
@@ -160,6 +161,18 @@ def test_another_exact_backend_than_the_maker_is_the_witness():
     assert witness_backend("planecut") != "planecut"
     assert witness_backend("manifold") != "manifold"
     assert witness_backend("") == witness_backend("planecut")
+
+
+def test_no_backend_is_asked_for_a_witness_whose_answer_does_not_matter(monkeypatch):
+    """A probe may set up a driver or start another program."""
+    asked, probe = [], registry.probe
+    monkeypatch.setattr(registry, "probe", lambda name: asked.append(name) or probe(name))
+    found = witness_backend("planecut")
+    exact = [n for n in registry.house_slicers() if n != "planecut" and registry.slicer(n).exact]
+    available = [name for name in exact if probe(name).available]
+    assert found == max(available, key=lambda name: registry.slicer(name).priority)
+    assert min(registry.slicer(name).priority for name in asked) == registry.slicer(found).priority
+    assert set(asked) <= set(exact)
 
 
 # -- faults found without the plan -------------------------------------------------------------------

@@ -102,7 +102,8 @@ def witness_backend(maker: str, among: Sequence[str] | None = None) -> str:
         Backends to choose from; those of the house that are available if None.
     """
     maker = maker or registry.default_backend()
-    if among is None:
-        among = [name for name in registry.house_slicers() if registry.probe(name).available]
-    others = [name for name in among if name != maker and registry.slicer(name).exact]
-    return max(others, key=lambda name: registry.slicer(name).priority, default=maker)
+    known = registry.house_slicers() if among is None else among
+    others = [name for name in known if name != maker and registry.slicer(name).exact]
+    first = sorted(others, key=lambda name: -registry.slicer(name).priority)
+    # A probe of some asks drivers and other programs: none is asked whose answer does not matter.
+    return next((name for name in first if among is not None or registry.probe(name).available), maker)

@@ -175,7 +175,8 @@ class PlanOfLayers:
     def from_parquet(cls, path: str | Path) -> PlanOfLayers:
         """Read it from the file of a plan; raises :class:`InputError` where the file is not one."""
         try:
-            header = _header(path, pq.read_schema(path))
+            # The header is megabytes of sections, and stands in the file twice: that in the schema is read a second time.
+            header = _header(path, pq.read_metadata(path))
         except (OSError, pa.ArrowException) as error:
             raise InputError(f"{path}: cannot be read as a scan plan: {error}") from None
         return cls(
@@ -185,9 +186,9 @@ class PlanOfLayers:
         )
 
 
-def _header(path: str | Path, schema: pa.Schema) -> dict[str, Any]:
-    """What stands beside the table of a plan."""
-    header: dict[str, Any] = json.loads((schema.metadata or {}).get(b"ebamcheck", b"{}"))
+def _header(path: str | Path, of: pa.Schema | pq.FileMetaData) -> dict[str, Any]:
+    """What stands beside the table of a plan, by what is known of its file."""
+    header: dict[str, Any] = json.loads((of.metadata or {}).get(b"ebamcheck", b"{}"))
     if header.get("format") != FORMAT:
         raise InputError(f"{path}: is not a scan plan (format {header.get('format')!r}, expected {FORMAT!r})")
     return header
