@@ -129,11 +129,10 @@ async def door(maker, folder, opcua):
     try:
         yield told
     finally:
-        # On Python 3.11 a wait with a limit may swallow a cancellation that comes as it ends.
-        while not task.done():
-            task.cancel()
-            await asyncio.wait([task], timeout=1.0)
+        task.cancel()
+        await asyncio.wait([task], timeout=LONGEST_S)
         building.close()
+        assert task.done()
 
 
 async def until(condition, limit_s=20.0):

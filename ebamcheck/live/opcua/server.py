@@ -126,6 +126,7 @@ class PlayedServer:
     @asynccontextmanager
     async def serving(self) -> AsyncIterator[PlayedServer]:
         """Be up, and show the panel on its grid."""
+        self._closing = False
         await self.start()
         task = asyncio.create_task(self._show())
         try:
@@ -134,7 +135,8 @@ class PlayedServer:
             # The library may lose a cancellation while it takes a server down: whether to go on is asked, too.
             self._closing = True
             try:
-                await cancelled(task)
+                while not task.done():
+                    await cancelled(task)
             finally:
                 await self.stop()
 
@@ -148,6 +150,8 @@ class PlayedServer:
             return
         await server.bserver.stop()
         await asyncio.sleep(seconds)
+        if self._closing:
+            return
         self.panel.full = full_s > 0.0
         InternalSession.max_connections = 0 if self.panel.full else self._sessions
         url = urlsplit(self._opcua.url)
