@@ -19,6 +19,7 @@ from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.scan.order import orders as order
 from ebamcheck.scan.plan.whole_part import WHOLE_PART, Stack, ordered_layers, scan_part
 from ebamcheck.settings.config import Config
+from ebamcheck.settings.scan import order_names
 
 MEDIUM = Medium(conductivity_w_mmk=0.020, heat_capacity_j_mm3k=4300 * 700 * 1e-9)
 BRIEF = Config().changed(scan={"annealing_steps": 1000})
@@ -156,12 +157,12 @@ def test_orders_that_ask_no_heat_have_no_heat_in_their_metrics():
     plan = plan_stack(plates(2), Config().changed(process={"interpass": "off"}), order="raster")
     assert plan.metrics[["body_mean_k", "entry_max_k"]].isna().all(axis=None)
     bare = order.LayerIslands(np.zeros((3, 2)), np.ones(3), np.zeros((0, 2), np.int64))
-    asking = [name for name in order.ORDERS if order.needs_heat(name)]
+    asking = [name for name in order_names() if order.needs_heat(name)]
     assert asking == ["least-heat", "thermal"]
     for name in asking:
         with pytest.raises(SettingsError, match="how long islands take"):
             order.scan_order(name, bare)
-    for name in set(order.ORDERS) - set(asking):
+    for name in set(order_names()) - set(asking):
         assert len(order.scan_order(name, bare)) == 3
     assert not order.needs_heat(lambda islands: np.arange(len(islands)))
 

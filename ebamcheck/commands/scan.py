@@ -23,10 +23,10 @@ from ebamcheck.commands.scan_layer import scan_layer
 from ebamcheck.commands.scan_part import scan_all
 from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.program.language.control import simulators
-from ebamcheck.scan.plan.comparing import COMPARED, RANDOM, SEEDS
+from ebamcheck.scan.plan.comparing import RANDOM, SEEDS, compared_orders
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import checked_window
-from ebamcheck.settings.scan import SCAN_ORDERS
+from ebamcheck.settings.scan import order_names
 
 ALL = "all"
 
@@ -43,7 +43,7 @@ def scan_command(
     ] = None,
     layer_height: LayerHeightOption = None,
     orders: Annotated[
-        str, typer.Option(help=f"{', '.join(SCAN_ORDERS)}, or all; comma-separated. Default: scan.order.")
+        str, typer.Option(help=f"{', '.join(order_names())}, or all; comma-separated. Default: scan.order.")
     ] = "",
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Folder for orders.json and pictures.")
@@ -96,7 +96,7 @@ def scan_command(
 
 def _orders(orders: str, settings: Config) -> tuple[str, ...]:
     """Orders that are asked for; an unknown name is refused before anything is computed."""
-    wanted = COMPARED if orders == ALL else names(orders) or (settings.scan.order,)
+    wanted = compared_orders() if orders == ALL else names(orders) or (settings.scan.order,)
     for name in wanted:
         settings.changed(scan={"order": name})
     return wanted
