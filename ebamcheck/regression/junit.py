@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
-from xml.etree import ElementTree
+
+from junitparser.xunit2 import JUnitXml
 
 from ebamcheck.regression.difference import Difference
 from ebamcheck.regression.job import Regression
@@ -24,8 +25,8 @@ def write_junit(regression: Regression, folder: Path) -> Path:
     return path
 
 
-def document(regression: Regression) -> ElementTree.Element:
-    """Build the tree: one suite, one case an entry."""
+def document(regression: Regression) -> JUnitXml:
+    """Build one suite, one case an entry."""
     return junit.junit(NAME, {NAME: [_case(difference) for difference in regression.differences]})
 
 

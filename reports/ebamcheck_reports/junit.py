@@ -12,7 +12,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import Any
-from xml.etree import ElementTree
+
+from junitparser.xunit2 import JUnitXml
 
 from ebamcheck.findings import in_words
 from ebamcheck.pipeline.run_folder import RunFolder
@@ -30,8 +31,8 @@ def write(run: RunFolder) -> list[str]:
     return [NAME]
 
 
-def document(run: RunData) -> ElementTree.Element:
-    """Build the tree of suites and cases."""
+def document(run: RunData) -> JUnitXml:
+    """Build the suites and their cases."""
     suites = {
         "ebamcheck.gates": list(_gates(run)),
         "ebamcheck.findings": list(_findings(run)),
