@@ -19,7 +19,7 @@ SKIPPED = ("new", "not run")
 
 
 def write_junit(regression: Regression, folder: Path) -> Path:
-    """Write the file, whole or not at all; it holds no times, they stand in ``timings.json``."""
+    """Write the file, whole or not at all; its times are 0, the true ones stand in ``timings.json``."""
     path = folder / JUNIT
     junit.write_junit(document(regression), path)
     return path

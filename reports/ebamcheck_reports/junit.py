@@ -3,7 +3,7 @@
 A method that crashed, hung or was killed is an error. One that is not available or refused the part is skipped,
 as the run is too: whether enough methods are left is what the agreement gate says. A finding that is a fault is a failure;
 a warning is skipped with its text, since it neither passes nor fails; a note passes, and says its text. What is proved and
-what is left to a person stands in the properties of every suite. It holds no times: they stand in ``timings.json``, so that
+what is left to a person stands in the properties of every suite. All times are 0: the true ones stand in ``timings.json``, so that
 the same run gives the same bytes.
 """
 
