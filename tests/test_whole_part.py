@@ -10,6 +10,7 @@ import pytest
 import shapely
 
 import ebamcheck
+from benchmarks.closed_form_heat import after_spot
 from ebamcheck.errors import SettingsError
 from ebamcheck.heat import HeatModel, Medium, carried, contour_modes, depth_modes
 from ebamcheck.heat.projection import overlap_of_depths
@@ -44,14 +45,14 @@ def test_overlaps_of_depths_are_integrals(cooled):
 
 def test_a_layer_on_the_same_section_keeps_the_energy():
     old, new = body(RING, 20.0, False), body(RING, 21.7, False)
-    state = old.after(old.after_spot(old.cold(), [[-20.0, 4.0]], 400.0, 2.0), 3.0)
+    state = old.after(after_spot(old, old.cold(), [[-20.0, 4.0]], 400.0, 2.0), 3.0)
     assert new.stored_j(carried(old, state, new)) == pytest.approx(400.0, rel=1e-9)
 
 
 @pytest.mark.parametrize("cooled", [True, False])
 def test_the_field_stays_where_it_was_and_the_new_layer_is_cold(cooled):
     old, new = body(RING, 20.0, cooled), body(RING, 21.7, cooled, waves=120)
-    state = old.after(old.after_spot(old.cold(), [[-20.0, 4.0]], 400.0, 2.0), 6.0)
+    state = old.after(after_spot(old, old.cold(), [[-20.0, 4.0]], 400.0, 2.0), 6.0)
     points = [[-20.0, 4.0], [-24.0, 10.0], [-16.0, -6.0]]
     after = carried(old, state, new)
     before = old.at(state, points, 6.0)
@@ -63,9 +64,9 @@ def test_the_field_stays_where_it_was_and_the_new_layer_is_cold(cooled):
 def test_what_the_new_section_does_not_cover_is_dropped():
     whole, half = shapely.box(0, 0, 80, 40), shapely.box(0, 0, 40, 40)
     old, new = body(whole, 20.0, False, largest=0.2), body(half, 20.0, False, largest=0.2)
-    state = old.after(old.after_spot(old.cold(), [[20.0, 20.0]], 300.0, 2.0), 8.0)
+    state = old.after(after_spot(old, old.cold(), [[20.0, 20.0]], 300.0, 2.0), 8.0)
     assert 250.0 < new.stored_j(carried(old, state, new)) <= 300.5
-    far = old.after(old.after_spot(old.cold(), [[60.0, 20.0]], 300.0, 2.0), 8.0)
+    far = old.after(after_spot(old, old.cold(), [[60.0, 20.0]], 300.0, 2.0), 8.0)
     assert abs(new.stored_j(carried(old, far, new))) < 50.0
     back = carried(new, carried(old, state, new), old)
     assert old.stored_j(back) == pytest.approx(new.stored_j(carried(old, state, new)), rel=0.03)

@@ -1,7 +1,6 @@
 """Partition, filling and order of the layers (paper, section 4)."""
 
 from ebamcheck.scan.islands.rectangle import Rectangle, minimum_rectangle
-from ebamcheck.scan.islands.regions import contour_paths
 from ebamcheck.scan.order.orders import LayerIslands
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.scan.plan.comparing import compare_orders
@@ -13,7 +12,6 @@ __all__ = [
     "Rectangle",
     "ScanPlan",
     "compare_orders",
-    "contour_paths",
     "minimum_rectangle",
     "plan_scan",
     "plan_stack",
