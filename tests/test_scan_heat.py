@@ -249,6 +249,7 @@ def test_an_installed_order_plans(tmp_path, monkeypatch):
         plan_scan(PLATE, PROFILE, order="spiral")
 
 
+@pytest.mark.slow
 def test_two_thousand_islands_are_planned():
     config = PROFILE.changed(scan={"hexagon_side_mm": 4.0})
     plan = plan_scan(shapely.box(0, 0, 400, 230), config, order="thermal")
