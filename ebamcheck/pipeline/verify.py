@@ -13,6 +13,7 @@ from ebamcheck.errors import EbamcheckError, InputError, SettingsError
 from ebamcheck.json_values import sha256_of_json
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.inspection import inspect
+from ebamcheck.mesh.on_table import SAME_MM, apart_mm, on_table
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.plates import PlatePart
 from ebamcheck.pipeline.certificate import find_certificate, find_record, read_certificate
@@ -308,7 +309,18 @@ def verify_against_part(
         with suppress(EbamcheckError):  # a program that cannot be read has a failed check of its own
             text = read_program(program, config)
             certified += plate_checks(part, config, text, read_certificate(paper).get(PLATE), paper.name)
-    return [*certified, sound, *made]
+    return [*certified, sound, *_mounted(part_path, part, config), *made]
+
+
+def _mounted(path: Path, part: Part, config: Config) -> list[Check]:
+    """Whether the part stands on a tilt table as the settings say, by its mesh; nothing for one that is not turned."""
+    said = config.part.on_table
+    if said is None:
+        return []
+    upright = config.changed(part={"direction": said.direction, "on_table": None})
+    off_mm = apart_mm(said, on_table(placed_part(path, upright)[0], part))
+    text = f"part.on_table places the part {off_mm:.3g} mm beside where its mesh stands"
+    return [Check("mounting", off_mm <= SAME_MM, off_mm, SAME_MM, "mm", path.name, text)]
 
 
 def _differences(program: Path, config: Config) -> list[str]:

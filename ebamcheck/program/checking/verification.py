@@ -46,6 +46,7 @@ from ebamcheck.program.checking.section_check import Evidence, section_check
 from ebamcheck.program.checking.state_checks import state_checks
 from ebamcheck.program.checking.text_checks import text_checks
 from ebamcheck.program.checking.text_heat import known_sections
+from ebamcheck.program.checking.tilt_checks import tilt_checks
 from ebamcheck.program.checking.value_checks import value_check
 from ebamcheck.program.checking.wait_height import wait_height_check
 from ebamcheck.program.checking.window_checks import window_check
@@ -164,6 +165,7 @@ def verify_program(
     if heat:
         checks += heat_checks(nc, config, sections, before)
     checks += preheat_checks(nc, config, sections)
+    checks += tilt_checks(nc, config)
     checks += clearance_checks(nc, z_of, config, layers)
     checks += plugged_checks(nc, config)
     if known is None:

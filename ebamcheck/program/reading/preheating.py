@@ -28,13 +28,13 @@ def without_preheating(nc: NCProgram) -> NCProgram:
         return nc
     layer = np.array([-1 if found is None else found for found in of_file], np.int64)
     apart = layer[nc.file] >= 0
-    scans = _rows(nc, apart, layer[nc.events.file] >= 0)
+    scans = rows_of(nc, apart, layer[nc.events.file] >= 0)
     scans = replace(scans, layer=layer[scans.file], layer_files=())
-    return replace(_rows(nc, ~apart, layer[nc.events.file] < 0), preheating=scans)
+    return replace(rows_of(nc, ~apart, layer[nc.events.file] < 0), preheating=scans)
 
 
-def _rows(nc: NCProgram, motions: Bools, events: Bools) -> NCProgram:
-    """Some motions and some events of a program."""
+def rows_of(nc: NCProgram, motions: Bools, events: Bools) -> NCProgram:
+    """Some motions and some events of a program, each event before the motion that it came before."""
     assert {field.name for field in fields(nc)} >= set(OF_MOTIONS)
     kept = {name: getattr(nc, name)[motions] for name in OF_MOTIONS}
     before: Ints = np.concatenate([[0], np.cumsum(motions)]).astype(np.int64)
@@ -46,4 +46,5 @@ def _rows(nc: NCProgram, motions: Bools, events: Bools) -> NCProgram:
         name=tuple(old.name[i] for i in which.tolist()),
         value=old.value[which],
     )
-    return replace(nc, events=found, **kept)
+    table = None if nc.table is None else nc.table.rows(motions)
+    return replace(nc, events=found, table=table, **kept)

@@ -25,9 +25,11 @@ from ebamcheck.program.language.words import (
 )
 from ebamcheck.program.reading.arcs import arc
 from ebamcheck.program.reading.comments import read_header
+from ebamcheck.program.reading.frames import NONE, frame_after
 from ebamcheck.program.reading.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT, NCProgram
 from ebamcheck.program.reading.recognition import Templates
 from ebamcheck.program.reading.recorder import LINE_OF_T, NAN, NO_CENTRE, Recorder
+from ebamcheck.program.reading.turned_table import on_part
 from ebamcheck.settings.config import Config
 
 DEEPEST_CALL = 8
@@ -57,14 +59,15 @@ def read_program(main: Path, config: Config, *, bspline_shift: Shift | None = No
     """Read a program from its main file; subprograms lie beside it."""
     reader = SinumerikReader(main.parent, config, bspline_shift)
     reader.run(main)
-    return reader.out.program()
+    return on_part(reader.out.program(), config)
 
 
 class SinumerikReader:
     """State of the control while it runs a program from top to bottom."""
 
     def __init__(self, folder: Path, config: Config, shift: Shift | None) -> None:
-        self.out = Recorder(folder, NAME)
+        self._rotary = tuple(axis.name for axis in config.machine.rotary)
+        self.out = Recorder(folder, NAME, self._rotary)
         self._templates = Templates(checked_templates(config.machine, NAME))
         self._given_shift = shift
         self._shift: Shift = shift or config.machine.bspline_shift
@@ -161,8 +164,13 @@ class SinumerikReader:
         if _MESSAGE.fullmatch(code):
             self._end_spline()
             return ""
+        if self._rotary and (frame := frame_after(code, self.out.table.frame)) is not None:
+            self._end_spline()
+            self.out.event("frame")
+            self.out.set_frame(frame)
+            return ""
         try:
-            block = read_block(code)
+            block = read_block(code, self._rotary)
         except UnknownWord:
             change = self._templates.find(code)
             if change is not None:
@@ -178,6 +186,9 @@ class SinumerikReader:
             elif word in _KINDS:
                 self._end_spline()
                 self._mode = word
+            elif word == "TRANS" and self.out.table.frame is not NONE:
+                self.out.event("frame taken back")
+                self.out.set_frame(NONE)
             else:
                 self.out.event(word)
         if block.values or block.lists:
@@ -204,7 +215,10 @@ class SinumerikReader:
             self._degree = int(values.get("SD", 3.0))
         elif "SD" in values:
             raise WordError("SD belongs to the block with BSPLINE", 0)
-        if block.lists or any(axis in values for axis in AXES):
+        if any(axis in values for axis in self._rotary):
+            self._end_spline()
+            self.out.table.turn(values)
+        if block.lists or any(axis in values for axis in (*AXES, *self._rotary)):
             self._move(block)
         elif "I" in values or "J" in values or "CR" in values or "PL" in values:
             raise WordError("a block without an axis has nothing to use I, J, CR or PL for", 0)
