@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.program.checking.checks import Check, count_check, row_faults, worst_check
+from ebamcheck.program.checking.checks import Check, count_check, event_place, row_faults, worst_check
 from ebamcheck.program.language.tilt_rules import carried_corners
 from ebamcheck.program.reading.motions import RAPID, NCProgram
 from ebamcheck.program.reading.turned_table import SAME_PLACE_MM, table_at
@@ -118,7 +118,9 @@ def _height(full: NCProgram, config: Config) -> Check:
     # The first way of a program rises from a height that nobody knows.
     rows = np.flatnonzero(table.apart)
     start, end = full.start[rows, 2], full.end[rows, 2]
-    level = (full.start[rows, :2] == full.end[rows, :2]).all(axis=1) | np.isnan(full.end[rows, :2]).all(axis=1)
+    level = (full.start[rows, :2] == full.end[rows, :2]).all(axis=1) | np.isnan(full.end[rows, :2]).all(
+        axis=1
+    )
     low = np.where(level & ~(table.before != table.after)[rows], end, np.fmin(start, end))
     low = np.where(np.isnan(end), -np.inf, low)
     short = least - low
@@ -126,7 +128,11 @@ def _height(full: NCProgram, config: Config) -> Check:
     text = f"the table turns, and the tool is on its way, {-found.value:.4g} mm and more over the least height of Z {least:.6g} mm"
     if not found.passed:
         row = int(rows[int(np.argmax(np.nan_to_num(short, nan=np.inf)))])
-        what = "the table turns" if table.before[row] != table.after[row] else "the tool is on its way without a frame"
+        what = (
+            "the table turns"
+            if table.before[row] != table.after[row]
+            else "the tool is on its way without a frame"
+        )
         z = full.end[row, 2]
         text = f"{what} at Z {z:g} mm: all that the table carries comes to Z {highest:.6g} mm as it turns, {config.machine.clearance_mm:g} mm are to be kept"
     return Check(NAMES[2], found.passed, found.value, 0.0, "mm", found.where, text)
@@ -164,9 +170,16 @@ def _taken_back(full: NCProgram) -> Iterator[tuple[str, str]]:
             yield full.where(row), "the subprogram ends with its frame in force"
         if turned[row]:
             yield full.where(row), "the subprogram ends with the table turned"
-    yield from row_faults(full, (framed | turned) & (full.file == 0), "the main program moves with a frame or the table turned")
-    lost = table.apart & ~framed & np.isnan(full.end[:, 2])
-    yield from row_faults(full, lost, "after a frame the first way gives X, Y and Z")
+    yield from row_faults(
+        full, (framed | turned) & (full.file == 0), "the main program moves with a frame or the table turned"
+    )
+    for i, name in enumerate(full.events.name):
+        if name.startswith("frame lacks "):
+            what = name.removeprefix("frame lacks ")
+            yield (
+                event_place(full, i),
+                f"the first motion after a frame is to give X, Y and Z, and gives no {what}",
+            )
     beads = full.beam & ~framed & turned
     yield from row_faults(full, beads, "a bead without a frame, on a table that is turned")
     changes = np.flatnonzero(np.diff(table.frame) != 0) + 1

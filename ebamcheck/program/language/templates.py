@@ -10,9 +10,9 @@ from ebamcheck.errors import SettingsError
 from ebamcheck.program.language.increments import increments_of, to_increment
 from ebamcheck.program.language.numbers import plain
 from ebamcheck.program.language.preheat_rules import checked_preheating
-from ebamcheck.program.language.tilt_rules import checked_tilt
 from ebamcheck.program.language.profile import templates_of
 from ebamcheck.program.language.template_rules import checked_templates
+from ebamcheck.program.language.tilt_rules import checked_tilt
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.wire_speed import wire_speed_mm_s
 

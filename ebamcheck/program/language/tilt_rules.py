@@ -49,7 +49,10 @@ def carried_corners(config: Config) -> Floats:
     (x0, y0, z0), (x1, y1, z1) = stands.low_mm, stands.high_mm
     px0, py0 = machine.base_plate_min_mm or (x0, y0)
     px1, py1 = machine.base_plate_max_mm or (x1, y1)
-    corners = [*product((x0, x1), (y0, y1), (z0, z1)), *product((px0, px1), (py0, py1), (-process.base_plate_mm, 0.0))]
+    corners = [
+        *product((x0, x1), (y0, y1), (z0, z1)),
+        *product((px0, px1), (py0, py1), (-process.base_plate_mm, 0.0)),
+    ]
     for zone in process.keep_out:
         if zone.z_mm != NO_HEIGHT:
             corners += [(x, y, z) for (x, y), z in product(zone.outline_mm, zone.z_mm)]

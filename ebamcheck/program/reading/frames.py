@@ -54,9 +54,13 @@ def frame_after(code: str, frame: Floats) -> Floats | None:
         own = np.hstack([np.eye(3), [[parts.get(axis, 0.0)] for axis in "XYZ"]])
     else:
         if len(parts) > 1:
-            raise WordError(f"{word} about several axes: their order is a datum of the machine, turn one by one", 0)
+            raise WordError(
+                f"{word} about several axes: their order is a datum of the machine, turn one by one", 0
+            )
         (name, angle), *_ = parts.items()
-        own = np.hstack([_about("XYZ".index(name) if name != "RPL" else 2, np.radians(angle)), np.zeros((3, 1))])
+        own = np.hstack(
+            [_about("XYZ".index(name) if name != "RPL" else 2, np.radians(angle)), np.zeros((3, 1))]
+        )
     return np.asarray(base @ np.vstack([own, [[0.0, 0.0, 0.0, 1.0]]]), np.float64)
 
 

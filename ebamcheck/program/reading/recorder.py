@@ -158,9 +158,12 @@ class Recorder:
         )  # fmt: skip
 
     def set_frame(self, frame: Floats) -> None:
-        """Put another frame in force: where the tool stands in it is told by the next motion, which gives all axes."""
-        if self.table.set_frame(frame):
-            self.x = self.y = self.z = NAN
+        """Put another frame in force: the tool stays where it is, which is another place in the new frame."""
+        here = np.array([self.x, self.y, self.z])
+        if np.isnan(here).all():
+            self.table.set_frame(frame)
+        else:
+            self.x, self.y, self.z = self.table.seen_from(frame, here).tolist()
 
     # -- result ------------------------------------------------------------------------------------
 

@@ -18,20 +18,27 @@ class TableState:
         self.axes = axes
         self.frame = NONE
         self.changed = False
+        self.fresh = False
+        """Whether no motion has come yet since the last frame."""
         self._frames = [NONE]
         self._positions = [(0.0,) * len(axes)]
         self._at, self._in = 0, 0
 
-    def set_frame(self, frame: Floats) -> bool:
-        """Put a frame in force; return whether it is another one."""
+    def seen_from(self, frame: Floats, place: Floats) -> Floats:
+        """Put a frame in force; return a place (3,) of the frame before as it is in the new one."""
+        was = self.frame
+        self.set_frame(frame)
+        return _seen(was, frame, place)
+
+    def set_frame(self, frame: Floats) -> None:
+        """Put a frame in force."""
         if np.array_equal(frame, self.frame):
-            return False
-        self.frame, self.changed = frame, True
+            return
+        self.frame, self.changed, self.fresh = frame, True, True
         known = [i for i, one in enumerate(self._frames) if np.array_equal(one, frame)]
         if not known:
             self._frames.append(frame)
         self._in = known[0] if known else len(self._frames) - 1
-        return True
 
     def turn(self, values: Mapping[str, float]) -> None:
         """Turn the axes that `values` name to their positions."""
@@ -71,6 +78,15 @@ def starts_in_frames(start: Floats, table: TableColumns) -> Floats:
     result = start.copy()
     for row in (np.flatnonzero(table.frame[1:] != table.frame[:-1]) + 1).tolist():
         was, now = table.frames[table.frame[row - 1]], table.frames[table.frame[row]]
-        place = was[:, :3] @ start[row] + was[:, 3]
-        result[row] = now[:, :3].T @ (place - now[:, 3])
+        result[row] = _seen(was, now, start[row])
     return result
+
+
+def _seen(was: Floats, now: Floats, place: Floats) -> Floats:
+    """A place (3,) of one frame as it is in another; an axis that is not known spoils only those that it goes into."""
+    driven = _times(was[:, :3], place) + was[:, 3]
+    return _times(now[:, :3].T, driven - now[:, 3])
+
+
+def _times(turn: Floats, place: Floats) -> Floats:
+    return np.asarray(np.where(turn == 0.0, 0.0, turn * place).sum(axis=1), np.float64)

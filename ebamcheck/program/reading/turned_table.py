@@ -35,7 +35,14 @@ def on_part(nc: NCProgram, config: Config) -> NCProgram:
     if columns is None:
         return nc
     driven = _moved(nc, columns.frames[columns.frame])
-    machine = replace(nc, start=driven.start, end=driven.end, kind=driven.kind, coefficients=driven.coefficients, arc=driven.arc)
+    machine = replace(
+        nc,
+        start=driven.start,
+        end=driven.end,
+        kind=driven.kind,
+        coefficients=driven.coefficients,
+        arc=driven.arc,
+    )
     apart = _apart(nc, columns)
     part = _moved(nc, part_motions(columns, config))
     off = np.linalg.norm(part.end - nc.end, axis=1)

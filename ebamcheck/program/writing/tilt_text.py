@@ -48,9 +48,7 @@ class Tilt:
     turn_deg: float
     up_mm: float
 
-    def before(
-        self, off: Sequence[str], first: Floats, config: Config, form: BlockFormat
-    ) -> list[str]:
+    def before(self, off: Sequence[str], first: Floats, config: Config, form: BlockFormat) -> list[str]:
         """Blocks that turn the table and set the frame; then the tool stands over the place `first` of the layer."""
         x, y = form.value(first[0]), form.value(first[1])
         zero = " ".join(f"{axis}{form.value(v)}" for axis, v in zip("XYZ", self.zero_mm, strict=True))
@@ -58,7 +56,10 @@ class Tilt:
             *off,
             f"G0 Z{form.value(self.up_mm)}",
             comment("TABLE TURNED"),
-            *(f"G0 {_word(axis, form.value(at))}" for axis, at in zip(config.machine.rotary, self.positions_deg, strict=True)),
+            *(
+                f"G0 {_word(axis, form.value(at))}"
+                for axis, at in zip(config.machine.rotary, self.positions_deg, strict=True)
+            ),
             f"TRANS {zero}",
             f"AROT Z{form.value(self.turn_deg)}",
             f"G0 X{x} Y{y} Z{self._above(form)}",
@@ -105,7 +106,12 @@ def tilt_of(config: Config, form: BlockFormat) -> Tilt | None:
     # A place p of the program lies at turn @ (p - shift) on the table.
     whole = table @ turn
     zero = form.rounded(moved - whole @ shift)
-    return Tilt(positions, zero, round(math.degrees(math.atan2(whole[1, 0], whole[0, 0])), form.decimals), _up_mm(config, positions, form))
+    return Tilt(
+        positions,
+        zero,
+        round(math.degrees(math.atan2(whole[1, 0], whole[0, 0])), form.decimals),
+        _up_mm(config, positions, form),
+    )
 
 
 # -- positions ---------------------------------------------------------------------------------------

@@ -96,7 +96,7 @@ class SinumerikReader:
     def _run_plain(self, text: str) -> bool:
         """Run one of the blocks of which a program mostly consists; return whether it is one."""
         found = _PLAIN_BLOCK.fullmatch(text)
-        if found is None:
+        if found is None or self.out.table.fresh:
             return False
         out, part = self.out, found.groups()
         if found.lastgroup == "control":
@@ -251,6 +251,9 @@ class SinumerikReader:
         if not mode:
             raise WordError("an axis before any of G0, G1, G2, G3, POLY, BSPLINE", 0)
         values, lists = block.values, block.lists
+        if out.table.fresh and not (named := self._axes(block)) >= set(AXES):
+            out.event("frame lacks " + " ".join(axis for axis in AXES if axis not in named))
+        out.table.fresh = out.table.fresh and not self._axes(block)
         if lists and mode != "POLY":
             raise WordError(f"PO[] under {mode}: it belongs to POLY", 0)
         here = {"X": out.x, "Y": out.y, "Z": out.z}
@@ -274,6 +277,11 @@ class SinumerikReader:
         elif "I" in values or "J" in values or "CR" in values:
             raise WordError(f"I, J or CR under {mode}: they belong to G2 and G3", 0)
         out.move(_KINDS[mode], x, y, z, curve, centre)
+
+    @staticmethod
+    def _axes(block: Block) -> set[str]:
+        """Geometry axes that a block names."""
+        return {axis for axis in AXES if axis in block.values or f"PO[{axis}]" in block.lists}
 
     def _polynomial(self, block: Block) -> tuple[float, float, float, float, float]:
         """Coefficients of t^2 and t^3 in X and Y, and the length of the parameter."""
