@@ -23,6 +23,7 @@ from ebamcheck.live.tilting import tilted
 from ebamcheck.live.turned import stands_of
 from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.program.checking.metal_below import MetalBelow
+from ebamcheck.program.language.files import preheat_name
 from ebamcheck.settings.config import Config
 
 
@@ -139,6 +140,9 @@ def _tell(done: Relayered, found: FinishedRun, layer: int) -> None:
         typer.echo(f"note: {text}")
     old = found.program_of(layer)
     was = f" in place of {old['name']}" if old else ""
+    scan = preheat_name(found.config.machine.program_name, layer)
+    if old and scan in {Path(file["name"]).stem for file in found.manifest["program"]["files"]}:
+        was += f" and of {scan}, the scan before it"
     if done.place is None:
         stays = f", {old['name']}" if old else ""
         typer.echo(f"layer {layer}: {done.made.why}; the old layer stays{stays}")

@@ -24,7 +24,10 @@ NO_CENTRE = (NAN, NAN, NAN)
 class Recorder:
     """State of the control, and the motions (rows) that it made so far."""
 
-    def __init__(self, folder: Path, dialect: str, axes: tuple[str, ...] = ()) -> None:
+    def __init__(
+        self, folder: Path, dialect: str, axes: tuple[str, ...] = (), scans_in_layers: bool = False
+    ) -> None:
+        self._scans_in_layers = scans_in_layers
         self.folder = folder
         self.dialect = dialect
         self.files: list[SourceFile] = []
@@ -215,7 +218,7 @@ class Recorder:
             dialect=self.dialect,
             table=table,
         )
-        return by_shape(without_preheating(made))
+        return by_shape(without_preheating(made, self._scans_in_layers))
 
     def _layers(self, layer: Ints, z: Floats, deposit: Bools) -> tuple[Ints, tuple[str, ...]]:
         """Layers as subprograms are called for them; in a program without calls, by the levels of Z of its deposits."""

@@ -67,7 +67,7 @@ class SinumerikReader:
 
     def __init__(self, folder: Path, config: Config, shift: Shift | None) -> None:
         self._rotary = tuple(axis.name for axis in config.machine.rotary)
-        self.out = Recorder(folder, NAME, self._rotary)
+        self.out = Recorder(folder, NAME, self._rotary, config.preheat.scan_in == "layer")
         self._templates = Templates(checked_templates(config.machine, NAME))
         self._given_shift = shift
         self._shift: Shift = shift or config.machine.bspline_shift
