@@ -128,6 +128,10 @@ def read_once(path: str | Path, units: str = "mm", progress: Callable[[int], Non
         If it is missing, no binary STL file, truncated, or holds NaN, inf or no facet.
     """
     path = Path(path)
+    if path.suffix.lower() not in (".stl", ""):
+        raise InputError(
+            f"{path.name}: only a binary STL file is read in slabs: write it as binary STL, or check it whole (--slabs 1)"
+        )
     unit = unit_named(units)
     millimetres = UNITS_MM[unit]
     with opened(path) as file, ThreadPoolExecutor(1) as aside:
@@ -236,7 +240,7 @@ def _refuse_others(start: bytes, name: str) -> None:
     """Refuse what begins like a file of another format, by its name."""
     if looks_like_ascii(start):
         raise InputError(
-            f"{name}: is an ASCII STL: only a binary one is read in slabs: write it as binary STL, or check it whole"
+            f"{name}: is an ASCII STL: only a binary one is read in slabs: write it as binary STL, or check it whole (--slabs 1)"
         )
     for first_bytes, what in FOREIGN:
         if start.lstrip().startswith(first_bytes):

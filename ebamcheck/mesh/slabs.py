@@ -161,13 +161,23 @@ def divided(file: FacetFile, heights: Floats, slabs: int, reach_mm: float) -> Di
     """
     begins, crossing = layer_counts(file, heights)
     layers = slab_layers(begins, crossing, min(slabs, heights.size))
-    between = 0.5 * (heights[layers[1:-1] - 1] + heights[layers[1:-1]])
-    borders = np.concatenate([[-np.inf], between, [np.inf]])
-    lower, upper = borders[:-1] - reach_mm, borders[1:] + reach_mm
-    sizes = _sizes(file.low, file.high, file.millimetres, lower, upper)
+    _, _, sizes = _reaching(file, heights, layers, reach_mm)
+    # Layers between two bodies go with those below: a slab without a facet is no mesh.
+    layers = np.concatenate([layers[:-1][sizes > 0], layers[-1:]])
+    borders, (lower, upper), sizes = _reaching(file, heights, layers, reach_mm)
     starts = np.concatenate([[0], np.cumsum(sizes)])
     numbers = _dealt(file.low, file.high, file.millimetres, lower, upper, starts)
     return Division(file, layers, borders, reach_mm, starts, numbers)
+
+
+def _reaching(
+    file: FacetFile, heights: Floats, layers: Ints, reach_mm: float
+) -> tuple[Floats, tuple[Floats, Floats], Ints]:
+    """Borders of slabs (S + 1,), from where up to where each has all facets (S,) twice, and how many these are (S,)."""
+    between = 0.5 * (heights[layers[1:-1] - 1] + heights[layers[1:-1]])
+    borders = np.concatenate([[-np.inf], between, [np.inf]])
+    lower, upper = borders[:-1] - reach_mm, borders[1:] + reach_mm
+    return borders, (lower, upper), _sizes(file.low, file.high, file.millimetres, lower, upper)
 
 
 def layer_counts(file: FacetFile, heights: Floats) -> tuple[Ints, Ints]:

@@ -118,7 +118,7 @@ def run_job(
     fine = read_reference(reference, part_path, config.part) if reference else None
 
     def program(job: Job, checked: CrossCheck, sound: bool) -> ProgramResult:
-        return make_program(job, _primary(job, checked), checked, fine, sound)
+        return make_program(job, primary_of(job, checked), checked, fine, sound)
 
     inputs = [fine.sha256 if fine else "", f"from layer {from_layer}", f"live {live}"]
     return _job("run", part, target, config, inputs, resume, observer, program, force, from_layer, live)
@@ -212,7 +212,7 @@ def _finished(
     ]
     job.add_finding(*noticed.of_doubt(checked.comparison.pairs, job.config))
     job.add_finding(*(noticed.unavailable(o) for o in outcomes.values() if o.failure == "unavailable"))
-    primary, made = _primary(job, checked), None
+    primary, made = primary_of(job, checked), None
     if program is not None and primary:
         job.add_finding(*noticed.of_profile(job.config))
         made = program(job, checked, all(gate.passed for gate in judged))
@@ -237,7 +237,7 @@ def finished_result(run: RunFolder) -> RunResult:
     return RunResult(run, found, ExitCode(manifest["exit_code"]), manifest)
 
 
-def _primary(job: Job, checked: CrossCheck) -> str:
+def primary_of(job: Job, checked: CrossCheck) -> str:
     """Backend whose contours go on; none where it has found no contour."""
     name = primary_backend(job.config, checked.done)
     return name if name and checked.comparison.stacks[name]["rings"].any() else ""

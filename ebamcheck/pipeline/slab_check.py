@@ -23,7 +23,7 @@ from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline import gates, noticed
 from ebamcheck.pipeline.choice import chosen_backends, unavailable_backends
 from ebamcheck.pipeline.cross_check import CrossCheck, write_comparison
-from ebamcheck.pipeline.job import RunResult, finished_result
+from ebamcheck.pipeline.job import RunResult, finished_result, primary_of
 from ebamcheck.pipeline.loose_limits import loose_limits
 from ebamcheck.pipeline.record import manifest as make_manifest
 from ebamcheck.pipeline.report_writers import write_reports
@@ -138,7 +138,7 @@ def _finished(job: Job, division: Division, made: SlabRun) -> RunResult:
     code = gates.exit_code(judged, checked.comparison.compared_layers, outcomes)
     if code is ExitCode.PASS and has_fault(job.findings):
         code = ExitCode.OUT_OF_TOLERANCE
-    manifest = make_manifest(job, outcomes, checked.comparison, _primary(checked), None, judged, code)
+    manifest = make_manifest(job, outcomes, checked.comparison, primary_of(job, checked), None, judged, code)
     for name, settings in made.settings.items():
         manifest["backends"][name]["settings"] = settings
     manifest["slabs"] = {
@@ -150,11 +150,6 @@ def _finished(job: Job, division: Division, made: SlabRun) -> RunResult:
     write_reports(job.folder.path, job.observer.note)
     (job.folder.path / FINGERPRINT).unlink()
     return RunResult(job.folder.finish(), judged, code, manifest)
-
-
-def _primary(checked: CrossCheck) -> str:
-    """No backend: without layers nothing can be made of any."""
-    return ""
 
 
 def _as_it_stands(config: Config) -> None:

@@ -22,7 +22,10 @@ from ebamcheck.preflight.workload import (
 from ebamcheck.settings.config import Config
 
 FACETS_A_SLAB = 4_000_000
-"""Facets of a slab where the settings do not say how many slabs there are."""
+"""Facets of a slab at most where the settings do not say how many slabs there are."""
+
+MOST_SLABS = 10_000
+"""As many as the settings allow."""
 
 COLUMNS_MB = 1.3e-5
 """Memory of what is held of every facet of the file: two heights and, mostly once, its number."""
@@ -34,12 +37,20 @@ def wanted_slabs(path: Path, config: Config) -> int:
         return config.slicing.slabs
     if not is_binary_stl(path):
         return 1
-    facets = facet_count(path)
-    each_mb = METHOD_MB + FACET_MB * facets
-    whole_mb = BASE_MB + _side_by_side(config) * each_mb
-    if whole_mb <= _limit_mb(config) and each_mb <= config.slicing.memory_limit_mb:
+    facets, side_by_side = facet_count(path), _side_by_side(config)
+    limit_mb = config.work.most_memory_mb or machine_memory_mb()
+    if (
+        BASE_MB + side_by_side * (METHOD_MB + FACET_MB * facets) <= limit_mb
+        and METHOD_MB + FACET_MB * facets <= config.slicing.memory_limit_mb
+    ):
         return 1
-    return math.ceil(facets / FACETS_A_SLAB)
+    # Of what is left of the memory a half: a slab has the facets that span it besides its own.
+    room_mb = min(
+        (limit_mb - BASE_MB - COLUMNS_MB * facets - side_by_side * METHOD_MB) / (side_by_side + 1),
+        config.slicing.memory_limit_mb - METHOD_MB,
+    )
+    facets_a_slab = min(0.5 * room_mb / FACET_MB, FACETS_A_SLAB)
+    return min(math.ceil(facets / facets_a_slab), MOST_SLABS) if facets_a_slab >= 1.0 else 1
 
 
 def slab_workload(facets: int, most_facets: int, layers: int, points: int, slabs: int, config: Config) -> Workload:
@@ -77,7 +88,3 @@ def _methods(config: Config) -> int:
 
 def _side_by_side(config: Config) -> int:
     return min(_methods(config), config.slicing.processes or os.cpu_count() or 1)
-
-
-def _limit_mb(config: Config) -> float:
-    return config.work.most_memory_mb or machine_memory_mb()
