@@ -65,8 +65,10 @@ def _bands(wall: RingWall, grid: even_mesh.Grid) -> Iterator[NDArray[np.float64]
         # Every row is worked out once, so that bands meet in the same bits: its last one is the next band's first.
         stop = min(start + rows_a_band, len(row) - 1)
         made = [last_row]
-        for chosen in _by_side(np.arange(start + 1, stop + 1), side):
-            made.append(_points(wall, grid, row[chosen], side[chosen[0]], z, lip, int(chosen[0])))
+        made += [
+            _points(wall, grid, row[chosen], side[chosen[0]], z, lip, int(chosen[0]))
+            for chosen in _by_side(np.arange(start + 1, stop + 1), side)
+        ]
         if stop == len(row) - 1:
             made.append(first_row)
         points = np.concatenate(made)
@@ -92,5 +94,7 @@ def _points(
     first: int,
 ) -> Floats:
     """Points (rows x columns, 3) of consecutive rows, of which the first is the `first` of all."""
-    u = (np.arange(grid.columns)[None, :] + 0.5 * ((first + np.arange(len(rows)))[:, None] % 2)) / grid.columns
+    u = (
+        np.arange(grid.columns)[None, :] + 0.5 * ((first + np.arange(len(rows)))[:, None] % 2)
+    ) / grid.columns
     return single(wall.wall_point(u, z[rows][:, None], lip[rows][:, None], side).reshape(3, -1).T)

@@ -51,7 +51,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     file = output / f"{NAME}.json"
     known = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {"rows": []}
     row = measure(options)
-    rows = [old for old in known["rows"] if (old["wanted_facets"], old["backends"], old["whole"]) != _key(row)]
+    rows = [
+        old for old in known["rows"] if (old["wanted_facets"], old["backends"], old["whole"]) != _key(row)
+    ]
     rows = sorted([*rows, row], key=lambda r: (r["facets"], r["backends"], r["whole"]))
     with replacing(file) as temporary:
         temporary.write_text(json.dumps({"rows": rows}, indent=1, sort_keys=True) + "\n", encoding="utf-8")
@@ -63,7 +65,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """One row: the mesh is written to a temporary folder and goes at the end."""
-    slabs = 1 if options.whole else options.slabs or max(FEWEST_SLABS, math.ceil(options.facets / FACETS_A_SLAB))
+    slabs = (
+        1 if options.whole else options.slabs or max(FEWEST_SLABS, math.ceil(options.facets / FACETS_A_SLAB))
+    )
     layer_mm = LADDER.height_mm / options.layers
     found_machine = machine()
     with tempfile.TemporaryDirectory(prefix="ebamcheck-benchmark-") as folder:
@@ -84,7 +88,9 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         "slabs": slabs,
         "whole": options.whole,
         "note": options.note,
-        "machine": {k: found_machine[k] for k in ("cpu", "cores", "memory_gb", "load_at_start", "started", "commit")},
+        "machine": {
+            k: found_machine[k] for k in ("cpu", "cores", "memory_gb", "load_at_start", "started", "commit")
+        },
         "command": shlex.join(["python", "-m", "benchmarks.slabs", *_given(options)]),
     }
 
@@ -113,7 +119,11 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
 def _cells(row: Mapping[str, Any]) -> list[str]:
     stages = row.get("stages_s", {})
     verdicts = row.get("verdicts", {})
-    result = f"{verdicts.get('agree', 0):,} layers agree" if row["status"] == "done" else f"{row['status']}: {row['why']}"
+    result = (
+        f"{verdicts.get('agree', 0):,} layers agree"
+        if row["status"] == "done"
+        else f"{row['status']}: {row['why']}"
+    )
     others = sum(verdicts.values()) - verdicts.get("agree", 0)
     return [
         f"{row['facets']:,}",
@@ -136,7 +146,9 @@ def _key(row: Mapping[str, Any]) -> tuple[Any, ...]:
 def _room_for(stl: Path, facets: int) -> None:
     free = shutil.disk_usage(stl.parent).free
     if free < 2 * 50 * facets:
-        raise SystemExit(f"{stl.parent}: {free / 1e9:.1f} GB are free, too few for {facets:,} facets: set TMPDIR")
+        raise SystemExit(
+            f"{stl.parent}: {free / 1e9:.1f} GB are free, too few for {facets:,} facets: set TMPDIR"
+        )
 
 
 def _given(options: argparse.Namespace) -> list[str]:
@@ -155,7 +167,9 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
         "--slabs", type=int, help=f"default: one for {FACETS_A_SLAB:,} facets, at least {FEWEST_SLABS}"
     )
     parser.add_argument("--whole", action="store_true", help="check the part as a whole, to compare with")
-    parser.add_argument("--note", default="", help="what stands beside the figures, such as what else was running")
+    parser.add_argument(
+        "--note", default="", help="what stands beside the figures, such as what else was running"
+    )
     parser.add_argument("--output", type=Path, default=OUTPUT, help="folder of the table")
     return parser.parse_args(arguments)
 

@@ -110,7 +110,9 @@ def facet_count(path: Path) -> int:
         return _count(file.read(HEADER_BYTES))
 
 
-def read_once(path: str | Path, units: str = "mm", progress: Callable[[int], None] | None = None) -> FacetFile:
+def read_once(
+    path: str | Path, units: str = "mm", progress: Callable[[int], None] | None = None
+) -> FacetFile:
     """Read a binary STL file from end to end: its box, its hash, and the heights of its facets.
 
     Parameters
@@ -142,7 +144,8 @@ def read_once(path: str | Path, units: str = "mm", progress: Callable[[int], Non
         low, high = np.empty(count, np.float32), np.empty(count, np.float32)
         least, greatest = np.full(3, np.inf), np.full(3, -np.inf)
         for first, block in _blocks(file, path, count):
-            hashing = aside.submit(digest.update, block)  # as long as everything else, and needs nothing of it
+            # Hashing takes as long as everything else, and needs nothing of it.
+            hashing = aside.submit(digest.update, block.data)
             corners = facet_corners(block, path.name, first)
             past = first + len(block)
             # Corner by corner and column by column: many times faster than numpy along an axis of three.
@@ -227,7 +230,9 @@ def _checked_count(head: bytes, size: int, file: BinaryIO, name: str) -> tuple[i
     if count == 0:
         raise InputError(f"{name}: holds no facet (binary STL with count 0)")
     if count > MOST_FACETS:
-        raise InputError(f"{name}: {count} facets are over the {MOST_FACETS} that slabs can number: split the part")
+        raise InputError(
+            f"{name}: {count} facets are over the {MOST_FACETS} that slabs can number: split the part"
+        )
     if size - expected >= FACET_BYTES:
         raise InputError(
             f"{name}: byte 80 counts {count} facets, but {size - expected} bytes follow the last one: "

@@ -6,7 +6,6 @@ are put together from their pieces in neighbouring slabs by the facets that reac
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -49,6 +48,19 @@ class _Pieces:
     """(N, 2) pieces of the slab below and of this one that share a facet."""
 
 
+COUNTS = (
+    "vertices",
+    "open_edges",
+    "nonmanifold_edges",
+    "inconsistent_edges",
+    "unpaired_edges",
+    "duplicate_facets",
+    "degenerate_facets",
+    "zero_area_facets",
+)
+"""What is counted slab by slab."""
+
+
 class SlabInspection:
     """Figures of :func:`~ebamcheck.mesh.inspection.inspect`, added up over the slabs from the lowest to the highest.
 
@@ -63,7 +75,7 @@ class SlabInspection:
     def __init__(self, outline: Part, facets: int) -> None:
         self._outline = outline
         self._facets = facets
-        self._counts: Counter[str] = Counter()
+        self._counts = dict.fromkeys(COUNTS, 0)
         self._pieces: list[_Pieces] = []
         self._known = 0
         # Facets that may reach into the next slab, and the piece of each.
@@ -85,7 +97,7 @@ class SlabInspection:
         facet_told = _told(slab, lowest)
         repeated, zero_area = degenerate(part)
         is_open = edge_told & (facets_at_edge == 1)
-        self._counts.update(
+        self._count(
             vertices=int(_told(slab, z).sum()),
             open_edges=int(is_open.sum()),
             nonmanifold_edges=int((edge_told & (facets_at_edge > 2)).sum()),
@@ -97,6 +109,10 @@ class SlabInspection:
         )
         body = body_labels(part, groups)
         self._add_pieces(slab, part, body, facet_told, half_edge[is_open] // 3)
+
+    def _count(self, **more: int) -> None:
+        for name in COUNTS:
+            self._counts[name] += more[name]
 
     def _add_pieces(
         self, slab: Slab, part: Part, body: NDArray[np.int32], told: Bools, open_facets: NDArray[np.int32]
@@ -131,13 +147,13 @@ class SlabInspection:
         return sixfold.astype(np.float64) / 6.0
 
     def found(self) -> Inspection:
-        """What was found, once all slabs are in."""
+        """What was found in the slabs so far."""
         volumes, lower, upper, is_open = self._bodies()
         size = self._outline.size
         negative = volumes < -NO_VOLUME * float(size.max(initial=0.0)) ** 3
         inside_out = outermost(negative, volumes, lower, upper) & ~is_open
         counts = dict(self._counts)
-        unpaired = counts.pop("unpaired_edges", 0)
+        unpaired = counts.pop("unpaired_edges")
         x, y, z = (float(v) for v in size)
         x0, y0, z0 = (float(v) for v in self._outline.bounds[0])
         found = Inspection(
@@ -159,14 +175,18 @@ class SlabInspection:
 
     def _bodies(self) -> tuple[Floats, Floats, Floats, Bools]:
         """Volumes (B,), corners of the boxes (B, 3) twice, and whether open, of the bodies that the pieces make."""
+        if not self._known:
+            return np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.bool_)
         links = np.concatenate([piece.links for piece in self._pieces])
         graph = coo_array((np.ones(len(links)), (links[:, 0], links[:, 1])), (self._known, self._known))
         count, body = connected_components(graph, directed=False)
-        volumes = np.bincount(body, np.concatenate([p.volumes for p in self._pieces]), minlength=count)
+        volumes: Floats = np.zeros(count)
+        np.add.at(volumes, body, np.concatenate([p.volumes for p in self._pieces]))
         lower, upper = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
         np.minimum.at(lower, body, np.concatenate([p.lower for p in self._pieces]))
         np.maximum.at(upper, body, np.concatenate([p.upper for p in self._pieces]))
-        is_open = np.bincount(body, np.concatenate([p.is_open for p in self._pieces]), minlength=count) > 0
+        is_open: Bools = np.zeros(count, np.bool_)
+        np.logical_or.at(is_open, body, np.concatenate([p.is_open for p in self._pieces]))
         return volumes, lower, upper, is_open
 
 

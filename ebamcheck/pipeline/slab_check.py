@@ -16,13 +16,13 @@ from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.findings import has_fault
 from ebamcheck.json_values import sha256_of_json
 from ebamcheck.layers.cuts import cut_heights
-from ebamcheck.mesh.inspection import Inspection
 from ebamcheck.mesh.slab_file import FacetFile, read_once
+from ebamcheck.mesh.slab_inspection import SlabInspection
 from ebamcheck.mesh.slabs import Division, divided, layer_counts
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline import gates, noticed
 from ebamcheck.pipeline.choice import chosen_backends, unavailable_backends
-from ebamcheck.pipeline.cross_check import CrossCheck, write_comparison
+from ebamcheck.pipeline.cross_check import write_comparison
 from ebamcheck.pipeline.job import RunResult, finished_result, primary_of
 from ebamcheck.pipeline.loose_limits import loose_limits
 from ebamcheck.pipeline.record import manifest as make_manifest
@@ -40,8 +40,6 @@ from ebamcheck.version import __version__
 
 LEAST_REACH = 1e-6
 """How far beyond its borders a slab has all facets at least, over the largest coordinate: far above any rounding."""
-
-NOT_LOOKED_AT = "not looked at yet"
 
 
 def check_in_slabs(
@@ -110,7 +108,8 @@ def check_in_slabs(
         observer.note(f"{target}: the former run will be kept as {folder.former.name}")
     # The mesh as a whole is never there, and so has no hash.
     file.outline.__dict__["sha256"] = ""
-    job = Job("check", config, observer, file.outline, _unknown(file), heights, folder, fingerprint)
+    nothing_yet = SlabInspection(file.outline, len(file)).found()
+    job = Job("check", config, observer, file.outline, nothing_yet, heights, folder, fingerprint)
     try:
         return _finished(job, division, cut_slabs(job, division, backends))
     except OSError as error:
@@ -185,27 +184,3 @@ def _within_work(file: FacetFile, division: Division, heights: Floats, config: C
         len(file), division.most_facets, heights.size, int(crossing.sum()), len(division), config
     )
     Preflight(tuple(work_checks(work, config, yes)), work).stop("check")
-
-
-def _unknown(file: FacetFile) -> Inspection:
-    """Place of an inspection that is made while the slabs go by."""
-    zero = (0.0, 0.0, 0.0)
-    counts = dict.fromkeys(
-        (
-            "vertices",
-            "bodies",
-            "open_edges",
-            "nonmanifold_edges",
-            "inconsistent_edges",
-            "duplicate_facets",
-            "degenerate_facets",
-            "zero_area_facets",
-            "inside_out_bodies",
-            "open_bodies",
-        ),
-        0,
-    )
-    return Inspection(
-        name=file.outline.name, facets=len(file), size_mm=zero, lower_mm=zero, volume_mm3=0.0, notes=(),
-        verdict="open", why=NOT_LOOKED_AT, **counts,
-    )  # fmt: skip

@@ -94,6 +94,7 @@ def cut_slabs(job: Job, division: Division, backends: Mapping[str, BackendSettin
             for name in outcomes:
                 job.folder.layers_file(name).unlink(missing_ok=True)
             job.observer.advance(past - first)
+            del slab  # so that there are never two in memory
     job.folder.layers_folder.rmdir()
     job.timings.update(tally.seconds)
     checked = CrossCheck({name: tally.outcomes[name] for name in backends}, joined(tally.comparisons))
@@ -101,7 +102,12 @@ def cut_slabs(job: Job, division: Division, backends: Mapping[str, BackendSettin
 
 
 def _sliced(
-    job: Job, slab: Slab, heights: Floats, backends: Mapping[str, BackendSettings], borders: Ints, pool: WorkerPool
+    job: Job,
+    slab: Slab,
+    heights: Floats,
+    backends: Mapping[str, BackendSettings],
+    borders: Ints,
+    pool: WorkerPool,
 ) -> dict[str, Outcome]:
     chosen = job.config.slicing
     limits = Limits(chosen.time_limit_s, chosen.memory_limit_mb, chosen.processes)
@@ -135,9 +141,7 @@ def _compared(
 ) -> Comparison:
     done = {name: outcome for name, outcome in outcomes.items() if not outcome.failure}
     with ExitStack() as opened:
-        stacks = {
-            n: opened.enter_context(LayerFile(job.folder.layers_file(n), edges=False)) for n in done
-        }
+        stacks = {n: opened.enter_context(LayerFile(job.folder.layers_file(n), edges=False)) for n in done}
         for name, stack in stacks.items():
             _keep_settings(tally.settings, name, stack.settings, slab)
         return compare_all(

@@ -43,7 +43,9 @@ def render(run: RunData) -> Markup:
     """Draw the layers worth seeing."""
     if run.part_of("slabs"):
         count = int(run.part_of("slabs")["count"])
-        return paragraph(f"The part was checked in {count} slabs, and their layers were dropped: there are none to draw.")
+        return paragraph(
+            f"The part was checked in {count} slabs, and their layers were dropped: there are none to draw."
+        )
     chosen = chosen_layers(run)
     if not chosen:
         return Markup("")
