@@ -17,6 +17,7 @@ from scipy import ndimage
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.metal import Footprints, Surface, Target, balanced_widths, footprints, target_of
+from ebamcheck.metal.pools import pooled
 from ebamcheck.metal.surface import HALF
 from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
@@ -64,6 +65,9 @@ their metal would raise the rest, layer by layer."""
 
 PLACE_SHARE = 1.0 / 6.0
 """Distance, over the bead width, of the places along beads at which their metal is laid."""
+
+POOL_SHARE = 1.0 / 12.0
+"""The same where the surface that a layer leaves is worked out: at the tips of corners half a cell decides whether they are bare."""
 
 WIDTH_DIGITS = 4
 """Decimals of a width, mm: a hundred-thousandth of the metal."""
@@ -147,7 +151,9 @@ def _flat(
     width = np.add.reduceat(width, first) / np.diff(np.append(first, width.size))
     width = balanced_widths(runs, wanted, weight, cell_mm2, width, limits)
     width = np.asarray(np.round(width, WIDTH_DIGITS), np.float64)
-    laid = runs.laid(width, wanted.size, cell_mm2).reshape(wanted.shape)
+    of_place = width[np.searchsorted(first, beads.stretch, side="right") - 1]
+    radius = 0.5 * config.process.bead_width_mm / surface.step_mm
+    laid = pooled(beads.cells, of_place * beads.length_mm, radius, wanted.shape, cell_mm2)
     surface.add(target, laid * thickness_mm, thickness_mm)
     last = np.append(first[1:], beads.every.size) - 1
     return division.stretches(tracks, beads.every[first], beads.every[last], width)
@@ -220,11 +226,18 @@ def runs_alike(track: Ints, width: Floats, factor: float) -> Bools:
 
 @dataclass(frozen=True, eq=False)
 class _LayerBeads:
-    """What one layer is to be, its stretches `every` (n,), and where their metal lies."""
+    """What one layer is to be, its stretches `every` (n,), and where their metal lies: by bead, and place by place.
+
+    `cells` (m, 2) are places along the beads in cells of the target, `length_mm` (m,) of path that each stands for, `stretch` (m,) its
+    number among `every`.
+    """
 
     target: Target
     every: Ints
     footprints: Footprints
+    cells: Floats
+    length_mm: Floats
+    stretch: Ints
 
 
 def _layer_beads(
@@ -243,17 +256,20 @@ def _layer_beads(
     a, b = int(path.layer_starts[layer]), int(path.layer_starts[layer + 1])
     target = target_of(region, step_mm, bead_mm)
     rows = slice(int(path.track_starts[a]), int(path.track_starts[b]))
-    owner, along, place, length = segment_places(
-        path.kind[rows], points[rows], lengths[rows], bead_mm * PLACE_SHARE
-    )
-    track = np.repeat(np.arange(a, b), np.diff(path.track_starts[a : b + 1]))[owner]
-    begin = (tracks.ends[rows] - lengths[rows])[owner] - tracks.low[track]
-    stretch = division.at(track, begin + along) - division.starts[a]
+    own = np.repeat(np.arange(a, b), np.diff(path.track_starts[a : b + 1]))
+
+    def places(step: float) -> tuple[Floats, Floats, Ints]:
+        """Places along the beads, in cells of the target, the length that each stands for, and its stretch."""
+        owner, along, place, length = segment_places(path.kind[rows], points[rows], lengths[rows], step)
+        track = own[owner]
+        begin = (tracks.ends[rows] - lengths[rows])[owner] - tracks.low[track]
+        stretch = division.at(track, begin + along) - division.starts[a]
+        return (place - target.origin) / step_mm, length, stretch
+
     every = np.arange(division.starts[a], division.starts[b])
-    cells, radius = (place - target.origin) / step_mm, 0.5 * bead_mm / step_mm
-    return _LayerBeads(
-        target, every, footprints(cells, length, stretch, every.size, radius, target.share.shape)
-    )
+    radius = 0.5 * bead_mm / step_mm
+    by_bead = footprints(*places(bead_mm * PLACE_SHARE), every.size, radius, target.share.shape)
+    return _LayerBeads(target, every, by_bead, *places(bead_mm * POOL_SHARE))
 
 
 def joined(layers: Sequence[Stretches]) -> Stretches:
