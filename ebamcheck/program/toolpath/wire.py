@@ -31,11 +31,12 @@ from ebamcheck.program.toolpath.bead_parts import (
     snapped,
 )
 from ebamcheck.program.toolpath.cuts import segment_lengths, segment_places
-from ebamcheck.program.toolpath.inputs import ScanColumns
+from ebamcheck.program.toolpath.inputs import ScanColumns, interpass_of
 from ebamcheck.program.toolpath.tracks import Toolpath
 from ebamcheck.scan.islands.clipping import THIN_WALL
 from ebamcheck.scan.islands.regions import ARC_SEGMENTS
 from ebamcheck.settings.config import Config
+from ebamcheck.settings.feed_along import along_window
 from ebamcheck.settings.wire_speed import wire_speed_mm_s
 
 STRETCH_BEADS = 1.0
@@ -73,12 +74,16 @@ WIDTH_DIGITS = 4
 """Decimals of a width, mm: a hundred-thousandth of the metal."""
 
 
-def width_limits_mm(config: Config, thickness_mm: float) -> tuple[float, float]:
-    """Least and greatest width that a bead can lay in a layer of this height: limits of the wire feed and of the pool."""
+def width_limits_mm(config: Config, thickness_mm: float, power_share: float = 1.0) -> tuple[float, float]:
+    """Least and greatest width that a bead can lay in a layer of this height: limits of the wire feed and of the pool.
+
+    Where the feed follows along the path, those of wire and feed together, at a share of the power.
+    """
     process = config.process
     per_mm = wire_speed_mm_s(config, 1.0, thickness_mm)
-    most = min(process.wire_speed_max_mm_s / per_mm, MOST_SPACINGS * process.hatch_spacing_mm)
-    return process.wire_speed_min_mm_s / per_mm, most
+    slow, fast = along_window(config, power_share)
+    most = min(process.wire_speed_max_mm_s / (per_mm * slow), MOST_SPACINGS * process.hatch_spacing_mm)
+    return process.wire_speed_min_mm_s / (per_mm * fast), most
 
 
 def metal_region(section: BaseGeometry, config: Config) -> BaseGeometry:
@@ -116,8 +121,8 @@ def with_wire(path: Toolpath, plan: ScanColumns, config: Config, decimals: int) 
 
     found = [layer for block in run_blocks(some, len(path.z)) for layer in block]
     made = [
-        _flat(beads, surface, division, tracks, float(h), config)
-        for beads, h in zip(found, path.thickness, strict=True)
+        _flat(beads, surface, division, tracks, float(h), config, float(share))
+        for beads, h, share in zip(found, path.thickness, interpass_of(plan, config).power_share, strict=True)
     ]
     return cut(path, points, lengths, parts_of(path, tracks, joined(made)), decimals)
 
@@ -135,6 +140,7 @@ def _flat(
     tracks: Tracks,
     thickness_mm: float,
     config: Config,
+    power_share: float,
 ) -> Stretches:
     """Stretches of one layer with the widths that lay it flat, and mend a little of what lies too high or low under it."""
     target, cell_mm2 = beads.target, surface.step_mm**2
@@ -143,7 +149,7 @@ def _flat(
         surface.add(target, target.share, thickness_mm)
         return division.stretches(tracks, beads.every, beads.every, nominal)
     wanted, weight = _wanted(target, surface, thickness_mm, config)
-    limits = width_limits_mm(config, thickness_mm)
+    limits = width_limits_mm(config, thickness_mm, power_share)
     width = balanced_widths(beads.footprints, wanted, weight, cell_mm2, nominal, limits)
     alike = ALIKE_MAPPED if surface.mapped else ALIKE
     first = np.flatnonzero(runs_alike(division.track(beads.every), width, alike))
