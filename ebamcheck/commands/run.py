@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 def run(
     part: JobPart = None,
     plate: PlateOption = None,
-    config: ConfigOption = None,
+    config_file: ConfigOption = None,
     output: RunFolderOption = None,
     layer_height: LayerHeightOption = None,
     backends: BackendsOption = "",
@@ -66,9 +66,9 @@ def run(
     as_json: JsonOption = False,
 ) -> ExitCode:
     """Look at the part, slice, cross-check, fit, partition, order, write the NC program, verify it and report."""
-    settings = job_settings(config, units, direction, layer_height, backends, witnesses, fix_orientation)
-    settings, source = placed_settings(settings, place, rotate), part_or_plate(part, plate)
-    part_ready = begun(source, settings, "run", yes)
+    config = job_settings(config_file, units, direction, layer_height, backends, witnesses, fix_orientation)
+    config, source = placed_settings(config, place, rotate), part_or_plate(part, plate)
+    part_ready = begun(source, config, "run", yes)
     from ebamcheck.commands.progress import watched
     from ebamcheck.pipeline import run_job
 
@@ -77,7 +77,7 @@ def run(
         result = run_job(
             source,
             target,
-            settings,
+            config,
             reference,
             resume,
             observer,
@@ -92,7 +92,7 @@ def run(
 def check(
     part: JobPart = None,
     plate: PlateOption = None,
-    config: ConfigOption = None,
+    config_file: ConfigOption = None,
     output: RunFolderOption = None,
     layer_height: LayerHeightOption = None,
     backends: BackendsOption = "",
@@ -102,21 +102,33 @@ def check(
     place: PlaceOption = "",
     rotate: RotateOption = None,
     fix_orientation: FixOption = False,
+    slabs: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            max=10_000,
+            help="Read, cut and compare a binary STL in so many slabs of z; default: 1, more where memory asks for it.",
+        ),
+    ] = None,
     yes: YesOption = False,
     resume: ResumeOption = False,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> ExitCode:
     """Slice with every backend and compare all pairs on every layer; as `run`, without a program."""
-    settings = job_settings(config, units, direction, layer_height, backends, witnesses, fix_orientation)
-    settings, source = placed_settings(settings, place, rotate), part_or_plate(part, plate)
-    part_ready = begun(source, settings, "check", yes)
+    config = job_settings(config_file, units, direction, layer_height, backends, witnesses, fix_orientation)
+    config, source = placed_settings(config, place, rotate), part_or_plate(part, plate)
+    config = config if slabs is None else config.changed(slicing={"slabs": slabs})
+    from ebamcheck.preflight.slab_work import wanted_slabs
+
+    # A part that is checked in slabs is never read whole.
+    part_ready = None if wanted_slabs(source, config) > 1 else begun(source, config, "check", yes)
     from ebamcheck.commands.progress import watched
     from ebamcheck.pipeline import check_job
 
     with watched() as observer:
         folder = output or Path(f"{source.stem}.run")
-        result = check_job(source, folder, settings, resume, observer, part_ready, force=force)
+        result = check_job(source, folder, config, resume, observer, part_ready, yes, force)
     return _told(result, as_json)
 
 

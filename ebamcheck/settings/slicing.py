@@ -64,6 +64,10 @@ class SlicingSettings(Section):
     """Time of one backend's process for the whole stack; beyond it the process is ended and reported."""
     memory_limit_mb: Annotated[float, Between(1.0, 1e7)] = 8192.0
     """Resident memory of one backend's process, watched from outside."""
+    slabs: Annotated[int, Between(1, 10_000)] | None = None
+    """Slabs of z in which `check` reads, cuts and compares a binary STL file, one after the other, so that only one is in
+    memory; their layers are dropped. 1: the part as a whole. None: that, unless the whole would need more memory than
+    `work.most_memory_mb` or `slicing.memory_limit_mb` allow; then slabs of some four million facets."""
     processes: Annotated[int, Between(1, 1024)] | None = None
     """Backends that slice side by side; None: as many as there are cores. With 1 a job needs the least memory."""
     settings: dict[str, dict[str, Any]] = Field(default={})
