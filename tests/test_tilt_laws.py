@@ -84,6 +84,8 @@ def test_what_is_written_through_a_table_is_read_as_without_it(
     wide = {"travel_min_mm": (-9e3,) * 3, "travel_max_mm": (9e3,) * 3}
     plain = Config().changed(machine={"rotary": axes, **wide})
     up = table_motion(plain.machine.rotary, (first, second))[0].T @ [0.0, 0.0, 1.0]
+    if up[2] > 1.0 - 1e-9:
+        return  # nothing is turned
     part = box((3, 4, 0), (33, 28, 40))
     direction = tuple(up.tolist())
     config = plain.changed(

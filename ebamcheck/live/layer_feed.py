@@ -13,7 +13,8 @@ import math
 from ebamcheck.heat.melting import melting_heat_j_kg
 from ebamcheck.program.toolpath.wire import MOST_MENDED
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.process_window import line_energy_j_mm, nominal_wire_speed_mm_s, wire_area_mm2
+from ebamcheck.settings.feed_along import speed_window
+from ebamcheck.settings.process_window import nominal_wire_speed_mm_s, wire_area_mm2
 
 LOCAL = (1.0 - MOST_MENDED, 1.0 + MOST_MENDED)
 """Least and greatest local height of a layer over its height, on a surface that was measured. The limits of a wire feed lie
@@ -32,29 +33,6 @@ SHARE_DIGITS = 4
 """Decimals of a changed feed over that of the process."""
 
 HALVINGS = 50
-
-
-def speed_window(config: Config) -> tuple[float, float]:
-    """Least and greatest feed over that of the process, by the windows of feed, travel and line energy.
-
-    Examples
-    --------
-    >>> [round(share, 3) for share in speed_window(Config())]
-    [0.24, 4.8]
-    """
-    process, machine = config.process, config.machine
-    usual, energy = process.travel_speed_mm_s, line_energy_j_mm(config)
-    low = max(
-        machine.feed_min_mm_s / usual,
-        process.travel_window_mm_s[0] / usual,
-        energy / process.line_energy_j_mm[1],
-    )
-    high = min(
-        machine.feed_max_mm_s / usual,
-        process.travel_window_mm_s[1] / usual,
-        energy / process.line_energy_j_mm[0],
-    )
-    return low, high
 
 
 def speed_share(config: Config, thickness_mm: float, room: tuple[float, float] = EVEN) -> float | None:
@@ -115,9 +93,25 @@ def layer_share(config: Config, thickness_mm: float, mapped: bool = False) -> fl
     return next((share for share in found if share is not None), 1.0)
 
 
-def at_layer_feed(config: Config, thickness_mm: float, mapped: bool = False) -> Config:
-    """Return the settings of a layer of a height with its feed, by :func:`layer_share`."""
-    return at_speed(config, layer_share(config, thickness_mm, mapped))
+def at_layer_feed(config: Config, thickness_mm: float, mapped: bool = False, along: bool = True) -> Config:
+    """Return the settings of a layer of a height with its feed, by :func:`layer_share`.
+
+    Where no feed leaves the wire room for the local height of a surface that was measured, the feed follows `along` the path, too.
+    """
+    laid = at_speed(config, layer_share(config, thickness_mm, mapped))
+    if not (mapped and along) or has_room(laid, thickness_mm):
+        return laid
+    return laid.model_copy(update={"process": laid.process.model_copy(update={"feed_along_path": True})})
+
+
+def has_room(config: Config, thickness_mm: float) -> bool:
+    """Whether the wire can follow the local height of a measured surface at the feed of the settings, along contours, too."""
+    wire = nominal_wire_speed_mm_s(config, thickness_mm)
+    process = config.process
+    return (
+        wire * LOCAL[0] >= process.wire_speed_min_mm_s
+        and wire * LOCAL[1] * CONTOURS <= process.wire_speed_max_mm_s
+    )
 
 
 def farthest_mm(config: Config, from_mm: float, to_mm: float) -> float:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -28,6 +29,7 @@ from ebamcheck.live.heat_so_far import HeatSoFar
 from ebamcheck.live.layer_feed import at_layer_feed
 from ebamcheck.live.metal_checks import metal_checks
 from ebamcheck.live.metal_so_far import MetalSoFar
+from ebamcheck.live.slower_beads import aimed_lower, with_feed_along
 from ebamcheck.live.turned import Stands, turned_checks
 from ebamcheck.live.warm_layer import height_under_mm, preheated_in_layers, scan_seconds
 from ebamcheck.mesh.inspection import inspect
@@ -192,15 +194,15 @@ class LayerMaker:
         """Height of the part: Z of its top."""
         return float(self.part.size[2])
 
-    def section_at(self, height_mm: float) -> BaseGeometry:
+    def section_at(self, height_mm: float, backend: str = "") -> BaseGeometry:
         """Section of the part at a height over its lowest point."""
-        cut = self._slicings[self.primary].at(self.bottom_mm + height_mm)
+        cut = self._slicings[backend or self.primary].at(self.bottom_mm + height_mm)
         return layer_section(cut.polygons(0))
 
-    def config_of(self, wanted: Wanted, mapped: bool = False) -> Config:
+    def config_of(self, wanted: Wanted, mapped: bool = False, along: bool = True) -> Config:
         """Settings of the program of one layer: those of the run, with its height and name, and the feed for that height."""
         cut_mm = self.bottom_mm + wanted.base_mm + 0.5 * wanted.thickness_mm
-        sections = at_layer_feed(self.config, wanted.thickness_mm, mapped)
+        sections = at_layer_feed(self.config, wanted.thickness_mm, mapped, along)
         # Values that were worked out here need no check of all others, which takes a while with many plugins.
         return sections.model_copy(
             update={
@@ -234,8 +236,23 @@ class LayerMaker:
         EbamcheckError
             If a stage cannot do its work at all: the layer has no section, a slicer fails, a setting is wrong.
         """
+        mapped = metal is not None and metal.mapped_surface
+        make = partial(self._made, wanted, heat, folder, metal)
+        return with_feed_along(
+            make, self.config_of(wanted, mapped), partial(self.config_of, wanted, mapped, False)
+        )
+
+    def _made(
+        self,
+        wanted: Wanted,
+        heat: HeatSoFar,
+        folder: Path,
+        metal: MetalSoFar | None,
+        config: Config,
+        cooler_k: float = 0.0,
+    ) -> MadeLayer:
+        """Make one layer by its settings, on a plan that aims under the limit of the heat by some kelvins."""
         clock = Clock()
-        config = self.config_of(wanted, metal is not None and metal.mapped_surface)
         with clock.stage("slice"):
             cuts = self._cut(wanted, config)
         contours, witness = cuts[self.primary], cuts[self.witness]
@@ -246,7 +263,7 @@ class LayerMaker:
             smooth = smooth_layers(verdict.curves)
         stands = None if metal is None else metal.measured()
         with clock.stage("plan"):
-            plan, after, wait_s = self._planned(smooth, wanted, heat, config)
+            plan, after, wait_s = self._planned(smooth, wanted, heat, aimed_lower(config, cooler_k))
             plan = replace(plan, stands=None if stands is None else stands.surface)
         made = [
             self.sound,
@@ -335,10 +352,8 @@ class LayerMaker:
 
     def _under(self, config: Config, backend: str) -> BaseGeometry | None:
         """Section of what the layer lies on, where that is preheated."""
-        height_mm = height_under_mm(config)
-        if height_mm is None:
-            return None
-        return layer_section(self._slicings[backend].at(self.bottom_mm + height_mm).polygons(0))
+        at_mm = height_under_mm(config)
+        return None if at_mm is None else self.section_at(at_mm, backend)
 
     def _planned(
         self, smooth: Layers, wanted: Wanted, heat: HeatSoFar, config: Config

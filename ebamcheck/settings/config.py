@@ -87,6 +87,8 @@ class Config(Section):
                 values.get("machine", {}).pop(name, None)
         if self.part.on_table is None:
             values.get("part", {}).pop("on_table", None)
+        if not self.process.feed_along_path:
+            values.get("process", {}).pop("feed_along_path", None)
         return values
 
     def __repr__(self) -> str:

@@ -96,6 +96,9 @@ class ProcessSettings(Section):
     """Least and greatest accelerating voltage that a program may set; guns for wire processes run at 40 to 150 kV."""
     current_window_ma: tuple[Current, Current] = (1.0, 1000.0)
     """Least and greatest beam current of a bead; its ramps may go below by ramp_power. current_max_ma holds, too."""
+    feed_along_path: bool = False
+    """Change the feed along a bead where its wire would be under wire_speed_min_mm_s or over wire_speed_max_mm_s, within the windows of
+    feed, travel and line energy. `live` and `relayer` set it for layers on a measured surface to which one feed leaves too little room."""
     travel_window_mm_s: tuple[TravelSpeed, TravelSpeed] = (1.0, 100.0)
     """Least and greatest speed along a bead."""
     bead_section_mm2: tuple[Metal, Metal] = (0.5, 60.0)

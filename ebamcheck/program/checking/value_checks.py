@@ -14,9 +14,13 @@ from ebamcheck.program.checking.checks import Check, count_check, event_place
 from ebamcheck.program.language.increments import increments_of
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.settings.config import Config
+from ebamcheck.settings.feed_along import along_window
 
 VALUE_TOLERANCE = 1e-3
 """Of a value: the decimals with which it is printed."""
+
+WIRE_LIMIT_SHARE = 1e-3
+"""The same of wire that stands at a limit of its feeder."""
 
 
 def value_check(nc: NCProgram, config: Config) -> Check:
@@ -63,7 +67,25 @@ def _feeds(nc: NCProgram, config: Config) -> Iterator[tuple[int, str, str]]:
     wanted = config.process.travel_speed_mm_s
     half = 0.5 * increments_of(config.machine).get("feed_mm_min", 0.0) / 60.0
     rows = np.flatnonzero(nc.deposit)
-    feed = nc.feed_mm_min[rows] / 60.0
-    for row, value in zip(rows.tolist(), feed.tolist(), strict=True):
-        if not abs(value - wanted) <= VALUE_TOLERANCE * wanted + half:
-            yield row, nc.where(row), f"feed {value:g} mm/s in place of {wanted:g} mm/s"
+    feed, wire = nc.feed_mm_min[rows] / 60.0, nc.wire_mm_s[rows]
+    process, (slow, fast) = config.process, along_window(config)
+    for row, value, fed in zip(rows.tolist(), feed.tolist(), wire.tolist(), strict=True):
+        room = VALUE_TOLERANCE * wanted + half
+        if abs(value - wanted) <= room:
+            continue
+        where = nc.where(row)
+        if not process.feed_along_path:
+            yield row, where, f"feed {value:g} mm/s in place of {wanted:g} mm/s"
+            continue
+        slower = value < wanted
+        limit = process.wire_speed_max_mm_s if slower else process.wire_speed_min_mm_s
+        # The feed goes on where the wire ends, and nowhere else.
+        if not abs(fed - limit) <= WIRE_LIMIT_SHARE * limit:
+            what = f"feed {value:g} mm/s in place of {wanted:g} mm/s, where the wire has {fed:g} mm/s and not its limit of {limit:g} mm/s"
+            yield row, where, what
+        elif not slow * wanted - room <= value <= fast * wanted + room:
+            yield (
+                row,
+                where,
+                f"feed {value:g} mm/s, from {slow * wanted:g} to {fast * wanted:g} mm/s are in the process window",
+            )

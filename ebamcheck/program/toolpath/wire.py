@@ -17,6 +17,7 @@ from scipy import ndimage
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.metal import Footprints, Surface, Target, balanced_widths, footprints, target_of
+from ebamcheck.metal.pools import pooled
 from ebamcheck.metal.surface import HALF
 from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
@@ -30,11 +31,12 @@ from ebamcheck.program.toolpath.bead_parts import (
     snapped,
 )
 from ebamcheck.program.toolpath.cuts import segment_lengths, segment_places
-from ebamcheck.program.toolpath.inputs import ScanColumns
+from ebamcheck.program.toolpath.inputs import ScanColumns, interpass_of
 from ebamcheck.program.toolpath.tracks import Toolpath
 from ebamcheck.scan.islands.clipping import THIN_WALL
 from ebamcheck.scan.islands.regions import ARC_SEGMENTS
 from ebamcheck.settings.config import Config
+from ebamcheck.settings.feed_along import along_window
 from ebamcheck.settings.wire_speed import wire_speed_mm_s
 
 STRETCH_BEADS = 1.0
@@ -65,16 +67,23 @@ their metal would raise the rest, layer by layer."""
 PLACE_SHARE = 1.0 / 6.0
 """Distance, over the bead width, of the places along beads at which their metal is laid."""
 
+POOL_SHARE = 1.0 / 12.0
+"""The same where the surface that a layer leaves is worked out: at the tips of corners half a cell decides whether they are bare."""
+
 WIDTH_DIGITS = 4
 """Decimals of a width, mm: a hundred-thousandth of the metal."""
 
 
-def width_limits_mm(config: Config, thickness_mm: float) -> tuple[float, float]:
-    """Least and greatest width that a bead can lay in a layer of this height: limits of the wire feed and of the pool."""
+def width_limits_mm(config: Config, thickness_mm: float, power_share: float = 1.0) -> tuple[float, float]:
+    """Least and greatest width that a bead can lay in a layer of this height: limits of the wire feed and of the pool.
+
+    Where the feed follows along the path, those of wire and feed together, at a share of the power.
+    """
     process = config.process
     per_mm = wire_speed_mm_s(config, 1.0, thickness_mm)
-    most = min(process.wire_speed_max_mm_s / per_mm, MOST_SPACINGS * process.hatch_spacing_mm)
-    return process.wire_speed_min_mm_s / per_mm, most
+    slow, fast = along_window(config, power_share)
+    most = min(process.wire_speed_max_mm_s / (per_mm * slow), MOST_SPACINGS * process.hatch_spacing_mm)
+    return process.wire_speed_min_mm_s / (per_mm * fast), most
 
 
 def metal_region(section: BaseGeometry, config: Config) -> BaseGeometry:
@@ -112,8 +121,8 @@ def with_wire(path: Toolpath, plan: ScanColumns, config: Config, decimals: int) 
 
     found = [layer for block in run_blocks(some, len(path.z)) for layer in block]
     made = [
-        _flat(beads, surface, division, tracks, float(h), config)
-        for beads, h in zip(found, path.thickness, strict=True)
+        _flat(beads, surface, division, tracks, float(h), config, float(share))
+        for beads, h, share in zip(found, path.thickness, interpass_of(plan, config).power_share, strict=True)
     ]
     return cut(path, points, lengths, parts_of(path, tracks, joined(made)), decimals)
 
@@ -131,6 +140,7 @@ def _flat(
     tracks: Tracks,
     thickness_mm: float,
     config: Config,
+    power_share: float,
 ) -> Stretches:
     """Stretches of one layer with the widths that lay it flat, and mend a little of what lies too high or low under it."""
     target, cell_mm2 = beads.target, surface.step_mm**2
@@ -139,7 +149,7 @@ def _flat(
         surface.add(target, target.share, thickness_mm)
         return division.stretches(tracks, beads.every, beads.every, nominal)
     wanted, weight = _wanted(target, surface, thickness_mm, config)
-    limits = width_limits_mm(config, thickness_mm)
+    limits = width_limits_mm(config, thickness_mm, power_share)
     width = balanced_widths(beads.footprints, wanted, weight, cell_mm2, nominal, limits)
     alike = ALIKE_MAPPED if surface.mapped else ALIKE
     first = np.flatnonzero(runs_alike(division.track(beads.every), width, alike))
@@ -147,7 +157,9 @@ def _flat(
     width = np.add.reduceat(width, first) / np.diff(np.append(first, width.size))
     width = balanced_widths(runs, wanted, weight, cell_mm2, width, limits)
     width = np.asarray(np.round(width, WIDTH_DIGITS), np.float64)
-    laid = runs.laid(width, wanted.size, cell_mm2).reshape(wanted.shape)
+    of_place = width[np.searchsorted(first, beads.stretch, side="right") - 1]
+    radius = 0.5 * config.process.bead_width_mm / surface.step_mm
+    laid = pooled(beads.cells, of_place * beads.length_mm, radius, wanted.shape, cell_mm2)
     surface.add(target, laid * thickness_mm, thickness_mm)
     last = np.append(first[1:], beads.every.size) - 1
     return division.stretches(tracks, beads.every[first], beads.every[last], width)
@@ -220,11 +232,18 @@ def runs_alike(track: Ints, width: Floats, factor: float) -> Bools:
 
 @dataclass(frozen=True, eq=False)
 class _LayerBeads:
-    """What one layer is to be, its stretches `every` (n,), and where their metal lies."""
+    """What one layer is to be, its stretches `every` (n,), and where their metal lies: by bead, and place by place.
+
+    `cells` (m, 2) are places along the beads in cells of the target, `length_mm` (m,) of path that each stands for, `stretch` (m,) its
+    number among `every`.
+    """
 
     target: Target
     every: Ints
     footprints: Footprints
+    cells: Floats
+    length_mm: Floats
+    stretch: Ints
 
 
 def _layer_beads(
@@ -243,17 +262,20 @@ def _layer_beads(
     a, b = int(path.layer_starts[layer]), int(path.layer_starts[layer + 1])
     target = target_of(region, step_mm, bead_mm)
     rows = slice(int(path.track_starts[a]), int(path.track_starts[b]))
-    owner, along, place, length = segment_places(
-        path.kind[rows], points[rows], lengths[rows], bead_mm * PLACE_SHARE
-    )
-    track = np.repeat(np.arange(a, b), np.diff(path.track_starts[a : b + 1]))[owner]
-    begin = (tracks.ends[rows] - lengths[rows])[owner] - tracks.low[track]
-    stretch = division.at(track, begin + along) - division.starts[a]
+    own = np.repeat(np.arange(a, b), np.diff(path.track_starts[a : b + 1]))
+
+    def places(step: float) -> tuple[Floats, Floats, Ints]:
+        """Places along the beads, in cells of the target, the length that each stands for, and its stretch."""
+        owner, along, place, length = segment_places(path.kind[rows], points[rows], lengths[rows], step)
+        track = own[owner]
+        begin = (tracks.ends[rows] - lengths[rows])[owner] - tracks.low[track]
+        stretch = division.at(track, begin + along) - division.starts[a]
+        return (place - target.origin) / step_mm, length, stretch
+
     every = np.arange(division.starts[a], division.starts[b])
-    cells, radius = (place - target.origin) / step_mm, 0.5 * bead_mm / step_mm
-    return _LayerBeads(
-        target, every, footprints(cells, length, stretch, every.size, radius, target.share.shape)
-    )
+    radius = 0.5 * bead_mm / step_mm
+    by_bead = footprints(*places(bead_mm * PLACE_SHARE), every.size, radius, target.share.shape)
+    return _LayerBeads(target, every, by_bead, *places(bead_mm * POOL_SHARE))
 
 
 def joined(layers: Sequence[Stretches]) -> Stretches:

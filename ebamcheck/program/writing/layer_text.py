@@ -19,6 +19,7 @@ from ebamcheck.program.toolpath.tracks import Toolpath
 from ebamcheck.program.writing.blocks import BlockFormat
 from ebamcheck.program.writing.safe_states import Templates, entry_blocks
 from ebamcheck.settings.config import Config
+from ebamcheck.settings.feed_along import feed_shares, wire_at
 
 
 def motion_text(path: Toolpath, form: BlockFormat, cubics: Sequence[str]) -> list[str]:
@@ -60,6 +61,8 @@ def layer_blocks(
     if config.machine.optional_stop:
         layer.lines.append("M1")
     wire = path.width / config.process.bead_metal_mm
+    feed = feed_shares(wire * values.wire_mm_s, config, share)
+    wire = wire_at(wire * values.wire_mm_s, feed, config) / values.wire_mm_s if (feed != 1.0).any() else wire
     island, entered = -1, False
     for t in range(int(path.layer_starts[k]), int(path.layer_starts[k + 1])):
         if path.ring[t] >= 0:
@@ -76,7 +79,7 @@ def layer_blocks(
                 layer.wait(float(heat.inner_wait_s[island]) if entered else 0.0)
                 entered = True
             power = share * path.power[a:b]
-            layer.deposit(path.start[t], path.end[b - 1], motions[a:b], power, wire[a:b])
+            layer.deposit(path.start[t], path.end[b - 1], motions[a:b], power, wire[a:b], feed[a:b])
     layer.rise()
     above = path.layer_starts[k + 1 : k + 3]
     wait_s = heat.before_layer_s(k + 1) if above.size == 2 and above[1] > above[0] else 0.0
@@ -115,7 +118,6 @@ class _Layer:
         self._near_mm = NEAR_SPACINGS * config.process.hatch_spacing_mm
         self._form = form
         self._z, self._safe_z = form.value(z_mm), form.value(z_mm + config.machine.safe_height_mm)
-        self._feed = f" F{plain(values.printed()['feed_mm_min'])}"
         ends = ("wire_stop", "wire_retract", "beam_off")
         self._names = (
             ("set_power",),
@@ -125,6 +127,7 @@ class _Layer:
         )
         self._values, self._templates = values, templates
         self._blocks: dict[tuple[float, float], tuple[list[str], ...]] = {}
+        self._feeds: dict[float, str] = {}
         self._power, self._wire = power, 1.0
         self._position: Floats | None = None
 
@@ -138,6 +141,13 @@ class _Layer:
                 for names in self._names
             )
         return self._blocks[now]
+
+    def _feed(self, share: float) -> str:
+        """Word of the feed at a share of that of the process."""
+        if share not in self._feeds:
+            values = replace(self._values, feed_mm_min=self._values.feed_mm_min * share)
+            self._feeds[share] = f" F{plain(values.printed()['feed_mm_min'])}"
+        return self._feeds[share]
 
     def rise(self) -> None:
         """Go to the safe height, with the beam off."""
@@ -166,23 +176,25 @@ class _Layer:
             self.lines += _changed(before, self._switches()[1])
 
     def deposit(
-        self, start: Floats, end: Floats, motions: Sequence[str], power: Floats, wire: Floats
+        self, start: Floats, end: Floats, motions: Sequence[str], power: Floats, wire: Floats, feed: Floats
     ) -> None:
-        """Travel to `start`, beam and wire on, `motions` each at its power and wire, wire and beam off at `end`."""
+        """Travel to `start`, beam and wire on, `motions` each at its power, wire and feed, wire and beam off at `end`."""
         if not any(motions):
             return  # all of it lies within a rounding: the beam would stand
         self._travel(start)
         self._wire = float(wire[0])
         self.set_power(float(power[0]))
         self.lines += self._switches()[2]
-        changes = [0, *(np.flatnonzero(np.diff(power) + 1j * np.diff(wire)) + 1).tolist(), len(motions)]
-        feed = self._feed
+        steps = (np.diff(power) != 0.0) | (np.diff(wire) != 0.0) | (np.diff(feed) != 0.0)
+        changes = [0, *(np.flatnonzero(steps) + 1).tolist(), len(motions)]
+        said = ""
         for a, b in itertools.pairwise(changes):
             self.set_power(float(power[a]))
             self.set_wire(float(wire[a]))
             blocks = [line for text in motions[a:b] if text for line in text.split("\n")]
-            self.lines += [_with_feed(blocks[0], feed), *blocks[1:]] if blocks else []
-            feed = "" if blocks else feed
+            own = self._feed(float(feed[a]))
+            self.lines += [_with_feed(blocks[0], own if own != said else ""), *blocks[1:]] if blocks else []
+            said = own if blocks else said
         self.lines += self._switches()[3]
         self._position = end
 
