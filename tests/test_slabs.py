@@ -71,6 +71,10 @@ FAULTY = {
     "open and apart": join(holed(sphere(), 7), moved(sphere(), shift=(30.0, 0.0, 5.0))),
     "inside": join(sphere(10.0), moved(sphere(5.0), shift=(30.0, 0.0, 0.0)).reversed()),
     "doubled": Part(sphere().vertices, np.vstack([sphere().faces, sphere().faces[90:95]])),
+    "without area": Part(
+        np.vstack([sphere().vertices, [[1.0, 1.0, 1.0], [2.0, 2.0, 2.0], [3.0, 3.0, 3.0]]]),
+        np.vstack([sphere().faces, [[5, 5, 7]], len(sphere().vertices) + np.arange(3)[None]]),
+    ),
     "flipped": Part(
         sphere().vertices,
         np.where(np.arange(len(sphere().faces))[:, None] == 500, sphere().faces[:, ::-1], sphere().faces),
