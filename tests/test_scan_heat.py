@@ -240,6 +240,7 @@ def test_an_installed_order_plans(tmp_path, monkeypatch):
     points = {name: f"installed_orders:{name}" for name in ("backwards", "half")}
     install(tmp_path, "orders", {registry.ORDERS: points}, {"installed_orders": ORDERS_MODULE})
     found_here(tmp_path, monkeypatch)
+    assert {"backwards", "thermal"} <= set(compared_orders())
     plan = plan_scan(PLATE, PROFILE, order="backwards")
     assert plan.order.tolist() == list(range(len(plan.islands)))[::-1]
     with pytest.raises(SettingsError, match="'half' did not return every island of layer 0 once"):
@@ -248,6 +249,7 @@ def test_an_installed_order_plans(tmp_path, monkeypatch):
         plan_scan(PLATE, PROFILE, order="spiral")
 
 
+@pytest.mark.slow
 def test_two_thousand_islands_are_planned():
     config = PROFILE.changed(scan={"hexagon_side_mm": 4.0})
     plan = plan_scan(shapely.box(0, 0, 400, 230), config, order="thermal")

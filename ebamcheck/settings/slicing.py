@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field
 
 from ebamcheck.settings.base import Angle, Between, NotNegative, Place, Section, Tolerance
+from ebamcheck.settings.tilt import OnTable
 from ebamcheck.settings.units import known_as
 
 Component = Annotated[float, Between(-1e6, 1e6)]
@@ -26,6 +27,9 @@ class PartSettings(Section):
     place_at_mm: Annotated[tuple[Place, ...], Field(min_length=2, max_length=3)] | None = None
     """Where the middle of the part's box comes to lie in X and Y of the work offset and, if a third number is given, its
     lowest point in Z, such as [100, 50]; None: where the file has it. A program counts Z from the base plate anyway."""
+    on_table: OnTable | None = None
+    """How the part stands on a tilt table (machine.rotary), of a layer whose program turns the table; None: nothing is turned.
+    `ebamcheck relayer --direction` sets it."""
     fix_orientation: bool = False
     """Turn closed bodies of negative volume and single flipped facets over, and say so in the report."""
 

@@ -6,7 +6,7 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Floats
 
 DIRECTIONS = 32
@@ -20,6 +20,9 @@ LEAST_SHARE = 0.05
 
 ON_OUTLINE_MM = 1e-6
 """Crossings nearer than this are the outline on which the point lies, not what its ray meets."""
+
+FEWEST_POINTS = 64
+"""Points that a thread is worth."""
 
 
 def enclosed_share(section: BaseGeometry, points: Floats, variance_mm2: Floats) -> Floats:
@@ -45,7 +48,10 @@ def enclosed_share(section: BaseGeometry, points: Floats, variance_mm2: Floats) 
     share = np.ones(variance_mm2.shape)
     rings = [shapely.get_coordinates(line) for line in shapely.get_parts(outline)]
     segments = np.concatenate([np.hstack([ring[:-1], ring[1:]]) for ring in rings])
-    share[near] = in_sight(points[near], variance_mm2[near], segments)
+    seen, variance = points[near], variance_mm2[near]
+    share[near] = np.concatenate(
+        run_blocks(lambda a, b: in_sight(seen[a:b], variance[a:b], segments), len(near), FEWEST_POINTS)
+    )
     return np.maximum(share, LEAST_SHARE)
 
 
