@@ -97,12 +97,14 @@ def on_vertices(whole: Part) -> np.ndarray:
     return np.unique([*z, *(0.5 * (z[1:] + z[:-1])), *np.nextafter(z, np.inf)])
 
 
-@pytest.mark.parametrize("name", SOUND)
+@pytest.mark.parametrize("name", [*SOUND, *FAULTY])
 @pytest.mark.parametrize("heights", [None, on_vertices], ids=["mid-layer", "on vertices"])
 def test_sections_of_the_slabs_are_those_of_the_whole_bit_for_bit(name, heights, tmp_path):
     slicers = SLICERS if name in ("box", "sphere", "apart", "edge") else SLICERS[:2]
+    if name in FAULTY:
+        slicers = SLICERS[:1]  # manifold3d refuses most of them
     for count in SLABS:
-        whole, chosen, division = in_slabs(SOUND[name], tmp_path, count, heights)
+        whole, chosen, division = in_slabs({**SOUND, **FAULTY}[name], tmp_path, count, heights)
         assert 1 <= len(division) <= count
         if name != "apart" and len(chosen) >= count:
             assert len(division) == count
@@ -121,7 +123,7 @@ def test_sections_of_the_slabs_are_those_of_the_whole_bit_for_bit(name, heights,
                 assert (found.layer_starts == same.layer_starts).all()
                 assert (found.ring_starts == same.ring_starts).all()
                 assert (found.points == same.points).all(), (slicer.name, count, k)
-                assert found.closed.all()
+                assert (found.closed == same.closed).all()
 
 
 @pytest.mark.parametrize("name", [*SOUND, *FAULTY])
