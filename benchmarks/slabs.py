@@ -34,12 +34,12 @@ STOP_MB = 16_000.0
 """What is allowed; beyond it the check is ended."""
 
 LIMIT_S = 2 * 3600.0
-STAGES = ("read", "slice", "compare", "inspect")
+STAGES = ("read", "slice", "compare", "wait")
 MEANING = (
     "One solid in near-equilateral facets, binary STL, read from the disk's cache, cut and compared in slabs of z; the "
     "layers are dropped. Time is that of the whole command, cold interpreter and warm kernels; memory the greatest sum of "
-    "the resident memory of all its processes, in which pages that processes share count for each. Of the stages "
-    "`inspect` is what is left of it when slicing ends."
+    "the resident memory of all its processes, in which pages that processes share count for each. A slab is compared "
+    "while the next one is cut: `compare` overlaps `slice`, and `wait` is what is left of it when that ends."
 )
 
 
@@ -102,7 +102,7 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
         "",
         MEANING,
         "",
-        "| facets | file | layers | slicers | slabs | result | time | memory of all processes | read | slice | compare | inspect | |",
+        "| facets | file | layers | slicers | slabs | result | time | memory of all processes | read | slice | compare | wait | |",
         "|---|---|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     lines += ["| " + " | ".join(_cells(row)) + " |" for row in rows]

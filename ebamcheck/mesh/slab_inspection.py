@@ -7,6 +7,7 @@ are put together from their pieces in neighbouring slabs by the facets that reac
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +17,7 @@ from scipy.sparse.csgraph import connected_components
 from ebamcheck.mesh.inspection import (
     NO_VOLUME,
     Inspection,
-    body_boxes,
     body_labels,
-    degenerate,
     direction_balance,
     duplicates,
     judged,
@@ -27,10 +26,24 @@ from ebamcheck.mesh.inspection import (
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.slabs import Slab
 from ebamcheck.mesh.topology import edge_groups
+from ebamcheck.numeric.kernels import kernel
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
+Index = NDArray[np.int32]
+
+
+class _Measured(NamedTuple):
+    """Facets of a slab, body by body (B,)."""
+
+    volumes: Floats
+    """mm3, of the facets that the slab tells of, about the middle of the part's box."""
+    lower: Floats
+    upper: Floats
+    """(B, 3) corners of the box of all facets."""
+    flat: int
+    """Facets without area, of three vertices, that the slab tells of."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +98,7 @@ class SlabInspection:
         """Take the next slab up."""
         part = slab.own
         groups = edge_groups(part.faces, len(part.vertices))
-        z = part.vertices[:, 2]
+        z = np.ascontiguousarray(part.vertices[:, 2])
         half_edge = groups.half_edges[groups.starts[:-1]]
         ends = (
             part.faces[half_edge // 3, half_edge % 3],
@@ -93,9 +106,14 @@ class SlabInspection:
         )
         edge_told = _told(slab, np.minimum(z[ends[0]], z[ends[1]]))
         facets_at_edge, balance = np.diff(groups.starts), direction_balance(part.faces, groups)
-        lowest = np.minimum(np.minimum(z[part.faces[:, 0]], z[part.faces[:, 1]]), z[part.faces[:, 2]])
+        corners = [z[part.faces[:, k]] for k in range(3)]
+        lowest, highest = (
+            compare(compare(corners[0], corners[1]), corners[2]) for compare in (np.minimum, np.maximum)
+        )
         facet_told = _told(slab, lowest)
-        repeated, zero_area = degenerate(part)
+        body = body_labels(part, groups)
+        measured = _measured(part.vertices, part.faces, body, facet_told, self._outline.bounds.mean(axis=0))
+        repeated = body < 0
         is_open = edge_told & (facets_at_edge == 1)
         self._count(
             vertices=int(_told(slab, z).sum()),
@@ -105,46 +123,25 @@ class SlabInspection:
             unpaired_edges=int((edge_told & (facets_at_edge > 2) & (balance != 0)).sum()),
             duplicate_facets=duplicates(part.faces[facet_told & ~repeated]),
             degenerate_facets=int((facet_told & repeated).sum()),
-            zero_area_facets=int((facet_told & zero_area & ~repeated).sum()),
+            zero_area_facets=measured.flat,
         )
-        body = body_labels(part, groups)
-        self._add_pieces(slab, part, body, facet_told, half_edge[is_open] // 3)
+        self._add_pieces(slab, body, measured, half_edge[is_open] // 3, carried=highest >= slab.next_from_mm)
 
     def _count(self, **more: int) -> None:
         for name in COUNTS:
             self._counts[name] += more[name]
 
     def _add_pieces(
-        self, slab: Slab, part: Part, body: NDArray[np.int32], told: Bools, open_facets: NDArray[np.int32]
+        self, slab: Slab, body: Index, measured: _Measured, open_facets: Index, carried: Bools
     ) -> None:
-        count = int(body.max(initial=-1)) + 1
-        lower, upper = body_boxes(part, body, count)
-        is_open = np.zeros(count, np.bool_)
+        is_open = np.zeros(measured.volumes.size, np.bool_)
         is_open[body[open_facets]] = True
         used = body >= 0
         numbers, pieces = slab.numbers[used], body[used].astype(np.int64) + self._known
-        self._pieces.append(
-            _Pieces(
-                self._volumes(part, body, told & used, count),
-                lower,
-                upper,
-                is_open,
-                _links(*self._carried, numbers, pieces),
-            )
-        )
-        self._known += count
-        z = part.vertices[:, 2]
-        highest = np.maximum(np.maximum(z[part.faces[:, 0]], z[part.faces[:, 1]]), z[part.faces[:, 2]])[used]
-        # The next slab begins no more than a reach under this one's border, and has what is above that.
-        carried = highest >= slab.next_from_mm
-        self._carried = numbers[carried], pieces[carried]
-
-    def _volumes(self, part: Part, body: NDArray[np.int32], told: Bools, count: int) -> Floats:
-        """Signed volumes that some facets give to the pieces that they are of, about the middle of the part's box."""
-        middle = self._outline.bounds.mean(axis=0)
-        a, b, c = (part.vertices[part.faces[told, k]] - middle for k in range(3))
-        sixfold = np.bincount(body[told], np.einsum("ij,ij->i", a, np.cross(b, c)), minlength=count)
-        return sixfold.astype(np.float64) / 6.0
+        links = _links(*self._carried, numbers, pieces)
+        self._pieces.append(_Pieces(measured.volumes, measured.lower, measured.upper, is_open, links))
+        self._known += is_open.size
+        self._carried = numbers[carried[used]], pieces[carried[used]]
 
     def found(self) -> Inspection:
         """What was found in the slabs so far."""
@@ -193,6 +190,49 @@ class SlabInspection:
 def _told(slab: Slab, lowest_mm: Floats) -> Bools:
     """Of what has its lowest points there, what this slab tells of."""
     return (lowest_mm >= slab.lower_mm) & (lowest_mm < slab.upper_mm)
+
+
+def _measured(vertices: Floats, faces: Index, body: Index, told: Bools, middle: Floats) -> _Measured:
+    """Measure the facets of a slab; bodies are -1 where a facet names a vertex twice."""
+    count = int(body.max(initial=-1)) + 1
+    volumes, lower, upper = np.zeros(count), np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    flat = _measure(vertices, faces, body, told, middle, volumes, lower, upper)
+    return _Measured(volumes / 6.0, lower, upper, flat)
+
+
+@kernel
+def _measure(
+    vertices: Floats,
+    faces: Index,
+    body: Index,
+    told: Bools,
+    middle: Floats,
+    sixfold: Floats,
+    lower: Floats,
+    upper: Floats,
+) -> int:
+    """Add six times the volumes of some facets up and widen the boxes of all; returns how many of some are without area."""
+    flat = 0
+    across, p, q = np.empty(3), np.empty(3), np.empty(3)
+    for f in range(faces.shape[0]):
+        b = body[f]
+        if b < 0:
+            continue
+        for c in range(3):
+            first = vertices[faces[f, 0], c]
+            p[c], q[c] = vertices[faces[f, 1], c] - first, vertices[faces[f, 2], c] - first
+            lower[b, c] = min(lower[b, c], first, vertices[faces[f, 1], c], vertices[faces[f, 2], c])
+            upper[b, c] = max(upper[b, c], first, vertices[faces[f, 1], c], vertices[faces[f, 2], c])
+        if not told[f]:
+            continue
+        for c in range(3):
+            u, v = (c + 1) % 3, (c + 2) % 3
+            across[c] = p[u] * q[v] - p[v] * q[u]
+        if across[0] == 0.0 and across[1] == 0.0 and across[2] == 0.0:
+            flat += 1
+        for c in range(3):
+            sixfold[b] += (vertices[faces[f, 0], c] - middle[c]) * across[c]
+    return flat
 
 
 def _links(below: NDArray[np.int32], below_pieces: Ints, numbers: NDArray[np.int32], pieces: Ints) -> Ints:

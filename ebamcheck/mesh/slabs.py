@@ -78,6 +78,8 @@ class Division:
         How far beyond its borders a slab has all facets.
     starts, numbers
         (S + 1,) and (N,) facets of slab k are ``numbers[starts[k]:starts[k + 1]]``, rising.
+    crossings
+        Facets that the planes of all layers cut: points of an exact contour of all of them.
     """
 
     file: FacetFile
@@ -86,6 +88,7 @@ class Division:
     reach_mm: float
     starts: Ints
     numbers: Index
+    crossings: int
 
     def __len__(self) -> int:
         """Return the number of slabs."""
@@ -167,7 +170,7 @@ def divided(file: FacetFile, heights: Floats, slabs: int, reach_mm: float) -> Di
     borders, (lower, upper), sizes = _reaching(file, heights, layers, reach_mm)
     starts = np.concatenate([[0], np.cumsum(sizes)])
     numbers = _dealt(file.low, file.high, file.millimetres, lower, upper, starts)
-    return Division(file, layers, borders, reach_mm, starts, numbers)
+    return Division(file, layers, borders, reach_mm, starts, numbers, int(crossing.sum()))
 
 
 def _reaching(

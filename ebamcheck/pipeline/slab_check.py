@@ -16,9 +16,9 @@ from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.findings import has_fault
 from ebamcheck.json_values import sha256_of_json
 from ebamcheck.layers.cuts import cut_heights
-from ebamcheck.mesh.slab_file import FacetFile, read_once
+from ebamcheck.mesh.slab_file import FacetFile, facet_count, read_once
 from ebamcheck.mesh.slab_inspection import SlabInspection
-from ebamcheck.mesh.slabs import Division, divided, layer_counts
+from ebamcheck.mesh.slabs import Division, divided
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline import gates, noticed
 from ebamcheck.pipeline.choice import chosen_backends, unavailable_backends
@@ -84,11 +84,11 @@ def check_in_slabs(
     observer = observer or Silent()
     _as_it_stands(config)
     backends = chosen_backends(config)
-    observer.stage("read", 1)
-    file = read_once(part_path, config.part.units)
+    observer.stage("read", facet_count(Path(part_path)))
+    file = read_once(part_path, config.part.units, observer.advance)
     heights = cut_heights(file.outline, config)
     division = divided(file, heights, slabs, _reach_mm(file, backends, config))
-    _within_work(file, division, heights, config, yes)
+    _within_work(division, heights, config, yes)
     fingerprint = sha256_of_json(
         [
             "check in slabs",
@@ -177,10 +177,9 @@ def _reach_mm(file: FacetFile, backends: Mapping[str, BackendSettings], config: 
     return 2.0 * margin + LEAST_REACH * float(abs(file.outline.vertices).max())
 
 
-def _within_work(file: FacetFile, division: Division, heights: Floats, config: Config, yes: bool) -> None:
+def _within_work(division: Division, heights: Floats, config: Config, yes: bool) -> None:
     """Refuse more work than the settings allow."""
-    _, crossing = layer_counts(file, heights)
     work = slab_workload(
-        len(file), division.most_facets, heights.size, int(crossing.sum()), len(division), config
+        len(division.file), division.most_facets, heights.size, division.crossings, len(division), config
     )
     Preflight(tuple(work_checks(work, config, yes)), work).stop("check")

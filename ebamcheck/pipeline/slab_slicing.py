@@ -1,12 +1,14 @@
-"""Slabs of a part one after the other: read, inspected, cut by every backend, compared, and dropped."""
+"""Slabs of a part one after the other: read, cut by every backend, compared while the next one is cut, and dropped."""
 
 from __future__ import annotations
 
+import shutil
 import time
 from collections.abc import Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -42,6 +44,17 @@ class SlabRun:
     """Settings that each backend has filled in, with all that it declared."""
 
 
+@dataclass(frozen=True, eq=False)
+class _Cut:
+    """A slab with its heights (L,), the first of these among all layers, their blocks, and where its layers go."""
+
+    slab: Slab
+    heights: Floats
+    first: int
+    borders: Ints
+    folder: Path
+
+
 @dataclass
 class _Tally:
     """What the slabs so far came to."""
@@ -64,56 +77,71 @@ class _Tally:
 
 
 def cut_slabs(job: Job, division: Division, backends: Mapping[str, BackendSettings]) -> SlabRun:
-    """Take a part slab by slab; no more than one is in memory."""
+    """Take a part slab by slab; two are in memory at most: one that is cut, and the one before, which is compared."""
     inspection = SlabInspection(job.part, len(division.file))
     tally = _Tally()
+    last = len(division) - 1
     with (
         job.stage("slabs", job.heights.size),
         ExitStack() as workers,
-        ThreadPoolExecutor(1) as aside,
+        ThreadPoolExecutor(1) as inspecting,
+        ThreadPoolExecutor(1) as comparing,
     ):
-        # Workers come up while the slab is read, and the former one is compared.
+        # Workers come up while the slab is read.
         pool = workers.enter_context(WorkerPool(len(backends)))
+        behind: Future[int] | None = None
         for k in range(len(division)):
             first, past = division.layers[k : k + 2].tolist()
-            heights = job.heights[first:past]
             with tally.timed("read"):
                 slab = division.slab(k)
-            inspected = aside.submit(inspection.add, slab)
-            borders = layer_blocks(slab.part, heights, job.config.slicing.block_points)
+            inspected = inspecting.submit(inspection.add, slab)
+            cut = _Cut(
+                slab,
+                job.heights[first:past],
+                first,
+                layer_blocks(slab.part, job.heights[first:past], job.config.slicing.block_points),
+                job.folder.layers_folder / f"slab-{k}",
+            )
             with tally.timed("slice"):
-                outcomes = _sliced(job, slab, heights, tally.alive(backends), borders, pool)
+                outcomes = _sliced(job, cut, tally.alive(backends), pool)
             workers.close()
             _take(job, tally, outcomes, f"slab {k + 1} of {len(division)}")
-            if k + 1 < len(division):
-                pool = workers.enter_context(WorkerPool(len(tally.alive(backends))))
-            with tally.timed("inspect"):
+            with tally.timed("wait"):
                 inspected.result()
-            with tally.timed("compare"):
-                tally.comparisons.append(shifted(_compared(job, tally, slab, outcomes, borders), first))
-            for name in outcomes:
-                job.folder.layers_file(name).unlink(missing_ok=True)
-            job.observer.advance(past - first)
-            del slab  # so that there are never two in memory
+                _told(job, behind)
+            if k < last:
+                pool = workers.enter_context(WorkerPool(len(tally.alive(backends))))
+            behind = comparing.submit(_compare, job, tally, cut, outcomes)
+            del slab, cut  # so that there are never three in memory
+        with tally.timed("wait"):
+            _told(job, behind)
     job.folder.layers_folder.rmdir()
     job.timings.update(tally.seconds)
     checked = CrossCheck({name: tally.outcomes[name] for name in backends}, joined(tally.comparisons))
     return SlabRun(checked, inspection.found(), tally.settings)
 
 
+def _told(job: Job, compared: Future[int] | None) -> None:
+    """Wait for a slab that is compared, and tell that its layers are done."""
+    if compared is not None:
+        job.observer.advance(compared.result())
+
+
+def _compare(job: Job, tally: _Tally, cut: _Cut, outcomes: Mapping[str, Outcome]) -> int:
+    """Compare a slab and drop its layers; returns how many they were."""
+    with tally.timed("compare"):
+        tally.comparisons.append(shifted(_compared(job, tally, cut, outcomes), cut.first))
+    shutil.rmtree(cut.folder)
+    return cut.heights.size
+
+
 def _sliced(
-    job: Job,
-    slab: Slab,
-    heights: Floats,
-    backends: Mapping[str, BackendSettings],
-    borders: Ints,
-    pool: WorkerPool,
+    job: Job, cut: _Cut, backends: Mapping[str, BackendSettings], pool: WorkerPool
 ) -> dict[str, Outcome]:
     chosen = job.config.slicing
     limits = Limits(chosen.time_limit_s, chosen.memory_limit_mb, chosen.processes)
-    return slice_all(
-        slab.part, heights, backends, job.folder.layers_folder, limits, borders=borders, pool=pool
-    )
+    cut.folder.mkdir()
+    return slice_all(cut.slab.part, cut.heights, backends, cut.folder, limits, borders=cut.borders, pool=pool)
 
 
 def _take(job: Job, tally: _Tally, outcomes: Mapping[str, Outcome], where: str) -> None:
@@ -136,22 +164,20 @@ def _added(before: Outcome, after: Outcome) -> Outcome:
     )
 
 
-def _compared(
-    job: Job, tally: _Tally, slab: Slab, outcomes: Mapping[str, Outcome], borders: Ints
-) -> Comparison:
+def _compared(job: Job, tally: _Tally, cut: _Cut, outcomes: Mapping[str, Outcome]) -> Comparison:
     done = {name: outcome for name, outcome in outcomes.items() if not outcome.failure}
     with ExitStack() as opened:
-        stacks = {n: opened.enter_context(LayerFile(job.folder.layers_file(n), edges=False)) for n in done}
+        stacks = {n: opened.enter_context(LayerFile(o.made(), edges=False)) for n, o in done.items()}
         for name, stack in stacks.items():
-            _keep_settings(tally.settings, name, stack.settings, slab)
+            _keep_settings(tally.settings, name, stack.settings, cut.slab)
         return compare_all(
             stacks,
-            slab.part,
+            cut.slab.part,
             bounds={n: (o.error_bound_mm, o.height_bound_mm) for n, o in done.items()},
             exact={n: registry.slicer(n).exact for n in done},
             rules={n: registry.slicer(n).coplanar_rule for n in done},
             settings=job.config.comparison,
-            borders=borders,
+            borders=cut.borders,
             evidence=evidence_rule(job.config, done),
         )
 
