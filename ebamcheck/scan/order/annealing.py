@@ -13,7 +13,6 @@ import numpy as np
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.heat.influence import Influence, looked_up
-from ebamcheck.scan.heat.near_field import at_root
 from ebamcheck.scan.order.entry_options import EntryOptions
 from ebamcheck.scan.order.moves import Driven, least_travel_mm, more_touches, move
 from ebamcheck.scan.order.touching import Touching, touch_table
@@ -240,14 +239,17 @@ def entry_temperature(place: int, order: Ints, layer: Layer, log: Log) -> float:
         source = order[earlier]
         since = now - start[earlier] - time[source]
         temperature += looked_up(rise, nodes, horizon, source, since)
-    excess = 0.0
+    excess_k, slot, by = fresh.excess_k, fresh.slot, log.option[place]
+    excess, last = 0.0, fresh.excess_k.shape[3] - 1
     for earlier in range(place - 1, -1, -1):
         source = order[earlier]
         since = now - start[earlier] - time[source]
         if since >= horizon:
             break
-        row = fresh.slot[island, source]
+        row, left_by = slot[island, source], log.option[earlier]
         if row >= 0:
-            root = np.sqrt(np.true_divide(max(since, 0.0), horizon))
-            excess += at_root(fresh.excess_k[row, log.option[place], log.option[earlier]], root)
+            at = np.sqrt(np.true_divide(max(since, 0.0), horizon)) * last
+            node = min(int(at), last - 1)
+            low, high = excess_k[row, by, left_by, node], excess_k[row, by, left_by, node + 1]
+            excess += low + (high - low) * min(at - node, 1.0)
     return temperature + max(excess, 0.0)
