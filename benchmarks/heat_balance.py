@@ -26,7 +26,7 @@ from shapely.geometry.base import BaseGeometry
 
 from benchmarks.machine import machine
 from benchmarks.scan_orders import DEFAULT_OUTPUT, markdown
-from ebamcheck.heat.balance import Balance, Deposits, constant_tables, heat_balance
+from benchmarks.whole_program_heat import Balance, Deposits, constant_tables, heat_balance
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.heat.referee import judged, referee
 from ebamcheck.layers.stack import Layers, from_polygons

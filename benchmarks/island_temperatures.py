@@ -18,10 +18,10 @@ import pandas as pd
 import shapely
 from numpy.typing import NDArray
 
+from benchmarks.closed_form_heat import rectangle_modes
 from benchmarks.machine import machine
 from benchmarks.scan_orders import markdown
 from ebamcheck.heat import depth_modes
-from ebamcheck.heat.rectangle import rectangle_modes
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.heat.amplitudes import Modes, Timetable
 from ebamcheck.scan.heat.island_heat import IslandHeat

@@ -20,7 +20,7 @@ from shapely.geometry.base import BaseGeometry
 from benchmarks.machine import machine
 from ebamcheck.plugins.model import models
 from ebamcheck.scan.islands.regions import layer_section
-from ebamcheck.scan.plan.comparing import COMPARED, RANDOM, OrderComparison
+from ebamcheck.scan.plan.comparing import RANDOM, OrderComparison, compared_orders
 from ebamcheck.scan.plan.refereed import referee_of, second_opinion
 from ebamcheck.settings.config import Config
 
@@ -233,7 +233,7 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, default=DEFAULT_OUTPUT)
     parser.add_argument("--models", default=",".join(MODELS))
     parser.add_argument(
-        "--orders", default=",".join(COMPARED), help=f"`{RANDOM}` is tried with {SEEDS} seeds"
+        "--orders", default=",".join(compared_orders()), help=f"`{RANDOM}` is tried with {SEEDS} seeds"
     )
     parser.add_argument(
         "--render", action="store_true", help="Make the tables again from the figures in the folder."

@@ -8,10 +8,10 @@ from itertools import pairwise
 import numpy as np
 import shapely
 from nc_stack import make_curves, make_plan
+from planned_roles import as_planned
 from scipy.interpolate import BSpline
 
 from ebamcheck.program import write_program
-from ebamcheck.program.checking.matching import as_planned
 from ebamcheck.settings.config import Config
 
 CONTROLS = ("sinumerik-840d-sl", "linuxcnc", "plain-gcode", "3dthesis", "adamantine", "additivefoam")

@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 from nc_stack import make_curves, make_plan, stack
+from planned_roles import as_planned
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.program import read_program, verify_program, write_program
-from ebamcheck.program.checking.matching import as_planned
 from ebamcheck.program.toolpath.cuts import segment_lengths, segment_parts
 from ebamcheck.program.toolpath.segments import CIRCULAR, CUBIC, STRAIGHT
 from ebamcheck.settings.config import Config

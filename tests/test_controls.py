@@ -18,6 +18,7 @@ class TestSinumerik(ControlSuite):
     control = "sinumerik-840d-sl"
 
 
+@pytest.mark.slow
 class TestSinumerikBspline(ControlSuite):
     control = "sinumerik-840d-sl"
     machine: ClassVar = {"curve_form": "bspline"}
@@ -27,6 +28,7 @@ class TestLinuxcnc(ControlSuite):
     control = "linuxcnc"
 
 
+@pytest.mark.slow
 class TestPlainGcode(ControlSuite):
     control = "plain-gcode"
 

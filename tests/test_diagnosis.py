@@ -67,7 +67,7 @@ def turned(points, degrees):
 
 
 @pytest.mark.parametrize("name", ["bracket", "two-spheres", "torus"])
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_what_moves_contours_is_found_with_its_size(parts, stacks, name, seed):
     rng = np.random.default_rng([seed, len(name)])
     part, exact = parts[name], stacks[name]
@@ -218,7 +218,7 @@ def test_two_causes_are_told_apart(parts, stacks, name):
 
 
 @pytest.mark.parametrize("name", ["bracket", "two-spheres", "torus", "nested"])
-@pytest.mark.parametrize("seed", [3, 4])
+@pytest.mark.parametrize("seed", [3, pytest.param(4, marks=pytest.mark.slow)])
 def test_noise_has_no_cause(parts, stacks, name, seed):
     exact, rng = stacks[name], np.random.default_rng(seed)
     noisy = mapped_points(exact, lambda p: p + rng.normal(size=p.shape) * 0.02)

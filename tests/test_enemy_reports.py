@@ -78,6 +78,7 @@ def test_a_run_among_enemies_is_whole_and_honest(writers, tmp_path):
     assert "every one rests on planecut and manifold" in gate["text"]
 
 
+@pytest.mark.slow
 def test_two_methods_of_which_one_proves_nothing_are_not_enough(writers, tmp_path):
     write_stl(frame(), tmp_path / "frame.stl")
     (tmp_path / "ebamcheck.toml").write_text(WIDE_TOML)

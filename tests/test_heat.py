@@ -11,7 +11,15 @@ from heat_sections import ALPHA, LINEAR, RING, SHAPES, gauss
 from scipy.optimize import brentq
 from scipy.special import erf
 
-from ebamcheck.heat import HeatModel, Medium, contour_modes, depth_modes, rectangle_modes
+from benchmarks.closed_form_heat import (
+    after_line,
+    after_source,
+    after_spot,
+    base_flow_w,
+    radiated_w,
+    rectangle_modes,
+)
+from ebamcheck.heat import HeatModel, Medium, contour_modes, depth_modes
 from ebamcheck.heat.medium import STEFAN_BOLTZMANN_W_M2K4
 from ebamcheck.heat.section_grid import section_grid
 from ebamcheck.settings.config import Config
@@ -26,14 +34,14 @@ def slab(cooled, depth=40.0, layer=0.02, count=400, medium=LINEAR, side=(70.0, 5
 
 def test_steady_slab_is_flux_times_depth_over_conductivity():
     model = slab(cooled=True)
-    state = model.after_source(model.cold(), model.plane.integral() / 3500, 3500 * 0.05, 1e7)
+    state = after_source(model, model.cold(), model.plane.integral() / 3500, 3500 * 0.05, 1e7)
     assert model.at(state, [[20, 20]]) == pytest.approx(0.05 * 40 / 0.020, rel=1e-3)
 
 
 def test_uniform_flux_into_a_half_space():
     # 2 q sqrt(t / (pi k rho c)) (Carslaw & Jaeger 1959, section 2.9).
     model = slab(cooled=False, depth=60.0, layer=0.01, count=3000)
-    state = model.after_source(model.cold(), model.plane.integral() / 3500, 3500 * 0.05, 4.0)
+    state = after_source(model, model.cold(), model.plane.integral() / 3500, 3500 * 0.05, 4.0)
     exact = 2 * 0.05 * math.sqrt(4.0 / (math.pi * 0.020 * LINEAR.heat_capacity_j_mm3k))
     assert model.at(state, [[20, 20]]) == pytest.approx(exact, rel=2e-3)
 
@@ -42,7 +50,7 @@ def test_steady_slab_that_radiates():
     # q = k T / H + h T
     medium = Medium(0.020, LINEAR.heat_capacity_j_mm3k, radiation_w_mm2k=3e-4)
     model = slab(cooled=True, medium=medium)
-    state = model.after_source(model.cold(), model.plane.integral() / 3500, 3500 * 0.05, 1e7)
+    state = after_source(model, model.cold(), model.plane.integral() / 3500, 3500 * 0.05, 1e7)
     assert model.at(state, [[20, 20]]) == pytest.approx(0.05 / (0.020 / 40 + 3e-4), rel=1e-3)
 
 
@@ -50,7 +58,7 @@ def test_insulated_slab_that_radiates_cools_at_the_root_of_its_condition():
     medium = Medium(0.020, LINEAR.heat_capacity_j_mm3k, radiation_w_mm2k=3e-4)
     model = slab(cooled=False, medium=medium)
     root = brentq(lambda x: x * math.tan(x) - 3e-4 * 40 / 0.020, 1e-9, math.pi / 2 - 1e-9) / 40
-    state = model.after_source(model.cold(), model.plane.integral() / 3500, 100.0, 5.0)
+    state = after_source(model, model.cold(), model.plane.integral() / 3500, 100.0, 5.0)
     warm = [model.at(model.after(state, t), [[20, 20]])[0] for t in (400.0, 500.0)]
     assert math.log(warm[0] / warm[1]) == pytest.approx(100 * ALPHA * root**2, rel=1e-6)
 
@@ -58,7 +66,7 @@ def test_insulated_slab_that_radiates_cools_at_the_root_of_its_condition():
 def test_instantaneous_gaussian_on_a_half_space():
     # E e^(-r^2 / 2 s^2) / (rho c 2 pi s^2 sqrt(pi alpha t)), s^2 = sigma^2 + 2 alpha t
     model = slab(False, depth=80.0, layer=0.01, count=400, side=(80.0, 80.0), largest=4.0)
-    state = model.after(model.after_spot(model.cold(), [[40, 40]], 500.0, sigma_mm=2.0), 3.0)
+    state = model.after(after_spot(model, model.cold(), [[40, 40]], 500.0, sigma_mm=2.0), 3.0)
     spread = 4.0 + 2 * ALPHA * 3.0
     points = np.array([[40, 40], [43, 40], [40, 47], [46, 48]], float)
     exact = 500 / (LINEAR.heat_capacity_j_mm3k * 2 * math.pi * spread * math.sqrt(math.pi * ALPHA * 3.0))
@@ -71,7 +79,7 @@ def test_stationary_gaussian_in_its_centre():
     model = slab(False, depth=30.0, layer=0.005, count=1500, side=(50.0, 50.0), largest=2.0)
     centre = [[25.0, 25.0]]
     shape = np.exp(-0.5 * model.plane.eigenvalue * 9.0) * model.plane.at(centre)[0]
-    state = model.after_source(model.cold(), shape, 1000.0, 3.0)
+    state = after_source(model, model.cold(), shape, 1000.0, 3.0)
     exact = 1000 / (math.sqrt(2) * math.pi**1.5 * 0.020 * 3.0) * math.atan(math.sqrt(2 * ALPHA * 3.0) / 3.0)
     assert model.at(state, centre) == pytest.approx(exact, rel=5e-3)
 
@@ -79,7 +87,7 @@ def test_stationary_gaussian_in_its_centre():
 def test_a_long_line_tends_to_rosenthal():
     # P / (2 pi k R) e^(-v (xi + R) / 2 alpha), behind and beside a source that has long moved.
     model = slab(False, depth=30.0, layer=0.5, count=120, side=(90.0, 60.0), largest=9.0)
-    state = model.after_line(model.cold(), [5, 30], [75, 30], 500.0, 14.0, sigma_mm=0.8)
+    state = after_line(model, model.cold(), [5, 30], [75, 30], 500.0, 14.0, sigma_mm=0.8)
     offsets = np.array([[-9.0, 0.0], [-12.0, 3.0], [-8.0, 5.0]])
     distance = np.hypot(*offsets.T)
     exact = 500 / (2 * math.pi * 0.020 * distance) * np.exp(-5.0 * (offsets[:, 0] + distance) / (2 * ALPHA))
@@ -137,7 +145,7 @@ def test_a_moving_source_is_within_a_twentieth_of_a_kelvin_at_300_points_and_5_t
     for time in TIMES:
         part = min(time / DURATION, 1.0)
         end = LINE[0] + part * (LINE[1] - LINE[0])
-        state = model.after_line(model.cold(), LINE[0], end, POWER, part * DURATION, SIGMA)
+        state = after_line(model, model.cold(), LINE[0], end, POWER, part * DURATION, SIGMA)
         state = model.after(state, time - part * DURATION)
         exact = by_quadrature(points, 0.7, time, cooled)
         assert np.abs(model.at(state, points, 0.7) - exact).max() < 0.05
@@ -148,14 +156,14 @@ def test_lines_on_a_contour_converge_to_those_on_a_rectangle():
     points = np.random.default_rng(1).uniform([4, 4], [WIDTH - 4, HEIGHT - 4], (100, 2))
     depth = depth_modes(DEPTH, 40, True)
     exact = HeatModel(rectangle_modes(WIDTH, HEIGHT, 2.0), depth, LINEAR, LAYER)
-    state = exact.after_line(exact.cold(), *LINE, POWER, DURATION, SIGMA)
+    state = after_line(exact, exact.cold(), *LINE, POWER, DURATION, SIGMA)
     right = exact.at(exact.after(state, 2.0), points)
     worst = []
     for largest, most in ((0.15, 400), (0.6, 400)):
         found = HeatModel(
             contour_modes(shapely.box(0, 0, WIDTH, HEIGHT), largest, most), depth, LINEAR, LAYER
         )
-        state = found.after_line(found.cold(), *LINE, POWER, DURATION, SIGMA)
+        state = after_line(found, found.cold(), *LINE, POWER, DURATION, SIGMA)
         worst.append(np.abs(found.at(found.after(state, 2.0), points) - right).max() / right.max())
     assert worst[1] < 0.01
     assert worst[0] > 2.5 * worst[1]
@@ -168,7 +176,7 @@ def test_temperatures_converge_with_the_modes():
         model = HeatModel(
             rectangle_modes(WIDTH, HEIGHT, largest), depth_modes(DEPTH, waves, True), LINEAR, LAYER
         )
-        state = model.after_line(model.cold(), *LINE, POWER, DURATION, SIGMA)
+        state = after_line(model, model.cold(), *LINE, POWER, DURATION, SIGMA)
         return model.at(model.after(state, 0.5), points)
 
     right = warm(12.0, 200)
@@ -199,9 +207,9 @@ def test_a_cubic_field_is_read_exactly_inside_and_nearly_at_the_border():
 def test_a_line_in_pieces_is_the_line():
     plane = contour_modes(RING, 0.3, 200)
     model = HeatModel(plane, depth_modes(DEPTH, 10, True), LINEAR, LAYER)
-    whole = model.after_line(model.cold(), [-20, -10], [20, -14], POWER, 4.0, piece_mm=0.05)
-    first = model.after_line(model.cold(), [-20, -10], [0, -12], POWER, 2.0, piece_mm=0.05)
-    both = model.after_line(first, [0, -12], [20, -14], POWER, 2.0, piece_mm=0.05)
+    whole = after_line(model, model.cold(), [-20, -10], [20, -14], POWER, 4.0, piece_mm=0.05)
+    first = after_line(model, model.cold(), [-20, -10], [0, -12], POWER, 2.0, piece_mm=0.05)
+    both = after_line(model, first, [0, -12], [20, -14], POWER, 2.0, piece_mm=0.05)
     assert both == pytest.approx(whole, abs=1e-6 * np.abs(whole).max())
 
 
@@ -213,8 +221,8 @@ def test_an_insulated_body_keeps_all_energy(name):
     section = SHAPES[name]
     model = HeatModel(contour_modes(section, 0.1, 200), depth_modes(20.0, 12, False), LINEAR, LAYER)
     inside = shapely.get_coordinates(shapely.point_on_surface(shapely.get_parts(section)))
-    state = model.after_spot(model.cold(), inside[:1], 250.0, 1.0)
-    state = model.after(model.after_source(state, model.plane.at(inside[-1:])[0], 100.0, 3.0), 7.0)
+    state = after_spot(model, model.cold(), inside[:1], 250.0, 1.0)
+    state = model.after(after_source(model, state, model.plane.at(inside[-1:])[0], 100.0, 3.0), 7.0)
     assert model.stored_j(state) == pytest.approx(550.0, rel=1e-9)
     # It ends even: E / (rho c V) in each region.
     late = model.after(state, 1e7)
@@ -228,11 +236,11 @@ def test_what_is_stored_is_what_came_in_less_what_left(cooled):
     medium = Medium(0.020, LINEAR.heat_capacity_j_mm3k, radiation_w_mm2k=2e-4)
     depth = depth_modes(20.0, 12, cooled, medium.radiation_w_mm2k / medium.conductivity_w_mmk)
     model = HeatModel(contour_modes(RING, 0.1, 200), depth, medium, LAYER)
-    begin = model.after_spot(model.cold(), [[-20.0, 4.0]], 250.0)
+    begin = after_spot(model, model.cold(), [[-20.0, 4.0]], 250.0)
     time, weight = gauss(0.0, 8.0, 40, 8)
     base, surface = (
-        sum(w * flow(model.after(begin, t)) for t, w in zip(time, weight, strict=True))
-        for flow in (model.base_flow_w, model.radiated_w)
+        sum(w * flow(model, model.after(begin, t)) for t, w in zip(time, weight, strict=True))
+        for flow in (base_flow_w, radiated_w)
     )
     lost = model.stored_j(begin) - model.stored_j(model.after(begin, 8.0))
     assert base + surface == pytest.approx(lost, rel=1e-9)
@@ -243,10 +251,10 @@ def test_what_is_stored_is_what_came_in_less_what_left(cooled):
 def test_steps_of_any_length_agree():
     model = HeatModel(contour_modes(RING, 0.1, 200), depth_modes(20.0, 12, True), LINEAR, LAYER)
     shape = model.plane.at([[-20.0, 4.0]])[0]
-    once = model.after(model.after_source(model.cold(), shape, 100.0, 6.0), 900.0)
+    once = model.after(after_source(model, model.cold(), shape, 100.0, 6.0), 900.0)
     state = model.cold()
     for _ in range(12):
-        state = model.after_source(state, shape, 100.0, 0.5)
+        state = after_source(model, state, shape, 100.0, 0.5)
     for _ in range(30):
         state = model.after(state, 30.0)
     assert state == pytest.approx(once, rel=1e-9, abs=1e-15)
@@ -255,7 +263,7 @@ def test_steps_of_any_length_agree():
 def test_mean_of_an_island_is_that_of_its_points():
     model = HeatModel(contour_modes(RING, 0.4, 400), depth_modes(20.0, 12, True), LINEAR, LAYER)
     island = shapely.box(-24, -3, -12, 9)
-    state = model.after_source(model.cold(), model.plane.means(np.array([island]))[0], 2000.0, 5.0)
+    state = after_source(model, model.cold(), model.plane.means(np.array([island]))[0], 2000.0, 5.0)
     state = model.after(state, 3.0)
     x, y = np.meshgrid(np.arange(-23.75, -12, 0.5), np.arange(-2.75, 9, 0.5))
     inside = model.plane.at(np.column_stack([x.ravel(), y.ravel()])) @ (state @ model.in_layer)

@@ -9,13 +9,12 @@ import pytest
 import shapely
 from scipy.integrate import quad
 
+from benchmarks.closed_form_heat import after_source
+from benchmarks.whole_program_heat import Deposits, constant_tables, heat_balance
 from ebamcheck.heat import HeatModel, Medium, balance, contour_modes, depth_modes
 from ebamcheck.heat.balance import (
-    Deposits,
     HeatColumn,
     LayerShape,
-    constant_tables,
-    heat_balance,
     joined_cells,
     radiating_mm2,
 )
@@ -161,7 +160,7 @@ def test_the_mean_of_the_modes_is_the_column(base, monkeypatch):
     column = laid(config, LayerShape.of(section, 2.0), LayerShape.of(section, 2.0))
     state, whole = modes.cold(), plane.means(np.array([section], object))
     for power_w, duration_s in ((900.0, 40.0), (0.0, 60.0), (500.0, 8.0)):
-        state = modes.after_source(state, whole[0], power_w, duration_s)
+        state = after_source(modes, state, whole[0], power_w, duration_s)
         column.advance(duration_s, power_w * duration_s)
         rise = float(modes.over(state, whole)[0])
         assert column.surface_k - AMBIENT_K == pytest.approx(rise, rel=0.015)

@@ -8,6 +8,7 @@ import shutil
 import numpy as np
 import pytest
 import shapely
+from planned_roles import as_planned
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.heat.balance import HeatColumn
@@ -28,7 +29,6 @@ from ebamcheck.program.checking.interpass_checks import (
     OVER_RANGE,
     layer_shares,
 )
-from ebamcheck.program.checking.matching import as_planned
 from ebamcheck.program.checking.text_heat import sections_of, text_beads, text_bed_k, text_shapes
 from ebamcheck.program.controls.gcode.writing import write_linuxcnc, write_plain_gcode
 from ebamcheck.program.controls.sinumerik.writing import write_program

@@ -49,7 +49,9 @@ BUILDS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", BUILDS)
+@pytest.mark.parametrize(
+    "name", ["heights", *(pytest.param(name, marks=pytest.mark.slow) for name in BUILDS if name != "heights")]
+)
 def test_a_build_goes_through_its_faults_and_lays_what_was_proved(name, maker, place, tmp_path):
     faults, wanted = BUILDS[name]
     answer, program, ended, told = built(maker, tmp_path / "b", faults)

@@ -233,7 +233,7 @@ def test_a_server_without_a_line_says_that_it_waits(place, tmp_path):
         server.close()
 
 
-@pytest.mark.parametrize(("drift", "seed"), [(0.1, 1), (-0.1, 2)])
+@pytest.mark.parametrize(("drift", "seed"), [(0.1, 1), pytest.param(-0.1, 2, marks=pytest.mark.slow)])
 def test_a_build_with_drift_and_noise_ends_at_the_top_and_every_layer_verifies(place, tmp_path, drift, seed):
     out = tmp_path / "b"
     done = ebamcheck(

@@ -7,10 +7,10 @@ import pytest
 from parts import box
 from scipy.interpolate import BSpline
 
+from ebamcheck import installed
 from ebamcheck.curves.per_part import keep_surface_of, once_a_part
 from ebamcheck.heat.enthalpy import enthalpy_tables
-from ebamcheck.plugins import installed
-from ebamcheck.plugins.installed import entry_points
+from ebamcheck.installed import entry_points
 from ebamcheck.program.checking.spline_points import spline_points
 from ebamcheck.scan.heat.enclosed import DIRECTIONS, ON_OUTLINE_MM, in_sight
 from ebamcheck.scan.heat.interpass import greatest_that_fits

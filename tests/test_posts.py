@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from nc_stack import make_curves, stack
+from planned_roles import as_planned
 from posted_curves import (
     EXACT,
     TEXT_CONTROLS,
@@ -30,7 +31,6 @@ from scipy.interpolate import BSpline
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.program import read_program
-from ebamcheck.program.checking.matching import as_planned
 from ebamcheck.program.reading.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT
 
 

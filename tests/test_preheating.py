@@ -334,6 +334,7 @@ def test_what_misses_the_target_shuts_the_gate_with_place_value_and_setting(plac
     assert "NOT VALIDATED" in (place / "miss.run" / "program" / MAIN).read_text()
 
 
+@pytest.mark.slow
 def test_layers_that_are_colder_than_the_target_are_scanned_too(tmp_path):
     write_stl(box(upper=(150, 150, 5)), tmp_path / "box.stl")
     (tmp_path / "layers.toml").write_text(

@@ -10,6 +10,7 @@ import pytest
 from geomdl import BSpline
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from inset_layers import contour_paths
 from nc_stack import clamped_knots, hatch, make_curves, make_plan, stack
 
 from ebamcheck.layers.stack import from_polygons
@@ -256,7 +257,7 @@ def test_hatch_and_contours_of_a_planned_part_pass(tmp_path):
     import shapely
 
     from ebamcheck.curves import fit
-    from ebamcheck.scan import contour_paths, plan_stack
+    from ebamcheck.scan import plan_stack
 
     disc = shapely.Point(3, -8).buffer(70, 64).difference(shapely.Point(0, 0).buffer(15, 32))
     layers = from_polygons([0.9, 2.5], [[disc], [shapely.box(-40, 0, 40, 30), shapely.box(60, 0, 64, 50)]])

@@ -184,6 +184,9 @@ def test_polar_chart_appears_with_a_kept_reference(copy: RunFolder, whole: RunFo
     layer_files.write_parquet(truth, copy.path / "reference.parquet")
     _, page, _ = render(copy)
     assert "Polar error of the largest outer contour" in words(section(page, "fit"))
+    curves = copy.manifest()["settings"]["curves"]
+    limit_mm = curves["largest_lift_mm"] + curves["tolerance_mm"] + curves["near_point_mm"]
+    assert f"limit of both by the settings{limit_mm:.4g} mm" in words(section(page, "fit"))
 
 
 def test_temperatures_of_the_layers_are_shown_where_the_order_asked_for_them(

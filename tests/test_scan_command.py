@@ -93,7 +93,9 @@ def rows_of(file):
     return np.loadtxt(file, skiprows=1)
 
 
-@pytest.mark.parametrize("height", [0.4, 3.0, 12.0, 29.5])
+@pytest.mark.parametrize(
+    "height", [0.4, 29.5, *(pytest.param(z, marks=pytest.mark.slow) for z in (3.0, 12.0))]
+)
 def test_a_path_is_exported_at_the_height_that_was_asked_for(plate, tmp_path, height):
     asked = ("scan", plate, "--height", height, "--orders", "raster", "--export", "3dthesis", "-o", "out")
     assert ebamcheck(*asked, cwd=tmp_path).returncode == 0
@@ -231,7 +233,7 @@ def test_the_referee_gives_its_opinion_beside_the_model(plate, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--orders", "raster,spiral"), "unknown order: choose one of nearest"),
+        (("--orders", "raster,spiral"), "unknown order: choose one of farthest"),
         (("--orders", "random", "--seeds", "0"), "--seeds 0: give at least 1"),
         (("--export", "foam", "-o", "x"), "--export 'foam': choose from 3dthesis"),
         (("--export", "all"), "--export: give the folder with -o"),

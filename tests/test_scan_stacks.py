@@ -8,12 +8,13 @@ import numpy as np
 import pandas as pd
 import pytest
 import shapely
+from inset_layers import contour_paths
 from planned_sections import PROFILE, beads_of, blade, disc, equal_plans
 from shapely import affinity
 
 from ebamcheck.errors import GeometryError, InputError
 from ebamcheck.layers.stack import from_polygons, from_rings
-from ebamcheck.scan import ScanPlan, contour_paths, plan_scan, plan_stack, simulate_order
+from ebamcheck.scan import ScanPlan, plan_scan, plan_stack, simulate_order
 from ebamcheck.scan.filling.coverage import covered_fraction
 from ebamcheck.scan.islands.regions import ARC_SEGMENTS, inset
 

@@ -25,6 +25,13 @@ SPACING_MM = 4.32
 # -- the form of a hatch ------------------------------------------------------------------------------
 
 
+CONTROLS = [
+    "sinumerik-840d-sl",
+    *(pytest.param(name, marks=pytest.mark.slow) for name in ("linuxcnc", "plain-gcode")),
+]
+"""All of them are tried; one of them in the quick tests."""
+
+
 def form(points):
     """Form of one bead through points, and the line where it is not fine."""
     points = np.array(points, float)
@@ -115,7 +122,7 @@ def edited(pattern, by, nth=1):
     return change
 
 
-@pytest.mark.parametrize("control", ["sinumerik-840d-sl", "linuxcnc", "plain-gcode"])
+@pytest.mark.parametrize("control", CONTROLS)
 def test_a_sound_program_raises_no_alarm(made, tmp_path, control):
     assert spoiled(made, tmp_path, control, lambda texts: {}) == {}
 
@@ -177,7 +184,7 @@ def beads(text):
 
 
 @pytest.mark.parametrize("factor", [0.7, 1.5])
-@pytest.mark.parametrize("nth", [0, 1, 2, 3])
+@pytest.mark.parametrize("nth", [0, 1, *(pytest.param(n, marks=pytest.mark.slow) for n in (2, 3))])
 def test_the_wire_of_one_bead_is_held_against_its_place(made, tmp_path, nth, factor):
     """Contour and hatch of two layers; the more of a place's metal is the bead's own, the more it is off."""
     starts = []
@@ -195,7 +202,7 @@ def test_the_wire_of_one_bead_is_held_against_its_place(made, tmp_path, nth, fac
     assert 0.3 * (least - 1.0) < found.value < 1.2 * (least - 1.0)
 
 
-@pytest.mark.parametrize("control", ["sinumerik-840d-sl", "linuxcnc", "plain-gcode"])
+@pytest.mark.parametrize("control", CONTROLS)
 @pytest.mark.parametrize("axis", ["X", "Y"])
 def test_an_axis_that_one_block_of_a_bead_lacks_is_found(made, tmp_path, control, axis):
     places = []
@@ -235,7 +242,7 @@ def test_a_bead_that_runs_across_its_neighbours_is_found(made, tmp_path):
     assert found.keys() & {"crossings", "hatch lines"}
 
 
-@pytest.mark.parametrize("control", ["sinumerik-840d-sl", "linuxcnc", "plain-gcode"])
+@pytest.mark.parametrize("control", CONTROLS)
 def test_a_wait_at_the_height_of_the_beads_is_found(made, tmp_path, control):
     """The wait after the descent to a bead: of the same length, on the same way, and the wire's tip in the pool."""
     places = []

@@ -10,6 +10,7 @@ import pytest
 import shapely
 
 import ebamcheck
+from benchmarks.closed_form_heat import after_spot
 from ebamcheck.errors import SettingsError
 from ebamcheck.heat import HeatModel, Medium, carried, contour_modes, depth_modes
 from ebamcheck.heat.projection import overlap_of_depths
@@ -19,6 +20,7 @@ from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.scan.order import orders as order
 from ebamcheck.scan.plan.whole_part import WHOLE_PART, Stack, ordered_layers, scan_part
 from ebamcheck.settings.config import Config
+from ebamcheck.settings.scan import order_names
 
 MEDIUM = Medium(conductivity_w_mmk=0.020, heat_capacity_j_mm3k=4300 * 700 * 1e-9)
 BRIEF = Config().changed(scan={"annealing_steps": 1000})
@@ -43,14 +45,14 @@ def test_overlaps_of_depths_are_integrals(cooled):
 
 def test_a_layer_on_the_same_section_keeps_the_energy():
     old, new = body(RING, 20.0, False), body(RING, 21.7, False)
-    state = old.after(old.after_spot(old.cold(), [[-20.0, 4.0]], 400.0, 2.0), 3.0)
+    state = old.after(after_spot(old, old.cold(), [[-20.0, 4.0]], 400.0, 2.0), 3.0)
     assert new.stored_j(carried(old, state, new)) == pytest.approx(400.0, rel=1e-9)
 
 
 @pytest.mark.parametrize("cooled", [True, False])
 def test_the_field_stays_where_it_was_and_the_new_layer_is_cold(cooled):
     old, new = body(RING, 20.0, cooled), body(RING, 21.7, cooled, waves=120)
-    state = old.after(old.after_spot(old.cold(), [[-20.0, 4.0]], 400.0, 2.0), 6.0)
+    state = old.after(after_spot(old, old.cold(), [[-20.0, 4.0]], 400.0, 2.0), 6.0)
     points = [[-20.0, 4.0], [-24.0, 10.0], [-16.0, -6.0]]
     after = carried(old, state, new)
     before = old.at(state, points, 6.0)
@@ -62,9 +64,9 @@ def test_the_field_stays_where_it_was_and_the_new_layer_is_cold(cooled):
 def test_what_the_new_section_does_not_cover_is_dropped():
     whole, half = shapely.box(0, 0, 80, 40), shapely.box(0, 0, 40, 40)
     old, new = body(whole, 20.0, False, largest=0.2), body(half, 20.0, False, largest=0.2)
-    state = old.after(old.after_spot(old.cold(), [[20.0, 20.0]], 300.0, 2.0), 8.0)
+    state = old.after(after_spot(old, old.cold(), [[20.0, 20.0]], 300.0, 2.0), 8.0)
     assert 250.0 < new.stored_j(carried(old, state, new)) <= 300.5
-    far = old.after(old.after_spot(old.cold(), [[60.0, 20.0]], 300.0, 2.0), 8.0)
+    far = old.after(after_spot(old, old.cold(), [[60.0, 20.0]], 300.0, 2.0), 8.0)
     assert abs(new.stored_j(carried(old, far, new))) < 50.0
     back = carried(new, carried(old, state, new), old)
     assert old.stored_j(back) == pytest.approx(new.stored_j(carried(old, state, new)), rel=0.03)
@@ -156,12 +158,12 @@ def test_orders_that_ask_no_heat_have_no_heat_in_their_metrics():
     plan = plan_stack(plates(2), Config().changed(process={"interpass": "off"}), order="raster")
     assert plan.metrics[["body_mean_k", "entry_max_k"]].isna().all(axis=None)
     bare = order.LayerIslands(np.zeros((3, 2)), np.ones(3), np.zeros((0, 2), np.int64))
-    asking = [name for name in order.ORDERS if order.needs_heat(name)]
+    asking = [name for name in order_names() if order.needs_heat(name)]
     assert asking == ["least-heat", "thermal"]
     for name in asking:
         with pytest.raises(SettingsError, match="how long islands take"):
             order.scan_order(name, bare)
-    for name in set(order.ORDERS) - set(asking):
+    for name in set(order_names()) - set(asking):
         assert len(order.scan_order(name, bare)) == 3
     assert not order.needs_heat(lambda islands: np.arange(len(islands)))
 

@@ -9,7 +9,7 @@ import os
 import sys
 import traceback
 from collections.abc import Callable
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any, cast
 
@@ -17,6 +17,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from ebamcheck.errors import EbamcheckError, ExitCode
+from ebamcheck.installed import entry_points
 from ebamcheck.plugins.points import is_house, sorted_out
 
 COMMANDS = "ebamcheck.commands"

@@ -12,7 +12,7 @@ from ebamcheck.errors import ExitCode, SettingsError
 
 
 def config_command(
-    config: ConfigOption = None,
+    config_file: ConfigOption = None,
     output: Annotated[
         Path | None,
         typer.Option("-o", "--output", help="Write them into a new FILE; one that is there stays."),
@@ -27,7 +27,9 @@ def config_command(
     from ebamcheck.settings.config import Config
     from ebamcheck.settings.text import as_toml
 
-    if sum((output is not None, merge is not None, schema)) > 1 or (merge is not None and config is not None):
+    if sum((output is not None, merge is not None, schema)) > 1 or (
+        merge is not None and config_file is not None
+    ):
         raise SettingsError("give one of --output, --merge and --schema; --merge goes without --config")
     if merge is not None:
         return _merged(merge)
@@ -36,13 +38,13 @@ def config_command(
 
         print_json(explained_schema(Config))
         return ExitCode.PASS
-    settings = settings_of(config, "", "", None)
+    config = settings_of(config_file, "", "", None)
     if output is None:
-        typer.echo(as_toml(settings), nl=False)
+        typer.echo(as_toml(config), nl=False)
         return ExitCode.PASS
     from ebamcheck.settings.files import write_new
 
-    write_new(output, settings)
+    write_new(output, config)
     typer.echo(f"{output}: all settings, with their explanations")
     return ExitCode.PASS
 

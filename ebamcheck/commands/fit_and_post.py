@@ -54,7 +54,7 @@ def fit_command(
         Path | None, typer.Option(help="A finer mesh of the same part: errors are measured against it.")
     ] = None,
     layer_height: LayerHeightOption = None,
-    config: ConfigOption = None,
+    config_file: ConfigOption = None,
     units: UnitsOption = "",
     direction: DirectionOption = "",
     yes: YesOption = False,
@@ -64,18 +64,18 @@ def fit_command(
 
     Example: ebamcheck fit blade.stl --method all --reference blade-fine.stl
     """
-    settings = settings_of(config, units, direction, layer_height)
+    config = settings_of(config_file, units, direction, layer_height)
     if tolerance is not None:
-        settings = settings.changed(curves={"tolerance_mm": tolerance})
-    methods = tuple(METHODS) if method == ALL else (method or settings.curves.method,)
+        config = config.changed(curves={"tolerance_mm": tolerance})
+    methods = tuple(METHODS) if method == ALL else (method or config.curves.method,)
     if output is not None and (len(methods) > 1 or output.suffix.lower() != ".parquet"):
         raise SettingsError(f"{output}: give FILE.parquet and one method")
-    placed = loaded(part, settings)
-    layers = slice_part(placed, within_work(placed, cut_heights(placed, settings), settings, yes))
-    truth = slice_part(read_reference(reference, part, settings.part), layers.heights) if reference else None
+    placed = loaded(part, config)
+    layers = slice_part(placed, within_work(placed, cut_heights(placed, config), config, yes))
+    truth = slice_part(read_reference(reference, part, config.part), layers.heights) if reference else None
     rows = []
     for name in methods:
-        curves = fit(layers, name, settings.curves, part=placed)
+        curves = fit(layers, name, config.curves, part=placed)
         if output is not None:
             curves.to_parquet(output)
         rows.append(_row(name, curves, layers, truth))
@@ -120,7 +120,7 @@ def post_command(
         ),
     ] = 1,
     layer_height: LayerHeightOption = None,
-    config: ConfigOption = None,
+    config_file: ConfigOption = None,
     units: UnitsOption = "",
     direction: DirectionOption = "",
     yes: YesOption = False,
@@ -135,33 +135,33 @@ def post_command(
         if layer is not None:
             case_post(control)
     if (source / MANIFEST).is_file():
-        settings, beads, plan, sha256 = stack_of_run(source, config)
-        checked_window(settings)
+        config, beads, plan, sha256 = stack_of_run(source, config_file)
+        checked_window(config)
     elif source.is_dir():
         raise InputError(f"{source}: is no finished run folder: it has no {MANIFEST}")
     else:
-        settings = settings_of(config, units, direction, layer_height)
-        checked_window(settings)
-        placed = loaded(source, settings)
-        layers = slice_part(placed, within_work(placed, cut_heights(placed, settings), settings, yes))
-        smooth = smooth_layers(fit(layers, settings.curves.method, settings.curves, part=placed))
-        plan = plan_stack(smooth, settings)
-        beads, sha256 = bead_paths(smooth, plan, settings), placed.source_sha256
+        config = settings_of(config_file, units, direction, layer_height)
+        checked_window(config)
+        placed = loaded(source, config)
+        layers = slice_part(placed, within_work(placed, cut_heights(placed, config), config, yes))
+        smooth = smooth_layers(fit(layers, config.curves.method, config.curves, part=placed))
+        plan = plan_stack(smooth, config)
+        beads, sha256 = bead_paths(smooth, plan, config), placed.source_sha256
     if control:
-        settings = settings.changed(machine={"control": control})
-    is_read = control_named(settings.machine.control).is_read
+        config = config.changed(machine={"control": control})
+    is_read = control_named(config.machine.control).is_read
     if from_layer > 1 and not is_read:
-        raise SettingsError(f"--from-layer: {settings.machine.control} is no control but a heat simulator")
+        raise SettingsError(f"--from-layer: {config.machine.control} is no control but a heat simulator")
     header = {"PART SHA-256": sha256}
     if layer is None:
-        files = write_program(beads, plan, settings, output, header=header)
+        files = write_program(beads, plan, config, output, header=header)
         if from_layer > 1:
             files = begin_at_layer(files, from_layer)
     else:
-        post = case_post(settings.machine.control)
-        files = post(beads, plan, settings, output, header=header, layer=layer)
+        post = case_post(config.machine.control)
+        files = post(beads, plan, config, output, header=header, layer=layer)
     blocks = sum(files.blocks.values())
-    typer.echo(f"{files.main}: {len(files.names)} files, {blocks} blocks for {settings.machine.control}")
+    typer.echo(f"{files.main}: {len(files.names)} files, {blocks} blocks for {config.machine.control}")
     if not is_read:
         script = next(name for name in files.names if name in SCRIPTS)
         typer.echo(f"NOT VALIDATED: a simulator's case is not read back; {files.folder / script} runs it")

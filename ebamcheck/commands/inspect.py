@@ -31,7 +31,7 @@ def inspect(
     picture: Annotated[
         Path | None, typer.Option(help="Draw the surfaces into FILE.svg; with --regions.")
     ] = None,
-    config: ConfigOption = None,
+    config_file: ConfigOption = None,
     as_json: JsonOption = False,
 ) -> ExitCode:
     """Count the defects of a part and judge whether it can be sliced; exit code 1 where it should not."""
@@ -50,7 +50,7 @@ def inspect(
         from ebamcheck.curves.regions.surfaces import surfaces
         from ebamcheck.drawing.regions import regions_svg
 
-        listed = surfaces(loaded_part, settings_of(config, "", "", None).curves)
+        listed = surfaces(loaded_part, settings_of(config_file, "", "", None).curves)
         if picture is not None:
             picture.write_text(regions_svg(loaded_part, listed), encoding="utf-8")
     if as_json:

@@ -52,25 +52,25 @@ def judge_command(
     body: Annotated[
         str, typer.Option(help=f"What 3DThesis heats: {', '.join(BODIES)} around the section.")
     ] = BODIES[0],
-    config: ConfigOption = None,
+    config_file: ConfigOption = None,
     as_json: JsonOption = False,
 ) -> ExitCode:
     """Let 3DThesis say how warm the islands of a layer are when the beam enters them, beside our model.
 
     Example: ebamcheck judge blade.run --layer 4
     """
-    settings, curves, plan, _ = stack_of_run(run, config)
+    config, curves, plan, _ = stack_of_run(run, config_file)
     if not 0 <= layer < len(plan):
         raise SettingsError(f"--layer {layer}: the run has the layers 0 to {len(plan) - 1}")
     folder = made_folder(output or run.with_name(f"{run.resolve().name.removesuffix('.run')}.judge"))
     layers = RunFolder(run).read_layers(str(RunFolder(run).manifest()["primary"]))
     section = layer_section(layers.polygons(layer))
-    case = LayerCase.of(plan, layer, section, settings, curves=curves, beads=beads, body=body)
-    case.write(folder / CASE, settings)
+    case = LayerCase.of(plan, layer, section, config, curves=curves, beads=beads, body=body)
+    case.write(folder / CASE, config)
     THESIS.path()
     with watched() as observer:
         observer.stage("3DThesis", len(case.islands))
-        judged = judge_layer(case, settings, observer.advance)
+        judged = judge_layer(case, config, observer.advance)
     with replacing(folder / TABLE) as temporary:
         judged.table.round(4).to_csv(temporary, index=False)
     if as_json:
@@ -78,13 +78,13 @@ def judge_command(
             {**judged.figures(), "layer": layer, "beads": beads, "body": body, "table": str(folder / TABLE)}
         )
     else:
-        _tell(judged, layer, body, settings, folder)
+        _tell(judged, layer, body, config, folder)
     return ExitCode.PASS
 
 
-def _tell(judged: JudgedLayer, layer: int, body: str, settings: Config, folder: Path) -> None:
+def _tell(judged: JudgedLayer, layer: int, body: str, config: Config, folder: Path) -> None:
     """Print the table and the figures."""
-    most_k = settings.material.boiling_k - settings.process.ambient_temperature_k
+    most_k = config.material.boiling_k - config.process.ambient_temperature_k
     typer.echo(f"layer {layer}: rise of its {len(judged.table)} islands when the beam enters them\n")
     rows = [[_cell(name, row[name], most_k) for name in SHOWN] for _, row in judged.table.iterrows()]
     typer.echo(text_table(list(SHOWN.values()), rows) + "\n")

@@ -61,7 +61,7 @@ def live_command(
     url: Annotated[
         str, typer.Option(help="With --opcua: address of the control, in place of that of the settings.")
     ] = "",
-    config: Annotated[
+    config_file: Annotated[
         Path | None,
         typer.Option(
             "-c", "--config", help="With --opcua: file whose section [opcua] stands for that of the run."
@@ -76,10 +76,10 @@ def live_command(
         raise SettingsError(f"--heights {heights!r}: choose one of {', '.join(MODES)}")
     if not timeout > 0.0:
         raise SettingsError(f"--timeout {timeout}: give a positive number of seconds")
-    if (url or config) and not opcua:
+    if (url or config_file) and not opcua:
         raise SettingsError("--url and --config belong to --opcua")
     found = finished_run(run, part)
-    link = opcua_of(found.config, config, url) if opcua else None
+    link = opcua_of(found.config, config_file, url) if opcua else None
     if link is not None:
         checked(link)
     listed = numbers(tops, "--tops") if tops else ()

@@ -75,7 +75,7 @@ ForceOption = Annotated[
 
 
 def job_settings(
-    config: Path | None,
+    config_file: Path | None,
     units: str,
     direction: str,
     layer_height: float | None,
@@ -86,33 +86,33 @@ def job_settings(
     """Settings of a job on this machine, with what the command line says on top."""
     from ebamcheck.settings.machines import for_this_machine
 
-    settings = for_this_machine(settings_of(config, units, direction, layer_height))
+    config = for_this_machine(settings_of(config_file, units, direction, layer_height))
     if backends:
-        settings = settings.changed(slicing={"backends": names(backends)})
+        config = config.changed(slicing={"backends": names(backends)})
     if witnesses:
-        settings = settings.changed(slicing={"witnesses": names(witnesses)})
-    return settings.changed(part={"fix_orientation": True}) if fix_orientation else settings
+        config = config.changed(slicing={"witnesses": names(witnesses)})
+    return config.changed(part={"fix_orientation": True}) if fix_orientation else config
 
 
-def settings_of(config: Path | None, units: str, direction: str, layer_height: float | None) -> Config:
+def settings_of(config_file: Path | None, units: str, direction: str, layer_height: float | None) -> Config:
     """Settings of the file, with what the command line says on top."""
     from ebamcheck.settings.config import load_config
 
-    settings = load_config(config or (DEFAULT_CONFIG if DEFAULT_CONFIG.is_file() else None))
+    config = load_config(config_file or (DEFAULT_CONFIG if DEFAULT_CONFIG.is_file() else None))
     if units:
-        settings = settings.changed(part={"units": units})
+        config = config.changed(part={"units": units})
     if direction:
-        settings = settings.changed(part={"direction": numbers(direction, "--direction")})
+        config = config.changed(part={"direction": numbers(direction, "--direction")})
     if layer_height is not None:
-        settings = settings.changed(layers={"layer_height_mm": layer_height, "heights_mm": ()})
-    return settings
+        config = config.changed(layers={"layer_height_mm": layer_height, "heights_mm": ()})
+    return config
 
 
-def placed_settings(settings: Config, place: str, rotate: float | None) -> Config:
+def placed_settings(config: Config, place: str, rotate: float | None) -> Config:
     """Settings with the place and the turn of the command line on top."""
     if place:
-        settings = settings.changed(part={"place_at_mm": numbers(place, "--place")})
-    return settings if rotate is None else settings.changed(part={"rotate_deg": rotate})
+        config = config.changed(part={"place_at_mm": numbers(place, "--place")})
+    return config if rotate is None else config.changed(part={"rotate_deg": rotate})
 
 
 def part_or_plate(part: Path | None, plate: Path | None) -> Path:
@@ -128,14 +128,14 @@ def part_or_plate(part: Path | None, plate: Path | None) -> Path:
     return found
 
 
-def loaded(path: Path, settings: Config) -> Part:
+def loaded(path: Path, config: Config) -> Part:
     """Part of a file, or of a plate, as the settings read, turn and place it; facets stay as they are."""
     from ebamcheck.mesh.part_source import read_part
 
-    return read_part(path, settings.part.model_copy(update={"fix_orientation": False}))[0]
+    return read_part(path, config.part.model_copy(update={"fix_orientation": False}))[0]
 
 
-def begun(source: Path, settings: Config, job: str, yes: bool) -> Ready:
+def begun(source: Path, config: Config, job: str, yes: bool) -> Ready:
     """Part of a job that may begin; what the preflight warns of is told before anything else is loaded.
 
     Raises
@@ -147,8 +147,8 @@ def begun(source: Path, settings: Config, job: str, yes: bool) -> Ready:
     from ebamcheck.settings.process_window import checked_window
 
     if job == "run":
-        checked_window(settings)
-    found = ready(source, settings, job, yes)
+        checked_window(config)
+    found = ready(source, config, job, yes)
     found.preflight.stop(job)
     for check in found.preflight.checks:
         if check.level != "pass":
@@ -157,11 +157,11 @@ def begun(source: Path, settings: Config, job: str, yes: bool) -> Ready:
     return found
 
 
-def within_work(part: Part, heights: Floats, settings: Config, yes: bool) -> Floats:
+def within_work(part: Part, heights: Floats, config: Config, yes: bool) -> Floats:
     """Heights, once slicing at them is no more work than the settings allow; else :class:`SettingsError`."""
     from ebamcheck.preflight.workload import refuse_work
 
-    refuse_work(part, heights, settings, yes)
+    refuse_work(part, heights, config, yes)
     return heights
 
 

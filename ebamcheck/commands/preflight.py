@@ -39,7 +39,7 @@ def preflight_command(
     ] = None,
     plate: PlateOption = None,
     job: Annotated[str, typer.Option(help="Job that is meant: run, or check without a program.")] = RUN,
-    config: ConfigOption = None,
+    config_file: ConfigOption = None,
     layer_height: LayerHeightOption = None,
     units: UnitsOption = "",
     direction: DirectionOption = "",
@@ -55,10 +55,10 @@ def preflight_command(
     """
     if job not in EVERY:
         raise SettingsError(f"--job {job!r}: give one of {', '.join(EVERY)}")
-    settings = placed_settings(settings_of(config, units, direction, layer_height), place, rotate)
+    config = placed_settings(settings_of(config_file, units, direction, layer_height), place, rotate)
     if fix_orientation:
-        settings = settings.changed(part={"fix_orientation": True})
-    found = ready(part_or_plate(part, plate), settings, job, yes).preflight
+        config = config.changed(part={"fix_orientation": True})
+    found = ready(part_or_plate(part, plate), config, job, yes).preflight
     if as_json:
         print_json(found.as_dict())
     else:

@@ -51,7 +51,7 @@ def regress(
     output: Annotated[
         Path, typer.Option("-o", "--output", help="Folder for results, report and history.")
     ] = Path("regress"),
-    config: Annotated[
+    config_file: Annotated[
         Path | None,
         typer.Option(
             "-c",
@@ -68,10 +68,10 @@ def regress(
 
     Example: ebamcheck regress --models cube,sphere --backends planecut -o regress
     """
-    path = config or (DEFAULT_CONFIG if DEFAULT_CONFIG.is_file() else None)
-    wanted = load_config(path)
-    settings = wanted.regression
-    own = {name: values for name, values in wanted.slicing.settings.items() if values}
+    path = config_file or (DEFAULT_CONFIG if DEFAULT_CONFIG.is_file() else None)
+    config = load_config(path)
+    settings = config.regression
+    own = {name: values for name, values in config.slicing.settings.items() if values}
     _check_update(update_baseline, own, path)
     table = (
         checked(Tolerances, settings.tolerances, f"{path}: regression.tolerances")
@@ -83,7 +83,7 @@ def regress(
         _names(models),
         _names(backends),
         table,
-        limits=Limits(wanted.slicing.time_limit_s, wanted.slicing.memory_limit_mb),
+        limits=Limits(config.slicing.time_limit_s, config.slicing.memory_limit_mb),
         note=lambda text: typer.echo(f"ebamcheck: {text}", err=True),
         settings=own,
     )

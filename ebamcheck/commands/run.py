@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 def run(
     part: JobPart = None,
     plate: PlateOption = None,
-    config: ConfigOption = None,
+    config_file: ConfigOption = None,
     output: RunFolderOption = None,
     layer_height: LayerHeightOption = None,
     backends: BackendsOption = "",
@@ -66,9 +66,9 @@ def run(
     as_json: JsonOption = False,
 ) -> ExitCode:
     """Look at the part, slice, cross-check, fit, partition, order, write the NC program, verify it and report."""
-    settings = job_settings(config, units, direction, layer_height, backends, witnesses, fix_orientation)
-    settings, source = placed_settings(settings, place, rotate), part_or_plate(part, plate)
-    part_ready = begun(source, settings, "run", yes)
+    config = job_settings(config_file, units, direction, layer_height, backends, witnesses, fix_orientation)
+    config, source = placed_settings(config, place, rotate), part_or_plate(part, plate)
+    part_ready = begun(source, config, "run", yes)
     from ebamcheck.commands.progress import watched
     from ebamcheck.pipeline import run_job
 
@@ -77,7 +77,7 @@ def run(
         result = run_job(
             source,
             target,
-            settings,
+            config,
             reference,
             resume,
             observer,
@@ -92,7 +92,7 @@ def run(
 def check(
     part: JobPart = None,
     plate: PlateOption = None,
-    config: ConfigOption = None,
+    config_file: ConfigOption = None,
     output: RunFolderOption = None,
     layer_height: LayerHeightOption = None,
     backends: BackendsOption = "",
@@ -108,15 +108,15 @@ def check(
     as_json: JsonOption = False,
 ) -> ExitCode:
     """Slice with every backend and compare all pairs on every layer; as `run`, without a program."""
-    settings = job_settings(config, units, direction, layer_height, backends, witnesses, fix_orientation)
-    settings, source = placed_settings(settings, place, rotate), part_or_plate(part, plate)
-    part_ready = begun(source, settings, "check", yes)
+    config = job_settings(config_file, units, direction, layer_height, backends, witnesses, fix_orientation)
+    config, source = placed_settings(config, place, rotate), part_or_plate(part, plate)
+    part_ready = begun(source, config, "check", yes)
     from ebamcheck.commands.progress import watched
     from ebamcheck.pipeline import check_job
 
     with watched() as observer:
         folder = output or Path(f"{source.stem}.run")
-        result = check_job(source, folder, settings, resume, observer, part_ready, force=force)
+        result = check_job(source, folder, config, resume, observer, part_ready, force=force)
     return _told(result, as_json)
 
 

@@ -23,10 +23,10 @@ from ebamcheck.commands.scan_layer import scan_layer
 from ebamcheck.commands.scan_part import scan_all
 from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.program.language.control import simulators
-from ebamcheck.scan.plan.comparing import COMPARED, RANDOM, SEEDS
+from ebamcheck.scan.plan.comparing import RANDOM, SEEDS, compared_orders
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import checked_window
-from ebamcheck.settings.scan import SCAN_ORDERS
+from ebamcheck.settings.scan import order_names
 
 ALL = "all"
 
@@ -43,7 +43,7 @@ def scan_command(
     ] = None,
     layer_height: LayerHeightOption = None,
     orders: Annotated[
-        str, typer.Option(help=f"{', '.join(SCAN_ORDERS)}, or all; comma-separated. Default: scan.order.")
+        str, typer.Option(help=f"{', '.join(order_names())}, or all; comma-separated. Default: scan.order.")
     ] = "",
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Folder for orders.json and pictures.")
@@ -62,7 +62,7 @@ def scan_command(
             help="With --height: simulate each order on a nonlinear model of the heat, too, which shares nothing with ours.",
         ),
     ] = False,
-    config: ConfigOption = None,
+    config_file: ConfigOption = None,
     units: UnitsOption = "",
     direction: DirectionOption = "",
     yes: YesOption = False,
@@ -72,9 +72,9 @@ def scan_command(
 
     Example: ebamcheck scan blade.stl --height 12 --orders all -o orders
     """
-    settings = settings_of(config, units, direction, layer_height)
-    checked_window(settings)
-    wanted = _orders(orders, settings)
+    config = settings_of(config_file, units, direction, layer_height)
+    checked_window(config)
+    wanted = _orders(orders, config)
     exported = _exported(export, output)
     if seeds < 1:
         raise SettingsError(f"--seeds {seeds}: give at least 1")
@@ -84,21 +84,21 @@ def scan_command(
         raise SettingsError("--pause: the wait between layers belongs to --all")
     if referee and all_layers:
         raise SettingsError("--referee judges one layer: give it with --height Z")
-    placed = loaded(part, settings)
+    placed = loaded(part, config)
     if height is None:
         if len(wanted) != 1:
             raise SettingsError(f"--all plans in one order, not {len(wanted)}: give one with --orders")
         if pause is not None:
-            settings = settings.changed(process={"layer_pause_s": pause})
-        return scan_all(placed, settings, wanted[0], output, as_json, yes)
-    return scan_layer(placed, settings, height, wanted, seeds, exported, output, as_json, referee)
+            config = config.changed(process={"layer_pause_s": pause})
+        return scan_all(placed, config, wanted[0], output, as_json, yes)
+    return scan_layer(placed, config, height, wanted, seeds, exported, output, as_json, referee)
 
 
-def _orders(orders: str, settings: Config) -> tuple[str, ...]:
+def _orders(orders: str, config: Config) -> tuple[str, ...]:
     """Orders that are asked for; an unknown name is refused before anything is computed."""
-    wanted = COMPARED if orders == ALL else names(orders) or (settings.scan.order,)
+    wanted = compared_orders() if orders == ALL else names(orders) or (config.scan.order,)
     for name in wanted:
-        settings.changed(scan={"order": name})
+        config.changed(scan={"order": name})
     return wanted
 
 

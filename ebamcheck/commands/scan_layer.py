@@ -80,7 +80,7 @@ class _Compared:
 
 def scan_layer(
     part: Part,
-    settings: Config,
+    config: Config,
     height_mm: float,
     orders: tuple[str, ...],
     seeds: int,
@@ -95,10 +95,10 @@ def scan_layer(
         made_folder(output)
     layers = slice_part(part, cut)
     over_plate_mm = height_mm - float(part.bounds[0][2])
-    number = max(0, round(over_plate_mm / settings.layer_height_mm - 0.5))
-    layer = OrderComparison.of(layers.polygons(0), settings, number, max(over_plate_mm, 0.0))
+    number = max(0, round(over_plate_mm / config.layer_height_mm - 0.5))
+    layer = OrderComparison.of(layers.polygons(0), config, number, max(over_plate_mm, 0.0))
     done, interrupted = _Compared(), False
-    judge = _referee(layer, settings) if with_referee and len(layer.laid.islands) else None
+    judge = _referee(layer, config) if with_referee and len(layer.laid.islands) else None
     try:
         for _ in _compare(layer, orders, seeds, done, judge):
             if output is not None:
@@ -109,7 +109,7 @@ def scan_layer(
         _write(output, _table(done))
         what = f"{part.name}, z = {height_mm:g} mm"
         _write(output, order_pictures(layer, done.shown, done.travel_and_entry(), what))
-        _export(output, simulators, done.shown, height_mm, over_plate_mm, settings)
+        _export(output, simulators, done.shown, height_mm, over_plate_mm, config)
     if interrupted:
         kept = f", kept in {output}" if output is not None and done.rows else ""
         raise KeyboardInterrupt(f"{len(done.rows)} of {len(orders)} orders are done{kept}")
@@ -118,7 +118,7 @@ def scan_layer(
     else:
         headings = {**HEADINGS, **(REFEREE_HEADINGS if judge else {})}
         rows = [[_cell(row[name]) for name in headings] for row in done.records()]
-        count, base = len(layer.laid.islands), settings.process.base
+        count, base = len(layer.laid.islands), config.process.base
         low, high = part.bounds[:, 2].tolist()
         beside = "" if count else f" (the part reaches from {low:g} to {high:g} mm)"
         typer.echo(f"{count} islands at z = {height_mm:g} mm{beside}, {base} base\n")
@@ -126,12 +126,12 @@ def scan_layer(
     return ExitCode.PASS
 
 
-def _referee(layer: OrderComparison, settings: Config) -> Opinion:
+def _referee(layer: OrderComparison, config: Config) -> Opinion:
     """Second opinion on orders of a layer; its packages are imported for those who ask for it."""
     from ebamcheck.scan.plan.refereed import referee_of, second_opinion
 
-    model = referee_of(layer.laid, settings)
-    return lambda result: second_opinion(model, result, settings)
+    model = referee_of(layer.laid, config)
+    return lambda result: second_opinion(model, result, config)
 
 
 def _compare(
@@ -158,16 +158,16 @@ def _export(
     shown: dict[str, OrderResult],
     height_mm: float,
     over_plate_mm: float,
-    settings: Config,
+    config: Config,
 ) -> None:
     """Write the path of each order for each simulator, as paths/ORDER/SIMULATOR, at the height over the plate."""
     step_mm = 0.5 * max(over_plate_mm, LEAST_HEIGHT_MM)
     heights = np.array([height_mm - step_mm, height_mm])
     for name, result in shown.items() if simulators else ():
         plan = _over_nothing(result.plan, heights)
-        beads = bead_paths(from_polygons(heights, [[], []]), plan, settings)
+        beads = bead_paths(from_polygons(heights, [[], []]), plan, config)
         for simulator in simulators:
-            program = settings.changed(machine={"control": simulator})
+            program = config.changed(machine={"control": simulator})
             write_program(beads, plan, program, folder / "paths" / name / simulator)
 
 

@@ -32,26 +32,26 @@ BUILT = "built_s"
 
 
 def scan_all(
-    part: Part, settings: Config, order: str, output: Path | None, as_json: bool, yes: bool
+    part: Part, config: Config, order: str, output: Path | None, as_json: bool, yes: bool
 ) -> ExitCode:
     """Order all layers of a placed part; rows are written as they are done, so that an interrupt keeps them."""
-    layers = slice_part(part, within_work(part, cut_heights(part, settings), settings, yes))
-    rows = _rows(layers, float(part.bounds[0][2]), settings, order, output)
+    layers = slice_part(part, within_work(part, cut_heights(part, config), config, yes))
+    rows = _rows(layers, float(part.bounds[0][2]), config, order, output)
     if as_json:
         print_json([{k: None if v != v else v for k, v in row.items()} for row in rows])
         return ExitCode.PASS
-    typer.echo(f"{len(rows)} layers in the order {order}, {settings.process.base} base\n")
+    typer.echo(f"{len(rows)} layers in the order {order}, {config.process.base} base\n")
     shown = [*(name for name in WHOLE_PART if name != "stored_j"), BUILT]
     typer.echo(text_table(shown, [[_cell(row[name]) for name in shown] for row in rows]))
     return ExitCode.PASS
 
 
 def _rows(
-    layers: Layers, low_mm: float, settings: Config, order: str, output: Path | None
+    layers: Layers, low_mm: float, config: Config, order: str, output: Path | None
 ) -> list[dict[str, Any]]:
     """Rows of all layers; also line by line into the table of the output folder."""
     sections = [layer_section(layers.polygons(k)) for k in range(len(layers))]
-    found = scan_part(sections, np.asarray(layers.heights) - low_mm, settings, order, settings.scan.seed)
+    found = scan_part(sections, np.asarray(layers.heights) - low_mm, config, order, config.scan.seed)
     rows: list[dict[str, Any]] = []
     built_s = 0.0
     try:

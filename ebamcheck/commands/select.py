@@ -50,7 +50,7 @@ def select(
     ] = None,
     repeats: Annotated[int, typer.Option(min=1, help="Timed runs of each backend.")] = REPEATS,
     write: Annotated[bool, typer.Option("--write", help="Write the choice into the settings file.")] = False,
-    config: Annotated[
+    config_file: Annotated[
         Path | None,
         typer.Option("-c", "--config", help="Settings (TOML); default: ./ebamcheck.toml."),
     ] = None,
@@ -64,14 +64,12 @@ def select(
         raise SettingsError("give --part or --model, not both")
     if not 0.0 < tolerance_mm < float("inf"):
         raise SettingsError(f"--tolerance-mm {tolerance_mm}: give a positive number of millimetres")
-    path = config or DEFAULT_CONFIG
-    settings = load_config(path if config or path.is_file() else None)
+    path = config_file or DEFAULT_CONFIG
+    config = load_config(path if config_file or path.is_file() else None)
     if layer_height is not None:
-        settings = settings.changed(layers={"layer_height_mm": layer_height, "heights_mm": ()})
-    workpiece = _workpiece(part, model, settings)
-    trials = try_backends(
-        workpiece, settings, repeats, lambda text: typer.echo(f"ebamcheck: {text}", err=True)
-    )
+        config = config.changed(layers={"layer_height_mm": layer_height, "heights_mm": ()})
+    workpiece = _workpiece(part, model, config)
+    trials = try_backends(workpiece, config, repeats, lambda text: typer.echo(f"ebamcheck: {text}", err=True))
     if not any(trial.available for trial in trials):
         raise BackendMissing("no backend is available: see `ebamcheck backends` for the reasons")
     choice = choose(trials, tolerance_mm)
@@ -79,7 +77,7 @@ def select(
         "part": workpiece.title,
         "part_sha256": workpiece.part.sha256,
         "layers": len(workpiece.timed),
-        "layer_height_mm": settings.layer_height_mm,
+        "layer_height_mm": config.layer_height_mm,
         "tolerance_mm": tolerance_mm,
     }
     if as_json:
@@ -95,12 +93,12 @@ def select(
     return ExitCode.PASS
 
 
-def _workpiece(part: Path | None, model: str, settings: Config) -> Workpiece:
+def _workpiece(part: Path | None, model: str, config: Config) -> Workpiece:
     if part is not None:
-        placed, _ = read_part(part, settings.part.model_copy(update={"fix_orientation": False}))
-        return workpiece_of_part(placed, settings.layer_height_mm)
+        placed, _ = read_part(part, config.part.model_copy(update={"fix_orientation": False}))
+        return workpiece_of_part(placed, config.layer_height_mm)
     name = model or DEFAULT_MODEL
-    return workpiece_of_model(models([name])[name], COARSE_MM, settings.layer_height_mm)
+    return workpiece_of_model(models([name])[name], COARSE_MM, config.layer_height_mm)
 
 
 def _record(trials: list[Trial], choice: Choice, circumstances: dict[str, Any]) -> dict[str, Any]:

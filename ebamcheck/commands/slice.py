@@ -42,7 +42,7 @@ def slice_command(
     setting: Annotated[
         list[str] | None, typer.Option("--set", help="Backend setting NAME=VALUE; repeatable.")
     ] = None,
-    config: ConfigOption = None,
+    config_file: ConfigOption = None,
     units: UnitsOption = "",
     direction: DirectionOption = "",
     yes: YesOption = False,
@@ -54,9 +54,9 @@ def slice_command(
         )
     from ebamcheck.plugins import registry
 
-    settings = settings_of(config, units, direction, layer_height)
-    name = backend or settings.slicing.primary or registry.default_backend()
-    values = {**settings.slicing.settings.get(name, {}), **assignments(setting or [])}
+    config = settings_of(config_file, units, direction, layer_height)
+    name = backend or config.slicing.primary or registry.default_backend()
+    values = {**config.slicing.settings.get(name, {}), **assignments(setting or [])}
     registry.slicer_settings(name, values)
     with ExitStack() as opened:
         from ebamcheck.slicers.here import may_run_here
@@ -74,15 +74,15 @@ def slice_command(
         from ebamcheck.slicers.slicing import slice_to_file
 
         with announced():
-            placed = loaded(part, settings)
+            placed = loaded(part, config)
             wanted = (
                 heights_within(placed, numbers(heights, "--heights"), "--heights")
                 if heights
-                else layer_heights(placed, settings.layer_height_mm)
+                else layer_heights(placed, config.layer_height_mm)
             )
-            within_work(placed, wanted, settings, yes)
-            limits = Limits(settings.slicing.time_limit_s, settings.slicing.memory_limit_mb)
-            points = settings.slicing.block_points
+            within_work(placed, wanted, config, yes)
+            limits = Limits(config.slicing.time_limit_s, config.slicing.memory_limit_mb)
+            points = config.slicing.block_points
             made = slice_to_file(placed, wanted, output, name, limits, points, pool, **values)
     print(
         f"{len(wanted)} layers, {made.rings} rings, {made.open_paths} open paths, {made.points} points: {output}"

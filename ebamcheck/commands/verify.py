@@ -35,7 +35,7 @@ def verify(
         list[Path] | None,
         typer.Option(help="Public key, or a folder of them; one must have signed. May be given again."),
     ] = None,
-    config: ConfigOption = None,
+    config_file: ConfigOption = None,
     layer_height: LayerHeightOption = None,
     units: UnitsOption = "",
     as_json: JsonOption = False,
@@ -51,11 +51,11 @@ def verify(
         return _build(target, part, as_json)
     # A run has its own settings: a file that lies about does not matter to it, nor to a program in it.
     own = (target / MANIFEST).is_file()
-    if not own and target.exists() and not (config or units or layer_height):
+    if not own and target.exists() and not (config_file or units or layer_height):
         own = find_record(target) is not None
-    default = not (config or units or layer_height or DEFAULT_CONFIG.is_file())
-    settings = None if own or default else settings_of(config, units, "", layer_height)
-    checks = verification.verify(target, part, settings, quick=quick, trusted=trusted or ())
+    default = not (config_file or units or layer_height or DEFAULT_CONFIG.is_file())
+    config = None if own or default else settings_of(config_file, units, "", layer_height)
+    checks = verification.verify(target, part, config, quick=quick, trusted=trusted or ())
     if as_json:
         print_json([vars(check) for check in checks])
     else:

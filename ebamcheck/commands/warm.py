@@ -62,8 +62,8 @@ def main_job() -> None:
         logging.getLogger("ebamcheck").setLevel(logging.ERROR)
         # Two layers, far thicker than any process lays them.
         thick = {"wire_speed_max_mm_s": 1000.0, "layer_over_bead": (0.5, 20.0)}
-        settings = Config().changed(layers={"layer_height_mm": 20.0}, process=thick)
-        run_job(path, Path(folder, "run"), settings, reference=path)
+        config = Config().changed(layers={"layer_height_mm": 20.0}, process=thick)
+        run_job(path, Path(folder, "run"), config, reference=path)
         logging.getLogger("ebamcheck").setLevel(level)
         # The cube is one island, which needs no order.
         plan_scan(shapely.box(0.0, 0.0, 3.0 * _SIDE_MM, 2.0 * _SIDE_MM))

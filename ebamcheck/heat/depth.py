@@ -59,10 +59,6 @@ class DepthModes:
         """Integral of the modes over the whole depth, (N,)."""
         return self.depth_mm * self.mean_of_layer(self.depth_mm)
 
-    def slope_at_base(self) -> Floats:
-        """Rise of the modes from the base upwards, (N,) 1/mm: 0 where it is insulated."""
-        return self.scale * self.wave_number if self.cooled else np.zeros_like(self.wave_number)
-
 
 def depth_modes(depth_mm: float, count: int, cooled: bool, loss_per_mm: float = 0.0) -> DepthModes:
     """Find the first modes of a depth.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -11,15 +10,11 @@ from numpy.typing import ArrayLike
 
 from ebamcheck.heat.depth import DepthModes
 from ebamcheck.heat.medium import Medium
-from ebamcheck.heat.rectangle import RectangleModes
 from ebamcheck.numeric.rings import Floats
-
-SERIES = 1e-4
-"""Exponents under this are taken as power series, which is exact to the last digits there."""
 
 
 class PlaneModes(Protocol):
-    """Modes of a section, of its contour or in closed form."""
+    """Modes of a section."""
 
     @property
     def eigenvalue(self) -> Floats:
@@ -76,59 +71,6 @@ class HeatModel:
         """Amplitudes after a time without a source."""
         return np.asarray(amplitudes * np.exp(-self.rate * duration_s), np.float64)
 
-    def after_source(self, amplitudes: Floats, shape: Floats, power_w: float, duration_s: float) -> Floats:
-        """Amplitudes after a source that stands still for a time.
-
-        Parameters
-        ----------
-        shape
-            (K,) mean of the modes over the source: over an island, or at a point.
-        """
-        decay = self.rate * duration_s
-        gain = duration_s * held(decay) * np.multiply.outer(shape, self.in_layer)
-        return np.asarray(amplitudes * np.exp(-decay) + self._per_joule(power_w) * gain, np.float64)
-
-    def after_spot(
-        self, amplitudes: Floats, point: ArrayLike, energy_j: float, sigma_mm: float = 0.0
-    ) -> Floats:
-        """Amplitudes after an instantaneous Gaussian spot of a standard deviation."""
-        shape = self._blurred(sigma_mm) * self.plane.at(point)[0]
-        return np.asarray(
-            amplitudes + self._per_joule(energy_j) * np.multiply.outer(shape, self.in_layer), np.float64
-        )
-
-    def after_line(
-        self,
-        amplitudes: Floats,
-        start: ArrayLike,
-        end: ArrayLike,
-        power_w: float,
-        duration_s: float,
-        sigma_mm: float = 0.0,
-        piece_mm: float = 1.0,
-    ) -> Floats:
-        """Amplitudes after a Gaussian spot has moved along a straight line at constant speed.
-
-        On a rectangle it is exact; else the modes count as linear along pieces of the line, over each of
-        which the time is integrated exactly.
-        """
-        a, b = np.asarray(start, np.float64), np.asarray(end, np.float64)
-        rate = self.rate
-        if isinstance(self.plane, RectangleModes):
-            driven = self.plane.line_integral(a, b, duration_s, rate)
-        else:
-            pieces = max(1, int(np.ceil(np.hypot(*(b - a)) / piece_mm)))
-            nodes = self.plane.at(a + np.linspace(0.0, 1.0, pieces + 1)[:, None] * (b - a))
-            driven = np.zeros_like(rate)
-            time = duration_s / pieces
-            decay = rate * time
-            level, ramp, fall = time * held(decay), time * ramped(decay), np.exp(-decay)
-            for first, last in itertools.pairwise(nodes):
-                driven = driven * fall + first[:, None] * level + (last - first)[:, None] * ramp
-        blurred = self._blurred(sigma_mm)[:, None] * self.in_layer
-        gain = self._per_joule(power_w) * driven * blurred
-        return np.asarray(amplitudes * np.exp(-rate * duration_s) + gain, np.float64)
-
     def at(self, amplitudes: Floats, points: ArrayLike, below_mm: float = 0.0) -> Floats:
         """Temperature rise at points (P, 2) at a depth below the surface, (P,) K."""
         return np.asarray(self.plane.at(points) @ (amplitudes @ self.depth.at(below_mm)), np.float64)
@@ -142,32 +84,3 @@ class HeatModel:
         return float(
             self.medium.heat_capacity_j_mm3k * (self.plane.integral() @ amplitudes @ self.depth.integral())
         )
-
-    def base_flow_w(self, amplitudes: Floats) -> float:
-        """Heat that flows into the base."""
-        slope = self.depth.slope_at_base()
-        return float(self.medium.conductivity_w_mmk * (self.plane.integral() @ amplitudes @ slope))
-
-    def radiated_w(self, amplitudes: Floats) -> float:
-        """Heat that the surface radiates."""
-        return float(self.medium.radiation_w_mm2k * (self.plane.integral() @ amplitudes @ self.depth.at(0.0)))
-
-    def _per_joule(self, heat: float) -> float:
-        return heat / self.medium.heat_capacity_j_mm3k
-
-    def _blurred(self, sigma_mm: float) -> Floats:
-        """A Gaussian spot is a point that has spread for sigma^2 / (2 alpha): modes fall by exp(-lambda sigma^2/2)."""
-        return np.asarray(np.exp(-0.5 * self.plane.eigenvalue * sigma_mm**2), np.float64)
-
-
-def held(decay: Floats) -> Floats:
-    """(1 - e^-x) / x: what is left at the end of a unit time of what came in steadily."""
-    safe = np.where(decay == 0.0, 1.0, decay)
-    return np.asarray(np.where(decay == 0.0, 1.0, -np.expm1(-safe) / safe), np.float64)
-
-
-def ramped(decay: Floats) -> Floats:
-    """(1 - held(x)) / x: the same of what came in rising from 0 to 1."""
-    safe = np.where(decay < SERIES, 1.0, decay)
-    series = 0.5 - decay / 6.0 + decay**2 / 24.0
-    return np.asarray(np.where(decay < SERIES, series, (1.0 - held(safe)) / safe), np.float64)

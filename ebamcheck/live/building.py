@@ -25,7 +25,6 @@ from ebamcheck.live.map_reading import map_reading
 from ebamcheck.live.metal_so_far import MetalSoFar
 from ebamcheck.live.publishing import (
     JOURNAL,
-    LAYERS,
     PROGRAM,
     certificate_of,
     layer_name,
@@ -336,10 +335,6 @@ class Building:
         finally:
             shutil.rmtree(staged, ignore_errors=True)
         self._take(reading, {**answer, **current}, layer)
-
-    def layer_folder(self, name: str) -> Path:
-        """Folder of a published layer."""
-        return self.folder / LAYERS / name
 
 
 def _kept(reading: Reading, why: str) -> Answer:

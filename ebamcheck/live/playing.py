@@ -15,9 +15,6 @@ from typing import Any
 from ebamcheck.errors import BackendFailed
 from ebamcheck.live.bed import Growth, bad_lines
 
-LONGEST_ANSWER_S = 600.0
-"""Time in which the server answers; the first answer may wait for kernels to be compiled."""
-
 
 @dataclass(frozen=True)
 class Played:

@@ -219,8 +219,8 @@ def run(
     ...     made.verdict, len(made.gates), len(made.layers)
     ('VALIDATED', 7, 12)
     """
-    file, folder, settings = _given(part, target, config)
-    return Run(run_job(file, folder, settings, reference, resume, observer).folder.path)
+    file, folder, chosen = _given(part, target, config)
+    return Run(run_job(file, folder, chosen, reference, resume, observer).folder.path)
 
 
 def check(
@@ -259,8 +259,8 @@ def check(
     ...     made.verdict, sorted(made.slicers)
     ('AGREED', ['manifold', 'planecut'])
     """
-    file, folder, settings = _given(part, target, config)
-    return Run(check_job(file, folder, settings, resume, observer).folder.path)
+    file, folder, chosen = _given(part, target, config)
+    return Run(check_job(file, folder, chosen, resume, observer).folder.path)
 
 
 def _given(
@@ -273,5 +273,5 @@ def _given(
             "save it first: ebamcheck.save(part, 'part.stl')"
         )
     file = Path(part)
-    settings = config if isinstance(config, Config) else load_config(config)
-    return file, Path(target) if target is not None else Path(f"{file.stem}.run"), for_this_machine(settings)
+    given = config if isinstance(config, Config) else load_config(config)
+    return file, Path(target) if target is not None else Path(f"{file.stem}.run"), for_this_machine(given)

@@ -26,6 +26,9 @@ from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.isolation import Outcome
 
+NO_AGREEMENT = "layers without agreement"
+"""Unit of the gate `agreement`."""
+
 
 @dataclass(frozen=True)
 class Gate:
@@ -69,7 +72,7 @@ def agreement_gate(
         if methods > 1:
             text = f"{methods} methods left, no two of which are independent evidence"
         text += f": {'; '.join([*failed, *idle])}" if failed or idle else ""
-        return Gate("agreement", False, float(layers), 0.0, "layers", text)
+        return Gate("agreement", False, float(layers), 0.0, NO_AGREEMENT, text)
     skipped = layers - good - bad
     text = f"{methods} methods agree on {good} of {layers} layers"
     if bad:
@@ -84,7 +87,7 @@ def agreement_gate(
         text += f"; lost: {'; '.join(failed)}"
     text += "".join(f"; {part}" for part in [*idle, resting(comparison)] if part)
     passed = comparison.passed and good == layers
-    return Gate("agreement", passed, float(bad + skipped), 0.0, "layers", text)
+    return Gate("agreement", passed, float(bad + skipped), 0.0, NO_AGREEMENT, text)
 
 
 def _worst(comparison: Comparison, first_layer_mm: float, base_mm: float) -> str:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
-from ebamcheck.plugins.installed import name_and_version
+from ebamcheck.installed import name_and_version
 
 HOUSE = "ebamcheck"
 """The distribution whose plugins are imported in this process; every other one's are a stranger's."""

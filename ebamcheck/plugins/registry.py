@@ -16,8 +16,8 @@ from typing import Any, cast
 
 from ebamcheck.backend import BackendSettings, Probe, Slicer
 from ebamcheck.errors import BackendMissing, SettingsError
+from ebamcheck.installed import entry_points
 from ebamcheck.plugins.answers import Answer, ask, slicer_answer
-from ebamcheck.plugins.installed import entry_points
 from ebamcheck.plugins.points import BrokenPlugin, broken, is_house, sorted_out
 from ebamcheck.plugins.processes import one_line
 from ebamcheck.plugins.stranger import StrangerSlicer, stranger

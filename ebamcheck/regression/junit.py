@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
-from xml.etree import ElementTree
+
+from junitparser.xunit2 import JUnitXml
 
 from ebamcheck.regression.difference import Difference
 from ebamcheck.regression.job import Regression
@@ -18,14 +19,14 @@ SKIPPED = ("new", "not run")
 
 
 def write_junit(regression: Regression, folder: Path) -> Path:
-    """Write the file, whole or not at all; it holds no times, they stand in ``timings.json``."""
+    """Write the file, whole or not at all; its times are 0, the true ones stand in ``timings.json``."""
     path = folder / JUNIT
     junit.write_junit(document(regression), path)
     return path
 
 
-def document(regression: Regression) -> ElementTree.Element:
-    """Build the tree: one suite, one case an entry."""
+def document(regression: Regression) -> JUnitXml:
+    """Build one suite, one case an entry."""
     return junit.junit(NAME, {NAME: [_case(difference) for difference in regression.differences]})
 
 

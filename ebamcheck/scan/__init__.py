@@ -1,20 +1,17 @@
 """Partition, filling and order of the layers (paper, section 4)."""
 
 from ebamcheck.scan.islands.rectangle import Rectangle, minimum_rectangle
-from ebamcheck.scan.islands.regions import contour_paths
-from ebamcheck.scan.order.orders import ORDERS, LayerIslands
+from ebamcheck.scan.order.orders import LayerIslands
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.scan.plan.comparing import compare_orders
 from ebamcheck.scan.plan.planning import plan_scan, plan_stack
 from ebamcheck.scan.plan.times import simulate_order
 
 __all__ = [
-    "ORDERS",
     "LayerIslands",
     "Rectangle",
     "ScanPlan",
     "compare_orders",
-    "contour_paths",
     "minimum_rectangle",
     "plan_scan",
     "plan_stack",

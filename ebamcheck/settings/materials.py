@@ -7,9 +7,9 @@ figures are nominal: check them against the certificate of the wire and the book
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cache
-from importlib.metadata import entry_points
 from typing import Any
+
+from ebamcheck.installed import entry_points
 
 MATERIALS = "ebamcheck.materials"
 
@@ -109,6 +109,5 @@ def names() -> list[str]:
     return sorted(point.name for point in _points().values())
 
 
-@cache
 def _points() -> dict[str, Any]:
     return {point.name.casefold(): point for point in entry_points(group=MATERIALS)}

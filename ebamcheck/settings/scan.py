@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from importlib.metadata import entry_points
 from typing import Annotated, Literal
 
 from pydantic import field_validator
 
+from ebamcheck.installed import entry_points
 from ebamcheck.settings.base import Angle, Between, Length, Section, Share
 
-SCAN_ORDERS = (
-    "nearest", "nearest-any", "nearest-last", "nearest-sum", "farthest", "raster",
-    "stride", "random", "least-heat", "thermal",
-)  # fmt: skip
-"""Orders of the house; others are found by the entry point group ``ebamcheck.orders``."""
+ORDERS = "ebamcheck.orders"
+"""Entry point group of scan orders."""
+
+
+def order_names() -> list[str]:
+    """Names of the scan orders that are installed, sorted; none is loaded."""
+    return sorted({point.name for point in entry_points(group=ORDERS)})
 
 
 class ScanSettings(Section):
@@ -68,9 +70,6 @@ class ScanSettings(Section):
     @field_validator("order")
     @classmethod
     def _known_order(cls, value: str) -> str:
-        if value in SCAN_ORDERS:
-            return value
-        known = [*SCAN_ORDERS, *sorted({point.name for point in entry_points(group="ebamcheck.orders")})]
-        if value not in known:
+        if value not in (known := order_names()):
             raise ValueError(f"unknown order: choose one of {', '.join(known)}")
         return value

@@ -1,4 +1,6 @@
-"""Test results as JUnit XML (xunit2), as build servers read them: suites of cases, without times, so that the same results give the same bytes."""
+"""Test results as JUnit XML (xunit2), as build servers read them: suites of cases.
+
+All times are 0: they stand elsewhere, so that the same results give the same bytes."""
 
 from __future__ import annotations
 
@@ -6,12 +8,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
-from xml.etree import ElementTree
+
+from junitparser import Error, Failure, Skipped
+from junitparser.xunit2 import JUnitXml, TestCase, TestSuite
 
 from ebamcheck.atomic_file import replacing
 from ebamcheck.showing.markup import clean
 
 Kind = Literal["", "failure", "error", "skipped"]
+
+_RESULTS = {"failure": Failure, "error": Error, "skipped": Skipped}
 
 
 @dataclass(frozen=True)
@@ -28,8 +34,8 @@ class Case:
 
 def junit(
     name: str, suites: Mapping[str, Sequence[Case]], properties: Mapping[str, str] | None = None
-) -> ElementTree.Element:
-    """Build the tree of suites and cases.
+) -> JUnitXml:
+    """Build the suites and their cases.
 
     Parameters
     ----------
@@ -40,48 +46,31 @@ def junit(
     properties
         Names and values that stand in every suite.
     """
-    every = [case for cases in suites.values() for case in cases]
-    root = ElementTree.Element("testsuites", {"name": name, **_counts(every)})
+    whole = JUnitXml(name)
     for suite_name, cases in suites.items():
         if not cases:
             continue
-        heads = {"name": suite_name, **_counts(cases), "skipped": _count(cases, "skipped")}
-        suite = ElementTree.SubElement(root, "testsuite", heads)
-        if properties:
-            parent = ElementTree.SubElement(suite, "properties")
-            for key, value in properties.items():
-                ElementTree.SubElement(parent, "property", {"name": clean(key), "value": clean(value)})
-        for case in cases:
-            _add(suite, case)
-    return root
+        suite = TestSuite(suite_name)
+        for key, value in (properties or {}).items():
+            suite.add_property(clean(key), clean(value))
+        suite.add_testcases([_test_case(case) for case in cases])
+        whole.add_testsuite(suite)
+    whole.update_statistics()
+    return whole
 
 
-def write_junit(root: ElementTree.Element, path: Path) -> None:
+def write_junit(whole: JUnitXml, path: Path) -> None:
     """Write the file, whole or not at all."""
-    ElementTree.indent(root)
     with replacing(path) as temporary:
-        temporary.write_bytes(ElementTree.tostring(root, "utf-8", xml_declaration=True) + b"\n")
+        whole.write(str(temporary), pretty=True)
 
 
-def _add(suite: ElementTree.Element, case: Case) -> None:
-    names = {"classname": clean(case.classname), "name": clean(case.name)}
-    node = ElementTree.SubElement(suite, "testcase", names)
+def _test_case(case: Case) -> TestCase:
+    made = TestCase(clean(case.name), clean(case.classname))
     if case.outcome:
-        said = ElementTree.SubElement(node, case.outcome, {"message": clean(case.message)})
-        if case.outcome != "skipped":
-            said.set("type", case.type)
-        said.text = clean(case.details or case.message)
+        result = _RESULTS[case.outcome](clean(case.message), case.type if case.outcome != "skipped" else None)
+        result.text = clean(case.details or case.message)
+        made.result = result
     elif case.details:
-        ElementTree.SubElement(node, "system-out").text = clean(case.details)
-
-
-def _counts(cases: Sequence[Case]) -> dict[str, str]:
-    return {
-        "tests": str(len(cases)),
-        "failures": _count(cases, "failure"),
-        "errors": _count(cases, "error"),
-    }
-
-
-def _count(cases: Sequence[Case], outcome: Kind) -> str:
-    return str(sum(case.outcome == outcome for case in cases))
+        made.system_out = clean(case.details)
+    return made

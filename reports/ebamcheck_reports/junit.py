@@ -3,7 +3,7 @@
 A method that crashed, hung or was killed is an error. One that is not available or refused the part is skipped,
 as the run is too: whether enough methods are left is what the agreement gate says. A finding that is a fault is a failure;
 a warning is skipped with its text, since it neither passes nor fails; a note passes, and says its text. What is proved and
-what is left to a person stands in the properties of every suite. It holds no times: they stand in ``timings.json``, so that
+what is left to a person stands in the properties of every suite. All times are 0: the true ones stand in ``timings.json``, so that
 the same run gives the same bytes.
 """
 
@@ -12,7 +12,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import Any
-from xml.etree import ElementTree
+
+from junitparser.xunit2 import JUnitXml
 
 from ebamcheck.findings import in_words
 from ebamcheck.pipeline.run_folder import RunFolder
@@ -30,8 +31,8 @@ def write(run: RunFolder) -> list[str]:
     return [NAME]
 
 
-def document(run: RunData) -> ElementTree.Element:
-    """Build the tree of suites and cases."""
+def document(run: RunData) -> JUnitXml:
+    """Build the suites and their cases."""
     suites = {
         "ebamcheck.gates": list(_gates(run)),
         "ebamcheck.findings": list(_findings(run)),

@@ -16,7 +16,7 @@ from ebamcheck.program import NCProgram, read_program
 from ebamcheck.program.checking.deposit import deposit
 from ebamcheck.scan import ScanPlan
 from ebamcheck.scan.islands.regions import layer_section
-from ebamcheck.scan.plan.comparing import COMPARED, SEEDS, OrderComparison, figures_of
+from ebamcheck.scan.plan.comparing import SEEDS, OrderComparison, compared_orders, figures_of
 from ebamcheck.settings.config import Config
 from ebamcheck_reports import metal_picture, overlays, part_picture, program_picture, scan_picture
 from ebamcheck_reports.markup import Markup, element
@@ -165,7 +165,7 @@ def orders(exact: Layers, config: Config, what: str) -> dict[str, str]:
     """All orders of the root layer, `random` as in the table by its mean, and the ranks of the default one."""
     height_mm = float(exact.heights[ROOT_LAYER])
     compared = OrderComparison.of(exact.polygons(ROOT_LAYER), config, ROOT_LAYER, height_mm)
-    rows = [figures_of(name, compared.results(name, SEEDS)) for name in COMPARED]
+    rows = [figures_of(name, compared.results(name, SEEDS)) for name in compared_orders()]
     figures = {row["order"]: (row["travel_mm"], row["entry_max_k"]) for row in rows}
     thermal = next(compared.results("thermal", seeds=1))
     islands = compared.laid.islands

@@ -20,7 +20,7 @@ from ebamcheck.program.checking.checks import Check, count_check, worst_check
 from ebamcheck.program.checking.shapes import shape_distance
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.reading.roles import Beads, beads_of, nearest_layer
-from ebamcheck.program.toolpath.bead_ends import planned_path, with_bead_ends
+from ebamcheck.program.toolpath.bead_ends import with_bead_ends
 from ebamcheck.program.toolpath.inputs import CurveColumns, ScanColumns
 from ebamcheck.program.toolpath.tracks import Toolpath, toolpath
 from ebamcheck.settings.config import Config
@@ -132,16 +132,6 @@ def matched(nc: NCProgram, path: Toolpath) -> tuple[NCProgram, Matching]:
         ),
         result,
     )
-
-
-def as_planned(
-    nc: NCProgram, curves: CurveColumns | None, plan: ScanColumns | None, config: Config
-) -> NCProgram:
-    """Return the program with the roles of the plan that it was made from: contours, islands, or both."""
-    if curves is not None and plan is not None:
-        return matched(nc, planned_path(curves, plan, config))[0]
-    path = tracks_known(curves, plan, config)
-    return nc if path is None else matched(nc, path)[0]
 
 
 def _placed(ends: Floats, layer: Ints) -> Floats:

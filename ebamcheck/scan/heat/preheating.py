@@ -16,7 +16,7 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.heat import HeatModel, Medium, contour_modes, depth_modes
 from ebamcheck.heat.balance import LARGEST_CELL_MM, HeatColumn
 from ebamcheck.heat.one_blas_thread import one_blas_thread
-from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.numeric.rings import Floats
 from ebamcheck.scan.heat.part_heat import driven_bead
 from ebamcheck.settings.config import Config
 
@@ -215,8 +215,3 @@ def spot_peak_k(power_w: float, speed_mm_s: float, config: Config) -> float:
     per_moment = away / (2.0 * math.pi * width) / np.sqrt(math.pi * alpha)
     source = power_w * config.material.absorptivity / medium.heat_capacity_j_mm3k
     return float(source * (2.0 * per_moment).sum(axis=1).max() * math.sqrt(longest_s) / MOMENTS)
-
-
-def layers_scanned(passes: Ints) -> Ints:
-    """Indices of the layers before which a scan comes, of the passes (L,) before each."""
-    return np.flatnonzero(passes > 0)

@@ -24,7 +24,6 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.errors import GeometryError
 from ebamcheck.layers.polygons import valid_polygons
-from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.settings.config import Config
 
@@ -181,27 +180,6 @@ def _beside(region: BaseGeometry, taken: BaseGeometry) -> list[shapely.Polygon]:
     order = np.argsort(part, kind="stable")
     shapely.multipolygons(others[other[order]], indices=part[order], out=near)
     return [polygon for left in shapely.difference(parts, near) for polygon in valid_polygons(left)]
-
-
-def contour_paths(layers: Layers, offset_mm: float) -> Layers:
-    """Centre lines of the contour beads: every layer's solid region inset by `offset_mm`.
-
-    Outward corners stay corners, inward ones are rounded by the offset; points along curves stay as
-    dense as they were. A layer whose region vanishes is empty. The labels (part, direction, slicer) are those of `layers`;
-    the settings name the offset. Open paths bound no region and are left out.
-    """
-    stack = []
-    for k in range(len(layers)):
-        region = inset(layer_section(layers.polygons(k)), offset_mm)
-        stack.append(valid_polygons(region))
-    return from_polygons(
-        layers.heights,
-        stack,
-        part=layers.part,
-        direction=layers.direction,
-        backend=layers.backend,
-        settings={**layers.settings, "contour_offset_mm": offset_mm},
-    )
 
 
 def equivalent_rectangles_mm(

@@ -15,14 +15,15 @@ opposite; ``raster`` is what a machine does without a strategy, ``stride`` leave
 island of it at first, ``random`` is a seeded shuffle. Distance has no memory of time; ``least-heat`` and
 ``thermal`` have: they ask a heat model (:mod:`ebamcheck.heat`) which island is coolest when the beam gets
 there, the latter with a price on the way there (:mod:`ebamcheck.scan.order.thermal`), and at the end of the island that is
-coolest (:mod:`ebamcheck.scan.order.cool_entries`); the others enter at the nearest. Others are found by the entry
-point group ``ebamcheck.orders``.
+coolest (:mod:`ebamcheck.scan.order.cool_entries`); the others enter at the nearest. All of them are entry points of the
+group ``ebamcheck.orders``, as are those of other distributions.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 import shapely
@@ -129,22 +130,22 @@ Order = Callable[..., Ints]
 """An order: from the islands of a layer, :class:`LayerIslands`, a permutation (I,) of their indices.
 
 One with an attribute `needs_heat` that is true is called with a second value, the :class:`IslandHeat` with which the layer
-begins: that left by the layers below, where it is carried. The layers of others are planned without it.
+begins: that left by the layers below, where it is carried. The layers of others are planned without it. The islands of one
+with an attribute `cool_entries` that is true are entered at their coolest ends that are near enough, in place of the nearest.
 """
 
 
 @dataclass(frozen=True)
-class HouseOrder:
-    """An order of the house, and what it says of itself."""
+class HeatOrder:
+    """An order that asks the heat model."""
 
-    plan: Order
-    needs_heat: bool = False
+    plan: Callable[[LayerIslands, IslandHeat], Ints]
     cool_entries: bool = False
-    """Whether islands are entered at cooler ends than the nearest ones."""
+    needs_heat: ClassVar[bool] = True
 
-    def __call__(self, islands: LayerIslands, *heat: IslandHeat) -> Ints:
+    def __call__(self, islands: LayerIslands, heat: IslandHeat) -> Ints:
         """Order the islands."""
-        return self.plan(islands, *heat)
+        return self.plan(islands, heat)
 
 
 def scan_order(name: str | Order, islands: LayerIslands, heat: IslandHeat | None = None) -> Ints:
@@ -187,17 +188,11 @@ def needs_heat(name: str | Order) -> bool:
 
 
 def named_order(name: str | Order) -> Order:
-    """Order of the house or of the entry point group; raises :class:`SettingsError` with the names there are."""
+    """Installed order of that name; raises :class:`SettingsError` with the names there are."""
     if not isinstance(name, str):
         return name
-    return ORDERS.get(name) or _plugin(name)
-
-
-def _plugin(name: str) -> Order:
-    installed = registry.names(registry.ORDERS)
-    if name not in installed:
-        known = ", ".join([*ORDERS, *installed])
-        raise SettingsError(f"scan.order {name!r} is unknown: choose one of {known}")
+    if name not in (installed := registry.names(registry.ORDERS)):
+        raise SettingsError(f"scan.order {name!r} is unknown: choose one of {', '.join(installed)}")
     found: Order = registry.plugin(registry.ORDERS, name)
     return found
 
@@ -325,16 +320,5 @@ def greedy(centroid: Floats, first: int, rule: int) -> Ints:
     return order
 
 
-ORDERS: Mapping[str, Order] = {
-    "nearest": HouseOrder(nearest_any),
-    "nearest-any": HouseOrder(nearest_any),
-    "nearest-last": HouseOrder(nearest_last),
-    "nearest-sum": HouseOrder(nearest_sum),
-    "farthest": HouseOrder(farthest),
-    "raster": HouseOrder(raster),
-    "stride": HouseOrder(stride),
-    "random": HouseOrder(shuffled),
-    "least-heat": HouseOrder(least_heat, needs_heat=True),
-    "thermal": HouseOrder(thermal, needs_heat=True, cool_entries=True),
-}
-"""Orders of the house by name."""
+LEAST_HEAT = HeatOrder(least_heat)
+THERMAL = HeatOrder(thermal, cool_entries=True)

@@ -13,10 +13,11 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.plugins import registry
 from ebamcheck.scan.heat.island_heat import IslandHeat, island_heat
 from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.scan.order.cool_entries import modes_at_entries, rises_at_entries
-from ebamcheck.scan.order.orders import ORDERS, LayerIslands, chosen_options, needs_heat, scan_order
+from ebamcheck.scan.order.orders import LayerIslands, chosen_options, needs_heat, scan_order
 from ebamcheck.scan.order.simulation import entry_temperatures, nearest_options
 from ebamcheck.scan.order.touching import touching, touching_successors
 from ebamcheck.scan.plan.columns import ScanPlan
@@ -25,9 +26,6 @@ from ebamcheck.scan.plan.stacking import in_order, stack_plans
 from ebamcheck.scan.plan.times import simulate_order
 from ebamcheck.scan.plan.whole_part import OrderedLayer
 from ebamcheck.settings.config import Config
-
-COMPARED = tuple(name for name in ORDERS if name != "nearest")
-"""Orders that are compared unless others are named: each once, `nearest` by its full name."""
 
 RANDOM = "random"
 
@@ -101,6 +99,18 @@ class OrderResult:
         }
 
 
+def compared_orders() -> tuple[str, ...]:
+    """Names of the orders that are compared unless others are named: each that is installed once, by its fullest name.
+
+    Examples
+    --------
+    >>> "nearest" in compared_orders(), "nearest-any" in compared_orders()
+    (False, True)
+    """
+    installed = registry.load_plugins(registry.ORDERS)
+    return tuple({id(order): name for name, order in installed.items()}.values())
+
+
 def compare_orders(
     polygons: BaseGeometry | Iterable[BaseGeometry],
     config: Config | None = None,
@@ -143,7 +153,7 @@ def compare_orders(
     """
     config = config or Config()
     compared = OrderComparison.of(polygons, config, layer, height_mm)
-    names = COMPARED if orders is None else orders
+    names = compared_orders() if orders is None else orders
     rows = [figures_of(name, compared.results(name, seeds)) for name in names]
     return pd.DataFrame(rows, columns=list(FIGURES))
 

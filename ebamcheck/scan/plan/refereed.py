@@ -67,11 +67,6 @@ def referee_of(laid: LaidLayer, config: Config, cells_per_island: float = CELLS_
     return referee(section, config, laid.height_mm, width_mm / cells_per_island)
 
 
-def refereed(model: Referee, plan: ScanPlan, config: Config) -> Verdict:
-    """Drive a plan of one layer from cold; what it finds is by island of the plan."""
-    return _driven(model, plan, config, plan.islands, _entered_s(plan, config))
-
-
 def refereed_entries(model: Referee, plan: ScanPlan, config: Config) -> tuple[Floats, Floats]:
     """Temperature rise of each island, and of a spot as wide as a bead where the beam enters it, (I,) K; NaN without lines."""
     first = plan.vectors.drop_duplicates("island")

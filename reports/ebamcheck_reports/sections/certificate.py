@@ -27,7 +27,7 @@ WHAT = (
     "written on this page by hand."
 )
 
-BLANK = "_" * 32
+BLANK = "_" * 24
 """Room to write by hand."""
 
 
@@ -75,8 +75,8 @@ def render(run: RunData) -> Markup:
 def _findings(found: Mapping[str, Any]) -> list[Markup]:
     """What is proved and left to do, and the findings; none in a certificate of an earlier version."""
     said = [
-        (head, "; ".join(found[name]))
-        for head, name in (("proved", "proved"), ("left to you", "left_to_do"), ("not proved", "not_proved"))
+        paragraph(element("b", f"{head}: "), "; ".join(found[name]), ".")
+        for head, name in (("Proved", "proved"), ("Left to you", "left_to_do"), ("Not proved", "not_proved"))
         if found.get(name)
     ]
     rows = [
@@ -84,7 +84,7 @@ def _findings(found: Mapping[str, Any]) -> list[Markup]:
         for f in found.get("findings", [])
     ]
     columns = ("severity", "finding", "what", "where", "what to do")
-    return [*([facts(said)] if said else []), *([table(columns, rows)] if rows else [])]
+    return [*said, *([table(columns, rows)] if rows else [])]
 
 
 def _hashes(found: Mapping[str, Any]) -> list[tuple[str, Markup]]:

@@ -113,7 +113,7 @@ def _totals(record: Mapping[str, Any]) -> Markup:
             ),
             ("of that with beam on", figure(total["deposit_s"], text=duration(total["deposit_s"]))),
             ("of that in rapid moves", figure(total["travel_s"], text=duration(total["travel_s"]))),
-            ("of that waiting between layers", figure(pause_s, text=duration(pause_s))),
+            ("of that waiting", figure(pause_s, text=duration(pause_s))),
             ("motions", figure(total["motions"])),
             ("contour path", figure(total["contour_mm"], "mm")),
             ("hatch path", figure(total["hatch_mm"], "mm")),
