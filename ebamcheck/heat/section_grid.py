@@ -91,9 +91,7 @@ class SectionGrid:
         rows, columns = self.number.shape
         column, row = corner[:, :1] + reach, corner[:, 1:] + reach
         wide, high = (column >= 0) & (column < columns), (row >= 0) & (row < rows)
-        cell = self.number[
-            np.clip(row, 0, rows - 1)[:, :, None], np.clip(column, 0, columns - 1)[:, None, :]
-        ]
+        cell = self.number[np.clip(row, 0, rows - 1)[:, :, None], np.clip(column, 0, columns - 1)[:, None, :]]
         cell = np.where(high[:, :, None] & wide[:, None, :], cell, -1)
         weight = along[:, :, 0].T[:, None, :] * along[:, :, 1].T[:, :, None]
         return weight.reshape(len(corner), -1), cell.reshape(len(corner), -1)

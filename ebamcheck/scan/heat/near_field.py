@@ -244,7 +244,12 @@ def between_pieces(
     """Share of the heat of one island of each pair in a unit area of the other in an endless plane, (U, Q) 1/mm^2."""
     result = np.zeros((len(pairs), len(spread)))
     most = np.diff(first).max() if len(first) > 1 else 0
-    away, variances, weight, part = (np.empty(most**2), np.empty(most**2), np.empty(most**2), np.empty(most**2))
+    away, variances, weight, part = (
+        np.empty(most**2),
+        np.empty(most**2),
+        np.empty(most**2),
+        np.empty(most**2),
+    )
     for n in range(len(pairs)):
         m = 0
         for a in range(first[pairs[n, 0]], first[pairs[n, 0] + 1]):

@@ -50,6 +50,9 @@ MOST_WORK = 4e9
 MOVES_AN_ISLAND = 800
 """Moves tried for each island when a plan is improved: on layers of few, more find nothing."""
 
+THREADED = 100
+"""Islands from which greedy plans are made on all threads: one takes milliseconds then."""
+
 Rank = tuple[int, float, float]
 """Rank of a plan, see :func:`ranked`: the less the better."""
 
@@ -105,8 +108,7 @@ def thermal_order(
             done.append((order, ranked(heat, schedule, beside, rapid_mm_s, order, longest_mm)))
         return done
 
-    # Threads pay on layers of many islands only.
-    found = run_blocks(plans, len(tries), smallest=1 if count > MOST_ISLANDS else len(tries))
+    found = run_blocks(plans, len(tries), smallest=1 if count > THREADED else len(tries))
     plans_made = sorted(itertools.chain(*found), key=lambda plan: plan[1])
     best, best_rank = plans_made[0]
     if count > MOST_ISLANDS or steps == 0:
