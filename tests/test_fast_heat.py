@@ -68,7 +68,7 @@ def test_weights_of_cells_are_those_of_the_products_along_both_axes():
             cells = {}
             for dx in reach:
                 for dy in reach:
-                    x, y = corner + (dx, dy)
+                    x, y = int(corner[0]) + dx, int(corner[1]) + dy
                     if (
                         0 <= y < grid.number.shape[0]
                         and 0 <= x < grid.number.shape[1]

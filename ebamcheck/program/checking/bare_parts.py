@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-
 import numpy as np
 import shapely
 from scipy import ndimage
 from shapely.geometry.base import BaseGeometry
 
+from ebamcheck.layers.polygons import valid_polygons
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.scan.filling.coverage import BareSamples, bare_samples
 
@@ -16,13 +15,10 @@ MARGIN = 2
 """Samples by which the box around a patch is wider than the patch: what is bare between its samples and the next ones."""
 
 
-def bare_parts(
-    region: BaseGeometry,
-    segments: Floats,
-    bead_width_mm: float,
-    wider_than_mm: Callable[[], float] = lambda: 0.0,
-) -> Iterator[BaseGeometry]:
-    """Cut out the parts of a region that lie further than half a bead width from every segment.
+def widest_part(
+    region: BaseGeometry, segments: Floats, bead_width_mm: float, wider_than_mm: float = 0.0
+) -> tuple[float, shapely.Polygon | None]:
+    """Find the widest part of a region that lies further than half a bead width from every segment.
 
     Only beads that reach a patch of bare samples are laid there, so that a few bare spots of a layer of a thousand beads
     cost no union of a thousand. What holds no sample, no wider than one and a half steps of them, is left out.
@@ -36,27 +32,33 @@ def bare_parts(
     bead_width_mm
         Width of the beads.
     wider_than_mm
-        Width that is asked for, each time anew: patches come the widest first, and those that cannot hold a circle of
-        that diameter are not cut out any more.
+        Width that is asked for: patches come the widest first, and those that cannot hold a circle of that diameter, or
+        of that of a part found already, are not cut out.
 
-    Yields
-    ------
-    Polygon
-        A bare part, within the box around its patch.
+    Returns
+    -------
+    tuple
+        Diameter of the largest circle in the part, mm, and the part, within the box around its patch; `wider_than_mm`
+        and None where none is wider.
     """
     bare = bare_samples(region, segments, bead_width_mm)
+    widest_mm, widest = wider_than_mm, None
     if bare.covered == 1.0:
-        return
-    boxes, widest_mm = _patches(bare)
+        return widest_mm, widest
+    boxes, most_mm = _patches(bare)
     lines = np.asarray(shapely.linestrings(segments.reshape(-1, 2, 2)), object)
     tree = shapely.STRtree(lines)
-    for n in np.argsort(-widest_mm, kind="stable"):
-        if widest_mm[n] <= wider_than_mm():
-            return
+    for n in np.argsort(-most_mm, kind="stable"):
+        if most_mm[n] <= widest_mm:
+            break
         near = np.sort(tree.query(boxes[n], predicate="dwithin", distance=0.5 * bead_width_mm))
         beads = shapely.union_all(shapely.buffer(lines[near], 0.5 * bead_width_mm))
         left = shapely.difference(shapely.intersection(region, boxes[n]), beads)
-        yield from (part for part in shapely.get_parts(left) if part.geom_type == "Polygon")
+        for part in valid_polygons(left):
+            across_mm = 2.0 * float(shapely.length(shapely.maximum_inscribed_circle(part)))
+            if across_mm > widest_mm:
+                widest_mm, widest = across_mm, part
+    return widest_mm, widest
 
 
 def _patches(bare: BareSamples) -> tuple[np.ndarray, Floats]:

@@ -9,7 +9,7 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.rings import Bools, Floats, Ints
-from ebamcheck.program.checking.bare_parts import bare_parts
+from ebamcheck.program.checking.bare_parts import widest_part
 from ebamcheck.program.checking.bead_wire import bead_wire_check
 from ebamcheck.program.checking.checks import Check, count_check, row_faults
 from ebamcheck.program.checking.hatch_form import form_checks
@@ -232,12 +232,11 @@ def _gaps(nc: NCProgram, config: Config, z_of: Floats, layers: Layers) -> Check:
         mine = rows[index == k]
         if inner.is_empty or not mine.size:
             continue
-        for bare in bare_parts(inner, _segments(nc, mine), width, wider_than_mm=lambda: worst):
-            across = 2.0 * float(shapely.length(shapely.maximum_inscribed_circle(bare)))
-            if across > worst:
-                centre = bare.representative_point()
-                worst, where = across, nc.where(_nearest(nc, mine, centre))
-                place = f" at ({centre.x:.3f}, {centre.y:.3f})"
+        across, bare = widest_part(inner, _segments(nc, mine), width, worst)
+        if bare is not None:
+            centre = bare.representative_point()
+            worst, where = across, nc.where(_nearest(nc, mine, centre))
+            place = f" at ({centre.x:.3f}, {centre.y:.3f})"
     text = f"widest gap between beads{place}: {worst:.4g} mm"
     return Check("gaps", worst <= limit, worst, limit, "mm", where, text)
 
