@@ -50,18 +50,18 @@ class Grids(NamedTuple):
 
 def even_mesh(wall: RingWall, facets: int) -> Part:
     """Return a closed, outward mesh of about that many facets, its vertices on the surface and 32-bit floats."""
-    grids = _grids_of(wall, facets)
+    grids = grids_of(wall, facets)
     points, faces = _wall_mesh(wall, grids.wall)
     vertices, triangles, first = [points], [faces], len(points)
     for channel, grid in zip(wall.channels, grids.channels, strict=True):
-        points, faces = _channel_mesh(wall, channel, grid)
+        points, faces = channel_mesh(wall, channel, grid)
         vertices.append(points)
         triangles.append(faces + first)
         first += len(points)
     return make_part(np.concatenate(vertices), np.concatenate(triangles), f"{wall.name}-even")
 
 
-def _grids_of(wall: RingWall, facets: int) -> Grids:
+def grids_of(wall: RingWall, facets: int) -> Grids:
     """Grids whose count of facets comes nearest."""
     area = 2.0 * _circumference(wall) * wall.height_mm
     area += sum(_girth(c) * (c.ends.high_mm - c.ends.low_mm) for c in wall.channels)
@@ -115,7 +115,7 @@ def _wall_mesh(wall: RingWall, grid: Grid) -> tuple[Floats, NDArray[np.int64]]:
     u = _staggered(len(row), grid.columns)
     points = _rows(wall.wall_point(u, z[row][:, None], lip[row][:, None], 1.0), side > 0.0)
     points += _rows(wall.wall_point(u, z[row][:, None], lip[row][:, None], -1.0), side < 0.0)
-    return single(points), _staggered_faces(len(row) + 1, grid.columns) % len(points)
+    return single(points), staggered_faces(len(row) + 1, grid.columns) % len(points)
 
 
 def _rows(points: Floats, kept: NDArray[np.bool_]) -> Floats:
@@ -123,7 +123,7 @@ def _rows(points: Floats, kept: NDArray[np.bool_]) -> Floats:
     return np.where(kept[None, :, None], points, 0.0).reshape(3, -1).T
 
 
-def _channel_mesh(wall: RingWall, channel: Channel, grid: Grid) -> tuple[Floats, NDArray[np.int64]]:
+def channel_mesh(wall: RingWall, channel: Channel, grid: Grid) -> tuple[Floats, NDArray[np.int64]]:
     """A closed tube between two poles, looking into it."""
     z, cap = levels(channel.ends, list(grid.rows))
     u = _staggered(len(z) - 2, grid.columns)
@@ -134,7 +134,7 @@ def _channel_mesh(wall: RingWall, channel: Channel, grid: Grid) -> tuple[Floats,
     bottom, top = 2 + ring, len(points) - grid.columns + ring
     faces = [
         np.column_stack([np.zeros_like(ring), np.roll(bottom, -1), bottom]),
-        2 + _staggered_faces(len(z) - 2, grid.columns),
+        2 + staggered_faces(len(z) - 2, grid.columns),
         np.column_stack([np.ones_like(ring), top, np.roll(top, -1)]),
     ]
     return points, np.concatenate(faces)[:, ::-1]
@@ -146,7 +146,7 @@ def _staggered(rows: int, columns: int) -> Floats:
     return result
 
 
-def _staggered_faces(rows: int, columns: int) -> NDArray[np.int64]:
+def staggered_faces(rows: int, columns: int) -> NDArray[np.int64]:
     """Two facets a cell, (2 (rows - 1) columns, 3), along the short diagonal of each."""
     k, j = np.meshgrid(np.arange(rows - 1), np.arange(columns), indexing="ij")
     a, b = k * columns + j, k * columns + (j + 1) % columns

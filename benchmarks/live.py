@@ -22,6 +22,7 @@ import pandas as pd
 from benchmarks.machine import machine
 from benchmarks.tables import markdown_table
 from ebamcheck.live.bed import Growth
+from ebamcheck.live.between_layers import BetweenLayers
 from ebamcheck.live.building import Building
 from ebamcheck.live.desk import answer_to
 from ebamcheck.live.loading import FinishedRun, finished_run
@@ -48,6 +49,7 @@ def built(found: FinishedRun, growth: Growth, side_mm: float | None, most: int |
     ):
         building = Building(maker, Path(folder) / "build")
         try:
+            between = BetweenLayers(building)
             answer = answer_to(building, b'{"event": "start"}')
             while answer["answer"] == "published" and (most is None or len(rows) < most):
                 layer, thickness_mm = int(answer["layer"]), float(answer["thickness_mm"])
@@ -57,7 +59,7 @@ def built(found: FinishedRun, growth: Growth, side_mm: float | None, most: int |
                 answer = answer_to(building, line)
                 seconds = time.perf_counter() - wall
                 spent = time.process_time() - processor
-                building.heights.write()
+                between(answer)
                 if answer["answer"] == "published":
                     stages = {name: answer["seconds"].get(name, 0.0) for name in STAGES}
                     rows.append({"layer": layer + 1, "islands": answer["islands"], "tries": answer["tries"],

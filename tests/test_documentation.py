@@ -100,6 +100,7 @@ WITHOUT_UNIT = {
     "decimals",
     "rays_per_call",
     "block_points",
+    "slabs",  # counts
     "processes",
     "bspline_shift",
     "curvature_share",  # of the acceleration

@@ -34,7 +34,9 @@ from ebamcheck.program.controls.gcode.writing import write_linuxcnc, write_plain
 from ebamcheck.program.controls.sinumerik.writing import write_program
 from ebamcheck.program.toolpath.inputs import interpass_of
 from ebamcheck.scan import ScanPlan, plan_stack
+from ebamcheck.scan.heat import interpass
 from ebamcheck.scan.heat.interpass import shortest_wait_s
+from ebamcheck.scan.plan import whole_part
 from ebamcheck.settings.config import Config
 
 POSTS = {"sinumerik-840d-sl": write_program, "linuxcnc": write_linuxcnc, "plain-gcode": write_plain_gcode}
@@ -327,3 +329,38 @@ def test_an_empty_layer_is_no_obstacle():
     plan = plan_stack(from_polygons(heights, [[box], [], [box]]), CONFIG)
     assert plan.metrics["power_share"].isna().tolist() == [False, True, False]
     assert HeatColumn(CONFIG).surface_k == CONFIG.process.ambient_temperature_k
+
+
+@pytest.mark.parametrize("name", ["power", "both"])
+def test_a_layer_that_fits_is_simulated_once_and_is_the_one_with_waits(name, monkeypatch):
+    """The search for the power ends with a layer in which no bead waits: it is taken, and not worked out again."""
+    made, alike, simulated = [], [], interpass.simulate
+
+    def watched(job, found, config, share, *arguments, **options):
+        done = simulated(job, found, config, share, *arguments, **options)
+        made.append((share, done))
+        return done
+
+    monkeypatch.setattr(interpass, "simulate", watched)
+    cooled = interpass.cooled_layer
+
+    def both_ways(job, found, config, guess=0.0):
+        first = len(made)
+        result = cooled(job, found, config, guess)
+        shares = [share for share, done in made[first:] if done is not None]
+        waits = config.process.interpass in ("dwell", "both")
+        if (result.bead_wait_s == 0.0).all() and result.wait_s <= config.process.layer_pause_s:
+            assert len(shares) == len(set(shares))
+            again = simulated(job, found, config, result.power_share, waits)
+            for key in ("bed_k", "mean_k", "bead_wait_s"):
+                assert np.array_equal(getattr(again, key), getattr(result, key))
+            assert np.array_equal(again.after.state, result.after.state)
+            assert np.array_equal(again.after.column.content, result.after.column.content)
+            assert again.time_s == result.time_s
+            alike.append(result)
+        return result
+
+    monkeypatch.setattr(whole_part, "cooled_layer", both_ways)
+    planned(interpass=name, interpass_limit_k=1900.0)
+    assert len(alike) > LAYERS // 2
+    assert any(layer.power_share < 1.0 for layer in alike)

@@ -15,13 +15,17 @@ from ebamcheck.atomic_file import replacing
 from ebamcheck.errors import ExitCode
 from ebamcheck.json_values import plain
 from ebamcheck.live.bed import Growth
+from ebamcheck.live.between_layers import BetweenLayers
 from ebamcheck.live.building import Answer, Building
 from ebamcheck.live.heights import bead_limits
 from ebamcheck.live.loading import FinishedRun
 from ebamcheck.live.opcua.desk import PROFILE, desk_profile, faults_of, played
 from ebamcheck.live.opcua.door import Door
 from ebamcheck.live.opcua.link import checked, installed
+from ebamcheck.live.opcua.panel import Panel
 from ebamcheck.live.opcua.playing import PlayedLayer
+from ebamcheck.live.opcua.stored_files import StoredFiles
+from ebamcheck.scratch import scratch_folder
 from ebamcheck.settings.config import Config, load_config
 from ebamcheck.settings.opcua import OpcuaSettings
 
@@ -36,11 +40,14 @@ def opcua_of(config: Config, file: Path | None, url: str) -> OpcuaSettings:
 
 def follow_control(building: Building, opcua: OpcuaSettings) -> ExitCode:
     """Lead a build on a control to its end, and tell every answer as a line of JSON."""
+    between = BetweenLayers(building)
 
     def tell(answer: Answer) -> None:
         sys.stdout.write(json.dumps(plain(answer), sort_keys=True, allow_nan=False) + "\n")
         sys.stdout.flush()
-        building.heights.write(ended=building.finished)
+        # What is published goes to the control first.
+        if answer["answer"] != "published":
+            between(answer)
 
     async def lead() -> Answer:
         return await Door(building, building.maker.config.machine, opcua, tell).run()
@@ -76,9 +83,11 @@ def play_control(
     typer.echo(f"listens at {opcua.url}; in another terminal: ")
     typer.echo(f"    ebamcheck live {found.folder.path} --opcua --config {folder / PROFILE}")
     typer.echo(f"{'layer':>5} {'base':>9} {'planned':>8} {'grown':>8} {'waited':>8}  program")
-    program, ended = asyncio.run(
-        played(found.config, opcua, access, top_mm, growth, speed, named, tell, sessions)
-    )
+    with scratch_folder() as files:
+        panel = Panel(files=StoredFiles(files))
+        program, ended = asyncio.run(
+            played(found.config, opcua, access, top_mm, growth, speed, named, tell, sessions, panel)
+        )
     with replacing(folder / TABLE) as temporary, temporary.open("w", newline="") as file:
         writer = csv.DictWriter(file, [field.name for field in fields(PlayedLayer)])
         writer.writeheader()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -18,9 +19,12 @@ from ebamcheck.live.making import LayerMaker
 from ebamcheck.live.map_files import read_map
 from ebamcheck.live.metal_so_far import MetalSoFar
 from ebamcheck.live.relaying import Relayered, relayer
+from ebamcheck.live.tilting import tilted
 from ebamcheck.live.turned import stands_of
 from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.program.checking.metal_below import MetalBelow
+from ebamcheck.program.language.files import preheat_name
+from ebamcheck.settings.config import Config
 
 
 def relayer_command(
@@ -68,19 +72,19 @@ def relayer_command(
         if len(turned) != 3:
             raise SettingsError(f"--direction {direction!r}: give three numbers")
     found = finished_run(run, part, turned)
+    if turned is not None and alike(turned, run):
+        turned, found = None, finished_run(run, part)
     layers = len(found.thickness_mm)
     if not 0 <= layer < layers:
         raise SettingsError(f"--layer {layer}: the run has the layers 0 to {layers - 1}")
-    if turned is not None and not (found.config.machine.tilt_axes or alike(turned, run)):
-        raise SettingsError(
-            f"--direction {direction}: the control {found.config.machine.control!r} has no axes that turn the part between layers "
-            "(machine.tilt_axes)"
-        )
+    before = None
+    if turned is not None:
+        before = finished_run(run, part)
+        found = replace(found, config=_turning(before, found, direction))
     heat = heat_under(found.plan, layer, found.thickness_mm, found.busy_s(), found.config)
     folder = output or run.with_name(f"{run.resolve().name.removesuffix('.run')}.live")
     with LayerMaker(found.part, found.config, found.primary, annealing) as maker:
-        if turned is not None and not alike(turned, run):
-            before = finished_run(run, part)
+        if before is not None:
             built_mm = float(before.tops_mm[layer - 1]) if layer else 0.0
             maker.stands = stands_of(before.part, found.part, built_mm, before.config)
         # Along another direction other layers would have been laid than those that the run knows.
@@ -95,6 +99,17 @@ def relayer_command(
     else:
         _tell(done, found, layer)
     return ExitCode.PASS if done.place is not None else ExitCode.OUT_OF_TOLERANCE
+
+
+def _turning(before: FinishedRun, found: FinishedRun, direction: str) -> Config:
+    """Settings of a layer of the turned part; refused where nothing turns it."""
+    machine = found.config.machine
+    if not (machine.tilt_axes or machine.rotary):
+        raise SettingsError(
+            f"--direction {direction}: the control {machine.control!r} has no axes that turn the part between layers "
+            "(machine.tilt_axes)"
+        )
+    return tilted(before.part, found.part, found.config)
 
 
 def alike(direction: tuple[float, ...], run: Path) -> bool:
@@ -125,6 +140,9 @@ def _tell(done: Relayered, found: FinishedRun, layer: int) -> None:
         typer.echo(f"note: {text}")
     old = found.program_of(layer)
     was = f" in place of {old['name']}" if old else ""
+    scan = preheat_name(found.config.machine.program_name, layer)
+    if old and scan in {Path(file["name"]).stem for file in found.manifest["program"]["files"]}:
+        was += f" and of {scan}, the scan before it"
     if done.place is None:
         stays = f", {old['name']}" if old else ""
         typer.echo(f"layer {layer}: {done.made.why}; the old layer stays{stays}")

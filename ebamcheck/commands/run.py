@@ -102,6 +102,14 @@ def check(
     place: PlaceOption = "",
     rotate: RotateOption = None,
     fix_orientation: FixOption = False,
+    slabs: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            max=10_000,
+            help="Read, cut and compare a binary STL in so many slabs of z; default: 1, more where memory asks for it.",
+        ),
+    ] = None,
     yes: YesOption = False,
     resume: ResumeOption = False,
     force: ForceOption = False,
@@ -110,13 +118,17 @@ def check(
     """Slice with every backend and compare all pairs on every layer; as `run`, without a program."""
     config = job_settings(config_file, units, direction, layer_height, backends, witnesses, fix_orientation)
     config, source = placed_settings(config, place, rotate), part_or_plate(part, plate)
-    part_ready = begun(source, config, "check", yes)
+    config = config if slabs is None else config.changed(slicing={"slabs": slabs})
+    from ebamcheck.preflight.slab_work import wanted_slabs
+
+    # A part that is checked in slabs is never read whole.
+    part_ready = None if wanted_slabs(source, config) > 1 else begun(source, config, "check", yes)
     from ebamcheck.commands.progress import watched
     from ebamcheck.pipeline import check_job
 
     with watched() as observer:
         folder = output or Path(f"{source.stem}.run")
-        result = check_job(source, folder, config, resume, observer, part_ready, force=force)
+        result = check_job(source, folder, config, resume, observer, part_ready, yes, force)
     return _told(result, as_json)
 
 

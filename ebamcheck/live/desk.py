@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import IO, Any
 
 from ebamcheck.json_values import plain
+from ebamcheck.live.between_layers import BetweenLayers
 from ebamcheck.live.building import Answer, Building
 from ebamcheck.live.making import failure_of
 from ebamcheck.live.readings import LONGEST_LINE, Refusal, parsed
@@ -61,7 +62,7 @@ def serve(
     told
         Called with each answer.
     """
-    said_late = False
+    said_late, between = False, BetweenLayers(building)
     while True:
         try:
             line = lines.next(None if said_late else timeout_s)
@@ -78,8 +79,7 @@ def serve(
         told(answer)
         out.write(json.dumps(plain(answer), sort_keys=True, allow_nan=False) + "\n")
         out.flush()
-        # Nobody waits any more: what is only looked at is written now.
-        building.heights.write(ended=building.finished)
+        between(answer)
         if answer["answer"] == "stopped":
             return
 

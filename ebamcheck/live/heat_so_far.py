@@ -10,6 +10,7 @@ from ebamcheck.heat.balance import HeatColumn, LayerShape
 from ebamcheck.scan.heat.interpass import SimulatedLayer
 from ebamcheck.scan.heat.part_heat import PartHeat
 from ebamcheck.scan.plan.columns import PlanOfLayers, ScanPlan
+from ebamcheck.scan.plan.preheated import preheated
 from ebamcheck.settings.config import Config
 
 
@@ -74,10 +75,18 @@ def heat_under(
     wait_s, share = (np.nan_to_num(plan.metrics[name].to_numpy()) for name in ("wait_s", "power_share"))
     share = np.where(share > 0.0, share, 1.0)
     full_w = config.process.power_w * config.material.absorptivity
+    scans = (
+        np.zeros(len(wait_s))
+        if "preheat_passes" not in plan.metrics
+        else plan.metrics["preheat_passes"].to_numpy()
+    )
+    sections, z_mm = list(plan.sections), np.concatenate([[0.0], np.cumsum(thickness_mm)])
     for k in range(layer):
         shape = LayerShape.of(plan.sections[k], float(thickness_mm[k]))
         if shape.area_mm2 <= 0.0:
             continue
+        if scans[k] > 0:
+            column = preheated(PartHeat(column), sections, k, float(z_mm[k]), config)[0].column
         column.advance(float(wait_s[k]))
         column.lay(shape)
         column.advance(float(busy[k].sum()), float(busy[k, 0] * share[k]) * full_w)

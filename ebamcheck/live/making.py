@@ -26,29 +26,27 @@ from ebamcheck.layers.stack import Layers
 from ebamcheck.live.clock import Clock
 from ebamcheck.live.heat_so_far import HeatSoFar
 from ebamcheck.live.layer_feed import at_layer_feed
+from ebamcheck.live.metal_checks import metal_checks
 from ebamcheck.live.metal_so_far import MetalSoFar
 from ebamcheck.live.turned import Stands, turned_checks
+from ebamcheck.live.warm_layer import height_under_mm, preheated_in_layers, scan_seconds
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline import gates
 from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.fit_evidence import FitVerdict, judged
 from ebamcheck.pipeline.gates import Gate
-from ebamcheck.pipeline.live_program import without_preheating
 from ebamcheck.pipeline.programming import bead_paths, smooth_layers
 from ebamcheck.plugins import registry
 from ebamcheck.program import Check, ProgramFiles, mark_validated, verify_program
-from ebamcheck.program.checking.deposit import deposit
-from ebamcheck.program.checking.deposit_checks import deposit_checks
 from ebamcheck.program.checking.hatch_form import form_checks
 from ebamcheck.program.checking.matching import matched
 from ebamcheck.program.language.control import control
-from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.toolpath.bead_ends import planned_path
-from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.scan.order.orders import needs_heat
 from ebamcheck.scan.plan.columns import ScanPlan
+from ebamcheck.scan.plan.preheated import preheated
 from ebamcheck.scan.plan.stacking import in_order, stack_plans
 from ebamcheck.scan.plan.whole_part import Stack, laid_layer, ordered_on
 from ebamcheck.settings.config import Config
@@ -140,12 +138,12 @@ class LayerMaker:
     BackendMissing
         If there are no two exact slicers on this machine.
     SettingsError
-        If programs of the control are not read back, or the settings ask for preheating.
+        If programs of the control are not read back.
     """
 
     def __init__(self, part: Part, config: Config, primary: str = "", annealing_steps: int = 0) -> None:
         name = config.machine.control
-        without_preheating(config, "layers between layers")
+        config = preheated_in_layers(config)
         if not control(name).is_read:
             raise SettingsError(
                 f"machine.control {name!r}: what is written for it is not read back, so that no layer of it can be proved"
@@ -278,6 +276,7 @@ class LayerMaker:
                 layers=witness,
                 heat=True,
                 before=heat.rested(wait_s + rise_s).part.column,
+                under=self._under(config, self.witness),
                 sha256=files.sha256,
                 smooth=smooth if config.curves.method in LIFTED else None,
             )
@@ -291,7 +290,7 @@ class LayerMaker:
                 files = mark_validated(files)
         return MadeLayer(
             wanted, config, config.layers.heights_mm[0], files, tuple(made), tuple(checks), after, stands, wait_s,
-            len(plan.islands), after.layer_s, clock.seconds,
+            len(plan.islands), after.layer_s + scan_seconds(program, config), clock.seconds,
         )  # fmt: skip
 
     def _cut(self, wanted: Wanted, config: Config) -> dict[str, Layers]:
@@ -334,6 +333,13 @@ class LayerMaker:
         done = {name: Outcome(name, file=Path(name)) for name in cuts}
         return gates.agreement_gate(found, done, 1)
 
+    def _under(self, config: Config, backend: str) -> BaseGeometry | None:
+        """Section of what the layer lies on, where that is preheated."""
+        height_mm = height_under_mm(config)
+        if height_mm is None:
+            return None
+        return layer_section(self._slicings[backend].at(self.bottom_mm + height_mm).polygons(0))
+
     def _planned(
         self, smooth: Layers, wanted: Wanted, heat: HeatSoFar, config: Config
     ) -> tuple[ScanPlan, HeatSoFar, float]:
@@ -345,37 +351,18 @@ class LayerMaker:
         )
         laid, islands = laid_layer(stack, 0, config, seed)
         carry = config.scan.carry_heat and needs_heat(order)
+        under = self._under(config, self.primary)
+        warm, passes = preheated(heat.part, [section], 0, wanted.base_mm, config, under)
         done, part, last = ordered_on(
-            heat.part, heat.last, laid, islands, wanted.thickness_mm, config, order, carry, not heat.laid
+            warm, heat.last, laid, islands, wanted.thickness_mm, config, order, carry, not heat.laid
         )
-        if config.process.interpass == "off" and not carry:
+        if done.heat is not None:
+            done = replace(done, heat=replace(done.heat, preheat_passes=passes))
+        if config.process.interpass == "off" and not carry and not passes:
             done = replace(done, heat=None)
-        plan = stack_plans([in_order(done)], config, order, seed)
+        plan = replace(stack_plans([in_order(done)], config, order, seed), under=under)
         wait_s = 0.0 if last is None or last is heat.last else last.wait_s
         return plan, replace(heat, part=part, last=last), wait_s
-
-
-def metal_checks(
-    program: NCProgram, witness: Layers, stands: MetalSoFar | None, config: Config
-) -> tuple[list[Check], MetalSoFar]:
-    """Checks of a layer's metal on what stands, and what stands with it.
-
-    Sums and means count from the plate up, by the limits of a whole part; the layer, and the surface that all layers so far
-    come to, by those of a single one. The layer has to pass by its text alone, too, as anybody can judge it: on a level surface,
-    of which nothing is known.
-    """
-    z_of = deposition_heights(witness.heights, config.layer_height_mm, config.base_mm)
-    known = stands or MetalSoFar()
-    found = deposit(program, witness, z_of, config, stands=known.surface)
-    checks = deposit_checks(program, found, config, None if stands is None else stands.below)
-    if known.below.layers:
-        by_itself = found if known.surface is None else deposit(program, witness, z_of, config)
-        checks += [
-            replace(check, text=f"by its text alone: {check.text}")
-            for check in deposit_checks(program, by_itself, config)
-            if not check.passed
-        ]
-    return checks, known.with_layer(found.layers, found.surface, config)
 
 
 def _gates_of_program(checks: list[Check], plan: ScanPlan, config: Config) -> list[Gate]:

@@ -14,6 +14,7 @@ from typing import Any
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.json_values import json_text, plain, sha256_of_json
 from ebamcheck.live.making import MadeLayer
+from ebamcheck.live.tilting import told_of_table
 from ebamcheck.mesh.part import Part
 from ebamcheck.program.language.control import control
 from ebamcheck.program.language.files import LONGEST_NAME
@@ -77,6 +78,7 @@ def certificate_of(
                 "travel_speed_mm_s": made.config.process.travel_speed_mm_s,
                 "wire_speed_mm_s": nominal_wire_speed_mm_s(made.config, wanted.thickness_mm),
                 "direction": part.direction,
+                **told_of_table(made.config),
                 "control": made.config.machine.control,
                 "part": {
                     "name": part.name,

@@ -15,7 +15,7 @@ import shapely
 from scipy import ndimage
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.errors import InputError
+from ebamcheck.mesh.on_table import rigid_motion
 from ebamcheck.mesh.part import Part
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.program.checking.checks import Check
@@ -31,9 +31,6 @@ MOST_PLACES = 4_000_000
 
 LEAST_MM2 = 1.0
 """Area of a section within what stands that is no more than its border."""
-
-RIGID_MM = 1e-6
-"""How far a part may be from a turned one of the same file."""
 
 FAR_MM = 1e6
 
@@ -83,7 +80,7 @@ def stands_of(before: Part, now: Part, built_mm: float, config: Config) -> Stand
     InputError
         If they are not of one file.
     """
-    turn, shift = _moved(before, now)
+    turn, shift = rigid_motion(before, now)
     corners = before.vertices[before.faces]
     level = float(before.bounds[0, 2])
     plate = _plate(before, config)
@@ -96,21 +93,6 @@ def stands_of(before: Part, now: Part, built_mm: float, config: Config) -> Stand
     tops = np.full(cell.max(axis=0)[::-1] + 2, -np.inf)
     np.maximum.at(tops, (cell[:, 1], cell[:, 0]), places[:, 2])
     return Stands(turn, shift - turn[2] * level, built_mm, tops, corner, step_mm)
-
-
-def _moved(before: Part, now: Part) -> tuple[Floats, Floats]:
-    """Rigid motion that takes one part to the other, by its vertices."""
-    if before.vertices.shape != now.vertices.shape:
-        raise InputError(f"part {now.name!r}: is of another file than the one that was built")
-    middle = before.vertices.mean(axis=0)
-    turn, *_ = np.linalg.lstsq(before.vertices - middle, now.vertices - now.vertices.mean(axis=0), rcond=None)
-    u, _, v = np.linalg.svd(turn)
-    turn = np.asarray(u @ v, np.float64)
-    shift = now.vertices.mean(axis=0) - middle @ turn
-    scale = max(float(np.abs(before.bounds).max()), 1.0)
-    if np.abs(before.vertices @ turn + shift - now.vertices).max() > RIGID_MM * scale:
-        raise InputError(f"part {now.name!r}: is of another file than the one that was built")
-    return turn, np.asarray(shift, np.float64)
 
 
 def _area(corners: Floats) -> float:

@@ -94,14 +94,19 @@ def _part_of(data: bytes | memoryview, path: Path, units: str, millimetres: floa
         source=str(path),
         units=units,
     )
-    largest = float(part.size.max())
-    if not SMALLEST_EXTENT_MM <= largest <= LARGEST_EXTENT_MM:
-        notes.append(
-            f"the part is {largest:.4g} mm in its largest extent: check the unit of the file (read as {units}; see --units)"
-        )
+    notes += extent_notes(float(part.size.max()), units)
     for note in notes:
         _log.warning("%s: %s", path.name, note)
     return replace(part, notes=tuple(notes))
+
+
+def extent_notes(largest_mm: float, units: str) -> list[str]:
+    """What the largest extent of a part says of the unit of its file; nothing where it is a usual one."""
+    if SMALLEST_EXTENT_MM <= largest_mm <= LARGEST_EXTENT_MM:
+        return []
+    return [
+        f"the part is {largest_mm:.4g} mm in its largest extent: check the unit of the file (read as {units}; see --units)"
+    ]
 
 
 def _bytes_of(path: Path) -> bytes | memoryview:

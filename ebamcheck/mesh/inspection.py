@@ -107,7 +107,7 @@ def inspect(part: Part) -> Inspection:
     """
     groups = edge_groups(part.faces, len(part.vertices))
     facets_at_edge = np.diff(groups.starts)
-    balance = _direction_balance(part.faces, groups)
+    balance = direction_balance(part.faces, groups)
     open_edges = int(np.count_nonzero(facets_at_edge == 1))
     inconsistent = int(np.count_nonzero((facets_at_edge == 2) & (balance != 0)))
     unpaired = int(np.count_nonzero((facets_at_edge > 2) & (balance != 0)))
@@ -116,7 +116,7 @@ def inspect(part: Part) -> Inspection:
     volumes = body_volumes(part, body, bodies)
     open_body = np.zeros(bodies, np.bool_)
     open_body[body[groups.half_edges[groups.starts[:-1][facets_at_edge == 1]] // 3]] = True
-    repeated, zero_area = _degenerate(part)
+    repeated, zero_area = degenerate(part)
     inside_out = inside_out_bodies(part, body, volumes) & ~open_body
     found = Inspection(
         name=part.name,
@@ -129,7 +129,7 @@ def inspect(part: Part) -> Inspection:
         open_edges=open_edges,
         nonmanifold_edges=int(np.count_nonzero(facets_at_edge > 2)),
         inconsistent_edges=inconsistent,
-        duplicate_facets=_duplicates(part.faces[~repeated]),
+        duplicate_facets=duplicates(part.faces[~repeated]),
         degenerate_facets=int(repeated.sum()),
         zero_area_facets=int((zero_area & ~repeated).sum()),
         inside_out_bodies=int(inside_out.sum()),
@@ -138,11 +138,22 @@ def inspect(part: Part) -> Inspection:
         verdict="sound",
         why="closed, consistently oriented, volume positive",
     )
-    verdict, why = _judge(found, unpaired, float(np.abs(volumes).sum()))
+    verdict, why = judged(found, unpaired, float(np.abs(volumes).sum()))
     return replace(found, verdict=verdict, why=why)
 
 
-def _judge(found: Inspection, unpaired: int, enclosed_mm3: float) -> tuple[Verdict, str]:
+def judged(found: Inspection, unpaired: int, enclosed_mm3: float) -> tuple[Verdict, str]:
+    """Verdict on the figures of a part, and why.
+
+    Parameters
+    ----------
+    found
+        The figures.
+    unpaired
+        Edges of more than two facets that do not pair up in opposite directions.
+    enclosed_mm3
+        Volumes of all bodies, each without its sign.
+    """
     if found.open_edges:
         return "open", (
             f"{found.open_edges} open edges in {found.open_bodies} of {found.bodies} bodies: "
@@ -229,18 +240,36 @@ def inside_out_bodies(part: Part, body: NDArray[np.int32], volumes: NDArray[np.f
     negative = volumes < -NO_VOLUME * float(part.size.max(initial=0.0)) ** 3
     if not negative.any():
         return negative
-    lower = np.full((volumes.size, 3), np.inf)
-    upper = np.full((volumes.size, 3), -np.inf)
+    lower, upper = body_boxes(part, body, volumes.size)
+    return outermost(negative, volumes, lower, upper)
+
+
+def body_boxes(
+    part: Part, body: NDArray[np.int32], bodies: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Least and greatest corner of the box of each body, (B, 3) mm each."""
+    lower, upper = np.full((bodies, 3), np.inf), np.full((bodies, 3), -np.inf)
     used = body >= 0
     for corner in range(3):
         points = part.vertices[part.faces[used, corner]]
         np.minimum.at(lower, body[used], points)
         np.maximum.at(upper, body[used], points)
+    return lower, upper
+
+
+def outermost(
+    negative: NDArray[np.bool_],
+    volumes: NDArray[np.float64],
+    lower: NDArray[np.float64],
+    upper: NDArray[np.float64],
+) -> NDArray[np.bool_]:
+    """Of bodies of negative volume (B,) those that are no cavity of another one, by their boxes (B, 3)."""
+    result = negative.copy()
     solid = np.flatnonzero(volumes > 0)
     for b in np.flatnonzero(negative):
         around = (lower[solid] <= lower[b]).all(axis=1) & (upper[solid] >= upper[b]).all(axis=1)
-        negative[b] = not (around & (volumes[solid] >= -volumes[b])).any()
-    return negative
+        result[b] = not (around & (volumes[solid] >= -volumes[b])).any()
+    return result
 
 
 @kernel
@@ -255,12 +284,12 @@ def _balance(
     return result
 
 
-def _direction_balance(faces: NDArray[np.int32], groups: EdgeGroups) -> NDArray[np.int32]:
+def direction_balance(faces: NDArray[np.int32], groups: EdgeGroups) -> NDArray[np.int32]:
     """Facets that run up each edge less those that run down it (E,): 0 where they pair."""
     return _balance(faces, groups.half_edges, groups.starts)
 
 
-def _duplicates(faces: NDArray[np.int32]) -> int:
+def duplicates(faces: NDArray[np.int32]) -> int:
     """Facets that repeat the three vertices of an earlier one, whatever way they are turned."""
     if not len(faces):
         return 0
@@ -273,7 +302,7 @@ def _duplicates(faces: NDArray[np.int32]) -> int:
     return len(faces) - len(np.unique(np.stack([least, middle, greatest], axis=1), axis=0))
 
 
-def _degenerate(part: Part) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def degenerate(part: Part) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Facets (F,) with a repeated vertex, and facets without area."""
     a, b, c = part.faces.T
     repeated = (a == b) | (b == c) | (c == a)

@@ -75,7 +75,7 @@ def read_triangles(data: bytes | memoryview, name: str) -> tuple[NDArray[np.floa
     if len(data) >= HEADER_BYTES and len(data) == expected:
         return _binary(data, count, name), []
     data = bytes(data)
-    if _looks_like_ascii(data):
+    if looks_like_ascii(data):
         return _ascii(data, name), []
     if _ONE_LINE.match(data.removeprefix(BYTE_ORDER_MARK)):
         return _ascii(_names_ended(data), name), []
@@ -105,14 +105,32 @@ def _binary(data: bytes | memoryview, count: int, name: str) -> NDArray[np.float
     if count == 0:
         raise InputError(f"{name}: holds no facet (binary STL with count 0)")
     halves = np.frombuffer(data, np.uint16, count * FACET_BYTES // 2, HEADER_BYTES).reshape(count, -1)
-    corners = np.empty((count, 3, 3), np.float32)
-    target = corners.view(np.uint16).reshape(count, -1)
-    finite = run_blocks(lambda a, b: _copy_corners(halves, target, a, b), count, SMALLEST_BLOCK)
+    return facet_corners(halves, name)
+
+
+def facet_corners(facets: NDArray[np.uint16], name: str, first: int = 0) -> NDArray[np.float32]:
+    """Corner points (F, 3, 3) of facets as a binary file holds them.
+
+    Parameters
+    ----------
+    facets
+        (F, 25) bytes of each facet, two by two.
+    name, first
+        What to call the file in messages, and the number of the first facet in it.
+
+    Raises
+    ------
+    InputError
+        If a coordinate is not finite.
+    """
+    corners = np.empty((len(facets), 3, 3), np.float32)
+    target = corners.view(np.uint16).reshape(len(facets), -1)
+    finite = run_blocks(lambda a, b: _copy_corners(facets, target, a, b), len(facets), SMALLEST_BLOCK)
     if not all(finite):
         facet, corner, axis = np.argwhere(~np.isfinite(corners))[0]
         value = corners[facet, corner, axis]
         raise InputError(
-            f"{name}: facet {facet}, vertex {corner}, {'xyz'[axis]} is {value}: coordinates must be finite"
+            f"{name}: facet {first + facet}, vertex {corner}, {'xyz'[axis]} is {value}: coordinates must be finite"
         )
     return corners
 
@@ -130,7 +148,7 @@ def _copy_corners(facets: NDArray[np.uint16], corners: NDArray[np.uint16], start
     return finite
 
 
-def _looks_like_ascii(data: bytes) -> bool:
+def looks_like_ascii(data: bytes) -> bool:
     """Whether the first line opens a solid and the next word is one that may follow in an ASCII file.
 
     The word ``solid`` alone says nothing: many binary files carry it in their header.

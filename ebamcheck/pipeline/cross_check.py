@@ -114,12 +114,17 @@ def _compare(job: Job, outcomes: Mapping[str, Outcome], borders: NDArray[np.int6
             borders=borders,
             evidence=rule,
         )
-        pairs = job.folder.path / "compare.parquet"
-        comparison.pairs.to_parquet(pairs, index=False, compression=COMPRESSION)
-        comparison.pairs.to_csv(job.folder.path / "compare.csv", index=False)
-        _layer_table(comparison).to_csv(job.folder.path / "layers.csv", index=False)
-    job.add_finding(*no_evidence(comparison))
+        write_comparison(job, comparison)
     return comparison
+
+
+def write_comparison(job: Job, comparison: Comparison) -> None:
+    """Write the tables of a comparison into the run, and tell which slicers prove nothing."""
+    pairs = job.folder.path / "compare.parquet"
+    comparison.pairs.to_parquet(pairs, index=False, compression=COMPRESSION)
+    comparison.pairs.to_csv(job.folder.path / "compare.csv", index=False)
+    _layer_table(comparison).to_csv(job.folder.path / "layers.csv", index=False)
+    job.add_finding(*no_evidence(comparison))
 
 
 def _layer_table(comparison: Comparison) -> pd.DataFrame:

@@ -30,6 +30,7 @@ from ebamcheck.pipeline.run_folder import (
 )
 from ebamcheck.pipeline.work import Job, Observer, Silent
 from ebamcheck.preflight import Ready, ready
+from ebamcheck.preflight.slab_work import wanted_slabs
 from ebamcheck.program.language.control import control
 from ebamcheck.program.language.templates import usable_templates
 from ebamcheck.settings.config import Config
@@ -117,7 +118,7 @@ def run_job(
     fine = read_reference(reference, part_path, config.part) if reference else None
 
     def program(job: Job, checked: CrossCheck, sound: bool) -> ProgramResult:
-        return make_program(job, _primary(job, checked), checked, fine, sound)
+        return make_program(job, primary_of(job, checked), checked, fine, sound)
 
     inputs = [fine.sha256 if fine else "", f"from layer {from_layer}", f"live {live}"]
     return _job("run", part, target, config, inputs, resume, observer, program, force, from_layer, live)
@@ -133,8 +134,16 @@ def check_job(
     yes: bool = False,
     force: bool = False,
 ) -> RunResult:
-    """Slice a part with every backend and compare them, no more; parameters and errors as in :func:`run_job`."""
+    """Slice a part with every backend and compare them, no more; parameters and errors as in :func:`run_job`.
+
+    A part that would not fit into memory, or of which ``slicing.slabs`` says so, is checked in slabs
+    (:func:`~ebamcheck.pipeline.slab_check.check_in_slabs`), unless it was made ready before.
+    """
     config = config or Config()
+    if begun is None and (slabs := wanted_slabs(Path(part_path), config)) > 1:
+        from ebamcheck.pipeline.slab_check import check_in_slabs  # which builds on this module
+
+        return check_in_slabs(part_path, target, config, slabs, resume, observer, yes, force)
     part = begun or ready(part_path, config, "check", yes)
     part.preflight.stop("check")
     return _job("check", part, target, config, [], resume, observer, None, force)
@@ -167,7 +176,7 @@ def _job(
     )
     if resume and not force and (done := finished_run(Path(target), fingerprint)) is not None:
         observer.note(f"{target}: is finished already")
-        return _result(done)
+        return finished_result(done)
     folder = start_run(Path(target), fingerprint, resume, force)
     if folder.former is not None:
         observer.note(f"{target}: the former run will be kept as {folder.former.name}")
@@ -203,7 +212,7 @@ def _finished(
     ]
     job.add_finding(*noticed.of_doubt(checked.comparison.pairs, job.config))
     job.add_finding(*(noticed.unavailable(o) for o in outcomes.values() if o.failure == "unavailable"))
-    primary, made = _primary(job, checked), None
+    primary, made = primary_of(job, checked), None
     if program is not None and primary:
         job.add_finding(*noticed.of_profile(job.config))
         made = program(job, checked, all(gate.passed for gate in judged))
@@ -221,14 +230,14 @@ def _finished(
     return RunResult(job.folder.finish(), tuple(judged), code, manifest)
 
 
-def _result(run: RunFolder) -> RunResult:
+def finished_result(run: RunFolder) -> RunResult:
     """What a finished run came to, by its record."""
     manifest = run.manifest()
     found = tuple(Gate(**gate) for gate in manifest["gates"])
     return RunResult(run, found, ExitCode(manifest["exit_code"]), manifest)
 
 
-def _primary(job: Job, checked: CrossCheck) -> str:
+def primary_of(job: Job, checked: CrossCheck) -> str:
     """Backend whose contours go on; none where it has found no contour."""
     name = primary_backend(job.config, checked.done)
     return name if name and checked.comparison.stacks[name]["rings"].any() else ""

@@ -27,16 +27,6 @@ def check_waits(config: Config) -> None:
         raise SettingsError(
             f"--live: for machine.control {name!r} there is no main program that waits between layers"
         )
-    without_preheating(config, "--live")
-
-
-def without_preheating(config: Config, what: str) -> None:
-    """Refuse preheating where the main program calls released layers alone."""
-    if config.preheat.when != "off":
-        raise SettingsError(
-            f"{what}: preheat.when is {config.preheat.when!r}, and a main program that waits between layers calls released layers alone: "
-            "preheat by a program of its own, and set preheat.when = 'off' here"
-        )
 
 
 def write_live(

@@ -214,13 +214,18 @@ def _backend_record(job: Job, outcome: Outcome, figures: pd.DataFrame | None) ->
         "height_bound_mm": outcome.height_bound_mm,
         "settings": _settings_used(job, outcome),
         **totals,
-        "file": f"layers/{outcome.name}.parquet" if outcome.file is not None else "",
+        "file": f"layers/{outcome.name}.parquet" if _is_kept(job, outcome) else "",
     }
+
+
+def _is_kept(job: Job, outcome: Outcome) -> bool:
+    """Whether the layers of a backend are there, and not dropped slab by slab."""
+    return outcome.file is not None and job.folder.layers_file(outcome.name).is_file()
 
 
 def _settings_used(job: Job, outcome: Outcome) -> dict[str, Any]:
     """Settings as the slicer has filled them in, with what it declared of this part."""
-    if outcome.file is None:
+    if not _is_kept(job, outcome):
         return {}
     with LayerFile(job.folder.layers_file(outcome.name)) as file:
         return file.settings

@@ -8,13 +8,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from shapely.geometry.base import BaseGeometry
+
 from ebamcheck.curves import LIFTED, Curves, fit
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
 from ebamcheck.json_values import sha256_of_json
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.inspection import inspect
+from ebamcheck.mesh.on_table import SAME_MM, apart_mm, on_table
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.plates import PlatePart
+from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline.certificate import find_certificate, find_record, read_certificate
 from ebamcheck.pipeline.certificate_checks import (
     certificate_checks,
@@ -34,6 +38,8 @@ from ebamcheck.program import Check, read_program, verify_file
 from ebamcheck.program.checking.header_checks import Truth
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.scan import ScanPlan
+from ebamcheck.scan.islands.regions import layer_section
+from ebamcheck.scan.plan.preheated import asked_for
 from ebamcheck.settings.config import Config, validated
 from ebamcheck.settings.differences import differences
 from ebamcheck.slicers.slicing import slice_part
@@ -295,6 +301,7 @@ def verify_against_part(
         beads=True,
         metal=True,
         heat=True,
+        under=_under(part, heights, config, maker),
         heights=heights,
         truth=Truth(
             read_certificate(paper).get("validated") if paper else None,
@@ -308,7 +315,27 @@ def verify_against_part(
         with suppress(EbamcheckError):  # a program that cannot be read has a failed check of its own
             text = read_program(program, config)
             certified += plate_checks(part, config, text, read_certificate(paper).get(PLATE), paper.name)
-    return [*certified, sound, *made]
+    return [*certified, sound, *_mounted(part_path, part, config), *made]
+
+
+def _under(part: Part, heights: Floats, config: Config, maker: str) -> BaseGeometry | None:
+    """Section of what a program begins on, where it preheats that: half a layer under its bottom; None where it does not."""
+    if config.base_mm == 0.0 or not asked_for(0, config):
+        return None
+    low_mm = float(part.bounds[0, 2])
+    cut_mm = max(float(heights[0]) - config.layer_height_mm, low_mm)
+    return layer_section(slice_part(part, [cut_mm], witness_backend(maker)).polygons(0))
+
+
+def _mounted(path: Path, part: Part, config: Config) -> list[Check]:
+    """Whether the part stands on a tilt table as the settings say, by its mesh; nothing for one that is not turned."""
+    said = config.part.on_table
+    if said is None:
+        return []
+    upright = config.changed(part={"direction": said.direction, "on_table": None})
+    off_mm = apart_mm(said, on_table(placed_part(path, upright)[0], part))
+    text = f"part.on_table places the part {off_mm:.3g} mm beside where its mesh stands"
+    return [Check("mounting", off_mm <= SAME_MM, off_mm, SAME_MM, "mm", path.name, text)]
 
 
 def _differences(program: Path, config: Config) -> list[str]:

@@ -123,7 +123,7 @@ def _width_mm(area_mm2: float, border_mm: float, config: Config) -> float:
     return min(max(round(width / spacing), BEADS_ACROSS[0]), BEADS_ACROSS[1]) * spacing
 
 
-def _memory_mb() -> float:
+def machine_memory_mb() -> float:
     """Memory of this machine, MB."""
     return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") * 1e-6
 
@@ -131,7 +131,7 @@ def _memory_mb() -> float:
 def work_checks(work: Workload, config: Config, yes: bool) -> Iterator[PreflightCheck]:
     """Hold the work against what the settings allow without a question; with `yes` it is told and goes on."""
     limits = config.work
-    memory_mb = limits.most_memory_mb or _memory_mb()
+    memory_mb = limits.most_memory_mb or machine_memory_mb()
     for name, what, figure, limit, unit in (
         ("layers", "layers", float(work.layers), float(limits.most_layers), "layers"),
         ("points", "contour points", float(work.points), float(limits.most_points), "points"),

@@ -74,14 +74,19 @@ class Config(Section):
 
     @model_serializer(mode="wrap")
     def _as_before(self, handler: SerializerFunctionWrapHandler, info: SerializationInfo) -> dict[str, Any]:
-        """Leave out preheating where it is off and as it is by default: programs without it keep the hash of their settings."""
+        """Leave out preheating and a tilt table where there are none: programs without them keep the hash of their settings."""
         values: dict[str, Any] = handler(self)
         if info.mode == "json":  # hashes are of the values themselves
             return values
         if self.preheat == PreheatSettings():
             values.pop("preheat", None)
-        if not self.machine.set_focus:
-            values.get("machine", {}).pop("set_focus", None)
+        elif self.preheat.scan_in == "own":
+            values.get("preheat", {}).pop("scan_in", None)
+        for name in ("set_focus", "rotary"):
+            if not getattr(self.machine, name):
+                values.get("machine", {}).pop(name, None)
+        if self.part.on_table is None:
+            values.get("part", {}).pop("on_table", None)
         return values
 
     def __repr__(self) -> str:

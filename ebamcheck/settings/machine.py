@@ -6,9 +6,10 @@ import math
 import re
 from typing import Annotated, Literal, Self
 
-from pydantic import field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from ebamcheck.settings.base import Between, Length, Place, Section
+from ebamcheck.settings.tilt import RotaryAxis
 
 Speed = Annotated[float, Between(0.001, 1e6)]
 """Speed of an axis or along a path, mm/s."""
@@ -151,7 +152,10 @@ class MachineSettings(Section):
     layer_end: tuple[str, ...] = ()
     """Blocks after the last motion of a layer."""
     tilt_axes: bool = False
-    """The machine can turn the part between layers. Off, `relayer --direction` is refused."""
+    """The machine can turn the part between layers. Off and without rotary, `relayer --direction` is refused."""
+    rotary: Annotated[tuple[RotaryAxis, ...], Field(max_length=2)] = ()
+    """Rotary axes of its tilt table, from the machine's bed to the plate: the second is carried by the first. With them the program of
+    a turned layer turns the table and sets the frame; without them the user does."""
     live_r: Annotated[int, Between(0, 990)] = 100
     """First of the six R parameters by which a main program that waits between layers (`run --live`) and a server agree: layers
     done, layer released (-1: the part is built), number of its program, least wait before it, and two of the program's own."""
@@ -211,6 +215,9 @@ class MachineSettings(Section):
             )
         if self.safe_height_mm < self.clearance_mm:
             raise ValueError("safe_height_mm must be at least clearance_mm: travel would not clear the beads")
+        names = [axis.name for axis in self.rotary]
+        if len(set(names)) < len(names):
+            raise ValueError(f"rotary: the axis {names[0]} stands there twice")
         if self.feed_min_mm_s >= self.feed_max_mm_s:
             raise ValueError("feed_min_mm_s must be under feed_max_mm_s")
         if (self.curve_form == "poly" and not self.poly_licensed) or (

@@ -11,7 +11,7 @@ Kelvins = Annotated[float, Between(1.0, 1000.0)]
 
 
 class PreheatSettings(Section):
-    """Preheating, each scan a subprogram of its own that the main program calls; off unless it is asked for.
+    """Preheating by scans of plate and layers; off unless it is asked for.
 
     It needs `machine.set_focus`, and a control with subprograms.
     """
@@ -19,6 +19,9 @@ class PreheatSettings(Section):
     when: Literal["off", "plate", "layers"] = "off"
     """Never; before the first layer, on the base plate; or before every layer, too, on what stands, where that is colder than
     target_k."""
+    scan_in: Literal["own", "layer"] = "own"
+    """Where a scan stands: in a subprogram of its own, which the main program calls; or at the beginning of its layer's, which then is all
+    that is to be called. `live` and `relayer` write it so, since a layer is released as one file."""
     pattern: Literal["lines", "crossed"] = "crossed"
     """Lines along X in every pass, every second one half a spacing aside; or along X and Y in turn."""
     current_ma: Annotated[float, Between(0.01, 1e4)] = 20.0

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field
 
 from ebamcheck.settings.base import Angle, Between, NotNegative, Place, Section, Tolerance
+from ebamcheck.settings.tilt import OnTable
 from ebamcheck.settings.units import known_as
 
 Component = Annotated[float, Between(-1e6, 1e6)]
@@ -26,6 +27,9 @@ class PartSettings(Section):
     place_at_mm: Annotated[tuple[Place, ...], Field(min_length=2, max_length=3)] | None = None
     """Where the middle of the part's box comes to lie in X and Y of the work offset and, if a third number is given, its
     lowest point in Z, such as [100, 50]; None: where the file has it. A program counts Z from the base plate anyway."""
+    on_table: OnTable | None = None
+    """How the part stands on a tilt table (machine.rotary), of a layer whose program turns the table; None: nothing is turned.
+    `ebamcheck relayer --direction` sets it."""
     fix_orientation: bool = False
     """Turn closed bodies of negative volume and single flipped facets over, and say so in the report."""
 
@@ -60,6 +64,10 @@ class SlicingSettings(Section):
     """Time of one backend's process for the whole stack; beyond it the process is ended and reported."""
     memory_limit_mb: Annotated[float, Between(1.0, 1e7)] = 8192.0
     """Resident memory of one backend's process, watched from outside."""
+    slabs: Annotated[int, Between(1, 10_000)] | None = None
+    """Slabs of z in which `check` reads, cuts and compares a binary STL file, one after the other, so that only one is in
+    memory; their layers are dropped. 1: the part as a whole. None: that, unless the whole would need more memory than
+    `work.most_memory_mb` or `slicing.memory_limit_mb` allow; then slabs of some four million facets."""
     processes: Annotated[int, Between(1, 1024)] | None = None
     """Backends that slice side by side; None: as many as there are cores. With 1 a job needs the least memory."""
     settings: dict[str, dict[str, Any]] = Field(default={})

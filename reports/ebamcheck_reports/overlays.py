@@ -13,7 +13,7 @@ from ebamcheck.layers.svg import overlay_svg
 from ebamcheck.showing.colours import COLOURS, DASHES
 from ebamcheck.showing.markup import inline
 from ebamcheck_reports.canvas import HEIGHT_LIMIT, LEAST_EXTENT_MM, Box, Canvas, around, outline
-from ebamcheck_reports.markup import Markup, element, join, picture
+from ebamcheck_reports.markup import Markup, element, join, paragraph, picture
 from ebamcheck_reports.run_data import RunData, layer_name
 
 MOST_LAYERS = 8
@@ -41,6 +41,11 @@ class Place(NamedTuple):
 
 def render(run: RunData) -> Markup:
     """Draw the layers worth seeing."""
+    if run.part_of("slabs"):
+        count = int(run.part_of("slabs")["count"])
+        return paragraph(
+            f"The part was checked in {count} slabs, and their layers were dropped: there are none to draw."
+        )
     chosen = chosen_layers(run)
     if not chosen:
         return Markup("")

@@ -158,12 +158,19 @@ class RunData:
     @cached_property
     def methods(self) -> list[str]:
         """Backends that came through."""
+        if self.part_of("slabs"):  # their layers are dropped
+            return [name for name, record in self.backends.items() if record["status"] == "done"]
+        return self.kept_methods
+
+    @cached_property
+    def kept_methods(self) -> list[str]:
+        """Backends whose layers are there."""
         return [name for name in self.backends if self.folder.layers_file(name).is_file()]
 
     def layer(self, layer: int) -> dict[str, Layers]:
-        """One layer of every backend that came through, each as a stack of its own."""
+        """One layer of every backend whose layers are there, each as a stack of its own."""
         found = {}
-        for name in self.methods:
+        for name in self.kept_methods:
             with LayerFile(self.folder.layers_file(name), edges=False) as file:
                 found[name] = file.block(layer, layer + 1)
         return found
@@ -172,7 +179,7 @@ class RunData:
     def primary(self) -> Layers | None:
         """Layers that the program was made from."""
         name = self.manifest.get("primary", "")
-        return self.folder.read_layers(name) if name in self.methods else None
+        return self.folder.read_layers(name) if name in self.kept_methods else None
 
     @cached_property
     def curves(self) -> Curves | None:

@@ -22,6 +22,7 @@ from ebamcheck.live.journal import read_journal
 from ebamcheck.live.making import failure_of
 from ebamcheck.live.opcua.handshake import BUILT, OFFSETS, Seen, digest, program_number
 from ebamcheck.live.opcua.link import Link, LinkLost, NotTaken
+from ebamcheck.live.opcua.waiting import within
 from ebamcheck.settings.machine import MachineSettings
 from ebamcheck.settings.opcua import OpcuaSettings
 
@@ -118,7 +119,7 @@ class Door:
     async def _changed(self, link: Link) -> None:
         """Wait until something has changed on the control, or it is time to look anyway."""
         try:
-            await asyncio.wait_for(link.changed.wait(), self._opcua.look_s)
+            await within(link.changed.wait(), self._opcua.look_s)
         except TimeoutError:
             return
         link.changed.clear()

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
 from ebamcheck.live.opcua.handshake import Seen, file_path, node_ids
+from ebamcheck.live.opcua.waiting import BrokenOff, within
 from ebamcheck.settings.machine import MachineSettings
 from ebamcheck.settings.opcua import ROLES, WARMTH_ROLES, OpcuaSettings
 from ebamcheck.showing.plotting import missing
@@ -208,11 +209,13 @@ class Link:
         await subscription.subscribe_data_change(watched)
 
     async def _drop(self, client: Client) -> None:
-        # A server that has gone hears nothing; what matters is that our side is closed.
-        with suppress(Exception, asyncio.CancelledError):
-            await asyncio.wait_for(client.disconnect(), self._opcua.request_s)
-        with suppress(Exception):
-            client.disconnect_socket()
+        # A server that has gone hears nothing; what matters is that our side is closed, and that who is cancelled meanwhile ends.
+        try:
+            with suppress(Exception):
+                await within(client.disconnect(), self._opcua.request_s)
+        finally:
+            with suppress(Exception):
+                client.disconnect_socket()
 
     # -- values ------------------------------------------------------------------------------------
 
@@ -307,11 +310,8 @@ class Link:
         url = self._opcua.url
         try:
             # The client has its own limit of a request; this one holds for what it does not count.
-            return await asyncio.wait_for(asked, 3.0 * self._opcua.request_s)
-        except asyncio.CancelledError:
-            task = asyncio.current_task()
-            if task is not None and task.cancelling():
-                raise
+            return await within(asked, 3.0 * self._opcua.request_s)
+        except BrokenOff:
             raise LinkLost(f"{url}: the connection broke while {what} was under way") from None
         except TimeoutError:
             raise LinkLost(f"{url}: no answer in time to {what}") from None

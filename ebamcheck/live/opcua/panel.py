@@ -6,6 +6,7 @@ It knows nothing of networks: the server in front of it shows it on a grid of 10
 from __future__ import annotations
 
 import threading
+from collections.abc import MutableMapping
 from dataclasses import dataclass, field
 
 FAULTS = {
@@ -37,8 +38,8 @@ class Panel:
     """R parameters by number; those that are not there are 0."""
     texts: dict[str, str] = field(default_factory=dict)
     """Variables of text, by what they are."""
-    files: dict[str, bytes] = field(default_factory=dict)
-    """Files by their place."""
+    files: MutableMapping[str, bytes] = field(default_factory=dict)
+    """Files by their place; in a folder, as a control has them, or in memory."""
     rights: str = "operate"
     """`operate`, `refused`, or `lost`: what becomes of writes from outside."""
     swap_next: bool = False

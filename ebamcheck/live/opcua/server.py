@@ -13,6 +13,7 @@ from typing import Any, cast
 from urllib.parse import urlsplit
 
 from ebamcheck.live.opcua.panel import Panel
+from ebamcheck.live.opcua.waiting import cancelled
 from ebamcheck.settings.machine import MachineSettings
 from ebamcheck.settings.opcua import TEXT_ROLES, OpcuaSettings
 
@@ -59,6 +60,7 @@ class PlayedServer:
         self._server: Any = None
         self.broke = asyncio.Event()
         self._from_within = False
+        self._closing = False
 
     async def start(self) -> None:
         """Come up, with the values and files of the panel."""
@@ -129,10 +131,12 @@ class PlayedServer:
         try:
             yield self
         finally:
-            task.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await task
-            await self.stop()
+            # The library may lose a cancellation while it takes a server down: whether to go on is asked, too.
+            self._closing = True
+            try:
+                await cancelled(task)
+            finally:
+                await self.stop()
 
     async def away(self, seconds: float, full_s: float = 0.0) -> None:
         """Be away for a time, as a control that is switched off, and then without a session left for another."""
@@ -162,7 +166,7 @@ class PlayedServer:
         from asyncua import ua
 
         shown: dict[int, float] = {}
-        while True:
+        while not self._closing:
             await asyncio.sleep(GRID_S)
             if self.broke.is_set():
                 self.broke.clear()

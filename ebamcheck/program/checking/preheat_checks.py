@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import shapely
@@ -12,17 +11,22 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.numeric.rings import Bools
 from ebamcheck.program.checking.checks import Check, count_check, event_place
-from ebamcheck.program.checking.preheat_way import WAITS, scanned_heat, scans_of
+from ebamcheck.program.checking.preheat_heat import (
+    Known,
+    bottoms_of,
+    count_of,
+    found_scans,
+    temperatures_of,
+)
+from ebamcheck.program.checking.preheat_way import WAITS
 from ebamcheck.program.checking.state_checks import extremes
-from ebamcheck.program.checking.text_heat import sections_of_text, text_beads, text_bed_k, text_shapes
+from ebamcheck.program.checking.text_heat import sections_of_text
 from ebamcheck.program.language.codes import BEAM_VALUES, FOCUS
 from ebamcheck.program.language.files import layer_of_preheat
 from ebamcheck.program.language.increments import increments_of
 from ebamcheck.program.language.safe_end import safe_end_mm
 from ebamcheck.program.reading.motions import RAPID, STRAIGHT, NCProgram
-from ebamcheck.scan.filling.preheat_lines import pass_length_mm, pass_lines
-from ebamcheck.scan.heat.preheating import BeamWay, SurfaceK, spot_peak_k
-from ebamcheck.scan.plan.preheated import AIM_K, Scanned, asked_for, is_cold, passes_asked, scanned
+from ebamcheck.scan.plan.preheated import scanned
 from ebamcheck.settings.config import Config
 
 VALUE_SHARE = 1e-3
@@ -31,47 +35,42 @@ VALUE_SHARE = 1e-3
 PLACE_MM = 0.01
 """How far beside the region a line may end: the decimals of the program."""
 
-LENGTH_SHARE, MOST_PASSES = 0.02, 20000
-"""Share of a pass by which the way of a scan may be off that of whole passes; more of these are not counted."""
-
 Faults = list[tuple[str, str]]
 
 
-@dataclass
-class _Found:
-    """What is found of one scan."""
+def preheat_checks(
+    nc: NCProgram,
+    config: Config,
+    sections: Sequence[BaseGeometry] | None,
+    before: HeatColumn | None = None,
+    under: BaseGeometry | None = None,
+) -> list[Check]:
+    """Check the preheating scans of a program; nothing where the settings ask for none and it has none.
 
-    layer: int
-    on: Scanned
-    way: BeamWay
-    begins_k: float
-    after: SurfaceK | None
-    passes: int
-    wanted: int
-    where: str = ""
-
-
-def preheat_checks(nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] | None) -> list[Check]:
-    """Check the preheating subprograms of a program; nothing where the settings ask for none and it has none.
-
-    `sections` (L,) are those of the layers; None: what the contours of the program enclose.
+    Parameters
+    ----------
+    sections
+        (L,) those of the layers; None: what the contours of the program enclose.
+    before, under
+        Heat of what stands when the program begins on a part that is half built, and its section; None: not known, and how often it
+        is scanned, and how warm it is then, are not judged.
     """
     if config.preheat.when == "off":
         if nc.preheating is None:
             return []
         return [count_check("preheat calls", [(_first(nc), "preheats, and preheat.when is 'off'")], "")]
-    if config.base_mm > 0.0:
-        return []
-    known = sections_of_text(nc, config, sections)
+    known = Known(sections_of_text(nc, config, sections), before, under)
     calls = count_check("preheat calls", list(_calls(nc, config)), "each right before its layer")
     state = count_check(
         "preheat state", list(_states(nc, config)), "out of focus, no wire, values as set, focus taken back"
     )
-    found = _scans(nc, config, known)
     path = count_check(
         "preheat path", _paths(nc, config, known), "over the region, at its height, at its speed"
     )
-    return [calls, state, path, _count(found, config), *_temperatures(nc, found, config)]
+    if config.base_mm > 0.0 and (before is None or under is None):
+        return [calls, state, path]
+    found = found_scans(nc, config, known)
+    return [calls, state, path, count_of(found, config), *temperatures_of(nc, found, config)]
 
 
 def _first(nc: NCProgram) -> str:
@@ -102,13 +101,38 @@ def _calls(nc: NCProgram, config: Config) -> Iterator[tuple[str, str]]:
             )
         if int(nc.events.file[i]) != 0:
             yield event_place(nc, i), f"{name} is called by another than the main program"
-    if layer_of_preheat(stem, calls[0][1] if calls else "") != 0:
+    if config.preheat.scan_in == "layer":
+        yield from _within_layers(nc, config)
+    elif layer_of_preheat(stem, calls[0][1] if calls else "") != 0:
         where = event_place(nc, calls[0][0]) if calls else f"{main}:1"
         yield where, "the base plate is not preheated before the first layer (preheat.when)"
     inner = nc.preheating.events.name if nc.preheating is not None else ()
     for i, name in enumerate(inner):
         if name.startswith("call ") and nc.preheating is not None:
             yield event_place(nc.preheating, i), f"{name} within a preheating subprogram"
+
+
+def _within_layers(nc: NCProgram, config: Config) -> Iterator[tuple[str, str]]:
+    """Scans in the subprograms of layers that come after a bead of theirs, that are two, or that are missing on the plate."""
+    scans, beads = nc.preheating, np.flatnonzero(nc.deposit)
+    lines: dict[int, list[int]] = {}
+    for i, name in enumerate(scans.events.name if scans is not None else ()):
+        if scans is not None and name == FOCUS and scans.events.value[i] != 0.0:
+            file, line = int(scans.events.file[i]), int(scans.events.line[i])
+            lines.setdefault(file, []).append(line)
+            laid = beads[(nc.file[beads] == file) & (nc.line[beads] < line)]
+            if laid.size:
+                yield event_place(scans, i), "preheats after beads of its layer"
+            if len(lines[file]) == 2:
+                yield event_place(scans, i), "preheats twice before one layer"
+            if file == 0:
+                yield event_place(scans, i), "preheats in the main program"
+    first = nc.file[beads[0]] if beads.size else 0
+    if config.base_mm == 0.0 and int(first) not in lines:
+        yield (
+            nc.where(int(beads[0])) if beads.size else f"{nc.files[0].name}:1",
+            ("the base plate is not preheated before the first layer (preheat.when)"),
+        )
 
 
 def _states(nc: NCProgram, config: Config) -> Iterator[tuple[str, str]]:
@@ -191,13 +215,13 @@ def _ended(scans: NCProgram, i: int, state: dict[str, float], beam: bool) -> Ite
 # -- the way -----------------------------------------------------------------------------------------
 
 
-def _paths(nc: NCProgram, config: Config, sections: list[BaseGeometry]) -> Faults:
+def _paths(nc: NCProgram, config: Config, known: Known) -> Faults:
     """Ways beside the region, at another height or speed, or beyond the travel."""
-    scans = nc.preheating
+    scans, sections = nc.preheating, known.sections
     if scans is None or not len(scans):
         return []
     faults: Faults = []
-    bottoms = _bottoms(nc, config)
+    bottoms = bottoms_of(nc, config)
     low, high = extremes(scans)
     limits = np.array(config.machine.travel_min_mm), np.array(config.machine.travel_max_mm)
     beyond = np.nan_to_num(np.fmax(limits[0] - low, high - limits[1]), nan=-np.inf).max(axis=1)
@@ -214,7 +238,9 @@ def _paths(nc: NCProgram, config: Config, sections: list[BaseGeometry]) -> Fault
             )
             continue
         z_mm = safe_end_mm(float(bottoms[k]), config)
-        region = scanned(sections, k, float(bottoms[k]), config).region
+        if k == 0 and config.base_mm > 0.0 and known.under is None:
+            continue  # What stands there is not known.
+        region = scanned(sections, k, float(bottoms[k]), config, known.under).region
         faults += _rows_off(scans, rows, region, z_mm, config)
     return faults
 
@@ -252,148 +278,3 @@ def _rows_off(
             scans.where(int(outside[0])),
             f"the beam leaves what is to be preheated on its way to ({x:g}, {y:g})",
         )
-
-
-def _bottoms(nc: NCProgram, config: Config) -> np.ndarray:
-    """Z of what each layer lies on (L,)."""
-    tops = np.nan_to_num(nc.layer_heights, nan=config.base_mm)
-    return np.concatenate([[config.base_mm], tops])[: len(tops) + 1]
-
-
-# -- count and heat ----------------------------------------------------------------------------------
-
-
-def _scans(nc: NCProgram, config: Config, sections: list[BaseGeometry]) -> list[_Found]:
-    """Follow the heat of the program, and drive every scan of its text; layers without a scan are told by their beginning."""
-    scans, beads = scans_of(nc, config), text_beads(nc, config)
-    bottoms, found = _bottoms(nc, config), list[_Found]()
-
-    def seen(k: int, column: HeatColumn | None) -> None:
-        if not asked_for(k, config) or k >= len(sections) or sections[k].is_empty:
-            return
-        on = scanned(sections, k, float(bottoms[k]), config)
-        begins_k = config.process.ambient_temperature_k if column is None else column.surface_k
-        nothing = BeamWay(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
-        way = scans.get(k, nothing)
-        driven = scanned_heat(way, sections, k, float(bottoms[k]), column, config)
-        if driven is None:
-            return
-        passes = _passes(way, on, config)
-        needed = column is None or is_cold(column, config)
-        wanted = passes_asked(on, column, config) if needed else 0
-        found.append(_Found(k, on, way, begins_k, driven[0].read(), passes, wanted, _place_of(nc, k)))
-
-    seen(0, None)
-    shapes = text_shapes(nc, config, sections)
-    text_bed_k(
-        beads, config, shapes, None, sections[0] if sections else None, lambda k, c: seen(k, c) if k else None
-    )
-    return found
-
-
-def _place_of(nc: NCProgram, k: int) -> str:
-    scans = nc.preheating
-    if scans is not None and (scans.layer == k).any():
-        return scans.where(int(np.flatnonzero(scans.layer == k)[0]))
-    rows = np.flatnonzero(nc.layer == k)
-    return nc.where(int(rows[0])) if rows.size else f"{nc.files[0].name}:1"
-
-
-def _passes(way: BeamWay, on: Scanned, config: Config) -> int:
-    """Whole passes that the way under the beam comes to; -1 where it is none."""
-    length = float(np.hypot(*(way.end - way.start).T)[way.power_w > 0.0].sum())
-    done, n = 0.0, 0
-    while n <= MOST_PASSES:
-        lines, joined = pass_lines(on.region, config, n)
-        own = pass_length_mm(lines, joined)
-        if abs(length - done) <= LENGTH_SHARE * own:
-            return n
-        if own <= 0.0 or done > length:
-            return -1
-        done, n = done + own, n + 1
-    return -1
-
-
-def _count(found: list[_Found], config: Config) -> Check:
-    """Passes of each scan: those set, else the fewest that reach the target by the heat model."""
-    faults = []
-    for scan in found:
-        room = 0 if config.preheat.passes is not None or scan.layer == 0 else 1
-        if scan.passes < 0:
-            faults.append(
-                (scan.where, f"before layer {scan.layer + 1} the way of the beam is not that of whole passes")
-            )
-        elif abs(scan.passes - scan.wanted) > room:
-            by = (
-                "preheat.passes"
-                if config.preheat.passes is not None
-                else f"the fewest that come to preheat.target_k + {AIM_K:g} K"
-            )
-            faults.append(
-                (
-                    scan.where,
-                    f"{scan.passes} passes before layer {scan.layer + 1} in place of {scan.wanted}, {by}",
-                )
-            )
-    total = sum(max(scan.passes, 0) for scan in found)
-    return count_check("preheat count", faults, f"{total} passes in {sum(s.passes > 0 for s in found)} scans")
-
-
-def _temperatures(nc: NCProgram, found: list[_Found], config: Config) -> list[Check]:
-    settings, solidus_k = config.preheat, config.material.solidus_k
-    read = [(scan, scan.after) for scan in found if scan.after is not None]
-    low = min(read, key=lambda pair: pair[1].mean_k, default=None)
-    high = max((p for p in read if p[0].passes), key=lambda pair: pair[1].mean_k, default=None)
-    uneven = max((p for p in read if p[0].passes), key=lambda pair: pair[1].spread_k, default=None)
-    most_w = max((float(p[0].way.power_w.max(initial=0.0)) for p in read), default=0.0)
-    checks = []
-    if low is not None:
-        text = f"layer {low[0].layer + 1} begins on {low[1].mean_k:.0f} K, preheat.target_k is {settings.target_k:g} K"
-        ok = low[1].mean_k >= settings.target_k
-        checks.append(
-            Check(
-                "preheat temperature",
-                bool(ok),
-                low[1].mean_k,
-                settings.target_k,
-                "K, at least",
-                low[0].where,
-                text,
-            )
-        )
-    if high is not None and uneven is not None:
-        limit = settings.target_k + settings.over_k
-        text = f"preheated to {high[1].mean_k:.0f} K at most, preheat.target_k + over_k is {limit:g} K"
-        checks.append(
-            Check(
-                "preheat overheating",
-                bool(high[1].mean_k <= limit),
-                high[1].mean_k,
-                limit,
-                "K",
-                high[0].where,
-                text,
-            )
-        )
-        spread, at = uneven[1].spread_k, uneven[1]
-        text = (
-            f"{at.least_k:.0f} K at {at.least_at_mm} to {at.most_k:.0f} K at {at.most_at_mm} before layer {uneven[0].layer + 1}, "
-            f"preheat.evenness_k is {settings.evenness_k:g} K"
-        )
-        checks.append(
-            Check(
-                "preheat evenness",
-                bool(spread <= settings.evenness_k),
-                spread,
-                settings.evenness_k,
-                "K",
-                uneven[0].where,
-                text,
-            )
-        )
-        peak_k = high[1].mean_k + spot_peak_k(most_w, settings.speed_mm_s, config)
-        text = f"the surface comes to {peak_k:.0f} K under a beam of {most_w:g} W and {settings.spot_mm:g} mm, solidus is {solidus_k:g} K"
-        checks.append(
-            Check("preheat melting", bool(peak_k < solidus_k), peak_k, solidus_k, "K", high[0].where, text)
-        )
-    return checks

@@ -47,13 +47,20 @@ def scans_of(nc: NCProgram, config: Config) -> dict[int, BeamWay]:
 
 
 def scanned_heat(
-    way: BeamWay, sections: list[BaseGeometry], k: int, z_mm: float, column: HeatColumn | None, config: Config
+    way: BeamWay,
+    sections: list[BaseGeometry],
+    k: int,
+    z_mm: float,
+    column: HeatColumn | None,
+    config: Config,
+    under: BaseGeometry | None = None,
 ) -> tuple[SurfaceHeat, Scanned] | None:
     """Heat of what is scanned before layer `k` when the beam has gone its way; None where there is nothing to scan.
 
-    `column` is that of what stands, which is not changed; None: the bare plate.
+    `column` is that of what stands, which is not changed; None: the bare plate. `under` is the section of what the lowest layer lies
+    on, where that is no plate.
     """
-    on = scanned(sections, k, z_mm, config)
+    on = scanned(sections, k, z_mm, config, under)
     if on.region.is_empty or on.body.is_empty:
         return None
     heat = surface_heat(on, bare_plate(on.body, config) if column is None else column.copy(), config)
@@ -62,9 +69,9 @@ def scanned_heat(
 
 
 def begun_column(scans: Mapping[int, BeamWay], lowest: BaseGeometry | None, config: Config) -> HeatColumn:
-    """Return the column with which a program begins: on the plate as its text preheats it, cold without."""
+    """Return the column with which a program begins on the plate: as its text preheats it, cold without."""
     column = HeatColumn(config)
-    if 0 in scans and lowest is not None and not lowest.is_empty:
+    if config.base_mm == 0.0 and 0 in scans and lowest is not None and not lowest.is_empty:
         found = scanned_heat(scans[0], [lowest], 0, 0.0, None, config)
         if found is not None:
             column.warm_plate = found[0].content_under_region()

@@ -108,7 +108,10 @@ def _grid(nc: NCProgram, beads: Beads, config: Config) -> tuple[Floats, tuple[in
         return np.zeros(2), (1, 1), bead_mm / CELLS_PER_BEAD
     # Curves between two ends reach beyond them by less than what they are long.
     margin = bead_mm + machine.head_radius_mm + float(np.nan_to_num(nc.lengths[beads.rows]).max(initial=0.0))
+    # On a part that is turned the limits of the machine mean other places.
     limits = np.array(machine.travel_min_mm[:2]), np.array(machine.travel_max_mm[:2])
+    if nc.machine is not None:
+        limits = np.full(2, -np.inf), np.full(2, np.inf)
     low = np.clip(every.min(axis=0) - margin, limits[0] - bead_mm, limits[1])
     high = np.clip(every.max(axis=0) + margin, limits[0], limits[1] + bead_mm)
     size = np.maximum(high - low, bead_mm)

@@ -27,13 +27,15 @@ LIMIT_ROUNDING_MM = 1e-9
 
 def state_checks(nc: NCProgram, config: Config, turn_limit_mm: float) -> list[Check]:
     """Check the state of the machine in every motion; `turn_limit_mm` is the longest turn under beam."""
+    # Of a program whose table turns, what its axes do, and not what that is on the part.
+    driven = nc if nc.machine is None else nc.machine
     return [
-        *machine_state_checks(nc, config),
+        *machine_state_checks(driven, config),
         _feed(nc, config),
         _known_positions(nc),
         _splines(nc),
         _polynomials(nc),
-        _travel(nc, config),
+        _travel(driven, config),
         _beam(nc),
         _wire(nc),
         _turns(nc, turn_limit_mm),

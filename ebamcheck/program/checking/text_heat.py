@@ -164,7 +164,9 @@ def text_bed_k(
     leave_k
         (L,) that of each layer when it is done; NaN for one without a bead.
     """
-    column = begun_column(beads.scans, lowest, config) if before is None else before.copy()
+    # A plate that the program itself preheats was cold before.
+    on_plate = before is None or (config.base_mm == 0.0 and 0 in beads.scans)
+    column = begun_column(beads.scans, lowest, config) if before is None or on_plate else before.copy()
     bed_k, leave_k = np.zeros(len(beads)), np.full(len(shapes), np.nan)
     enters = beads.enters_layer
     for n in range(len(beads)):
@@ -184,7 +186,7 @@ def text_bed_k(
 def _scan(column: HeatColumn, beads: TextBeads, layer: int, config: Config) -> None:
     """Preheat what stands before a layer, as the text does; the plate was before it begins."""
     way = beads.scans.get(layer)
-    if way is None or layer == 0:
+    if way is None or (layer == 0 and config.base_mm == 0.0):
         return
     column.advance(float(way.time_s.sum()), way.energy_j * config.material.absorptivity)
 

@@ -46,6 +46,7 @@ from ebamcheck.program.checking.section_check import Evidence, section_check
 from ebamcheck.program.checking.state_checks import state_checks
 from ebamcheck.program.checking.text_checks import text_checks
 from ebamcheck.program.checking.text_heat import known_sections
+from ebamcheck.program.checking.tilt_checks import tilt_checks
 from ebamcheck.program.checking.value_checks import value_check
 from ebamcheck.program.checking.wait_height import wait_height_check
 from ebamcheck.program.checking.window_checks import window_check
@@ -88,6 +89,7 @@ def verify_program(
     metal: bool = False,
     heat: bool = False,
     before: HeatColumn | None = None,
+    under: BaseGeometry | None = None,
     heights: ArrayLike | None = None,
     sha256: Mapping[str, str] | None = None,
     truth: Truth | None = None,
@@ -119,6 +121,8 @@ def verify_program(
         Work out a balance of the part's heat from the times, waits and power of the text, and check each bead's entry.
     before
         Heat of what stands when the program begins; None: the cold plate.
+    under
+        Section of what stands when the program begins, where that is preheated; None: the plate, or not known.
     heights
         (L,) heights of the cuts; None: those of `curves`, `plan` or `layers`.
     sha256
@@ -163,7 +167,8 @@ def verify_program(
     ]
     if heat:
         checks += heat_checks(nc, config, sections, before)
-    checks += preheat_checks(nc, config, sections)
+    checks += preheat_checks(nc, config, sections, before, under)
+    checks += tilt_checks(nc, config)
     checks += clearance_checks(nc, z_of, config, layers)
     checks += plugged_checks(nc, config)
     if known is None:

@@ -92,6 +92,8 @@ class Control:
     handshake: str = ""
     """``module:function`` that judges its text: (text, name of the file, settings) in,
     :class:`~ebamcheck.program.checking.checks.Check` out."""
+    frames: bool = False
+    """Whether its programs turn a tilt table (``machine.rotary``) for a layer, and set the frame of the turned part."""
     file_faults: str = ""
     """``module:function`` that checks names and first lines of the files: (program, settings) in, (place, text) out."""
 

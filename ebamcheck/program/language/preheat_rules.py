@@ -40,7 +40,7 @@ def checked_preheating(config: Config, name: str) -> None:
             f"preheat.target_k + over_k is {settings.target_k + settings.over_k:g} K, over {entry_limit_k(config):g} K at which no bead "
             "may be entered"
         )
-    elif config.base_mm > 0.0:
-        why = "the program begins on what stands (layers.base_mm): its preheating is not part of it"
+    elif config.base_mm > 0.0 and settings.scan_in == "own":
+        why = "the program begins on what stands (layers.base_mm), and its main program preheats nothing: set preheat.scan_in = 'layer'"
     if why:
         raise SettingsError(f"preheat.when is {settings.when!r}: {why}")

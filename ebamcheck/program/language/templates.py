@@ -12,6 +12,7 @@ from ebamcheck.program.language.numbers import plain
 from ebamcheck.program.language.preheat_rules import checked_preheating
 from ebamcheck.program.language.profile import templates_of
 from ebamcheck.program.language.template_rules import checked_templates
+from ebamcheck.program.language.tilt_rules import checked_tilt
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.wire_speed import wire_speed_mm_s
 
@@ -102,6 +103,7 @@ def usable_templates(config: Config, control: str) -> dict[str, tuple[str, ...]]
         For a template that makes no block, or holds what it must not; see :mod:`ebamcheck.program.language.template_rules`.
     """
     checked_preheating(config, control)
+    checked_tilt(config, control)
     templates = templates_of(config.machine, control)
     sample = process_values(config, 1, config.layer_height_mm, config.layer_height_mm)
     for name, lines in templates.items():

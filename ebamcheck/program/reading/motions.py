@@ -14,6 +14,7 @@ from ebamcheck.errors import SettingsError
 from ebamcheck.layers.stack import Layers, canonical
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program.reading import motion_items
+from ebamcheck.program.reading.table_columns import TableColumns
 from ebamcheck.showing import short_text
 
 RAPID, STRAIGHT, POLYNOMIAL, SPLINE_SPAN, ARC = range(5)
@@ -121,6 +122,11 @@ class NCProgram:
     preheating: NCProgram | None = None
     """Motions and events of the preheating subprograms, which are none of the others; `layer` is the one before which each comes.
     None: there are none."""
+    machine: NCProgram | None = None
+    """All motions as the axes drive them in the work offset, those of the machine itself among them, of a program that turns a tilt
+    table or sets a frame; its `table` tells of both. None: the program does neither."""
+    table: TableColumns | None = None
+    """What table and frame do during each motion; None: nothing."""
     dialect: str = "sinumerik-840d-sl"
     """Language of the text, by the name of a control: `sinumerik-840d-sl`, `linuxcnc` or `plain-gcode`."""
 

@@ -7,8 +7,12 @@ from dataclasses import fields, replace
 import numpy as np
 
 from ebamcheck.numeric.rings import Bools, Ints
+from ebamcheck.program.language.codes import FOCUS
 from ebamcheck.program.language.files import layer_of_preheat
 from ebamcheck.program.reading.motions import Events, NCProgram
+
+OFF = ("beam_off", "wire_stop")
+"""Commands that come before a scan."""
 
 OF_MOTIONS = (
     "file", "line", "layer", "kind", "start", "end", "coefficients", "arc", "feed_mm_min", "beam", "wire", "power_w",
@@ -17,24 +21,50 @@ OF_MOTIONS = (
 """Columns with a row for each motion."""
 
 
-def without_preheating(nc: NCProgram) -> NCProgram:
-    """Return a program with the motions and events of its preheating subprograms apart, by the files that they stand in.
+def without_preheating(nc: NCProgram, in_layers: bool = False) -> NCProgram:
+    """Return a program with the motions and events of its preheating scans apart.
 
-    What runs there stays in the order in which it runs; positions of the rest begin where the scan before left the tool.
+    A scan is told by the file that it stands in, or, where scans stand `in_layers`, by the focus: from where it is set out to where
+    it is taken back. What runs there stays in the order in which it runs; positions of the rest begin where the scan before left
+    the tool.
     """
+    if in_layers:
+        return _by_focus(nc)
     stem = nc.files[0].name.rpartition(".")[0]
     of_file = [layer_of_preheat(stem, file.name.rpartition(".")[0]) for file in nc.files]
     if all(layer is None for layer in of_file):
         return nc
     layer = np.array([-1 if found is None else found for found in of_file], np.int64)
     apart = layer[nc.file] >= 0
-    scans = _rows(nc, apart, layer[nc.events.file] >= 0)
+    scans = rows_of(nc, apart, layer[nc.events.file] >= 0)
     scans = replace(scans, layer=layer[scans.file], layer_files=())
-    return replace(_rows(nc, ~apart, layer[nc.events.file] < 0), preheating=scans)
+    return replace(rows_of(nc, ~apart, layer[nc.events.file] < 0), preheating=scans)
 
 
-def _rows(nc: NCProgram, motions: Bools, events: Bools) -> NCProgram:
-    """Some motions and some events of a program."""
+def _by_focus(nc: NCProgram) -> NCProgram:
+    """Scans told by the focus, each with the commands right before it that switch beam and wire off."""
+    motions, events = np.zeros(len(nc), np.bool_), np.zeros(len(nc.events.name), np.bool_)
+    names, first = nc.events.name, -1
+    for i, name in enumerate(names):
+        out = name == FOCUS and nc.events.value[i] != 0.0
+        if first < 0 and out:
+            first = i
+            while first and names[first - 1] in OFF and nc.events.file[first - 1] == nc.events.file[i]:
+                first -= 1
+            begins = int(nc.events.row[i])
+        ends = name == FOCUS and not out
+        if first >= 0 and (ends or i == len(names) - 1):
+            events[first : i + 1] = True
+            motions[begins : int(nc.events.row[i]) if ends else len(nc)] = True
+            first = -1
+    if not events.any():
+        return nc
+    scans = replace(rows_of(nc, motions, events), layer_files=())
+    return replace(rows_of(nc, ~motions, ~events), preheating=scans)
+
+
+def rows_of(nc: NCProgram, motions: Bools, events: Bools) -> NCProgram:
+    """Some motions and some events of a program, each event before the motion that it came before."""
     assert {field.name for field in fields(nc)} >= set(OF_MOTIONS)
     kept = {name: getattr(nc, name)[motions] for name in OF_MOTIONS}
     before: Ints = np.concatenate([[0], np.cumsum(motions)]).astype(np.int64)
@@ -46,4 +76,5 @@ def _rows(nc: NCProgram, motions: Bools, events: Bools) -> NCProgram:
         name=tuple(old.name[i] for i in which.tolist()),
         value=old.value[which],
     )
-    return replace(nc, events=found, **kept)
+    table = None if nc.table is None else nc.table.rows(motions)
+    return replace(nc, events=found, table=table, **kept)

@@ -13,6 +13,7 @@ from ebamcheck.program.reading.motions import ARC, RAPID, Events, NCProgram, Sou
 from ebamcheck.program.reading.preheating import without_preheating
 from ebamcheck.program.reading.recognition import StateChange
 from ebamcheck.program.reading.roles import by_shape, with_travel
+from ebamcheck.program.reading.table_state import TableState, starts_in_frames
 
 NAN = float("nan")
 LINE_OF_T = (0.0, 0.0, 0.0, 0.0, 1.0)
@@ -23,7 +24,10 @@ NO_CENTRE = (NAN, NAN, NAN)
 class Recorder:
     """State of the control, and the motions (rows) that it made so far."""
 
-    def __init__(self, folder: Path, dialect: str) -> None:
+    def __init__(
+        self, folder: Path, dialect: str, axes: tuple[str, ...] = (), scans_in_layers: bool = False
+    ) -> None:
+        self._scans_in_layers = scans_in_layers
         self.folder = folder
         self.dialect = dialect
         self.files: list[SourceFile] = []
@@ -43,6 +47,7 @@ class Recorder:
         self._layer = -1
         self._templates: list[str] = []
         self._templates_at = (-1, -1)
+        self.table = TableState(axes)
 
     # -- files -------------------------------------------------------------------------------------
 
@@ -139,7 +144,7 @@ class Recorder:
         line: int = 0,
     ) -> None:
         """Note a motion to x, y, z; `line` where it is not the present one."""
-        if self._state < 0:
+        if self._state < 0 or self.table.changed:
             self._keep_state()
         self._rows.append((line or self.line, self._state, kind, x, y, z, *curve, *centre))
         self.x, self.y, self.z = x, y, z
@@ -151,21 +156,32 @@ class Recorder:
             (
                 self.file, self._layer, self._feed, self._beam, self._wire,
                 values.get("voltage_kv", NAN) * values.get("current_ma", NAN),
-                values.get("power_w", NAN), values.get("wire_mm_s", NAN),
+                values.get("power_w", NAN), values.get("wire_mm_s", NAN), *self.table.kept(),
             )
         )  # fmt: skip
+
+    def set_frame(self, frame: Floats) -> None:
+        """Put another frame in force: the tool stays where it is, which is another place in the new frame."""
+        here = np.array([self.x, self.y, self.z])
+        if np.isnan(here).all():
+            self.table.set_frame(frame)
+        else:
+            self.x, self.y, self.z = self.table.seen_from(frame, here).tolist()
 
     # -- result ------------------------------------------------------------------------------------
 
     def program(self) -> NCProgram:
         """Gather all that was read into columns."""
-        table = np.array(self._rows, dtype=np.float64).reshape(len(self._rows), 14).T
-        line, state, kind = table[:3].astype(np.int64)
-        states = np.array(self._states, dtype=np.float64).reshape(len(self._states), 8)[state].T
+        rows = np.array(self._rows, dtype=np.float64).reshape(len(self._rows), 14).T
+        line, state, kind = rows[:3].astype(np.int64)
+        states = np.array(self._states, dtype=np.float64).reshape(len(self._states), 10)[state].T
         file, layer = states[:2].astype(np.int64)
         beam = states[3] > 0
-        end = np.ascontiguousarray(table[3:6].T)
+        end = np.ascontiguousarray(rows[3:6].T)
         start = np.vstack([np.full((1, 3), np.nan), end[:-1]])[: len(end)]
+        table = self.table.columns(states[8:].astype(np.int64))
+        if table is not None:
+            start = starts_in_frames(start, table)
         nothing = np.full(len(end), -1, np.int64)
         layer, layer_files = self._layers(layer, end[:, 2], beam & (kind != RAPID))
         events = self._events
@@ -179,8 +195,8 @@ class Recorder:
             kind=kind,
             start=start,
             end=end,
-            coefficients=_coefficients(kind, start, end, table[6:11]),
-            arc=np.ascontiguousarray(table[11:14].T),
+            coefficients=_coefficients(kind, start, end, rows[6:11]),
+            arc=np.ascontiguousarray(rows[11:14].T),
             feed_mm_min=states[2],
             beam=beam,
             wire=states[4] > 0,
@@ -200,8 +216,9 @@ class Recorder:
             numbers=np.array(self._numbers, dtype=np.int64).reshape(-1, 3),
             layer_files=layer_files,
             dialect=self.dialect,
+            table=table,
         )
-        return by_shape(without_preheating(made))
+        return by_shape(without_preheating(made, self._scans_in_layers))
 
     def _layers(self, layer: Ints, z: Floats, deposit: Bools) -> tuple[Ints, tuple[str, ...]]:
         """Layers as subprograms are called for them; in a program without calls, by the levels of Z of its deposits."""

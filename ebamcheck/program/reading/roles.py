@@ -111,6 +111,9 @@ def by_section(nc: NCProgram, layers: Layers, z_of: Floats, offset_mm: float, ne
             if border is None or border.is_empty:
                 continue
             row, at = nc.samples(beads.rows[np.isin(beads.bead, mine)], STEP_MM)
+            # Under a beam that is switched on too early there are places that no block has given.
+            known = np.isfinite(at).all(axis=1)
+            row, at = row[known], at[known]
             near = _away(at, border) <= near_mm
             # Each sample stands for its share of the motion.
             np.add.at(pieces, row, 1)

@@ -46,11 +46,12 @@ def layer_blocks(
     templates: Templates,
     heat: Interpass,
     entry: Sequence[str],
+    around: tuple[Sequence[str], Sequence[str]] = ((), ()),
 ) -> list[str]:
     """Blocks of layer `k`: contour rings and islands, each track between beam on and beam off, and the waits.
 
     `entry` are the modes that hold in it. It begins with them and with its own power, so that the control can enter the
-    program there.
+    program there. The blocks of `around` come before its first way and after its last.
     """
     values = process_values(config, k + 1, float(path.z[k]), float(path.thickness[k]))
     share = float(heat.power_share[k])
@@ -83,7 +84,9 @@ def layer_blocks(
         comment(f"LAYER: {k + 1} OF {len(path.z)}, CUT AT {path.cut[k]:.6f}, Z {path.z[k]:.6f}"),
         *entry_blocks(entry, values.at(share, 1.0), templates),
         *values.fill("layer_begin", templates["layer_begin"]),
+        *around[0],
         *layer.lines,
+        *around[1],
         *values.fill("layer_end", templates["layer_end"]),
         *pause_blocks(values, templates, wait_s),
     ]

@@ -35,15 +35,21 @@ def preheat_blocks(
     bottom_mm: float,
     passes: int,
     values: ProcessValues,
+    after: ProcessValues,
     config: Config,
     form: BlockFormat,
     templates: Templates,
     entry: Sequence[str],
 ) -> list[str]:
-    """Blocks of the scan before layer `k`, whose bottom lies at `bottom_mm`; `entry` are the modes that hold in it."""
+    """Blocks of the scan before layer `k`, whose bottom lies at `bottom_mm`.
+
+    `entry` are the modes that hold in it, `values` those of beads at full power, and `after` those with which the beam is left.
+    Within the subprogram of its layer (``preheat.scan_in``) the focus is the last that is taken back, since it tells where the scan
+    ends.
+    """
     settings = config.preheat
     assert plan.sections is not None
-    region = scanned(list(plan.sections), k, bottom_mm, config).region
+    region = scanned(list(plan.sections), k, bottom_mm, config, getattr(plan, "under", None)).region
     share = settings.current_ma / config.process.current_ma
     low = values.at(share, 1.0)
     wide, sharp = replace(low, defocus=settings.defocus), replace(values, defocus=0.0)
@@ -70,9 +76,6 @@ def preheat_blocks(
                 lines += [f"G0 X{form.value(way[0])} Y{form.value(way[1])}", *on]
             lines.append(f"G1 X{form.value(way[2])} Y{form.value(way[3])}{'' if joined[n] else feed}")
         lines += off if len(ways) else []
-    return [
-        *lines,
-        *filled("set_beam", values),
-        *filled("set_focus", sharp),
-        *pause_blocks(values, templates, settings.soak_s),
-    ]
+    ends = [*filled("set_beam", after), *filled("set_focus", sharp)]
+    soak = pause_blocks(values, templates, settings.soak_s)
+    return [*lines, *ends, *soak] if settings.scan_in == "own" else [*lines, *soak, *ends]

@@ -28,6 +28,11 @@ def entry_blocks(modes: Sequence[str], values: ProcessValues, templates: Templat
     return [*modes, *_filled(("set_beam",), values, templates)]
 
 
+def off_blocks(values: ProcessValues, templates: Templates) -> list[str]:
+    """Blocks that command wire and beam off."""
+    return _filled(("wire_stop", "beam_off"), values, templates)
+
+
 def _filled(names: Sequence[str], values: ProcessValues, templates: Templates) -> list[str]:
     return [line for name in names for line in values.fill(name, templates[name])]
 

@@ -6,7 +6,7 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Bools, Floats
 from ebamcheck.scan.heat.falling import falling
 
@@ -21,6 +21,9 @@ LEAST_SHARE = 0.05
 
 ON_OUTLINE_MM = 1e-6
 """Crossings nearer than this are the outline on which the point lies, not what its ray meets."""
+
+FEWEST_POINTS = 64
+"""Points that a thread is worth."""
 
 
 def enclosed_share(section: BaseGeometry, points: Floats, variance_mm2: Floats) -> Floats:
@@ -45,8 +48,16 @@ def enclosed_share(section: BaseGeometry, points: Floats, variance_mm2: Floats) 
     near = np.flatnonzero(shapely.dwithin(outline, shapely.points(points), reach))
     share = np.ones(variance_mm2.shape)
     rings = [shapely.get_coordinates(line) for line in shapely.get_parts(outline)]
-    goes_on = np.concatenate([np.arange(1, len(ring) + 1) < len(ring) for ring in rings])
-    share[near] = in_sight(points[near], variance_mm2[near], np.concatenate(rings), goes_on)
+    points_of, goes_on = (
+        np.concatenate(rings),
+        np.concatenate([np.arange(1, len(r) + 1) < len(r) for r in rings]),
+    )
+    seen, variance = points[near], variance_mm2[near]
+    share[near] = np.concatenate(
+        run_blocks(
+            lambda a, b: in_sight(seen[a:b], variance[a:b], points_of, goes_on), len(near), FEWEST_POINTS
+        )
+    )
     return np.maximum(share, LEAST_SHARE)
 
 

@@ -103,7 +103,11 @@ def cooled_layer(job: LayerJob, found: PartHeat, config: Config, guess: float = 
     guess
         Share of the power of the layer below: that of this one is found sooner where it is near.
     """
-    share = power_share(job, found, config, guess)
+    kept: dict[float, SimulatedLayer] = {}
+    share = power_share(job, found, config, guess, kept)
+    if share in kept:
+        # No bead is over the limit, so that none waits: it would be the same layer, simulated again.
+        return kept[share]
     waits = config.process.interpass in ("dwell", "both")
     ring_wait_s = 0.0
     while True:
@@ -114,10 +118,17 @@ def cooled_layer(job: LayerJob, found: PartHeat, config: Config, guess: float = 
         ring_wait_s = done.ring_wait_s
 
 
-def power_share(job: LayerJob, found: PartHeat, config: Config, guess: float = 0.0) -> float:
+def power_share(
+    job: LayerJob,
+    found: PartHeat,
+    config: Config,
+    guess: float = 0.0,
+    kept: dict[float, SimulatedLayer] | None = None,
+) -> float:
     """Share of the power of a layer: that of the table, or the greatest at which no bead is entered above the limit.
 
-    The search begins at a guess; its result is the same wherever it begins, since less power is never hotter.
+    The search begins at a guess; its result is the same wherever it begins, since less power is never hotter. The layer at each
+    share that was tried and fits is `kept`.
     """
     scheduled = scheduled_share(config, job.height_mm)
     if scheduled is not None:
@@ -128,7 +139,10 @@ def power_share(job: LayerJob, found: PartHeat, config: Config, guess: float = 0
     low, high = math.ceil(PERCENT * least), PERCENT
 
     def fits(percent: int) -> bool:
-        return simulate(job, found, config, percent / PERCENT, waits=False, keep=True) is not None
+        done = simulate(job, found, config, percent / PERCENT, waits=False, keep=True)
+        if done is not None and kept is not None:
+            kept[percent / PERCENT] = done
+        return done is not None
 
     if fits(high):
         return 1.0

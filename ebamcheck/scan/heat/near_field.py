@@ -29,7 +29,7 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.heat.depth import DepthModes, depth_modes
 from ebamcheck.heat.model import HeatModel
 from ebamcheck.heat.referee import BEAM_SHARE
-from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.filling.hatch import Vectors
 from ebamcheck.scan.filling.schedule import IslandSchedule
@@ -66,6 +66,9 @@ MOST_DEPTH_WAVES = 2000
 
 FAR = 16.0
 """Squared distances over this times the variance bring nothing: exp(-8)."""
+
+FEWEST_PAIRS = 16
+"""Pairs of islands that a thread is worth."""
 
 
 class NearField(NamedTuple):
@@ -149,7 +152,9 @@ def near_field(
     spread = 2.0 * alpha * age
     # Means are those of whole islands, as the modes have them; lines end short of their borders.
     tiles = island_tiles(islands)
-    free = between_pieces(*tiles, pairs, spread)
+    free = np.concatenate(
+        run_blocks(lambda a, b: between_pieces(*tiles, pairs[a:b], spread), len(pairs), FEWEST_PAIRS)
+    )
     inside = of_islands(section, tiles, spread)
     free /= 0.5 * (inside[pairs[:, 0]] + inside[pairs[:, 1]])
     free[hidden(section, pieces, pairs, centroid, bead_mm)] = 0.0

@@ -11,6 +11,7 @@ is short enough are improved (:mod:`~ebamcheck.scan.order.annealing`). Of a few 
 from __future__ import annotations
 
 import itertools
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -50,11 +51,11 @@ MOST_WORK = 4e9
 MOVES_AN_ISLAND = 800
 """Moves tried for each island when a plan is improved: on layers of few, more find nothing."""
 
-THREADED = 100
-"""Islands from which greedy plans are made on all threads: one takes milliseconds then."""
-
 Rank = tuple[int, float, float]
 """Rank of a plan, see :func:`ranked`: the less the better."""
+
+FEWEST_A_THREAD = 100
+"""Islands in all the plans that a thread is worth: one island takes some ten microseconds."""
 
 TIE_K = 1e-6
 """Scores closer than this are equal: rounding must not decide between islands that mirror each other."""
@@ -108,7 +109,7 @@ def thermal_order(
             done.append((order, ranked(heat, schedule, beside, rapid_mm_s, order, longest_mm)))
         return done
 
-    found = run_blocks(plans, len(tries), smallest=1 if count > THREADED else len(tries))
+    found = run_blocks(plans, len(tries), smallest=math.ceil(FEWEST_A_THREAD / count))
     plans_made = sorted(itertools.chain(*found), key=lambda plan: plan[1])
     best, best_rank = plans_made[0]
     if count > MOST_ISLANDS or steps == 0:

@@ -13,6 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import shapely
 from numpy.typing import NDArray
+from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.atomic_file import COMPRESSION
 from ebamcheck.errors import InputError
@@ -99,6 +100,8 @@ class ScanPlan:
         gets the wire of a bead by itself.
     stands
         Surface of what the lowest layer lies on, which its beads mend; None: level. No file holds it.
+    under
+        Section of what the lowest layer lies on, where that is preheated; None: the base plate. No file holds it.
     """
 
     heights: Floats
@@ -118,6 +121,7 @@ class ScanPlan:
     sections: NDArray[np.object_] | None = None
     inner_wait_s: Floats = field(default_factory=lambda: np.zeros(0))
     stands: Surface | None = None
+    under: BaseGeometry | None = None
 
     def __len__(self) -> int:
         """Return the number of layers."""
@@ -178,9 +182,10 @@ class PlanOfLayers:
             header = _header(path, pq.read_schema(path))
         except (OSError, pa.ArrowException) as error:
             raise InputError(f"{path}: cannot be read as a scan plan: {error}") from None
+        further = [name for name in header["metrics"] if name not in METRICS]
         return cls(
             np.asarray(header["heights"], np.float64),
-            pd.DataFrame(header["metrics"], columns=list(METRICS)),
+            pd.DataFrame(header["metrics"], columns=[*METRICS, *further]),
             _regions(header["sections"]) if "sections" in header else None,
         )
 

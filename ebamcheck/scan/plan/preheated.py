@@ -31,16 +31,24 @@ class Scanned:
     z_mm: float
 
 
-def scanned(sections: Sequence[BaseGeometry], k: int, z_mm: float, config: Config) -> Scanned:
-    """Return what is scanned before layer `k`, whose bottom lies at `z_mm`; `sections` (L,) are those of the layers."""
+def scanned(
+    sections: Sequence[BaseGeometry], k: int, z_mm: float, config: Config, under: BaseGeometry | None = None
+) -> Scanned:
+    """Return what is scanned before layer `k`, whose bottom lies at `z_mm`; `sections` (L,) are those of the layers.
+
+    `under` is the section of what the lowest layer lies on; None: the base plate.
+    """
+    if k == 0 and under is not None:
+        return Scanned(under, layer_region(under, z_mm, config), z_mm)
     if k == 0:
         return Scanned(plate_of(sections[0], config), plate_region(sections[0], config), 0.0)
     return Scanned(sections[k - 1], layer_region(sections[k - 1], z_mm, config), z_mm)
 
 
 def asked_for(k: int, config: Config) -> bool:
-    """Whether the settings ask for a scan before a layer, if it is cold."""
-    return config.preheat.when == "layers" or (config.preheat.when == "plate" and k == 0)
+    """Whether the settings ask for a scan before a layer of a program, if it is cold."""
+    on_plate = k == 0 and config.base_mm == 0.0
+    return config.preheat.when == "layers" or (config.preheat.when == "plate" and on_plate)
 
 
 def surface_heat(on: Scanned, column: HeatColumn, config: Config) -> SurfaceHeat:
@@ -49,7 +57,12 @@ def surface_heat(on: Scanned, column: HeatColumn, config: Config) -> SurfaceHeat
 
 
 def preheated(
-    part: PartHeat, sections: Sequence[BaseGeometry], k: int, z_mm: float, config: Config
+    part: PartHeat,
+    sections: Sequence[BaseGeometry],
+    k: int,
+    z_mm: float,
+    config: Config,
+    under: BaseGeometry | None = None,
 ) -> tuple[PartHeat, int]:
     """Preheat what layer `k` lies on, if the settings ask for it; the heat then, and the passes.
 
@@ -57,16 +70,18 @@ def preheated(
     ----------
     z_mm
         Z over the plate of the bottom of the layer.
+    under
+        Section of what the lowest layer lies on; None: the base plate.
     """
     if not asked_for(k, config) or sections[k].area <= 0.0:
         return part, 0
-    on = scanned(sections, k, z_mm, config)
-    if on.region.is_empty or (k and not is_cold(part.column, config)):
+    on, bare = scanned(sections, k, z_mm, config, under), k == 0 and under is None
+    if on.region.is_empty or not (bare or is_cold(part.column, config)):
         return part, 0
-    column = bare_plate(on.body, config) if k == 0 else part.column.copy()
+    column = bare_plate(on.body, config) if bare else part.column.copy()
     heat, passes, time_s = _driven(surface_heat(on, column, config), on.region, config)
     after = part.copy()
-    if k == 0:
+    if bare:
         after.column = HeatColumn(config)
         after.column.warm_plate = heat.content_under_region()
     else:

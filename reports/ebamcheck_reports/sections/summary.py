@@ -64,6 +64,10 @@ def _verdict(run: RunData) -> Markup:
 
 
 def _picture(run: RunData) -> Markup:
+    if run.part_of("slabs"):
+        return paragraph(
+            "The part was checked in slabs: its layers were dropped, and there is no picture of it."
+        )
     try:
         layers = run.primary
     except InputError as error:

@@ -79,6 +79,7 @@ CONTROL = Control(
     words=words,
     form_lines=form_lines,
     tolerance_word=" CTOL=",
+    frames=True,
     file_faults="ebamcheck.program.controls.sinumerik.files:file_faults",
     waiting="ebamcheck.program.controls.sinumerik.waiting:waiting_program",
     handshake="ebamcheck.program.controls.sinumerik.handshake:handshake_check",

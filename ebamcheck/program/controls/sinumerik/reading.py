@@ -25,9 +25,11 @@ from ebamcheck.program.language.words import (
 )
 from ebamcheck.program.reading.arcs import arc
 from ebamcheck.program.reading.comments import read_header
+from ebamcheck.program.reading.frames import NONE, frame_after
 from ebamcheck.program.reading.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT, NCProgram
 from ebamcheck.program.reading.recognition import Templates
 from ebamcheck.program.reading.recorder import LINE_OF_T, NAN, NO_CENTRE, Recorder
+from ebamcheck.program.reading.turned_table import on_part
 from ebamcheck.settings.config import Config
 
 DEEPEST_CALL = 8
@@ -57,14 +59,15 @@ def read_program(main: Path, config: Config, *, bspline_shift: Shift | None = No
     """Read a program from its main file; subprograms lie beside it."""
     reader = SinumerikReader(main.parent, config, bspline_shift)
     reader.run(main)
-    return reader.out.program()
+    return on_part(reader.out.program(), config)
 
 
 class SinumerikReader:
     """State of the control while it runs a program from top to bottom."""
 
     def __init__(self, folder: Path, config: Config, shift: Shift | None) -> None:
-        self.out = Recorder(folder, NAME)
+        self._rotary = tuple(axis.name for axis in config.machine.rotary)
+        self.out = Recorder(folder, NAME, self._rotary, config.preheat.scan_in == "layer")
         self._templates = Templates(checked_templates(config.machine, NAME))
         self._given_shift = shift
         self._shift: Shift = shift or config.machine.bspline_shift
@@ -93,7 +96,7 @@ class SinumerikReader:
     def _run_plain(self, text: str) -> bool:
         """Run one of the blocks of which a program mostly consists; return whether it is one."""
         found = _PLAIN_BLOCK.fullmatch(text)
-        if found is None:
+        if found is None or self.out.table.fresh:
             return False
         out, part = self.out, found.groups()
         if found.lastgroup == "control":
@@ -161,8 +164,13 @@ class SinumerikReader:
         if _MESSAGE.fullmatch(code):
             self._end_spline()
             return ""
+        if self._rotary and (frame := frame_after(code, self.out.table.frame)) is not None:
+            self._end_spline()
+            self.out.event("frame")
+            self.out.set_frame(frame)
+            return ""
         try:
-            block = read_block(code)
+            block = read_block(code, self._rotary)
         except UnknownWord:
             change = self._templates.find(code)
             if change is not None:
@@ -178,6 +186,9 @@ class SinumerikReader:
             elif word in _KINDS:
                 self._end_spline()
                 self._mode = word
+            elif word == "TRANS" and self.out.table.frame is not NONE:
+                self.out.event("frame taken back")
+                self.out.set_frame(NONE)
             else:
                 self.out.event(word)
         if block.values or block.lists:
@@ -204,7 +215,10 @@ class SinumerikReader:
             self._degree = int(values.get("SD", 3.0))
         elif "SD" in values:
             raise WordError("SD belongs to the block with BSPLINE", 0)
-        if block.lists or any(axis in values for axis in AXES):
+        if any(axis in values for axis in self._rotary):
+            self._end_spline()
+            self.out.table.turn(values)
+        if block.lists or any(axis in values for axis in (*AXES, *self._rotary)):
             self._move(block)
         elif "I" in values or "J" in values or "CR" in values or "PL" in values:
             raise WordError("a block without an axis has nothing to use I, J, CR or PL for", 0)
@@ -237,6 +251,9 @@ class SinumerikReader:
         if not mode:
             raise WordError("an axis before any of G0, G1, G2, G3, POLY, BSPLINE", 0)
         values, lists = block.values, block.lists
+        if out.table.fresh and not (named := self._axes(block)) >= set(AXES):
+            out.event("frame lacks " + " ".join(axis for axis in AXES if axis not in named))
+        out.table.fresh = out.table.fresh and not self._axes(block)
         if lists and mode != "POLY":
             raise WordError(f"PO[] under {mode}: it belongs to POLY", 0)
         here = {"X": out.x, "Y": out.y, "Z": out.z}
@@ -260,6 +277,11 @@ class SinumerikReader:
         elif "I" in values or "J" in values or "CR" in values:
             raise WordError(f"I, J or CR under {mode}: they belong to G2 and G3", 0)
         out.move(_KINDS[mode], x, y, z, curve, centre)
+
+    @staticmethod
+    def _axes(block: Block) -> set[str]:
+        """Geometry axes that a block names."""
+        return {axis for axis in AXES if axis in block.values or f"PO[{axis}]" in block.lists}
 
     def _polynomial(self, block: Block) -> tuple[float, float, float, float, float]:
         """Coefficients of t^2 and t^3 in X and Y, and the length of the parameter."""

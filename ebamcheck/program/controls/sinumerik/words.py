@@ -38,8 +38,8 @@ DEGREE = 3
 """Highest degree of a POLY block that is read; the control knows up to 5."""
 
 
-def read_block(code: str) -> Block:
-    """Split the upper-case text of a block, without number and comment, into its words.
+def read_block(code: str, rotary: tuple[str, ...] = ()) -> Block:
+    """Split the upper-case text of a block, without number and comment, into its words; `rotary` are axes of a table.
 
     Raises
     ------
@@ -56,11 +56,11 @@ def read_block(code: str) -> Block:
             if letter in ("G", "M", "D"):
                 _add_code(block, letter + (digits.lstrip("0") or "0"), found)
             else:
-                _add_value(block, letter, digits, found)
+                _add_value(block, letter, digits, found, rotary)
         elif kind == "list":
             _add_list(block, found)
         elif kind == "value":
-            _add_value(block, found["name"], found["value"], found)
+            _add_value(block, found["name"], found["value"], found, rotary)
         elif kind == "identifier":
             _add_code(block, found["identifier"], found)
         else:
@@ -80,8 +80,10 @@ def _add_code(block: Block, word: str, found: re.Match[str]) -> None:
     block.codes.append(word)
 
 
-def _add_value(block: Block, address: str, digits: str, found: re.Match[str]) -> None:
-    if address not in NUMBERS:
+def _add_value(
+    block: Block, address: str, digits: str, found: re.Match[str], rotary: tuple[str, ...]
+) -> None:
+    if address not in NUMBERS and address not in rotary:
         text = found[0].lstrip()
         raise UnknownWord(refusal(NAME, text), found.end() - len(text))
     if address in block.values:

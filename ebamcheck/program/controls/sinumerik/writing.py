@@ -38,7 +38,8 @@ from ebamcheck.program.writing.layer_text import (
     motion_text,
 )
 from ebamcheck.program.writing.preheat_text import preheat_blocks, preheat_passes
-from ebamcheck.program.writing.safe_states import end_blocks, start_blocks
+from ebamcheck.program.writing.safe_states import end_blocks, off_blocks, start_blocks
+from ebamcheck.program.writing.tilt_text import Tilt, tilt_of
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import MachineSettings
 
@@ -94,21 +95,46 @@ def write_program(
     digits = max(4, len(str(layers)))
     layer_names = [legal_name(f"{name}_L{k + 1:0{digits}d}") for k in range(layers)]
     status = VALIDATED if validated else NOT_VALIDATED
-    scans = _preheating(plan, path, config, form, templates, digits)
+    scans = _preheating(plan, path, config, form, templates)
+    own = {
+        legal_name(preheat_name(name, k, digits)): blocks
+        for k, blocks in scans.items()
+        if config.preheat.scan_in == "own"
+    }
+    tilt = tilt_of(config, form)
     texts = {
         f"{legal_name(name)}.MPF": _main_program(
-            config, form, status, path, layer_names, list(scans), templates, header or {}
+            config, form, status, path, layer_names, list(own), templates, header or {}, tilt
         )
     }
     motions = motion_text(path, form, _cubics(path, curves, machine, form))
     heat = interpass_of(plan, config)
     for k, layer_name in enumerate(layer_names):
         entry = [*modes(machine), f'MSG("LAYER {k + 1} OF {layers}")']
-        blocks = layer_blocks(path, k, motions, config, form, templates, heat, entry)
+        around = _turned(tilt, path, k, config, form, templates)
+        if k in scans and not own:
+            around = [*scans[k], *around[0]], around[1]
+        blocks = layer_blocks(path, k, motions, config, form, templates, heat, entry, around)
         texts[f"{layer_name}.SPF"] = numbered([*_opening(layer_name, "SPF", config, status), *blocks, "M17"])
-    for scan_name, blocks in scans.items():
+    for scan_name, blocks in own.items():
         texts[f"{scan_name}.SPF"] = numbered([*_opening(scan_name, "SPF", config, status), *blocks, "M17"])
     return write_files(texts, Path(folder), validated=validated)
+
+
+def _turned(
+    tilt: Tilt | None,
+    path: Toolpath,
+    k: int,
+    config: Config,
+    form: BlockFormat,
+    templates: Mapping[str, tuple[str, ...]],
+) -> tuple[list[str], list[str]]:
+    """Blocks that turn the table before layer `k`, and back after it; none where nothing is turned."""
+    first = int(path.layer_starts[k])
+    if tilt is None or first == int(path.layer_starts[k + 1]):
+        return [], []
+    off = off_blocks(process_values(config, k + 1, float(path.z[k]), float(path.thickness[k])), templates)
+    return tilt.before(off, path.start[first], config, form), tilt.after(off, config, form)
 
 
 def _preheating(
@@ -117,18 +143,20 @@ def _preheating(
     config: Config,
     form: BlockFormat,
     templates: Mapping[str, tuple[str, ...]],
-    digits: int,
-) -> dict[str, list[str]]:
-    """Names and blocks of the preheating scans, each before the layer of its number."""
-    passes = preheat_passes(plan)
+) -> dict[int, list[str]]:
+    """Blocks of the preheating scans, by the layer before which each comes."""
+    passes, heat = preheat_passes(plan), interpass_of(plan, config)
     found = {}
     for k in np.flatnonzero(passes).tolist():
-        bottom_mm = float(path.z[k - 1]) if k else 0.0
+        bottom_mm = float(path.z[k - 1]) if k else config.base_mm
         values = process_values(config, k + 1, bottom_mm, float(path.thickness[k]))
-        entry = [*modes(config.machine), f'MSG("PREHEATING BEFORE LAYER {k + 1}")']
-        name = legal_name(preheat_name(config.machine.program_name, k, digits))
-        found[name] = preheat_blocks(
-            plan, k, bottom_mm, int(passes[k]), values, config, form, templates, entry
+        entry = [f'MSG("PREHEATING BEFORE LAYER {k + 1}")']
+        after = values.at(float(heat.power_share[k]), 1.0)
+        if config.preheat.scan_in == "own":
+            # Its layer begins with modes and power of its own.
+            entry, after = [*modes(config.machine), *entry], values
+        found[k] = preheat_blocks(
+            plan, k, bottom_mm, int(passes[k]), values, after, config, form, templates, entry
         )
     return found
 
@@ -195,9 +223,12 @@ def _main_program(
     scans: list[str],
     templates: Mapping[str, tuple[str, ...]],
     header: Mapping[str, str],
+    tilt: Tilt | None,
 ) -> str:
     machine = config.machine
     first, top = (float(path.z[0]), float(path.z[-1])) if len(path.z) else (0.0, 0.0)
+    if tilt is not None:
+        top = tilt.up_mm - machine.safe_height_mm
     values = process_values(config, 1, first, first)
     before = {layer_of_preheat(config.machine.program_name, scan): scan for scan in scans}
     calls = [

@@ -1,0 +1,73 @@
+"""How a part that is turned between layers stands on its table: the motion from the table to the turned part, by the mesh."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ebamcheck.errors import InputError
+from ebamcheck.mesh.part import Part
+from ebamcheck.numeric.rings import Floats
+from ebamcheck.settings.tilt import OnTable
+
+RIGID_MM = 1e-6
+"""How far a part may be from a turned one of the same file."""
+
+SAME_MM = 1e-6
+"""How far two mountings of one part may place it apart."""
+
+
+def rigid_motion(before: Part, now: Part) -> tuple[Floats, Floats]:
+    """Turn (3, 3) and shift (3,) with p @ turn + shift, which take one part to the other, by their vertices.
+
+    Raises
+    ------
+    InputError
+        If they are not of one file.
+    """
+    if before.vertices.shape != now.vertices.shape:
+        raise InputError(f"part {now.name!r}: is of another file than the one that was built")
+    middle = before.vertices.mean(axis=0)
+    turn, *_ = np.linalg.lstsq(before.vertices - middle, now.vertices - now.vertices.mean(axis=0), rcond=None)
+    u, _, v = np.linalg.svd(turn)
+    turn = np.asarray(u @ v, np.float64)
+    shift = now.vertices.mean(axis=0) - middle @ turn
+    scale = max(float(np.abs(before.bounds).max()), 1.0)
+    if np.abs(before.vertices @ turn + shift - now.vertices).max() > RIGID_MM * scale:
+        raise InputError(f"part {now.name!r}: is of another file than the one that was built")
+    return turn, np.asarray(shift, np.float64)
+
+
+def on_table(before: Part, now: Part) -> OnTable:
+    """Mounting of a part that was built along one direction and is turned to another.
+
+    Parameters
+    ----------
+    before, now
+        The same part as it stands on the table with all axes at 0, and as the program of the turned layer has it. A program
+        counts Z from the lowest point of either.
+    """
+    turn, shift = rigid_motion(before, now)
+    zero = np.array([0.0, 0.0, before.bounds[0, 2]])
+    shift = zero @ turn + shift - np.array([0.0, 0.0, now.bounds[0, 2]])
+    low, high = before.bounds - zero
+
+    def triple(values: Floats) -> tuple[float, float, float]:
+        x, y, z = (np.asarray(values, np.float64) + 0.0).tolist()
+        return x, y, z
+
+    return OnTable(
+        direction=before.direction,
+        turn=(triple(turn[0]), triple(turn[1]), triple(turn[2])),
+        shift_mm=triple(shift),
+        low_mm=triple(low),
+        high_mm=triple(high),
+    )
+
+
+def apart_mm(one: OnTable, other: OnTable) -> float:
+    """How far two mountings place corners of the part apart, or its boxes differ, at most."""
+    low, high = one.low_mm, one.high_mm
+    corners = np.stack(np.meshgrid(*zip(low, high, strict=True)), axis=-1).reshape(-1, 3)
+    places = [corners @ np.array(o.turn) + np.array(o.shift_mm) for o in (one, other)]
+    boxes = np.array([low, high]) - np.array([other.low_mm, other.high_mm])
+    return float(max(np.abs(places[0] - places[1]).max(), np.abs(boxes).max()))

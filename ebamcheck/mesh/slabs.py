@@ -1,0 +1,237 @@
+"""A mesh in slabs of z: which facets reach into each slab, and a closed mesh of them that has the same sections there.
+
+The facets of a slab are an open mesh. Where the mesh was whole, all its open edges lie beyond the slab, wholly below or
+wholly above it, and form cycles there. A cone over each, from a corner of the part's box, closes the mesh without
+coming near any height of the slab: sections there are those of the whole mesh, and every slicer takes it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ebamcheck.mesh.inspection import direction_balance
+from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.slab_file import FacetFile, Index, Singles
+from ebamcheck.mesh.topology import edge_groups
+from ebamcheck.mesh.welding import weld
+from ebamcheck.numeric.kernels import kernel
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+COLUMN_BLOCK = 1 << 22
+"""Facets whose heights are sorted in at once, which bounds the memory of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Slab:
+    """One slab of a mesh.
+
+    Parameters
+    ----------
+    part
+        A closed mesh with the sections of the whole one at all heights of the slab, and the whole one's box.
+    facets
+        Facets of `part` that are the file's own, which come first; the others are cones.
+    points
+        Vertices of `part` that are the file's own; the last two are the corners of the box.
+    numbers
+        (facets,) their numbers in the file, rising.
+    lower_mm, upper_mm
+        The slab: what has its lowest point at ``lower_mm <= z < upper_mm`` is told of once, by this slab.
+    next_from_mm
+        What reaches up to here is in the next slab, too.
+    """
+
+    part: Part
+    facets: int
+    points: int
+    numbers: Index
+    lower_mm: float
+    upper_mm: float
+    next_from_mm: float
+
+    @property
+    def own(self) -> Part:
+        """Open mesh of the file's own facets."""
+        return replace(
+            self.part, vertices=self.part.vertices[: self.points], faces=self.part.faces[: self.facets]
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Division:
+    """Facets of a file by the slabs that they reach into.
+
+    Parameters
+    ----------
+    file
+        The file.
+    layers
+        (S + 1,) first layer of each slab, and the number of layers.
+    borders_mm
+        (S + 1,) z between the slabs; the outermost are infinite.
+    reach_mm
+        How far beyond its borders a slab has all facets.
+    starts, numbers
+        (S + 1,) and (N,) facets of slab k are ``numbers[starts[k]:starts[k + 1]]``, rising.
+    """
+
+    file: FacetFile
+    layers: Ints
+    borders_mm: Floats
+    reach_mm: float
+    starts: Ints
+    numbers: Index
+
+    def __len__(self) -> int:
+        """Return the number of slabs."""
+        return len(self.layers) - 1
+
+    @property
+    def most_facets(self) -> int:
+        """Facets of the largest slab."""
+        return int(np.diff(self.starts).max())
+
+    def slab(self, k: int) -> Slab:
+        """Read one slab of the file, weld it and close it."""
+        numbers = self.numbers[self.starts[k] : self.starts[k + 1]]
+        vertices, faces = weld(self.file.corners(numbers))
+        if self.file.millimetres != 1.0:
+            vertices *= self.file.millimetres
+        lower, upper = self.borders_mm[k : k + 2].tolist()
+        box = self.file.outline.vertices
+        cones = closing_cones(vertices, faces, lower - self.reach_mm, upper + self.reach_mm)
+        part = replace(
+            self.file.outline,
+            vertices=np.concatenate([vertices, box]),
+            faces=np.ascontiguousarray(np.concatenate([faces, cones])),
+        )
+        return Slab(part, len(faces), len(vertices), numbers, lower, upper, upper - self.reach_mm)
+
+
+def closing_cones(vertices: Floats, faces: Index, lower_mm: float, upper_mm: float) -> Index:
+    """Facets that close what is open of a mesh wholly under `lower_mm` or wholly above `upper_mm`.
+
+    Parameters
+    ----------
+    vertices, faces
+        The mesh, (V, 3) mm and (F, 3).
+    lower_mm, upper_mm
+        Edges between or across these heights stay as they are: one that is open there is a fault of the mesh.
+
+    Returns
+    -------
+    numpy.ndarray
+        (C, 3) vertices; V is a point below all others, V + 1 one above.
+    """
+    groups = edge_groups(faces, len(vertices))
+    balance = direction_balance(faces, groups)
+    odd = np.flatnonzero(balance)
+    half_edge = groups.half_edges[groups.starts[odd]]
+    ends = np.stack([faces[half_edge // 3, half_edge % 3], faces[half_edge // 3, (half_edge % 3 + 1) % 3]])
+    lesser, greater = ends.min(axis=0), ends.max(axis=0)
+    z = vertices[ends, 2]
+    below, above = z.max(axis=0) < lower_mm, z.min(axis=0) > upper_mm
+    beyond = below | above
+    apex = np.where(below, len(vertices), len(vertices) + 1)
+    # As many facets the other way as there are more of one way.
+    times = np.where(beyond, np.abs(balance[odd]), 0)
+    rising = balance[odd] > 0
+    cones = np.stack([np.where(rising, greater, lesser), np.where(rising, lesser, greater), apex], axis=1)
+    return np.repeat(cones, times, axis=0).astype(np.int32)
+
+
+def divided(file: FacetFile, heights: Floats, slabs: int, reach_mm: float) -> Division:
+    """Divide the layers of a part into slabs of about as much work, and deal its facets out to them.
+
+    Parameters
+    ----------
+    file
+        The part's file.
+    heights
+        (L,) heights of the cuts, mm, rising.
+    slabs
+        How many; no more than there are layers.
+    reach_mm
+        How far beyond its borders a slab is to have all facets: what slicers and comparison look at around a height.
+    """
+    begins, crossing = layer_counts(file, heights)
+    layers = slab_layers(begins, crossing, min(slabs, heights.size))
+    _, _, sizes = _reaching(file, heights, layers, reach_mm)
+    # Layers between two bodies go with those below: a slab without a facet is no mesh.
+    layers = np.concatenate([layers[:-1][sizes > 0], layers[-1:]])
+    borders, (lower, upper), sizes = _reaching(file, heights, layers, reach_mm)
+    starts = np.concatenate([[0], np.cumsum(sizes)])
+    numbers = _dealt(file.low, file.high, file.millimetres, lower, upper, starts)
+    return Division(file, layers, borders, reach_mm, starts, numbers)
+
+
+def _reaching(
+    file: FacetFile, heights: Floats, layers: Ints, reach_mm: float
+) -> tuple[Floats, tuple[Floats, Floats], Ints]:
+    """Borders of slabs (S + 1,), from where up to where each has all facets (S,) twice, and how many these are (S,)."""
+    between = 0.5 * (heights[layers[1:-1] - 1] + heights[layers[1:-1]])
+    borders = np.concatenate([[-np.inf], between, [np.inf]])
+    lower, upper = borders[:-1] - reach_mm, borders[1:] + reach_mm
+    return borders, (lower, upper), _sizes(file.low, file.high, file.millimetres, lower, upper)
+
+
+def layer_counts(file: FacetFile, heights: Floats) -> tuple[Ints, Ints]:
+    """Facets that the planes at some heights (L,) meet first, and all that each cuts, (L,) both; z = h + 0 as ever."""
+    size = heights.size + 1
+    first, last = np.zeros(size, np.int64), np.zeros(size, np.int64)
+    for start in range(0, len(file), COLUMN_BLOCK):
+        for counts, column in ((first, file.low), (last, file.high)):
+            z = column[start : start + COLUMN_BLOCK].astype(np.float64) * file.millimetres
+            counts += np.bincount(np.searchsorted(heights, z, side="left"), minlength=size)
+    return first[:-1], np.cumsum(first - last)[:-1]
+
+
+def slab_layers(begins: Ints, crossing: Ints, slabs: int) -> Ints:
+    """First layer of each slab, and the number of layers (S + 1,): half by their facets, half by what they cut.
+
+    Examples
+    --------
+    >>> slab_layers(np.array([6, 0, 0, 6]), np.array([4, 4, 4, 4]), 2).tolist()
+    [0, 2, 4]
+    """
+    layers = begins.size
+    weight = begins / max(begins.sum(), 1) + crossing / max(crossing.sum(), 1) + 1e-9
+    shares = np.cumsum(weight) / weight.sum()
+    wanted = np.searchsorted(shares, np.arange(1, slabs) / slabs) + 1
+    # Every slab has a layer at least.
+    rising = np.maximum.accumulate(wanted - np.arange(1, slabs)) + np.arange(1, slabs)
+    inner = np.minimum(rising, layers - slabs + np.arange(1, slabs))
+    return np.concatenate([[0], inner, [layers]]).astype(np.int64)
+
+
+@kernel
+def _sizes(low: Singles, high: Singles, millimetres: float, lower: Floats, upper: Floats) -> Ints:
+    """Facets that reach into each slab (S,), of slabs between `lower` and `upper` mm, borders included."""
+    sizes = np.zeros(lower.size, np.int64)
+    for f in range(low.size):
+        first = np.searchsorted(upper, low[f] * millimetres)
+        past = np.searchsorted(lower, high[f] * millimetres, side="right")
+        for k in range(first, past):
+            sizes[k] += 1
+    return sizes
+
+
+@kernel
+def _dealt(
+    low: Singles, high: Singles, millimetres: float, lower: Floats, upper: Floats, starts: Ints
+) -> Index:
+    """Numbers of the facets that reach into each slab, one slab after the other, rising in each."""
+    numbers = np.empty(starts[-1], np.int32)
+    at = starts[:-1].copy()
+    for f in range(low.size):
+        first = np.searchsorted(upper, low[f] * millimetres)
+        past = np.searchsorted(lower, high[f] * millimetres, side="right")
+        for k in range(first, past):
+            numbers[at[k]] = f
+            at[k] += 1
+    return numbers

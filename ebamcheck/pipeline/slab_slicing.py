@@ -1,0 +1,168 @@
+"""Slabs of a part one after the other: read, inspected, cut by every backend, compared, and dropped."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from ebamcheck.backend import BackendSettings
+from ebamcheck.comparison import Comparison, compare_all
+from ebamcheck.comparison.joining import joined, shifted
+from ebamcheck.layers.files import LayerFile
+from ebamcheck.layers.heights import layer_blocks
+from ebamcheck.mesh.inspection import Inspection
+from ebamcheck.mesh.slab_inspection import SlabInspection
+from ebamcheck.mesh.slabs import Division, Slab
+from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.pipeline.cross_check import CrossCheck
+from ebamcheck.pipeline.independence import evidence_rule
+from ebamcheck.pipeline.noticed import lost
+from ebamcheck.pipeline.work import Job
+from ebamcheck.plugins import registry
+from ebamcheck.slicers.isolation import Limits, Outcome, slice_all
+from ebamcheck.slicers.worker_pool import WorkerPool
+
+DOUBT = "doubtful_regions"
+"""What a slicer declares of a part among the settings of its layers."""
+
+
+@dataclass(frozen=True)
+class SlabRun:
+    """What all slabs came to."""
+
+    checked: CrossCheck
+    inspection: Inspection
+    settings: Mapping[str, Mapping[str, Any]]
+    """Settings that each backend has filled in, with all that it declared."""
+
+
+@dataclass
+class _Tally:
+    """What the slabs so far came to."""
+
+    outcomes: dict[str, Outcome] = field(default_factory=dict)
+    settings: dict[str, dict[str, Any]] = field(default_factory=dict)
+    comparisons: list[Comparison] = field(default_factory=list)
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def timed(self, what: str) -> Iterator[None]:
+        """Add the time of a block up."""
+        start = time.perf_counter()
+        yield
+        self.seconds[what] = self.seconds.get(what, 0.0) + time.perf_counter() - start
+
+    def alive(self, backends: Mapping[str, BackendSettings]) -> dict[str, BackendSettings]:
+        """Backends that no slab has lost."""
+        return {n: s for n, s in backends.items() if n not in self.outcomes or not self.outcomes[n].failure}
+
+
+def cut_slabs(job: Job, division: Division, backends: Mapping[str, BackendSettings]) -> SlabRun:
+    """Take a part slab by slab; no more than one is in memory."""
+    inspection = SlabInspection(job.part, len(division.file))
+    tally = _Tally()
+    with (
+        job.stage("slabs", job.heights.size),
+        ExitStack() as workers,
+        ThreadPoolExecutor(1) as aside,
+    ):
+        # Workers come up while the slab is read, and the former one is compared.
+        pool = workers.enter_context(WorkerPool(len(backends)))
+        for k in range(len(division)):
+            first, past = division.layers[k : k + 2].tolist()
+            heights = job.heights[first:past]
+            with tally.timed("read"):
+                slab = division.slab(k)
+            inspected = aside.submit(inspection.add, slab)
+            borders = layer_blocks(slab.part, heights, job.config.slicing.block_points)
+            with tally.timed("slice"):
+                outcomes = _sliced(job, slab, heights, tally.alive(backends), borders, pool)
+            workers.close()
+            _take(job, tally, outcomes, f"slab {k + 1} of {len(division)}")
+            if k + 1 < len(division):
+                pool = workers.enter_context(WorkerPool(len(tally.alive(backends))))
+            with tally.timed("inspect"):
+                inspected.result()
+            with tally.timed("compare"):
+                tally.comparisons.append(shifted(_compared(job, tally, slab, outcomes, borders), first))
+            for name in outcomes:
+                job.folder.layers_file(name).unlink(missing_ok=True)
+            job.observer.advance(past - first)
+            del slab  # so that there are never two in memory
+    job.folder.layers_folder.rmdir()
+    job.timings.update(tally.seconds)
+    checked = CrossCheck({name: tally.outcomes[name] for name in backends}, joined(tally.comparisons))
+    return SlabRun(checked, inspection.found(), tally.settings)
+
+
+def _sliced(
+    job: Job,
+    slab: Slab,
+    heights: Floats,
+    backends: Mapping[str, BackendSettings],
+    borders: Ints,
+    pool: WorkerPool,
+) -> dict[str, Outcome]:
+    chosen = job.config.slicing
+    limits = Limits(chosen.time_limit_s, chosen.memory_limit_mb, chosen.processes)
+    return slice_all(
+        slab.part, heights, backends, job.folder.layers_folder, limits, borders=borders, pool=pool
+    )
+
+
+def _take(job: Job, tally: _Tally, outcomes: Mapping[str, Outcome], where: str) -> None:
+    """Add up what the backends came to in a slab; one that is lost here is lost."""
+    for name, outcome in outcomes.items():
+        before = tally.outcomes.get(name)
+        tally.outcomes[name] = outcome if before is None else _added(before, outcome)
+        if outcome.failure:
+            tally.outcomes[name] = replace(tally.outcomes[name], why=f"{where}: {outcome.why}")
+            job.add_finding(lost(tally.outcomes[name]))
+
+
+def _added(before: Outcome, after: Outcome) -> Outcome:
+    sums = ("rings", "open_paths", "points", "prepare_s", "slice_s", "compile_s")
+    greatest = ("error_bound_mm", "height_bound_mm", "peak_mb")
+    return replace(
+        after,
+        **{name: getattr(before, name) + getattr(after, name) for name in sums},
+        **{name: max(getattr(before, name), getattr(after, name)) for name in greatest},
+    )
+
+
+def _compared(
+    job: Job, tally: _Tally, slab: Slab, outcomes: Mapping[str, Outcome], borders: Ints
+) -> Comparison:
+    done = {name: outcome for name, outcome in outcomes.items() if not outcome.failure}
+    with ExitStack() as opened:
+        stacks = {n: opened.enter_context(LayerFile(job.folder.layers_file(n), edges=False)) for n in done}
+        for name, stack in stacks.items():
+            _keep_settings(tally.settings, name, stack.settings, slab)
+        return compare_all(
+            stacks,
+            slab.part,
+            bounds={n: (o.error_bound_mm, o.height_bound_mm) for n, o in done.items()},
+            exact={n: registry.slicer(n).exact for n in done},
+            rules={n: registry.slicer(n).coplanar_rule for n in done},
+            settings=job.config.comparison,
+            borders=borders,
+            evidence=evidence_rule(job.config, done),
+        )
+
+
+def _keep_settings(
+    kept: dict[str, dict[str, Any]], name: str, settings: Mapping[str, Any], slab: Slab
+) -> None:
+    """Keep the settings of the first slab, and of each one the doubts that it declares of itself."""
+    of_all = kept.setdefault(name, {key: value for key, value in settings.items() if key != DOUBT})
+    for region in settings.get(DOUBT, []):
+        box = np.asarray(region["box_mm"], np.float64)
+        # Others are of the cones that close the mesh, or told by the slab that they are in.
+        if box[2] < slab.upper_mm and box[5] >= slab.lower_mm:
+            of_all.setdefault(DOUBT, []).append(region)

@@ -1,0 +1,199 @@
+"""Who waits for a control ends when told to, at whatever moment, and though the control answers no more."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from contextlib import asynccontextmanager
+from urllib.parse import urlsplit
+
+import pytest
+from live_boxes import maker_of, run_of_box
+
+pytest.importorskip("asyncua", reason="needs the extra opcua: pip install 'ebamcheck[opcua]'")
+
+from opcua_controls import control, free_url, on_a_desk, until
+
+from ebamcheck.live.building import Building
+from ebamcheck.live.opcua.door import Door
+from ebamcheck.live.opcua.link import Link
+from ebamcheck.live.opcua.panel import Panel
+from ebamcheck.live.opcua.server import PlayedServer
+from ebamcheck.live.opcua.waiting import BrokenOff, within
+
+STEPS = 8
+"""Turns of the event loop over which a cancellation is tried against an end that comes in the middle of them."""
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    return run_of_box(tmp_path_factory, (30, 24, 7))
+
+
+@pytest.fixture(scope="module")
+def maker(place):
+    with maker_of(place) as made:
+        yield made
+
+
+async def turns(count):
+    for _ in range(count):
+        await asyncio.sleep(0)
+
+
+@pytest.mark.parametrize("after", range(STEPS))
+def test_a_cancellation_is_never_lost_though_the_wait_ends_with_it(after):
+    async def play():
+        event, went_on = asyncio.Event(), []
+
+        async def waits():
+            await within(event.wait(), 5.0)
+            went_on.append(True)
+            # Whoever goes on comes to another wait, and is there when it is cancelled, or was told while it waited.
+            await asyncio.sleep(5.0)
+
+        task = asyncio.create_task(waits())
+        await turns(4)
+        asyncio.get_running_loop().call_soon(event.set)
+        await turns(after)
+        task.cancel()
+        done, _ = await asyncio.wait([task], timeout=2.0)
+        assert done == {task}
+        assert task.cancelled()
+
+    asyncio.run(play())
+
+
+def test_a_wait_ends_in_time_and_tells_what_was_cancelled_from_within():
+    async def play():
+        with pytest.raises(TimeoutError):
+            await within(asyncio.sleep(5.0), 0.05)
+        broken = asyncio.get_running_loop().create_future()
+        asyncio.get_running_loop().call_soon(broken.cancel)
+        with pytest.raises(BrokenOff):
+            await within(broken, 5.0)
+        assert await within(asyncio.sleep(0.0, "here"), 5.0) == "here"
+        with pytest.raises(ZeroDivisionError):
+            await within(_fails(), 5.0)
+
+    asyncio.run(play())
+
+
+async def _fails():
+    return 1 // 0
+
+
+class Line:
+    """A line between a server and whoever connects: what it has taken up to a moment it passes on, and nothing after."""
+
+    def __init__(self, url):
+        self.to, self.mute = urlsplit(url), False
+        self.tasks, self.writers = [], []
+
+    @asynccontextmanager
+    async def at(self, url):
+        place = urlsplit(url)
+        server = await asyncio.start_server(self._both, place.hostname, place.port)
+        try:
+            yield self
+        finally:
+            server.close()
+            for task in self.tasks:
+                task.cancel()
+            for writer in self.writers:
+                writer.close()
+            await asyncio.gather(*self.tasks, return_exceptions=True)
+            for writer in self.writers:
+                with contextlib.suppress(OSError):
+                    await writer.wait_closed()
+
+    async def _both(self, reader, writer):
+        far_reader, far_writer = await asyncio.open_connection(self.to.hostname, self.to.port)
+        self.writers += [writer, far_writer]
+        self.tasks += [
+            asyncio.create_task(self._pass(reader, far_writer)),
+            asyncio.create_task(self._pass(far_reader, writer)),
+        ]
+
+    async def _pass(self, reader, writer):
+        with contextlib.suppress(OSError):
+            while data := await reader.read(65536):
+                if not self.mute:
+                    writer.write(data)
+
+
+def test_a_link_that_is_cancelled_while_it_logs_out_does_not_go_on(maker):
+    """The control is mute: logging out takes until its limit, and is cancelled meanwhile."""
+
+    async def play():
+        opcua = on_a_desk()
+        line_url = free_url()
+        leave, went_on = asyncio.Event(), []
+
+        async def holds():
+            async with Link(maker.config.machine, opcua.model_copy(update={"url": line_url})):
+                await leave.wait()
+            went_on.append(True)
+            await asyncio.sleep(30.0)
+
+        async with control(maker, opcua, waits=False), Line(opcua.url).at(line_url) as line:
+            task = asyncio.create_task(holds())
+            await asyncio.sleep(1.0)
+            line.mute = True
+            leave.set()
+            await asyncio.sleep(0.5)
+            assert not task.done()
+            task.cancel()
+            await asyncio.wait([task], timeout=8.0)
+            ended, on = task.done(), list(went_on)
+            task.cancel()
+            await asyncio.wait([task], timeout=4.0)
+            assert ended
+            assert task.cancelled()
+            assert on == []
+
+    asyncio.run(play())
+
+
+@pytest.mark.parametrize("after_s", [0.3, 1.9, 2.4])
+def test_a_door_that_is_cancelled_once_ends_though_its_control_is_mute(maker, tmp_path, after_s):
+    async def play():
+        opcua = on_a_desk(request_s=0.5)
+        line_url = free_url()
+        told, building = [], Building(maker, tmp_path / "b")
+        door = Door(building, maker.config.machine, opcua.model_copy(update={"url": line_url}), told.append)
+        try:
+            async with control(maker, opcua) as at, Line(opcua.url).at(line_url) as line:
+                task = asyncio.create_task(door.run())
+                await until(lambda: at["released"] == 1.0)
+                line.mute = True
+                await asyncio.sleep(after_s)
+                task.cancel()
+                await asyncio.wait([task], timeout=5.0)
+                assert task.cancelled()
+        finally:
+            building.close()
+
+    asyncio.run(play())
+
+
+def test_a_played_control_ends_while_it_is_away(maker):
+    """It goes away because an upload asks for it; the library loses cancellations while it takes itself down."""
+
+    async def play():
+        opcua = on_a_desk()
+        server = PlayedServer(Panel(), maker.config.machine, opcua, None)
+        for after in range(0, STEPS, 3):
+            async with server.serving():
+                await asyncio.sleep(0.1)
+                server.broke.set()
+                await asyncio.sleep(0.095)
+                await turns(after)
+
+    async def limited():
+        task = asyncio.create_task(play())
+        done, _ = await asyncio.wait([task], timeout=12.0)
+        assert done
+        task.result()
+
+    asyncio.run(limited())

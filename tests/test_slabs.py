@@ -1,0 +1,373 @@
+"""Parts in slabs of z: the same sections, inspection, tables and verdicts as of the whole; planted faults are found."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import textwrap
+
+import fake_distribution
+import numpy as np
+import pandas as pd
+import pytest
+from command_line import ebamcheck, write_stl
+from parts import box, join, moved, sphere, tilted, torus
+from pipeline_runs import Listener, gates
+
+from benchmarks import even_mesh
+from benchmarks.large_mesh import write_even_mesh
+from ebamcheck.errors import ExitCode, InputError, SettingsError
+from ebamcheck.layers.heights import crossing_counts, layer_heights
+from ebamcheck.mesh import slab_file
+from ebamcheck.mesh.files import load
+from ebamcheck.mesh.inspection import inspect
+from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.slab_file import read_once
+from ebamcheck.mesh.slab_inspection import SlabInspection
+from ebamcheck.mesh.slabs import divided
+from ebamcheck.pipeline import check_job
+from ebamcheck.pipeline.slab_check import check_in_slabs
+from ebamcheck.preflight.slab_work import wanted_slabs
+from ebamcheck.settings.config import Config
+from ebamcheck_embree import Embree
+from ebamcheck_manifold import ManifoldCut
+from ebamcheck_models import LADDER, MODELS
+from ebamcheck_planecut import PlaneCut
+
+REACH_MM = 1e-5
+SLABS = (1, 2, 3, 7, 20)
+SLICERS = (PlaneCut, ManifoldCut, Embree)
+FAST = Config().changed(slicing={"backends": ["planecut", "manifold"]}, layers={"layer_height_mm": 1.0})
+
+
+def holed(part: Part, *facets: int) -> Part:
+    return Part(part.vertices, np.delete(part.faces, facets, axis=0), part.name)
+
+
+def shuffled(part: Part) -> Part:
+    order = np.random.default_rng(3).permutation(len(part.faces))
+    return Part(part.vertices, np.ascontiguousarray(part.faces[order]), f"{part.name}-shuffled")
+
+
+SOUND = {
+    "box": box(),  # every side facet spans all slabs
+    "sphere": sphere(),
+    "shuffled": shuffled(sphere()),
+    "torus": torus(),
+    "tilted": tilted(box()),
+    "far": moved(torus(), shift=(900.0, -700.0, 400.0)),
+    "apart": join(box(), box((0, 0, 6), (2, 2, 9))),  # layers without a facet between
+    "edge": join(box(), box((2, 2, 0), (3, 3, 5))),
+    "cavity": join(sphere(10.0), sphere(5.0).reversed()),
+    "overlap": join(sphere(10.0), moved(sphere(7.0), shift=(6.0, 1.0, 2.0))),
+    "sponge": MODELS["menger-2"].tessellate(0.1),
+    "bracket": MODELS["bracket"].tessellate(0.1),
+}
+
+FAULTY = {
+    "reversed": box().reversed(),
+    "open": holed(sphere(), 100),
+    "holes in two slabs": holed(sphere(), 100, 1900),
+    "open and apart": join(holed(sphere(), 7), moved(sphere(), shift=(30.0, 0.0, 5.0))),
+    "inside": join(sphere(10.0), moved(sphere(5.0), shift=(30.0, 0.0, 0.0)).reversed()),
+    "doubled": Part(sphere().vertices, np.vstack([sphere().faces, sphere().faces[90:95]])),
+    "flipped": Part(
+        sphere().vertices,
+        np.where(np.arange(len(sphere().faces))[:, None] == 500, sphere().faces[:, ::-1], sphere().faces),
+    ),
+}
+
+
+def in_slabs(part: Part, tmp_path, count: int, heights=None):
+    """The part as its file has it, heights, and its division."""
+    path = write_stl(part, tmp_path / "part.stl")
+    whole = load(path)
+    chosen = layer_heights(whole, float(whole.size[2]) / 20) if heights is None else heights(whole)
+    return whole, chosen, divided(read_once(path), chosen, count, REACH_MM)
+
+
+def on_vertices(whole: Part) -> np.ndarray:
+    """Heights of vertices, of the middle between two of them, and one a rounding apart: slab borders fall anywhere."""
+    z = np.unique(whole.vertices[:, 2])[:-1]
+    z = z[:: max(1, len(z) // 12)]
+    return np.unique([*z, *(0.5 * (z[1:] + z[:-1])), *np.nextafter(z, np.inf)])
+
+
+@pytest.mark.parametrize("name", SOUND)
+@pytest.mark.parametrize("heights", [None, on_vertices], ids=["mid-layer", "on vertices"])
+def test_sections_of_the_slabs_are_those_of_the_whole_bit_for_bit(name, heights, tmp_path):
+    slicers = SLICERS if name in ("box", "sphere", "apart", "edge") else SLICERS[:2]
+    for count in SLABS:
+        whole, chosen, division = in_slabs(SOUND[name], tmp_path, count, heights)
+        assert 1 <= len(division) <= count
+        if name != "apart" and len(chosen) >= count:
+            assert len(division) == count
+        pieces = [division.slab(k).part for k in range(len(division))]
+        for slicer in [made() for made in slicers]:
+            settings = slicer.Settings()
+            with slicer.prepare(whole, settings) as prepared:
+                expected = prepared.slice(chosen)
+            for k, piece in enumerate(pieces):
+                first, past = division.layers[k : k + 2]
+                assert (piece.bounds == whole.bounds).all()
+                assert slicer.error_bound_mm(piece, settings) == slicer.error_bound_mm(whole, settings)
+                with slicer.prepare(piece, settings) as prepared:
+                    found = prepared.slice(chosen[first:past])
+                same = expected.block(first, past)
+                assert (found.layer_starts == same.layer_starts).all()
+                assert (found.ring_starts == same.ring_starts).all()
+                assert (found.points == same.points).all(), (slicer.name, count, k)
+                assert found.closed.all()
+
+
+@pytest.mark.parametrize("name", [*SOUND, *FAULTY])
+def test_inspection_of_the_slabs_is_that_of_the_whole(name, tmp_path):
+    for count in SLABS:
+        whole, heights, division = in_slabs({**SOUND, **FAULTY}[name], tmp_path, count)
+        looked = SlabInspection(division.file.outline, len(division.file))
+        crossing = crossing_counts(whole, heights)
+        for k in range(len(division)):
+            slab = division.slab(k)
+            first, past = division.layers[k : k + 2]
+            assert (crossing_counts(slab.part, heights[first:past]) == crossing[first:past]).all()
+            if name in SOUND:
+                assert inspect(slab.part).open_edges == 0
+            looked.add(slab)
+        found, expected = dataclasses.asdict(looked.found()), dataclasses.asdict(inspect(whole))
+        assert found.pop("volume_mm3") == pytest.approx(expected.pop("volume_mm3"), rel=1e-9, abs=1e-9)
+        # The reason of a part inside out holds its volume.
+        assert found.pop("why")[:40] == expected.pop("why")[:40]
+        assert found == expected
+
+
+def test_columns_of_the_file_are_those_of_the_part(tmp_path):
+    path = write_stl(torus(), tmp_path / "part.stl")
+    whole, file = load(path, "in"), read_once(path, "inch")
+    assert file.outline.source_sha256 == whole.source_sha256
+    assert (file.outline.bounds == whole.bounds).all()
+    z = whole.triangles[:, :, 2]
+    assert (file.low.astype(np.float64) * file.millimetres == z.min(axis=1)).all()
+    assert (file.high.astype(np.float64) * file.millimetres == z.max(axis=1)).all()
+
+
+def test_a_file_is_read_alike_in_any_blocks(tmp_path, monkeypatch):
+    _, _, division = in_slabs(shuffled(sphere()), tmp_path, 3)
+    expected = [division.slab(k).part.sha256 for k in range(3)]
+    monkeypatch.setattr(slab_file, "BLOCK", 100)
+    _, _, division = in_slabs(shuffled(sphere()), tmp_path, 3)
+    assert [division.slab(k).part.sha256 for k in range(3)] == expected
+
+
+# -- the whole command -----------------------------------------------------------------------------------
+
+
+def tables(run):
+    """Tables of a run, byte for byte, and what its record says but for what is of the slabs."""
+    record = json.loads((run / "run.json").read_text())
+    judged = {name: record[name] for name in ("gates", "comparison", "findings", "exit_code", "primary")}
+    counts = {
+        n: [b[k] for k in ("status", "rings", "points", "settings")] for n, b in record["backends"].items()
+    }
+    return (run / "layers.csv").read_bytes(), (run / "compare.csv").read_bytes(), judged, counts
+
+
+@pytest.mark.parametrize(
+    ("part", "slabs", "backends"),
+    [
+        (SOUND["bracket"], 3, "planecut,manifold,embree"),
+        (SOUND["apart"], 4, "planecut,manifold"),
+        (FAULTY["reversed"], 2, "planecut,manifold"),
+    ],
+    ids=["bracket", "apart", "reversed"],
+)
+def test_a_check_in_slabs_writes_the_tables_of_a_check(part, slabs, backends, tmp_path):
+    path = write_stl(part, tmp_path / "part.stl")
+    height = part.size[2] / 12
+    codes = [
+        ebamcheck(
+            "check", path, "--layer-height", height, "--backends", backends, "-o", f"{count}.run",
+            "--slabs", count, cwd=tmp_path,
+        ).returncode
+        for count in (1, slabs)
+    ]  # fmt: skip
+    assert codes[0] == codes[1] == (0 if part.name != "box" or part is not FAULTY["reversed"] else 1)
+    whole, found = tables(tmp_path / "1.run"), tables(tmp_path / f"{slabs}.run")
+    assert found == whole
+    record = json.loads((tmp_path / f"{slabs}.run" / "run.json").read_text())
+    assert record["slabs"]["count"] == slabs
+    assert not (tmp_path / f"{slabs}.run" / "layers").exists()
+    page = (tmp_path / f"{slabs}.run" / "report.html").read_text()
+    assert f"checked in {slabs} slabs" in page
+    assert "No method found a contour" not in page or codes[0] == 1
+
+
+SHIFTED = """
+from ebamcheck_planecut import PlaneCut
+
+
+class Shifted(PlaneCut):
+    name = "shifted"
+    summary = "moves what lies above 12 and under 14 mm"
+    priority = -1
+    isolated = True
+
+    def prepare(self, part, settings):
+        return Moved(super().prepare(part, settings))
+
+
+class Moved:
+    def __init__(self, honest):
+        self.honest = honest
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        pass
+
+    def slice(self, heights, progress=None):
+        import dataclasses
+        import numpy as np
+
+        layers = self.honest.slice(heights, progress)
+        starts = layers.ring_starts[layers.layer_starts]
+        layer = np.repeat(np.arange(len(layers)), np.diff(starts))
+        wrong = (heights[layer] > 12.0) & (heights[layer] < 14.0)
+        points = layers.points + np.where(wrong, 0.01, 0.0)[:, None]
+        return dataclasses.replace(layers, points=points).labelled(backend="shifted")
+"""
+
+
+def test_a_slicer_that_shifts_one_slab_is_found_there_and_nowhere_else(tmp_path, monkeypatch):
+    point = {"ebamcheck.backends": {"shifted": "shifted_slicer:Shifted"}}
+    fake_distribution.install(tmp_path, "shifted", point, {"shifted_slicer": textwrap.dedent(SHIFTED)})
+    fake_distribution.found_here(tmp_path, monkeypatch)
+    path = write_stl(box((0, 0, 0), (20, 20, 20)), tmp_path / "part.stl")
+    config = FAST.changed(slicing={"backends": ["planecut", "manifold", "shifted"]})
+    result = check_in_slabs(path, tmp_path / "a.run", config, 5)
+    layers = pd.read_csv(tmp_path / "a.run" / "layers.csv")
+    wrong = layers["height_mm"].between(12.0, 14.0)
+    assert wrong.sum() == 2
+    assert (layers["verdict"][wrong] == "outlier").all()
+    assert (layers["verdict"][~wrong] == "agree").all()
+    found = json.loads((tmp_path / "a.run" / "run.json").read_text())["comparison"]["findings"]
+    assert {(f["layer"], f["backend"], f["program_layer"]) for f in found} == {
+        (12, "shifted", 13),
+        (13, "shifted", 14),
+    }
+    assert result.exit_code is ExitCode.OUT_OF_TOLERANCE
+
+
+def test_a_hole_in_one_slab_shuts_the_gate_and_loses_who_needs_closed_meshes(tmp_path):
+    path = write_stl(holed(sphere(), 100), tmp_path / "part.stl")
+    result = check_job(path, tmp_path / "a.run", FAST.changed(slicing={"slabs": 4}))
+    assert result.exit_code is ExitCode.OUT_OF_TOLERANCE
+    assert not gates(result)["input"]
+    record = json.loads((tmp_path / "a.run" / "run.json").read_text())
+    assert record["part"]["inspection"]["verdict"] == "open"
+    assert record["part"]["inspection"]["open_edges"] == 3
+    assert record["backends"]["manifold"]["status"] == "refused"
+    assert "slab " in record["backends"]["manifold"]["why"]
+
+
+def test_an_interrupted_check_leaves_nothing_half_and_the_next_one_is_whole(tmp_path):
+    class Interrupting(Listener):
+        def advance(self, steps):
+            raise KeyboardInterrupt
+
+    path = write_stl(sphere(), tmp_path / "part.stl")
+    with pytest.raises(KeyboardInterrupt):
+        check_in_slabs(path, tmp_path / "a.run", FAST, 3, observer=Interrupting())
+    assert not (tmp_path / "a.run").exists()
+    check_in_slabs(path, tmp_path / "a.run", FAST, 3)
+    check_in_slabs(path, tmp_path / "b.run", FAST, 2)
+    assert tables(tmp_path / "a.run")[:2] == tables(tmp_path / "b.run")[:2]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.run", "b.run", "part.stl"]
+    listener = Listener()
+    check_in_slabs(path, tmp_path / "a.run", FAST, 3, resume=True, observer=listener)
+    assert any("is finished already" in note for note in listener.notes)
+    with pytest.raises(SettingsError, match="finished"):
+        check_in_slabs(path, tmp_path / "a.run", FAST, 3)
+
+
+# -- what is refused -------------------------------------------------------------------------------------
+
+
+def test_files_that_are_none_are_refused_in_one_line_and_nothing_is_made(tmp_path):
+    whole = write_stl(sphere(), tmp_path / "whole.stl").read_bytes()
+    bad = {
+        "cut.stl": (whole[:-70], "truncated or not an STL file: byte 80 counts"),
+        "long.stl": (whole + bytes(range(1, 101)), "bytes follow the last one"),
+        "nan.stl": (whole[:146] + np.float32(np.nan).tobytes() + whole[150:], "facet 1, vertex 0, x is nan"),
+        "none.stl": (bytes(84), "holds no facet"),
+        "small.stl": (b"abc", "under the 84 of its header"),
+        "ascii.stl": (b"solid a\nfacet normal 0 0 1\n outer loop\n" + b" " * 80, "is an ASCII STL"),
+        "gone.stl": (None, "there is no such file"),
+        "zip.stl": (b"PK\x03\x04" + bytes(200), "is a zip archive"),
+        "part.3mf": (b"PK\x03\x04" + bytes(200), "only a binary STL file is read in slabs"),
+        "part.ply": (b"ply\n" + bytes(200), "only a binary STL file is read in slabs"),
+    }
+    for name, (data, said) in bad.items():
+        if data is not None:
+            (tmp_path / name).write_bytes(data)
+        found = ebamcheck("check", name, "--slabs", 3, "-o", "a.run", cwd=tmp_path)
+        assert (found.returncode, found.stdout) == (2, ""), name
+        assert said in found.stderr, (name, found.stderr)
+        assert len(found.stderr.strip().splitlines()) == 1
+        assert not (tmp_path / "a.run").exists()
+
+
+def test_a_file_that_changes_meanwhile_is_refused(tmp_path):
+    _, _, division = in_slabs(sphere(), tmp_path, 3)
+    (tmp_path / "part.stl").write_bytes((tmp_path / "part.stl").read_bytes()[:-50])
+    with pytest.raises(InputError, match="was changed while it was read"):
+        division.slab(1)
+
+
+@pytest.mark.parametrize(
+    ("section", "name"),
+    [
+        ({"direction": (1.0, 0.0, 0.0)}, "part.direction"),
+        ({"place_at_mm": (1.0, 2.0)}, "part.place_at_mm"),
+        ({"rotate_deg": 5.0}, "part.rotate_deg"),
+        ({"fix_orientation": True}, "part.fix_orientation"),
+    ],
+)
+def test_what_would_move_or_mend_the_part_is_refused(section, name, tmp_path):
+    path = write_stl(box(), tmp_path / "part.stl")
+    with pytest.raises(SettingsError, match=name):
+        check_in_slabs(path, tmp_path / "a.run", FAST.changed(part=section), 2)
+
+
+def test_more_work_than_is_allowed_is_refused_unless_it_is_wanted(tmp_path):
+    path = write_stl(box(), tmp_path / "part.stl")
+    config = FAST.changed(work={"most_points": 3})
+    with pytest.raises(SettingsError, match="most_points"):
+        check_in_slabs(path, tmp_path / "a.run", config, 2)
+    assert check_in_slabs(path, tmp_path / "a.run", config, 2, yes=True).exit_code is ExitCode.PASS
+
+
+# -- when a part is checked in slabs ---------------------------------------------------------------------
+
+
+def test_slabs_come_by_themselves_where_memory_asks_for_them(tmp_path):
+    path = write_stl(MODELS["sphere"].tessellate(0.002), tmp_path / "part.stl")
+    text = tmp_path / "part.obj"
+    text.write_text("v 0 0 0\n")
+    two = FAST.changed(slicing={"processes": 2})
+    assert wanted_slabs(path, two) == 1
+    tight = two.changed(work={"most_memory_mb": 955.0})
+    assert wanted_slabs(path, tight) > 2
+    assert wanted_slabs(path, tight.changed(slicing={"slabs": 1})) == 1
+    assert wanted_slabs(path, two.changed(slicing={"slabs": 9})) == 9
+    assert wanted_slabs(text, tight) == wanted_slabs(tmp_path / "none.stl", tight) == 1
+    assert wanted_slabs(path, two.changed(slicing={"memory_limit_mb": 255.0})) > 2
+
+
+def test_a_mesh_that_is_written_in_bands_is_the_even_mesh(tmp_path, monkeypatch):
+    monkeypatch.setattr("benchmarks.large_mesh.FACETS_A_BAND", 1 << 10)
+    for facets in (2000, 20_000):
+        count = write_even_mesh(LADDER, facets, tmp_path / "a.stl")
+        found, expected = load(tmp_path / "a.stl"), even_mesh.even_mesh(LADDER, facets)
+        assert count == len(found.faces) == len(expected.faces)
+        assert (found.triangles == expected.triangles).all()
