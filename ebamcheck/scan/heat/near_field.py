@@ -249,25 +249,20 @@ def between_pieces(
     """Share of the heat of one island of each pair in a unit area of the other in an endless plane, (U, Q) 1/mm^2."""
     result = np.zeros((len(pairs), len(spread)))
     most = np.diff(first).max() if len(first) > 1 else 0
-    away, variances, weight, part = (
-        np.empty(most**2),
-        np.empty(most**2),
-        np.empty(most**2),
-        np.empty(most**2),
-    )
+    away, variances, weight, part = np.empty(most), np.empty(most), np.empty(most), np.empty(most)
     for n in range(len(pairs)):
-        m = 0
+        start, count = first[pairs[n, 1]], first[pairs[n, 1] + 1] - first[pairs[n, 1]]
         for a in range(first[pairs[n, 0]], first[pairs[n, 0] + 1]):
-            for b in range(first[pairs[n, 1]], first[pairs[n, 1] + 1]):
-                away[m] = (place[a, 0] - place[b, 0]) ** 2 + (place[a, 1] - place[b, 1]) ** 2
-                variances[m], weight[m] = variance[a] + variance[b], share[a] * share[b]
-                m += 1
-        for q in range(len(spread)):
-            # Side by side, which the processor does for several at once, and then added up one after the other.
-            for k in range(m):
-                part[k] = weight[k] * gaussian(away[k], variances[k] + spread[q])
-            for k in range(m):
-                result[n, q] += part[k]
+            for k in range(count):
+                b = start + k
+                away[k] = (place[a, 0] - place[b, 0]) ** 2 + (place[a, 1] - place[b, 1]) ** 2
+                variances[k], weight[k] = variance[a] + variance[b], share[a] * share[b]
+            for q in range(len(spread)):
+                # Side by side, which the processor does for several at once, and then added up one after the other.
+                for k in range(count):
+                    part[k] = weight[k] * gaussian(away[k], variances[k] + spread[q])
+                for k in range(count):
+                    result[n, q] += part[k]
     return result
 
 
