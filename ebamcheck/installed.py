@@ -19,8 +19,7 @@ def entry_points(group: str) -> EntryPoints:
     All of them are read again where the folders from which modules come have changed, or are others.
     """
     places = tuple(sys.path)
-    found: EntryPoints = _read(places, tuple(_changed_ns(place) for place in places)).select(group=group)
-    return found
+    return _of_group(places, tuple(_changed_ns(place) for place in places), group)
 
 
 def name_and_version(distribution: Distribution) -> tuple[str, str]:
@@ -32,6 +31,13 @@ def name_and_version(distribution: Distribution) -> tuple[str, str]:
             told = "", ""
         _names[distribution] = told
     return _names[distribution]
+
+
+@lru_cache(maxsize=32)
+def _of_group(places: tuple[str, ...], changed_ns: tuple[int, ...], group: str) -> EntryPoints:
+    """Pick a group: each layer of a plan asks for its order, and there are hundreds of points to look through."""
+    found: EntryPoints = _read(places, changed_ns).select(group=group)
+    return found
 
 
 @lru_cache(maxsize=2)

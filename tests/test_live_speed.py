@@ -76,7 +76,10 @@ def test_what_is_in_sight_is_what_the_plain_sum_says():
         met = ((left > 0.0) != (right > 0.0)) & (reach > ON_OUTLINE_MM)
         nearest = np.where(met, reach, np.inf).min(axis=1)
         wanted -= np.expm1(-0.5 * nearest[:, None] ** 2 / variance) / DIRECTIONS
-    assert in_sight(points, variance, segments) == pytest.approx(wanted, rel=1e-12)
+    # The last point closes the ring; a ring of its own, far away, follows: no segment goes from the one to the other.
+    far = np.array([[900.0, 0.0], [901.0, 0.0]])
+    goes_on = np.append(np.arange(len(ring)) + 1 < len(ring), [True, False])
+    assert in_sight(points, variance, np.vstack([ring, far]), goes_on) == pytest.approx(wanted, abs=1e-12)
 
 
 def test_what_follows_from_a_part_is_worked_out_once_where_it_is_kept():

@@ -66,7 +66,7 @@ def test_the_table_of_influences_is_the_heat_model(base):
     table, options = influence(heat, schedule.time_s, float(end.max())), entry_options(schedule)
     log = new_log(len(order))
     layer = Layer(table, options, FREE, schedule.time_s, RAPID)
-    timed_from(0, order, layer, log)
+    timed_from(0, order, layer, touch_table(layer.beside), log)
     assert log.start_s == pytest.approx(start[order])
     assert log.travel_mm[-1] == pytest.approx(travel)
     found = [entry_temperature(n, order, layer, log) for n in range(len(order))]
@@ -92,7 +92,7 @@ def test_a_rise_of_the_table_is_that_of_two_islands_driven_alone(base):
             end[island] = start[island] + schedule.time_s[island]
             exact = entered(heat, np.array([source, island]), start, end)[0][island]
             found = looked_up(
-                table.rise_k, table.nodes_per_root_s, table.fresh.horizon_s, island, source, since
+                table.rise_k[island], table.nodes_per_root_s, table.fresh.horizon_s, source, since
             )
             assert found == pytest.approx(exact, rel=0.02, abs=1.0)
             before = max(before, abs(exact))
@@ -139,9 +139,9 @@ def test_what_a_move_changes_is_what_the_moved_order_has(choices, kind):
             continue
         order, tried = random.permutation(count), np.empty(count, np.int64)
         log, moved = new_log(count), new_log(count)
-        timed_from(0, order, layer, log)
+        timed_from(0, order, layer, touch_table(layer.beside), log)
         move(order, a, b, kind, tried)
-        timed_from(0, tried, layer, moved)
+        timed_from(0, tried, layer, touch_table(layer.beside), moved)
         assert more_touches(order, a, b, kind, touch_table(beside)) == moved.touches[-1] - log.touches[-1]
         least_mm = least_travel_mm(Driven(order, log.option, log.travel_mm), a, b, kind, layer.options)
         assert least_mm <= moved.travel_mm[-1] == pytest.approx(least_mm, rel=1e-8)
@@ -182,7 +182,7 @@ def test_giving_moves_up_early_changes_nothing(choices):
 
     def simulated(tried):
         log = new_log(count)
-        timed_from(0, tried, layer, log)
+        timed_from(0, tried, layer, touch_table(layer.beside), log)
         for n in range(count):
             log.entry_k[n] = entry_temperature(n, tried, layer, log)
         warm, far = high_mean(log.entry_k), max(0.0, log.travel_mm[-1] - allowed_mm)

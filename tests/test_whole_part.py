@@ -221,3 +221,23 @@ def test_threads_do_not_change_a_plan_from_cold(monkeypatch):
         monkeypatch.setenv("EBAMCHECK_THREADS", threads)
         orders.append(plan_stack(layers, cold).order)
     assert np.array_equal(*orders)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 40])
+def test_layers_lie_on_the_sum_of_those_under_them(count):
+    heights = np.cumsum(np.random.default_rng(count).uniform(0.5, 2.0, count))
+    config = Config()
+    stack = Stack([shapely.Polygon()] * count, heights, range(count))
+    steps = [
+        heights[max(k, 1)] - heights[max(k, 1) - 1] if count > 1 else config.layer_height_mm
+        for k in range(count)
+    ]
+    assert [stack.thickness_mm(k, config) for k in range(count)] == steps
+    assert [stack.bottom_mm(k, config) for k in range(count)] == [sum(steps[:k]) for k in range(count)]
+
+
+def test_ten_thousand_bottoms_take_no_sum_each():
+    stack = Stack([shapely.Polygon()] * 10_000, np.arange(10_000.0), range(10_000))
+    config = Config()
+    # By a sum for each, and the steps worked out for each summand, these are 50 million differences of 10,000 heights.
+    assert [stack.bottom_mm(k, config) for k in range(10_000)] == list(range(10_000))

@@ -13,6 +13,9 @@ from ebamcheck.numeric.rings import Floats, Ints
 MOST_LEVELS = 64
 """Depth of the largest tree that memory could hold, and so the most nodes a search has waiting."""
 
+ROUNDING = 1e-12
+"""Share by which the square of a distance may be wrong: far more than it is."""
+
 SEGMENTS_A_LEAF = 4
 """Segments in one leaf of the tree."""
 
@@ -76,48 +79,70 @@ def closed_points(points: Floats, closed: bool) -> Floats:
 
 
 @kernel
-def _on_segment(points: Floats, i: int, x: float, y: float) -> Nearest:
+def _on_segment(points: Floats, i: int, x: float, y: float, best: Nearest) -> Nearest:
+    """The nearer of what is known and the nearest point of a segment."""
     ux, uy = points[i + 1, 0] - points[i, 0], points[i + 1, 1] - points[i, 1]
     px, py = x - points[i, 0], y - points[i, 1]
     square = ux * ux + uy * uy
-    t = (px * ux + py * uy) / square if square > 0.0 else 0.0
+    t = np.true_divide(px * ux + py * uy, square) if square > 0.0 else 0.0
     t = min(max(t, 0.0), 1.0)
-    return Nearest(math.hypot(px - t * ux, py - t * uy), i, t)
+    dx, dy = px - t * ux, py - t * uy
+    # The exact distance takes far longer than its square, which tells nearly always that it is not asked for.
+    if dx * dx + dy * dy > best.distance * best.distance * (1.0 + ROUNDING):
+        return best
+    distance = math.hypot(dx, dy)
+    return Nearest(distance, i, t) if distance < best.distance else best
 
 
 @kernel
-def _box_distance(box: Floats, x: float, y: float) -> float:
-    dx = max(box[0] - x, x - box[2], 0.0)
-    dy = max(box[1] - y, y - box[3], 0.0)
+def _box_distance(boxes: Floats, node: int, x: float, y: float) -> float:
+    """Square of the distance from the box of a node."""
+    # The row of a node as an array of its own would be counted as one that is in use, at more than all the rest.
+    dx = max(boxes[node, 0] - x, x - boxes[node, 2], 0.0)
+    dy = max(boxes[node, 1] - y, y - boxes[node, 3], 0.0)
     return float(dx * dx + dy * dy)
 
 
 @kernel
 def nearest(ring: BoxedRing, x: float, y: float, guess: int) -> Nearest:
-    """Nearest point of `ring` to (x, y); `guess` is a segment thought to be near, which saves time."""
-    segments = len(ring.points) - 1
-    leaves = len(ring.boxes) // 2
-    best = _on_segment(ring.points, guess, x, y)
-    ring.stack[0] = 1
+    """Nearest point of `ring` to (x, y); `guess` is a segment thought to be near, which saves time.
+
+    From the leaf of the guess the search climbs to the root, and looks into what lies beside its way: near a good guess
+    that is one box a level, and nearly none is opened.
+    """
+    points, boxes = ring.points, ring.boxes
+    node = len(boxes) // 2 + guess // SEGMENTS_A_LEAF
+    best = _nearer(ring, node, x, y, _on_segment(points, guess, x, y, Nearest(np.inf, guess, 0.0)))
+    while node > 1:
+        if _box_distance(boxes, node ^ 1, x, y) < best.distance * best.distance:
+            best = _nearer(ring, node ^ 1, x, y, best)
+        node >>= 1
+    return best
+
+
+@kernel
+def _nearer(ring: BoxedRing, root: int, x: float, y: float, best: Nearest) -> Nearest:
+    """The nearer of what is known and what lies in a branch of the tree."""
+    points, boxes, stack = ring.points, ring.boxes, ring.stack
+    segments, leaves = len(points) - 1, len(boxes) // 2
+    most = best.distance * best.distance
+    stack[0] = root
     waiting = 1
     while waiting > 0:
         waiting -= 1
-        node = ring.stack[waiting]
-        if _box_distance(ring.boxes[node], x, y) >= best.distance * best.distance:
+        node = stack[waiting]
+        if _box_distance(boxes, node, x, y) >= most:
             continue
         if node < leaves:
-            left_first = _box_distance(ring.boxes[2 * node], x, y) <= _box_distance(
-                ring.boxes[2 * node + 1], x, y
-            )
-            ring.stack[waiting] = 2 * node + 1 if left_first else 2 * node
-            ring.stack[waiting + 1] = 2 * node if left_first else 2 * node + 1
+            left = _box_distance(boxes, 2 * node, x, y)
+            nearer = 2 * node if left <= _box_distance(boxes, 2 * node + 1, x, y) else 2 * node + 1
+            stack[waiting], stack[waiting + 1] = nearer ^ 1, nearer
             waiting += 2
             continue
         first = (node - leaves) * SEGMENTS_A_LEAF
         for i in range(first, min(first + SEGMENTS_A_LEAF, segments)):
-            found = _on_segment(ring.points, i, x, y)
-            if found.distance < best.distance:
-                best = found
+            best = _on_segment(points, i, x, y, best)
+        most = best.distance * best.distance
     return best
 
 

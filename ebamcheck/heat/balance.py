@@ -28,7 +28,7 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.heat.enthalpy import EnthalpyTables, enthalpy_tables
-from ebamcheck.heat.marching import march
+from ebamcheck.heat.marching import ColumnFields, march
 from ebamcheck.heat.medium import STEFAN_BOLTZMANN_W_M2K4
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
@@ -97,7 +97,8 @@ class HeatColumn:
     _cells: Floats = field(default_factory=lambda: np.zeros((5, 0)))
     _top: int = 0
     _under: int = 0
-    _radiating: Floats = field(default_factory=lambda: np.zeros(0))
+    _fields: ColumnFields | None = None
+    """What the kernel reads of the cells; None before there are any."""
 
     def __post_init__(self) -> None:
         """Take the material of the settings where none is given."""
@@ -164,7 +165,7 @@ class HeatColumn:
         """Return the same column, to be aged by itself."""
         return HeatColumn(
             self.config, self.tables, self.absorbed_j, self.base_j, self.radiated_j,
-            self.content.copy(), self.warm_plate, self._cells, self._top, self._under, self._radiating,
+            self.content.copy(), self.warm_plate, self._cells, self._top, self._under, self._fields,
         )  # fmt: skip
 
     def lay(self, shape: LayerShape) -> None:
@@ -189,7 +190,17 @@ class HeatColumn:
         """Work out by which surface each cell radiates."""
         size, area, outer, inner, hole = self._cells
         surface_mm2 = radiating_mm2(size, area, outer, inner, hole, self.config.material.emissivity)
-        self._radiating = 1e-6 * STEFAN_BOLTZMANN_W_M2K4 * surface_mm2
+        process, material = self.config.process, self._material
+        self._fields = (
+            material.temperature_k,
+            material.theta_w_mm,
+            material.step_j_mm3,
+            size,
+            area,
+            1e-6 * STEFAN_BOLTZMANN_W_M2K4 * surface_mm2,
+            process.ambient_temperature_k,
+            process.base == "cooled",
+        )
 
     def _stack(self, shape: LayerShape) -> None:
         count = max(1, math.ceil(shape.thickness_mm / LARGEST_CELL_MM))
@@ -211,24 +222,13 @@ class HeatColumn:
 
     def advance(self, duration_s: float, energy_j: float = 0.0) -> None:
         """Let a time go by, in which the uppermost layer takes up heat."""
-        if duration_s <= 0.0 or not len(self.content):
+        if duration_s <= 0.0 or self._fields is None:
             return
-        process = self.config.process
-        column = (
-            self._material.temperature_k,
-            self._material.theta_w_mm,
-            self._material.step_j_mm3,
-            self._cells[0],
-            self._cells[1],
-            self._radiating,
-            process.ambient_temperature_k,
-            process.base == "cooled",
-        )
         steps = FEW_STEPS if duration_s <= SHORT_S else STEPS
-        gone = march(self.content, column, self._top, energy_j / duration_s, duration_s, steps)
+        gone = march(self.content, self._fields, self._top, energy_j / duration_s, duration_s, steps)
         self.absorbed_j += energy_j
-        self.base_j += float(gone[0])
-        self.radiated_j += float(gone[1])
+        self.base_j += gone.item(0)
+        self.radiated_j += gone.item(1)
 
 
 @kernel

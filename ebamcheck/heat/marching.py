@@ -21,15 +21,6 @@ LARGEST_CHANGE_J_MM3 = 1.0
 """Change of the heat content in one iteration at most, about 300 K: melting and T^4 are bent too much for more."""
 
 
-@kernel
-def looked_up(table: Floats, step: float, content: float) -> tuple[float, float]:
-    """Value of a table at a heat content, and its slope there."""
-    place = content / step
-    node = min(max(int(place), 0), table.size - 2)
-    slope = table[node + 1] - table[node]
-    return table[node] + slope * (place - node), slope / step
-
-
 class Column(NamedTuple):
     """Cells of a heat column, from its base up, and what they are made of.
 
@@ -65,7 +56,10 @@ class _Step(NamedTuple):
     """Columns (n,) of a time step: values with their slopes over the heat content, and the tridiagonal equations."""
 
     volume: Floats
-    half: Floats
+    apart: Floats
+    """Length over section from the middle of the cell before to that of each; of the first, from the base."""
+    link: Floats
+    """What passes from the cell before for a step of the potential: one over the former."""
     flow: Floats
     flow_slope: Floats
     lost: Floats
@@ -87,16 +81,18 @@ def march(
     column = Column(*fields)
     count = len(content)
     half = 0.5 * column.size / column.area
+    apart = half.copy()
+    apart[1:] = half[:-1] + half[1:]
     work = _Step(
-        column.size * column.area, half, np.empty(count), np.empty(count), np.empty(count), np.empty(count),
-        np.empty(count), np.empty(count), np.empty(count),
+        column.size * column.area, apart, 1.0 / apart, np.empty(count), np.empty(count), np.empty(count),
+        np.empty(count), np.empty(count), np.empty(count), np.empty(count),
     )  # fmt: skip
     source = np.zeros(count)
     heated = work.volume[top:].sum()
     for i in range(top, count):
         source[i] = power * work.volume[i] / heated
     gone = np.zeros(2)
-    base = 1.0 / half[0] if column.cooled else 0.0
+    base = work.link[0] if column.cooled else 0.0
     before = 0.0
     for solve in range(2 * steps):
         step, stage = solve // 2 + 1, solve % 2
@@ -128,37 +124,41 @@ def march(
 
 @kernel
 def _look_up(content: Floats, column: Column, work: _Step) -> None:
-    """Set the heat potential and the radiation of each cell, with their slopes."""
-    ambient = column.ambient
+    """Set the heat potential and the radiation of each cell, with their slopes, by the tables at its heat content."""
+    ambient, step, temperature, theta = column.ambient, column.table_step, column.temperature, column.theta
     for i in range(len(content)):
-        warm, slope = looked_up(column.temperature, column.table_step, content[i])
-        work.flow[i], work.flow_slope[i] = looked_up(column.theta, column.table_step, content[i])
+        # A plain division is asked whether it is by nothing, and so done one cell at a time.
+        place = np.true_divide(content[i], step)
+        node = min(max(int(place), 0), temperature.size - 2)
+        slope = temperature[node + 1] - temperature[node]
+        warm = temperature[node] + slope * (place - node)
+        rise = theta[node + 1] - theta[node]
+        work.flow[i], work.flow_slope[i] = theta[node] + rise * (place - node), np.true_divide(rise, step)
         work.lost[i] = column.radiating[i] * (warm**4 - ambient**4)
-        work.lost_slope[i] = column.radiating[i] * 4.0 * warm**3 * slope
+        work.lost_slope[i] = column.radiating[i] * 4.0 * warm**3 * np.true_divide(slope, step)
 
 
 @kernel
 def _eliminate(content: Floats, old: Floats, source: Floats, base: float, time: float, work: _Step) -> None:
     """Set the equations of a Newton step, and eliminate what lies under their diagonal."""
-    count, half, flow, flow_slope = len(content), work.half, work.flow, work.flow_slope
+    count, apart, link, flow, flow_slope = len(content), work.apart, work.link, work.flow, work.flow_slope
     for i in range(count):
-        rest = source[i] - work.lost[i] - work.volume[i] * (content[i] - old[i]) / time
-        pivot = work.volume[i] / time + work.lost_slope[i]
+        stored = np.true_divide(work.volume[i] * (content[i] - old[i]), time)
+        rest = source[i] - work.lost[i] - stored
+        pivot = np.true_divide(work.volume[i], time) + work.lost_slope[i]
         if i == 0:
             rest -= base * flow[0]
             pivot += base * flow_slope[0]
         else:
-            link = 1.0 / (half[i - 1] + half[i])
-            rest -= link * (flow[i] - flow[i - 1])
-            pivot += link * flow_slope[i]
+            rest -= link[i] * (flow[i] - flow[i - 1])
+            pivot += link[i] * flow_slope[i]
         if i + 1 < count:
-            link = 1.0 / (half[i] + half[i + 1])
-            rest -= link * (flow[i] - flow[i + 1])
-            pivot += link * flow_slope[i]
-            work.upper[i] = -link * flow_slope[i + 1]
+            rest -= link[i + 1] * (flow[i] - flow[i + 1])
+            pivot += link[i + 1] * flow_slope[i]
+            work.upper[i] = -link[i + 1] * flow_slope[i + 1]
         if i > 0:
-            lower = -flow_slope[i - 1] / (half[i - 1] + half[i])
-            factor = lower / work.diagonal[i - 1]
+            lower = np.true_divide(-flow_slope[i - 1], apart[i])
+            factor = np.true_divide(lower, work.diagonal[i - 1])
             pivot -= factor * work.upper[i - 1]
             rest -= factor * work.right[i - 1]
         work.diagonal[i], work.right[i] = pivot, rest
@@ -171,6 +171,6 @@ def _solve(work: _Step) -> float:
     for i in range(count - 1, -1, -1):
         if i + 1 < count:
             work.right[i] -= work.upper[i] * work.right[i + 1]
-        work.right[i] /= work.diagonal[i]
+        work.right[i] = np.true_divide(work.right[i], work.diagonal[i])
         largest = max(largest, abs(work.right[i]))
     return largest

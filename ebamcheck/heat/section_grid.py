@@ -61,18 +61,24 @@ class SectionGrid:
         """
         place = (np.asarray(points, np.float64) - self.origin) / self.step - 0.5
         corner = np.floor(place).astype(np.int64)
-        cubic, linear = (self._weights(corner, w) for w in _lagrange(place - corner))
-        whole = np.bincount(cubic[1], minlength=len(place)) == 16
-        parts = [
-            (weight[use], owner[use], cell[use])
-            for (weight, owner, cell), use in ((cubic, whole[cubic[1]]), (linear, ~whole[linear[1]]))
-        ]
-        weight, owner, cell = (np.concatenate(c) for c in zip(*parts, strict=True))
-        table = sparse.csr_array((weight, (owner, cell)), shape=(len(place), len(self.area_mm2)))
-        return _rows_of_one(table)
+        (weight, cell), (linear, near) = (self._weights(corner, w) for w in _lagrange(place - corner))
+        border = np.flatnonzero((cell < 0).any(axis=1))
+        cell[border] = -1
+        weight[border, :4], cell[border, :4] = linear[border], near[border]
+        kept = cell >= 0
+        count = kept.sum(axis=1)
+        starts = np.concatenate([[0], np.cumsum(count)])
+        some = count > 0
+        total = np.ones(len(place))
+        total[some] = np.add.reduceat(weight[kept], starts[:-1][some]) if some.any() else 1.0
+        weight *= (1.0 / np.where(total > 0.0, total, 1.0))[:, None]
+        # From the upper right to the lower left: the sums of a product are rounded in that sequence.
+        last = np.ascontiguousarray(kept[:, ::-1])
+        table = weight[:, ::-1][last], cell[:, ::-1][last], starts
+        return sparse.csr_array(table, shape=(len(place), len(self.area_mm2)))
 
-    def _weights(self, corner: Ints, along: Floats) -> tuple[Floats, Ints, Ints]:
-        """Weight, point and cell of those cells around points that are in the section.
+    def _weights(self, corner: Ints, along: Floats) -> tuple[Floats, Ints]:
+        """Weights and cells (P, W^2) around points, by rows from the lower left; -1 outside of the section.
 
         Parameters
         ----------
@@ -81,20 +87,14 @@ class SectionGrid:
         along
             (W, P, 2) weights of the columns and of the rows, of which the lower left one is in the middle.
         """
-        reach = len(along) // 2 - 1
+        reach = np.arange(len(along)) - (len(along) // 2 - 1)
         rows, columns = self.number.shape
-        found = []
-        for dx, across in enumerate(along[:, :, 0]):
-            for dy, up in enumerate(along[:, :, 1]):
-                column, row = corner[:, 0] + dx - reach, corner[:, 1] + dy - reach
-                inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
-                cell = np.where(
-                    inside, self.number[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)], -1
-                )
-                kept = np.flatnonzero(cell >= 0)
-                found.append(((across * up)[kept], kept, cell[kept]))
-        weight, owner, cell = (np.concatenate(c) for c in zip(*found, strict=True))
-        return weight, owner, cell
+        column, row = corner[:, :1] + reach, corner[:, 1:] + reach
+        wide, high = (column >= 0) & (column < columns), (row >= 0) & (row < rows)
+        cell = self.number[np.clip(row, 0, rows - 1)[:, :, None], np.clip(column, 0, columns - 1)[:, None, :]]
+        cell = np.where(high[:, :, None] & wide[:, None, :], cell, -1)
+        weight = along[:, :, 0].T[:, None, :] * along[:, :, 1].T[:, :, None]
+        return weight.reshape(len(corner), -1), cell.reshape(len(corner), -1)
 
 
 def _lagrange(share: Floats) -> tuple[Floats, Floats]:

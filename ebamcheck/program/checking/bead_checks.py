@@ -9,6 +9,7 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.program.checking.bare_parts import widest_part
 from ebamcheck.program.checking.bead_wire import bead_wire_check
 from ebamcheck.program.checking.checks import Check, count_check, row_faults
 from ebamcheck.program.checking.hatch_form import form_checks
@@ -71,11 +72,9 @@ def _spacing(nc: NCProgram, config: Config, z_of: Floats, layers: Layers | None)
     step = np.diff(offset[order])
     same = (np.diff(group[order]) == 0) & parallel[order[1:]] & parallel[order[:-1]]
     wide = np.flatnonzero(same & (step > limit))
-    wide = (
-        wide[[_is_bare(nc, rows[order[i : i + 2]], config, z_of, layers) for i in wide]]
-        if wide.size
-        else wide
-    )
+    if wide.size:
+        seen = _LayersSeen(nc, layers)
+        wide = wide[[_is_bare(seen, rows[order[i : i + 2]], config, z_of) for i in wide]]
     worst = float(step[wide if wide.size else same & (step <= limit)].max(initial=0.0))
     if not wide.size:
         text = f"{rows.size} lines, neighbours at most {worst:.6g} mm apart"
@@ -86,19 +85,43 @@ def _spacing(nc: NCProgram, config: Config, z_of: Floats, layers: Layers | None)
     return Check("hatch spacing", False, worst, limit, "mm", nc.where(row), text)
 
 
-def _is_bare(nc: NCProgram, pair: Ints, config: Config, z_of: Floats, layers: Layers | None) -> bool:
+class _LayersSeen:
+    """Sections, and chords of beads, of the layers that were asked for: each is worked out once."""
+
+    def __init__(self, nc: NCProgram, layers: Layers | None) -> None:
+        self.nc, self.layers = nc, layers
+        self._sections: dict[int, BaseGeometry] = {}
+        self._beads: dict[int, NDArray[np.object_]] = {}
+
+    def section(self, k: int) -> BaseGeometry:
+        """Section of one of the layers."""
+        assert self.layers is not None
+        if k not in self._sections:
+            self._sections[k] = shapely.union_all(self.layers.polygons(k))
+            shapely.prepare(self._sections[k])
+        return self._sections[k]
+
+    def beads(self, layer: int) -> NDArray[np.object_]:
+        """Chords of the beads of a layer of the program."""
+        if layer not in self._beads:
+            segments = _segments(self.nc, np.flatnonzero(self.nc.deposit & (self.nc.layer == layer)))
+            self._beads[layer] = np.asarray(shapely.linestrings(segments.reshape(-1, 2, 2)))
+        return self._beads[layer]
+
+
+def _is_bare(seen: _LayersSeen, pair: Ints, config: Config, z_of: Floats) -> bool:
     """Whether the place half-way between two lines is in the section, and under no bead."""
+    nc = seen.nc
     shorter, other = pair[np.argsort(nc.lengths[pair], kind="stable")]
     middle = 0.5 * (nc.start + nc.end)[shorter, :2]
     way = (nc.end - nc.start)[other, :2] / nc.lengths[other]
     from_other = middle - nc.start[other, :2]
     place = shapely.Point(middle - 0.5 * (from_other - (from_other @ way) * way))
-    if layers is not None:
+    if seen.layers is not None:
         k = int(np.searchsorted(0.5 * (z_of[1:] + z_of[:-1]), nc.end[shorter, 2]))
-        if not shapely.intersects(shapely.union_all(layers.polygons(k)), place):
+        if not shapely.intersects(seen.section(k), place):
             return False
-    segments = _segments(nc, np.flatnonzero(nc.deposit & (nc.layer == nc.layer[shorter])))
-    lines = shapely.linestrings(segments.reshape(-1, 2, 2))
+    lines = seen.beads(int(nc.layer[shorter]))
     return bool(np.min(shapely.distance(lines, place)) > 0.5 * config.process.bead_width_mm)
 
 
@@ -207,14 +230,13 @@ def _gaps(nc: NCProgram, config: Config, z_of: Floats, layers: Layers) -> Check:
     for k in range(len(layers)):
         inner = inset(layer_section(layers.polygons(k)), 0.5 * width)
         mine = rows[index == k]
-        if inner.is_empty or not mine.size or covered_fraction(inner, _segments(nc, mine), width) == 1.0:
+        if inner.is_empty or not mine.size:
             continue
-        for bare in shapely.get_parts(_bare(nc, mine, inner, width)):
-            across = 2.0 * float(shapely.length(shapely.maximum_inscribed_circle(bare)))
-            if across > worst:
-                centre = bare.representative_point()
-                worst, where = across, nc.where(_nearest(nc, mine, centre))
-                place = f" at ({centre.x:.3f}, {centre.y:.3f})"
+        across, bare = widest_part(inner, _segments(nc, mine), width, worst)
+        if bare is not None:
+            centre = bare.representative_point()
+            worst, where = across, nc.where(_nearest(nc, mine, centre))
+            place = f" at ({centre.x:.3f}, {centre.y:.3f})"
     text = f"widest gap between beads{place}: {worst:.4g} mm"
     return Check("gaps", worst <= limit, worst, limit, "mm", where, text)
 

@@ -7,7 +7,8 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.numeric.kernels import kernel, run_blocks
-from ebamcheck.numeric.rings import Floats
+from ebamcheck.numeric.rings import Bools, Floats
+from ebamcheck.scan.heat.falling import falling
 
 DIRECTIONS = 32
 """Rays from each point to the outline."""
@@ -47,43 +48,59 @@ def enclosed_share(section: BaseGeometry, points: Floats, variance_mm2: Floats) 
     near = np.flatnonzero(shapely.dwithin(outline, shapely.points(points), reach))
     share = np.ones(variance_mm2.shape)
     rings = [shapely.get_coordinates(line) for line in shapely.get_parts(outline)]
-    segments = np.concatenate([np.hstack([ring[:-1], ring[1:]]) for ring in rings])
+    points_of, goes_on = (
+        np.concatenate(rings),
+        np.concatenate([np.arange(1, len(r) + 1) < len(r) for r in rings]),
+    )
     seen, variance = points[near], variance_mm2[near]
     share[near] = np.concatenate(
-        run_blocks(lambda a, b: in_sight(seen[a:b], variance[a:b], segments), len(near), FEWEST_POINTS)
+        run_blocks(
+            lambda a, b: in_sight(seen[a:b], variance[a:b], points_of, goes_on), len(near), FEWEST_POINTS
+        )
     )
     return np.maximum(share, LEAST_SHARE)
 
 
 @kernel
-def in_sight(points: Floats, variance: Floats, segments: Floats) -> Floats:
-    """See :func:`enclosed_share`; `segments` (S, 4) make up the outline."""
-    share, count = np.zeros(variance.shape), len(segments)
-    ax, ay, bx, by = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
+def in_sight(points: Floats, variance: Floats, outline: Floats, goes_on: Bools) -> Floats:
+    """See :func:`enclosed_share`; from each of the points (S, 2) of the `outline` to the next goes a segment, or none."""
+    nearest, angle = np.empty(DIRECTIONS), 2.0 * np.pi * (np.arange(DIRECTIONS) + 0.5) / DIRECTIONS
+    dx, dy = np.cos(angle), np.sin(angle)
+    share, parts = np.zeros(variance.shape), np.empty((DIRECTIONS, variance.shape[1]))
+    count = len(outline)
+    x, y, left = np.empty(count), np.empty(count), np.empty(count, np.uint8)
     # What is crossed is marked by itself, which the processor does for several segments at once, and looked for by words.
     crossed = np.zeros(8 * (count // 8 + 1), np.uint8)
     words = crossed.view(np.uint64)
     for p in range(len(points)):
         for s in range(count):
-            ax[s], ay[s] = segments[s, 0] - points[p, 0], segments[s, 1] - points[p, 1]
-            bx[s], by[s] = segments[s, 2] - points[p, 0], segments[s, 3] - points[p, 1]
-        for direction in range(DIRECTIONS):
-            angle = 2.0 * np.pi * (direction + 0.5) / DIRECTIONS
-            dx, dy = np.cos(angle), np.sin(angle)
-            nearest = np.inf
+            x[s], y[s] = outline[s, 0] - points[p, 0], outline[s, 1] - points[p, 1]
+        for n in range(DIRECTIONS):
             for s in range(count):
-                crossed[s] = (dx * ay[s] - dy * ax[s] > 0.0) != (dx * by[s] - dy * bx[s] > 0.0)
+                left[s] = dx[n] * y[s] - dy[n] * x[s] > 0.0
+            for s in range(count - 1):
+                crossed[s] = goes_on[s] & (left[s] ^ left[s + 1])
+            nearest[n] = np.inf
             for word in range(len(words)):
                 if words[word] == 0:
                     continue
                 for s in range(8 * word, min(8 * word + 8, count)):
                     if crossed[s] == 0:
                         continue
-                    left, right = dx * ay[s] - dy * ax[s], dx * by[s] - dy * bx[s]
-                    part = left / (left - right)
-                    reach = dx * (ax[s] + part * (bx[s] - ax[s])) + dy * (ay[s] + part * (by[s] - ay[s]))
-                    if ON_OUTLINE_MM < reach < nearest:
-                        nearest = reach
+                    ahead, behind = dx[n] * y[s] - dy[n] * x[s], dx[n] * y[s + 1] - dy[n] * x[s + 1]
+                    part = ahead / (ahead - behind)
+                    reach = dx[n] * (x[s] + part * (x[s + 1] - x[s])) + dy[n] * (
+                        y[s] + part * (y[s + 1] - y[s])
+                    )
+                    if ON_OUTLINE_MM < reach < nearest[n]:
+                        nearest[n] = reach
+        for n in range(DIRECTIONS):
             for q in range(variance.shape[1]):
-                share[p, q] -= np.expm1(-0.5 * nearest * nearest / variance[p, q]) / DIRECTIONS
+                parts[n, q] = np.true_divide(-0.5 * nearest[n] * nearest[n], variance[p, q])
+        flat = parts.ravel()
+        for m in range(len(flat)):
+            flat[m] = (1.0 - falling(flat[m])) / DIRECTIONS
+        for n in range(DIRECTIONS):
+            for q in range(variance.shape[1]):
+                share[p, q] += parts[n, q]
     return share

@@ -137,14 +137,15 @@ def young_heat(near: NearField, source: Floats, time: Floats, since: Floats, ris
 
 
 @kernel
-def looked_up(rise: Table, nodes: float, horizon: float, island: int, source: int, since: float) -> float:
-    """Rise of an island by a source a time after its end, linear between nodes in the root of the time."""
+def looked_up(rise: Table, nodes: float, horizon: float, source: int, since: float) -> float:
+    """Rise of an island, whose table is (I + 1, Q), by a source a time after its end, linear between nodes in the root of the time."""
     young = YOUNG_NODES - 1
+    # A plain division is asked whether it is by nothing, and this one is done a hundred million times.
     if since < horizon:
-        place = young * np.sqrt(max(since, 0.0) / horizon)
+        place = young * np.sqrt(np.true_divide(max(since, 0.0), horizon))
     else:
         place = young + nodes * np.sqrt(since - horizon)
-    node = min(int(place), rise.shape[2] - 2)
+    node = min(int(place), rise.shape[1] - 2)
     share = min(place - node, 1.0)
-    low, high = rise[island, source, node], rise[island, source, node + 1]
+    low, high = rise[source, node], rise[source, node + 1]
     return float(low + (high - low) * share)

@@ -20,7 +20,7 @@ import numpy as np
 from ebamcheck.heat.balance import LayerShape
 from ebamcheck.heat.melting import entry_limit_k, least_power_share, scheduled_share
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.scan.heat.part_heat import Beads, Before, PartHeat
+from ebamcheck.scan.heat.part_heat import AgedColumns, Beads, Before, PartHeat
 from ebamcheck.settings.config import Config
 
 MARGIN = 0.01
@@ -262,18 +262,18 @@ class _Run:
             float(beads.move_s[bead]) + (self._pause_s if first else 0.0),
             float(beads.rise_s[bead]),
         )
-        before = self._own_apart(bead)
+        before, shape, aged = self._own_apart(bead), beads.shape(bead), AgedColumns(self.part.column)
         wait_s = 0.0
         if checked and self._waits and not (first and self._job.lowest):
-            found_k = partial(_found_k, self.part, beads.shape(bead), away_s, rise_s, before)
+            found_k = partial(_found_k, self.part, shape, away_s, rise_s, before, aged)
             wait_s = shortest_wait_s(found_k, self._limit_k)
         wait_s = max(wait_s, least_s)
         away_s += wait_s + rise_s if wait_s > 0.0 else 0.0
         # All at once, as the balance of the text has it: the same steps of time give the same figures.
-        self.bed_k[bead] = self.part.bed_k(beads.shape(bead), away_s, before)
+        self.bed_k[bead] = self.part.bed_k(shape, away_s, before, aged)
         if not beads.inner[bead]:
             self._before, self._begun = None, bead
-        self.part.rest(away_s)
+        self.part.rest(away_s, aged)
         self.mean_k[bead] = self.part.column.bed_k
         if self._keep and checked and self.bed_k[bead] > self._limit_k:
             return False
@@ -308,10 +308,16 @@ class _Run:
 
 
 def _found_k(
-    part: PartHeat, shape: Floats, away_s: float, rise_s: float, before: Before | None, wait_s: float
+    part: PartHeat,
+    shape: Floats,
+    away_s: float,
+    rise_s: float,
+    before: Before | None,
+    aged: AgedColumns,
+    wait_s: float,
 ) -> float:
     """What a bead finds after the way to it and a wait, for which the beam rises."""
-    return part.bed_k(shape, away_s + (wait_s + rise_s if wait_s > 0.0 else 0.0), before)
+    return part.bed_k(shape, away_s + (wait_s + rise_s if wait_s > 0.0 else 0.0), before, aged)
 
 
 def shortest_wait_s(bed_k: Callable[[float], float], limit_k: float) -> float:

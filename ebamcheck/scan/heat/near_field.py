@@ -34,6 +34,7 @@ from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.filling.hatch import Vectors
 from ebamcheck.scan.filling.schedule import IslandSchedule
 from ebamcheck.scan.heat.enclosed import enclosed_share
+from ebamcheck.scan.heat.falling import falling
 from ebamcheck.scan.heat.pieces import OPTIONS, Pieces, Tiles, island_tiles, line_pieces
 
 DIED_OUT = 3.0
@@ -247,22 +248,29 @@ def between_pieces(
 ) -> Floats:
     """Share of the heat of one island of each pair in a unit area of the other in an endless plane, (U, Q) 1/mm^2."""
     result = np.zeros((len(pairs), len(spread)))
+    most = np.diff(first).max() if len(first) > 1 else 0
+    away, variances, weight, part = np.empty(most), np.empty(most), np.empty(most), np.empty(most)
     for n in range(len(pairs)):
+        start, count = first[pairs[n, 1]], first[pairs[n, 1] + 1] - first[pairs[n, 1]]
         for a in range(first[pairs[n, 0]], first[pairs[n, 0] + 1]):
-            for b in range(first[pairs[n, 1]], first[pairs[n, 1] + 1]):
-                away = (place[a, 0] - place[b, 0]) ** 2 + (place[a, 1] - place[b, 1]) ** 2
-                weight = share[a] * share[b]
-                for q in range(len(spread)):
-                    result[n, q] += weight * gaussian(away, variance[a] + variance[b] + spread[q])
+            for k in range(count):
+                b = start + k
+                away[k] = (place[a, 0] - place[b, 0]) ** 2 + (place[a, 1] - place[b, 1]) ** 2
+                variances[k], weight[k] = variance[a] + variance[b], share[a] * share[b]
+            for q in range(len(spread)):
+                # Side by side, which the processor does for several at once, and then added up one after the other.
+                for k in range(count):
+                    part[k] = weight[k] * gaussian(away[k], variances[k] + spread[q])
+                for k in range(count):
+                    result[n, q] += part[k]
     return result
 
 
 @kernel
 def gaussian(away: float, variance: float) -> float:
     """Density of a Gaussian of a variance along each axis, 1/mm^2, at the square of a distance."""
-    if away > FAR * variance:
-        return 0.0
-    return float(np.exp(-0.5 * away / variance) / (2.0 * np.pi * variance))
+    dense = np.true_divide(falling(np.true_divide(-0.5 * away, variance)), 2.0 * np.pi * variance)
+    return 0.0 if away > FAR * variance else dense
 
 
 @kernel
@@ -307,18 +315,23 @@ def entry_rise(
     near: NearField, island: int, option: int, source: int, left_by: int, since: float, time: float
 ) -> float:
     """Rise of the temperature at an entry by another island, over K mm^3/s of heating: see :func:`young_rise`."""
-    pieces = near.pieces
-    x, y = near.entry[island, option]
+    pieces, depth, horizon = near.pieces, near.depth, near.horizon_s
+    first, passed, variances, place, share = (
+        pieces.first, pieces.passed[left_by], pieces.variance, pieces.place, pieces.share,
+    )  # fmt: skip
+    # Taken out once: each part of a column taken in a loop is counted as one that is in use.
+    inside, beam, spread = near.inside[island, option], near.beam_mm2, near.spread_mm2_s
+    x, y = near.entry[island, option, 0], near.entry[island, option, 1]
     total = 0.0
-    for m in range(pieces.first[source], pieces.first[source + 1]):
-        age = since + (1.0 - pieces.passed[left_by, m]) * time
-        variance = pieces.variance[m] + near.beam_mm2 + near.spread_mm2_s * age
-        away = (pieces.place[m, 0] - x) ** 2 + (pieces.place[m, 1] - y) ** 2
-        if age > near.horizon_s or away > FAR * variance:
+    for m in range(first[source], first[source + 1]):
+        age = since + (1.0 - passed[m]) * time
+        variance = variances[m] + beam + spread * age
+        away = (place[m, 0] - x) ** 2 + (place[m, 1] - y) ** 2
+        if age > horizon or away > FAR * variance:
             continue
-        root = np.sqrt(age / near.horizon_s)
-        dense = pieces.share[m] * gaussian(away, variance)
-        total += dense * at_root(near.depth, root) / at_root(near.inside[island, option], root)
+        root = np.sqrt(np.true_divide(age, horizon))
+        dense = share[m] * gaussian(away, variance)
+        total += np.true_divide(dense * at_root(depth, root), at_root(inside, root))
     return total * time
 
 

@@ -72,6 +72,24 @@ class Before:
     age_s: float = 0.0
 
 
+class AgedColumns:
+    """A column after times with the beam off, each worked out once: waits are looked for, then waited for."""
+
+    def __init__(self, column: HeatColumn) -> None:
+        self._column = column
+        self._aged: dict[float, HeatColumn] = {}
+
+    def after(self, time_s: float) -> HeatColumn:
+        """The column after a time; not to be changed by who asks, as long as others may."""
+        if time_s <= 0.0:
+            return self._column
+        if time_s not in self._aged:
+            column = self._column.copy()
+            column.advance(time_s)
+            self._aged[time_s] = column
+        return self._aged[time_s]
+
+
 @dataclass(eq=False)
 class PartHeat:
     """Heat of a part at one moment; it grows by :meth:`begin` and ages by :meth:`rest` and :meth:`lay_bead`.
@@ -117,9 +135,12 @@ class PartHeat:
         after._reading = np.asarray(2.0 * whole - model.depth.mean_of_layer(thick_mm), np.float64)
         return after
 
-    def rest(self, duration_s: float) -> None:
-        """Let a time go by with the beam off."""
-        self.column.advance(duration_s)
+    def rest(self, duration_s: float, aged: AgedColumns | None = None) -> None:
+        """Let a time go by with the beam off; `aged` are columns of this moment, which it takes the one of the end from."""
+        if aged is None:
+            self.column.advance(duration_s)
+        else:
+            self.column = aged.after(duration_s)
         decayed(self.state, *self._rates, duration_s)
 
     def lay_bead(self, beads: Beads, bead: int, power_w: float) -> None:
@@ -134,7 +155,13 @@ class PartHeat:
             pieces = np.ascontiguousarray(beads.pieces[:, a:b])
             driven_bead(self.state, pieces, *self._rates, self._in_layer, source, beads.time_s[a:b])
 
-    def bed_k(self, shape: Floats, wait_s: float = 0.0, before: Before | None = None) -> float:
+    def bed_k(
+        self,
+        shape: Floats,
+        wait_s: float = 0.0,
+        before: Before | None = None,
+        aged: AgedColumns | None = None,
+    ) -> float:
         """Temperature that a bead finds after a wait, absolute, K: that of its place, or the mean where that is warmer.
 
         Parameters
@@ -142,12 +169,10 @@ class PartHeat:
         before
             What differed across the section before the bead's own island was begun: what this has put there itself is
             part of its melt pool, and counts in the mean alone.
+        aged
+            The columns of this moment, where several waits are tried.
         """
-        column = self.column
-        if wait_s > 0.0:
-            column = column.copy()
-            column.advance(wait_s)
-        mean_k = column.bed_k
+        mean_k = (aged or AgedColumns(self.column)).after(wait_s).bed_k
         if self.model is None or not len(shape):
             return mean_k
         state, age_s = (self.state, 0.0) if before is None else (before.state, before.age_s)

@@ -8,7 +8,7 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Ints
 from ebamcheck.scan.filling.turns import JOINED_MM
 from ebamcheck.scan.order.annealing import Layer, entry_temperature, new_log, power, timed_from
-from ebamcheck.scan.order.touching import touching_successors
+from ebamcheck.scan.order.touching import touch_table, touching_successors
 
 MOST_LISTED = 8
 """Islands of which all orders are tried: 40320."""
@@ -31,9 +31,9 @@ def best_of_all(layer: Layer, longest_mm: float) -> Ints:
     count = len(layer.time_s)
     order = np.arange(count)
     best, best_touches, best_far, best_total = order.copy(), count, np.inf, np.inf
-    log, first = new_log(count), 0
+    log, first, beside = new_log(count), 0, touch_table(layer.beside)
     while first >= 0:
-        timed_from(first, order, layer, log)
+        timed_from(first, order, layer, beside, log)
         total = 0.0
         for place in range(count):
             if place >= first:

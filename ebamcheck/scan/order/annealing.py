@@ -11,12 +11,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.heat.influence import Influence, looked_up
-from ebamcheck.scan.heat.near_field import at_root
 from ebamcheck.scan.order.entry_options import EntryOptions
 from ebamcheck.scan.order.moves import Driven, least_travel_mm, more_touches, move
-from ebamcheck.scan.order.touching import Touching, touch, touch_table
+from ebamcheck.scan.order.touching import Touching, touch_table
 
 WARMTH = 0.005
 """Worsening taken at the beginning, unless another is asked for."""
@@ -119,13 +118,14 @@ def improved(
     count = len(order)
     kept, tried, best = order.copy(), order.copy(), order.copy()
     log, tried_log = new_log(count), new_log(count)
-    timed_from(0, kept, layer, log)
+    beside, options = touch_table(layer.beside), layer.options
+    timed_from(0, kept, layer, beside, log)
     total = powers_from(0, 0, 0, np.arange(count), kept, layer, np.inf, log)
     cost = (total / count) ** (1.0 / HIGH)
     touch_price = TOUCH_SHARE * cost
     cost += price * max(0.0, log.travel_mm[-1] - longest) + touch_price * log.touches[-1]
     best_cost, warmth = cost, warm_share * cost
-    by_heat, beside, options = np.argsort(-log.entry_k), touch_table(layer.beside), layer.options
+    by_heat = np.argsort(-log.entry_k)
     driven = Driven(kept, log.option, log.travel_mm)
     for step in range(len(places)):
         a, b = places[step, 0], places[step, 1]
@@ -144,7 +144,7 @@ def improved(
             continue
         move(kept, a, b, kind, tried)
         copy_start(log, first, tried_log)
-        timed_from(first, tried, layer, tried_log)
+        timed_from(first, tried, layer, beside, tried_log)
         too_far = price * max(0.0, tried_log.travel_mm[-1] - longest) + touch_price * tried_log.touches[-1]
         if too_far >= allowed:
             continue
@@ -212,8 +212,8 @@ def power(temperature: float) -> float:
 
 
 @kernel
-def timed_from(first: int, order: Ints, layer: Layer, log: Log) -> None:
-    """Time the islands from a place on, entering each by the nearest option."""
+def timed_from(first: int, order: Ints, layer: Layer, beside: Bools, log: Log) -> None:
+    """Time the islands from a place on, entering each by the nearest option; `beside` (I, I) tells which touch."""
     jump, option, time = layer.options.jump_mm, layer.options.option, layer.time_s
     for n in range(first, len(order)):
         if n == 0:
@@ -221,32 +221,35 @@ def timed_from(first: int, order: Ints, layer: Layer, log: Log) -> None:
             continue
         last, island, left_by = order[n - 1], order[n], log.option[n - 1]
         distance = jump[last, left_by, island]
-        log.start_s[n] = log.start_s[n - 1] + time[last] + distance / layer.rapid_mm_s
+        log.start_s[n] = log.start_s[n - 1] + time[last] + np.true_divide(distance, layer.rapid_mm_s)
         log.option[n] = option[last, left_by, island]
         log.travel_mm[n] = log.travel_mm[n - 1] + distance
-        log.touches[n] = log.touches[n - 1] + touch(layer.beside, last, island)
+        log.touches[n] = log.touches[n - 1] + beside[last, island]
 
 
 @kernel
 def entry_temperature(place: int, order: Ints, layer: Layer, log: Log) -> float:
     """Rise of the island at a place when the beam enters it: its mean, or that of its entry if it is more."""
     # Taken out of their tuples once: the first loop is where planning spends its time.
-    rise, nodes, fresh = layer.table.rise_k, layer.table.nodes_per_root_s, layer.table.fresh
+    rise, nodes, fresh = layer.table.rise_k[order[place]], layer.table.nodes_per_root_s, layer.table.fresh
     horizon, time, start = fresh.horizon_s, layer.time_s, log.start_s
     island, now = order[place], start[place]
-    temperature = looked_up(rise, nodes, horizon, island, len(order), now)
+    temperature = looked_up(rise, nodes, horizon, len(order), now)
     for earlier in range(place):
         source = order[earlier]
         since = now - start[earlier] - time[source]
-        temperature += looked_up(rise, nodes, horizon, island, source, since)
-    excess = 0.0
+        temperature += looked_up(rise, nodes, horizon, source, since)
+    excess_k, slot, by = fresh.excess_k, fresh.slot, log.option[place]
+    excess, last = 0.0, fresh.excess_k.shape[3] - 1
     for earlier in range(place - 1, -1, -1):
         source = order[earlier]
         since = now - start[earlier] - time[source]
         if since >= horizon:
             break
-        row = fresh.slot[island, source]
+        row, left_by = slot[island, source], log.option[earlier]
         if row >= 0:
-            root = np.sqrt(max(since, 0.0) / horizon)
-            excess += at_root(fresh.excess_k[row, log.option[place], log.option[earlier]], root)
+            at = np.sqrt(np.true_divide(max(since, 0.0), horizon)) * last
+            node = min(int(at), last - 1)
+            low, high = excess_k[row, by, left_by, node], excess_k[row, by, left_by, node + 1]
+            excess += low + (high - low) * min(at - node, 1.0)
     return temperature + max(excess, 0.0)

@@ -10,6 +10,8 @@ import threading
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import accumulate
 from typing import Any, TypeVar
 
 import numpy as np
@@ -121,14 +123,24 @@ class Stack:
         """Return the number of layers."""
         return len(self.sections)
 
+    @cached_property
+    def _steps_mm(self) -> list[float]:
+        """Heights over the layer below, (L,), for the lowest that of the next; none where there is but one layer."""
+        steps = np.diff(self.heights_mm)
+        return [*steps[:1].tolist(), *steps.tolist()]
+
+    @cached_property
+    def _bottoms_mm(self) -> list[float]:
+        """Heights over the base plate on which layers lie, (L,)."""
+        return list(accumulate(self._steps_mm, initial=0.0))
+
     def thickness_mm(self, layer: int, config: Config) -> float:
         """Height of one layer: the step from the one below, for the lowest that to the next, or the one set."""
-        steps = np.diff(self.heights_mm)
-        return float(steps[max(layer - 1, 0)]) if len(steps) else config.layer_height_mm
+        return self._steps_mm[layer] if self._steps_mm else config.layer_height_mm
 
     def bottom_mm(self, layer: int, config: Config) -> float:
         """Z over the base plate on which one layer lies, by the sum of those under it."""
-        return sum(self.thickness_mm(k, config) for k in range(layer))
+        return self._bottoms_mm[layer] if self._steps_mm else layer * config.layer_height_mm
 
 
 def ordered_layers(

@@ -1,0 +1,53 @@
+"""Bare parts between beads: cut out where samples are bare, the widest is that which the union of all beads leaves."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import shapely
+
+from ebamcheck.program.checking.bare_parts import widest_part
+
+WIDTH_MM = 6.0
+REGION = shapely.box(0.0, 0.0, 120.0, 80.0).difference(shapely.Point(70.0, 40.0).buffer(9.0))
+
+
+def lines_without(*missing):
+    """Hatch lines 5 mm apart over the region, some left out."""
+    y = np.array([2.0 + 5.0 * n for n in range(17) if n not in missing])
+    return np.column_stack([np.zeros(y.size), y, np.full(y.size, 120.0), y])
+
+
+def widest_of_all(segments):
+    """Diameter of the widest part that the union of all beads leaves, mm."""
+    beads = shapely.buffer(shapely.linestrings(segments.reshape(-1, 2, 2)), 0.5 * WIDTH_MM)
+    parts = shapely.get_parts(REGION.difference(shapely.union_all(beads)))
+    return max(2.0 * float(shapely.length(shapely.maximum_inscribed_circle(part))) for part in parts)
+
+
+@pytest.mark.parametrize("missing", [(5,), (2, 3), (4, 9, 10, 11), (0,)])
+def test_the_widest_part_is_that_of_the_union_of_all_beads(missing):
+    segments = lines_without(*missing)
+    found, part = widest_part(REGION, segments, WIDTH_MM)
+    assert found == pytest.approx(widest_of_all(segments), abs=0.05)
+    assert REGION.buffer(1e-9).covers(part)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_crooked_lines_leave_the_same(seed):
+    segments = lines_without() + np.random.default_rng(seed).normal(0.0, 0.8, (17, 4))
+    found, part = widest_part(REGION, segments, WIDTH_MM)
+    assert found == pytest.approx(widest_of_all(segments), abs=0.05)
+    beads = shapely.buffer(shapely.linestrings(segments.reshape(-1, 2, 2)), 0.5 * WIDTH_MM)
+    assert shapely.intersection(part, shapely.union_all(beads)).area < 1e-6
+
+
+def test_what_is_no_wider_than_asked_for_is_not_found():
+    segments = lines_without(5)
+    widest, _ = widest_part(REGION, segments, WIDTH_MM)
+    assert widest_part(REGION, segments, WIDTH_MM, widest - 0.01)[1] is not None
+    assert widest_part(REGION, segments, WIDTH_MM, widest) == (widest, None)
+
+
+def test_beads_that_leave_nothing_leave_no_part():
+    assert widest_part(REGION, lines_without(), WIDTH_MM) == (0.0, None)
