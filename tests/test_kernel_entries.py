@@ -1,0 +1,128 @@
+"""Kernels that only kernels call have no entry from Python, and long ones are called where they lie."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+SOURCE = """
+import numpy as np
+from ebamcheck.numeric.kernels import kernel
+
+@kernel
+def short(x):
+    return {step} + x
+
+@kernel
+def long(values):
+    sorted_values = np.sort(values)
+    for i in range(len(values) - 1):
+        if np.argsort(values)[i] > 3:
+            sorted_values[i] = short(sorted_values[i]) * sorted_values[i + 1]
+    return sorted_values
+
+@kernel
+def root(values):
+    if values[0] < 0.0:
+        raise ValueError("below zero")
+    return long(values).sum() + long(2.0 * values)[0]
+"""
+CALL = """
+import numpy as np
+from called.kernels import long, root, short
+from ebamcheck.numeric.kernel_library import about_data
+values = np.arange(10.0)[::-1].copy()
+print(root(values){more})
+try:
+    root(-values[:3])
+except ValueError as error:
+    print(error)
+loaded = [(kernel, version) for kernel in (root, long, short) for version in kernel.overloads.values()]
+for kernel, version in loaded:
+    about = version.library.about
+    calls = [callee.name for callee in about.calls]
+    print(kernel.__name__, about.is_entered, calls, sum(kernel.stats.cache_hits.values()))
+"""
+VALUES = [float(x) for x in range(10)]
+
+
+@pytest.fixture
+def package(tmp_path):
+    folder = tmp_path / "called"
+    folder.mkdir()
+    (folder / "__init__.py").touch()
+    (folder / "kernels.py").write_text(SOURCE.format(step=1.0))
+    return folder
+
+
+def call(package, more=""):
+    """Lines that a process of its own prints: results, what is raised, and what is kept of each kernel."""
+    path = os.pathsep.join([str(package.parent), os.environ.get("PYTHONPATH", "")])
+    environment = {**os.environ, "PYTHONPATH": path, "PYTHONDONTWRITEBYTECODE": "1"}
+    environment.pop("NUMBA_CACHE_DIR", None)
+    done = subprocess.run(
+        [sys.executable, "-c", CALL.format(more=more)], env=environment, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    return done.stdout.splitlines()
+
+
+def expected(step=1.0):
+    """What `root` gives for 9, 8, ..., 0, in plain Python."""
+
+    def long(values):
+        found = sorted(values)
+        places = sorted(range(len(values)), key=lambda i: values[i])
+        for i in range(len(values) - 1):
+            if places[i] > 3:
+                found[i] = (step + found[i]) * found[i + 1]
+        return found
+
+    values = VALUES[::-1]
+    return sum(long(values)) + long([2.0 * x for x in values])[0]
+
+
+def kept(hits, step=1.0):
+    return [
+        str(expected(step)), "below zero",
+        f"root True ['long'] {hits}", f"long False [] {hits}", f"short False [] {hits}",
+    ]  # fmt: skip
+
+
+def test_a_long_callee_is_called_where_it_lies_and_a_short_one_is_not(package):
+    assert call(package) == kept(0)
+    # The short one is in the code of the long one: nobody asks for it.
+    assert call(package) == kept(1)[:-1]
+
+
+def test_python_may_call_what_has_no_entry(package):
+    first = call(package, more=", short(1.0), long(values)[0]")
+    assert first[0] == f"{expected()} 2.0 {(1.0 + 0.0) * 1.0}"
+    assert first[1:] == kept(0)[1:]
+    files = {path.name.split(".cpython")[0] for path in package.rglob("*.nbi")}
+    assert files == {"kernels.root", "kernels.long", "kernels.short", "kernels.long.entry", "kernels.short.entry"}
+    times = {path: path.stat().st_mtime_ns for path in package.rglob("*.nbc")}
+    assert call(package, more=", short(1.0), long(values)[0]")[0] == first[0]
+    assert {path: path.stat().st_mtime_ns for path in package.rglob("*.nbc")} == times  # nothing compiled
+
+
+@pytest.mark.parametrize("lost", ["long", "root"])
+def test_a_callee_that_was_compiled_anew_has_its_callers_compiled_too(package, lost):
+    """Its name in machine code is another one: what still calls it by the old one must not run."""
+    call(package)
+    for path in package.rglob(f"kernels.{lost}.*nbi"):
+        path.unlink()
+    lines = call(package)
+    assert lines[0] == str(expected())
+    assert lines[2] == "root True ['long'] 0"
+    assert call(package)[2] == "root True ['long'] 1"
+
+
+def test_a_change_of_a_callee_of_a_callee_counts(package):
+    call(package)
+    (package / "kernels.py").write_text(SOURCE.format(step=5.0))
+    assert call(package) == kept(0, 5.0)
