@@ -25,7 +25,7 @@ from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
 
 from ebamcheck.numeric import ready_kernels
 from ebamcheck.numeric.kernel_compiling import ready_to_compile
-from ebamcheck.numeric.kernel_library import KernelLibrary, about_data, has_callees, loading
+from ebamcheck.numeric.kernel_library import about_data, has_callees, loading
 from ebamcheck.numeric.kernel_running import ready_to_run
 from ebamcheck.numeric.kernel_stamp import kernel_stamp
 
@@ -63,7 +63,6 @@ class KernelCache(FunctionCache):
             data = self._cache_file.load(self._index_key(signature, codegen))  # type: ignore[no-untyped-call]
         if data is None or not has_callees(about_data(data)):
             ready_to_compile()
-            codegen._library_class = KernelLibrary
             return None
         with loading(codegen):
             return self._impl.rebuild(context, data)

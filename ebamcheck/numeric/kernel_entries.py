@@ -13,7 +13,7 @@ from typing import Any
 
 from numba import types
 
-from ebamcheck.numeric.kernel_library import describe
+from ebamcheck.numeric.kernel_library import compiling, describe
 
 NARROW = (types.int8, types.int16, types.int32)
 """Whole numbers that a kernel takes as 64 bits wide when another one passes them."""
@@ -79,7 +79,8 @@ class KernelEntries:
     def compile(self, given: Any, returned: Any) -> Any:
         """Compile a version, for whoever calls."""
         self._kernel._compiler.targetoptions["no_cpython_wrapper"] = self._calling > 0
-        return self._compile(given, returned)
+        with compiling(self._kernel.targetctx.codegen()):
+            return self._compile(given, returned)
 
     @contextmanager
     def _called_by_kernel(self) -> Iterator[None]:

@@ -20,7 +20,7 @@ from numba.core.codegen import CodeLibrary, JITCodeLibrary
 
 _llvm: Any = importlib.import_module("llvmlite.binding")
 
-SHORT_LINES = 60
+SHORT_LINES = 150
 """Lines of LLVM's language up to which a kernel is put into those that call it: several times what LLVM puts in place."""
 
 
@@ -148,8 +148,21 @@ def kernel_at(module: str, name: str) -> Any:
 @contextmanager
 def loading(codegen: Any) -> Iterator[None]:
     """Have numba make its libraries from machine code while the block runs; it holds its lock meanwhile."""
-    codegen._library_class = LoadedLibrary
+    with _making(codegen, LoadedLibrary):
+        yield
+
+
+@contextmanager
+def compiling(codegen: Any) -> Iterator[None]:
+    """Have numba make libraries of kernels while the block runs; it holds its lock meanwhile."""
+    with _making(codegen, KernelLibrary):
+        yield
+
+
+@contextmanager
+def _making(codegen: Any, kind: type[KernelLibrary]) -> Iterator[None]:
+    before, codegen._library_class = codegen._library_class, kind
     try:
         yield
     finally:
-        codegen._library_class = KernelLibrary
+        codegen._library_class = before

@@ -33,8 +33,7 @@ def kernel(function: _Function) -> _Function:
 
 
 def _dispatcher(function: Callable[..., Any], kind: str) -> Any:
-    # An entry from C is what nobody asks for here.
-    compiled: Any = numba.njit(nogil=True, fastmath=False, no_cfunc_wrapper=True)(function)
+    compiled: Any = numba.njit(nogil=True, fastmath=False)(function)
     compiled._cache = kernel_cache(function, kind)
     return compiled
 
