@@ -18,17 +18,16 @@ def short(x):
 
 @kernel
 def long(values):
-    sorted_values = np.sort(values)
+    made = values.copy()
     for i in range(len(values) - 1):
-        if np.argsort(values)[i] > 3:
-            sorted_values[i] = short(sorted_values[i]) * sorted_values[i + 1]
-    return sorted_values
+{steps}
+    return made
 
 @kernel
 def root(values):
     if values[0] < 0.0:
         raise ValueError("below zero")
-    return long(values).sum() + long(2.0 * values)[0]
+    return long(values)[0] + long(2.0 * values)[3]
 """
 CALL = """
 import numpy as np
@@ -46,7 +45,12 @@ for kernel, version in loaded:
     calls = [callee.name for callee in about.calls]
     print(kernel.__name__, about.is_entered, calls, sum(kernel.stats.cache_hits.values()))
 """
-VALUES = [float(x) for x in range(10)]
+STEPS = "\n".join(
+    f"        if made[i] > {k}.5:\n            made[i] = short(0.5 * made[i]) + values[i + 1] * {k}.25"
+    for k in range(30)
+)
+"""Enough of them that the kernel is no short one."""
+VALUES = [9.0 - x for x in range(10)]
 
 
 @pytest.fixture
@@ -54,7 +58,7 @@ def package(tmp_path):
     folder = tmp_path / "called"
     folder.mkdir()
     (folder / "__init__.py").touch()
-    (folder / "kernels.py").write_text(SOURCE.format(step=1.0))
+    (folder / "kernels.py").write_text(SOURCE.format(step=1.0, steps=STEPS))
     return folder
 
 
@@ -71,19 +75,19 @@ def call(package, more=""):
     return done.stdout.splitlines()
 
 
+def long(values, step=1.0):
+    """What the kernel of that name does, in plain Python."""
+    made = list(values)
+    for i in range(len(values) - 1):
+        for k in range(30):
+            if made[i] > k + 0.5:
+                made[i] = (step + 0.5 * made[i]) + values[i + 1] * (k + 0.25)
+    return made
+
+
 def expected(step=1.0):
-    """What `root` gives for 9, 8, ..., 0, in plain Python."""
-
-    def long(values):
-        found = sorted(values)
-        places = sorted(range(len(values)), key=lambda i: values[i])
-        for i in range(len(values) - 1):
-            if places[i] > 3:
-                found[i] = (step + found[i]) * found[i + 1]
-        return found
-
-    values = VALUES[::-1]
-    return sum(long(values)) + long([2.0 * x for x in values])[0]
+    """What `root` gives for 9, 8, ..., 0."""
+    return long(VALUES, step)[0] + long([2.0 * x for x in VALUES], step)[3]
 
 
 def kept(hits, step=1.0):
@@ -101,10 +105,16 @@ def test_a_long_callee_is_called_where_it_lies_and_a_short_one_is_not(package):
 
 def test_python_may_call_what_has_no_entry(package):
     first = call(package, more=", short(1.0), long(values)[0]")
-    assert first[0] == f"{expected()} 2.0 {(1.0 + 0.0) * 1.0}"
+    assert first[0] == f"{expected()} 2.0 {long(VALUES)[0]}"
     assert first[1:] == kept(0)[1:]
     files = {path.name.split(".cpython")[0] for path in package.rglob("*.nbi")}
-    assert files == {"kernels.root", "kernels.long", "kernels.short", "kernels.long.entry", "kernels.short.entry"}
+    assert files == {
+        "kernels.root",
+        "kernels.long",
+        "kernels.short",
+        "kernels.long.entry",
+        "kernels.short.entry",
+    }
     times = {path: path.stat().st_mtime_ns for path in package.rglob("*.nbc")}
     assert call(package, more=", short(1.0), long(values)[0]")[0] == first[0]
     assert {path: path.stat().st_mtime_ns for path in package.rglob("*.nbc")} == times  # nothing compiled
@@ -124,5 +134,5 @@ def test_a_callee_that_was_compiled_anew_has_its_callers_compiled_too(package, l
 
 def test_a_change_of_a_callee_of_a_callee_counts(package):
     call(package)
-    (package / "kernels.py").write_text(SOURCE.format(step=5.0))
+    (package / "kernels.py").write_text(SOURCE.format(step=5.0, steps=STEPS))
     assert call(package) == kept(0, 5.0)

@@ -14,7 +14,6 @@ from collections.abc import Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from typing import Any
 
 from ebamcheck.numeric import compiling
 from ebamcheck.numeric.kernel_compiling import only_compile

@@ -76,4 +76,6 @@ def _compare_flags_at_once() -> None:
         return values(flags) == values(other) if isinstance(other, config) else NotImplemented
 
     config.values, config.__eq__ = values, equals
-    config.__hash__ = lambda flags: hash(type(flags))  # Numba's takes the names alone, which are those of the type.
+    config.__hash__ = lambda flags: hash(
+        type(flags)
+    )  # Numba's takes the names alone, which are those of the type.

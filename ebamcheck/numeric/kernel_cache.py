@@ -69,9 +69,7 @@ class KernelCache(FunctionCache):
 
     def holds(self, signature: Any, codegen: Any) -> bool:
         """Whether a version need not be compiled."""
-        return (
-            not self._kind and ready_kernels.holds(self._py_func, signature)
-        ) or (
+        return (not self._kind and ready_kernels.holds(self._py_func, signature)) or (
             self._index_key(signature, codegen) in self._cache_file._load_index()  # type: ignore[no-untyped-call]
         )
 

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from numba import types
+from numba.core.compiler_lock import global_compiler_lock
 
 from ebamcheck.numeric.kernel_library import compiling, describe
 
@@ -50,7 +51,9 @@ class KernelEntries:
         Numba compiles one for each constant among the arguments, and one for each width of an integer.
         """
         with self._called_by_kernel():
-            return self._template([_plain(one) for one in given], {k: _plain(one) for k, one in named.items()})
+            return self._template(
+                [_plain(one) for one in given], {k: _plain(one) for k, one in named.items()}
+            )
 
     def compile_for_kernels(self, given: Any) -> None:
         """Have the version for these types, for other kernels; with an entry only if it is there already."""
@@ -60,11 +63,14 @@ class KernelEntries:
     def for_python(self, *given: Any) -> Any:
         """Entry of the version for these arguments."""
         entry = self._compile_for_args(*given)
-        found = next(one for one in self._kernel.overloads.values() if one.entry_point is entry)
-        if not _is_entered(found):
+        with global_compiler_lock:
+            found = next(one for one in self._kernel.overloads.values() if one.entry_point is entry)
+            if _is_entered(found):
+                return entry
             if self._other is None:
                 self._other = self._with_entry()
-            entry = self._other.compile(tuple(found.signature.args))
+            with compiling(self._kernel.targetctx.codegen()):
+                entry = self._other.compile(tuple(found.signature.args))
             self._kernel._insert([one._code for one in found.signature.args], entry, False)
         return entry
 

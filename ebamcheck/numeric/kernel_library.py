@@ -64,9 +64,9 @@ class KernelLibrary(JITCodeLibrary):
     def serialize_using_object_code(self) -> Any:
         """Name, machine code, what it is compiled with into others, and what is kept beside it."""
         self._ensure_finalized()  # type: ignore[no-untyped-call]
-        is_linked = self.about is None or self.about.itself is None
-        bitcode = self._get_module_for_linking().as_bitcode() if is_linked else b""  # type: ignore[no-untyped-call]
-        return (self.name, "object", (self._get_compiled_object(), bitcode, self.about))  # type: ignore[no-untyped-call]
+        about = self.about or About(None, True, tuple(self.calls))
+        bitcode = self._get_module_for_linking().as_bitcode() if about.itself is None else b""  # type: ignore[no-untyped-call]
+        return (self.name, "object", (self._get_compiled_object(), bitcode, about))  # type: ignore[no-untyped-call]
 
 
 class LoadedLibrary(KernelLibrary):
@@ -84,7 +84,7 @@ class LoadedLibrary(KernelLibrary):
         CodeLibrary.__init__(made, codegen, name)
         made._linking_libraries = []
         made._bitcode, made._parsed = bitcode, None
-        made.about, made.calls = about, dict.fromkeys(about.calls if about else ())
+        made.about, made.calls = about, dict.fromkeys(about.calls)
         made._finalized = made._disable_inspection = True
         engine = codegen._engine
         engine._ee.add_object_file(_llvm.ObjectFileRef.from_data(machine_code))
@@ -119,17 +119,21 @@ def describe(version: Any, function: Callable[..., Any]) -> None:
     is_found = function is getattr(kernel_at(function.__module__, function.__qualname__), "py_func", None)
     if is_found and str(library.get_function(symbol)).count("\n") > SHORT_LINES:  # type: ignore[no-untyped-call]
         itself = Callee(function.__module__, function.__qualname__, tuple(version.signature.args), symbol)
-    library.about = About(itself, bool(library.get_pointer_to_function(entry)), tuple(library.calls))
+    library.about = About(itself, _is_entered(library, entry), tuple(library.calls))
 
 
-def about_data(data: Any) -> About | None:
+def _is_entered(library: Any, entry: str) -> bool:
+    return bool(library.get_pointer_to_function(entry))
+
+
+def about_data(data: Any) -> About:
     """What is kept beside the machine code, of a version as the cache holds it."""
     return data[0][2][2]  # type: ignore[no-any-return]
 
 
-def has_callees(about: About | None) -> bool:
+def has_callees(about: About) -> bool:
     """Whether all that a version calls where it lies is loaded; it is loaded, or compiled, where it is not yet."""
-    for callee in about.calls if about is not None else ():
+    for callee in about.calls:
         kernel = kernel_at(callee.module, callee.name)
         if kernel is None:
             return False

@@ -52,14 +52,14 @@ def write_list(listed: Listed, path: Path = LIST) -> None:
 def versions(kernel: Any) -> list[str]:
     """Argument types, as text, of all versions of a kernel that the cache holds; those without a text are left out."""
     found = []
-    entered = kernel_cache(kernel.py_func, ENTRY)
+    entered: Any = kernel_cache(kernel.py_func, ENTRY)
     for key in kernel._cache._cache_file._load_index():
         try:
             text = ", ".join(text_of(part) for part in key[0])
         except UnknownType:
             continue
         about = about_data(kernel._cache._cache_file.load(key))
-        has_entry = about is None or about.is_entered or entered.holds(key[0], kernel.targetctx.codegen())
+        has_entry = about.is_entered or entered.holds(key[0], kernel.targetctx.codegen())
         found.append(text if has_entry else FOR_KERNELS + text)
     return sorted(set(found))
 
