@@ -14,7 +14,7 @@ from numba import types
 from ebamcheck.curves.sagitta import Sagittas
 from ebamcheck.numeric import kernels
 from ebamcheck.numeric.compiling_ahead import Task, longest_ways
-from ebamcheck.numeric.kernel_list import kernel_named, read_list, write_list
+from ebamcheck.numeric.kernel_list import FOR_KERNELS, kernel_named, read_list, write_list
 from ebamcheck.numeric.type_text import UnknownType, text_of, types_of
 
 KERNELS = """
@@ -215,7 +215,7 @@ def test_the_list_names_kernels_of_the_sources():
         (name, text)
         for name, found in listed.items()
         for text in found
-        if len(types_of(text)) != kernel_named(name).py_func.__code__.co_argcount
+        if len(types_of(text.removeprefix(FOR_KERNELS))) != kernel_named(name).py_func.__code__.co_argcount
     ]
     assert wrong == []
 
@@ -224,11 +224,11 @@ ALL = """
 import json
 from ebamcheck.commands.warm import main_job, warm_kernels
 from ebamcheck.numeric.compiling import loaded_kernels, name_of
-from ebamcheck.numeric.kernel_list import read_list
+from ebamcheck.numeric.kernel_list import FOR_KERNELS, read_list
 from ebamcheck.numeric.type_text import text_of
 main_job()
 used = {name_of(k): [", ".join(map(text_of, one)) for one in k.signatures] for k in loaded_kernels()}
-listed = read_list()
+listed = {k: [one.removeprefix(FOR_KERNELS) for one in found] for k, found in read_list().items()}
 print(json.dumps([[k, one] for k, found in used.items() for one in found if one not in listed.get(k, [])]))
 """
 

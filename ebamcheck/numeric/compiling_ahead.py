@@ -14,14 +14,12 @@ from collections.abc import Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from typing import Any
 
 from ebamcheck.numeric import compiling
 from ebamcheck.numeric.kernel_compiling import only_compile
-from ebamcheck.numeric.kernel_list import Listed, kernel_named
+from ebamcheck.numeric.kernel_list import Listed, compile_listed, is_cached, kernel_named
 from ebamcheck.numeric.kernel_stamp import seen_by
 from ebamcheck.numeric.kernels import thread_count
-from ebamcheck.numeric.type_text import UnknownType, types_of
 
 
 @dataclass(frozen=True)
@@ -71,7 +69,7 @@ def tasks_of(listed: Listed) -> dict[str, Task]:
         kernel = kernel_named(name)
         if kernel is None:
             continue
-        if lacking := [text for text in versions if not _is_cached(kernel, text)]:
+        if lacking := [text for text in versions if not is_cached(kernel, text)]:
             missing[name] = (kernel, lacking)
     return {
         name: Task(
@@ -137,16 +135,7 @@ def compile_versions(name: str, versions: list[str]) -> str:
     said = ""
     for text in versions:
         try:
-            kernel.compile(types_of(text))
+            compile_listed(kernel, text)
         except Exception as error:  # Numba raises what it likes, and the list is a hint.
             said = f"({text}): {error}".partition("\n")[0]
     return said
-
-
-def _is_cached(kernel: Any, text: str) -> bool:
-    """Whether the cache holds a version; one whose types are unknown here is nothing to compile."""
-    try:
-        types = types_of(text)
-    except UnknownType:
-        return True
-    return bool(kernel._cache.holds(types, kernel.targetctx.codegen()))

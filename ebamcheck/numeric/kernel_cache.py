@@ -25,7 +25,7 @@ from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
 
 from ebamcheck.numeric import ready_kernels
 from ebamcheck.numeric.kernel_compiling import ready_to_compile
-from ebamcheck.numeric.kernel_library import loading
+from ebamcheck.numeric.kernel_library import about_data, has_callees, loading
 from ebamcheck.numeric.kernel_running import ready_to_run
 from ebamcheck.numeric.kernel_stamp import kernel_stamp
 
@@ -36,13 +36,18 @@ The last two are those of an older version whose kernels took a type that is no 
 """
 
 
+ENTRY = ".entry"
+"""Kind of the cache of versions that were compiled once more, with an entry from Python."""
+
+
 class KernelCache(FunctionCache):
     """Numba's cache of one function, stamped by all that it is made of; a full disk does not stop the work."""
 
-    def __init__(self, function: Callable[..., Any]) -> None:
+    def __init__(self, function: Callable[..., Any], kind: str = "") -> None:
         super().__init__(function)  # type: ignore[no-untyped-call]
+        self._kind = kind
         name = f"{function.__module__.rpartition('.')[2]}.{function.__qualname__}"
-        base = re.sub(r"[^\w.-]", "", name) + f".{sys.implementation.cache_tag}"
+        base = re.sub(r"[^\w.-]", "", name) + f"{kind}.{sys.implementation.cache_tag}"
         self._cache_file = _SharedFile(self._cache_path, base, function)
 
     def load_overload(self, signature: Any, context: Any) -> Any:
@@ -52,30 +57,32 @@ class KernelCache(FunctionCache):
         anyway when it compiles something.
         """
         ready_to_run()
-        ready = ready_kernels.loaded(self._py_func, signature)
-        with loading(context.codegen()):
-            if ready is not None:
-                return self._impl.rebuild(context, ready)
-            found = self._load_overload(signature, context)  # type: ignore[no-untyped-call]
-        if found is None:
+        codegen = context.codegen()
+        data = None if self._kind else ready_kernels.loaded(self._py_func, signature)
+        if data is None:
+            data = self._cache_file.load(self._index_key(signature, codegen))  # type: ignore[no-untyped-call]
+        if data is None or not has_callees(about_data(data)):
             ready_to_compile()
-        return found
+            return None
+        with loading(codegen):
+            return self._impl.rebuild(context, data)
 
     def holds(self, signature: Any, codegen: Any) -> bool:
         """Whether a version need not be compiled."""
-        return (
-            ready_kernels.holds(self._py_func, signature)
-            or self._index_key(signature, codegen) in self._cache_file._load_index()  # type: ignore[no-untyped-call]
+        return (not self._kind and ready_kernels.holds(self._py_func, signature)) or (
+            self._index_key(signature, codegen) in self._cache_file._load_index()  # type: ignore[no-untyped-call]
         )
 
     def holds_any(self) -> bool:
         """Whether any version is compiled."""
-        return ready_kernels.holds(self._py_func) or bool(self._cache_file._load_index())  # type: ignore[no-untyped-call]
+        return (not self._kind and ready_kernels.holds(self._py_func)) or bool(self._cache_file._load_index())  # type: ignore[no-untyped-call]
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
         """Keep a compiled version; where there is no room for it, the next process compiles again."""
+        # Without the text of the source with types beside it, for which nobody asks.
+        kept = compiled._replace(type_annotation="")
         with contextlib.suppress(OSError):
-            super().save_overload(signature, compiled)  # type: ignore[no-untyped-call]
+            super().save_overload(signature, kept)  # type: ignore[no-untyped-call]
 
 
 class _SharedFile(IndexDataCacheFile):
@@ -119,10 +126,10 @@ class _SharedFile(IndexDataCacheFile):
             os.close(descriptor)
 
 
-def kernel_cache(function: Callable[..., Any]) -> FunctionCache | NullCache:
+def kernel_cache(function: Callable[..., Any], kind: str = "") -> FunctionCache | NullCache:
     """Cache of a kernel: beside its source, else in the user's cache folder, else in a temporary one, else none."""
     try:
-        return KernelCache(function)
+        return KernelCache(function, kind)
     except RuntimeError:
         folder = _private_folder()
     if folder is None:
@@ -130,7 +137,7 @@ def kernel_cache(function: Callable[..., Any]) -> FunctionCache | NullCache:
     config: Any = numba_config
     before, config.CACHE_DIR = config.CACHE_DIR, str(folder)
     try:
-        return KernelCache(function)
+        return KernelCache(function, kind)
     except RuntimeError:
         return NullCache()
     finally:

@@ -14,6 +14,9 @@ from typing import Any
 from numba.core.bytecode import FunctionIdentity
 from numba.extending import overload
 
+from ebamcheck.numeric.compiling_faster import compile_faster
+from ebamcheck.numeric.kernel_library import KernelLibrary
+
 OBJECTS_BEFORE_GC = 100_000
 """New objects until Python looks for rings of dead ones, in a process that does nothing but compile."""
 
@@ -55,9 +58,22 @@ def ready_to_compile() -> None:
     Numba writes the two shapes into it, in compiled code: three tenths of the time that all kernels took to compile, for
     a message that tells of a fault in a kernel. Versions of numba that do not know the function are left as they are.
     """
+    _leave_out_entries_from_c()
     arrays: Any = importlib.import_module("numba.np.arrayobj")
     if hasattr(arrays, "raise_with_shape_context"):
         arrays.raise_with_shape_context = _sizes_differ
+
+
+def _leave_out_entries_from_c() -> None:
+    """Make no entry from C for functions that numba compiles into a kernel, such as a sort: nothing can call it."""
+    lower: Any = importlib.import_module("numba.core.lowering").Lower
+    made = lower.create_cfunc_wrapper
+
+    def create(given: Any) -> None:
+        if not isinstance(given.library, KernelLibrary):
+            made(given)
+
+    lower.create_cfunc_wrapper = create
 
 
 def _sizes_differ(given: Any, wanted: Any) -> None:
@@ -75,5 +91,6 @@ def _compiled_sizes_differ(given: Any, wanted: Any) -> Any:
 
 def only_compile() -> None:
     """Prepare a process that was forked to do nothing but compile: its parent's objects stay, and few new ones die."""
+    compile_faster()
     gc.freeze()
     gc.set_threshold(OBJECTS_BEFORE_GC)

@@ -16,10 +16,14 @@ from numba.core.dispatcher import Dispatcher
 
 from ebamcheck.atomic_file import replacing
 from ebamcheck.numeric.compiling import name_of
-from ebamcheck.numeric.kernel_cache import KernelCache
-from ebamcheck.numeric.type_text import UnknownType, text_of
+from ebamcheck.numeric.kernel_cache import ENTRY, KernelCache, kernel_cache
+from ebamcheck.numeric.kernel_library import about_data
+from ebamcheck.numeric.type_text import UnknownType, text_of, types_of
 
 LIST = Path(__file__).with_name("kernel_list.json")
+
+FOR_KERNELS = "for kernels: "
+"""What stands before the types of a version that only other kernels call (:mod:`ebamcheck.numeric.kernel_entries`)."""
 
 Listed = dict[str, list[str]]
 """For each kernel, by module and name, the argument types of each of its compiled versions, as text."""
@@ -48,12 +52,34 @@ def write_list(listed: Listed, path: Path = LIST) -> None:
 def versions(kernel: Any) -> list[str]:
     """Argument types, as text, of all versions of a kernel that the cache holds; those without a text are left out."""
     found = []
+    entered: Any = kernel_cache(kernel.py_func, ENTRY)
     for key in kernel._cache._cache_file._load_index():
         try:
-            found.append(", ".join(text_of(part) for part in key[0]))
+            text = ", ".join(text_of(part) for part in key[0])
         except UnknownType:
             continue
+        about = about_data(kernel._cache._cache_file.load(key))
+        has_entry = about.is_entered or entered.holds(key[0], kernel.targetctx.codegen())
+        found.append(text if has_entry else FOR_KERNELS + text)
     return sorted(set(found))
+
+
+def compile_listed(kernel: Any, version: str) -> None:
+    """Compile a version of a kernel, or load it, as it is listed."""
+    given = types_of(version.removeprefix(FOR_KERNELS))
+    if version.startswith(FOR_KERNELS):
+        kernel.entries.compile_for_kernels(given)
+    else:
+        kernel.compile(given)
+
+
+def is_cached(kernel: Any, version: str) -> bool:
+    """Whether the cache holds a version; one whose types are unknown here is nothing to compile."""
+    try:
+        types = types_of(version.removeprefix(FOR_KERNELS))
+    except UnknownType:
+        return True
+    return bool(kernel._cache.holds(types, kernel.targetctx.codegen()))
 
 
 def kernel_named(name: str) -> Any:

@@ -18,8 +18,8 @@ OUR_PACKAGES = "ebamcheck"
 """Modules whose names begin so, and the kernel's own package, may hold what a kernel sees."""
 
 
-FORM = 2
-"""Form of what is compiled: 2 since names in machine code are a process's own."""
+FORM = 3
+"""Form of what is compiled: 2 since names in machine code are a process's own, 3 since long callees are called where they lie."""
 
 
 def kernel_stamp(function: Callable[..., Any], python: str = sys.version) -> str:

@@ -6,7 +6,6 @@ interpreter lock, so that :func:`run_blocks` spreads them over threads.
 
 from __future__ import annotations
 
-import functools
 import itertools
 import os
 from collections.abc import Callable
@@ -14,14 +13,11 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar, cast
 
 import numba
-from numba import types
 
 from ebamcheck.errors import SettingsError
-from ebamcheck.numeric.kernel_cache import kernel_cache
+from ebamcheck.numeric.kernel_cache import ENTRY, kernel_cache
 from ebamcheck.numeric.kernel_compiling import number_functions
-
-NARROW = (types.int8, types.int16, types.int32)
-"""Whole numbers that a kernel takes as 64 bits wide when another one passes them."""
+from ebamcheck.numeric.kernel_entries import KernelEntries
 
 number_functions()
 
@@ -31,24 +27,15 @@ _Result = TypeVar("_Result")
 
 def kernel(function: _Function) -> _Function:
     """Compile `function` with numba: cached on disk, without the interpreter lock, IEEE arithmetic."""
-    compiled: Any = numba.njit(nogil=True, fastmath=False)(function)
-    compiled._cache = kernel_cache(function)
-    compiled.get_call_template = functools.partial(_one_version, compiled.get_call_template)
+    compiled = _dispatcher(function, "")
+    KernelEntries(compiled, lambda: _dispatcher(function, ENTRY))
     return cast(_Function, compiled)
 
 
-def _one_version(template: Callable[..., Any], given: Any, named: Any) -> Any:
-    """The version of a kernel that another kernel calls: one for all whole numbers that are passed by value.
-
-    Numba compiles one for each constant among the arguments, and one for each width of an integer.
-    """
-    return template([_plain(one) for one in given], {name: _plain(one) for name, one in named.items()})
-
-
-def _plain(given: Any) -> Any:
-    """Type of an argument without its value; a signed integer as wide as Python's."""
-    plain: Any = types.unliteral(given)  # type: ignore[no-untyped-call]
-    return types.int64 if plain in NARROW else plain
+def _dispatcher(function: Callable[..., Any], kind: str) -> Any:
+    compiled: Any = numba.njit(nogil=True, fastmath=False)(function)
+    compiled._cache = kernel_cache(function, kind)
+    return compiled
 
 
 @kernel
