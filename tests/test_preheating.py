@@ -83,7 +83,7 @@ def test_heat_is_neither_won_nor_lost_and_the_places_average_to_the_column():
     heat = SurfaceHeat(bare_plate(body, config), body, body, 25.0, config)
     lines, _ = pass_lines(body, config, 0)
     time_s = np.hypot(*(lines[:, 2:] - lines[:, :2]).T) / 40.0
-    heat.drive(BeamWay(lines[:, :2], lines[:, 2:], time_s, np.full(len(lines), 900.0)))
+    heat.simulate(BeamWay(lines[:, :2], lines[:, 2:], time_s, np.full(len(lines), 900.0)))
     heat.rest(20.0)
     column = heat.column
     assert column.absorbed_j == pytest.approx(900.0 * time_s.sum() * config.material.absorptivity)

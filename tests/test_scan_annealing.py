@@ -22,7 +22,7 @@ from ebamcheck.scan.order.annealing import (
     timed_from,
 )
 from ebamcheck.scan.order.entry_options import entry_options
-from ebamcheck.scan.order.moves import Driven, least_travel_mm, more_touches, move
+from ebamcheck.scan.order.moves import Simulated, least_travel_mm, more_touches, move
 from ebamcheck.scan.order.orders import scan_order
 from ebamcheck.scan.order.simulation import clocked, entered, entry_points
 from ebamcheck.scan.order.thermal import greedy_order
@@ -143,7 +143,7 @@ def test_what_a_move_changes_is_what_the_moved_order_has(choices, kind):
         move(order, a, b, kind, tried)
         timed_from(0, tried, layer, touch_table(layer.beside), moved)
         assert more_touches(order, a, b, kind, touch_table(beside)) == moved.touches[-1] - log.touches[-1]
-        least_mm = least_travel_mm(Driven(order, log.option, log.travel_mm), a, b, kind, layer.options)
+        least_mm = least_travel_mm(Simulated(order, log.option, log.travel_mm), a, b, kind, layer.options)
         assert least_mm <= moved.travel_mm[-1] == pytest.approx(least_mm, rel=1e-8)
 
 

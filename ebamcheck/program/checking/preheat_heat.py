@@ -51,7 +51,7 @@ def bottoms_of(nc: NCProgram, config: Config) -> np.ndarray:
 
 
 def found_scans(nc: NCProgram, config: Config, known: Known) -> list[Found]:
-    """Follow the heat of the program, and drive every scan of its text; layers without a scan are told by their beginning."""
+    """Follow the heat of the program, and simulate every scan of its text; layers without a scan are told by their beginning."""
     scans, beads, sections = scans_of(nc, config), text_beads(nc, config), known.sections
     bottoms, found = bottoms_of(nc, config), list[Found]()
     on_plate = config.base_mm == 0.0
@@ -63,13 +63,13 @@ def found_scans(nc: NCProgram, config: Config, known: Known) -> list[Found]:
         begins_k = config.process.ambient_temperature_k if column is None else column.surface_k
         nothing = BeamWay(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
         way = scans.get(k, nothing)
-        driven = scanned_heat(way, sections, k, float(bottoms[k]), column, config, known.under)
-        if driven is None:
+        reached = scanned_heat(way, sections, k, float(bottoms[k]), column, config, known.under)
+        if reached is None:
             return
         passes = _passes(way, on, config)
         needed = column is None or is_cold(column, config)
         wanted = passes_asked(on, column, config) if needed else 0
-        found.append(Found(k, on, way, begins_k, driven[0].read(), passes, wanted, _place_of(nc, k)))
+        found.append(Found(k, on, way, begins_k, reached[0].read(), passes, wanted, _place_of(nc, k)))
 
     if on_plate:
         seen(0, None)

@@ -64,7 +64,7 @@ def scanned_heat(
     if on.region.is_empty or on.body.is_empty:
         return None
     heat = surface_heat(on, bare_plate(on.body, config) if column is None else column.copy(), config)
-    heat.drive(way)
+    heat.simulate(way)
     return heat, on
 
 

@@ -73,7 +73,7 @@ class SimulatedLayer:
 
 @dataclass(frozen=True, eq=False)
 class LayerJob:
-    """What a layer needs to be driven: its beads, its shape, and where it lies.
+    """What a layer needs to be simulated: its beads, its shape, and where it lies.
 
     Parameters
     ----------

@@ -153,7 +153,7 @@ class PartHeat:
         elif self.model is not None:
             source = power_w / self.model.medium.heat_capacity_j_mm3k * beads.on[a:b]
             pieces = np.ascontiguousarray(beads.pieces[:, a:b])
-            driven_bead(self.state, pieces, *self._rates, self._in_layer, source, beads.time_s[a:b])
+            simulated_bead(self.state, pieces, *self._rates, self._in_layer, source, beads.time_s[a:b])
 
     def bed_k(
         self,
@@ -210,7 +210,7 @@ def decayed(state: Floats, plane_rate: Floats, depth_rate: Floats, time: float) 
 
 
 @kernel
-def driven_bead(
+def simulated_bead(
     state: Floats,
     pieces: Floats,
     plane_rate: Floats,

@@ -1,7 +1,7 @@
 """The heat of a preheating scan: the mean of the body by the column of the balance, what differs across it by modes.
 
 The body is the base plate, or what stands under the layer that comes. The beam is wide and moves along lines; heat enters at the
-surface. Its way is given as pieces in time, from a plan or from the text of a program, and both are driven by the same steps.
+surface. Its way is given as pieces in time, from a plan or from the text of a program, and both are simulated by the same steps.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from ebamcheck.heat import HeatModel, Medium, contour_modes, depth_modes
 from ebamcheck.heat.balance import LARGEST_CELL_MM, HeatColumn
 from ebamcheck.heat.one_blas_thread import one_blas_thread
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.scan.heat.part_heat import driven_bead
+from ebamcheck.scan.heat.part_heat import simulated_bead
 from ebamcheck.settings.config import Config
 
 SIGMAS = 4.0
@@ -124,14 +124,14 @@ class SurfaceHeat:
         self._piece_mm = 2.0 * spacing_mm
 
     def copy(self) -> SurfaceHeat:
-        """Return the same body, to be driven by itself."""
+        """Return the same body, to be simulated by itself."""
         other = object.__new__(SurfaceHeat)
         vars(other).update(vars(self))
         other.column, other.state = self.column.copy(), self.state.copy()
         return other
 
     @one_blas_thread()
-    def drive(self, way: BeamWay) -> None:
+    def simulate(self, way: BeamWay) -> None:
         """Let the beam go its way."""
         if not way.time_s.size:
             return
@@ -150,12 +150,12 @@ class SurfaceHeat:
         fine = way.cut(self._piece_mm)
         shapes = (self.model.plane.at(0.5 * (fine.start + fine.end)).T - self._mean) * self._blur
         source = fine.power_w * taken / self.model.medium.heat_capacity_j_mm3k
-        driven_bead(self.state, np.ascontiguousarray(shapes), *self._rates, source, fine.time_s)
+        simulated_bead(self.state, np.ascontiguousarray(shapes), *self._rates, source, fine.time_s)
 
     def rest(self, duration_s: float) -> None:
         """Let a time go by with the beam off."""
         here = np.zeros((1, 2)) + self._places[:1]
-        self.drive(BeamWay(here, here, np.array([duration_s]), np.zeros(1)))
+        self.simulate(BeamWay(here, here, np.array([duration_s]), np.zeros(1)))
 
     def read(self) -> SurfaceK:
         """Read the temperatures of the scanned surface."""

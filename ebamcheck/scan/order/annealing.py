@@ -14,7 +14,7 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.heat.influence import Influence, looked_up
 from ebamcheck.scan.order.entry_options import EntryOptions
-from ebamcheck.scan.order.moves import Driven, least_travel_mm, more_touches, move
+from ebamcheck.scan.order.moves import Simulated, least_travel_mm, more_touches, move
 from ebamcheck.scan.order.touching import Touching, touch_table
 
 WARMTH = 0.005
@@ -55,7 +55,7 @@ class Layer(NamedTuple):
 
 
 class Log(NamedTuple):
-    """An order driven, by place (I,): begin of the island, s, entry option, travel so far, mm, entry temperature, K,
+    """An order simulated, by place (I,): begin of the island, s, entry option, travel so far, mm, entry temperature, K,
     and how many islands so far touch the one before them."""
 
     start_s: Floats
@@ -126,7 +126,7 @@ def improved(
     cost += price * max(0.0, log.travel_mm[-1] - longest) + touch_price * log.touches[-1]
     best_cost, warmth = cost, warm_share * cost
     by_heat = np.argsort(-log.entry_k)
-    driven = Driven(kept, log.option, log.travel_mm)
+    simulated = Simulated(kept, log.option, log.travel_mm)
     for step in range(len(places)):
         a, b = places[step, 0], places[step, 1]
         if step % HOTTEST_EVERY == 0:
@@ -139,7 +139,7 @@ def improved(
         # Most moves are given up by the touches, or by a travel that is too long in any case.
         if touched >= allowed:
             continue
-        least_mm = least_travel_mm(driven, a, b, kind, options)
+        least_mm = least_travel_mm(simulated, a, b, kind, options)
         if price * max(0.0, least_mm - longest) + touched >= allowed:
             continue
         move(kept, a, b, kind, tried)
@@ -155,7 +155,7 @@ def improved(
         cost = (total / count) ** (1.0 / HIGH) + too_far
         kept, tried = tried, kept
         log, tried_log = tried_log, log
-        by_heat, driven = np.argsort(-log.entry_k), Driven(kept, log.option, log.travel_mm)
+        by_heat, simulated = np.argsort(-log.entry_k), Simulated(kept, log.option, log.travel_mm)
         if cost < best_cost:
             best[:], best_cost = kept, cost
     return best

@@ -1,4 +1,4 @@
-"""Moves of islands in an order, and what they do to its travel and to islands that touch, without driving it anew.
+"""Moves of islands in an order, and what they do to its travel and to islands that touch, without simulating it anew.
 
 A move leaves most of an order as it is: a few runs of islands follow each other as before, forward or turned around.
 Within a run that goes forward nothing changes once an island of it is entered by the same option as before.
@@ -19,7 +19,7 @@ ROUNDING = 1e-9
 """Share of the travel by which a sum over runs may miss the sum over all jumps: far more than rounding does."""
 
 
-class Driven(NamedTuple):
+class Simulated(NamedTuple):
     """An order, and by place (I,) the option by which each island is entered and the travel so far, mm."""
 
     order: Ints
@@ -83,27 +83,27 @@ def _touch(order: Ints, one: int, other: int, beside: Bools) -> int:
 
 
 @kernel
-def least_travel_mm(driven: Driven, a: int, b: int, kind: int, options: EntryOptions) -> float:
+def least_travel_mm(simulated: Simulated, a: int, b: int, kind: int, options: EntryOptions) -> float:
     """Travel of an order once it is moved, less what rounding may have added: the sum over all jumps is no less."""
-    order, low, high, stop = driven.order, min(a, b), max(a, b), len(driven.order)
+    order, low, high, stop = simulated.order, min(a, b), max(a, b), len(simulated.order)
     at = _Reached(-1, 0, 0.0)
     if low > 0:
-        at = _Reached(order[low - 1], driven.option[low - 1], driven.travel_mm[low - 1])
+        at = _Reached(order[low - 1], simulated.option[low - 1], simulated.travel_mm[low - 1])
     if kind == EXCHANGE:
-        at = _forward(at, high, high + 1, driven, options)
-        at = _forward(at, low + 1, high, driven, options)
-        at = _forward(at, low, low + 1, driven, options)
+        at = _forward(at, high, high + 1, simulated, options)
+        at = _forward(at, low + 1, high, simulated, options)
+        at = _forward(at, low, low + 1, simulated, options)
     elif kind == SHIFT and a < b:
-        at = _forward(at, low + 1, high + 1, driven, options)
-        at = _forward(at, low, low + 1, driven, options)
+        at = _forward(at, low + 1, high + 1, simulated, options)
+        at = _forward(at, low, low + 1, simulated, options)
     elif kind == SHIFT:
-        at = _forward(at, high, high + 1, driven, options)
-        at = _forward(at, low, high, driven, options)
+        at = _forward(at, high, high + 1, simulated, options)
+        at = _forward(at, low, high, simulated, options)
     else:
         for place in range(high, low - 1, -1):
             at = _jumped(at, order[place], options)
-    at = _forward(at, high + 1, stop, driven, options)
-    return float(at.travel_mm - ROUNDING * (at.travel_mm + driven.travel_mm[-1]))
+    at = _forward(at, high + 1, stop, simulated, options)
+    return float(at.travel_mm - ROUNDING * (at.travel_mm + simulated.travel_mm[-1]))
 
 
 @kernel
@@ -116,11 +116,11 @@ def _jumped(at: _Reached, island: int, options: EntryOptions) -> _Reached:
 
 
 @kernel
-def _forward(at: _Reached, start: int, stop: int, driven: Driven, options: EntryOptions) -> _Reached:
+def _forward(at: _Reached, start: int, stop: int, simulated: Simulated, options: EntryOptions) -> _Reached:
     """Go through the places of a run; from where an island is entered as before, all the rest is as before."""
     for place in range(start, stop):
-        at = _jumped(at, driven.order[place], options)
-        if at.option == driven.option[place]:
-            rest_mm = driven.travel_mm[stop - 1] - driven.travel_mm[place]
-            return _Reached(driven.order[stop - 1], driven.option[stop - 1], at.travel_mm + rest_mm)
+        at = _jumped(at, simulated.order[place], options)
+        if at.option == simulated.option[place]:
+            rest_mm = simulated.travel_mm[stop - 1] - simulated.travel_mm[place]
+            return _Reached(simulated.order[stop - 1], simulated.option[stop - 1], at.travel_mm + rest_mm)
     return at

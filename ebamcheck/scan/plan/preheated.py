@@ -52,7 +52,7 @@ def asked_for(k: int, config: Config) -> bool:
 
 
 def surface_heat(on: Scanned, column: HeatColumn, config: Config) -> SurfaceHeat:
-    """Heat of what is scanned, ready to be driven."""
+    """Heat of what is scanned, ready to be simulated."""
     return SurfaceHeat(column, on.body, on.region, config.process.base_plate_mm + on.z_mm, config)
 
 
@@ -79,7 +79,7 @@ def preheated(
     if on.region.is_empty or not (bare or is_cold(part.column, config)):
         return part, 0
     column = bare_plate(on.body, config) if bare else part.column.copy()
-    heat, passes, time_s = _driven(surface_heat(on, column, config), on.region, config)
+    heat, passes, time_s = _simulated(surface_heat(on, column, config), on.region, config)
     after = part.copy()
     if bare:
         after.column = HeatColumn(config)
@@ -102,17 +102,17 @@ def passes_asked(on: Scanned, column: HeatColumn | None, config: Config) -> int:
     if config.preheat.passes is not None:
         return config.preheat.passes
     here = bare_plate(on.body, config) if column is None else column.copy()
-    return _driven(surface_heat(on, here, config), on.region, config)[1]
+    return _simulated(surface_heat(on, here, config), on.region, config)[1]
 
 
-def _driven(heat: SurfaceHeat, region: BaseGeometry, config: Config) -> tuple[SurfaceHeat, int, float]:
+def _simulated(heat: SurfaceHeat, region: BaseGeometry, config: Config) -> tuple[SurfaceHeat, int, float]:
     """Scan until the target is reached when the soak is over, or as often as the settings say."""
     settings, time_s, n = config.preheat, 0.0, 0
     here: Floats | None = None
     while True:
         way = pass_way(*pass_lines(region, config, n), config, here)
         here = way.end[-1] if way.time_s.size else None
-        heat.drive(way)
+        heat.simulate(way)
         time_s, n = time_s + float(way.time_s.sum()), n + 1
         if settings.passes is not None and n < settings.passes:
             continue

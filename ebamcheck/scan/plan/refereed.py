@@ -29,7 +29,7 @@ OPINION = {
 
 
 def second_opinion(model: Referee, result: OrderResult, config: Config) -> dict[str, float]:
-    """Drive a compared order on the referee as well.
+    """Simulate a compared order on the referee as well.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def refereed_entries(model: Referee, plan: ScanPlan, config: Config) -> tuple[Fl
     )
     entered_s, count = _entered_s(plan, config), len(plan.islands)
     read = np.concatenate([plan.islands, spots])
-    entry_k = _driven(model, plan, config, read, np.concatenate([entered_s, entered_s[island]])).entry_k
+    entry_k = _simulated(model, plan, config, read, np.concatenate([entered_s, entered_s[island]])).entry_k
     point_k = np.full(count, np.nan)
     point_k[island] = entry_k[count:]
     return entry_k[:count], point_k
@@ -88,10 +88,10 @@ def _entered_s(plan: ScanPlan, config: Config) -> Floats:
     return np.asarray(simulated["start_s"].fillna(0.0).to_numpy(np.float64), np.float64)
 
 
-def _driven(
+def _simulated(
     model: Referee, plan: ScanPlan, config: Config, read: NDArray[np.object_], entered_s: Floats
 ) -> Verdict:
-    """Drive a plan of one layer from cold and read the temperatures of polygons, each at its time."""
+    """Simulate a plan of one layer from cold and read the temperatures of polygons, each at its time."""
     ends, begin_s, end_s = beam_lines(plan, config)
     return judged(
         model,

@@ -54,7 +54,7 @@ def _scheduled(plan: ScanPlan, config: Config) -> _Schedule:
 
 
 def simulate_order(plan: ScanPlan, config: Config) -> pd.DataFrame:
-    """Drive a plan: lines and turns at travel speed, jumps at rapid speed, every layer from time 0.
+    """Simulate a plan: lines and turns at travel speed, jumps at rapid speed, every layer from time 0.
 
     Contour beads and the pause between layers are not part of it.
 
