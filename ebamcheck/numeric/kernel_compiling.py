@@ -14,7 +14,6 @@ from typing import Any
 from numba.core.bytecode import FunctionIdentity
 from numba.extending import overload
 
-from ebamcheck.numeric.compiling_faster import compile_faster
 from ebamcheck.numeric.kernel_library import KernelLibrary
 
 OBJECTS_BEFORE_GC = 100_000
@@ -91,6 +90,5 @@ def _compiled_sizes_differ(given: Any, wanted: Any) -> Any:
 
 def only_compile() -> None:
     """Prepare a process that was forked to do nothing but compile: its parent's objects stay, and few new ones die."""
-    compile_faster()
     gc.freeze()
     gc.set_threshold(OBJECTS_BEFORE_GC)
