@@ -51,6 +51,7 @@ class Heights(Lines):
         return json.dumps({"event": "height", "done": layer + 1, "height_mm": height_mm}).encode()
 
 
+@pytest.mark.slow
 def test_no_layer_leaves_anything_in_a_server_of_lines(tmp_path):
     found = finished_run(made_run(tmp_path, LAYERS))
     out = io.StringIO()

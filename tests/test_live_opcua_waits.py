@@ -155,7 +155,7 @@ def test_a_link_that_is_cancelled_while_it_logs_out_does_not_go_on(maker):
     asyncio.run(play())
 
 
-@pytest.mark.parametrize("after_s", [0.3, 1.9, 2.4])
+@pytest.mark.parametrize("after_s", [0.3, *(pytest.param(s, marks=pytest.mark.slow) for s in (1.9, 2.4))])
 def test_a_door_that_is_cancelled_once_ends_though_its_control_is_mute(maker, tmp_path, after_s):
     async def play():
         opcua = on_a_desk(request_s=0.5)

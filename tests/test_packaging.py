@@ -39,6 +39,7 @@ GROUPS = {
     "ebamcheck.models",
     "ebamcheck.controls",
     "ebamcheck.materials",
+    "ebamcheck.orders",
     "ebamcheck.reports",
 }
 

@@ -245,6 +245,7 @@ class Moved:
 """
 
 
+@pytest.mark.slow
 def test_a_slicer_that_shifts_one_slab_is_found_there_and_nowhere_else(tmp_path, monkeypatch):
     point = {"ebamcheck.backends": {"shifted": "shifted_slicer:Shifted"}}
     fake_distribution.install(tmp_path, "shifted", point, {"shifted_slicer": textwrap.dedent(SHIFTED)})
@@ -277,6 +278,7 @@ def test_a_hole_in_one_slab_shuts_the_gate_and_loses_who_needs_closed_meshes(tmp
     assert "slab " in record["backends"]["manifold"]["why"]
 
 
+@pytest.mark.slow
 def test_an_interrupted_check_leaves_nothing_half_and_the_next_one_is_whole(tmp_path):
     class Interrupting(Listener):
         def advance(self, steps):
