@@ -196,7 +196,7 @@ def test_settings_of_slicers_are_honoured_and_held_against_the_same_baselines(ho
     write_baselines(tmp_path / "baselines", [honest["embree"]], ["trial-block"])
     config = tmp_path / "ebamcheck.toml"
     config.write_text('[slicing.settings.embree]\nmode = "vertical"\ngrid_mm = 1.0\n')
-    given = {"backends": "embree", "config": config}
+    given = {"backends": "embree", "config_file": config}
     assert _regress(tmp_path / "baselines", tmp_path / "out", **given) is ExitCode.OUT_OF_TOLERANCE
     told = capsys.readouterr()
     assert "embree runs with mode = vertical, grid_mm = 1.0" in told.err

@@ -117,7 +117,7 @@ def test_the_command_chooses_on_a_part_and_writes_the_machines_section(tmp_path,
     write_stl(box(upper=(8.0, 6.0, 4.0)), tmp_path / "part.stl")
     config = tmp_path / "ebamcheck.toml"
     config.write_text('[slicing] # ours\nbackends = ["planecut", "manifold"]\n')
-    code = select(part=tmp_path / "part.stl", layer_height=1.0, repeats=1, write=True, config=config)
+    code = select(part=tmp_path / "part.stl", layer_height=1.0, repeats=1, write=True, config_file=config)
     assert code is ExitCode.PASS
     text = capsys.readouterr().out
     assert "machine bench-7: part, 12 facets, 4 layers" in text

@@ -52,7 +52,8 @@ def test_positions_turn_the_direction_up_wherever_there_are_any(a, b, first, sec
         return
     found = positions_of(up, axes)
     assert table_motion(axes, found)[0] @ up == pytest.approx([0.0, 0.0, 1.0], abs=1e-6)
-    assert max(map(abs, found)) <= max(abs(first), abs(second)) + 1e-6
+    # Where both turns meet in one, rounding of the direction comes back as its root.
+    assert max(map(abs, found)) <= max(abs(first), abs(second)) + 1e-5
 
 
 def test_positions_of_the_usual_tables():

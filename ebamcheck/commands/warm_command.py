@@ -12,7 +12,7 @@ def warm_command() -> ExitCode:
     from ebamcheck.commands.warm import warm_kernels
 
     typer.echo(
-        "compiling the kernels where they are not yet, on all cores: two minutes on two of them the first time"
+        "compiling the kernels where they are not yet, on all cores: a minute or two on two of them the first time"
     )
     seconds = warm_kernels()
     typer.echo(f"kernels are compiled ({seconds:.1f} s)")

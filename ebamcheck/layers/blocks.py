@@ -2,7 +2,7 @@
 
 Each is a file of its own beside the file that is being written, whole or not there. They are Arrow's own format, without
 compression: to write one costs a copy in memory, and it comes back in the same bits. A slicer that cuts hardly slower
-than a block is written has its first block kept only.
+than a block is written has its first two blocks kept only: the first takes what is loaded for it, too.
 """
 
 from __future__ import annotations
@@ -63,12 +63,13 @@ class KeptBlocks:
 
     def write(self, layers: Layers) -> None:
         """Keep a block; where there is no room for it, it is cut again if need be."""
+        is_first = not self.folder.is_dir()
         start = time.perf_counter()
         batch = to_arrow(layers)
         with contextlib.suppress(OSError, EbamcheckError):
             self.folder.mkdir(exist_ok=True)
             self._write(layers, batch)
-        self._write_s = time.perf_counter() - start
+        self._write_s = 0.0 if is_first else time.perf_counter() - start
 
     def _write(self, layers: Layers, batch: pa.RecordBatch) -> None:
         with (
