@@ -5,7 +5,9 @@ from __future__ import annotations
 import hashlib
 import io
 import logging
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -111,10 +113,17 @@ def extent_notes(largest_mm: float, units: str) -> list[str]:
 
 def _bytes_of(path: Path) -> bytes | memoryview:
     """The whole file; numpy has it in large pages, which are filled in half the time."""
-    try:
+    with told_if_unreadable(path):
         if not path.is_file():
             return path.read_bytes()
         return np.fromfile(path, np.uint8).data.toreadonly()
+
+
+@contextmanager
+def told_if_unreadable(path: Path) -> Iterator[None]:
+    """Turn what the system says of a mesh file that cannot be read into an :class:`InputError`."""
+    try:
+        yield
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such file") from None
     except IsADirectoryError:

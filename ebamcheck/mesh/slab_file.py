@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.errors import InputError
-from ebamcheck.mesh.files import extent_notes
+from ebamcheck.mesh.files import extent_notes, told_if_unreadable
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.stl import FACET_BYTES, FOREIGN, HEADER_BYTES, facet_corners, looks_like_ascii
 from ebamcheck.settings.units import UNITS_MM, unit_named
@@ -176,14 +176,8 @@ def read_once(
 
 def opened(path: Path) -> BinaryIO:
     """Open a mesh file; raises :class:`InputError` where there is none."""
-    try:
+    with told_if_unreadable(path):
         return path.open("rb")
-    except FileNotFoundError:
-        raise InputError(f"{path}: there is no such file") from None
-    except IsADirectoryError:
-        raise InputError(f"{path}: is a folder, not a mesh file") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
 
 
 def read_facets(file: BinaryIO, path: Path, first: int, count: int) -> NDArray[np.uint16]:
