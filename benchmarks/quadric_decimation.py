@@ -11,6 +11,10 @@ from benchmarks.curve_parts_solids import Floats, Triangles
 STIFFNESS = 1e-3
 """Weight of an edge's middle, over the trace of its quadric: where planes do not tell a place it stays on the edge."""
 
+COST_DECIMALS, PLACE_DECIMALS = 12, 9
+"""Of costs, mm2, and places, mm: edges of a symmetrical part cost the same, and rounding, which differs from one processor to
+another, is not to choose among them."""
+
 LEAST_COSINE = 0.2
 """Of the angle by which a facet may turn when an edge is collapsed."""
 
@@ -76,7 +80,7 @@ def _best(quadric: Floats, a: Floats, b: Floats) -> tuple[Floats, float]:
     if np.linalg.norm(place - middle) > np.linalg.norm(b - a):
         place = middle
     at = np.append(place, 1.0)
-    return np.asarray(place, np.float64), float(at @ quadric @ at)
+    return np.round(place, PLACE_DECIMALS), round(float(at @ quadric @ at), COST_DECIMALS)
 
 
 def _turns(points: Floats, corners: list[int], moved: int, place: Floats) -> bool:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from islands_of_a_plate import FREE, PLATE, PROFILE, RAPID, laid_plate
 
-from ebamcheck.scan.heat.influence import influence, looked_up
+from ebamcheck.scan.heat.influence import influence, looked_up, table_place
 from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.scan.order.annealing import (
     HOTTEST_EVERY,
@@ -16,13 +16,13 @@ from ebamcheck.scan.order.annealing import (
     WARMTH,
     Layer,
     annealed,
-    entry_temperature,
     high_mean,
     new_log,
+    powers_from,
     timed_from,
 )
 from ebamcheck.scan.order.entry_options import entry_options
-from ebamcheck.scan.order.moves import Simulated, least_travel_mm, more_touches, move
+from ebamcheck.scan.order.moves import least_travel_mm, more_touches, move
 from ebamcheck.scan.order.orders import scan_order
 from ebamcheck.scan.order.simulation import clocked, entered, entry_points
 from ebamcheck.scan.order.thermal import greedy_order
@@ -69,8 +69,8 @@ def test_the_table_of_influences_is_the_heat_model(base):
     timed_from(0, order, layer, touch_table(layer.beside), log)
     assert log.start_s == pytest.approx(start[order])
     assert log.travel_mm[-1] == pytest.approx(travel)
-    found = [entry_temperature(n, order, layer, log) for n in range(len(order))]
-    assert found == pytest.approx(exact[order], rel=0.02, abs=0.02 * np.abs(exact).max())
+    powers_from(0, 0, 0, np.arange(len(order)), order, layer, np.inf, log)
+    assert log.entry_k == pytest.approx(exact[order], rel=0.02, abs=0.02 * np.abs(exact).max())
 
 
 @pytest.mark.parametrize("base", ["cooled", "insulated"])
@@ -143,8 +143,19 @@ def test_what_a_move_changes_is_what_the_moved_order_has(choices, kind):
         move(order, a, b, kind, tried)
         timed_from(0, tried, layer, touch_table(layer.beside), moved)
         assert more_touches(order, a, b, kind, touch_table(beside)) == moved.touches[-1] - log.touches[-1]
-        least_mm = least_travel_mm(Simulated(order, log.option, log.travel_mm), a, b, kind, layer.options)
+        least_mm = least_travel_mm(order, log.option, log.travel_mm, a, b, kind, *layer.options)
         assert least_mm <= moved.travel_mm[-1] == pytest.approx(least_mm, rel=1e-8)
+
+
+def test_places_in_the_table_are_those_of_a_lookup(choices):
+    schedule, heat = choices.known_schedule, choices.cold_heat()
+    table = influence(heat, schedule.time_s, 500.0)
+    rise, horizon, nodes = table.rise_k, table.fresh.horizon_s, table.nodes_per_root_s
+    below, above = np.nextafter(horizon, [0.0, np.inf])
+    for since in (-1e-12, 0.0, 0.3 * horizon, below, horizon, above, 77.7, 500.0, 900.0):
+        node, share = table_place(since, nodes, horizon, rise.shape[2])
+        low, high = rise[1, 2, node], rise[1, 2, node + 1]
+        assert low + (high - low) * share == looked_up(rise[1], nodes, horizon, 2, since)
 
 
 def test_annealing_keeps_to_the_travel_that_is_allowed(choices):
@@ -183,8 +194,7 @@ def test_giving_moves_up_early_changes_nothing(choices):
     def simulated(tried):
         log = new_log(count)
         timed_from(0, tried, layer, touch_table(layer.beside), log)
-        for n in range(count):
-            log.entry_k[n] = entry_temperature(n, tried, layer, log)
+        powers_from(0, 0, 0, np.arange(count), tried, layer, np.inf, log)
         warm, far = high_mean(log.entry_k), max(0.0, log.travel_mm[-1] - allowed_mm)
         return log, warm, price * far, int(log.touches[-1])
 

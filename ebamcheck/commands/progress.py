@@ -152,12 +152,13 @@ class Announcer:
 
 @contextmanager
 def announced(bars: Progress | None = None) -> Iterator[None]:
-    """Tell of kernels that are compiled while the block runs; `bars` are those that are shown anyway."""
+    """Compile kernels beside the block, and tell of those that are compiled; `bars` are those that are shown anyway."""
     from ebamcheck.numeric import compiling
+    from ebamcheck.numeric.compiling_beside import compiled_beside
 
     announcer = Announcer(bars)
     try:
-        with compiling.heard_by(announcer.kernel):
+        with compiling.heard_by(announcer.kernel), compiled_beside():
             yield
     finally:
         announcer.close()

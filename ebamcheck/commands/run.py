@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -68,24 +69,32 @@ def run(
     """Look at the part, slice, cross-check, fit, partition, order, write the NC program, verify it and report."""
     config = job_settings(config_file, units, direction, layer_height, backends, witnesses, fix_orientation)
     config, source = placed_settings(config, place, rotate), part_or_plate(part, plate)
-    part_ready = begun(source, config, "run", yes)
-    from ebamcheck.commands.progress import watched
-    from ebamcheck.pipeline import run_job
+    from ebamcheck.plugins import registry
+    from ebamcheck.slicers.worker_pool import WorkerPool
 
-    target = output or Path(f"{source.stem}.run")
-    with watched() as observer:
-        result = run_job(
-            source,
-            target,
-            config,
-            reference,
-            resume,
-            observer,
-            part_ready,
-            force=force,
-            from_layer=from_layer,
-            live=live,
-        )
+    # Their interpreters come up while the part is read.
+    first = (config.slicing.backends or registry.house_slicers())[
+        : config.slicing.processes or os.cpu_count()
+    ]
+    with WorkerPool(first) as workers:
+        part_ready = begun(source, config, "run", yes)
+        from ebamcheck.commands.progress import watched
+        from ebamcheck.pipeline import run_job
+
+        with watched() as observer:
+            result = run_job(
+                source,
+                output or Path(f"{source.stem}.run"),
+                config,
+                reference,
+                resume,
+                observer,
+                part_ready,
+                force=force,
+                from_layer=from_layer,
+                live=live,
+                workers=workers,
+            )
     return _told(result, as_json)
 
 

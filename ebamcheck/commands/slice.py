@@ -66,7 +66,7 @@ def slice_command(
             from ebamcheck.slicers.worker_pool import WorkerPool
 
             # The worker's interpreter comes up while the part is read.
-            pool = opened.enter_context(WorkerPool(ahead=1))
+            pool = opened.enter_context(WorkerPool([name]))
         from ebamcheck.commands.progress import announced
         from ebamcheck.layers.cuts import heights_within
         from ebamcheck.layers.heights import layer_heights

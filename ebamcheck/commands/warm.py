@@ -67,6 +67,17 @@ def main_job() -> None:
         logging.getLogger("ebamcheck").setLevel(level)
         # The cube is one island, which needs no order.
         plan_scan(shapely.box(0.0, 0.0, 3.0 * _SIDE_MM, 2.0 * _SIDE_MM))
+        _what_a_box_has_not()
+
+
+def _what_a_box_has_not() -> None:
+    """Splines in a program, and metal that lies beside the part."""
+    from ebamcheck.metal.distances import moved_to_neighbours
+    from ebamcheck.program.checking.spline_points import spline_points
+
+    spline_points(np.repeat([0.0, 1.0], 4), np.zeros((4, 2)), np.array([[0.5]]))
+    field = np.eye(2)
+    moved_to_neighbours(np.zeros((2, 2)), field, field > 0.0, field == 0.0)
 
 
 def _write(corners: NDArray[np.float32], path: Path) -> None:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterator
+from contextlib import contextmanager
 from functools import wraps
-from typing import TypeVar
+from typing import Any, TypeVar
 from weakref import WeakKeyDictionary, WeakSet
 
 from ebamcheck.mesh.part import Part
@@ -14,10 +15,28 @@ _Key = TypeVar("_Key", bound=Hashable)
 
 _kept: WeakSet[Part] = WeakSet()
 
+_memories: list[WeakKeyDictionary[Part, Any]] = []
+"""What each of the functions knows, by part."""
+
 
 def keep_surface_of(part: Part) -> None:
     """Keep what is found of the surface of a part as long as that is there: it takes some 100 bytes a facet."""
     _kept.add(part)
+
+
+@contextmanager
+def surface_kept(part: Part) -> Iterator[None]:
+    """Keep what is found of the surface of a part for the moment: several fits of one stack ask for the same."""
+    if part in _kept:
+        yield
+        return
+    _kept.add(part)
+    try:
+        yield
+    finally:
+        _kept.discard(part)
+        for memory in _memories:
+            memory.pop(part, None)
 
 
 def once_a_part(function: Callable[[Part, _Key], _Found]) -> Callable[[Part, _Key], _Found]:
@@ -26,6 +45,7 @@ def once_a_part(function: Callable[[Part, _Key], _Found]) -> Callable[[Part, _Ke
     Nobody may change what it returns.
     """
     known: WeakKeyDictionary[Part, tuple[_Key, _Found]] = WeakKeyDictionary()
+    _memories.append(known)
 
     @wraps(function)
     def kept(part: Part, key: _Key) -> _Found:

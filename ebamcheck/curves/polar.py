@@ -12,6 +12,9 @@ from ebamcheck.errors import SettingsError
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats
 
+NEAR_DIRECTIONS = 8
+"""Directions by which the first one of a segment mostly lies from that of the segment before."""
+
 NEARLY_HALF_TURN_RAD = 3.1
 """A segment that spans more than this passes so near to the centre that every ray is tried on it."""
 
@@ -49,6 +52,20 @@ def polar_radius(ring: ArrayLike, centre: ArrayLike, theta_rad: ArrayLike) -> Fl
 
 
 @kernel
+def _first_from(theta: Floats, least: float, guess: int) -> int:
+    """First of sorted directions that is not less than an angle; a guess a few directions off saves the search."""
+    place = guess
+    for _ in range(NEAR_DIRECTIONS):
+        if place < theta.size and theta[place] < least:
+            place += 1
+        elif place > 0 and theta[place - 1] >= least:
+            place -= 1
+        else:
+            return place
+    return int(np.searchsorted(theta, least))
+
+
+@kernel
 def ray_radii(points: Floats, x: float, y: float, theta: Floats) -> Floats:
     """As :func:`polar_radius`, of a closed polyline (n + 1, 2), with sorted directions in 0 .. 2 pi.
 
@@ -59,8 +76,11 @@ def ray_radii(points: Floats, x: float, y: float, theta: Floats) -> Floats:
     radii = np.full(theta.size, np.nan)
     crossings = np.zeros(theta.size, dtype=np.int64)
     cosine, sine = np.cos(theta), np.sin(theta)
+    if not theta.size:
+        return radii
     px, py = points[0, 0] - x, points[0, 1] - y
     p_angle = math.atan2(py, px)
+    near = 0
     for i in range(1, len(points)):
         qx, qy = points[i, 0] - x, points[i, 1] - y
         q_angle = math.atan2(qy, qx)
@@ -71,11 +91,13 @@ def ray_radii(points: Floats, x: float, y: float, theta: Floats) -> Floats:
         if high - low > NEARLY_HALF_TURN_RAD:
             low, high = 0.0, turn
         for shift in (-turn, 0.0, turn):  # the directions run from 0 to 2 pi, low from -pi to pi
-            start = np.searchsorted(theta, low + shift - ANGLE_MARGIN_RAD)
-            stop = np.searchsorted(theta, high + shift + ANGLE_MARGIN_RAD, side="right")
-            if high - low == turn and shift != 0.0:
+            first, last = low + shift - ANGLE_MARGIN_RAD, high + shift + ANGLE_MARGIN_RAD
+            if (high - low == turn and shift != 0.0) or last < theta[0] or first > theta[-1]:
                 continue
-            for k in range(start, stop):
+            near = _first_from(theta, first, near)
+            for k in range(near, theta.size):
+                if theta[k] > last:
+                    break
                 p_left = cosine[k] * py - sine[k] * px >= 0.0
                 q_left = cosine[k] * qy - sine[k] * qx >= 0.0
                 if p_left == q_left:

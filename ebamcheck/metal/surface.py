@@ -12,6 +12,7 @@ import copy
 import numpy as np
 from scipy import ndimage
 
+from ebamcheck.metal.distances import border_distance, moved_to_neighbours
 from ebamcheck.metal.target import REACHED, Target, cell_mm
 from ebamcheck.numeric.rings import Bools, Floats
 
@@ -23,9 +24,6 @@ SPOT_BEADS = 0.25
 
 HALF = 0.5
 """Share of a cell in the section from which on it counts as inside."""
-
-BESIDE = 1.5
-"""Cells apart up to which one touches another, be it at a corner."""
 
 FILM = 0.25
 """Height of metal over that of the layer from which on a bead has reached a place: its flank is thinner."""
@@ -53,7 +51,7 @@ def bead_centres(inside: Bools, bead_cells: float) -> Bools:
     >>> int(bead_centres(np.pad(np.ones((8, 9), bool), 1), 6.0).sum())
     20
     """
-    return np.asarray(ndimage.distance_transform_edt(inside) >= 0.5 * bead_cells, np.bool_)
+    return np.asarray(border_distance(inside) >= 0.5 * bead_cells, np.bool_)
 
 
 def reachable(inside: Bools, bead_cells: float) -> Bools:
@@ -69,7 +67,7 @@ def reachable(inside: Bools, bead_cells: float) -> Bools:
     centres = bead_centres(inside, bead_cells)
     if not centres.any():
         return centres
-    away = ndimage.distance_transform_edt(~centres)
+    away = border_distance(~centres)
     return np.asarray(inside & (away <= DOME * 0.5 * bead_cells), np.bool_)
 
 
@@ -185,10 +183,7 @@ def gathered(field: Floats, share: Floats, metal: Bools) -> Floats:
     found = np.where(metal, field, 0.0)
     parts = (share > 0.0) & (share < HALF)
     if metal.any() and parts.any():
-        row, column = ndimage.distance_transform_edt(~metal, return_distances=False, return_indices=True)
-        near = np.hypot(row - np.arange(len(row))[:, None], column - np.arange(row.shape[1])) < BESIDE
-        of = parts & near
-        np.add.at(found, (row[of], column[of]), field[of])
+        moved_to_neighbours(found, field, parts, metal)
     return found
 
 

@@ -10,7 +10,7 @@ import multiprocessing
 import os
 import sys
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -49,7 +49,19 @@ def compile_ahead(listed: Listed, processes: int | None = None) -> dict[str, str
     why
         For each kernel that does not compile as listed, what numba says of it; it stops nothing.
     """
-    tasks = tasks_of(listed)
+    return compile_tasks(tasks_of(listed), processes)
+
+
+def compile_tasks(
+    tasks: dict[str, Task], processes: int | None = None, rooms: Sequence[str] = ()
+) -> dict[str, str]:
+    """Compile tasks (:func:`tasks_of`); as :func:`compile_ahead`, which says what else is given and returned.
+
+    Parameters
+    ----------
+    rooms
+        Beginnings of the names of modules: kernels of the first ones, and what they call, come first.
+    """
     if not tasks:
         return {}
     # Forked, as interpreters that have loaded every module; elsewhere they load what they need.
@@ -57,7 +69,7 @@ def compile_ahead(listed: Listed, processes: int | None = None) -> dict[str, str
     count = min(len(tasks), processes or thread_count())
     with ProcessPoolExecutor(count, context, initializer=_begin_to_compile) as pool:
         try:
-            return _run(tasks, pool, count)
+            return _run(tasks, pool, count, rooms)
         except BrokenProcessPool as error:
             return {"": f"a compiling process ended: {error}"}
 
@@ -92,9 +104,22 @@ def longest_ways(tasks: Mapping[str, Task]) -> dict[str, float]:
     return ways
 
 
-def _run(tasks: dict[str, Task], pool: ProcessPoolExecutor, count: int) -> dict[str, str]:
-    ways = longest_ways(tasks)
-    waiting = sorted(tasks, key=lambda name: (-ways[name], name))
+def first_rooms(tasks: Mapping[str, Task], rooms: Sequence[str]) -> dict[str, int]:
+    """For each task, the place among `rooms` of the first one that needs it: its own, or that of a caller."""
+    first = {
+        name: next((i for i, room in enumerate(rooms) if name.startswith(room)), len(rooms)) for name in tasks
+    }
+    for task in tasks.values():
+        for name in task.calls:  # at any depth
+            first[name] = min(first[name], first[task.name])
+    return first
+
+
+def _run(
+    tasks: dict[str, Task], pool: ProcessPoolExecutor, count: int, rooms: Sequence[str]
+) -> dict[str, str]:
+    ways, first = longest_ways(tasks), first_rooms(tasks, rooms)
+    waiting = sorted(tasks, key=lambda name: (first[name], -ways[name], name))
     done: set[str] = set()
     running: dict[Future[str], str] = {}
     why: dict[str, str] = {}

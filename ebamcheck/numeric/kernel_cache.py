@@ -28,6 +28,7 @@ from ebamcheck.numeric.kernel_compiling import ready_to_compile
 from ebamcheck.numeric.kernel_library import about_data, has_callees, loading
 from ebamcheck.numeric.kernel_running import ready_to_run
 from ebamcheck.numeric.kernel_stamp import kernel_stamp
+from ebamcheck.numeric.kernel_turns import end_turn, take_turn
 
 UNREADABLE = (OSError, EOFError, ValueError, pickle.UnpicklingError, AttributeError, ImportError)
 """A file that raises one of these counts as absent: the kernel is compiled, and written over it.
@@ -38,6 +39,22 @@ The last two are those of an older version whose kernels took a type that is no 
 
 ENTRY = ".entry"
 """Kind of the cache of versions that were compiled once more, with an entry from Python."""
+
+
+Missed = Callable[[], None]
+"""Called when the cache lacks a kernel that this process wants to run, before it is compiled."""
+
+_listeners: list[Missed] = []
+
+
+@contextlib.contextmanager
+def missing_told(told: Missed) -> Iterator[None]:
+    """Have `told` called for every kernel that the cache lacks while the block runs."""
+    _listeners.append(told)
+    try:
+        yield
+    finally:
+        _listeners.remove(told)
 
 
 class KernelCache(FunctionCache):
@@ -57,15 +74,33 @@ class KernelCache(FunctionCache):
         anyway when it compiles something.
         """
         ready_to_run()
+        found = self._loaded(signature, context)
+        if found is None:
+            ready_to_compile()
+            for told in _listeners.copy():
+                told()
+            take_turn(self._cache_path, self._what(signature))
+            found = self._loaded(signature, context)  # whoever had the turn before has made it
+            if found is not None:
+                self.give_up(signature)
+        return found
+
+    def _loaded(self, signature: Any, context: Any) -> Any:
         codegen = context.codegen()
         data = None if self._kind else ready_kernels.loaded(self._py_func, signature)
         if data is None:
             data = self._cache_file.load(self._index_key(signature, codegen))  # type: ignore[no-untyped-call]
         if data is None or not has_callees(about_data(data)):
-            ready_to_compile()
             return None
         with loading(codegen):
             return self._impl.rebuild(context, data)
+
+    def give_up(self, signature: Any) -> None:
+        """Let other processes compile a version: it is there, or does not compile."""
+        end_turn(self._cache_path, self._what(signature))
+
+    def _what(self, signature: Any) -> str:
+        return f"{self._py_func.__module__}.{self._py_func.__qualname__}{self._kind} {signature}"
 
     def holds(self, signature: Any, codegen: Any) -> bool:
         """Whether a version need not be compiled."""
@@ -83,6 +118,7 @@ class KernelCache(FunctionCache):
         kept = compiled._replace(type_annotation="")
         with contextlib.suppress(OSError):
             super().save_overload(signature, kept)  # type: ignore[no-untyped-call]
+        self.give_up(signature)
 
 
 class _SharedFile(IndexDataCacheFile):

@@ -14,9 +14,10 @@ from typing import Any
 from numba.core.bytecode import FunctionIdentity
 from numba.extending import overload
 
+from ebamcheck.numeric.compiler_savings import spare_compiler
 from ebamcheck.numeric.kernel_library import KernelLibrary
 
-OBJECTS_BEFORE_GC = 100_000
+OBJECTS_BEFORE_GC = 400_000
 """New objects until Python looks for rings of dead ones, in a process that does nothing but compile."""
 
 
@@ -57,6 +58,7 @@ def ready_to_compile() -> None:
     Numba writes the two shapes into it, in compiled code: three tenths of the time that all kernels took to compile, for
     a message that tells of a fault in a kernel. Versions of numba that do not know the function are left as they are.
     """
+    spare_compiler()
     _leave_out_entries_from_c()
     arrays: Any = importlib.import_module("numba.np.arrayobj")
     if hasattr(arrays, "raise_with_shape_context"):

@@ -14,6 +14,7 @@ from typing import Any
 from numba import types
 from numba.core.compiler_lock import global_compiler_lock
 
+from ebamcheck.numeric.kernel_cache import KernelCache
 from ebamcheck.numeric.kernel_library import compiling, describe
 
 NARROW = (types.int8, types.int16, types.int32)
@@ -85,8 +86,13 @@ class KernelEntries:
     def compile(self, given: Any, returned: Any) -> Any:
         """Compile a version, for whoever calls."""
         self._kernel._compiler.targetoptions["no_cpython_wrapper"] = self._calling > 0
-        with compiling(self._kernel.targetctx.codegen()):
-            return self._compile(given, returned)
+        try:
+            with compiling(self._kernel.targetctx.codegen()):
+                return self._compile(given, returned)
+        except BaseException:
+            if isinstance(self._kernel._cache, KernelCache):
+                self._kernel._cache.give_up(given)
+            raise
 
     @contextmanager
     def _called_by_kernel(self) -> Iterator[None]:

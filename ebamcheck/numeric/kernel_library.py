@@ -24,6 +24,10 @@ SHORT_LINES = 150
 """Lines of LLVM's language up to which a kernel is put into those that call it: several times what LLVM puts in place."""
 
 
+CLEARING_LEVEL = 1
+"""LLVM's level of optimisation for single functions. Numba has 3 here, and once more for the module they are part of."""
+
+
 class Callee(NamedTuple):
     """A version of a kernel that others call where it lies."""
 
@@ -60,6 +64,14 @@ class KernelLibrary(JITCodeLibrary):
             return
         super().add_linking_library(library)  # type: ignore[no-untyped-call]
         self.calls.update(getattr(library, "calls", {}))
+
+    def _optimize_functions(self, module: Any) -> None:
+        """Clear up each function before the module is optimised as a whole, which does the rest of it once."""
+        module.data_layout = self._codegen._data_layout
+        for function in module.functions:
+            if not function.is_declaration:
+                passes, builder = self._codegen._function_pass_manager(opt=CLEARING_LEVEL)  # type: ignore[no-untyped-call]
+                passes.run(function, builder)
 
     def serialize_using_object_code(self) -> Any:
         """Name, machine code, what it is compiled with into others, and what is kept beside it."""

@@ -76,8 +76,11 @@ def _slice(
             lambda _, done: job.observer.advance(done),
             finished,
             borders,
+            job.workers,
             keep_blocks=True,
         )
+        if job.workers is not None:
+            job.workers.dismiss()
         # Of slicers that came to no end.
         for left in kept_blocks(job.folder.layers_folder):
             shutil.rmtree(left, ignore_errors=True)

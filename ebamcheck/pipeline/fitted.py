@@ -12,6 +12,7 @@ import pandas as pd
 
 from ebamcheck.curves import METHODS, Curves, contour_error, error_reduction, fit, fit_deviation
 from ebamcheck.curves.edges import with_edges
+from ebamcheck.curves.per_part import surface_kept
 from ebamcheck.layers import files as layer_files
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
@@ -56,7 +57,7 @@ def fitted(job: Job, layers: Layers, error_bound_mm: float, fine: Part | None) -
     # What a slicer's own error makes of a contour, a staircase of pixels say, is no shape: no corners come of it.
     settings = job.config.curves
     settings = settings.model_copy(update={"collinear_mm": max(settings.collinear_mm, error_bound_mm)})
-    with job.stage("fit", len(layers)):
+    with job.stage("fit", len(layers)), surface_kept(job.part):
         curves = fit(layers, settings.method, settings, job.observer.advance, job.part)
         curves.to_parquet(job.folder.path / "curves.parquet")
         verdict, table = fit_evidence.judged(curves, layers, job.part, job.config)

@@ -35,6 +35,7 @@ from ebamcheck.program.language.control import control
 from ebamcheck.program.language.templates import usable_templates
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import checked_window, outside_window, unusual_layers
+from ebamcheck.slicers.worker_pool import WorkerPool
 from ebamcheck.version import __version__
 
 ProgramStage = Callable[[Job, CrossCheck, bool], ProgramResult]
@@ -63,6 +64,7 @@ def run_job(
     force: bool = False,
     from_layer: int = 1,
     live: bool = False,
+    workers: WorkerPool | None = None,
 ) -> RunResult:
     """Slice a part with every backend, compare, fit, partition, order, write the program and verify it.
 
@@ -86,6 +88,8 @@ def run_job(
         Write a second program, too, that begins at this layer, from 1: to go on after a break.
     live
         Write a main program, too, that waits between layers until each is released.
+    workers
+        Workers for the slicers that were spawned early; None: they are when they are needed.
     begun
         What :func:`ebamcheck.preflight.ready` has made of the same part and settings; None: it is made here.
     yes
@@ -121,7 +125,9 @@ def run_job(
         return make_program(job, primary_of(job, checked), checked, fine, sound)
 
     inputs = [fine.sha256 if fine else "", f"from layer {from_layer}", f"live {live}"]
-    return _job("run", part, target, config, inputs, resume, observer, program, force, from_layer, live)
+    return _job(
+        "run", part, target, config, inputs, resume, observer, program, force, from_layer, live, workers
+    )
 
 
 def check_job(
@@ -164,6 +170,7 @@ def _job(
     force: bool,
     from_layer: int = 1,
     live: bool = False,
+    workers: WorkerPool | None = None,
 ) -> RunResult:
     """Cross-check a part in a run folder, and make the program where one is wanted."""
     observer = observer or Silent()
@@ -181,7 +188,7 @@ def _job(
     if folder.former is not None:
         observer.note(f"{target}: the former run will be kept as {folder.former.name}")
     job = Job(kind, config, observer, part, found, heights, folder, fingerprint)
-    job.from_layer, job.live = from_layer, live
+    job.from_layer, job.live, job.workers = from_layer, live, workers
     if begun.turned:
         job.add_finding(noticed.turned_over(begun.turned, len(part.faces)))
     job.add_finding(*noticed.of_part(found, config), *loose_limits(config))

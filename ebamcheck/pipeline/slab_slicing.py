@@ -88,7 +88,7 @@ def cut_slabs(job: Job, division: Division, backends: Mapping[str, BackendSettin
         ThreadPoolExecutor(1) as comparing,
     ):
         # Workers come up while the slab is read.
-        pool = workers.enter_context(WorkerPool(len(backends)))
+        pool = workers.enter_context(WorkerPool(backends))
         behind: Future[int] | None = None
         for k in range(len(division)):
             first, past = division.layers[k : k + 2].tolist()
@@ -110,7 +110,7 @@ def cut_slabs(job: Job, division: Division, backends: Mapping[str, BackendSettin
                 inspected.result()
                 _told(job, behind)
             if k < last:
-                pool = workers.enter_context(WorkerPool(len(tally.alive(backends))))
+                pool = workers.enter_context(WorkerPool(tally.alive(backends)))
             behind = comparing.submit(_compare, job, tally, cut, outcomes)
             del slab, cut  # so that there are never three in memory
         with tally.timed("wait"):

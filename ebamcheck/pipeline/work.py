@@ -15,6 +15,7 @@ from ebamcheck.numeric import compiling
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline.run_folder import RunInProgress
 from ebamcheck.settings.config import Config
+from ebamcheck.slicers.worker_pool import WorkerPool
 
 
 class Observer(Protocol):
@@ -63,6 +64,8 @@ class Job:
     findings: list[Finding] = field(default_factory=list)
     from_layer: int = 1
     """Layer, from 1, at which a second program begins, to go on after a break; 1: none is written."""
+    workers: WorkerPool | None = None
+    """Workers for the slicers that were spawned early; None: they are when they are needed."""
     live: bool = False
     """Whether a main program that waits between layers is written, too."""
 

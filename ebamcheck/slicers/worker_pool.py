@@ -8,6 +8,7 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -30,9 +31,6 @@ if TYPE_CHECKING:
 
     from ebamcheck.slicers.outcome import Failure
     from ebamcheck.slicers.worker import Order
-
-AHEAD = "ahead"
-"""Label, in a list of processes, of a worker that does not know yet what it will do."""
 
 
 @dataclass
@@ -107,15 +105,15 @@ class WorkerPool:
     Parameters
     ----------
     ahead
-        Workers that are started at once; others are when they are asked for.
+        Names of backends whose workers are started at once; others are when they are asked for.
     """
 
-    def __init__(self, ahead: int = 0) -> None:
+    def __init__(self, ahead: Iterable[str] = ()) -> None:
         self._opened = ExitStack()
         self.folder = self._opened.enter_context(scratch_folder())
         """Folder of this pool alone."""
         self._count = 0
-        self._idle = [self._start(AHEAD) for _ in range(ahead)]
+        self._idle = {name: self._start(name) for name in dict.fromkeys(ahead)}
 
     def __enter__(self) -> Self:
         """Return itself."""
@@ -128,18 +126,22 @@ class WorkerPool:
         trace: TracebackType | None,
     ) -> None:
         """End the workers that got no order, and remove the folder."""
-        for worker in self._idle:
-            worker.end()
-            worker.close()
+        self.dismiss()
         self._opened.close()
 
-    def worker(self, name: str) -> Worker:
-        """Take a worker for a backend: one that waits, or a new one that carries its name."""
-        worker = self._idle.pop() if self._idle else self._start(name)
-        worker.name = name
-        return worker
+    def dismiss(self) -> None:
+        """End the workers that got no order."""
+        while self._idle:
+            _, worker = self._idle.popitem()
+            worker.end()
+            worker.close()
 
-    def _start(self, label: str) -> Worker:
+    def worker(self, name: str) -> Worker:
+        """Take the worker of a backend, whose name it carries in a list of processes: the one that waits, or a new one."""
+        waiting = self._idle.pop(name, None)
+        return waiting if waiting is not None else self._start(name)
+
+    def _start(self, name: str) -> Worker:
         read, write = os.pipe()
         self._count += 1
         errors, mark = self.folder / f"stderr-{self._count}", new_mark()
@@ -149,7 +151,7 @@ class WorkerPool:
         own.mkdir()
         with errors.open("wb") as told:
             process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "ebamcheck.slicers.worker", label, str(write), str(os.getpid())],
+                [sys.executable, "-P", "-m", "ebamcheck.slicers.worker", name, str(write), str(os.getpid())],
                 stdin=subprocess.PIPE,
                 stdout=told,
                 stderr=told,
@@ -159,4 +161,4 @@ class WorkerPool:
             )
         os.close(write)
         os.set_blocking(read, False)
-        return Worker(label, process, os.fdopen(read, "rb", buffering=0), errors, mark=mark)
+        return Worker(name, process, os.fdopen(read, "rb", buffering=0), errors, mark=mark)

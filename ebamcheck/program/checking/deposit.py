@@ -21,8 +21,9 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.layers.polygons import valid_polygons
 from ebamcheck.layers.stack import Layers
 from ebamcheck.metal import Surface, Target, bead_centres, target_of
+from ebamcheck.metal.distances import border_distance
 from ebamcheck.metal.surface import FILM, HALF
-from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.program.checking.metal_field import LayerField
 from ebamcheck.program.checking.metal_zones import NO_ZONES, zone_figures, zone_limit, zone_off
 from ebamcheck.program.reading.motions import NCProgram
@@ -203,11 +204,15 @@ class _Field:
         laid = ndimage.convolve(melted, self._pool, mode="constant")
         before = self.surface.over_mm(target)
         self.surface.add(target, laid, thickness_mm)
-        deep = inside & (_distance(inside) * step > self._bead_mm)
+        deep = inside & (border_distance(inside) * step > self._bead_mm)
         rim = inside & ~deep
         film = ~inside & (laid >= FILM * thickness_mm)
         # From the border of a cell to the middle of the next it is half a cell.
-        reach = np.where(film, (_distance(~inside) - 0.5) * step, 0.0) if film.any() else np.zeros_like(laid)
+        reach = (
+            np.where(film, (border_distance(~inside) - 0.5) * step, 0.0)
+            if film.any()
+            else np.zeros_like(laid)
+        )
         wanted = share * thickness_mm
         over = self.surface.over_mm(target)
         runs = (melted > 0.0) | bead_centres(inside, self._bead_mm / step)
@@ -240,15 +245,6 @@ def _closed_holes(section: BaseGeometry, laid: LayerField, thickness_mm: float) 
             values = (hole.centroid.x, hole.centroid.y, width_mm, float(covered))
             found.append(dict(zip(HOLE_COLUMNS[1:], values, strict=True)))
     return found
-
-
-def _distance(cells: Bools) -> Floats:
-    """Distance of the middle of each of the cells from the nearest that is none of them, in cells."""
-    return (
-        np.asarray(ndimage.distance_transform_edt(cells), np.float64)
-        if not cells.all()
-        else np.full(cells.shape, np.inf)
-    )
 
 
 def spread(target: Target, places: Floats, volume: Floats) -> Floats:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ebamcheck.numeric.rings import Floats
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Floats, Ints
 
 DEGREE = 3
 
@@ -24,10 +25,25 @@ def spline_points(knots: Floats, control: Floats, at: Floats) -> Floats:
     C. de Boor, "On calculating with B-splines", J. Approx. Theory 6 (1972) 50.
     """
     span = np.flatnonzero(knots[1:] > knots[:-1])
-    place = [control[span - DEGREE + k][:, None, :] for k in range(DEGREE + 1)]
-    for r in range(1, DEGREE + 1):
-        for k in range(DEGREE, r - 1, -1):
-            low, high = knots[span - DEGREE + k], knots[span + 1 + k - r]
-            share = ((at - low[:, None]) / (high - low)[:, None])[:, :, None]
-            place[k] = (1.0 - share) * place[k - 1] + share * place[k]
-    return np.asarray(place[DEGREE], np.float64)
+    knots, control, at = (np.ascontiguousarray(column, np.float64) for column in (knots, control, at))
+    return _blended(knots, control, at, span)
+
+
+@kernel
+def _blended(knots: Floats, control: Floats, at: Floats, span: Ints) -> Floats:
+    """Points (S, n, 2): the control points of each span, blended three times."""
+    result = np.empty((at.shape[0], at.shape[1], 2))
+    place = np.empty((DEGREE + 1, 2))
+    for s in range(at.shape[0]):
+        first = span[s] - DEGREE
+        for n in range(at.shape[1]):
+            for k in range(DEGREE + 1):
+                place[k, 0], place[k, 1] = control[first + k, 0], control[first + k, 1]
+            for r in range(1, DEGREE + 1):
+                for k in range(DEGREE, r - 1, -1):
+                    low, high = knots[first + k], knots[span[s] + 1 + k - r]
+                    share = (at[s, n] - low) / (high - low)
+                    for axis in range(2):
+                        place[k, axis] = (1.0 - share) * place[k - 1, axis] + share * place[k, axis]
+            result[s, n, 0], result[s, n, 1] = place[DEGREE, 0], place[DEGREE, 1]
+    return result

@@ -46,19 +46,14 @@ class ProcessValues:
     increments: Mapping[str, float] = field(default_factory=dict)
     """Least step of each value that has one: it is printed as a multiple of it."""
 
-    def printed(self) -> dict[str, float]:
-        """The values as they are printed, by name."""
-        return {
-            name: to_increment(value, self.increments.get(name, 0.0))
-            for name, value in ((one, getattr(self, one)) for one in PLACEHOLDERS)
-        }
+    def printed(self, name: str) -> float:
+        """One of the values as it is printed."""
+        return to_increment(getattr(self, name), self.increments.get(name, 0.0))
 
     @cached_property
-    def _placeholders(self) -> Mapping[str, object]:
-        """What is put for each placeholder: worked out once for all templates of a moment."""
-        return {
-            name: value if isinstance(value, int) else _Value(value) for name, value in self.printed().items()
-        }
+    def _placeholders(self) -> _Placeholders:
+        """What is put for each placeholder, of all templates of a moment."""
+        return _Placeholders(self)
 
     def at(self, power: float, wire: float) -> ProcessValues:
         """The same values at a share of the beam's power, by its current, and a share of the wire speed."""
@@ -74,6 +69,21 @@ class ProcessValues:
         return [_filled(f"machine.{name}", line, self._placeholders) for line in template]
 
 
+class _Placeholders(dict[str, object]):
+    """What stands for the placeholders of templates, each worked out when it is first asked for."""
+
+    def __init__(self, values: ProcessValues) -> None:
+        super().__init__()
+        self._values = values
+
+    def __missing__(self, name: str) -> object:
+        if name not in PLACEHOLDERS:
+            raise KeyError(name)
+        value = self._values.printed(name)
+        self[name] = found = value if isinstance(value, int) else _Value(value)
+        return found
+
+
 PLACEHOLDERS = tuple(one.name for one in fields(ProcessValues) if one.name != "increments")
 """Names that stand for values in a template."""
 
@@ -83,7 +93,7 @@ def _filled(where: str, line: str, values: Mapping[str, object]) -> str:
         text = line.format_map(values)
     except KeyError as error:
         raise SettingsError(
-            f"{where}: {line!r}: unknown placeholder {error}; known are {', '.join(values)}"
+            f"{where}: {line!r}: unknown placeholder {error}; known are {', '.join(PLACEHOLDERS)}"
         ) from None
     except (ValueError, IndexError, AttributeError) as error:
         raise SettingsError(f"{where}: {line!r} is not a template: {error}") from None

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import shapely
-from scipy import ndimage
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.metal import Footprints, Surface, Target, balanced_widths, footprints, target_of
+from ebamcheck.metal.distances import border_distance
 from ebamcheck.metal.pools import pooled
 from ebamcheck.metal.surface import HALF
 from ebamcheck.numeric.kernels import kernel, run_blocks
@@ -173,7 +173,7 @@ def _wanted(target: Target, surface: Surface, thickness_mm: float, config: Confi
     most = MASS_ROOM * config.process.mass_tolerance
     mean = float(np.average(over, weights=target.share))
     wanted *= target.share.sum() * min(max(1.0 - mean, 1.0 - most), 1.0 + most) / wanted.sum()
-    depth_mm = ndimage.distance_transform_edt(target.share > HALF) * surface.step_mm
+    depth_mm = border_distance(target.share > HALF) * surface.step_mm
     rim = (target.share > 0.0) & (depth_mm <= RIM_BEADS * config.process.bead_width_mm)
     return wanted, np.where(rim, RIM_WEIGHT, 1.0)
 

@@ -126,27 +126,29 @@ class _Layer:
             ends if values.wire_retract_mm > 0.0 else (ends[0], ends[2]),
         )
         self._values, self._templates = values, templates
-        self._blocks: dict[tuple[float, float], tuple[list[str], ...]] = {}
+        self._values_at: dict[tuple[float, float], ProcessValues] = {}
+        self._blocks: dict[tuple[int, float, float], list[str]] = {}
         self._feeds: dict[float, str] = {}
         self._power, self._wire = power, 1.0
         self._position: Floats | None = None
 
-    def _switches(self) -> tuple[list[str], ...]:
-        """Blocks that set power and wire speed of the moment, and those before and after a bead at them."""
+    def _switches(self, group: int) -> list[str]:
+        """Blocks of the moment: those that set power (0) or wire speed (1), or those before (2) and after a bead (3)."""
         now = (self._power, self._wire)
-        if now not in self._blocks:
-            values = self._values.at(*now)
-            self._blocks[now] = tuple(
-                [line for name in names for line in values.fill(name, self._templates[name])]
-                for names in self._names
-            )
-        return self._blocks[now]
+        found = self._blocks.get((group, *now))
+        if found is None:
+            if now not in self._values_at:
+                self._values_at[now] = self._values.at(*now)
+            values = self._values_at[now]
+            found = [line for name in self._names[group] for line in values.fill(name, self._templates[name])]
+            self._blocks[group, *now] = found
+        return found
 
     def _feed(self, share: float) -> str:
         """Word of the feed at a share of that of the process."""
         if share not in self._feeds:
             values = replace(self._values, feed_mm_min=self._values.feed_mm_min * share)
-            self._feeds[share] = f" F{plain(values.printed()['feed_mm_min'])}"
+            self._feeds[share] = f" F{plain(values.printed('feed_mm_min'))}"
         return self._feeds[share]
 
     def rise(self) -> None:
@@ -164,16 +166,16 @@ class _Layer:
     def set_power(self, share: float) -> None:
         """Set the beam to a share of its power."""
         if share != self._power:
-            before = self._switches()[0]
+            before = self._switches(0)
             self._power = share
-            self.lines += _changed(before, self._switches()[0])
+            self.lines += _changed(before, self._switches(0))
 
     def set_wire(self, share: float) -> None:
         """Set the running wire to a share of the speed of the layer."""
         if share != self._wire:
-            before = self._switches()[1]
+            before = self._switches(1)
             self._wire = share
-            self.lines += _changed(before, self._switches()[1])
+            self.lines += _changed(before, self._switches(1))
 
     def deposit(
         self, start: Floats, end: Floats, motions: Sequence[str], power: Floats, wire: Floats, feed: Floats
@@ -184,7 +186,7 @@ class _Layer:
         self._travel(start)
         self._wire = float(wire[0])
         self.set_power(float(power[0]))
-        self.lines += self._switches()[2]
+        self.lines += self._switches(2)
         steps = (np.diff(power) != 0.0) | (np.diff(wire) != 0.0) | (np.diff(feed) != 0.0)
         changes = [0, *(np.flatnonzero(steps) + 1).tolist(), len(motions)]
         said = ""
@@ -195,7 +197,7 @@ class _Layer:
             own = self._feed(float(feed[a]))
             self.lines += [_with_feed(blocks[0], own if own != said else ""), *blocks[1:]] if blocks else []
             said = own if blocks else said
-        self.lines += self._switches()[3]
+        self.lines += self._switches(3)
         self._position = end
 
     def _travel(self, to: Floats) -> None:

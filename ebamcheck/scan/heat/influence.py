@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.scan.heat.island_heat import IslandHeat
 from ebamcheck.scan.heat.near_field import NearField, entry_rise, young_mean
@@ -29,6 +29,9 @@ LEAST_RATE = 1e-9
 
 MOST_ISLANDS = 500
 """Beyond, the table is too large: 500 islands take 96 MB."""
+
+SOURCES = 16
+"""Islands whose part of the table a thread is worth."""
 
 Table = NDArray[np.float32]
 
@@ -87,16 +90,33 @@ def influence(heat: IslandHeat, time_s: Floats, longest_s: float) -> Influence:
         near.horizon_s + spacing * np.arange(NODES - young) ** 2,
     ])  # fmt: skip
     rise = np.empty((count, count + 1, NODES), np.float32)
-    old_heat(heat, time_s, near.horizon_s, since, rise)
+    run_blocks(lambda a, b: old_heat(heat, time_s, near.horizon_s, since, rise, range(a, b)), count, SOURCES)
+    rise[:, count] = first_heat(heat, since)
     slot = np.full((count, count), -1, np.int32)
     slot[np.repeat(np.arange(count), np.diff(near.first)), near.other] = np.arange(len(near.other))
-    excess_k = young_heat(near, heat.modes.source_k_s, time_s, since[:YOUNG_NODES], rise)
+    excess_k = np.zeros((len(near.other), OPTIONS, OPTIONS, YOUNG_NODES), np.float32)
+    run_blocks(
+        lambda a, b: young_heat(
+            near, heat.modes.source_k_s, time_s, since[:YOUNG_NODES], rise, excess_k, a, b
+        ),
+        count,
+        SOURCES,
+    )
     per_root = spacing**-0.5 if spacing > 0.0 else 0.0
     return Influence(rise, per_root, FreshTable(near.horizon_s, slot, excess_k))
 
 
-def old_heat(heat: IslandHeat, time_s: Floats, horizon_s: float, since_s: Floats, rise: Table) -> None:
-    """Write the rises :attr:`Influence.rise_k` by heat older than the horizon, at times (Q,) after the end of a source."""
+def first_heat(heat: IslandHeat, since_s: Floats) -> Floats:
+    """Rises (I, Q) by what the layer begins with, at times (Q,) after its beginning."""
+    across = np.exp(-np.multiply.outer(heat.modes.plane_rate, since_s))
+    through = np.exp(-np.multiply.outer(np.maximum(heat.modes.depth_rate, LEAST_RATE), since_s))
+    return np.asarray(heat.modes.mean.T @ (across * ((heat.start_k * heat.modes.in_layer) @ through)))
+
+
+def old_heat(
+    heat: IslandHeat, time_s: Floats, horizon_s: float, since_s: Floats, rise: Table, sources: range
+) -> None:
+    """Write the rises :attr:`Influence.rise_k` by heat of sources older than the horizon, at times (Q,) after their end."""
     depth_rate = np.maximum(heat.modes.depth_rate, LEAST_RATE)
     rate = np.add.outer(heat.modes.plane_rate, depth_rate)
     across = np.exp(-np.multiply.outer(heat.modes.plane_rate, since_s))
@@ -107,21 +127,29 @@ def old_heat(heat: IslandHeat, time_s: Floats, horizon_s: float, since_s: Floats
     young = slice(0, int(np.searchsorted(since_s, horizon_s)))
     old = slice(young.stop, None)
     of_mode = np.empty_like(across)
-    for j, (time, source) in enumerate(zip(time_s.tolist(), heat.modes.source_k_s.tolist(), strict=True)):
+    for j in sources:
+        time, source = time_s.item(j), heat.modes.source_k_s.item(j)
         fallen = np.exp(-rate * time)
         of_mode[:, old] = across[:, old] * ((weight * (1.0 - fallen)) @ through[:, old])
         begun = at_horizon - across[:, young] * ((weight * fallen) @ through[:, young])
         of_mode[:, young] = np.where(since_s[young] + time > horizon_s, begun, 0.0)
         scaled = of_mode * (source * heat.modes.mean[:, j, None])
         rise[:, j] = mean.T @ scaled.astype(np.float32)
-    rise[:, len(time_s)] = heat.modes.mean.T @ (across * ((heat.start_k * heat.modes.in_layer) @ through))
 
 
 @kernel
-def young_heat(near: NearField, source: Floats, time: Floats, since: Floats, rise: Table) -> Table:
-    """Add young heat to the rises of means; returns its excess at entries (P, 4, 4, N) over the means, as in :class:`FreshTable`."""
-    excess = np.zeros((len(near.other), OPTIONS, OPTIONS, len(since)), np.float32)
-    for i in range(len(near.first) - 1):
+def young_heat(
+    near: NearField,
+    source: Floats,
+    time: Floats,
+    since: Floats,
+    rise: Table,
+    excess: Table,
+    start: int,
+    stop: int,
+) -> None:
+    """Add young heat to the rises of the means of some islands; write its `excess` at their entries, as in :class:`FreshTable`."""
+    for i in range(start, stop):
         for p in range(near.first[i], near.first[i + 1]):
             j = near.other[p]
             if i == j:
@@ -133,7 +161,6 @@ def young_heat(near: NearField, source: Floats, time: Floats, since: Floats, ris
                     for left_by in range(OPTIONS):
                         entry = entry_rise(near, i, option, j, left_by, since[n], time[j])
                         excess[p, option, left_by, n] = source[j] * (entry - mean)
-    return excess
 
 
 @kernel
@@ -149,3 +176,13 @@ def looked_up(rise: Table, nodes: float, horizon: float, source: int, since: flo
     share = min(place - node, 1.0)
     low, high = rise[source, node], rise[source, node + 1]
     return float(low + (high - low) * share)
+
+
+@kernel
+def table_place(since: float, nodes: float, horizon: float, columns: int) -> tuple[np.int32, float]:
+    """Node before a time, and how far it is to the next one: see :func:`looked_up`; without branches, for several times at once."""
+    young = since < horizon
+    root = np.sqrt(np.true_divide(max(since, 0.0), horizon) if young else since - horizon)
+    place = (YOUNG_NODES - 1.0) * root if young else (YOUNG_NODES - 1.0) + nodes * root
+    node = np.int32(min(place, columns - 2.0))
+    return node, min(place - node, 1.0)

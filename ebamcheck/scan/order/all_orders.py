@@ -7,7 +7,7 @@ import numpy as np
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Ints
 from ebamcheck.scan.filling.turns import JOINED_MM
-from ebamcheck.scan.order.annealing import Layer, entry_temperature, new_log, power, timed_from
+from ebamcheck.scan.order.annealing import Layer, new_log, powers_from, timed_from
 from ebamcheck.scan.order.touching import touch_table, touching_successors
 
 MOST_LISTED = 8
@@ -29,16 +29,12 @@ def best_of_all(layer: Layer, longest_mm: float) -> Ints:
         (I,) the best order; the first of equal ones in the order of the alphabet.
     """
     count = len(layer.time_s)
-    order = np.arange(count)
+    order, places = np.arange(count), np.arange(count)
     best, best_touches, best_far, best_total = order.copy(), count, np.inf, np.inf
     log, first, beside = new_log(count), 0, touch_table(layer.beside)
     while first >= 0:
         timed_from(first, order, layer, beside, log)
-        total = 0.0
-        for place in range(count):
-            if place >= first:
-                log.entry_k[place] = entry_temperature(place, order, layer, log)
-            total += power(log.entry_k[place])
+        total = powers_from(first, first, first, places, order, layer, np.inf, log)
         far, touches = (
             max(0.0, log.travel_mm[-1] - longest_mm),
             touching_successors(layer.beside, order).sum(),

@@ -9,12 +9,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
-from ebamcheck.scan.heat.influence import Influence, looked_up
+from ebamcheck.scan.heat.influence import Influence, table_place
 from ebamcheck.scan.order.entry_options import EntryOptions
-from ebamcheck.scan.order.moves import Simulated, least_travel_mm, more_touches, move
+from ebamcheck.scan.order.moves import least_travel_mm, more_touches, move
 from ebamcheck.scan.order.touching import Touching, touch_table
 
 WARMTH = 0.005
@@ -56,13 +57,18 @@ class Layer(NamedTuple):
 
 class Log(NamedTuple):
     """An order simulated, by place (I,): begin of the island, s, entry option, travel so far, mm, entry temperature, K,
-    and how many islands so far touch the one before them."""
+    how many islands so far touch the one before them, and the time in which the island is scanned, s; with room for the place of
+    one island: time since the others, s, and where this lies in the table of influences."""
 
     start_s: Floats
     option: Ints
     travel_mm: Floats
     entry_k: Floats
     touches: Ints
+    time_s: Floats
+    since_s: Floats
+    node: NDArray[np.int32]
+    share: Floats
 
 
 def high_mean(entry_k: Floats) -> float:
@@ -118,7 +124,7 @@ def improved(
     count = len(order)
     kept, tried, best = order.copy(), order.copy(), order.copy()
     log, tried_log = new_log(count), new_log(count)
-    beside, options = touch_table(layer.beside), layer.options
+    beside, jump_mm, option = touch_table(layer.beside), layer.options.jump_mm, layer.options.option
     timed_from(0, kept, layer, beside, log)
     total = powers_from(0, 0, 0, np.arange(count), kept, layer, np.inf, log)
     cost = (total / count) ** (1.0 / HIGH)
@@ -126,7 +132,7 @@ def improved(
     cost += price * max(0.0, log.travel_mm[-1] - longest) + touch_price * log.touches[-1]
     best_cost, warmth = cost, warm_share * cost
     by_heat = np.argsort(-log.entry_k)
-    simulated = Simulated(kept, log.option, log.travel_mm)
+    by, travel_mm, touches = log.option, log.travel_mm, log.touches
     for step in range(len(places)):
         a, b = places[step, 0], places[step, 1]
         if step % HOTTEST_EVERY == 0:
@@ -135,11 +141,11 @@ def improved(
             continue
         first, kind = min(a, b), step % 3
         allowed = cost + warmth * leniency[step]
-        touched = touch_price * (log.touches[-1] + more_touches(kept, a, b, kind, beside))
+        touched = touch_price * (touches[count - 1] + more_touches(kept, a, b, kind, beside))
         # Most moves are given up by the touches, or by a travel that is too long in any case.
         if touched >= allowed:
             continue
-        least_mm = least_travel_mm(simulated, a, b, kind, options)
+        least_mm = least_travel_mm(kept, by, travel_mm, a, b, kind, jump_mm, option)
         if price * max(0.0, least_mm - longest) + touched >= allowed:
             continue
         move(kept, a, b, kind, tried)
@@ -155,7 +161,8 @@ def improved(
         cost = (total / count) ** (1.0 / HIGH) + too_far
         kept, tried = tried, kept
         log, tried_log = tried_log, log
-        by_heat, simulated = np.argsort(-log.entry_k), Simulated(kept, log.option, log.travel_mm)
+        by, travel_mm, touches = log.option, log.travel_mm, log.touches
+        by_heat = np.argsort(-log.entry_k)
         if cost < best_cost:
             best[:], best_cost = kept, cost
     return best
@@ -167,17 +174,49 @@ def powers_from(
 ) -> float:
     """Sum of the powers of the entry temperatures, those from a place on worked out; any sum beyond `most` if it is more.
 
-    The two places that were moved come first, then the hottest: most moves are given up after a few.
+    The rise of an island when the beam enters it is its mean, or that of its entry if it is more. The two places that were
+    moved come first, then the hottest: most moves are given up after a few.
     """
+    # Taken out of their tuples once for all places: each column that is taken out is counted as one more in use.
+    fresh, nodes, start, time, options = (
+        layer.table.fresh, layer.table.nodes_per_root_s, log.start_s, log.time_s, log.option,
+    )  # fmt: skip
+    rise, excess_k, slot, horizon = layer.table.rise_k, fresh.excess_k, fresh.slot, fresh.horizon_s
+    since, node, share, entry_k = log.since_s, log.node, log.share, log.entry_k
+    count, columns, last = len(order), rise.shape[2], excess_k.shape[3] - 1
     total = 0.0
     for place in range(first):
-        total += power(log.entry_k[place])
-    for n in range(-2, len(order)):
+        total += power(entry_k[place])
+    for n in range(-2, count):
         place = a if n == -2 else b if n == -1 else by_heat[n]
         if place < first or (n == -1 and a == b) or (n >= 0 and place in (a, b)):
             continue
-        log.entry_k[place] = entry_temperature(place, order, layer, log)
-        total += power(log.entry_k[place])
+        now, island = start[place], order[place]
+        for earlier in range(place):
+            since[earlier] = now - start[earlier] - time[earlier]
+        since[place] = now
+        for m in range(place + 1):
+            node[m], share[m] = table_place(since[m], nodes, horizon, columns)
+        low, high = rise[island, count, node[place]], rise[island, count, node[place] + 1]
+        temperature = float(low + (high - low) * share[place])
+        for earlier in range(place):
+            low, high = (
+                rise[island, order[earlier], node[earlier]],
+                rise[island, order[earlier], node[earlier] + 1],
+            )
+            temperature += low + (high - low) * share[earlier]
+        excess = 0.0
+        for earlier in range(place - 1, -1, -1):
+            if since[earlier] >= horizon:
+                break
+            row, by, left_by = slot[island, order[earlier]], options[place], options[earlier]
+            if row >= 0:
+                at = np.sqrt(np.true_divide(max(since[earlier], 0.0), horizon)) * last
+                under = min(int(at), last - 1)
+                low, high = excess_k[row, by, left_by, under], excess_k[row, by, left_by, under + 1]
+                excess += low + (high - low) * min(at - under, 1.0)
+        entry_k[place] = temperature + max(excess, 0.0)
+        total += power(entry_k[place])
         if total > most:
             break
     return total
@@ -186,9 +225,13 @@ def powers_from(
 @kernel
 def copy_start(log: Log, stop: int, result: Log) -> None:
     """Copy what a log says of the places before one."""
-    result.start_s[:stop], result.option[:stop] = log.start_s[:stop], log.option[:stop]
-    result.travel_mm[:stop], result.entry_k[:stop] = log.travel_mm[:stop], log.entry_k[:stop]
-    result.touches[:stop] = log.touches[:stop]
+    for n in range(stop):
+        result.start_s[n], result.option[n], result.travel_mm[n] = (
+            log.start_s[n],
+            log.option[n],
+            log.travel_mm[n],
+        )
+        result.entry_k[n], result.touches[n], result.time_s[n] = log.entry_k[n], log.touches[n], log.time_s[n]
 
 
 @kernel
@@ -200,6 +243,10 @@ def new_log(count: int) -> Log:
         np.zeros(count),
         np.zeros(count),
         np.zeros(count, np.int64),
+        np.zeros(count),
+        np.zeros(count),
+        np.zeros(count, np.int32),
+        np.zeros(count),
     )
 
 
@@ -215,41 +262,19 @@ def power(temperature: float) -> float:
 def timed_from(first: int, order: Ints, layer: Layer, beside: Bools, log: Log) -> None:
     """Time the islands from a place on, entering each by the nearest option; `beside` (I, I) tells which touch."""
     jump, option, time = layer.options.jump_mm, layer.options.option, layer.time_s
+    # What is carried from place to place stays out of memory: the next place would wait for it.
+    start, travel, touches, left_by, last = 0.0, 0.0, 0, 0, -1
+    if first > 0:
+        last, left_by = order[first - 1], log.option[first - 1]
+        start, travel, touches = log.start_s[first - 1], log.travel_mm[first - 1], log.touches[first - 1]
     for n in range(first, len(order)):
-        if n == 0:
-            log.start_s[0], log.option[0], log.travel_mm[0], log.touches[0] = 0.0, 0, 0.0, 0
-            continue
-        last, island, left_by = order[n - 1], order[n], log.option[n - 1]
-        distance = jump[last, left_by, island]
-        log.start_s[n] = log.start_s[n - 1] + time[last] + np.true_divide(distance, layer.rapid_mm_s)
-        log.option[n] = option[last, left_by, island]
-        log.travel_mm[n] = log.travel_mm[n - 1] + distance
-        log.touches[n] = log.touches[n - 1] + beside[last, island]
-
-
-@kernel
-def entry_temperature(place: int, order: Ints, layer: Layer, log: Log) -> float:
-    """Rise of the island at a place when the beam enters it: its mean, or that of its entry if it is more."""
-    # Taken out of their tuples once: the first loop is where planning spends its time.
-    rise, nodes, fresh = layer.table.rise_k[order[place]], layer.table.nodes_per_root_s, layer.table.fresh
-    horizon, time, start = fresh.horizon_s, layer.time_s, log.start_s
-    island, now = order[place], start[place]
-    temperature = looked_up(rise, nodes, horizon, len(order), now)
-    for earlier in range(place):
-        source = order[earlier]
-        since = now - start[earlier] - time[source]
-        temperature += looked_up(rise, nodes, horizon, source, since)
-    excess_k, slot, by = fresh.excess_k, fresh.slot, log.option[place]
-    excess, last = 0.0, fresh.excess_k.shape[3] - 1
-    for earlier in range(place - 1, -1, -1):
-        source = order[earlier]
-        since = now - start[earlier] - time[source]
-        if since >= horizon:
-            break
-        row, left_by = slot[island, source], log.option[earlier]
-        if row >= 0:
-            at = np.sqrt(np.true_divide(max(since, 0.0), horizon)) * last
-            node = min(int(at), last - 1)
-            low, high = excess_k[row, by, left_by, node], excess_k[row, by, left_by, node + 1]
-            excess += low + (high - low) * min(at - node, 1.0)
-    return temperature + max(excess, 0.0)
+        island = order[n]
+        if last >= 0:
+            distance = jump[last, left_by, island]
+            start = start + time[last] + np.true_divide(distance, layer.rapid_mm_s)
+            left_by = option[last, left_by, island]
+            travel += distance
+            touches += beside[last, island]
+        log.start_s[n], log.option[n], log.travel_mm[n], log.touches[n] = start, left_by, travel, touches
+        log.time_s[n] = time[island]
+        last = island

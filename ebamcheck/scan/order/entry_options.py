@@ -5,11 +5,15 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.numeric.rings import Floats
 from ebamcheck.scan.filling.schedule import IslandSchedule
 from ebamcheck.scan.filling.turns import JOINED_MM
+
+Options = NDArray[np.int8]
+"""Small, so that a table of them stays near the processor while moves are tried."""
 
 
 class EntryOptions(NamedTuple):
@@ -24,7 +28,7 @@ class EntryOptions(NamedTuple):
     """
 
     jump_mm: Floats
-    option: Ints
+    option: Options
 
 
 def entry_options(schedule: IslandSchedule) -> EntryOptions:
@@ -44,11 +48,11 @@ def nearest_option(entry: Floats, x: float, y: float) -> tuple[float, int]:
 
 
 @kernel
-def tabulated(entry: Floats, leave: Floats) -> tuple[Floats, Ints]:
+def tabulated(entry: Floats, leave: Floats) -> tuple[Floats, Options]:
     """Return the columns of :class:`EntryOptions`."""
     count, options = leave.shape[:2]
     jump = np.empty((count, options, count))
-    option = np.empty((count, options, count), np.int64)
+    option = np.empty((count, options, count), np.int8)
     for i in range(count):
         for left_by in range(options):
             x, y = leave[i, left_by]

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
-from ebamcheck.scan.order.entry_options import EntryOptions
+from ebamcheck.scan.order.entry_options import Options
 
 EXCHANGE, SHIFT, TURN = 0, 1, 2
 """Kinds of moves: two places exchange their islands, one goes to the other, or all between them are turned around."""
@@ -19,19 +21,11 @@ ROUNDING = 1e-9
 """Share of the travel by which a sum over runs may miss the sum over all jumps: far more than rounding does."""
 
 
-class Simulated(NamedTuple):
-    """An order, and by place (I,) the option by which each island is entered and the travel so far, mm."""
-
-    order: Ints
-    option: Ints
-    travel_mm: Floats
-
-
 class _Reached(NamedTuple):
     """Where the gun is: the island that was scanned last (-1: none), the option by which it was entered, and the travel."""
 
     island: int
-    option: int
+    option: int | np.int64
     travel_mm: float
 
 
@@ -83,44 +77,64 @@ def _touch(order: Ints, one: int, other: int, beside: Bools) -> int:
 
 
 @kernel
-def least_travel_mm(simulated: Simulated, a: int, b: int, kind: int, options: EntryOptions) -> float:
-    """Travel of an order once it is moved, less what rounding may have added: the sum over all jumps is no less."""
-    order, low, high, stop = simulated.order, min(a, b), max(a, b), len(simulated.order)
+def least_travel_mm(
+    order: Ints, by: Ints, travel_mm: Floats, a: int, b: int, kind: int, jump_mm: Floats, option: Options
+) -> float:
+    """Travel of an order once it is moved, less what rounding may have added: the sum over all jumps is no less.
+
+    Parameters
+    ----------
+    order, by, travel_mm
+        An order, and by place (I,) the option by which each island is entered and the travel so far.
+    jump_mm, option
+        Columns of :class:`~ebamcheck.scan.order.entry_options.EntryOptions`. All come one by one: taking columns out of
+        tuples, each counted as one more in use, would take longer than the moves themselves.
+    """
+    low, high, stop = min(a, b), max(a, b), len(order)
     at = _Reached(-1, 0, 0.0)
     if low > 0:
-        at = _Reached(order[low - 1], simulated.option[low - 1], simulated.travel_mm[low - 1])
+        at = _Reached(order[low - 1], by[low - 1], travel_mm[low - 1])
     if kind == EXCHANGE:
-        at = _forward(at, high, high + 1, simulated, options)
-        at = _forward(at, low + 1, high, simulated, options)
-        at = _forward(at, low, low + 1, simulated, options)
+        at = _forward(at, high, high + 1, order, by, travel_mm, jump_mm, option)
+        at = _forward(at, low + 1, high, order, by, travel_mm, jump_mm, option)
+        at = _forward(at, low, low + 1, order, by, travel_mm, jump_mm, option)
     elif kind == SHIFT and a < b:
-        at = _forward(at, low + 1, high + 1, simulated, options)
-        at = _forward(at, low, low + 1, simulated, options)
+        at = _forward(at, low + 1, high + 1, order, by, travel_mm, jump_mm, option)
+        at = _forward(at, low, low + 1, order, by, travel_mm, jump_mm, option)
     elif kind == SHIFT:
-        at = _forward(at, high, high + 1, simulated, options)
-        at = _forward(at, low, high, simulated, options)
+        at = _forward(at, high, high + 1, order, by, travel_mm, jump_mm, option)
+        at = _forward(at, low, high, order, by, travel_mm, jump_mm, option)
     else:
         for place in range(high, low - 1, -1):
-            at = _jumped(at, order[place], options)
-    at = _forward(at, high + 1, stop, simulated, options)
-    return float(at.travel_mm - ROUNDING * (at.travel_mm + simulated.travel_mm[-1]))
+            at = _jumped(at, order[place], jump_mm, option)
+    at = _forward(at, high + 1, stop, order, by, travel_mm, jump_mm, option)
+    return float(at.travel_mm - ROUNDING * (at.travel_mm + travel_mm[stop - 1]))
 
 
 @kernel
-def _jumped(at: _Reached, island: int, options: EntryOptions) -> _Reached:
+def _jumped(at: _Reached, island: int, jump_mm: Floats, option: Options) -> _Reached:
     """Jump to an island; the first of an order is entered by its first option, and costs nothing."""
     if at.island < 0:
         return _Reached(island, 0, 0.0)
-    jump, option = options.jump_mm[at.island, at.option, island], options.option[at.island, at.option, island]
-    return _Reached(island, option, at.travel_mm + jump)
+    by = np.int64(option[at.island, at.option, island])
+    return _Reached(island, by, at.travel_mm + jump_mm[at.island, at.option, island])
 
 
 @kernel
-def _forward(at: _Reached, start: int, stop: int, simulated: Simulated, options: EntryOptions) -> _Reached:
+def _forward(
+    at: _Reached,
+    start: int,
+    stop: int,
+    order: Ints,
+    by: Ints,
+    travel_mm: Floats,
+    jump_mm: Floats,
+    option: Options,
+) -> _Reached:
     """Go through the places of a run; from where an island is entered as before, all the rest is as before."""
     for place in range(start, stop):
-        at = _jumped(at, simulated.order[place], options)
-        if at.option == simulated.option[place]:
-            rest_mm = simulated.travel_mm[stop - 1] - simulated.travel_mm[place]
-            return _Reached(simulated.order[stop - 1], simulated.option[stop - 1], at.travel_mm + rest_mm)
+        at = _jumped(at, order[place], jump_mm, option)
+        if at.option == by[place]:
+            rest_mm = travel_mm[stop - 1] - travel_mm[place]
+            return _Reached(order[stop - 1], by[stop - 1], at.travel_mm + rest_mm)
     return at

@@ -122,14 +122,15 @@ def thermal_order(
     begun = [start for start, _ in plans_made[: max(1, int(MOST_MOVES / (most * count)))]]
     sources = random.spawn(len(begun))
 
-    def improved(start: int, stop: int) -> list[Ints]:
-        return [
-            annealed(layer, begun[n], longest_mm, price_k_mm, most, sources[n], WARMTHS[n % len(WARMTHS)])
-            for n in range(start, stop)
-        ]
+    def improved(start: int, stop: int) -> list[tuple[Ints, Rank]]:
+        done = []
+        for n in range(start, stop):
+            warmth = WARMTHS[n % len(WARMTHS)]
+            order = annealed(layer, begun[n], longest_mm, price_k_mm, most, sources[n], warmth)
+            done.append((order, ranked(heat, schedule, beside, rapid_mm_s, order, longest_mm)))
+        return done
 
-    for tried in itertools.chain(*run_blocks(improved, len(begun))):
-        rank = ranked(heat, schedule, beside, rapid_mm_s, tried, longest_mm)
+    for tried, rank in itertools.chain(*run_blocks(improved, len(begun))):
         if better(rank, best_rank):
             best, best_rank = tried, rank
     return best

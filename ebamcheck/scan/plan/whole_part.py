@@ -6,7 +6,7 @@ moves between them with rise and return, and the waits; power and waits are chos
 
 from __future__ import annotations
 
-import threading
+from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -19,7 +19,7 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.heat.balance import HeatColumn, LayerShape
 from ebamcheck.heat.one_blas_thread import one_blas_thread
-from ebamcheck.numeric.kernels import run_blocks, thread_count
+from ebamcheck.numeric.kernels import thread_count
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.heat.interpass import LayerJob, SimulatedLayer, cooled_layer
 from ebamcheck.scan.heat.island_heat import IslandHeat
@@ -250,29 +250,24 @@ def scan_part(
 
 
 def _prepared(stack: Stack, prepare: Callable[[int], _Prepared]) -> Iterator[_Prepared]:
-    """Prepare layers on all threads, a block ahead of who takes them; who stops taking them stops the threads, too."""
-    stopped = threading.Event()
+    """Prepare layers on all threads, some ahead of who takes them; who stops taking them stops the threads, too.
 
-    def work(block: range) -> list[_Prepared]:
-        def some(start: int, stop: int) -> list[_Prepared]:
-            return [prepare(k) for k in block[start:stop] if not stopped.is_set()]
-
-        return [found for part in run_blocks(some, len(block)) for found in part]
-
-    blocks = [range(a, min(a + AHEAD, len(stack))) for a in range(0, len(stack), AHEAD)]
+    With each layer that is taken one more is begun, so that the work goes on evenly beside that of who takes them.
+    """
+    count = len(stack)
     if thread_count() == 1:
-        for block in blocks:
-            yield from work(block)
+        yield from map(prepare, range(count))
         return
-    with ThreadPoolExecutor(1) as ahead:
-        try:
-            coming = [ahead.submit(work, block) for block in blocks[:1]]
-            for n in range(len(blocks)):
-                ready = coming.pop().result()
-                coming = [ahead.submit(work, block) for block in blocks[n + 1 : n + 2]]
-                yield from ready
-        finally:
-            stopped.set()
+    threads = ThreadPoolExecutor(thread_count())
+    try:
+        coming = deque(threads.submit(prepare, k) for k in range(min(AHEAD, count)))
+        for k in range(count):
+            ready = coming.popleft().result()
+            if k + AHEAD < count:
+                coming.append(threads.submit(prepare, k + AHEAD))
+            yield ready
+    finally:
+        threads.shutdown(cancel_futures=True)
 
 
 @one_blas_thread()

@@ -27,7 +27,7 @@ from ebamcheck.program.reading.arcs import arc
 from ebamcheck.program.reading.comments import read_header
 from ebamcheck.program.reading.frames import NONE, frame_after
 from ebamcheck.program.reading.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT, NCProgram
-from ebamcheck.program.reading.recognition import Templates
+from ebamcheck.program.reading.recognition import StateChange, Templates
 from ebamcheck.program.reading.recorder import LINE_OF_T, NAN, NO_CENTRE, Recorder
 from ebamcheck.program.reading.turned_table import on_part
 from ebamcheck.settings.config import Config
@@ -49,8 +49,9 @@ _KINDS = {"G0": RAPID, "G1": STRAIGHT, "POLY": POLYNOMIAL, "BSPLINE": SPLINE_SPA
 _N = rf"({NUMBER})"
 _LIST = rf"=\({_N},{_N},{_N}\)"
 _PLAIN_BLOCK = re.compile(
-    rf"N(\d+) (?:G1 X{_N} Y{_N}( ; [A-Z ]+)?(?P<line>)|POLY PO\[X\]{_LIST} PO\[Y\]{_LIST} PL=1(?P<poly>)"
-    rf"|X{_N} Y{_N} PL={_N}(?P<control>)|(G[23]) X{_N} Y{_N} I{_N} J{_N}(?P<arc>))"
+    rf"N(\d+) (?:G1 X{_N} Y{_N}(?: F{_N})?( ; [A-Z ]+)?(?P<line>)|POLY PO\[X\]{_LIST} PO\[Y\]{_LIST} PL=1(?P<poly>)"
+    rf"|X{_N} Y{_N} PL={_N}(?P<control>)|(G[23]) X{_N} Y{_N} I{_N} J{_N}(?P<arc>)"
+    rf"|G0 X{_N} Y{_N}(?P<rapid>)|G0 Z{_N}(?P<lift>))"
 )
 """The blocks of which a program mostly consists, in the spelling of most posts; all others are read word by word."""
 
@@ -69,6 +70,7 @@ class SinumerikReader:
         self._rotary = tuple(axis.name for axis in config.machine.rotary)
         self.out = Recorder(folder, NAME, self._rotary, config.preheat.scan_in == "layer")
         self._templates = Templates(checked_templates(config.machine, NAME))
+        self._changes: dict[str, StateChange] = {}
         self._given_shift = shift
         self._shift: Shift = shift or config.machine.bspline_shift
         self._mode = ""
@@ -98,24 +100,34 @@ class SinumerikReader:
         found = _PLAIN_BLOCK.fullmatch(text)
         if found is None or self.out.table.fresh:
             return False
-        out, part = self.out, found.groups()
-        if found.lastgroup == "control":
+        out, part, what = self.out, found.groups(), found.lastgroup
+        if what == "control":
             if self._mode != "BSPLINE" or self._shift == "uniform" or not self._spline:
                 return False
-            x, y = float(part[12]), float(part[13])
-            self._spline.append((x, y, float(part[14]), out.line))
+            x, y = float(part[13]), float(part[14])
+            self._spline.append((x, y, float(part[15]), out.line))
             out.x, out.y = x, y
         elif self._spline:
             return False
-        elif found.lastgroup == "line":
+        elif what == "line":
             self._mode = "G1"
+            if part[3] is not None:
+                out.feed(float(part[3]))
             out.move(STRAIGHT, float(part[1]), float(part[2]), out.z)
-        elif found.lastgroup == "arc":
-            return self._run_plain_arc(int(part[0]), part[16], *map(float, part[17:21]))
-        else:
+        elif what == "arc":
+            return self._run_plain_arc(int(part[0]), part[17], *map(float, part[18:22]))
+        elif what == "poly":
             self._mode = "POLY"
-            xe, x2, x3, ye, y2, y3 = map(float, part[5:11])
+            xe, x2, x3, ye, y2, y3 = map(float, part[6:12])
             out.move(POLYNOMIAL, xe, ye, out.z, (x2, x3, y2, y3, 1.0))
+        else:
+            self._mode = "G0"
+            x, y, z = (
+                (float(part[23]), float(part[24]), out.z)
+                if what == "rapid"
+                else (out.x, out.y, float(part[26]))
+            )
+            out.move(RAPID, x, y, z)
         out.number(int(part[0]))
         return True
 
@@ -161,6 +173,10 @@ class SinumerikReader:
     # -- blocks ------------------------------------------------------------------------------------
 
     def _run_block(self, code: str, depth: int) -> str:
+        if (change := self._changes.get(code)) is not None:
+            self._end_spline()
+            self.out.change(change)
+            return ""
         if _MESSAGE.fullmatch(code):
             self._end_spline()
             return ""
@@ -174,6 +190,8 @@ class SinumerikReader:
         except UnknownWord:
             change = self._templates.find(code)
             if change is not None:
+                # The same text is one of a template wherever it stands: it need not be split into words again.
+                self._changes[code] = change
                 self._end_spline()
                 self.out.change(change)
             elif not self._call(code, depth):
