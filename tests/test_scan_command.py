@@ -297,11 +297,12 @@ def test_an_interrupt_keeps_what_is_done(plate, tmp_path, asked, file, told):
     while not path.is_file() or path.read_text().count("\n") < 2:
         assert scan.poll() is None
     scan.send_signal(signal.SIGINT)
-    error = scan.communicate()[1]
+    # A kernel that was compiled on the way is told of.
+    told_of = scan.communicate()[1].splitlines()
+    (error,) = [line for line in told_of if not line.startswith("ebamcheck: compil")]
     assert scan.returncode == 130
     assert error.startswith("ebamcheck: interrupted; ")
     assert f"{told}, kept in out" in error
-    assert len(error.splitlines()) == 1
     if file == "orders.json":
         assert [row["order"] for row in json.loads(path.read_text())] == ["raster"]
         assert {p.name for p in path.parent.glob("*.svg")} >= {"raster-rank.svg", "pareto.svg"}

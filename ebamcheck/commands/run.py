@@ -69,15 +69,15 @@ def run(
     """Look at the part, slice, cross-check, fit, partition, order, write the NC program, verify it and report."""
     config = job_settings(config_file, units, direction, layer_height, backends, witnesses, fix_orientation)
     config, source = placed_settings(config, place, rotate), part_or_plate(part, plate)
+    part_ready = begun(source, config, "run", yes)
     from ebamcheck.plugins import registry
     from ebamcheck.slicers.worker_pool import WorkerPool
 
-    # Their interpreters come up while the part is read.
+    # Their interpreters come up while the rest of this one is loaded.
     first = (config.slicing.backends or registry.house_slicers())[
         : config.slicing.processes or os.cpu_count()
     ]
     with WorkerPool(first) as workers:
-        part_ready = begun(source, config, "run", yes)
         from ebamcheck.commands.progress import watched
         from ebamcheck.pipeline import run_job
 

@@ -54,18 +54,19 @@ def _rows(
     found = scan_part(sections, np.asarray(layers.heights) - low_mm, config, order, config.scan.seed)
     rows: list[dict[str, Any]] = []
     built_s = 0.0
-    try:
-        with closing(found), _table(output) as table, watched() as observer:
-            observer.stage("order and heat", len(sections))
+    with closing(found), _table(output) as table, watched() as observer:
+        observer.stage("order and heat", len(sections))
+        try:
             for row in found:
                 built_s += float(np.nansum([row["wait_s"], row["time_s"]]))
                 row[BUILT] = built_s
                 table.writerow(row)
                 rows.append(row)
                 observer.advance(1)
-    except KeyboardInterrupt:
-        kept = f", kept in {output / TABLE}" if output is not None and rows else ""
-        raise KeyboardInterrupt(f"{len(rows)} of {len(sections)} layers are done{kept}") from None
+        except KeyboardInterrupt:
+            done = len(rows) if output is None else _written(output / TABLE)
+            kept = f", kept in {output / TABLE}" if output is not None and done else ""
+            raise KeyboardInterrupt(f"{done} of {len(sections)} layers are done{kept}") from None
     return rows
 
 
@@ -77,6 +78,11 @@ def _table(output: Path | None) -> Iterator[csv.DictWriter[str]]:
         writer = csv.DictWriter(opened, [*WHOLE_PART, BUILT])
         writer.writeheader()
         yield writer
+
+
+def _written(table: Path) -> int:
+    """Layers in a table: an interrupt may come between the line of a layer and the count of it."""
+    return table.read_bytes().count(b"\n") - 1
 
 
 def _cell(value: float) -> str:
