@@ -13,6 +13,8 @@ import time
 import pytest
 
 from ebamcheck.numeric.compiling_ahead import Task, first_rooms
+from ebamcheck.numeric.compiling_beside import CHECKING, ROOMS, SLICING, to_come
+from ebamcheck.numeric.kernel_list import read_list
 from ebamcheck.numeric.kernel_turns import end_turn, take_turn
 
 KERNELS = """
@@ -164,6 +166,41 @@ def test_a_kernel_that_is_missed_has_those_of_the_list_compiled_beside(package):
     said, wrong = found.communicate()
     assert wrong == ""
     assert json.loads(said) == [f"ebamcheck_beside.kernels.{name}" for name in ("inner", "last", "outer")]
+
+
+NESTED = """
+import json, sys
+from ebamcheck.numeric import compiling
+from ebamcheck.numeric.compiling_beside import compiled_beside
+from ebamcheck_beside import kernels
+told = []
+with (
+    compiling.heard_by(lambda *given: told.append(given[2])),
+    compiled_beside({}),
+    compiled_beside(json.loads(sys.argv[1])),
+):
+    kernels.inner(1.5)
+print(json.dumps(told))
+"""
+
+
+def test_the_outer_one_of_two_blocks_says_what_is_compiled(package):
+    said, wrong = begun(package, NESTED, listed("outer", "last"), EBAMCHECK_THREADS="2").communicate()
+    assert wrong == ""
+    assert json.loads(said) == ["ebamcheck_beside.kernels.inner"]
+    assert {path.name.split(".cpython")[0] for path in package.rglob("*.nbi")} == {"kernels.inner"}
+
+
+def test_a_command_says_of_which_modules_it_wants_kernels():
+    names = ("ebamcheck.numeric.a.k", "ebamcheck_planecut.b.k", "ebamcheck_embree.c.k", "ebamcheck.scan.d.k")
+    listed = {name: ["float64"] for name in names}
+    assert tuple(to_come(listed, (*SLICING, "ebamcheck_planecut"))) == names[:2]
+    assert tuple(to_come(listed, CHECKING)) == names[:3]
+    assert list(to_come(read_list(), ())) == [
+        name for name in read_list() if name.rpartition(".")[0] in sys.modules
+    ]
+    # The whole list is that of the main job.
+    assert to_come(read_list(), ROOMS) == read_list()
 
 
 def test_a_list_longer_than_a_pipe_and_an_early_end_leave_no_trace(package):

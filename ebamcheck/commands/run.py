@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -35,6 +36,8 @@ from ebamcheck.errors import ExitCode
 
 if TYPE_CHECKING:
     from ebamcheck.pipeline import RunResult
+    from ebamcheck.settings.config import Config
+    from ebamcheck.slicers.worker_pool import WorkerPool
 
 
 def run(
@@ -69,32 +72,28 @@ def run(
     """Look at the part, slice, cross-check, fit, partition, order, write the NC program, verify it and report."""
     config = job_settings(config_file, units, direction, layer_height, backends, witnesses, fix_orientation)
     config, source = placed_settings(config, place, rotate), part_or_plate(part, plate)
-    part_ready = begun(source, config, "run", yes)
-    from ebamcheck.plugins import registry
-    from ebamcheck.slicers.worker_pool import WorkerPool
+    from ebamcheck.numeric.compiling_beside import ROOMS, compiled_beside
 
-    # Their interpreters come up while the rest of this one is loaded.
-    first = (config.slicing.backends or registry.house_slicers())[
-        : config.slicing.processes or os.cpu_count()
-    ]
-    with WorkerPool(first) as workers:
-        from ebamcheck.commands.progress import watched
-        from ebamcheck.pipeline import run_job
+    with compiled_beside(modules=ROOMS):
+        part_ready = begun(source, config, "run", yes)
+        with _first_slicers(config) as workers:
+            from ebamcheck.commands.progress import watched
+            from ebamcheck.pipeline import run_job
 
-        with watched() as observer:
-            result = run_job(
-                source,
-                output or Path(f"{source.stem}.run"),
-                config,
-                reference,
-                resume,
-                observer,
-                part_ready,
-                force=force,
-                from_layer=from_layer,
-                live=live,
-                workers=workers,
-            )
+            with watched() as observer:
+                result = run_job(
+                    source,
+                    output or Path(f"{source.stem}.run"),
+                    config,
+                    reference,
+                    resume,
+                    observer,
+                    part_ready,
+                    force=force,
+                    from_layer=from_layer,
+                    live=live,
+                    workers=workers,
+                )
     return _told(result, as_json)
 
 
@@ -128,17 +127,31 @@ def check(
     config = job_settings(config_file, units, direction, layer_height, backends, witnesses, fix_orientation)
     config, source = placed_settings(config, place, rotate), part_or_plate(part, plate)
     config = config if slabs is None else config.changed(slicing={"slabs": slabs})
+    from ebamcheck.numeric.compiling_beside import CHECKING, compiled_beside
     from ebamcheck.preflight.slab_work import wanted_slabs
 
-    # A part that is checked in slabs is never read whole.
-    part_ready = None if wanted_slabs(source, config) > 1 else begun(source, config, "check", yes)
-    from ebamcheck.commands.progress import watched
-    from ebamcheck.pipeline import check_job
+    with compiled_beside(modules=CHECKING), ExitStack() as opened:
+        part_ready = workers = None
+        # A part that is checked in slabs is never read whole.
+        if wanted_slabs(source, config) == 1:
+            part_ready = begun(source, config, "check", yes)
+            workers = opened.enter_context(_first_slicers(config))
+        from ebamcheck.commands.progress import watched
+        from ebamcheck.pipeline import check_job
 
-    with watched() as observer:
-        folder = output or Path(f"{source.stem}.run")
-        result = check_job(source, folder, config, resume, observer, part_ready, yes, force)
+        with watched() as observer:
+            folder = output or Path(f"{source.stem}.run")
+            result = check_job(source, folder, config, resume, observer, part_ready, yes, force, workers)
     return _told(result, as_json)
+
+
+def _first_slicers(config: Config) -> WorkerPool:
+    """Workers of the slicers that go first: their interpreters come up while the rest of this one is loaded."""
+    from ebamcheck.plugins import registry
+    from ebamcheck.slicers.worker_pool import WorkerPool
+
+    names = config.slicing.backends or registry.house_slicers()
+    return WorkerPool(names[: config.slicing.processes or os.cpu_count()])
 
 
 def _told(result: RunResult, as_json: bool) -> ExitCode:

@@ -58,7 +58,10 @@ def slice_command(
     name = backend or config.slicing.primary or registry.default_backend()
     values = {**config.slicing.settings.get(name, {}), **assignments(setting or [])}
     registry.slicer_settings(name, values)
-    with ExitStack() as opened:
+    from ebamcheck.numeric.compiling_beside import SLICING, compiled_beside
+
+    own = registry.points(registry.BACKENDS)[name].module
+    with compiled_beside(modules=(*SLICING, own)), ExitStack() as opened:
         from ebamcheck.slicers.here import may_run_here
 
         pool = None

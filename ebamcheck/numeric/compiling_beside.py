@@ -1,8 +1,8 @@
 """Kernels compiled beside a command, on all cores, while it works with those that are there already.
 
-The first kernel that a command misses starts a process that compiles those of the list that stand in the modules which the
-command has loaded, in the order of the main job. The command itself goes on: what it needs next it compiles, or waits for
-where that process is at it (:mod:`ebamcheck.numeric.kernel_turns`). When the command ends, the process does.
+The first kernel that a command misses starts a process that compiles those of the list that the command is to need, in the
+order of the main job. The command itself goes on: what it needs next it compiles, or waits for where that process is at it
+(:mod:`ebamcheck.numeric.kernel_turns`). When the command ends, the process does.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import os
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from ebamcheck.numeric import compiling
 from ebamcheck.numeric.compiling_ahead import compile_tasks, tasks_of
@@ -32,38 +32,55 @@ ROOMS = (
     "ebamcheck.heat",
     "ebamcheck.metal",
     "ebamcheck.scan",
+    "ebamcheck",
 )
-"""Beginnings of modules in the order in which the main job comes to their kernels; others come last."""
+"""Beginnings of modules in the order in which the main job comes to their kernels."""
 
-NICE = 5
-"""By how much the process gives way to the command beside which it compiles."""
+SLICING = ROOMS[: ROOMS.index("ebamcheck_")]
+"""Those that slicing with any backend comes to, besides the backend's own."""
+
+CHECKING = ROOMS[: ROOMS.index("ebamcheck.curves")]
+"""Those that a cross-check comes to."""
 
 LAST_WORDS_S = 1.0
 """How long a command waits at its end for what the process has said, whose own processes end by themselves."""
 
 
+_active: list[_Beside] = []
+
+
 @contextlib.contextmanager
-def compiled_beside(listed: Listed | None = None) -> Iterator[None]:
+def compiled_beside(listed: Listed | None = None, modules: Sequence[str] = ()) -> Iterator[None]:
     """Compile kernels beside the block, from the first one on that it misses; on one core it does so alone.
+
+    Within such a block another one changes nothing.
 
     Parameters
     ----------
     listed
-        Argument types by kernel, as of :func:`kernel_list.read_list`; None: those of the list whose modules are loaded.
+        Argument types by kernel, as of :func:`kernel_list.read_list`; None: that list.
+    modules
+        Beginnings of the names of modules, of which alone kernels of the list are compiled; without them, modules that are
+        loaded when the first kernel is missed.
     """
-    beside = _Beside(listed)
-    with contextlib.ExitStack() as stack:
-        stack.callback(beside.end)
-        if thread_count() > 1:
-            stack.enter_context(missing_told(beside.begin))
+    if _active or thread_count() == 1:
         yield
+        return
+    beside = _Beside(listed, modules)
+    _active.append(beside)
+    try:
+        with missing_told(beside.begin):
+            yield
+    finally:
+        _active.remove(beside)
+        beside.end()
 
 
 class _Beside:
     """The process beside a command; there is none until a kernel is missed."""
 
-    def __init__(self, listed: Listed | None) -> None:
-        self._listed = listed
+    def __init__(self, listed: Listed | None, modules: Sequence[str]) -> None:
+        self._listed, self._modules = listed, tuple(modules)
         self._process: subprocess.Popen[str] | None = None
         self._talk: threading.Thread | None = None
         self._owner = os.getpid()
@@ -72,7 +89,7 @@ class _Beside:
         """Start it, unless it was started before or this is a process that was forked from the command."""
         if self._process is not None or os.getpid() != self._owner:
             return
-        listed = _of_loaded(read_list()) if self._listed is None else self._listed
+        listed = to_come(read_list(), self._modules) if self._listed is None else self._listed
         with contextlib.suppress(OSError):  # without it, the command compiles alone
             self._process = subprocess.Popen(
                 [sys.executable, "-m", "ebamcheck.numeric.compiling_beside"],
@@ -98,7 +115,10 @@ class _Beside:
                 self._process.stdin.close()
 
 
-def _of_loaded(listed: Listed) -> Listed:
+def to_come(listed: Listed, modules: tuple[str, ...]) -> Listed:
+    """Kernels of a list that stand in modules whose names begin so; without any, in those that are loaded."""
+    if modules:
+        return {name: versions for name, versions in listed.items() if name.startswith(modules)}
     loaded = {compiling.name_of(kernel) for kernel in compiling.loaded_kernels()}
     return {name: versions for name, versions in listed.items() if name in loaded}
 
@@ -119,7 +139,6 @@ def _talk(process: subprocess.Popen[str], listed: Listed) -> None:
 
 def main() -> None:
     """Compile what comes as one line on standard input, until it is done or the command ends."""
-    os.nice(NICE)
     tasks = tasks_of(json.loads(sys.stdin.readline() or "{}"))
     _say(json.dumps(list(tasks)))
     threading.Thread(target=_end_with_input, daemon=True).start()

@@ -139,6 +139,7 @@ def check_job(
     begun: Ready | None = None,
     yes: bool = False,
     force: bool = False,
+    workers: WorkerPool | None = None,
 ) -> RunResult:
     """Slice a part with every backend and compare them, no more; parameters and errors as in :func:`run_job`.
 
@@ -152,7 +153,7 @@ def check_job(
         return check_in_slabs(part_path, target, config, slabs, resume, observer, yes, force)
     part = begun or ready(part_path, config, "check", yes)
     part.preflight.stop("check")
-    return _job("check", part, target, config, [], resume, observer, None, force)
+    return _job("check", part, target, config, [], resume, observer, None, force, workers=workers)
 
 
 # -- stages ------------------------------------------------------------------------------------------
