@@ -1,10 +1,13 @@
-"""Whether the in-plane rays place their crossings right, and whether any layer is broken."""
+"""Whether the in-plane rays place their crossings right, whether any layer is broken, and what Embree takes by itself."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import shapely
@@ -14,7 +17,9 @@ from benchmarks.worker import Begin
 from ebamcheck.layers.heights import layer_heights
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.files import load
+from ebamcheck.numeric.kernels import thread_count
 from ebamcheck.plugins import registry
+from ebamcheck_embree.scene import Scene
 
 JUDGED_LAYERS = 48
 GRID_MM = 0.1
@@ -26,21 +31,26 @@ def crossings(begin: Begin, stl: str, layer_mm: float) -> dict[str, Any]:
     Returns
     -------
     ``farthest_mm`` greatest distance of a point from the exact contour, on ``judged_layers``; ``broken_layers`` that
-    have an open path, or other numbers of rings or holes than the exact cut; ``slice_s``.
+    have an open path, or other numbers of rings or holes than the exact cut; ``slice_s``; ``casts_s`` and
+    ``vertical_casts_s`` that all threads spend within Embree's own casts, over their number.
     """
     part = load(Path(stl))
     heights = layer_heights(part, layer_mm)
     begin()
     stacks: dict[str, Layers] = {}
     slice_s = 0.0
-    for name, values in (("planecut", {}), ("embree", {"mode": "in-plane", "grid_mm": GRID_MM})):
-        with registry.available_slicer(name).prepare(
-            part, registry.slicer_settings(name, values)
-        ) as prepared:
+    casts_s: dict[str, float] = {}
+    for name, mode in (("planecut", ""), ("embree", "vertical"), ("embree", "in-plane")):
+        values = {"mode": mode, "grid_mm": GRID_MM} if mode else {}
+        with (
+            casts() as each_s,
+            registry.available_slicer(name).prepare(part, registry.slicer_settings(name, values)) as prepared,
+        ):
             start = time.perf_counter()
-            stacks[name] = prepared.slice(heights)
+            stacks[mode or name] = prepared.slice(heights)
             slice_s = time.perf_counter() - start
-    exact, found = stacks["planecut"], stacks["embree"]
+        casts_s[mode] = sum(each_s) / thread_count()
+    exact, found = stacks["planecut"], stacks["in-plane"]
     broken = (
         (found.open_counts() > 0)
         | (found.ring_counts() != exact.ring_counts())
@@ -52,7 +62,37 @@ def crossings(begin: Begin, stl: str, layer_mm: float) -> dict[str, Any]:
         "judged_layers": len(judged),
         "broken_layers": int(np.count_nonzero(broken)),
         "slice_s": slice_s,
+        "casts_s": casts_s["in-plane"],
+        "vertical_casts_s": casts_s["vertical"],
     }
+
+
+class Timed:
+    """Embree's scene, each cast of which is timed."""
+
+    def __init__(self, scene: Any, tell: Callable[[float], None]) -> None:
+        self._scene, self._tell = scene, tell
+
+    def run(self, *args: Any, **kwargs: Any) -> Any:
+        """Cast all rays of a call."""
+        start = time.perf_counter()
+        found = self._scene.run(*args, **kwargs)
+        self._tell(time.perf_counter() - start)
+        return found
+
+
+@contextmanager
+def casts() -> Iterator[list[float]]:
+    """Time, s, of each call of Embree on scenes that are made in the block, whichever thread makes it."""
+    taken_s: list[float] = []
+    plain = Scene.__init__
+
+    def timed(scene: Scene, *mesh: Any) -> None:
+        plain(scene, *mesh)
+        scene._scene = Timed(scene._scene, taken_s.append)
+
+    with mock.patch.object(Scene, "__init__", timed):
+        yield taken_s
 
 
 def farthest_mm(found: Layers, exact: Layers, layer: int) -> float:

@@ -113,6 +113,16 @@ def _cross_check_s(figures: Figures) -> float | None:
     return None if slowest is None or compare_s is None else slowest + compare_s
 
 
+def _casts_s(name: str) -> Floor:
+    """Embree's own casts of the same rays, on all threads."""
+
+    def floor(figures: Figures) -> float | None:
+        found = figures.told("crossings", lambda answer: answer.get(name, np.nan))
+        return None if found is None or np.isnan(found.median) else found.median
+
+    return floor
+
+
 def _one(figures: Figures) -> float | None:
     """Proportion, or the library's own time."""
     return 1.0
@@ -130,6 +140,8 @@ FLOORS: Mapping[str, Floor] = {
     "growth": _one,
     "shuffled": _shuffled,
     "manifold": _one,
+    "embree": _casts_s("casts_s"),
+    "embree-vertical": _casts_s("vertical_casts_s"),
     "compare": _compare_s,
     "cross-check": _cross_check_s,
 }
