@@ -16,7 +16,7 @@ from benchmarks.ladder import QUICK, Effort, measure_ladder
 from benchmarks.machine import machine, renderer
 from benchmarks.parts import SERIES, TOP, BenchmarkPart, benchmark_part, sizes_of
 from benchmarks.scale import measure_scale
-from benchmarks.target_tasks import measure_demo, measure_targets
+from benchmarks.target_tasks import measure_job, measure_targets
 from benchmarks.watch import ROOT
 from ebamcheck.atomic_file import replacing
 
@@ -71,7 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             small = benchmark_part("even", min(parts.BASE_SIZE, top.size), top.layer_mm)
             raw["targets"][series] = measure_targets(top, small, effort, _note)
             write_reports(raw, file)
-        raw["demo"] = measure_demo(effort, _note)
+        raw["job"] = measure_job(effort, _note)
     write_reports(raw, file)
     _note(f"written: {output}")
     return 0
@@ -84,7 +84,7 @@ def write_reports(raw: dict[str, Any], file: Path) -> None:
     prefix = f"{file.stem}-" if gpu else ""
     if raw["parts"]:
         _write(folder / f"{prefix}ladder.md", tables.ladder_text(raw))
-    if (any(raw["targets"].values()) or raw["scale"]) and not gpu:
+    if (any(raw["targets"].values()) or raw["scale"] or raw.get("job")) and not gpu:
         _write(folder / "targets.md", tables.targets_text(raw))
     if raw["cells"]:
         _write(folder / f"{prefix}readme_table.md", tables.readme_text(raw))
@@ -181,7 +181,7 @@ def _empty(options: argparse.Namespace) -> dict[str, Any]:
         "parts": {},
         "cells": [],
         "targets": {},
-        "demo": [],
+        "job": {},
         "scale": [],
     }
 

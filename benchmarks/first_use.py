@@ -1,6 +1,7 @@
-"""``python -m benchmarks.first_use``: what a new install waits for: its kernels, its first slice, its first run.
+"""``python -m benchmarks.first_use``: what a new install waits for: its kernels, its first slice, its first run, the demo.
 
-Each command works in a copy of the sources without a compiled kernel, and once more when they are compiled.
+Each command works in a copy of the sources without a compiled kernel, and once more when they are compiled. ``demo`` is
+``make demo`` in a copy of the checkout's files, with all its set-up.
 """
 
 from __future__ import annotations
@@ -18,8 +19,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from benchmarks.machine import machine
-from benchmarks.parts import model_file
-from benchmarks.target_tasks import DEMO_REFERENCE_MM, DEMO_TOLERANCE_MM
+from benchmarks.parts import DEMO_REFERENCE_MM, DEMO_TOLERANCE_MM, model_file
 from benchmarks.watch import ROOT
 
 SOURCES = ("ebamcheck", "backends", "reference_models", "reports")
@@ -34,32 +34,51 @@ class Took(NamedTuple):
     """Of it and of all processes that it waited for; what compiles beside it is ended, not waited for."""
 
 
+COMMANDS = "warm", "slice", "run", "demo"
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure and print a table."""
     options = argparse.ArgumentParser(prog="python -m benchmarks.first_use", description=__doc__)
-    options.add_argument("--commands", default="warm,slice,run", help="of these, by comma")
+    options.add_argument("--commands", default=",".join(COMMANDS), help="of these, by comma")
     chosen = options.parse_args(arguments).commands.split(",")
-    part, fine = (model_file("blade", tolerance) for tolerance in (DEMO_TOLERANCE_MM, DEMO_REFERENCE_MM))
     here = machine()
     print(f"{here['cpu']}, {here['cores']} cores, load {here['load_at_start'][0]}, commit {here['commit']}\n")
     print("| command | first: wall, s | second: wall, s | first: processor, s | second: processor, s |")
     print("|---|---|---|---|---|")
+    for name in chosen:
+        first, second = first_use(name)
+        print(
+            f"| `{'make' if name == 'demo' else 'ebamcheck'} {name}` | {first.wall_s:.1f} | {second.wall_s:.1f} | "
+            f"{first.processor_s:.1f} | {second.processor_s:.1f} |",
+            flush=True,
+        )
+    return 0
+
+
+def first_use(name: str) -> tuple[Took, Took]:
+    """Run one of the commands twice, where nothing is compiled before."""
     with tempfile.TemporaryDirectory(prefix="ebamcheck-first-use-") as folder:
-        commands = {
+        copy = Path(folder, "copy")
+        if name == "demo":
+            _copy_checkout(copy)
+            make = ["make", "demo"]
+            # Set up from nothing, as in a new clone: nothing of this interpreter's environment.
+            env = {
+                key: value for key, value in os.environ.items() if key not in ("VIRTUAL_ENV", "PYTHONPATH")
+            }
+            return _timed(copy, make, env), _timed(copy, make, env)
+        part, fine = (model_file("blade", tolerance) for tolerance in (DEMO_TOLERANCE_MM, DEMO_REFERENCE_MM))
+        _copy_sources(copy)
+        arguments = {
             "warm": ["warm"],
             "slice": ["slice", str(part), "--layer-height", "5", "-o", f"{folder}/out.parquet"],
             "run": ["run", str(part), "--reference", str(fine), "--force", "-o", f"{folder}/run"],
-        }
-        for name in chosen:
-            copy = Path(folder, f"copy-{name}")
-            _copy_sources(copy)
-            first, second = (_timed(copy, commands[name]) for _ in range(2))
-            print(
-                f"| `ebamcheck {name}` | {first.wall_s:.1f} | {second.wall_s:.1f} | "
-                f"{first.processor_s:.1f} | {second.processor_s:.1f} |",
-                flush=True,
-            )
-    return 0
+        }[name]
+        command = [sys.executable, "-m", "ebamcheck", *arguments]
+        paths = [str(copy), *(str(copy / source) for source in SOURCES[1:])]
+        env = {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
+        return _timed(copy, command, env), _timed(copy, command, env)
 
 
 def _copy_sources(to: Path) -> None:
@@ -68,16 +87,19 @@ def _copy_sources(to: Path) -> None:
         shutil.copytree(ROOT / source, to / source, ignore=shutil.ignore_patterns(*COMPILED))
 
 
-def _timed(copy: Path, arguments: list[str]) -> Took:
-    paths = [str(copy), *(str(copy / source) for source in SOURCES[1:])]
+def _copy_checkout(to: Path) -> None:
+    """Copy what a clone of this checkout has: the files that git keeps, as they are."""
+    told = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True)
+    for name in filter(None, told.stdout.split("\0")):
+        target = to / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(ROOT / name, target)
+
+
+def _timed(copy: Path, command: list[str], env: dict[str, str]) -> Took:
     before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     subprocess.run(
-        [sys.executable, "-m", "ebamcheck", *arguments],
-        cwd=copy,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        check=True,
+        command, cwd=copy, env=env, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=True
     )
     wall_s = time.perf_counter() - start
     after = resource.getrusage(resource.RUSAGE_CHILDREN)

@@ -37,6 +37,9 @@ TOP = SIZES
 BASE_SIZE = 6
 """The size of some 38,000 facets, to which growth is related."""
 
+DEMO_TOLERANCE_MM, DEMO_REFERENCE_MM = 0.1, 0.005
+"""Of the demo part and its reference, as in the Makefile's target `demo`."""
+
 SHUFFLE_SEED = 4
 DIGEST_LETTERS = 8
 

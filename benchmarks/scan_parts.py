@@ -57,19 +57,28 @@ def layer_rows() -> list[dict[str, Any]]:
     return [row(f"{what}: set-up", ready - began, SETUP_S), row(f"{what}: plan", done - ready, PLAN_S)]
 
 
-def part_rows() -> list[dict[str, Any]]:
-    """Order and heat of all layers of a part."""
+def planned_layers() -> dict[str, Any]:
+    """Order and heat of all layers of a part: seconds and islands of each, from below."""
     model = models((PART,))[PART]
     low, high = model.bounds[:, 2]
     height_mm = (high - low) / LAYERS
     heights = height_mm * (np.arange(LAYERS) + 0.5)
     config = Config().changed(scan={"hexagon_side_mm": SIDE_MM}, layers={"layer_height_mm": float(height_mm)})
     sections = [layer_section(model.section(float(low + z))) for z in heights.tolist()]
-    began = time.perf_counter()
-    found = pd.DataFrame(scan_part(sections, heights, config, "thermal", config.scan.seed))
-    seconds = time.perf_counter() - began
-    what = f"{PART}, {LAYERS} layers of {found['islands'].min()} to {found['islands'].max()} islands"
-    return [row(f"{what}: order and heat", seconds, PART_S)]
+    seconds, islands, began = [], [], time.perf_counter()
+    for layer in scan_part(sections, heights, config, "thermal", config.scan.seed):
+        seconds.append(time.perf_counter() - began)
+        islands.append(int(layer["islands"]))
+        began += seconds[-1]
+    return {"status": "done", "why": "", "layer_s": seconds, "islands": islands}
+
+
+def part_rows() -> list[dict[str, Any]]:
+    """Order and heat of all layers of a part."""
+    found = planned_layers()
+    fewest, most = min(found["islands"]), max(found["islands"])
+    what = f"{PART}, {LAYERS} layers of {fewest} to {most} islands"
+    return [row(f"{what}: order and heat", sum(found["layer_s"]), PART_S)]
 
 
 def carry_rows() -> list[dict[str, Any]]:

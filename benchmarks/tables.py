@@ -10,7 +10,7 @@ from typing import Any
 from benchmarks import methods
 from benchmarks.figures import cell_times, find, first_times, is_scaled, layers_cut, peak_mb
 from benchmarks.spread import megabytes, quantity, seconds, spread_text
-from benchmarks.target_rows import demo_result, evaluate, scale_results
+from benchmarks.target_rows import evaluate, job_results, scale_results
 from benchmarks.targets import Figures, Result
 
 Raw = Mapping[str, Any]
@@ -94,7 +94,7 @@ def targets_text(raw: Raw) -> str:
     if results:
         rows = [_target_row(list(row), remarks) for row in zip(*results.values(), strict=True)]
         text += [markdown_table([*columns, "remark"], rows), ""]
-    alone = [demo_result(raw["demo"])] if raw.get("demo") else []
+    alone = job_results(raw["job"]) if raw.get("job") else []
     alone += scale_results(raw["scale"]) if raw.get("scale") else []
     if alone:
         text += [

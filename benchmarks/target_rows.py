@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from benchmarks import methods
 from benchmarks.figures import cell_times, find, ratio, total_s
 from benchmarks.floors import floor_of
@@ -26,10 +28,10 @@ def evaluate(figures: Figures) -> list[Result]:
     return [judged(target, figures, floor_of(target.key, figures)) for target in TARGETS]
 
 
-def demo_result(answers: Sequence[Raw]) -> Result:
-    """Hold the run on the demo part against its target."""
-    figures = Figures([], {"demo": answers}, {}, "", 0)
-    return judged(DEMO, figures)
+def job_results(answers: Mapping[str, Sequence[Raw]]) -> list[Result]:
+    """Hold the main job and the first use of a new install against their targets."""
+    figures = Figures([], answers, {}, "", 0)
+    return [judged(target, figures) for target in JOB]
 
 
 def scale_results(answers: Sequence[Raw]) -> list[Result]:
@@ -179,14 +181,39 @@ TARGETS: tuple[Target, ...] = (
     ),
 )  # fmt: skip
 
-DEMO = Target(
-    "demo",
-    "`ebamcheck run` on the demo part",
-    12.0,
-    "s",
-    lambda f: f.told("demo", lambda a: a["wall_s"]),
-    "demo",
-)
+
+def _layer_s(answer: Raw) -> float:
+    """Time a layer, once the first ones have brought everything up."""
+    return float(np.mean(answer["layer_s"][1:]))
+
+
+def _linear(answer: Raw) -> float:
+    """Time an island of the upper half of the layers over that of the lower half."""
+    seconds, islands = np.asarray(answer["layer_s"]), np.asarray(answer["islands"])
+    half = len(seconds) // 2
+    lower, upper = (seconds[part].sum() / islands[part].sum() for part in (slice(1, half), slice(half, None)))
+    return float(upper / lower)
+
+
+def _wall_s(answer: Raw) -> float:
+    return float(answer["wall_s"])
+
+
+JOB = (
+    Target("demo", "`ebamcheck run` on the demo part", 12.0, "s", lambda f: f.told("main job", _wall_s), "main job"),
+    Target(
+        "islands", "order and heat of a layer of 277 to 345 islands (1000 layers within 10 minutes: 0.6 s)", 0.6, "s",
+        lambda f: f.told("islands", _layer_s), "islands",
+    ),
+    Target(
+        "islands-linear", "the same, time an island in the upper half of 100 layers over that in the lower half", 1.1, "",
+        lambda f: f.told("islands", _linear), "islands",
+    ),
+    Target("warm", "`ebamcheck warm` of a new install", 60.0, "s", lambda f: f.told("warm", _wall_s), "warm"),
+    Target("first-slice", "first `ebamcheck slice` of a new install", 15.0, "s", lambda f: f.told("slice", _wall_s), "slice"),
+    Target("first-run", "first `ebamcheck run` of a new install, demo part, nothing compiled", None, "s", lambda f: f.told("run", _wall_s), "run"),
+    Target("make-demo", "`make demo` in a new clone, with all its set-up", 120.0, "s", lambda f: f.told("demo", _wall_s), "demo"),
+)  # fmt: skip
 
 SCALE = (
     Target(

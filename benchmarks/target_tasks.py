@@ -6,12 +6,15 @@ import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from benchmarks.first_use import COMMANDS, first_use
 from benchmarks.ladder import Effort, Note
 from benchmarks.methods import Method
-from benchmarks.parts import BenchmarkPart, model_file, shuffled
+from benchmarks.parts import DEMO_REFERENCE_MM, DEMO_TOLERANCE_MM, BenchmarkPart, model_file, shuffled
+from benchmarks.scan_parts import planned_layers
 from benchmarks.watch import run_task, watch
 from ebamcheck.pipeline.run_folder import RunFolder, is_run
 
@@ -21,8 +24,6 @@ UNION_SHARES = [0.05, 0.5]
 """Shares of the height over which shells overlap, to see that the union costs in proportion."""
 
 COMMAND_LIMIT_S = 1800.0
-DEMO_TOLERANCE_MM, DEMO_REFERENCE_MM = 0.1, 0.005
-"""As in the Makefile's target `demo`."""
 
 
 @dataclass(frozen=True)
@@ -43,9 +44,16 @@ def measure_targets(
     return in_turns(_tasks(part, small, effort), f"targets, {part.key}", note)
 
 
-def measure_demo(effort: Effort, note: Note) -> list[Raw]:
-    """Time ``ebamcheck run`` on the demo part."""
-    return in_turns([Task("demo", demo_run, effort.repeats)], "targets", note)["demo"]
+def measure_job(effort: Effort, note: Note) -> dict[str, list[Raw]]:
+    """Time the main job, its planning where layers are many, and what a new install waits for."""
+    first = [Task(name, partial(_first_use, name), 1) for name in COMMANDS]
+    tasks = [Task("main job", demo_run, effort.repeats), Task("islands", planned_layers, 1), *first]
+    return in_turns(tasks, "main job", note)
+
+
+def _first_use(name: str) -> Raw:
+    first, second = first_use(name)
+    return {"status": "done", "why": "", "wall_s": first.wall_s, "again_s": second.wall_s}
 
 
 def in_turns(tasks: Sequence[Task], title: str, note: Note) -> dict[str, list[Raw]]:

@@ -40,5 +40,5 @@ def raw_figures() -> dict[str, object]:
             cell("ladder-11", "stencil literal", 10.0, layers_cut=25), over("ladder-11", "slic3r"),
             {**cell("ladder-11", "cura"), "status": "missing", "why": "the program | is not installed"},
         ],
-        "targets": {"ladder": {}}, "demo": [], "scale": [],
+        "targets": {"ladder": {}}, "job": {}, "scale": [],
     }  # fmt: skip

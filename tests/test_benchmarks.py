@@ -96,11 +96,18 @@ def test_tables_mark_what_was_scaled_cut_short_or_missing():
 def test_the_table_of_targets_has_a_row_for_each():
     raw = raw_figures()
     raw["targets"] = {"ladder": {"cold": [{"status": "done", "why": "", "wall_s": 5.0}]}}
-    raw["demo"] = [{"status": "done", "why": "", "wall_s": 12.0}]
+    done = {"status": "done", "why": ""}
+    raw["job"] = {
+        "main job": [{**done, "wall_s": 12.0}],
+        "islands": [{**done, "layer_s": [9.0, 0.2, 0.6, 0.6], "islands": [10, 10, 10, 10]}],
+    }
     text = tables.targets_text(raw)
-    for target in (*target_rows.TARGETS, target_rows.DEMO):
+    for target in (*target_rows.TARGETS, *target_rows.JOB):
         assert f"| {target.what} |" in text
     assert "**missed**: 2.00 times the target" in text
+    # The first layer brings everything up: it counts in no row.
+    assert "| 467 ms | met |" in text
+    assert "| 3 | **missed**: 2.73 times the target |" in text
 
 
 def test_the_plot_is_one_picture_that_says_what_is_not_measured():
