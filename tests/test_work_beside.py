@@ -5,6 +5,7 @@ import threading
 from concurrent.futures import Future
 
 import pytest
+
 from ebamcheck.errors import InputError
 from ebamcheck.pipeline.work import one_beside
 
