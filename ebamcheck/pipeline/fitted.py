@@ -1,9 +1,9 @@
-"""The stage of the fit: curves by the chosen method, beside those of the others and against a reference."""
+"""The stage of the fit: curves by the chosen method, beside those of the others, and later against a reference."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +45,8 @@ class FitResult:
     """Points of the contours."""
     methods: Mapping[str, MethodFigures]
     """Figures by method; those of the chosen one are first."""
+    of_methods: Mapping[str, Curves] = field(repr=False)
+    """Curves by method; the chosen one's are first. None any more when they were held against the reference."""
 
     @property
     def curves(self) -> Curves:
@@ -52,8 +54,8 @@ class FitResult:
         return self.verdict.curves
 
 
-def fitted(job: Job, layers: Layers, error_bound_mm: float, fine: Part | None) -> FitResult:
-    """Fit the contours, and measure the fit, both against the reference where there is one."""
+def fitted(job: Job, layers: Layers, error_bound_mm: float) -> FitResult:
+    """Fit the contours, and measure the fit."""
     # What a slicer's own error makes of a contour, a staircase of pixels say, is no shape: no corners come of it.
     settings = job.config.curves
     settings = settings.model_copy(update={"collinear_mm": max(settings.collinear_mm, error_bound_mm)})
@@ -67,11 +69,21 @@ def fitted(job: Job, layers: Layers, error_bound_mm: float, fine: Part | None) -
             name: _figures(other, table if other is curves else fit_deviation(other, layers))
             for name, other in of_methods.items()
         }
-    if fine is not None:
-        with job.stage("reference", len(layers)):
-            verdict = replace(verdict, reference=_against_reference(job, layers, of_methods, fine))
     job.add_finding(*fit_evidence.findings(verdict))
-    return FitResult(verdict, table, len(layers.points), figures)
+    return FitResult(verdict, table, len(layers.points), figures, of_methods)
+
+
+def held_against(job: Job, layers: Layers, fit_result: FitResult, fine: Part | None) -> FitResult:
+    """The same fit with the errors of contours and curves against the reference, where there is one.
+
+    Nothing but the gate of the fit asks for it, so that it is worked out beside the program.
+    """
+    verdict = fit_result.verdict
+    if fine is not None:
+        with job.beside("reference"):
+            found = _against_reference(job, layers, fit_result.of_methods, fine)
+            verdict = replace(verdict, reference=found)
+    return replace(fit_result, verdict=verdict, of_methods={})
 
 
 def _other_fits(job: Job, layers: Layers, settings: CurveSettings) -> dict[str, Curves]:

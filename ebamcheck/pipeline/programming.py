@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -20,11 +20,11 @@ from ebamcheck.pipeline import gates, noticed
 from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.cross_check import CrossCheck
 from ebamcheck.pipeline.entry_program import Entry, write_entry
-from ebamcheck.pipeline.fitted import FitResult, fitted
+from ebamcheck.pipeline.fitted import FitResult, fitted, held_against
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.live_program import write_live
 from ebamcheck.pipeline.plate_record import plate_record
-from ebamcheck.pipeline.work import Job
+from ebamcheck.pipeline.work import Job, one_beside
 from ebamcheck.program import Check, mark_validated, program_summary, read_program, verify_program
 from ebamcheck.program.checking.deposit import Deposit, deposit
 from ebamcheck.program.checking.deposit_checks import deposit_checks
@@ -99,26 +99,28 @@ def make_program(
 ) -> ProgramResult:
     """Fit, partition, order, write, read back and verify."""
     config, layers = job.config, job.folder.read_layers(primary)
-    fit_result = fitted(job, layers, checked.outcomes[primary].error_bound_mm, fine)
+    fit_result = fitted(job, layers, checked.outcomes[primary].error_bound_mm)
     with job.stage("partition and order", len(layers)):
         smooth = smooth_layers(fit_result.curves)
         plan = plan_stack(smooth, config, progress=job.observer.advance)
         plan.to_parquet(job.folder.path / "scan.parquet")
         plan.metrics.to_csv(job.folder.path / "scan.csv", index=False)
     job.add_finding(*noticed.of_heat(plan, config))
-    with job.stage("program", 1):
+    # What asks for much arithmetic and little Python goes on beside the rest.
+    with job.stage("program", 1), one_beside() as aside:
+        with_reference = aside.submit(held_against, job, layers, fit_result, fine)
         beads = bead_paths(smooth, plan, config)
         beads.to_parquet(job.folder.path / "beads.parquet")
         path = planned_path(beads, plan, config)
-        totals = _write_events(job, path, plan)
+        summed = aside.submit(_write_events, job, path, plan)
         header = {"PART SHA-256": job.part.source_sha256 or job.part.sha256}
         own = control(config.machine.control)
         files: ProgramFiles = own.written(
             beads, plan, config, job.folder.program_folder, header=header, path=path
         )
-        proof = _verified(
-            job, files, _Made(beads, plan, path, layers, smooth), _witness(job, layers, checked.done)
-        )
+        made_from = _Made(beads, plan, path, layers, smooth)
+        proof = _verified(job, files, made_from, _witness(job, layers, checked.done), aside)
+        totals, fit_result = summed.result(), with_reference.result()
     made: tuple[Gate, ...] = (
         gates.fit_gate(fit_result.verdict),
         gates.coverage_gate(plan.metrics, config),
@@ -215,27 +217,25 @@ class _Made(NamedTuple):
     smooth: Layers
 
 
-def _verified(job: Job, files: ProgramFiles, made: _Made, witness: Layers) -> ProgramProof:
+def _verified(job: Job, files: ProgramFiles, made: _Made, witness: Layers, aside: Executor) -> ProgramProof:
     """Read the text of a program back and check it against what it was made from."""
     config = job.config
     program, _ = matched(read_program(files.main, config), made.path)
     job.add_finding(*noticed.of_seams(program, made.contours.heights, config))
-    # What asks for much arithmetic and little Python goes on beside the checks.
-    with ThreadPoolExecutor(1) as aside:
-        feeds = aside.submit(side_by_side, program, made.contours, config)
-        metal = aside.submit(_laid, job, program, witness)
-        times = aside.submit(build_times_s, program, config, known_sections(made.plan, witness))
-        checks = verify_program(
-            program,
-            config=config,
-            curves=made.beads,
-            plan=made.plan,
-            path=made.path,
-            layers=witness,
-            heat=True,
-            sha256=files.sha256,
-            smooth=made.smooth if config.curves.method in LIFTED else None,
-        )
+    feeds = aside.submit(side_by_side, program, made.contours, config)
+    metal = aside.submit(_laid, job, program, witness)
+    times = aside.submit(build_times_s, program, config, known_sections(made.plan, witness))
+    checks = verify_program(
+        program,
+        config=config,
+        curves=made.beads,
+        plan=made.plan,
+        path=made.path,
+        layers=witness,
+        heat=True,
+        sha256=files.sha256,
+        smooth=made.smooth if config.curves.method in LIFTED else None,
+    )
     job.add_finding(*noticed.of_limit(checks, made.plan, config))
     checks += _weighed(job, program, witness, metal.result())
     checks = told(checks, program, made.contours.heights, config.layer_height_mm, config.base_mm)

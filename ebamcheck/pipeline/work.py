@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -77,8 +78,25 @@ class Job:
     def stage(self, name: str, total: int) -> Iterator[None]:
         """Time a stage and tell the observer of it."""
         self.observer.stage(name, total)
+        compiled = compiling.seconds()
+        with self.beside(name):
+            yield
+        self.compile_s += compiling.seconds() - compiled
+
+    @contextmanager
+    def beside(self, name: str) -> Iterator[None]:
+        """Time what goes on beside a stage; kernels that are compiled meanwhile count for the stage alone."""
         start, compiled = time.perf_counter(), compiling.seconds()
         yield
-        compiled = compiling.seconds() - compiled
-        self.timings[name] = time.perf_counter() - start - compiled
-        self.compile_s += compiled
+        self.timings[name] = time.perf_counter() - start - (compiling.seconds() - compiled)
+
+
+@contextmanager
+def one_beside() -> Iterator[Executor]:
+    """One thread beside this one; where the block ends with an error or an interrupt, what has not begun is dropped."""
+    with ThreadPoolExecutor(1) as pool:
+        try:
+            yield pool
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise

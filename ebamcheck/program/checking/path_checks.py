@@ -217,7 +217,7 @@ def _same_parameters(nc: NCProgram, rows: Ints, spans: FittedSpans, count: int) 
     alike[spans.ring[span_pick][~same_kind]] = False
     distance = np.full(rows.size, np.nan)
     t = np.linspace(0.0, 1.0, spans.points.shape[1])
-    at = nc.evaluate(np.repeat(rows[pick], t.size), np.tile(t, pick.size)).reshape(-1, t.size, 2)
+    at = nc.evaluate(rows[pick], t[None])
     distance[pick] = np.linalg.norm(at - spans.points[span_pick], axis=2).max(axis=1, initial=0.0)
     return distance, alike
 
@@ -244,8 +244,7 @@ def _shape_distance(nc: NCProgram, rows: Ints, fitted: Floats) -> Floats:
     if not len(fitted):
         return np.full(rows.size, np.inf)
     samples = SAMPLES if (nc.kind[rows] == STRAIGHT).all() else fitted.shape[1]
-    t = np.tile(np.linspace(0.0, 1.0, samples), rows.size)
-    return shape_distance(nc.evaluate(np.repeat(rows, samples), t).reshape(-1, samples, 2), fitted)
+    return shape_distance(nc.evaluate(rows, np.linspace(0.0, 1.0, samples)[None]), fitted)
 
 
 # -- hatch -----------------------------------------------------------------------------------------

@@ -2,29 +2,76 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ebamcheck.curves.nearest import boxed, nearest
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
 
+CLOSER = 1.0 - 1e-9
+"""Share of a square under which a distance is the smaller one, however both are rounded."""
+
+MOST_STEPS = 16
+"""Segments that are walked along from one place to the next; what is farther is looked for."""
+
 
 @kernel
-def _nearest_segments(places: Floats, polyline: Floats) -> tuple[Ints, Floats]:
-    """Nearest segment (n,) of a polyline to each place, and its distance (n,)."""
+def _farthest(places: Floats, polyline: Floats, known_mm: float) -> tuple[Ints, Floats]:
+    """Nearest segment (n,) of a polyline to each place and its distance (n,), for the farthest places.
+
+    Both follow the same way, so that the segment near a place is a step or two from that of the place before. A place
+    that is nearer to it than another one is to the polyline, or than `known_mm`, is not the farthest: what was found of
+    it is enough, and no nearer segment is looked for.
+    """
     ring = boxed(polyline)
     segment = np.zeros(len(places), np.int64)
     away = np.empty(len(places))
-    guess = 0
+    guess, most = 0, known_mm
     for i in range(len(places)):
+        guess, square = _followed(polyline, guess, places[i, 0], places[i, 1])
+        segment[i], away[i] = guess, math.sqrt(square)
+        if square < CLOSER * most * most:
+            continue
         found = nearest(ring, places[i, 0], places[i, 1], guess)
         guess = found.segment
         segment[i], away[i] = found.segment, found.distance
+        most = max(most, found.distance)
     return segment, away
 
 
+@kernel
+def _followed(polyline: Floats, start: int, x: float, y: float) -> tuple[int, float]:
+    """Segment up to which a polyline comes nearer to a place from `start` on, else down from it; square of its distance."""
+    segment, square = start, _square(polyline, start, x, y)
+    for step in (1, -1):
+        for _ in range(MOST_STEPS):
+            there = np.inf
+            if 0 <= segment + step < len(polyline) - 1:
+                there = _square(polyline, segment + step, x, y)
+            if not there <= square:
+                break
+            segment, square = segment + step, there
+        if segment != start:
+            break
+    return segment, square
+
+
+@kernel
+def _square(polyline: Floats, i: int, x: float, y: float) -> float:
+    """Square of the distance of a place from a segment."""
+    ux, uy = polyline[i + 1, 0] - polyline[i, 0], polyline[i + 1, 1] - polyline[i, 1]
+    px, py = x - polyline[i, 0], y - polyline[i, 1]
+    length = ux * ux + uy * uy
+    t = np.true_divide(px * ux + py * uy, length) if length > 0.0 else 0.0
+    t = min(max(t, 0.0), 1.0)
+    dx, dy = px - t * ux, py - t * uy
+    return float(dx * dx + dy * dy)
+
+
 def shape_distance(driven: Floats, wanted: Floats) -> Floats:
-    """Largest distance between two paths, both ways, for each motion of the first.
+    """Largest distance between two paths, both ways, at the motion of the first where it is.
 
     Parameters
     ----------
@@ -35,11 +82,12 @@ def shape_distance(driven: Floats, wanted: Floats) -> Floats:
 
     Returns
     -------
-    (A,) distance of the motion from the other path, and of what lies nearest to the motion there.
+    (A,) distance of the motion from the other path, and of what lies nearest to the motion there: exact for the largest,
+    and no more than that for the others.
     """
     path, target = np.ascontiguousarray(driven).reshape(-1, 2), np.ascontiguousarray(wanted).reshape(-1, 2)
-    _, away = _nearest_segments(path, target)
+    _, away = _farthest(path, target, 0.0)
     result = away.reshape(len(driven), -1).max(axis=1)
-    segment, missed = _nearest_segments(target, path)
+    segment, missed = _farthest(target, path, float(result.max(initial=0.0)))
     np.maximum.at(result, segment // driven.shape[1], missed)
     return np.asarray(result)

@@ -68,5 +68,9 @@ def _ways(nc: NCProgram, lines: list[list[bytes]]) -> list[tuple[str, str]]:
 
 def _absent(line: bytes) -> list[str]:
     """Axes of the plane that a block does not name."""
-    code = _ASIDE.sub(b"", line).upper()
+    if b";" in line or b"(" in line:
+        line = _ASIDE.sub(b"", line)
+    code = line.upper()
+    if b"X" in code and b"Y" in code:
+        return []
     return [axis for axis in "XY" if axis.encode() not in code]

@@ -151,19 +151,25 @@ class NCProgram:
         return np.asarray(self.beam & (self.kind != RAPID))
 
     def evaluate(self, rows: Ints, t: Floats) -> Floats:
-        """Positions X, Y (n, 2) at parameters `t` (n,) of the motions `rows` (n,)."""
-        c = self.coefficients[rows]
-        t_ = t[:, None]
-        points = ((c[:, :, 3] * t_ + c[:, :, 2]) * t_ + c[:, :, 1]) * t_ + c[:, :, 0]
+        """Positions X, Y (n, 2) at parameters `t` (n,) of the motions `rows` (n,), or (n, m, 2) at the same `t` (1, m) of each."""
+        each = t if t.ndim > 1 else t[:, None]
+        coefficients = self.coefficients[rows]
+        points = np.empty((rows.size, each.shape[1], 2))
+        for axis in (0, 1):
+            c = [coefficients[:, axis, power, None] for power in range(4)]
+            points[:, :, axis] = ((c[3] * each + c[2]) * each + c[1]) * each + c[0]
         round_ = np.flatnonzero(self.kind[rows] == ARC)
         if round_.size:
             r = rows[round_]
-            centre, turn = self.arc[r, :2], self.arc[r, 2] * t[round_]
-            spoke = self.start[r, :2] - centre
+            centre, turn = (
+                self.arc[r, :2, None],
+                self.arc[r, 2, None] * (each if len(each) == 1 else each[round_]),
+            )
+            spoke = self.start[r, :2, None] - centre
             cos, sin = np.cos(turn), np.sin(turn)
-            points[round_, 0] = centre[:, 0] + cos * spoke[:, 0] - sin * spoke[:, 1]
-            points[round_, 1] = centre[:, 1] + sin * spoke[:, 0] + cos * spoke[:, 1]
-        return np.asarray(points)
+            points[round_, :, 0] = centre[:, 0] + cos * spoke[:, 0] - sin * spoke[:, 1]
+            points[round_, :, 1] = centre[:, 1] + sin * spoke[:, 0] + cos * spoke[:, 1]
+        return points if t.ndim > 1 else points[:, 0]
 
     @cached_property
     def lengths(self) -> Floats:
