@@ -1,0 +1,46 @@
+"""Runs whose slicers cut in this process: for tests of what comes before and after the layers.
+
+A worker takes a second to come up; that the layers are the same bytes without one is told by `test_start_up.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from ebamcheck.pipeline import cross_check
+from ebamcheck.slicers.here import cut_here
+from ebamcheck.slicers.isolation import DEFAULT_LIMITS, slice_all
+
+
+def cut_all_here(
+    part,
+    heights,
+    backends,
+    target,
+    limits=DEFAULT_LIMITS,
+    progress=None,
+    finished=None,
+    borders=None,
+    *_,
+    **__,
+):
+    """What :func:`slice_all` gives, of backends that do not crash."""
+    blocks = np.array([0, len(heights)]) if borders is None else borders
+    found = {n: cut_here(part, heights, n, chosen, target, limits, blocks) for n, chosen in backends.items()}
+    for outcome in found.values():
+        if finished is not None:
+            finished(outcome)
+    return found
+
+
+@contextmanager
+def slicers_here() -> Iterator[None]:
+    """Have the runs of this process cut here while the block runs."""
+    with pytest.MonkeyPatch.context() as patch:
+        assert cross_check.slice_all is slice_all
+        patch.setattr(cross_check, "slice_all", cut_all_here)
+        yield
