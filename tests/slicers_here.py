@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 
 from ebamcheck.pipeline import cross_check
+from ebamcheck.slicers import worker_pool
 from ebamcheck.slicers.here import cut_here
-from ebamcheck.slicers.isolation import DEFAULT_LIMITS, slice_all
+from ebamcheck.slicers.isolation import DEFAULT_LIMITS
+from ebamcheck.slicers.worker_pool import WorkerPool
 
 
 def cut_all_here(
@@ -41,6 +43,7 @@ def cut_all_here(
 def slicers_here() -> Iterator[None]:
     """Have the runs of this process cut here while the block runs."""
     with pytest.MonkeyPatch.context() as patch:
-        assert cross_check.slice_all is slice_all
         patch.setattr(cross_check, "slice_all", cut_all_here)
+        # A command starts them ahead.
+        patch.setattr(worker_pool, "WorkerPool", lambda _ahead=(): WorkerPool())
         yield
