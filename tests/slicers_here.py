@@ -11,7 +11,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from ebamcheck.pipeline import cross_check
+from ebamcheck.pipeline import cross_check, slab_slicing
 from ebamcheck.slicers import worker_pool
 from ebamcheck.slicers.here import cut_here
 from ebamcheck.slicers.isolation import DEFAULT_LIMITS
@@ -43,7 +43,9 @@ def cut_all_here(
 def slicers_here() -> Iterator[None]:
     """Have the runs of this process cut here while the block runs."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(cross_check, "slice_all", cut_all_here)
+        for module in (cross_check, slab_slicing):
+            patch.setattr(module, "slice_all", cut_all_here)
         # A command starts them ahead.
-        patch.setattr(worker_pool, "WorkerPool", lambda _ahead=(): WorkerPool())
+        for module in (worker_pool, slab_slicing):
+            patch.setattr(module, "WorkerPool", lambda _ahead=(): WorkerPool())
         yield
