@@ -49,3 +49,10 @@ def slicers_here() -> Iterator[None]:
         for module in (worker_pool, slab_slicing):
             patch.setattr(module, "WorkerPool", lambda _ahead=(): WorkerPool())
         yield
+
+
+@pytest.fixture(scope="module", autouse=True)
+def runs_cut_here() -> Iterator[None]:
+    """The same for all tests of a file that takes this name over."""
+    with slicers_here():
+        yield

@@ -10,7 +10,7 @@ import pytest
 from command_line import ebamcheck
 from live_boxes import failed_checks, maker_of, run_of_box
 from measured_surfaces import SIZE, level_metal, map_of, surface_of, write_csv
-from slicers_here import slicers_here
+from slicers_here import runs_cut_here as runs_cut_here
 
 from ebamcheck.live.building import Building
 from ebamcheck.live.desk import answer_to
@@ -21,12 +21,6 @@ from ebamcheck.live.making import Wanted
 from ebamcheck.live.publishing import LAYERS, read_current
 from ebamcheck.program import read_program
 from ebamcheck.program.checking.deposit import deposit
-
-
-@pytest.fixture(scope="module", autouse=True)
-def cut_here():
-    with slicers_here():
-        yield
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from command_line import FAST, ebamcheck, write_stl
 from nc_stack import make_plan, stack
 from scipy.integrate import quad_vec
 from scipy.stats import kendalltau
-from slicers_here import slicers_here
+from slicers_here import runs_cut_here as runs_cut_here
 from typer.testing import CliRunner
 
 from ebamcheck.commands.command_group import guarded
@@ -40,12 +40,6 @@ from ebamcheck.settings.config import Config
 needs_thesis = pytest.mark.skipif(THESIS.find() is None, reason=f"3DThesis is not installed; {THESIS.hint}")
 
 SECTION = shapely.box(0, 0, 90, 60)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def cut_here():
-    with slicers_here():
-        yield
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from command_line import FAST, ebamcheck, write_stl
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from parts import box
-from slicers_here import slicers_here
+from slicers_here import runs_cut_here as runs_cut_here
 
 from ebamcheck.heat.melting import melting_heat_j_kg
 from ebamcheck.live.building import Building
@@ -34,12 +34,6 @@ NARROW = "[process]\nwire_speed_min_mm_s = 33.0\nwire_speed_max_mm_s = 60.0\n"
 """A feeder that has wire for layers of 1.54 to 2.79 mm at the feed of the process."""
 
 MELT_J_KG = melting_heat_j_kg(Config())
-
-
-@pytest.fixture(scope="module", autouse=True)
-def cut_here():
-    with slicers_here():
-        yield
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import shapely
 from command_line import FAST, ebamcheck, write_stl
 from parts import box
 from planted_faults import Text
-from slicers_here import slicers_here
+from slicers_here import runs_cut_here as runs_cut_here
 
 from ebamcheck.live.heat_so_far import HeatSoFar, heat_under
 from ebamcheck.live.loading import finished_run
@@ -28,12 +28,6 @@ SECTION = shapely.box(0, 0, 150, 150)
 UPPER = "MAIN_K0002R1"
 SUB = f"{UPPER}_L0001.SPF"
 RISE_S = 0.2
-
-
-@pytest.fixture(scope="module", autouse=True)
-def cut_here():
-    with slicers_here():
-        yield
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from parts import box
 from planted_faults import Text
-from slicers_here import slicers_here
+from slicers_here import runs_cut_here as runs_cut_here
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.heat import Medium
@@ -37,12 +37,6 @@ SCAN, MAIN = "MAIN_P0001.SPF", "MAIN.MPF"
 def config_of(process=None, machine=None, **preheat):
     given = {"when": "plate", "defocus": 20.0, "current_ma": 10.0, **preheat}
     return Config().changed(preheat=given, machine=MACHINE | (machine or {}), process=process or {})
-
-
-@pytest.fixture(scope="module", autouse=True)
-def cut_here():
-    with slicers_here():
-        yield
 
 
 @pytest.fixture(scope="module")
