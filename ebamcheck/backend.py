@@ -11,14 +11,16 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import ClassVar, Literal, Protocol, Self, runtime_checkable
+from typing import TYPE_CHECKING, ClassVar, Literal, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
-from ebamcheck.layers.stack import Layers
-from ebamcheck.mesh.part import Part
+if TYPE_CHECKING:
+    # Who asks a plugin what it is waits for no compiler of kernels.
+    from ebamcheck.layers.stack import Layers
+    from ebamcheck.mesh.part import Part
 
 Progress = Callable[[int], None]
 """Called with the number of layers finished since the last call."""

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from command_line import FAST, WIDE, frame, write_stl
 from parts import box
+from slicers_here import slicers_here
 
 from ebamcheck.errors import ExitCode
 from ebamcheck.pipeline import RunResult, run_job
@@ -46,11 +47,12 @@ def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path],
 
 def certified_plate(factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """Folder of a validated run of a plate with a hole, and the part's file."""
-    folder = made_once(
-        factory,
-        "certified",
-        lambda at: run_job(write_stl(frame(), at / "frame.stl"), at / "frame.run", FOUR_MM),
-    )
+
+    def make(at: Path) -> None:
+        with slicers_here():
+            run_job(write_stl(frame(), at / "frame.stl"), at / "frame.run", FOUR_MM)
+
+    folder = made_once(factory, "certified", make)
     return folder / "frame.run", folder / "frame.stl"
 
 
@@ -69,7 +71,8 @@ def thin_plate(factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
     def make(at: Path) -> None:
         path = write_stl(box((0, 0, 0), (40, 2.0, 8)), at / "thin.stl")
-        assert run_job(path, at / "thin.run", FOUR_MM).exit_code is ExitCode.OUT_OF_TOLERANCE
+        with slicers_here():
+            assert run_job(path, at / "thin.run", FOUR_MM).exit_code is ExitCode.OUT_OF_TOLERANCE
 
     folder = made_once(factory, "thin", make)
     return folder / "thin.run", folder / "thin.stl"

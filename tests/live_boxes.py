@@ -10,6 +10,7 @@ import pytest
 from command_line import FAST, ebamcheck, write_stl
 from finished_runs import made_once
 from parts import box
+from slicers_here import slicers_here
 
 from ebamcheck.live.loading import finished_run
 from ebamcheck.live.making import LayerMaker
@@ -23,7 +24,8 @@ def run_of_box(factory: pytest.TempPathFactory, size_mm: tuple[float, float, flo
 
     def make(at: Path) -> None:
         write_stl(box(upper=size_mm), at / "box.stl")
-        done = ebamcheck("run", "box.stl", "-o", "box.run", "--backends", FAST, cwd=at)
+        with slicers_here():
+            done = ebamcheck("run", "box.stl", "-o", "box.run", "--backends", FAST, cwd=at)
         assert done.returncode == 0, done.stderr
 
     return made_once(factory, "live-" + "x".join(f"{side:g}" for side in size_mm), make)

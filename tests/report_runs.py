@@ -12,6 +12,7 @@ import pytest
 from command_line import WIDE
 from finished_runs import made_once
 from parts import box, join, moved, sphere
+from slicers_here import slicers_here
 
 from ebamcheck.json_values import write_json
 from ebamcheck.mesh.part import Part
@@ -39,7 +40,8 @@ def run(part: Part, folder: Path, height_mm: float, fine: Part | None = None, **
     source = write_stl(part, folder / "part & <co>.stl")
     reference = write_stl(fine, folder / "fine.stl") if fine is not None else None
     config = Config().changed(layers={"layer_height_mm": height_mm}, process=WIDE).changed(**sections)
-    return run_job(source, folder / "run", config, reference).folder
+    with slicers_here():
+        return run_job(source, folder / "run", config, reference).folder
 
 
 def render(folder: RunFolder) -> tuple[str, ElementTree.Element, ElementTree.Element]:

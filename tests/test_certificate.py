@@ -10,6 +10,7 @@ import pytest
 from command_line import write_stl
 from finished_runs import FOUR_MM, certified_plate
 from parts import box
+from slicers_here import slicers_here
 
 from ebamcheck.errors import InputError
 from ebamcheck.json_values import (
@@ -319,7 +320,8 @@ def block(tmp_path_factory):
     """A run of a solid block, which has long hatch lines, without a certificate."""
     folder = tmp_path_factory.mktemp("block")
     path = write_stl(box((0, 0, 0), (90, 70, 8)), folder / "block.stl")
-    return run_job(path, folder / "block.run", FOUR_MM).folder.path, path
+    with slicers_here():
+        return run_job(path, folder / "block.run", FOUR_MM).folder.path, path
 
 
 @pytest.mark.parametrize("nth", [0, 2, 6])

@@ -16,9 +16,9 @@ from ebamcheck.settings.text import as_toml
 
 KEYS = [
     (name, key)
-    for name in Config.model_fields
-    for key, info in type(getattr(Config(), name)).model_fields.items()
-    if key in tomllib.loads(as_toml(Config()))[name]
+    for name, section in tomllib.loads(as_toml(Config())).items()
+    for key in type(getattr(Config(), name)).model_fields
+    if key in section
 ]
 
 OURS = """# mine

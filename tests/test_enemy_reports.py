@@ -22,7 +22,8 @@ WRITERS = {
     "clears": "import shutil; shutil.rmtree(run.path)",
     "forges": "(run.path / 'run.json').write_text('{}'); (run.path / 'certificate.json').write_text('{}')",
     "links": "import os; os.symlink('/etc/passwd', run.path / 'link.txt')",
-    "good": "(run.path / 'mine').mkdir(); (run.path / 'mine' / 'good.txt').write_text(run.manifest()['job'])",
+    "good": "(run.path / 'mine').mkdir(); (run.path / 'mine' / 'good.txt').write_text(run.manifest()['job']); "
+    "import sys; (run.path / 'mine' / 'loaded.txt').write_text(' '.join(sys.modules))",
 }
 """Bodies of report writers."""
 
@@ -56,6 +57,11 @@ def test_a_run_among_enemies_is_whole_and_honest(writers, tmp_path):
         assert sha256_of_file(folder / name) == digest, name
     assert (folder / "report.html").is_file()
     assert (folder / "mine" / "good.txt").read_text() == "check"
+    loaded = set((folder / "mine" / "loaded.txt").read_text().split())
+    assert "ebamcheck.pipeline.run_folder" in loaded
+    assert loaded.isdisjoint({"ebamcheck.program", "ebamcheck.scan", "pandas"}), (
+        "a writer waits for no planning"
+    )
     assert not {"link.txt", "certificate.json"} & {file.name for file in folder.iterdir()}
     for said in (
         "'exits' of writers 1 was lost: it ended the process with code 0",

@@ -8,6 +8,7 @@ import shutil
 import pytest
 from command_line import write_stl
 from parts import box, join
+from slicers_here import slicers_here
 
 from benchmarks.faults.judging import reseal
 from benchmarks.faults.subjects import CONTROLS, SUBJECTS
@@ -30,7 +31,8 @@ def made(tmp_path_factory):
     def run(control):
         if control not in known:
             config = SUBJECTS["cube"].config(control)
-            known[control] = run_job(part, folder / control, config, from_layer=2), part
+            with slicers_here():
+                known[control] = run_job(part, folder / control, config, from_layer=2), part
         return known[control]
 
     return run
@@ -94,7 +96,8 @@ def test_a_layer_without_beads_is_no_entry_and_shuts_the_gate(tmp_path):
     part = write_stl(gap, tmp_path / "gap.stl")
     config = SUBJECTS["cube"].config(PLAIN)
     config = config.changed(layers={"heights_mm": (0.75, 2.25, 4.5, 6.75, 8.25)})
-    result = run_job(part, tmp_path / "run", config, from_layer=3)
+    with slicers_here():
+        result = run_job(part, tmp_path / "run", config, from_layer=3)
     gates = {gate.name: gate for gate in result.gates}
     assert not gates["entry"].passed
     assert result.exit_code is ExitCode.OUT_OF_TOLERANCE

@@ -6,6 +6,7 @@ import re
 
 import numpy as np
 import pytest
+from slicers_here import slicers_here
 
 from benchmarks.faults import quick, tables
 from benchmarks.faults.__main__ import SEED
@@ -26,7 +27,8 @@ MISSED = quick.known_misses()
 
 @pytest.fixture(scope="module")
 def workshop(tmp_path_factory):
-    return Workshop(tmp_path_factory.mktemp("faults"))
+    with slicers_here():
+        yield Workshop(tmp_path_factory.mktemp("faults"))
 
 
 # -- the list of faults --------------------------------------------------------------------------------

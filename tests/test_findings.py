@@ -18,6 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from nc_stack import make_curves, make_plan
 from parts import box, moved
+from slicers_here import slicers_here
 
 from ebamcheck.commands.summaries import run_summary
 from ebamcheck.errors import ExitCode
@@ -251,7 +252,8 @@ def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("made")
     path = write_stl(frame(), folder / "frame.stl")
     thick = {"layer_height_mm": 6.0}
-    return run_job(path, folder / "frame.run", Config().changed(layers=thick, slicing=FAST, process=WIDE))
+    with slicers_here():
+        return run_job(path, folder / "frame.run", Config().changed(layers=thick, slicing=FAST, process=WIDE))
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ import pytest
 from command_line import ebamcheck
 from live_boxes import failed_checks, maker_of, run_of_box
 from measured_surfaces import SIZE, level_metal, map_of, surface_of, write_csv
+from slicers_here import runs_cut_here as runs_cut_here
 
 from ebamcheck.live.building import Building
 from ebamcheck.live.desk import answer_to

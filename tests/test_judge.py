@@ -16,6 +16,7 @@ from command_line import FAST, ebamcheck, write_stl
 from nc_stack import make_plan, stack
 from scipy.integrate import quad_vec
 from scipy.stats import kendalltau
+from slicers_here import runs_cut_here as runs_cut_here
 from typer.testing import CliRunner
 
 from ebamcheck.commands.command_group import guarded

@@ -9,6 +9,7 @@ from command_line import FAST, ebamcheck, write_stl
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from parts import box
+from slicers_here import runs_cut_here as runs_cut_here
 
 from ebamcheck.heat.melting import melting_heat_j_kg
 from ebamcheck.live.building import Building

@@ -8,10 +8,11 @@ import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
-from command_line import FAST, ebamcheck, frame, write_stl
+from command_line import FAST, WIDE_TOML, ebamcheck, frame, started, write_stl
 from finished_runs import THICK, plate_of_every_slicer, plate_of_two_layers
 from parts import box, join, moved, sphere
 from pipeline_runs import SETTINGS, Listener, contents, gates, untimed
+from slicers_here import slicers_here
 
 from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.json_values import sha256_of_file
@@ -59,6 +60,13 @@ def test_the_record_names_every_file_and_its_hash(plate):
     assert not list(folder.parent.glob(".*"))
 
 
+@pytest.fixture
+def cut_here():
+    with slicers_here():
+        yield
+
+
+@pytest.mark.usefixtures("cut_here")
 def test_a_sphere_is_validated(tmp_path):
     result = run_job(write_stl(sphere(20.0), tmp_path / "ball.stl"), tmp_path / "ball.run", SETTINGS)
     assert result.exit_code is ExitCode.PASS, gates(result)
@@ -68,13 +76,15 @@ def test_a_sphere_is_validated(tmp_path):
     assert ((lost > 0) & (lost < 2 * np.pi * 20.0 * inside_mm)).all()
 
 
-def test_runs_differ_in_timings_alone(tmp_path):
+def test_runs_differ_in_timings_alone(tmp_path, monkeypatch):
     write_stl(sphere(12.0, 24, 48), tmp_path / "ball.stl")
     (tmp_path / "ebamcheck.toml").write_text(
-        f"slicing.backends = {FAST.split(',')}\nscan.annealing_steps = 1000"
+        f"slicing.backends = {FAST.split(',')}\nscan.annealing_steps = 1000\nlayers.layer_height_mm = 4.0\n{WIDE_TOML}"
     )
-    for threads in ("1", "2"):
-        done = ebamcheck("run", "ball.stl", "-o", threads, cwd=tmp_path, EBAMCHECK_THREADS=threads)
+    # One as a process of its own, with other hashes of texts, the other in this one.
+    monkeypatch.setenv("EBAMCHECK_THREADS", "2")
+    other = started("run", "ball.stl", "-o", "1", cwd=tmp_path, EBAMCHECK_THREADS="1")
+    for done in (other, ebamcheck("run", "ball.stl", "-o", "2", cwd=tmp_path)):
         assert done.returncode == 0, done.stdout + done.stderr
     assert contents(tmp_path / "1") == contents(tmp_path / "2")
     assert untimed(tmp_path / "1") == untimed(tmp_path / "2")
@@ -90,9 +100,10 @@ def test_all_backends_give_the_same_bytes_again(tmp_path):
     assert untimed(tmp_path / "1") == untimed(tmp_path / "2")
 
 
+@pytest.mark.usefixtures("cut_here")
 def test_inside_out_is_named_and_turned_over_when_asked(tmp_path):
     path = write_stl(from_arrays(frame().vertices, frame().faces[:, ::-1], "in"), tmp_path / "in.stl")
-    result = run_job(path, tmp_path / "in.run", SETTINGS)
+    result = check_job(path, tmp_path / "in.run", SETTINGS)
     assert result.exit_code is ExitCode.OUT_OF_TOLERANCE
     assert "inside-out" in result.manifest["gates"][0]["text"]
     assert result.manifest["comparison"]["verdicts"] == {"empty": 2}
@@ -114,6 +125,7 @@ def test_inside_out_is_named_and_turned_over_when_asked(tmp_path):
     ],
     ids=["thin", "one-layer", "listed", "far", "tiny", "gap"],
 )  # fmt: skip
+@pytest.mark.usefixtures("cut_here")
 @pytest.mark.filterwarnings("ignore:.*check the unit")
 def test_parts_at_the_edge(tmp_path, part, layers, areas, shut):
     path = write_stl(part, tmp_path / "part.stl")
@@ -131,6 +143,7 @@ def test_parts_at_the_edge(tmp_path, part, layers, areas, shut):
     assert result.exit_code is (ExitCode.OUT_OF_TOLERANCE if shut else ExitCode.PASS)
 
 
+@pytest.mark.usefixtures("cut_here")
 def test_units_and_direction(tmp_path):
     path = write_stl(moved(frame(), np.eye(3) * 1e-3), tmp_path / "metres.stl")
     for direction, areas in (
@@ -141,7 +154,7 @@ def test_units_and_direction(tmp_path):
         settings = SETTINGS.changed(
             part={"units": "m", "direction": direction}, layers={"layer_height_mm": height}
         )
-        result = run_job(path, tmp_path / "m.run", settings, force=True)
+        result = check_job(path, tmp_path / "m.run", settings, force=True)
         assert result.folder.read_layers("planecut").areas() == pytest.approx(areas, rel=1e-4)
         assert gates(result)["agreement"]
         assert result.manifest["part"]["direction"] == list(direction)
@@ -157,6 +170,7 @@ def test_heights_beside_the_part_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize(("solidus_k", "pause_s", "told"), [(310.0, 0.0, True), (1877.0, 600.0, False)])
+@pytest.mark.usefixtures("cut_here")
 def test_layers_too_hot_for_the_heat_model_are_told(tmp_path, solidus_k, pause_s, told):
     listener = Listener()
     settings = SETTINGS.changed(material={"solidus_k": solidus_k}, process={"layer_pause_s": pause_s})
@@ -257,11 +271,11 @@ def test_the_size_of_blocks_changes_nothing(tmp_path):
     assert small["backends"] == large["backends"]
 
 
-def test_witnesses_join_where_they_are_asked_for(tmp_path):
+def test_witnesses_join_where_they_are_asked_for(tmp_path, tmp_path_factory):
     path = write_stl(frame(), tmp_path / "a.stl")
-    alone = check_job(path, tmp_path / "a.run", SETTINGS)
+    alone = RunFolder(plate_of_two_layers(tmp_path_factory))
     both = check_job(path, tmp_path / "b.run", SETTINGS.changed(slicing={"witnesses": ("trimesh",)}))
-    assert set(alone.manifest["backends"]) == {"planecut", "manifold"}
+    assert set(alone.manifest()["backends"]) == {"planecut", "manifold"}
     assert set(both.manifest["backends"]) == {"planecut", "manifold", "trimesh"}
     assert both.exit_code == ExitCode.PASS
     assert len(both.manifest["comparison"]["pairs"]) == 3

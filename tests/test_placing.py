@@ -12,6 +12,7 @@ import pytest
 import shapely
 from command_line import FAST, WIDE, frame, write_stl
 from parts import box, sphere
+from slicers_here import slicers_here
 
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.mesh.part_source import read_part, read_reference, source_sha256
@@ -249,7 +250,8 @@ def test_every_point_belongs_to_the_part_whose_outline_is_nearest(tmp_path):
 def built(tmp_path_factory):
     folder = tmp_path_factory.mktemp("plate")
     path = plate_file(folder, PLATE)
-    return path, run_job(path, folder / "plate.run", SETTINGS)
+    with slicers_here():
+        return path, run_job(path, folder / "plate.run", SETTINGS)
 
 
 def test_a_plate_is_validated_and_every_part_has_its_entry(built):

@@ -8,6 +8,7 @@ import shapely
 from command_line import FAST, ebamcheck, write_stl
 from parts import box
 from planted_faults import Text
+from slicers_here import runs_cut_here as runs_cut_here
 
 from ebamcheck.live.heat_so_far import HeatSoFar, heat_under
 from ebamcheck.live.loading import finished_run

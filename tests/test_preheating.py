@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from parts import box
 from planted_faults import Text
+from slicers_here import runs_cut_here as runs_cut_here
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.heat import Medium

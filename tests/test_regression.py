@@ -9,21 +9,25 @@ from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 from fake_distribution import found_here, install
 from regression_plugin import ALLOWED_MM, BOUND_MM, ROUGH_MM
 
 from ebamcheck.commands.regress import regress, summary
 from ebamcheck.errors import ExitCode, InputError, SettingsError
-from ebamcheck.plugins import registry
+from ebamcheck.plugins import points, registry
 from ebamcheck.regression import (
     Tolerances,
+    job,
     run_regression,
 )
 from ebamcheck.regression.baselines import Entry, read_baselines, write_baselines
 from ebamcheck.regression.difference import differences
 from ebamcheck.regression.history import record, trends
 from ebamcheck.regression.job import accepted, updated
+from ebamcheck.slicers.here import cut_here
+from ebamcheck.slicers.isolation import slice_all
 from ebamcheck_embree import Embree
 from ebamcheck_planecut import PlaneCut
 from ebamcheck_stencil import Stencil
@@ -50,14 +54,33 @@ USED = [*(fault.values[0] for fault in CAUGHT), "rough", "rough-within", "rough-
 """Of the plugin's slicers: each is asked what it is in a process of its own."""
 
 
+WRONG = {*(fault.values[0] for fault in CAUGHT), "rough-within", "rough-beyond"}
+
+
+def sliced(part, heights, settings, folder, limits):
+    """What :func:`slice_all` gives; only who may crash has a process of its own."""
+    borders = np.array([0, heights.size])
+    here = {
+        n: cut_here(part, heights, n, settings[n], folder, limits, borders) for n in settings if n in WRONG
+    }
+    return here | slice_all(
+        part, heights, {n: settings[n] for n in settings if n not in here}, folder, limits
+    )
+
+
 @pytest.fixture(scope="module")
 def plugins(tmp_path_factory):
-    """Install the block and the slicers that are used as a distribution that worker processes find, too."""
+    """Install the block and the slicers that are used as a distribution that worker processes find, too.
+
+    Those that cut wrongly and no more count as the house's, and cut here: that spares two processes each.
+    """
     folder = tmp_path_factory.mktemp("plugins")
     backends = {name: f"regression_plugin:{name.replace('-', '_')}" for name in USED}
     models = {"trial-block": "regression_plugin:BLOCK"}
     install(folder, "regression-plugin", {registry.MODELS: models, registry.BACKENDS: backends})
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(registry, "is_house", lambda point: point.name in WRONG or points.is_house(point))
+        patch.setattr(job, "slice_all", sliced)
         found_here(folder, patch, os.path.dirname(__file__))
         yield
     registry.forget()

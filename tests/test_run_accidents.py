@@ -15,7 +15,7 @@ from pipeline_runs import SETTINGS, Listener, contents, gates, untimed
 
 from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.mesh.part import from_arrays
-from ebamcheck.pipeline import run_job
+from ebamcheck.pipeline import check_job, run_job
 from ebamcheck.pipeline.run_folder import RunFolder
 
 
@@ -105,7 +105,9 @@ def test_a_report_writer_that_raises_is_a_note(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")]))
     listener = Listener()
-    result = run_job(write_stl(frame(), tmp_path / "f.stl"), tmp_path / "f.run", SETTINGS, observer=listener)
+    result = check_job(
+        write_stl(frame(), tmp_path / "f.stl"), tmp_path / "f.run", SETTINGS, observer=listener
+    )
     assert result.exit_code is ExitCode.PASS
     (note,) = listener.notes
     assert "'raising'" in note
@@ -122,15 +124,15 @@ def test_the_folder_is_free_again_after_a_failure(tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(cross_check, "slice_all", fail)
         with pytest.raises(RuntimeError, match="on the way"):
-            run_job(path, tmp_path / "a.run", SETTINGS)
-    assert run_job(path, tmp_path / "a.run", SETTINGS, resume=True).folder == RunFolder(tmp_path / "a.run")
+            check_job(path, tmp_path / "a.run", SETTINGS)
+    assert check_job(path, tmp_path / "a.run", SETTINGS, resume=True).folder == RunFolder(tmp_path / "a.run")
 
 
 def test_a_machine_without_opengl_goes_on_with_the_others(tmp_path):
     write_stl(frame(), tmp_path / "frame.stl")
     (tmp_path / "ebamcheck.toml").write_text(WIDE_TOML)
     done = ebamcheck(
-        "run", "frame.stl", "--layer-height", 6, "-o", "a.run",
+        "check", "frame.stl", "--layer-height", 6, "-o", "a.run",
         cwd=tmp_path, __EGL_VENDOR_LIBRARY_FILENAMES=os.devnull, DISPLAY="",
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
@@ -151,7 +153,7 @@ def test_a_full_disk_is_told_with_its_place(tmp_path, monkeypatch):
     with pytest.raises(
         SettingsError, match=r"\.a\.run\.unfinished: cannot be written: No space left on device"
     ):
-        run_job(write_stl(frame(), tmp_path / "a.stl"), tmp_path / "a.run", SETTINGS)
+        check_job(write_stl(frame(), tmp_path / "a.stl"), tmp_path / "a.run", SETTINGS)
     assert not (tmp_path / "a.run").exists()
 
 

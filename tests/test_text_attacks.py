@@ -7,6 +7,7 @@ import shutil
 
 import numpy as np
 import pytest
+from slicers_here import slicers_here
 
 from benchmarks.faults.subjects import SUBJECTS
 from ebamcheck.pipeline import run_job
@@ -92,7 +93,8 @@ def made(tmp_path_factory):
     def run(control):
         if control not in known:
             config = SUBJECTS["cube"].config(control)
-            run_job(part, folder / control, config)
+            with slicers_here():
+                run_job(part, folder / control, config)
             known[control] = (folder / control, part, config)
         return known[control]
 
