@@ -1,4 +1,4 @@
-"""Worker pool: worker processes are spawned early, so that their imports run while the part is read."""
+"""Worker pool: worker processes are spawned early, so that their imports run while the part is read and the stages are loaded."""
 
 from __future__ import annotations
 
