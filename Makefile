@@ -16,13 +16,18 @@ PYTEST := $(BIN)/python -m pytest -q -n 2 --dist loadfile
 help: ## Show the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
 
-$(VENV)/ready: pyproject.toml .ci/setup
+# What the demo runs on is a part of what tests, types and the documentation need.
+$(VENV)/runs: pyproject.toml .ci/setup
 	@.ci/setup $(VENV)
 	@touch $@
 
+$(VENV)/ready: pyproject.toml .ci/setup
+	@.ci/setup $(VENV) test,docs
+	@touch $(VENV)/runs $@
+
 setup: $(VENV)/ready ## Make the virtual environment and install everything into it
 
-demo: setup ## Slice, cross-check, fit, partition and program the demo part; the report is demo/run/report.html
+demo: $(VENV)/runs ## Slice, cross-check, fit, partition and program the demo part; the report is demo/run/report.html
 	@$(BIN)/ebamcheck warm
 	@mkdir -p demo
 	@rm -rf demo/run
