@@ -151,11 +151,26 @@ def test_groups_are_those_of_the_project():
     assert {"console_scripts", *project["entry-points"]} == GROUPS
 
 
-def test_setup_asks_the_code_what_it_can_answer_and_brings_what_the_site_needs():
+def test_setup_asks_the_code_what_it_can_answer():
     setup = (ROOT / ".ci" / "setup").read_text()
     asked = re.findall(r"/bin/python\" -c '([^']+)'", setup)
     assert asked
     for code in asked:
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
         assert (done.returncode in (0, 1), done.stderr) == (True, ""), code
-    assert "'.[test,docs]'" in setup
+
+
+@pytest.mark.parametrize(
+    ("target", "extras"), [("demo", []), ("setup", ["test", "docs"]), ("docs", ["test", "docs"])]
+)
+def test_a_target_installs_the_extras_that_it_needs(target, extras):
+    environment = {
+        name: value for name, value in os.environ.items() if not name.startswith(("MAKE", "MFLAGS"))
+    }
+    done = subprocess.run(
+        ["make", "-n", "-B", target], cwd=ROOT, env=environment, capture_output=True, text=True, check=True
+    )
+    asked = re.findall(r"^\.ci/setup \.venv ?(\S*)$", done.stdout, re.MULTILINE)
+    assert asked == [",".join(extras)]
+    optional = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    assert set(extras) <= set(optional)
