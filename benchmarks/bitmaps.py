@@ -15,12 +15,12 @@ from benchmarks.worker import Begin
 from ebamcheck.layers.heights import layer_heights
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.files import load
-from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.part import Part, from_arrays
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.plugins import registry
 from ebamcheck_stencil.bitmaps import as_image, empty_bitmap, flip, flips_by_layer
 from ebamcheck_stencil.drawn_once import DrawnOnce
-from ebamcheck_stencil.field_of_view import FieldOfView, field_of_view
+from ebamcheck_stencil.field_of_view import SUBPIXELS, FieldOfView, field_of_view
 from ebamcheck_stencil.literal import LiteralSlices
 
 SIDE_PX, MARGIN_PX = 1024, 6
@@ -39,7 +39,8 @@ def bitmaps(begin: Begin, stl: str, layer_mm: float) -> dict[str, Any]:
     -------
     ``bitmaps_s`` (draw, and find which pixels change at each layer), ``contours_s`` (from the crossings to canonical
     contours) one figure a round; ``against_literal``, ``against_exact`` pixels that differ, one figure a judged layer;
-    ``farthest_px`` distance of such a pixel's centre from the exact contour; ``renderer``, ``side_px``.
+    ``by_lattice`` those that the exact section differs in when vertices lie on the rasteriser's lattice; ``farthest_px``
+    distance of a wrong pixel's centre from the exact contour; ``renderer``, ``side_px``.
     """
     part = load(Path(stl))
     heights = layer_heights(part, layer_mm)
@@ -77,29 +78,42 @@ def _timed(part: Part, heights: Floats, pixel_mm: float) -> tuple[float, float]:
 
 def _compared(part: Part, heights: Floats, pixel_mm: float, view: FieldOfView) -> dict[str, Any]:
     """Pixels that differ between the draw-once form, the literal one and the exact section, on each layer."""
-    planecut = registry.available_slicer("planecut")
-    with planecut.prepare(part, planecut.Settings()) as prepared:
-        exact = prepared.slice(heights)
+    exact, on_lattice = _cut(part, heights), _cut(_on_lattice(part, view), heights)
     with _prepared(part, "draw-once", pixel_mm) as drawn:
         assert isinstance(drawn, DrawnOnce)
         flips = flips_by_layer(drawn._crossings, heights)
     bitmap = empty_bitmap(view)
-    against_literal, against_exact, farthest_px = [], [], 0.0
+    against_literal, against_exact, by_lattice, farthest_px = [], [], [], 0.0
     with _prepared(part, "literal", pixel_mm) as literal:
         assert isinstance(literal, LiteralSlices)
         for k, height in enumerate(heights.tolist()):
             flip(bitmap, flips.pixels[flips.starts[k] : flips.starts[k + 1]])
-            image = as_image(bitmap, view)
-            wrong = image != exact_image(exact, k, view)
+            image, truth = as_image(bitmap, view), exact_image(exact, k, view)
+            wrong = image != truth
             against_literal.append(int(np.count_nonzero(image != literal.bitmap(height))))
             against_exact.append(int(np.count_nonzero(wrong)))
+            by_lattice.append(int(np.count_nonzero(truth != exact_image(on_lattice, k, view))))
             farthest_px = max(farthest_px, _farthest_mm(wrong, exact, k, view) / pixel_mm)
     return {
         "against_literal": against_literal,
         "against_exact": against_exact,
+        "by_lattice": by_lattice,
         "farthest_px": farthest_px,
         "judged_layers": len(heights),
     }
+
+
+def _cut(part: Part, heights: Floats) -> Layers:
+    planecut = registry.available_slicer("planecut")
+    with planecut.prepare(part, planecut.Settings()) as prepared:
+        return prepared.slice(heights)
+
+
+def _on_lattice(part: Part, view: FieldOfView) -> Part:
+    """The part with every vertex where a rasteriser of 8 subpixel bits has it: the best that any of them can draw."""
+    moved = part.vertices.copy()
+    moved[:, :2] = view.to_mm(2.0 * view.snapped(part.vertices) / SUBPIXELS - 1.0)
+    return from_arrays(moved, part.faces)
 
 
 def exact_image(layers: Layers, layer: int, view: FieldOfView) -> NDArray[np.bool_]:

@@ -1,14 +1,14 @@
 """``python -m benchmarks.first_use``: what a new install waits for: its kernels, its first slice, its first run, the demo.
 
 Each command works in a copy of the sources without a compiled kernel, and once more when they are compiled. ``demo`` is
-``make demo`` in a copy of the checkout's files, with all its set-up.
+``make demo`` in a copy of the checkout's files, with all its set-up; ``wheel`` is a run of the demo part from a new
+install of the wheel that ``make wheel`` builds.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
-import resource
 import shutil
 import subprocess
 import sys
@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 from benchmarks.machine import machine
 from benchmarks.parts import DEMO_REFERENCE_MM, DEMO_TOLERANCE_MM, model_file
-from benchmarks.watch import ROOT
+from benchmarks.watch import ROOT, children_s
 
 SOURCES = ("ebamcheck", "backends", "reference_models", "reports")
 COMPILED = ("*.nbi", "*.nbc")
@@ -34,7 +34,9 @@ class Took(NamedTuple):
     """Of it and of all processes that it waited for; what compiles beside it is ended, not waited for."""
 
 
-COMMANDS = "warm", "slice", "run", "demo"
+COMMANDS = "warm", "slice", "run", "demo", "wheel"
+SHOWN = {"demo": "`make demo`", "wheel": "`ebamcheck run` from the wheel"}
+"""What a row is called that is not the command of its name."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -49,7 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name in chosen:
         first, second = first_use(name)
         print(
-            f"| `{'make' if name == 'demo' else 'ebamcheck'} {name}` | {first.wall_s:.1f} | {second.wall_s:.1f} | "
+            f"| {SHOWN.get(name, f'`ebamcheck {name}`')} | {first.wall_s:.1f} | {second.wall_s:.1f} | "
             f"{first.processor_s:.1f} | {second.processor_s:.1f} |",
             flush=True,
         )
@@ -69,11 +71,13 @@ def first_use(name: str) -> tuple[Took, Took]:
             }
             return _timed(copy, make, env), _timed(copy, make, env)
         part, fine = (model_file("blade", tolerance) for tolerance in (DEMO_TOLERANCE_MM, DEMO_REFERENCE_MM))
-        _copy_sources(copy)
+        {"wheel": _install_wheel}.get(name, _copy_sources)(copy)
+        run = ["run", str(part), "--reference", str(fine), "--force", "-o", f"{folder}/run"]
         arguments = {
             "warm": ["warm"],
             "slice": ["slice", str(part), "--layer-height", "5", "-o", f"{folder}/out.parquet"],
-            "run": ["run", str(part), "--reference", str(fine), "--force", "-o", f"{folder}/run"],
+            "run": run,
+            "wheel": run,
         }[name]
         command = [sys.executable, "-m", "ebamcheck", *arguments]
         paths = [str(copy), *(str(copy / source) for source in SOURCES[1:])]
@@ -87,6 +91,24 @@ def _copy_sources(to: Path) -> None:
         shutil.copytree(ROOT / source, to / source, ignore=shutil.ignore_patterns(*COMPILED))
 
 
+def _install_wheel(to: Path) -> None:
+    """Build the wheel that brings its kernels compiled, and install it beside the libraries of this interpreter."""
+    subprocess.run(["make", "wheel"], cwd=ROOT, capture_output=True, check=True)
+    (wheel,) = (ROOT / "dist").glob("*.whl")
+    install = [
+        sys.executable,
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        "--no-deps",
+        "--target",
+        str(to),
+        str(wheel),
+    ]
+    subprocess.run(install, capture_output=True, check=True)
+
+
 def _copy_checkout(to: Path) -> None:
     """Copy what a clone of this checkout has: the files that git keeps, as they are."""
     told = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True)
@@ -97,13 +119,12 @@ def _copy_checkout(to: Path) -> None:
 
 
 def _timed(copy: Path, command: list[str], env: dict[str, str]) -> Took:
-    before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    before_s, start = children_s(), time.perf_counter()
     subprocess.run(
         command, cwd=copy, env=env, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=True
     )
     wall_s = time.perf_counter() - start
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return Took(wall_s, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
+    return Took(wall_s, children_s() - before_s)
 
 
 if __name__ == "__main__":

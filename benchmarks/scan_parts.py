@@ -65,12 +65,13 @@ def planned_layers() -> dict[str, Any]:
     heights = height_mm * (np.arange(LAYERS) + 0.5)
     config = Config().changed(scan={"hexagon_side_mm": SIDE_MM}, layers={"layer_height_mm": float(height_mm)})
     sections = [layer_section(model.section(float(low + z))) for z in heights.tolist()]
-    seconds, islands, began = [], [], time.perf_counter()
+    seconds, islands, used_s, began = [], [], time.process_time(), time.perf_counter()
     for layer in scan_part(sections, heights, config, "thermal", config.scan.seed):
         seconds.append(time.perf_counter() - began)
         islands.append(int(layer["islands"]))
         began += seconds[-1]
-    return {"status": "done", "why": "", "layer_s": seconds, "islands": islands}
+    used_s = time.process_time() - used_s
+    return {"status": "done", "why": "", "layer_s": seconds, "islands": islands, "processor_s": used_s}
 
 
 def part_rows() -> list[dict[str, Any]]:

@@ -86,6 +86,7 @@ def targets_text(raw: Raw) -> str:
     results = {
         series: evaluate(_figures(raw, series)) for series in _series(raw) if raw["targets"].get(series)
     }
+    cores = raw["machine"]["cores"]
     columns = ["what", "target"]
     for series in results:
         facets = raw["parts"][f"{series}-{_top(raw, series)}"]["facets"]
@@ -94,8 +95,8 @@ def targets_text(raw: Raw) -> str:
     if results:
         rows = [_target_row(list(row), remarks) for row in zip(*results.values(), strict=True)]
         text += [markdown_table([*columns, "remark"], rows), ""]
-    alone = job_results(raw["job"]) if raw.get("job") else []
-    alone += scale_results(raw["scale"]) if raw.get("scale") else []
+    alone = job_results(raw["job"], cores) if raw.get("job") else []
+    alone += scale_results(raw["scale"], cores) if raw.get("scale") else []
     if alone:
         text += [
             markdown_table(
@@ -222,6 +223,7 @@ def _figures(raw: Raw, series: str) -> Figures:
         series,
         _top(raw, series),
         raw["machine"].get("copy_bytes_s"),
+        raw["machine"]["cores"],
     )
 
 

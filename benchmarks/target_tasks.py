@@ -53,7 +53,13 @@ def measure_job(effort: Effort, note: Note) -> dict[str, list[Raw]]:
 
 def _first_use(name: str) -> Raw:
     first, second = first_use(name)
-    return {"status": "done", "why": "", "wall_s": first.wall_s, "again_s": second.wall_s}
+    return {
+        "status": "done",
+        "why": "",
+        "wall_s": first.wall_s,
+        "again_s": second.wall_s,
+        "processor_s": first.processor_s,
+    }
 
 
 def in_turns(tasks: Sequence[Task], title: str, note: Note) -> dict[str, list[Raw]]:
@@ -167,5 +173,6 @@ def _watched(
         "why": f"ended by its limit of {watched.ended}" if watched.ended else watched.last_words if status != "done" else "",
         "code": watched.code,
         "wall_s": watched.wall_s,
+        "processor_s": watched.processor_s,
         "peak_mb": watched.peak_mb,
     }  # fmt: skip

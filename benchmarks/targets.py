@@ -24,6 +24,8 @@ class Figures:
     top: int
     copy_bytes_s: float | None = None
     """Copy bandwidth of the machine; None where it was not measured."""
+    cores: int | None = None
+    """Processors over which work can be spread; None where that is not known."""
 
     def times(self, method: str, steps: Iterable[str] = SLICE) -> Spread | None:
         """Times of a method at the top."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -33,6 +34,8 @@ class Watched:
     wall_s: float
     peak_mb: float
     """Greatest sum of the resident memory of the tree that was seen; pages that processes share count for each."""
+    processor_s: float = 0.0
+    """Processor time of the process and of all children that were waited for."""
     ended: Literal["", "time", "memory"] = ""
     """Why it was ended, if it was."""
     last_words: str = ""
@@ -57,7 +60,7 @@ def watch(
         File whose appearance starts the clock of the limit; None: it runs from the start.
     """
     with tempfile.TemporaryFile() as errors:
-        start = time.perf_counter()
+        before_s, start = children_s(), time.perf_counter()
         process = subprocess.Popen(
             command, cwd=ROOT, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors,
             start_new_session=True,
@@ -70,7 +73,13 @@ def watch(
         errors.seek(0)
         lines = errors.read().decode("utf-8", "replace").strip().splitlines()
     last_words = lines[-1].strip().replace(f"{ROOT}{os.sep}", "") if lines else ""
-    return Watched(process.returncode, wall_s, peak_mb, ended, last_words)
+    return Watched(process.returncode, wall_s, peak_mb, children_s() - before_s, ended, last_words)
+
+
+def children_s() -> float:
+    """Processor time of all processes that this one has started and waited for, and of theirs."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def run_task(task: str, request: Mapping[str, Any], limit_s: float) -> dict[str, Any]:

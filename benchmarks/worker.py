@@ -23,7 +23,6 @@ TASKS = {
     "latency": "benchmarks.latency:latency",
     "bitmaps": "benchmarks.bitmaps:bitmaps",
     "crossings": "benchmarks.crossings:crossings",
-    "cross-check": "benchmarks.cross_check:cross_check",
 }
 
 

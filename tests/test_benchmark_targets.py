@@ -59,10 +59,12 @@ def test_a_floor_is_the_bytes_that_must_be_touched_over_the_bandwidth():
     assert floors["shuffled"] == pytest.approx(1.0 + 3 * 64 * 1_480_000 / 1e9 / 0.4)
     assert floors["growth"] == 1.0
     assert floors["planecut-manifold"] is None  # the library by itself was not measured
-    assert floors["literal"] is None
+    assert floors["layer"] == pytest.approx(16 * 8_000_000 / 1e9 / 100)
+    assert floors["literal"] == pytest.approx(100 * 24 * 1_480_000 / 1e9)
+    assert floors["bitmaps"] is None  # their size was not measured
     shown = {result.target.key: result.floor_text for result in told}
     assert shown["planecut-seconds"] == "202 ms"
-    assert shown["literal"] == "-"
+    assert shown["bitmaps"] == "-"
     assert all(result.floor is None or result.floor > 0.0 for result in told)
 
 
@@ -73,7 +75,46 @@ def test_without_the_bandwidth_no_floor_of_bytes_is_told():
 
 
 def test_every_floor_belongs_to_a_target():
-    assert set(FLOORS) <= {target.key for target in target_rows.TARGETS}
+    every = (*target_rows.TARGETS, *target_rows.JOB, *target_rows.SCALE)
+    assert set(FLOORS) <= {target.key for target in every}
+
+
+def test_the_floor_of_a_command_is_its_processor_time_on_all_cores():
+    done = {"status": "done", "why": "", "wall_s": 40.0}
+    tasks = {
+        "main job": [{**done, "processor_s": 60.0}],
+        "islands": [{**done, "layer_s": [2.0] * 10, "islands": [300] * 10, "processor_s": 30.0}],
+        "warm": [done],
+    }
+    told = {result.target.key: result for result in target_rows.job_results(tasks, 2)}
+    assert told["demo"].floor == pytest.approx(30.0)
+    assert told["islands"].floor == pytest.approx(1.5)
+    assert told["warm"].floor is None  # figures of before processor time was kept
+    (time_s, memory_mb) = (
+        next(r.floor for r in target_rows.scale_results([answer], 2) if r.target.key == key)
+        for key, answer in (
+            ("scale-time", {**done, "processor_s": 500.0, "peak_mb": 1.0, "facets": 10}),
+            ("scale-memory", {**done, "peak_mb": 9.0, "facets": 1_000_000}),
+        )
+    )
+    assert (time_s, memory_mb) == (pytest.approx(250.0), pytest.approx(50.0))
+
+
+def test_what_a_wheel_lets_wait_is_the_first_run_over_the_second():
+    done = {"status": "done", "why": "", "again_s": 40.0}
+    slower, faster = (
+        target_rows.job_results({"wheel": [{**done, "wall_s": wall_s}]}) for wall_s in (43.5, 39.0)
+    )
+    found = [next(r for r in results if r.target.key == "wheel") for results in (slower, faster)]
+    assert [r.measured.median for r in found] == [pytest.approx(3.5), 0.0]
+    assert [r.met for r in found] == [False, True]
+
+
+def test_pixels_are_held_beside_what_the_lattice_of_rasterisers_leaves():
+    counts = {"against_literal": [3, 9], "against_exact": [2, 9], "by_lattice": [1, 7]}
+    told = results(bitmaps=[{"status": "done", "why": "", **counts, "farthest_px": 0.001, "bitmaps_s": [1.0],
+                             "contours_s": [1.0], "side_px": [1024, 1024]}])  # fmt: skip
+    assert told["pixels-exact"].floor == told["pixels-literal"].floor == 7
 
 
 def test_one_failed_turn_spoils_a_task():

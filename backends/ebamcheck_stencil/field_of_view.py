@@ -78,7 +78,7 @@ class FieldOfView:
             lattice[:, axis] = np.clip(np.rint(pixels * SUBPIXELS), -limit, limit)
         return lattice
 
-    def to_mm(self, half_pixels: NDArray[np.integer]) -> NDArray[np.float64]:
+    def to_mm(self, half_pixels: NDArray[np.integer | np.floating]) -> NDArray[np.float64]:
         """Build coordinates (N, 2) of points in half pixels from the centre of pixel (0, 0)."""
         shift = 0.5 - MARGIN_PX - np.array(GRID_SHIFT_PX)
         return np.array(self.low_mm) + (0.5 * half_pixels + shift) * self.pixel_mm
