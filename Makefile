@@ -67,18 +67,16 @@ docs: setup ## Build the documentation into site/, with warnings as errors
 kernel-list: setup ## Write the list of kernels that `ebamcheck warm` compiles, from a main job with an empty cache
 	@$(BIN)/python -m ebamcheck.commands.kernel_record
 
-wheel: setup ## Build a wheel that brings its kernels compiled, for x86-64-v3 and the numba that is installed, into dist/
+wheel: setup ## Build a wheel that brings its kernels compiled, for x86-64-v3 (on Arm: any) and the numba that is installed, into dist/
 	@mkdir -p build
 	@rm -rf dist
 	@$(BIN)/python -m ebamcheck.commands.ready_file build/ready.kernels
 	@EBAMCHECK_WHEEL_KERNELS=$(CURDIR)/build/ready.kernels $(BIN)/python -m build --wheel --no-isolation --outdir dist
 
-container: ## Build a container with that wheel, where podman or docker is there
+container: ## Build a container that brings its kernels compiled, where podman or docker is there
 	@engine=$$(command -v podman || command -v docker) || { echo "neither podman nor docker is there" >&2; exit 2; }; \
 	"$$engine" info >/dev/null 2>&1 || { echo "$$engine is there, but does not answer: start its service, or install podman" >&2; exit 2; }; \
-	$(MAKE) wheel; \
-	python=$$($(BIN)/python -c 'import sys; print("%d.%d" % sys.version_info[:2])'); \
-	"$$engine" build --build-arg PYTHON="$$python" -f .ci/Containerfile -t ebamcheck .
+	"$$engine" build $(CONTAINER_OPTIONS) -f .ci/Containerfile -t ebamcheck .
 
 benchmark: setup ## Time every slicer on the ladder; tables and plots in reports/benchmarks (an hour or two)
 	@$(BIN)/ebamcheck warm

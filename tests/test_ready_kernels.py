@@ -34,7 +34,7 @@ from prepared.kernels import scaled
 scaled(1.0)
 held = scaled._cache._cache_file
 parts = [(scaled.py_func, key[0], Path(held._data_path(name)).read_bytes()) for key, name in held._load_index().items()]
-print(ready_kernels.write(parts, "x86-64-v3", Path("{file}")))
+print(ready_kernels.write(parts, "{level}", Path("{file}")))
 """
 ASK = "from prepared.kernels import scaled as f; print(f(2.0), sum(f.stats.cache_hits.values()), f._cache.holds_any())"
 
@@ -46,12 +46,12 @@ needs_level = pytest.mark.skipif(
 class Prepared:
     """A package with a kernel, the file of ready kernels that was written from it, and an empty cache."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, level: str = "x86-64-v3") -> None:
         self.folder, self.file = folder, folder / "ready.kernels"
         (folder / "prepared").mkdir()
         (folder / "prepared/__init__.py").touch()
         self.write(10.0)
-        assert self.run(WRITE.format(file=self.file), "first", ready="") == "1"
+        assert self.run(WRITE.format(file=self.file, level=level), "first", ready="") == "1"
 
     def write(self, scale: float) -> None:
         (self.folder / "prepared/kernels.py").write_text(SOURCE.format(scale=scale))
@@ -90,6 +90,15 @@ def test_a_ready_kernel_is_run_and_not_compiled(prepared):
     assert list((prepared.folder / "empty").rglob("*.nbc")) == []
 
 
+def test_kernels_for_any_processor_of_a_machine_are_run_on_this_one(tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_CPU_NAME", "generic")
+    monkeypatch.setenv("NUMBA_CPU_FEATURES", "")
+    prepared = Prepared(tmp_path, "generic")
+    monkeypatch.delenv("NUMBA_CPU_NAME")
+    monkeypatch.delenv("NUMBA_CPU_FEATURES")
+    assert prepared.run(ASK, "empty") == "20.0 1 True"
+
+
 @needs_level
 def test_a_kernel_that_has_changed_since_is_compiled(prepared):
     prepared.write(30.0)
@@ -107,6 +116,12 @@ def test_a_file_for_another_installation_is_passed_over(prepared, place):
 def test_a_spoilt_file_is_passed_over(prepared, held):
     prepared.file.write_bytes(held)
     assert prepared.run(ASK, "empty") == "20.0 0 True"
+
+
+@pytest.mark.parametrize(("machine", "level"), ready_kernels.BUILT_FOR.items())
+def test_a_wheel_is_built_for_a_class_that_is_known(machine, level):
+    assert level in ready_kernels.LEVELS
+    assert machine != platform.machine() or ready_kernels.can_run("generic")
 
 
 def test_no_processor_is_of_an_unknown_class():

@@ -1,7 +1,7 @@
 """Compile all kernels for a class of processors into the file that a wheel brings along: part of ``make wheel``.
 
 ``python -m ebamcheck.commands.ready_file FILE [PACKAGE ...]`` compiles in a process of its own, with an empty cache, for
-the class of :data:`LEVEL`; with packages only their kernels, and what they call.
+the machine's class in :data:`ebamcheck.numeric.ready_kernels.BUILT_FOR`; with packages only their kernels, and what they call.
 """
 
 from __future__ import annotations
@@ -14,13 +14,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from ebamcheck.numeric.ready_kernels import BUILT_FOR
 from ebamcheck.scratch import scratch_folder
 
-LEVEL = "x86-64-v3"
-"""Intel from 2013 and AMD from 2015 on."""
 
-
-def write_file(path: Path, packages: tuple[str, ...] = ()) -> int:
+def write_file(path: Path, level: str, packages: tuple[str, ...] = ()) -> int:
     """Compile into the cache of this process and write from it; returns how many versions of kernels there are."""
     from ebamcheck.numeric.compiling_ahead import compile_ahead
     from ebamcheck.numeric.kernel_list import kernel_named, read_list
@@ -35,30 +33,34 @@ def write_file(path: Path, packages: tuple[str, ...] = ()) -> int:
     for name, why in compile_ahead(listed).items():
         print(f"{name} is left out: {why}", file=sys.stderr)
     kernels = [kernel for name in listed if (kernel := kernel_named(name)) is not None]
-    return write((part for kernel in kernels for part in _compiled(kernel)), LEVEL, path)
+    return write((part for kernel in kernels for part in _compiled(kernel, level)), level, path)
 
 
-def _compiled(kernel: Any) -> Iterator[tuple[Any, Any, bytes]]:
+def _compiled(kernel: Any, level: str) -> Iterator[tuple[Any, Any, bytes]]:
     """Versions of a kernel that the cache holds for the class of processors: function, argument types, and data."""
     held = kernel._cache._cache_file
     for (signature, (_, processor, _), _), name in held._load_index().items():
-        if processor == LEVEL:
+        if processor == level:
             yield kernel.py_func, signature, Path(held._data_path(name)).read_bytes()
 
 
 def main(arguments: list[str]) -> int:
     """Write the file named first."""
     path, packages = Path(arguments[0]).absolute(), tuple(arguments[1:])
-    if os.environ.get("NUMBA_CPU_NAME") == LEVEL:
-        print(f"{path}: {write_file(path, packages)} versions of kernels, for {LEVEL}")
-        return 0
-    if platform.machine() != "x86_64":
-        print(f"ready-made kernels are compiled on x86-64 only, not on {platform.machine()}", file=sys.stderr)
+    level = BUILT_FOR.get(platform.machine())
+    if level is None:
+        print(
+            f"ready-made kernels are compiled on {' and '.join(BUILT_FOR)}, not on {platform.machine()}",
+            file=sys.stderr,
+        )
         return 2
+    if os.environ.get("NUMBA_CPU_NAME") == level:
+        print(f"{path}: {write_file(path, level, packages)} versions of kernels, for {level}")
+        return 0
     with scratch_folder() as folder:
         environment = {
             "NUMBA_CACHE_DIR": str(folder),
-            "NUMBA_CPU_NAME": LEVEL,
+            "NUMBA_CPU_NAME": level,
             "NUMBA_CPU_FEATURES": "",
             "EBAMCHECK_READY_KERNELS": "",
         }

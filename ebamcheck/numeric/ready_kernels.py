@@ -31,8 +31,12 @@ FILE = Path(__file__).with_name("ready.kernels")
 
 LEVELS: Mapping[str, frozenset[str]] = {
     "x86-64-v3": frozenset({"avx", "avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe"}),
+    "generic": frozenset(),
 }
 """Classes of processors by LLVM's name, and what one must have beyond the class below it (x86-64 psABI, 2020)."""
+
+BUILT_FOR: Mapping[str, str] = {"x86_64": "x86-64-v3", "aarch64": "generic"}
+"""Class that a wheel is built for, by the machine that builds it: Intel from 2013, AMD from 2015; every 64-bit Arm."""
 
 HEAD_BYTES = 16
 """The size of the index stands before it, in so many decimal digits."""
