@@ -11,7 +11,7 @@ import numpy as np
 
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck_embree.grid import Lattice
-from ebamcheck_embree.hits import Hits, add, is_known
+from ebamcheck_embree.hits import Hits, add, is_among
 from ebamcheck_embree.knots import node_after
 from ebamcheck_embree.scene import Bools, Facets, Ints, Singles, UnderWay, go_on
 from ebamcheck_embree.section import Mesh
@@ -40,34 +40,35 @@ def _edges_at(mesh: Mesh, f: int, y: float) -> tuple[float, float, int]:
 
 
 @kernel
-def _rows_across(mesh: Mesh, f: int, grid: Lattice) -> tuple[int, int]:
-    """First row of nodes at or beyond a facet's lowest y, and the first at or beyond its highest."""
+def _rows_across(mesh: Mesh, f: int, grid: Lattice, first_row: int, past_row: int) -> tuple[int, int]:
+    """Of some rows of nodes the first at or beyond a facet's lowest y, and the first at or beyond its highest."""
     vertices, faces = mesh
     _, y0, cell, _, rows = grid
     a, b, c = vertices[faces[f, 0], 1], vertices[faces[f, 1], 1], vertices[faces[f, 2], 1]
     return (
-        node_after(min(a, b, c), y0, cell, rows),
-        node_after(max(a, b, c), y0, cell, rows),
+        max(node_after(min(a, b, c), y0, cell, rows), first_row),
+        min(node_after(max(a, b, c), y0, cell, rows), past_row),
     )
 
 
 @kernel
-def facet_counts(mesh: Mesh, grid: Lattice) -> Ints:
-    """Facets over and under each node (rows * columns,)."""
-    x0, y0, cell, columns, rows = grid
-    counts = np.zeros(rows * columns, np.int64)
+def facet_counts(mesh: Mesh, grid: Lattice, first_row: int, past_row: int) -> Ints:
+    """Facets over and under each node of the rows ``first_row .. past_row - 1``, (rows * columns,)."""
+    x0, y0, cell, columns, _ = grid
+    counts = np.zeros((past_row - first_row) * columns, np.int64)
     for f in range(len(mesh.faces)):
-        first, past = _rows_across(mesh, f, grid)
+        first, past = _rows_across(mesh, f, grid, first_row, past_row)
         for j in range(first, past):
             left, right, _ = _edges_at(mesh, f, y0 + cell * j)
+            base = (j - first_row) * columns
             for i in range(node_after(left, x0, cell, columns), node_after(right, x0, cell, columns)):
-                counts[j * columns + i] += 1
+                counts[base + i] += 1
     return counts
 
 
 @kernel
 def take_heights(
-    mesh: Mesh, grid: Lattice, met: Facets, distance: Singles, rays: UnderWay, hits: Hits
+    mesh: Mesh, grid: Lattice, first_row: int, met: Facets, distance: Singles, rays: UnderWay, hits: Hits
 ) -> int:
     """File where rays meet facets, as far as float64 confirms it; rays that have not met all of theirs go on."""
     x0, y0, cell, columns, _ = grid
@@ -77,9 +78,9 @@ def take_heights(
         if facet < 0:
             continue
         node = rays.ray[n]
-        if facet != rays.last[n] and not is_known(hits, node, facet):
+        if facet != rays.last[n] and not is_among(hits.facet, hits.starts[node], hits.known[node], facet):
             row = node // columns
-            x, y = x0 + cell * (node - row * columns), y0 + cell * row
+            x, y = x0 + cell * (node - row * columns), y0 + cell * (first_row + row)
             left, right, facing = _edges_at(mesh, facet, y)
             if left <= x < right:
                 add(hits, node, facet, _height_at(mesh, facet, x, y), -facing)
@@ -90,16 +91,18 @@ def take_heights(
 
 
 @kernel
-def take_from_facets(mesh: Mesh, grid: Lattice, short: Bools, hits: Hits) -> None:
+def take_from_facets(
+    mesh: Mesh, grid: Lattice, first_row: int, past_row: int, short: Bools, hits: Hits
+) -> None:
     """Fill the hits of nodes whose rays fell short of their number from all facets over and under them."""
     x0, y0, cell, columns, _ = grid
     for f in range(len(mesh.faces)):
-        first, past = _rows_across(mesh, f, grid)
+        first, past = _rows_across(mesh, f, grid, first_row, past_row)
         for j in range(first, past):
             y = y0 + cell * j
             left, right, facing = _edges_at(mesh, f, y)
             for i in range(node_after(left, x0, cell, columns), node_after(right, x0, cell, columns)):
-                node = j * columns + i
+                node = (j - first_row) * columns + i
                 if short[node]:
                     add(hits, node, f, _height_at(mesh, f, x0 + cell * i, y), -facing)
 
