@@ -257,7 +257,7 @@ def test_automatic_grid():
     assert automatic_cell_mm(box((0, 0, 0), (10, 1000, 5)), "in-plane") == pytest.approx(1000 / 4096)
     assert automatic_cell_mm(box((0, 0, 0), (200, 10, 5)), "vertical") == pytest.approx(200 / 1024)
     layers = cut(box(), [1.0])
-    assert layers.settings == {"grid_mm": 2 / 1024, "mode": "in-plane", "rays_per_call": 65_536}
+    assert layers.settings == {"grid_mm": 2 / 1024, "mode": "in-plane", "rays_per_call": 16_384}
 
 
 def test_a_grid_that_does_not_fit_is_refused():

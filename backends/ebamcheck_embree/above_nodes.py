@@ -40,35 +40,36 @@ def _edges_at(mesh: Mesh, f: int, y: float) -> tuple[float, float, int]:
 
 
 @kernel
-def _rows_across(mesh: Mesh, f: int, grid: Lattice, first_row: int, past_row: int) -> tuple[int, int]:
-    """Of some rows of nodes the first at or beyond a facet's lowest y, and the first at or beyond its highest."""
+def _rows_across(mesh: Mesh, f: int, grid: Lattice) -> tuple[int, int]:
+    """First row of nodes at or beyond a facet's lowest y, and the first at or beyond its highest."""
     vertices, faces = mesh
     _, y0, cell, _, rows = grid
     a, b, c = vertices[faces[f, 0], 1], vertices[faces[f, 1], 1], vertices[faces[f, 2], 1]
     return (
-        max(node_after(min(a, b, c), y0, cell, rows), first_row),
-        min(node_after(max(a, b, c), y0, cell, rows), past_row),
+        node_after(min(a, b, c), y0, cell, rows),
+        node_after(max(a, b, c), y0, cell, rows),
     )
 
 
 @kernel
-def facet_counts(mesh: Mesh, grid: Lattice, first_row: int, past_row: int) -> Ints:
-    """Facets over and under each node of the rows ``first_row .. past_row - 1``, (rows * columns,)."""
-    x0, y0, cell, columns, _ = grid
-    counts = np.zeros((past_row - first_row) * columns, np.int64)
+def facet_counts(mesh: Mesh, grid: Lattice) -> tuple[Ints, Bools]:
+    """Facets over and under each node (rows * columns,), and whether each facet (F,) is one of them anywhere."""
+    x0, y0, cell, columns, rows = grid
+    counts = np.zeros(rows * columns, np.int64)
+    is_counted = np.zeros(len(mesh.faces), np.bool_)
     for f in range(len(mesh.faces)):
-        first, past = _rows_across(mesh, f, grid, first_row, past_row)
+        first, past = _rows_across(mesh, f, grid)
         for j in range(first, past):
             left, right, _ = _edges_at(mesh, f, y0 + cell * j)
-            base = (j - first_row) * columns
             for i in range(node_after(left, x0, cell, columns), node_after(right, x0, cell, columns)):
-                counts[base + i] += 1
-    return counts
+                counts[j * columns + i] += 1
+                is_counted[f] = True
+    return counts, is_counted
 
 
 @kernel
 def take_heights(
-    mesh: Mesh, grid: Lattice, first_row: int, met: Facets, distance: Singles, rays: UnderWay, hits: Hits
+    mesh: Mesh, grid: Lattice, met: Facets, distance: Singles, rays: UnderWay, hits: Hits
 ) -> int:
     """File where rays meet facets, as far as float64 confirms it; rays that have not met all of theirs go on."""
     x0, y0, cell, columns, _ = grid
@@ -80,7 +81,7 @@ def take_heights(
         node = rays.ray[n]
         if facet != rays.last[n] and not is_among(hits.facet, hits.starts[node], hits.known[node], facet):
             row = node // columns
-            x, y = x0 + cell * (node - row * columns), y0 + cell * (first_row + row)
+            x, y = x0 + cell * (node - row * columns), y0 + cell * row
             left, right, facing = _edges_at(mesh, facet, y)
             if left <= x < right:
                 add(hits, node, facet, _height_at(mesh, facet, x, y), -facing)
@@ -91,18 +92,16 @@ def take_heights(
 
 
 @kernel
-def take_from_facets(
-    mesh: Mesh, grid: Lattice, first_row: int, past_row: int, short: Bools, hits: Hits
-) -> None:
+def take_from_facets(mesh: Mesh, grid: Lattice, short: Bools, hits: Hits) -> None:
     """Fill the hits of nodes whose rays fell short of their number from all facets over and under them."""
     x0, y0, cell, columns, _ = grid
     for f in range(len(mesh.faces)):
-        first, past = _rows_across(mesh, f, grid, first_row, past_row)
+        first, past = _rows_across(mesh, f, grid)
         for j in range(first, past):
             y = y0 + cell * j
             left, right, facing = _edges_at(mesh, f, y)
             for i in range(node_after(left, x0, cell, columns), node_after(right, x0, cell, columns)):
-                node = (j - first_row) * columns + i
+                node = j * columns + i
                 if short[node]:
                     add(hits, node, f, _height_at(mesh, f, x0 + cell * i, y), -facing)
 

@@ -33,6 +33,28 @@ class Sections(NamedTuple):
 
 
 @kernel
+def part_of(mesh: Mesh, facets: Facets, own: Facets) -> Mesh:
+    """Some facets with their vertices alone; `own` (V,) is -1 everywhere, and is so again afterwards."""
+    faces = np.empty((facets.size, 3), np.int32)
+    used = np.empty(3 * facets.size, np.int32)
+    size = 0
+    for n in range(facets.size):
+        for k in range(3):
+            v = mesh.faces[facets[n], k]
+            if own[v] < 0:
+                own[v] = size
+                used[size] = v
+                size += 1
+            faces[n, k] = own[v]
+    vertices = np.empty((size, 3))
+    for n in range(size):
+        for k in range(3):
+            vertices[n, k] = mesh.vertices[used[n], k]
+        own[used[n]] = -1
+    return Mesh(vertices, faces)
+
+
+@kernel
 def sections_at(mesh: Mesh, z_mm: Floats) -> Sections:
     """Cut a mesh at several ascending heights (L,)."""
     vertices, faces = mesh

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck_embree.scene import Facets, Floats, Ints, Scene
-from ebamcheck_embree.section import Mesh
+from ebamcheck_embree.section import Mesh, part_of
 
 FACETS_A_SLAB = 8192
 """Facets of a slab at least, on average: a tree of fewer is hardly faster."""
@@ -83,7 +83,7 @@ class Slabs:
             own = self._spare.pop()
         except IndexError:
             own = np.full(len(self._mesh.vertices), -1, np.int32)
-        mesh = _mesh_of(self._mesh, facets, own)
+        mesh = part_of(self._mesh, facets, own)
         self._spare.append(own)
         return Slab(mesh, Scene(*mesh))
 
@@ -143,25 +143,3 @@ def _fill(low: Floats, high: Floats, bottom_mm: float, per_mm: float, count: int
             facets[fill[k]] = f
             fill[k] += 1
     return starts, facets
-
-
-@kernel
-def _mesh_of(mesh: Mesh, facets: Facets, own: Facets) -> Mesh:
-    """Some facets with their vertices alone; `own` (V,) is -1 everywhere, and is so again afterwards."""
-    faces = np.empty((facets.size, 3), np.int32)
-    used = np.empty(3 * facets.size, np.int32)
-    size = 0
-    for n in range(facets.size):
-        for k in range(3):
-            v = mesh.faces[facets[n], k]
-            if own[v] < 0:
-                own[v] = size
-                used[size] = v
-                size += 1
-            faces[n, k] = own[v]
-    vertices = np.empty((size, 3))
-    for n in range(size):
-        for k in range(3):
-            vertices[n, k] = mesh.vertices[used[n], k]
-        own[used[n]] = -1
-    return Mesh(vertices, faces)

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ebamcheck.mesh.part import Part
-from ebamcheck.numeric.kernels import kernel, run_in_order, thread_count
+from ebamcheck.numeric.kernels import kernel, run_blocks, thread_count
 from ebamcheck_embree.above_nodes import facet_counts, take_from_facets, take_heights
 from ebamcheck_embree.grid import Grid, Lattice
 from ebamcheck_embree.hits import Borders, borders, room_for, short_rays
 from ebamcheck_embree.raster import Raster, contours, empty_raster, turn_over
 from ebamcheck_embree.rings import Rings, append_layer, room_for_rings
-from ebamcheck_embree.scene import Bools, Facets, Floats, Ints, Singles, UnderWay, under_way
-from ebamcheck_embree.slabs import Slab, Slabs
+from ebamcheck_embree.scene import Bools, Facets, Floats, Ints, Scene, Singles, UnderWay, under_way
+from ebamcheck_embree.section import part_of
 from ebamcheck_embree.stack import PIECES_A_THREAD, GridRays
 
 LEAST_LAYERS = 16
@@ -39,39 +39,41 @@ class VerticalRays(GridRays):
 
     def __init__(self, part: Part, grid: Grid, rays_per_call: int, labels: Mapping[str, Any]) -> None:
         super().__init__(part, grid, rays_per_call, labels)
-        slabs = Slabs(self.mesh, axis=1)
-        slab = slabs.of(grid.row_y_mm)
-        edges = [0, *(np.flatnonzero(np.diff(slab)) + 1).tolist(), grid.rows]
-        bands = list(
-            run_in_order(lambda first, past: self._cast(slabs[int(slab[first])], first, past), edges)
-        )
-        self._unpaired = sum(int(np.count_nonzero(~found.sound)) for found in bands)
-        self._towers = _borrowed(
-            _joined_towers(bands), np.concatenate([found.paired for found in bands]), grid.columns
-        )
+        found = self._cast_all()
+        self._unpaired = int(np.count_nonzero(~found.sound))
+        self._towers = _borrowed(Towers(found.starts, found.along), found.paired, grid.columns)
 
-    def _cast(self, slab: Slab, first_row: int, past_row: int) -> Borders:
-        """Cast the rays of all nodes of some rows that lie over a facet."""
+    def _cast_all(self) -> Borders:
+        """Cast the ray of every node that lies over a facet, in blocks; the tree has no facets but those."""
         lattice = self.grid.lattice
-        counts = facet_counts(slab.mesh, lattice, first_row, past_row)
+        counts, is_counted = facet_counts(self.mesh, lattice)
+        mesh = part_of(
+            self.mesh,
+            np.flatnonzero(is_counted).astype(np.int32),
+            np.full(len(self.mesh.vertices), -1, np.int32),
+        )
+        scene = Scene(*mesh)
         hits = room_for(counts)
         wanted = np.flatnonzero(counts)
 
         def take(met: Facets, distance: Singles, rays: UnderWay) -> int:
-            return take_heights(slab.mesh, lattice, first_row, met, distance, rays, hits)
+            return take_heights(mesh, lattice, met, distance, rays, hits)
 
-        for first in range(0, len(wanted), self.rays_per_call):
-            nodes = wanted[first : first + self.rays_per_call].copy()
-            slab.scene.follow(under_way(nodes, self._origins(nodes, first_row)), 2, take)
+        def cast(start: int, stop: int) -> None:
+            for first in range(start, stop, self.rays_per_call):
+                rays = wanted[first : min(first + self.rays_per_call, stop)].copy()
+                scene.follow(under_way(rays, self._origins(rays)), 2, take)
+
+        run_blocks(cast, len(wanted), smallest=4096)
         short = short_rays(hits)
         if short.any():
-            take_from_facets(slab.mesh, lattice, first_row, past_row, short, hits)
+            take_from_facets(mesh, lattice, short, hits)
         return borders(hits.starts, hits.along, hits.sign, hits.facet)
 
-    def _origins(self, nodes: Ints, first_row: int) -> Singles:
+    def _origins(self, nodes: Ints) -> Singles:
         row, column = np.divmod(nodes, self.grid.columns)
         origins = np.empty((len(nodes), 3), np.float32)
-        origins[:, 0], origins[:, 1] = self.grid.column_x_mm[column], self.grid.row_y_mm[first_row + row]
+        origins[:, 0], origins[:, 1] = self.grid.column_x_mm[column], self.grid.row_y_mm[row]
         origins[:, 2] = -0.51 * float(self.part.size[2]) - self.grid.cell_mm
         return origins
 
@@ -89,15 +91,6 @@ class VerticalRays(GridRays):
             rings = _rings(raster, turn_starts[first : past + 1], nodes, self.grid.lattice, self.centre_mm)
             rings.unpaired[:] = self._unpaired
             yield rings
-
-
-def _joined_towers(bands: Sequence[Borders]) -> Towers:
-    """Join the borders over consecutive rows."""
-    bases = np.cumsum([0] + [len(found.along) for found in bands])
-    starts = [found.starts[1:] + base for found, base in zip(bands, bases[:-1], strict=True)]
-    return Towers(
-        np.concatenate([np.zeros(1, np.int64), *starts]), np.concatenate([found.along for found in bands])
-    )
 
 
 def _borrowed(towers: Towers, paired: Bools, columns: int) -> Towers:
