@@ -15,8 +15,8 @@ from ebamcheck_embree.section import Mesh, part_of
 FACETS_A_SLAB = 8192
 """Facets of a slab at least, on average: a tree of fewer is hardly faster."""
 
-FACETS_THROUGH_A_SLAB = 2.0
-"""Thickness of a slab over the mean extent of facets across it at least: a facet lies in 1.5 slabs on average then."""
+FACETS_THROUGH_A_SLAB = 4.0
+"""Thickness of a slab over the mean extent of facets across it at least: a facet lies in 1.25 slabs on average."""
 
 SLABS_KEPT = 8
 """Slabs that stay made once they were asked for: more than threads that work side by side want."""
