@@ -14,9 +14,11 @@ from section_oracle import depth_beyond, exact_section, prism
 from ebamcheck.errors import BackendFailed, SettingsError
 from ebamcheck.layers.stack import concatenate
 from ebamcheck.mesh.part import from_arrays
+from ebamcheck_embree import slabs
 from ebamcheck_embree.grid import automatic_cell_mm, grid_over
 from ebamcheck_embree.hits import borders
 from ebamcheck_embree.scene import Scene
+from ebamcheck_embree.section import Mesh
 
 
 @pytest.mark.parametrize("name", PARTS)
@@ -179,6 +181,47 @@ def test_no_ray_is_cast_that_crosses_nothing_nor_after_its_last_crossing(monkeyp
     assert sum(casts) == 2 * (10 + 10)
 
 
+@pytest.mark.parametrize("name", PARTS)
+def test_layers_do_not_depend_on_the_slabs_of_the_part(name, monkeypatch):
+    """Trees of a few facets each name the same candidates as one of the whole part."""
+    part = PARTS[name]
+    heights = np.linspace(*part.bounds[:, 2], 60)
+    whole = cut(part, heights, grid_mm=0.3)
+    monkeypatch.setattr(slabs, "FACETS_A_SLAB", 1)
+    monkeypatch.setattr(slabs, "FACETS_THROUGH_A_SLAB", 0.1)
+    assert same(cut(part, heights, grid_mm=0.3), whole)
+
+
+def test_every_facet_that_reaches_a_place_is_in_its_slab(monkeypatch):
+    monkeypatch.setattr(slabs, "FACETS_A_SLAB", 4)
+    monkeypatch.setattr(slabs, "FACETS_THROUGH_A_SLAB", 1.0)
+    part = sphere()
+    mesh = Mesh(part.vertices, part.faces.astype(np.int32))
+    divided = slabs.Slabs(mesh, axis=2)
+    z = part.vertices[part.faces, 2]
+    places = np.linspace(*part.bounds[:, 2], 97)
+    assert len(set(divided.of(places).tolist())) > slabs.SLABS_KEPT  # some are made again
+    for place, slab in zip(places, divided.of(places), strict=True):
+        found = divided[slab].mesh
+        assert len(found.faces) == divided.facets_in(slab) < len(part.faces)
+        corners = {facet.tobytes() for facet in found.vertices[found.faces]}
+        reaching = (z.min(axis=1) <= place) & (place <= z.max(axis=1))
+        assert corners >= {facet.tobytes() for facet in part.vertices[part.faces[reaching]]}
+
+
+def test_a_vertical_tree_has_no_facet_that_lies_over_no_node(monkeypatch):
+    """Of a box only bottom and top: a wall has no node beneath it."""
+    sizes = []
+
+    def build(self, vertices, faces, init=Scene.__init__):
+        sizes.append((len(vertices), len(faces)))
+        init(self, vertices, faces)
+
+    monkeypatch.setattr(Scene, "__init__", build)
+    cut(box((0, 0, 0), (4, 4, 4)), [1.0], mode="vertical", grid_mm=0.1)
+    assert sizes == [(8, 4)]
+
+
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize(
     "fault", [lambda facets: np.full_like(facets, -1), lambda facets: facets ^ 1], ids=["none", "neighbour"]
@@ -257,7 +300,7 @@ def test_automatic_grid():
     assert automatic_cell_mm(box((0, 0, 0), (10, 1000, 5)), "in-plane") == pytest.approx(1000 / 4096)
     assert automatic_cell_mm(box((0, 0, 0), (200, 10, 5)), "vertical") == pytest.approx(200 / 1024)
     layers = cut(box(), [1.0])
-    assert layers.settings == {"grid_mm": 2 / 1024, "mode": "in-plane", "rays_per_call": 65_536}
+    assert layers.settings == {"grid_mm": 2 / 1024, "mode": "in-plane", "rays_per_call": 16_384}
 
 
 def test_a_grid_that_does_not_fit_is_refused():

@@ -11,7 +11,7 @@ import numpy as np
 
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck_embree.grid import Lattice
-from ebamcheck_embree.hits import Hits, add, is_known
+from ebamcheck_embree.hits import Hits, add, is_among
 from ebamcheck_embree.knots import node_after
 from ebamcheck_embree.scene import Bools, Facets, Ints, Singles, UnderWay, go_on
 from ebamcheck_embree.section import Mesh
@@ -52,17 +52,19 @@ def _rows_across(mesh: Mesh, f: int, grid: Lattice) -> tuple[int, int]:
 
 
 @kernel
-def facet_counts(mesh: Mesh, grid: Lattice) -> Ints:
-    """Facets over and under each node (rows * columns,)."""
+def facet_counts(mesh: Mesh, grid: Lattice) -> tuple[Ints, Bools]:
+    """Facets over and under each node (rows * columns,), and whether each facet (F,) is one of them anywhere."""
     x0, y0, cell, columns, rows = grid
     counts = np.zeros(rows * columns, np.int64)
+    is_counted = np.zeros(len(mesh.faces), np.bool_)
     for f in range(len(mesh.faces)):
         first, past = _rows_across(mesh, f, grid)
         for j in range(first, past):
             left, right, _ = _edges_at(mesh, f, y0 + cell * j)
             for i in range(node_after(left, x0, cell, columns), node_after(right, x0, cell, columns)):
                 counts[j * columns + i] += 1
-    return counts
+                is_counted[f] = True
+    return counts, is_counted
 
 
 @kernel
@@ -77,7 +79,7 @@ def take_heights(
         if facet < 0:
             continue
         node = rays.ray[n]
-        if facet != rays.last[n] and not is_known(hits, node, facet):
+        if facet != rays.last[n] and not is_among(hits.facet, hits.starts[node], hits.known[node], facet):
             row = node // columns
             x, y = x0 + cell * (node - row * columns), y0 + cell * row
             left, right, facing = _edges_at(mesh, facet, y)

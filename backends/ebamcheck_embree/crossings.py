@@ -15,9 +15,9 @@ from __future__ import annotations
 import numpy as np
 
 from ebamcheck.numeric.kernels import kernel
-from ebamcheck_embree.hits import Hits, add, is_known
+from ebamcheck_embree.hits import Hits, add, is_among
 from ebamcheck_embree.scene import Bools, Facets, Floats, Ints, Singles, UnderWay, go_on
-from ebamcheck_embree.section import Mesh, Sections, segment_of
+from ebamcheck_embree.section import Sections
 
 
 @kernel
@@ -31,8 +31,10 @@ def _crossing(u0: float, w0: float, u1: float, w1: float, line: float) -> tuple[
 
 
 @kernel
-def _sign_and_place(axis: int, x0: float, y0: float, x1: float, y1: float, line: float) -> tuple[int, float]:
-    """Sign (+1 where a ray along `axis` enters, -1 where it leaves, 0) and place of its crossing with a segment."""
+def _sign_and_place(segments: Floats, n: int, axis: int, line: float) -> tuple[int, float]:
+    """Sign (+1 where a ray along `axis` enters, -1 where it leaves, 0) and place of its crossing with segment `n`."""
+    # One number at a time: to unpack a row costs more than all the rest.
+    x0, y0, x1, y1 = segments[n, 0], segments[n, 1], segments[n, 2], segments[n, 3]
     if axis == 0:  # a segment that rises across a row's ray has the material before it
         way, place = _crossing(x0, y0, x1, y1, line)
         return -way, place
@@ -52,39 +54,31 @@ def _first_line_at(lines: Floats, place: float) -> int:
 
 
 @kernel
-def _lines_across(segments: Floats, axis: int, n: int, lines: Floats) -> tuple[int, int]:
-    """First ray that crosses segment `n`, and the first beyond it that does not."""
+def _across(segments: Floats, axis: int, n: int) -> tuple[float, float]:
+    """From where to where segment `n` reaches across the rays along an axis."""
     w0, w1 = segments[n, 1 - axis], segments[n, 3 - axis]
-    first = _first_line_at(lines, min(w0, w1))
-    past = first
-    while past < lines.size and lines[past] < max(w0, w1):
-        past += 1
-    return first, past
+    return min(w0, w1), max(w0, w1)
 
 
 @kernel
-def crossing_counts(sections: Sections, axis: int, lines: Floats) -> Ints:
-    """Segments that each ray crosses, (L * R,): those of the first section's R lines, then the next one's."""
-    counts = np.zeros((sections.starts.size - 1) * lines.size, np.int64)
-    for layer in range(sections.starts.size - 1):
-        base = layer * lines.size
-        for n in range(sections.starts[layer], sections.starts[layer + 1]):
-            first, past = _lines_across(sections.segments, axis, n, lines)
-            for r in range(first, past):
+def crossing_counts(sections: Sections, heights: int, axis: int, lines: Floats) -> Ints:
+    """Segments that each ray crosses, (heights * R,): those of the first height's R lines, then the next one's."""
+    counts = np.zeros(heights * lines.size, np.int64)
+    for f in range(sections.first.size):
+        base = sections.first[f] * lines.size
+        for n in range(sections.starts[f], sections.starts[f + 1]):
+            low, high = _across(sections.segments, axis, n)
+            r = _first_line_at(lines, low)
+            while r < lines.size and lines[r] < high:
                 counts[base + r] += 1
+                r += 1
+            base += lines.size
     return counts
 
 
 @kernel
 def take_crossings(
-    mesh: Mesh,
-    z_mm: Floats,
-    axis: int,
-    lines: Floats,
-    met: Facets,
-    distance: Singles,
-    rays: UnderWay,
-    hits: Hits,
+    sections: Sections, axis: int, lines: Floats, met: Facets, distance: Singles, rays: UnderWay, hits: Hits
 ) -> int:
     """File the crossings that float64 confirms; rays that have not met all of theirs go on."""
     going_on = 0
@@ -93,11 +87,11 @@ def take_crossings(
         if facet < 0:
             continue
         r = rays.ray[n]
-        if facet != rays.last[n] and not is_known(hits, r, facet):
+        if facet != rays.last[n] and not is_among(hits.facet, hits.starts[r], hits.known[r], facet):
             layer = r // lines.size
-            cut, x0, y0, x1, y1 = segment_of(mesh, facet, z_mm[layer])
-            if cut:
-                sign, place = _sign_and_place(axis, x0, y0, x1, y1, lines[r - layer * lines.size])
+            k = sections.starts[facet] + layer - sections.first[facet]
+            if sections.starts[facet] <= k < sections.starts[facet + 1]:
+                sign, place = _sign_and_place(sections.segments, k, axis, lines[r - layer * lines.size])
                 if sign != 0:
                     add(hits, r, facet, place, sign)
         if hits.known[r] < hits.starts[r + 1] - hits.starts[r]:
@@ -109,14 +103,14 @@ def take_crossings(
 @kernel
 def take_from_segments(sections: Sections, axis: int, lines: Floats, short: Bools, hits: Hits) -> None:
     """Fill the hits of rays that fell short of their number from the segments that they cross."""
-    for layer in range(sections.starts.size - 1):
-        base = layer * lines.size
-        if not short[base : base + lines.size].any():
-            continue
-        for n in range(sections.starts[layer], sections.starts[layer + 1]):
-            first, past = _lines_across(sections.segments, axis, n, lines)
-            for r in range(first, past):
+    for f in range(sections.first.size):
+        base = sections.first[f] * lines.size
+        for n in range(sections.starts[f], sections.starts[f + 1]):
+            low, high = _across(sections.segments, axis, n)
+            r = _first_line_at(lines, low)
+            while r < lines.size and lines[r] < high:
                 if short[base + r]:
-                    x0, y0, x1, y1 = sections.segments[n]
-                    sign, place = _sign_and_place(axis, x0, y0, x1, y1, lines[r])
-                    add(hits, base + r, sections.owner[n], place, sign)
+                    sign, place = _sign_and_place(sections.segments, n, axis, lines[r])
+                    add(hits, base + r, f, place, sign)
+                r += 1
+            base += lines.size

@@ -64,12 +64,12 @@ def short_rays(hits: Hits) -> Bools:
 
 
 @kernel
-def is_known(hits: Hits, ray: int, facet: int) -> bool:
-    """Whether a ray has met a facet before."""
-    known = False
-    for k in range(hits.starts[ray], hits.starts[ray] + hits.known[ray]):
-        known = known or hits.facet[k] == facet
-    return known
+def is_among(facets: Facets, first: int, count: int, facet: int) -> bool:
+    """Whether a facet is among `count` others from `first` on."""
+    for k in range(first, first + count):  # noqa: SIM110 - kernels have no generators
+        if facets[k] == facet:
+            return True
+    return False
 
 
 @kernel
@@ -84,6 +84,15 @@ def add(hits: Hits, ray: int, facet: int, along: float, sign: int) -> None:
 def _before(a: float, sign_a: int, b: float, sign_b: int) -> bool:
     """Order along a ray; where two shells touch, the entry comes first, so that they unite."""
     return bool(a < b or (a == b and sign_a > sign_b))
+
+
+@kernel
+def _is_ascending(along: Floats, start: int, stop: int) -> bool:
+    """Whether the hits ``start .. stop - 1`` lie one after the other along their ray."""
+    for k in range(start + 1, stop):  # noqa: SIM110 - kernels have no generators
+        if not along[k - 1] < along[k]:
+            return False
+    return True
 
 
 @kernel
@@ -122,7 +131,11 @@ def borders(starts: Ints, along: Floats, sign: Ints, facet: Facets) -> Borders:
     order = np.empty(np.diff(starts).max() if count else 0, np.int64)
     for r in range(count):
         size = starts[r + 1] - starts[r]
-        _sort(along, sign, starts[r], starts[r + 1], order)
+        if _is_ascending(along, starts[r], starts[r + 1]):  # nearly always
+            for n in range(size):
+                order[n] = starts[r] + n
+        else:
+            _sort(along, sign, starts[r], starts[r + 1], order)
         winding = crossed = 0
         first = out
         for k in order[:size]:

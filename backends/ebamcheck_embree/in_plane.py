@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from ebamcheck.backend import Progress
 from ebamcheck.mesh.part import Part
-from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.kernels import kernel, thread_count
 from ebamcheck_embree.crossings import crossing_counts, take_crossings, take_from_segments
 from ebamcheck_embree.grid import Grid, Lattice
 from ebamcheck_embree.hits import Borders, borders, room_for, short_rays
 from ebamcheck_embree.knots import RayColumns, column_knots, row_knots
 from ebamcheck_embree.marching import rings_of_layer
 from ebamcheck_embree.rings import Rings, append_layer, room_for_rings
-from ebamcheck_embree.scene import Facets, Floats, Ints, Singles, UnderWay, under_way
-from ebamcheck_embree.section import Mesh, Sections, most_segments, sections_at, slabs_of
-from ebamcheck_embree.stack import GridRays
+from ebamcheck_embree.scene import Facets, Floats, Ints, Scene, Singles, UnderWay, under_way
+from ebamcheck_embree.section import Mesh, Sections, sections_at
+from ebamcheck_embree.slabs import Slabs
+from ebamcheck_embree.stack import PIECES_A_THREAD, GridRays
 
 SEGMENTS_AT_ONCE = 1 << 22
 """Segments of the sections that are held together by a thread, unless one section alone has more: at most 150 MB."""
@@ -27,45 +28,44 @@ SEGMENTS_AT_ONCE = 1 << 22
 class InPlaneRays(GridRays):
     """Every grid edge that the contour crosses is crossed where the mesh's own section crosses it."""
 
-    layers_a_block = 1
-
     def __init__(self, part: Part, grid: Grid, rays_per_call: int, labels: Mapping[str, Any]) -> None:
         super().__init__(part, grid, rays_per_call, labels)
-        self._slabs = slabs_of(self.mesh)
+        self._slabs = Slabs(self.mesh, axis=2)
         # By axis: where the rays along it lie across it, and where they start, outside the part's box.
         self._lines = (grid.row_y_mm, grid.column_x_mm)
         self._start_mm = (grid.x0_mm - 0.01 * float(part.size[0]), grid.y0_mm - 0.01 * float(part.size[1]))
 
-    def cut(self, z_mm: Floats, report: Progress) -> Iterator[Rings]:
-        """Cut by casting the rays of several layers at once."""
-        for heights in self._batches(z_mm):
-            sections = sections_at(self.mesh, self._slabs, heights)
-            rows, columns = (self._borders(heights, sections, axis) for axis in (0, 1))
-            yield _rings(self.grid.lattice, rows, columns, self.mesh, heights, self.centre_mm)
-            report(len(heights))
+    def pieces(self, z_mm: Floats) -> Ints:
+        """Divide within slabs, as one call of Embree and the room for sections allow."""
+        slab = self._slabs.of(z_mm)
+        borders_of_slabs = [0, *(np.flatnonzero(np.diff(slab)) + 1).tolist(), len(z_mm)]
+        fair = -(-len(z_mm) // (PIECES_A_THREAD * thread_count()))
+        most_rays = self.rays_per_call // max(self.grid.rows, self.grid.columns)
+        edges = [0]
+        for first, past in pairwise(borders_of_slabs):
+            most_segments = SEGMENTS_AT_ONCE // max(1, self._slabs.facets_in(int(slab[first])))
+            count = -(-(past - first) // max(1, min(fair, most_rays, most_segments)))
+            edges += [first + (past - first) * (n + 1) // count for n in range(count)]
+        return np.array(edges)
 
-    def _batches(self, z_mm: Floats) -> Iterator[Floats]:
-        """As many consecutive heights at a time as one call of Embree and the room for sections allow, at least one."""
-        most = max(1, self.rays_per_call // max(self.grid.rows, self.grid.columns))
-        segments = np.concatenate([[0], np.cumsum(most_segments(self._slabs, z_mm))])
-        first = 0
-        while first < len(z_mm):
-            past = int(np.searchsorted(segments, segments[first] + SEGMENTS_AT_ONCE, side="right")) - 1
-            past = min(max(past, first + 1), first + most)
-            yield z_mm[first:past]
-            first = past
+    def cut(self, z_mm: Floats) -> Iterator[Rings]:
+        """Cut by casting the rays of all these layers at once."""
+        slab = self._slabs[int(self._slabs.of(z_mm[:1])[0])]
+        sections = sections_at(slab.mesh, z_mm)
+        rows, columns = (self._borders(slab.scene, z_mm, sections, axis) for axis in (0, 1))
+        yield _rings(self.grid.lattice, rows, columns, slab.mesh, z_mm, self.centre_mm)
 
-    def _borders(self, z_mm: Floats, sections: Sections, axis: int) -> Borders:
+    def _borders(self, scene: Scene, z_mm: Floats, sections: Sections, axis: int) -> Borders:
         """Borders on the rays along an axis of some layers, those of the first layer first."""
         lines = self._lines[axis]
-        counts = crossing_counts(sections, axis, lines)
+        counts = crossing_counts(sections, len(z_mm), axis, lines)
         hits = room_for(counts)
 
         def take(met: Facets, distance: Singles, rays: UnderWay) -> int:
-            return take_crossings(self.mesh, z_mm, axis, lines, met, distance, rays, hits)
+            return take_crossings(sections, axis, lines, met, distance, rays, hits)
 
         wanted = np.flatnonzero(counts)
-        self.scene.follow(under_way(wanted, self._origins(wanted, z_mm, axis)), axis, take)
+        scene.follow(under_way(wanted, self._origins(wanted, z_mm, axis)), axis, take)
         short = short_rays(hits)
         if short.any():
             take_from_segments(sections, axis, lines, short, hits)

@@ -61,24 +61,34 @@ def node_after(place: float, first: float, cell: float, count: int) -> int:
 
 
 @kernel
+def _middle(
+    along: Floats, first: int, past: int, a: int, b: int, low: float, high: float
+) -> tuple[float, int]:
+    """Place and number of the border of a ray on the grid edge (low, high]; the number is -1 where it has none.
+
+    Of several, `a` to `b - 1`, the middle one; else a border of the ray, `first` to `past - 1`, within half an edge
+    beyond an end counts as at that end: float64 put it on the other side. Else the edge's middle.
+    """
+    if b > a:
+        return along[(a + b) // 2], (a + b) // 2
+    reach = 0.5 * (high - low)
+    if a > first and low - along[a - 1] <= reach:
+        return low, -1
+    if b < past and along[b] - high <= reach:
+        return high, -1
+    return 0.5 * (low + high), -1
+
+
+@kernel
 def middle_border(
     starts: Ints, along: Floats, facet: Facets, line: int, low: float, high: float
 ) -> tuple[float, int]:
-    """Border of a ray on the grid edge (low, high]: the middle one of several, else the edge's middle.
-
-    A border within half an edge beyond an end counts as at that end: float64 put it on the other side.
-    """
-    a = starts[line] + np.searchsorted(along[starts[line] : starts[line + 1]], low, side="right")
-    b = starts[line] + np.searchsorted(along[starts[line] : starts[line + 1]], high, side="right")
-    if b > a:
-        k = (a + b) // 2
-        return along[k], facet[k]
-    reach = 0.5 * (high - low)
-    if a > starts[line] and low - along[a - 1] <= reach:
-        return low, NO_FACET
-    if b < starts[line + 1] and along[b] - high <= reach:
-        return high, NO_FACET
-    return 0.5 * (low + high), NO_FACET
+    """Border of a ray on the grid edge (low, high], and its facet: see :func:`_middle`."""
+    first, past = starts[line], starts[line + 1]
+    a = first + np.searchsorted(along[first:past], low, side="right")
+    b = first + np.searchsorted(along[first:past], high, side="right")
+    place, k = _middle(along, first, past, a, b, low, high)
+    return place, (facet[k] if k >= 0 else NO_FACET)
 
 
 @kernel
@@ -209,9 +219,18 @@ def column_knots(grid: Lattice, rows: RowKnots, columns: RayColumns) -> ColumnKn
     starts[row_count] = out
     along = np.empty(out)
     facet = np.empty(out, np.int32)
+    following = col_starts[:-1].copy()  # of each column the first border above the row
     for j in range(row_count - 1):
+        low, high = y0 + cell * j, y0 + cell * (j + 1)
         for k in range(starts[j], starts[j + 1]):
-            along[k], facet[k] = middle_border(
-                col_starts, col_along, col_facet, node[k], y0 + cell * j, y0 + cell * (j + 1)
-            )
+            first, past = col_starts[node[k]], col_starts[node[k] + 1]
+            a = following[node[k]]
+            while a < past and col_along[a] <= low:
+                a += 1
+            b = a
+            while b < past and col_along[b] <= high:
+                b += 1
+            following[node[k]] = b
+            along[k], border = _middle(col_along, first, past, a, b, low, high)
+            facet[k] = col_facet[border] if border >= 0 else NO_FACET
     return ColumnKnots(starts, node[:out], along, facet, up[:out])

@@ -162,7 +162,7 @@ def _chain(
             seen[k] = True
             f, g = facet[k], facet[after[k]]
             if f == NO_FACET or f != previous or f != g:
-                out_points[out] = points[k]
+                out_points[out, 0], out_points[out, 1] = points[k, 0], points[k, 1]
                 out += 1
             previous = f
             if corners and f != g and f != NO_FACET and g != NO_FACET and cells[k, 0] != SADDLE:

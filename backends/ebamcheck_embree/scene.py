@@ -19,6 +19,12 @@ Bools = NDArray[np.bool_]
 ROBUST = False
 """Whether Embree intersects watertightly. What it misses is found in float64, so its faster way does."""
 
+ONE_ULP = np.float32(2.0**-23)
+"""Relative to a number of single precision: so much farther is another number, the next one or that after it."""
+
+LEAST_STEP = np.finfo(np.float32).tiny
+"""Step past a facet at 0, mm."""
+
 LARGEST_STEP_EXPONENT = 60
 """Steps past a facet that is met again double so often at most: they are longer than any part then."""
 
@@ -61,12 +67,12 @@ class Scene:
 
     def follow(self, rays: UnderWay, axis: int, take: Take) -> None:
         """Cast rays up an axis until `take` lets none of them go on; Embree gives one facet a cast."""
-        direction = np.zeros_like(rays.origin)
-        direction[:, axis] = 1.0
-        count = len(direction)
+        direction = np.zeros((1, 3), np.float32)  # of all rays
+        direction[0, axis] = 1.0
+        count = len(rays.ray)
         while count:
             rays = UnderWay(rays.ray[:count], rays.origin[:count], rays.last[:count], rays.repeats[:count])
-            met = self._scene.run(rays.origin, direction[:count], output=True)
+            met = self._scene.run(rays.origin, direction, output=True)
             count = take(met["primID"], met["tfar"], rays)
 
 
@@ -82,8 +88,8 @@ def go_on(rays: UnderWay, n: int, place: int, facet: int, distance: float, axis:
     rays.repeats[place] = repeats
     for k in range(3):
         rays.origin[place, k] = rays.origin[n, k]
-    start = rays.origin[place, axis]
-    reached = max(start, np.float32(start + distance))
-    ulps = np.ldexp(np.float64(np.spacing(abs(reached))), min(repeats, LARGEST_STEP_EXPONENT))
-    step = np.float32(np.float64(reached) + ulps)
-    rays.origin[place, axis] = max(np.nextafter(reached, np.float32(np.inf)), step)
+    reached = max(rays.origin[place, axis], np.float32(rays.origin[place, axis] + distance))
+    step = max(ONE_ULP * abs(reached), LEAST_STEP)
+    if repeats > 0:
+        step = np.float32(step * 2.0 ** min(repeats, LARGEST_STEP_EXPONENT))
+    rays.origin[place, axis] = reached + step

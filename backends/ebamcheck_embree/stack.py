@@ -5,30 +5,31 @@ from __future__ import annotations
 import logging
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
-from threading import Lock
+from dataclasses import replace
 from types import TracebackType
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 import numpy as np
 
 from ebamcheck.backend import Progress
 from ebamcheck.errors import BackendFailed
-from ebamcheck.layers.stack import Layers, canonical, concatenate
+from ebamcheck.layers.stack import Layers, canonical
 from ebamcheck.mesh.part import Part
-from ebamcheck.numeric.kernels import run_blocks
+from ebamcheck.numeric.kernels import run_in_order
 from ebamcheck_embree.grid import Grid
 from ebamcheck_embree.rings import Rings, room_for_rings
-from ebamcheck_embree.scene import Floats, Ints, Scene
+from ebamcheck_embree.scene import Floats, Ints
 from ebamcheck_embree.section import Mesh
 
 log = logging.getLogger(__name__)
 
 
+PIECES_A_THREAD = 4
+"""Pieces of a stack for each thread at least, where it has so many layers: they take unequal time."""
+
+
 class GridRays(ABC):
     """A part made ready for one way of casting rays."""
-
-    layers_a_block: ClassVar[int]
-    """Layers that a thread takes at least: fewer cost more than they save."""
 
     def __init__(self, part: Part, grid: Grid, rays_per_call: int, labels: Mapping[str, Any]) -> None:
         self.part = part
@@ -40,7 +41,7 @@ class GridRays(ABC):
             np.ascontiguousarray(part.vertices - self.centre_mm),
             np.ascontiguousarray(part.faces, dtype=np.int32),
         )
-        self._scene: Scene | None = Scene(*self.mesh)
+        self._released = False
 
     def __enter__(self) -> Self:
         return self
@@ -48,46 +49,46 @@ class GridRays(ABC):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._scene = None
-
-    @property
-    def scene(self) -> Scene:
-        """The tree; raises :class:`BackendFailed` once it was released."""
-        return self._require_scene()
-
-    def _require_scene(self) -> Scene:
-        if self._scene is None:
-            raise BackendFailed(f"embree: part {self.part.name!r} was released: prepare it again")
-        return self._scene
+        self._released = True
 
     @abstractmethod
-    def cut(self, z_mm: Floats, report: Progress) -> Iterator[Rings]:
-        """Cut at consecutive heights about the centre of the part, piece by piece; a layer's result is its own."""
+    def pieces(self, z_mm: Floats) -> Ints:
+        """Divide consecutive heights (L,) into pieces that threads cut one after the other: from 0 to L, ascending."""
+
+    @abstractmethod
+    def cut(self, z_mm: Floats) -> Iterator[Rings]:
+        """Cut a piece at heights about the centre of the part, some layers at a time; a layer's result is its own."""
 
     def slice(self, heights: Floats, progress: Progress | None = None) -> Layers:
         """Cut at strictly increasing heights (L,), mm, on all threads."""
         heights = np.ascontiguousarray(heights, dtype=np.float64)
-        self._require_scene()
+        if self._released:
+            raise BackendFailed(f"embree: part {self.part.name!r} was released: prepare it again")
         if not heights.size:
             return self._layers(heights, room_for_rings(0))
-        lock = Lock()
-
-        def report(count: int) -> None:
-            if progress is not None:
-                with lock:
-                    progress(count)
+        z_mm = heights - self.centre_mm[2]
 
         def cut(start: int, stop: int) -> list[tuple[Layers, Ints]]:
             done: list[tuple[Layers, Ints]] = []
-            for rings in self.cut(heights[start:stop] - self.centre_mm[2], report):
+            for rings in self.cut(z_mm[start:stop]):
                 past = start + len(rings.unpaired)
                 done.append((self._layers(heights[start:past], rings), rings.unpaired))
                 start = past
             return done
 
-        pieces = [piece for block in run_blocks(cut, len(heights), self.layers_a_block) for piece in block]
-        self._report_unpaired(heights, np.concatenate([unpaired for _, unpaired in pieces]))
-        return concatenate([layers for layers, _ in pieces])
+        unpaired: list[Ints] = []
+
+        def layers_in_order() -> Iterator[Layers]:
+            for piece in run_in_order(cut, self.pieces(z_mm).tolist()):
+                for layers, odd in piece:
+                    unpaired.append(odd)
+                    yield layers
+                    if progress is not None:
+                        progress(len(layers))
+
+        stack = joined(layers_in_order())
+        self._report_unpaired(heights, np.concatenate(unpaired))
+        return stack
 
     def _layers(self, heights: Floats, rings: Rings) -> Layers:
         """Canonical layers of the rings of consecutive layers."""
@@ -113,3 +114,32 @@ class GridRays(ABC):
                 "(most at z = %.6g mm: %d); they were mended from their neighbours",
                 self.part.name, int((unpaired > 0).sum()), len(unpaired), heights[worst], unpaired[worst],
             )  # fmt: skip
+
+
+def joined(blocks: Iterator[Layers]) -> Layers:
+    """Join consecutive blocks of layers as they come; none is kept once its points are copied.
+
+    The points' column grows in place: memory that nobody has touched before is what costs time here, and this way
+    the points are never there twice.
+    """
+    points = np.empty((0, 2))
+    kept: list[Layers] = []
+    for block in blocks:
+        size = len(points)
+        points.resize(
+            (size + len(block.points), 2), refcheck=False
+        )  # no view of it is taken before it is whole
+        points[size:] = block.points
+        kept.append(replace(block, ring_starts=block.ring_starts + size, points=points[:0].copy()))
+    ring_base = np.cumsum([0] + [block.closed.size for block in kept])
+    return replace(
+        kept[0],
+        heights=np.concatenate([block.heights for block in kept]),
+        points=points,
+        ring_starts=np.concatenate([[0], *(block.ring_starts[1:] for block in kept)]).astype(np.int64),
+        layer_starts=np.concatenate(
+            [[0], *(block.layer_starts[1:] + r for block, r in zip(kept, ring_base[:-1], strict=True))]
+        ).astype(np.int64),
+        closed=np.concatenate([block.closed for block in kept]),
+        dropped=np.concatenate([block.dropped for block in kept]),
+    )

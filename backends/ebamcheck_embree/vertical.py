@@ -7,18 +7,21 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ebamcheck.backend import Progress
 from ebamcheck.mesh.part import Part
-from ebamcheck.numeric.kernels import kernel, run_blocks
+from ebamcheck.numeric.kernels import kernel, run_blocks, thread_count
 from ebamcheck_embree.above_nodes import facet_counts, take_from_facets, take_heights
 from ebamcheck_embree.grid import Grid, Lattice
 from ebamcheck_embree.hits import Borders, borders, room_for, short_rays
 from ebamcheck_embree.raster import Raster, contours, empty_raster, turn_over
 from ebamcheck_embree.rings import Rings, append_layer, room_for_rings
-from ebamcheck_embree.scene import Bools, Facets, Floats, Ints, Singles, UnderWay, under_way
-from ebamcheck_embree.stack import GridRays
+from ebamcheck_embree.scene import Bools, Facets, Floats, Ints, Scene, Singles, UnderWay, under_way
+from ebamcheck_embree.section import part_of
+from ebamcheck_embree.stack import PIECES_A_THREAD, GridRays
 
-LAYERS_A_PIECE = 32
+LEAST_LAYERS = 16
+"""Layers of a piece at least: fewer cost more than they save."""
+
+LAYERS_AT_ONCE = 32
 """Layers whose rings are brought into canonical form together: their points stay in the processor's cache."""
 
 
@@ -34,8 +37,6 @@ class Towers(NamedTuple):
 class VerticalRays(GridRays):
     """The material above each node, as intervals of height."""
 
-    layers_a_block = 16  # each block goes through all towers once
-
     def __init__(self, part: Part, grid: Grid, rays_per_call: int, labels: Mapping[str, Any]) -> None:
         super().__init__(part, grid, rays_per_call, labels)
         found = self._cast_all()
@@ -43,24 +44,30 @@ class VerticalRays(GridRays):
         self._towers = _borrowed(Towers(found.starts, found.along), found.paired, grid.columns)
 
     def _cast_all(self) -> Borders:
-        """Cast the ray of every node that lies over a facet, in blocks."""
+        """Cast the ray of every node that lies over a facet, in blocks; the tree has no facets but those."""
         lattice = self.grid.lattice
-        counts = facet_counts(self.mesh, lattice)
+        counts, is_counted = facet_counts(self.mesh, lattice)
+        mesh = part_of(
+            self.mesh,
+            np.flatnonzero(is_counted).astype(np.int32),
+            np.full(len(self.mesh.vertices), -1, np.int32),
+        )
+        scene = Scene(*mesh)
         hits = room_for(counts)
         wanted = np.flatnonzero(counts)
 
         def take(met: Facets, distance: Singles, rays: UnderWay) -> int:
-            return take_heights(self.mesh, lattice, met, distance, rays, hits)
+            return take_heights(mesh, lattice, met, distance, rays, hits)
 
         def cast(start: int, stop: int) -> None:
             for first in range(start, stop, self.rays_per_call):
                 rays = wanted[first : min(first + self.rays_per_call, stop)].copy()
-                self.scene.follow(under_way(rays, self._origins(rays)), 2, take)
+                scene.follow(under_way(rays, self._origins(rays)), 2, take)
 
         run_blocks(cast, len(wanted), smallest=4096)
         short = short_rays(hits)
         if short.any():
-            take_from_facets(self.mesh, lattice, short, hits)
+            take_from_facets(mesh, lattice, short, hits)
         return borders(hits.starts, hits.along, hits.sign, hits.facet)
 
     def _origins(self, nodes: Ints) -> Singles:
@@ -70,16 +77,20 @@ class VerticalRays(GridRays):
         origins[:, 2] = -0.51 * float(self.part.size[2]) - self.grid.cell_mm
         return origins
 
-    def cut(self, z_mm: Floats, report: Progress) -> Iterator[Rings]:
+    def pieces(self, z_mm: Floats) -> Ints:
+        """Divide evenly: each piece goes through all towers once."""
+        count = max(1, min(PIECES_A_THREAD * thread_count(), len(z_mm) // LEAST_LAYERS))
+        return np.arange(count + 1) * len(z_mm) // count
+
+    def cut(self, z_mm: Floats) -> Iterator[Rings]:
         """Cut by turning over, from each layer to the next, the nodes whose rays pass a border between."""
         turn_starts, nodes = _turns(self._towers, z_mm)
         raster = empty_raster(self.grid.lattice)
-        for first in range(0, len(z_mm), LAYERS_A_PIECE):
-            past = min(first + LAYERS_A_PIECE, len(z_mm))
+        for first in range(0, len(z_mm), LAYERS_AT_ONCE):
+            past = min(first + LAYERS_AT_ONCE, len(z_mm))
             rings = _rings(raster, turn_starts[first : past + 1], nodes, self.grid.lattice, self.centre_mm)
             rings.unpaired[:] = self._unpaired
             yield rings
-            report(past - first)
 
 
 def _borrowed(towers: Towers, paired: Bools, columns: int) -> Towers:

@@ -6,9 +6,8 @@ interpreter lock, so that :func:`run_blocks` spreads them over threads.
 
 from __future__ import annotations
 
-import itertools
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar, cast
 
@@ -63,10 +62,15 @@ def run_blocks(work: Callable[[int, int], _Result], count: int, smallest: int = 
     Results come back in the order of the blocks, so that they do not depend on the number of threads
     as long as a block's result does not depend on where its borders lie.
     """
+    blocks = max(1, min(thread_count() * 4, count // max(smallest, 1)))
+    return list(run_in_order(work, [count * i // blocks for i in range(blocks + 1)]))
+
+
+def run_in_order(work: Callable[[int, int], _Result], edges: Sequence[int]) -> Iterator[_Result]:
+    """Run ``work(start, stop)`` between each of the `edges` and the next, on all threads; results come in this order."""
     threads = thread_count()
-    blocks = max(1, min(threads * 4, count // max(smallest, 1)))
-    edges = [count * i // blocks for i in range(blocks + 1)]
-    if threads == 1 or blocks == 1:
-        return [work(a, b) for a, b in itertools.pairwise(edges)]
+    if threads == 1 or len(edges) < 3:
+        yield from map(work, edges[:-1], edges[1:])
+        return
     with ThreadPoolExecutor(threads) as pool:
-        return list(pool.map(work, edges[:-1], edges[1:]))
+        yield from pool.map(work, edges[:-1], edges[1:])
