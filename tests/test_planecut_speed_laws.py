@@ -13,7 +13,7 @@ from parts import box, join, moved, sphere, tilted, torus, turn_z
 import ebamcheck
 from ebamcheck.layers.stack import concatenate, from_rings
 from ebamcheck.mesh.part import Part
-from ebamcheck.mesh.topology import edge_groups
+from ebamcheck.mesh.topology import NO_TWIN, edge_groups, twins
 from ebamcheck_planecut import PlaneCut
 from ebamcheck_planecut.box_tree import box_tree, grow, touching
 from ebamcheck_planecut.crossed_facets import crossed_mesh
@@ -26,7 +26,13 @@ from ebamcheck_planecut.overlaps import (
     kept_rings,
     overlap_search,
 )
-from ebamcheck_planecut.sorted_mesh import facets_across, height_order, raise_plane, sorted_mesh
+from ebamcheck_planecut.sorted_mesh import (
+    facets_across,
+    height_order,
+    raise_plane,
+    sorted_mesh,
+    vertices_under,
+)
 
 COLUMNS = ("heights", "points", "ring_starts", "layer_starts", "closed", "edge", "edge_t", "dropped")
 
@@ -158,11 +164,13 @@ def test_of_a_few_planes_only_the_facets_that_they_cross_are_sorted(name):
     whole = sorted_mesh(part)
     heights = planes(part)
     for few in (heights[:0], heights[5:6], heights[3:12:3]):
-        crossed = ((whole.spans[:, :1] <= few) & (whole.spans[:, 1:] > few)).any(axis=1)
+        z = whole.vertices[whole.faces, 2]
+        crossed = ((z.min(axis=1)[:, None] <= few) & (z.max(axis=1)[:, None] > few)).any(axis=1)
         mesh = crossed_mesh(part, few)
         assert mesh.numbers.tolist() == whole.numbers[crossed].tolist()
         assert mesh.vertices[mesh.faces].tolist() == whole.vertices[whole.faces[crossed]].tolist()
-        assert mesh.spans.tolist() == whole.spans[crossed].tolist()
+        tops, expected = mesh.vertices[mesh.highest], whole.vertices[whole.highest[crossed]]
+        assert tops.tolist() == expected.tolist()
 
 
 HEIGHTS = {
@@ -193,12 +201,39 @@ def test_facets_across_a_plane_are_those_that_begin_under_and_end_over_it(name):
     heights = planes(part)
     rising = np.empty(len(mesh.faces), np.int32)
     alone = np.empty(len(mesh.faces), np.int32)
-    count = following = 0
-    for h in heights:
-        expected = np.flatnonzero((mesh.spans[:, 0] <= h) & (mesh.spans[:, 1] > h)).tolist()
-        count, following = raise_plane(mesh, h, rising, count, following)
+    z = mesh.vertices[mesh.faces, 2]
+    count = before = 0
+    for h, under in zip(heights, vertices_under(mesh, heights), strict=True):
+        assert under == np.count_nonzero(part.vertices[:, 2] <= h)
+        expected = np.flatnonzero((z.min(axis=1) <= h) & (z.max(axis=1) > h)).tolist()
+        count = raise_plane(mesh, before, under, rising, count)
+        before = under
         assert rising[:count].tolist() == expected
-        assert alone[: facets_across(mesh, h, alone)[0]].tolist() == expected
+        assert alone[: facets_across(mesh, under, alone)].tolist() == expected
+
+
+CROWDED = soup(9, facets=400, points=400)
+CROWDED.faces[:200, 0] = 7
+FOUND = {
+    **LONE_PARTS,
+    "a crowd at a vertex": CROWDED,
+    "nothing": Part(np.zeros((0, 3)), np.zeros((0, 3), np.int32)),
+}
+
+
+@pytest.mark.parametrize("name", FOUND)
+@pytest.mark.parametrize("threads", ["1", "3"])
+def test_neighbours_are_those_of_half_edges_grouped_by_edge(name, threads, monkeypatch):
+    monkeypatch.setenv("EBAMCHECK_THREADS", threads)
+    mesh = sorted_mesh(FOUND[name])
+    groups = edge_groups(mesh.faces, len(mesh.vertices))
+    expected = twins(np.ascontiguousarray(mesh.vertices[:, :3]), mesh.faces, groups.half_edges, groups.starts)
+    twin, is_open, mixed, fans = mesh.around
+    assert twin.tolist() == expected.tolist()
+    tails = mesh.faces.ravel()
+    assert is_open == (twin == NO_TWIN).any()
+    assert mixed == ((twin != NO_TWIN) & (tails == tails[twin])).any()
+    assert fans == (np.diff(groups.starts) > 2).any()
 
 
 @pytest.mark.parametrize("threads", ["1", "3"])

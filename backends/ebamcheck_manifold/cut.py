@@ -185,8 +185,8 @@ def unpaired_edges(faces: NDArray[np.int32]) -> int:
 def _facets_with_three_vertices(faces: NDArray[np.int32]) -> NDArray[np.int32]:
     """Leave out facets that name a vertex twice: no plane cuts them, and manifold3d would refuse them."""
     a, b, c = faces.T
-    kept: NDArray[np.int32] = faces[(a != b) & (b != c) & (c != a)]
-    return kept
+    kept = (a != b) & (b != c) & (c != a)
+    return faces if kept.all() else faces[kept]
 
 
 def _reach_mm(part: Part) -> float:

@@ -17,7 +17,7 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.numeric.kernels import run_blocks
 from ebamcheck_planecut import overlaps
 from ebamcheck_planecut.crossed_facets import crossed_mesh
-from ebamcheck_planecut.sorted_mesh import SortedMesh, points_at_most, sorted_mesh, turned_mesh
+from ebamcheck_planecut.sorted_mesh import SortedMesh, sorted_mesh, turned_mesh, vertices_under
 from ebamcheck_planecut.sweep import Block, Columns, cut_block
 
 SMALLEST_BLOCK = 16
@@ -82,8 +82,8 @@ class PreparedCut:
         """Cut at strictly increasing heights (L,), mm."""
         heights = np.ascontiguousarray(heights, dtype=np.float64)
         mesh = self._mesh_across(heights)
-        room = points_at_most(mesh, heights)
-        rows = np.concatenate([[0], np.cumsum(room)])
+        under = vertices_under(mesh, heights)
+        rows = np.concatenate([[0], np.cumsum(mesh.crossed[under])])
         columns = Columns(
             np.empty((int(rows[-1]), 2)), np.empty((int(rows[-1]), 2), np.int32), np.empty(int(rows[-1]))
         )
@@ -93,7 +93,7 @@ class PreparedCut:
             # Zeros that nobody has touched cost nothing, and a block touches those of its own facets alone.
             seen = np.zeros(len(mesh.faces), np.int32)
             at = int(rows[start])
-            cut = cut_block(mesh, heights[start:stop], room[start:stop], seen, columns, at, unite)
+            cut = cut_block(mesh, heights[start:stop], under[start:stop], seen, columns, at, unite)
             if progress is not None:
                 progress(stop - start)
             return cut

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.mesh.part import Part
-from ebamcheck.mesh.topology import edge_groups, twins
-from ebamcheck.numeric.kernels import kernel, run_blocks
+from ebamcheck.numeric.kernels import kernel, run_blocks, thread_count
+from ebamcheck_planecut.neighbours import Neighbours, neighbours
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int32]
@@ -26,6 +26,9 @@ RUN = 256
 RUNS_A_BLOCK = 128
 FACETS_A_BLOCK = RUN * RUNS_A_BLOCK
 """What a thread takes at least: less does not pay for handing it over."""
+
+FLAT = -1
+"""First corner of a facet that is left out."""
 
 VERTICES_A_BIN = 4
 """Vertices in a bin of the sort by height, on average: a few are put in order by insertion."""
@@ -40,64 +43,72 @@ class SortedMesh(NamedTuple):
     """(F, 3) rows of `vertices`, by the lowest of the three."""
     numbers: Index
     """(F,) the part's number of each facet."""
-    twin: Index
-    """(3 F,) half-edge across each half-edge, :data:`ebamcheck.mesh.topology.NO_TWIN` at an open one."""
-    spans: Floats
-    """(F, 2) least and greatest z of each facet."""
-    tallest: Floats
-    """Greatest z of each :data:`RUN` facets."""
+    first: Index
+    """(V + 1,) first facet whose lowest vertex is 0, 1, .. or a later one; the number of facets."""
+    highest: Index
+    """(F,) highest vertex of each facet."""
+    tallest: Index
+    """Highest vertex of each :data:`RUN` facets."""
     crossed: Ints
     """(V + 1,) points, at most, on a plane above 0, 1, .. V vertices."""
-    is_open: bool
-    """Whether a half-edge has no twin, so that there are open paths."""
-    mixed: bool
-    """Whether two neighbours run the same way along their edge, as they do where one of them is flipped."""
-    fans: bool
-    """Whether more than two facets meet at an edge; which of them are neighbours depends on angles."""
+    around: Neighbours
+    """Neighbours of the facets."""
 
 
 def sorted_mesh(part: Part) -> SortedMesh:
     """Sort a part's mesh and find the neighbours of its facets."""
-    vertices, faces, numbers = _sorted(part)
-    groups = edge_groups(faces, len(vertices))
-    twin = twins(vertices[:, :3], faces, groups.half_edges, groups.starts)
-    fans = bool((np.diff(groups.starts) > 2).any())
-    found = run_blocks(lambda a, b: _odd_neighbours(faces, twin, a, b), len(faces), FACETS_A_BLOCK)
-    is_open, mixed = (any(block[k] for block in found) for k in range(2))
-    return _measured(vertices, faces, numbers, twin, is_open, mixed, fans)
+    order = _sorted(part)
+    return _measured(order, neighbours(order.vertices, order.faces, order.first))
 
 
 def turned_mesh(part: Part, before: SortedMesh) -> SortedMesh:
     """Sort a mesh that has the facets of another one, under vertices in other places; neighbours stay what they were."""
-    if before.fans:
+    if before.around.fans:
         return sorted_mesh(part)
-    vertices, faces, numbers = _sorted(part)
+    order = _sorted(part)
     place = np.empty(len(part.faces), np.int32)
-    place[numbers] = np.arange(len(numbers), dtype=np.int32)
+    place[order.numbers] = np.arange(len(order.numbers), dtype=np.int32)
     moved = place[before.numbers]
-    twin = np.empty_like(before.twin)
-    run_blocks(lambda a, b: _move_twins(before.twin, moved, twin, a, b), len(faces), FACETS_A_BLOCK)
-    return _measured(vertices, faces, numbers, twin, before.is_open, before.mixed, fans=False)
+    twin = np.empty_like(before.around.twin)
+    run_blocks(
+        lambda a, b: _move_twins(before.around.twin, moved, twin, a, b), len(order.faces), FACETS_A_BLOCK
+    )
+    return _measured(order, before.around._replace(twin=twin))
 
 
-def _sorted(part: Part) -> tuple[Floats, Index, Index]:
-    """Vertices by height, facets by their lowest vertex, and the number each facet had."""
+class _Order(NamedTuple):
+    """Vertices by height, facets by their lowest vertex: columns of :class:`SortedMesh`."""
+
+    vertices: Floats
+    faces: Index
+    numbers: Index
+    first: Index
+
+
+def _sorted(part: Part) -> _Order:
     original = height_order(np.ascontiguousarray(part.vertices[:, 2]))
-    vertices, rank = _ranked(part.vertices, original)
-    faces, numbers = _by_lowest_vertex(part.faces, rank)
-    return vertices, faces, numbers
+    count = original.size
+    vertices, rank = np.empty((count, 4)), np.empty(count, np.int32)
+    run_blocks(lambda a, b: _rank(part.vertices, original, vertices, rank, a, b), count, FACETS_A_BLOCK)
+    ranked = np.empty_like(part.faces)
+    run_blocks(lambda a, b: _rank_facets(part.faces, rank, ranked, a, b), len(ranked), FACETS_A_BLOCK)
+    # Each thread looks at all facets and takes those that begin in its range of heights.
+    share = max(1, -(-count // thread_count()))
+    begins = np.zeros(count + 1, np.int32)
+    run_blocks(lambda a, b: _count_lowest(ranked, begins, a, b), count, share)
+    first = np.cumsum(begins, dtype=np.int32)
+    faces, numbers = np.empty((int(first[-1]), 3), np.int32), np.empty(int(first[-1]), np.int32)
+    run_blocks(lambda a, b: _take_lowest(ranked, first, faces, numbers, a, b), count, share)
+    return _Order(vertices, faces, numbers, first)
 
 
-def _measured(
-    vertices: Floats, faces: Index, numbers: Index, twin: Index, is_open: bool, mixed: bool, fans: bool
-) -> SortedMesh:
-    """Complete a sorted mesh by the spans of its facets and the points that they give to planes."""
-    count = len(faces)
-    spans = np.empty((count, 2))
-    tallest = np.empty(-(-count // RUN))
-    run_blocks(lambda a, b: _measure_runs(vertices, faces, spans, tallest, a, b), tallest.size, RUNS_A_BLOCK)
-    crossed = _crossed(faces, twin, len(vertices), is_open)
-    return SortedMesh(vertices, faces, numbers, twin, spans, tallest, crossed, is_open, mixed, fans)
+def _measured(order: _Order, around: Neighbours) -> SortedMesh:
+    """Complete a sorted mesh by the tops of its facets and the points that they give to planes."""
+    count = len(order.faces)
+    highest, tallest = np.empty(count, np.int32), np.empty(-(-count // RUN), np.int32)
+    run_blocks(lambda a, b: _measure_runs(order.faces, highest, tallest, a, b), tallest.size, RUNS_A_BLOCK)
+    crossed = _crossed(order.first, highest, around)
+    return SortedMesh(*order, highest, tallest, crossed, around)
 
 
 @kernel
@@ -155,41 +166,46 @@ def _sort_bin(z: Floats, order: Index) -> None:
 
 
 @kernel
-def _ranked(points: Floats, original: Index) -> tuple[Floats, Index]:
-    """Rows (V, 4) of :attr:`SortedMesh.vertices` and the place of each of the part's vertices among them."""
-    vertices = np.empty((original.size, 4))
-    rank = np.empty(original.size, np.int32)
-    for v in range(original.size):
+def _rank(points: Floats, original: Index, vertices: Floats, rank: Index, start: int, stop: int) -> None:
+    """Write the rows ``[start, stop)`` of :attr:`SortedMesh.vertices`, and where each of the part's vertices stands."""
+    for v in range(start, stop):
         number = original[v]
         rank[number] = v
         for c in range(3):
             vertices[v, c] = points[number, c]
         vertices[v, 3] = number
-    return vertices, rank
 
 
 @kernel
-def _by_lowest_vertex(faces: Index, rank: Index) -> tuple[Index, Index]:
-    """Facets with three vertices, renumbered and by their lowest vertex (F', 3), and the number each had (F',)."""
-    starts = np.zeros(rank.size + 1, np.int32)
-    for f in range(faces.shape[0]):
+def _rank_facets(faces: Index, rank: Index, ranked: Index, start: int, stop: int) -> None:
+    """Renumber the corners of the facets ``[start, stop)``; a facet with a repeated one gets :data:`FLAT` as the first."""
+    for f in range(start, stop):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        if a != b and b != c and c != a:
-            starts[min(rank[a], rank[b], rank[c]) + 1] += 1
-    for v in range(rank.size):
-        starts[v + 1] += starts[v]
-    sorted_faces = np.empty((starts[-1], 3), np.int32)
-    order = np.empty(starts[-1], np.int32)
-    for f in range(faces.shape[0]):
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        if a != b and b != c and c != a:
-            a, b, c = rank[a], rank[b], rank[c]
-            low = min(a, b, c)
-            at = starts[low]
-            starts[low] += 1
-            sorted_faces[at, 0], sorted_faces[at, 1], sorted_faces[at, 2] = a, b, c
-            order[at] = f
-    return sorted_faces, order
+        flat = a == b or b == c or c == a
+        ranked[f, 0], ranked[f, 1], ranked[f, 2] = FLAT if flat else rank[a], rank[b], rank[c]
+
+
+@kernel
+def _count_lowest(ranked: Index, begins: Index, start: int, stop: int) -> None:
+    """Count the facets whose lowest vertex is each of ``[start, stop)``, one place behind it."""
+    for f in range(ranked.shape[0]):
+        low = min(ranked[f, 0], ranked[f, 1], ranked[f, 2])
+        if start <= low < stop:
+            begins[low + 1] += 1
+
+
+@kernel
+def _take_lowest(ranked: Index, first: Index, faces: Index, numbers: Index, start: int, stop: int) -> None:
+    """Put the facets whose lowest vertex is one of ``[start, stop)`` to their places, in the order that they have."""
+    fill = first[start:stop].copy()
+    for f in range(ranked.shape[0]):
+        a, b, c = ranked[f, 0], ranked[f, 1], ranked[f, 2]
+        low = min(a, b, c)
+        if start <= low < stop:
+            at = fill[low - start]
+            fill[low - start] += 1
+            faces[at, 0], faces[at, 1], faces[at, 2] = a, b, c
+            numbers[at] = f
 
 
 @kernel
@@ -202,57 +218,41 @@ def _move_twins(twin: Index, moved: Index, result: Index, start: int, stop: int)
 
 
 @kernel
-def _measure_runs(
-    vertices: Floats, faces: Index, spans: Floats, tallest: Floats, start: int, stop: int
-) -> None:
-    """Write the spans of the facets of the runs ``[start, stop)``, and the greatest z of each run."""
+def _measure_runs(faces: Index, highest: Index, tallest: Index, start: int, stop: int) -> None:
+    """Write the highest vertex of each facet of the runs ``[start, stop)``, and that of each run."""
     for run in range(start, stop):
-        top = -np.inf
+        top = np.int32(0)
         for f in range(run * RUN, min((run + 1) * RUN, faces.shape[0])):
-            a, b, c = vertices[faces[f, 0], 2], vertices[faces[f, 1], 2], vertices[faces[f, 2], 2]
-            spans[f, 0] = min(a, b, c)
-            spans[f, 1] = max(a, b, c)
-            top = max(top, spans[f, 1])
+            highest[f] = max(faces[f, 0], faces[f, 1], faces[f, 2])
+            top = max(top, highest[f])
         tallest[run] = top
 
 
 @kernel
-def _odd_neighbours(faces: Index, twin: Index, start: int, stop: int) -> tuple[bool, bool]:
-    """Whether a facet of ``[start, stop)`` has an open half-edge, and whether one has a neighbour turned over."""
-    is_open = mixed = False
-    for f in range(start, stop):
-        for i in range(3):
-            across = twin[3 * f + i]
-            if across < 0:
-                is_open = True
-            elif faces[f, i] == faces[across // 3, across % 3]:
-                mixed = True
-    return is_open, mixed
-
-
-@kernel
-def _crossed(faces: Index, twin: Index, vertex_count: int, is_open: bool) -> Ints:
+def _crossed(first: Index, highest: Index, around: Neighbours) -> Ints:
     """Count the points that the facets give to a plane above 0, 1, .. V vertices, (V + 1,).
 
     A closed ring has a point a facet; an open path one more, which counts for the facets with an open half-edge.
     """
-    change = np.zeros(vertex_count + 1, np.int64)
-    for f in range(faces.shape[0]):
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+    change = np.zeros(first.size, np.int64)
+    low = 0
+    for f in range(highest.size):
         points = 1
-        if is_open and (twin[3 * f] < 0 or twin[3 * f + 1] < 0 or twin[3 * f + 2] < 0):
+        if around.is_open and min(around.twin[3 * f], around.twin[3 * f + 1], around.twin[3 * f + 2]) < 0:
             points = 2
-        change[min(a, b, c) + 1] += points
-        change[max(a, b, c) + 1] -= points
-    for v in range(vertex_count):
+        while first[low + 1] <= f:
+            low += 1
+        change[low + 1] += points
+        change[highest[f] + 1] -= points
+    for v in range(first.size - 1):
         change[v + 1] += change[v]
     return change
 
 
 @kernel
-def points_at_most(mesh: SortedMesh, heights: Floats) -> Ints:
-    """Points of each layer, at most (L,); none fewer where no two of them are equal and no ring lacks area."""
-    result = np.empty(heights.size, np.int64)
+def vertices_under(mesh: SortedMesh, heights: Floats) -> Index:
+    """Vertices that do not lie above each of some rising heights, (L,)."""
+    result = np.empty(heights.size, np.int32)
     low = 0
     for n in range(heights.size):
         high = mesh.vertices.shape[0]
@@ -262,42 +262,35 @@ def points_at_most(mesh: SortedMesh, heights: Floats) -> Ints:
                 low = middle + 1
             else:
                 high = middle
-        result[n] = mesh.crossed[low]
+        result[n] = low
     return result
 
 
 @kernel
-def facets_across(mesh: SortedMesh, h: float, active: Index) -> tuple[int, int]:
-    """List the facets with least z <= h < greatest z in `active`; returns their number and the first facet above h."""
+def facets_across(mesh: SortedMesh, under: int, active: Index) -> int:
+    """List the facets that reach from the first `under` vertices to the others in `active`; returns their number."""
     count = 0
-    low, high = 0, mesh.faces.shape[0]
-    while low < high:
-        middle = (low + high) // 2
-        if mesh.spans[middle, 0] <= h:
-            low = middle + 1
-        else:
-            high = middle
-    for run in range((low + RUN - 1) // RUN):
-        if mesh.tallest[run] <= h:
+    past = mesh.first[under]
+    for run in range((past + RUN - 1) // RUN):
+        if mesh.tallest[run] < under:
             continue
-        for f in range(run * RUN, min((run + 1) * RUN, low)):
-            if mesh.spans[f, 1] > h:
+        for f in range(run * RUN, min((run + 1) * RUN, past)):
+            if mesh.highest[f] >= under:
                 active[count] = f
                 count += 1
-    return count, low
+    return count
 
 
 @kernel
-def raise_plane(mesh: SortedMesh, h: float, active: Index, count: int, following: int) -> tuple[int, int]:
-    """Turn the list of facets across a lower plane into that of plane `h`; as :func:`facets_across`."""
+def raise_plane(mesh: SortedMesh, before: int, under: int, active: Index, count: int) -> int:
+    """Turn the list of facets across the plane over `before` vertices into that of :func:`facets_across`."""
     kept = 0
     for n in range(count):
-        if mesh.spans[active[n], 1] > h:
+        if mesh.highest[active[n]] >= under:
             active[kept] = active[n]
             kept += 1
-    while following < mesh.faces.shape[0] and mesh.spans[following, 0] <= h:
-        if mesh.spans[following, 1] > h:
-            active[kept] = following
+    for f in range(mesh.first[before], mesh.first[under]):
+        if mesh.highest[f] >= under:
+            active[kept] = f
             kept += 1
-        following += 1
-    return kept, following
+    return kept

@@ -49,7 +49,7 @@ class Block(NamedTuple):
 
 @kernel
 def cut_block(
-    mesh: SortedMesh, heights: Floats, room: Ints, seen: Index, columns: Columns, row: int, classify: bool
+    mesh: SortedMesh, heights: Floats, under: Index, seen: Index, columns: Columns, row: int, classify: bool
 ) -> Block:
     """Cut consecutive layers and write their rings in canonical form.
 
@@ -57,8 +57,8 @@ def cut_block(
     ----------
     mesh, heights
         The mesh, and the heights of the layers (L,), increasing.
-    room
-        (L,) points of each layer at most.
+    under
+        (L,) vertices that do not lie above each layer.
     seen
         (F,) zeros; written over.
     columns, row
@@ -66,6 +66,7 @@ def cut_block(
     classify
         Whether to look for overlapping shells.
     """
+    room = mesh.crossed[under]
     total = room.sum()
     most = room.max()
     active = np.empty(most, np.int32)
@@ -78,13 +79,13 @@ def cut_block(
     dropped = np.zeros(heights.size, np.int64)
     kinds = np.zeros(heights.size, np.int8)
     ring_starts[0] = row
-    count, following = 0, 0
+    count = 0
     for n in range(heights.size):
         if n == 0:
-            count, following = facets_across(mesh, heights[0], active)
+            count = facets_across(mesh, under[0], active)
         else:
-            count, following = raise_plane(mesh, heights[n], active, count, following)
-        traced = trace_layer(mesh, heights[n], active, count, seen, n + 1, track)
+            count = raise_plane(mesh, under[n - 1], under[n], active, count)
+        traced = trace_layer(mesh, heights[n], under[n], active, count, seen, n + 1, track)
         a = layer_starts[n]
         b = a + _write_layer(track, traced, forms, columns, ring_starts[a:], closed[a:])
         layer_starts[n + 1] = b

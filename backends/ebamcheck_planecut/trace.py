@@ -1,8 +1,9 @@
 """Kernels that walk from facet to facet around each ring of a layer.
 
 A vertex is *above* a plane if z > h; a facet is cut if it has vertices above and others. Every facet and every
-neighbour makes the same comparison, so that they agree on every cut, and the section is that of z = h + 0 exactly. A
-cut point depends on the edge alone (from its lower to its upper vertex), so both facets of an edge get the same bits.
+neighbour makes the same comparison, so that they agree on every cut, and the section is that of z = h + 0 exactly. As
+vertices stand by height, those from row `under` on are above. A cut point depends on the edge alone (from its lower to
+its upper vertex), so both facets of an edge get the same bits.
 """
 
 from __future__ import annotations
@@ -49,14 +50,14 @@ def tracks(size: int) -> Tracks:
 
 @kernel
 def trace_layer(
-    mesh: SortedMesh, h: float, active: Index, count: int, seen: Index, mark: int, track: Tracks
+    mesh: SortedMesh, h: float, under: int, active: Index, count: int, seen: Index, mark: int, track: Tracks
 ) -> int:
     """Trace the rings and open paths of one layer, in the order of their first facets; solid on the left.
 
     Parameters
     ----------
-    mesh, h
-        The mesh and the height of the layer.
+    mesh, h, under
+        The mesh, the height of the layer, and the vertices that do not lie above it.
     active, count
         The facets that are cut are ``active[:count]``.
     seen, mark
@@ -70,18 +71,20 @@ def trace_layer(
         Rings and open paths.
     """
     rings = 0
-    for phase in range(FROM_ENTRY if mesh.is_open else RINGS, RINGS + 1):
+    for phase in range(FROM_ENTRY if mesh.around.is_open else RINGS, RINGS + 1):
         for n in range(count):
             seed = active[n]
             if seen[seed] == mark:
                 continue
-            down, up = _cut_edges(mesh, seed, h)
-            if (phase == FROM_ENTRY and mesh.twin[3 * seed + down] >= 0) or (
-                phase == FROM_EXIT and mesh.twin[3 * seed + up] >= 0
+            down, up = _cut_edges(mesh, seed, under)
+            if (phase == FROM_ENTRY and mesh.around.twin[3 * seed + down] >= 0) or (
+                phase == FROM_EXIT and mesh.around.twin[3 * seed + up] >= 0
             ):
                 continue
             entry = up if phase == FROM_EXIT else down
-            filled = _walk(mesh, h, 3 * seed + entry, phase == RINGS, seen, mark, track, track.starts[rings])
+            filled = _walk(
+                mesh, h, under, 3 * seed + entry, phase == RINGS, seen, mark, track, track.starts[rings]
+            )
             track.closed[rings] = phase == RINGS
             rings += 1
             track.starts[rings] = filled
@@ -89,14 +92,14 @@ def trace_layer(
 
 
 @kernel
-def _cut_edges(mesh: SortedMesh, f: int, h: float) -> tuple[int, int]:
+def _cut_edges(mesh: SortedMesh, f: int, under: int) -> tuple[int, int]:
     """Corners of facet `f` whose half-edges the section enters (running down) and leaves by (running up).
 
     With the normal outwards, the solid then lies to the left of the way from entry to exit.
     """
-    a = mesh.vertices[mesh.faces[f, 0], 2] > h
-    b = mesh.vertices[mesh.faces[f, 1], 2] > h
-    c = mesh.vertices[mesh.faces[f, 2], 2] > h
+    a = mesh.faces[f, 0] >= under
+    b = mesh.faces[f, 1] >= under
+    c = mesh.faces[f, 2] >= under
     down = 0 if a and not b else (1 if b and not c else 2)
     up = 0 if b and not a else (1 if c and not b else 2)
     return down, up
@@ -104,12 +107,20 @@ def _cut_edges(mesh: SortedMesh, f: int, h: float) -> tuple[int, int]:
 
 @kernel
 def _walk(
-    mesh: SortedMesh, h: float, entry: int, is_ring: bool, seen: Index, mark: int, track: Tracks, first: int
+    mesh: SortedMesh,
+    h: float,
+    under: int,
+    entry: int,
+    is_ring: bool,
+    seen: Index,
+    mark: int,
+    track: Tracks,
+    first: int,
 ) -> int:
     """Follow the section from facet to facet until it ends or closes; returns the row after its last point."""
     f, i = entry // 3, entry % 3
     tail, head = mesh.faces[f, i], mesh.faces[f, i + 1 if i < 2 else 0]
-    low, high = (head, tail) if mesh.vertices[tail, 2] > h else (tail, head)
+    low, high = min(tail, head), max(tail, head)
     filled = first
     if not is_ring:
         _write_point(mesh, h, low, high, track, filled)
@@ -120,7 +131,7 @@ def _walk(
         following, before = (i + 1, i - 1) if i == 1 else ((1, 2) if i == 0 else (0, 1))
         # The section leaves by one of the two edges at the corner across from the entry.
         corner = mesh.faces[f, before]
-        above = mesh.vertices[corner, 2] > h
+        above = corner >= under
         runs_down = mesh.faces[f, i] == high
         if above:
             high = corner
@@ -128,13 +139,13 @@ def _walk(
             low = corner
         _write_point(mesh, h, low, high, track, filled)
         filled += 1
-        if mesh.mixed and filled - first > 1:
+        if mesh.around.mixed and filled - first > 1:
             length = _last_length(track, filled)
             if runs_down:
                 with_facets += length
             else:
                 against += length
-        across = mesh.twin[3 * f + (following if above == runs_down else before)]
+        across = mesh.around.twin[3 * f + (following if above == runs_down else before)]
         if across < 0:
             break
         f, i = across // 3, across % 3

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.layers.stack import Layers
+from ebamcheck.numeric.kernels import run_blocks
 from ebamcheck.numeric.rings import Ints
 
 VERSION = "1"
@@ -40,6 +41,9 @@ LABELS_KEY = b"ebamcheck.layers.labels"
 
 LARGEST_LIST = 2**31 - 1
 """Arrow's lists count their items in 32 bits; a longer stack is written as several blocks."""
+
+SMALLEST_BLOCK = 65536
+"""Points that a thread copies at least: fewer do not pay for handing them over."""
 
 _NUMBERS = pa.list_(pa.list_(pa.float64()))
 _VERTICES = pa.list_(pa.list_(pa.int32()))
@@ -75,16 +79,18 @@ def to_arrow(layers: Layers) -> pa.RecordBatch:
     def nested(column: NDArray[Any]) -> pa.ListArray:
         return pa.ListArray.from_arrays(layer_offsets, pa.ListArray.from_arrays(ring_offsets, _flat(column)))
 
+    x, y = _apart(layers.points)
     columns = {
         "height_mm": _flat(layers.heights),
         "dropped": _flat(layers.dropped),
-        "x": nested(layers.points[:, 0]),
-        "y": nested(layers.points[:, 1]),
+        "x": nested(x),
+        "y": nested(y),
         "closed": pa.ListArray.from_arrays(layer_offsets, _flat(layers.closed)),
     }
     if layers.edge is not None and layers.edge_t is not None:
-        columns["edge_low"] = nested(layers.edge[:, 0])
-        columns["edge_high"] = nested(layers.edge[:, 1])
+        low, high = _apart(layers.edge)
+        columns["edge_low"] = nested(low)
+        columns["edge_high"] = nested(high)
         columns["edge_t"] = nested(layers.edge_t)
     metadata = {VERSION_KEY: VERSION, LABELS_KEY: layers.labels_json()}
     return pa.record_batch(columns).replace_schema_metadata(metadata)
@@ -143,6 +149,18 @@ def _flat(column: NDArray[Any]) -> pa.Array:
         return pa.Array.from_buffers(pa.bool_(), column.size, [None, pa.py_buffer(bits)])
     column = np.ascontiguousarray(column)
     return pa.Array.from_buffers(pa.from_numpy_dtype(column.dtype), column.size, [None, pa.py_buffer(column)])
+
+
+def _apart(pairs: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """The two columns of (N, 2) `pairs`, (N,) each, copied by all threads."""
+    first, second = np.empty(len(pairs), pairs.dtype), np.empty(len(pairs), pairs.dtype)
+
+    def copy(start: int, stop: int) -> None:
+        first[start:stop] = pairs[start:stop, 0]
+        second[start:stop] = pairs[start:stop, 1]
+
+    run_blocks(copy, len(pairs), SMALLEST_BLOCK)
+    return first, second
 
 
 def _own(column: pa.Array) -> NDArray[Any]:

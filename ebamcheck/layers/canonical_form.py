@@ -55,7 +55,7 @@ def ring_form(points: Floats, a: int, b: int, closed: bool) -> tuple[int, int, i
     """
     if b == a:
         return DROPPED, 0, a
-    kept, least, largest, length, area = _measures(points, a, b)
+    kept, least, again, largest, length, area = _measures(points, a, b)
     if not closed:
         return (a, kept, next_distinct(points, a, a, b)) if kept > 1 else (DROPPED, 0, a)
     if kept > 1 and points[b - 1, 0] == points[a, 0] and points[b - 1, 1] == points[a, 1]:
@@ -64,20 +64,28 @@ def ring_form(points: Floats, a: int, b: int, closed: bool) -> tuple[int, int, i
     if kept < 3 or abs(area) <= 4.0 * EPSILON * largest * length:
         return DROPPED, 0, a
     after = next_distinct(points, least, a, b)
-    for i in range(a, b):
-        if i != least and points[i, 0] == points[least, 0] and points[i, 1] == points[least, 1]:
-            k = next_distinct(points, i, a, b)
-            if lower(points, k, after):
-                least, after = i, k
+    if again:
+        for i in range(a, b):
+            if i != least and points[i, 0] == points[least, 0] and points[i, 1] == points[least, 1]:
+                k = next_distinct(points, i, a, b)
+                if lower(points, k, after):
+                    least, after = i, k
     return least, kept, after
 
 
 @kernel
-def _measures(points: Floats, a: int, b: int) -> tuple[int, int, float, float, float]:
-    """Distinct points, least row, largest coordinate, length (sum norm) and twice the area of a path, in one pass."""
+def _measures(points: Floats, a: int, b: int) -> tuple[int, int, bool, float, float, float]:
+    """Measure a path in one pass.
+
+    Returns
+    -------
+    kept, least, again, largest, length, area
+        Points without those equal to the one before, row of the least point, whether the path comes back to it, largest
+        coordinate, length (sum norm), twice the area.
+    """
     x0, y0 = points[a, 0], points[a, 1]
     least, least_x, least_y = a, x0, y0
-    kept = 1
+    kept, again = 1, False
     largest = max(abs(x0), abs(y0))
     length = 0.0
     area = 0.0
@@ -91,10 +99,12 @@ def _measures(points: Floats, a: int, b: int) -> tuple[int, int, float, float, f
         length += abs(dx) + abs(dy)
         largest = max(largest, abs(x), abs(y))
         area += (before_x - x0) * dy - (before_y - y0) * dx
-        if x < least_x or (x == least_x and y < least_y):
-            least, least_x, least_y = i, x, y
+        if x <= least_x and (x < least_x or y <= least_y):
+            again = x == least_x and y == least_y
+            if not again:
+                least, least_x, least_y = i, x, y
         before_x, before_y = x, y
-    return kept, least, largest, length, area
+    return kept, least, again, largest, length, area
 
 
 @kernel

@@ -7,6 +7,7 @@ of layers that was written at once. What does not fit in memory is written block
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from functools import cached_property
 from pathlib import Path
@@ -87,7 +88,8 @@ def write_blocks(blocks: Iterable[Layers], path: str | Path) -> int:
     Parameters
     ----------
     blocks
-        At least one; all of one slicer, all with cut edges or all without. One at a time is held.
+        At least one; all of one slicer, all with cut edges or all without. While one is made, the one before it is
+        written by another thread, so two at a time are held.
     path
         The file.
 
@@ -104,19 +106,26 @@ def write_blocks(blocks: Iterable[Layers], path: str | Path) -> int:
     count = 0
     with replacing(path) as temporary, ExitStack() as opened:
         file: pq.ParquetWriter | None = None
+        writing: Future[None] | None = None
         for block in blocks:
             batch = to_arrow(block)
+            rows = len(block)
+            del block  # what is written holds columns of its own
             if file is None:
                 file = opened.enter_context(_writer(temporary, batch.schema))
+                aside = opened.enter_context(ThreadPoolExecutor(1))
             elif not batch.schema.equals(file.schema, check_metadata=True):
                 raise SettingsError(
                     f"{path}: block at layer {count} differs from the first in labels or columns"
                 )
-            file.write_batch(batch, row_group_size=max(1, len(block)))
-            count += len(block)
-            del block, batch  # so that there are never two blocks in memory
-        if file is None:
+            if writing is not None:
+                writing.result()
+            writing = aside.submit(file.write_batch, batch, max(1, rows))
+            count += rows
+            del batch
+        if file is None or writing is None:
             raise SettingsError(f"{path}: no layers to write: give at least one block")
+        writing.result()
     return count
 
 

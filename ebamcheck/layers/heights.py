@@ -9,12 +9,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.mesh.part import Part
+from ebamcheck.numeric.kernels import kernel, run_blocks
+
+Levels = NDArray[np.int32]
 
 LARGEST_STACK = 1_000_000
 """Layers beyond this count are a mistyped layer height, not a build."""
 
 LARGEST_BLOCK = 1024
 """Layers of a block at most, however little the part has on them: rasters take memory for empty layers, too."""
+
+SMALLEST_BLOCK = 65536
+"""Vertices or facets that a thread takes at least: fewer do not pay for handing them over."""
 
 
 def layer_heights(part: Part, layer_height: float) -> NDArray[np.float64]:
@@ -78,15 +84,40 @@ def crossing_counts(part: Part, heights: ArrayLike) -> NDArray[np.int64]:
     """Facets with ``min z <= h < max z`` at each height, (L,): those that a section at h + 0 cuts."""
     planes = np.asarray(heights, dtype=np.float64).reshape(-1)
     order = np.argsort(planes, kind="stable")
-    # The level of a vertex is the number of planes under it; a facet is cut by those between its levels.
-    levels = np.searchsorted(planes[order], part.vertices[:, 2], side="left")
-    a, b, c = levels[part.faces.T]
-    lowest, highest = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
-    size = planes.size + 1
-    cut = np.cumsum(np.bincount(lowest, minlength=size) - np.bincount(highest, minlength=size))
+    rising, z = planes[order], np.ascontiguousarray(part.vertices[:, 2])
+    level = np.empty(z.size, np.int32)
+    run_blocks(lambda a, b: _levels(z, rising, level, a, b), z.size, SMALLEST_BLOCK)
+    changes = run_blocks(
+        lambda a, b: _level_changes(part.faces, level, planes.size, a, b), len(part.faces), SMALLEST_BLOCK
+    )
     counts = np.empty(planes.size, np.int64)
-    counts[order] = cut[: planes.size]
+    counts[order] = np.cumsum(np.sum(changes, axis=0))[: planes.size]
     return counts
+
+
+@kernel
+def _levels(
+    z: NDArray[np.float64], planes: NDArray[np.float64], level: Levels, start: int, stop: int
+) -> None:
+    """Count the rising planes under each of the vertices ``[start, stop)``."""
+    for v in range(start, stop):
+        level[v] = np.searchsorted(planes, z[v])
+
+
+@kernel
+def _level_changes(
+    faces: NDArray[np.int32], level: Levels, planes: int, start: int, stop: int
+) -> NDArray[np.int64]:
+    """Count the facets ``[start, stop)`` that each plane cuts and the one below it does not, less the other way round.
+
+    A facet is cut by the planes between the levels of its vertices.
+    """
+    change = np.zeros(planes + 1, np.int64)
+    for f in range(start, stop):
+        a, b, c = level[faces[f, 0]], level[faces[f, 1]], level[faces[f, 2]]
+        change[min(a, b, c)] += 1
+        change[max(a, b, c)] -= 1
+    return change
 
 
 def layer_blocks(part: Part, heights: ArrayLike, most_points: int) -> NDArray[np.int64]:

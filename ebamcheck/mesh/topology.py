@@ -112,9 +112,18 @@ def twins(
         if b - a == 2:
             result[half_edges[a]] = half_edges[a + 1]
             result[half_edges[a + 1]] = half_edges[a]
-        elif b - a > 2:
-            _pair_around(*_fan(vertices, faces, half_edges[a:b]), half_edges[a:b], result)
+        else:
+            pair_fan(vertices, faces, half_edges[a:b], result)
     return result
+
+
+@kernel
+def pair_fan(vertices: NDArray[np.float64], faces: Index, fan: Index, result: Index) -> None:
+    """Write the twins (3 F,) of the half-edges of one edge, where it has one or more than two; see :func:`twins`."""
+    for h in fan:
+        result[h] = NO_TWIN
+    if fan.size > 1:
+        _pair_around(*_fan(vertices, faces, fan), fan, result)
 
 
 @kernel
