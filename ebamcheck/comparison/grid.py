@@ -6,18 +6,15 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Floats
+from ebamcheck.numeric.rings import Floats, ShortInts
 
 CELLS_PER_SEGMENT = 12
 """Grid cells per segment: few segments in a cell, and a grid that is small to build."""
 
 MOST_ENTRIES_PER_SEGMENT = 64
 """A grid in which segments cross more cells than this on average is made coarser."""
-
-ShortInts = NDArray[np.int32]
 
 
 class Grid(NamedTuple):
@@ -68,7 +65,7 @@ def nearest_of(
     best = np.inf
     found = guess
     if guess >= 0:
-        best = _square_distance(x, y, segments, guess)
+        best = square_distance(x, y, segments, guess)
     column = _cell(x, x0, cell, columns)
     row = _cell(y, y0, cell, rows)
     reach = 0
@@ -89,7 +86,7 @@ def nearest_of(
                     continue
                 at = r * columns + c
                 for k in range(starts[at], starts[at + 1]):
-                    square = _square_distance(x, y, segments, items[k])
+                    square = square_distance(x, y, segments, items[k])
                     if square < best:
                         best, found = square, items[k]
         beyond = np.inf
@@ -107,7 +104,7 @@ def nearest_of(
 
 
 @kernel
-def _square_distance(x: float, y: float, segments: Floats, i: int) -> float:
+def square_distance(x: float, y: float, segments: Floats, i: int) -> float:
     """Square of the distance of (x, y) from segment `i`."""
     return square_between(x, y, segments[i, 0], segments[i, 1], segments[i, 2], segments[i, 3])
 
@@ -129,7 +126,7 @@ def square_between(x: float, y: float, ax: float, ay: float, bx: float, by: floa
 @kernel
 def distance_to_segment(x: float, y: float, segments: Floats, i: int) -> float:
     """Distance of (x, y) from segment `i`."""
-    return math.sqrt(_square_distance(x, y, segments, i))
+    return math.sqrt(square_distance(x, y, segments, i))
 
 
 @kernel

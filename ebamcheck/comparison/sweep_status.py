@@ -51,12 +51,11 @@ TRAPEZOID_COLUMNS = 8
 @kernel
 def x_at(edges: Floats, k: int, y: float) -> float:
     """x of edge `k` at a level; exact at its ends."""
-    if y >= edges[k, Y_HIGH]:
-        return float(edges[k, X_HIGH])
-    x = edges[k, X_LOW] + (y - edges[k, Y_LOW]) * edges[k, SLOPE]
-    if edges[k, SLOPE] > 0.0:
-        return float(min(max(x, edges[k, X_LOW]), edges[k, X_HIGH]))
-    return float(max(min(x, edges[k, X_LOW]), edges[k, X_HIGH]))
+    # Without a branch: which way an edge leans and where it ends cannot be foretold from the edge before.
+    low, high = edges[k, X_LOW], edges[k, X_HIGH]
+    x = low + (y - edges[k, Y_LOW]) * edges[k, SLOPE]
+    within = min(max(x, min(low, high)), max(low, high))
+    return float(high if y >= edges[k, Y_HIGH] else within)
 
 
 @kernel
@@ -73,39 +72,36 @@ def take_areas(
     edges: Floats, marks: Ints, sums: Floats, difference: Floats, first: int, last: int, n: int, y: float
 ) -> None:
     """Add the trapezoids of gaps ``first .. last`` up to a level to the areas that they belong to."""
-    for k in range(max(first, 0), min(last + 1, n - 1)):
+    first, last = max(first, 0), min(last, n - 2)
+    right = x_at(edges, first, y)
+    for k in range(first, last + 1):
+        left, right = right, x_at(edges, k + 1, y)
         in_a, in_b = marks[k, WINDING_A] > 0, marks[k, WINDING_B] > 0
-        below = edges[k, SINCE]
-        if below == y or not (in_a or in_b):
-            continue
-        left, right = x_at(edges, k, y), x_at(edges, k + 1, y)
-        area = 0.5 * ((edges[k, RIGHT] - edges[k, LEFT]) + (right - left)) * (y - below)
-        if in_a:
-            sums[AREA_A] += area
-        if in_b:
-            sums[AREA_B] += area
-        if in_a != in_b:
-            sums[DIFFERENCE] += max(area, 0.0)
-            if len(difference):
-                _write_down(edges, sums, difference, k, y, left, right)
+        area = 0.5 * ((edges[k, RIGHT] - edges[k, LEFT]) + (right - left)) * (y - edges[k, SINCE])
+        # Which of them a gap adds to is as good as random, so each is added to, if only nothing.
+        sums[AREA_A] += area if in_a else 0.0
+        sums[AREA_B] += area if in_b else 0.0
+        sums[DIFFERENCE] += max(area, 0.0) if in_a != in_b else 0.0
+        if len(difference) and in_a != in_b and edges[k, SINCE] != y:
+            _write_down(edges, sums, difference, k, y, left, right)
         edges[k, SINCE], edges[k, LEFT], edges[k, RIGHT] = y, left, right
 
 
 @kernel
 def start_gaps(edges: Floats, sums: Floats, first: int, last: int, n: int, y: float) -> bool:
     """Start gaps ``first .. last`` at a level and find where their edges cross; whether all are in order there."""
+    first, last = max(first, 0), min(last, n - 2)
     in_order = True
-    for k in range(max(first, 0), min(last + 1, n - 1)):
-        left, right = x_at(edges, k, y), x_at(edges, k + 1, y)
-        edges[k, SINCE], edges[k, LEFT], edges[k, RIGHT], edges[k, CROSSING] = y, left, right, np.inf
-        in_order = in_order and left <= right
+    right = x_at(edges, first, y)
+    for k in range(first, last + 1):
+        left, right = right, x_at(edges, k + 1, y)
+        in_order &= left <= right
         top = min(edges[k, Y_HIGH], edges[k + 1, Y_HIGH])
         over = x_at(edges, k, top) - x_at(edges, k + 1, top)
-        if over > 0.0:
-            apart = max(right - left, 0.0)
-            level = min(y + apart / (apart + over) * (top - y), top)
-            edges[k, CROSSING] = level
-            sums[NEXT_CROSSING] = min(sums[NEXT_CROSSING], level)
+        apart = max(right - left, 0.0)
+        level = min(y + np.divide(apart, apart + over) * (top - y), top) if over > 0.0 else np.inf
+        edges[k, SINCE], edges[k, LEFT], edges[k, RIGHT], edges[k, CROSSING] = y, left, right, level
+        sums[NEXT_CROSSING] = min(sums[NEXT_CROSSING], level)
     return in_order
 
 
