@@ -111,8 +111,8 @@ def _sampled(places: Floats, segments: Floats, grid: Grid) -> tuple[Floats, Ints
             best = square_distance(x, y, segments, found)
             for i in range(starts[row * columns + column], starts[row * columns + column + 1]):
                 square = square_distance(x, y, segments, items[i])
-                if square < best:
-                    best, closest = square, items[i]
+                closest = items[i] if square < best else closest
+                best = min(best, square)
             if best <= inside * inside:
                 distances[k], near[k] = math.sqrt(best), closest
                 found = closest

@@ -112,15 +112,12 @@ def square_distance(x: float, y: float, segments: Floats, i: int) -> float:
 @kernel
 def square_between(x: float, y: float, ax: float, ay: float, bx: float, by: float) -> float:
     """Square of the distance of (x, y) from the segment from a to b."""
+    # All three are found and one is taken: which one it is cannot be foretold, and a wrong guess costs more.
     ux, uy, px, py = bx - ax, by - ay, x - ax, y - ay
-    along = px * ux + py * uy
-    if along > 0.0:
-        square = ux * ux + uy * uy
-        if along < square:
-            across = px * uy - py * ux
-            return float(across * across / square)
-        px, py = px - ux, py - uy
-    return float(px * px + py * py)
+    along, square, across = px * ux + py * uy, ux * ux + uy * uy, px * uy - py * ux
+    qx, qy = px - ux, py - uy
+    beyond = np.divide(across * across, square) if along < square else qx * qx + qy * qy
+    return float(beyond if along > 0.0 else px * px + py * py)
 
 
 @kernel

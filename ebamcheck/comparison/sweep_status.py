@@ -23,10 +23,13 @@ from ebamcheck.numeric.rings import Floats, Ints
 X_LOW, Y_LOW, X_HIGH, Y_HIGH, SLOPE, SEGMENT = 0, 1, 2, 3, 4, 5
 """Columns of `edges`: ends of the edge, mm, its change of x with y, and which segment it is."""
 
-SINCE, LEFT, RIGHT, CROSSING = 6, 7, 8, 9
+X_NOW = 6
+"""Column of `edges`: x at the level at which the areas beside it were taken last."""
+
+SINCE, LEFT, RIGHT, CROSSING = 7, 8, 9, 10
 """Columns of `edges` for its gap: level up to which its area is taken, x of its sides there, level at which they cross."""
 
-EDGE_COLUMNS = 10
+EDGE_COLUMNS = 11
 
 CHAIN, STEP_A, STEP_B, WINDING_A, WINDING_B = 0, 1, 2, 3, 4
 """Columns of `marks`: chain of the edge, change of both winding numbers across it, those in its gap."""
@@ -64,7 +67,7 @@ def set_edge(edges: Floats, k: int, segments: Floats, s: int) -> None:
     low, high = (0, 2) if segments[s, 3] > segments[s, 1] else (2, 0)
     x0, y0, x1, y1 = segments[s, low], segments[s, low + 1], segments[s, high], segments[s, high + 1]
     edges[k, X_LOW], edges[k, Y_LOW], edges[k, X_HIGH], edges[k, Y_HIGH] = x0, y0, x1, y1
-    edges[k, SLOPE], edges[k, SEGMENT] = np.divide(x1 - x0, y1 - y0), s
+    edges[k, SLOPE], edges[k, SEGMENT], edges[k, X_NOW] = np.divide(x1 - x0, y1 - y0), s, x0
 
 
 @kernel
@@ -74,8 +77,10 @@ def take_areas(
     """Add the trapezoids of gaps ``first .. last`` up to a level to the areas that they belong to."""
     first, last = max(first, 0), min(last, n - 2)
     right = x_at(edges, first, y)
+    edges[first, X_NOW] = right
     for k in range(first, last + 1):
         left, right = right, x_at(edges, k + 1, y)
+        edges[k + 1, X_NOW] = right
         in_a, in_b = marks[k, WINDING_A] > 0, marks[k, WINDING_B] > 0
         area = 0.5 * ((edges[k, RIGHT] - edges[k, LEFT]) + (right - left)) * (y - edges[k, SINCE])
         # Which of them a gap adds to is as good as random, so each is added to, if only nothing.
@@ -89,12 +94,14 @@ def take_areas(
 
 @kernel
 def start_gaps(edges: Floats, sums: Floats, first: int, last: int, n: int, y: float) -> bool:
-    """Start gaps ``first .. last`` at a level and find where their edges cross; whether all are in order there."""
+    """Start gaps ``first .. last`` at the level at which areas beside their edges were taken, or where these begin.
+
+    Where the edges cross is found; whether all are in order at the level is returned.
+    """
     first, last = max(first, 0), min(last, n - 2)
     in_order = True
-    right = x_at(edges, first, y)
     for k in range(first, last + 1):
-        left, right = right, x_at(edges, k + 1, y)
+        left, right = edges[k, X_NOW], edges[k + 1, X_NOW]
         in_order &= left <= right
         top = min(edges[k, Y_HIGH], edges[k + 1, Y_HIGH])
         over = x_at(edges, k, top) - x_at(edges, k + 1, top)
@@ -111,8 +118,8 @@ def next_crossing(edges: Floats, sums: Floats, n: int) -> int:
     first = -1
     level = np.inf
     for k in range(n - 1):
-        if edges[k, CROSSING] < level:
-            first, level = k, edges[k, CROSSING]
+        first = k if edges[k, CROSSING] < level else first
+        level = min(level, edges[k, CROSSING])
     sums[NEXT_CROSSING] = level
     return first
 

@@ -57,14 +57,18 @@ def thread_count() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def run_blocks(work: Callable[[int, int], _Result], count: int, smallest: int = 1) -> list[_Result]:
+def run_blocks(
+    work: Callable[[int, int], _Result], count: int, smallest: int = 1, a_thread: int = 4
+) -> list[_Result]:
     """Run ``work(start, stop)`` over consecutive blocks that cover ``range(count)``, on all threads.
+
+    There are `a_thread` blocks for each, of `smallest` items at least: the more, the less the threads wait for the last one.
 
     Results come back in the order of the blocks, so that they do not depend on the number of threads
     as long as a block's result does not depend on where its borders lie.
     """
     threads = thread_count()
-    blocks = max(1, min(threads * 4, count // max(smallest, 1)))
+    blocks = max(1, min(threads * a_thread, count // max(smallest, 1)))
     edges = [count * i // blocks for i in range(blocks + 1)]
     if threads == 1 or blocks == 1:
         return [work(a, b) for a, b in itertools.pairwise(edges)]
