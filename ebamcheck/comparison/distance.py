@@ -74,8 +74,8 @@ def directed(a: Outline, b: Outline) -> Directed:
         i, j = min(near[k], near[k + 1]), max(near[k], near[k + 1])
         s = min(i + 1, j)
         few = (j - i <= 2) & _follows(segments, s) & _follows(segments, j)
-        first = _square_at_most(segments[s, 0], segments[s, 1], x0, y0, x1, y1)
-        last = _square_at_most(segments[j, 0], segments[j, 1], x0, y0, x1, y1)
+        first = _square_to_piece(segments[s, 0], segments[s, 1], x0, y0, x1, y1)
+        last = _square_to_piece(segments[j, 0], segments[j, 1], x0, y0, x1, y1)
         settled = (lengths[k] < 0.0) | (i == j) | (few & (max(first, last) <= reach * reach))
         if settled or 0.5 * (distances[k] + distances[k + 1] + lengths[k]) <= reach:
             continue
@@ -143,8 +143,8 @@ def farthest_passed(segments: Floats, i: int, j: int, x0: float, y0: float, x1: 
 
 
 @kernel
-def _square_at_most(x: float, y: float, x0: float, y0: float, x1: float, y1: float) -> float:
-    """Square of the distance of (x, y) from a place on a piece, to rounding the nearest: found without a branch."""
+def _square_to_piece(x: float, y: float, x0: float, y0: float, x1: float, y1: float) -> float:
+    """Square of the distance of (x, y) from a piece, up to rounding: one way for all places, and so without a branch."""
     ux, uy, px, py = x1 - x0, y1 - y0, x - x0, y - y0
     t = min(max(np.divide(px * ux + py * uy, ux * ux + uy * uy), 0.0), 1.0)
     px, py = px - t * ux, py - t * uy

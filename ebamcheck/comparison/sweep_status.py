@@ -83,10 +83,11 @@ def take_areas(
         edges[k + 1, X_NOW] = right
         in_a, in_b = marks[k, WINDING_A] > 0, marks[k, WINDING_B] > 0
         area = 0.5 * ((edges[k, RIGHT] - edges[k, LEFT]) + (right - left)) * (y - edges[k, SINCE])
-        # Which of them a gap adds to is as good as random, so each is added to, if only nothing.
-        sums[AREA_A] += area if in_a else 0.0
-        sums[AREA_B] += area if in_b else 0.0
-        sums[DIFFERENCE] += max(area, 0.0) if in_a != in_b else 0.0
+        # Which of them a gap adds to is as good as random, so each is added to, if only nothing: by factors, for a choice
+        # between numbers by a condition on others is a branch in machine code.
+        sums[AREA_A] += in_a * area
+        sums[AREA_B] += in_b * area
+        sums[DIFFERENCE] += (in_a != in_b) * max(area, 0.0)
         if len(difference) and in_a != in_b and edges[k, SINCE] != y:
             _write_down(edges, sums, difference, k, y, left, right)
         edges[k, SINCE], edges[k, LEFT], edges[k, RIGHT] = y, left, right
