@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import threading
 
 import numpy as np
 import pytest
@@ -11,8 +12,9 @@ from comparison_stacks import COLUMNS, SQUARE, box, shifted, stack
 
 from ebamcheck.comparison import compare, layer_classes
 from ebamcheck.comparison.pairwise import Pair, measure_block
+from ebamcheck.comparison.sources import blocks_of
 from ebamcheck.comparison.topology import thin_counts
-from ebamcheck.errors import SettingsError
+from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.layers.stack import from_polygons, from_rings
 from ebamcheck.mesh.part import from_arrays
 
@@ -151,3 +153,33 @@ def test_layer_classes_are_those_of_a_plain_search(seed):
             "face-on-plane" if near.all(axis=1).any() else "vertex-on-plane" if near.any() else "generic"
         )
         assert found == expected
+
+
+class Watched:
+    """A stack that keeps note of the blocks that are asked for."""
+
+    def __init__(self, layers):
+        self.layers, self.asked, self.second = layers, [], threading.Event()
+
+    def __len__(self):
+        return len(self.layers)
+
+    def block(self, start, stop):
+        self.asked.append((start, stop))
+        if len(self.asked) == 2:
+            self.second.set()
+        if start == 3:
+            raise InputError("block 3 cannot be read")
+        return self.layers.block(start, stop)
+
+
+def test_the_next_block_is_read_while_one_is_worked_on_and_no_further():
+    watched = Watched(from_rings(np.arange(4.0), [[SQUARE + k] for k in range(4)]))
+    blocks = blocks_of([watched], np.array([0, 2, 3, 4]))
+    first, (block,) = next(blocks)
+    assert watched.second.wait(60.0)
+    assert (first, len(block), watched.asked) == (0, 2, [(0, 2), (2, 3)])
+    first, (block,) = next(blocks)
+    assert (first, block.points.min()) == (2, 2.0)
+    with pytest.raises(InputError, match="block 3"):
+        next(blocks)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.numeric.rings import Floats, Ints, ShortInts
 
 ADVANCE, OPEN, CLOSE = 0, 1, 2
 """Kinds of events: a chain goes on with its next segment, two chains start, or two end."""
@@ -24,8 +24,8 @@ class Chains(NamedTuple):
     """
 
     levels: Floats
-    """(E,) y of each vertex, mm, in ascending order."""
-    events: Ints
+    """(E + 1,) y of each vertex, mm, in ascending order; infinite at the end."""
+    events: ShortInts
     """(E, 5) what happens at each; columns as above."""
     steps: Ints
     """(C,) change of the winding number where each chain is crossed from left to right."""
@@ -37,7 +37,7 @@ def monotone_chains(segments: Floats, rings: Ints) -> Chains:
     count = 0
     for s in range(rings[-1]):
         count += segments[s, 1] != segments[s, 3]
-    levels, events, steps = np.empty(count), np.empty((count, 5), np.int64), np.empty(count, np.int64)
+    levels, events, steps = np.empty(count), np.empty((count, 5), np.int32), np.empty(count, np.int64)
     count, chains = 0, 0
     for r in range(rings.size - 1):
         first = _turn(segments, rings[r], rings[r + 1])
@@ -46,12 +46,17 @@ def monotone_chains(segments: Floats, rings: Ints) -> Chains:
                 segments, rings[r], rings[r + 1], first, levels, events, steps, count, chains
             )
     order = rising_order(levels)
-    return Chains(levels[order], events[order], steps[:chains].copy())
+    rising, met = np.full(count + 1, np.inf), np.empty_like(events)
+    for k in range(count):
+        rising[k] = levels[order[k]]
+        for c in range(5):
+            met[k, c] = events[order[k], c]
+    return Chains(rising, met, steps[:chains].copy())
 
 
 @kernel
 def _follow(
-    segments: Floats, start: int, stop: int, first: int, levels: Floats, events: Ints, steps: Ints,
+    segments: Floats, start: int, stop: int, first: int, levels: Floats, events: ShortInts, steps: Ints,
     count: int, chains: int,
 ) -> tuple[int, int]:  # fmt: skip
     """Write the events of one ring from a segment on where it turns; new numbers of events and of chains."""
@@ -93,7 +98,7 @@ def _step(segments: Floats, s: int) -> int:
 
 @kernel
 def _set_event(
-    events: Ints, k: int, kind: int, left: int, right: int, left_next: int, right_next: int
+    events: ShortInts, k: int, kind: int, left: int, right: int, left_next: int, right_next: int
 ) -> None:
     """Write an event."""
     events[k, KIND], events[k, LEFT], events[k, RIGHT] = kind, left, right

@@ -37,12 +37,14 @@ def layer_classes(part: Part, heights: ArrayLike, margin_mm: float) -> NDArray[n
     classes = np.full(planes.shape, GENERIC, dtype=f"<U{len(VERTEX_ON_PLANE)}")
     if not len(part.faces):
         return classes
-    z = part.vertices[:, 2][part.faces]
-    levels = np.unique(z)
+    used = np.zeros(len(part.vertices), np.bool_)
+    used[part.faces] = True
+    levels = np.sort(part.vertices[used, 2])
     first = np.searchsorted(levels, planes - margin_mm, side="left")
     past = np.searchsorted(levels, planes + margin_mm, side="right")
     classes[past > first] = VERTEX_ON_PLANE
-    low, high = z.min(axis=1), z.max(axis=1)
+    a, b, c = part.vertices[:, 2][part.faces.T]
+    low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
     flat = high - low <= 2.0 * margin_mm
     if not flat.any():
         return classes

@@ -77,7 +77,7 @@ def compare_all(
     progress
         Called with the number of layers measured since the last call.
     borders
-        Blocks of layers (:func:`~ebamcheck.layers.heights.layer_blocks`) of which one at a time is in memory; None: all
+        Blocks of layers (:func:`~ebamcheck.layers.heights.layer_blocks`) of which two at a time are in memory; None: all
         layers at once. The result does not depend on it.
     evidence
         Which agreements count. A disagreement always does.

@@ -17,6 +17,7 @@ from ebamcheck.comparison.grid import (
     nearest,
     nearest_of,
     square_between,
+    square_distance,
 )
 from ebamcheck.comparison.outline import Outline
 from ebamcheck.numeric.kernels import kernel
@@ -66,13 +67,19 @@ def directed(a: Outline, b: Outline) -> Directed:
     stack, near_stack = np.empty((STACK, 6)), np.empty((STACK, 2), np.int64)
     for k in range(len(distances) - 1):
         # Most pieces are settled by their ends: one nearest segment, or too short to rise over what is known;
-        # the rest by the vertices that the nearest point passes on the way.
-        if lengths[k] < 0.0 or near[k] == near[k + 1]:
-            continue
-        if 0.5 * (distances[k] + distances[k + 1] + lengths[k]) <= most + RESOLUTION_MM:
-            continue
+        # the rest by the vertices that the nearest point passes on the way, of which there are mostly one or two.
+        # These are looked at here and without branches: calls, and guesses at what is as good as random, cost more.
+        reach = most + RESOLUTION_MM
         x0, y0, x1, y1 = places[k, 0], places[k, 1], places[k + 1, 0], places[k + 1, 1]
-        if farthest_passed(segments, near[k], near[k + 1], x0, y0, x1, y1) <= most + RESOLUTION_MM:
+        i, j = min(near[k], near[k + 1]), max(near[k], near[k + 1])
+        s = min(i + 1, j)
+        few = (j - i <= 2) & _follows(segments, s) & _follows(segments, j)
+        first = _square_to_piece(segments[s, 0], segments[s, 1], x0, y0, x1, y1)
+        last = _square_to_piece(segments[j, 0], segments[j, 1], x0, y0, x1, y1)
+        settled = (lengths[k] < 0.0) | (i == j) | (few & (max(first, last) <= reach * reach))
+        if settled or 0.5 * (distances[k] + distances[k + 1] + lengths[k]) <= reach:
+            continue
+        if farthest_passed(segments, near[k], near[k + 1], x0, y0, x1, y1) <= reach:
             continue
         stack[0, 0], stack[0, 1], stack[0, 4] = places[k, 0], places[k, 1], distances[k]
         stack[0, 2], stack[0, 3], stack[0, 5] = places[k + 1, 0], places[k + 1, 1], distances[k + 1]
@@ -88,11 +95,29 @@ def directed(a: Outline, b: Outline) -> Directed:
 def _sampled(places: Floats, segments: Floats, grid: Grid) -> tuple[Floats, Ints]:
     """Distance of each place from the segments, and the nearest one of them."""
     frame = (grid.x_mm, grid.y_mm, grid.cell_mm, grid.columns, grid.rows)
-    starts, items = grid.starts, grid.items
+    x0, y0, cell, columns, rows = frame
+    starts, items, per_mm = grid.starts, grid.items, 1.0 / grid.cell_mm
     distances, near = np.empty(len(places)), np.empty(len(places), np.int64)
     found = -1
     for k in range(len(places)):
-        distances[k], found = nearest_of(segments, starts, items, frame, places[k, 0], places[k, 1], found)
+        x, y = places[k, 0], places[k, 1]
+        column, row = int((x - x0) * per_mm), int((y - y0) * per_mm)
+        # How far the borders of the cell are: negative outside of it, and so outside of the grid.
+        left, below = x - (x0 + column * cell), y - (y0 + row * cell)
+        inside = min(left, cell - left, below, cell - below)
+        # Nearly always the last answer and the segments of one cell settle it; a call for each would cost more than they do.
+        if found >= 0 and inside > 0.0 and column < columns and row < rows:
+            closest = found
+            best = square_distance(x, y, segments, found)
+            for i in range(starts[row * columns + column], starts[row * columns + column + 1]):
+                square = square_distance(x, y, segments, items[i])
+                closest = items[i] if square < best else closest
+                best = min(best, square)
+            if best <= inside * inside:
+                distances[k], near[k] = math.sqrt(best), closest
+                found = closest
+                continue
+        distances[k], found = nearest_of(segments, starts, items, frame, x, y, found)
         near[k] = found
     return distances, near
 
@@ -111,10 +136,25 @@ def farthest_passed(segments: Floats, i: int, j: int, x0: float, y0: float, x1: 
     square = 0.0
     for s in range(low + 1, high + 1):
         x, y = segments[s, 0], segments[s, 1]
-        if segments[s - 1, 2] != x or segments[s - 1, 3] != y:
+        if not _follows(segments, s):
             return np.inf
         square = max(square, square_between(x, y, x0, y0, x1, y1))
     return math.sqrt(square)
+
+
+@kernel
+def _square_to_piece(x: float, y: float, x0: float, y0: float, x1: float, y1: float) -> float:
+    """Square of the distance of (x, y) from a piece, up to rounding: one way for all places, and so without a branch."""
+    ux, uy, px, py = x1 - x0, y1 - y0, x - x0, y - y0
+    t = min(max(np.divide(px * ux + py * uy, ux * ux + uy * uy), 0.0), 1.0)
+    px, py = px - t * ux, py - t * uy
+    return float(px * px + py * py)
+
+
+@kernel
+def _follows(segments: Floats, s: int) -> bool:
+    """Whether segment `s` begins where the one before it ends."""
+    return bool((segments[s - 1, 2] == segments[s, 0]) & (segments[s - 1, 3] == segments[s, 1]))
 
 
 @kernel

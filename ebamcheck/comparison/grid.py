@@ -6,18 +6,15 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Floats
+from ebamcheck.numeric.rings import Floats, ShortInts
 
 CELLS_PER_SEGMENT = 12
 """Grid cells per segment: few segments in a cell, and a grid that is small to build."""
 
 MOST_ENTRIES_PER_SEGMENT = 64
 """A grid in which segments cross more cells than this on average is made coarser."""
-
-ShortInts = NDArray[np.int32]
 
 
 class Grid(NamedTuple):
@@ -68,7 +65,7 @@ def nearest_of(
     best = np.inf
     found = guess
     if guess >= 0:
-        best = _square_distance(x, y, segments, guess)
+        best = square_distance(x, y, segments, guess)
     column = _cell(x, x0, cell, columns)
     row = _cell(y, y0, cell, rows)
     reach = 0
@@ -89,7 +86,7 @@ def nearest_of(
                     continue
                 at = r * columns + c
                 for k in range(starts[at], starts[at + 1]):
-                    square = _square_distance(x, y, segments, items[k])
+                    square = square_distance(x, y, segments, items[k])
                     if square < best:
                         best, found = square, items[k]
         beyond = np.inf
@@ -107,7 +104,7 @@ def nearest_of(
 
 
 @kernel
-def _square_distance(x: float, y: float, segments: Floats, i: int) -> float:
+def square_distance(x: float, y: float, segments: Floats, i: int) -> float:
     """Square of the distance of (x, y) from segment `i`."""
     return square_between(x, y, segments[i, 0], segments[i, 1], segments[i, 2], segments[i, 3])
 
@@ -115,21 +112,18 @@ def _square_distance(x: float, y: float, segments: Floats, i: int) -> float:
 @kernel
 def square_between(x: float, y: float, ax: float, ay: float, bx: float, by: float) -> float:
     """Square of the distance of (x, y) from the segment from a to b."""
+    # All three are found and one is taken: which one it is cannot be foretold, and a wrong guess costs more.
     ux, uy, px, py = bx - ax, by - ay, x - ax, y - ay
-    along = px * ux + py * uy
-    if along > 0.0:
-        square = ux * ux + uy * uy
-        if along < square:
-            across = px * uy - py * ux
-            return float(across * across / square)
-        px, py = px - ux, py - uy
-    return float(px * px + py * py)
+    along, square, across = px * ux + py * uy, ux * ux + uy * uy, px * uy - py * ux
+    qx, qy = px - ux, py - uy
+    beyond = np.divide(across * across, square) if along < square else qx * qx + qy * qy
+    return float(beyond if along > 0.0 else px * px + py * py)
 
 
 @kernel
 def distance_to_segment(x: float, y: float, segments: Floats, i: int) -> float:
     """Distance of (x, y) from segment `i`."""
-    return math.sqrt(_square_distance(x, y, segments, i))
+    return math.sqrt(square_distance(x, y, segments, i))
 
 
 @kernel

@@ -66,42 +66,38 @@ def _link_ring(
     a: Outline, places: Floats, near: Ints, start: int, stop: int, ring_of: Ints, taken: Bools, reach_mm: float,
     budget: int,
 ) -> int:  # fmt: skip
-    """Link the ring with samples ``start .. stop`` to a ring not taken yet; steps left, or -1 without luck."""
+    """Link the ring with samples ``start .. stop`` to a ring not taken yet; steps left, or -1 without luck.
+
+    The contour between two links is led along vertex by vertex: none may be farther from the piece than allowed.
+    """
     if near[start] >= ring_of.size or taken[ring_of[near[start]]]:
         return -1
     ring = ring_of[near[start]]
     taken[ring] = True
     first, size = a.paths[ring], a.paths[ring + 1] - a.paths[ring]
+    segments = a.segments
     turns = 0
     for k in range(start, stop):
         # The last sample is the first place again.
         here, there = near[k], near[k + 1] if k + 1 < stop else near[start]
         if here == there:
             continue
-        if there >= ring_of.size or ring_of[there] != ring:
+        if not first <= there < first + size:
             return -1
-        ahead = (there - here) % size
+        ahead = there - here if there > here else there - here + size
         steps = ahead if 2 * ahead <= size else ahead - size
-        budget -= abs(steps)
-        if (
-            budget < 0
-            or _farthest_passed(a.segments, first, size, here, steps, places, k) > reach_mm * reach_mm
-        ):
-            return -1
         turns += steps
+        budget -= abs(steps)
+        if budget < 0:
+            return -1
+        s = here
+        for _ in range(abs(steps)):
+            # On: the starts of the segments after this one. Back: its own start, and those before.
+            if steps > 0:
+                s = s + 1 if s + 1 < first + size else first
+            x0, y0, x1, y1 = places[k, 0], places[k, 1], places[k + 1, 0], places[k + 1, 1]
+            if square_between(segments[s, 0], segments[s, 1], x0, y0, x1, y1) > reach_mm * reach_mm:
+                return -1
+            if steps < 0:
+                s = s - 1 if s > first else first + size - 1
     return budget if turns == size else -1
-
-
-@kernel
-def _farthest_passed(
-    segments: Floats, first: int, size: int, here: int, steps: int, places: Floats, k: int
-) -> float:
-    """Square of the greatest distance from the piece after sample `k` of the vertices so many steps on (or back)."""
-    square = 0.0
-    for step in range(abs(steps)):
-        # On: the starts of the segments after this one. Back: its own start, and those before.
-        s = first + (here - first + (step + 1 if steps > 0 else -step)) % size
-        x, y = segments[s, 0], segments[s, 1]
-        passed = square_between(x, y, places[k, 0], places[k, 1], places[k + 1, 0], places[k + 1, 1])
-        square = max(square, passed)
-    return float(square)

@@ -27,7 +27,7 @@ from ebamcheck.comparison.chains import (
 )
 from ebamcheck.comparison.outline import Outline
 from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.numeric.rings import Floats, Ints, ShortInts
 
 MOST_CROSSINGS = 2_000_000
 """Crossings in one sweep; beyond it the caller uses shapely instead."""
@@ -53,7 +53,7 @@ class Overlap(NamedTuple):
 @kernel
 def overlap(a: Outline, b: Outline, wanted: bool) -> Overlap:
     """Sweep over two outlines; the trapezoids of the symmetric difference are written down if `wanted`."""
-    levels, events = _merged(a.chains, b.chains, len(a.segments))
+    levels, events = _together(a.chains, b.chains, len(a.segments))
     segments = np.concatenate((a.segments, b.segments))
     steps = _steps(a.chains.steps, b.chains.steps)
     edges = np.empty((len(steps), status.EDGE_COLUMNS))
@@ -62,9 +62,14 @@ def overlap(a: Outline, b: Outline, wanted: bool) -> Overlap:
     sums[status.NEXT_CROSSING] = np.inf
     difference = np.empty((64 if wanted else 0, status.TRAPEZOID_COLUMNS))
     crossings, n = 0, 0
+    next_a, next_b = 0, a.chains.levels.size
     # What most levels do stands here at length: a kernel that calls kernels pays reference counts for its tables.
-    for k in range(levels.size):
-        y = levels[k]
+    for _ in range(len(events)):
+        # Without a branch: which of the two goes on is as good as random.
+        from_a = levels[next_a] <= levels[next_b]
+        k = next_a if from_a else next_b
+        next_a, next_b = next_a + from_a, next_b + (not from_a)
+        y, k = levels[k], k - (not from_a)
         if wanted:
             difference = _with_room(difference, sums, n)
         while sums[status.NEXT_CROSSING] <= y:
@@ -103,25 +108,15 @@ def overlap(a: Outline, b: Outline, wanted: bool) -> Overlap:
 
 
 @kernel
-def _merged(a: Chains, b: Chains, segments_a: int) -> tuple[Floats, Ints]:
-    """Levels and events of both outlines in one order; chains and segments of `b` numbered after those of `a`."""
-    levels_a, levels_b, events_a, events_b = a.levels, b.levels, a.events, b.events
-    count = levels_a.size + levels_b.size
-    levels, events = np.empty(count), np.empty((count, 5), np.int64)
-    chains_a = a.steps.size
-    i, j = 0, 0
-    for k in range(count):
-        if j == levels_b.size or (i < levels_a.size and levels_a[i] <= levels_b[j]):
-            levels[k] = levels_a[i]
-            for c in range(5):
-                events[k, c] = events_a[i, c]
-            i += 1
-        else:
-            levels[k], events[k, 0] = levels_b[j], events_b[j, 0]
-            for c in range(2):
-                events[k, 1 + c] = events_b[j, 1 + c] + chains_a
-                events[k, 3 + c] = events_b[j, 3 + c] + segments_a
-            j += 1
+def _together(a: Chains, b: Chains, segments_a: int) -> tuple[Floats, ShortInts]:
+    """Levels and events of `a`, then those of `b`; chains and segments of `b` numbered after those of `a`."""
+    levels = np.concatenate((a.levels, b.levels))
+    events = np.concatenate((a.events, b.events))
+    for k in range(len(a.events), len(events)):
+        events[k, LEFT] += a.steps.size
+        events[k, RIGHT] += a.steps.size
+        events[k, LEFT_SEGMENT] += segments_a
+        events[k, RIGHT_SEGMENT] += segments_a
     return levels, events
 
 

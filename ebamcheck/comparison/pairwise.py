@@ -27,6 +27,9 @@ SAME_HEIGHT_MM = 1e-6
 SMALLEST_BLOCK = 16
 """Layers to a task at least, so that starting it costs little beside it."""
 
+TASKS_A_THREAD = 32
+"""Tasks that a block of layers is cut into for each thread: it ends when the last one does, and a layer takes long."""
+
 DepthFrom = Literal["auto", "a", "b", "nearer"]
 
 
@@ -159,7 +162,7 @@ def measure_stacks(
             progress(stop - start)
         return figures
 
-    return np.concatenate(run_blocks(work, len(stacks[0]), SMALLEST_BLOCK), axis=1)
+    return np.concatenate(run_blocks(work, len(stacks[0]), SMALLEST_BLOCK, TASKS_A_THREAD), axis=1)
 
 
 def measure_block(

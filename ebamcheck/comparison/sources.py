@@ -1,8 +1,9 @@
-"""Stacks of layers as the comparison takes them: in memory, or in files of which one block is read at a time."""
+"""Stacks of layers as the comparison takes them: in memory, or in files that are read block by block."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from typing import Any, Protocol
 
@@ -43,12 +44,26 @@ class LayerSource(Protocol):
 def blocks_of(
     sources: Sequence[LayerSource], borders: NDArray[np.int64] | None
 ) -> Iterator[tuple[int, list[Layers]]]:
-    """First layer and stacks of one block after the other; everything at once where there are no borders."""
+    """First layer and stacks of one block after the other; everything at once where there are no borders.
+
+    While a block is worked on, the next one is read: no more than two of each source are in memory.
+    """
     if not sources:
         return
     ends = [0, len(sources[0])] if borders is None else borders.tolist()
-    for start, stop in pairwise(ends):
-        yield start, [source.block(start, stop) for source in sources]
+    spans = list(pairwise(ends))
+
+    def read(span: tuple[int, int]) -> list[Layers]:
+        return [source.block(*span) for source in sources]
+
+    with ThreadPoolExecutor(1) as reader:
+        ahead = reader.submit(read, spans[0])
+        for (start, _), following in zip(spans, [*spans[1:], None], strict=True):
+            block = ahead.result()
+            if following is not None:
+                ahead = reader.submit(read, following)
+            yield start, block
+            del block
 
 
 def contour_figures(layers: Layers) -> pd.DataFrame:

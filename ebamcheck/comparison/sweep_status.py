@@ -23,10 +23,13 @@ from ebamcheck.numeric.rings import Floats, Ints
 X_LOW, Y_LOW, X_HIGH, Y_HIGH, SLOPE, SEGMENT = 0, 1, 2, 3, 4, 5
 """Columns of `edges`: ends of the edge, mm, its change of x with y, and which segment it is."""
 
-SINCE, LEFT, RIGHT, CROSSING = 6, 7, 8, 9
+X_NOW = 6
+"""Column of `edges`: x at the level at which the areas beside it were taken last."""
+
+SINCE, LEFT, RIGHT, CROSSING = 7, 8, 9, 10
 """Columns of `edges` for its gap: level up to which its area is taken, x of its sides there, level at which they cross."""
 
-EDGE_COLUMNS = 10
+EDGE_COLUMNS = 11
 
 CHAIN, STEP_A, STEP_B, WINDING_A, WINDING_B = 0, 1, 2, 3, 4
 """Columns of `marks`: chain of the edge, change of both winding numbers across it, those in its gap."""
@@ -51,12 +54,11 @@ TRAPEZOID_COLUMNS = 8
 @kernel
 def x_at(edges: Floats, k: int, y: float) -> float:
     """x of edge `k` at a level; exact at its ends."""
-    if y >= edges[k, Y_HIGH]:
-        return float(edges[k, X_HIGH])
-    x = edges[k, X_LOW] + (y - edges[k, Y_LOW]) * edges[k, SLOPE]
-    if edges[k, SLOPE] > 0.0:
-        return float(min(max(x, edges[k, X_LOW]), edges[k, X_HIGH]))
-    return float(max(min(x, edges[k, X_LOW]), edges[k, X_HIGH]))
+    # Without a branch: which way an edge leans and where it ends cannot be foretold from the edge before.
+    low, high = edges[k, X_LOW], edges[k, X_HIGH]
+    x = low + (y - edges[k, Y_LOW]) * edges[k, SLOPE]
+    within = min(max(x, min(low, high)), max(low, high))
+    return float(high if y >= edges[k, Y_HIGH] else within)
 
 
 @kernel
@@ -65,7 +67,7 @@ def set_edge(edges: Floats, k: int, segments: Floats, s: int) -> None:
     low, high = (0, 2) if segments[s, 3] > segments[s, 1] else (2, 0)
     x0, y0, x1, y1 = segments[s, low], segments[s, low + 1], segments[s, high], segments[s, high + 1]
     edges[k, X_LOW], edges[k, Y_LOW], edges[k, X_HIGH], edges[k, Y_HIGH] = x0, y0, x1, y1
-    edges[k, SLOPE], edges[k, SEGMENT] = np.divide(x1 - x0, y1 - y0), s
+    edges[k, SLOPE], edges[k, SEGMENT], edges[k, X_NOW] = np.divide(x1 - x0, y1 - y0), s, x0
 
 
 @kernel
@@ -73,39 +75,41 @@ def take_areas(
     edges: Floats, marks: Ints, sums: Floats, difference: Floats, first: int, last: int, n: int, y: float
 ) -> None:
     """Add the trapezoids of gaps ``first .. last`` up to a level to the areas that they belong to."""
-    for k in range(max(first, 0), min(last + 1, n - 1)):
+    first, last = max(first, 0), min(last, n - 2)
+    right = x_at(edges, first, y)
+    edges[first, X_NOW] = right
+    for k in range(first, last + 1):
+        left, right = right, x_at(edges, k + 1, y)
+        edges[k + 1, X_NOW] = right
         in_a, in_b = marks[k, WINDING_A] > 0, marks[k, WINDING_B] > 0
-        below = edges[k, SINCE]
-        if below == y or not (in_a or in_b):
-            continue
-        left, right = x_at(edges, k, y), x_at(edges, k + 1, y)
-        area = 0.5 * ((edges[k, RIGHT] - edges[k, LEFT]) + (right - left)) * (y - below)
-        if in_a:
-            sums[AREA_A] += area
-        if in_b:
-            sums[AREA_B] += area
-        if in_a != in_b:
-            sums[DIFFERENCE] += max(area, 0.0)
-            if len(difference):
-                _write_down(edges, sums, difference, k, y, left, right)
+        area = 0.5 * ((edges[k, RIGHT] - edges[k, LEFT]) + (right - left)) * (y - edges[k, SINCE])
+        # Which of them a gap adds to is as good as random, so each is added to, if only nothing: by factors, for a choice
+        # between numbers by a condition on others is a branch in machine code.
+        sums[AREA_A] += in_a * area
+        sums[AREA_B] += in_b * area
+        sums[DIFFERENCE] += (in_a != in_b) * max(area, 0.0)
+        if len(difference) and in_a != in_b and edges[k, SINCE] != y:
+            _write_down(edges, sums, difference, k, y, left, right)
         edges[k, SINCE], edges[k, LEFT], edges[k, RIGHT] = y, left, right
 
 
 @kernel
 def start_gaps(edges: Floats, sums: Floats, first: int, last: int, n: int, y: float) -> bool:
-    """Start gaps ``first .. last`` at a level and find where their edges cross; whether all are in order there."""
+    """Start gaps ``first .. last`` at the level at which areas beside their edges were taken, or where these begin.
+
+    Where the edges cross is found; whether all are in order at the level is returned.
+    """
+    first, last = max(first, 0), min(last, n - 2)
     in_order = True
-    for k in range(max(first, 0), min(last + 1, n - 1)):
-        left, right = x_at(edges, k, y), x_at(edges, k + 1, y)
-        edges[k, SINCE], edges[k, LEFT], edges[k, RIGHT], edges[k, CROSSING] = y, left, right, np.inf
-        in_order = in_order and left <= right
+    for k in range(first, last + 1):
+        left, right = edges[k, X_NOW], edges[k + 1, X_NOW]
+        in_order &= left <= right
         top = min(edges[k, Y_HIGH], edges[k + 1, Y_HIGH])
         over = x_at(edges, k, top) - x_at(edges, k + 1, top)
-        if over > 0.0:
-            apart = max(right - left, 0.0)
-            level = min(y + apart / (apart + over) * (top - y), top)
-            edges[k, CROSSING] = level
-            sums[NEXT_CROSSING] = min(sums[NEXT_CROSSING], level)
+        apart = max(right - left, 0.0)
+        level = min(y + np.divide(apart, apart + over) * (top - y), top) if over > 0.0 else np.inf
+        edges[k, SINCE], edges[k, LEFT], edges[k, RIGHT], edges[k, CROSSING] = y, left, right, level
+        sums[NEXT_CROSSING] = min(sums[NEXT_CROSSING], level)
     return in_order
 
 
@@ -115,8 +119,8 @@ def next_crossing(edges: Floats, sums: Floats, n: int) -> int:
     first = -1
     level = np.inf
     for k in range(n - 1):
-        if edges[k, CROSSING] < level:
-            first, level = k, edges[k, CROSSING]
+        first = k if edges[k, CROSSING] < level else first
+        level = min(level, edges[k, CROSSING])
     sums[NEXT_CROSSING] = level
     return first
 

@@ -56,13 +56,17 @@ def thread_count() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def run_blocks(work: Callable[[int, int], _Result], count: int, smallest: int = 1) -> list[_Result]:
+def run_blocks(
+    work: Callable[[int, int], _Result], count: int, smallest: int = 1, a_thread: int = 4
+) -> list[_Result]:
     """Run ``work(start, stop)`` over consecutive blocks that cover ``range(count)``, on all threads.
+
+    There are `a_thread` blocks for each, of `smallest` items at least: the more, the less the threads wait for the last one.
 
     Results come back in the order of the blocks, so that they do not depend on the number of threads
     as long as a block's result does not depend on where its borders lie.
     """
-    blocks = max(1, min(thread_count() * 4, count // max(smallest, 1)))
+    blocks = max(1, min(thread_count() * a_thread, count // max(smallest, 1)))
     return list(run_in_order(work, [count * i // blocks for i in range(blocks + 1)]))
 
 

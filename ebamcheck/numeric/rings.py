@@ -12,6 +12,7 @@ from ebamcheck.numeric.kernels import kernel
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+ShortInts = NDArray[np.int32]
 Bools = NDArray[np.bool_]
 
 EPSILON = 2.0**-52

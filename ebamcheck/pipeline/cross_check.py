@@ -41,7 +41,8 @@ class CrossCheck:
 def cross_check(job: Job, backends: Mapping[str, BackendSettings], resume: bool) -> CrossCheck:
     """Slice and compare; layers, pairs and figures of every layer are on disk afterwards.
 
-    No more than one block of layers of every backend is in memory at a time (``slicing.block_points``).
+    No more than one block of layers of every backend is in memory at a time (``slicing.block_points``), and two while
+    they are compared: the next one is read meanwhile.
     """
     borders = layer_blocks(job.part, job.heights, job.config.slicing.block_points)
     outcomes = _slice(job, backends, borders, resume)
