@@ -126,6 +126,29 @@ def test_a_step_of_any_length_is_stable():
     assert body.base_j + body.radiated_j + body.stored_j == pytest.approx(body.absorbed_j, rel=1e-9)
 
 
+@pytest.mark.parametrize("excess_k", [-1.0, 10.0, 300.0])
+def test_a_wait_is_that_of_steps_taken_one_by_one(excess_k):
+    body = laid(profile(), *[LayerShape(2.0, 500.0, 100.0)] * 12)
+    body.advance(60.0, 60.0 * 5e3)
+    limit_k, other = body.bed_k - excess_k, body.copy()
+    stepped_s, step_s = 0.0, 1.0
+    while other.bed_k > limit_k:
+        other.advance(step_s)
+        stepped_s, step_s = stepped_s + step_s, max(1.0, 0.5 * stepped_s)
+    assert body.wait_until(limit_k, 1e6) == stepped_s
+    assert (body.content == other.content).all()
+    assert body.base_j == pytest.approx(other.base_j, rel=1e-12)
+    assert body.radiated_j == pytest.approx(other.radiated_j, rel=1e-12)
+
+
+def test_a_wait_that_would_be_too_long_is_given_up():
+    body = laid(profile(), *[LayerShape(2.0, 500.0, 100.0)] * 12)
+    body.advance(60.0, 60.0 * 5e3)
+    assert 100.0 < body.wait_until(AMBIENT_K - 1.0, 100.0) < 200.0
+    assert math.isinf(HeatColumn(CONFIG).wait_until(AMBIENT_K - 1.0, 100.0))
+    assert HeatColumn(CONFIG).wait_until(AMBIENT_K, 100.0) == 0.0
+
+
 def test_joined_cells_change_nothing_that_can_be_seen(monkeypatch):
     count = 300
     even = [np.full(count, value) for value in (0.5, 900.0, 130.0, 40.0, 110.0, 1.5e4, 40.0, 20.0)]

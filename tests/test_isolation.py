@@ -20,6 +20,7 @@ from ebamcheck.layers.files import read_layers
 from ebamcheck.plugins import registry
 from ebamcheck.slicers.cutting import cut
 from ebamcheck.slicers.isolation import Limits, slice_all
+from ebamcheck.slicers.worker_pool import longest_first
 
 HEIGHTS = np.linspace(0.1, 1.9, 40)
 
@@ -37,6 +38,11 @@ def plugins(installed, monkeypatch):
     found_here(installed, monkeypatch, os.path.dirname(__file__))
     yield
     registry.forget()
+
+
+def test_slicers_that_are_not_exact_begin_first():
+    names = ["embree", "manifold", "planecut", "stencil"]
+    assert longest_first(names) == ["embree", "stencil", "manifold", "planecut"]
 
 
 def test_isolated_layers_are_those_of_this_process():

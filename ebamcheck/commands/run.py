@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -146,12 +145,12 @@ def check(
 
 
 def _first_slicers(config: Config) -> WorkerPool:
-    """Workers of the slicers that go first: their interpreters come up while the rest of this one is loaded."""
+    """Workers of the slicers: their interpreters come up while the rest of this one is loaded."""
     from ebamcheck.plugins import registry
-    from ebamcheck.slicers.worker_pool import WorkerPool
+    from ebamcheck.slicers.worker_pool import WorkerPool, longest_first
 
-    names = config.slicing.backends or registry.house_slicers()
-    return WorkerPool(names[: config.slicing.processes or os.cpu_count()])
+    names = longest_first(config.slicing.backends or registry.house_slicers())
+    return WorkerPool(names[: config.slicing.processes or None])
 
 
 def _told(result: RunResult, as_json: bool) -> ExitCode:

@@ -10,7 +10,7 @@ import pandas as pd
 
 from ebamcheck.curves.columns import Curves, SampledRings
 from ebamcheck.curves.nearest import boxed, closed_points, nearest, signed_distance
-from ebamcheck.curves.polar import ray_radii
+from ebamcheck.curves.polar import Rays, ray_radii, rays_of
 from ebamcheck.errors import SettingsError
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric import rings
@@ -90,12 +90,12 @@ def contour_error(
         If the heights differ, or a count is not positive.
     """
     _check(measured, reference, rays, samples)
-    theta: Floats = (np.arange(rays, dtype=np.float64) + 0.5) * (2.0 * math.pi / rays)
+    beams = rays_of((np.arange(rays, dtype=np.float64) + 0.5) * (2.0 * math.pi / rays))
 
     def work(start: int, stop: int) -> list[RingErrors]:
         steps = range(start, stop, LAYERS_A_STEP)
         return [
-            _block_errors(measured, reference, a, min(a + LAYERS_A_STEP, stop), theta, samples) for a in steps
+            _block_errors(measured, reference, a, min(a + LAYERS_A_STEP, stop), beams, samples) for a in steps
         ]
 
     blocks = [errors for block in run_blocks(work, len(measured)) for errors in block]
@@ -269,7 +269,7 @@ def _orientation(stack: Layers | Curves) -> Floats:
 
 
 def _block_errors(
-    measured: Layers | Curves, reference: Layers | Curves, start: int, stop: int, theta: Floats, samples: int
+    measured: Layers | Curves, reference: Layers | Curves, start: int, stop: int, rays: Rays, samples: int
 ) -> RingErrors:
     ours, theirs = measured.block(start, stop), reference.block(start, stop)
     a, b = _polylines(ours), _polylines(theirs)
@@ -284,7 +284,7 @@ def _block_errors(
     polar = np.full((mine.size, len(MEASURES)), np.nan)
     normal = np.full((mine.size, len(MEASURES)), np.nan)
     outer = _orientation(ours) > 0
-    _pair_errors(a, b, (mine, partner), outer[mine], theta, samples, polar, normal)
+    _pair_errors(a, b, (mine, partner), outer[mine], rays, samples, polar, normal)
     return RingErrors(
         mine + measured.layer_starts[start], partner + reference.layer_starts[start], polar, normal
     )
@@ -338,7 +338,7 @@ def _pair_errors(
     b: SampledRings,
     pairs: tuple[Ints, Ints],
     outer: Bools,
-    theta: Floats,
+    rays: Rays,
     samples: int,
     polar: Floats,
     normal: Floats,
@@ -350,7 +350,7 @@ def _pair_errors(
         if outer[k]:
             x = 0.5 * (theirs[:, 0].min() + theirs[:, 0].max())
             y = 0.5 * (theirs[:, 1].min() + theirs[:, 1].max())
-            _measure(ray_radii(ours, x, y, theta) - ray_radii(theirs, x, y, theta), polar[k])
+            _measure(ray_radii(ours, x, y, rays) - ray_radii(theirs, x, y, rays), polar[k])
         _measure(_normal_distances(ours, theirs, samples), normal[k])
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,6 +21,14 @@ NEARLY_HALF_TURN_RAD = 3.1
 
 ANGLE_MARGIN_RAD = 1e-9
 """Rays this far beyond the ends of a segment are tried too: angles are rounded, crossings are not."""
+
+
+class Rays(NamedTuple):
+    """Directions (m,) of rays in order, 0 .. 2 pi, with their cosines and sines: many rings are met by the same ones."""
+
+    theta: Floats
+    cosine: Floats
+    sine: Floats
 
 
 def polar_radius(ring: ArrayLike, centre: ArrayLike, theta_rad: ArrayLike) -> Floats:
@@ -47,8 +56,14 @@ def polar_radius(ring: ArrayLike, centre: ArrayLike, theta_rad: ArrayLike) -> Fl
     theta = np.mod(np.asarray(theta_rad, dtype=np.float64).reshape(-1), 2.0 * math.pi)
     order = np.argsort(theta, kind="stable")
     radii = np.empty(theta.size)
-    radii[order] = ray_radii(closed_points(points, True), middle[0], middle[1], theta[order])
+    radii[order] = ray_radii(closed_points(points, True), middle[0], middle[1], rays_of(theta[order]))
     return radii
+
+
+@kernel
+def rays_of(theta: Floats) -> Rays:
+    """Rays in sorted directions (m,), 0 .. 2 pi."""
+    return Rays(theta, np.cos(theta), np.sin(theta))
 
 
 @kernel
@@ -66,16 +81,15 @@ def _first_from(theta: Floats, least: float, guess: int) -> int:
 
 
 @kernel
-def ray_radii(points: Floats, x: float, y: float, theta: Floats) -> Floats:
-    """As :func:`polar_radius`, of a closed polyline (n + 1, 2), with sorted directions in 0 .. 2 pi.
+def ray_radii(points: Floats, x: float, y: float, rays: Rays) -> Floats:
+    """As :func:`polar_radius`, of a closed polyline (n + 1, 2).
 
     A ray crosses a segment whose ends lie on different sides of its line, a point on the line counting
     as left: a ray through a vertex thus counts once.
     """
-    turn = 2.0 * math.pi
+    turn, theta, cosine, sine = 2.0 * math.pi, rays.theta, rays.cosine, rays.sine
     radii = np.full(theta.size, np.nan)
     crossings = np.zeros(theta.size, dtype=np.int64)
-    cosine, sine = np.cos(theta), np.sin(theta)
     if not theta.size:
         return radii
     px, py = points[0, 0] - x, points[0, 1] - y

@@ -28,18 +28,15 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.heat.enthalpy import EnthalpyTables, enthalpy_tables
-from ebamcheck.heat.marching import ColumnFields, march
+from ebamcheck.heat.marching import FEW_STEPS, SHORT_S, STEPS, ColumnFields, march
 from ebamcheck.heat.medium import STEFAN_BOLTZMANN_W_M2K4
+from ebamcheck.heat.waiting import cooled
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.settings.config import Config
 
 LARGEST_CELL_MM = 2.5
 """Cells of the column at most: heat spreads over 20 times as much while a layer of a minute is laid."""
-
-STEPS, FEW_STEPS, SHORT_S = 8, 4, 15.0
-"""Time steps of a layer or a wait, which grow from short ones, as the square root law of a heated surface asks; and those
-of a time as short as a bead or a move."""
 
 GROWTH = 0.05
 """Height of a cell over its depth under the surface at most, where cells of layers below are joined: the field under a
@@ -227,8 +224,23 @@ class HeatColumn:
         steps = FEW_STEPS if duration_s <= SHORT_S else STEPS
         gone = march(self.content, self._fields, self._top, energy_j / duration_s, duration_s, steps)
         self.absorbed_j += energy_j
-        self.base_j += gone.item(0)
-        self.radiated_j += gone.item(1)
+        self._gone(gone)
+
+    def wait_until(self, bed_k: float, longest_s: float) -> float:
+        """Let time go by, in steps that grow by a half, until the next bead lies on no more than `bed_k`; returns the time, s.
+
+        What takes longer than `longest_s` is given up after the step that comes to more.
+        """
+        if self._fields is None:
+            return 0.0 if self.bed_k <= bed_k else math.inf
+        wait_s, gone = cooled(self.content, self._fields, self._under, self._top, bed_k, longest_s)
+        self._gone(gone)
+        return wait_s
+
+    def _gone(self, heat_j: Floats) -> None:
+        """Count the heat that went to the table and that was radiated, J."""
+        self.base_j += heat_j.item(0)
+        self.radiated_j += heat_j.item(1)
 
 
 @kernel

@@ -10,6 +10,10 @@ import numpy as np
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats
 
+STEPS, FEW_STEPS, SHORT_S = 8, 4, 15.0
+"""Time steps of a layer or a wait, which grow from short ones, as the square root law of a heated surface asks; and those
+of a time as short as a bead or a move."""
+
 NEWTON_STEPS, NEWTON_J_MM3 = 60, 1e-6
 """Iterations of a time step at most, and the change of the heat content (0.3 mK) at which it has converged."""
 

@@ -100,27 +100,28 @@ def make_program(
     """Fit, partition, order, write, read back and verify."""
     config, layers = job.config, job.folder.read_layers(primary)
     fit_result = fitted(job, layers, checked.outcomes[primary].error_bound_mm)
-    with job.stage("partition and order", len(layers)):
-        smooth = smooth_layers(fit_result.curves)
-        plan = plan_stack(smooth, config, progress=job.observer.advance)
-        plan.to_parquet(job.folder.path / "scan.parquet")
-        plan.metrics.to_csv(job.folder.path / "scan.csv", index=False)
-    job.add_finding(*noticed.of_heat(plan, config))
     # What asks for much arithmetic and little Python goes on beside the rest.
-    with job.stage("program", 1), one_beside() as aside:
+    with one_beside() as aside:
         with_reference = aside.submit(held_against, job, layers, fit_result, fine)
-        beads = bead_paths(smooth, plan, config)
-        beads.to_parquet(job.folder.path / "beads.parquet")
-        path = planned_path(beads, plan, config)
-        summed = aside.submit(_write_events, job, path, plan)
-        header = {"PART SHA-256": job.part.source_sha256 or job.part.sha256}
-        own = control(config.machine.control)
-        files: ProgramFiles = own.written(
-            beads, plan, config, job.folder.program_folder, header=header, path=path
-        )
-        made_from = _Made(beads, plan, path, layers, smooth)
-        proof = _verified(job, files, made_from, _witness(job, layers, checked.done), aside)
-        totals, fit_result = summed.result(), with_reference.result()
+        with job.stage("partition and order", len(layers)):
+            smooth = smooth_layers(fit_result.curves)
+            plan = plan_stack(smooth, config, progress=job.observer.advance)
+            plan.to_parquet(job.folder.path / "scan.parquet")
+            plan.metrics.to_csv(job.folder.path / "scan.csv", index=False)
+        job.add_finding(*noticed.of_heat(plan, config))
+        with job.stage("program", 1):
+            beads = bead_paths(smooth, plan, config)
+            beads.to_parquet(job.folder.path / "beads.parquet")
+            path = planned_path(beads, plan, config)
+            summed = aside.submit(_write_events, job, path, plan)
+            header = {"PART SHA-256": job.part.source_sha256 or job.part.sha256}
+            own = control(config.machine.control)
+            files: ProgramFiles = own.written(
+                beads, plan, config, job.folder.program_folder, header=header, path=path
+            )
+            made_from = _Made(beads, plan, path, layers, smooth)
+            proof = _verified(job, files, made_from, _witness(job, layers, checked.done), aside)
+            totals, fit_result = summed.result(), with_reference.result()
     made: tuple[Gate, ...] = (
         gates.fit_gate(fit_result.verdict),
         gates.coverage_gate(plan.metrics, config),

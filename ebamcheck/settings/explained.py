@@ -8,6 +8,7 @@ from __future__ import annotations
 import ast
 import inspect
 import itertools
+import sys
 import textwrap
 from functools import cache
 from typing import Any
@@ -28,8 +29,7 @@ def explanations(kind: type[BaseModel]) -> dict[str, str]:
 
 def _docstrings(kind: type[BaseModel]) -> dict[str, str]:
     """Texts that stand under the annotations of one class."""
-    made = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
-    assert isinstance(made, ast.ClassDef)
+    made = _classes(kind.__module__).get(kind.__qualname__) or _class_within(kind)
     return {
         line.target.id: inspect.cleandoc(under.value.value)
         for line, under in itertools.pairwise(made.body)
@@ -39,6 +39,20 @@ def _docstrings(kind: type[BaseModel]) -> dict[str, str]:
         and isinstance(under.value, ast.Constant)
         and isinstance(under.value.value, str)
     }
+
+
+@cache
+def _classes(module: str) -> dict[str, ast.ClassDef]:
+    """Classes of the top level of a module by name, its source read once for all of them."""
+    found = ast.parse(inspect.getsource(sys.modules[module])).body
+    return {made.name: made for made in found if isinstance(made, ast.ClassDef)}
+
+
+def _class_within(kind: type[BaseModel]) -> ast.ClassDef:
+    """A class that is defined within something else."""
+    made = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
+    assert isinstance(made, ast.ClassDef)
+    return made
 
 
 def explained_schema(kind: type[BaseModel]) -> dict[str, Any]:

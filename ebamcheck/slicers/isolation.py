@@ -45,7 +45,7 @@ from ebamcheck.slicers.worker_events import (
     event_of,
     probe_of,
 )
-from ebamcheck.slicers.worker_pool import Worker, WorkerPool
+from ebamcheck.slicers.worker_pool import Worker, WorkerPool, longest_first
 
 DEFAULT_LIMITS = Limits()
 
@@ -154,7 +154,7 @@ def slice_all(
     with ExitStack() as opened:
         pool = pool or opened.enter_context(WorkerPool())
         _write_work(pool.folder, part, heights, borders)
-        waiting = list(backends)
+        waiting = longest_first(backends)
         running: list[Worker] = []
         most = limits.processes or max(1, thread_count())
         try:

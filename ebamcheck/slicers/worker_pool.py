@@ -15,6 +15,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, TYPE_CHECKING, Any, Self
 
+from ebamcheck.plugins import registry
 from ebamcheck.plugins.processes import (
     MARK,
     end_with_children,
@@ -162,3 +163,11 @@ class WorkerPool:
         os.close(write)
         os.set_blocking(read, False)
         return Worker(name, process, os.fdopen(read, "rb", buffering=0), errors, mark=mark)
+
+
+def longest_first(names: Iterable[str]) -> list[str]:
+    """Names of slicers in the order in which they are to begin: those that are not exact cast rays, and take longest.
+
+    What ends last is short then, and no core waits long for it.
+    """
+    return sorted(names, key=lambda name: registry.slicer(name).exact)

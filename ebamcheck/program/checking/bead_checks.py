@@ -11,7 +11,7 @@ from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program.checking.bare_parts import widest_part
 from ebamcheck.program.checking.bead_wire import bead_wire_check
-from ebamcheck.program.checking.checks import Check, count_check, row_faults
+from ebamcheck.program.checking.checks import Check, count_check, lines_of, row_faults
 from ebamcheck.program.checking.hatch_form import form_checks
 from ebamcheck.program.reading.motions import STRAIGHT, NCProgram
 from ebamcheck.scan.filling.coverage import covered_fraction
@@ -166,18 +166,28 @@ def repeated_blocks(nc: NCProgram) -> Check:
 
 
 def _same_text(nc: NCProgram) -> list[tuple[str, str]]:
-    feed = np.flatnonzero(nc.deposit)
-    moving = set(zip(nc.file[feed].tolist(), nc.line[feed].tolist(), strict=True))
-    faults = []
-    for index, file in enumerate(nc.files):
-        lines = [line.split(b";")[0].split() for line in file.data.split(b"\n")]
-        plain = [words[1:] if words and words[0][:1] == b"N" else words for words in lines]
-        faults += [
-            (f"{file.name}:{i + 1}", "the same block as the one before")
-            for i in range(1, len(plain))
-            if plain[i] and plain[i] == plain[i - 1] and (index, i + 1) in moving
-        ]
+    """Blocks of motions with metal whose words, but for their numbers, are those of the line before."""
+    faults, lines = [], [file.data.split(b"\n") for file in nc.files]
+    for file, line in lines_of(nc, np.flatnonzero(nc.deposit)):
+        before, block = lines[file][line - 2 : line] if line > 1 else (b"", lines[file][line - 1])
+        # Most blocks end in another digit than the one before, and need not be taken into words.
+        if (
+            before[-1:] != block[-1:]
+            and before[-1:].isdigit()
+            and block[-1:].isdigit()
+            and b";" not in before + block
+        ):
+            continue
+        words = _words_of(block)
+        if words and words == _words_of(before):
+            faults.append((f"{nc.files[file].name}:{line}", "the same block as the one before"))
     return faults
+
+
+def _words_of(line: bytes) -> list[bytes]:
+    """Words of a line without its number and its comment."""
+    words = line.split(b";")[0].split()
+    return words[1:] if words and words[0][:1] == b"N" else words
 
 
 # -- coverage ----------------------------------------------------------------------------------------

@@ -63,6 +63,13 @@ def row_faults(nc: NCProgram, rows: Bools | Ints, what: str) -> list[tuple[str, 
     return [(nc.where(int(row)), what) for row in index]
 
 
+def lines_of(nc: NCProgram, rows: Ints) -> list[tuple[int, int]]:
+    """File and line, from 1, of motions: each once, in the order of the text."""
+    lines = 1 + int(nc.line[rows].max(initial=0))
+    file, line = np.divmod(np.unique(nc.file[rows].astype(np.int64) * lines + nc.line[rows]), lines)
+    return list(zip(file.tolist(), line.tolist(), strict=True))
+
+
 def worst_check(
     name: str, nc: NCProgram, rows: Ints, values: ArrayLike, limit: float, unit: str, what: str
 ) -> Check:

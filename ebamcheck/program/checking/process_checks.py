@@ -28,6 +28,9 @@ KEEP_OUT_STEP_MM = 0.2
 OUTLINE_STEP_MM = 0.25
 """Places along the contours at which an overhang is measured."""
 
+FIRST_ASKED = 16
+"""Places of a section that are asked first whether they reach out over the one below, those farthest from its border."""
+
 
 def process_checks(nc: NCProgram, config: Config) -> list[Check]:
     """Check what the settings of the process ask of the path; what they do not limit is measured all the same."""
@@ -171,14 +174,19 @@ def _overhang(nc: NCProgram, config: Config) -> Check:
 
 def _reach_deg(section: BaseGeometry, below: BaseGeometry, rise_mm: float) -> tuple[float, Floats]:
     """Angle of the farthest place of a section from the one below it, and that place (2,)."""
-    places = shapely.get_coordinates(section)
+    places = np.ascontiguousarray(shapely.get_coordinates(section))
+    away = side_distances(places, sides_of(below.boundary))
     shapely.prepare(below)
-    outer = places[~np.asarray(shapely.intersects_xy(below, places[:, 0], places[:, 1]))]
-    if not len(outer):
-        return 0.0, places[0]
-    away = side_distances(np.ascontiguousarray(outer), sides_of(below.boundary))
-    k = int(np.argmax(away))
-    return math.degrees(math.atan2(float(away[k]), max(rise_mm, 0.0))), outer[k]
+    # Distances are cheap, and whether a place lies within takes long: the farthest ones are asked first.
+    order, tried = np.argsort(-away, kind="stable"), 0
+    while tried < len(order):
+        some = order[tried : 2 * tried + FIRST_ASKED]
+        outer = some[~np.asarray(shapely.intersects_xy(below, places[some, 0], places[some, 1]))]
+        if outer.size:
+            k = int(outer[0])
+            return math.degrees(math.atan2(float(away[k]), max(rise_mm, 0.0))), places[k]
+        tried += len(some)
+    return 0.0, places[0]
 
 
 def _nearest_row(nc: NCProgram, layer: int, place: Floats) -> int:

@@ -256,13 +256,11 @@ def _dwell_s(
         if enters[n]:
             _scan(column, beads, int(beads.layer[n]), config)
         checked = n > 0 and (config.process.interpass_at == "bead" or enters[n])
-        wait_s, step_s = 0.0, 1.0
-        while checked and column.bed_k > limit_k:
-            column.advance(step_s)
-            wait_s, step_s = wait_s + step_s, max(1.0, 0.5 * wait_s)
+        if checked and column.bed_k > limit_k:
+            wait_s = column.wait_until(limit_k, LONGEST_WAIT_S)
             if wait_s > LONGEST_WAIT_S:
                 return math.nan
-        total_s += wait_s
+            total_s += wait_s
         shape = shapes[int(beads.layer[n])]
         if enters[n] and shape.area_mm2 > 0.0:
             column.lay(shape)

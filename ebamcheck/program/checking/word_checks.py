@@ -10,7 +10,7 @@ import re
 
 import numpy as np
 
-from ebamcheck.program.checking.checks import Check, count_check
+from ebamcheck.program.checking.checks import Check, count_check, lines_of
 from ebamcheck.program.reading.motions import RAPID, NCProgram
 from ebamcheck.program.reading.roles import beads_of
 
@@ -18,6 +18,9 @@ NAME = "words of motions"
 
 _ASIDE = re.compile(rb"\([^)]*\)|;.*")
 """Comments, and the lists of a polynomial, whose axis stands before them."""
+
+_PLAIN = re.compile(rb"[^(;XY]*X[^(;XY]*Y")
+"""The form of nearly all blocks of metal, which name both axes; of others :func:`_absent` tells what they lack."""
 
 MOST_WHOLE = 0.9
 """Share of the blocks with metal that name both axes from which on it is the form of the program to do so."""
@@ -36,8 +39,12 @@ def words_check(nc: NCProgram) -> Check:
 def _blocks(nc: NCProgram, lines: list[list[bytes]]) -> list[tuple[str, str]]:
     """Blocks of metal that lack an axis."""
     metal = np.flatnonzero(nc.deposit & (nc.kind != RAPID))
-    places = sorted(set(zip(nc.file[metal].tolist(), nc.line[metal].tolist(), strict=True)))
-    lacking = [(file, line, absent) for file, line in places if (absent := _absent(lines[file][line - 1]))]
+    places = lines_of(nc, metal)
+    lacking = [
+        (file, line, absent)
+        for file, line in places
+        if not _PLAIN.match(block := lines[file][line - 1]) and (absent := _absent(block))
+    ]
     whole = len(places) - len(lacking)
     if whole < MOST_WHOLE * len(places):
         return []  # A program in which blocks name what changes.
