@@ -13,7 +13,7 @@ from parts import box, join, moved, sphere, tilted, torus, turn_z
 import ebamcheck
 from ebamcheck.layers.stack import concatenate, from_rings
 from ebamcheck.mesh.part import Part
-from ebamcheck.mesh.topology import NO_TWIN, edge_groups, twins
+from ebamcheck.mesh.topology import edge_groups
 from ebamcheck_planecut import PlaneCut
 from ebamcheck_planecut.box_tree import box_tree, grow, touching
 from ebamcheck_planecut.crossed_facets import crossed_mesh
@@ -210,30 +210,6 @@ def test_facets_across_a_plane_are_those_that_begin_under_and_end_over_it(name):
         before = under
         assert rising[:count].tolist() == expected
         assert alone[: facets_across(mesh, under, alone)].tolist() == expected
-
-
-CROWDED = soup(9, facets=400, points=400)
-CROWDED.faces[:200, 0] = 7
-FOUND = {
-    **LONE_PARTS,
-    "a crowd at a vertex": CROWDED,
-    "nothing": Part(np.zeros((0, 3)), np.zeros((0, 3), np.int32)),
-}
-
-
-@pytest.mark.parametrize("name", FOUND)
-@pytest.mark.parametrize("threads", ["1", "3"])
-def test_neighbours_are_those_of_half_edges_grouped_by_edge(name, threads, monkeypatch):
-    monkeypatch.setenv("EBAMCHECK_THREADS", threads)
-    mesh = sorted_mesh(FOUND[name])
-    groups = edge_groups(mesh.faces, len(mesh.vertices))
-    expected = twins(np.ascontiguousarray(mesh.vertices[:, :3]), mesh.faces, groups.half_edges, groups.starts)
-    twin, is_open, mixed, fans = mesh.around
-    assert twin.tolist() == expected.tolist()
-    tails = mesh.faces.ravel()
-    assert is_open == (twin == NO_TWIN).any()
-    assert mixed == ((twin != NO_TWIN) & (tails == tails[twin])).any()
-    assert fans == (np.diff(groups.starts) > 2).any()
 
 
 @pytest.mark.parametrize("threads", ["1", "3"])
