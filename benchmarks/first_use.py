@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 from benchmarks.machine import machine
 from benchmarks.parts import DEMO_REFERENCE_MM, DEMO_TOLERANCE_MM, model_file
-from benchmarks.watch import ROOT, children_s
+from benchmarks.watch import ROOT, children_s, user_environment
 
 SOURCES = ("ebamcheck", "backends", "reference_models", "reports")
 COMPILED = ("*.nbi", "*.nbc")
@@ -66,9 +66,7 @@ def first_use(name: str) -> tuple[Took, Took]:
             _copy_checkout(copy)
             make = ["make", "demo"]
             # Set up from nothing, as in a new clone: nothing of this interpreter's environment.
-            env = {
-                key: value for key, value in os.environ.items() if key not in ("VIRTUAL_ENV", "PYTHONPATH")
-            }
+            env = user_environment("VIRTUAL_ENV", "PYTHONPATH")
             return _timed(copy, make, env), _timed(copy, make, env)
         part, fine = (model_file("blade", tolerance) for tolerance in (DEMO_TOLERANCE_MM, DEMO_REFERENCE_MM))
         {"wheel": _install_wheel}.get(name, _copy_sources)(copy)
@@ -81,7 +79,7 @@ def first_use(name: str) -> tuple[Took, Took]:
         }[name]
         command = [sys.executable, "-m", "ebamcheck", *arguments]
         paths = [str(copy), *(str(copy / source) for source in SOURCES[1:])]
-        env = {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
+        env = {**user_environment(), "PYTHONPATH": os.pathsep.join(paths)}
         return _timed(copy, command, env), _timed(copy, command, env)
 
 

@@ -22,6 +22,9 @@ from ebamcheck.numeric.kernels import run_blocks
 COPY_BYTES, COPIES = 1 << 28, 5
 """Size of the array that is copied, far over any cache, and how often: the fastest copy counts."""
 
+NEW_BYTES = 1 << 30
+"""Memory that is touched for the first time, to see how long the system takes to give it."""
+
 LINE_BYTES = 64
 """What the machine reads for a vertex at any place: a line of its cache."""
 
@@ -45,6 +48,18 @@ def copy_bandwidth() -> float:
         run_blocks(work, len(source))
         best_s = min(best_s, time.perf_counter() - start)
     return 2.0 * COPY_BYTES / best_s
+
+
+def first_touch() -> float:
+    """Bytes in a second of memory that no process has yet, while all threads write to it; a virtual machine asks its host for it."""
+    target = np.empty(NEW_BYTES // 8)
+
+    def work(start: int, stop: int) -> None:
+        target[start:stop] = 1.0
+
+    start = time.perf_counter()
+    run_blocks(work, len(target))
+    return NEW_BYTES / (time.perf_counter() - start)
 
 
 def floor_of(key: str, figures: Figures) -> float | None:
@@ -90,9 +105,11 @@ def _start_up_s(figures: Figures) -> float | None:
 
 
 def _cold_s(figures: Figures) -> float | None:
-    """An interpreter with the libraries, and the cut at its floor."""
-    start_s, cut_s = _start_up_s(figures), _cut_s(figures)
-    return None if start_s is None or cut_s is None else start_s + cut_s
+    """An interpreter with the libraries, the file read and the layers written, to memory that is new to the process."""
+    start_s, cut_s, output = _start_up_s(figures), _cut_s(figures), _output_bytes(figures, "planecut")
+    if start_s is None or cut_s is None or output is None:
+        return None
+    return start_s + (output / figures.touch_bytes_s if figures.touch_bytes_s else cut_s)
 
 
 def _shuffled(figures: Figures) -> float | None:

@@ -12,7 +12,7 @@ from typing import Any
 
 import psutil
 
-from benchmarks.floors import copy_bandwidth
+from benchmarks.floors import copy_bandwidth, first_touch
 from benchmarks.watch import ROOT
 from ebamcheck import __version__
 from ebamcheck.numeric.kernels import thread_count
@@ -30,6 +30,7 @@ def machine() -> dict[str, Any]:
         "cpu": _cpu_model(),
         "cores": thread_count(),
         "copy_bytes_s": copy_bandwidth(),
+        "touch_bytes_s": first_touch(),
         "memory_gb": round(psutil.virtual_memory().total / 1e9, 1),
         "system": f"{platform.system()} {platform.release()}",
         "load_at_start": [round(load, 2) for load in os.getloadavg()],

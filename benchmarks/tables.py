@@ -196,9 +196,10 @@ def _head(raw: Raw) -> list[str]:
 
 
 def _bandwidth(machine: Mapping[str, Any]) -> str:
-    """Copy bandwidth, where it was measured: floors are bytes that must be touched over it."""
-    found = machine.get("copy_bytes_s")
-    return f"copies {1e-9 * found:.1f} GB/s (read and written), " if found else ""
+    """Bandwidths, where they were measured: floors are bytes that must be touched over them."""
+    copies, new = machine.get("copy_bytes_s"), machine.get("touch_bytes_s")
+    text = f"copies {1e-9 * copies:.1f} GB/s (read and written), " if copies else ""
+    return text + (f"new memory {1e-9 * new:.1f} GB/s, " if new else "")
 
 
 def _measured_methods(raw: Raw, parts: Mapping[str, Raw]) -> list[str]:
@@ -223,6 +224,7 @@ def _figures(raw: Raw, series: str) -> Figures:
         series,
         _top(raw, series),
         raw["machine"].get("copy_bytes_s"),
+        raw["machine"].get("touch_bytes_s"),
         raw["machine"]["cores"],
     )
 

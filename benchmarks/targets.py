@@ -24,6 +24,8 @@ class Figures:
     top: int
     copy_bytes_s: float | None = None
     """Copy bandwidth of the machine; None where it was not measured."""
+    touch_bytes_s: float | None = None
+    """Bytes of new memory that it gives in a second; None where it was not measured."""
     cores: int | None = None
     """Processors over which work can be spread; None where that is not known."""
 

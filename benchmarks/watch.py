@@ -63,7 +63,7 @@ def watch(
         before_s, start = children_s(), time.perf_counter()
         process = subprocess.Popen(
             command, cwd=ROOT, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors,
-            start_new_session=True,
+            start_new_session=True, env=user_environment(),
         )  # fmt: skip
         try:
             peak_mb, ended = _wait(process, limit_s, memory_mb, clock)
@@ -74,6 +74,13 @@ def watch(
         lines = errors.read().decode("utf-8", "replace").strip().splitlines()
     last_words = lines[-1].strip().replace(f"{ROOT}{os.sep}", "") if lines else ""
     return Watched(process.returncode, wall_s, peak_mb, children_s() - before_s, ended, last_words)
+
+
+def user_environment(*without: str) -> dict[str, str]:
+    """Environment of a user's command: without what is named, and with bytecode, without which each process compiles all it imports."""
+    return {
+        key: value for key, value in os.environ.items() if key not in (*without, "PYTHONDONTWRITEBYTECODE")
+    }
 
 
 def children_s() -> float:

@@ -56,6 +56,9 @@ def test_a_floor_is_the_bytes_that_must_be_touched_over_the_bandwidth():
     cut_s = (50 * 1_480_000 + 16 * 8_000_000) / 1e9
     assert floors["planecut-seconds"] == pytest.approx(cut_s)
     assert floors["cold"] == pytest.approx(0.5 + cut_s)
+    new = Figures(raw["cells"], tasks, raw["parts"], "ladder", 11, copy_bytes_s=1e9, touch_bytes_s=5e8)
+    floors_new = {result.target.key: result.floor for result in target_rows.evaluate(new)}
+    assert floors_new["cold"] == pytest.approx(0.5 + 16 * 8_000_000 / 5e8)
     assert floors["shuffled"] == pytest.approx(1.0 + 3 * 64 * 1_480_000 / 1e9 / 0.4)
     assert floors["growth"] == 1.0
     assert floors["planecut-manifold"] is None  # the library by itself was not measured
