@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -129,9 +130,9 @@ def thermal_order(
     begun = [start for start, _ in plans_made[: max(1, int(MOST_MOVES / (most * count)))]]
     sources = random.spawn(len(begun))
 
-    def improved(start: int, stop: int) -> list[tuple[Ints, Rank]]:
+    def improved(begin: int, start: int, stop: int) -> list[tuple[Ints, Rank]]:
         done = []
-        for n in range(start, stop):
+        for n in range(begin + start, begin + stop):
             order = annealed(layer, begun[n], longest_mm, price_k_mm, most, sources[n], _warmth(n, count))
             done.append((order, ranked(heat, schedule, beside, rapid_mm_s, order, longest_mm)))
         return done
@@ -139,8 +140,7 @@ def thermal_order(
     ranks: list[Rank] = []
     for begin in range(0, len(begun), AT_ONCE):
         end = min(begin + AT_ONCE, len(begun))
-        blocks = run_blocks(lambda a, b, begin=begin: improved(begin + a, begin + b), end - begin)
-        for tried, rank in itertools.chain(*blocks):
+        for tried, rank in itertools.chain(*run_blocks(partial(improved, begin), end - begin)):
             ranks.append(rank)
             if better(rank, best_rank):
                 best, best_rank = tried, rank
