@@ -59,12 +59,15 @@ def test_the_greatest_that_fits_is_found_from_every_guess():
                     assert all(low <= n < high for n in asked)
 
 
-def test_what_is_in_sight_is_what_the_plain_sum_says():
-    turn = np.linspace(0.0, 2.0 * np.pi, 203)
+@pytest.mark.parametrize("corners", [202, 7, 4 * DIRECTIONS])
+def test_what_is_in_sight_is_what_the_plain_sum_says(corners):
+    # Of the last ring every other corner lies on a ray from its middle, or a hair beside it.
+    turn = np.linspace(0.0, 2.0 * np.pi, corners + 1)
     ring = np.column_stack([(50.0 + 10.0 * np.sin(7.0 * turn)) * f(turn) for f in (np.cos, np.sin)])
     segments = np.hstack([ring[:-1], ring[1:]])
     draw = np.random.default_rng(0)
-    points, variance = draw.uniform(-40.0, 40.0, (7, 2)), draw.uniform(1.0, 900.0, (7, 3))
+    points, variance = draw.uniform(-40.0, 40.0, (11, 2)), draw.uniform(1.0, 900.0, (11, 3))
+    points[:4] = np.array([[0.0, 0.0], [1e-13, 0.0], [0.0, -1e-9], [1e-6, 1e-6]])
     a, b = segments[:, :2] - points[:, None], segments[:, 2:] - points[:, None]
     wanted = np.zeros(variance.shape)
     for angle in 2.0 * np.pi * (np.arange(DIRECTIONS) + 0.5) / DIRECTIONS:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.numeric.kernels import kernel, run_blocks
@@ -21,6 +22,13 @@ LEAST_SHARE = 0.05
 
 ON_OUTLINE_MM = 1e-6
 """Crossings nearer than this are the outline on which the point lies, not what its ray meets."""
+
+SECTOR_BINS, SECTOR_ROUNDING = 1024, 1e-9
+"""Bins in a quarter turn by which sectors between rays are looked up: so fine that few hold a ray; and the rounding, in
+sectors, that is allowed for at their edges, far more than there is."""
+
+DOUBTFUL = 64
+"""Added to the sector of a bin that holds a ray."""
 
 FEWEST_POINTS = 64
 """Points that a thread is worth."""
@@ -67,33 +75,24 @@ def in_sight(points: Floats, variance: Floats, outline: Floats, goes_on: Bools) 
     nearest, angle = np.empty(DIRECTIONS), 2.0 * np.pi * (np.arange(DIRECTIONS) + 0.5) / DIRECTIONS
     dx, dy = np.cos(angle), np.sin(angle)
     share, parts = np.zeros(variance.shape), np.empty((DIRECTIONS, variance.shape[1]))
-    count = len(outline)
-    x, y, left = np.empty(count), np.empty(count), np.empty(count, np.uint8)
-    # What is crossed is marked by itself, which the processor does for several segments at once, and looked for by words.
-    crossed = np.zeros(8 * (count // 8 + 1), np.uint8)
-    words = crossed.view(np.uint64)
+    count, sectors = len(outline), sector_table()
+    x, y, sector = np.empty(count), np.empty(count), np.empty(count, np.uint8)
+    # What may be crossed is marked by itself, which the processor does for several segments at once, and looked for by words.
+    marked = np.zeros(8 * (count // 8 + 1), np.uint8)
+    words = marked.view(np.uint64)
     for p in range(len(points)):
         for s in range(count):
             x[s], y[s] = outline[s, 0] - points[p, 0], outline[s, 1] - points[p, 1]
-        for n in range(DIRECTIONS):
-            for s in range(count):
-                left[s] = dx[n] * y[s] - dy[n] * x[s] > 0.0
-            for s in range(count - 1):
-                crossed[s] = goes_on[s] & (left[s] ^ left[s + 1])
-            nearest[n] = np.inf
-            for word in range(len(words)):
-                if words[word] == 0:
-                    continue
+        for s in range(count):
+            sector[s] = sectors[int(SECTOR_BINS * diamond(x[s], y[s]))]
+        for s in range(count - 1):
+            marked[s] = goes_on[s] & ((sector[s] != sector[s + 1]) | (sector[s] >= DOUBTFUL))
+        nearest[:] = np.inf
+        for word in range(len(words)):
+            if words[word] != 0:
                 for s in range(8 * word, min(8 * word + 8, count)):
-                    if crossed[s] == 0:
-                        continue
-                    ahead, behind = dx[n] * y[s] - dy[n] * x[s], dx[n] * y[s + 1] - dy[n] * x[s + 1]
-                    part = ahead / (ahead - behind)
-                    reach = dx[n] * (x[s] + part * (x[s + 1] - x[s])) + dy[n] * (
-                        y[s] + part * (y[s + 1] - y[s])
-                    )
-                    if ON_OUTLINE_MM < reach < nearest[n]:
-                        nearest[n] = reach
+                    if marked[s] != 0:
+                        _cross(nearest, dx, dy, x[s], y[s], x[s + 1], y[s + 1], sector[s], sector[s + 1])
         for n in range(DIRECTIONS):
             for q in range(variance.shape[1]):
                 parts[n, q] = np.true_divide(-0.5 * nearest[n] * nearest[n], variance[p, q])
@@ -104,3 +103,60 @@ def in_sight(points: Floats, variance: Floats, outline: Floats, goes_on: Bools) 
             for q in range(variance.shape[1]):
                 share[p, q] += parts[n, q]
     return share
+
+
+@kernel
+def _cross(
+    nearest: Floats, dx: Floats, dy: Floats, ax: float, ay: float, bx: float, by: float, start: int, end: int
+) -> None:
+    """Note how far the rays go to a segment from `start` to `end`, sectors as of :func:`sector_table`.
+
+    Only rays between the two, and those behind them, can have its ends on two sides; each is asked itself.
+    """
+    first, last = int(start) % DOUBTFUL, int(end) % DOUBTFUL
+    rays = (last - first) % DIRECTIONS
+    if rays > DIRECTIONS // 2:
+        first, rays = last, DIRECTIONS - rays
+    if start >= DOUBTFUL or end >= DOUBTFUL:
+        rays = min(rays + 1, DIRECTIONS // 2)
+    for m in range(2 * rays):
+        n = (first + m // 2 + (m % 2) * (DIRECTIONS // 2)) % DIRECTIONS
+        ahead, behind = dx[n] * ay - dy[n] * ax, dx[n] * by - dy[n] * bx
+        if (ahead > 0.0) == (behind > 0.0):
+            continue
+        part = ahead / (ahead - behind)
+        reach = dx[n] * (ax + part * (bx - ax)) + dy[n] * (ay + part * (by - ay))
+        if ON_OUTLINE_MM < reach < nearest[n]:
+            nearest[n] = reach
+
+
+@kernel
+def diamond(x: float, y: float) -> float:
+    """Stand-in for the angle of a point, from 0 to 4, which grows with it: the way along a square on its corner."""
+    around = abs(x) + abs(y)
+    up = np.true_divide(y, around if around > 0.0 else 1.0)
+    ahead = up if up >= 0.0 else 4.0 + up
+    return float(ahead if x >= 0.0 else 2.0 - up)
+
+
+@kernel
+def sector_table() -> NDArray[np.uint8]:
+    """Sector between rays by even bins of :func:`diamond`; :data:`DOUBTFUL` more where it may be the next one, too.
+
+    Sector n lies before ray n. Beyond the last bin is that of an angle that was rounded up to a whole turn.
+    """
+    count = 4 * SECTOR_BINS
+    edge = np.empty(count + 1)
+    for n in range(count + 1):
+        a = n / SECTOR_BINS
+        x = 1.0 - a if a < 2.0 else a - 3.0
+        y = a if a < 1.0 else 2.0 - a if a < 3.0 else a - 4.0
+        turn = np.arctan2(y, x) / (2.0 * np.pi)
+        edge[n] = turn if turn >= 0.0 and n < count else turn + 1.0
+    table = np.empty(count + 1, np.uint8)
+    for n in range(count):
+        low = int(np.floor(edge[n] * DIRECTIONS + 0.5 - SECTOR_ROUNDING))
+        high = int(np.floor(edge[n + 1] * DIRECTIONS + 0.5 + SECTOR_ROUNDING))
+        table[n] = low % DIRECTIONS + (DOUBTFUL if high > low else 0)
+    table[count] = 0
+    return table

@@ -162,7 +162,7 @@ def improved(
         kept, tried = tried, kept
         log, tried_log = tried_log, log
         by, travel_mm, touches = log.option, log.travel_mm, log.touches
-        by_heat = np.argsort(-log.entry_k)
+        sort_by_heat(by_heat, log.entry_k)
         if cost < best_cost:
             best[:], best_cost = kept, cost
     return best
@@ -220,6 +220,18 @@ def powers_from(
         if total > most:
             break
     return total
+
+
+@kernel
+def sort_by_heat(by_heat: Ints, entry_k: Floats) -> None:
+    """Put places in order again, the hottest first: few changed theirs since the last time, which insertion is made for."""
+    for n in range(1, len(by_heat)):
+        place = by_heat[n]
+        temperature, m = entry_k[place], n
+        while m > 0 and entry_k[by_heat[m - 1]] < temperature:
+            by_heat[m] = by_heat[m - 1]
+            m -= 1
+        by_heat[m] = place
 
 
 @kernel

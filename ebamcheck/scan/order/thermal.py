@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -35,12 +36,16 @@ PRICES = (0.005, 0.01, 0.0025, 0.02, 0.04, 0.08, 0.16)
 """Prices of travel that are tried: in temperature rises of an island by its own heat, over widths of an island.
 The best one differs from layer to layer by chance; on the largest layers, which can afford few, it is the first."""
 
-MOST_MOVES = 1e7
-"""Moves times islands in the improvement of plans: enough for three plans of 80 islands, for all of 20, for one of 300."""
+MOST_MOVES = 7e6
+"""Moves times islands in the improvement of plans: enough for two plans of 80 islands, for all of 20, for one of 300."""
 
-WARMTHS = (0.005, 0.005, 0.05)
-"""Worsening taken at first when a plan is improved, as a share of its cost; for the first plan, the second, and so on
-from the beginning. Plans of many islands lose what they have by more; those of few find no way out by less."""
+WARMTH_OF_MANY, MOST_WARMTH, WARMTH_OF_FEW = 0.2, 0.005, 0.05
+"""Worsening taken at first when a plan is improved, as a share of its cost: the first over the islands, since a move of one
+of them changes the less the more there are, but no more than the second. Every third plan of few islands, which find no
+way out by less, takes the third; plans of many lose what they have by it."""
+
+FEW_ISLANDS = 20
+"""Islands of which every third plan is improved by more worsening."""
 
 STARTS = 2
 """Islands from which each price is tried."""
@@ -48,8 +53,11 @@ STARTS = 2
 MOST_WORK = 4e9
 """Multiplications in one search, which limits the plans tried on a layer of thousands of islands: to two of 2100."""
 
-MOVES_AN_ISLAND = 800
-"""Moves tried for each island when a plan is improved: on layers of few, more find nothing."""
+MOVES_AN_ISLAND, MOVES_A_PLAN = 800, 30_000
+"""Moves tried for each island, and at most, when a plan is improved: more find nothing that is worth their time."""
+
+AT_ONCE, AGREED = 4, 3
+"""Plans that are improved before their ranks are looked at, and how many have to have come to the least one to end it."""
 
 Rank = tuple[int, float, float]
 """Rank of a plan, see :func:`ranked`: the less the better."""
@@ -118,22 +126,34 @@ def thermal_order(
     # Twice the time of a way that is too long: none met in the search takes longer.
     table = influence(heat, schedule.time_s, float(end_s.max()) + max(travel, longest_mm) / rapid_mm_s)
     layer = Layer(table, entry_options(schedule), beside, schedule.time_s, rapid_mm_s)
-    most = min(steps, MOVES_AN_ISLAND * count)
+    most = min(steps, MOVES_AN_ISLAND * count, MOVES_A_PLAN, int(MOST_MOVES / count))
     begun = [start for start, _ in plans_made[: max(1, int(MOST_MOVES / (most * count)))]]
     sources = random.spawn(len(begun))
 
-    def improved(start: int, stop: int) -> list[tuple[Ints, Rank]]:
+    def improved(begin: int, start: int, stop: int) -> list[tuple[Ints, Rank]]:
         done = []
-        for n in range(start, stop):
-            warmth = WARMTHS[n % len(WARMTHS)]
-            order = annealed(layer, begun[n], longest_mm, price_k_mm, most, sources[n], warmth)
+        for n in range(begin + start, begin + stop):
+            order = annealed(layer, begun[n], longest_mm, price_k_mm, most, sources[n], _warmth(n, count))
             done.append((order, ranked(heat, schedule, beside, rapid_mm_s, order, longest_mm)))
         return done
 
-    for tried, rank in itertools.chain(*run_blocks(improved, len(begun))):
-        if better(rank, best_rank):
-            best, best_rank = tried, rank
+    ranks: list[Rank] = []
+    for begin in range(0, len(begun), AT_ONCE):
+        end = min(begin + AT_ONCE, len(begun))
+        for tried, rank in itertools.chain(*run_blocks(partial(improved, begin), end - begin)):
+            ranks.append(rank)
+            if better(rank, best_rank):
+                best, best_rank = tried, rank
+        if sum(not better(best_rank, rank) for rank in ranks) >= AGREED:
+            break
     return best
+
+
+def _warmth(plan: int, count: int) -> float:
+    """Worsening that is taken at first when one of the plans of a layer of some islands is improved."""
+    if count <= FEW_ISLANDS and plan % 3 == 2:
+        return WARMTH_OF_FEW
+    return min(WARMTH_OF_MANY / count, MOST_WARMTH)
 
 
 def _tries(count: int, modes: int) -> list[tuple[float, int]]:
