@@ -224,10 +224,16 @@ def test_a_vertical_tree_has_no_facet_that_lies_over_no_node(monkeypatch):
 
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize(
-    "fault", [lambda facets: np.full_like(facets, -1), lambda facets: facets ^ 1], ids=["none", "neighbour"]
+    "fault",
+    [
+        lambda facets: np.full_like(facets, -1),
+        lambda facets: facets ^ 1,
+        lambda facets: facets ^ (1 << 29),
+    ],
+    ids=["none", "neighbour", "no facet of the part"],
 )
 def test_what_embree_misses_is_found_all_the_same(fault, mode, monkeypatch):
-    """Embree only names candidates: where it names no facet or another one, the layers are the same."""
+    """Embree only names candidates: where it names no facet, another one or one that is not there, the layers are the same."""
     part = PARTS["tilted torus"]
     sound = cut(part, heights_in(part), mode=mode, grid_mm=0.3)
 

@@ -76,7 +76,7 @@ def take_heights(
     going_on = 0
     for n in range(met.size):
         facet = met[n]
-        if facet < 0:
+        if not 0 <= facet < len(mesh.faces):
             continue
         node = rays.ray[n]
         if facet != rays.last[n] and not is_among(hits.facet, hits.starts[node], hits.known[node], facet):

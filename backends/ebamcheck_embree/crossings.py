@@ -84,7 +84,7 @@ def take_crossings(
     going_on = 0
     for n in range(met.size):
         facet = met[n]
-        if facet < 0:
+        if not 0 <= facet < sections.first.size:
             continue
         r = rays.ray[n]
         if facet != rays.last[n] and not is_among(hits.facet, hits.starts[r], hits.known[r], facet):

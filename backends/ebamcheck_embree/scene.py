@@ -43,8 +43,8 @@ class UnderWay(NamedTuple):
 
 
 Take = Callable[[Facets, Singles, UnderWay], int]
-"""Takes the facet (R,) that each ray met, -1 for none, and how far it was (R,); moves the rays that go on to the
-front, each to its new origin (:func:`go_on`), and returns how many those are."""
+"""Takes the facet (R,) that each ray met, any other number for none, and how far it was (R,); moves the rays that go on
+to the front, each to its new origin (:func:`go_on`), and returns how many those are."""
 
 
 def under_way(rays: Ints, origins: Singles) -> UnderWay:
