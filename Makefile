@@ -12,7 +12,7 @@ BIN := $(VENV)/bin
 # A worker that dies ends the run: started anew, it may wait for ever for the tests of the one before it.
 PYTEST := $(BIN)/python -m pytest -q -n 2 --dist loadfile --max-worker-restart 0
 
-.PHONY: help setup demo test test-slow lint types format map docs kernel-list wheel container benchmark benchmark-gpu benchmark-scale benchmark-curves clean
+.PHONY: help setup demo test test-slow test-bounds lint types format map docs kernel-list wheel container benchmark benchmark-gpu benchmark-scale benchmark-curves clean
 
 help: ## Show the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -44,6 +44,13 @@ test: setup lint types ## Lint, types, import contracts, doctests and all quick 
 test-slow: setup ## The tests that take longer
 	@$(BIN)/ebamcheck warm
 	@$(PYTEST) -m slow tests
+
+test-bounds: export NUMBA_BOUNDSCHECK := 1
+test-bounds: export NUMBA_CACHE_DIR := $(CURDIR)/build/checked-kernels
+test-bounds: setup ## The quick tests with kernels that check every index: without, a wrong one reads or writes anywhere
+	@mkdir -p $(NUMBA_CACHE_DIR)
+	@$(BIN)/ebamcheck warm
+	@$(PYTEST) -m "not slow" tests
 
 lint: setup
 	@$(BIN)/ruff check .

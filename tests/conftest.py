@@ -50,3 +50,9 @@ def corpus() -> Path:
     if not folder:
         pytest.skip("EBAMCHECK_CORPUS names no folder: the mesh corpus is not part of the project")
     return Path(folder)
+
+
+@pytest.fixture
+def cache_beside_sources(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Processes that a test starts keep compiled kernels beside their sources, wherever the suite keeps its own."""
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)

@@ -73,7 +73,7 @@ print(json.dumps(sorted(told)))
 
 
 @pytest.fixture
-def package(tmp_path):
+def package(tmp_path, cache_beside_sources):
     folder = tmp_path / "ebamcheck_beside"
     folder.mkdir()
     (folder / "__init__.py").write_text("")

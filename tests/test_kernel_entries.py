@@ -54,7 +54,7 @@ VALUES = [9.0 - x for x in range(10)]
 
 
 @pytest.fixture
-def package(tmp_path):
+def package(tmp_path, cache_beside_sources):
     folder = tmp_path / "called"
     folder.mkdir()
     (folder / "__init__.py").touch()
@@ -66,7 +66,6 @@ def call(package, more=""):
     """Lines that a process of its own prints: results, what is raised, and what is kept of each kernel."""
     path = os.pathsep.join([str(package.parent), os.environ.get("PYTHONPATH", "")])
     environment = {**os.environ, "PYTHONPATH": path, "PYTHONDONTWRITEBYTECODE": "1"}
-    environment.pop("NUMBA_CACHE_DIR", None)
     done = subprocess.run(
         [sys.executable, "-c", CALL.format(more=more)], env=environment, capture_output=True, text=True
     )

@@ -32,7 +32,7 @@ ASK = "from stamped.caller import scaled as f; print(f(1.0), sum(f.stats.cache_h
 
 
 @pytest.fixture
-def package(tmp_path):
+def package(tmp_path, cache_beside_sources):
     folder = tmp_path / "stamped"
     folder.mkdir()
     (folder / "__init__.py").write_text("")
@@ -162,7 +162,7 @@ def places(x):
 """
 
 
-def test_machine_code_of_two_processes_has_no_name_in_common(tmp_path):
+def test_machine_code_of_two_processes_has_no_name_in_common(tmp_path, cache_beside_sources):
     # The loader takes the first of two functions of one name for both: once `sort` ran in the place of `argsort`.
     names = []
     for module in ("first", "second"):
