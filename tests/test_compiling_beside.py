@@ -196,11 +196,10 @@ def test_a_command_says_of_which_modules_it_wants_kernels():
     listed = {name: ["float64"] for name in names}
     assert tuple(to_come(listed, (*SLICING, "ebamcheck_planecut"))) == names[:2]
     assert tuple(to_come(listed, CHECKING)) == names[:3]
-    assert list(to_come(read_list(), ())) == [
-        name for name in read_list() if name.rpartition(".")[0] in sys.modules
-    ]
-    # The whole list is that of the main job.
-    assert to_come(read_list(), ROOMS) == read_list()
+    whole = read_list().whole
+    assert list(to_come(whole, ())) == [name for name in whole if name.rpartition(".")[0] in sys.modules]
+    # The rooms are those of all commands.
+    assert to_come(whole, ROOMS) == whole
 
 
 def test_a_list_longer_than_a_pipe_and_an_early_end_leave_no_trace(package):

@@ -1,8 +1,8 @@
 """Write the list of kernels that ``ebamcheck warm`` compiles: ``make kernel-list``.
 
 The main job runs with an empty cache, in a process of its own and one kernel after the other (a few minutes); what the
-cache then holds is the list. It is to be made again when a kernel gets other arguments, another name or another module,
-or a new one is called.
+cache then holds is the list. What other jobs add is listed beside it: a wheel brings it along, too. The list is to be made
+again when a kernel gets other arguments, another name or another module, or a new one is called.
 """
 
 from __future__ import annotations
@@ -20,13 +20,22 @@ KERNEL = re.compile(r"^@kernel$", re.MULTILINE)
 
 
 def record() -> None:
-    """Run the main job here, with the cache as it is, and write down what the cache holds then."""
-    from ebamcheck.commands.warm import main_job
-    from ebamcheck.numeric.kernel_list import cached, kernel_named, write_list
+    """Run the jobs here, with the cache as it is, and write down what the cache holds after the main one and after all."""
+    from ebamcheck.commands.warm import main_job, other_jobs
+    from ebamcheck.numeric.kernel_list import write_list
 
-    main_job()
+    with scratch_folder() as folder:
+        main_job(Path(folder))
+        of_main_job = _cached()
+        other_jobs(Path(folder))
+        write_list(of_main_job, _cached())
+
+
+def _cached() -> dict[str, list[str]]:
+    from ebamcheck.numeric.kernel_list import cached, kernel_named
+
     kernels = {name: kernel_named(name) for name in kernel_names()}
-    write_list(cached({name: kernel for name, kernel in kernels.items() if kernel is not None}))
+    return cached({name: kernel for name, kernel in kernels.items() if kernel is not None})
 
 
 def kernel_names() -> list[str]:

@@ -25,7 +25,7 @@ def write_file(path: Path, level: str, packages: tuple[str, ...] = ()) -> int:
     from ebamcheck.numeric.kernel_stamp import seen_by
     from ebamcheck.numeric.ready_kernels import write
 
-    listed = read_list()
+    listed = read_list().whole
     if packages:
         wanted = [kernel_named(name) for name in listed if name.startswith(packages)]
         seen = {name for kernel in wanted if kernel is not None for name in seen_by(kernel.py_func)}

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import logging
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +14,6 @@ import shapely
 from numpy.typing import NDArray
 
 from ebamcheck.plugins import registry
-from ebamcheck.scratch import scratch_folder
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import Slicing, slice_part
 
@@ -29,45 +31,71 @@ def warm_kernels() -> float:
     from ebamcheck.numeric.compiling_ahead import compile_ahead
     from ebamcheck.numeric.kernel_list import read_list
 
-    compile_ahead(read_list())
+    compile_ahead(read_list().main)
     return time.perf_counter() - start
 
 
-def main_job() -> None:
-    """Do the main job on a cube, in this process: it calls every kernel that the list is to name."""
+def main_job(folder: Path) -> None:
+    """Do the main job on a cube, in this process and into `folder`: it calls the kernels that ``ebamcheck warm`` compiles."""
     from ebamcheck.curves import fit
     from ebamcheck.pipeline import run_job
     from ebamcheck.scan import plan_scan
 
-    with scratch_folder() as folder:
-        path = Path(folder, "cube.stl")
-        _write(_leaning_box(), path)
-        # In this process and one after the other: workers side by side would compile the same things twice.
-        from ebamcheck.mesh.files import load
+    path = folder / "cube.stl"
+    _write(_leaning_box(), path)
+    # In this process and one after the other: workers side by side would compile the same things twice.
+    from ebamcheck.mesh.files import load
 
-        part = load(path)
-        for name in registry.house_slicers():
-            if registry.probe(name).available:
-                with Slicing(part, name) as slicing, slicing.along((0.0, 0.6, 0.8)) as turned:
-                    slicing.layers([1.0, 2.0, 3.0])
-                    turned.at(1.0)
-                    turned.layers(np.arange(20.0))
-        # A box has no curved region: a cone is lifted by its normals, a ring is a surface by formula.
-        for facets in (_cone(), _ring()):
-            round_path = Path(folder, "round.stl")
-            _write(facets, round_path)
-            curved = load(round_path)
-            fit(slice_part(curved, [0.3 * _SIDE_MM, 0.6 * _SIDE_MM]), part=curved)
-        level = logging.getLogger("ebamcheck").level
-        logging.getLogger("ebamcheck").setLevel(logging.ERROR)
-        # Two layers, far thicker than any process lays them.
-        thick = {"wire_speed_max_mm_s": 1000.0, "layer_over_bead": (0.5, 20.0)}
-        config = Config().changed(layers={"layer_height_mm": 20.0}, process=thick)
-        run_job(path, Path(folder, "run"), config, reference=path)
-        logging.getLogger("ebamcheck").setLevel(level)
-        # The cube is one island, which needs no order.
-        plan_scan(shapely.box(0.0, 0.0, 3.0 * _SIDE_MM, 2.0 * _SIDE_MM))
-        _what_a_box_has_not()
+    part = load(path)
+    for name in registry.house_slicers():
+        if registry.probe(name).available:
+            with Slicing(part, name) as slicing, slicing.along((0.0, 0.6, 0.8)) as turned:
+                slicing.layers([1.0, 2.0, 3.0])
+                turned.at(1.0)
+                turned.layers(np.arange(20.0))
+    # A box has no curved region: a cone is lifted by its normals, a ring is a surface by formula.
+    for facets in (_cone(), _ring()):
+        round_path = folder / "round.stl"
+        _write(facets, round_path)
+        curved = load(round_path)
+        fit(slice_part(curved, [0.3 * _SIDE_MM, 0.6 * _SIDE_MM]), part=curved)
+    # Two layers, far thicker than any process lays them.
+    thick = {"wire_speed_max_mm_s": 1000.0, "layer_over_bead": (0.5, 20.0)}
+    config = Config().changed(layers={"layer_height_mm": 20.0}, process=thick)
+    with _errors_alone():
+        run_job(path, folder / "run", config, reference=path)
+    # The cube is one island, which needs no order.
+    plan_scan(shapely.box(0.0, 0.0, 3.0 * _SIDE_MM, 2.0 * _SIDE_MM))
+    _what_a_box_has_not()
+
+
+def other_jobs(folder: Path) -> None:
+    """Do what other commands do with a run, a section and a part, after :func:`main_job` in the same folder."""
+    from ebamcheck.commands.scan_layer import scan_layer
+    from ebamcheck.mesh.files import load
+    from ebamcheck.pipeline.verify import verify
+
+    with _errors_alone(), contextlib.redirect_stdout(io.StringIO()):
+        verify(folder / "run")
+        # Bodies of several islands that overlap: their rings are united.
+        box = np.float32(3.0) * _leaning_box()
+        path = folder / "bodies.stl"
+        _write(np.concatenate([box, box + np.float32(_SIDE_MM)]), path)
+        scan_layer(
+            load(path), Config(), 2.0 * _SIDE_MM, ("thermal", "random"), 1, (), folder / "orders", False
+        )
+
+
+@contextlib.contextmanager
+def _errors_alone() -> Iterator[None]:
+    """Say nothing of parts and layers that nobody has asked for."""
+    logger = logging.getLogger("ebamcheck")
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)
 
 
 def _what_a_box_has_not() -> None:

@@ -58,7 +58,7 @@ def compiled_beside(listed: Listed | None = None, modules: Sequence[str] = ()) -
     Parameters
     ----------
     listed
-        Argument types by kernel, as of :func:`kernel_list.read_list`; None: that list.
+        Argument types by kernel, as of :func:`kernel_list.read_list`; None: the whole list.
     modules
         Beginnings of the names of modules, of which alone kernels of the list are compiled; without them, modules that are
         loaded when the first kernel is missed.
@@ -89,7 +89,7 @@ class _Beside:
         """Start it, unless it was started before or this is a process that was forked from the command."""
         if self._process is not None or os.getpid() != self._owner:
             return
-        listed = to_come(read_list(), self._modules) if self._listed is None else self._listed
+        listed = to_come(read_list().whole, self._modules) if self._listed is None else self._listed
         with contextlib.suppress(OSError):  # without it, the command compiles alone
             self._process = subprocess.Popen(
                 [sys.executable, "-m", "ebamcheck.numeric.compiling_beside"],

@@ -1,4 +1,4 @@
-"""The list of kernels, each with its argument types, that the main job calls: what may be compiled ahead.
+"""The list of kernels, each with its argument types, that the main job and other commands call: what may be compiled ahead.
 
 The list is a file of this package that :mod:`ebamcheck.commands.kernel_record` writes. It is a hint and no more: what it
 names and is not there, or does not compile, is left out; what it lacks is compiled when it is first called.
@@ -10,7 +10,7 @@ import importlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from numba.core.dispatcher import Dispatcher
 
@@ -29,24 +29,45 @@ Listed = dict[str, list[str]]
 """For each kernel, by module and name, the argument types of each of its compiled versions, as text."""
 
 
-def read_list(path: Path = LIST) -> Listed:
+class KernelList(NamedTuple):
+    """What may be compiled ahead."""
+
+    main: Listed
+    """What the main job calls."""
+    whole: Listed
+    """That, and what other commands call."""
+
+
+def read_list(path: Path = LIST) -> KernelList:
     """The list, by kernel; empty where there is none."""
     if not path.is_file():
-        return {}
+        return KernelList({}, {})
     held = json.loads(path.read_text(encoding="utf-8"))
-    return {
-        f"{module}.{name}": versions for module, kernels in held.items() for name, versions in kernels.items()
-    }
+    main, others = (
+        {
+            f"{module}.{name}": versions
+            for module, kernels in rooms.items()
+            for name, versions in kernels.items()
+        }
+        for rooms in (held["main job"], held["other commands"])
+    )
+    return KernelList(main, main | others)
 
 
-def write_list(listed: Listed, path: Path = LIST) -> None:
+def write_list(main: Listed, whole: Listed, path: Path = LIST) -> None:
     """Write the list, by module, in the order of the alphabet."""
+    others = {name: versions for name, versions in whole.items() if versions != main.get(name)}
+    held = {"main job": _by_module(main), "other commands": _by_module(others)}
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps(held, indent=1) + "\n", encoding="utf-8")
+
+
+def _by_module(listed: Listed) -> dict[str, Listed]:
     held: dict[str, Listed] = {}
     for name in sorted(listed):
         module, _, kernel = name.rpartition(".")
         held.setdefault(module, {})[kernel] = sorted(listed[name])
-    with replacing(path) as temporary:
-        temporary.write_text(json.dumps(held, indent=1) + "\n", encoding="utf-8")
+    return held
 
 
 def versions(kernel: Any) -> list[str]:
