@@ -195,6 +195,16 @@ def test_vertices_stand_by_height(name):
 
 
 @pytest.mark.parametrize("name", PARTS)
+def test_facets_begin_with_their_lowest_vertex_and_run_as_they_did(name):
+    part = PARTS[name]
+    mesh = sorted_mesh(part)
+    assert (mesh.faces[:, :1] < mesh.faces[:, 1:]).all()
+    corners = (mesh.begins[:, None] + np.arange(3)) % 3
+    given = np.take_along_axis(part.faces[mesh.numbers], corners, axis=1)
+    assert mesh.vertices[mesh.faces, 3].tolist() == given.tolist()
+
+
+@pytest.mark.parametrize("name", PARTS)
 def test_facets_across_a_plane_are_those_that_begin_under_and_end_over_it(name):
     part = PARTS[name]
     mesh = sorted_mesh(part)

@@ -12,7 +12,7 @@ from ebamcheck.commands.preflight import preflight_text
 from ebamcheck.errors import SettingsError
 from ebamcheck.mesh.part import from_arrays
 from ebamcheck.pipeline import check_job, run_job
-from ebamcheck.preflight import ready
+from ebamcheck.preflight.report import ready
 from ebamcheck.preflight.room import enters
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process import KeepOut

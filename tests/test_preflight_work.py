@@ -16,7 +16,7 @@ from ebamcheck.layers.cuts import heights_within
 from ebamcheck.layers.heights import crossing_counts, layer_heights
 from ebamcheck.mesh.files import load
 from ebamcheck.pipeline import check_job, run_job
-from ebamcheck.preflight import ready
+from ebamcheck.preflight.report import ready
 from ebamcheck.preflight.workload import mean_section, workload
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import slice_part

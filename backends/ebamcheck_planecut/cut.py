@@ -6,7 +6,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from threading import Lock
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,14 +105,11 @@ class PreparedCut:
 
     def _joined(self, heights: NDArray[np.float64], columns: Columns, blocks: list[Block]) -> Layers:
         """Make one stack of blocks that stand in the same columns, in their order."""
+        run_blocks(lambda a, b: [_close_gaps(column, blocks) for column in columns[a:b]], len(columns))
         filled = rings = 0
         ring_starts, layer_starts = [np.zeros(1, np.int64)], [np.zeros(1, np.int64)]
         for cut in blocks:
             first, stop = int(cut.ring_starts[0]), int(cut.ring_starts[-1])
-            if filled < first:
-                # Rings without area, or points that fell together, have left a gap.
-                for column in columns:
-                    column[filled : filled + stop - first] = column[first:stop]
             ring_starts.append(cut.ring_starts[1:] - (first - filled))
             layer_starts.append(cut.layer_starts[1:] + rings)
             filled += stop - first
@@ -131,6 +128,18 @@ class PreparedCut:
             settings=self._settings.model_dump(),
             dropped=np.concatenate([np.zeros(0, np.int64), *(cut.dropped for cut in blocks)]),
         )
+
+
+def _close_gaps(column: NDArray[Any], blocks: list[Block]) -> None:
+    """Move the rows of all blocks together: rings without area and points that fell together leave gaps between them."""
+    # In one dimension, numpy moves what overlaps as it stands; rows of two it would copy to new memory first.
+    flat, width = column.reshape(-1), column.size // max(1, len(column))
+    filled = 0
+    for cut in blocks:
+        first, stop = int(cut.ring_starts[0]), int(cut.ring_starts[-1])
+        if filled < first:
+            flat[width * filled : width * (filled + stop - first)] = flat[width * first : width * stop]
+        filled += stop - first
 
 
 def _while_hashed(part: Part, make: Callable[[], SortedMesh]) -> SortedMesh:

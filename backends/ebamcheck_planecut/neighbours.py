@@ -1,8 +1,8 @@
 """Neighbours of the facets of a mesh in the order of its heights.
 
-An edge is found at its lower vertex. Two of the three edges of a facet begin at its lowest vertex, and facets stand by
-that one; the third begins at its middle vertex, and for these facets are chained. So no half-edge need be sorted in, and
-ranges of vertices go to all threads.
+An edge is found at its lower vertex. A facet begins with its lowest vertex, and facets stand by that one; so do two of
+the three edges. The third begins at the middle vertex, and for these facets are chained. So no half-edge need be sorted
+in, and ranges of vertices go to all threads.
 """
 
 from __future__ import annotations
@@ -65,8 +65,7 @@ def neighbours(vertices: Floats, faces: Index, first: Index) -> Neighbours:
 def _chain(faces: Index, chain: Index, following: Index) -> None:
     """Chain the facets of each middle vertex, rising: the first in `chain`, the one after each in `following`."""
     for f in range(faces.shape[0] - 1, -1, -1):
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        middle = max(min(a, b), min(max(a, b), c))
+        middle = min(faces[f, 1], faces[f, 2])
         following[f] = chain[middle]
         chain[middle] = f
 
@@ -98,10 +97,13 @@ def _match(
         # Facets of which v is the middle vertex begin lower, and so have lesser numbers than those that begin here.
         f = chain[v]
         while f != NONE:
-            count = _note(corners, v, 3 * f, half_edges, upper, count)
+            half_edges[count], upper[count] = 3 * f + 1, max(corners[3 * f + 1], corners[3 * f + 2])
+            count += 1
             f = following[f]
         for f in range(first[v], first[v + 1]):
-            count = _note(corners, v, 3 * f, half_edges, upper, count)
+            half_edges[count], upper[count] = 3 * f, corners[3 * f + 1]
+            half_edges[count + 1], upper[count + 1] = 3 * f + 2, corners[3 * f + 2]
+            count += 2
         _sort(half_edges[:count], upper[:count])
         at = 0
         while at < count:
@@ -120,20 +122,6 @@ def _match(
                     mixed |= twin[g] != NO_TWIN and corners[g] == corners[twin[g]]
             at = past
     return is_open, mixed, fans
-
-
-@kernel
-def _note(corners: Index, v: int, f: int, half_edges: Index, upper: Index, count: int) -> int:
-    """Note the half-edges from or to `v` of the facet of corners ``f .. f + 2`` whose other ends are higher."""
-    i = 0 if corners[f] == v else (1 if corners[f + 1] == v else 2)
-    after, before = f + (i + 1 if i < 2 else 0), f + (i - 1 if i > 0 else 2)
-    if corners[after] > v:
-        half_edges[count], upper[count] = f + i, corners[after]
-        count += 1
-    if corners[before] > v:
-        half_edges[count], upper[count] = before, corners[before]
-        count += 1
-    return count
 
 
 @kernel

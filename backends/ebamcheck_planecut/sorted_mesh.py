@@ -40,9 +40,11 @@ class SortedMesh(NamedTuple):
     vertices: Floats
     """(V, 4) x, y, z and the part's number of each vertex, by z; rows of 32 bytes never straddle a cache line."""
     faces: Index
-    """(F, 3) rows of `vertices`, by the lowest of the three."""
+    """(F, 3) rows of `vertices`, by the lowest of the three, which is the first."""
     numbers: Index
     """(F,) the part's number of each facet."""
+    begins: NDArray[np.uint8]
+    """(F,) which corner of the part's facet stands first, 0 .. 2."""
     first: Index
     """(V + 1,) first facet whose lowest vertex is 0, 1, .. or a later one; the number of facets."""
     highest: Index
@@ -69,19 +71,23 @@ def turned_mesh(part: Part, before: SortedMesh) -> SortedMesh:
     place = np.empty(len(part.faces), np.int32)
     place[order.numbers] = np.arange(len(order.numbers), dtype=np.int32)
     moved = place[before.numbers]
+    turn = (before.begins + np.uint8(3) - order.begins[moved]) % np.uint8(3)
     twin = np.empty_like(before.around.twin)
     run_blocks(
-        lambda a, b: _move_twins(before.around.twin, moved, twin, a, b), len(order.faces), FACETS_A_BLOCK
+        lambda a, b: _move_twins(before.around.twin, moved, turn, twin, a, b),
+        len(order.faces),
+        FACETS_A_BLOCK,
     )
     return _measured(order, before.around._replace(twin=twin))
 
 
 class _Order(NamedTuple):
-    """Vertices by height, facets by their lowest vertex: columns of :class:`SortedMesh`."""
+    """Vertices by height, facets by their lowest vertex, with which they begin: columns of :class:`SortedMesh`."""
 
     vertices: Floats
     faces: Index
     numbers: Index
+    begins: NDArray[np.uint8]
     first: Index
 
 
@@ -93,13 +99,14 @@ def _sorted(part: Part) -> _Order:
     ranked = np.empty_like(part.faces)
     run_blocks(lambda a, b: _rank_facets(part.faces, rank, ranked, a, b), len(ranked), FACETS_A_BLOCK)
     # Each thread looks at all facets and takes those that begin in its range of heights.
-    share = max(1, -(-count // thread_count()))
-    begins = np.zeros(count + 1, np.int32)
-    run_blocks(lambda a, b: _count_lowest(ranked, begins, a, b), count, share)
-    first = np.cumsum(begins, dtype=np.int32)
-    faces, numbers = np.empty((int(first[-1]), 3), np.int32), np.empty(int(first[-1]), np.int32)
-    run_blocks(lambda a, b: _take_lowest(ranked, first, faces, numbers, a, b), count, share)
-    return _Order(vertices, faces, numbers, first)
+    share = max(1, count // thread_count())
+    lowest = np.zeros(count + 1, np.int32)
+    run_blocks(lambda a, b: _count_lowest(ranked, lowest, a, b), count, share)
+    first = np.cumsum(lowest, dtype=np.int32)
+    kept = int(first[-1])
+    faces, numbers, begins = np.empty((kept, 3), np.int32), np.empty(kept, np.int32), np.empty(kept, np.uint8)
+    run_blocks(lambda a, b: _take_lowest(ranked, first, faces, numbers, begins, a, b), count, share)
+    return _Order(vertices, faces, numbers, begins, first)
 
 
 def _measured(order: _Order, around: Neighbours) -> SortedMesh:
@@ -186,17 +193,28 @@ def _rank_facets(faces: Index, rank: Index, ranked: Index, start: int, stop: int
 
 
 @kernel
-def _count_lowest(ranked: Index, begins: Index, start: int, stop: int) -> None:
+def _count_lowest(ranked: Index, lowest: Index, start: int, stop: int) -> None:
     """Count the facets whose lowest vertex is each of ``[start, stop)``, one place behind it."""
     for f in range(ranked.shape[0]):
         low = min(ranked[f, 0], ranked[f, 1], ranked[f, 2])
         if start <= low < stop:
-            begins[low + 1] += 1
+            lowest[low + 1] += 1
 
 
 @kernel
-def _take_lowest(ranked: Index, first: Index, faces: Index, numbers: Index, start: int, stop: int) -> None:
-    """Put the facets whose lowest vertex is one of ``[start, stop)`` to their places, in the order that they have."""
+def _take_lowest(
+    ranked: Index,
+    first: Index,
+    faces: Index,
+    numbers: Index,
+    begins: NDArray[np.uint8],
+    start: int,
+    stop: int,
+) -> None:
+    """Put the facets whose lowest vertex is one of ``[start, stop)`` to their places, in the order that they have.
+
+    Each begins with that vertex, and its corners run the way they did.
+    """
     fill = first[start:stop].copy()
     for f in range(ranked.shape[0]):
         a, b, c = ranked[f, 0], ranked[f, 1], ranked[f, 2]
@@ -204,17 +222,36 @@ def _take_lowest(ranked: Index, first: Index, faces: Index, numbers: Index, star
         if start <= low < stop:
             at = fill[low - start]
             fill[low - start] += 1
-            faces[at, 0], faces[at, 1], faces[at, 2] = a, b, c
+            i = 0 if low == a else (1 if low == b else 2)
+            faces[at, 0] = low
+            faces[at, 1] = b if i == 0 else (c if i == 1 else a)
+            faces[at, 2] = c if i == 0 else (a if i == 1 else b)
             numbers[at] = f
+            begins[at] = i
 
 
 @kernel
-def _move_twins(twin: Index, moved: Index, result: Index, start: int, stop: int) -> None:
-    """Neighbours of the facets ``[start, stop)`` under the new numbers `moved` (F,) of all facets."""
+def _move_twins(
+    twin: Index, moved: Index, turn: NDArray[np.uint8], result: Index, start: int, stop: int
+) -> None:
+    """Neighbours of the facets ``[start, stop)`` where all facets have other numbers and first corners.
+
+    Parameters
+    ----------
+    twin
+        (3 F,) under the numbers that they had.
+    moved, turn
+        (F,) each: the new number of a facet, and the new place of the corner that stood first.
+    result
+        (3 F,) the new twins.
+    """
     for f in range(start, stop):
         for i in range(3):
             across = twin[3 * f + i]
-            result[3 * moved[f] + i] = 3 * moved[across // 3] + across % 3 if across >= 0 else across
+            other = across // 3
+            result[3 * moved[f] + (i + turn[f]) % 3] = (
+                3 * moved[other] + (across % 3 + turn[other]) % 3 if across >= 0 else across
+            )
 
 
 @kernel
@@ -223,7 +260,7 @@ def _measure_runs(faces: Index, highest: Index, tallest: Index, start: int, stop
     for run in range(start, stop):
         top = np.int32(0)
         for f in range(run * RUN, min((run + 1) * RUN, faces.shape[0])):
-            highest[f] = max(faces[f, 0], faces[f, 1], faces[f, 2])
+            highest[f] = max(faces[f, 1], faces[f, 2])
             top = max(top, highest[f])
         tallest[run] = top
 

@@ -72,18 +72,15 @@ def trace_layer(
     """
     rings = 0
     for phase in range(FROM_ENTRY if mesh.around.is_open else RINGS, RINGS + 1):
+        forwards = phase != FROM_EXIT
         for n in range(count):
             seed = active[n]
             if seen[seed] == mark:
                 continue
-            down, up = _cut_edges(mesh, seed, under)
-            if (phase == FROM_ENTRY and mesh.around.twin[3 * seed + down] >= 0) or (
-                phase == FROM_EXIT and mesh.around.twin[3 * seed + up] >= 0
-            ):
+            if phase != RINGS and _left_by(mesh, seed, under, not forwards)[2] >= 0:
                 continue
-            entry = up if phase == FROM_EXIT else down
             filled = _walk(
-                mesh, h, under, 3 * seed + entry, phase == RINGS, seen, mark, track, track.starts[rings]
+                mesh, h, under, seed, forwards, phase == RINGS, seen, mark, track, track.starts[rings]
             )
             track.closed[rings] = phase == RINGS
             rings += 1
@@ -92,70 +89,69 @@ def trace_layer(
 
 
 @kernel
-def _cut_edges(mesh: SortedMesh, f: int, under: int) -> tuple[int, int]:
-    """Corners of facet `f` whose half-edges the section enters (running down) and leaves by (running up).
-
-    With the normal outwards, the solid then lies to the left of the way from entry to exit.
-    """
-    a = mesh.faces[f, 0] >= under
-    b = mesh.faces[f, 1] >= under
-    c = mesh.faces[f, 2] >= under
-    down = 0 if a and not b else (1 if b and not c else 2)
-    up = 0 if b and not a else (1 if c and not b else 2)
-    return down, up
-
-
-@kernel
 def _walk(
     mesh: SortedMesh,
     h: float,
     under: int,
-    entry: int,
+    f: int,
+    forwards: bool,
     is_ring: bool,
     seen: Index,
     mark: int,
     track: Tracks,
     first: int,
 ) -> int:
-    """Follow the section from facet to facet until it ends or closes; returns the row after its last point."""
-    f, i = entry // 3, entry % 3
-    tail, head = mesh.faces[f, i], mesh.faces[f, i + 1 if i < 2 else 0]
-    low, high = min(tail, head), max(tail, head)
+    """Follow the section from facet to facet until it ends or closes; returns the row after its last point.
+
+    It begins in facet `f`, which it passes from its entry to its exit if `forwards`.
+    """
     filled = first
     if not is_ring:
+        low, high, _ = _left_by(mesh, f, under, not forwards)
         _write_point(mesh, h, low, high, track, filled)
         filled += 1
     with_facets = against = 0.0
     while True:
         seen[f] = mark
-        following, before = (i + 1, i - 1) if i == 1 else ((1, 2) if i == 0 else (0, 1))
-        # The section leaves by one of the two edges at the corner across from the entry.
-        corner = mesh.faces[f, before]
-        above = corner >= under
-        runs_down = mesh.faces[f, i] == high
-        if above:
-            high = corner
-        else:
-            low = corner
+        low, high, across = _left_by(mesh, f, under, forwards)
         _write_point(mesh, h, low, high, track, filled)
         filled += 1
         if mesh.around.mixed and filled - first > 1:
             length = _last_length(track, filled)
-            if runs_down:
+            if forwards:
                 with_facets += length
             else:
                 against += length
-        across = mesh.around.twin[3 * f + (following if above == runs_down else before)]
         if across < 0:
             break
-        f, i = across // 3, across % 3
+        f = across // 3
         if seen[f] == mark:
             break
+        if mesh.around.mixed:
+            # A facet that is flipped against the one before it is passed the other way.
+            forwards = across % 3 == (2 if mesh.faces[f, 2] >= under else 1)
     # A ring through flipped facets runs the way that the greater length of its facets says: one flipped
     # facet never outweighs the rest, as a side of a polygon is shorter than all others together.
     if against > with_facets:
         _reverse(track, first, filled)
     return filled
+
+
+@kernel
+def _left_by(mesh: SortedMesh, f: int, under: int, forwards: bool) -> tuple[int, int, int]:
+    """Lower and upper vertex of the edge by which facet `f` is left, and the half-edge across it.
+
+    The first corner is the lowest, and never above. Forwards, a facet is entered by the half-edge that runs down across the
+    plane and left by the one that runs up: with the normal outwards, the solid then lies to the left of the way.
+    """
+    # Loads stand in the branches: the processor foretells these, and need not wait for what they depend on.
+    if forwards:
+        if mesh.faces[f, 1] >= under:
+            return mesh.faces[f, 0], mesh.faces[f, 1], mesh.around.twin[3 * f]
+        return mesh.faces[f, 1], mesh.faces[f, 2], mesh.around.twin[3 * f + 1]
+    if mesh.faces[f, 2] >= under:
+        return mesh.faces[f, 0], mesh.faces[f, 2], mesh.around.twin[3 * f + 2]
+    return mesh.faces[f, 2], mesh.faces[f, 1], mesh.around.twin[3 * f + 1]
 
 
 @kernel

@@ -39,8 +39,9 @@ app = typer.Typer(
     "4 a required backend is missing, 5 nothing compared, 130 interrupted.",
 )
 
-OBJECTS_BEFORE_GC = 50_000
-"""New objects until Python looks for rings of dead ones: imports make hundreds of thousands, and none that die."""
+OBJECTS_BEFORE_GC = 300_000
+"""New objects until Python looks for rings of dead ones. Imports make hundreds of thousands, and none that die: a slice
+of a small part, with all that it loads, is over before the first look, which would take a twentieth of its time."""
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 

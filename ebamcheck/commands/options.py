@@ -14,7 +14,7 @@ from ebamcheck.errors import SettingsError
 if TYPE_CHECKING:
     from ebamcheck.mesh.part import Part
     from ebamcheck.numeric.rings import Floats
-    from ebamcheck.preflight import Ready
+    from ebamcheck.preflight.report import Ready
     from ebamcheck.settings.config import Config
 
 DEFAULT_CONFIG = Path("ebamcheck.toml")
@@ -143,7 +143,7 @@ def begun(source: Path, config: Config, job: str, yes: bool) -> Ready:
     InputError, SettingsError
         If the part cannot be read, or the job cannot come to a good end.
     """
-    from ebamcheck.preflight import ready
+    from ebamcheck.preflight.report import ready
     from ebamcheck.settings.process_window import checked_window
 
     if job == "run":

@@ -26,8 +26,8 @@ from ebamcheck.commands.options import (
 )
 from ebamcheck.drawing.tables import text_table
 from ebamcheck.errors import ExitCode, SettingsError
-from ebamcheck.preflight import Preflight, PreflightCheck, ready
-from ebamcheck.preflight.checks import EVERY, RUN
+from ebamcheck.preflight.checks import EVERY, RUN, PreflightCheck
+from ebamcheck.preflight.report import Preflight, ready
 
 SHOWN = {"pass": "pass", "warning": "warn", "fault": "FAULT"}
 """Levels as the table has them."""

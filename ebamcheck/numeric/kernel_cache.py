@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from numba.core import config as numba_config
-from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
+from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache, _CacheLocator
 
 from ebamcheck.numeric import ready_kernels
 from ebamcheck.numeric.kernel_compiling import ready_to_compile
@@ -55,6 +55,21 @@ def missing_told(told: Missed) -> Iterator[None]:
         yield
     finally:
         _listeners.remove(told)
+
+
+_try_folder: Any = _CacheLocator.ensure_cache_path
+_tried: set[str] = set()
+
+
+def _try_folder_once(locator: Any) -> None:
+    """Make a folder of compiled kernels and write a file there for a trial; numba does so for every kernel."""
+    folder = locator.get_cache_path()
+    if folder not in _tried or not os.path.isdir(folder):
+        _try_folder(locator)
+        _tried.add(folder)
+
+
+_CacheLocator.ensure_cache_path = _try_folder_once  # type: ignore[method-assign]
 
 
 class KernelCache(FunctionCache):

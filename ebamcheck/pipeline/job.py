@@ -29,7 +29,7 @@ from ebamcheck.pipeline.run_folder import (
     start_run,
 )
 from ebamcheck.pipeline.work import Job, Observer, Silent
-from ebamcheck.preflight import Ready, ready
+from ebamcheck.preflight.report import Ready, ready
 from ebamcheck.preflight.slab_work import wanted_slabs
 from ebamcheck.program.language.control import control
 from ebamcheck.program.language.templates import usable_templates

@@ -30,7 +30,7 @@ from ebamcheck.pipeline.report_writers import write_reports
 from ebamcheck.pipeline.run_folder import FINGERPRINT, finished_run, start_run
 from ebamcheck.pipeline.slab_slicing import SlabRun, cut_slabs
 from ebamcheck.pipeline.work import Job, Observer, Silent
-from ebamcheck.preflight import Preflight
+from ebamcheck.preflight.report import Preflight
 from ebamcheck.preflight.slab_work import slab_workload
 from ebamcheck.preflight.workload import work_checks
 from ebamcheck.settings.config import Config
