@@ -21,7 +21,7 @@ from ebamcheck.comparison.grid import (
 )
 from ebamcheck.comparison.outline import Outline
 from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.numeric.rings import EPSILON, Floats, Ints
 
 RESOLUTION_MM = 1e-7
 """Hausdorff distances are found to within this: ten thousand times finer than the default tolerance."""
@@ -205,11 +205,13 @@ def _percentile(distances: Floats, lengths: Floats) -> float:
 
     A bracket is halved until the length below a distance in it grows at one rate.
     """
-    low, high, weight = _spans(distances, lengths)
-    wanted = PERCENTILE * weight.sum()
-    bottom, top = low.min(), high.max()
-    # Length below the bracket, and its rise with the distance within, of pieces that have no end in it.
-    below, rate, count = _within(low, high, weight, low.size, bottom, top)
+    low, high, weight, total, bottom, top = _spans(distances, lengths)
+    wanted = PERCENTILE * total
+    # So far apart can sums of the same lengths be that are added in another order; then they are added in one order.
+    doubt = 4.0 * EPSILON * low.size * total
+    # Length below the bracket, and its rise with the distance within, of pieces that have no end in it; of the others, how
+    # many there are and how much of them is below the middle.
+    below, rate, count, half = _within(low, high, weight, low.size, bottom, top)
     if below >= wanted:
         return float(bottom)
     while count > 0:
@@ -217,48 +219,69 @@ def _percentile(distances: Floats, lengths: Floats) -> float:
         if not bottom < middle < top:
             return float(top)
         under = below + rate * (middle - bottom)
-        for k in range(count):
-            if high[k] <= middle:
-                under += weight[k]
-            elif low[k] < middle:
-                under += weight[k] * (middle - low[k]) / (high[k] - low[k])
+        if abs(under + half - wanted) > doubt:
+            under += half
+        else:
+            under = _added(low, high, weight, count, middle, under)
         if under >= wanted:
             top = middle
         else:
             below += rate * (middle - bottom)
             bottom = middle
-        more, steeper, count = _within(low, high, weight, count, bottom, top)
+        more, steeper, count, half = _within(low, high, weight, count, bottom, top)
         below, rate = below + more, rate + steeper
     return float(min(bottom + (wanted - below) / rate, top)) if rate > 0.0 else float(top)
 
 
 @kernel
-def _spans(distances: Floats, lengths: Floats) -> tuple[Floats, Floats, Floats]:
-    """Lesser and greater distance at the ends of each piece, and its length."""
+def _spans(distances: Floats, lengths: Floats) -> tuple[Floats, Floats, Floats, float, float, float]:
+    """Lesser and greater distance at the ends of each piece, and its length; their sum, the least and the greatest distance."""
     low, high, weight = np.empty(distances.size), np.empty(distances.size), np.empty(distances.size)
-    count = 0
+    count, total, least, most = 0, 0.0, np.inf, 0.0
     for k in range(distances.size - 1):
+        # Written always and counted where it is a piece: ends of paths are few, and come as they like.
+        low[count], high[count] = min(distances[k], distances[k + 1]), max(distances[k], distances[k + 1])
+        weight[count] = lengths[k]
         if lengths[k] >= 0.0:
-            low[count], high[count] = min(distances[k], distances[k + 1]), max(distances[k], distances[k + 1])
-            weight[count] = lengths[k]
+            total += lengths[k]
+            least, most = min(least, low[count]), max(most, high[count])
             count += 1
-    return low[:count], high[:count], weight[:count]
+    return low[:count], high[:count], weight[:count], total, least, most
 
 
 @kernel
 def _within(
     low: Floats, high: Floats, weight: Floats, count: int, bottom: float, top: float
-) -> tuple[float, float, int]:
-    """Drop the pieces without an end inside a bracket: their length below it, its rise within, pieces left."""
-    below, rate, kept = 0.0, 0.0, 0
+) -> tuple[float, float, int, float]:
+    """Drop the pieces without an end inside a bracket: their length below it, its rise within, pieces left, half of which is told.
+
+    That half is the length of the pieces left below the middle of the bracket, up to rounding.
+    """
+    below, rate, kept, half = 0.0, 0.0, 0, 0.0
+    middle = 0.5 * (bottom + top)
     for k in range(count):
-        if high[k] <= bottom:
-            below += weight[k]
-        elif low[k] <= bottom and high[k] >= top:
-            rise = weight[k] / (high[k] - low[k])
-            below += rise * (bottom - low[k])
-            rate += rise
-        elif low[k] < top:
-            low[kept], high[kept], weight[kept] = low[k], high[k], weight[k]
-            kept += 1
-    return below, rate, kept
+        # Without a branch: where a piece lies is as good as random.
+        start, stop, length = low[k], high[k], weight[k]
+        rise = np.divide(length, stop - start)
+        under, over = stop <= bottom, start >= top
+        across = (start <= bottom) & (stop >= top) & (not under)
+        added = rise * (bottom - start) if across else 0.0
+        below += length if under else added
+        rate += rise if across else 0.0
+        low[kept], high[kept], weight[kept] = start, stop, length
+        stays = not (under | over | across)
+        kept += stays
+        part = min(rise * (middle - start), length)
+        half += part if stays & (start < middle) else 0.0
+    return below, rate, kept, half
+
+
+@kernel
+def _added(low: Floats, high: Floats, weight: Floats, count: int, middle: float, under: float) -> float:
+    """Add to a length that of the first pieces below a distance, one after the other."""
+    for k in range(count):
+        if high[k] <= middle:
+            under += weight[k]
+        elif low[k] < middle:
+            under += weight[k] * (middle - low[k]) / (high[k] - low[k])
+    return under
