@@ -49,7 +49,7 @@ def outline(layers: Layers, layer: int, origin_mm: tuple[float, float]) -> Outli
 @kernel
 def encloses(o: Outline) -> bool:
     """Whether any closed ring of an outline has an extent, so that it may bound a region."""
-    return len(o.chains.events) > 0
+    return len(o.chains.steps) > 0
 
 
 @kernel
