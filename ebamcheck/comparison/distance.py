@@ -15,6 +15,7 @@ from ebamcheck.comparison.grid import (
     Grid,
     distance_to_segment,
     nearest,
+    nearest_beyond,
     nearest_of,
     square_between,
     square_distance,
@@ -113,11 +114,13 @@ def _sampled(places: Floats, segments: Floats, grid: Grid) -> tuple[Floats, Ints
                 square = square_distance(x, y, segments, items[i])
                 closest = items[i] if square < best else closest
                 best = min(best, square)
+            found = closest
             if best <= inside * inside:
-                distances[k], near[k] = math.sqrt(best), closest
-                found = closest
+                distances[k], near[k] = math.sqrt(best), found
                 continue
-        distances[k], found = nearest_of(segments, starts, items, frame, x, y, found)
+            distances[k], found = nearest_beyond(segments, starts, items, frame, x, y, column, row, found, best, 1)
+        else:
+            distances[k], found = nearest_of(segments, starts, items, frame, x, y, found)
         near[k] = found
     return distances, near
 
