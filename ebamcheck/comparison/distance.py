@@ -65,12 +65,13 @@ def directed(a: Outline, b: Outline) -> Directed:
     distances, near = _sampled(places, segments, b.grid)
     k = int(np.argmax(distances))
     most, x, y, segment = distances[k], places[k, 0], places[k, 1], owners[k]
+    least, sampled = distances[-1], most
     stack, near_stack = np.empty((STACK, 6)), np.empty((STACK, 2), np.int64)
     for k in range(len(distances) - 1):
         # Most pieces are settled by their ends: one nearest segment, or too short to rise over what is known;
         # the rest by the vertices that the nearest point passes on the way, of which there are mostly one or two.
         # These are looked at here and without branches: calls, and guesses at what is as good as random, cost more.
-        reach = most + RESOLUTION_MM
+        reach, least = most + RESOLUTION_MM, min(least, distances[k])
         x0, y0, x1, y1 = places[k, 0], places[k, 1], places[k + 1, 0], places[k + 1, 1]
         i, j = min(near[k], near[k + 1]), max(near[k], near[k + 1])
         s = min(i + 1, j)
@@ -89,7 +90,7 @@ def directed(a: Outline, b: Outline) -> Directed:
             higher, hx, hy = _refine(segments, b.grid, stack, near_stack, most)
             if higher > most:
                 most, x, y, segment = higher, hx, hy, owners[k]
-    return Directed(most, x, y, segment, _percentile(distances, lengths), near)
+    return Directed(most, x, y, segment, _percentile(distances, lengths, least, sampled), near)
 
 
 @kernel
@@ -203,18 +204,19 @@ def _refine(
 
 
 @kernel
-def _percentile(distances: Floats, lengths: Floats) -> float:
+def _percentile(distances: Floats, lengths: Floats, least: float, most: float) -> float:
     """Distance below which the given share of the length lies, the distance being linear along a piece.
 
-    A bracket is halved until the length below a distance in it grows at one rate.
+    A bracket, at first from the least to the greatest distance, is halved until the length below a distance in it grows at
+    one rate.
     """
-    low, high, weight, total, bottom, top = _spans(distances, lengths)
-    wanted = PERCENTILE * total
-    # So far apart can sums of the same lengths be that are added in another order; then they are added in one order.
-    doubt = 4.0 * EPSILON * low.size * total
+    bottom, top = least, most
     # Length below the bracket, and its rise with the distance within, of pieces that have no end in it; of the others, how
     # many there are and how much of them is below the middle.
-    below, rate, count, half = _within(low, high, weight, low.size, bottom, top)
+    low, high, weight, total, (below, rate, count, half) = _spans(distances, lengths, bottom, top)
+    wanted = PERCENTILE * total
+    # So far apart can sums of the same lengths be that are added in another order; then they are added in one order.
+    doubt = 4.0 * EPSILON * distances.size * total
     if below >= wanted:
         return float(bottom)
     while count > 0:
@@ -237,46 +239,57 @@ def _percentile(distances: Floats, lengths: Floats) -> float:
 
 
 @kernel
-def _spans(distances: Floats, lengths: Floats) -> tuple[Floats, Floats, Floats, float, float, float]:
-    """Lesser and greater distance at the ends of each piece, and its length; their sum, the least and the greatest distance."""
+def _spans(
+    distances: Floats, lengths: Floats, bottom: float, top: float
+) -> tuple[Floats, Floats, Floats, float, tuple[float, float, int, float]]:
+    """Lesser and greater distance at the ends of each piece with an end inside a bracket, and its length.
+
+    Then the length of all pieces, and what :func:`_within` tells of them.
+    """
     low, high, weight = np.empty(distances.size), np.empty(distances.size), np.empty(distances.size)
-    count, total, least, most = 0, 0.0, np.inf, 0.0
+    total, below, rate, kept, half = 0.0, 0.0, 0.0, 0, 0.0
     for k in range(distances.size - 1):
-        # Written always and counted where it is a piece: ends of paths are few, and come as they like.
-        low[count], high[count] = min(distances[k], distances[k + 1]), max(distances[k], distances[k + 1])
-        weight[count] = lengths[k]
         if lengths[k] >= 0.0:
-            total += lengths[k]
-            least, most = min(least, low[count]), max(most, high[count])
-            count += 1
-    return low[:count], high[:count], weight[:count], total, least, most
+            start, stop = min(distances[k], distances[k + 1]), max(distances[k], distances[k + 1])
+            low[kept], high[kept], weight[kept] = start, stop, lengths[k]
+            under, rise, part, stays = _place(start, stop, lengths[k], bottom, top)
+            total, below, rate, half = total + lengths[k], below + under, rate + rise, half + part
+            kept += stays
+    return low, high, weight, total, (below, rate, kept, half)
 
 
 @kernel
 def _within(
     low: Floats, high: Floats, weight: Floats, count: int, bottom: float, top: float
 ) -> tuple[float, float, int, float]:
-    """Drop the pieces without an end inside a bracket: their length below it, its rise within, pieces left, half of which is told.
+    """Drop the pieces without an end inside a bracket: their length below it, its rise within, how many are left.
 
-    That half is the length of the pieces left below the middle of the bracket, up to rounding.
+    Then the length of those that are left below the middle of the bracket, up to rounding.
     """
     below, rate, kept, half = 0.0, 0.0, 0, 0.0
-    middle = 0.5 * (bottom + top)
     for k in range(count):
-        # Without a branch: where a piece lies is as good as random.
         start, stop, length = low[k], high[k], weight[k]
-        rise = np.divide(length, stop - start)
-        under, over = stop <= bottom, start >= top
-        across = (start <= bottom) & (stop >= top) & (not under)
-        added = rise * (bottom - start) if across else 0.0
-        below += length if under else added
-        rate += rise if across else 0.0
         low[kept], high[kept], weight[kept] = start, stop, length
-        stays = not (under | over | across)
+        under, rise, part, stays = _place(start, stop, length, bottom, top)
+        below, rate, half = below + under, rate + rise, half + part
         kept += stays
-        part = min(rise * (middle - start), length)
-        half += part if stays & (start < middle) else 0.0
     return below, rate, kept, half
+
+
+@kernel
+def _place(start: float, stop: float, length: float, bottom: float, top: float) -> tuple[float, float, float, bool]:
+    """Length of a piece below a bracket and its rise within, if it has no end inside; else its length below the middle; if it has.
+
+    Without a branch: where a piece lies is as good as random.
+    """
+    rise, middle = np.divide(length, stop - start), 0.5 * (bottom + top)
+    is_under, is_over = stop <= bottom, start >= top
+    across = (start <= bottom) & (stop >= top) & (not is_under)
+    stays = not (is_under | is_over | across)
+    below = rise * (bottom - start) if across else 0.0
+    below = length if is_under else below
+    part = min(rise * (middle - start), length)
+    return below, rise if across else 0.0, part if stays & (start < middle) else 0.0, stays
 
 
 @kernel
