@@ -119,7 +119,9 @@ def _sampled(places: Floats, segments: Floats, grid: Grid) -> tuple[Floats, Ints
             if best <= inside * inside:
                 distances[k], near[k] = math.sqrt(best), found
                 continue
-            distances[k], found = nearest_beyond(segments, starts, items, frame, x, y, column, row, found, best, 1)
+            distances[k], found = nearest_beyond(
+                segments, starts, items, frame, x, y, column, row, found, best, 1
+            )
         else:
             distances[k], found = nearest_of(segments, starts, items, frame, x, y, found)
         near[k] = found
@@ -277,10 +279,13 @@ def _within(
 
 
 @kernel
-def _place(start: float, stop: float, length: float, bottom: float, top: float) -> tuple[float, float, float, bool]:
-    """Length of a piece below a bracket and its rise within, if it has no end inside; else its length below the middle; if it has.
+def _place(
+    start: float, stop: float, length: float, bottom: float, top: float
+) -> tuple[float, float, float, bool]:
+    """Where a piece lies to a bracket: its length below, its rise within, its length below the middle, whether it stays.
 
-    Without a branch: where a piece lies is as good as random.
+    The first two are told of a piece without an end inside, which is dropped; the third of one that stays. Without a
+    branch: where a piece lies is as good as random.
     """
     rise, middle = np.divide(length, stop - start), 0.5 * (bottom + top)
     is_under, is_over = stop <= bottom, start >= top

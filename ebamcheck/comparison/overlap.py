@@ -79,7 +79,14 @@ def overlap(a: Outline, b: Outline, wanted: bool) -> Overlap:
 
 @kernel
 def _sweep(
-    a: Outline, b: Outline, steps: Ints, edges: Floats, marks: Ints, sums: Floats, difference: Floats, come: Ints
+    a: Outline,
+    b: Outline,
+    steps: Ints,
+    edges: Floats,
+    marks: Ints,
+    sums: Floats,
+    difference: Floats,
+    come: Ints,
 ) -> bool:
     """Sweep on from where it has come to; False where there is no room to write down what the next step may add.
 
@@ -108,7 +115,8 @@ def _sweep(
             for k in range(first - 1, first + 2):
                 left, right = right, status.pass_level(edges, k + 1, lowest)
                 area, of_a, of_b, of_one = status.gap_shares(edges, marks, k, left, right, lowest)
-                area_a, area_b, differs = area_a + of_a * area, area_b + of_b * area, differs + of_one * max(area, 0.0)
+                area_a, area_b = area_a + of_a * area, area_b + of_b * area
+                differs += of_one * max(area, 0.0)
                 if wanted and of_one and edges[k, status.SINCE] != lowest:
                     status.write_down(edges, sums, difference, k, lowest, left, right)
             status.swap(edges, marks, first)
@@ -119,22 +127,23 @@ def _sweep(
         if not room or crossings > MOST_CROSSINGS:
             break
         from_a = levels_a[next_a] <= levels_b[next_b]
-        kind_a, chain_a, segment_a = events_a[next_a, KIND], events_a[next_a, LEFT], events_a[next_a, LEFT_SEGMENT]
-        kind_b, chain_b, segment_b = events_b[next_b, KIND], events_b[next_b, LEFT], events_b[next_b, LEFT_SEGMENT]
-        in_order = False
-        kind = kind_a if from_a else kind_b
+        kind_a, chain_a = events_a[next_a, KIND], events_a[next_a, LEFT]
+        kind_b, chain_b = events_b[next_b, KIND], events_b[next_b, LEFT]
+        kind, in_order = kind_a if from_a else kind_b, False
         m = marks[chain_a if from_a else chain_b + chains, status.PLACE]
         if kind == ADVANCE:
             right = status.pass_level(edges, m - 1, y)
             for k in range(m - 1, m + 1):
                 left, right = right, status.pass_level(edges, k + 1, y)
                 area, of_a, of_b, of_one = status.gap_shares(edges, marks, k, left, right, y)
-                area_a, area_b, differs = area_a + of_a * area, area_b + of_b * area, differs + of_one * max(area, 0.0)
+                area_a, area_b = area_a + of_a * area, area_b + of_b * area
+                differs += of_one * max(area, 0.0)
                 if wanted and of_one and edges[k, status.SINCE] != y:
                     status.write_down(edges, sums, difference, k, y, left, right)
             for c in range(SLOPE + 1):
-                of_a, of_b = edges_a[next_a, c], edges_b[next_b, c]
-                edges[m, c] = of_a if from_a else of_b
+                here, there = edges_a[next_a, c], edges_b[next_b, c]
+                edges[m, c] = here if from_a else there
+            segment_a, segment_b = events_a[next_a, LEFT_SEGMENT], events_b[next_b, LEFT_SEGMENT]
             edges[m, status.SEGMENT] = segment_a if from_a else segment_b + segments
             edges[m, status.X_NOW] = edges[m, X_LOW]
             in_order = True
@@ -149,9 +158,10 @@ def _sweep(
             if kind == ADVANCE:
                 status.settle(edges, marks, sums, difference, m, n, y)
             elif from_a:
-                n += _turn(edges, marks, sums, difference, n, y, events_a, next_a, segments_a, 0, 0, steps)
+                n += _turn(edges, marks, sums, difference, n, y, events_a[next_a], segments_a, (0, 0), steps)
             else:
-                n += _turn(edges, marks, sums, difference, n, y, events_b, next_b, segments_b, chains, segments, steps)
+                after = (chains, segments)
+                n += _turn(edges, marks, sums, difference, n, y, events_b[next_b], segments_b, after, steps)
             area_a, area_b, differs = sums[status.AREA_A], sums[status.AREA_B], sums[status.DIFFERENCE]
             first, lowest = n, sums[status.NEXT_CROSSING]
         next_a, next_b = next_a + from_a, next_b + (not from_a)
@@ -163,16 +173,19 @@ def _sweep(
 
 @kernel
 def _turn(
-    edges: Floats, marks: Ints, sums: Floats, difference: Floats, n: int, y: float, events: ShortInts, k: int,
-    segments: Floats, chains: int, number: int, steps: Ints,
+    edges: Floats, marks: Ints, sums: Floats, difference: Floats, n: int, y: float, event: ShortInts,
+    segments: Floats, after: tuple[int, int], steps: Ints,
 ) -> int:  # fmt: skip
-    """Let two chains start or end at event `k` of one outline, whose chains and segments are numbered from here on; the change of `n`."""
-    left, right = events[k, LEFT] + chains, events[k, RIGHT] + chains
-    if events[k, KIND] == CLOSE:
+    """Let two chains start or end at an event of one outline; how many edges more there are then.
+
+    `after` tells how many chains and segments of the other outline are numbered before its own.
+    """
+    left, right = event[LEFT] + after[0], event[RIGHT] + after[0]
+    if event[KIND] == CLOSE:
         status.end_pair(edges, marks, sums, difference, n, y, left, right)
         return -2
-    s, t = events[k, LEFT_SEGMENT], events[k, RIGHT_SEGMENT]
-    status.start_pair(edges, marks, sums, difference, n, y, left, right, segments, s, t, number, steps)
+    s, t = event[LEFT_SEGMENT], event[RIGHT_SEGMENT]
+    status.start_pair(edges, marks, sums, difference, n, y, left, right, segments, s, t, after[1], steps)
     return 2
 
 

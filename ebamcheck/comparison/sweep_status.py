@@ -95,10 +95,10 @@ def pass_level(edges: Floats, k: int, y: float) -> float:
 def gap_shares(
     edges: Floats, marks: Ints, k: int, left: float, right: float, y: float
 ) -> tuple[float, bool, bool, bool]:
-    """Area of gap `k` up to a level at which its sides are at `left` and `right`, and whether it lies in a, in b, in one of them.
+    """Area of gap `k` up to a level at which its sides are at `left` and `right`; whether it is in a, in b, in one alone.
 
-    They are taken as factors, so that all sums are added to, if only nothing: which of them a gap adds to is as good as random,
-    and a choice between numbers by a condition on others is a branch in machine code.
+    They are taken as factors, so that all sums are added to, if only nothing: which of them a gap adds to is as good as
+    random, and a choice between numbers by a condition on others is a branch in machine code.
     """
     area = 0.5 * ((edges[k, RIGHT] - edges[k, LEFT]) + (right - left)) * (y - edges[k, SINCE])
     in_a, in_b = marks[k, WINDING_A] > 0, marks[k, WINDING_B] > 0
@@ -125,7 +125,10 @@ def take_areas(
 
 @kernel
 def start_gap(edges: Floats, k: int, y: float) -> float:
-    """Start gap `k` at the level at which areas beside its edges were taken, or where these begin; the level at which they cross."""
+    """Start gap `k` at the level at which areas beside its edges were taken, or where these begin.
+
+    The level at which they cross is returned; infinite where they do not.
+    """
     left, right = edges[k, X_NOW], edges[k + 1, X_NOW]
     top = min(edges[k, Y_HIGH], edges[k + 1, Y_HIGH])
     over = x_at(edges, k, top) - x_at(edges, k + 1, top)
