@@ -293,8 +293,8 @@ def _place(
     stays = not (is_under | is_over | across)
     below = rise * (bottom - start) if across else 0.0
     below = length if is_under else below
-    part = min(rise * (middle - start), length)
-    return below, rise if across else 0.0, part if stays & (start < middle) else 0.0, stays
+    part = length if stop <= middle else rise * (middle - start)
+    return below, rise if across else 0.0, part if stays & (start <= middle) else 0.0, stays
 
 
 @kernel

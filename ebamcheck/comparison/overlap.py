@@ -63,7 +63,6 @@ def overlap(a: Outline, b: Outline, wanted: bool) -> Overlap:
     edges = np.zeros((len(steps) + 2, status.EDGE_COLUMNS))
     marks = np.zeros((len(steps) + 1, status.MARK_COLUMNS), np.int64)
     sums, come = np.zeros(status.SUMS), np.zeros(4, np.int64)
-    sums[status.NEXT_CROSSING] = np.inf
     status.set_borders(edges, 0)
     difference = np.empty((64 if wanted else 0, status.TRAPEZOID_COLUMNS))
     while not _sweep(a, b, steps, edges, marks, sums, difference, come):
@@ -100,7 +99,7 @@ def _sweep(
     area_a, area_b, differs = sums[status.AREA_A], sums[status.AREA_B], sums[status.DIFFERENCE]
     wanted, room = len(difference) > 0, True
     # The edge that crosses the next one first, if it does so at the lowest level; if not, it is looked for.
-    first, lowest = n, sums[status.NEXT_CROSSING]
+    first, lowest = status.first_crossing(edges, n)
     for _ in range(levels_a.size + levels_b.size - 2 - next_a - next_b):
         y = min(levels_a[next_a], levels_b[next_b])
         room = not wanted or _has_room(difference, sums, n)
@@ -154,7 +153,6 @@ def _sweep(
                 lowest = min(lowest, level)
         if not in_order:
             sums[status.AREA_A], sums[status.AREA_B], sums[status.DIFFERENCE] = area_a, area_b, differs
-            sums[status.NEXT_CROSSING] = lowest
             if kind == ADVANCE:
                 status.settle(edges, marks, sums, difference, m, n, y)
             elif from_a:
@@ -163,10 +161,9 @@ def _sweep(
                 after = (chains, segments)
                 n += _turn(edges, marks, sums, difference, n, y, events_b[next_b], segments_b, after, steps)
             area_a, area_b, differs = sums[status.AREA_A], sums[status.AREA_B], sums[status.DIFFERENCE]
-            first, lowest = n, sums[status.NEXT_CROSSING]
+            first, lowest = status.first_crossing(edges, n)
         next_a, next_b = next_a + from_a, next_b + (not from_a)
     sums[status.AREA_A], sums[status.AREA_B], sums[status.DIFFERENCE] = area_a, area_b, differs
-    sums[status.NEXT_CROSSING] = lowest
     come[NEXT_A], come[NEXT_B], come[EDGES], come[CROSSINGS] = next_a, next_b, n, crossings
     return room
 
