@@ -16,6 +16,9 @@ KIND, LEFT, RIGHT, LEFT_SEGMENT, RIGHT_SEGMENT = 0, 1, 2, 3, 4
 """Columns of events: kind; the chain, or the left and the right one of two that start, or both that end; and
 the segments with which these go on upwards, -1 for none."""
 
+X_LOW, Y_LOW, X_HIGH, Y_HIGH, SLOPE = 0, 1, 2, 3, 4
+"""Columns of `edges`: lower and upper end, mm, and change of x with y."""
+
 
 class Chains(NamedTuple):
     """Vertices of closed rings from below, each with what happens there; level segments are left out.
@@ -26,7 +29,9 @@ class Chains(NamedTuple):
     levels: Floats
     """(E + 1,) y of each vertex, mm, in ascending order; infinite at the end."""
     events: ShortInts
-    """(E, 5) what happens at each; columns as above."""
+    """(E + 1, 5) what happens at each, nothing in the last row; columns as above."""
+    edges: Floats
+    """(E + 1, 5) segment with which the chain, or the left one of two, goes on upwards; columns as above."""
     steps: Ints
     """(C,) change of the winding number where each chain is crossed from left to right."""
 
@@ -46,12 +51,24 @@ def monotone_chains(segments: Floats, rings: Ints) -> Chains:
                 segments, rings[r], rings[r + 1], first, levels, events, steps, count, chains
             )
     order = rising_order(levels)
-    rising, met = np.full(count + 1, np.inf), np.empty_like(events)
+    rising, met = np.full(count + 1, np.inf), np.full((count + 1, 5), -1, np.int32)
+    edges = np.zeros((count + 1, 5))
     for k in range(count):
         rising[k] = levels[order[k]]
         for c in range(5):
             met[k, c] = events[order[k], c]
-    return Chains(rising, met, steps[:chains].copy())
+        if met[k, LEFT_SEGMENT] >= 0:
+            set_edge(edges, k, segments, met[k, LEFT_SEGMENT])
+    return Chains(rising, met, edges, steps[:chains].copy())
+
+
+@kernel
+def set_edge(edges: Floats, k: int, segments: Floats, s: int) -> None:
+    """Let edge `k` be segment `s`."""
+    low, high = (0, 2) if segments[s, 3] > segments[s, 1] else (2, 0)
+    x0, y0, x1, y1 = segments[s, low], segments[s, low + 1], segments[s, high], segments[s, high + 1]
+    edges[k, X_LOW], edges[k, Y_LOW], edges[k, X_HIGH], edges[k, Y_HIGH] = x0, y0, x1, y1
+    edges[k, SLOPE] = np.divide(x1 - x0, y1 - y0)
 
 
 @kernel

@@ -15,13 +15,14 @@ from ebamcheck.comparison.grid import (
     Grid,
     distance_to_segment,
     nearest,
+    nearest_beyond,
     nearest_of,
     square_between,
     square_distance,
 )
 from ebamcheck.comparison.outline import Outline
 from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.numeric.rings import EPSILON, Floats, Ints
 
 RESOLUTION_MM = 1e-7
 """Hausdorff distances are found to within this: ten thousand times finer than the default tolerance."""
@@ -64,12 +65,13 @@ def directed(a: Outline, b: Outline) -> Directed:
     distances, near = _sampled(places, segments, b.grid)
     k = int(np.argmax(distances))
     most, x, y, segment = distances[k], places[k, 0], places[k, 1], owners[k]
+    least, sampled = distances[-1], most
     stack, near_stack = np.empty((STACK, 6)), np.empty((STACK, 2), np.int64)
     for k in range(len(distances) - 1):
         # Most pieces are settled by their ends: one nearest segment, or too short to rise over what is known;
         # the rest by the vertices that the nearest point passes on the way, of which there are mostly one or two.
         # These are looked at here and without branches: calls, and guesses at what is as good as random, cost more.
-        reach = most + RESOLUTION_MM
+        reach, least = most + RESOLUTION_MM, min(least, distances[k])
         x0, y0, x1, y1 = places[k, 0], places[k, 1], places[k + 1, 0], places[k + 1, 1]
         i, j = min(near[k], near[k + 1]), max(near[k], near[k + 1])
         s = min(i + 1, j)
@@ -88,7 +90,7 @@ def directed(a: Outline, b: Outline) -> Directed:
             higher, hx, hy = _refine(segments, b.grid, stack, near_stack, most)
             if higher > most:
                 most, x, y, segment = higher, hx, hy, owners[k]
-    return Directed(most, x, y, segment, _percentile(distances, lengths), near)
+    return Directed(most, x, y, segment, _percentile(distances, lengths, least, sampled), near)
 
 
 @kernel
@@ -113,11 +115,15 @@ def _sampled(places: Floats, segments: Floats, grid: Grid) -> tuple[Floats, Ints
                 square = square_distance(x, y, segments, items[i])
                 closest = items[i] if square < best else closest
                 best = min(best, square)
+            found = closest
             if best <= inside * inside:
-                distances[k], near[k] = math.sqrt(best), closest
-                found = closest
+                distances[k], near[k] = math.sqrt(best), found
                 continue
-        distances[k], found = nearest_of(segments, starts, items, frame, x, y, found)
+            distances[k], found = nearest_beyond(
+                segments, starts, items, frame, x, y, column, row, found, best, 1
+            )
+        else:
+            distances[k], found = nearest_of(segments, starts, items, frame, x, y, found)
         near[k] = found
     return distances, near
 
@@ -200,16 +206,19 @@ def _refine(
 
 
 @kernel
-def _percentile(distances: Floats, lengths: Floats) -> float:
+def _percentile(distances: Floats, lengths: Floats, least: float, most: float) -> float:
     """Distance below which the given share of the length lies, the distance being linear along a piece.
 
-    A bracket is halved until the length below a distance in it grows at one rate.
+    A bracket, at first from the least to the greatest distance, is halved until the length below a distance in it grows at
+    one rate.
     """
-    low, high, weight = _spans(distances, lengths)
-    wanted = PERCENTILE * weight.sum()
-    bottom, top = low.min(), high.max()
-    # Length below the bracket, and its rise with the distance within, of pieces that have no end in it.
-    below, rate, count = _within(low, high, weight, low.size, bottom, top)
+    bottom, top = least, most
+    # Length below the bracket, and its rise with the distance within, of pieces that have no end in it; of the others, how
+    # many there are and how much of them is below the middle.
+    low, high, weight, total, (below, rate, count, half) = _spans(distances, lengths, bottom, top)
+    wanted = PERCENTILE * total
+    # So far apart can sums of the same lengths be that are added in another order; then they are added in one order.
+    doubt = 4.0 * EPSILON * distances.size * total
     if below >= wanted:
         return float(bottom)
     while count > 0:
@@ -217,48 +226,83 @@ def _percentile(distances: Floats, lengths: Floats) -> float:
         if not bottom < middle < top:
             return float(top)
         under = below + rate * (middle - bottom)
-        for k in range(count):
-            if high[k] <= middle:
-                under += weight[k]
-            elif low[k] < middle:
-                under += weight[k] * (middle - low[k]) / (high[k] - low[k])
+        if abs(under + half - wanted) > doubt:
+            under += half
+        else:
+            under = _added(low, high, weight, count, middle, under)
         if under >= wanted:
             top = middle
         else:
             below += rate * (middle - bottom)
             bottom = middle
-        more, steeper, count = _within(low, high, weight, count, bottom, top)
+        more, steeper, count, half = _within(low, high, weight, count, bottom, top)
         below, rate = below + more, rate + steeper
     return float(min(bottom + (wanted - below) / rate, top)) if rate > 0.0 else float(top)
 
 
 @kernel
-def _spans(distances: Floats, lengths: Floats) -> tuple[Floats, Floats, Floats]:
-    """Lesser and greater distance at the ends of each piece, and its length."""
+def _spans(
+    distances: Floats, lengths: Floats, bottom: float, top: float
+) -> tuple[Floats, Floats, Floats, float, tuple[float, float, int, float]]:
+    """Lesser and greater distance at the ends of each piece with an end inside a bracket, and its length.
+
+    Then the length of all pieces, and what :func:`_within` tells of them.
+    """
     low, high, weight = np.empty(distances.size), np.empty(distances.size), np.empty(distances.size)
-    count = 0
+    total, below, rate, kept, half = 0.0, 0.0, 0.0, 0, 0.0
     for k in range(distances.size - 1):
         if lengths[k] >= 0.0:
-            low[count], high[count] = min(distances[k], distances[k + 1]), max(distances[k], distances[k + 1])
-            weight[count] = lengths[k]
-            count += 1
-    return low[:count], high[:count], weight[:count]
+            start, stop = min(distances[k], distances[k + 1]), max(distances[k], distances[k + 1])
+            low[kept], high[kept], weight[kept] = start, stop, lengths[k]
+            under, rise, part, stays = _place(start, stop, lengths[k], bottom, top)
+            total, below, rate, half = total + lengths[k], below + under, rate + rise, half + part
+            kept += stays
+    return low, high, weight, total, (below, rate, kept, half)
 
 
 @kernel
 def _within(
     low: Floats, high: Floats, weight: Floats, count: int, bottom: float, top: float
-) -> tuple[float, float, int]:
-    """Drop the pieces without an end inside a bracket: their length below it, its rise within, pieces left."""
-    below, rate, kept = 0.0, 0.0, 0
+) -> tuple[float, float, int, float]:
+    """Drop the pieces without an end inside a bracket: their length below it, its rise within, how many are left.
+
+    Then the length of those that are left below the middle of the bracket, up to rounding.
+    """
+    below, rate, kept, half = 0.0, 0.0, 0, 0.0
     for k in range(count):
-        if high[k] <= bottom:
-            below += weight[k]
-        elif low[k] <= bottom and high[k] >= top:
-            rise = weight[k] / (high[k] - low[k])
-            below += rise * (bottom - low[k])
-            rate += rise
-        elif low[k] < top:
-            low[kept], high[kept], weight[kept] = low[k], high[k], weight[k]
-            kept += 1
-    return below, rate, kept
+        start, stop, length = low[k], high[k], weight[k]
+        low[kept], high[kept], weight[kept] = start, stop, length
+        under, rise, part, stays = _place(start, stop, length, bottom, top)
+        below, rate, half = below + under, rate + rise, half + part
+        kept += stays
+    return below, rate, kept, half
+
+
+@kernel
+def _place(
+    start: float, stop: float, length: float, bottom: float, top: float
+) -> tuple[float, float, float, bool]:
+    """Where a piece lies to a bracket: its length below, its rise within, its length below the middle, whether it stays.
+
+    The first two are told of a piece without an end inside, which is dropped; the third of one that stays. Without a
+    branch: where a piece lies is as good as random.
+    """
+    rise, middle = np.divide(length, stop - start), 0.5 * (bottom + top)
+    is_under, is_over = stop <= bottom, start >= top
+    across = (start <= bottom) & (stop >= top) & (not is_under)
+    stays = not (is_under | is_over | across)
+    below = rise * (bottom - start) if across else 0.0
+    below = length if is_under else below
+    part = length if stop <= middle else rise * (middle - start)
+    return below, rise if across else 0.0, part if stays & (start <= middle) else 0.0, stays
+
+
+@kernel
+def _added(low: Floats, high: Floats, weight: Floats, count: int, middle: float, under: float) -> float:
+    """Add to a length that of the first pieces below a distance, one after the other."""
+    for k in range(count):
+        if high[k] <= middle:
+            under += weight[k]
+        elif low[k] < middle:
+            under += weight[k] * (middle - low[k]) / (high[k] - low[k])
+    return under

@@ -16,6 +16,9 @@ CELLS_PER_SEGMENT = 12
 MOST_ENTRIES_PER_SEGMENT = 64
 """A grid in which segments cross more cells than this on average is made coarser."""
 
+CELLS_AT_ENDS = 8
+"""Cells that a segment passes through beside those between which it crosses a border, at most."""
+
 
 class Grid(NamedTuple):
     """Segments by the square cells that they pass through."""
@@ -62,13 +65,21 @@ def nearest_of(
 ) -> tuple[float, int]:  # fmt: skip
     """As :func:`nearest`, for loops: columns taken out of a tuple in there would cost reference counts each time."""
     x0, y0, cell, columns, rows = frame
-    best = np.inf
-    found = guess
-    if guess >= 0:
-        best = square_distance(x, y, segments, guess)
-    column = _cell(x, x0, cell, columns)
-    row = _cell(y, y0, cell, rows)
-    reach = 0
+    best = square_distance(x, y, segments, guess) if guess >= 0 else np.inf
+    column, row = _cell(x, x0, cell, columns), _cell(y, y0, cell, rows)
+    return nearest_beyond(segments, starts, items, frame, x, y, column, row, guess, best, 0)
+
+
+@kernel
+def nearest_beyond(
+    segments: Floats, starts: ShortInts, items: ShortInts, frame: tuple[float, float, float, int, int],
+    x: float, y: float, column: int, row: int, found: int, best: float, reach: int,
+) -> tuple[float, int]:  # fmt: skip
+    """As :func:`nearest`, where of the cells nearer than `reach` to the one of (x, y) segment `found` is the nearest.
+
+    `best` is the square of its distance; no cells are nearer than 0.
+    """
+    x0, y0, cell, columns, rows = frame
     while True:
         for r in range(max(row - reach, 0), min(row + reach, rows - 1) + 1):
             below = y0 + r * cell
@@ -164,31 +175,43 @@ def _cell(place: float, start: float, cell: float, count: int) -> int:
 def _filed(
     segments: Floats, x0: float, y0: float, cell: float, columns: int, rows: int
 ) -> tuple[ShortInts, ShortInts]:
-    """Segments in each cell: counted first, then filed."""
+    """Segments in each cell: what is where is found and counted first, then filed."""
     starts = np.zeros(columns * rows + 1, np.int32)
-    items = np.empty(0, np.int32)
-    for filing in (False, True):
-        for i in range(len(segments)):
-            ax, ay, bx, by = segments[i, 0], segments[i, 1], segments[i, 2], segments[i, 3]
-            if by < ay:
-                ax, ay, bx, by = bx, by, ax, ay
-            low, high = _cell(ay, y0, cell, rows), _cell(by, y0, cell, rows)
-            slope = (bx - ax) / (by - ay) if high > low else 0.0
-            for row in range(low, high + 1):
-                left = ax if row == low else ax + (y0 + row * cell - ay) * slope
-                right = bx if row == high else ax + (y0 + (row + 1) * cell - ay) * slope
-                if right < left:
-                    left, right = right, left
-                for column in range(_cell(left, x0, cell, columns), _cell(right, x0, cell, columns) + 1):
-                    at = row * columns + column
-                    if filing:
-                        starts[at] -= 1
-                        items[starts[at]] = i
-                    else:
-                        starts[at] += 1
-        if not filing:
-            # Running totals: each cell's end now, its start once filing has counted down.
-            for at in range(1, starts.size):
-                starts[at] += starts[at - 1]
-            items = np.empty(starts[-1], np.int32)
+    cells, owners = np.empty(_room(segments, cell), np.int32), np.empty(_room(segments, cell), np.int32)
+    count = 0
+    for i in range(len(segments)):
+        ax, ay, bx, by = segments[i, 0], segments[i, 1], segments[i, 2], segments[i, 3]
+        if by < ay:
+            ax, ay, bx, by = bx, by, ax, ay
+        low, high = _cell(ay, y0, cell, rows), _cell(by, y0, cell, rows)
+        slope = (bx - ax) / (by - ay) if high > low else 0.0
+        for row in range(low, high + 1):
+            left = ax if row == low else ax + (y0 + row * cell - ay) * slope
+            right = bx if row == high else ax + (y0 + (row + 1) * cell - ay) * slope
+            if right < left:
+                left, right = right, left
+            for column in range(_cell(left, x0, cell, columns), _cell(right, x0, cell, columns) + 1):
+                at = row * columns + column
+                starts[at] += 1
+                cells[count], owners[count] = at, i
+                count += 1
+    # Running totals: each cell's end now, its start once filing has counted down.
+    total = 0
+    for at in range(starts.size):
+        total += starts[at]
+        starts[at] = total
+    items = np.empty(count, np.int32)
+    for k in range(count):
+        starts[cells[k]] -= 1
+        items[starts[cells[k]]] = owners[k]
     return starts, items
+
+
+@kernel
+def _room(segments: Floats, cell: float) -> int:
+    """Cells that segments pass through, counted once for each, at most."""
+    through = 0.0
+    for i in range(len(segments)):
+        through += abs(segments[i, 2] - segments[i, 0]) + abs(segments[i, 3] - segments[i, 1])
+    # One for each border that is crossed, and that in which it starts; rounding may add one at each end, in both directions.
+    return int(through / cell) + CELLS_AT_ENDS * len(segments)

@@ -12,7 +12,7 @@ from ebamcheck.comparison.depth import Deepest, enough_mm, resolution_mm, search
 from ebamcheck.comparison.distance import Directed, directed
 from ebamcheck.comparison.grid import nearest
 from ebamcheck.comparison.matching import linked_within
-from ebamcheck.comparison.outline import Outline, encloses, winding
+from ebamcheck.comparison.outline import Outline, encloses, winding, windings
 from ebamcheck.comparison.overlap import Overlap, overlap
 from ebamcheck.numeric.kernels import kernel
 
@@ -128,9 +128,8 @@ def _reached(o: Outline, farthest: Directed, resolution_mm: float) -> Deepest:
     ahead = ux * (middle_x - farthest.x_mm) + uy * (middle_y - farthest.y_mm) > 0.0
     sign = towards if ahead else -towards
     x, y = farthest.x_mm + sign * ux, farthest.y_mm + sign * uy
-    left = winding(o, x - aside * uy, y + aside * ux) > 0
-    right = winding(o, x + aside * uy, y - aside * ux) > 0
-    return Deepest(farthest.most_mm, farthest.x_mm, farthest.y_mm) if left != right else nothing
+    left, right = windings(o, x - aside * uy, y + aside * ux, x + aside * uy, y - aside * ux)
+    return Deepest(farthest.most_mm, farthest.x_mm, farthest.y_mm) if (left > 0) != (right > 0) else nothing
 
 
 @kernel

@@ -49,22 +49,39 @@ def outline(layers: Layers, layer: int, origin_mm: tuple[float, float]) -> Outli
 @kernel
 def encloses(o: Outline) -> bool:
     """Whether any closed ring of an outline has an extent, so that it may bound a region."""
-    return len(o.chains.events) > 0
+    return len(o.chains.steps) > 0
 
 
 @kernel
 def winding(o: Outline, x: float, y: float) -> int:
     """Winding number of the closed rings of an outline about (x, y)."""
-    segments = o.segments
     total = 0
     for i in range(o.paths[o.rings]):
-        if (segments[i, 1] <= y) != (segments[i, 3] <= y):
-            low, high = (0, 2) if segments[i, 1] <= y else (2, 0)
-            across = (segments[i, high] - segments[i, low]) * (y - segments[i, low + 1])
-            across -= (x - segments[i, low]) * (segments[i, high + 1] - segments[i, low + 1])
-            if across < 0.0:
-                total += -1 if low == 0 else 1
+        total += _turn(o.segments, i, x, y)
     return total
+
+
+@kernel
+def windings(o: Outline, x0: float, y0: float, x1: float, y1: float) -> tuple[int, int]:
+    """Winding numbers about two points, in one pass over the segments."""
+    first, second = 0, 0
+    for i in range(o.paths[o.rings]):
+        first += _turn(o.segments, i, x0, y0)
+        second += _turn(o.segments, i, x1, y1)
+    return first, second
+
+
+@kernel
+def _turn(segments: Floats, i: int, x: float, y: float) -> int:
+    """What segment `i` adds to the winding number about (x, y)."""
+    if (segments[i, 1] <= y) == (segments[i, 3] <= y):
+        return 0
+    low, high = (0, 2) if segments[i, 1] <= y else (2, 0)
+    across = (segments[i, high] - segments[i, low]) * (y - segments[i, low + 1])
+    across -= (x - segments[i, low]) * (segments[i, high + 1] - segments[i, low + 1])
+    if across < 0.0:
+        return -1 if low == 0 else 1
+    return 0
 
 
 @kernel

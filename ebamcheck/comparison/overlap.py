@@ -17,13 +17,14 @@ import numpy as np
 from ebamcheck.comparison import sweep_status as status
 from ebamcheck.comparison.chains import (
     ADVANCE,
+    CLOSE,
     KIND,
     LEFT,
     LEFT_SEGMENT,
-    OPEN,
     RIGHT,
     RIGHT_SEGMENT,
-    Chains,
+    SLOPE,
+    X_LOW,
 )
 from ebamcheck.comparison.outline import Outline
 from ebamcheck.numeric.kernels import kernel
@@ -50,74 +51,145 @@ class Overlap(NamedTuple):
     """False where the crossings were too many."""
 
 
+NEXT_A, NEXT_B, EDGES, CROSSINGS = 0, 1, 2, 3
+"""How far a sweep has come: events of either outline that have been met, edges of the status, and crossings passed."""
+
+
 @kernel
 def overlap(a: Outline, b: Outline, wanted: bool) -> Overlap:
     """Sweep over two outlines; the trapezoids of the symmetric difference are written down if `wanted`."""
-    levels, events = _together(a.chains, b.chains, len(a.segments))
-    segments = np.concatenate((a.segments, b.segments))
     steps = _steps(a.chains.steps, b.chains.steps)
-    edges = np.empty((len(steps), status.EDGE_COLUMNS))
-    marks = np.empty((len(steps), status.MARK_COLUMNS), np.int64)
-    sums = np.zeros(status.SUMS)
-    sums[status.NEXT_CROSSING] = np.inf
+    # Beyond the edges there are two borders, and beyond the marks a row of zeros, the last one.
+    edges = np.zeros((len(steps) + 2, status.EDGE_COLUMNS))
+    marks = np.zeros((len(steps) + 1, status.MARK_COLUMNS), np.int64)
+    sums, come = np.zeros(status.SUMS), np.zeros(4, np.int64)
+    status.set_borders(edges, 0)
     difference = np.empty((64 if wanted else 0, status.TRAPEZOID_COLUMNS))
-    crossings, n = 0, 0
-    next_a, next_b = 0, a.chains.levels.size
-    # What most levels do stands here at length: a kernel that calls kernels pays reference counts for its tables.
-    for _ in range(len(events)):
-        # Without a branch: which of the two goes on is as good as random.
-        from_a = levels[next_a] <= levels[next_b]
-        k = next_a if from_a else next_b
-        next_a, next_b = next_a + from_a, next_b + (not from_a)
-        y, k = levels[k], k - (not from_a)
-        if wanted:
-            difference = _with_room(difference, sums, n)
-        while sums[status.NEXT_CROSSING] <= y:
-            m = status.next_crossing(edges, sums, n)
-            level = sums[status.NEXT_CROSSING]
-            if level > y:
-                break
-            crossings += 1
-            if crossings > MOST_CROSSINGS:
-                return Overlap(0.0, 0.0, 0.0, difference[:0], False)
-            status.take_areas(edges, marks, sums, difference, m - 1, m + 1, n, level)
-            status.swap(edges, marks, m)
-            status.start_gaps(edges, sums, m - 1, m + 1, n, level)
-            if wanted:
-                difference = _with_room(difference, sums, n)
-        if events[k, KIND] == ADVANCE:
-            m = marks[events[k, LEFT], status.PLACE]
-            status.take_areas(edges, marks, sums, difference, m - 1, m, n, y)
-            status.set_edge(edges, m, segments, events[k, LEFT_SEGMENT])
-            if not status.start_gaps(edges, sums, m - 1, m, n, y):
-                status.settle(edges, marks, sums, difference, m, n, y)
-        elif events[k, KIND] == OPEN:
-            left, right, s, t = (
-                events[k, LEFT],
-                events[k, RIGHT],
-                events[k, LEFT_SEGMENT],
-                events[k, RIGHT_SEGMENT],
-            )
-            status.start_pair(edges, marks, sums, difference, n, y, left, right, segments, s, t, steps)
-            n += 2
-        else:
-            status.end_pair(edges, marks, sums, difference, n, y, events[k, LEFT], events[k, RIGHT])
-            n -= 2
+    while not _sweep(a, b, steps, edges, marks, sums, difference, come):
+        taken = int(sums[status.TRAPEZOIDS])
+        larger = np.empty((2 * (taken + TAKEN_AN_EDGE * (come[EDGES] + 2)), status.TRAPEZOID_COLUMNS))
+        larger[:taken] = difference[:taken]
+        difference = larger
+    if come[CROSSINGS] > MOST_CROSSINGS:
+        return Overlap(0.0, 0.0, 0.0, difference[:0], False)
     found = difference[: int(sums[status.TRAPEZOIDS])].copy()
     return Overlap(sums[status.AREA_A], sums[status.AREA_B], sums[status.DIFFERENCE], found, True)
 
 
 @kernel
-def _together(a: Chains, b: Chains, segments_a: int) -> tuple[Floats, ShortInts]:
-    """Levels and events of `a`, then those of `b`; chains and segments of `b` numbered after those of `a`."""
-    levels = np.concatenate((a.levels, b.levels))
-    events = np.concatenate((a.events, b.events))
-    for k in range(len(a.events), len(events)):
-        events[k, LEFT] += a.steps.size
-        events[k, RIGHT] += a.steps.size
-        events[k, LEFT_SEGMENT] += segments_a
-        events[k, RIGHT_SEGMENT] += segments_a
-    return levels, events
+def _sweep(
+    a: Outline,
+    b: Outline,
+    steps: Ints,
+    edges: Floats,
+    marks: Ints,
+    sums: Floats,
+    difference: Floats,
+    come: Ints,
+) -> bool:
+    """Sweep on from where it has come to; False where there is no room to write down what the next step may add.
+
+    What most levels do stands here at length: to call a kernel with all tables costs more than what it does. And nothing
+    that is as good as random is a branch: which outline goes on, and to which areas a gap adds.
+    """
+    levels_a, events_a, edges_a = a.chains.levels, a.chains.events, a.chains.edges
+    levels_b, events_b, edges_b = b.chains.levels, b.chains.events, b.chains.edges
+    segments_a, segments_b, segments, chains = a.segments, b.segments, len(a.segments), a.chains.steps.size
+    next_a, next_b, n, crossings = come[NEXT_A], come[NEXT_B], come[EDGES], come[CROSSINGS]
+    area_a, area_b, differs = sums[status.AREA_A], sums[status.AREA_B], sums[status.DIFFERENCE]
+    wanted, room = len(difference) > 0, True
+    # The edge that crosses the next one first, if it does so at the lowest level; if not, it is looked for.
+    first, lowest = status.first_crossing(edges, n)
+    for _ in range(levels_a.size + levels_b.size - 2 - next_a - next_b):
+        y = min(levels_a[next_a], levels_b[next_b])
+        room = not wanted or _has_room(difference, sums, n)
+        while room and lowest <= y:
+            if edges[first, status.CROSSING] != lowest:
+                first, lowest = status.first_crossing(edges, n)
+                continue
+            crossings += 1
+            if crossings > MOST_CROSSINGS:
+                break
+            right = status.pass_level(edges, first - 1, lowest)
+            for k in range(first - 1, first + 2):
+                left, right = right, status.pass_level(edges, k + 1, lowest)
+                area, of_a, of_b, of_one = status.gap_shares(edges, marks, k, left, right, lowest)
+                area_a, area_b = area_a + of_a * area, area_b + of_b * area
+                differs += of_one * max(area, 0.0)
+                if wanted and of_one and edges[k, status.SINCE] != lowest:
+                    status.write_down(edges, sums, difference, k, lowest, left, right)
+            status.swap(edges, marks, first)
+            for k in range(first - 1, first + 2):
+                status.start_gap(edges, k, lowest)
+            first, lowest = status.first_crossing(edges, n)
+            room = not wanted or _has_room(difference, sums, n)
+        if not room or crossings > MOST_CROSSINGS:
+            break
+        from_a = levels_a[next_a] <= levels_b[next_b]
+        kind_a, chain_a = events_a[next_a, KIND], events_a[next_a, LEFT]
+        kind_b, chain_b = events_b[next_b, KIND], events_b[next_b, LEFT]
+        kind, in_order = kind_a if from_a else kind_b, False
+        m = marks[chain_a if from_a else chain_b + chains, status.PLACE]
+        if kind == ADVANCE:
+            right = status.pass_level(edges, m - 1, y)
+            for k in range(m - 1, m + 1):
+                left, right = right, status.pass_level(edges, k + 1, y)
+                area, of_a, of_b, of_one = status.gap_shares(edges, marks, k, left, right, y)
+                area_a, area_b = area_a + of_a * area, area_b + of_b * area
+                differs += of_one * max(area, 0.0)
+                if wanted and of_one and edges[k, status.SINCE] != y:
+                    status.write_down(edges, sums, difference, k, y, left, right)
+            for c in range(SLOPE + 1):
+                here, there = edges_a[next_a, c], edges_b[next_b, c]
+                edges[m, c] = here if from_a else there
+            segment_a, segment_b = events_a[next_a, LEFT_SEGMENT], events_b[next_b, LEFT_SEGMENT]
+            edges[m, status.SEGMENT] = segment_a if from_a else segment_b + segments
+            edges[m, status.X_NOW] = edges[m, X_LOW]
+            in_order = True
+            for k in range(m - 1, m + 1):
+                level = status.start_gap(edges, k, y)
+                in_order &= edges[k, status.LEFT] <= edges[k, status.RIGHT]
+                first = k if (level < lowest) | ((level == lowest) & (k < first)) else first
+                lowest = min(lowest, level)
+        if not in_order:
+            sums[status.AREA_A], sums[status.AREA_B], sums[status.DIFFERENCE] = area_a, area_b, differs
+            if kind == ADVANCE:
+                status.settle(edges, marks, sums, difference, m, n, y)
+            elif from_a:
+                n += _turn(edges, marks, sums, difference, n, y, events_a[next_a], segments_a, (0, 0), steps)
+            else:
+                after = (chains, segments)
+                n += _turn(edges, marks, sums, difference, n, y, events_b[next_b], segments_b, after, steps)
+            area_a, area_b, differs = sums[status.AREA_A], sums[status.AREA_B], sums[status.DIFFERENCE]
+            first, lowest = status.first_crossing(edges, n)
+        next_a, next_b = next_a + from_a, next_b + (not from_a)
+    sums[status.AREA_A], sums[status.AREA_B], sums[status.DIFFERENCE] = area_a, area_b, differs
+    come[NEXT_A], come[NEXT_B], come[EDGES], come[CROSSINGS] = next_a, next_b, n, crossings
+    return room
+
+
+@kernel
+def _turn(
+    edges: Floats, marks: Ints, sums: Floats, difference: Floats, n: int, y: float, event: ShortInts,
+    segments: Floats, after: tuple[int, int], steps: Ints,
+) -> int:  # fmt: skip
+    """Let two chains start or end at an event of one outline; how many edges more there are then.
+
+    `after` tells how many chains and segments of the other outline are numbered before its own.
+    """
+    left, right = event[LEFT] + after[0], event[RIGHT] + after[0]
+    if event[KIND] == CLOSE:
+        status.end_pair(edges, marks, sums, difference, n, y, left, right)
+        return -2
+    s, t = event[LEFT_SEGMENT], event[RIGHT_SEGMENT]
+    status.start_pair(edges, marks, sums, difference, n, y, left, right, segments, s, t, after[1], steps)
+    return 2
+
+
+@kernel
+def _has_room(difference: Floats, sums: Floats, n: int) -> bool:
+    """Whether all trapezoids can be written down that one step of the sweep may add."""
+    return bool(int(sums[status.TRAPEZOIDS]) + TAKEN_AN_EDGE * (n + 2) <= len(difference))
 
 
 @kernel
@@ -127,15 +199,3 @@ def _steps(a: Ints, b: Ints) -> Ints:
     steps[: a.size, 0] = a
     steps[a.size :, 1] = b
     return steps
-
-
-@kernel
-def _with_room(difference: Floats, sums: Floats, n: int) -> Floats:
-    """Trapezoids with room for all that one step of the sweep may add."""
-    taken = int(sums[status.TRAPEZOIDS])
-    needed = taken + TAKEN_AN_EDGE * (n + 2)
-    if needed <= len(difference):
-        return difference
-    larger = np.empty((2 * needed, status.TRAPEZOID_COLUMNS))
-    larger[:taken] = difference[:taken]
-    return larger

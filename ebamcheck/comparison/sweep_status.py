@@ -10,18 +10,21 @@ level is found at which they cross. So an order that rounding gets wrong costs t
 that coincide within rounding, and shared edges and touching rings need no care.
 
 The status is two tables with a row an edge, from left to right, and a few sums. They are handed on one by
-one: a tuple of them would cost reference counts at every call.
+one: a tuple of them would cost reference counts at every call. Row -1, the last one, and the row after the last
+edge are borders (:func:`set_borders`): what is done to the two gaps beside an edge need not ask which there are.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from ebamcheck.comparison import chains
+from ebamcheck.comparison.chains import SLOPE, X_HIGH, X_LOW, Y_HIGH, Y_LOW
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
 
-X_LOW, Y_LOW, X_HIGH, Y_HIGH, SLOPE, SEGMENT = 0, 1, 2, 3, 4, 5
-"""Columns of `edges`: ends of the edge, mm, its change of x with y, and which segment it is."""
+SEGMENT = 5
+"""Column of `edges` after those of :attr:`ebamcheck.comparison.chains.Chains.edges`: which segment it is."""
 
 X_NOW = 6
 """Column of `edges`: x at the level at which the areas beside it were taken last."""
@@ -44,6 +47,9 @@ AREA_A, AREA_B, DIFFERENCE, NEXT_CROSSING, TRAPEZOIDS = 0, 1, 2, 3, 4
 
 SUMS = 5
 
+BORDER_MM = 1e200
+"""x of the borders: left and right of every edge, and so that areas up to them are finite."""
+
 Y0, Y1, L0, L1, R0, R1, LEFT_SEGMENT, RIGHT_SEGMENT = 0, 1, 2, 3, 4, 5, 6, 7
 """Columns of `difference`, the trapezoids of the symmetric difference: levels, x of both sides at each, and
 the segments on which these lie. It has no rows where they are not wanted."""
@@ -62,12 +68,41 @@ def x_at(edges: Floats, k: int, y: float) -> float:
 
 
 @kernel
-def set_edge(edges: Floats, k: int, segments: Floats, s: int) -> None:
-    """Let edge `k` be segment `s`."""
-    low, high = (0, 2) if segments[s, 3] > segments[s, 1] else (2, 0)
-    x0, y0, x1, y1 = segments[s, low], segments[s, low + 1], segments[s, high], segments[s, high + 1]
-    edges[k, X_LOW], edges[k, Y_LOW], edges[k, X_HIGH], edges[k, Y_HIGH] = x0, y0, x1, y1
-    edges[k, SLOPE], edges[k, SEGMENT], edges[k, X_NOW] = np.divide(x1 - x0, y1 - y0), s, x0
+def set_borders(edges: Floats, n: int) -> None:
+    """Let a border stand after `n` edges and one before them. Winding numbers beyond both are 0: all rings are closed."""
+    for k, x in ((-1, -BORDER_MM), (n, BORDER_MM)):
+        edges[k, X_LOW], edges[k, X_HIGH], edges[k, X_NOW] = x, x, x
+        edges[k, Y_LOW], edges[k, Y_HIGH], edges[k, SLOPE] = 0.0, np.inf, 0.0
+        edges[k, CROSSING] = np.inf
+
+
+@kernel
+def set_edge(edges: Floats, k: int, segments: Floats, s: int, number: int) -> None:
+    """Let edge `k` be segment `s`, which is known by a number."""
+    chains.set_edge(edges, k, segments, s)
+    edges[k, SEGMENT], edges[k, X_NOW] = number, edges[k, X_LOW]
+
+
+@kernel
+def pass_level(edges: Floats, k: int, y: float) -> float:
+    """x of edge `k` at a level, which is noted: the areas beside it are taken there."""
+    x = x_at(edges, k, y)
+    edges[k, X_NOW] = x
+    return x
+
+
+@kernel
+def gap_shares(
+    edges: Floats, marks: Ints, k: int, left: float, right: float, y: float
+) -> tuple[float, bool, bool, bool]:
+    """Area of gap `k` up to a level at which its sides are at `left` and `right`; whether it is in a, in b, in one alone.
+
+    They are taken as factors, so that all sums are added to, if only nothing: which of them a gap adds to is as good as
+    random, and a choice between numbers by a condition on others is a branch in machine code.
+    """
+    area = 0.5 * ((edges[k, RIGHT] - edges[k, LEFT]) + (right - left)) * (y - edges[k, SINCE])
+    in_a, in_b = marks[k, WINDING_A] > 0, marks[k, WINDING_B] > 0
+    return area, in_a, in_b, in_a != in_b
 
 
 @kernel
@@ -76,53 +111,51 @@ def take_areas(
 ) -> None:
     """Add the trapezoids of gaps ``first .. last`` up to a level to the areas that they belong to."""
     first, last = max(first, 0), min(last, n - 2)
-    right = x_at(edges, first, y)
-    edges[first, X_NOW] = right
+    right = pass_level(edges, first, y)
     for k in range(first, last + 1):
-        left, right = right, x_at(edges, k + 1, y)
-        edges[k + 1, X_NOW] = right
-        in_a, in_b = marks[k, WINDING_A] > 0, marks[k, WINDING_B] > 0
-        area = 0.5 * ((edges[k, RIGHT] - edges[k, LEFT]) + (right - left)) * (y - edges[k, SINCE])
-        # Which of them a gap adds to is as good as random, so each is added to, if only nothing: by factors, for a choice
-        # between numbers by a condition on others is a branch in machine code.
-        sums[AREA_A] += in_a * area
-        sums[AREA_B] += in_b * area
-        sums[DIFFERENCE] += (in_a != in_b) * max(area, 0.0)
-        if len(difference) and in_a != in_b and edges[k, SINCE] != y:
-            _write_down(edges, sums, difference, k, y, left, right)
+        left, right = right, pass_level(edges, k + 1, y)
+        area, of_a, of_b, of_one = gap_shares(edges, marks, k, left, right, y)
+        sums[AREA_A] += of_a * area
+        sums[AREA_B] += of_b * area
+        sums[DIFFERENCE] += of_one * max(area, 0.0)
+        if len(difference) and of_one and edges[k, SINCE] != y:
+            write_down(edges, sums, difference, k, y, left, right)
         edges[k, SINCE], edges[k, LEFT], edges[k, RIGHT] = y, left, right
 
 
 @kernel
-def start_gaps(edges: Floats, sums: Floats, first: int, last: int, n: int, y: float) -> bool:
-    """Start gaps ``first .. last`` at the level at which areas beside their edges were taken, or where these begin.
+def start_gap(edges: Floats, k: int, y: float) -> float:
+    """Start gap `k` at the level at which areas beside its edges were taken, or where these begin.
 
-    Where the edges cross is found; whether all are in order at the level is returned.
+    The level at which they cross is returned; infinite where they do not.
     """
-    first, last = max(first, 0), min(last, n - 2)
+    left, right = edges[k, X_NOW], edges[k + 1, X_NOW]
+    top = min(edges[k, Y_HIGH], edges[k + 1, Y_HIGH])
+    over = x_at(edges, k, top) - x_at(edges, k + 1, top)
+    apart = max(right - left, 0.0)
+    level = min(y + np.divide(apart, apart + over) * (top - y), top) if over > 0.0 else np.inf
+    edges[k, SINCE], edges[k, LEFT], edges[k, RIGHT], edges[k, CROSSING] = y, left, right, level
+    return float(level)
+
+
+@kernel
+def start_gaps(edges: Floats, sums: Floats, first: int, last: int, n: int, y: float) -> bool:
+    """Start gaps ``first .. last`` at a level, as far as there are such; whether all are in order there is returned."""
     in_order = True
-    for k in range(first, last + 1):
-        left, right = edges[k, X_NOW], edges[k + 1, X_NOW]
-        in_order &= left <= right
-        top = min(edges[k, Y_HIGH], edges[k + 1, Y_HIGH])
-        over = x_at(edges, k, top) - x_at(edges, k + 1, top)
-        apart = max(right - left, 0.0)
-        level = min(y + np.divide(apart, apart + over) * (top - y), top) if over > 0.0 else np.inf
-        edges[k, SINCE], edges[k, LEFT], edges[k, RIGHT], edges[k, CROSSING] = y, left, right, level
-        sums[NEXT_CROSSING] = min(sums[NEXT_CROSSING], level)
+    for k in range(max(first, 0), min(last, n - 2) + 1):
+        sums[NEXT_CROSSING] = min(sums[NEXT_CROSSING], start_gap(edges, k, y))
+        in_order &= edges[k, LEFT] <= edges[k, RIGHT]
     return in_order
 
 
 @kernel
-def next_crossing(edges: Floats, sums: Floats, n: int) -> int:
-    """Edge that crosses the next one before any others do; -1 for none. Its level is noted."""
-    first = -1
-    level = np.inf
+def first_crossing(edges: Floats, n: int) -> tuple[int, float]:
+    """Edge that crosses the next one before any others do, and the level at which they cross; -1 and infinite for none."""
+    first, level = -1, np.inf
     for k in range(n - 1):
         first = k if edges[k, CROSSING] < level else first
         level = min(level, edges[k, CROSSING])
-    sums[NEXT_CROSSING] = level
-    return first
+    return first, level
 
 
 @kernel
@@ -147,13 +180,13 @@ def settle(edges: Floats, marks: Ints, sums: Floats, difference: Floats, k: int,
         k -= 1
 
 
-# Twelve parameters: a tuple of the tables would cost reference counts at every call, see above.
+# Thirteen parameters: a tuple of the tables would cost reference counts at every call, see above.
 @kernel
 def start_pair(
     edges: Floats, marks: Ints, sums: Floats, difference: Floats, n: int, y: float, left: int, right: int,
-    segments: Floats, s: int, t: int, steps: Ints,
+    segments: Floats, s: int, t: int, number: int, steps: Ints,
 ) -> None:  # fmt: skip
-    """Let two chains start at a level, the left one with segment `s`, the other with `t`."""
+    """Let two chains start at a level, the left one with segment `s`, the other with `t`; `number` is that of segment 0."""
     k = 0
     x = segments[s, 0] if segments[s, 1] < segments[s, 3] else segments[s, 2]
     while k < n and x_at(edges, k, y) <= x:
@@ -162,10 +195,11 @@ def start_pair(
     for i in range(n - 1, k - 1, -1):
         _move(edges, marks, i, i + 2)
     for place, chain, segment in ((k, left, s), (k + 1, right, t)):
-        set_edge(edges, place, segments, segment)
+        set_edge(edges, place, segments, segment, number + segment)
         marks[place, CHAIN], marks[chain, PLACE] = chain, place
         marks[place, STEP_A], marks[place, STEP_B] = steps[chain, 0], steps[chain, 1]
         _set_winding(marks, place)
+    set_borders(edges, n + 2)
     if not start_gaps(edges, sums, k - 1, k + 1, n + 2, y):
         # Where a level run lies between the two, the right one belongs further to the right.
         settle(edges, marks, sums, difference, k + 1, n + 2, y)
@@ -185,6 +219,7 @@ def end_pair(
     take_areas(edges, marks, sums, difference, k - 1, k + 1, n, y)
     for i in range(k + 2, n):
         _move(edges, marks, i, i - 2)
+    set_borders(edges, n - 2)
     start_gaps(edges, sums, k - 1, k - 1, n - 2, y)
 
 
@@ -204,7 +239,7 @@ def _set_winding(marks: Ints, k: int) -> None:
 
 
 @kernel
-def _write_down(
+def write_down(
     edges: Floats, sums: Floats, difference: Floats, k: int, y: float, left: float, right: float
 ) -> None:
     """Write down the trapezoid of gap `k` up to a level."""
