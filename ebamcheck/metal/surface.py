@@ -199,4 +199,4 @@ def levelled(height: Floats, share: Floats, bead_cells: float) -> Floats:
 def _spread(height: Floats, share: Floats, sigma: float) -> tuple[Floats, Floats]:
     """Heights times shares, and shares, spread by a Gaussian."""
     weights = gaussian_weights(sigma)
-    return spread_by(height * share, weights), spread_by(share, weights)
+    return spread_by(height * share, weights), spread_by(np.ascontiguousarray(share), weights)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
+from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -12,6 +13,7 @@ import pandas as pd
 
 from ebamcheck.atomic_file import COMPRESSION
 from ebamcheck.curves import LIFTED, Curves, fit
+from ebamcheck.curves.per_part import surface_kept
 from ebamcheck.findings import has_fault
 from ebamcheck.kinematics import side_by_side
 from ebamcheck.layers.stack import Layers, from_polygons
@@ -20,7 +22,7 @@ from ebamcheck.pipeline import gates, noticed_in_program
 from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.cross_check import CrossCheck
 from ebamcheck.pipeline.entry_program import Entry, write_entry
-from ebamcheck.pipeline.fitted import FitResult, fitted, held_against
+from ebamcheck.pipeline.fitted import FitResult, beside_others, fitted, held_against
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.live_program import write_live
 from ebamcheck.pipeline.plate_record import plate_record
@@ -99,10 +101,14 @@ def make_program(
 ) -> ProgramResult:
     """Fit, partition, order, write, read back and verify."""
     config, layers = job.config, job.folder.read_layers(primary)
-    fit_result = fitted(job, layers, checked.outcomes[primary].error_bound_mm)
+    error_bound_mm = checked.outcomes[primary].error_bound_mm
     # What asks for much arithmetic and little Python goes on beside the rest.
-    with one_beside() as aside:
-        with_reference = aside.submit(held_against, job, layers, fit_result, fine)
+    with ExitStack() as kept, one_beside() as aside:
+        kept.enter_context(surface_kept(job.part))
+        fit_result = fitted(job, layers, error_bound_mm)
+        compared = aside.submit(beside_others, job, layers, fit_result, error_bound_mm)
+        compared.add_done_callback(lambda _: kept.close())
+        with_reference = aside.submit(lambda: held_against(job, layers, compared.result(), fine))
         with job.stage("partition and order", len(layers)):
             smooth = smooth_layers(fit_result.curves)
             plan = plan_stack(smooth, config, progress=job.observer.advance)
