@@ -9,6 +9,7 @@ import pandas as pd
 import shapely
 from shapely import affinity
 
+from ebamcheck.layers.stack import from_polygons
 from ebamcheck.settings.config import Config
 
 PROFILE = Config().changed(scan={"annealing_steps": 1000})
@@ -68,6 +69,14 @@ def whole_hexagons(plan):
     return np.flatnonzero(np.isclose(plan.island_area_mm2, area, rtol=1e-9))
 
 
+def stack(count=7):
+    bodies = [[affinity.rotate(blade(), 3.0 * k)] for k in range(count)]
+    bodies[3] = []
+    # The lowest cut lies half a layer over the plate: heights are then those over the plate.
+    heights = 0.5 * PROFILE.layer_height_mm + np.arange(count) * 1.7
+    return from_polygons(heights, bodies, part="abc", backend="planecut")
+
+
 def equal_plans(a, b):
     for name in ("heights", "island_layer", "island_kind", "island_area_mm2", "island_centroid"):
         assert np.array_equal(getattr(a, name), getattr(b, name)), name
@@ -75,6 +84,9 @@ def equal_plans(a, b):
         assert np.array_equal(getattr(a, name), getattr(b, name)), name
     for name in ("islands", "contours"):
         assert np.array_equal(shapely.to_wkb(getattr(a, name)), shapely.to_wkb(getattr(b, name))), name
+    assert (a.sections is None) == (b.sections is None)
+    if a.sections is not None:
+        assert np.array_equal(shapely.to_wkb(a.sections), shapely.to_wkb(b.sections)), "sections"
     pd.testing.assert_frame_equal(a.vectors, b.vectors, check_exact=True)
     pd.testing.assert_frame_equal(a.metrics, b.metrics, check_exact=True)
     assert a.settings == b.settings

@@ -9,7 +9,7 @@ from prism_program import CONFIG, Made
 
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.pipeline.gates import deposit_gate
-from ebamcheck.pipeline.noticed import of_metal
+from ebamcheck.pipeline.noticed_in_program import of_metal
 from ebamcheck.program import Check, program_summary, read_program
 from ebamcheck.program.checking.deposit import deposit
 from ebamcheck.program.checking.deposit_checks import DEPOSIT_CHECKS, deposit_checks

@@ -29,7 +29,7 @@ from ebamcheck.json_values import (
     write_json,
 )
 from ebamcheck.mesh.inspection import inspect
-from ebamcheck.pipeline import noticed, run_job
+from ebamcheck.pipeline import noticed, noticed_in_program, run_job
 from ebamcheck.pipeline.certificate import certificate, seal, write_certificate
 from ebamcheck.pipeline.certificate_checks import run_certificate_checks
 from ebamcheck.pipeline.run_folder import RunFolder
@@ -150,7 +150,7 @@ def test_placeholders_of_every_control_are_named_until_they_are_set(control):
 @pytest.mark.parametrize(("rise_k", "figure"), [(1000.0, None), (2000.0, 2293.15), (9000.0, 3533.0)])
 def test_no_temperature_over_the_boiling_point_is_a_figure(rise_k, figure):
     plan = replace(make_plan([0.75, 2.25], []), metrics=pd.DataFrame({"entry_max_k": [np.nan, rise_k]}))
-    found = list(noticed.of_heat(plan, Config()))
+    found = list(noticed_in_program.of_heat(plan, Config()))
     assert [(f.figure, f.place) for f in found] == [
         (figure, "layer 1, z = 2.250 mm; layer 2 of the program, Z 3.000 mm")
     ] * (figure is not None)
@@ -163,7 +163,7 @@ def test_waits_and_power_are_told_with_their_figures():
         {"pause_s": [1800.0, 0.0], "deposit_s": [3000.0, 600.0], "travel_s": [900.0, 900.0]}
     )
     plan = replace(make_plan([0.75, 2.25], []), metrics=pd.DataFrame({"power_share": [1.0, 0.4]}))
-    wait, power = noticed.of_interpass(summary, plan, Config())
+    wait, power = noticed_in_program.of_interpass(summary, plan, Config())
     assert wait.text == "the program waits 0.5 of 2 hours for the part to cool"
     assert (power.figure, power.limit, power.place) == (
         2880.0,
@@ -171,7 +171,7 @@ def test_waits_and_power_are_told_with_their_figures():
         "layer 1, z = 2.250 mm; layer 2 of the program, Z 3.000 mm",
     )
     full = replace(plan, metrics=pd.DataFrame({"power_share": [1.0, 1.0]}))
-    assert not list(noticed.of_interpass(summary.assign(pause_s=0.0), full, Config()))
+    assert not list(noticed_in_program.of_interpass(summary.assign(pause_s=0.0), full, Config()))
 
 
 @pytest.mark.parametrize(
@@ -189,7 +189,7 @@ def test_a_limit_that_the_plan_does_not_keep_is_a_fault(process, figure, remedy)
     config = Config().changed(process=process)
     metrics = pd.DataFrame({"entry_max_k": [np.nan, 610.0], "enter_k": [300.0, 880.0]})
     plan = replace(make_plan([0.75, 2.25], []), metrics=metrics)
-    found = list(noticed.of_limit([], plan, config))
+    found = list(noticed_in_program.of_limit([], plan, config))
     assert [(f.severity, f.code, f.place) for f in found] == [
         ("fault", "interpass-limit", "layer 1, z = 2.250 mm; layer 2 of the program, Z 3.000 mm")
     ] * (figure is not None)
@@ -203,9 +203,9 @@ def test_a_limit_that_the_text_alone_does_not_keep_is_a_fault():
     metrics = pd.DataFrame({"entry_max_k": [500.0, 570.0]})
     plan = replace(make_plan([0.75, 2.25], []), metrics=metrics)
     hot = Check(INTERPASS, False, 1139.3, 873.0, "K", "MAIN_L0024.SPF:13", "surface at 1139 K")
-    (fault,) = noticed.of_limit([hot], plan, Config())
+    (fault,) = noticed_in_program.of_limit([hot], plan, Config())
     assert (fault.place, fault.figure, fault.limit) == ("MAIN_L0024.SPF:13", 1139.3, 873.0)
-    assert not list(noticed.of_limit([replace(hot, passed=True)], plan, Config()))
+    assert not list(noticed_in_program.of_limit([replace(hot, passed=True)], plan, Config()))
 
 
 SQUARE = np.array([(0, 0), (40, 0), (40, 40), (0, 40), (0, 0)], float)
@@ -221,7 +221,7 @@ def test_seams_at_corners_are_found_with_their_place(tmp_path):
     nc = read_program(write_program(curves, make_plan(heights, []), config, tmp_path / "p").main, config)
     row, turn_deg = seam_turns(nc)
     assert turn_deg == pytest.approx([0.0, 90.0], abs=1e-6)
-    (found,) = noticed.of_seams(nc, np.array(heights), config)
+    (found,) = noticed_in_program.of_seams(nc, np.array(heights), config)
     assert found.place == "layer 1, z = 2.250 mm, (5.000, 5.000); layer 2 of the program, Z 3.000 mm"
     assert found.text.startswith("1 of 2 closed contours")
     assert nc.layer[row].tolist() == [0, 1]
@@ -234,7 +234,7 @@ def test_a_round_contour_has_no_corner(tmp_path):
     curves = make_curves([0.75], [[[(ring, None)]]], [True])
     nc = read_program(write_program(curves, make_plan([0.75], []), Config(), tmp_path / "p").main, Config())
     assert seam_turns(nc)[1] == pytest.approx([360.0 / 64.0], abs=1e-3)
-    assert not list(noticed.of_seams(nc, np.array([0.75]), Config()))
+    assert not list(noticed_in_program.of_seams(nc, np.array([0.75]), Config()))
 
 
 # -- what is shown -----------------------------------------------------------------------------------

@@ -149,6 +149,53 @@ def test_a_wait_that_would_be_too_long_is_given_up():
     assert HeatColumn(CONFIG).wait_until(AMBIENT_K, 100.0) == 0.0
 
 
+@pytest.mark.parametrize("shape", [LayerShape(2.0, 800.0, 110.0), LayerShape(6.0, 800.0, 110.0, 40.0, 120.0)])
+@pytest.mark.parametrize("excess_k", [math.inf, -40.0])
+def test_beads_driven_at_once_are_beads_driven_one_by_one(shape, excess_k):
+    rng = np.random.default_rng(3)
+    body = laid(profile(), *[shape] * 5, tables=balance.enthalpy_tables(CONFIG))
+    body.advance(60.0, 60.0 * 4000.0)
+    one, limit_k = body.copy(), body.bed_k + excess_k
+    off_s, time_s = rng.uniform(-1.0, 6.0, 40), rng.uniform(0.0, 20.0, 40)
+    energy_j = 3000.0 * time_s
+    bed_k, wait_s = body.drive((off_s, time_s, energy_j), limit_k, 1e6)
+    assert (wait_s > 0.0).any() == math.isfinite(excess_k)
+    for n in range(40):
+        one.advance(float(off_s[n]))
+        assert bed_k[n] == one.bed_k
+        assert wait_s[n] == (one.wait_until(limit_k, 1e6) if one.bed_k > limit_k else 0.0)
+        one.advance(float(time_s[n]), float(energy_j[n]))
+    assert body.content.tobytes() == one.content.tobytes()
+    assert (body.absorbed_j, body.base_j, body.radiated_j) == (one.absorbed_j, one.base_j, one.radiated_j)
+
+
+def test_no_bead_is_driven_after_a_wait_that_is_too_long():
+    body = laid(CONFIG, *[LayerShape(2.0, 800.0, 110.0)] * 3)
+    body.advance(100.0, 4e5)
+    times = np.full(3, 5.0)
+    bed_k, wait_s = body.drive((times, times, times), AMBIENT_K - 1.0, 100.0)
+    assert 100.0 < wait_s[0] < 200.0
+    assert wait_s[1:].tolist() == [0.0, 0.0]
+    assert bed_k[0] > AMBIENT_K
+    assert np.isnan(bed_k[1:]).all()
+
+
+def test_a_time_without_end_leaves_no_temperature():
+    body = laid(CONFIG, *[LayerShape(2.0, 800.0, 110.0)] * 3)
+    endless = np.array([1.0, np.inf, 1.0, 1.0])
+    bed_k, _ = body.drive((np.ones(4), endless, np.full(4, 100.0)), 1e4, 1.0)
+    assert np.isfinite(bed_k[:2]).all()
+    assert np.isnan(bed_k[2:]).all()
+
+
+def test_beads_over_a_bare_plate_find_it_as_it_is():
+    bed_k, wait_s = HeatColumn(CONFIG).drive((np.ones(2), np.ones(2), np.ones(2)))
+    assert bed_k.tolist() == [AMBIENT_K, AMBIENT_K]
+    assert wait_s.tolist() == [0.0, 0.0]
+    _, wait_s = HeatColumn(CONFIG).drive((np.ones(2), np.ones(2), np.ones(2)), AMBIENT_K - 1.0)
+    assert np.isinf(wait_s).all()
+
+
 def test_joined_cells_change_nothing_that_can_be_seen(monkeypatch):
     count = 300
     even = [np.full(count, value) for value in (0.5, 900.0, 130.0, 40.0, 110.0, 1.5e4, 40.0, 20.0)]

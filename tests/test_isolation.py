@@ -88,6 +88,23 @@ def test_a_failing_backend_is_a_finding_and_the_others_go_on(plugins, trouble, f
     assert [file.name for file in target.iterdir()] == ["planecut.parquet"]
 
 
+def test_what_is_done_meanwhile_is_done_once_and_while_they_work(tmp_path):
+    settings = {name: registry.slicer_settings(name, {}) for name in ("planecut", "manifold")}
+    seen = []
+    outcomes = slice_all(
+        box(),
+        HEIGHTS,
+        settings,
+        tmp_path,
+        Limits(processes=1),
+        finished=lambda outcome: seen.append(outcome.name),
+        meanwhile=lambda: seen.append("meanwhile"),
+    )
+    assert seen[0] == "meanwhile"
+    assert sorted(seen[1:]) == ["manifold", "planecut"]
+    assert not any(outcome.failure for outcome in outcomes.values())
+
+
 @pytest.mark.parametrize("name", ["planecut", "manifold", "embree", "stencil"])
 def test_layers_do_not_depend_on_the_blocks_they_are_cut_in(tmp_path, name):
     if not registry.probe(name).available:

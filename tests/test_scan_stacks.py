@@ -1,4 +1,4 @@
-"""Plans of stacks and their files, contour beads, degenerate layers, and the measure of coverage."""
+"""Plans of stacks, contour beads, degenerate layers, and the measure of coverage."""
 
 from __future__ import annotations
 
@@ -9,24 +9,15 @@ import pandas as pd
 import pytest
 import shapely
 from inset_layers import contour_paths
-from planned_sections import PROFILE, beads_of, blade, disc, equal_plans
-from shapely import affinity
+from planned_sections import PROFILE, beads_of, blade, disc, equal_plans, stack
 
-from ebamcheck.errors import GeometryError, InputError
+from ebamcheck.errors import GeometryError
 from ebamcheck.layers.stack import from_polygons, from_rings
-from ebamcheck.scan import ScanPlan, plan_scan, plan_stack, simulate_order
+from ebamcheck.scan import plan_scan, plan_stack, simulate_order
 from ebamcheck.scan.filling.coverage import covered_fraction
 from ebamcheck.scan.islands.regions import ARC_SEGMENTS, inset
 
-# -- stacks and files ----------------------------------------------------------------------------------
-
-
-def stack(count=7):
-    bodies = [[affinity.rotate(blade(), 3.0 * k)] for k in range(count)]
-    bodies[3] = []
-    # The lowest cut lies half a layer over the plate: heights are then those over the plate.
-    heights = 0.5 * PROFILE.layer_height_mm + np.arange(count) * 1.7
-    return from_polygons(heights, bodies, part="abc", backend="planecut")
+# -- stacks --------------------------------------------------------------------------------------------
 
 
 def test_a_stack_is_its_layers():
@@ -59,24 +50,6 @@ def test_threads_do_not_change_a_bit(monkeypatch):
     one = plan_stack(layers, PROFILE)
     monkeypatch.setenv("EBAMCHECK_THREADS", "3")
     equal_plans(one, plan_stack(layers, PROFILE))
-
-
-def test_a_plan_survives_its_file(tmp_path):
-    plan = plan_stack(stack(), PROFILE)
-    plan.to_parquet(tmp_path / "scan.parquet")
-    equal_plans(plan, ScanPlan.from_parquet(tmp_path / "scan.parquet"))
-    empty = plan_scan([], PROFILE)
-    empty.to_parquet(tmp_path / "empty.parquet")
-    equal_plans(empty, ScanPlan.from_parquet(tmp_path / "empty.parquet"))
-
-
-def test_what_is_no_plan_is_refused(tmp_path):
-    pd.DataFrame({"x": [1]}).to_parquet(tmp_path / "other.parquet")
-    with pytest.raises(InputError, match="is not a scan plan"):
-        ScanPlan.from_parquet(tmp_path / "other.parquet")
-    (tmp_path / "text.parquet").write_text("hello")
-    with pytest.raises(InputError, match="cannot be read"):
-        ScanPlan.from_parquet(tmp_path / "text.parquet")
 
 
 # -- contour beads -------------------------------------------------------------------------------------

@@ -85,6 +85,23 @@ def test_slice_loads_what_it_needs(part, tmp_path):
     assert "ebamcheck.slicers.worker_pool" not in found, "its own kernels need no process of their own"
 
 
+def test_the_slicers_of_a_run_do_not_wait_for_the_stages_after_them():
+    told = "import sys, ebamcheck.pipeline.job; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", told], capture_output=True, text=True, check=True)
+    found = set(done.stdout.split())
+    assert "ebamcheck.pipeline.cross_check" in found
+    assert (
+        not {
+            "scipy.linalg",
+            "scipy.spatial",
+            "ebamcheck.scan",
+            "ebamcheck.curves",
+            "ebamcheck.pipeline.finishing",
+        }
+        & found
+    )
+
+
 def test_slice_gives_other_backends_a_process_of_their_own(part, tmp_path):
     found = loaded("slice", part, "--backend", "embree", "-o", tmp_path / "cube.parquet")
     assert "ebamcheck.slicers.worker_pool" in found

@@ -25,12 +25,12 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
 from ebamcheck.atomic_file import replacing
 from ebamcheck.curves.columns import Curves
 from ebamcheck.curves.splitting import ARC, LINE, SPLINE
 from ebamcheck.errors import InputError
+from ebamcheck.list_columns import flat_column, list_column, plain_column, starts_of
 from ebamcheck.numeric.rings import Ints
 
 VERSION = "1"
@@ -67,13 +67,13 @@ def write(curves: Curves, path: Path) -> None:
     of_layer["knot"] = curves.knot_starts[of_layer["piece"]]
     columns = {
         "height_mm": pa.array(curves.heights),
-        "ring_pieces": _lists(of_layer["ring"], np.diff(curves.ring_starts)),
-        "ring_closed": _lists(of_layer["ring"], curves.closed),
-        "piece_kind": _lists(of_layer["piece"], curves.kind),
-        "piece_control": _lists(of_layer["piece"], np.diff(curves.control_starts)),
-        "x": _lists(of_layer["control"], curves.control[:, 0]),
-        "y": _lists(of_layer["control"], curves.control[:, 1]),
-        "knot": _lists(of_layer["knot"], curves.knots),
+        "ring_pieces": list_column(of_layer["ring"], np.diff(curves.ring_starts)),
+        "ring_closed": list_column(of_layer["ring"], curves.closed),
+        "piece_kind": list_column(of_layer["piece"], curves.kind),
+        "piece_control": list_column(of_layer["piece"], np.diff(curves.control_starts)),
+        "x": list_column(of_layer["control"], curves.control[:, 0]),
+        "y": list_column(of_layer["control"], curves.control[:, 1]),
+        "knot": list_column(of_layer["knot"], curves.knots),
     }
     labels = {name: getattr(curves, name) for name in LABELS} | {"settings": dict(curves.settings)}
     metadata = {VERSION_KEY: VERSION.encode(), LABELS_KEY: json.dumps(labels, sort_keys=True).encode()}
@@ -105,35 +105,26 @@ def read(path: Path) -> Curves:
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise InputError(f"{path}: cannot be read as Parquet: {reason}") from None
     labels = _labels(table.schema, path)
-    heights = _column(table, "height_mm", pa.float64(), path).to_numpy().astype(np.float64)
-    found = {name: _flat(table, name, kind, path) for name, kind in _LISTS.items()}
+    heights = plain_column(table, "height_mm", pa.float64(), path).to_numpy().astype(np.float64)
+    found = {name: flat_column(table, name, kind, path) for name, kind in _LISTS.items()}
     values = {name: column for name, (column, _) in found.items()}
     curved = values["piece_kind"] == SPLINE
     curves = Curves(
         heights=heights,
         layer_starts=found["ring_closed"][1],
-        ring_starts=_starts(values["ring_pieces"]),
+        ring_starts=starts_of(values["ring_pieces"]),
         closed=values["ring_closed"],
         kind=values["piece_kind"],
-        control_starts=_starts(values["piece_control"]),
+        control_starts=starts_of(values["piece_control"]),
         control=np.column_stack([values["x"], values["y"]])
         if values["x"].size == values["y"].size
         else np.zeros((0, 2)),
-        knot_starts=_starts(np.where(curved, values["piece_control"] + 4, 0)),
+        knot_starts=starts_of(np.where(curved, values["piece_control"] + 4, 0)),
         knots=values["knot"],
         **labels,
     )
     _check(curves, {name: starts for name, (_, starts) in found.items()}, path)
     return curves
-
-
-def _starts(sizes: NDArray[Any]) -> Ints:
-    return np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
-
-
-def _lists(offsets: Ints, values: NDArray[Any]) -> pa.LargeListArray:
-    """One list a layer over a flat column; large lists, as a stack may hold over 2^31 numbers."""
-    return pa.LargeListArray.from_arrays(pa.array(offsets), pa.array(np.ascontiguousarray(values)))
 
 
 def _labels(schema: pa.Schema, path: Path) -> dict[str, Any]:
@@ -152,27 +143,6 @@ def _labels(schema: pa.Schema, path: Path) -> dict[str, Any]:
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path}: its labels cannot be read: {type(error).__name__}: {error}") from None
     return labels
-
-
-def _column(table: pa.Table, name: str, kind: pa.DataType, path: Path) -> Any:
-    if name not in table.schema.names:
-        raise InputError(f"{path}: column {name!r} is missing; there are {', '.join(table.schema.names)}")
-    column = table.column(name).combine_chunks()
-    if column.type != kind:
-        raise InputError(f"{path}: column {name!r} is {column.type}, it should be {kind}")
-    if column.null_count:
-        raise InputError(f"{path}: column {name!r} has {column.null_count} empty cells")
-    return column
-
-
-def _flat(table: pa.Table, name: str, kind: pa.DataType, path: Path) -> tuple[NDArray[Any], Ints]:
-    """Items of a list column as one writable array, and where the list of each layer starts."""
-    column = _column(table, name, pa.large_list(kind), path)
-    items = column.flatten()
-    if items.null_count:
-        raise InputError(f"{path}: column {name!r} has {items.null_count} empty items")
-    sizes = column.value_lengths().to_numpy(zero_copy_only=False)
-    return items.to_numpy(zero_copy_only=False).copy(), _starts(sizes)
 
 
 def _check(curves: Curves, starts: dict[str, Ints], path: Path) -> None:

@@ -5,11 +5,20 @@ outline (:mod:`~ebamcheck.heat.modes`) and one of the depth (:mod:`~ebamcheck.he
 a step of any length is exact (:mod:`~ebamcheck.heat.model`).
 """
 
-from ebamcheck.heat.depth import DepthModes, depth_modes
-from ebamcheck.heat.medium import Medium
-from ebamcheck.heat.model import HeatModel
-from ebamcheck.heat.modes import ContourModes, contour_modes
-from ebamcheck.heat.projection import carried
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from ebamcheck.names_on_demand import on_demand
+
+if TYPE_CHECKING:
+    from ebamcheck.heat.depth import DepthModes as DepthModes
+    from ebamcheck.heat.depth import depth_modes as depth_modes
+    from ebamcheck.heat.medium import Medium as Medium
+    from ebamcheck.heat.model import HeatModel as HeatModel
+    from ebamcheck.heat.modes import ContourModes as ContourModes
+    from ebamcheck.heat.modes import contour_modes as contour_modes
+    from ebamcheck.heat.projection import carried as carried
 
 __all__ = [
     "ContourModes",
@@ -20,3 +29,16 @@ __all__ = [
     "contour_modes",
     "depth_modes",
 ]
+
+_HOMES = {
+    "ContourModes": "modes",
+    "DepthModes": "depth",
+    "HeatModel": "model",
+    "Medium": "medium",
+    "carried": "projection",
+    "contour_modes": "modes",
+    "depth_modes": "depth",
+}
+"""Names and where they live; they load when first used: limits and the balance ask for no modes, and these for all of SciPy."""
+
+__getattr__ = on_demand(__name__, _HOMES)

@@ -27,6 +27,7 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
+from ebamcheck.heat.driving import BeadTimes, driven
 from ebamcheck.heat.enthalpy import EnthalpyTables, enthalpy_tables
 from ebamcheck.heat.marching import FEW_STEPS, SHORT_S, STEPS, ColumnFields, march
 from ebamcheck.heat.medium import STEFAN_BOLTZMANN_W_M2K4
@@ -236,6 +237,33 @@ class HeatColumn:
         wait_s, gone = cooled(self.content, self._fields, self._under, self._top, bed_k, longest_s)
         self._gone(gone)
         return wait_s
+
+    def drive(
+        self, beads: BeadTimes, limit_k: float = math.inf, longest_s: float = math.inf
+    ) -> tuple[Floats, Floats]:
+        """Lay beads of the uppermost layer one after the other, each as :meth:`advance` does it, before and in its time.
+
+        Parameters
+        ----------
+        beads
+            Time with the beam off before each, its own time, s, and the energy that is taken up in it, J; (n,) each.
+        limit_k
+            Temperature of what a bead lies on above which it is waited for.
+        longest_s
+            After a wait for one bead that is longer the rest is left out.
+
+        Returns
+        -------
+        bed_k, wait_s
+            (n,) temperature of what each bead lies on when the beam comes to it, K, and how long it is waited for, s.
+        """
+        if self._fields is None:
+            bed_k = np.full(len(beads[0]), self._bare_k)
+            return bed_k, np.where(bed_k > limit_k, math.inf, 0.0)
+        counted = np.array([self.absorbed_j, self.base_j, self.radiated_j])
+        found = driven(self.content, self._fields, self._under, self._top, beads, limit_k, longest_s, counted)
+        self.absorbed_j, self.base_j, self.radiated_j = counted.tolist()
+        return found
 
     def _gone(self, heat_j: Floats) -> None:
         """Count the heat that went to the table and that was radiated, J."""

@@ -32,7 +32,7 @@ def cooled(
     The wait, s, and the heat to the table and radiated, J.
     """
     wait_s, step_s, gone = 0.0, FIRST_WAIT_S, np.zeros(2)
-    while _bed_k(content, fields, under, top) > bed_k:
+    while bed_temperature_k(content, fields, under, top) > bed_k:
         gone += march(content, fields, top, 0.0, step_s, FEW_STEPS if step_s <= SHORT_S else STEPS)
         wait_s, step_s = wait_s + step_s, max(FIRST_WAIT_S, WAIT_GROWTH * wait_s)
         if wait_s > longest_s:
@@ -41,7 +41,7 @@ def cooled(
 
 
 @kernel
-def _bed_k(content: Floats, fields: ColumnFields, under: int, top: int) -> float:
+def bed_temperature_k(content: Floats, fields: ColumnFields, under: int, top: int) -> float:
     """Temperature of the warmer one of the uppermost layer and that under it."""
     upper_k = _mean_k(content, fields, top, len(content))
     return max(upper_k, _mean_k(content, fields, under, top))
@@ -49,10 +49,12 @@ def _bed_k(content: Floats, fields: ColumnFields, under: int, top: int) -> float
 
 @kernel
 def _mean_k(content: Floats, fields: ColumnFields, start: int, stop: int) -> float:
-    """Mean temperature of some cells, by their lengths."""
+    """Mean temperature of some cells, by their lengths; NaN where a heat content is none, after a time without end for instance."""
     table, step, size = fields[0], fields[2], fields[3]
     total_k, whole_mm = 0.0, 0.0
     for i in range(start, stop):
+        if np.isnan(content[i]):
+            return np.nan
         place = min(max(np.true_divide(content[i], step), 0.0), table.size - 1.0)
         node = min(int(place), table.size - 2)
         total_k += ((table[node + 1] - table[node]) * (place - node) + table[node]) * size[i]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from ebamcheck.names_on_demand import on_demand
 
 if TYPE_CHECKING:
     from ebamcheck.pipeline.gates import Gate as Gate
@@ -18,9 +19,4 @@ _HOMES = {"Gate": "gates", "Observer": "work", "RunResult": "job", "check_job": 
 """Names and where they live; they load when first used: who opens a run folder, a stranger's report writer in a process of
 its own, waits for no planning and no program."""
 
-
-def __getattr__(name: str) -> Any:
-    """Load a name from its module when it is first used."""
-    if name not in _HOMES:
-        raise AttributeError(f"module 'ebamcheck.pipeline' has no attribute {name!r}")
-    return getattr(import_module(f"ebamcheck.pipeline.{_HOMES[name]}"), name)
+__getattr__ = on_demand(__name__, _HOMES)

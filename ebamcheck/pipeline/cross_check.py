@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 
@@ -38,19 +38,28 @@ class CrossCheck:
         return [name for name, outcome in self.outcomes.items() if outcome.file is not None]
 
 
-def cross_check(job: Job, backends: Mapping[str, BackendSettings], resume: bool) -> CrossCheck:
+def cross_check(
+    job: Job,
+    backends: Mapping[str, BackendSettings],
+    resume: bool,
+    meanwhile: Callable[[], None] | None = None,
+) -> CrossCheck:
     """Slice and compare; layers, pairs and figures of every layer are on disk afterwards.
 
-    No more than one block of layers of every backend is in memory at a time (``slicing.block_points``), and two while
+    `meanwhile` is called once the first slicers are at work. No more than one block of layers of every backend is in memory at a time (``slicing.block_points``), and two while
     they are compared: the next one is read meanwhile.
     """
     borders = layer_blocks(job.part, job.heights, job.config.slicing.block_points)
-    outcomes = _slice(job, backends, borders, resume)
+    outcomes = _slice(job, backends, borders, resume, meanwhile)
     return CrossCheck(outcomes, _compare(job, outcomes, borders))
 
 
 def _slice(
-    job: Job, backends: Mapping[str, BackendSettings], borders: NDArray[np.int64], resume: bool
+    job: Job,
+    backends: Mapping[str, BackendSettings],
+    borders: NDArray[np.int64],
+    resume: bool,
+    meanwhile: Callable[[], None] | None,
 ) -> dict[str, Outcome]:
     """Slice with every backend, each in its own process; results are on disk as they come in."""
     chosen = job.config.slicing
@@ -79,6 +88,7 @@ def _slice(
             borders,
             job.workers,
             keep_blocks=True,
+            meanwhile=meanwhile,
         )
         if job.workers is not None:
             job.workers.dismiss()

@@ -12,7 +12,6 @@ import pandas as pd
 
 from ebamcheck.curves import METHODS, Curves, contour_error, error_reduction, fit, fit_deviation
 from ebamcheck.curves.edges import with_edges
-from ebamcheck.curves.per_part import surface_kept
 from ebamcheck.layers import files as layer_files
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
@@ -55,22 +54,35 @@ class FitResult:
 
 
 def fitted(job: Job, layers: Layers, error_bound_mm: float) -> FitResult:
-    """Fit the contours, and measure the fit."""
-    # What a slicer's own error makes of a contour, a staircase of pixels say, is no shape: no corners come of it.
-    settings = job.config.curves
-    settings = settings.model_copy(update={"collinear_mm": max(settings.collinear_mm, error_bound_mm)})
-    with job.stage("fit", len(layers)), surface_kept(job.part):
+    """Fit the contours by the chosen method, and measure the fit.
+
+    What is found of the part's surface is to be kept meanwhile (:func:`~ebamcheck.curves.per_part.surface_kept`), and until
+    the fits of the other methods are made.
+    """
+    settings = _settings(job, error_bound_mm)
+    with job.stage("fit", len(layers)):
         curves = fit(layers, settings.method, settings, job.observer.advance, job.part)
         curves.to_parquet(job.folder.path / "curves.parquet")
         verdict, table = fit_evidence.judged(curves, layers, job.part, job.config)
         table.to_csv(job.folder.path / "fit.csv", index=False)
-        of_methods = {curves.method: curves, **_other_fits(job, layers, settings)}
-        figures = {
-            name: _figures(other, table if other is curves else fit_deviation(other, layers))
-            for name, other in of_methods.items()
-        }
+        figures = {curves.method: _figures(curves, table)}
     job.add_finding(*fit_evidence.findings(verdict))
-    return FitResult(verdict, table, len(layers.points), figures, of_methods)
+    return FitResult(verdict, table, len(layers.points), figures, {curves.method: curves})
+
+
+def beside_others(job: Job, layers: Layers, fit_result: FitResult, error_bound_mm: float) -> FitResult:
+    """The same fit beside those of the other methods.
+
+    Nothing but the record and the report asks for them, so that they are worked out beside the program.
+    """
+    with job.beside("other fits"):
+        others = _other_fits(job, layers, _settings(job, error_bound_mm))
+        figures = {name: _figures(other, fit_deviation(other, layers)) for name, other in others.items()}
+    return replace(
+        fit_result,
+        methods={**fit_result.methods, **figures},
+        of_methods={**fit_result.of_methods, **others},
+    )
 
 
 def held_against(job: Job, layers: Layers, fit_result: FitResult, fine: Part | None) -> FitResult:
@@ -84,6 +96,12 @@ def held_against(job: Job, layers: Layers, fit_result: FitResult, fine: Part | N
             found = _against_reference(job, layers, fit_result.of_methods, fine)
             verdict = replace(verdict, reference=found)
     return replace(fit_result, verdict=verdict, of_methods={})
+
+
+def _settings(job: Job, error_bound_mm: float) -> CurveSettings:
+    """Settings of the fits: what a slicer's own error makes of a contour, a staircase of pixels say, is no shape."""
+    settings = job.config.curves
+    return settings.model_copy(update={"collinear_mm": max(settings.collinear_mm, error_bound_mm)})
 
 
 def _other_fits(job: Job, layers: Layers, settings: CurveSettings) -> dict[str, Curves]:

@@ -4,30 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
-from ebamcheck.backend import BackendSettings
 from ebamcheck.errors import ExitCode, SettingsError
-from ebamcheck.findings import has_fault
 from ebamcheck.json_values import sha256_of_json
 from ebamcheck.mesh.part_source import read_reference
-from ebamcheck.pipeline import gates, noticed
-from ebamcheck.pipeline.certificate import write_certificate
-from ebamcheck.pipeline.choice import chosen_backends, primary_backend, unavailable_backends
+from ebamcheck.pipeline import noticed
+from ebamcheck.pipeline.choice import chosen_backends, primary_backend
 from ebamcheck.pipeline.cross_check import CrossCheck, cross_check
-from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.live_program import check_waits
 from ebamcheck.pipeline.loose_limits import loose_limits
-from ebamcheck.pipeline.programming import ProgramResult, make_program
-from ebamcheck.pipeline.record import manifest as make_manifest
-from ebamcheck.pipeline.report_writers import write_reports
-from ebamcheck.pipeline.run_folder import (
-    FINGERPRINT,
-    RunFolder,
-    finished_run,
-    start_run,
-)
+from ebamcheck.pipeline.run_folder import RunFolder, finished_run, start_run
 from ebamcheck.pipeline.work import Job, Observer, Silent
 from ebamcheck.preflight.report import Ready, ready
 from ebamcheck.preflight.slab_work import wanted_slabs
@@ -38,7 +27,14 @@ from ebamcheck.settings.process_window import checked_window, outside_window, un
 from ebamcheck.slicers.worker_pool import WorkerPool
 from ebamcheck.version import __version__
 
-ProgramStage = Callable[[Job, CrossCheck, bool], ProgramResult]
+if TYPE_CHECKING:
+    from ebamcheck.pipeline.gates import Gate
+    from ebamcheck.pipeline.programming import ProgramResult
+
+LATER_STAGES = "ebamcheck.pipeline.finishing"
+"""Module of what comes after the cross-check."""
+
+ProgramStage: TypeAlias = "Callable[[Job, CrossCheck, bool], ProgramResult]"
 """Makes a program from agreed contours; its last argument tells whether all gates so far are passed."""
 
 
@@ -122,6 +118,8 @@ def run_job(
     fine = read_reference(reference, part_path, config.part) if reference else None
 
     def program(job: Job, checked: CrossCheck, sound: bool) -> ProgramResult:
+        from ebamcheck.pipeline.programming import make_program
+
         return make_program(job, primary_of(job, checked), checked, fine, sound)
 
     inputs = [fine.sha256 if fine else "", f"from layer {from_layer}", f"live {live}"]
@@ -196,50 +194,25 @@ def _job(
     # A job without a program may cut layers that no process can lay.
     job.add_finding(*outside_window(config, "warning"), *unusual_layers(config))
     try:
-        return _finished(job, backends, resume, program)
+        checked = cross_check(job, backends, resume, _load_later_stages)
+        from ebamcheck.pipeline.finishing import finish
+
+        finished, judged, code, manifest = finish(job, checked, primary_of(job, checked), program)
+        return RunResult(finished, judged, code, manifest)
     except OSError as error:
         raise SettingsError(f"{job.folder.path}: cannot be written: {error.strerror or error}") from error
     finally:
         job.folder.release()
 
 
-def _finished(
-    job: Job,
-    backends: Mapping[str, BackendSettings],
-    resume: bool,
-    program: ProgramStage | None,
-) -> RunResult:
-    """All stages from slicing to the finished folder."""
-    checked = cross_check(job, backends, resume)
-    outcomes = {**checked.outcomes, **unavailable_backends(job.config)}
-    judged = [
-        gates.input_gate(job.found),
-        gates.agreement_gate(
-            checked.comparison, outcomes, len(job.heights), job.config.layer_height_mm, job.config.base_mm
-        ),
-    ]
-    job.add_finding(*noticed.of_doubt(checked.comparison.pairs, job.config))
-    job.add_finding(*(noticed.unavailable(o) for o in outcomes.values() if o.failure == "unavailable"))
-    primary, made = primary_of(job, checked), None
-    if program is not None and primary:
-        job.add_finding(*noticed.of_profile(job.config))
-        made = program(job, checked, all(gate.passed for gate in judged))
-        judged += made.gates
-    code = gates.exit_code(judged, checked.comparison.compared_layers, outcomes)
-    if code is ExitCode.PASS and has_fault(job.findings):
-        code = ExitCode.OUT_OF_TOLERANCE
-    manifest = make_manifest(job, outcomes, checked.comparison, primary, made, judged, code)
-    job.folder.write_manifest(manifest)
-    write_reports(job.folder.path, job.observer.note)
-    if program is not None:
-        # Last of all: it lists every file, and so finds any byte that is changed after it.
-        write_certificate(RunFolder(job.folder.path))
-    (job.folder.path / FINGERPRINT).unlink()
-    return RunResult(job.folder.finish(), tuple(judged), code, manifest)
+def _load_later_stages() -> None:
+    """Load what is needed when the layers are there: half a second, in which the slicers work."""
+    import_module(LATER_STAGES)
 
 
 def finished_result(run: RunFolder) -> RunResult:
     """What a finished run came to, by its record."""
+
     manifest = run.manifest()
     found = tuple(Gate(**gate) for gate in manifest["gates"])
     return RunResult(run, found, ExitCode(manifest["exit_code"]), manifest)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
+from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -12,15 +13,16 @@ import pandas as pd
 
 from ebamcheck.atomic_file import COMPRESSION
 from ebamcheck.curves import LIFTED, Curves, fit
+from ebamcheck.curves.per_part import surface_kept
 from ebamcheck.findings import has_fault
 from ebamcheck.kinematics import side_by_side
 from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.mesh.part import Part
-from ebamcheck.pipeline import gates, noticed
+from ebamcheck.pipeline import gates, noticed_in_program
 from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.cross_check import CrossCheck
 from ebamcheck.pipeline.entry_program import Entry, write_entry
-from ebamcheck.pipeline.fitted import FitResult, fitted, held_against
+from ebamcheck.pipeline.fitted import FitResult, beside_others, fitted, held_against
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.live_program import write_live
 from ebamcheck.pipeline.plate_record import plate_record
@@ -99,16 +101,20 @@ def make_program(
 ) -> ProgramResult:
     """Fit, partition, order, write, read back and verify."""
     config, layers = job.config, job.folder.read_layers(primary)
-    fit_result = fitted(job, layers, checked.outcomes[primary].error_bound_mm)
+    error_bound_mm = checked.outcomes[primary].error_bound_mm
     # What asks for much arithmetic and little Python goes on beside the rest.
-    with one_beside() as aside:
-        with_reference = aside.submit(held_against, job, layers, fit_result, fine)
+    with ExitStack() as kept, one_beside() as aside:
+        kept.enter_context(surface_kept(job.part))
+        fit_result = fitted(job, layers, error_bound_mm)
+        compared = aside.submit(beside_others, job, layers, fit_result, error_bound_mm)
+        compared.add_done_callback(lambda _: kept.close())
+        with_reference = aside.submit(lambda: held_against(job, layers, compared.result(), fine))
         with job.stage("partition and order", len(layers)):
             smooth = smooth_layers(fit_result.curves)
             plan = plan_stack(smooth, config, progress=job.observer.advance)
             plan.to_parquet(job.folder.path / "scan.parquet")
             plan.metrics.to_csv(job.folder.path / "scan.csv", index=False)
-        job.add_finding(*noticed.of_heat(plan, config))
+        job.add_finding(*noticed_in_program.of_heat(plan, config))
         with job.stage("program", 1):
             beads = bead_paths(smooth, plan, config)
             beads.to_parquet(job.folder.path / "beads.parquet")
@@ -204,7 +210,7 @@ def _weighed(job: Job, program: NCProgram, witness: Layers, found: Deposit) -> l
         thickness_mm = float(np.diff(z_of, prepend=job.config.base_mm)[found.worst])
         write_field(job.folder.path / FIELD_FILE, found.fields[found.worst], found.worst, thickness_mm)
     checks = deposit_checks(program, found, job.config)
-    job.add_finding(*noticed.of_metal(checks))
+    job.add_finding(*noticed_in_program.of_metal(checks))
     return checks
 
 
@@ -222,7 +228,7 @@ def _verified(job: Job, files: ProgramFiles, made: _Made, witness: Layers, aside
     """Read the text of a program back and check it against what it was made from."""
     config = job.config
     program, _ = matched(read_program(files.main, config), made.path)
-    job.add_finding(*noticed.of_seams(program, made.contours.heights, config))
+    job.add_finding(*noticed_in_program.of_seams(program, made.contours.heights, config))
     feeds = aside.submit(side_by_side, program, made.contours, config)
     metal = aside.submit(_laid, job, program, witness)
     times = aside.submit(build_times_s, program, config, known_sections(made.plan, witness))
@@ -237,12 +243,12 @@ def _verified(job: Job, files: ProgramFiles, made: _Made, witness: Layers, aside
         sha256=files.sha256,
         smooth=made.smooth if config.curves.method in LIFTED else None,
     )
-    job.add_finding(*noticed.of_limit(checks, made.plan, config))
+    job.add_finding(*noticed_in_program.of_limit(checks, made.plan, config))
     checks += _weighed(job, program, witness, metal.result())
     checks = told(checks, program, made.contours.heights, config.layer_height_mm, config.base_mm)
     summary = program_summary(program, config)
     summary.to_csv(job.folder.path / "program.csv", index=False)
-    job.add_finding(*noticed.of_interpass(summary, made.plan, config))
+    job.add_finding(*noticed_in_program.of_interpass(summary, made.plan, config))
     kinematics = feeds.result()
     kinematics.to_csv(job.folder.path / "kinematics.csv")
     return ProgramProof(

@@ -113,6 +113,7 @@ def slice_all(
     pool: WorkerPool | None = None,
     keep_blocks: bool = False,
     bounds_only: bool = False,
+    meanwhile: Callable[[], None] | None = None,
 ) -> dict[str, Outcome]:
     """Slice with several backends, each in its own process.
 
@@ -139,6 +140,8 @@ def slice_all(
         Keep every block that is cut until the file is whole, and take those that a killed process left in `target`.
     bounds_only
         Ask for the bounds of this part alone; outcomes have no file.
+    meanwhile
+        Called once, when the first of them are at work; it has to be short, for nothing watches them while it runs.
 
     Returns
     -------
@@ -164,6 +167,9 @@ def slice_all(
                     running.append(
                         _started(pool, name, backends[name], target, heights.size, keep_blocks, bounds_only)
                     )
+                if meanwhile is not None:
+                    meanwhile()
+                    meanwhile = None
                 _listen(running, progress)
                 for worker in list(running):
                     _enforce(worker, limits)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -84,6 +84,11 @@ class TextBeads:
     def enters_layer(self) -> np.ndarray:
         """Whether each is the first of its layer, (P,)."""
         return np.asarray(np.diff(self.layer, prepend=-1) != 0)
+
+    def of_layers(self) -> Iterator[tuple[int, int]]:
+        """First bead of each layer in its sequence, and the one after its last."""
+        first = np.flatnonzero(self.enters_layer)
+        return zip(first.tolist(), np.append(first, len(self))[1:].tolist(), strict=True)
 
     @cached_property
     def inner(self) -> np.ndarray:
@@ -168,17 +173,17 @@ def text_bed_k(
     on_plate = before is None or (config.base_mm == 0.0 and 0 in beads.scans)
     column = begun_column(beads.scans, lowest, config) if before is None or on_plate else before.copy()
     bed_k, leave_k = np.zeros(len(beads)), np.full(len(shapes), np.nan)
-    enters = beads.enters_layer
-    for n in range(len(beads)):
-        column.advance(float(beads.move_s[n] + beads.wait_s[n]))
-        layer = int(beads.layer[n])
-        if enters[n]:
-            seen(layer, column)
-            _scan(column, beads, layer, config)
-        bed_k[n] = column.bed_k
-        if enters[n] and shapes[layer].area_mm2 > 0.0:
+    off_s, energy_j = beads.move_s + beads.wait_s, beads.energy_j * config.material.absorptivity
+    for first, last in beads.of_layers():
+        layer, following = int(beads.layer[first]), slice(first + 1, last)
+        column.advance(float(off_s[first]))
+        seen(layer, column)
+        _scan(column, beads, layer, config)
+        bed_k[first] = column.bed_k
+        if shapes[layer].area_mm2 > 0.0:
             column.lay(shapes[layer])
-        column.advance(float(beads.time_s[n]), float(beads.energy_j[n]) * config.material.absorptivity)
+        column.advance(float(beads.time_s[first]), float(energy_j[first]))
+        bed_k[following], _ = column.drive((off_s[following], beads.time_s[following], energy_j[following]))
         leave_k[layer] = column.surface_k
     return bed_k, leave_k
 
@@ -247,23 +252,23 @@ def _dwell_s(
     beads: TextBeads, config: Config, shapes: Sequence[LayerShape], lowest: BaseGeometry | None
 ) -> float:
     """Waits at full power, each found by steps of time that grow by a half."""
-    limit_k, enters = entry_limit_k(config), beads.enters_layer
-    column, total_s = begun_column(beads.scans, lowest, config), 0.0
+    limit_k, at_bead = entry_limit_k(config), config.process.interpass_at == "bead"
+    column, wait_s = begun_column(beads.scans, lowest, config), np.zeros(len(beads))
     # Ramps are part of the beads: their strongest motion has the full power of its layer.
     share = np.maximum(beads.peak_w / config.process.power_w, LEAST_SHARE)
-    for n in range(len(beads)):
-        column.advance(float(beads.move_s[n]))
-        if enters[n]:
-            _scan(column, beads, int(beads.layer[n]), config)
-        checked = n > 0 and (config.process.interpass_at == "bead" or enters[n])
-        if checked and column.bed_k > limit_k:
-            wait_s = column.wait_until(limit_k, LONGEST_WAIT_S)
-            if wait_s > LONGEST_WAIT_S:
-                return math.nan
-            total_s += wait_s
-        shape = shapes[int(beads.layer[n])]
-        if enters[n] and shape.area_mm2 > 0.0:
+    energy_j = beads.energy_j / share * config.material.absorptivity
+    for first, last in beads.of_layers():
+        shape, following = shapes[int(beads.layer[first])], slice(first + 1, last)
+        column.advance(float(beads.move_s[first]))
+        _scan(column, beads, int(beads.layer[first]), config)
+        if first > 0 and column.bed_k > limit_k:
+            wait_s[first] = column.wait_until(limit_k, LONGEST_WAIT_S)
+        if shape.area_mm2 > 0.0:
             column.lay(shape)
-        energy_j = float(beads.energy_j[n]) / share[n] * config.material.absorptivity
-        column.advance(float(beads.time_s[n]), energy_j)
-    return total_s
+        column.advance(float(beads.time_s[first]), float(energy_j[first]))
+        rest = beads.move_s[following], beads.time_s[following], energy_j[following]
+        _, wait_s[following] = column.drive(rest, limit_k if at_bead else math.inf, LONGEST_WAIT_S)
+        if (wait_s[first:last] > LONGEST_WAIT_S).any():
+            return math.nan
+    # One after the other, as they come.
+    return float(np.cumsum(wait_s)[-1]) if len(beads) else 0.0

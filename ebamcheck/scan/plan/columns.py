@@ -2,28 +2,19 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
-import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.atomic_file import COMPRESSION
-from ebamcheck.errors import InputError
 from ebamcheck.metal import Surface
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.filling.turns import follows
 from ebamcheck.scan.plan import items as plan_items
-
-FORMAT = "ebamcheck scan plan 2"
-"""Name and version of the file format."""
 
 VECTOR_COLUMNS = ("island", "x0", "y0", "x1", "y1", "angle")
 
@@ -154,17 +145,17 @@ class ScanPlan:
         return np.asarray(begins[1:][np.diff(begins) == 0], np.int64)
 
     def to_parquet(self, path: str | Path) -> None:
-        """Write one row an island (in the order of `islands`), with its lines as nested columns."""
-        pq.write_table(_to_table(self), path, version="2.6", compression=COMPRESSION)
+        """Write one row a layer, with its islands and lines as list columns; the file appears whole or not at all."""
+        from ebamcheck.scan.plan import storage  # which builds on this module
+
+        storage.write(self, Path(path))
 
     @classmethod
     def from_parquet(cls, path: str | Path) -> ScanPlan:
         """Read a plan back; raises :class:`InputError` where the file is not one."""
-        try:
-            table = pq.read_table(path)
-        except (OSError, pa.ArrowException) as error:
-            raise InputError(f"{path}: cannot be read as a scan plan: {error}") from None
-        return _from_table(table, _header(path, table.schema))
+        from ebamcheck.scan.plan import storage
+
+        return storage.read(Path(path))
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,113 +169,6 @@ class PlanOfLayers:
     @classmethod
     def from_parquet(cls, path: str | Path) -> PlanOfLayers:
         """Read it from the file of a plan; raises :class:`InputError` where the file is not one."""
-        try:
-            # The header is megabytes of sections, and stands in the file twice: that in the schema is read a second time.
-            header = _header(path, pq.read_metadata(path))
-        except (OSError, pa.ArrowException) as error:
-            raise InputError(f"{path}: cannot be read as a scan plan: {error}") from None
-        further = [name for name in header["metrics"] if name not in METRICS]
-        return cls(
-            np.asarray(header["heights"], np.float64),
-            pd.DataFrame(header["metrics"], columns=[*METRICS, *further]),
-            _regions(header["sections"]) if "sections" in header else None,
-        )
+        from ebamcheck.scan.plan import storage
 
-
-def _header(path: str | Path, of: pa.Schema | pq.FileMetaData) -> dict[str, Any]:
-    """What stands beside the table of a plan, by what is known of its file."""
-    header: dict[str, Any] = json.loads((of.metadata or {}).get(b"ebamcheck", b"{}"))
-    if header.get("format") != FORMAT:
-        raise InputError(f"{path}: is not a scan plan (format {header.get('format')!r}, expected {FORMAT!r})")
-    return header
-
-
-def _to_table(plan: ScanPlan) -> pa.Table:
-    """Islands as rows; heights, metrics and settings as metadata."""
-    count = len(plan.islands)
-    rank = np.empty(count, np.int64)
-    rank[plan.order] = np.arange(count)
-    # Lines are in scan order; sorted by island (stably) they keep their sequence within it.
-    island = plan.vectors["island"].to_numpy()
-    by_island = np.argsort(island, kind="stable")
-    columns: dict[str, Any] = {
-        "layer": plan.island_layer,
-        "rank": rank,
-        "kind": plan.island_kind.astype(object),
-        "polygon": pa.array(list(shapely.to_wkb(plan.islands)), pa.binary()),
-        "area_mm2": plan.island_area_mm2,
-        "x_mm": plan.island_centroid[:, 0],
-        "y_mm": plan.island_centroid[:, 1],
-        "wait_s": plan.island_wait_s if len(plan.island_wait_s) else np.zeros(count),
-        "inner_wait_s": plan.inner_wait_s if len(plan.inner_wait_s) else np.zeros(count),
-    }
-    for name in VECTOR_COLUMNS[1:]:
-        columns[name] = _nested(plan.vectors[name].to_numpy()[by_island], island, count)
-    columns["neighbours"] = _nested(plan.neighbours[:, 1], plan.neighbours[:, 0], count)
-    columns["border_mm"] = _nested(plan.border_mm, plan.neighbours[:, 0], count)
-    header = {
-        "format": FORMAT,
-        "heights": plan.heights.tolist(),
-        "contours": [shapely.to_wkb(region, hex=True) for region in plan.contours],
-        "metrics": {name: plan.metrics[name].tolist() for name in plan.metrics.columns},
-        "settings": plan.settings,
-    }
-    if plan.sections is not None:
-        header["sections"] = [shapely.to_wkb(region, hex=True) for region in plan.sections]
-    table = pa.table({name: pa.array(c) if isinstance(c, np.ndarray) else c for name, c in columns.items()})
-    return table.replace_schema_metadata({"ebamcheck": json.dumps(header, sort_keys=True)})
-
-
-def _nested(values: NDArray[Any], owner: Ints, count: int) -> pa.ListArray:
-    """Values, sorted by owner, as one list an owner."""
-    offsets = np.concatenate([[0], np.cumsum(np.bincount(owner, minlength=count))]).astype(np.int32)
-    return pa.ListArray.from_arrays(pa.array(offsets), pa.array(values))
-
-
-def _from_table(table: pa.Table, header: dict[str, Any]) -> ScanPlan:
-    columns = {name: table.column(name).combine_chunks() for name in table.column_names}
-    plain = {
-        n: columns[n].to_numpy(zero_copy_only=False) for n in ("layer", "rank", "area_mm2", "x_mm", "y_mm")
-    }
-    order = np.argsort(plain["rank"], kind="stable").astype(np.int64)
-    vectors = pd.DataFrame({"island": _owners(columns["x0"])})
-    for name in VECTOR_COLUMNS[1:]:
-        vectors[name] = columns[name].flatten().to_numpy(zero_copy_only=False)
-    scanned = np.argsort(plain["rank"][vectors["island"].to_numpy()], kind="stable")
-    neighbours = np.column_stack([_owners(columns["neighbours"]), columns["neighbours"].flatten().to_numpy()])
-    polygons = np.asarray(shapely.from_wkb(columns["polygon"].to_numpy(zero_copy_only=False)), object)
-    metrics = pd.DataFrame(header["metrics"], columns=list(METRICS))
-    return ScanPlan(
-        heights=np.asarray(header["heights"], np.float64),
-        contours=_regions(header["contours"]),
-        islands=polygons.reshape(-1),
-        island_layer=plain["layer"],
-        island_kind=np.asarray(columns["kind"].to_pylist(), np.str_),
-        island_area_mm2=plain["area_mm2"],
-        island_centroid=np.column_stack([plain["x_mm"], plain["y_mm"]]),
-        neighbours=neighbours.astype(np.int64),
-        border_mm=columns["border_mm"].flatten().to_numpy(zero_copy_only=False),
-        order=order,
-        vectors=vectors.iloc[scanned].reset_index(drop=True),
-        metrics=metrics,
-        settings=header["settings"],
-        island_wait_s=_waits(columns, "wait_s"),
-        inner_wait_s=_waits(columns, "inner_wait_s"),
-        sections=_regions(header["sections"]) if "sections" in header else None,
-    )
-
-
-def _waits(columns: dict[str, Any], name: str) -> Floats:
-    """Waits of islands; none in plans of before there were any."""
-    return np.asarray(columns[name].to_numpy(zero_copy_only=False) if name in columns else (), np.float64)
-
-
-def _regions(hexadecimal: list[str]) -> NDArray[np.object_]:
-    """Regions of well-known binary in hexadecimal digits."""
-    return np.asarray(shapely.from_wkb(np.array(hexadecimal, object)), object).reshape(-1)
-
-
-def _owners(nested: pa.ListArray) -> Ints:
-    """Row of every value of a nested column."""
-    sizes = np.diff(nested.offsets.to_numpy())
-    return np.repeat(np.arange(len(nested)), sizes).astype(np.int64)
+        return storage.read_layers(Path(path))

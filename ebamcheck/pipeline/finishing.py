@@ -1,0 +1,64 @@
+"""From compared layers to the finished run folder: gates, program, record, reports, certificate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from ebamcheck.errors import ExitCode
+from ebamcheck.findings import has_fault
+from ebamcheck.pipeline import gates, noticed
+from ebamcheck.pipeline.certificate import write_certificate
+from ebamcheck.pipeline.choice import unavailable_backends
+from ebamcheck.pipeline.cross_check import CrossCheck
+from ebamcheck.pipeline.gates import Gate
+from ebamcheck.pipeline.record import manifest as make_manifest
+from ebamcheck.pipeline.report_writers import write_reports
+from ebamcheck.pipeline.run_folder import FINGERPRINT, RunFolder
+from ebamcheck.pipeline.work import Job
+
+if TYPE_CHECKING:
+    from ebamcheck.pipeline.job import ProgramStage
+
+
+def finish(
+    job: Job, checked: CrossCheck, primary: str, program: ProgramStage | None
+) -> tuple[RunFolder, tuple[Gate, ...], ExitCode, Mapping[str, Any]]:
+    """All stages from the gates of the cross-check to the finished folder.
+
+    Parameters
+    ----------
+    primary
+        Backend whose contours become the program; empty where none has found a contour.
+    program
+        Makes the program; None where none is wanted.
+
+    Returns
+    -------
+    The folder in its place, the gates, the exit code, and the record.
+    """
+    outcomes = {**checked.outcomes, **unavailable_backends(job.config)}
+    judged = [
+        gates.input_gate(job.found),
+        gates.agreement_gate(
+            checked.comparison, outcomes, len(job.heights), job.config.layer_height_mm, job.config.base_mm
+        ),
+    ]
+    job.add_finding(*noticed.of_doubt(checked.comparison.pairs, job.config))
+    job.add_finding(*(noticed.unavailable(o) for o in outcomes.values() if o.failure == "unavailable"))
+    made = None
+    if program is not None and primary:
+        job.add_finding(*noticed.of_profile(job.config))
+        made = program(job, checked, all(gate.passed for gate in judged))
+        judged += made.gates
+    code = gates.exit_code(judged, checked.comparison.compared_layers, outcomes)
+    if code is ExitCode.PASS and has_fault(job.findings):
+        code = ExitCode.OUT_OF_TOLERANCE
+    manifest = make_manifest(job, outcomes, checked.comparison, primary, made, judged, code)
+    job.folder.write_manifest(manifest)
+    write_reports(job.folder.path, job.observer.note)
+    if program is not None:
+        # Last of all: it lists every file, and so finds any byte that is changed after it.
+        write_certificate(RunFolder(job.folder.path))
+    (job.folder.path / FINGERPRINT).unlink()
+    return job.folder.finish(), tuple(judged), code, manifest

@@ -1,0 +1,193 @@
+"""Findings on plan and program that no gate covers."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping
+
+import numpy as np
+import pandas as pd
+
+from ebamcheck.findings import Finding, at_layer
+from ebamcheck.heat.melting import entry_limit_k
+from ebamcheck.numeric.rings import Floats
+from ebamcheck.program.checking.checks import Check
+from ebamcheck.program.checking.interpass_checks import INTERPASS, within_range
+from ebamcheck.program.checking.seam_corners import seam_turns
+from ebamcheck.program.reading.motions import NCProgram
+from ebamcheck.program.toolpath.inputs import deposition_heights
+from ebamcheck.scan import ScanPlan
+from ebamcheck.settings.config import Config
+
+NARROWER = (
+    "allow for machining (process.machining_allowance_mm), use a narrower bead, or build in another direction"
+)
+
+METAL: Mapping[str, tuple[str, str]] = {
+    "metal outside": ("wall-under-bead", NARROWER),
+    "reach of metal": ("bead-out-of-section", NARROWER),
+    "holes": ("hole-closed", "machine the hole afterwards and close it in the model, or use a narrower bead"),
+    "metal": ("metal-excess", "look at the sections with the most metal beside them in deposit.csv"),
+    "metal of layers": ("metal-excess", "look at that layer in deposit.csv"),
+    "height inside": ("metal-excess", "change the bead spacing, or the side of the hexagons"),
+    "height at edges": ("metal-excess", "change the inset of the contour beads (scan.contour_offset_mm)"),
+    "height of layers": ("metal-excess", "look at that layer in deposit.csv"),
+    "height of zones": (
+        "metal-excess",
+        "look at that place in the picture of the metal; turn the cells, or use a narrower bead",
+    ),
+    "surface": ("metal-excess", "turn the cells and the hatch from layer to layer, or use a narrower bead"),
+}
+"""Code and remedy of each check of the metal that fails."""
+
+
+def of_metal(checks: Iterable[Check]) -> Iterator[Finding]:
+    """What is wrong with the metal of a program, each with its place."""
+    for check in checks:
+        if check.passed:
+            continue
+        code, remedy = METAL[check.name]
+        # Excess and lack of metal are one check; its words say which.
+        lacks = code == "metal-excess" and (
+            "too low" in check.text.split("(at most")[0] or _lacks(check.text)
+        )
+        yield Finding(
+            "fault", "metal-missing" if lacks else code, check.text, check.where, check.value, check.limit,
+            check.unit, remedy,
+        )  # fmt: skip
+
+
+def _lacks(text: str) -> bool:
+    """Whether the words of a check tell less metal than there is to be: in all, of a layer, or as a mean height."""
+    if whole := re.search(r"(\d+\.\d+) kg of metal for (\d+\.\d+) kg", text):
+        return float(whole[1]) < float(whole[2])
+    share = re.search(r"(?:has|metal is) (\d+\.\d+)", text)
+    return share is not None and float(share[1]) < 1.0
+
+
+def of_heat(plan: ScanPlan, config: Config) -> Iterator[Finding]:
+    """Layers of which an island is entered above the solidus; over the boiling point the model has no figure."""
+    ambient_k = config.process.ambient_temperature_k
+    entry_k = plan.metrics["entry_max_k"].to_numpy() + ambient_k
+    solidus_k = config.material.solidus_k
+    hot = np.flatnonzero(entry_k > solidus_k)
+    if hot.size:
+        k, boiling_k = int(np.nanargmax(entry_k)), config.material.boiling_k
+        beyond = (
+            f", up to over the boiling point of {boiling_k:g} K, where it ends"
+            if entry_k[k] > boiling_k
+            else ""
+        )
+        yield Finding(
+            "warning",
+            "heat-above-solidus",
+            f"{hot.size} of {len(plan)} layers have islands that the heat model finds above the solidus when the beam "
+            f"enters them{beyond}",
+            _at(k, plan.heights, config),
+            min(float(entry_k[k]), boiling_k),
+            solidus_k,
+            "K",
+            "wait or lower the power (process.interpass)",
+        )
+
+
+def of_interpass(summary: pd.DataFrame, plan: ScanPlan, config: Config) -> Iterator[Finding]:
+    """What keeps the part cool: how long the program waits, by its own `summary`, and how far the power goes down."""
+    wait_s = float(summary["pause_s"].sum())
+    whole_s = wait_s + float(summary["deposit_s"].sum() + summary["travel_s"].sum())
+    if wait_s > 0.0:
+        yield Finding(
+            "note",
+            "interpass-wait",
+            f"the program waits {wait_s / 3600.0:.3g} of {whole_s / 3600.0:.3g} hours for the part to cool",
+            "process.interpass",
+            wait_s,
+            whole_s,
+            "s",
+        )
+    share = plan.metrics["power_share"].to_numpy()
+    if share.size and np.nanmin(share) < 1.0:
+        k, power_w = int(np.nanargmin(share)), config.process.power_w
+        yield Finding(
+            "note",
+            "power-taper",
+            f"the beam's power goes down to {100.0 * share[k]:.3g} % of {power_w:g} W as the part gets warm",
+            _at(k, plan.heights, config),
+            float(share[k] * power_w),
+            power_w,
+            "W",
+        )
+
+
+def of_limit(checks: Iterable[Check], plan: ScanPlan, config: Config) -> Iterator[Finding]:
+    """Layers that the plan, or the balance of the program's text, enters above the interpass limit; see the gate `heat`."""
+    limit_k, metrics = entry_limit_k(config), plan.metrics
+    at_bead = config.process.interpass_at == "bead"
+    planned_k = (
+        metrics["entry_max_k"] + config.process.ambient_temperature_k if at_bead else metrics["enter_k"]
+    )
+    hot = np.flatnonzero(planned_k.to_numpy(np.float64) > limit_k)
+    what = "beads" if at_bead else "layers"
+    if hot.size:
+        k = int(hot[planned_k.to_numpy()[hot].argmax()])
+        figure_k, mark = within_range(float(planned_k[k]), config)
+        yield Finding(
+            "fault",
+            "interpass-limit",
+            f"the plan enters {what} above {limit_k:.0f} K in {hot.size} of {len(plan)} layers, the hottest at "
+            f"{figure_k:.0f} K{mark}",
+            _at(k, plan.heights, config),
+            figure_k,
+            limit_k,
+            "K",
+            _cooler(config),
+        )
+        return
+    for check in checks:
+        if check.name == INTERPASS and not check.passed:
+            yield Finding(
+                "fault", "interpass-limit", check.text, check.where, check.value, limit_k, check.unit,
+                "wait and lower the power as the plan has it: make the program again",
+            )  # fmt: skip
+
+
+def _cooler(config: Config) -> str:
+    """What is left to keep a layer under the limit, by the settings that it has been planned with."""
+    process = config.process
+    if process.interpass == "off":
+        return 'wait and lower the power (process.interpass = "both")'
+    if process.interpass == "power":
+        return 'wait as well (process.interpass = "both"): even the least power that melts the wire leaves the part too hot'
+    base = ", cool the table (process.base)" if process.base != "cooled" else ""
+    return f"no wait is long enough: raise the limit (process.interpass_limit_k){base}, or lower the power further"
+
+
+def of_seams(program: NCProgram, heights: Floats, config: Config) -> Iterator[Finding]:
+    """Contours that start at a corner of the part, where metal heaps up; `heights` (L,) mm are those of the cuts."""
+    row, turn_deg = seam_turns(program)
+    corner_deg = 180.0 - config.curves.corner_angle_deg
+    at_corner = turn_deg > corner_deg
+    if at_corner.any():
+        k = int(row[at_corner.argmax()])
+        x_mm, y_mm, z_mm = program.start[k].tolist()
+        layer = int(
+            np.abs(deposition_heights(heights, config.layer_height_mm, config.base_mm) - z_mm).argmin()
+        )
+        count = int(at_corner.sum())
+        yield Finding(
+            "warning",
+            "seam-at-corner",
+            f"{count} of {row.size} closed contours start where they turn by more than {corner_deg:g} degrees, first here",
+            _at(layer, heights, config, x_mm, y_mm),
+            float(count),
+            0.0,
+            "contours",
+            "spread the seams (process.seam_shift_mm), or leave metal for machining (process.machining_allowance_mm)",
+        )
+
+
+def _at(layer: int, heights: Floats, config: Config, x_mm: float = math.nan, y_mm: float = math.nan) -> str:
+    """Name a place in part and program; `heights` (L,) mm are those of the cuts."""
+    z_mm = deposition_heights(np.asarray(heights, np.float64), config.layer_height_mm, config.base_mm)[layer]
+    return at_layer(layer, float(heights[layer]), x_mm, y_mm, float(z_mm))
