@@ -28,6 +28,12 @@ heat changes ever more slowly: node n of N lies at horizon (n / (N - 1))^2, and 
 LEAST_RATE = 1e-9
 """Decay, 1/s, that an amplitude has at least: nothing within any layer, but there is an inverse of it."""
 
+FALLEN = 25.0
+"""Decays in which a mode falls to nothing beside the rounding of the table: 1e-11."""
+
+FEWER = 4.0
+"""Times of the table go together until so many times fewer modes are left."""
+
 MOST_ISLANDS = 500
 """Beyond, the table is too large: 500 islands take 96 MB."""
 
@@ -126,16 +132,29 @@ def old_heat(
     at_horizon = (weight * np.exp(-rate * horizon_s)).sum(axis=1)[:, None]
     # Of a source that ended less than a horizon ago only what it began with is old.
     young = slice(0, int(np.searchsorted(since_s, horizon_s)))
-    old = slice(young.stop, None)
-    of_mode = np.empty_like(across)
+    spans = _spans(heat.modes.plane_rate, np.maximum(since_s, horizon_s))
     for j in sources:
         time, source = time_s.item(j), heat.modes.source_k_s.item(j)
         fallen = np.exp(-rate * time)
-        of_mode[:, old] = across[:, old] * ((weight * (1.0 - fallen)) @ through[:, old])
-        begun = at_horizon - across[:, young] * ((weight * fallen) @ through[:, young])
-        of_mode[:, young] = np.where(since_s[young] + time > horizon_s, begun, 0.0)
-        scaled = of_mode * (source * heat.modes.mean[:, j, None])
-        rise[:, j] = mean.T @ scaled.astype(np.float32)
+        held, scale = weight * (1.0 - fallen), source * heat.modes.mean[:, j, None]
+        for count, span in spans:
+            of_mode = across[:count, span] * (held[:count] @ through[:, span])
+            if span.start == 0:
+                begun = at_horizon - across[:, young] * ((weight * fallen) @ through[:, young])
+                of_mode[:, young] = np.where(since_s[young] + time > horizon_s, begun, 0.0)
+            of_mode *= scale[:count]
+            rise[:, j, span] = mean[:count].T @ of_mode.astype(np.float32)
+
+
+def _spans(plane_rate: Floats, since_s: Floats) -> list[tuple[int, slice]]:
+    """Times (Q,), rising, in spans, each with how many of the modes, whose decays rise, are left at its beginning."""
+    left = np.maximum(np.searchsorted(plane_rate, FALLEN / since_s), 1)
+    spans, start = [], 0
+    while start < len(left):
+        stop = max(start + 1, int(np.searchsorted(-left, -left[start] / FEWER)))
+        spans.append((int(left[start]), slice(start, stop)))
+        start = stop
+    return spans
 
 
 @kernel
