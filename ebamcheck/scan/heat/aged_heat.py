@@ -111,7 +111,14 @@ def aged_state(state: Floats, aged: AgedModes, island: int, heating: float, time
 
 @kernel
 def _heated(
-    state: Floats, across: Floats, through: float, aged: AgedModes, n: int, island: int, heating: float, time: float
+    state: Floats,
+    across: Floats,
+    through: float,
+    aged: AgedModes,
+    n: int,
+    island: int,
+    heating: float,
+    time: float,
 ) -> None:
     """Age amplitudes (K,) of one mode of the depth, of which `across` times `through` is left, while an island heats them."""
     plane_rate, held, mean = aged.plane_rate, aged.held_s[n], aged.mean[island]

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.scan.heat.island_heat import IslandHeat
 from ebamcheck.scan.heat.falling import falling
+from ebamcheck.scan.heat.island_heat import IslandHeat
 from ebamcheck.scan.heat.near_field import FAR, NearField, at_root, young_mean
 from ebamcheck.scan.heat.pieces import OPTIONS
 
@@ -176,7 +176,11 @@ def young_heat(
     first, other, pair = near.first, near.other, near.pair
     most = np.diff(first).max()
     mean, entry_k = np.empty((most, len(since))), np.empty(most * OPTIONS)
-    x, y, inside = np.empty(most * OPTIONS), np.empty(most * OPTIONS), np.empty((near.inside.shape[2], most * OPTIONS))
+    x, y, inside = (
+        np.empty(most * OPTIONS),
+        np.empty(most * OPTIONS),
+        np.empty((near.inside.shape[2], most * OPTIONS)),
+    )
     for j in range(start, stop):
         beside = other[first[j] : first[j + 1]]
         for b in range(len(beside)):
@@ -187,7 +191,11 @@ def young_heat(
                     rise[i, j, n] += source[j] * mean[b, n]
             for option in range(OPTIONS):
                 e = OPTIONS * b + option
-                x[e], y[e], inside[:, e] = near.entry[i, option, 0], near.entry[i, option, 1], near.inside[i, option]
+                x[e], y[e], inside[:, e] = (
+                    near.entry[i, option, 0],
+                    near.entry[i, option, 1],
+                    near.inside[i, option],
+                )
         used = OPTIONS * len(beside)
         for left_by in range(OPTIONS):
             for n in range(len(since)):
@@ -203,7 +211,15 @@ def young_heat(
 
 @kernel
 def _add_pieces(
-    near: NearField, source: int, left_by: int, since: float, time: float, x: Floats, y: Floats, inside: Floats, rise: Floats
+    near: NearField,
+    source: int,
+    left_by: int,
+    since: float,
+    time: float,
+    x: Floats,
+    y: Floats,
+    inside: Floats,
+    rise: Floats,
 ) -> None:
     """Add to the rises (E,) at entries what :func:`~ebamcheck.scan.heat.near_field.entry_rise` has for one second of heating.
 

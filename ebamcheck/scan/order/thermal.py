@@ -327,9 +327,7 @@ def _set_old_heat(mean: Floats, surface: Floats, rise: Floats) -> None:
     for k in range(0, paired, 4):
         a, b, c, d = surface[k], surface[k + 1], surface[k + 2], surface[k + 3]
         for j in range(len(rise)):
-            rise[j] = (
-                rise[j] + a * mean[k, j] + b * mean[k + 1, j] + c * mean[k + 2, j] + d * mean[k + 3, j]
-            )
+            rise[j] = rise[j] + a * mean[k, j] + b * mean[k + 1, j] + c * mean[k + 2, j] + d * mean[k + 3, j]
     for k in range(paired, len(surface)):
         for j in range(len(rise)):
             rise[j] += surface[k] * mean[k, j]
