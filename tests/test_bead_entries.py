@@ -19,7 +19,7 @@ from ebamcheck.program.controls.gcode.writing import write_plain_gcode
 from ebamcheck.program.toolpath.bead_ends import planned_path
 from ebamcheck.program.toolpath.events import MOVE, WAIT, process_events
 from ebamcheck.scan.islands.regions import layer_section
-from ebamcheck.scan.plan.bead_sequence import bead_sequence
+from ebamcheck.scan.plan.bead_sequence import bead_sequence, contour_beads
 from ebamcheck.scan.plan.stacking import in_order, stack_plans
 from ebamcheck.scan.plan.whole_part import Stack, ordered_layers
 from ebamcheck.settings.config import Config
@@ -67,7 +67,9 @@ class Made:
     def planned(self, layer):
         """Beads of one layer by the plan."""
         done = self.ordered[layer]
-        return bead_sequence(done.laid, self.config, done.islands.cold_heat(), done.order, done.options)[0]
+        heat = done.islands.cold_heat()
+        contours = contour_beads(done.laid, self.config, heat)
+        return bead_sequence(done.laid, contours, self.config, heat, done.order, done.options)[0]
 
     def entries(self):
         """Beads of the text as they are entered, with nothing known but the text."""

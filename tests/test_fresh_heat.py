@@ -18,7 +18,9 @@ from benchmarks.island_temperatures import compared
 from ebamcheck.heat import Medium
 from ebamcheck.scan.filling.hatch import Vectors
 from ebamcheck.scan.heat import island_heat
-from ebamcheck.scan.heat.enclosed import enclosed_share
+from ebamcheck.scan.heat.aged_heat import entered_with_aged
+from ebamcheck.scan.heat.amplitudes import Modes, Timetable
+from ebamcheck.scan.heat.enclosed import FELT, enclosed_share
 from ebamcheck.scan.heat.near_field import entry_rise, exact_depth, of_layer
 from ebamcheck.scan.heat.pieces import OPTIONS, island_tiles, line_pieces
 from ebamcheck.scan.order.simulation import entry_points
@@ -157,6 +159,52 @@ def test_the_share_in_sight_is_exact_on_borders_in_corners_and_in_walls(variance
     assert corner == pytest.approx(norm.cdf(1.0 / sigma) * norm.cdf(2.0 / sigma), abs=0.02)
     wall = enclosed_share(shapely.box(0, -wide, 3.0, wide), np.array([[1.0, 0.0]]), spread[:1])[0, 0]
     assert wall == pytest.approx(norm.cdf(2.0 / sigma) - norm.cdf(-1.0 / sigma), abs=0.02)
+
+
+def test_an_outline_too_far_away_to_be_felt_changes_nothing():
+    """Not even a bit; what begins where the first may be felt does."""
+    points = np.random.default_rng(2).uniform(0.0, 30.0, (40, 2))
+    spread = np.broadcast_to(np.linspace(0.5, 9.0, 7), (40, 7))
+    felt_mm = math.sqrt(2.0 * FELT * 9.0)
+    along = np.linspace(0.0, 60.0, 900)
+
+    def plate(end_mm):
+        wavy = np.column_stack([end_mm + np.sin(along), along - 15.0])
+        return shapely.Polygon([[-5.0, -15.0], *wavy, [-5.0, 45.0]])
+
+    far, farther, near = (
+        enclosed_share(plate(30.0 + mm), points, spread) for mm in (felt_mm + 2.0, 300.0, 2.0)
+    )
+    assert np.array_equal(far, farther)
+    assert (near <= far).all()
+    assert (near < far).any()
+
+
+@pytest.mark.parametrize("fallen", [0.0, 0.3])
+def test_late_heat_is_that_of_islands_one_by_one(fallen):
+    """Amplitudes of modes that fall, hardly fall and do not, heated with pauses, against sums over the islands."""
+    plane_rate = np.array([0.0, 1e-9, 1e-6, 3e-4, 0.05, 0.4, 2.0])
+    depth_rate, in_layer = np.array([0.0, 2e-6, 0.1, 1.5]), np.array([1.0, 0.9, 0.5, 0.2])
+    random = np.random.default_rng(4)
+    mean, source = random.normal(size=(7, 5)), random.uniform(50.0, 200.0, 5)
+    modes = Modes(mean, plane_rate, depth_rate, in_layer, source)
+    start_s = np.array([0.0, 4.0, 8.5, 15.0, 19.0])
+    end_s, order, age = start_s + np.array([4.0, 3.0, 5.0, 3.5, 6.0]), np.arange(5), 1.5 + fallen
+    begun = random.normal(size=(7, 4))
+    found = entered_with_aged(modes, Timetable(order, start_s, end_s), age, begun)
+    rate = np.add.outer(plane_rate, depth_rate)
+    for island in order:
+        now = start_s[island]
+        state = begun * np.exp(-rate * now)
+        for earlier in range(island):
+            oldest, youngest = now - start_s[earlier], max(now - end_s[earlier], age)
+            if oldest > youngest:
+                span = oldest - youngest
+                held = np.where(rate > 0.0, -np.expm1(-rate * span) / np.where(rate > 0.0, rate, 1.0), span)
+                state = state + source[earlier] * np.exp(-rate * youngest) * held * np.multiply.outer(
+                    mean[:, earlier], in_layer
+                )
+        assert found[island] == pytest.approx(mean[:, island] @ state @ in_layer, rel=1e-8)
 
 
 @pytest.mark.parametrize("since", [0.3, 1.0, 2.0])

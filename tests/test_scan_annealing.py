@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 from islands_of_a_plate import FREE, PLATE, PROFILE, RAPID, laid_plate
 
-from ebamcheck.scan.heat.influence import influence, looked_up, table_place
+from ebamcheck.scan.heat.influence import (
+    FALLEN,
+    LEAST_RATE,
+    YOUNG_NODES,
+    influence,
+    looked_up,
+    old_heat,
+    table_place,
+)
+from ebamcheck.scan.heat.near_field import entry_rise, young_mean
 from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.scan.order.annealing import (
     HOTTEST_EVERY,
@@ -97,6 +106,46 @@ def test_a_rise_of_the_table_is_that_of_two_islands_driven_alone(base):
             assert found == pytest.approx(exact, rel=0.02, abs=1.0)
             before = max(before, abs(exact))
         assert before > 0.0
+
+
+def test_old_heat_of_the_table_is_the_sum_over_all_modes(choices):
+    heat, time_s = choices.cold_heat(), choices.known_schedule.time_s
+    modes, horizon_s = heat.modes, heat.fresh.horizon_s
+    rate = np.add.outer(modes.plane_rate, np.maximum(modes.depth_rate, LEAST_RATE))
+    # From the horizon to where hardly a mode of the section is left.
+    since = np.concatenate([horizon_s * np.array([0.0, 0.6]), horizon_s * np.geomspace(1.0, 400.0, 30)])
+    assert (modes.plane_rate * since[-1] > FALLEN).mean() > 0.9
+    rise = np.zeros((len(choices), len(choices) + 1, len(since)), np.float32)
+    old_heat(heat, time_s, horizon_s, since, rise, range(len(choices)))
+    for source in (0, 7, len(choices) - 1):
+        for n, ago in enumerate(since):
+            oldest, youngest = ago + time_s[source], max(ago, horizon_s)
+            lasting = np.maximum(np.exp(-rate * youngest) - np.exp(-rate * oldest), 0.0) / rate
+            by_mode = (modes.in_layer**2 * lasting).sum(axis=1) * modes.mean[:, source]
+            exact = modes.source_k_s[source] * modes.mean.T @ by_mode
+            assert rise[:, source, n] == pytest.approx(exact, abs=3e-6 * np.abs(exact).max())
+
+
+def test_entries_of_the_table_are_those_of_single_pieces(choices):
+    heat, time_s = choices.cold_heat(), choices.known_schedule.time_s
+    near, source_k_s = heat.fresh, heat.modes.source_k_s
+    table = influence(heat, time_s, 300.0).fresh
+    since = near.horizon_s * (np.arange(YOUNG_NODES) / (YOUNG_NODES - 1)) ** 2
+    greatest = float(np.abs(table.excess_k).max())
+    compared = 0
+    for i in range(0, len(choices), 3):
+        for p in range(near.first[i], near.first[i + 1]):
+            j = near.other[p]
+            assert table.slot[i, j] == p
+            if i == j:
+                assert not table.excess_k[p].any()
+                continue
+            for option, left_by, n in ((0, 3, 0), (1, 2, 4), (2, 1, 7), (3, 0, YOUNG_NODES - 1)):
+                entry = entry_rise(near, i, option, j, left_by, since[n], time_s[j])
+                exact = source_k_s[j] * (entry - young_mean(near, near.pair[p], since[n], time_s[j]))
+                assert table.excess_k[p, option, left_by, n] == pytest.approx(exact, abs=1e-6 * greatest)
+                compared += abs(exact) > 1e-3 * greatest
+    assert compared > 20
 
 
 def test_options_are_the_nearest_ones(choices):

@@ -2,46 +2,138 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.scan.heat.amplitudes import Modes, Timetable, age_state
+from ebamcheck.scan.heat.amplitudes import Modes, Timetable
+from ebamcheck.scan.heat.falling import falling
+
+LEAST_DECAY = 1e-5
+"""Decays under which what an island leaves is the first terms of its series: a difference from 1 would lose more."""
+
+
+class AgedModes(NamedTuple):
+    """Modes as :class:`~ebamcheck.scan.heat.amplitudes.Modes`, whose sources are as small as their heat has become at an age.
+
+    Amplitudes are (N, K) here: those of all modes of the section lie side by side, which the processor takes several of at once.
+
+    Parameters
+    ----------
+    mean
+        (I, K) means over the islands.
+    plane_rate, depth_rate, source_k_s
+        As there.
+    in_layer
+        (N,) means of the depth's modes over the layer.
+    held_s
+        (N, K) amplitude that heating by 1 K/s comes to in the end; 0 for what never falls.
+    across
+        (K,) room for what is left of the section's modes after a time.
+    """
+
+    mean: Floats
+    plane_rate: Floats
+    depth_rate: Floats
+    source_k_s: Floats
+    in_layer: Floats
+    held_s: Floats
+    across: Floats
 
 
 @kernel
-def entered_with_aged(modes: Modes, timetable: Timetable, age: float, state: Floats) -> Floats:
+def entered_with_aged(modes: Modes, timetable: Timetable, age: float, start: Floats) -> Floats:
     """Entry temperature of each island (I,) by what the layer begins with and by heat of at least an age, s.
 
-    Heat comes to the modes late by that age, and as small as it has become by then. `state` (K, N) is used up.
+    Heat comes to the modes late by that age, and as small as it has become by then. `start` are amplitudes (K, N).
     """
-    aged = late_modes(modes, age)
-    entry_k = np.zeros(modes.mean.shape[1])
+    aged, state = late_modes(modes, age), by_depth(start)
+    mean = np.ascontiguousarray(modes.mean.T)
+    entry_k, surface = np.zeros(len(mean)), np.empty(len(modes.plane_rate))
     clock, place = 0.0, 0
     for island in timetable.order:
-        start = timetable.start_s[island]
-        place = with_late_heat(state, aged, timetable, age, clock, start, place)
-        clock = start
-        for k in range(modes.mean.shape[0]):
-            for n in range(len(modes.depth_rate)):
-                entry_k[island] += modes.mean[k, island] * modes.in_layer[n] * state[k, n]
+        until = timetable.start_s[island]
+        place = with_late_heat(state, aged, timetable, age, clock, until, place)
+        clock = until
+        read_surface(state, modes.in_layer, surface)
+        for k in range(len(surface)):
+            entry_k[island] += mean[island, k] * surface[k]
     return entry_k
 
 
 @kernel
-def late_modes(modes: Modes, age: float) -> Modes:
-    """Modes whose sources are as small as their heat has become at an age; means of an island lie side by side in memory."""
+def by_depth(state: Floats) -> Floats:
+    """Amplitudes (K, N) as (N, K)."""
+    return np.ascontiguousarray(state.T)
+
+
+@kernel
+def late_modes(modes: Modes, age: float) -> AgedModes:
+    """Modes whose sources are as small as their heat has become at an age."""
     fallen = modes.mean * np.exp(-modes.plane_rate * age).reshape(-1, 1)
     in_layer = modes.in_layer * np.exp(-modes.depth_rate * age)
-    by_island = np.ascontiguousarray(fallen.T).T
-    return Modes(by_island, modes.plane_rate, modes.depth_rate, in_layer, modes.source_k_s)
+    held = np.zeros((len(modes.depth_rate), len(modes.plane_rate)))
+    for n in range(held.shape[0]):
+        for k in range(held.shape[1]):
+            rate = modes.plane_rate[k] + modes.depth_rate[n]
+            held[n, k] = in_layer[n] / rate if rate > 0.0 else 0.0
+    return AgedModes(
+        np.ascontiguousarray(fallen.T), modes.plane_rate, modes.depth_rate, modes.source_k_s, in_layer, held,
+        np.empty(len(modes.plane_rate)),
+    )  # fmt: skip
+
+
+@kernel
+def read_surface(state: Floats, in_layer: Floats, surface: Floats) -> None:
+    """Set the amplitudes (K,) of the section's modes in the layer by those of all modes (N, K)."""
+    surface[:] = 0.0
+    for n in range(len(state)):
+        for k in range(len(surface)):
+            surface[k] += state[n, k] * in_layer[n]
+
+
+@kernel
+def aged_state(state: Floats, aged: AgedModes, island: int, heating: float, time: float) -> None:
+    """Age amplitudes (N, K) while an island heats them by so many K/s; not at all by 0."""
+    across, plane_rate = aged.across, aged.plane_rate
+    for k in range(len(across)):
+        across[k] = falling(-plane_rate[k] * time)
+    for n in range(len(state)):
+        through = np.exp(-aged.depth_rate[n] * time)
+        if heating == 0.0:
+            for k in range(len(across)):
+                state[n, k] *= across[k] * through
+        else:
+            _heated(state[n], across, through, aged, n, island, heating, time)
+
+
+@kernel
+def _heated(
+    state: Floats,
+    across: Floats,
+    through: float,
+    aged: AgedModes,
+    n: int,
+    island: int,
+    heating: float,
+    time: float,
+) -> None:
+    """Age amplitudes (K,) of one mode of the depth, of which `across` times `through` is left, while an island heats them."""
+    plane_rate, held, mean = aged.plane_rate, aged.held_s[n], aged.mean[island]
+    depth_rate, short = aged.depth_rate[n], aged.in_layer[n] * time
+    for k in range(len(state)):
+        fall, decays = across[k] * through, (plane_rate[k] + depth_rate) * time
+        left = short * (1.0 - 0.5 * decays) if decays < LEAST_DECAY else (1.0 - fall) * held[k]
+        state[k] = state[k] * fall + heating * mean[k] * left
 
 
 @kernel
 def with_late_heat(
-    state: Floats, aged: Modes, timetable: Timetable, age: float, clock: float, until: float, place: int
+    state: Floats, aged: AgedModes, timetable: Timetable, age: float, clock: float, until: float, place: int
 ) -> int:
-    """Age amplitudes (K, N) from a time until another, with islands that heat late; the place in the order reached."""
+    """Age amplitudes (N, K) from a time until another, with islands that heat late; the place in the order reached."""
     order = timetable.order
     while clock < until:
         begins, ends, heating = until, until, 0.0
@@ -53,7 +145,7 @@ def with_late_heat(
         else:
             time = min(ends, until) - clock
             heating = aged.source_k_s[island]
-        age_state(state, aged, island, heating, time)
+        aged_state(state, aged, island, heating, time)
         # The very end of a stretch, not a sum that may miss it by rounding.
         if begins > clock:
             clock = min(begins, until)

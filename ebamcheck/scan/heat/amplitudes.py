@@ -75,22 +75,6 @@ def heat_island(state: Floats, modes: Modes, island: int, time: float) -> None:
 
 
 @kernel
-def age_state(state: Floats, modes: Modes, island: int, heating: float, time: float) -> None:
-    """Age amplitudes (K, N) while an island heats them by so many K/s; not at all by 0."""
-    through = np.exp(-modes.depth_rate * time)
-    for k in range(state.shape[0]):
-        across, gain = np.exp(-modes.plane_rate[k] * time), heating * modes.mean[k, island]
-        if heating == 0.0:
-            for n in range(state.shape[1]):
-                state[k, n] *= across * through[n]
-            continue
-        for n in range(state.shape[1]):
-            rate, fall = modes.plane_rate[k] + modes.depth_rate[n], across * through[n]
-            held = time if rate * time < LEAST_DECAY else (1.0 - fall) / rate
-            state[k, n] = state[k, n] * fall + gain * held * modes.in_layer[n]
-
-
-@kernel
 def at_surface(state: Floats, modes: Modes) -> Floats:
     """Amplitudes (K,) of the section's modes in the layer."""
     result = np.empty(state.shape[0])

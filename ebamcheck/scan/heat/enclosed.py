@@ -30,6 +30,12 @@ sectors, that is allowed for at their edges, far more than there is."""
 DOUBTFUL = 64
 """Added to the sector of a bin that holds a ray."""
 
+FELT = 38.0
+"""Exponent from which on what a Gaussian has beyond the outline is nothing beside 1, not even by rounding."""
+
+STRETCH = 64
+"""Segments of the outline that are passed over together where all of them are too far away to be felt; whole words of marks."""
+
 FEWEST_POINTS = 64
 """Points that a thread is worth."""
 
@@ -75,24 +81,33 @@ def in_sight(points: Floats, variance: Floats, outline: Floats, goes_on: Bools) 
     nearest, angle = np.empty(DIRECTIONS), 2.0 * np.pi * (np.arange(DIRECTIONS) + 0.5) / DIRECTIONS
     dx, dy = np.cos(angle), np.sin(angle)
     share, parts = np.zeros(variance.shape), np.empty((DIRECTIONS, variance.shape[1]))
-    count, sectors = len(outline), sector_table()
-    x, y, sector = np.empty(count), np.empty(count), np.empty(count, np.uint8)
+    count, sectors, boxes = len(outline), sector_table(), _stretches(outline)
+    x, y, sector = np.empty(STRETCH + 1), np.empty(STRETCH + 1), np.empty(STRETCH + 1, np.uint8)
     # What may be crossed is marked by itself, which the processor does for several segments at once, and looked for by words.
-    marked = np.zeros(8 * (count // 8 + 1), np.uint8)
+    marked = np.zeros(STRETCH, np.uint8)
     words = marked.view(np.uint64)
     for p in range(len(points)):
-        for s in range(count):
-            x[s], y[s] = outline[s, 0] - points[p, 0], outline[s, 1] - points[p, 1]
-        for s in range(count):
-            sector[s] = sectors[int(SECTOR_BINS * diamond(x[s], y[s]))]
-        for s in range(count - 1):
-            marked[s] = goes_on[s] & ((sector[s] != sector[s + 1]) | (sector[s] >= DOUBTFUL))
         nearest[:] = np.inf
-        for word in range(len(words)):
-            if words[word] != 0:
-                for s in range(8 * word, min(8 * word + 8, count)):
-                    if marked[s] != 0:
-                        _cross(nearest, dx, dy, x[s], y[s], x[s + 1], y[s + 1], sector[s], sector[s + 1])
+        px, py, felt = points[p, 0], points[p, 1], 2.0 * FELT * variance[p].max()
+        for b in range(len(boxes)):
+            beside = max(boxes[b, 0] - px, px - boxes[b, 1], 0.0)
+            above = max(boxes[b, 2] - py, py - boxes[b, 3], 0.0)
+            if beside * beside + above * above > felt:
+                continue
+            first = b * STRETCH
+            length = min(STRETCH, count - 1 - first)
+            for s in range(length + 1):
+                x[s], y[s] = outline[first + s, 0] - px, outline[first + s, 1] - py
+            for s in range(length + 1):
+                sector[s] = sectors[int(SECTOR_BINS * diamond(x[s], y[s]))]
+            marked[length:] = 0
+            for s in range(length):
+                marked[s] = goes_on[first + s] & ((sector[s] != sector[s + 1]) | (sector[s] >= DOUBTFUL))
+            for word in range(len(words)):
+                if words[word] != 0:
+                    for s in range(8 * word, 8 * word + 8):
+                        if marked[s] != 0:
+                            _cross(nearest, dx, dy, x[s], y[s], x[s + 1], y[s + 1], sector[s], sector[s + 1])
         for n in range(DIRECTIONS):
             for q in range(variance.shape[1]):
                 parts[n, q] = np.true_divide(-0.5 * nearest[n] * nearest[n], variance[p, q])
@@ -103,6 +118,17 @@ def in_sight(points: Floats, variance: Floats, outline: Floats, goes_on: Bools) 
             for q in range(variance.shape[1]):
                 share[p, q] += parts[n, q]
     return share
+
+
+@kernel
+def _stretches(outline: Floats) -> Floats:
+    """Boxes (B, 4), least and greatest x, then y, around each :data:`STRETCH` segments of an outline (S, 2)."""
+    boxes = np.empty((max(0, len(outline) - 2 + STRETCH) // STRETCH, 4))
+    for b in range(len(boxes)):
+        part = outline[b * STRETCH : b * STRETCH + STRETCH + 1]
+        boxes[b, 0], boxes[b, 1] = part[:, 0].min(), part[:, 0].max()
+        boxes[b, 2], boxes[b, 3] = part[:, 1].min(), part[:, 1].max()
+    return boxes
 
 
 @kernel

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Floats
+from ebamcheck.scan.heat.falling import falling
 from ebamcheck.scan.heat.island_heat import IslandHeat
-from ebamcheck.scan.heat.near_field import NearField, entry_rise, young_mean
+from ebamcheck.scan.heat.near_field import FAR, NearField, at_root, young_mean
 from ebamcheck.scan.heat.pieces import OPTIONS
 
 NODES = 96
@@ -26,6 +27,12 @@ heat changes ever more slowly: node n of N lies at horizon (n / (N - 1))^2, and 
 
 LEAST_RATE = 1e-9
 """Decay, 1/s, that an amplitude has at least: nothing within any layer, but there is an inverse of it."""
+
+FALLEN = 25.0
+"""Decays in which a mode falls to nothing beside the rounding of the table: 1e-11."""
+
+FEWER = 4.0
+"""Times of the table go together until so many times fewer modes are left."""
 
 MOST_ISLANDS = 500
 """Beyond, the table is too large: 500 islands take 96 MB."""
@@ -97,7 +104,7 @@ def influence(heat: IslandHeat, time_s: Floats, longest_s: float) -> Influence:
     excess_k = np.zeros((len(near.other), OPTIONS, OPTIONS, YOUNG_NODES), np.float32)
     run_blocks(
         lambda a, b: young_heat(
-            near, heat.modes.source_k_s, time_s, since[:YOUNG_NODES], rise, excess_k, a, b
+            near, slot, heat.modes.source_k_s, time_s, since[:YOUNG_NODES], rise, excess_k, a, b
         ),
         count,
         SOURCES,
@@ -125,21 +132,35 @@ def old_heat(
     at_horizon = (weight * np.exp(-rate * horizon_s)).sum(axis=1)[:, None]
     # Of a source that ended less than a horizon ago only what it began with is old.
     young = slice(0, int(np.searchsorted(since_s, horizon_s)))
-    old = slice(young.stop, None)
-    of_mode = np.empty_like(across)
+    spans = _spans(heat.modes.plane_rate, np.maximum(since_s, horizon_s))
     for j in sources:
         time, source = time_s.item(j), heat.modes.source_k_s.item(j)
         fallen = np.exp(-rate * time)
-        of_mode[:, old] = across[:, old] * ((weight * (1.0 - fallen)) @ through[:, old])
-        begun = at_horizon - across[:, young] * ((weight * fallen) @ through[:, young])
-        of_mode[:, young] = np.where(since_s[young] + time > horizon_s, begun, 0.0)
-        scaled = of_mode * (source * heat.modes.mean[:, j, None])
-        rise[:, j] = mean.T @ scaled.astype(np.float32)
+        held, scale = weight * (1.0 - fallen), source * heat.modes.mean[:, j, None]
+        for count, span in spans:
+            of_mode = across[:count, span] * (held[:count] @ through[:, span])
+            if span.start == 0:
+                begun = at_horizon - across[:, young] * ((weight * fallen) @ through[:, young])
+                of_mode[:, young] = np.where(since_s[young] + time > horizon_s, begun, 0.0)
+            of_mode *= scale[:count]
+            rise[:, j, span] = mean[:count].T @ of_mode.astype(np.float32)
+
+
+def _spans(plane_rate: Floats, since_s: Floats) -> list[tuple[int, slice]]:
+    """Times (Q,), rising, in spans, each with how many of the modes, whose decays rise, are left at its beginning."""
+    left = np.maximum(np.searchsorted(plane_rate, FALLEN / since_s), 1)
+    spans, start = [], 0
+    while start < len(left):
+        stop = max(start + 1, int(np.searchsorted(-left, -left[start] / FEWER)))
+        spans.append((int(left[start]), slice(start, stop)))
+        start = stop
+    return spans
 
 
 @kernel
 def young_heat(
     near: NearField,
+    slot: NDArray[np.int32],
     source: Floats,
     time: Floats,
     since: Floats,
@@ -148,19 +169,83 @@ def young_heat(
     start: int,
     stop: int,
 ) -> None:
-    """Add young heat to the rises of the means of some islands; write its `excess` at their entries, as in :class:`FreshTable`."""
-    for i in range(start, stop):
-        for p in range(near.first[i], near.first[i + 1]):
-            j = near.other[p]
-            if i == j:
-                continue
+    """Add the young heat of some islands to the rises of the means; write its `excess` at entries, as in :class:`FreshTable`.
+
+    All entries near a source are worked out side by side, piece by piece of it.
+    """
+    first, other, pair = near.first, near.other, near.pair
+    most = np.diff(first).max()
+    mean, entry_k = np.empty((most, len(since))), np.empty(most * OPTIONS)
+    x, y, inside = (
+        np.empty(most * OPTIONS),
+        np.empty(most * OPTIONS),
+        np.empty((near.inside.shape[2], most * OPTIONS)),
+    )
+    for j in range(start, stop):
+        beside = other[first[j] : first[j + 1]]
+        for b in range(len(beside)):
+            i = beside[b]
             for n in range(len(since)):
-                mean = young_mean(near, near.pair[p], since[n], time[j])
-                rise[i, j, n] += source[j] * mean
-                for option in range(OPTIONS):
-                    for left_by in range(OPTIONS):
-                        entry = entry_rise(near, i, option, j, left_by, since[n], time[j])
-                        excess[p, option, left_by, n] = source[j] * (entry - mean)
+                mean[b, n] = young_mean(near, pair[first[j] + b], since[n], time[j])
+                if i != j:
+                    rise[i, j, n] += source[j] * mean[b, n]
+            for option in range(OPTIONS):
+                e = OPTIONS * b + option
+                x[e], y[e], inside[:, e] = (
+                    near.entry[i, option, 0],
+                    near.entry[i, option, 1],
+                    near.inside[i, option],
+                )
+        used = OPTIONS * len(beside)
+        for left_by in range(OPTIONS):
+            for n in range(len(since)):
+                entry_k[:used] = 0.0
+                _add_pieces(near, j, left_by, since[n], time[j], x[:used], y[:used], inside, entry_k)
+                for b in range(len(beside)):
+                    row = slot[beside[b], j]
+                    for option in range(OPTIONS):
+                        rest = entry_k[OPTIONS * b + option] * time[j] - mean[b, n]
+                        if beside[b] != j:
+                            excess[row, option, left_by, n] = source[j] * rest
+
+
+@kernel
+def _add_pieces(
+    near: NearField,
+    source: int,
+    left_by: int,
+    since: float,
+    time: float,
+    x: Floats,
+    y: Floats,
+    inside: Floats,
+    rise: Floats,
+) -> None:
+    """Add to the rises (E,) at entries what :func:`~ebamcheck.scan.heat.near_field.entry_rise` has for one second of heating.
+
+    Parameters
+    ----------
+    x, y
+        (E,) the entries, mm.
+    inside
+        (Q + 1, E) share of the heat around each that is in the section, by ages.
+    """
+    pieces, depth, horizon, columns = near.pieces, near.depth, near.horizon_s, len(inside) - 1
+    place, passed, variances, share = pieces.place, pieces.passed[left_by], pieces.variance, pieces.share
+    for m in range(pieces.first[source], pieces.first[source + 1]):
+        age = since + (1.0 - passed[m]) * time
+        if age > horizon:
+            continue
+        variance = variances[m] + near.beam_mm2 + near.spread_mm2_s * age
+        root = np.sqrt(age / horizon)
+        strength = share[m] * at_root(depth, root) / (2.0 * np.pi * variance)
+        node = min(int(root * columns), columns - 1)
+        between, inverse, limit = root * columns - node, -0.5 / variance, FAR * variance
+        low, high, px, py = inside[node], inside[node + 1], place[m, 0], place[m, 1]
+        for e in range(len(x)):
+            away = (px - x[e]) ** 2 + (py - y[e]) ** 2
+            dense = np.true_divide(strength * falling(inverse * away), low[e] + (high[e] - low[e]) * between)
+            rise[e] += 0.0 if away > limit else dense
 
 
 @kernel

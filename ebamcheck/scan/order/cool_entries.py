@@ -17,7 +17,7 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.filling.schedule import IslandSchedule
 from ebamcheck.scan.filling.turns import JOINED_MM
-from ebamcheck.scan.heat.aged_heat import late_modes, with_late_heat
+from ebamcheck.scan.heat.aged_heat import by_depth, late_modes, read_surface, with_late_heat
 from ebamcheck.scan.heat.amplitudes import Modes, Timetable
 from ebamcheck.scan.heat.island_heat import IslandHeat
 from ebamcheck.scan.heat.near_field import NearField, entry_rise
@@ -104,7 +104,7 @@ def rises_at_entries(
 def _old_k(heat: IslandHeat, at: Floats, order: Ints, start_s: Floats, end_s: Floats) -> Floats:
     """Rises (I, 4) by heat older than the horizon, at ends with modes (I, 4, K)."""
     timetable = Timetable(order, start_s, end_s)
-    return old_at_entries(heat.modes, timetable, heat.fresh.horizon_s, heat.start_k.copy(), at)
+    return old_at_entries(heat.modes, timetable, heat.fresh.horizon_s, heat.start_k, at)
 
 
 def affordable(rise_k: Floats, order: Ints, entry: Floats, leave: Floats, longest_mm: float) -> Ints:
@@ -213,22 +213,20 @@ def young_at_entries(
 
 
 @kernel
-def old_at_entries(modes: Modes, timetable: Timetable, age: float, state: Floats, at: Floats) -> Floats:
-    """Rises at all ends (I, 4) by what the layer begins with and by heat of at least an age, K.
+def old_at_entries(modes: Modes, timetable: Timetable, age: float, start: Floats, at: Floats) -> Floats:
+    """Rises at all ends (I, 4) by what the layer begins with, amplitudes (K, N), and by heat of at least an age, K.
 
-    See :func:`~ebamcheck.scan.heat.aged_heat.entered_with_aged`; `state` (K, N) is used up.
+    See :func:`~ebamcheck.scan.heat.aged_heat.entered_with_aged`.
     """
-    aged = late_modes(modes, age)
+    aged, state, surface = late_modes(modes, age), by_depth(start), np.empty(len(modes.plane_rate))
     rise = np.zeros((len(timetable.start_s), OPTIONS))
     clock, place = 0.0, 0
     for island in timetable.order:
-        start = timetable.start_s[island]
-        place = with_late_heat(state, aged, timetable, age, clock, start, place)
-        clock = start
-        for k in range(modes.mean.shape[0]):
-            surface = 0.0
-            for n in range(len(modes.depth_rate)):
-                surface += modes.in_layer[n] * state[k, n]
+        until = timetable.start_s[island]
+        place = with_late_heat(state, aged, timetable, age, clock, until, place)
+        clock = until
+        read_surface(state, modes.in_layer, surface)
+        for k in range(len(surface)):
             for w in range(OPTIONS):
-                rise[island, w] += at[island, w, k] * surface
+                rise[island, w] += at[island, w, k] * surface[k]
     return rise

@@ -73,7 +73,7 @@ def entry_points(
 
 def _old_k(heat: IslandHeat, near: NearField, timetable: Timetable) -> Floats:
     """Entry temperatures (I,) by heat older than the horizon, of which the modes have all."""
-    return entered_with_aged(heat.modes, timetable, near.horizon_s, heat.start_k.copy())
+    return entered_with_aged(heat.modes, timetable, near.horizon_s, heat.start_k)
 
 
 def _young_k(

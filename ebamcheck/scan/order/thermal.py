@@ -21,8 +21,8 @@ from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.filling.schedule import IslandSchedule
 from ebamcheck.scan.filling.turns import JOINED_MM
-from ebamcheck.scan.heat.aged_heat import late_modes, with_late_heat
-from ebamcheck.scan.heat.amplitudes import Modes, Timetable, at_surface
+from ebamcheck.scan.heat.aged_heat import by_depth, late_modes, read_surface, with_late_heat
+from ebamcheck.scan.heat.amplitudes import Modes, Timetable
 from ebamcheck.scan.heat.influence import MOST_ISLANDS, influence
 from ebamcheck.scan.heat.island_heat import IslandHeat
 from ebamcheck.scan.heat.near_field import NearField, young_rise
@@ -207,9 +207,7 @@ def greedy_order(
     layer = _Layer(
         heat.modes, heat.fresh, beside, schedule.entry, schedule.leave, schedule.time_s, rapid_mm_s
     )
-    return coolest_first(
-        layer, _Prices(price_k_mm, start_k), first, heat.modes.mean.copy(), heat.start_k.copy()
-    )
+    return coolest_first(layer, _Prices(price_k_mm, start_k), first, heat.modes.mean.copy(), heat.start_k)
 
 
 class _Layer(NamedTuple):
@@ -267,14 +265,15 @@ def _begun(count: int) -> _Greedy:
 
 
 @kernel
-def coolest_first(layer: _Layer, prices: _Prices, first: int, mean: Floats, state: Floats) -> Ints:
-    """Order by score; `mean` (K, I) and `state` (K, N), those that the layer begins with, are used up.
+def coolest_first(layer: _Layer, prices: _Prices, first: int, mean: Floats, start: Floats) -> Ints:
+    """Order by score; `mean` (K, I) is used up, and `start` (K, N) are the amplitudes that the layer begins with.
 
     Old heat, of which the modes have all, is linear between the earliest and the latest entry.
     """
     count, horizon = mean.shape[1], layer.near.horizon_s
     plan = _begun(count)
-    aged = late_modes(layer.modes, horizon)
+    aged, state = late_modes(layer.modes, horizon), by_depth(start)
+    ahead, early, late = np.empty_like(state), np.empty(len(mean)), np.empty(len(mean))
     left = np.arange(count)
     now, soon = np.empty(count), np.empty(count)
     latest = _longest_jump_s(layer)
@@ -294,11 +293,12 @@ def coolest_first(layer: _Layer, prices: _Prices, first: int, mean: Floats, stat
         # The last island takes the place of the one that was scanned: those left stay side by side.
         left[place] = left[rest]
         mean[:, place] = mean[:, rest]
-        ahead = state.copy()
+        ahead[:] = state
         with_late_heat(ahead, aged, timetable, horizon, clock, clock + latest, reached)
-        _set_old_heat(
-            mean, at_surface(state, layer.modes), at_surface(ahead, layer.modes), now[:rest], soon[:rest]
-        )
+        read_surface(state, layer.modes.in_layer, early)
+        read_surface(ahead, layer.modes.in_layer, late)
+        _set_old_heat(mean, early, now[:rest])
+        _set_old_heat(mean, late, soon[:rest])
         x, y = layer.leave[island, option, 0], layer.leave[island, option, 1]
         for candidate in left[:rest]:
             plan.jump_mm[candidate], plan.by[candidate] = nearest_option(layer.entry[candidate], x, y)
@@ -320,16 +320,17 @@ def _longest_jump_s(layer: _Layer) -> float:
 
 
 @kernel
-def _set_old_heat(mean: Floats, early: Floats, late: Floats, now: Floats, soon: Floats) -> None:
-    """Rises of the islands left by amplitudes (K,) at the earliest and the latest entry, in one pass over the means."""
-    now[:] = 0.0
-    soon[:] = 0.0
-    for k in range(mean.shape[0]):
-        e, s = early[k], late[k]
-        row = mean[k]
-        for j in range(now.size):
-            now[j] += e * row[j]
-            soon[j] += s * row[j]
+def _set_old_heat(mean: Floats, surface: Floats, rise: Floats) -> None:
+    """Rises of the islands left by amplitudes (K,), by their means (K, I), four modes in one pass."""
+    rise[:] = 0.0
+    paired = len(surface) // 4 * 4
+    for k in range(0, paired, 4):
+        a, b, c, d = surface[k], surface[k + 1], surface[k + 2], surface[k + 3]
+        for j in range(len(rise)):
+            rise[j] = rise[j] + a * mean[k, j] + b * mean[k + 1, j] + c * mean[k + 2, j] + d * mean[k + 3, j]
+    for k in range(paired, len(surface)):
+        for j in range(len(rise)):
+            rise[j] += surface[k] * mean[k, j]
 
 
 @kernel

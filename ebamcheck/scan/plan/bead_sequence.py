@@ -31,13 +31,56 @@ NEAR_SPACINGS = 2.0
 program has it."""
 
 
+@dataclass(frozen=True, eq=False)
+class ContourBeads:
+    """The contour beads of a layer, which no order of its islands changes.
+
+    Parameters
+    ----------
+    rings
+        (R,) their centre lines, from their least points on, in the canonical sequence of rings.
+    pieces
+        (K, P) modes in the middles of their pieces, less their means over the section.
+    count
+        (R,) pieces of each.
+    length_mm
+        (R,) lengths with what overlaps the start.
+    apart_mm
+        (R - 1,) shortest ways from each to the next.
+    """
+
+    rings: list[shapely.LinearRing]
+    pieces: Floats
+    count: Ints
+    length_mm: Floats
+    apart_mm: Floats
+
+
+def contour_beads(laid: LaidLayer, config: Config, heat: IslandHeat | None) -> ContourBeads:
+    """Put the contours of a layer in sequence; `heat` as for :func:`bead_sequence`."""
+    rings = _rings(laid)
+    count = np.array([_pieces(ring.length, config) for ring in rings], np.int64)
+    ring_mm = np.array([ring.length for ring in rings])
+    ring_mm += np.minimum(config.process.overlap_mm, ring_mm)
+    apart_mm = shapely.distance(np.array(rings[:-1], object), np.array(rings[1:], object))
+    pieces = _along(rings, count, None if heat is None else heat.model)
+    return ContourBeads(rings, pieces, count, ring_mm, np.asarray(apart_mm, np.float64))
+
+
 def bead_sequence(
-    laid: LaidLayer, config: Config, heat: IslandHeat | None, order: Ints, options: Ints
+    laid: LaidLayer,
+    contours: ContourBeads,
+    config: Config,
+    heat: IslandHeat | None,
+    order: Ints,
+    options: Ints,
 ) -> tuple[Beads, float]:
     """Put contours and islands in sequence, as the program drives them.
 
     Parameters
     ----------
+    contours
+        Contours of the layer.
     heat
         Heat model of the islands, whose modes the beads are read in; None where there are none.
     order
@@ -51,24 +94,20 @@ def bead_sequence(
         And the jumps between islands.
     """
     speed, rapid = config.process.travel_speed_mm_s, config.machine.rapid_mm_s
-    rings = _rings(laid)
-    count = np.array([_pieces(ring.length, config) for ring in rings], np.int64)
-    ring_mm = np.array([ring.length for ring in rings])
-    ring_mm += np.minimum(config.process.overlap_mm, ring_mm)
-    model = None if heat is None else heat.model
+    count, ring_mm, rings = contours.count, contours.length_mm, len(contours.rings)
     path = _island_path(laid, order, options, config)
-    columns, times = [_along(rings, count, model)], [np.repeat(ring_mm / speed / np.maximum(count, 1), count)]
+    columns, times = [contours.pieces], [np.repeat(ring_mm / speed / np.maximum(count, 1), count)]
     shares = [np.repeat(mean_power(ring_mm, config.process), count)]
     if heat is not None and len(order):
         columns.append(uneven(heat.modes.mean[:, path.island], heat.model))
         times.append(path.bead_mm / speed)
         shares.append(mean_power(path.bead_mm, config.process))
-    move_mm = np.concatenate([_to_rings(rings, path.start), np.hypot(*(path.start[1:] - path.end[:-1]).T)])
+    move_mm = np.concatenate([_to_rings(contours, path.start), np.hypot(*(path.start[1:] - path.end[:-1]).T)])
     up_and_down_mm = 2.0 * config.machine.safe_height_mm
     rises = _rises(move_mm, config)
     rises[:1] = up_and_down_mm
     inner = np.zeros(len(move_mm), np.bool_)
-    inner[len(rings) :] = np.diff(path.island, prepend=-1) == 0
+    inner[rings:] = np.diff(path.island, prepend=-1) == 0
     beads = Beads(
         pieces=np.ascontiguousarray(np.concatenate(columns, axis=1)),
         first=np.concatenate([[0], np.cumsum(np.concatenate([count, np.ones_like(path.island)]))]),
@@ -76,11 +115,11 @@ def bead_sequence(
         rise_s=(up_and_down_mm - rises) / rapid,
         time_s=np.concatenate(times),
         on=np.concatenate(shares),
-        rings=len(rings),
+        rings=rings,
         islands=path.island,
         inner=inner,
     )
-    between = np.flatnonzero(~inner[len(rings) :])[1:] + len(rings)
+    between = np.flatnonzero(~inner[rings:])[1:] + rings
     return beads, float(move_mm[between].sum())
 
 
@@ -130,11 +169,13 @@ def _rises(move_mm: Floats, config: Config) -> Floats:
     return np.where(far, 2.0 * config.machine.safe_height_mm, 0.0)
 
 
-def _to_rings(rings: list[shapely.LinearRing], entry: Floats) -> Floats:
+def _to_rings(contours: ContourBeads, entry: Floats) -> Floats:
     """Shortest ways to each contour and from the last one to the first island, mm; to the first bead none is known."""
-    stops = [*rings, *(shapely.Point(place) for place in entry[:1])]
-    options = shapely.distance(np.array(stops[:-1], object), np.array(stops[1:], object))
-    return np.concatenate([np.zeros(len(stops[:1])), np.asarray(options, np.float64)])
+    to_island = [
+        shapely.distance(ring, shapely.Point(entry[0])) for ring in contours.rings[-1:] if len(entry)
+    ]
+    none_known = np.zeros(min(1, len(contours.rings) + len(entry)))
+    return np.concatenate([none_known, contours.apart_mm, np.array(to_island, np.float64)])
 
 
 def _rings(laid: LaidLayer) -> list[shapely.LinearRing]:

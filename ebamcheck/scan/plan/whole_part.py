@@ -25,7 +25,7 @@ from ebamcheck.scan.heat.interpass import LayerJob, SimulatedLayer, cooled_layer
 from ebamcheck.scan.heat.island_heat import IslandHeat
 from ebamcheck.scan.heat.part_heat import Beads, PartHeat
 from ebamcheck.scan.order.orders import LayerIslands, Order, chosen_options, needs_heat, scan_order
-from ebamcheck.scan.plan.bead_sequence import bead_sequence
+from ebamcheck.scan.plan.bead_sequence import ContourBeads, bead_sequence, contour_beads
 from ebamcheck.scan.plan.laying import LaidLayer, lay_islands
 from ebamcheck.scan.plan.preheated import preheated
 from ebamcheck.settings.config import Config
@@ -80,10 +80,11 @@ class LayerHeat:
 
 @dataclass(frozen=True, eq=False)
 class ReadyIslands:
-    """Islands of a layer, and their heat model as it begins on a cold part; None where there are none."""
+    """Islands of a layer, their heat model as it begins on a cold part, None where there are none, and the layer's contours."""
 
     islands: LayerIslands
     cold: IslandHeat | None
+    contours: ContourBeads
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,16 +202,16 @@ def ordered_on(
     tuple
         The layer; and the heat of the part when it is done, and how it was simulated: those before where it has no metal.
     """
-    islands, cold = ready.islands, ready.cold
+    islands, cold, contours = ready.islands, ready.cold, ready.contours
     with one_blas_thread():
         part = part.under(None if cold is None else cold.model)
         shape = LayerShape.of(islands.section, thickness_mm)
-        begins = None if cold is None else _warmed(cold, islands, laid, part, last) if carry else cold
+        begins = None if cold is None else _warmed(cold, ready, laid, part, last) if carry else cold
         found = scan_order(order, islands, begins)
         options = chosen_options(order, islands, found, begins)
         if islands.section.area <= 0.0:
             return OrderedLayer(laid, islands, found, options), part, last
-        beads, travel_mm = bead_sequence(laid, config, cold, found, options)
+        beads, travel_mm = bead_sequence(laid, contours, config, cold, found, options)
         guess = 0.0 if last is None else last.power_share
         done = cooled_layer(LayerJob(beads, shape, islands.height_mm, lowest), part, config, guess)
     return (
@@ -282,24 +283,25 @@ def _cold(stack: Stack, k: int, config: Config, order: str | Order, seed: int) -
 
 @one_blas_thread()
 def laid_layer(stack: Stack, k: int, config: Config, seed: int) -> tuple[LaidLayer, ReadyIslands]:
-    """Divide one layer into islands, and set up its heat model."""
+    """Divide one layer into islands, set up its heat model, and put its contours in sequence."""
     laid = lay_islands(stack.sections[k], config, stack.numbers[k], float(stack.heights_mm[k]))
     islands = laid.choices(config, seed, stack.plate_mm)
-    return laid, ReadyIslands(islands, islands.cold_heat() if len(islands) else None)
+    cold = islands.cold_heat() if len(islands) else None
+    return laid, ReadyIslands(islands, cold, contour_beads(laid, config, cold))
 
 
 def _warmed(
-    cold: IslandHeat, islands: LayerIslands, laid: LaidLayer, part: PartHeat, last: SimulatedLayer | None
+    cold: IslandHeat, ready: ReadyIslands, laid: LaidLayer, part: PartHeat, last: SimulatedLayer | None
 ) -> IslandHeat:
     """Heat with which the islands of a layer begin: its contours are laid on what the part has left.
 
     Power and wait are those of the layer below, since those of this one depend on its order.
     """
-    config, ahead = islands.config, part.copy()
+    config, ahead = ready.islands.config, part.copy()
     share, wait_s = (1.0, 0.0) if last is None else (last.power_share, last.wait_s)
     ahead.rest(wait_s)
-    beads, _ = bead_sequence(laid, config, cold, np.zeros(0, np.int64), np.zeros(0, np.int64))
-    ahead.column.lay(LayerShape.of(islands.section, config.layer_height_mm))
+    beads, _ = bead_sequence(laid, ready.contours, config, cold, np.zeros(0, np.int64), np.zeros(0, np.int64))
+    ahead.column.lay(LayerShape.of(ready.islands.section, config.layer_height_mm))
     for ring in range(len(beads)):
         ahead.rest(float(beads.move_s[ring]))
         ahead.lay_bead(beads, ring, share * config.process.power_w * config.material.absorptivity)
