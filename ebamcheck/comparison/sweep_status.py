@@ -42,10 +42,10 @@ PLACE = 5
 
 MARK_COLUMNS = 6
 
-AREA_A, AREA_B, DIFFERENCE, NEXT_CROSSING, TRAPEZOIDS = 0, 1, 2, 3, 4
-"""`sums`: areas so far, mm2; a level below which no edges cross; how many trapezoids have been written down."""
+AREA_A, AREA_B, DIFFERENCE, TRAPEZOIDS = 0, 1, 2, 3
+"""`sums`: areas so far, mm2; how many trapezoids have been written down."""
 
-SUMS = 5
+SUMS = 4
 
 BORDER_MM = 1e200
 """x of the borders: left and right of every edge, and so that areas up to them are finite."""
@@ -139,11 +139,11 @@ def start_gap(edges: Floats, k: int, y: float) -> float:
 
 
 @kernel
-def start_gaps(edges: Floats, sums: Floats, first: int, last: int, n: int, y: float) -> bool:
+def start_gaps(edges: Floats, first: int, last: int, n: int, y: float) -> bool:
     """Start gaps ``first .. last`` at a level, as far as there are such; whether all are in order there is returned."""
     in_order = True
     for k in range(max(first, 0), min(last, n - 2) + 1):
-        sums[NEXT_CROSSING] = min(sums[NEXT_CROSSING], start_gap(edges, k, y))
+        start_gap(edges, k, y)
         in_order &= edges[k, LEFT] <= edges[k, RIGHT]
     return in_order
 
@@ -200,7 +200,7 @@ def start_pair(
         marks[place, STEP_A], marks[place, STEP_B] = steps[chain, 0], steps[chain, 1]
         _set_winding(marks, place)
     set_borders(edges, n + 2)
-    if not start_gaps(edges, sums, k - 1, k + 1, n + 2, y):
+    if not start_gaps(edges, k - 1, k + 1, n + 2, y):
         # Where a level run lies between the two, the right one belongs further to the right.
         settle(edges, marks, sums, difference, k + 1, n + 2, y)
 
@@ -220,7 +220,7 @@ def end_pair(
     for i in range(k + 2, n):
         _move(edges, marks, i, i - 2)
     set_borders(edges, n - 2)
-    start_gaps(edges, sums, k - 1, k - 1, n - 2, y)
+    start_gaps(edges, k - 1, k - 1, n - 2, y)
 
 
 @kernel
@@ -228,7 +228,7 @@ def _exchange(edges: Floats, marks: Ints, sums: Floats, difference: Floats, k: i
     """Let edges `k` and `k + 1` change places at a level."""
     take_areas(edges, marks, sums, difference, k - 1, k + 1, n, y)
     swap(edges, marks, k)
-    start_gaps(edges, sums, k - 1, k + 1, n, y)
+    start_gaps(edges, k - 1, k + 1, n, y)
 
 
 @kernel
