@@ -213,8 +213,10 @@ def _load_later_stages() -> None:
 def finished_result(run: RunFolder) -> RunResult:
     """What a finished run came to, by its record."""
 
+    from ebamcheck.pipeline import gates
+
     manifest = run.manifest()
-    found = tuple(Gate(**gate) for gate in manifest["gates"])
+    found = tuple(gates.Gate(**gate) for gate in manifest["gates"])
     return RunResult(run, found, ExitCode(manifest["exit_code"]), manifest)
 
 
