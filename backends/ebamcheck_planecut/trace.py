@@ -88,6 +88,7 @@ def trace_layer(
     return rings
 
 
+# Ten parameters: a tuple of them would be made for every path.
 @kernel
 def _walk(
     mesh: SortedMesh,

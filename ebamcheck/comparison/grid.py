@@ -70,6 +70,7 @@ def nearest_of(
     return nearest_beyond(segments, starts, items, frame, x, y, column, row, guess, best, 0)
 
 
+# Eleven parameters: columns taken out of a tuple would cost reference counts at every call.
 @kernel
 def nearest_beyond(
     segments: Floats, starts: ShortInts, items: ShortInts, frame: tuple[float, float, float, int, int],

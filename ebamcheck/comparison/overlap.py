@@ -97,19 +97,17 @@ def _sweep(
     segments_a, segments_b, segments, chains = a.segments, b.segments, len(a.segments), a.chains.steps.size
     next_a, next_b, n, crossings = come[NEXT_A], come[NEXT_B], come[EDGES], come[CROSSINGS]
     area_a, area_b, differs = sums[status.AREA_A], sums[status.AREA_B], sums[status.DIFFERENCE]
-    wanted, room = len(difference) > 0, True
+    wanted, room, after = len(difference) > 0, True, (chains, segments)
     # The edge that crosses the next one first, if it does so at the lowest level; if not, it is looked for.
     first, lowest = status.first_crossing(edges, n)
     for _ in range(levels_a.size + levels_b.size - 2 - next_a - next_b):
         y = min(levels_a[next_a], levels_b[next_b])
         room = not wanted or _has_room(difference, sums, n)
-        while room and lowest <= y:
+        while room and lowest <= y and crossings <= MOST_CROSSINGS:
             if edges[first, status.CROSSING] != lowest:
                 first, lowest = status.first_crossing(edges, n)
                 continue
             crossings += 1
-            if crossings > MOST_CROSSINGS:
-                break
             right = status.pass_level(edges, first - 1, lowest)
             for k in range(first - 1, first + 2):
                 left, right = right, status.pass_level(edges, k + 1, lowest)
@@ -128,9 +126,9 @@ def _sweep(
         from_a = levels_a[next_a] <= levels_b[next_b]
         kind_a, chain_a = events_a[next_a, KIND], events_a[next_a, LEFT]
         kind_b, chain_b = events_b[next_b, KIND], events_b[next_b, LEFT]
-        kind, in_order = kind_a if from_a else kind_b, False
+        in_order = advances = (kind_a if from_a else kind_b) == ADVANCE
         m = marks[chain_a if from_a else chain_b + chains, status.PLACE]
-        if kind == ADVANCE:
+        if advances:
             right = status.pass_level(edges, m - 1, y)
             for k in range(m - 1, m + 1):
                 left, right = right, status.pass_level(edges, k + 1, y)
@@ -145,7 +143,6 @@ def _sweep(
             segment_a, segment_b = events_a[next_a, LEFT_SEGMENT], events_b[next_b, LEFT_SEGMENT]
             edges[m, status.SEGMENT] = segment_a if from_a else segment_b + segments
             edges[m, status.X_NOW] = edges[m, X_LOW]
-            in_order = True
             for k in range(m - 1, m + 1):
                 level = status.start_gap(edges, k, y)
                 in_order &= edges[k, status.LEFT] <= edges[k, status.RIGHT]
@@ -153,12 +150,11 @@ def _sweep(
                 lowest = min(lowest, level)
         if not in_order:
             sums[status.AREA_A], sums[status.AREA_B], sums[status.DIFFERENCE] = area_a, area_b, differs
-            if kind == ADVANCE:
+            if advances:
                 status.settle(edges, marks, sums, difference, m, n, y)
             elif from_a:
                 n += _turn(edges, marks, sums, difference, n, y, events_a[next_a], segments_a, (0, 0), steps)
             else:
-                after = (chains, segments)
                 n += _turn(edges, marks, sums, difference, n, y, events_b[next_b], segments_b, after, steps)
             area_a, area_b, differs = sums[status.AREA_A], sums[status.AREA_B], sums[status.DIFFERENCE]
             first, lowest = status.first_crossing(edges, n)
@@ -168,6 +164,7 @@ def _sweep(
     return room
 
 
+# Ten parameters: a tuple of the tables would cost reference counts at every call.
 @kernel
 def _turn(
     edges: Floats, marks: Ints, sums: Floats, difference: Floats, n: int, y: float, event: ShortInts,
