@@ -137,12 +137,7 @@ def _sweep(
                 differs += of_one * max(area, 0.0)
                 if wanted and of_one and edges[k, status.SINCE] != y:
                     status.write_down(edges, sums, difference, k, y, left, right)
-            for c in range(SLOPE + 1):
-                here, there = edges_a[next_a, c], edges_b[next_b, c]
-                edges[m, c] = here if from_a else there
-            segment_a, segment_b = events_a[next_a, LEFT_SEGMENT], events_b[next_b, LEFT_SEGMENT]
-            edges[m, status.SEGMENT] = segment_a if from_a else segment_b + segments
-            edges[m, status.X_NOW] = edges[m, X_LOW]
+            _go_on(edges, m, edges_a, events_a, next_a, edges_b, events_b, next_b, segments, from_a)
             for k in range(m - 1, m + 1):
                 level = status.start_gap(edges, k, y)
                 in_order &= edges[k, status.LEFT] <= edges[k, status.RIGHT]
@@ -162,6 +157,21 @@ def _sweep(
     sums[status.AREA_A], sums[status.AREA_B], sums[status.DIFFERENCE] = area_a, area_b, differs
     come[NEXT_A], come[NEXT_B], come[EDGES], come[CROSSINGS] = next_a, next_b, n, crossings
     return room
+
+
+# Ten parameters: a tuple of the tables would cost reference counts at every call.
+@kernel
+def _go_on(
+    edges: Floats, m: int, edges_a: Floats, events_a: ShortInts, next_a: int,
+    edges_b: Floats, events_b: ShortInts, next_b: int, segments: int, from_a: bool,
+) -> None:  # fmt: skip
+    """Let edge `m` go on with the segment of the next event of one outline; `segments` are those of `a`."""
+    for c in range(SLOPE + 1):
+        here, there = edges_a[next_a, c], edges_b[next_b, c]
+        edges[m, c] = here if from_a else there
+    segment_a, segment_b = events_a[next_a, LEFT_SEGMENT], events_b[next_b, LEFT_SEGMENT]
+    edges[m, status.SEGMENT] = segment_a if from_a else segment_b + segments
+    edges[m, status.X_NOW] = edges[m, X_LOW]
 
 
 # Ten parameters: a tuple of the tables would cost reference counts at every call.
