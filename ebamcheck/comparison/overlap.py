@@ -94,10 +94,10 @@ def _sweep(
     """
     levels_a, events_a, edges_a = a.chains.levels, a.chains.events, a.chains.edges
     levels_b, events_b, edges_b = b.chains.levels, b.chains.events, b.chains.edges
-    segments_a, segments_b, segments, chains = a.segments, b.segments, len(a.segments), a.chains.steps.size
+    segments, chains = len(a.segments), a.chains.steps.size
     next_a, next_b, n, crossings = come[NEXT_A], come[NEXT_B], come[EDGES], come[CROSSINGS]
     area_a, area_b, differs = sums[status.AREA_A], sums[status.AREA_B], sums[status.DIFFERENCE]
-    wanted, room, after = len(difference) > 0, True, (chains, segments)
+    wanted, room = len(difference) > 0, True
     # The edge that crosses the next one first, if it does so at the lowest level; if not, it is looked for.
     first, lowest = status.first_crossing(edges, n)
     for _ in range(levels_a.size + levels_b.size - 2 - next_a - next_b):
@@ -111,11 +111,8 @@ def _sweep(
             right = status.pass_level(edges, first - 1, lowest)
             for k in range(first - 1, first + 2):
                 left, right = right, status.pass_level(edges, k + 1, lowest)
-                area, of_a, of_b, of_one = status.gap_shares(edges, marks, k, left, right, lowest)
-                area_a, area_b = area_a + of_a * area, area_b + of_b * area
-                differs += of_one * max(area, 0.0)
-                if wanted and of_one and edges[k, status.SINCE] != lowest:
-                    status.write_down(edges, sums, difference, k, lowest, left, right)
+                of_a, of_b, of_one = _taken(edges, marks, sums, difference, k, lowest, left, right)
+                area_a, area_b, differs = area_a + of_a, area_b + of_b, differs + of_one
             status.swap(edges, marks, first)
             for k in range(first - 1, first + 2):
                 status.start_gap(edges, k, lowest)
@@ -132,11 +129,8 @@ def _sweep(
             right = status.pass_level(edges, m - 1, y)
             for k in range(m - 1, m + 1):
                 left, right = right, status.pass_level(edges, k + 1, y)
-                area, of_a, of_b, of_one = status.gap_shares(edges, marks, k, left, right, y)
-                area_a, area_b = area_a + of_a * area, area_b + of_b * area
-                differs += of_one * max(area, 0.0)
-                if wanted and of_one and edges[k, status.SINCE] != y:
-                    status.write_down(edges, sums, difference, k, y, left, right)
+                of_a, of_b, of_one = _taken(edges, marks, sums, difference, k, y, left, right)
+                area_a, area_b, differs = area_a + of_a, area_b + of_b, differs + of_one
             _go_on(edges, m, edges_a, events_a, next_a, edges_b, events_b, next_b, segments, from_a)
             for k in range(m - 1, m + 1):
                 level = status.start_gap(edges, k, y)
@@ -147,16 +141,26 @@ def _sweep(
             sums[status.AREA_A], sums[status.AREA_B], sums[status.DIFFERENCE] = area_a, area_b, differs
             if advances:
                 status.settle(edges, marks, sums, difference, m, n, y)
-            elif from_a:
-                n += _turn(edges, marks, sums, difference, n, y, events_a[next_a], segments_a, (0, 0), steps)
             else:
-                n += _turn(edges, marks, sums, difference, n, y, events_b[next_b], segments_b, after, steps)
+                event = next_a if from_a else next_b
+                n += _turn(a, b, from_a, event, steps, edges, marks, sums, difference, n, y)
             area_a, area_b, differs = sums[status.AREA_A], sums[status.AREA_B], sums[status.DIFFERENCE]
             first, lowest = status.first_crossing(edges, n)
         next_a, next_b = next_a + from_a, next_b + (not from_a)
     sums[status.AREA_A], sums[status.AREA_B], sums[status.DIFFERENCE] = area_a, area_b, differs
     come[NEXT_A], come[NEXT_B], come[EDGES], come[CROSSINGS] = next_a, next_b, n, crossings
     return room
+
+
+@kernel
+def _taken(
+    edges: Floats, marks: Ints, sums: Floats, difference: Floats, k: int, y: float, left: float, right: float
+) -> tuple[float, float, float]:
+    """Area of a gap up to a level that is in `a`, in `b` and in one of them alone, which is written down if wanted."""
+    area, of_a, of_b, of_one = status.gap_shares(edges, marks, k, left, right, y)
+    if len(difference) > 0 and of_one and edges[k, status.SINCE] != y:
+        status.write_down(edges, sums, difference, k, y, left, right)
+    return of_a * area, of_b * area, of_one * max(area, 0.0)
 
 
 # Ten parameters: a tuple of the tables would cost reference counts at every call.
@@ -174,22 +178,25 @@ def _go_on(
     edges[m, status.X_NOW] = edges[m, X_LOW]
 
 
-# Ten parameters: a tuple of the tables would cost reference counts at every call.
+# Eleven parameters: a tuple of the tables would cost reference counts at every level.
 @kernel
 def _turn(
-    edges: Floats, marks: Ints, sums: Floats, difference: Floats, n: int, y: float, event: ShortInts,
-    segments: Floats, after: tuple[int, int], steps: Ints,
+    a: Outline, b: Outline, from_a: bool, number: int, steps: Ints, edges: Floats, marks: Ints, sums: Floats,
+    difference: Floats, n: int, y: float,
 ) -> int:  # fmt: skip
     """Let two chains start or end at an event of one outline; how many edges more there are then.
 
-    `after` tells how many chains and segments of the other outline are numbered before its own.
+    Chains and segments of `b` are numbered after those of `a`.
     """
-    left, right = event[LEFT] + after[0], event[RIGHT] + after[0]
+    event = a.chains.events[number] if from_a else b.chains.events[number]
+    chains, before = (0, 0) if from_a else (a.chains.steps.size, len(a.segments))
+    left, right = event[LEFT] + chains, event[RIGHT] + chains
     if event[KIND] == CLOSE:
         status.end_pair(edges, marks, sums, difference, n, y, left, right)
         return -2
+    segments = a.segments if from_a else b.segments
     s, t = event[LEFT_SEGMENT], event[RIGHT_SEGMENT]
-    status.start_pair(edges, marks, sums, difference, n, y, left, right, segments, s, t, after[1], steps)
+    status.start_pair(edges, marks, sums, difference, n, y, left, right, segments, s, t, before, steps)
     return 2
 
 
