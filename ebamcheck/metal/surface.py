@@ -10,9 +10,9 @@ from __future__ import annotations
 import copy
 
 import numpy as np
+from scipy import ndimage
 
 from ebamcheck.metal.distances import border_distance, moved_to_neighbours
-from ebamcheck.metal.spreading import gaussian_weights, spread_by
 from ebamcheck.metal.target import REACHED, Target, cell_mm
 from ebamcheck.numeric.rings import Bools, Floats
 
@@ -198,5 +198,5 @@ def levelled(height: Floats, share: Floats, bead_cells: float) -> Floats:
 
 def _spread(height: Floats, share: Floats, sigma: float) -> tuple[Floats, Floats]:
     """Heights times shares, and shares, spread by a Gaussian."""
-    weights = gaussian_weights(sigma)
-    return spread_by(height * share, weights), spread_by(np.ascontiguousarray(share), weights)
+    both = ndimage.gaussian_filter(np.stack([height * share, share]), (0.0, sigma, sigma), mode="constant")
+    return both[0], both[1]

@@ -46,8 +46,8 @@ def cross_check(
 ) -> CrossCheck:
     """Slice and compare; layers, pairs and figures of every layer are on disk afterwards.
 
-    `meanwhile` is called once the first slicers are at work. No more than one block of layers of every backend is in memory at a time (``slicing.block_points``), and two while
-    they are compared: the next one is read meanwhile.
+    `meanwhile` is called once the first slicers are at work. No more than one block of layers of every backend is in memory
+    at a time (``slicing.block_points``), and two while they are compared: the next one is read meanwhile.
     """
     borders = layer_blocks(job.part, job.heights, job.config.slicing.block_points)
     outcomes = _slice(job, backends, borders, resume, meanwhile)
