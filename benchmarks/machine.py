@@ -6,16 +6,19 @@ import os
 import platform
 import subprocess
 import time
+from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import psutil
 
 from benchmarks.floors import copy_bandwidth, first_touch
 from benchmarks.watch import ROOT
 from ebamcheck import __version__
 from ebamcheck.numeric.kernels import thread_count
+from ebamcheck.numeric.rings import Floats
 from ebamcheck.plugins import registry
 
 PACKAGES = (
@@ -23,12 +26,17 @@ PACKAGES = (
     *("manifold3d", "embreex", "moderngl", "PyOpenGL", "trimesh", "scikit-image"),
 )
 
+SORTED, SORTS = 4_000_000, 3
+"""Numbers that are sorted to see how fast the processor is today, and how often: the fastest sort counts."""
+
 
 def machine() -> dict[str, Any]:
     """Everything about this machine that a time depends on."""
     return {
         "cpu": _cpu_model(),
         "cores": thread_count(),
+        "sort_s": sorting_s(1),
+        "sort_on_all_s": sorting_s(thread_count()),
         "copy_bytes_s": copy_bandwidth(),
         "touch_bytes_s": first_touch(),
         "memory_gb": round(psutil.virtual_memory().total / 1e9, 1),
@@ -41,6 +49,19 @@ def machine() -> dict[str, Any]:
         "packages": {name: found for name in PACKAGES if (found := _version(name))},
         "backends": {name: _backend(name) for name in registry.slicers()},
     }
+
+
+def sorting_s(threads: int) -> float:
+    """Seconds in which a thread sorts :data:`SORTED` random numbers while others do the same: virtual cores may share one."""
+    numbers = np.random.default_rng(0).random(SORTED)
+    with ThreadPoolExecutor(threads) as pool:
+        return min(max(pool.map(_sorted_s, [numbers] * threads)) for _ in range(SORTS))
+
+
+def _sorted_s(numbers: Floats) -> float:
+    start = time.perf_counter()
+    np.sort(numbers, kind="stable")
+    return time.perf_counter() - start
 
 
 def renderer() -> str:

@@ -9,6 +9,7 @@ from typing import Any
 
 from benchmarks import methods
 from benchmarks.figures import cell_times, find, first_times, is_scaled, layers_cut, peak_mb
+from benchmarks.machine import SORTED
 from benchmarks.spread import megabytes, quantity, seconds, spread_text
 from benchmarks.target_rows import evaluate, job_results, scale_results
 from benchmarks.targets import Figures, Result
@@ -189,17 +190,21 @@ def _head(raw: Raw) -> list[str]:
     quick = "**A quick trial of the benchmark itself: its figures mean nothing.** " if raw["quick"] else ""
     return [
         f"{quick}Made by `{raw['command']}` on {machine['started']}: {machine['cpu']}, {machine['cores']} cores, "
-        f"{machine['memory_gb']:g} GB, {_bandwidth(machine)}load at the start {machine['load_at_start'][0]:g}; OpenGL renderer "
+        f"{machine['memory_gb']:g} GB, {_speeds(machine)}load at the start {machine['load_at_start'][0]:g}; OpenGL renderer "
         f"{raw['renderer'] or 'none'}; ebamcheck {machine['ebamcheck']} ({machine['commit'] or 'no commit'}), "
         f"Python {machine['python']}, {packages}" + (f"; {programs}" if programs else "") + ".",
     ]
 
 
-def _bandwidth(machine: Mapping[str, Any]) -> str:
-    """Bandwidths, where they were measured: floors are bytes that must be touched over them."""
+def _speeds(machine: Mapping[str, Any]) -> str:
+    """Speed of processor and memory, where they were measured: times of two runs compare over the one, floors are bytes over the other."""
     copies, new = machine.get("copy_bytes_s"), machine.get("touch_bytes_s")
+    alone_s, all_s = machine.get("sort_s"), machine.get("sort_on_all_s")
     text = f"copies {1e-9 * copies:.1f} GB/s (read and written), " if copies else ""
-    return text + (f"new memory {1e-9 * new:.1f} GB/s, " if new else "")
+    text += f"new memory {1e-9 * new:.1f} GB/s, " if new else ""
+    if alone_s and all_s:
+        text += f"a core sorts {SORTED // 1_000_000} million numbers in {1e3 * alone_s:.0f} ms, {1e3 * all_s:.0f} ms while all do, "
+    return text
 
 
 def _measured_methods(raw: Raw, parts: Mapping[str, Raw]) -> list[str]:
