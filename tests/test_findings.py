@@ -310,6 +310,7 @@ def test_every_rendering_shows_every_finding(made, copy):
 def test_every_rendering_says_what_is_proved_and_what_is_left(copy):
     said = statement(copy.manifest())
     assert said.proved == tuple(PROVED[gate["name"]] for gate in copy.manifest()["gates"])
+    assert said.unproved == ()
     assert said.left[1:] == (CODES_OF_THE_MAKER, DRY_RUN, APPROVAL)
     assert re.fullmatch(r"a look at \d+ warnings", said.left[0])
     for name, text in rendered(copy).items():
@@ -323,6 +324,8 @@ def test_a_gate_that_is_shut_proves_nothing(copy):
     said = statement({**manifest, "gates": gates})
     assert PROVED["fit"] not in said.proved
     assert len(said.proved) == len(gates) - 1
+    assert said.unproved == (PROVED["fit"],)
+    assert said.lines()[0] == f"Not proved: {PROVED['fit']}"
     other = {**gates[0], "name": "of a plugin", "text": "all is blue"}
     assert statement({**manifest, "gates": [other]}).proved == ("all is blue",)
 

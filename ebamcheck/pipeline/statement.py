@@ -18,7 +18,7 @@ PROVED: Mapping[str, str] = {
     "program": "the program's path, read back from its text, is that of the part, within the limits of machine and process",
     "entry": "the program that begins at a layer is the end of the whole one, and starts safely by itself",
 }
-"""What each gate proves where it has passed; of another one its own text says it."""
+"""What each gate proves where it has passed, and what is not proved where it is shut; of another one its own text says it."""
 
 DRY_RUN = "a dry run on the control, with beam and wire off"
 CODES_OF_THE_MAKER = "the machine maker's codes in place of the default ones for beam and wire"
@@ -27,18 +27,19 @@ APPROVAL = "approval: name, date and signature on the certificate"
 
 @dataclass(frozen=True)
 class Statement:
-    """What is proved and what is not, in short clauses."""
+    """What shut gates leave unproved, what is proved, and what is left to a person, in short clauses."""
 
+    unproved: tuple[str, ...]
     proved: tuple[str, ...]
     left: tuple[str, ...]
 
     def lines(self) -> list[str]:
-        """Both in words, a line each."""
+        """All in words, a line each."""
         return [f"{head}: {'; '.join(said)}" for head, said in self.parts() if said]
 
-    def parts(self) -> tuple[tuple[str, tuple[str, ...]], tuple[str, tuple[str, ...]]]:
-        """Both with their heads."""
-        return ("Proved", self.proved), ("Left to you", self.left)
+    def parts(self) -> tuple[tuple[str, tuple[str, ...]], ...]:
+        """All with their heads, what matters most first."""
+        return ("Not proved", self.unproved), ("Proved", self.proved), ("Left to you", self.left)
 
 
 def statement(manifest: Mapping[str, Any]) -> Statement:
@@ -47,12 +48,15 @@ def statement(manifest: Mapping[str, Any]) -> Statement:
     What comes after a validated program (codes, dry run, approval) is said of no other one.
     """
     gates, found = manifest["gates"], manifest.get("findings", [])
-    proved = [PROVED.get(gate["name"], gate["text"]) for gate in gates if gate["passed"]]
+    unproved, proved = (
+        tuple(PROVED.get(gate["name"], gate["text"]) for gate in gates if gate["passed"] is passed)
+        for passed in (False, True)
+    )
     left = [_looked_at(found)] if found else []
     if manifest.get("program") and manifest["exit_code"] == 0:
         codes = any(finding["code"] == "placeholder-codes" for finding in found)
         left += [*([CODES_OF_THE_MAKER] if codes else []), DRY_RUN, APPROVAL]
-    return Statement(tuple(proved), tuple(text for text in left if text))
+    return Statement(unproved, proved, tuple(text for text in left if text))
 
 
 def counted(findings: list[Mapping[str, Any]]) -> str:

@@ -169,7 +169,7 @@ def _approval(run: RunData) -> list[Markup]:
         release = read_certificate(path)["release"] if path.is_file() else RELEASE
     names = ("part_number", "machine_serial", "approver", "date")
     cells = [_line(name.replace("_", " "), str(release.get(name) or "")) for name in names]
-    left = [text for head, said in run.statement.parts() for text in said if head != "Proved"]
+    left = run.statement.left
     todo = [paragraph(element("b", "Left to you: "), "; ".join(left), ".")] if left else []
     return [element("h3", "Approval"), *todo, element("div", *cells, _line("signature", ""), class_="sign")]
 
