@@ -102,3 +102,14 @@ def test_unbalanced_pixels_count_only_where_the_mesh_is_open():
     holed = from_arrays(part.vertices, np.delete(part.faces, [8, 9], axis=0))
     assert cause_at(holed, 10.0, 5.0, [{"unbalanced_pixels": 3}, {}]) == "open surface"
     assert cause_at(part, 10.0, 5.0, [{"unbalanced_pixels": 3}, {}]) == "unknown"
+
+
+def test_layers_that_do_not_close_are_no_dropped_ones():
+    part = box()
+    without_a_side = from_arrays(part.vertices, part.faces[:-2])
+    rings = from_rings([1.0, 2.0, 3.0], [[SQUARE]] * 3)
+    paths = from_rings([1.0, 2.0, 3.0], [[]] * 3, [[SQUARE]] * 3)
+    result = judged({"a": rings, "b": rings, "c": paths}, without_a_side)
+    assert {f.backend for f in result.findings} == {"c"}
+    assert {f.cause for f in result.findings} <= {"open edge", "open path"}
+    assert all(f.remedy.startswith("mend the mesh") for f in result.findings)

@@ -43,12 +43,17 @@ class Disagreement:
         flaws: MeshFlaws,
         origin_mm: tuple[float, float],
     ) -> tuple[Cause, ...]:
-        """Find what is systematic in it; where planes pass through vertices alone, that is what they have in common."""
-        if not (self.columns["class"][self.layers] == GENERIC).any():
+        """Find what is systematic in it; where planes pass through vertices alone, that is what they have in common.
+
+        Layers with open paths are left out: what they have in common is a mesh that is not closed.
+        """
+        open_paths = self.columns["open_a"] + self.columns["open_b"]
+        closed = [layer for layer in self.layers if not open_paths[layer]]
+        if not (self.columns["class"][closed] == GENERIC).any():
             return ()
         order = ("b", "a") if self.swapped else ("a", "b")
         found = Differing(
-            np.array(self.layers, np.int64),
+            np.array(closed, np.int64),
             heights,
             np.array([self.columns[f"area_{which}_mm2"] for which in order]),
             np.array([self.columns[f"rings_{which}"] for which in order]),
