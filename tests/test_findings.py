@@ -237,19 +237,6 @@ def test_a_round_contour_has_no_corner(tmp_path):
     assert not list(noticed_in_program.of_seams(nc, np.array([0.75]), Config()))
 
 
-def test_an_overhang_that_nothing_limits_is_warned_of_where_beads_hang_in_the_air():
-    reach = Check(
-        "overhang", True, 85.6, 90.0, "deg", "MAIN_L0010.SPF:35", "layers reach out by up to 85.6 deg"
-    )
-    (told,) = noticed_in_program.of_overhang([reach], Config())
-    assert (told.severity, told.code, told.place) == ("warning", "overhang-unlimited", "MAIN_L0010.SPF:35")
-    # A bead of 6 mm in layers of 1.68 mm: its centre line lies over metal up to 74 degrees.
-    assert told.limit == pytest.approx(74.4, abs=0.1)
-    assert not list(noticed_in_program.of_overhang([replace(reach, value=74.0)], Config()))
-    limited = Config().changed(process={"largest_overhang_deg": 89.0})
-    assert not list(noticed_in_program.of_overhang([reach], limited))
-
-
 # -- what is shown -----------------------------------------------------------------------------------
 
 PLANTED = [
