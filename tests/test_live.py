@@ -168,7 +168,7 @@ def test_another_direction_through_what_stands_is_refused(place, tmp_path):
     # 30 mm of it stand upright now: 24 x 12 mm are cut.
     metal = next(gate for gate in told["gates"] if gate["name"] == "deposit")["text"]
     density = Config().material.density_kg_m3 * 1e-9
-    assert f"{24 * 12 * told['thickness_mm'] * density:.3f} kg of part" in metal
+    assert f"{24 * 12 * told['thickness_mm'] * density:.6f} kg of part" in metal
     assert "standing metal" in next(gate for gate in told["gates"] if gate["name"] == "program")["text"]
     assert told["place"] is None
     assert not (tmp_path / "o" / LAYERS / told["name"]).exists()
