@@ -149,6 +149,8 @@ def test_compare(place, here):
     told = here("compare", a, "box.parquet", "--any-part")
     assert told.returncode == 1
     assert "0 of 2 layers agree within 0.001 mm" in told.stdout
+    here("slice", "box.stl", "--heights", "1", "-o", "a.parquet")
+    one_line(here("compare", "a.parquet", "box.parquet"), 2, "'a.parquet' has 1 layer", "'box.parquet' has 2")
 
 
 def test_backends(place, here):

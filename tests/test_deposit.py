@@ -183,6 +183,25 @@ def test_findings_tell_too_much_metal_from_too_little(square, factor, code):
     assert code in {finding.code for finding in of_metal(square.checks().values())}
 
 
+@pytest.mark.parametrize(("factor", "code"), [(1.03, "metal-excess"), (0.97, "metal-missing")])
+def test_the_mass_of_a_small_part_tells_too_much_from_too_little(tmp_path, factor, code):
+    """Four grams in kilograms with three decimals are the same on both sides."""
+    small = Made(tmp_path, shapely.box(0, 0, 20, 20), layers=2)
+    small.config = small.config.changed(material={"density_kg_m3": 1000.0})
+
+    def change(lines):
+        for i, line in enumerate(lines):
+            lines[i] = re.sub(r"H3=([\d.]+)", lambda m: f"H3={factor * float(m[1]):.6f}", line)
+
+    for k in (1, 2):
+        small.edit(f"MAIN_L{k:04d}.SPF", change)
+    whole = small.checks()["metal"]
+    assert not whole.passed
+    laid, wanted = (float(kg) for kg in re.findall(r"([\d.]+) kg", whole.text))
+    assert abs(laid / wanted - 1.0) == pytest.approx(whole.value, abs=1e-3)
+    assert [finding.code for finding in of_metal([whole])] == [code]
+
+
 @pytest.mark.parametrize(
     ("name", "text", "code"),
     [

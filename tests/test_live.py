@@ -152,6 +152,17 @@ def test_another_direction_needs_axes_that_turn_the_part(place, tmp_path):
     assert done.returncode == 0, done.stderr
 
 
+def test_a_build_and_single_layers_do_not_share_a_folder(place, maker, building, tmp_path):
+    """They would come to the same names, and the build would keep its own layer back without end."""
+    arguments = ("relayer", place / "box.run", "--layer", 1, "--measured-z", 1.7, "-o")
+    done = ebamcheck(*arguments, building.folder, cwd=tmp_path)
+    assert done.returncode == 2
+    assert "is the folder of a build" in done.stderr
+    assert ebamcheck(*arguments, tmp_path / "o", cwd=tmp_path).returncode == 0
+    with pytest.raises(SettingsError, match="holds MAIN_K0002R1, which `ebamcheck relayer` made"):
+        Building(maker, tmp_path / "o")
+
+
 def test_another_direction_through_what_stands_is_refused(place, tmp_path):
     """The part is cut turned, and the layer that stands is in the section: see test_turned_layers for what is built."""
     run = shutil.copytree(place / "box.run", tmp_path / "box.run")
@@ -168,7 +179,7 @@ def test_another_direction_through_what_stands_is_refused(place, tmp_path):
     # 30 mm of it stand upright now: 24 x 12 mm are cut.
     metal = next(gate for gate in told["gates"] if gate["name"] == "deposit")["text"]
     density = Config().material.density_kg_m3 * 1e-9
-    assert f"{24 * 12 * told['thickness_mm'] * density:.3f} kg of part" in metal
+    assert f"{24 * 12 * told['thickness_mm'] * density:.6f} kg of part" in metal
     assert "standing metal" in next(gate for gate in told["gates"] if gate["name"] == "program")["text"]
     assert told["place"] is None
     assert not (tmp_path / "o" / LAYERS / told["name"]).exists()

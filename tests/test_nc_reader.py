@@ -198,6 +198,8 @@ def test_spelling_of_words_does_not_matter(tmp_path):
         ("SD=2", 1, "SD belongs to the block with BSPLINE"),
         ("BSPLINE X1 Y2 PW=0.5 PL=0", 1, "PW=1"),
         ("%_N_OTHER_MPF", 1, "unknown word '%_N_OTHER_MPF'"),
+        ("N99999999999999999999 G1 X1 Y2", 1, "block number of 20 digits: 8 at most"),
+        ("N100000000 M0", 1, "block number of 9 digits"),
     ],
 )
 def test_what_is_not_understood_is_refused_with_its_place(block, column, message, tmp_path):

@@ -121,7 +121,7 @@ def test_inside_out_is_named_and_turned_over_when_asked(tmp_path):
         (box((0, 0, 0), (30, 30, 9)), {"heights_mm": (1.0, 2.5, 8.9)}, [900.0] * 3, set()),  # listed heights
         (moved(frame(), shift=(1e6, 1e6, 0)), {"layer_height_mm": 6.0}, [1376.0] * 2, set()),  # far away
         (moved(frame(), np.eye(3) * 0.05 / 40), {"layer_height_mm": 0.0075}, [1376.0 * 0.05**2 / 1600] * 2, {"deposit", "program"}),  # tiny
-        (join(box((0, 0, 0), (20, 20, 5)), box((0, 0, 13), (20, 20, 18))), {"layer_height_mm": 6.0}, [400, 0, 400], set()),
+        (join(box((0, 0, 0), (20, 20, 5)), box((0, 0, 13), (20, 20, 18))), {"layer_height_mm": 6.0}, [400, 0, 400], {"program"}),  # in the air
     ],
     ids=["thin", "one-layer", "listed", "far", "tiny", "gap"],
 )  # fmt: skip

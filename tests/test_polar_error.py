@@ -236,3 +236,11 @@ def test_stacks_of_other_heights_are_refused() -> None:
         contour_error(layer(SQUARE), layer(SQUARE), rays=0)
     nothing = contour_error(from_rings([], []), from_rings([], []))
     assert len(nothing) == 0
+
+
+def test_nothing_is_gained_on_an_error_that_is_rounding() -> None:
+    """A part that is its own reference: the normal distance of a point from its own ring is not quite 0."""
+    reference, measured = layer(flower(500) + 900.0), layer(flower(501) + 900.0)
+    table, after = contour_error(reference, reference), contour_error(measured, reference)
+    assert 0.0 < table["normal_max_mm"].max() - table["normal_min_mm"].min() < 1e-9
+    assert error_reduction(table, after).isna().all()

@@ -174,11 +174,10 @@ HEAVY = (
     "pandas",
     "ebamcheck.pipeline",
     "ebamcheck.slicers.slicing",
-    "ebamcheck.plugins.registry",
     "ebamcheck.curves",
     "ebamcheck.scan",
 )
-"""What takes most of the time of a start."""
+"""What takes most of the time of a start; the names of the controls, which the preflight asks for, take a hundredth."""
 
 
 @pytest.mark.parametrize("arguments", [["run", "--place", "5000,0"], ["preflight"]], ids=str)

@@ -63,6 +63,13 @@ def test_verify_finds_other_settings_a_lost_file_and_another_part(copy, plate):
         verify_run(copy)
 
 
+@pytest.mark.parametrize("name", ["run.json", "timings.json", "certificate.json"])
+def test_a_record_nested_beyond_reading_is_refused(copy, name):
+    (copy / name).write_text("[" * 100_000)
+    with pytest.raises(InputError, match=rf"{name}: cannot be read"):
+        verify_run(copy)
+
+
 def test_a_program_without_its_run_asks_for_its_settings(plate, tmp_path):
     program = shutil.copytree(plate[0].folder.program_folder, tmp_path / "alone") / "MAIN.MPF"
     lines = program.read_text().splitlines()

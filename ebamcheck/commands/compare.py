@@ -27,6 +27,7 @@ def compare(
     """Compare two slice files layer by layer; exit code 1 where they differ by more than the tolerance."""
     from ebamcheck.atomic_file import replacing
     from ebamcheck.comparison import compare as compare_layers
+    from ebamcheck.comparison.pairwise import check_comparable
     from ebamcheck.drawing.tables import text_table
     from ebamcheck.layers.files import read_layers
 
@@ -35,6 +36,7 @@ def compare(
     one, other = read_layers(a), read_layers(b)
     if one.part and other.part and one.part != other.part and not any_part:
         raise SettingsError(f"{a} and {b} are of different parts: give slices of one part, or --any-part")
+    check_comparable({str(a): one, str(b): other}, check_part=False)
     table = compare_layers(one, other, tolerance_mm=tolerance, check_part=False)
     if not len(table):
         raise NothingCompared(f"{a} and {b} hold no layers: nothing was compared")

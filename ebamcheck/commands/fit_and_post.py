@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -100,7 +101,8 @@ def _row(name: str, curves: Curves, layers: Layers, truth: Layers | None) -> dic
         gain = error_reduction(contour_error(layers, truth), contour_error(curves, truth))
         for kind in ("polar", "normal"):
             for figure in ("rms", "max"):
-                row[f"{kind} {figure} less by"] = f"{100.0 * float(gain[f'{kind}_{figure}']):.1f} %"
+                less = float(gain[f"{kind}_{figure}"])
+                row[f"{kind} {figure} less by"] = "-" if math.isnan(less) else f"{100.0 * less:.1f} %"
     return row
 
 

@@ -26,6 +26,9 @@ SAMPLES = 4000
 CURVE_TOLERANCE_MM = 1e-5
 """Curves are measured as polylines this near to them: far under any error that matters."""
 
+NO_ERROR_MM = 1e-9
+"""Errors under this are the rounding of places a metre from the origin: there is nothing to gain on them."""
+
 SAME_HEIGHT_MM = 1e-6
 """Layers of two stacks belong together if their heights differ by no more than this."""
 
@@ -123,7 +126,7 @@ def error_reduction(before: pd.DataFrame, after: pd.DataFrame) -> pd.Series:
     -------
     Series ``polar_range`` (greatest less least error), ``polar_max`` (greatest magnitude), ``polar_rms``,
     ``polar_mean_abs``, and the same of ``normal``. The polar figures are over the rows where both are
-    defined. NaN where there is nothing to compare or no error before.
+    defined. NaN where there is nothing to compare or no error before but that of rounding.
 
     Notes
     -----
@@ -137,7 +140,7 @@ def error_reduction(before: pd.DataFrame, after: pd.DataFrame) -> pd.Series:
         both = (before[f"{kind}_rms_mm"].notna() & after[f"{kind}_rms_mm"].notna()).to_numpy()
         old, new = (_totals(table[both], kind, weight) for table in (before, after))
         for name in old:
-            found[f"{kind}_{name}"] = 1.0 - new[name] / old[name] if old[name] > 0.0 else math.nan
+            found[f"{kind}_{name}"] = 1.0 - new[name] / old[name] if old[name] > NO_ERROR_MM else math.nan
     return pd.Series(found, name="reduction")
 
 

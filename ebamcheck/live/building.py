@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from ebamcheck.errors import EbamcheckError, InputError
+from ebamcheck.errors import EbamcheckError, InputError, SettingsError
 from ebamcheck.live.ground import Ground
 from ebamcheck.live.heat_so_far import HeatSoFar
 from ebamcheck.live.heights import HeightRule, height_rule
@@ -25,6 +25,7 @@ from ebamcheck.live.map_reading import map_reading
 from ebamcheck.live.metal_so_far import MetalSoFar
 from ebamcheck.live.publishing import (
     JOURNAL,
+    LAYERS,
     PROGRAM,
     certificate_of,
     layer_name,
@@ -85,6 +86,7 @@ class Building:
         self._standing: Standing | None = None
         self._last: Reading | None = None
         # The lock comes first: two servers on one folder would publish over each other.
+        _refuse_relayered(folder)
         self._journal = Journal(folder / JOURNAL)
         try:
             if self._journal.lines:
@@ -339,3 +341,16 @@ class Building:
 
 def _kept(reading: Reading, why: str) -> Answer:
     return {"answer": "kept", "done": reading.done, "height_mm": reading.height_mm, "reason": why}
+
+
+def _refuse_relayered(folder: Path) -> None:
+    """Refuse to begin a build beside layers of `relayer`: it would come to their names, and keep its own layers back."""
+    layers = folder / LAYERS
+    if (folder / JOURNAL).is_file() or not layers.is_dir():
+        return
+    found = sorted(path.name for path in layers.iterdir())
+    if found:
+        raise SettingsError(
+            f"{layers}: holds {found[0]}{f' and {len(found) - 1} more' if len(found) > 1 else ''}, which `ebamcheck relayer` made "
+            "and a build would name again: give the build another folder with -o, or move them away"
+        )

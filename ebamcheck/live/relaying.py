@@ -17,7 +17,7 @@ from ebamcheck.live.height_map import MapCells
 from ebamcheck.live.heights import height_rule
 from ebamcheck.live.making import LayerMaker, MadeLayer, Wanted
 from ebamcheck.live.metal_so_far import MetalSoFar
-from ebamcheck.live.publishing import LAYERS, PROGRAM, certificate_of, layer_name, publish
+from ebamcheck.live.publishing import JOURNAL, LAYERS, PROGRAM, certificate_of, layer_name, publish
 from ebamcheck.live.readings import Reading
 
 
@@ -67,6 +67,10 @@ def relayer(
     number = 1
     program = maker.config.machine.program_name
     made_folder(folder)
+    if (folder / JOURNAL).is_file():
+        raise SettingsError(
+            f"{folder}: is the folder of a build, whose own layers would come to the same names: give another with -o"
+        )
     while (folder / LAYERS / layer_name(program, layer, number)).exists():
         number += 1
     wanted, said = wanted_layer(maker, layer, measured_mm, layer_name(program, layer, number))

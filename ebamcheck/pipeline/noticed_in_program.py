@@ -187,6 +187,56 @@ def of_seams(program: NCProgram, heights: Floats, config: Config) -> Iterator[Fi
         )
 
 
+def of_height(part_mm: float, heights: Floats, config: Config) -> Iterator[Finding]:
+    """A program that ends beside the top of the part by more of its height than the metal may be off.
+
+    What the metal is held against are sections times the heights of layers, so that no gate sees it.
+
+    Parameters
+    ----------
+    part_mm
+        Height of the part.
+    heights
+        (L,) heights of the cuts, mm.
+    """
+    if not len(heights) or config.base_mm > 0.0:
+        return
+    ends_mm = float(deposition_heights(heights, config.layer_height_mm)[-1])
+    limit = config.process.mass_tolerance * part_mm
+    if abs(ends_mm - part_mm) > limit:
+        yield Finding(
+            "warning",
+            "height-off-part",
+            f"{len(heights)} layers end at Z {ends_mm:.3f} mm, and the part is {part_mm:.3f} mm high",
+            "layers.layer_height_mm",
+            abs(ends_mm - part_mm),
+            limit,
+            "mm",
+            "give a layer height of which the part has a whole number (layers.layer_height_mm), or leave metal for machining",
+        )
+
+
+def of_overhang(checks: Iterable[Check], config: Config) -> Iterator[Finding]:
+    """Layers that reach out over the one below by more than a bead is wide, where the settings limit no overhang."""
+    process = config.process
+    if process.largest_overhang_deg is not None:
+        return
+    most_deg = math.degrees(math.atan2(process.bead_width_mm, config.layer_height_mm))
+    for check in checks:
+        if check.name == "overhang" and check.value > most_deg:
+            yield Finding(
+                "warning",
+                "overhang-unlimited",
+                f"{check.text}: more than a bead is wide, so that beads hang in the air there",
+                check.where,
+                check.value,
+                most_deg,
+                "deg",
+                "build in another direction (part.direction), support it in the model, or set the overhang that your process "
+                "can build (process.largest_overhang_deg), so that more is refused",
+            )
+
+
 def _at(layer: int, heights: Floats, config: Config, x_mm: float = math.nan, y_mm: float = math.nan) -> str:
     """Name a place in part and program; `heights` (L,) mm are those of the cuts."""
     z_mm = deposition_heights(np.asarray(heights, np.float64), config.layer_height_mm, config.base_mm)[layer]

@@ -72,7 +72,7 @@ class RunFolder:
             found = json.loads(path.read_text(encoding="utf-8"))
         except FileNotFoundError:
             raise InputError(f"{self.path}: is no run folder: it has no {MANIFEST}") from None
-        except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        except (OSError, UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
             raise InputError(f"{path}: cannot be read: {error}") from None
         if not isinstance(found, dict) or found.get("format") != FORMAT_VERSION:
             raise InputError(f"{path}: is not a run of format {FORMAT_VERSION}")
@@ -85,7 +85,7 @@ class RunFolder:
             found = json.loads(path.read_text(encoding="utf-8"))
         except FileNotFoundError:
             return {}
-        except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        except (OSError, UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
             raise InputError(f"{path}: cannot be read: {error}") from None
         if not isinstance(found, dict):
             raise InputError(f"{path}: is not the table of times that a run writes")

@@ -217,7 +217,7 @@ def _judged(path: Path, digest: str, trusted: dict[bytes, str]) -> Signature:
         }:
             raise ValueError
         Ed25519PublicKey.from_public_bytes(public).verify(signature, _message(said))
-    except (ValueError, KeyError, TypeError, binascii.Error):
+    except (ValueError, KeyError, TypeError, RecursionError, binascii.Error):
         return Signature(path.name, BROKEN, "", "", "is no signature of ours")
     except InvalidSignature:
         return Signature(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from ebamcheck.errors import EbamcheckError
 from ebamcheck.preflight.checks import RUN, PreflightCheck, of_finding
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import outside_window, unusual_layers
@@ -21,9 +22,29 @@ def sense_checks(config: Config) -> Iterator[PreflightCheck]:
     )
     yield from window or [PreflightCheck("process window", "pass", said, layer / bead, None, "of the bead")]
     yield from (of_finding("layer height", found) for found in unusual_layers(config))
+    yield _control(config)
     yield _feed(config)
     yield from _cells(config)
     yield from _temperatures(config)
+
+
+def _control(config: Config) -> PreflightCheck:
+    """There must be such a control, its programs must be read back, and its templates must make blocks."""
+    # What writes programs is loaded where it is asked for: the rest of a preflight needs none of it.
+    from ebamcheck.program.language.control import control
+    from ebamcheck.program.language.templates import usable_templates
+
+    name = config.machine.control
+    try:
+        if not control(name).is_read:
+            text = f"machine.control {name!r} is a simulator's case, which is not read back and so never validated"
+            remedy = "run for a control, then `ebamcheck post` for the simulator"
+            return PreflightCheck("control", "fault", text, remedy=remedy, stops=(RUN,))
+        templates = usable_templates(config, name)
+    except EbamcheckError as error:
+        remedy = "mend that setting of the machine; `ebamcheck config` shows the default ones"
+        return PreflightCheck("control", "fault", str(error), remedy=remedy, stops=(RUN,))
+    return PreflightCheck("control", "pass", f"{name}, with {len(templates)} templates that make blocks")
 
 
 def _feed(config: Config) -> PreflightCheck:

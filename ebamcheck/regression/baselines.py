@@ -94,7 +94,7 @@ def _read(path: Path, model: str) -> list[Entry]:
         return [_entry(model, name, record) for name, record in values["entries"].items()]
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"{path}: is no baseline ({type(error).__name__}: {error}): restore it") from None
 
 

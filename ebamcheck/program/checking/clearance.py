@@ -6,8 +6,9 @@ import numpy as np
 import shapely
 
 from ebamcheck.layers.stack import Layers
-from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program.checking.checks import Check
+from ebamcheck.program.checking.in_the_air import beads_in_the_air
 from ebamcheck.program.checking.standing import Standing, run_over
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.reading.roles import Beads, beads_of
@@ -36,7 +37,9 @@ def clearance_checks(
     beads = beads_of(nc)
     below = _below(nc, z_of, config.base_mm)
     found = run_over(nc, beads, below, config, HOP_SPACINGS * config.process.hatch_spacing_mm)
-    return [_collision(nc, found), _clearance(nc, found, config), _support(nc, beads, found, config, layers)]
+    in_air = beads_in_the_air(nc, beads, found.bare_mm, below, config.process.bead_width_mm)
+    support = _in_the_air(nc, beads, in_air) or _support(nc, beads, found, config, layers)
+    return [_collision(nc, found), _clearance(nc, found, config), support]
 
 
 def _below(nc: NCProgram, z_of: Floats, base_mm: float) -> Floats:
@@ -84,6 +87,18 @@ def _clearance(nc: NCProgram, found: Standing, config: Config) -> Check:
 
 def _more(rows: Ints) -> str:
     return f" (and {rows.size - 1} more)" if rows.size > 1 else ""
+
+
+def _in_the_air(nc: NCProgram, beads: Beads, in_air: Bools) -> Check | None:
+    """Length of the beads of islands that touch nothing which stands, whatever the part is there; None where there are none."""
+    if not in_air.any():
+        return None
+    rows = beads.rows[in_air[beads.bead]]
+    value = float(np.nan_to_num(nc.lengths[rows]).sum())
+    row, layers = int(rows[0]), np.unique(nc.layer[rows])
+    more = f", on {layers.size} layers" if layers.size > 1 else ""
+    text = f"{value:.4g} mm of beads begin in the air{more}: nothing stands under them, nor beside them"
+    return Check("support", False, value, 0.0, "mm", nc.where(row), text)
 
 
 def _support(nc: NCProgram, beads: Beads, found: Standing, config: Config, layers: Layers | None) -> Check:

@@ -35,6 +35,10 @@ LAYER_OUTSIDE = 3.0
 """A single layer may have so many times the share of metal outside that the whole program may."""
 
 
+SMALL_KG = 0.1
+"""A part under this is weighed in milligrams, a heavier one in grams."""
+
+
 def deposit_checks(
     nc: NCProgram, found: Deposit, config: Config, below: MetalBelow | None = None
 ) -> list[Check]:
@@ -92,7 +96,9 @@ def _whole(solid: pd.DataFrame, built: MetalBelow, alone: bool, config: Config) 
     if alone:
         off = float(_off_layers(solid, config)[0])
     density = config.material.density_kg_m3 * 1e-9
-    text = f"{laid * density:.3f} kg of metal for {wanted * density:.3f} kg of part"
+    # Milligrams of a small part: what shuts the gate has to show in the figures.
+    decimals = 3 if wanted * density >= SMALL_KG else 6
+    text = f"{laid * density:.{decimals}f} kg of metal for {wanted * density:.{decimals}f} kg of part"
     return Check("metal", off <= limit, off, limit, "of the part", "", text)
 
 

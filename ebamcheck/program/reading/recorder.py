@@ -19,6 +19,8 @@ NAN = float("nan")
 LINE_OF_T = (0.0, 0.0, 0.0, 0.0, 1.0)
 """Coefficients of t^2 and t^3 in X, then in Y, and the length of the parameter: none."""
 NO_CENTRE = (NAN, NAN, NAN)
+MOST_DIGITS = 8
+"""Digits of a block number: a SINUMERIK takes eight, and no control here takes more."""
 
 
 class Recorder:
@@ -127,9 +129,11 @@ class Recorder:
         """Note a change of the state."""
         self._events.append((self.file, self.line, len(self._rows), name, value))
 
-    def number(self, value: int) -> None:
+    def number(self, digits: str) -> None:
         """Note the number of a block."""
-        self._numbers.append((self.file, self.line, value))
+        if len(digits.lstrip("0")) > MOST_DIGITS:
+            raise self.error(f"block number of {len(digits)} digits: {MOST_DIGITS} at most", 0)
+        self._numbers.append((self.file, self.line, int(digits)))
 
     # -- motions -----------------------------------------------------------------------------------
 

@@ -132,7 +132,7 @@ class GcodeReader:
         number = _BLOCK_NUMBER.match(code)
         column = 0
         if number:
-            self.out.number(int(number[1]))
+            self.out.number(number[1])
             column = number.end()
         code = code[column:].rstrip().upper()
         try:

@@ -115,7 +115,7 @@ class SinumerikReader:
                 out.feed(float(part[3]))
             out.move(STRAIGHT, float(part[1]), float(part[2]), out.z)
         elif what == "arc":
-            return self._run_plain_arc(int(part[0]), part[17], *map(float, part[18:22]))
+            return self._run_plain_arc(part[0], part[17], *map(float, part[18:22]))
         elif what == "poly":
             self._mode = "POLY"
             xe, x2, x3, ye, y2, y3 = map(float, part[6:12])
@@ -128,10 +128,10 @@ class SinumerikReader:
                 else (out.x, out.y, float(part[26]))
             )
             out.move(RAPID, x, y, z)
-        out.number(int(part[0]))
+        out.number(part[0])
         return True
 
-    def _run_plain_arc(self, number: int, mode: str, x: float, y: float, i: float, j: float) -> bool:
+    def _run_plain_arc(self, number: str, mode: str, x: float, y: float, i: float, j: float) -> bool:
         """Run G2 or G3; one that is no arc is left to be refused with its place."""
         out = self.out
         try:
@@ -153,7 +153,7 @@ class SinumerikReader:
         number = _BLOCK_NUMBER.match(code)
         column = 0
         if number:
-            self.out.number(int(number[1]))
+            self.out.number(number[1])
             column = number.end()
         code = code[column:].rstrip().upper()
         try:

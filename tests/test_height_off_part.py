@@ -1,0 +1,33 @@
+"""A program whose layers end beside the top of the part: no gate sees it, since all hold the metal against its own layers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ebamcheck.pipeline import noticed_in_program
+from ebamcheck.settings.config import Config
+
+LAYER = Config().layer_height_mm
+
+
+def told(part_mm, heights, config=None):
+    return list(noticed_in_program.of_height(part_mm, np.array(heights), config or Config()))
+
+
+def test_a_plate_thinner_than_its_only_layer_is_warned_of():
+    (found,) = told(1.0, [0.5])
+    assert (found.severity, found.code) == ("warning", "height-off-part")
+    assert found.text == "1 layers end at Z 1.676 mm, and the part is 1.000 mm high"
+    assert found.figure == pytest.approx(0.6755, abs=1e-4)
+    assert found.limit == pytest.approx(0.02)
+
+
+@pytest.mark.parametrize(("off", "said"), [(0.0, 0), (0.019, 0), (-0.019, 0), (0.03, 1), (-0.03, 1)])
+def test_within_the_tolerance_of_the_metal_nothing_is_said(off, said):
+    cuts = (np.arange(12) + 0.5) * LAYER
+    assert len(told(12 * LAYER / (1.0 + off), cuts)) == said
+
+
+def test_layers_on_what_stands_are_not_the_whole_part():
+    assert not told(20.0, [0.8], Config().changed(layers={"base_mm": 10.0}))
