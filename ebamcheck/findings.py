@@ -47,6 +47,7 @@ CODES: Mapping[str, str] = {
     "process-limit": "A setting is outside of the process window; a job without a program goes on.",
     "seam-at-corner": "Contours start at corners, where metal heaps up.",
     "wall-under-bead": "A wall is thinner than the least that beads can lay.",
+    "wire-drawn-back": "Wire is drawn back at the end of each bead, and the program relies on the feeder to feed it forward again.",
 }
 """Every code that a finding may have, and what it stands for: the table of findings. Codes are stable."""
 

@@ -147,6 +147,15 @@ def test_placeholders_of_every_control_are_named_until_they_are_set(control):
     assert (found.place, found.figure) == ("machine.wire_stop", 1.0)
 
 
+def test_wire_that_is_drawn_back_is_left_to_the_feeder():
+    config = Config().changed(process={"wire_retract_mm": 50.0})
+    found = [f for f in noticed.of_profile(config) if f.code == "wire-drawn-back"]
+    wire_mm3 = 50.0 * np.pi * 0.25 * config.process.wire_diameter_mm**2
+    bead_mm2 = config.process.bead_width_mm * config.layer_height_mm
+    assert [f.figure for f in found] == [pytest.approx(wire_mm3 / bead_mm2)]
+    assert not [f for f in noticed.of_profile(Config()) if f.code == "wire-drawn-back"]
+
+
 @pytest.mark.parametrize(("rise_k", "figure"), [(1000.0, None), (2000.0, 2293.15), (9000.0, 3533.0)])
 def test_no_temperature_over_the_boiling_point_is_a_figure(rise_k, figure):
     plan = replace(make_plan([0.75, 2.25], []), metrics=pd.DataFrame({"entry_max_k": [np.nan, rise_k]}))

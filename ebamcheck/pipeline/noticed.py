@@ -13,6 +13,7 @@ from ebamcheck.preflight.suspicions import suspicions
 from ebamcheck.program.language.control import control
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import MachineSettings
+from ebamcheck.settings.wire_speed import wire_speed_mm_s
 from ebamcheck.slicers.isolation import Outcome
 
 
@@ -89,7 +90,7 @@ def placeholder_codes(config: Config) -> list[str]:
 
 
 def of_profile(config: Config) -> Iterator[Finding]:
-    """Codes that stand for those of the machine's maker."""
+    """Codes that stand for those of the machine's maker, and what the wire feeder has to do by itself."""
     names = placeholder_codes(config)
     if names:
         yield Finding(
@@ -101,4 +102,19 @@ def of_profile(config: Config) -> Iterator[Finding]:
             0.0,
             "templates",
             "set the machine maker's codes",
+        )
+    process = config.process
+    if process.wire_retract_mm > 0.0:
+        wire_mm_s = wire_speed_mm_s(config, process.bead_width_mm, config.layer_height_mm)
+        bare_mm = process.wire_retract_mm / wire_mm_s * process.travel_speed_mm_s
+        yield Finding(
+            "warning",
+            "wire-drawn-back",
+            f"{process.wire_retract_mm:g} mm of wire are drawn back at the end of each bead, and no block feeds them forward again: "
+            f"unless the feeder does it at the next start, {bare_mm:.3g} mm of every bead have no metal",
+            "process.wire_retract_mm",
+            bare_mm,
+            0.0,
+            "mm",
+            "make sure that the feeder does, or have it done by the codes of machine.wire_start",
         )

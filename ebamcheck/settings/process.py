@@ -158,7 +158,8 @@ class ProcessSettings(Section):
     crater_fill_window_s: tuple[Seconds, Seconds] | None = None
     """The same of the time from the full power to the end of a bead."""
     wire_retract_mm: Annotated[float, Between(0.0, 1000.0)] = 0.0
-    """Wire drawn back at the end of a bead, so that it does not freeze in."""
+    """Wire drawn back at the end of a bead, so that it does not freeze in. The feeder, or the codes of `machine.wire_start`, have to
+    feed it forward again: no other block does."""
     layer_pause_s: Annotated[float, Between(0.0, 1e6)] = 0.0
     """Least wait between two layers with the beam off; `interpass` makes it longer where the part is too hot."""
     longest_wait_s: Annotated[float, Between(1.0, 1e6)] = 14400.0
