@@ -31,10 +31,10 @@ from ebamcheck.scan.order.annealing import (
     timed_from,
 )
 from ebamcheck.scan.order.entry_options import entry_options
+from ebamcheck.scan.order.greedy_heat import greedy_order
 from ebamcheck.scan.order.moves import least_travel_mm, more_touches, move
 from ebamcheck.scan.order.orders import scan_order
 from ebamcheck.scan.order.simulation import clocked, entered, entry_points
-from ebamcheck.scan.order.thermal import greedy_order
 from ebamcheck.scan.order.touching import touch_table, touching, touching_successors
 from ebamcheck.scan.plan.comparing import OrderComparison
 from ebamcheck.scan.plan.laying import lay_islands

@@ -22,9 +22,10 @@ from ebamcheck.scan import LayerIslands, plan_scan
 from ebamcheck.scan.filling.turns import turns_and_jumps_mm
 from ebamcheck.scan.heat.island_heat import island_heat
 from ebamcheck.scan.islands.regions import layer_section
+from ebamcheck.scan.order.greedy_heat import greedy_order
 from ebamcheck.scan.order.orders import scan_order
 from ebamcheck.scan.order.simulation import clocked, entered, entry_points, entry_temperatures
-from ebamcheck.scan.order.thermal import greedy_order, own_rise
+from ebamcheck.scan.order.thermal import own_rise
 from ebamcheck.scan.plan.comparing import FIGURES, compared_orders
 from ebamcheck.scan.plan.laying import lay_islands
 from ebamcheck.settings.scan import order_names
