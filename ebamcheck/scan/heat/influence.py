@@ -6,6 +6,7 @@ entered is a sum over the islands before it, whatever the number of modes.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -40,7 +41,52 @@ MOST_ISLANDS = 500
 SOURCES = 16
 """Islands whose part of the table a thread is worth."""
 
+AT_ONCE = 8
+"""Sources whose rises come from one product of matrices: one by one they take a third longer."""
+
 Table = NDArray[np.float32]
+
+
+class Sources(NamedTuple):
+    """Islands that heat K modes of the section times N of the depth.
+
+    Parameters
+    ----------
+    scale
+        (K, I) by which each heats the section's modes, K/s.
+    weight
+        (K, N) what heating by 1 K/s comes to in the end, in the layer.
+    across, through
+        (K, I), (N, I) what is left of the modes after the time in which each island is scanned.
+    time_s
+        (I,) that time.
+    """
+
+    scale: Floats
+    weight: Floats
+    across: Floats
+    through: Floats
+    time_s: Floats
+
+
+class Times(NamedTuple):
+    """Times of the table side by side, all of them under the horizon or none.
+
+    Parameters
+    ----------
+    start, stop
+        First of them in the table, and the one after the last.
+    over_s
+        (Q,) by how much they are over the horizon.
+    across, through
+        (M, Q), (N, Q) what is left then of the modes of the section that are not nothing by then, and of the depth's.
+    """
+
+    start: int
+    stop: int
+    over_s: Floats
+    across: Floats
+    through: Floats
 
 
 class FreshTable(NamedTuple):
@@ -97,7 +143,14 @@ def influence(heat: IslandHeat, time_s: Floats, longest_s: float) -> Influence:
         near.horizon_s + spacing * np.arange(NODES - young) ** 2,
     ])  # fmt: skip
     rise = np.empty((count, count + 1, NODES), np.float32)
-    run_blocks(lambda a, b: old_heat(heat, time_s, near.horizon_s, since, rise, range(a, b)), count, SOURCES)
+    # Whole products in every thread: what they round depends on which sources are in one.
+    run_blocks(
+        lambda a, b: old_heat(
+            heat, time_s, near.horizon_s, since, rise, range(a * AT_ONCE, min(b * AT_ONCE, count))
+        ),
+        math.ceil(count / AT_ONCE),
+        SOURCES // AT_ONCE,
+    )
     rise[:, count] = first_heat(heat, since)
     slot = np.full((count, count), -1, np.int32)
     slot[np.repeat(np.arange(count), np.diff(near.first)), near.other] = np.arange(len(near.other))
@@ -124,35 +177,78 @@ def old_heat(
     heat: IslandHeat, time_s: Floats, horizon_s: float, since_s: Floats, rise: Table, sources: range
 ) -> None:
     """Write the rises :attr:`Influence.rise_k` by heat of sources older than the horizon, at times (Q,) after their end."""
-    depth_rate = np.maximum(heat.modes.depth_rate, LEAST_RATE)
-    rate = np.add.outer(heat.modes.plane_rate, depth_rate)
-    across = np.exp(-np.multiply.outer(heat.modes.plane_rate, since_s))
-    through = np.exp(-np.multiply.outer(depth_rate, since_s))
-    mean, weight = np.asarray(heat.modes.mean, np.float32), heat.modes.in_layer**2 / rate
-    at_horizon = (weight * np.exp(-rate * horizon_s)).sum(axis=1)[:, None]
-    # Of a source that ended less than a horizon ago only what it began with is old.
-    young = slice(0, int(np.searchsorted(since_s, horizon_s)))
-    spans = _spans(heat.modes.plane_rate, np.maximum(since_s, horizon_s))
-    for j in sources:
-        time, source = time_s.item(j), heat.modes.source_k_s.item(j)
-        fallen = np.exp(-rate * time)
-        held, scale = weight * (1.0 - fallen), source * heat.modes.mean[:, j, None]
-        for count, span in spans:
-            of_mode = across[:count, span] * (held[:count] @ through[:, span])
-            if span.start == 0:
-                begun = at_horizon - across[:, young] * ((weight * fallen) @ through[:, young])
-                of_mode[:, young] = np.where(since_s[young] + time > horizon_s, begun, 0.0)
-            of_mode *= scale[:count]
-            rise[:, j, span] = mean[:count].T @ of_mode.astype(np.float32)
+    modes, depth_rate = heat.modes, np.maximum(heat.modes.depth_rate, LEAST_RATE)
+    rate = np.add.outer(modes.plane_rate, depth_rate)
+    weight = modes.in_layer**2 / rate
+    heating = Sources(
+        modes.source_k_s * modes.mean,
+        weight,
+        np.exp(-np.multiply.outer(modes.plane_rate, time_s)),
+        np.exp(-np.multiply.outer(depth_rate, time_s)),
+        time_s,
+    )
+    at_horizon = (weight * np.exp(-rate * horizon_s)).sum(axis=1)
+    # Until then all heat of every source is young.
+    nothing = int(np.searchsorted(since_s + time_s.max(), horizon_s, side="right"))
+    spans = [
+        Times(
+            start, stop, since_s[start:stop] - horizon_s,
+            np.exp(-np.multiply.outer(modes.plane_rate[:count], since_s[start:stop])),
+            np.exp(-np.multiply.outer(depth_rate, since_s[start:stop])),
+        )
+        for count, start, stop in _spans(modes.plane_rate, since_s, horizon_s, nothing)
+    ]  # fmt: skip
+    mean = np.asarray(modes.mean, np.float32)
+    rise[:, sources.start : sources.stop, :nothing] = 0.0
+    for begin in range(sources.start, sources.stop, AT_ONCE):
+        end = min(begin + AT_ONCE, sources.stop)
+        for times in spans:
+            left = left_by_sources(heating, times, at_horizon, begin, end)
+            rises = mean[: len(left)].T @ left.reshape(len(left), -1)
+            rise[:, begin:end, times.start : times.stop] = rises.reshape(len(rises), *left.shape[1:])
 
 
-def _spans(plane_rate: Floats, since_s: Floats) -> list[tuple[int, slice]]:
-    """Times (Q,), rising, in spans, each with how many of the modes, whose decays rise, are left at its beginning."""
-    left = np.maximum(np.searchsorted(plane_rate, FALLEN / since_s), 1)
-    spans, start = [], 0
+@kernel
+def left_by_sources(heating: Sources, times: Times, at_horizon: Floats, begin: int, end: int) -> Table:
+    """Amplitudes (M, S, Q) in the layer that some sources have left in modes by heat that is older than the horizon.
+
+    Of a source that ended less than a horizon ago only what it began with is old; `at_horizon` (K,) is all that it comes to.
+    """
+    # Taken out of their tuples once: each column that is taken out is counted as one more in use.
+    over, across, through, time = times.over_s, times.across, times.through, heating.time_s
+    scale, weight, scanned_across, scanned_through = (
+        heating.scale,
+        heating.weight,
+        heating.across,
+        heating.through,
+    )
+    modes, count = across.shape
+    young, held = over[0] < 0.0, np.empty(count)
+    result = np.empty((modes, end - begin, count), np.float32)
+    for k in range(modes):
+        for j in range(begin, end):
+            held[:] = 0.0
+            for n in range(len(through)):
+                begun = weight[k, n] * (scanned_across[k, j] * scanned_through[n, j])
+                part = begun if young else weight[k, n] - begun
+                for q in range(count):
+                    held[q] += part * through[n, q]
+            for q in range(count):
+                left = across[k, q] * held[q]
+                if young:
+                    left = at_horizon[k] - left if over[q] + time[j] > 0.0 else 0.0
+                result[k, j - begin, q] = scale[k, j] * left
+    return result
+
+
+def _spans(plane_rate: Floats, since_s: Floats, horizon_s: float, start: int) -> list[tuple[int, int, int]]:
+    """Times (Q,), rising, from one on in spans on one side of the horizon: modes left, whose decays rise, first and end of each."""
+    left = np.maximum(np.searchsorted(plane_rate, FALLEN / np.maximum(since_s, horizon_s)), 1)
+    spans, young = [], int(np.searchsorted(since_s, horizon_s))
     while start < len(left):
         stop = max(start + 1, int(np.searchsorted(-left, -left[start] / FEWER)))
-        spans.append((int(left[start]), slice(start, stop)))
+        stop = min(stop, young) if start < young else stop
+        spans.append((int(left[start]), start, stop))
         start = stop
     return spans
 
