@@ -101,7 +101,7 @@ def test_a_rise_of_the_table_is_that_of_two_islands_driven_alone(base):
             end[island] = start[island] + schedule.time_s[island]
             exact = entered(heat, np.array([source, island]), start, end)[0][island]
             found = looked_up(
-                table.rise_k[island], table.nodes_per_root_s, table.fresh.horizon_s, source, since
+                table.rise_k[island], table.nodes_per_root_s, table.fresh.near.horizon_s, source, since
             )
             assert found == pytest.approx(exact, rel=0.02, abs=1.0)
             before = max(before, abs(exact))
@@ -199,7 +199,7 @@ def test_what_a_move_changes_is_what_the_moved_order_has(choices, kind):
 def test_places_in_the_table_are_those_of_a_lookup(choices):
     schedule, heat = choices.known_schedule, choices.cold_heat()
     table = influence(heat, schedule.time_s, 500.0)
-    rise, horizon, nodes = table.rise_k, table.fresh.horizon_s, table.nodes_per_root_s
+    rise, horizon, nodes = table.rise_k, table.fresh.near.horizon_s, table.nodes_per_root_s
     below, above = np.nextafter(horizon, [0.0, np.inf])
     for since in (-1e-12, 0.0, 0.3 * horizon, below, horizon, above, 77.7, 500.0, 900.0):
         node, share = table_place(since, nodes, horizon, rise.shape[2])

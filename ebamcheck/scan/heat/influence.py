@@ -10,21 +10,16 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.scan.heat.falling import falling
+from ebamcheck.scan.heat.fresh_table import YOUNG_NODES, FreshTable, Table, fresh_table, work_out_all
 from ebamcheck.scan.heat.island_heat import IslandHeat
-from ebamcheck.scan.heat.near_field import FAR, NearField, at_root, young_mean
-from ebamcheck.scan.heat.pieces import OPTIONS
+from ebamcheck.scan.heat.near_field import NearField, young_mean
 
 NODES = 96
-"""Times of the table."""
-
-YOUNG_NODES = 12
-"""Times of these until the horizon of young heat, and of what it does at entries. Their spacing grows with the time, as
-heat changes ever more slowly: node n of N lies at horizon (n / (N - 1))^2, and m after the horizon at m^2."""
+"""Times of the table; :data:`~ebamcheck.scan.heat.fresh_table.YOUNG_NODES` of them until the horizon of young heat. Node m after
+the horizon lies at m^2."""
 
 LEAST_RATE = 1e-9
 """Decay, 1/s, that an amplitude has at least: nothing within any layer, but there is an inverse of it."""
@@ -43,8 +38,6 @@ SOURCES = 16
 
 AT_ONCE = 8
 """Sources whose rises come from one product of matrices: one by one they take a third longer."""
-
-Table = NDArray[np.float32]
 
 
 class Sources(NamedTuple):
@@ -89,24 +82,6 @@ class Times(NamedTuple):
     through: Floats
 
 
-class FreshTable(NamedTuple):
-    """What young heat does to entries beyond the rises of islands that are near each other.
-
-    Parameters
-    ----------
-    horizon_s
-        Time after which it is nothing; node n of N lies at horizon (n / (N - 1))^2.
-    slot
-        (I, I) row of the next table for an island and the source, or -1.
-    excess_k
-        (P, 4, 4, N) of the temperature of its entry over its mean, by its entry option and that of the source.
-    """
-
-    horizon_s: float
-    slot: NDArray[np.int32]
-    excess_k: Table
-
-
 class Influence(NamedTuple):
     """Temperature rises by islands and times.
 
@@ -126,7 +101,7 @@ class Influence(NamedTuple):
     fresh: FreshTable
 
 
-def influence(heat: IslandHeat, time_s: Floats, longest_s: float) -> Influence:
+def influence(heat: IslandHeat, time_s: Floats, longest_s: float, whole: bool = True) -> Influence:
     """Tabulate the heat model of a layer: old heat by its modes, young heat as in :mod:`ebamcheck.scan.heat.near_field`.
 
     Parameters
@@ -135,6 +110,8 @@ def influence(heat: IslandHeat, time_s: Floats, longest_s: float) -> Influence:
         (I,) time in which each island is scanned.
     longest_s
         Longest time between two islands.
+    whole
+        Work out all of what young heat does to entries, not only what is asked for: so that several threads may ask.
     """
     near, count, young = heat.fresh, len(time_s), YOUNG_NODES - 1
     spacing = max(longest_s - near.horizon_s, 0.0) / (NODES - YOUNG_NODES) ** 2
@@ -152,18 +129,13 @@ def influence(heat: IslandHeat, time_s: Floats, longest_s: float) -> Influence:
         SOURCES // AT_ONCE,
     )
     rise[:, count] = first_heat(heat, since)
-    slot = np.full((count, count), -1, np.int32)
-    slot[np.repeat(np.arange(count), np.diff(near.first)), near.other] = np.arange(len(near.other))
-    excess_k = np.zeros((len(near.other), OPTIONS, OPTIONS, YOUNG_NODES), np.float32)
-    run_blocks(
-        lambda a, b: young_heat(
-            near, slot, heat.modes.source_k_s, time_s, since[:YOUNG_NODES], rise, excess_k, a, b
-        ),
-        count,
-        SOURCES,
-    )
+    of_fresh = near, heat.modes.source_k_s, time_s, since[:YOUNG_NODES]
+    run_blocks(lambda a, b: add_young_heat(*of_fresh, rise, a, b), count, SOURCES)
+    fresh = fresh_table(*of_fresh)
+    if whole:
+        run_blocks(lambda a, b: work_out_all(fresh, a, b), count, SOURCES)
     per_root = spacing**-0.5 if spacing > 0.0 else 0.0
-    return Influence(rise, per_root, FreshTable(near.horizon_s, slot, excess_k))
+    return Influence(rise, per_root, fresh)
 
 
 def first_heat(heat: IslandHeat, since_s: Floats) -> Floats:
@@ -254,94 +226,16 @@ def _spans(plane_rate: Floats, since_s: Floats, horizon_s: float, start: int) ->
 
 
 @kernel
-def young_heat(
-    near: NearField,
-    slot: NDArray[np.int32],
-    source: Floats,
-    time: Floats,
-    since: Floats,
-    rise: Table,
-    excess: Table,
-    start: int,
-    stop: int,
+def add_young_heat(
+    near: NearField, source: Floats, time: Floats, since: Floats, rise: Table, start: int, stop: int
 ) -> None:
-    """Add the young heat of some islands to the rises of the means; write its `excess` at entries, as in :class:`FreshTable`.
-
-    All entries near a source are worked out side by side, piece by piece of it.
-    """
-    first, other, pair = near.first, near.other, near.pair
-    most = np.diff(first).max()
-    mean, entry_k = np.empty((most, len(since))), np.empty(most * OPTIONS)
-    x, y, inside = (
-        np.empty(most * OPTIONS),
-        np.empty(most * OPTIONS),
-        np.empty((near.inside.shape[2], most * OPTIONS)),
-    )
+    """Add the young heat of some islands to the rises of the means at the first times; after the horizon it is nothing."""
     for j in range(start, stop):
-        beside = other[first[j] : first[j + 1]]
-        for b in range(len(beside)):
-            i = beside[b]
+        for p in range(near.first[j], near.first[j + 1]):
+            i = near.other[p]
             for n in range(len(since)):
-                mean[b, n] = young_mean(near, pair[first[j] + b], since[n], time[j])
                 if i != j:
-                    rise[i, j, n] += source[j] * mean[b, n]
-            for option in range(OPTIONS):
-                e = OPTIONS * b + option
-                x[e], y[e], inside[:, e] = (
-                    near.entry[i, option, 0],
-                    near.entry[i, option, 1],
-                    near.inside[i, option],
-                )
-        used = OPTIONS * len(beside)
-        for left_by in range(OPTIONS):
-            for n in range(len(since)):
-                entry_k[:used] = 0.0
-                _add_pieces(near, j, left_by, since[n], time[j], x[:used], y[:used], inside, entry_k)
-                for b in range(len(beside)):
-                    row = slot[beside[b], j]
-                    for option in range(OPTIONS):
-                        rest = entry_k[OPTIONS * b + option] * time[j] - mean[b, n]
-                        if beside[b] != j:
-                            excess[row, option, left_by, n] = source[j] * rest
-
-
-@kernel
-def _add_pieces(
-    near: NearField,
-    source: int,
-    left_by: int,
-    since: float,
-    time: float,
-    x: Floats,
-    y: Floats,
-    inside: Floats,
-    rise: Floats,
-) -> None:
-    """Add to the rises (E,) at entries what :func:`~ebamcheck.scan.heat.near_field.entry_rise` has for one second of heating.
-
-    Parameters
-    ----------
-    x, y
-        (E,) the entries, mm.
-    inside
-        (Q + 1, E) share of the heat around each that is in the section, by ages.
-    """
-    pieces, depth, horizon, columns = near.pieces, near.depth, near.horizon_s, len(inside) - 1
-    place, passed, variances, share = pieces.place, pieces.passed[left_by], pieces.variance, pieces.share
-    for m in range(pieces.first[source], pieces.first[source + 1]):
-        age = since + (1.0 - passed[m]) * time
-        if age > horizon:
-            continue
-        variance = variances[m] + near.beam_mm2 + near.spread_mm2_s * age
-        root = np.sqrt(age / horizon)
-        strength = share[m] * at_root(depth, root) / (2.0 * np.pi * variance)
-        node = min(int(root * columns), columns - 1)
-        between, inverse, limit = root * columns - node, -0.5 / variance, FAR * variance
-        low, high, px, py = inside[node], inside[node + 1], place[m, 0], place[m, 1]
-        for e in range(len(x)):
-            away = (px - x[e]) ** 2 + (py - y[e]) ** 2
-            dense = np.true_divide(strength * falling(inverse * away), low[e] + (high[e] - low[e]) * between)
-            rise[e] += 0.0 if away > limit else dense
+                    rise[i, j, n] += source[j] * young_mean(near, near.pair[p], since[n], time[j])
 
 
 @kernel

@@ -128,7 +128,8 @@ def thermal_order(
         return best
     *_, end_s, travel = clocked(best, schedule.entry, schedule.leave, schedule.time_s, rapid_mm_s)
     # Twice the time of a way that is too long: none met in the search takes longer.
-    table = influence(heat, schedule.time_s, float(end_s.max()) + max(travel, longest_mm) / rapid_mm_s)
+    latest_s = float(end_s.max()) + max(travel, longest_mm) / rapid_mm_s
+    table = influence(heat, schedule.time_s, latest_s, whole=wanted > 1)
     layer = Layer(table, entry_options(schedule), beside, schedule.time_s, rapid_mm_s)
     begun = [start for start, _ in plans_made]
     sources = random.spawn(len(begun))
