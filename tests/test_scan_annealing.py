@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from islands_of_a_plate import FREE, PLATE, PROFILE, RAPID, laid_plate
 
+from ebamcheck.scan.heat.fresh_table import work_out
 from ebamcheck.scan.heat.influence import (
     FALLEN,
     LEAST_RATE,
@@ -146,6 +147,23 @@ def test_entries_of_the_table_are_those_of_single_pieces(choices):
                 assert table.excess_k[p, option, left_by, n] == pytest.approx(exact, abs=1e-6 * greatest)
                 compared += abs(exact) > 1e-3 * greatest
     assert compared > 20
+
+
+def test_entries_worked_out_where_asked_for_are_those_of_the_whole_table(choices):
+    heat, time_s = choices.cold_heat(), choices.known_schedule.time_s
+    whole, asked = (influence(heat, time_s, 300.0, whole=whole).fresh for whole in (True, False))
+    near = heat.fresh
+    assert whole.known.all()
+    assert not asked.known.any()
+    for island in range(0, len(choices), 4):
+        for row in range(near.first[island], near.first[island + 1]):
+            if near.other[row] != island:
+                work_out(asked, row, island, near.other[row], 2)
+                assert np.flatnonzero(asked.known[row]).tolist() == [2]
+                assert asked.excess_k[row, :, 2] == pytest.approx(
+                    whole.excess_k[row, :, 2], rel=1e-6, abs=1e-9
+                )
+    assert np.abs(asked.excess_k).max() > 0.0
 
 
 def test_options_are_the_nearest_ones(choices):
