@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from islands_of_a_plate import FREE, PLATE, PROFILE, RAPID, laid_plate
 
+from ebamcheck.scan.heat.fresh_table import work_out
 from ebamcheck.scan.heat.influence import (
     FALLEN,
     LEAST_RATE,
@@ -31,10 +32,10 @@ from ebamcheck.scan.order.annealing import (
     timed_from,
 )
 from ebamcheck.scan.order.entry_options import entry_options
+from ebamcheck.scan.order.greedy_heat import greedy_order
 from ebamcheck.scan.order.moves import least_travel_mm, more_touches, move
 from ebamcheck.scan.order.orders import scan_order
 from ebamcheck.scan.order.simulation import clocked, entered, entry_points
-from ebamcheck.scan.order.thermal import greedy_order
 from ebamcheck.scan.order.touching import touch_table, touching, touching_successors
 from ebamcheck.scan.plan.comparing import OrderComparison
 from ebamcheck.scan.plan.laying import lay_islands
@@ -101,7 +102,7 @@ def test_a_rise_of_the_table_is_that_of_two_islands_driven_alone(base):
             end[island] = start[island] + schedule.time_s[island]
             exact = entered(heat, np.array([source, island]), start, end)[0][island]
             found = looked_up(
-                table.rise_k[island], table.nodes_per_root_s, table.fresh.horizon_s, source, since
+                table.rise_k[island], table.nodes_per_root_s, table.fresh.near.horizon_s, source, since
             )
             assert found == pytest.approx(exact, rel=0.02, abs=1.0)
             before = max(before, abs(exact))
@@ -146,6 +147,23 @@ def test_entries_of_the_table_are_those_of_single_pieces(choices):
                 assert table.excess_k[p, option, left_by, n] == pytest.approx(exact, abs=1e-6 * greatest)
                 compared += abs(exact) > 1e-3 * greatest
     assert compared > 20
+
+
+def test_entries_worked_out_where_asked_for_are_those_of_the_whole_table(choices):
+    heat, time_s = choices.cold_heat(), choices.known_schedule.time_s
+    whole, asked = (influence(heat, time_s, 300.0, whole=whole).fresh for whole in (True, False))
+    near = heat.fresh
+    assert whole.known.all()
+    assert not asked.known.any()
+    for island in range(0, len(choices), 4):
+        for row in range(near.first[island], near.first[island + 1]):
+            if near.other[row] != island:
+                work_out(asked, row, island, near.other[row], 2)
+                assert np.flatnonzero(asked.known[row]).tolist() == [2]
+                assert asked.excess_k[row, :, 2] == pytest.approx(
+                    whole.excess_k[row, :, 2], rel=1e-6, abs=1e-9
+                )
+    assert np.abs(asked.excess_k).max() > 0.0
 
 
 def test_options_are_the_nearest_ones(choices):
@@ -199,7 +217,7 @@ def test_what_a_move_changes_is_what_the_moved_order_has(choices, kind):
 def test_places_in_the_table_are_those_of_a_lookup(choices):
     schedule, heat = choices.known_schedule, choices.cold_heat()
     table = influence(heat, schedule.time_s, 500.0)
-    rise, horizon, nodes = table.rise_k, table.fresh.horizon_s, table.nodes_per_root_s
+    rise, horizon, nodes = table.rise_k, table.fresh.near.horizon_s, table.nodes_per_root_s
     below, above = np.nextafter(horizon, [0.0, np.inf])
     for since in (-1e-12, 0.0, 0.3 * horizon, below, horizon, above, 77.7, 500.0, 900.0):
         node, share = table_place(since, nodes, horizon, rise.shape[2])

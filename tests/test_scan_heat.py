@@ -22,9 +22,11 @@ from ebamcheck.scan import LayerIslands, plan_scan
 from ebamcheck.scan.filling.turns import turns_and_jumps_mm
 from ebamcheck.scan.heat.island_heat import island_heat
 from ebamcheck.scan.islands.regions import layer_section
+from ebamcheck.scan.order.annealing import high_mean
+from ebamcheck.scan.order.greedy_heat import greedy_order
 from ebamcheck.scan.order.orders import scan_order
 from ebamcheck.scan.order.simulation import clocked, entered, entry_points, entry_temperatures
-from ebamcheck.scan.order.thermal import greedy_order, own_rise
+from ebamcheck.scan.order.thermal import own_rise
 from ebamcheck.scan.plan.comparing import FIGURES, compared_orders
 from ebamcheck.scan.plan.laying import lay_islands
 from ebamcheck.settings.scan import order_names
@@ -135,6 +137,21 @@ def test_greedy_takes_the_best_score_at_every_step(choices):
         # Between the earliest and the latest entry the kernel takes temperature as linear: 3 % at most.
         assert score[order[n + 1]] <= 1.03 * score.min() + 1.0
         option = int(np.argmin(reach[order[n + 1]]))
+
+
+def test_a_greedy_plan_that_is_too_hot_ends_early_and_begins_as_the_whole_one(choices):
+    schedule, heat = choices.known_schedule, choices.cold_heat()
+    whole = greedy_order(heat, schedule, FREE, RAPID, 4, 0.5, 0.0)
+    start, end, _ = clocked(whole, schedule.entry, schedule.leave, schedule.time_s, RAPID)
+    high_k = high_mean(np.maximum(*entry_points(heat, schedule, whole, start, end)))
+    for share in (0.1, 0.3, 2.0):
+        order = greedy_order(heat, schedule, FREE, RAPID, 4, 0.5, 0.0, share * high_k)
+        assert np.array_equal(order, whole[: len(order)])
+        assert (len(order) < len(whole)) == (share < 1.0)
+        start, end, _ = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
+        so_far_k = high_mean(np.maximum(*entry_points(heat, schedule, order, start, end)))
+        assert (so_far_k > share * high_k) == (share < 1.0)
+        assert so_far_k <= high_k * (1.0 + 1e-12)
 
 
 def test_own_rise_is_that_of_one_island_alone(choices):

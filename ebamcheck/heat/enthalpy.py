@@ -61,7 +61,7 @@ class EnthalpyTables:
         table = self.temperature_k
         inside = np.minimum(np.maximum(place, 0.0), len(table) - 1.0)
         # A place that is no number, from a feed of 0 for instance, has no temperature: it stays none.
-        node = np.minimum(np.nan_to_num(inside).astype(np.int64), len(table) - 2)
+        node = np.minimum(np.fmax(inside, 0.0).astype(np.int64), len(table) - 2)
         return np.asarray((table[node + 1] - table[node]) * (inside - node) + table[node], np.float64)
 
     def temperature_of(self, heat_content_j_mm3: float) -> float:

@@ -6,24 +6,20 @@ entered is a sum over the islands before it, whatever the number of modes.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.scan.heat.falling import falling
+from ebamcheck.scan.heat.fresh_table import YOUNG_NODES, FreshTable, Table, fresh_table, work_out_all
 from ebamcheck.scan.heat.island_heat import IslandHeat
-from ebamcheck.scan.heat.near_field import FAR, NearField, at_root, young_mean
-from ebamcheck.scan.heat.pieces import OPTIONS
+from ebamcheck.scan.heat.near_field import NearField, young_mean
 
 NODES = 96
-"""Times of the table."""
-
-YOUNG_NODES = 12
-"""Times of these until the horizon of young heat, and of what it does at entries. Their spacing grows with the time, as
-heat changes ever more slowly: node n of N lies at horizon (n / (N - 1))^2, and m after the horizon at m^2."""
+"""Times of the table; :data:`~ebamcheck.scan.heat.fresh_table.YOUNG_NODES` of them until the horizon of young heat. Node m after
+the horizon lies at m^2."""
 
 LEAST_RATE = 1e-9
 """Decay, 1/s, that an amplitude has at least: nothing within any layer, but there is an inverse of it."""
@@ -40,25 +36,50 @@ MOST_ISLANDS = 500
 SOURCES = 16
 """Islands whose part of the table a thread is worth."""
 
-Table = NDArray[np.float32]
+AT_ONCE = 8
+"""Sources whose rises come from one product of matrices: one by one they take a third longer."""
 
 
-class FreshTable(NamedTuple):
-    """What young heat does to entries beyond the rises of islands that are near each other.
+class Sources(NamedTuple):
+    """Islands that heat K modes of the section times N of the depth.
 
     Parameters
     ----------
-    horizon_s
-        Time after which it is nothing; node n of N lies at horizon (n / (N - 1))^2.
-    slot
-        (I, I) row of the next table for an island and the source, or -1.
-    excess_k
-        (P, 4, 4, N) of the temperature of its entry over its mean, by its entry option and that of the source.
+    scale
+        (K, I) by which each heats the section's modes, K/s.
+    weight
+        (K, N) what heating by 1 K/s comes to in the end, in the layer.
+    across, through
+        (K, I), (N, I) what is left of the modes after the time in which each island is scanned.
+    time_s
+        (I,) that time.
     """
 
-    horizon_s: float
-    slot: NDArray[np.int32]
-    excess_k: Table
+    scale: Floats
+    weight: Floats
+    across: Floats
+    through: Floats
+    time_s: Floats
+
+
+class Times(NamedTuple):
+    """Times of the table side by side, all of them under the horizon or none.
+
+    Parameters
+    ----------
+    start, stop
+        First of them in the table, and the one after the last.
+    over_s
+        (Q,) by how much they are over the horizon.
+    across, through
+        (M, Q), (N, Q) what is left then of the modes of the section that are not nothing by then, and of the depth's.
+    """
+
+    start: int
+    stop: int
+    over_s: Floats
+    across: Floats
+    through: Floats
 
 
 class Influence(NamedTuple):
@@ -80,7 +101,7 @@ class Influence(NamedTuple):
     fresh: FreshTable
 
 
-def influence(heat: IslandHeat, time_s: Floats, longest_s: float) -> Influence:
+def influence(heat: IslandHeat, time_s: Floats, longest_s: float, whole: bool = True) -> Influence:
     """Tabulate the heat model of a layer: old heat by its modes, young heat as in :mod:`ebamcheck.scan.heat.near_field`.
 
     Parameters
@@ -89,6 +110,8 @@ def influence(heat: IslandHeat, time_s: Floats, longest_s: float) -> Influence:
         (I,) time in which each island is scanned.
     longest_s
         Longest time between two islands.
+    whole
+        Work out all of what young heat does to entries, not only what is asked for: so that several threads may ask.
     """
     near, count, young = heat.fresh, len(time_s), YOUNG_NODES - 1
     spacing = max(longest_s - near.horizon_s, 0.0) / (NODES - YOUNG_NODES) ** 2
@@ -97,20 +120,22 @@ def influence(heat: IslandHeat, time_s: Floats, longest_s: float) -> Influence:
         near.horizon_s + spacing * np.arange(NODES - young) ** 2,
     ])  # fmt: skip
     rise = np.empty((count, count + 1, NODES), np.float32)
-    run_blocks(lambda a, b: old_heat(heat, time_s, near.horizon_s, since, rise, range(a, b)), count, SOURCES)
-    rise[:, count] = first_heat(heat, since)
-    slot = np.full((count, count), -1, np.int32)
-    slot[np.repeat(np.arange(count), np.diff(near.first)), near.other] = np.arange(len(near.other))
-    excess_k = np.zeros((len(near.other), OPTIONS, OPTIONS, YOUNG_NODES), np.float32)
+    # Whole products in every thread: what they round depends on which sources are in one.
     run_blocks(
-        lambda a, b: young_heat(
-            near, slot, heat.modes.source_k_s, time_s, since[:YOUNG_NODES], rise, excess_k, a, b
+        lambda a, b: old_heat(
+            heat, time_s, near.horizon_s, since, rise, range(a * AT_ONCE, min(b * AT_ONCE, count))
         ),
-        count,
-        SOURCES,
+        math.ceil(count / AT_ONCE),
+        SOURCES // AT_ONCE,
     )
+    rise[:, count] = first_heat(heat, since)
+    of_fresh = near, heat.modes.source_k_s, time_s, since[:YOUNG_NODES]
+    run_blocks(lambda a, b: add_young_heat(*of_fresh, rise, a, b), count, SOURCES)
+    fresh = fresh_table(*of_fresh)
+    if whole:
+        run_blocks(lambda a, b: work_out_all(fresh, a, b), count, SOURCES)
     per_root = spacing**-0.5 if spacing > 0.0 else 0.0
-    return Influence(rise, per_root, FreshTable(near.horizon_s, slot, excess_k))
+    return Influence(rise, per_root, fresh)
 
 
 def first_heat(heat: IslandHeat, since_s: Floats) -> Floats:
@@ -124,128 +149,93 @@ def old_heat(
     heat: IslandHeat, time_s: Floats, horizon_s: float, since_s: Floats, rise: Table, sources: range
 ) -> None:
     """Write the rises :attr:`Influence.rise_k` by heat of sources older than the horizon, at times (Q,) after their end."""
-    depth_rate = np.maximum(heat.modes.depth_rate, LEAST_RATE)
-    rate = np.add.outer(heat.modes.plane_rate, depth_rate)
-    across = np.exp(-np.multiply.outer(heat.modes.plane_rate, since_s))
-    through = np.exp(-np.multiply.outer(depth_rate, since_s))
-    mean, weight = np.asarray(heat.modes.mean, np.float32), heat.modes.in_layer**2 / rate
-    at_horizon = (weight * np.exp(-rate * horizon_s)).sum(axis=1)[:, None]
-    # Of a source that ended less than a horizon ago only what it began with is old.
-    young = slice(0, int(np.searchsorted(since_s, horizon_s)))
-    spans = _spans(heat.modes.plane_rate, np.maximum(since_s, horizon_s))
-    for j in sources:
-        time, source = time_s.item(j), heat.modes.source_k_s.item(j)
-        fallen = np.exp(-rate * time)
-        held, scale = weight * (1.0 - fallen), source * heat.modes.mean[:, j, None]
-        for count, span in spans:
-            of_mode = across[:count, span] * (held[:count] @ through[:, span])
-            if span.start == 0:
-                begun = at_horizon - across[:, young] * ((weight * fallen) @ through[:, young])
-                of_mode[:, young] = np.where(since_s[young] + time > horizon_s, begun, 0.0)
-            of_mode *= scale[:count]
-            rise[:, j, span] = mean[:count].T @ of_mode.astype(np.float32)
+    modes, depth_rate = heat.modes, np.maximum(heat.modes.depth_rate, LEAST_RATE)
+    rate = np.add.outer(modes.plane_rate, depth_rate)
+    weight = modes.in_layer**2 / rate
+    heating = Sources(
+        modes.source_k_s * modes.mean,
+        weight,
+        np.exp(-np.multiply.outer(modes.plane_rate, time_s)),
+        np.exp(-np.multiply.outer(depth_rate, time_s)),
+        time_s,
+    )
+    at_horizon = (weight * np.exp(-rate * horizon_s)).sum(axis=1)
+    # Until then all heat of every source is young.
+    nothing = int(np.searchsorted(since_s + time_s.max(), horizon_s, side="right"))
+    spans = [
+        Times(
+            start, stop, since_s[start:stop] - horizon_s,
+            np.exp(-np.multiply.outer(modes.plane_rate[:count], since_s[start:stop])),
+            np.exp(-np.multiply.outer(depth_rate, since_s[start:stop])),
+        )
+        for count, start, stop in _spans(modes.plane_rate, since_s, horizon_s, nothing)
+    ]  # fmt: skip
+    mean = np.asarray(modes.mean, np.float32)
+    rise[:, sources.start : sources.stop, :nothing] = 0.0
+    for begin in range(sources.start, sources.stop, AT_ONCE):
+        end = min(begin + AT_ONCE, sources.stop)
+        for times in spans:
+            left = left_by_sources(heating, times, at_horizon, begin, end)
+            rises = mean[: len(left)].T @ left.reshape(len(left), -1)
+            rise[:, begin:end, times.start : times.stop] = rises.reshape(len(rises), *left.shape[1:])
 
 
-def _spans(plane_rate: Floats, since_s: Floats) -> list[tuple[int, slice]]:
-    """Times (Q,), rising, in spans, each with how many of the modes, whose decays rise, are left at its beginning."""
-    left = np.maximum(np.searchsorted(plane_rate, FALLEN / since_s), 1)
-    spans, start = [], 0
+@kernel
+def left_by_sources(heating: Sources, times: Times, at_horizon: Floats, begin: int, end: int) -> Table:
+    """Amplitudes (M, S, Q) in the layer that some sources have left in modes by heat that is older than the horizon.
+
+    Of a source that ended less than a horizon ago only what it began with is old; `at_horizon` (K,) is all that it comes to.
+    """
+    # Taken out of their tuples once: each column that is taken out is counted as one more in use.
+    over, across, through, time = times.over_s, times.across, times.through, heating.time_s
+    scale, weight, scanned_across, scanned_through = (
+        heating.scale,
+        heating.weight,
+        heating.across,
+        heating.through,
+    )
+    modes, count = across.shape
+    young, held = over[0] < 0.0, np.empty(count)
+    result = np.empty((modes, end - begin, count), np.float32)
+    for k in range(modes):
+        for j in range(begin, end):
+            held[:] = 0.0
+            for n in range(len(through)):
+                begun = weight[k, n] * (scanned_across[k, j] * scanned_through[n, j])
+                part = begun if young else weight[k, n] - begun
+                for q in range(count):
+                    held[q] += part * through[n, q]
+            for q in range(count):
+                left = across[k, q] * held[q]
+                if young:
+                    left = at_horizon[k] - left if over[q] + time[j] > 0.0 else 0.0
+                result[k, j - begin, q] = scale[k, j] * left
+    return result
+
+
+def _spans(plane_rate: Floats, since_s: Floats, horizon_s: float, start: int) -> list[tuple[int, int, int]]:
+    """Times (Q,), rising, from one on in spans on one side of the horizon: modes left, whose decays rise, first and end of each."""
+    left = np.maximum(np.searchsorted(plane_rate, FALLEN / np.maximum(since_s, horizon_s)), 1)
+    spans, young = [], int(np.searchsorted(since_s, horizon_s))
     while start < len(left):
         stop = max(start + 1, int(np.searchsorted(-left, -left[start] / FEWER)))
-        spans.append((int(left[start]), slice(start, stop)))
+        stop = min(stop, young) if start < young else stop
+        spans.append((int(left[start]), start, stop))
         start = stop
     return spans
 
 
 @kernel
-def young_heat(
-    near: NearField,
-    slot: NDArray[np.int32],
-    source: Floats,
-    time: Floats,
-    since: Floats,
-    rise: Table,
-    excess: Table,
-    start: int,
-    stop: int,
+def add_young_heat(
+    near: NearField, source: Floats, time: Floats, since: Floats, rise: Table, start: int, stop: int
 ) -> None:
-    """Add the young heat of some islands to the rises of the means; write its `excess` at entries, as in :class:`FreshTable`.
-
-    All entries near a source are worked out side by side, piece by piece of it.
-    """
-    first, other, pair = near.first, near.other, near.pair
-    most = np.diff(first).max()
-    mean, entry_k = np.empty((most, len(since))), np.empty(most * OPTIONS)
-    x, y, inside = (
-        np.empty(most * OPTIONS),
-        np.empty(most * OPTIONS),
-        np.empty((near.inside.shape[2], most * OPTIONS)),
-    )
+    """Add the young heat of some islands to the rises of the means at the first times; after the horizon it is nothing."""
     for j in range(start, stop):
-        beside = other[first[j] : first[j + 1]]
-        for b in range(len(beside)):
-            i = beside[b]
+        for p in range(near.first[j], near.first[j + 1]):
+            i = near.other[p]
             for n in range(len(since)):
-                mean[b, n] = young_mean(near, pair[first[j] + b], since[n], time[j])
                 if i != j:
-                    rise[i, j, n] += source[j] * mean[b, n]
-            for option in range(OPTIONS):
-                e = OPTIONS * b + option
-                x[e], y[e], inside[:, e] = (
-                    near.entry[i, option, 0],
-                    near.entry[i, option, 1],
-                    near.inside[i, option],
-                )
-        used = OPTIONS * len(beside)
-        for left_by in range(OPTIONS):
-            for n in range(len(since)):
-                entry_k[:used] = 0.0
-                _add_pieces(near, j, left_by, since[n], time[j], x[:used], y[:used], inside, entry_k)
-                for b in range(len(beside)):
-                    row = slot[beside[b], j]
-                    for option in range(OPTIONS):
-                        rest = entry_k[OPTIONS * b + option] * time[j] - mean[b, n]
-                        if beside[b] != j:
-                            excess[row, option, left_by, n] = source[j] * rest
-
-
-@kernel
-def _add_pieces(
-    near: NearField,
-    source: int,
-    left_by: int,
-    since: float,
-    time: float,
-    x: Floats,
-    y: Floats,
-    inside: Floats,
-    rise: Floats,
-) -> None:
-    """Add to the rises (E,) at entries what :func:`~ebamcheck.scan.heat.near_field.entry_rise` has for one second of heating.
-
-    Parameters
-    ----------
-    x, y
-        (E,) the entries, mm.
-    inside
-        (Q + 1, E) share of the heat around each that is in the section, by ages.
-    """
-    pieces, depth, horizon, columns = near.pieces, near.depth, near.horizon_s, len(inside) - 1
-    place, passed, variances, share = pieces.place, pieces.passed[left_by], pieces.variance, pieces.share
-    for m in range(pieces.first[source], pieces.first[source + 1]):
-        age = since + (1.0 - passed[m]) * time
-        if age > horizon:
-            continue
-        variance = variances[m] + near.beam_mm2 + near.spread_mm2_s * age
-        root = np.sqrt(age / horizon)
-        strength = share[m] * at_root(depth, root) / (2.0 * np.pi * variance)
-        node = min(int(root * columns), columns - 1)
-        between, inverse, limit = root * columns - node, -0.5 / variance, FAR * variance
-        low, high, px, py = inside[node], inside[node + 1], place[m, 0], place[m, 1]
-        for e in range(len(x)):
-            away = (px - x[e]) ** 2 + (py - y[e]) ** 2
-            dense = np.true_divide(strength * falling(inverse * away), low[e] + (high[e] - low[e]) * between)
-            rise[e] += 0.0 if away > limit else dense
+                    rise[i, j, n] += source[j] * young_mean(near, near.pair[p], since[n], time[j])
 
 
 @kernel

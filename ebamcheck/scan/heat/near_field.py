@@ -198,12 +198,14 @@ def of_islands(section: BaseGeometry, pieces: Tiles, spread_mm2: Floats) -> Floa
 
 def hidden(section: BaseGeometry, pieces: Pieces, pairs: Ints, centroid: Floats, bead_mm: float) -> Bools:
     """Whether there is a gap between the islands of each pair (U,): none where pieces lie within a bead's width."""
-    close = near_pairs(pieces, len(centroid), bead_mm) @ np.array([len(centroid), 1])
-    apart_mm = np.hypot(*(centroid[pairs[:, 1]] - centroid[pairs[:, 0]]).T)
+    count = len(centroid)
+    close = near_pairs(pieces, count, bead_mm) @ np.array([count, 1])
+    apart = np.flatnonzero(~np.isin(pairs @ np.array([count, 1]), close))
+    apart_mm = np.hypot(*(centroid[pairs[apart, 1]] - centroid[pairs[apart, 0]]).T)
     # A line from an island leaves the metal only where the outline is nearer than its other end.
-    open_mm = np.asarray(shapely.distance(shapely.boundary(section), shapely.points(centroid)), np.float64)
-    doubtful = (open_mm[pairs[:, 0]] < apart_mm) & ~np.isin(pairs @ np.array([len(centroid), 1]), close)
-    apart = np.flatnonzero(doubtful)
+    outline = shapely.boundary(section)
+    shapely.prepare(outline)
+    apart = apart[shapely.dwithin(outline, shapely.points(centroid[pairs[apart, 0]]), apart_mm)]
     shapely.prepare(section)
     sight = shapely.linestrings(np.stack([centroid[pairs[apart, 0]], centroid[pairs[apart, 1]]], axis=1))
     found = np.zeros(len(pairs), np.bool_)

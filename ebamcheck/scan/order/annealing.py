@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.scan.heat.fresh_table import work_out
 from ebamcheck.scan.heat.influence import Influence, table_place
 from ebamcheck.scan.order.entry_options import EntryOptions
 from ebamcheck.scan.order.moves import least_travel_mm, more_touches, move
@@ -181,7 +182,8 @@ def powers_from(
     fresh, nodes, start, time, options = (
         layer.table.fresh, layer.table.nodes_per_root_s, log.start_s, log.time_s, log.option,
     )  # fmt: skip
-    rise, excess_k, slot, horizon = layer.table.rise_k, fresh.excess_k, fresh.slot, fresh.horizon_s
+    rise, excess_k, slot, horizon = layer.table.rise_k, fresh.excess_k, fresh.slot, fresh.near.horizon_s
+    known = fresh.known
     since, node, share, entry_k = log.since_s, log.node, log.share, log.entry_k
     count, columns, last = len(order), rise.shape[2], excess_k.shape[3] - 1
     total = 0.0
@@ -211,6 +213,8 @@ def powers_from(
                 break
             row, by, left_by = slot[island, order[earlier]], options[place], options[earlier]
             if row >= 0:
+                if not known[row, left_by]:
+                    work_out(fresh, row, island, order[earlier], left_by)
                 at = np.sqrt(np.true_divide(max(since[earlier], 0.0), horizon)) * last
                 under = min(int(at), last - 1)
                 low, high = excess_k[row, by, left_by, under], excess_k[row, by, left_by, under + 1]

@@ -41,7 +41,11 @@ def nearest_option(entry: Floats, x: float, y: float) -> tuple[float, int]:
     """Distance to the nearest of the entry options (4, 2) of an island, mm, and which it is: the first of equal ones."""
     nearest, option = np.inf, 0
     for v in range(len(entry)):
-        distance = np.hypot(entry[v, 0] - x, entry[v, 1] - y)
+        away_x, away_y = entry[v, 0] - x, entry[v, 1] - y
+        # No nearer by as much as counts, whatever its square has lost by rounding: the distance itself takes longer.
+        if away_x * away_x + away_y * away_y >= nearest * nearest:
+            continue
+        distance = np.hypot(away_x, away_y)
         if distance < nearest - JOINED_MM:
             nearest, option = distance, v
     return nearest, option

@@ -38,9 +38,10 @@ from ebamcheck.scan.filling.hatch import Vectors
 from ebamcheck.scan.filling.schedule import IslandSchedule
 from ebamcheck.scan.heat.island_heat import IslandHeat, island_heat, with_fresh_heat
 from ebamcheck.scan.order.cool_entries import cool_options
+from ebamcheck.scan.order.greedy_heat import greedy_order
 from ebamcheck.scan.order.path import NEAREST
 from ebamcheck.scan.order.simulation import clocked
-from ebamcheck.scan.order.thermal import greedy_order, thermal_order
+from ebamcheck.scan.order.thermal import thermal_order
 from ebamcheck.scan.order.touching import touching
 from ebamcheck.settings.config import Config
 

@@ -171,8 +171,11 @@ def nearest_options(order: Ints, entry: Floats, leave: Floats) -> Ints:
 def clocked(
     order: Ints, entry: Floats, leave: Floats, time: Floats, rapid: float
 ) -> tuple[Floats, Floats, float]:
-    """Start and end of each island by island (I,), s, and the travel between them, mm, entering each by the nearest option."""
-    start, end = np.empty(len(order)), np.empty(len(order))
+    """Start and end of each island by island (I,), s, and the travel between them, mm, entering each by the nearest option.
+
+    The order may be the beginning of one; the times of islands that it lacks are then nothing.
+    """
+    start, end = np.empty(len(entry)), np.empty(len(entry))
     clock, travel = 0.0, 0.0
     x, y = entry[order[0], 0, 0], entry[order[0], 0, 1]
     for n in range(len(order)):
