@@ -68,9 +68,12 @@ def hatch(x: float, y: float, lines: int, length: float = 30.0) -> list[tuple[fl
 
 
 def stack(seed: int = 0, count: int = 3, layer_height: float = 1.5) -> tuple[Curves, ScanPlan]:
-    """A ring of two splines and a polyline with corners, a square hole, an open path; three islands a layer."""
+    """A ring of two splines and a polyline with corners, a square hole, an open path; three islands a layer.
+
+    The third island of each layer lies apart, over that of the layer below: nothing else stands there.
+    """
     rng = np.random.default_rng(seed)
-    layers, closed, islands = [], [], []
+    layers, closed, islands, apart = [], [], [], None
     for k in range(count):
         a, b, c = rng.uniform(-120, 120, (3, 2))
         first = np.vstack([a, rng.uniform(-150, 150, (8, 2)), b])
@@ -87,6 +90,7 @@ def stack(seed: int = 0, count: int = 3, layer_height: float = 1.5) -> tuple[Cur
         )
         closed += [True, True, False]
         x, y = rng.uniform(-60, 0, 2)
-        islands += [(k, hatch(x, y, 5)), (k, hatch(x + 34, y, 4)), (k, hatch(x + 200, y, 3))]
+        apart = apart or hatch(x + 200, y, 3)
+        islands += [(k, hatch(x, y, 5)), (k, hatch(x + 34, y, 4)), (k, apart)]
     heights = 7.0 + (np.arange(count) + 0.5) * layer_height
     return make_curves(heights, layers, closed), make_plan(heights, islands)

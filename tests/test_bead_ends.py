@@ -10,6 +10,7 @@ from nc_stack import make_curves, make_plan, stack
 from planned_roles import as_planned
 
 from ebamcheck.errors import SettingsError
+from ebamcheck.pipeline import noticed
 from ebamcheck.program import read_program, verify_program, write_program
 from ebamcheck.program.toolpath.cuts import segment_lengths, segment_parts
 from ebamcheck.program.toolpath.segments import CIRCULAR, CUBIC, STRAIGHT
@@ -252,3 +253,12 @@ def test_splines_that_are_cut_need_polynomials():
     machine = {"curve_form": "bspline", "poly_licensed": False}
     with pytest.raises(SettingsError, match="poly_licensed"):
         Config().changed(machine=machine, process={"seam_shift_mm": 5.0})
+
+
+def test_wire_that_is_drawn_back_is_left_to_the_feeder():
+    config = Config().changed(process={"wire_retract_mm": 50.0})
+    found = [f for f in noticed.of_profile(config) if f.code == "wire-drawn-back"]
+    wire_mm3 = 50.0 * np.pi * 0.25 * config.process.wire_diameter_mm**2
+    bead_mm2 = config.process.bead_width_mm * config.layer_height_mm
+    assert [f.figure for f in found] == [pytest.approx(wire_mm3 / bead_mm2)]
+    assert not [f for f in noticed.of_profile(Config()) if f.code == "wire-drawn-back"]
