@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import PackageNotFoundError, version
 from types import TracebackType
 from typing import TYPE_CHECKING, ClassVar, Self
@@ -15,9 +14,8 @@ from ebamcheck.errors import BackendFailed
 from ebamcheck.layers.stack import Layers, canonical, concatenate
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import edge_groups, split_corners, twins
-from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck_manifold.changes import doubtful_regions
-from ebamcheck_manifold.placement import Placement, exact_placement
+from ebamcheck_manifold.placement import Floats, Placement, exact_placement
 
 if TYPE_CHECKING:
     from manifold3d import Manifold
@@ -106,24 +104,19 @@ class PreparedManifold:
         self._manifold = None
 
     def slice(self, heights: NDArray[np.float64], progress: Progress | None = None) -> Layers:
-        """Cut at strictly increasing heights (L,), mm.
-
-        One thread cuts, as manifold3d holds the interpreter lock; another brings the block before into canonical form.
-        """
+        """Cut at strictly increasing heights (L,), mm; one thread, as manifold3d holds the interpreter lock."""
         if self._manifold is None:
             raise BackendFailed(f"manifold: part {self.part.name!r} was released: prepare it again")
         heights = np.ascontiguousarray(heights, dtype=np.float64)
         blocks = []
-        with ThreadPoolExecutor(1) as beside:
-            for first in range(0, max(1, len(heights)), LAYERS_AT_ONCE):
-                some = heights[first : first + LAYERS_AT_ONCE]
-                blocks.append(beside.submit(self._layers, some, *self._sections(self._manifold, some)))
-                if progress is not None:
-                    progress(len(some))
-        return concatenate([block.result() for block in blocks])
+        for first in range(0, max(1, len(heights)), LAYERS_AT_ONCE):
+            blocks.append(self._layers(self._manifold, heights[first : first + LAYERS_AT_ONCE]))
+            if progress is not None:
+                progress(len(blocks[-1]))
+        return concatenate(blocks)
 
-    def _sections(self, manifold: Manifold, heights: Floats) -> tuple[list[Floats], Ints]:
-        """Rings of a few heights as manifold3d gives them, and the first ring of each layer (L + 1,)."""
+    def _layers(self, manifold: Manifold, heights: Floats) -> Layers:
+        """Cut at a few heights."""
         least, greatest = self.part.bounds[:, 2]
         found: list[Floats] = []
         layer_starts = np.zeros(len(heights) + 1, np.int64)
@@ -132,10 +125,6 @@ class PreparedManifold:
                 section = manifold.slice(self.placement.height(z_mm))
                 found.extend(section.to_polygons())
             layer_starts[k + 1] = len(found)
-        return found, layer_starts
-
-    def _layers(self, heights: Floats, found: list[Floats], layer_starts: Ints) -> Layers:
-        """Bring rings into canonical form, in the coordinates of the part."""
         sizes = np.fromiter(map(len, found), np.int64, len(found))
         return canonical(
             heights,
