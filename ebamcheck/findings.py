@@ -38,7 +38,6 @@ CODES: Mapping[str, str] = {
     "metal-excess": "More metal lies at a place than the layer takes.",
     "metal-missing": "Less metal lies at a place than the layer takes.",
     "no-evidence": "A slicer's bound is so wide that its agreement proves nothing; the run does not rest on it.",
-    "overhang-unlimited": "Layers reach out over those below by more than a bead is wide, and no setting limits it.",
     "part-beyond-travel": "The part is larger than the travel of the machine's axes.",
     "part-round-in-inches": "The part's extents are round in inches and not in millimetres.",
     "part-under-beads": "The whole part is no larger than a few beads: its unit is unlikely.",

@@ -2,15 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 import shapely
 from motion_faults import POSTS, SHAPES, checks_of, made, written
-
-from ebamcheck.pipeline import noticed_in_program
-from ebamcheck.program import Check
-from ebamcheck.settings.config import Config
 
 BLOCK = shapely.box(0, 0, 30, 30)
 ASIDE = shapely.box(60, 0, 84, 24)
@@ -43,16 +37,3 @@ def test_metal_that_begins_in_the_air_is_found(tmp_path, monkeypatch, shape, con
 @pytest.mark.parametrize("shape", STANDS)
 def test_what_hangs_on_metal_that_stands_is_not_in_the_air(tmp_path, monkeypatch, shape):
     assert support_of(tmp_path, monkeypatch, STANDS[shape], "linuxcnc").passed
-
-
-def test_an_overhang_that_nothing_limits_is_warned_of_where_beads_hang_in_the_air():
-    reach = Check(
-        "overhang", True, 85.6, 90.0, "deg", "MAIN_L0010.SPF:35", "layers reach out by up to 85.6 deg"
-    )
-    (told,) = noticed_in_program.of_overhang([reach], Config())
-    assert (told.severity, told.code, told.place) == ("warning", "overhang-unlimited", "MAIN_L0010.SPF:35")
-    # A bead of 6 mm in layers of 1.68 mm: its centre line lies over metal up to 74 degrees.
-    assert told.limit == pytest.approx(74.4, abs=0.1)
-    assert not list(noticed_in_program.of_overhang([replace(reach, value=74.0)], Config()))
-    limited = Config().changed(process={"largest_overhang_deg": 89.0})
-    assert not list(noticed_in_program.of_overhang([reach], limited))

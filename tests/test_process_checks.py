@@ -100,8 +100,20 @@ def test_the_angle_of_an_overhang(tmp_path, reach):
         assert found["overhang"].where.startswith("MAIN_L0002.SPF:")
 
 
-def test_an_overhang_is_measured_where_it_is_not_limited(tmp_path):
-    found, _ = checks_of(tmp_path, [SQUARE, SQUARE * 1.5])
+@pytest.mark.parametrize("reach", [5.9, 6.1, 20.0])
+def test_where_no_angle_is_set_no_bead_has_nothing_under_it(tmp_path, reach):
+    wider = SQUARE + np.where(SQUARE > 20, reach, 0.0) * (1, 0)
+    found, _ = checks_of(tmp_path, [SQUARE, wider], {"bead_width_mm": 6.0})
+    assert found["overhang"].value == pytest.approx(math.degrees(math.atan2(reach, 1.5)), abs=1e-6)
+    assert found["overhang"].limit == pytest.approx(math.degrees(math.atan2(6.0, 1.5)), abs=1e-6)
+    assert found["overhang"].passed == (reach < 6.0)
+    if reach > 6.0:
+        assert f"{(reach - 6.0) * 40:.6g} mm2" in found["overhang"].text
+        assert found["overhang"].where.startswith("MAIN_L0002.SPF:")
+
+
+def test_an_angle_that_is_set_holds_beyond_the_width_of_a_bead(tmp_path):
+    found, _ = checks_of(tmp_path, [SQUARE, SQUARE * 1.5], {"largest_overhang_deg": 89.0})
     assert found["overhang"].passed
     assert found["overhang"].value > 80.0
 

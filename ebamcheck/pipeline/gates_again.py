@@ -36,7 +36,7 @@ from ebamcheck.pipeline.independence import evidence_rule
 from ebamcheck.pipeline.live_program import NAME as HANDSHAKE
 from ebamcheck.pipeline.live_program import live_checked_again
 from ebamcheck.pipeline.loose_limits import loose_limits
-from ebamcheck.pipeline.noticed_in_program import of_metal, of_overhang
+from ebamcheck.pipeline.noticed_in_program import of_metal
 from ebamcheck.pipeline.placement import cut_heights
 from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.plugins import registry
@@ -151,7 +151,7 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
     made += [gates.entry_gate(check) for check in entry]
     checks += entry
     checks += live_checked_again(run.path, record, config)
-    told += [*noticed.of_profile(config), *of_metal(of_deposit(checks)), *of_overhang(checks, config)]
+    told += [*noticed.of_profile(config), *of_metal(of_deposit(checks))]
     return Again(witness, tuple(made), agrees, tuple(told), tuple(checks), exchanged)
 
 

@@ -216,27 +216,6 @@ def of_height(part_mm: float, heights: Floats, config: Config) -> Iterator[Findi
         )
 
 
-def of_overhang(checks: Iterable[Check], config: Config) -> Iterator[Finding]:
-    """Layers that reach out over the one below by more than a bead is wide, where the settings limit no overhang."""
-    process = config.process
-    if process.largest_overhang_deg is not None:
-        return
-    most_deg = math.degrees(math.atan2(process.bead_width_mm, config.layer_height_mm))
-    for check in checks:
-        if check.name == "overhang" and check.value > most_deg:
-            yield Finding(
-                "warning",
-                "overhang-unlimited",
-                f"{check.text}: more than a bead is wide, so that beads hang in the air there",
-                check.where,
-                check.value,
-                most_deg,
-                "deg",
-                "build in another direction (part.direction), support it in the model, or set the overhang that your process "
-                "can build (process.largest_overhang_deg), so that more is refused",
-            )
-
-
 def _at(layer: int, heights: Floats, config: Config, x_mm: float = math.nan, y_mm: float = math.nan) -> str:
     """Name a place in part and program; `heights` (L,) mm are those of the cuts."""
     z_mm = deposition_heights(np.asarray(heights, np.float64), config.layer_height_mm, config.base_mm)[layer]

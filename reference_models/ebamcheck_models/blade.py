@@ -1,8 +1,9 @@
 """The demo part: a hollow compressor blade of 320 mm with a dovetail root and a platform.
 
-From below: a dovetail root with sharp edges, a platform with rounded corners, and an airfoil that
-flares into the platform, tapers, twists and leans as it rises. Three channels run from the root's
-bottom to the tip. The airfoil's section, in coordinates (u along the chord, y across), is
+From below: a dovetail root with sharp edges; a shank that spreads by 30 degrees into a platform with
+rounded corners, so that no layer reaches out farther than it can be built without support; and an
+airfoil that flares into the platform, tapers, twists and leans as it rises. Three channels run from
+the root's bottom to the tip. The airfoil's section, in coordinates (u along the chord, y across), is
 
     u = c^2,   y = 4 m (u (1 - u) - 0.2) + k(c),   k(c) = c ((1 - c^2)(a0 + a1 c^2) + e),   -1 <= c <= 1
 
@@ -14,15 +15,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from ebamcheck_models.outlines import Array, Outline, Piece, line, rounded_rectangle
+from ebamcheck_models.outlines import Array, Outline, Piece, line, loft, rounded_rectangle
 from ebamcheck_models.walls import Face, Wall, WalledModel
 
-ROOT_FOOT_MM, ROOT_FLANK_MM, ROOT_NECK_MM = 14.0, 34.0, 46.0
-"""Heights at which the dovetail's foot, flank and neck end."""
-PLATFORM_TOP_MM, FLARE_TOP_MM, TIP_MM = 62.0, 80.0, 320.0
+ROOT_FOOT_MM, ROOT_TOP_MM = 14.0, 30.0
+"""Heights at which the dovetail's foot ends and its flank does."""
+SHANK_TOP_MM, PLATFORM_TOP_MM, FLARE_TOP_MM, TIP_MM = 54.0, 62.0, 80.0, 320.0
 
-ROOT_HALF_LENGTH_MM = 112.0
-FOOT_HALF_WIDTH_MM, NECK_HALF_WIDTH_MM = 38.0, 27.0
+ROOT_HALF_LENGTH_MM = 114.0
+FOOT_HALF_WIDTH_MM, NECK_HALF_WIDTH_MM = 38.0, 28.0
+
+PLATFORM_HALF_LENGTH_MM, PLATFORM_HALF_WIDTH_MM, PLATFORM_CORNER_MM = 126.0, 40.0, 14.0
+SHANK_HALF_WIDTH_MM, SHANK_CORNER_MM = 26.0, 4.0
+"""Of the shank where it begins."""
 
 CHORD_MM, CAMBER_MM = 206.0, 15.0
 MEAN_CAMBER = 0.2
@@ -112,7 +117,7 @@ def _root() -> Outline:
 
     def corner(x: float, y: float) -> Piece:
         def piece(s: Array, z: Array) -> tuple[Array, Array]:
-            flank = np.clip((z - ROOT_FOOT_MM) / (ROOT_FLANK_MM - ROOT_FOOT_MM), 0.0, 1.0)
+            flank = np.clip((z - ROOT_FOOT_MM) / (ROOT_TOP_MM - ROOT_FOOT_MM), 0.0, 1.0)
             half = FOOT_HALF_WIDTH_MM + (NECK_HALF_WIDTH_MM - FOOT_HALF_WIDTH_MM) * flank
             return x * ROOT_HALF_LENGTH_MM + 0.0 * (s + z), y * half + 0.0 * s
 
@@ -120,6 +125,14 @@ def _root() -> Outline:
 
     corners = [corner(1.0, -1.0), corner(1.0, 1.0), corner(-1.0, 1.0), corner(-1.0, -1.0)]
     return Outline(tuple(line(a, b) for a, b in zip(corners, corners[1:] + corners[:1], strict=True)))
+
+
+def _shank() -> Outline:
+    """Rounded rectangle that spreads from within the root's top to the platform, and stays there."""
+    reach = PLATFORM_HALF_WIDTH_MM - SHANK_HALF_WIDTH_MM
+    low = rounded_rectangle(PLATFORM_HALF_LENGTH_MM - reach, SHANK_HALF_WIDTH_MM, SHANK_CORNER_MM)
+    high = rounded_rectangle(PLATFORM_HALF_LENGTH_MM, PLATFORM_HALF_WIDTH_MM, PLATFORM_CORNER_MM)
+    return loft(low, high, ROOT_TOP_MM, SHANK_TOP_MM)
 
 
 _CHANNELS = tuple(
@@ -131,14 +144,14 @@ BLADE = WalledModel(
     name="blade",
     summary="hollow compressor blade of 320 mm: dovetail root, platform, twisted airfoil, three channels",
     walls=(
-        Wall(_root(), (0.0, ROOT_FOOT_MM, ROOT_FLANK_MM, ROOT_NECK_MM)),
-        Wall(rounded_rectangle(126.0, 62.0, 14.0), (ROOT_NECK_MM, PLATFORM_TOP_MM)),
+        Wall(_root(), (0.0, ROOT_FOOT_MM, ROOT_TOP_MM)),
+        Wall(_shank(), (ROOT_TOP_MM, SHANK_TOP_MM, PLATFORM_TOP_MM)),
         Wall(_airfoil(), (PLATFORM_TOP_MM, FLARE_TOP_MM, TIP_MM)),
         *_CHANNELS,
     ),
     faces=(
         Face(0, (3, 4, 5), 0.0, up=False),
-        Face(1, (0,), ROOT_NECK_MM, up=False),
+        Face(0, (1,), ROOT_TOP_MM, up=True),
         Face(1, (2,), PLATFORM_TOP_MM, up=True),
         Face(2, (3, 4, 5), TIP_MM, up=True),
     ),

@@ -144,3 +144,18 @@ def rounded_rectangle(half_x: float, half_y: float, radius: float) -> Outline:
         for k, (x, y) in enumerate([(a, b), (-a, b), (-a, -b), (a, -b)])
     ]
     return Outline(tuple(p for pair in zip(straight, corners, strict=True) for p in pair))
+
+
+def loft(low: Outline, high: Outline, from_mm: float, to_mm: float) -> Outline:
+    """Ruled surface from one outline to another of as many pieces; below and above it they stay as they are."""
+
+    def between(first: Piece, last: Piece) -> Piece:
+        def piece(s: Array, z: Array) -> tuple[Array, Array]:
+            rise = np.clip((z - from_mm) / (to_mm - from_mm), 0.0, 1.0)
+            (x0, y0), (x1, y1) = first(s, z), last(s, z)
+            return x0 + rise * (x1 - x0), y0 + rise * (y1 - y0)
+
+        return piece
+
+    pieces = tuple(between(a, b) for a, b in zip(low.pieces, high.pieces, strict=True))
+    return Outline(pieces, max(low.least, high.least))

@@ -147,29 +147,34 @@ def _seams(nc: NCProgram, config: Config) -> Check:
 
 
 def _overhang(nc: NCProgram, config: Config) -> Check:
-    """Greatest angle from the vertical by which the contours of a layer reach out over those below."""
-    limit = config.process.largest_overhang_deg
+    """Angle from the vertical by which the contours of a layer reach out over those below, where it is most over its limit.
+
+    Where no angle is set, a layer may reach out by the width of a bead: one farther out has nothing under it.
+    """
+    limit, width_mm = config.process.largest_overhang_deg, config.process.bead_width_mm
     contours = nc.contours(OUTLINE_STEP_MM)
     heights = nc.layer_heights
-    worst, row, area = 0.0, -1, 0.0
+    worst = 0.0
+    allowed = limit or math.degrees(math.atan2(width_mm, config.layer_height_mm))
+    row, area = -1, 0.0
     below: BaseGeometry = shapely.MultiPolygon()
     for k in range(len(contours)):
         section = shapely.union_all(contours.polygons(k))
         if k and not section.is_empty and not below.is_empty:
-            rise = float(heights[k] - heights[k - 1])
+            rise = max(float(heights[k] - heights[k - 1]), 0.0)
+            within = limit or math.degrees(math.atan2(width_mm, rise))
             angle, place = _reach_deg(section, below, rise)
-            if limit is not None and rise > 0.0:
-                held = below.buffer(rise * math.tan(math.radians(limit)))
+            if angle > within:
+                held = below.buffer(rise * math.tan(math.radians(within)) if limit else width_mm)
                 area += float(section.difference(held).area)
-            if angle > worst:
-                worst, row = angle, _nearest_row(nc, k, place)
+            if row < 0 or angle / within > worst / allowed:
+                worst, allowed, row = angle, within, _nearest_row(nc, k, place)
         if not section.is_empty:
             below = section
     text = f"layers reach out by up to {worst:.4g} deg from the vertical over the one below"
-    if limit is not None:
-        text += f", {area:.6g} mm2 of them unsupported"
-    where = nc.where(row) if row >= 0 else ""
-    return Check("overhang", limit is None or worst <= limit, worst, limit or 90.0, "deg", where, text)
+    if worst > allowed:
+        text += f", {area:.6g} mm2 of them " + ("unsupported" if limit else "farther than a bead is wide")
+    return Check("overhang", worst <= allowed, worst, allowed, "deg", nc.where(row) if row >= 0 else "", text)
 
 
 def _reach_deg(section: BaseGeometry, below: BaseGeometry, rise_mm: float) -> tuple[float, Floats]:
