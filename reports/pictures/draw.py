@@ -22,7 +22,7 @@ from ebamcheck_reports import metal_picture, overlays, part_picture, program_pic
 from ebamcheck_reports.markup import Markup, element
 from ebamcheck_reports.run_data import RunData, layer_name
 
-ROOT_LAYER, BLADE_LAYER = 20, 57
+ROOT_LAYER, BLADE_LAYER = 12, 57
 """A layer of the root, which is partitioned into hexagons, and one through the hollow blade."""
 
 WORST_LIMITS = 1.0
