@@ -247,12 +247,12 @@ def test_the_blade_is_a_part_that_the_process_can_build():
 
 
 def test_the_blade_needs_no_support():
-    """Every layer lies within the one below, spread by 32 degrees from the vertical."""
+    """Every layer lies within the one below, spread by 34 degrees from the vertical."""
     step_mm = 2.0
     below = BLADE.section(0.0)[0]
     for z in np.arange(step_mm, 320.0, step_mm):
         section = BLADE.section(z)[0]
-        held = below.buffer(step_mm * math.tan(math.radians(32.0)))
+        held = below.buffer(step_mm * math.tan(math.radians(34.0)))
         assert section.difference(held).area < 1e-6
         below = section
 

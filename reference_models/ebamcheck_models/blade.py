@@ -1,6 +1,6 @@
 """The demo part: a hollow compressor blade of 320 mm with a dovetail root and a platform.
 
-From below: a dovetail root with sharp edges; a shank that spreads by 30 degrees into a platform with
+From below: a dovetail root with sharp edges; a shank that spreads by 30 degrees (33 at its corners) into a platform with
 rounded corners, so that no layer reaches out farther than it can be built without support; and an
 airfoil that flares into the platform, tapers, twists and leans as it rises. Three channels run from
 the root's bottom to the tip. The airfoil's section, in coordinates (u along the chord, y across), is
