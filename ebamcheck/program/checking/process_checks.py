@@ -160,8 +160,8 @@ def _overhang(nc: NCProgram, config: Config) -> Check:
     below: BaseGeometry = shapely.MultiPolygon()
     for k in range(len(contours)):
         section = shapely.union_all(contours.polygons(k))
-        if k and not section.is_empty and not below.is_empty:
-            rise = max(float(heights[k] - heights[k - 1]), 0.0)
+        rise = float(heights[k] - heights[k - 1]) if k else 0.0
+        if rise > 0.0 and not section.is_empty and not below.is_empty:  # A height that is not known is not above.
             within = limit or math.degrees(math.atan2(width_mm, rise))
             angle, place = _reach_deg(section, below, rise)
             if angle > within:
