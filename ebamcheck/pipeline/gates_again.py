@@ -39,6 +39,7 @@ from ebamcheck.pipeline.loose_limits import loose_limits
 from ebamcheck.pipeline.noticed_in_program import of_metal, of_overhang
 from ebamcheck.pipeline.placement import cut_heights
 from ebamcheck.pipeline.run_folder import RunFolder
+from ebamcheck.pipeline.solid_metal import with_solid
 from ebamcheck.plugins import registry
 from ebamcheck.program import Check, verify_file
 from ebamcheck.program.checking.bead_wire import NAME as WIRE_OF_BEADS
@@ -138,6 +139,7 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
         sha256={file["name"]: file["sha256"] for file in record["files"]},
         truth=truth_of(manifest, config),
     )
+    checks = with_solid(checks, part, fresh, config)
     z_of = deposition_heights(np.asarray(heights), config.layer_height_mm, config.base_mm)
     main = run.program_folder / record["files"][0]["name"]
     made += [

@@ -34,6 +34,7 @@ from ebamcheck.pipeline.placement import cut_heights, placed_part
 from ebamcheck.pipeline.plate_record import PLATE, plate_checks
 from ebamcheck.pipeline.run_folder import MANIFEST, RunFolder
 from ebamcheck.pipeline.signing import trusted_keys
+from ebamcheck.pipeline.solid_metal import with_solid
 from ebamcheck.program import Check, read_program, verify_file
 from ebamcheck.program.checking.header_checks import Truth
 from ebamcheck.program.reading.motions import NCProgram
@@ -232,7 +233,7 @@ def _text_alone(run: RunFolder, manifest: dict[str, Any], config: Config) -> lis
     record = manifest.get("program")
     if record is None:
         return [] if manifest.get("job") == "check" else [_no_program()]
-    return verify_file(
+    return verify_file(  # Of the solid nothing is known here: a quick check needs no part.
         run.program_folder / record["files"][0]["name"],
         config=config,
         curves=Curves.from_parquet(run.path / "beads.parquet"),
@@ -292,11 +293,12 @@ def verify_against_part(
     paper = find_certificate(program)
     maker = str(read_certificate(paper).get("primary", "")) if paper else ""
     layers = slice_part(part, heights)
+    witness = slice_part(part, heights, witness_backend(maker))
     curves = fit(layers, config.curves.method, config.curves, part=part)
     made = verify_file(
         program,
         config=config,
-        layers=slice_part(part, heights, witness_backend(maker)),
+        layers=witness,
         smooth=_smooth(curves, config),
         beads=True,
         metal=True,
@@ -310,6 +312,7 @@ def verify_against_part(
             differences=tuple(_differences(program, config)),
         ),
     )
+    made = with_solid(made, part, witness, config)
     certified = certificate_checks(paper, program, part_path, config, trusted) if paper else []
     if paper and isinstance(part, PlatePart):
         with suppress(EbamcheckError):  # a program that cannot be read has a failed check of its own
