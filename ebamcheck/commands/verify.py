@@ -27,6 +27,12 @@ def verify(
         Path | None,
         typer.Option(help="File of the part that the program should make; of a run: if it was moved since."),
     ] = None,
+    whole: Annotated[
+        Path | None,
+        typer.Option(
+            help="Of a program that begins at a layer (--from-layer): the run folder or program that it is the end of."
+        ),
+    ] = None,
     quick: Annotated[
         bool,
         typer.Option("--quick", help="Of a run: believe its recorded layers and gates, slice nothing anew."),
@@ -50,12 +56,13 @@ def verify(
     if is_build(target):
         return _build(target, part, as_json)
     # A run has its own settings: a file that lies about does not matter to it, nor to a program in it.
-    own = (target / MANIFEST).is_file()
-    if not own and target.exists() and not (config_file or units or layer_height):
-        own = find_record(target) is not None
+    main = whole or target
+    own = (main / MANIFEST).is_file()
+    if not own and main.exists() and not (config_file or units or layer_height):
+        own = find_record(main) is not None
     default = not (config_file or units or layer_height or DEFAULT_CONFIG.is_file())
     config = None if own or default else settings_of(config_file, units, "", layer_height)
-    checks = verification.verify(target, part, config, quick=quick, trusted=trusted or ())
+    checks = verification.verify(target, part, config, quick=quick, trusted=trusted or (), whole=whole)
     if as_json:
         print_json([vars(check) for check in checks])
     else:
