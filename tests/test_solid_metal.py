@@ -119,6 +119,13 @@ def test_listed_layers_are_held_against_the_solid_between_their_borders():
         assert "leave 0.00 %" not in found.text
 
 
+def test_a_layer_that_is_made_alone_is_not_held_against_the_solid():
+    config = Config().changed(layers={"heights_mm": [9.0], "base_mm": 8.0})
+    found = solid_check(MUSHROOM, slice_part(MUSHROOM, [9.0]), config).check
+    assert found.passed
+    assert "one layer" in found.text
+
+
 def test_level_faces_are_level_and_as_large_as_they_are():
     part = models()["tilted-plate"].tessellate(0.1)
     assert level_faces(part, 1.0) == []

@@ -69,6 +69,10 @@ def solid_check(part: Part, layers: Layers, config: Config) -> Solid:
     limit, cuts = config.process.mass_tolerance, np.asarray(layers.heights)
     if not len(cuts) or not layers.areas().any():
         return Solid(Check(SOLID, False, np.inf, limit, "of the part", "", "no layer has metal"), np.nan)
+    if len(cuts) == 1 and _of_some_layers(config):
+        # A layer that is made alone, at a height that was measured, is what that height makes it.
+        text = "one layer of the part says nothing of the solid"
+        return Solid(Check(SOLID, True, 0.0, limit, "of the part", "", text), np.nan)
     borders = layer_borders(part, cuts, config)
     parts = [(mesh, areas, name) for mesh, areas, name in _parts(part, layers)]
     found = [_rule(mesh, cuts, borders, areas, config) for mesh, areas, _ in parts]
