@@ -48,12 +48,12 @@ def verify(
 ) -> ExitCode:
     """Work every gate of a finished run out again, or check a program against a part, from the program's text."""
     from ebamcheck.drawing.tables import text_table
-    from ebamcheck.live.verifying import is_build
+    from ebamcheck.live.verifying import holds_layers
     from ebamcheck.pipeline import verify as verification
     from ebamcheck.pipeline.certificate import find_record
     from ebamcheck.pipeline.run_folder import MANIFEST
 
-    if is_build(target):
+    if holds_layers(target):
         return _build(target, part, as_json)
     # A run has its own settings: a file that lies about does not matter to it, nor to a program in it.
     main = whole or target
@@ -81,7 +81,9 @@ def _build(folder: Path, part: Path | None, as_json: bool) -> ExitCode:
     from ebamcheck.live.verifying import VerifiedLayer, verify_build
 
     if part is None:
-        raise SettingsError(f"{folder}: is a live build: name its part with --part")
+        raise SettingsError(
+            f"{folder}: holds layers of a live build, or of `ebamcheck relayer`: name the part with --part"
+        )
 
     def tell(layer: VerifiedLayer) -> None:
         if not as_json:
