@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from ebamcheck.comparison import compare_all
+from ebamcheck.comparison import Comparison, compare_all
 from ebamcheck.comparison.sources import LayerSource
 from ebamcheck.curves import LIFTED, Curves, fit
 from ebamcheck.findings import Finding, from_record, has_fault
@@ -40,6 +40,7 @@ from ebamcheck.pipeline.noticed_in_program import of_metal, of_overhang
 from ebamcheck.pipeline.placement import cut_heights
 from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.pipeline.solid_metal import with_solid
+from ebamcheck.pipeline.tables_again import of_comparison, of_program, order_of, tables_check
 from ebamcheck.plugins import registry
 from ebamcheck.program import Check, verify_file
 from ebamcheck.program.checking.bead_wire import NAME as WIRE_OF_BEADS
@@ -97,6 +98,8 @@ class Again:
     """Checks of the program; none for a run without one."""
     exchanged: tuple[str, ...] = ()
     """Recorded layers that are not those of the slicer whose name their file has."""
+    tables: Check | None = None
+    """Whether the tables of the run are those that follow; None where no run says."""
 
 
 def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part: Part) -> Again:
@@ -115,20 +118,24 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
     witness = witness_backend(str(manifest["primary"]))
     fresh = slice_part(part, heights, witness)
     sound = inspect(part)
-    agreement, agrees = _agreement(run, manifest, config, part, fresh, witness)
+    agreement, comparison = _agreement(run, manifest, config, part, fresh, witness)
+    agrees = comparison.passed
+    tables, why_not = _tables(manifest, comparison)
     exchanged = exchanged_layers(run, manifest, fresh, witness)
     made = [gates.input_gate(sound), agreement]
     told = [*noticed.of_part(sound, config), *loose_limits(config)]
     told += [*outside_window(config, "warning"), *unusual_layers(config)]
     record = manifest.get("program")
     if record is None:
-        return Again(witness, tuple(made), agrees, tuple(told), exchanged=exchanged)
-    verdict, _ = _fitted(run, manifest, config, part)
+        of_run = tables_check(run, manifest, tables, why_not)
+        return Again(witness, tuple(made), agrees, tuple(told), exchanged=exchanged, tables=of_run)
+    verdict, tables["fit.csv"] = _fitted(run, manifest, config, part)
     plan = ScanPlan.from_parquet(run.path / "scan.parquet")
+    beads = Curves.from_parquet(run.path / "beads.parquet")
     checks = verify_file(
         run.program_folder / record["files"][0]["name"],
         config=config,
-        curves=Curves.from_parquet(run.path / "beads.parquet"),
+        curves=beads,
         plan=plan,
         layers=fresh,
         smooth=verdict.curves.sample_tolerance(SMOOTH_MM) if config.curves.method in LIFTED else None,
@@ -154,7 +161,23 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
     checks += entry
     checks += live_checked_again(run.path, record, config)
     told += [*noticed.of_profile(config), *of_metal(of_deposit(checks)), *of_overhang(checks, config)]
-    return Again(witness, tuple(made), agrees, tuple(told), tuple(checks), exchanged)
+    same = record["witness"] == witness
+    if not same:
+        why_not["deposit.csv"] = f"the run used sections by {record['witness']}, these are by {witness}"
+    tables |= of_program(main, beads, plan, fresh if same else None, config)
+    of_run = tables_check(run, manifest, tables, why_not)
+    return Again(witness, tuple(made), agrees, tuple(told), tuple(checks), exchanged, of_run)
+
+
+def _tables(
+    manifest: Mapping[str, Any], comparison: Comparison
+) -> tuple[dict[str, pd.DataFrame], dict[str, str]]:
+    """Tables of the comparison, if the slicers are those of the run; else why not, by file."""
+    done = {name for name, found in manifest["backends"].items() if found["status"] == "done"}
+    found = of_comparison(comparison)
+    if done == set(comparison.stacks):
+        return found, {}
+    return {}, dict.fromkeys(found, "not all slicers of the run are the ones that are here")
 
 
 def exchanged_layers(
@@ -190,12 +213,15 @@ def truth_of(manifest: Mapping[str, Any], config: Config) -> Truth:
 
 def _agreement(
     run: RunFolder, manifest: Mapping[str, Any], config: Config, part: Part, fresh: Layers, witness: str
-) -> tuple[Gate, bool]:
+) -> tuple[Gate, Comparison]:
     """Compare the recorded layers of every slicer with layers cut anew; bounds are what the slicers declare now."""
     outcomes: dict[str, Outcome] = {}
     with ExitStack() as opened:
         stacks: dict[str, LayerSource] = {}
-        for name, found in manifest["backends"].items():
+        order = order_of(run)
+        for name, found in sorted(
+            manifest["backends"].items(), key=lambda kept: order.index(kept[0]) if kept[0] in order else -1
+        ):
             if found["status"] != "done":
                 outcomes[name] = Outcome(name, found["status"], found["why"])
             elif name == witness or name in registry.slicers():
@@ -218,7 +244,7 @@ def _agreement(
             evidence=evidence_rule(config, stacks),
         )
     gate = gates.agreement_gate(comparison, outcomes, len(fresh), config.layer_height_mm, config.base_mm)
-    return gate, comparison.passed
+    return gate, comparison
 
 
 def _fitted(

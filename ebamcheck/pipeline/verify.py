@@ -208,11 +208,12 @@ def compared_again(run: RunFolder, manifest: dict[str, Any], config: Config, par
         again = work_again(run, manifest, config, part)
     except EbamcheckError as error:
         return [Check("worked out again", False, 1.0, 0.0, "faults", str(run.path), str(error))]
+    tables = [] if again.tables is None else [again.tables]
     if manifest.get("program") is None and manifest.get("job") != "check":
-        return [*compared(again, manifest), _no_program()]
+        return [*compared(again, manifest), *tables, _no_program()]
     text = _read_back(run, manifest, config) if isinstance(part, PlatePart) else None
     parts = plate_checks(part, config, text, manifest.get(PLATE), MANIFEST)
-    return [*compared(again, manifest), *parts, *again.checks]
+    return [*compared(again, manifest), *tables, *parts, *again.checks]
 
 
 def _read_back(run: RunFolder, manifest: dict[str, Any], config: Config) -> NCProgram | None:
