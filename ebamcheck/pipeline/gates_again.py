@@ -44,7 +44,7 @@ from ebamcheck.pipeline.tables_again import of_comparison, of_program, order_of,
 from ebamcheck.plugins import registry
 from ebamcheck.program import Check, verify_file
 from ebamcheck.program.checking.bead_wire import NAME as WIRE_OF_BEADS
-from ebamcheck.program.checking.deposit_checks import of_deposit
+from ebamcheck.program.checking.deposit_checks import SOLID, of_deposit
 from ebamcheck.program.checking.entry_check import NAME as ENTRY
 from ebamcheck.program.checking.hatch_form import CROSSINGS, LINES
 from ebamcheck.program.checking.header_checks import Truth
@@ -79,6 +79,7 @@ OF_TEXT_ALONE = (
     CROSSINGS,
     HANDSHAKE,
     WIRE_OF_BEADS,
+    SOLID,  # of runs of an earlier version
 )
 """Checks that are made here and not by a run, which has its plan to compare with."""
 
