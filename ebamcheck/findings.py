@@ -33,6 +33,8 @@ CODES: Mapping[str, str] = {
     "interpass-limit": "A layer is entered above the interpass limit, or its limit cannot be reached by waiting.",
     "interpass-wait": "The waits between layers, and what they do to the time of the build.",
     "layer-over-bead": "The layer height is far from the height of the bead that wire and feed give.",
+    "level-within-layer": "Layers, each of one section, add to the solid or leave out of it more than the metal may be off: level faces "
+    "lie within a layer.",
     "limit-widened": "Limits of the gates are set wider than the default ones.",
     "mesh-oddity": "The part's file is odd in a way that does no harm, or its unit is unlikely.",
     "metal-excess": "More metal lies at a place than the layer takes.",

@@ -269,6 +269,13 @@ def test_a_narrower_bead_lays_the_wall_that_the_finding_says_it_does(tmp_path):
     assert wire_mm_s == pytest.approx(bead.wire_mm_s, rel=0.06)
 
 
+@pytest.mark.parametrize("thickness", [6.5, 7.0, 7.5, 8.5])
+def test_walls_a_little_wider_than_a_bead_have_their_metal(thickness, tmp_path):
+    """Two beads along one such wall lie so near to each other that their pools overlap in its middle."""
+    made = Made(tmp_path, shapely.box(0, 0, 80, thickness), layers=4)
+    assert made.failed() == set()
+
+
 def test_an_allowance_for_machining_makes_room_for_a_thin_wall(tmp_path):
     config = CONFIG.changed(process={"machining_allowance_mm": 2.0})
     made = Made(tmp_path, shapely.box(0, 0, 80, 4.0), config, layers=3)

@@ -6,7 +6,7 @@ import re
 import shutil
 
 import pytest
-from command_line import write_stl
+from command_line import ebamcheck, write_stl
 from parts import box, join
 from slicers_here import slicers_here
 
@@ -16,7 +16,7 @@ from ebamcheck.errors import ExitCode
 from ebamcheck.json_values import sha256_of_file
 from ebamcheck.pipeline import run_job
 from ebamcheck.pipeline.run_folder import RunFolder
-from ebamcheck.pipeline.verify import verify_run
+from ebamcheck.pipeline.verify import verify, verify_run
 
 PLAIN = CONTROLS[-1]
 
@@ -70,6 +70,32 @@ def test_a_run_writes_and_proves_a_program_from_a_layer_on(made, control):
     assert checks["entry"].passed
     assert checks["gate entry"].passed
     assert all(c.passed for c in checks.values())
+
+
+@pytest.mark.parametrize("control", CONTROLS)
+def test_what_post_says_of_a_program_from_a_layer_on_works(made, control, tmp_path):
+    result, _ = made(control)
+    run = result.folder.path
+    said = ebamcheck("post", run, "--from-layer", 2, "-o", "rest", cwd=tmp_path).stdout
+    asked = re.search(r"`ebamcheck (verify [^`]*)`", said)[1].split()
+    done = ebamcheck(*asked, cwd=tmp_path)
+    assert done.returncode == 0, done.stdout
+    assert "from layer 2 on are those of the whole program" in done.stdout
+    laid = next(p for p in sorted((tmp_path / "rest").iterdir(), reverse=True) if "G1 X" in p.read_text())
+    laid.write_text(re.sub(r"(?m)^((?:N\d+ )?G1 X-?\d+\.)", r"\g<1>1", laid.read_text(), count=1))
+    spoiled = ebamcheck(*asked, "--quick", cwd=tmp_path)
+    assert spoiled.returncode == 1
+    assert "FAIL  entry" in spoiled.stdout
+
+
+def test_without_the_whole_program_the_first_thing_told_is_what_is_missing(made, tmp_path):
+    result, part = made(PLAIN)
+    ebamcheck("post", result.folder.path, "--from-layer", 2, "-o", "rest", cwd=tmp_path)
+    checks = verify(tmp_path / "rest", part, SUBJECTS["cube"].config(PLAIN))
+    first = next(check for check in checks if not check.passed)
+    assert first.name == "entry"
+    assert "layer 2 of 3" in first.text
+    assert "--whole" in first.text
 
 
 @pytest.mark.parametrize(

@@ -75,6 +75,11 @@ def test_a_planted_fault_is_found_unless_it_stands_on_the_list(name, found):
     assert not missed, "no longer found"
 
 
+@pytest.mark.parametrize("name", [n for n in quick.NAMES if re.search("in the air|empty layer|floats", n)])
+def test_metal_in_the_air_is_found_as_such(name, found):
+    assert "support" in found(name).text_checks
+
+
 def test_the_list_of_missed_faults_holds_none_that_is_found(found):
     names = dict.fromkeys(line.partition(" ")[2] for line in MISSED)
     missed = [line for name in names for line in quick.misses(found(name))]

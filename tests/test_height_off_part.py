@@ -18,7 +18,7 @@ def told(part_mm, heights, config=None):
 def test_a_plate_thinner_than_its_only_layer_is_warned_of():
     (found,) = told(1.0, [0.5])
     assert (found.severity, found.code) == ("warning", "height-off-part")
-    assert found.text == "1 layers end at Z 1.676 mm, and the part is 1.000 mm high"
+    assert found.text == "the only layer ends at Z 1.676 mm, and the part is 1.000 mm high"
     assert found.figure == pytest.approx(0.6755, abs=1e-4)
     assert found.limit == pytest.approx(0.02)
 

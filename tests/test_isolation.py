@@ -55,6 +55,15 @@ def test_isolated_layers_are_those_of_this_process():
     assert (there.backend, there.part, dict(there.settings)) == ("planecut", part.sha256, dict(here.settings))
 
 
+def test_one_that_ends_before_anybody_looks_is_held_to_its_memory_all_the_same(tmp_path):
+    chosen = {"planecut": registry.slicer_settings("planecut", {})}
+    few = Limits(time_s=120.0, memory_mb=1.0)
+    outcome = slice_all(box(), HEIGHTS, chosen, tmp_path, few)["planecut"]
+    assert outcome.failure == "out of memory"
+    assert "over the limit of 1 MB (slicing.memory_limit_mb)" in outcome.why
+    assert not list(tmp_path.glob("*.parquet"))
+
+
 @pytest.mark.parametrize(
     ("trouble", "failure", "why"),
     [

@@ -42,7 +42,8 @@ def place(tmp_path_factory):
     folder = tmp_path_factory.mktemp("feed")
     write_stl(box(upper=(36, 30, 7)), folder / "box.stl")
     (folder / "narrow.toml").write_text(NARROW)
-    done = ebamcheck("run", "box.stl", "-o", "box.run", "--backends", FAST, "-c", "narrow.toml", cwd=folder)
+    given_by = ("-c", "narrow.toml", "--layer-height", 1.75)
+    done = ebamcheck("run", "box.stl", "-o", "box.run", "--backends", FAST, *given_by, cwd=folder)
     assert done.returncode == 0, done.stdout + done.stderr
     return folder
 

@@ -74,6 +74,16 @@ def test_relayer_publishes_a_layer_at_the_measured_height_that_verifies_from_its
     )
     assert again.returncode == 0, again.stderr
     assert (out / LAYERS / "MAIN_K0004R2").is_dir()
+    # Without a build there is no journal: the layers' own certificates name their files.
+    every = ebamcheck("verify", out, "--part", place / "box.stl", cwd=tmp_path)
+    assert every.returncode == 0, every.stdout + every.stderr
+    assert "2 of 2 published layers verify" in every.stdout
+    (folder / "program" / told["called"]).write_text(text.replace("; VALIDATED", "; VALID"))
+    spoiled = ebamcheck("verify", out, "--part", place / "box.stl", cwd=tmp_path)
+    assert spoiled.returncode == 1
+    assert "is not the file that its layer.json names" in spoiled.stdout
+    nameless = ebamcheck("verify", out, cwd=tmp_path)
+    assert "name the part with --part" in nameless.stderr
 
 
 def test_a_text_that_was_changed_does_not_verify(maker, place, tmp_path):

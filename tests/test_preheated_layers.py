@@ -217,7 +217,7 @@ current_ma = 10
 def place(tmp_path_factory):
     """Folder with a run of a box on a plate that is preheated, with a main program that waits."""
     folder = tmp_path_factory.mktemp("plate")
-    write_stl(box(upper=(36, 30, 7)), folder / "box.stl")
+    write_stl(box(upper=(36, 30, 6.7)), folder / "box.stl")
     (folder / "plate.toml").write_text(PLATE)
     done = ebamcheck(
         "run", "box.stl", "-o", "box.run", "--backends", FAST, "-c", "plate.toml", "--live", cwd=folder

@@ -43,7 +43,7 @@ def config_of(process=None, machine=None, **preheat):
 def place(tmp_path_factory):
     """Folder with a run of a box on a plate that is preheated."""
     folder = tmp_path_factory.mktemp("preheat")
-    write_stl(box(upper=(36, 30, 7)), folder / "box.stl")
+    write_stl(box(upper=(36, 30, 6.7)), folder / "box.stl")
     (folder / "plate.toml").write_text(PLATE)
     done = ebamcheck("run", "box.stl", "-o", "box.run", "--backends", FAST, "-c", "plate.toml", cwd=folder)
     assert done.returncode == 0, done.stdout + done.stderr

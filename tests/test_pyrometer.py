@@ -27,8 +27,9 @@ SIZE = (30, 24, 5.2)
 def maker(tmp_path_factory):
     folder = tmp_path_factory.mktemp("pyrometer")
     write_stl(box(upper=SIZE), folder / "box.stl")
-    done = ebamcheck("run", "box.stl", "-o", "box.run", "--backends", FAST, cwd=folder)
-    assert done.returncode == 0, done.stderr
+    height = ("--layer-height", SIZE[2] / 3)
+    done = ebamcheck("run", "box.stl", "-o", "box.run", "--backends", FAST, *height, cwd=folder)
+    assert done.returncode == 0, done.stdout + done.stderr
     found = finished_run(folder / "box.run")
     with LayerMaker(found.part, found.config, found.primary) as made:
         yield made

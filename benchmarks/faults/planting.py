@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.faults import (  # noqa: F401  (each puts its kinds on the list)
+    air_kinds,
     attack_kinds,
     layer_kinds,
     metal_kinds,

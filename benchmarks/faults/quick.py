@@ -60,6 +60,9 @@ NAMES = (
     "header of another run/linuxcnc/PART SHA-256",
     "$PATH/sinumerik-840d-sl/another",
     "file cut off/plain-gcode/a third",
+    "body that begins in the air/plain-gcode/1",
+    "body over an empty layer/linuxcnc",
+    "island that floats in a bore/sinumerik-840d-sl",
     "template of a layer/sinumerik-840d-sl/TRANS X5",
     "template of a switch/linuxcnc/beam_off that does nothing",
 )

@@ -167,8 +167,21 @@ def post_command(
     if not is_read:
         script = next(name for name in files.names if name in SCRIPTS)
         typer.echo(f"NOT VALIDATED: a simulator's case is not read back; {files.folder / script} runs it")
+    elif from_layer > 1:
+        same = (source / MANIFEST).is_file() and not control and not config_file
+        typer.echo(f"NOT VALIDATED: {_resumed(source if same else None, output)}")
     else:
         typer.echo(
             "NOT VALIDATED: check it with `ebamcheck verify`, or let `ebamcheck run` make and validate one"
         )
     return ExitCode.PASS
+
+
+def _resumed(run: Path | None, output: Path) -> str:
+    """How a program that begins at a layer is verified: against the run that it comes from, or against a whole one."""
+    if run is not None:
+        return f"`ebamcheck verify {output} --whole {run}` checks the run and that this program is its end"
+    return (
+        "write the whole program, too (without --from-layer), and check that and this one as its end with "
+        f"`ebamcheck verify {output} --whole WHOLE --part PART`"
+    )

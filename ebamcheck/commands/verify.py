@@ -27,6 +27,12 @@ def verify(
         Path | None,
         typer.Option(help="File of the part that the program should make; of a run: if it was moved since."),
     ] = None,
+    whole: Annotated[
+        Path | None,
+        typer.Option(
+            help="Of a program that begins at a layer (--from-layer): the run folder or program that it is the end of."
+        ),
+    ] = None,
     quick: Annotated[
         bool,
         typer.Option("--quick", help="Of a run: believe its recorded layers and gates, slice nothing anew."),
@@ -42,20 +48,21 @@ def verify(
 ) -> ExitCode:
     """Work every gate of a finished run out again, or check a program against a part, from the program's text."""
     from ebamcheck.drawing.tables import text_table
-    from ebamcheck.live.verifying import is_build
+    from ebamcheck.live.verifying import holds_layers
     from ebamcheck.pipeline import verify as verification
     from ebamcheck.pipeline.certificate import find_record
     from ebamcheck.pipeline.run_folder import MANIFEST
 
-    if is_build(target):
+    if holds_layers(target):
         return _build(target, part, as_json)
     # A run has its own settings: a file that lies about does not matter to it, nor to a program in it.
-    own = (target / MANIFEST).is_file()
-    if not own and target.exists() and not (config_file or units or layer_height):
-        own = find_record(target) is not None
+    main = whole or target
+    own = (main / MANIFEST).is_file()
+    if not own and main.exists() and not (config_file or units or layer_height):
+        own = find_record(main) is not None
     default = not (config_file or units or layer_height or DEFAULT_CONFIG.is_file())
     config = None if own or default else settings_of(config_file, units, "", layer_height)
-    checks = verification.verify(target, part, config, quick=quick, trusted=trusted or ())
+    checks = verification.verify(target, part, config, quick=quick, trusted=trusted or (), whole=whole)
     if as_json:
         print_json([vars(check) for check in checks])
     else:
@@ -74,7 +81,9 @@ def _build(folder: Path, part: Path | None, as_json: bool) -> ExitCode:
     from ebamcheck.live.verifying import VerifiedLayer, verify_build
 
     if part is None:
-        raise SettingsError(f"{folder}: is a live build: name its part with --part")
+        raise SettingsError(
+            f"{folder}: holds layers of a live build, or of `ebamcheck relayer`: name the part with --part"
+        )
 
     def tell(layer: VerifiedLayer) -> None:
         if not as_json:

@@ -11,7 +11,7 @@ from typing import Any
 from ebamcheck.errors import EbamcheckError, InputError
 from ebamcheck.json_values import json_text, sha256_of_file
 from ebamcheck.live.journal import read_journal
-from ebamcheck.live.publishing import JOURNAL, LAYERS, PROGRAM, SETTINGS, write_synced
+from ebamcheck.live.publishing import CERTIFICATE, JOURNAL, LAYERS, PROGRAM, SETTINGS, write_synced
 from ebamcheck.pipeline.verify import verify
 from ebamcheck.settings.config import load_config
 
@@ -42,9 +42,28 @@ def is_build(folder: Path) -> bool:
     return (folder / JOURNAL).is_file()
 
 
+def holds_layers(folder: Path) -> bool:
+    """Whether a folder is that of a build, or holds layers that `ebamcheck relayer` made, each by itself."""
+    return is_build(folder) or any((folder / LAYERS).glob(f"*/{CERTIFICATE}"))
+
+
 def published(folder: Path) -> list[dict[str, Any]]:
-    """Entries of the journal of the layers that were published, in order; the journal is checked line by line."""
+    """Entries of the journal of the layers that were published, in order; the journal is checked line by line.
+
+    Where there is no build, the certificates of the layers, by name: they have the hashes of the files, too.
+    """
+    if not is_build(folder):
+        return [_certified(path) for path in sorted((folder / LAYERS).glob(f"*/{CERTIFICATE}"))]
     return [entry for entry in read_journal(folder / JOURNAL) if entry.get("kind") == "layer"]
+
+
+def _certified(path: Path) -> dict[str, Any]:
+    """Name and hashes of a layer, of its certificate; the name is that of its folder."""
+    try:
+        files = json.loads(path.read_text(encoding="utf-8"))["files"]
+        return {"name": path.parent.name, "files": {str(name): str(sha256) for name, sha256 in files.items()}}
+    except (ValueError, TypeError, KeyError, AttributeError):
+        raise InputError(f"{path}: is no certificate of a layer") from None
 
 
 def verify_build(
@@ -69,11 +88,12 @@ def verify_build(
 
 def _verified(folder: Path, entry: dict[str, Any], part: Path) -> VerifiedLayer:
     name, files = str(entry["name"]), dict(entry["files"])
+    told_by = "the journal" if is_build(folder) else f"its {CERTIFICATE}"
     place = folder / LAYERS / name
     for file, sha256 in files.items():
         path = place / PROGRAM / file
         if not path.is_file() or sha256_of_file(path) != sha256:
-            return VerifiedLayer(name, 0, f"{path}: is not the file that the journal names", files)
+            return VerifiedLayer(name, 0, f"{path}: is not the file that {told_by} names", files)
     try:
         checks = verify(place / PROGRAM, part, load_config(place / SETTINGS))
     except EbamcheckError as error:

@@ -15,8 +15,9 @@ from ebamcheck.metal.footprints import Footprints
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
 
-MOST_RIM = 1.15
-"""Factor by which all widths of a layer are changed at most so that the sum of the metal is right."""
+LEAST_RIM, MOST_RIM = 1.0 / 1.15, 1.4
+"""Factors by which all widths of a layer are changed at most so that the sum of the metal is right. Walls that are a little wider
+than a bead get less than three quarters of their metal by their middle, where pools overlap, and which counts most."""
 
 ITERATIONS = 20
 """Steps of the iteration: the sum is right after the first, and a layer hardly gets flatter after ten."""
@@ -56,8 +57,8 @@ def balanced_widths(
     laid = found.laid(width, share.size, cell_mm2).sum()
     if laid <= 0.0:
         return width
-    # Cells that count less, or that pools only touch, miss a few percent of a layer: all beads lay it together.
-    missing = min(max(share.sum() / laid, 1.0 / MOST_RIM), MOST_RIM)
+    # Cells that count less, or that pools only touch, miss some of a layer: all beads lay it together.
+    missing = min(max(share.sum() / laid, LEAST_RIM), MOST_RIM)
     return np.asarray(np.clip(width * missing, *limits_mm), np.float64)
 
 

@@ -137,11 +137,11 @@ def write_comparison(job: Job, comparison: Comparison) -> None:
     pairs = job.folder.path / "compare.parquet"
     comparison.pairs.to_parquet(pairs, index=False, compression=COMPRESSION)
     comparison.pairs.to_csv(job.folder.path / "compare.csv", index=False)
-    _layer_table(comparison).to_csv(job.folder.path / "layers.csv", index=False)
+    layer_table(comparison).to_csv(job.folder.path / "layers.csv", index=False)
     job.add_finding(*no_evidence(comparison))
 
 
-def _layer_table(comparison: Comparison) -> pd.DataFrame:
+def layer_table(comparison: Comparison) -> pd.DataFrame:
     """One row a layer: class, verdict, and area, rings and open paths of every backend."""
     table = comparison.layers.copy()
     for name, figures in comparison.stacks.items():

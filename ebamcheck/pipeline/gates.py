@@ -19,7 +19,7 @@ from ebamcheck.mesh.inspection import Inspection
 from ebamcheck.pipeline.fit_evidence import FitVerdict, gate_text
 from ebamcheck.pipeline.independence import not_counted, resting
 from ebamcheck.program import Check
-from ebamcheck.program.checking.deposit_checks import DEPOSIT_CHECKS, of_deposit
+from ebamcheck.program.checking.deposit_checks import DEPOSIT_CHECKS, SOLID, of_deposit
 from ebamcheck.program.checking.interpass_checks import INTERPASS, MELTING, within_range
 from ebamcheck.program.checking.remedies import frames
 from ebamcheck.program.toolpath.inputs import deposition_heights
@@ -199,7 +199,7 @@ def heat_gate(checks: Iterable[Check], metrics: pd.DataFrame, config: Config) ->
 
 def program_gate(checks: Iterable[Check]) -> Gate:
     """Every check of the program that was read back passed; what other gates are about is theirs."""
-    made = [check for check in checks if check.name not in (*DEPOSIT_CHECKS, INTERPASS, MELTING)]
+    made = [check for check in checks if check.name not in (*DEPOSIT_CHECKS, SOLID, INTERPASS, MELTING)]
     failed = [c for c in made if not c.passed]
     if not made:
         return Gate("program", False, 0.0, 0.0, "faults", "no program was written: there is no contour")

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from ebamcheck.comparison import compare_all
+from ebamcheck.comparison import Comparison, compare_all
 from ebamcheck.comparison.sources import LayerSource
 from ebamcheck.curves import LIFTED, Curves, fit
 from ebamcheck.findings import Finding, from_record, has_fault
@@ -39,10 +39,12 @@ from ebamcheck.pipeline.loose_limits import loose_limits
 from ebamcheck.pipeline.noticed_in_program import of_metal
 from ebamcheck.pipeline.placement import cut_heights
 from ebamcheck.pipeline.run_folder import RunFolder
+from ebamcheck.pipeline.solid_metal import with_solid
+from ebamcheck.pipeline.tables_again import of_comparison, of_program, order_of, tables_check
 from ebamcheck.plugins import registry
 from ebamcheck.program import Check, verify_file
 from ebamcheck.program.checking.bead_wire import NAME as WIRE_OF_BEADS
-from ebamcheck.program.checking.deposit_checks import of_deposit
+from ebamcheck.program.checking.deposit_checks import SOLID, of_deposit
 from ebamcheck.program.checking.entry_check import NAME as ENTRY
 from ebamcheck.program.checking.hatch_form import CROSSINGS, LINES
 from ebamcheck.program.checking.header_checks import Truth
@@ -77,6 +79,7 @@ OF_TEXT_ALONE = (
     CROSSINGS,
     HANDSHAKE,
     WIRE_OF_BEADS,
+    SOLID,  # of runs of an earlier version
 )
 """Checks that are made here and not by a run, which has its plan to compare with."""
 
@@ -96,6 +99,8 @@ class Again:
     """Checks of the program; none for a run without one."""
     exchanged: tuple[str, ...] = ()
     """Recorded layers that are not those of the slicer whose name their file has."""
+    tables: Check | None = None
+    """Whether the tables of the run are those that follow; None where no run says."""
 
 
 def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part: Part) -> Again:
@@ -114,20 +119,24 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
     witness = witness_backend(str(manifest["primary"]))
     fresh = slice_part(part, heights, witness)
     sound = inspect(part)
-    agreement, agrees = _agreement(run, manifest, config, part, fresh, witness)
+    agreement, comparison = _agreement(run, manifest, config, part, fresh, witness)
+    agrees = comparison.passed
+    tables, why_not = _tables(manifest, comparison)
     exchanged = exchanged_layers(run, manifest, fresh, witness)
     made = [gates.input_gate(sound), agreement]
     told = [*noticed.of_part(sound, config), *loose_limits(config)]
     told += [*outside_window(config, "warning"), *unusual_layers(config)]
     record = manifest.get("program")
     if record is None:
-        return Again(witness, tuple(made), agrees, tuple(told), exchanged=exchanged)
-    verdict, _ = _fitted(run, manifest, config, part)
+        of_run = tables_check(run, manifest, tables, why_not)
+        return Again(witness, tuple(made), agrees, tuple(told), exchanged=exchanged, tables=of_run)
+    verdict, tables["fit.csv"] = _fitted(run, manifest, config, part)
     plan = ScanPlan.from_parquet(run.path / "scan.parquet")
+    beads = Curves.from_parquet(run.path / "beads.parquet")
     checks = verify_file(
         run.program_folder / record["files"][0]["name"],
         config=config,
-        curves=Curves.from_parquet(run.path / "beads.parquet"),
+        curves=beads,
         plan=plan,
         layers=fresh,
         smooth=verdict.curves.sample_tolerance(SMOOTH_MM) if config.curves.method in LIFTED else None,
@@ -138,6 +147,7 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
         sha256={file["name"]: file["sha256"] for file in record["files"]},
         truth=truth_of(manifest, config),
     )
+    checks = with_solid(checks, part, fresh, config)
     z_of = deposition_heights(np.asarray(heights), config.layer_height_mm, config.base_mm)
     main = run.program_folder / record["files"][0]["name"]
     made += [
@@ -152,7 +162,23 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
     checks += entry
     checks += live_checked_again(run.path, record, config)
     told += [*noticed.of_profile(config), *of_metal(of_deposit(checks))]
-    return Again(witness, tuple(made), agrees, tuple(told), tuple(checks), exchanged)
+    same = record["witness"] == witness
+    if not same:
+        why_not["deposit.csv"] = f"the run used sections by {record['witness']}, these are by {witness}"
+    tables |= of_program(main, beads, plan, fresh if same else None, config)
+    of_run = tables_check(run, manifest, tables, why_not)
+    return Again(witness, tuple(made), agrees, tuple(told), tuple(checks), exchanged, of_run)
+
+
+def _tables(
+    manifest: Mapping[str, Any], comparison: Comparison
+) -> tuple[dict[str, pd.DataFrame], dict[str, str]]:
+    """Tables of the comparison, if the slicers are those of the run; else why not, by file."""
+    done = {name for name, found in manifest["backends"].items() if found["status"] == "done"}
+    found = of_comparison(comparison)
+    if done == set(comparison.stacks):
+        return found, {}
+    return {}, dict.fromkeys(found, "not all slicers of the run are the ones that are here")
 
 
 def exchanged_layers(
@@ -188,12 +214,15 @@ def truth_of(manifest: Mapping[str, Any], config: Config) -> Truth:
 
 def _agreement(
     run: RunFolder, manifest: Mapping[str, Any], config: Config, part: Part, fresh: Layers, witness: str
-) -> tuple[Gate, bool]:
+) -> tuple[Gate, Comparison]:
     """Compare the recorded layers of every slicer with layers cut anew; bounds are what the slicers declare now."""
     outcomes: dict[str, Outcome] = {}
     with ExitStack() as opened:
         stacks: dict[str, LayerSource] = {}
-        for name, found in manifest["backends"].items():
+        order = order_of(run)
+        for name, found in sorted(
+            manifest["backends"].items(), key=lambda kept: order.index(kept[0]) if kept[0] in order else -1
+        ):
             if found["status"] != "done":
                 outcomes[name] = Outcome(name, found["status"], found["why"])
             elif name == witness or name in registry.slicers():
@@ -216,7 +245,7 @@ def _agreement(
             evidence=evidence_rule(config, stacks),
         )
     gate = gates.agreement_gate(comparison, outcomes, len(fresh), config.layer_height_mm, config.base_mm)
-    return gate, comparison.passed
+    return gate, comparison
 
 
 def _fitted(

@@ -13,7 +13,9 @@ from ebamcheck.findings import Finding, at_layer
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.program.checking.checks import Check
+from ebamcheck.program.checking.deposit_checks import SOLID
 from ebamcheck.program.checking.interpass_checks import INTERPASS, within_range
+from ebamcheck.program.checking.remedies import LEVELS
 from ebamcheck.program.checking.seam_corners import seam_turns
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.toolpath.inputs import deposition_heights
@@ -37,6 +39,7 @@ METAL: Mapping[str, tuple[str, str]] = {
         "metal-excess",
         "look at that place in the picture of the metal; turn the cells, or use a narrower bead",
     ),
+    SOLID: ("level-within-layer", LEVELS),
     "surface": ("metal-excess", "turn the cells and the hatch from layer to layer, or use a narrower bead"),
 }
 """Code and remedy of each check of the metal that fails."""
@@ -203,11 +206,12 @@ def of_height(part_mm: float, heights: Floats, config: Config) -> Iterator[Findi
         return
     ends_mm = float(deposition_heights(heights, config.layer_height_mm)[-1])
     limit = config.process.mass_tolerance * part_mm
+    ends = "the only layer ends" if len(heights) == 1 else f"{len(heights)} layers end"
     if abs(ends_mm - part_mm) > limit:
         yield Finding(
             "warning",
             "height-off-part",
-            f"{len(heights)} layers end at Z {ends_mm:.3f} mm, and the part is {part_mm:.3f} mm high",
+            f"{ends} at Z {ends_mm:.3f} mm, and the part is {part_mm:.3f} mm high",
             "layers.layer_height_mm",
             abs(ends_mm - part_mm),
             limit,

@@ -26,6 +26,7 @@ from ebamcheck.pipeline.fitted import FitResult, beside_others, fitted, held_aga
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.live_program import write_live
 from ebamcheck.pipeline.plate_record import plate_record
+from ebamcheck.pipeline.solid_metal import solid_check
 from ebamcheck.pipeline.work import Job, one_beside
 from ebamcheck.program import Check, mark_validated, program_summary, read_program, verify_program
 from ebamcheck.program.checking.deposit import Deposit, deposit
@@ -209,8 +210,12 @@ def _weighed(job: Job, program: NCProgram, witness: Layers, found: Deposit) -> l
     if found.worst >= 0:
         thickness_mm = float(np.diff(z_of, prepend=job.config.base_mm)[found.worst])
         write_field(job.folder.path / FIELD_FILE, found.fields[found.worst], found.worst, thickness_mm)
-    checks = deposit_checks(program, found, job.config)
+    solid = solid_check(job.part, witness, job.config)
+    checks = [*deposit_checks(program, found, job.config), solid.check]
     job.add_finding(*noticed_in_program.of_metal(checks))
+    low_mm, top_mm = job.part.bounds[:, 2].tolist()
+    if not solid.tells_of(top_mm):
+        job.add_finding(*noticed_in_program.of_height(top_mm - low_mm, witness.heights, job.config))
     return checks
 
 
@@ -244,7 +249,6 @@ def _verified(job: Job, files: ProgramFiles, made: _Made, witness: Layers, aside
         smooth=made.smooth if config.curves.method in LIFTED else None,
     )
     job.add_finding(*noticed_in_program.of_limit(checks, made.plan, config))
-    job.add_finding(*noticed_in_program.of_height(float(job.part.size[2]), made.contours.heights, config))
     checks += _weighed(job, program, witness, metal.result())
     checks = told(checks, program, made.contours.heights, config.layer_height_mm, config.base_mm)
     summary = program_summary(program, config)

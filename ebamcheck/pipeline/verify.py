@@ -32,11 +32,14 @@ from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.gates_again import SMOOTH_MM, compared, truth_of, work_again
 from ebamcheck.pipeline.placement import cut_heights, placed_part
 from ebamcheck.pipeline.plate_record import PLATE, plate_checks
+from ebamcheck.pipeline.resumed import begins_later, entry_of_whole
 from ebamcheck.pipeline.run_folder import MANIFEST, RunFolder
 from ebamcheck.pipeline.signing import trusted_keys
+from ebamcheck.pipeline.solid_metal import with_solid
 from ebamcheck.program import Check, read_program, verify_file
 from ebamcheck.program.checking.header_checks import Truth
 from ebamcheck.program.reading.motions import NCProgram
+from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.scan import ScanPlan
 from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.scan.plan.preheated import asked_for
@@ -52,6 +55,7 @@ def verify(
     *,
     quick: bool = False,
     trusted: Sequence[str | Path] = (),
+    whole: str | Path | None = None,
 ) -> list[Check]:
     """Check a finished run, or a program against a part, from part, settings and the program's text.
 
@@ -68,6 +72,9 @@ def verify(
         Of a run: believe its recorded layers and gates, as far as their hashes hold, and slice nothing anew.
     trusted
         Files and folders of public keys (``*.pub``); if any are given, one of them must have signed the certificate.
+    whole
+        Of a program that begins at a layer: the run folder or program that it is the end of, which is checked in its place; and
+        that all motions are those of it.
 
     Returns
     -------
@@ -98,6 +105,9 @@ def verify(
     ('part sound', True, False)
     """
     place, made_from = Path(target), None if part is None else Path(part)
+    if whole is not None:
+        checks = verify(whole, part, config, quick=quick, trusted=trusted)
+        return [entry_of_whole(place, Path(whole), config or settings_beside(Path(whole))), *checks]
     keys = trusted_keys(trusted) if trusted else None
     if (place / MANIFEST).is_file():
         return verify_run(place, made_from, quick=quick, trusted=keys)
@@ -198,11 +208,12 @@ def compared_again(run: RunFolder, manifest: dict[str, Any], config: Config, par
         again = work_again(run, manifest, config, part)
     except EbamcheckError as error:
         return [Check("worked out again", False, 1.0, 0.0, "faults", str(run.path), str(error))]
+    tables = [] if again.tables is None else [again.tables]
     if manifest.get("program") is None and manifest.get("job") != "check":
-        return [*compared(again, manifest), _no_program()]
+        return [*compared(again, manifest), *tables, _no_program()]
     text = _read_back(run, manifest, config) if isinstance(part, PlatePart) else None
     parts = plate_checks(part, config, text, manifest.get(PLATE), MANIFEST)
-    return [*compared(again, manifest), *parts, *again.checks]
+    return [*compared(again, manifest), *tables, *parts, *again.checks]
 
 
 def _read_back(run: RunFolder, manifest: dict[str, Any], config: Config) -> NCProgram | None:
@@ -232,7 +243,7 @@ def _text_alone(run: RunFolder, manifest: dict[str, Any], config: Config) -> lis
     record = manifest.get("program")
     if record is None:
         return [] if manifest.get("job") == "check" else [_no_program()]
-    return verify_file(
+    return verify_file(  # Of the solid nothing is known here: a quick check needs no part.
         run.program_folder / record["files"][0]["name"],
         config=config,
         curves=Curves.from_parquet(run.path / "beads.parquet"),
@@ -292,11 +303,12 @@ def verify_against_part(
     paper = find_certificate(program)
     maker = str(read_certificate(paper).get("primary", "")) if paper else ""
     layers = slice_part(part, heights)
+    witness = slice_part(part, heights, witness_backend(maker))
     curves = fit(layers, config.curves.method, config.curves, part=part)
     made = verify_file(
         program,
         config=config,
-        layers=slice_part(part, heights, witness_backend(maker)),
+        layers=witness,
         smooth=_smooth(curves, config),
         beads=True,
         metal=True,
@@ -310,6 +322,10 @@ def verify_against_part(
             differences=tuple(_differences(program, config)),
         ),
     )
+    made = with_solid(made, part, witness, config)
+    if not all(check.passed for check in made):
+        z_of = deposition_heights(heights, config.layer_height_mm, config.base_mm)
+        made = [*begins_later(program, z_of, config), *made]
     certified = certificate_checks(paper, program, part_path, config, trusted) if paper else []
     if paper and isinstance(part, PlatePart):
         with suppress(EbamcheckError):  # a program that cannot be read has a failed check of its own

@@ -121,7 +121,8 @@ class ProcessSettings(Section):
     surface_temperature_k: Temperature = 900.0
     """Temperature at which the radiation of the layer is made linear."""
     mass_tolerance: Off = 0.02
-    """Share by which the metal of a program, and of each of its layers, may be off that of the sections."""
+    """Share by which the metal of a program, and of each of its layers, may be off that of the sections, and by which the layers
+    may add to the solid or leave out of it."""
     inside_tolerance: Off = 0.03
     """Share by which the mean height of the metal may be off that of the layer further than a bead width from the border."""
     edge_tolerance: Off = 0.1

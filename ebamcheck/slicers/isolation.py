@@ -175,7 +175,7 @@ def slice_all(
                     _enforce(worker, limits)
                     if worker.has_ended():
                         running.remove(worker)
-                        outcome = _collect(worker, part, heights)
+                        outcome = _collect(worker, part, heights, limits)
                         outcomes[worker.name] = outcome
                         if finished is not None:
                             finished(outcome)
@@ -281,12 +281,15 @@ def _enforce(worker: Worker, limits: Limits) -> None:
         return
     worker.peak_mb = max(worker.peak_mb, resident)
     if resident > limits.memory_mb:
-        why = f"held {resident:.0f} MB, over the limit of {limits.memory_mb:.0f} MB (slicing.memory_limit_mb)"
-        worker.lose("out of memory", why)
+        worker.lose("out of memory", _over_memory(resident, limits))
     elif time.monotonic() - worker.started - _compiled_s(worker) > limits.time_s:
         worker.lose("timed out", f"took over {limits.time_s:g} s (slicing.time_limit_s)")
     elif worker.said_bytes() > LARGEST_SAID_BYTES:
         worker.lose("crashed", f"wrote over {LARGEST_SAID_BYTES // 1_000_000} MB to the terminal")
+
+
+def _over_memory(held_mb: float, limits: Limits) -> str:
+    return f"held {held_mb:.0f} MB, over the limit of {limits.memory_mb:.0f} MB (slicing.memory_limit_mb)"
 
 
 def _compiled_s(worker: Worker) -> float:
@@ -307,7 +310,7 @@ def _resident_mb(worker: Worker) -> float:
     return float(total) / 1e6
 
 
-def _collect(worker: Worker, part: Part, heights: NDArray[np.float64]) -> Outcome:
+def _collect(worker: Worker, part: Part, heights: NDArray[np.float64], limits: Limits) -> Outcome:
     """Turn an ended worker into its outcome; nothing that it has left behind runs on."""
     worker.end()
     while _take_in(worker, None):
@@ -326,6 +329,9 @@ def _collect(worker: Worker, part: Part, heights: NDArray[np.float64]) -> Outcom
         peak_mb=max(worker.peak_mb, told.get("peak_mb", 0.0)),
     )
     failure, why = _failure(worker, part, heights)
+    if not failure and outcome.peak_mb > limits.memory_mb:
+        # It came to its end between two looks.
+        failure, why = "out of memory", _over_memory(outcome.peak_mb, limits)
     if "unwritable" in told and not worker.stranger:
         _discard(worker)
         raise SettingsError(told["unwritable"])

@@ -73,11 +73,19 @@ def _header(run: RunData) -> Markup:
         element("h1", f"Slicing report: {record['name']}"),
         paragraph(
             f"{record['source']}, checked by ebamcheck {run.manifest['ebamcheck']}. "
-            "The part was cut by several methods and the results were compared"
-            + ("." if run.is_check else ", and the program made from them was read back and checked.")
+            "The part was cut by several methods and the results were compared" + _of_program(run)
         ),
         element("nav", *links),
     )
+
+
+def _of_program(run: RunData) -> str:
+    """What became of the program, as the end of the first sentence."""
+    if run.is_check:
+        return "."
+    if run.manifest.get("program") is None:
+        return "; no program was made from them."
+    return ", and the program made from them was read back and checked."
 
 
 def _sections(run: RunData) -> list[Markup]:

@@ -131,7 +131,9 @@ def _compared(
     off = np.zeros(count)
     for mine in ((length >= least_mm) & contour, (length >= least_mm) & ~contour):
         if mine.any():
-            off[mine] = asked[mine] / np.median(asked[mine])
+            usual = float(np.median(asked[mine]))
+            # Where most of a kind lie over nothing, their place asks for nothing, and the others for more than any limit.
+            off[mine] = asked[mine] / usual if usual > 0.0 else np.where(asked[mine] > 0.0, np.inf, 0.0)
     off /= _of_layers(off, nc.layer[first])
     excused = ((off > 1.0) & (limit > 0.5)) | ((off < 1.0) & (limit < -0.5))
     allowed = np.where(length < short_mm, MOST_OF_SHORT, most)

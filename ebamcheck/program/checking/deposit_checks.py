@@ -27,6 +27,9 @@ DEPOSIT_CHECKS = (
 )  # fmt: skip
 """Names of the checks, in their order."""
 
+SOLID = "metal of the solid"
+"""Name of the check of the layers against the volume of the mesh (:mod:`ebamcheck.pipeline.solid_metal`)."""
+
 LEAST_SPOTS = 1.0
 """Bead spots (a bead width squared, one layer high) by which the metal of a layer may be off in any case: the starts and
 ends of its beads."""
@@ -251,4 +254,4 @@ def _surface(solid: pd.DataFrame, config: Config, places: _Places) -> Check:
 
 def of_deposit(checks: Iterable[Check]) -> list[Check]:
     """Those of some checks that are about the metal."""
-    return [check for check in checks if check.name in DEPOSIT_CHECKS]
+    return [check for check in checks if check.name in (*DEPOSIT_CHECKS, SOLID)]

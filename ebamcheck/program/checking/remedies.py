@@ -23,6 +23,10 @@ COARSE = (
 )
 FIT = "fit more closely (curves.tolerance_mm, curves.method), or export the mesh more finely"
 HATCH = "change the spacing (process.bead_spacing), the side of the cells (scan.hexagon_side_mm) or scan.gap_width"
+LEVELS = (
+    "choose layers.layer_height_mm so that level faces fall on borders of layers, move those faces in the model, or, for metal "
+    "that is too much, allow for machining (process.machining_allowance_mm)"
+)
 COOL = 'wait and lower the power (process.interpass = "both"), or raise process.interpass_limit_k'
 WINDOW = "bring wire, feed, power and layer height into the process window (section process)"
 
@@ -50,6 +54,7 @@ REMEDIES: Mapping[str, str] = {
         ),
         HATCH,
     ),
+    "metal of the solid": LEVELS,
     **dict.fromkeys(("layer pause", "interpass temperature"), COOL),
     **dict.fromkeys(("layer heights", "flat layers"), "give layers of one height (layers.layer_height_mm), then " + AGAIN),
     **dict.fromkeys(("preheat calls", "preheat state", "preheat path", "preheat count"), AGAIN),

@@ -1,0 +1,180 @@
+"""What the rule of layers adds to a solid and what it leaves out: each layer has one section all through its height.
+
+Where an underside lies within a layer, the layer is laid whole or not at all: as high as it is, metal is added under that
+face, or lacks over it. Of sloped sides the parts added and left out are alike, up to what the section curves over a layer.
+The volume of a mesh between heights is a closed form (:func:`ebamcheck.curves.stack_evidence.volumes_between`), so that
+what is found here is exact.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from ebamcheck.curves.stack_evidence import volumes_between
+from ebamcheck.mesh.part import Part
+from ebamcheck.numeric.rings import Floats
+
+LEVEL_MM = 0.01
+"""A facet that rises by less is level, and level facets within as much of height are one face: the rounding of files."""
+
+LEVEL_COS = float(np.cos(np.radians(0.5)))
+"""Least share of a level facet's area that is seen from above: a small steep facet rises by little, too."""
+
+SAME_BORDER_MM = 1e-6
+"""A face this near to a border of layers lies on it."""
+
+THIN_MM = 1e-6
+"""Height of the slab over a cut of which the volume gives the area of the section: h + 0, and no facet's height."""
+
+
+class LevelFace(NamedTuple):
+    """Level facets of one height, and what the rule of layers makes of them.
+
+    Areas that look up and down at one height are taken from each other: where a body stands on another, there is no face.
+    """
+
+    z_mm: float
+    """Height in the part."""
+    area_mm2: float
+    up: bool
+    """Whether the solid lies under them."""
+    added_mm: float
+    """How far the metal goes beyond the solid there; negative: how much of it lacks."""
+
+
+@dataclass(frozen=True, eq=False)
+class LayerRule:
+    """What layers add to a solid and leave out.
+
+    Parameters
+    ----------
+    solid_mm3
+        Volume of what the layers stand for.
+    added_mm3, lacking_mm3
+        Metal beyond the solid, and solid without metal: of level faces, and of each layer as a whole beside them.
+    faces
+        Level faces within a layer, or over the last one, the gravest first.
+    """
+
+    solid_mm3: float
+    added_mm3: float
+    lacking_mm3: float
+    faces: tuple[LevelFace, ...]
+
+    @property
+    def share(self) -> float:
+        """The greater of both over the volume of the solid; infinite where that is nothing."""
+        return max(self.added_mm3, self.lacking_mm3) / self.solid_mm3 if self.solid_mm3 > 0.0 else np.inf
+
+
+def layer_rule(
+    part: Part,
+    cuts: Floats,
+    borders: Floats,
+    areas: Floats,
+    volumes: Floats,
+    least_face_mm2: float,
+    allowed_mm: float = 0.0,
+) -> LayerRule:
+    """Hold layers of one section each against the solid.
+
+    Parameters
+    ----------
+    part
+        The part as placed.
+    cuts, borders, areas
+        Height (L,) at which each layer was cut, heights (L + 1,) of the borders between the layers in the part, mm, and area (L,)
+        of each section, mm2.
+    volumes
+        (L + 1,) volume of the solid in each layer and over the last one, mm3.
+    least_face_mm2
+        Level faces under this are not looked at one by one; their layer is, as a whole.
+    allowed_mm
+        Metal this high over or under a level face is wanted: the allowance for machining.
+
+    Returns
+    -------
+    LayerRule
+        What lies under the lowest border counts neither here nor there.
+    """
+    thickness = np.diff(borders)
+    laid = areas * thickness
+    off = laid - volumes[:-1]
+    whole = float(volumes.sum())
+    within = (cuts >= borders[:-1]) & (cuts <= borders[1:])
+    if not within.all():  # Sections from elsewhere: no face has a layer of its own.
+        total = float(laid.sum()) - whole
+        return LayerRule(whole, max(total, 0.0), max(-total, 0.0), ())
+    faces = _judged(level_faces(part, least_face_mm2), cuts, borders)
+    plus, of_faces, wanted = np.zeros(len(cuts)), np.zeros(len(cuts)), np.zeros(len(cuts))
+    for face in faces:
+        k = int(np.searchsorted(borders, face.z_mm, side="right")) - 1
+        if k >= len(cuts):
+            continue  # Over the last layer nothing is laid: that volume lacks, whatever its faces.
+        mm3 = face.area_mm2 * face.added_mm
+        of_faces[k] += mm3
+        plus[k] += max(mm3, 0.0)
+        wanted[k] += mm3 if 0.0 < face.added_mm <= allowed_mm else 0.0
+    over = float(borders[-1])
+    counted = [face for face in faces if face.z_mm < over or volumes[-1] > 0.0]
+    added = plus + np.maximum(off - of_faces, 0.0)
+    # A layer cannot add more than it has, nor leave out more than there is.
+    added = np.clip(added, np.maximum(off, 0.0), np.maximum(np.minimum(laid, off + volumes[:-1]), 0.0))
+    lacking = added - off
+    return LayerRule(
+        whole,
+        float(np.maximum(added - wanted, 0.0).sum()),
+        float(lacking.sum() + volumes[-1]),
+        tuple(sorted(counted, key=lambda face: -abs(face.area_mm2 * face.added_mm))),
+    )
+
+
+def level_faces(part: Part, least_mm2: float) -> list[LevelFace]:
+    """Level faces of at least that area, from below; `added_mm` is 0."""
+    corners = part.vertices[part.faces[np.ptp(part.vertices[part.faces, 2], axis=1) <= LEVEL_MM]]
+    normal = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    level = np.abs(normal[:, 2]) > LEVEL_COS * np.linalg.norm(normal, axis=1)
+    z, area = corners[level, :, 2].mean(axis=1), normal[level, 2]
+    order = np.argsort(z, kind="stable")
+    z, area = z[order], area[order]
+    found, start = [], 0
+    while start < z.size:
+        stop = int(np.searchsorted(z, z[start] + LEVEL_MM, side="right"))
+        size, net_mm2 = np.abs(area[start:stop]), float(area[start:stop].sum())
+        if abs(net_mm2) >= least_mm2:
+            z_mm = float(np.average(z[start:stop], weights=size))
+            found.append(LevelFace(z_mm, abs(net_mm2), net_mm2 > 0.0, 0.0))
+        start = stop
+    return found
+
+
+def _judged(faces: list[LevelFace], cuts: Floats, borders: Floats) -> list[LevelFace]:
+    """Faces that lie within a layer, or over the last one, with what the layer makes of them."""
+    found = []
+    for face in faces:
+        k = int(np.searchsorted(borders, face.z_mm + SAME_BORDER_MM, side="right")) - 1
+        if k < 0 or np.abs(borders - face.z_mm).min() <= SAME_BORDER_MM:
+            continue
+        if k >= len(cuts):
+            added = float(borders[-1]) - face.z_mm
+        elif face.up:
+            # The section of a cut is that of h + 0: a face at the cut itself has its solid below.
+            over = face.z_mm > cuts[k]
+            added = float(borders[k + 1] if over else borders[k]) - face.z_mm
+        else:
+            over = face.z_mm > cuts[k]
+            added = face.z_mm - float(borders[k + 1] if over else borders[k])
+        if face.up or k < len(cuts):
+            found.append(face._replace(added_mm=added))
+    return found
+
+
+def section_areas(part: Part, cuts: Floats) -> Floats:
+    """Area (L,) of the sections of a mesh at rising heights, mm2; where bodies overlap, that of each of them."""
+    if not len(cuts):
+        return np.zeros(0)
+    slabs = np.column_stack([cuts, cuts + THIN_MM]).ravel()
+    return volumes_between(part, slabs)[::2] / np.diff(slabs)[::2]
