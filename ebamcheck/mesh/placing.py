@@ -66,7 +66,7 @@ def cosine_and_sine(angle_deg: float) -> tuple[float, float]:
 
 
 def placing_of(part: Part, place_at_mm: tuple[float, ...] | None = None, turn_deg: float = 0.0) -> Placing:
-    """Turn a part about the middle of its box, then bring the middle of the turned box to a place.
+    """Return the placing that turns a part about the middle of its box, then moves the middle of the turned box to a place.
 
     Parameters
     ----------

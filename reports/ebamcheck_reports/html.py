@@ -42,7 +42,7 @@ SECTIONS: tuple[tuple[str, str, Callable[[RunData], Markup]], ...] = (
 )
 
 OF_THE_PROGRAM = ("fit", "scan", "metal", "program", "certificate")
-"""Sections that a cross-check alone has nothing for."""
+"""Sections that are left out for a cross-check alone."""
 
 
 def write(run: RunFolder) -> list[str]:
@@ -61,7 +61,7 @@ def document(run: RunData) -> str:
 
 
 def _chapters(run: RunData) -> list[tuple[str, str, Callable[[RunData], Markup]]]:
-    """Sections that the job has something for."""
+    """Sections that apply to the job."""
     return [chapter for chapter in SECTIONS if not (run.is_check and chapter[0] in OF_THE_PROGRAM)]
 
 
@@ -86,7 +86,7 @@ def _sections(run: RunData) -> list[Markup]:
         try:
             made.append(render(run))
         except EbamcheckError as error:
-            # A file of the run that is missing or damaged costs its section, not the report.
+            # A missing or damaged file of the run costs its section, not the whole report.
             made.append(
                 section(
                     anchor, title, "This section cannot be shown.", paragraph(str(error), class_="note bad")
