@@ -57,7 +57,7 @@ def document(run: RunData) -> str:
     """Build the whole page."""
     name = run.part_of("part")["name"]
     main = element("main", *_sections(run))
-    return page(f"ebamcheck: {name}", _header(run), main, _footer(run), element("script", _script()))
+    return page(f"ebamcheck: {name}", _header(run), main, _footer(), element("script", _script()))
 
 
 def _chapters(run: RunData) -> list[tuple[str, str, Callable[[RunData], Markup]]]:
@@ -95,7 +95,7 @@ def _sections(run: RunData) -> list[Markup]:
     return made
 
 
-def _footer(run: RunData) -> Markup:
+def _footer() -> Markup:
     return element(
         "footer",
         paragraph("Every figure is from ", element("code", "run.json"), " in the folder of this report."),

@@ -19,7 +19,7 @@ MOST_SHEETS = 12
 """Most layers of a pair that are examined: enough to find what they have in common."""
 
 MOST_POINTS = 300_000
-"""Most points on all these layers, of both slicers together."""
+"""Largest total size of these layers, of both slicers together, in the measure given to :func:`sample`."""
 
 WINDOW = 32
 """Layers read from a file at once."""
