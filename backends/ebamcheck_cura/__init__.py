@@ -1,4 +1,4 @@
-"""Slicer by the program CuraEngine: an outside witness, read from the G-code of its surface mode."""
+"""The program CuraEngine as a slicer: an independent check, read from the G-code of its surface mode."""
 
 from __future__ import annotations
 

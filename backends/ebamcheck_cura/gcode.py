@@ -1,8 +1,7 @@
 """Paths in the G-code that CuraEngine writes in surface mode: the contours of every layer.
 
-A path begins where a travel (``G0``) ends and runs along the moves with extrusion (``G1``); a move without both
-coordinates goes nowhere in the plane. A path that comes back to its start is a ring, and what follows without a travel
-begins another one there.
+A path begins where a travel (``G0``) ends and follows the moves with extrusion (``G1``); a move without X and Y
+stays in place. A path that returns to its start is a ring; if no travel follows, another path begins there.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ def read_paths(text: bytes) -> dict[int, list[Floats]]:
     Raises
     ------
     BackendFailed
-        If the text is cut.
+        If the text is truncated.
     """
     if END_WORD not in text[-200:]:
         raise BackendFailed("what CuraEngine wrote is cut: its end code is missing")
@@ -46,7 +45,7 @@ def read_paths(text: bytes) -> dict[int, list[Floats]]:
 
 
 def _sizes(text: bytes) -> tuple[int, int]:
-    """Upper bounds of the points and of the paths: every path has a travel or closes one before it."""
+    """Upper bounds of the numbers of points and paths: each path follows a travel or a ring that closed."""
     moves = text.count(b"\nG1 ")
     return 2 * moves + 2, moves + 1
 

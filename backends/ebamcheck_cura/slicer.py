@@ -1,7 +1,7 @@
-"""The program CuraEngine behind the protocol of a slicer.
+"""CuraEngine behind the slicer protocol.
 
-In surface mode CuraEngine drives along the contours of a layer. It works in whole micrometres and takes vertices within
-30 of them for one, so it gets the part magnified, as far as its 64-bit products allow.
+In surface mode CuraEngine follows the contours of a layer. It works in whole micrometres and merges vertices within 30 um of
+each other, so the part is magnified for it, as far as its 64-bit products allow.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ PROGRAM = Program(
 )
 
 DEFINITIONS = "EBAMCHECK_CURA_DEFINITIONS"
-"""Environment variable that names the folder of Cura's definitions where it is none of the usual ones."""
+"""Environment variable with the folder of Cura's definitions, if it is none of the usual ones."""
 
 USUAL_DEFINITIONS = ("/usr/share/cura/resources/definitions", "/usr/local/share/cura/resources/definitions")
 
@@ -47,23 +47,23 @@ UNIT = 1e-3
 """CuraEngine's unit of length, a micrometre, mm."""
 
 WORKING_SIZE = 2.0**20 * UNIT
-"""Larger side of the part as CuraEngine gets it, mm; at least half of it. From about 1.5 million units on, products of
-three lengths overflow where it drops points that are nearly collinear, and it drops corners."""
+"""Larger side of the part as CuraEngine gets it, mm: between half of this and this. From about 1.5 million units on, products of
+three lengths overflow in its test for nearly collinear points, and it drops corners."""
 
 TALLEST = 2**28
 """Largest height of the part as CuraEngine gets it, in its units: the product with a side stays within 64 bits."""
 
 MERGE_UNITS = 30.0
-"""Distance within which vertices are one to CuraEngine (``vertex_meld_distance`` in its source), in units."""
+"""Distance within which CuraEngine merges vertices (``vertex_meld_distance`` in its source), in its units."""
 
 OTHER_UNITS = 6.0
-"""Roundings to whole units, and the distance of 5 within which points of a path are one or collinear."""
+"""Rounding to whole units (1), and the distance within which points of a path are merged or collinear (5), in its units."""
 
 
 class Cura:
-    """Contours of the program CuraEngine, as the G-code of its surface mode follows them.
+    """Contours by the program CuraEngine, as its G-code in surface mode follows them.
 
-    The paths have no direction, so that solid is what lies within an odd number of rings; a part whose
+    The paths have no direction, so the solid is what lies within an odd number of rings; a part whose
     shells cross is refused. Paths of open surfaces stay open.
     """
 

@@ -1,13 +1,13 @@
-"""Where in-plane rays cross the contour: decided and placed in float64 from the facets that Embree names.
+"""Where in-plane rays cross the contour: decided and located in float64 on the facets that Embree reports.
 
 A plane cuts each facet in a directed segment, material on its left. A ray crosses a segment whose ends lie
 on both sides of it, ends on the ray counting as below. Both decisions compare float64 numbers that
 neighbouring facets share bit for bit, so a closed mesh gives closed answers whatever Embree rounds.
 
-The crossings that a ray must have are counted from the segments first: a ray that has none is not cast, and one
-that has all of its own is not cast again. Embree gives the first hit of a ray only, so of facets that lie in one
-place (walls of shells that touch or overlap) it names one; a ray that it leaves short is measured against the
-segments themselves.
+The crossings that a ray must have are counted from the segments first: a ray without any is not cast, and one
+that has found all of its crossings is not cast again. Embree reports only the first hit of a ray, so of coincident
+facets (walls of shells that touch or overlap) it reports one; a ray that lacks crossings afterwards is intersected
+with the segments themselves.
 """
 
 from __future__ import annotations

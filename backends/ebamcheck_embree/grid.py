@@ -1,4 +1,4 @@
-"""The grid of rays: where its lines lie, and how fine it is if nobody says."""
+"""The grid of rays: where its lines lie, and its default cell."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ Lattice = tuple[float, float, float, int, int]
 """First column's x and first row's y, mm, the cell, mm, and the numbers of columns and rows."""
 
 COARSE_LINES = 1024
-"""Cells along the longer side of a small part: the paper's image is of this order."""
+"""Cells along the longer side of a small part: of the order of the paper's image."""
 
 FINE_LINES = 4096
-"""Cells along the longer side that an automatic grid does not exceed, to keep the cost of a layer bounded."""
+"""Most cells along the longer side of an automatic grid, to bound the cost of a layer."""
 
 USUAL_CELL_MM = 0.1
-"""Cell of a part of usual size: the pixel of the paper (section 2.2)."""
+"""Cell for a part of usual size: the pixel of the paper (section 2.2)."""
 
 LARGEST_LINE_COUNT = 65_536
 LARGEST_NODE_COUNT = 1 << 26
-"""More lines, or in vertical mode more nodes, than this is a mistyped cell: it would not fit into memory."""
+"""Most lines, and in vertical mode most nodes: more come from a mistyped cell and would not fit into memory."""
 
 OFFSET_X, OFFSET_Y = 0.381966, 0.276393
-"""Fractions of a cell by which lines miss the box of the part: faces and vertices of a drawing lie at round
-numbers, these (parts of the golden and the square root of five) do not."""
+"""Fractions of a cell by which the lines are offset from the part's box. Faces and vertices of a drawing lie at round
+numbers and the lines must not, so these are close to irrational numbers: 2 - golden ratio, and (5 - sqrt 5) / 10."""
 
 
 @dataclass(frozen=True)
@@ -47,17 +47,17 @@ class Grid:
 
     @property
     def lattice(self) -> Lattice:
-        """The grid as kernels take it."""
+        """The grid in the form that kernels take."""
         return self.x0_mm, self.y0_mm, self.cell_mm, self.columns, self.rows
 
     @property
     def column_x_mm(self) -> NDArray[np.float64]:
-        """Abscissa of each column of nodes, (columns,)."""
+        """x of each column of nodes, (columns,) mm."""
         return self.x0_mm + self.cell_mm * np.arange(self.columns, dtype=np.float64)
 
     @property
     def row_y_mm(self) -> NDArray[np.float64]:
-        """Ordinate of each row of nodes, (rows,)."""
+        """y of each row of nodes, (rows,) mm."""
         return self.y0_mm + self.cell_mm * np.arange(self.rows, dtype=np.float64)
 
 

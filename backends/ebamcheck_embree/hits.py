@@ -1,4 +1,4 @@
-"""Hits of rays, one slot for each ray, and the borders of the material that follow from them."""
+"""Hits of rays, in a range of rows for each ray, and the borders of the material that follow from them."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck_embree.scene import Bools, Facets, Floats, Ints
 
 SORT_BY_INSERTION = 48
-"""Hits come nearly in order; beyond this many a ray is sorted by a general method first."""
+"""Most hits of a ray that are sorted by insertion, as they come nearly in order; more are sorted by a general method."""
 
 
 class Hits(NamedTuple):
-    """Facets that rays pass, where, and which way; a ray's room is as large as it must have hits."""
+    """Facets that rays pass, with place and direction; each ray has as many rows as it must have hits."""
 
     starts: Ints
-    """(R + 1,) first place of each ray's room."""
+    """(R + 1,) first row of each ray."""
     known: Ints
-    """(R,) hits of each ray so far."""
+    """(R,) number of hits of each ray so far."""
     along: Floats
     """(H,) place on the ray, mm."""
     sign: Ints
-    """(H,) +1 where the ray enters, -1 where it leaves, 0 if it passes an edge only."""
+    """(H,) +1 where the ray enters, -1 where it leaves, 0 if it only passes an edge."""
     facet: Facets
     """(H,) facet."""
 

@@ -22,7 +22,7 @@ from ebamcheck_embree.slabs import Slabs
 from ebamcheck_embree.stack import PIECES_A_THREAD, GridRays
 
 SEGMENTS_AT_ONCE = 1 << 22
-"""Segments of the sections that are held together by a thread, unless one section alone has more: at most 150 MB."""
+"""Most segments of sections that a thread holds at once, unless a single section has more: at most 150 MB."""
 
 
 class InPlaneRays(GridRays):
@@ -31,12 +31,12 @@ class InPlaneRays(GridRays):
     def __init__(self, part: Part, grid: Grid, rays_per_call: int, labels: Mapping[str, Any]) -> None:
         super().__init__(part, grid, rays_per_call, labels)
         self._slabs = Slabs(self.mesh, axis=2)
-        # By axis: where the rays along it lie across it, and where they start, outside the part's box.
+        # By axis: the coordinates of its rays across it, and where they start, outside the part's box.
         self._lines = (grid.row_y_mm, grid.column_x_mm)
         self._start_mm = (grid.x0_mm - 0.01 * float(part.size[0]), grid.y0_mm - 0.01 * float(part.size[1]))
 
     def pieces(self, z_mm: Floats) -> Ints:
-        """Divide within slabs, as one call of Embree and the room for sections allow."""
+        """Divide within slabs, as the rays of one call of Embree and the memory for sections allow."""
         slab = self._slabs.of(z_mm)
         borders_of_slabs = [0, *(np.flatnonzero(np.diff(slab)) + 1).tolist(), len(z_mm)]
         fair = -(-len(z_mm) // (PIECES_A_THREAD * thread_count()))

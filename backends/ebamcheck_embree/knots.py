@@ -1,8 +1,8 @@
 """Where the contour crosses the grid: the knots that marching squares joins.
 
-The rows of the grid say which nodes are inside; where two neighbouring rows differ, the contour crosses the
+The rows of the grid decide which nodes are inside; where two neighbouring rows differ, the contour crosses the
 grid edge between them. Every cell then has 0, 2 or 4 crossed edges whatever rounding did, so contours close.
-A crossing is one *knot* of a contour: on a row at its own place, on a column where that column's ray says.
+A crossing is one *knot* of a contour: on a row at the border of its ray, on a column where that column's ray has one.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ RayColumns = tuple[Ints, Floats, Facets, Bools]
 """The columns `starts`, `along`, `facet` and `paired` of :class:`ebamcheck_embree.hits.Borders`."""
 
 NO_FACET = -1
-"""Facet of a knot that lies at the middle or an end of a grid edge for want of a crossing."""
+"""Facet of a knot without a crossing, which lies at the middle or an end of its grid edge."""
 
 
 class RowKnots(NamedTuple):
@@ -31,7 +31,7 @@ class RowKnots(NamedTuple):
     node: Ints
     """(K,) column of the node at the right end of the crossed edge."""
     along: Floats
-    """(K,) abscissa of the knot, mm."""
+    """(K,) x of the knot, mm."""
     facet: Facets
 
 
@@ -41,9 +41,9 @@ class ColumnKnots(NamedTuple):
     starts: Ints
     """(rows + 1,) first knot between row j and row j + 1."""
     node: Ints
-    """(K,) column on which the knot lies, ascending from `starts` to `starts`."""
+    """(K,) column on which the knot lies, ascending within each pair of rows."""
     along: Floats
-    """(K,) ordinate of the knot, mm."""
+    """(K,) y of the knot, mm."""
     facet: Facets
     up: Bools
     """(K,) whether the column enters the material there."""

@@ -1,7 +1,7 @@
 """Marching squares on the few cells that a contour passes.
 
-Source: the marching squares of the paper (section 3.1), with the measured crossing of each grid edge in the
-place of the interpolated one of its formula 4.
+Source: the marching squares of the paper (section 3.1), with the measured crossing of each grid edge instead
+of the interpolated one of its formula 4.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from ebamcheck_embree.scene import Bools, Facets, Floats, Ints
 from ebamcheck_embree.section import Mesh, edge_point
 
 SADDLE = -1
-"""Cell of a link where four knots meet: nothing is added to it."""
+"""Cell of a link in a cell with four knots: no corner of the section is added to such a link."""
 
 
 @kernel

@@ -1,7 +1,7 @@
 """Marching squares on a raster of nodes, 64 to a word, through the middles of the crossed grid edges.
 
-Knots in the middles of edges lie on whole numbers of half cells, so runs that are straight are told exactly, and
-points within them are left out. Nodes of the material that touch at a corner only stay apart.
+Middles of edges lie at whole numbers of half cells, so straight runs are recognised exactly, and the points within
+them are left out. Nodes of the material that touch only at a corner stay separate.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from ebamcheck_embree.marching import links
 from ebamcheck_embree.scene import Bools, Floats, Ints
 
 Raster = NDArray[np.uint64]
-"""(rows, words): bit i of word w tells whether node 64 w + i of the row is in the material."""
+"""(rows, words): bit i of word w is set if node 64 w + i of the row is in the material."""
 
 HalfCells = NDArray[np.int32]
 
 FIRST_KNOTS = 4096
-"""Room for knots at first; it doubles as needed."""
+"""Initial room for knots; it doubles as needed."""
 
 _ONE = np.uint64(1)
 _TOP = np.uint64(63)

@@ -11,11 +11,11 @@ from ebamcheck_embree.scene import Floats, Ints
 
 FIRST_POINTS = 4096
 FIRST_RINGS = 64
-"""Room at first; it doubles as needed."""
+"""Initial room; it doubles as needed."""
 
 
 class Rings(NamedTuple):
-    """Rings of consecutive layers; columns are as long as their room, of which `used` tells what is filled."""
+    """Rings of consecutive layers; of the columns, which have room to spare, `used` gives the filled part."""
 
     points: Floats
     """(N, 2) mm."""
@@ -26,7 +26,7 @@ class Rings(NamedTuple):
     unpaired: Ints
     """(L,) rays of each layer that did not pair."""
     used: Ints
-    """(2,) points and rings so far."""
+    """(2,) numbers of points and rings so far."""
 
 
 @kernel

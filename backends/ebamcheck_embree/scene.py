@@ -1,4 +1,4 @@
-"""The part as an Embree scene, and rays that are followed from facet to facet."""
+"""The part as an Embree scene, and the casting of rays from facet to facet."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ Facets = NDArray[np.int32]
 Bools = NDArray[np.bool_]
 
 ROBUST = False
-"""Whether Embree intersects watertightly. What it misses is found in float64, so its faster way does."""
+"""Whether Embree uses its watertight intersection. What it misses is found in float64, so the faster one is enough."""
 
 ONE_ULP = np.float32(2.0**-23)
-"""Relative to a number of single precision: so much farther is another number, the next one or that after it."""
+"""Relative step of single precision: a number grown by it is the next one or the one after that."""
 
 LEAST_STEP = np.finfo(np.float32).tiny
-"""Step past a facet at 0, mm."""
+"""Least step past a facet, mm: that at coordinate 0."""
 
 LARGEST_STEP_EXPONENT = 60
-"""Steps past a facet that is met again double so often at most: they are longer than any part then."""
+"""Most doublings of the step past a facet that is met again: by then it is longer than any part."""
 
 
 class UnderWay(NamedTuple):
@@ -35,16 +35,16 @@ class UnderWay(NamedTuple):
     ray: Ints
     """(R,) number of each ray."""
     origin: Singles
-    """(R, 3) from where each is cast next; at first outside the part."""
+    """(R, 3) origin of the next cast; at first outside the part."""
     last: Facets
-    """(R,) facet that each met last, -1 at first."""
+    """(R,) facet that each ray met last, -1 at first."""
     repeats: NDArray[np.int32]
-    """(R,) how often in a row each has met that facet again."""
+    """(R,) how often in a row each ray has met that facet again."""
 
 
 Take = Callable[[Facets, Singles, UnderWay], int]
-"""Takes the facet (R,) that each ray met, any other number for none, and how far it was (R,); moves the rays that go on
-to the front, each to its new origin (:func:`go_on`), and returns how many those are."""
+"""Callback after a cast, with the facet (R,) that each ray met, out of range for none, and its distance (R,). It moves the rays
+that go on to the front, each to its new origin (:func:`go_on`), and returns their number."""
 
 
 def under_way(rays: Ints, origins: Singles) -> UnderWay:
@@ -54,7 +54,7 @@ def under_way(rays: Ints, origins: Singles) -> UnderWay:
 
 
 class Scene:
-    """Tree over the facets in single precision; it tells candidates, never places."""
+    """Embree's tree over the facets, in single precision: it gives candidate facets, never coordinates."""
 
     def __init__(self, vertices: Floats, faces: Facets) -> None:
         from embreex.mesh_construction import TriangleMesh
@@ -66,7 +66,7 @@ class Scene:
         self._scene.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))
 
     def follow(self, rays: UnderWay, axis: int, take: Take) -> None:
-        """Cast rays up an axis until `take` lets none of them go on; Embree gives one facet a cast."""
+        """Cast rays up an axis until `take` lets none of them go on; Embree reports one facet per cast."""
         direction = np.zeros((1, 3), np.float32)  # of all rays
         direction[0, axis] = 1.0
         count = len(rays.ray)

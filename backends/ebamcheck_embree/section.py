@@ -1,7 +1,7 @@
-"""The mesh's own section in float64: which facets a plane cuts, and in which directed segments.
+"""The mesh's own section in float64: the facets that a plane cuts, and the directed segment in each.
 
 Neighbouring facets compute the point on their common edge from the same numbers, so the segments of a closed
-mesh join bit for bit.
+mesh meet bit for bit.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from ebamcheck_embree.scene import Facets, Floats, Ints
 
 
 class Mesh(NamedTuple):
-    """A mesh about its centre."""
+    """A mesh in coordinates from its centre, mm."""
 
     vertices: Floats
     faces: Facets
 
 
 class Sections(NamedTuple):
-    """Sections at several heights: facet by facet, so that a facet's segment at a height is found at once."""
+    """Sections at several heights, facet by facet, so that a facet's segment at a height is found directly."""
 
     first: Ints
-    """(F,) first of the heights at which each facet is cut; it is cut at each height from there on."""
+    """(F,) first height at which each facet is cut; its segments are those of consecutive heights from there."""
     starts: Ints
     """(F + 1,) first segment of each facet."""
     segments: Floats

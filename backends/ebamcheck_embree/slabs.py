@@ -13,17 +13,17 @@ from ebamcheck_embree.scene import Facets, Floats, Ints, Scene
 from ebamcheck_embree.section import Mesh, part_of
 
 FACETS_A_SLAB = 8192
-"""Facets of a slab at least, on average: a tree of fewer is hardly faster."""
+"""Least mean number of facets in a slab: a tree of fewer is hardly faster."""
 
 FACETS_THROUGH_A_SLAB = 4.0
-"""Thickness of a slab over the mean extent of facets across it at least: a facet lies in 1.25 slabs on average."""
+"""Least thickness of a slab, over the mean extent of facets across it: a facet then lies in 1.25 slabs on average."""
 
 SLABS_KEPT = 8
-"""Slabs that stay made once they were asked for: more than threads that work side by side want."""
+"""Slabs that are kept, the latest used: more than parallel threads need at once."""
 
 
 class Sorted(NamedTuple):
-    """Facets by place along an axis: which ones reach into which of equally thick slabs."""
+    """Facets by the equally thick slabs across an axis into which they reach."""
 
     bottom_mm: float
     per_mm: float
@@ -48,7 +48,7 @@ class _Made:
 
 
 class Slabs:
-    """A mesh in slabs across an axis; each is made when it is asked for, and the latest are kept."""
+    """A mesh in slabs across an axis; each is made on demand, and the latest used are kept."""
 
     def __init__(self, mesh: Mesh, axis: int) -> None:
         self._mesh = mesh
@@ -58,11 +58,11 @@ class Slabs:
         self._spare: list[Facets] = []
 
     def of(self, places_mm: ArrayLike) -> Ints:
-        """Slab of each of some places along the axis: every facet that reaches there reaches into it."""
+        """Slab (L,) of each place along the axis, mm; it holds every facet that reaches there."""
         return _slabs_at(np.asarray(places_mm, dtype=np.float64), self._sorted)
 
     def facets_in(self, slab: int) -> int:
-        """Facets that reach into a slab."""
+        """Number of facets that reach into a slab."""
         return int(self._sorted.starts[slab + 1] - self._sorted.starts[slab])
 
     def __getitem__(self, slab: int) -> Slab:

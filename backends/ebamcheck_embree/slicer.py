@@ -1,4 +1,4 @@
-"""The ray-casting slicer behind the protocol of a slicer."""
+"""The ray-casting slicer behind the slicer protocol."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from ebamcheck.settings.base import Between
 from ebamcheck_embree.grid import Mode, automatic_cell_mm, grid_over
 
 IN_PLANE_BOUND = math.sqrt(0.5)
-"""Bound over cell, in-plane. What a cell gives or takes wrongly is a union of triangles whose corners are
+"""Error bound over cell, in-plane. The area that a cell gets wrong is a union of triangles whose corners are
 nodes of the other side or points of the contour, all in one cell: no point of it is farther from a corner
 than the radius of the circle around the cell."""
 
 VERTICAL_BOUND = math.sqrt(10.0) / 4.0
-"""Bound over cell, vertical. Knots in the middle of grid edges may lie off the contour, so only nodes
-count: the farthest is the middle of a cut corner, from the two nodes beside that corner."""
+"""Error bound over cell, vertical. Knots in the middle of grid edges may lie off the contour, so only distances from nodes
+count: the farthest point is the middle of a cut corner, from the two nodes beside that corner."""
 
 SINGLE_EPS = 2.0**-24
 SINGLE_ROUNDINGS = 8.0
@@ -42,7 +42,7 @@ class EmbreeSettings(BackendSettings):
 
 
 class Embree:
-    """Ray casting with Embree; float64 decides and places what its single precision finds."""
+    """Ray casting with Embree; what its single precision finds is decided and located in float64."""
 
     name: ClassVar[str] = "embree"
     summary: ClassVar[str] = "ray casting by Embree, in-plane or vertical, and marching squares"
@@ -63,7 +63,7 @@ class Embree:
         return Probe(True, versions={"embreex": found})
 
     def error_bound_mm(self, part: Part, settings: BackendSettings) -> float:
-        """Return what a cell may hide, and single and double rounding at the part's size, mm."""
+        """Return the error that a cell may hide plus single and double rounding at the part's size, mm."""
         checked = _own(settings)
         cell = checked.grid_mm or automatic_cell_mm(part, checked.mode)
         factor = IN_PLANE_BOUND if checked.mode == "in-plane" else VERTICAL_BOUND
@@ -71,7 +71,7 @@ class Embree:
         return factor * cell + single + 4.0 * np.finfo(np.float64).eps * float(np.abs(part.bounds).max())
 
     def height_bound_mm(self, part: Part, settings: BackendSettings) -> float:
-        """Return single rounding of heights about the part's middle, and double rounding at its place, mm."""
+        """Return single rounding of heights from the part's middle plus double rounding of absolute heights, mm."""
         single = 4.0 * SINGLE_EPS * 0.5 * float(part.size[2])
         return single + 4.0 * np.finfo(np.float64).eps * float(np.abs(part.bounds[:, 2]).max())
 

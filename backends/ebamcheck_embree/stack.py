@@ -1,4 +1,4 @@
-"""What both methods share: the part about its centre, blocks of layers on all threads, one stack at the end."""
+"""Base of both ray-casting methods: coordinates from the part's centre, and blocks of layers on all threads."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ log = logging.getLogger(__name__)
 
 
 PIECES_A_THREAD = 4
-"""Pieces of a stack for each thread at least, where it has so many layers: they take unequal time."""
+"""Least number of pieces of a stack per thread, if it has enough layers: they take unequal time."""
 
 
 class GridRays(ABC):
-    """A part made ready for one way of casting rays."""
+    """A part prepared for one way of casting rays."""
 
     def __init__(self, part: Part, grid: Grid, rays_per_call: int, labels: Mapping[str, Any]) -> None:
         self.part = part
@@ -57,7 +57,7 @@ class GridRays(ABC):
 
     @abstractmethod
     def cut(self, z_mm: Floats) -> Iterator[Rings]:
-        """Cut a piece at heights about the centre of the part, some layers at a time; a layer's result is its own."""
+        """Cut a piece at heights from the centre of the part, some layers at a time; no layer depends on the others."""
 
     def slice(self, heights: Floats, progress: Progress | None = None) -> Layers:
         """Cut at strictly increasing heights (L,), mm, on all threads."""
@@ -106,7 +106,7 @@ class GridRays(ABC):
         )
 
     def _report_unpaired(self, heights: Floats, unpaired: Ints) -> None:
-        """Warn of layers in which rays do not pair."""
+        """Warn of layers with rays whose borders do not come in pairs."""
         if unpaired.any():
             worst = int(np.argmax(unpaired))
             log.warning(
@@ -117,10 +117,10 @@ class GridRays(ABC):
 
 
 def joined(blocks: Iterator[Layers]) -> Layers:
-    """Join consecutive blocks of layers as they come; none is kept once its points are copied.
+    """Join consecutive blocks of layers as they come; a block is released once its points are copied.
 
-    The points' column grows in place: memory that nobody has touched before is what costs time here, and this way
-    the points are never there twice.
+    The column of points grows in place: memory touched for the first time is what costs time here, and the points are
+    never held twice.
     """
     points = np.empty((0, 2))
     kept: list[Layers] = []

@@ -19,7 +19,7 @@ from ebamcheck_embree.section import part_of
 from ebamcheck_embree.stack import PIECES_A_THREAD, GridRays
 
 LEAST_LAYERS = 16
-"""Layers of a piece at least: fewer cost more than they save."""
+"""Fewest layers of a piece: fewer cost more than they save."""
 
 LAYERS_AT_ONCE = 32
 """Layers whose rings are brought into canonical form together: their points stay in the processor's cache."""
@@ -35,7 +35,7 @@ class Towers(NamedTuple):
 
 
 class VerticalRays(GridRays):
-    """The material above each node, as intervals of height."""
+    """The material above each node, as intervals of z."""
 
     def __init__(self, part: Part, grid: Grid, rays_per_call: int, labels: Mapping[str, Any]) -> None:
         super().__init__(part, grid, rays_per_call, labels)
@@ -44,7 +44,7 @@ class VerticalRays(GridRays):
         self._towers = _borrowed(Towers(found.starts, found.along), found.paired, grid.columns)
 
     def _cast_all(self) -> Borders:
-        """Cast the ray of every node that lies over a facet, in blocks; the tree has no facets but those."""
+        """Cast the ray of every node that lies over a facet, in blocks; the tree holds only such facets."""
         lattice = self.grid.lattice
         counts, is_counted = facet_counts(self.mesh, lattice)
         mesh = part_of(
@@ -78,12 +78,12 @@ class VerticalRays(GridRays):
         return origins
 
     def pieces(self, z_mm: Floats) -> Ints:
-        """Divide evenly: each piece goes through all towers once."""
+        """Divide evenly: each piece needs one pass over all rays."""
         count = max(1, min(PIECES_A_THREAD * thread_count(), len(z_mm) // LEAST_LAYERS))
         return np.arange(count + 1) * len(z_mm) // count
 
     def cut(self, z_mm: Floats) -> Iterator[Rings]:
-        """Cut by turning over, from each layer to the next, the nodes whose rays pass a border between."""
+        """Cut by flipping, from each layer to the next, the nodes whose rays pass a border between the two."""
         turn_starts, nodes = _turns(self._towers, z_mm)
         raster = empty_raster(self.grid.lattice)
         for first in range(0, len(z_mm), LAYERS_AT_ONCE):
@@ -94,11 +94,11 @@ class VerticalRays(GridRays):
 
 
 def _borrowed(towers: Towers, paired: Bools, columns: int) -> Towers:
-    """Give each ray that does not pair the tower of the nearest one to its left in its row that does."""
+    """Give each ray whose borders do not pair the intervals of the nearest ray to its left in its row whose do."""
     if paired.all():
         return towers
     own = np.where(paired, np.arange(paired.size), -1).reshape(-1, columns)
-    source = np.maximum.accumulate(own, axis=1).ravel()  # -1: no ray to the left pairs, nothing is met
+    source = np.maximum.accumulate(own, axis=1).ravel()  # -1: no ray to the left pairs, so no material
     sizes = np.where(source >= 0, np.diff(towers.starts)[source], 0)
     starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
     rows = np.arange(starts[-1]) + np.repeat(towers.starts[source] - starts[:-1], sizes)

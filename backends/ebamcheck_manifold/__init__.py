@@ -1,4 +1,4 @@
-"""Slicer by manifold3d: an exact plane cut in double precision of meshes that bound a solid."""
+"""manifold3d as a slicer: an exact plane cut, in double precision, of meshes that bound a solid."""
 
 from __future__ import annotations
 

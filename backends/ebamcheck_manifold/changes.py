@@ -1,8 +1,8 @@
-"""Where the solid that manifold3d holds is not the mesh that it was given.
+"""Where the solid that manifold3d builds differs from the mesh that it was given.
 
-manifold3d mends what it takes for degenerate when it builds a solid: it turns the common edge of two facets,
-and leaves out facets without area or in pairs back to back. It says nothing of it and has no switch for it.
-Sections there may be off by far more than rounding, so the places are declared.
+manifold3d repairs what it takes for degenerate: it swaps the common edge of two facets, and leaves out facets without area
+and pairs of facets back to back. It does not report this and has no option against it. Sections there may be wrong by far more
+than rounding, so the places are declared as doubtful.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
     from manifold3d import Manifold
 
 MOST_REGIONS = 16
-"""Boxes declared at most; more are merged with their neighbours in height."""
+"""Most boxes declared; further ones are merged with their neighbours in height."""
 
 LEAST_SLOPE = 0.05
-"""Share of a normal in the plane of the layers: sections of a flatter group move too far to be bounded."""
+"""Least horizontal part of a group's unit normal: sections of a flatter group may move too far to be bounded."""
 
 BOUND_MARGIN = 1.01
-"""Rounding, and the ends of the slab."""
+"""Factor on a bound, for rounding and the ends of the slab."""
 
 Keys = NDArray[np.uint64]
 
@@ -43,8 +43,8 @@ def doubtful_regions(
     Returns
     -------
     list of dict
-        ``box_mm``: xmin, ymin, zmin, xmax, ymax, zmax; ``why``: one line; ``bound_mm``: how far a contour may be off
-        there, where that is known. Empty where nothing was changed.
+        ``box_mm``: xmin, ymin, zmin, xmax, ymax, zmax; ``why``: one line; ``bound_mm``: largest error of a contour
+        there, if known. Empty if nothing was changed.
     """
     mesh = manifold.to_mesh64()
     held, held_faces = np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts)
@@ -62,7 +62,7 @@ def doubtful_regions(
 
 
 def _totals(keys: Keys) -> tuple[int, int, int]:
-    """Count, sum and parity of keys: equal for equal sets in whatever order, and for hardly any others."""
+    """Count, sum and parity of keys: the same for equal sets in any order, and for hardly any others."""
     return keys.size, int(keys.sum(dtype=np.uint64)), int(np.bitwise_xor.reduce(keys))
 
 
@@ -101,8 +101,8 @@ def _mixed(bits: np.uint64) -> np.uint64:
 
 
 def _boxes(triangles: Floats, old: NDArray[np.bool_]) -> list[dict[str, Any]]:
-    """Boxes around facets that share corners, from low to high; `old` are those that were given."""
-    # Only parts that the library has changed get here, and the import takes longer than most of them.
+    """Boxes around facets that share corners, from low to high; `old` marks those of the mesh given."""
+    # Few parts get here, only those that the library changed; the import takes longer than most of them.
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -135,10 +135,10 @@ def _boxes(triangles: Floats, old: NDArray[np.bool_]) -> list[dict[str, Any]]:
 
 
 def _bounds(triangles: Floats, group: NDArray[Any]) -> Floats:
-    """How far sections may be off at each facet (F,), mm: the width of a section of the slab that its group fills.
+    """Largest error of a section at each facet (F,), mm: the horizontal width of the slab that its group fills.
 
-    The facets given and those held have the same border, so that both lie in the hull of their corners, and so in a slab
-    square to their common normal.
+    The facets given and those that replace them have the same border. So both lie in the convex hull of their corners, and
+    thus in a slab perpendicular to their common normal.
     """
     bounds = np.full(len(triangles), np.inf)
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
@@ -154,6 +154,6 @@ def _bounds(triangles: Floats, group: NDArray[Any]) -> Floats:
 
 
 def _known_bound(bounds: Floats) -> dict[str, float]:
-    """The greatest bound, with a margin for rounding, where each facet has one."""
+    """The greatest bound, with a margin for rounding; empty unless every facet has a bound."""
     most = float(bounds.max())
     return {"bound_mm": most * BOUND_MARGIN} if np.isfinite(most) and most > 0.0 else {}

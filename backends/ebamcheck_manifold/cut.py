@@ -1,4 +1,4 @@
-"""The plane cut of manifold3d behind the protocol of a slicer."""
+"""The plane cut of manifold3d behind the slicer protocol."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
     from manifold3d import Manifold
 
 CONTOUR_ROUNDING = 1e-8
-"""Grid of a cross-section's coordinates: manifold3d keeps eight decimals."""
+"""Resolution of a cross-section's coordinates, in working units: manifold3d keeps eight decimals."""
 
 MERGE_TOLERANCE = 1e-12
-"""Relative to the largest coordinate: vertices nearer to each other than this are one to manifold3d."""
+"""Distance within which manifold3d merges vertices, over the largest coordinate."""
 
 LAYERS_AT_ONCE = 64
 """Layers whose rings are brought into canonical form together: their points stay in the processor's cache, and
-memory beyond the layers themselves stays small."""
+little memory is needed beyond the layers themselves."""
 
 
 class ManifoldSettings(BackendSettings):
@@ -36,10 +36,10 @@ class ManifoldSettings(BackendSettings):
 
 
 class ManifoldCut:
-    """Exact cut of manifold3d; it takes only meshes whose facets pair up at every edge.
+    """Exact cut by manifold3d, only of meshes whose facets pair up at every edge.
 
-    A section is the union of the regions of positive winding, which manifold3d makes of every cut, so
-    overlapping shells unite and a body that is inside out has no section.
+    manifold3d returns the regions of positive winding number of every cut, so overlapping shells unite and a body that is
+    inside out has no section.
     """
 
     name: ClassVar[str] = "manifold"
@@ -70,7 +70,7 @@ class ManifoldCut:
         return 2.0 * (rounding + MERGE_TOLERANCE * _reach_mm(part) + np.finfo(np.float64).eps * largest)
 
     def height_bound_mm(self, part: Part, settings: BackendSettings) -> float:
-        """Return how far manifold3d may move a vertex that it merges, mm; planes themselves are exact."""
+        """Return how far manifold3d may move a vertex by merging, mm; the heights of planes are exact."""
         return 2.0 * MERGE_TOLERANCE * _reach_mm(part)
 
     def prepare(self, part: Part, settings: BackendSettings) -> PreparedManifold:
@@ -85,7 +85,7 @@ class ManifoldCut:
 
 
 class PreparedManifold:
-    """A manifold to be cut as often as wanted; its layers declare where it is not the mesh given."""
+    """A manifold to be cut any number of times; its layers declare where it differs from the mesh given."""
 
     def __init__(self, part: Part, placement: Placement, settings: BackendSettings) -> None:
         self.part = part
@@ -140,7 +140,7 @@ class PreparedManifold:
 
 
 def build(part: Part, placement: Placement) -> Manifold:
-    """Build the manifold of a part; raises :class:`BackendFailed` where manifold3d refuses it."""
+    """Build the manifold of a part; raises :class:`BackendFailed` if manifold3d refuses it."""
     from manifold3d import Error, Manifold, Mesh64
 
     vertices, faces = _with_bodies_apart(part.vertices, _facets_with_three_vertices(part.faces))
@@ -160,9 +160,9 @@ def build(part: Part, placement: Placement) -> Manifold:
 def _with_bodies_apart(
     vertices: NDArray[np.float64], faces: NDArray[np.int32]
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Give bodies that touch along an edge vertices of their own; a mesh without such edges stays as it is.
+    """Give bodies that touch along an edge separate vertices; a mesh without such edges stays as it is.
 
-    manifold3d would pair the four facets at such an edge in its own way, and cut another body than the one given.
+    Otherwise manifold3d pairs the four facets at such an edge in its own way, and may cut another body than the one given.
     """
     groups = edge_groups(faces, len(vertices))
     sizes = np.diff(groups.starts)
@@ -175,7 +175,7 @@ def _with_bodies_apart(
 
 
 def unpaired_edges(faces: NDArray[np.int32]) -> int:
-    """Edges that facets run along more often one way than the other."""
+    """Number of edges along which facets run more often in one direction than in the other."""
     start, end = faces.ravel().astype(np.int64), np.roll(faces, -1, axis=1).ravel().astype(np.int64)
     low, high = np.minimum(start, end), np.maximum(start, end)
     _, edge = np.unique(low * (int(high.max(initial=0)) + 1) + high, return_inverse=True)
@@ -183,7 +183,7 @@ def unpaired_edges(faces: NDArray[np.int32]) -> int:
 
 
 def _facets_with_three_vertices(faces: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Leave out facets that name a vertex twice: no plane cuts them, and manifold3d would refuse them."""
+    """Leave out facets that repeat a vertex: they have no section, and manifold3d would refuse them."""
     a, b, c = faces.T
     kept = (a != b) & (b != c) & (c != a)
     return faces if kept.all() else faces[kept]

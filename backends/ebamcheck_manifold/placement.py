@@ -23,7 +23,7 @@ WORKING_SIZE_EXPONENT = 10
 
 @dataclass(frozen=True)
 class Placement:
-    """Coordinates as manifold3d gets them: ``(x - shift_mm) * scale``."""
+    """Map from part to working coordinates, those that manifold3d gets: ``(x - shift_mm) * scale``."""
 
     shift_mm: Floats
     scale: float
@@ -37,9 +37,9 @@ class Placement:
         return (z_mm - float(self.shift_mm[2])) * self.scale
 
     def undo(self, points: Floats) -> Floats:
-        """Contour points (N, 2) in mm, as placed."""
+        """Return contour points (N, 2) of working coordinates in mm, as placed."""
         placed = points / self.scale
-        # Column by column: ten times faster than to add a row of two to each row.
+        # Column by column: ten times faster than adding a row of two to each row.
         placed[:, 0] += self.shift_mm[0]
         placed[:, 1] += self.shift_mm[1]
         return placed

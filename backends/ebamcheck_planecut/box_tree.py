@@ -1,8 +1,8 @@
 """A tree of boxes over the segments of one layer, to find whether any two of them meet.
 
-Leaves are short runs of consecutive segments, inner nodes join neighbours. A run along which neither x nor y turns
-around meets itself nowhere; nor do two such runs, one behind the other, that turn the same ways. As a contour turns
-rarely, what remains to be looked at is a small part of it.
+Leaves are short runs of consecutive segments; inner nodes join neighbours. A run that is monotone in x and in y does not
+meet itself; nor do two consecutive runs that are monotone in the same directions. A contour rarely reverses in x or y, so only
+a small part of it remains to be tested.
 """
 
 from __future__ import annotations
@@ -16,33 +16,33 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import INSIDE, ON_BOUNDARY, OUTSIDE, Bools, Floats, Ints
 
 SEGMENTS_A_LEAF = 8
-"""Segments of a leaf: fewer make the tree cost more than it saves, more make leaves that overlap cost more."""
+"""Segments of a leaf: with fewer, the tree costs more than it saves; with more, overlapping leaves do."""
 
 LARGEST_STACK = 512
-"""Pairs that wait to be looked at: under three for each of the levels of two nodes, of which there are under 64."""
+"""Most pairs of nodes waiting to be tested: fewer than three per level of two nodes, with fewer than 64 levels."""
 
 LEFT, RIGHT, DOWN, UP = 1, 2, 4, 8
-"""Ways in which segments run; a run that goes both left and right, or both down and up, turns around."""
+"""Directions of segments, as bits; a run that goes both left and right, or both down and up, is not monotone."""
 
 ALL_WAYS = LEFT | RIGHT | DOWN | UP
 
 SEVERAL = -1
-"""Ring of a node that holds segments of several."""
+"""In place of the ring of a node that holds segments of several rings."""
 
 
 class BoxTree(NamedTuple):
-    """Room for the tree of one layer: node 1 is the root, those below node n are 2 n and 2 n + 1."""
+    """Working memory for the tree of one layer: node 1 is the root, the children of node n are 2 n and 2 n + 1."""
 
     boxes: Floats
     """(2 M, 4) xmin, ymin, xmax, ymax of each node; leaf l is node M + l."""
     ways: NDArray[np.uint8]
-    """(2 M,) ways in which the segments of each node run."""
+    """(2 M,) directions of the segments of each node."""
     ring: NDArray[np.int32]
     """(2 M,) ring of each node, or :data:`SEVERAL`."""
     first: Ints
     """(M + 1,) first segment of each leaf, by the row of its first point; the leaf ends where the next begins."""
     stack: NDArray[np.int32]
-    """Pairs of nodes that wait, and whether one follows the other."""
+    """Pairs of nodes waiting to be tested, and whether one follows the other along its ring."""
 
 
 @kernel

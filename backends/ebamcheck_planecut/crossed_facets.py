@@ -1,8 +1,8 @@
-"""The few facets that some planes cross, for a part of which little more will be asked.
+"""The facets that a few planes cross, for a part that is cut in few layers only.
 
-Sorting a whole part by height pays for many layers. One layer, as along a direction that is tried, needs the facets it
-crosses alone. Around a cut edge all of them are there, in the order of the whole; so what is traced from them is the
-same in every bit.
+Sorting a whole part by height pays off over many layers. A single layer, as when slicing directions are tried, needs only
+the facets that it crosses. All facets around a cut edge are among these, in the same order as in the whole mesh, so the traced
+contours are the same bit for bit.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from ebamcheck_planecut.sorted_mesh import Floats, Index, SortedMesh, sorted_mes
 Levels = NDArray[np.uint8]
 
 MOST_PLANES = 255
-"""Planes at a time: what a level counts to. A byte a vertex keeps a part of a million facets in a core's own cache."""
+"""Most planes at a time, so that a level fits into a byte: the levels of a million facets then stay in a core's cache."""
 
 SMALLEST_BLOCK = 65536
-"""Vertices or facets that a thread takes at least: fewer do not pay for handing them over."""
+"""Fewest vertices or facets worth a thread."""
 
 
 def crossed_mesh(part: Part, heights: Floats) -> SortedMesh:
-    """Sort the facets that planes cross, and no others; cut at these heights it gives what the whole mesh gives.
+    """Sort only the facets that some planes cross; at these heights the result is cut like the whole mesh.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A part made ready for the exact plane cut."""
+"""A part prepared for the exact plane cut."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ from ebamcheck_planecut.sorted_mesh import SortedMesh, sorted_mesh, turned_mesh,
 from ebamcheck_planecut.sweep import Block, Columns, cut_block
 
 SMALLEST_BLOCK = 16
-"""Layers that a thread takes at least: fewer do not pay for handing them over."""
+"""Fewest layers worth a thread."""
 
 LONE_LAYERS = 8
-"""Layers along a new direction for which its mesh is not sorted: to find their facets takes no longer than sorting."""
+"""Most layers along a new direction that are cut without sorting its mesh: finding their facets takes no longer than sorting."""
 
 
 class PreparedCut:
-    """The part's mesh in the order of its heights, with the neighbours of every facet; cuts any block of layers.
+    """The part's mesh sorted by height, with the neighbours of every facet; cuts any block of layers.
 
     Parameters
     ----------
     part, settings
         The part as placed, and the settings.
     before
-        Sorted mesh of the same `faces` under vertices in other places: its neighbours hold here, too. With it the mesh
-        is sorted once more than :data:`LONE_LAYERS` layers were asked for.
+        Sorted mesh with the same `faces` and other vertex coordinates, whose neighbours are valid here, too. If given, this
+        mesh is sorted only after more than :data:`LONE_LAYERS` layers were requested.
     """
 
     def __init__(self, part: Part, settings: BackendSettings, before: SortedMesh | None = None) -> None:
@@ -60,17 +60,17 @@ class PreparedCut:
         """Hold nothing that needs freeing."""
 
     def turned(self, part: Part) -> PreparedCut:
-        """Make the same part ready along another direction; which facets are neighbours is not looked for again.
+        """Prepare the same part along another direction, without searching for the neighbours of facets again.
 
         Parameters
         ----------
         part
-            A part with the same `faces`, under vertices in other places.
+            A part with the same `faces` and other vertex coordinates.
         """
         return PreparedCut(part, self._settings, self._before if self._mesh is None else self._mesh)
 
     def _mesh_across(self, heights: NDArray[np.float64]) -> SortedMesh:
-        """Mesh with all facets that the planes cross: the whole one, or, of a few planes only, just these facets."""
+        """Sorted mesh with all facets that the planes cross: the whole one or, for a few planes, only these facets."""
         with self._lock:
             self._lone_layers += heights.size
             if self._mesh is None and self._before is not None and self._lone_layers > LONE_LAYERS:
@@ -90,7 +90,7 @@ class PreparedCut:
         unite = self._settings.model_dump()["overlaps"] == "unite"
 
         def block(start: int, stop: int) -> Block:
-            # Zeros that nobody has touched cost nothing, and a block touches those of its own facets alone.
+            # Zeroed memory costs nothing until it is touched, and a block touches only that of its own facets.
             seen = np.zeros(len(mesh.faces), np.int32)
             at = int(rows[start])
             cut = cut_block(mesh, heights[start:stop], under[start:stop], seen, columns, at, unite)
@@ -104,7 +104,7 @@ class PreparedCut:
         return _united(layers, kinds)
 
     def _joined(self, heights: NDArray[np.float64], columns: Columns, blocks: list[Block]) -> Layers:
-        """Make one stack of blocks that stand in the same columns, in their order."""
+        """Join blocks that were written to shared columns into one stack, in their order."""
         run_blocks(lambda a, b: [_close_gaps(column, blocks) for column in columns[a:b]], len(columns))
         filled = rings = 0
         ring_starts, layer_starts = [np.zeros(1, np.int64)], [np.zeros(1, np.int64)]
@@ -131,8 +131,8 @@ class PreparedCut:
 
 
 def _close_gaps(column: NDArray[Any], blocks: list[Block]) -> None:
-    """Move the rows of all blocks together: rings without area and points that fell together leave gaps between them."""
-    # In one dimension, numpy moves what overlaps as it stands; rows of two it would copy to new memory first.
+    """Close the gaps between the rows of blocks, which rings without area and merged points leave."""
+    # numpy moves overlapping rows of one dimension in place; with two it would copy them to new memory first.
     flat, width = column.reshape(-1), column.size // max(1, len(column))
     filled = 0
     for cut in blocks:
@@ -143,7 +143,7 @@ def _close_gaps(column: NDArray[Any], blocks: list[Block]) -> None:
 
 
 def _while_hashed(part: Part, make: Callable[[], SortedMesh]) -> SortedMesh:
-    """Make a mesh while another thread computes the part's hash, which layers carry: that takes as long as a scan."""
+    """Make a mesh while another thread computes the part's hash, which layers carry."""
     with ThreadPoolExecutor(1) as aside:
         hashed = aside.submit(lambda: part.sha256)
         mesh = make()
@@ -152,7 +152,7 @@ def _while_hashed(part: Part, make: Callable[[], SortedMesh]) -> SortedMesh:
 
 
 def _united(layers: Layers, kinds: NDArray[np.int8]) -> Layers:
-    """Resolve the layers whose shells overlap; the others stay as they are."""
+    """Unite the shells of layers on which they overlap; other layers stay as they are."""
     doubtful = np.flatnonzero(kinds != overlaps.CLEAN).tolist()
     if not doubtful:
         return layers

@@ -1,8 +1,8 @@
-"""Neighbours of the facets of a mesh in the order of its heights.
+"""Neighbours of the facets of a mesh that is sorted by height.
 
-An edge is found at its lower vertex. A facet begins with its lowest vertex, and facets stand by that one; so do two of
-the three edges. The third begins at the middle vertex, and for these facets are chained. So no half-edge need be sorted
-in, and ranges of vertices go to all threads.
+An edge is found at its lower vertex. Facets begin with their lowest vertex and are sorted by it, so two edges of each are found
+there directly. The third edge begins at the middle vertex, which has a linked list of its facets. So no half-edges need
+sorting, and ranges of vertices can be shared among threads.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ Floats = NDArray[np.float64]
 Index = NDArray[np.int32]
 
 SMALLEST_BLOCK = 16384
-"""Vertices that a thread takes at least: fewer do not pay for handing them over."""
+"""Fewest vertices worth a thread."""
 
 NONE = -1
-"""Where a chain of facets ends."""
+"""End of a linked list of facets."""
 
 FEW = 64
-"""Up to so many half-edges at a vertex are sorted by insertion."""
+"""Most half-edges at a vertex that are sorted by insertion."""
 
 
 class Neighbours(NamedTuple):
@@ -34,15 +34,15 @@ class Neighbours(NamedTuple):
     twin: Index
     """(3 F,) half-edge across each half-edge, :data:`ebamcheck.mesh.topology.NO_TWIN` at an open one."""
     is_open: bool
-    """Whether a half-edge has no twin, so that there are open paths."""
+    """Whether any half-edge has no twin, so that there are open paths."""
     mixed: bool
-    """Whether two neighbours run the same way along their edge, as they do where one of them is flipped."""
+    """Whether any two neighbours run in the same direction along their edge, because one of them is flipped."""
     fans: bool
-    """Whether more than two facets meet at an edge; which of them are neighbours depends on angles."""
+    """Whether more than two facets meet at any edge; which of them are neighbours depends on their angles."""
 
 
 def neighbours(vertices: Floats, faces: Index, first: Index) -> Neighbours:
-    """Find the neighbours of all facets; two at an edge are neighbours, more as in :func:`~ebamcheck.mesh.topology.twins`.
+    """Find the neighbours of all facets; more than two at an edge are paired as in :func:`~ebamcheck.mesh.topology.twins`.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""Which layers have winding numbers other than 0 and 1, and their union.
+"""Layers with winding numbers other than 0 and 1, and the union of their shells.
 
-A layer whose rings neither touch nor cross needs nothing but a look at how they nest; that is nearly every layer of
-nearly every part. Where rings touch or cross, the arrangement of the layer decides.
+For a layer whose rings neither touch nor cross, as nearly all layers of nearly all parts, the nesting of the rings decides.
+Where rings touch or cross, the arrangement of the layer is built.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ CLEAN, NESTED_WRONG, TOUCHING = 0, 1, 2
 
 
 class OverlapSearch(NamedTuple):
-    """Room to look at the rings of one layer."""
+    """Working memory to examine the rings of one layer."""
 
     tree: BoxTree
     outward: Ints
@@ -30,7 +30,7 @@ class OverlapSearch(NamedTuple):
     greatest_x: Floats
     """(R,) right end of each ring."""
     around: Ints
-    """(R,) rings that may lie around the one looked at."""
+    """(R,) rings that may enclose the one examined."""
     keep: Bools
     """(R,) whether a ring separates solid from void."""
 
@@ -138,13 +138,13 @@ def kept_rings(points: Floats, ring_starts: Ints, closed: Bools) -> Bools:
 
 
 def unite(layer: Layers, kind: int) -> tuple[Floats, Ints, Bools, NDArray[np.int32], Floats] | None:
-    """Resolve one layer (a stack of length 1) under winding > 0.
+    """Unite the shells of one layer (a stack of length 1) by the rule winding > 0.
 
     Returns
     -------
     points, ring_starts, closed, edge, edge_t
-        Of the resolved layer, open paths included; None where nothing changes. Points that the union made
-        (crossings) carry edge -1 and parameter NaN.
+        Columns of the united layer, open paths included; None if nothing changes. Points that the union made
+        (crossings) have edge -1 and parameter NaN.
     """
     assert layer.edge is not None
     assert layer.edge_t is not None
@@ -211,7 +211,7 @@ def winding_numbers(queries: Floats, points: Floats, ring_starts: Ints, closed: 
 
 
 def _known_edges(points: Floats, layer: Layers) -> tuple[NDArray[np.int32], Floats]:
-    """Mesh edges of the points that stood in the layer already; -1 and NaN for new ones."""
+    """Mesh edges and parameters of the points that the layer already had; -1 and NaN for new ones."""
     assert layer.edge is not None
     assert layer.edge_t is not None
     old, new = (np.ascontiguousarray(p).view("V16").reshape(-1) for p in (layer.points + 0.0, points + 0.0))

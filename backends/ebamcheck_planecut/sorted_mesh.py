@@ -1,8 +1,8 @@
-"""A mesh in the order in which a plane that rises meets it.
+"""A mesh in the order in which a rising plane meets it.
 
-Vertices stand by height and facets by their lowest vertex, so that what a layer needs lies together in memory in
-whatever order the file had it, and so that the facets above a plane need no look. Of those below, runs of facets that
-end under the plane are passed over at once.
+Vertices are sorted by height and facets by their lowest vertex. So whatever the order of the file, what a layer needs lies
+together in memory, and facets above a plane need not be examined. Of those below, whole runs that end under the plane are
+skipped.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ Index = NDArray[np.int32]
 Ints = NDArray[np.int64]
 
 RUN = 256
-"""Facets of a run that a plane passes over at once: the look at all runs then costs as little as that at one."""
+"""Facets of a run that is skipped as a whole: so many that testing all runs costs as little as going through one."""
 
 RUNS_A_BLOCK = 128
 FACETS_A_BLOCK = RUN * RUNS_A_BLOCK
-"""What a thread takes at least: less does not pay for handing it over."""
+"""Fewest runs, and facets, worth a thread."""
 
 FLAT = -1
 """First corner of a facet that is left out."""
 
 VERTICES_A_BIN = 4
-"""Vertices in a bin of the sort by height, on average: a few are put in order by insertion."""
+"""Mean number of vertices in a bin of the sort by height: few enough to sort by insertion."""
 
 
 class SortedMesh(NamedTuple):
-    """Columns that the kernels walk over; facets with a repeated vertex have no section and are left out."""
+    """Columns that the kernels read; facets with a repeated vertex have no section and are left out."""
 
     vertices: Floats
     """(V, 4) x, y, z and the part's number of each vertex, by z; rows of 32 bytes never straddle a cache line."""
@@ -64,7 +64,7 @@ def sorted_mesh(part: Part) -> SortedMesh:
 
 
 def turned_mesh(part: Part, before: SortedMesh) -> SortedMesh:
-    """Sort a mesh that has the facets of another one, under vertices in other places; neighbours stay what they were."""
+    """Sort a mesh with the facets of another one and other vertex coordinates; its neighbours are taken over."""
     if before.around.fans:
         return sorted_mesh(part)
     order = _sorted(part)
@@ -98,7 +98,7 @@ def _sorted(part: Part) -> _Order:
     run_blocks(lambda a, b: _rank(part.vertices, original, vertices, rank, a, b), count, FACETS_A_BLOCK)
     ranked = np.empty_like(part.faces)
     run_blocks(lambda a, b: _rank_facets(part.faces, rank, ranked, a, b), len(ranked), FACETS_A_BLOCK)
-    # Each thread looks at all facets and takes those that begin in its range of heights.
+    # Each thread reads all facets and takes those that begin in its range of heights.
     share = max(1, count // thread_count())
     lowest = np.zeros(count + 1, np.int32)
     run_blocks(lambda a, b: _count_lowest(ranked, lowest, a, b), count, share)
@@ -110,7 +110,7 @@ def _sorted(part: Part) -> _Order:
 
 
 def _measured(order: _Order, around: Neighbours) -> SortedMesh:
-    """Complete a sorted mesh by the tops of its facets and the points that they give to planes."""
+    """Complete a sorted mesh with the highest vertices of facets and the numbers of points on planes."""
     count = len(order.faces)
     highest, tallest = np.empty(count, np.int32), np.empty(-(-count // RUN), np.int32)
     run_blocks(lambda a, b: _measure_runs(order.faces, highest, tallest, a, b), tallest.size, RUNS_A_BLOCK)

@@ -1,4 +1,4 @@
-"""The kernel that cuts a block of layers, each while its points are in the processor's cache."""
+"""The kernel that cuts a block of layers, and finishes each while its points are in the processor's cache."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ebamcheck_planecut.trace import Tracks, trace_layer, tracks
 
 
 class Columns(NamedTuple):
-    """Columns of points that all blocks of a stack write to, each from a row of its own."""
+    """Columns of points to which all blocks of a stack write, each from a start row of its own."""
 
     points: Floats
     edge: Index
@@ -23,7 +23,7 @@ class Columns(NamedTuple):
 
 
 class Forms(NamedTuple):
-    """Canonical form of the rings of one layer, and room to find their order."""
+    """Canonical form of the rings of one layer, and working memory to sort them."""
 
     first: Ints
     size: Ints
@@ -33,7 +33,7 @@ class Forms(NamedTuple):
 
 
 class Block(NamedTuple):
-    """What is known of a block of layers besides its points."""
+    """Columns of a block of layers other than its points."""
 
     ring_starts: Ints
     """(R + 1,) first row of each ring in the shared columns."""
@@ -42,9 +42,9 @@ class Block(NamedTuple):
     closed: NDArray[np.bool_]
     """(R,) false for an open path."""
     dropped: Ints
-    """(L,) rings without area that were left out."""
+    """(L,) number of rings without area that were left out."""
     kinds: NDArray[np.int8]
-    """(L,) what :func:`~ebamcheck_planecut.overlaps.classify_layer` makes of each layer; all clean if not asked for."""
+    """(L,) class of each layer by :func:`~ebamcheck_planecut.overlaps.classify_layer`; all clean if not requested."""
 
 
 @kernel

@@ -17,19 +17,20 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck_planecut.sorted_mesh import Floats, Index, Ints, SortedMesh
 
 FROM_ENTRY, FROM_EXIT, RINGS = 0, 1, 2
-"""Open paths come first, from their ends, so that no walk starts in the middle of one. An end where the section enters
-a facet is the natural start; one where it leaves is a start only between flipped facets. Closed rings come last."""
+"""Passes of the trace. Open paths come first, from their ends, so that no walk starts in the middle of one. The usual start is
+an end at which the section enters a facet; one at which it leaves is a start only among flipped facets. Closed rings come
+last."""
 
 
 class Tracks(NamedTuple):
-    """Room for the rings and open paths of one layer."""
+    """Working memory for the rings and open paths of one layer."""
 
     points: Floats
     """(N, 2) mm."""
     edge: Index
     """(N, 2) the part's numbers of the lower and upper vertex of the edge that is cut."""
     edge_t: Floats
-    """(N,) place on that edge."""
+    """(N,) parameter on that edge, 0 at the lower vertex, 1 at the upper."""
     starts: Ints
     """(N + 1,) first row of each ring."""
     closed: NDArray[np.bool_]

@@ -1,4 +1,4 @@
-"""Slicer by the program PrusaSlicer: an outside witness, read from the pixel images of its SL1 archives."""
+"""The program PrusaSlicer as a slicer: an independent check, read from the pixel images of its SL1 archives."""
 
 from __future__ import annotations
 

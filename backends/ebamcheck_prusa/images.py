@@ -1,6 +1,6 @@
 """Images of layers in an SL1 archive, and their contours.
 
-An SL1 archive is a zip file with one PNG image a layer, 8 bits a pixel, 255 where there is material.
+An SL1 archive is a zip file with one PNG image per layer, 8 bits per pixel, 255 where there is material.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Bits = NDArray[np.bool_]
 
 
 def archived_images(path: Path) -> Iterator[tuple[int, Bits]]:
-    """Read the images of an archive: number of the layer, and which pixels are solid, rows upwards (H, W).
+    """Read the images of an archive: number of the layer, and mask of the solid pixels (H, W), with rows upwards.
 
     Raises
     ------
@@ -41,7 +41,7 @@ def archived_images(path: Path) -> Iterator[tuple[int, Bits]]:
 
 
 def solid_pixels(png: bytes) -> Bits:
-    """Which pixels of a grey PNG image of 8 bits are brighter than half, rows upwards (H, W).
+    """Mask (H, W) of the pixels of an 8-bit grey PNG image that are brighter than half, with rows upwards.
 
     See the PNG specification, ISO/IEC 15948, sections 9 (filters) and 11 (chunks).
     """
@@ -69,7 +69,7 @@ def solid_pixels(png: bytes) -> Bits:
 
 
 def unfiltered(rows: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Undo the filters of the rows of a grey image (H, 1 + W), whose first column names them."""
+    """Undo the filters of the rows of a grey image (H, 1 + W); the first column holds their types."""
     if not rows[:, 0].any():
         return rows[:, 1:]
     image = np.zeros((len(rows), rows.shape[1] - 1), np.uint8)

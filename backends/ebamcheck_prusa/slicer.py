@@ -1,7 +1,7 @@
-"""The program PrusaSlicer behind the protocol of a slicer.
+"""PrusaSlicer behind the slicer protocol.
 
-PrusaSlicer has no output of exact contours: its G-code follows paths that are drawn in. For printers that cure a whole
-layer at a time it writes images, of which a pixel is white where material covers half of it.
+PrusaSlicer does not output exact contours: the paths of its G-code are offset inwards. For printers that cure a whole
+layer at a time it writes images, in which a pixel is white if material covers half of it.
 """
 
 from __future__ import annotations
@@ -38,19 +38,19 @@ PROGRAM = Program(
 )
 
 WORKING_SIZE = 128.0
-"""Larger side of the part as PrusaSlicer gets it, mm; at least half of it. Its integers of 1e-6 mm have 32 bits."""
+"""Larger side of the part as PrusaSlicer gets it, mm: between half of this and this. Its integers of 1e-6 mm have 32 bits."""
 
 TALLEST = 1024.0
 """Largest height of the part as PrusaSlicer gets it, mm, for the same reason."""
 
 LENGTH_UNIT = 2.0**-20
-"""Layer heights are powers of two times this, mm; those of many layers add up without rounding in steps of 1e-6 mm."""
+"""Layer heights are this times powers of two, mm: sums over many layers are exact, and rounded to steps of 1e-6 mm only once."""
 
 DEFAULT_PIXELS = 1024
-"""Default pixels along the larger side of the part: images of the paper's size."""
+"""Default number of pixels along the larger side of the part: as in the paper's images."""
 
 LARGEST_IMAGE = 16384
-"""Pixels along a side of an image: memory of the program goes with the square."""
+"""Most pixels along a side of an image: the program's memory grows with the square."""
 
 MARGIN_PIXELS = 4
 """Empty pixels around the part."""
@@ -72,7 +72,7 @@ class PrusaSettings(ProgramSettings):
 class Prusa:
     """Contours of the images that PrusaSlicer writes for printers that cure a layer at a time.
 
-    It closes open meshes and turns parts of negative volume without a word, so those are refused.
+    PrusaSlicer silently closes open meshes and reorients parts of negative volume, so those are refused here.
     """
 
     name: ClassVar[str] = "prusa"
@@ -121,7 +121,7 @@ class Prusa:
 
 
 def pixel_mm(part: Part, settings: PrusaSettings) -> float:
-    """Side of a pixel in force for a part."""
+    """Side of a pixel for a part, mm: the setting, or its default."""
     if settings.pixel_mm is not None:
         return settings.pixel_mm
     return (float(part.size[:2].max()) or 1.0) / DEFAULT_PIXELS
@@ -152,7 +152,7 @@ class _Cut:
 
     @property
     def pixels(self) -> tuple[int, int]:
-        """Columns and rows of an image: even numbers that hold the part and a margin."""
+        """Numbers of columns and rows of an image: even, and enough for the part and a margin."""
         pixel = pixel_mm(self.part, self.settings)
         width, height = (
             2 * (math.ceil(0.5 * s / pixel) + MARGIN_PIXELS) for s in self.part.size[:2].tolist()
@@ -198,7 +198,7 @@ ARGUMENTS = (
     "--output=part.sl1",
     "part.stl",
 )
-"""Command line; the part stays where the file puts it."""
+"""Command line; with it the part stays where the file puts it."""
 
 
 def _printer(layer: float, pixel: float, pixels: tuple[int, int]) -> str:

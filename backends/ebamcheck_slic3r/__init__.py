@@ -1,4 +1,4 @@
-"""Slicer by the program Slic3r: an outside witness whose slices are exact."""
+"""The program Slic3r as a slicer: an independent check whose slices are exact."""
 
 from __future__ import annotations
 

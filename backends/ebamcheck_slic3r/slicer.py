@@ -1,8 +1,7 @@
-"""The program Slic3r behind the protocol of a slicer.
+"""Slic3r behind the slicer protocol.
 
 Slic3r closes gaps under 0.1 mm, cuts no layer over 1 mm, reads layer heights to six digits and coordinates to 32 bits.
-So it gets the part at another scale: magnified across the plane, so that what it closes is nothing, and along z with
-layers of 1 mm.
+So the part is scaled for it: in x and y until the gaps that it closes are negligible, and in z to layers of 1 mm.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ PROGRAM = Program(
 )
 
 WORKING_SIZE = 2.0**20
-"""Larger side of the part as Slic3r gets it, mm; at least half of it. Far from the limits of its 64-bit integers of
+"""Larger side of the part as Slic3r gets it, mm: between half of this and this. Far below the limits of its 64-bit integers of
 1e-6 mm, which its offsets multiply by 1e5."""
 
 LAYER = 1.0
@@ -55,14 +54,14 @@ HEIGHT_ROUNDINGS = 3.0
 """The same for heights: file, scale of the vertex, scale of the plane."""
 
 TROUBLE = ("overlapping or self-intersecting facets", "Unable to close this loop")
-"""What Slic3r says where it leaves loops out or makes a layer up from its neighbours."""
+"""Messages of Slic3r when it leaves out loops or makes up a layer from its neighbours."""
 
 
 class Slic3r:
-    """Slices of the program Slic3r, as it exports them.
+    """Slices that the program Slic3r exports.
 
-    Loops are united; a hole is taken from every larger loop, also of another shell. It mends open meshes
-    and turns parts of negative volume without a word, so those are refused.
+    Loops are united; a hole is taken from every larger loop, also of another shell. Slic3r silently repairs open meshes
+    and reorients parts of negative volume, so those are refused here.
     """
 
     name: ClassVar[str] = "slic3r"
@@ -86,7 +85,7 @@ class Slic3r:
         return HEIGHT_ROUNDINGS * height_rounding_mm(part)
 
     def prepare(self, part: Part, settings: BackendSettings) -> LatticeStack:
-        """Look at the part; Slic3r itself runs when heights are known.
+        """Check the part; Slic3r itself runs when heights are known.
 
         Raises
         ------
@@ -140,7 +139,7 @@ class _Cut:
 
 
 def _arguments() -> list[str]:
-    """Command line; the nozzle only has to be wider than a layer is high."""
+    """Command line; the nozzle diameter matters only in that it must exceed the layer height."""
     return [
         "--no-gui",
         "--datadir=.",

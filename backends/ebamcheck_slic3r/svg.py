@@ -1,4 +1,4 @@
-"""Slices that Slic3r has written as SVG: layers by their height, contours and holes in millimetres."""
+"""Reader of the slices that Slic3r writes as SVG: contours and holes of each layer, in millimetres."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ebamcheck.errors import BackendFailed
 from ebamcheck.numeric.rings import Floats
 
 HEIGHT_UNIT_MM = 1e6
-"""Slic3r divides the height of a slice by a million as if it were one of its integers; so this undoes it."""
+"""Unit of heights in the file, mm: Slic3r wrongly divides them by a million, as if they were its integers."""
 
 _LAYER = re.compile(rb'<g id="layer\d+"(?: slic3r:z="([^"]*)")?')
 _POLYGON = re.compile(rb'<polygon slic3r:type="(contour|hole)" points="([^"]*)"')
@@ -34,7 +34,7 @@ def slices(lines: Iterable[bytes]) -> Iterator[Slice]:
     Raises
     ------
     BackendFailed
-        If the text is cut or holds something else.
+        If the text is truncated or not what Slic3r writes.
     """
     height_mm = 0.0
     rings: list[Floats] | None = None

@@ -1,6 +1,6 @@
-"""Bitmaps: which pixels change from one layer to the next, and the bitmap of any layer.
+"""Bitmaps: the pixels that change from one layer to the next, and the bitmap of any layer.
 
-A bitmap is a column of words, 64 pixels each; a layer's bitmap is the one below with some bits flipped.
+A bitmap is a column of 64-bit words, a bit per pixel; a layer's bitmap is the one below it with some bits flipped.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ def empty_bitmap(view: FieldOfView) -> Words:
 
 
 def flips_by_layer(crossings: Crossings, heights: NDArray[np.float64]) -> Flips:
-    """Assign crossings to the first layer at or above them; those over the last layer are left out.
+    """Assign crossings to the first layer at or above them; those above the last layer are left out.
 
-    A crossing at the very height of a layer is taken as under it, so a layer shows z = h + 0.
+    A crossing exactly at the height of a layer counts as below it, so a layer shows the section at z = h + 0.
     """
     return Flips(*_flips_by_layer(crossings.pixels, crossings.heights, heights))
 

@@ -1,6 +1,6 @@
 """Crossings: the heights at which the ray of each pixel, going up, enters and leaves the solid.
 
-A fragment says that the ray of a pixel meets a facet. Its height is interpolated in double precision
+A fragment is a pair of pixel and facet: the pixel's ray meets the facet. Its height is interpolated in double precision
 from the very lattice triangle that was drawn, so it never leaves the facet, and the image of a closed
 surface stays closed: a pixel centre can be on the wrong side of a contour only if the lattice moved the
 contour over it. Overlapping bodies unite here, once for all heights: a crossing is where the winding number
@@ -20,15 +20,15 @@ from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck_stencil.field_of_view import SUBPIXELS
 
 SMALLEST_BLOCK = 65536
-"""Fragments or pixels under which a thread is not worth its start."""
+"""Fewest fragments or pixels worth a thread."""
 
 FEW_FRAGMENTS = 32
-"""Up to this many fragments of a pixel are sorted by insertion; most pixels have two."""
+"""Most fragments of a pixel that are sorted by insertion; most pixels have two."""
 
 
 @dataclass(frozen=True)
 class Crossings:
-    """Where rays enter and leave the solid, a pixel's crossings together and going up.
+    """Where rays enter and leave the solid, sorted by pixel and then by height.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ class Crossings:
     heights
         (E,) float64, mm: the pixel changes from empty to solid or back above this height.
     unbalanced
-        Rays that do not come out again as often as they went in: the surface is not closed.
+        Number of rays that do not leave the solid as often as they enter it: the surface is not closed.
     """
 
     pixels: NDArray[np.uint32]

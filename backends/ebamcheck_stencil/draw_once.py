@@ -1,7 +1,7 @@
-"""The draw-once form: one draw lists which facets the ray of every pixel meets.
+"""The draw-once form: a single draw lists the facets that the ray of every pixel meets.
 
-The fragment shader only appends (pixel, facet) to a buffer through an atomic counter. Heights and signs
-follow on the processor in double precision, see :mod:`ebamcheck_stencil.crossings`; every height can be
+The fragment shader only appends (pixel, facet) to a buffer, by an atomic counter. Heights and signs
+follow on the processor in double precision (:mod:`ebamcheck_stencil.crossings`); any height can be
 cut from them without drawing again.
 """
 
@@ -26,9 +26,9 @@ log = logging.getLogger(__name__)
 
 BYTES_PER_FRAGMENT = 8
 ESTIMATE_SLACK = 1.05
-"""The projected area foretells the fragments to well under a percent; the counter tells where it does not."""
+"""Buffer size over the estimate by projected area, which is right to well below a percent; the counter shows an overflow."""
 SMALLEST_BUFFER = 4096
-"""Fragments; the estimate is poor where facets are smaller than pixels and few."""
+"""Least size of the buffer, in fragments: the estimate is poor if facets are few and smaller than pixels."""
 
 VERTEX_SHADER = """
 #version 430
@@ -104,7 +104,7 @@ def _expected_fragments(lattice: NDArray[np.int32], faces: NDArray[np.int32]) ->
 
 
 class _Drawing:
-    """Program and buffers of the one draw; they go with their context."""
+    """Program and buffers of the draw; they are released with their context."""
 
     def __init__(
         self,
@@ -136,7 +136,7 @@ class _Drawing:
         side = self._view.viewport_px
         target = self._context.empty_framebuffer((window.width, window.height))
         target.use()
-        # The viewport holds the whole field, so that no facet is ever clipped at a window's border.
+        # The viewport holds the whole field, lest a facet be clipped at a window's border.
         target.viewport = (-window.x, -window.y, side, side)
         self._program["corner"] = (window.x, window.y)
         self._counter.write(bytes(4))

@@ -17,10 +17,10 @@ from ebamcheck_stencil.field_of_view import WORD_BITS, FieldOfView
 from ebamcheck_stencil.marching_squares import contours_of_layers
 
 Walked = tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]
-"""Points in mm, points of each ring, and rings of each layer of a block of layers."""
+"""Of a block of layers: points in mm, number of points of each ring, and number of rings of each layer."""
 
 LAYERS_AT_ONCE = 256
-"""Layers between two reports of progress; also bounds the memory of contours on their way."""
+"""Layers between two reports of progress; also bounds the memory of contours in work."""
 
 
 class DrawnOnce:
@@ -37,7 +37,7 @@ class DrawnOnce:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Nothing to free: the context went when the part was drawn."""
+        """Free nothing: the context was released when the part had been drawn."""
 
     def slice(self, heights: NDArray[np.float64], progress: Progress | None = None) -> Layers:
         """Cut at strictly increasing heights (L,), in any number of calls."""
@@ -68,7 +68,7 @@ class DrawnOnce:
         return as_image(bitmap, self._view)
 
     def _layers(self, heights: NDArray[np.float64], walked: list[Walked]) -> Layers:
-        """Join the points, ring sizes and ring counts that threads walked into canonical layers."""
+        """Join the points, ring sizes and ring counts from threads into canonical layers."""
         points, ring_sizes, ring_counts = (np.concatenate(column) for column in zip(*walked, strict=True))
         return canonical(
             heights,

@@ -1,10 +1,10 @@
 """The field of view: the grid of pixels over a part, and the lattice on which facets are drawn.
 
 Rasterisers move every vertex to a lattice of 1/256 pixel before they decide which pixel centres a facet
-covers. Vertices are put on that lattice here, in double precision and about the part's own corner, and
+covers. Vertices are put on that lattice here, in double precision and relative to the part's own corner, and
 reach the rasteriser through a viewport whose side is a power of two, where every step is exact in
-float32. So which facet covers which pixel is known to the last bit, is the same on every driver, does not
-depend on how the field is tiled, and does not suffer from a part that lies far from the origin.
+float32. So which facet covers which pixel is known exactly, is the same on every driver, and depends neither on
+how the field is tiled nor on how far the part lies from the origin.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ MARGIN_PX = 2
 """Empty pixels kept around the part, so that every contour closes inside the field of view."""
 
 GRID_SHIFT_PX = (0.381966, 0.236068)
-"""Where the part's low corner lies within its pixel (golden-section fractions, unlike in x and y).
+"""Place of the part's low corner within its pixel (golden-section fractions, different in x and y).
 
-Parts are drawn in round numbers: without the shift pixel centres would lie on faces and 45 degree edges.
+Parts are drawn in round numbers: without the shift, pixel centres would lie on faces and 45 degree edges.
 """
 
 WORD_BITS = 64
@@ -36,7 +36,7 @@ FINEST_AUTOMATIC_MM = 0.1
 """The paper's pixel (section 2.2)."""
 FEWEST_AUTOMATIC_PX = 1024
 MOST_AUTOMATIC_PX = 4096
-"""An automatic pixel gives the larger side at least the one and at most the other number of pixels."""
+"""Least and greatest number of pixels along the larger side, for an automatic pixel."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class FieldOfView:
 
     @property
     def stride_px(self) -> int:
-        """Pixels from a row to the next in pixel numbers and bitmaps: whole words."""
+        """Pixels from one row to the next in pixel numbers and bitmaps: a multiple of :data:`WORD_BITS`."""
         return -(-self.width_px // WORD_BITS) * WORD_BITS
 
     @property
@@ -74,7 +74,7 @@ class FieldOfView:
         limit = 2 * self.viewport_px * SUBPIXELS
         for axis in range(2):
             pixels = (points[:, axis] - self.low_mm[axis]) / self.pixel_mm + (MARGIN_PX + GRID_SHIFT_PX[axis])
-            # Only vertices that no facet uses can lie outside of the field, as far as they like.
+            # Only vertices that no facet uses can lie outside the field, at any distance.
             lattice[:, axis] = np.clip(np.rint(pixels * SUBPIXELS), -limit, limit)
         return lattice
 
@@ -95,7 +95,7 @@ def automatic_pixel_mm(part: Part) -> float:
 
 
 def field_of_view(part: Part, pixel_mm: float | None) -> FieldOfView:
-    """Lay a field of view over a part; it depends on the part and the pixel alone."""
+    """Lay a field of view over a part; it depends only on the part and the pixel."""
     side = pixel_mm or automatic_pixel_mm(part)
     low, size = part.bounds[0], part.size
     width, height = (

@@ -1,10 +1,10 @@
 """The paper's form: for every layer, draw every facet into a stencil buffer and read the bitmap.
 
-As in section 2.2 of the paper: the projection puts the near plane at the slice height, so that what lies
-below is clipped away; a ray upwards adds 1 to the stencil at a facet that faces forward (its normal up)
-and takes 1 away at one that faces backward, with wrapping 8-bit arithmetic; pixels that end at 1 or 2 are
-solid. Contours are marching squares by scikit-image. It is a true OpenGL stencil buffer, reached by
-PyOpenGL on the context that moderngl opened, because moderngl itself has no stencil state.
+As in section 2.2 of the paper, the projection puts the near plane at the slice height, which clips what lies
+below. A ray upwards adds 1 to the stencil at a facet that faces forward (normal up) and subtracts 1 at one
+that faces backward, in wrapping 8-bit arithmetic; pixels that end at 1 or 2 are solid. Contours are found by the
+marching squares of scikit-image. The stencil buffer is OpenGL's own, used through PyOpenGL on the context that
+moderngl opened, because moderngl has no stencil state.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     import moderngl
 
 INSIDE_COUNTS = (1, 2)
-"""Stencil values that the paper draws."""
+"""Stencil values of solid pixels, as in the paper."""
 
 DEPTH_SLACK = 1.0 / 64.0
-"""The far plane lies above the part by this fraction of its height, so that nothing is clipped there."""
+"""Height of the far plane above the part, over the part's height: nothing may be clipped there."""
 
 VERTEX_SHADER = """
 #version 430
@@ -51,7 +51,7 @@ void main() {}
 
 
 class LiteralSlices:
-    """A part on the graphics device, cut by one full draw a layer."""
+    """A part on the graphics device, cut by one full draw per layer."""
 
     def __init__(
         self,
@@ -114,8 +114,8 @@ class LiteralSlices:
         depth_mm = self._top_mm - height_mm
         if depth_mm < 0.0 or not self._height_mm > 0.0:
             return image
-        # Whoever drew last may have left another context current, and reading from that one gives noise. (Contexts
-        # do not nest: leaving an inner one leaves none.)
+        # An earlier draw may have left another context current, from which reads return noise. (Contexts do not nest:
+        # after leaving an inner one, none is current.)
         with self._context:
             self._program["slice_height"] = height_mm - self._middle_mm
             self._program["depth_per_mm"] = 2.0 / (depth_mm + DEPTH_SLACK * self._height_mm)
@@ -158,7 +158,7 @@ class _StencilTarget:
         """Draw the facets over a window and read the stencil values (height, width)."""
         gl = self._gl
         gl.glBindFramebuffer(gl.GL_FRAMEBUFFER, self._framebuffer)
-        # The viewport holds the whole field, so that no facet is ever clipped at a window's border.
+        # The viewport holds the whole field, lest a facet be clipped at a window's border.
         gl.glViewport(-window.x, -window.y, self._viewport_px, self._viewport_px)
         for switched_off in (gl.GL_DEPTH_TEST, gl.GL_CULL_FACE, gl.GL_SCISSOR_TEST, gl.GL_BLEND):
             gl.glDisable(switched_off)
@@ -183,7 +183,7 @@ def _contours(image: NDArray[np.bool_]) -> list[NDArray[np.float64]]:
 
     if not image.any():
         return []
-    # `fully_connected="low"`: empty pixels join over corners, solid ones do not, as in the draw-once form.
+    # `fully_connected="low"`: empty pixels connect across corners, solid ones do not, as in the draw-once form.
     found: list[NDArray[np.float64]] = measure.find_contours(  # type: ignore[no-untyped-call]
         image.astype(np.float64), 0.5, fully_connected="low", positive_orientation="low"
     )

@@ -1,8 +1,8 @@
 """Marching squares on bitmaps: contours half way between solid and empty pixel centres.
 
-A contour is walked with a solid pixel on its left and an empty one on its right; each step looks at the two
-pixels ahead. Pixels that touch at a corner only stay apart (solid is 4-connected, empty 8-connected), as
-scikit-image's ``find_contours`` has it by default. Points inside straight runs are left out: a run ends
+A contour is followed with a solid pixel on its left and an empty one on its right; each step tests the two
+pixels ahead. Pixels that touch only at a corner stay separate (solid is 4-connected, empty 8-connected), the
+default of scikit-image's ``find_contours``. Points inside straight runs are left out: a run ends
 where the direction, one of eight, changes.
 """
 
@@ -16,7 +16,7 @@ from ebamcheck_stencil.bitmaps import Flips, Words, flip
 
 FIRST_POINTS = 4096
 FIRST_RINGS = 64
-"""Sizes with which the output columns begin; they double as needed."""
+"""Initial sizes of the output columns; they double as needed."""
 
 _ONE = np.uint64(1)
 _ALL = np.uint64(0xFFFFFFFFFFFFFFFF)

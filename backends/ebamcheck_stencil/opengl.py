@@ -1,4 +1,4 @@
-"""OpenGL without a window: opening a context, what it can do, and why it could not be opened."""
+"""OpenGL without a window: opening a context, its limits, and why none could be opened."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ NEEDED_VERSION = 430
 """OpenGL 4.3: shader storage buffers, which the draw-once form writes its fragments to."""
 
 NEEDED_SUBPIXEL_BITS = 8
-"""The lattice of field_of_view.SUBPIXELS must be one that the rasteriser keeps."""
+"""Fewest subpixel bits of the rasteriser: it must keep the lattice of :data:`ebamcheck_stencil.field_of_view.SUBPIXELS`."""
 
 INSTALL_HINT = (
     "on Debian or Ubuntu: apt-get install libegl1 libgl1 libgl1-mesa-dri "
@@ -31,11 +31,11 @@ class Device:
     renderer: str
     gl_version: str
     buffer_bytes: int
-    """Largest shader storage buffer."""
+    """Size of the largest shader storage buffer."""
     texture_px: int
     """Largest side of an image that can be drawn at once."""
     viewport_px: int
-    """Largest side of a viewport, and so of the whole field of view."""
+    """Largest side of a viewport, which must hold the whole field of view."""
     subpixel_bits: int
 
 
@@ -45,7 +45,7 @@ def open_context() -> moderngl.Context:
     Raises
     ------
     BackendMissing
-        If there is none, or only one that cannot do the work; the message gives every reason.
+        If there is none, or none that is sufficient; the message gives every reason.
     """
     try:
         import moderngl
@@ -71,7 +71,7 @@ def open_context() -> moderngl.Context:
 
 
 def _match_pyopengl(way: str | None) -> None:
-    """Let PyOpenGL, which the literal mode loads later, look where the context was found."""
+    """Make PyOpenGL, which the literal mode loads later, use the platform of the context."""
     if way == "egl":
         os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
 

@@ -1,10 +1,9 @@
 """Openings of a surface, and caps that close them.
 
-Where a ray passes an opening, it goes in without coming out, and every layer above would be wrong. A fan of
-facets from the middle of each opening's border balances every ray. A cap stays within the heights of its
-border, so a layer that does not cut an opening is exactly what the closed surface would give; one that does
-is closed along the cap. Facets that are turned over count as openings with a border of two, and their caps
-outweigh them.
+A ray through an opening enters the solid without leaving it, or leaves without entering, and the layers above would be
+wrong. A fan of facets from the middle of each opening's border balances every ray. A cap stays within the heights of its
+border, so a layer that does not cut an opening is exactly that of the closed surface; one that does is closed along the
+cap. A flipped facet counts as an opening whose border runs twice along it, and its caps outweigh it.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from ebamcheck.mesh.part import Part
 
 
 def border(faces: NDArray[np.integer[Any]]) -> NDArray[np.int64]:
-    """Directed edges (n, 2) that facets (F, 3) run along more often than against, as often as they do."""
+    """Directed edges (n, 2) that facets (F, 3) use more often in this direction than in the other, once per excess use."""
     ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
     ends = ends[ends[:, 0] != ends[:, 1]]
     low, high = ends.min(axis=1), ends.max(axis=1)
@@ -33,7 +32,7 @@ def border(faces: NDArray[np.integer[Any]]) -> NDArray[np.int64]:
 
 def capped(part: Part) -> Part:
     """Close every opening of a part by a fan from the mean of the points of its border."""
-    # A part made from arrays need not be welded; without that every facet would be an opening.
+    # A part made from arrays may be unwelded: then every facet would be an opening.
     vertices, welded = np.unique(part.vertices + 0.0, axis=0, return_inverse=True)
     part = replace(part, vertices=vertices, faces=welded.reshape(-1)[part.faces].astype(np.int32))
     edges = border(part.faces)
@@ -52,7 +51,7 @@ def capped(part: Part) -> Part:
     middles = np.column_stack(
         [np.bincount(opening, points[:, axis] - reference[axis]) / sizes for axis in range(3)]
     )
-    # Rounding must not lift a middle out of the heights of its border.
+    # Rounding must not move a middle outside the heights of its border.
     lowest, highest = np.full(count, np.inf), np.full(count, -np.inf)
     np.minimum.at(lowest, opening, points[:, 2])
     np.maximum.at(highest, opening, points[:, 2])

@@ -1,4 +1,4 @@
-"""The backend ``stencil``: the paper's slicer as one draw for all layers, or one draw a layer."""
+"""The backend ``stencil``: the paper's slicer with one draw for all layers, or one draw per layer."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from ebamcheck_stencil.field_of_view import SUBPIXELS, WORD_BITS, FieldOfView, f
 log = logging.getLogger(__name__)
 
 CONTOUR_REACH_PX = math.sqrt(10.0) / 4.0
-"""Farthest that a point of a marching-squares cell lies from the nearest pixel centre of its own side.
+"""Greatest distance, px, of a point of a marching-squares cell from the nearest pixel centre of its own side.
 
 The worst is the middle of the cut in a cell with three solid corners and an empty one, or the reverse.
 """
 
 LATTICE_MOVE_PX = math.sqrt(2.0) / (2.0 * SUBPIXELS)
-"""Farthest that a vertex, and with it a contour, moves onto the lattice."""
+"""Greatest distance, px, that a vertex, and with it a contour, moves onto the lattice."""
 
 CLIP_MOVE_PX = math.sqrt(2.0) / SUBPIXELS
-"""The same for points that the literal mode's near plane makes; drivers may round them down."""
+"""The same for points made by clipping at the literal mode's near plane, which drivers may round down."""
 
 FLOAT32_STEP = 2.0**-23
 FLOAT64_STEP = 2.0**-52
@@ -50,7 +50,7 @@ class Settings(BackendSettings):
 
 
 def inside_rule(settings: Settings) -> str:
-    """Which winding numbers are solid under these settings; the literal mode has the paper's rule."""
+    """Rule for the winding numbers that are solid, under these settings; the literal mode has the paper's."""
     return "1..2" if settings.mode == "literal" else Stencil.inside_rule
 
 
@@ -66,7 +66,7 @@ class Stencil:
     Settings: ClassVar[type[BackendSettings]] = Settings
 
     def probe(self) -> Probe:
-        """Open a context and say on what it runs; never raises."""
+        """Open a context and report its renderer; never raises."""
         try:
             context = opengl.open_context()
             try:
@@ -80,12 +80,11 @@ class Stencil:
             return Probe(False, why=f"{type(error).__name__}: {error}", hint=opengl.INSTALL_HINT)
 
     def error_bound_mm(self, part: Part, settings: BackendSettings) -> float:
-        """Return the promised bound r, mm: sqrt(10)/4 of a pixel and what the lattice moves a contour.
+        """Return the promised bound r, mm: sqrt(10)/4 pixel plus how far the lattice moves a contour.
 
         It holds in draw-once mode on every layer that cuts no opening of the surface; in literal mode on
-        closed surfaces with winding numbers up to 2. Between bodies that touch along faces of unlike
-        tessellation single pixel centres can fall into the gap that the lattice opens (at most 1/256
-        pixel wide).
+        closed surfaces with winding numbers up to 2. Between bodies that touch along differently tessellated
+        faces, single pixel centres can fall into the gap that the lattice opens (at most 1/256 pixel wide).
         """
         checked = _checked(settings)
         view = field_of_view(part, checked.pixel_mm)
@@ -96,7 +95,7 @@ class Stencil:
         return (CONTOUR_REACH_PX + move_px) * view.pixel_mm + 4.0 * FLOAT64_STEP * largest_mm
 
     def height_bound_mm(self, part: Part, settings: BackendSettings) -> float:
-        """Return the promised bound on the height at which a layer is really cut, mm.
+        """Return the promised bound on the error of the height at which a layer is cut, mm.
 
         Heights are interpolated in double precision; in literal mode the device clips in float32, about
         the middle of the part.
@@ -116,7 +115,7 @@ class Stencil:
         Raises
         ------
         BackendMissing
-            If no OpenGL context can be had.
+            If no OpenGL context can be opened.
         BackendFailed
             If the driver refuses the buffers.
         SettingsError
@@ -153,7 +152,7 @@ class Stencil:
 
 
 def _warn_of_openings(part: Part) -> None:
-    """Say that the literal mode counts wrong where a ray leaves through a hole: it caps none, as the paper does not."""
+    """Warn that the literal mode counts wrong where a ray passes a hole: like the paper's method it caps none."""
     from ebamcheck_stencil.openings import border
 
     edges = len(
@@ -169,14 +168,14 @@ def _warn_of_openings(part: Part) -> None:
 
 
 def _checked(settings: BackendSettings) -> Settings:
-    """Take settings as this backend's own, or complain."""
+    """Return the settings if they are this backend's own, else raise."""
     if not isinstance(settings, Settings):
         raise SettingsError(f"stencil: settings are {type(settings).__name__}: give Stencil.Settings")
     return settings
 
 
 def _check_size(view: FieldOfView, found: opengl.Device) -> None:
-    """Refuse a field of view that no viewport of the driver holds."""
+    """Refuse a field of view that is larger than any viewport of the driver."""
     if view.viewport_px > found.viewport_px:
         larger = max(view.width_px, view.height_px)
         raise SettingsError(
@@ -187,7 +186,7 @@ def _check_size(view: FieldOfView, found: opengl.Device) -> None:
 
 
 def _labels(part: Part, view: FieldOfView, settings: Settings, found: opengl.Device) -> dict[str, Any]:
-    """Labels of the layers: the settings in force and what drew them."""
+    """Labels of the layers: the settings used, and the renderer."""
     return {
         "part": part.sha256,
         "direction": part.direction,

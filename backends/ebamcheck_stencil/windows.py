@@ -18,7 +18,7 @@ class Window:
     height: int
 
     def halves(self) -> tuple[Window, Window] | None:
-        """Cut in two, across the rows as long as there are several; None for a single pixel."""
+        """Halve the rows or, of a single row, the columns; None for a single pixel."""
         if self.height > 1:
             low = self.height // 2
             return (

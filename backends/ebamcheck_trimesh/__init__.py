@@ -1,4 +1,4 @@
-"""Slicer by trimesh's ``section_multiplane``: a slow and plain witness that is always there."""
+"""trimesh's ``section_multiplane`` as a slicer: a slow, simple check that is always installed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``section_multiplane`` of trimesh behind the protocol of a slicer."""
+"""``section_multiplane`` of trimesh behind the slicer protocol."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.numeric.rings import EPSILON, Floats
 
 MERGE = 1e-8
-"""Distance within which trimesh takes vertices for one, and a vertex for one on the plane (``tol.merge``)."""
+"""Distance within which trimesh merges vertices, and takes a vertex as on the plane (``tol.merge``), in working units."""
 
 WORKING_SIZE_EXPONENT = 10
-"""Parts are scaled to lie between 2**9 and 2**10, so that this distance is nothing beside them."""
+"""Parts are scaled to a size between 2**9 and 2**10, against which :data:`MERGE` is negligible."""
 
 BLOCK = 64
-"""Layers that trimesh cuts at a time, so that progress is told and memory stays bounded."""
+"""Layers that trimesh cuts at a time, to report progress and bound memory."""
 
 
 class TrimeshSettings(BackendSettings):
@@ -35,8 +35,8 @@ class TrimeshSettings(BackendSettings):
 class TrimeshSections:
     """Exact cut by trimesh: segments of the facets, joined to closed paths where their ends are equal.
 
-    Its paths have no direction, so that solid is what lies within an odd number of them; a part whose shells
-    cross is refused. Facets are cut as trimesh does it, with a vertex within 1e-8 of the plane on it.
+    Its paths have no direction, so the solid is what lies within an odd number of them; a part whose shells
+    cross is refused. trimesh takes a vertex within 1e-8 of the plane as on it.
     """
 
     name: ClassVar[str] = "trimesh"
@@ -50,7 +50,7 @@ class TrimeshSections:
     Settings: ClassVar[type[BackendSettings]] = TrimeshSettings
 
     def probe(self) -> Probe:
-        """Whether trimesh is installed; to import it takes half a second."""
+        """Whether trimesh is installed; it is not imported, which takes half a second."""
         try:
             found = version("trimesh")
         except PackageNotFoundError as error:
@@ -58,12 +58,12 @@ class TrimeshSections:
         return Probe(True, versions={"trimesh": found})
 
     def error_bound_mm(self, part: Part, settings: BackendSettings) -> float:
-        """Return the merging of points and the rounding of coordinates, mm."""
+        """Return the error by merging of points plus the rounding of coordinates, mm."""
         largest = float(np.abs(part.bounds).max())
         return 2.0 * MERGE / _placement(part).scale + 4.0 * EPSILON * largest
 
     def height_bound_mm(self, part: Part, settings: BackendSettings) -> float:
-        """Return how far from a plane trimesh takes a vertex for one on it, and the rounding, mm."""
+        """Return the distance at which trimesh takes a vertex as on the plane, plus the rounding, mm."""
         largest = float(np.abs(part.bounds).max())
         return MERGE / _placement(part).scale + 4.0 * EPSILON * largest
 
@@ -74,7 +74,7 @@ class TrimeshSections:
 
 @dataclass(frozen=True)
 class _Placement:
-    """Coordinates as trimesh gets them: ``(x - shift_mm) * scale``, the scale a power of two."""
+    """Map from part to working coordinates, ``(x - shift_mm) * scale``; the scale is a power of two."""
 
     shift_mm: Floats
     scale: float
@@ -87,7 +87,7 @@ def _placement(part: Part) -> _Placement:
 
 
 class PreparedSections:
-    """A part as a trimesh mesh."""
+    """A part as a trimesh mesh, ready to be cut."""
 
     def __init__(self, part: Part, placement: _Placement, settings: BackendSettings) -> None:
         import trimesh
@@ -139,7 +139,7 @@ class PreparedSections:
         return directed_by_nesting(raw, bound_mm, TrimeshSections.name)
 
     def _paths(self, heights: Floats, within: NDArray[np.bool_]) -> list[list[Floats]]:
-        """Paths of each layer, mm; one that is closed ends where it begins."""
+        """Paths of each layer, mm; a closed one repeats its first point at the end."""
         found: list[list[Floats]] = [[] for _ in range(heights.size)]
         if not within.any():
             return found

@@ -1,4 +1,4 @@
-"""Comparison of stacks of layers: differences layer by layer, agreement, consensus, named outliers."""
+"""Comparison of stacks of layers: differences layer by layer, agreement, consensus, and outliers with likely causes."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Likely causes of a disagreement, from the mesh, the layers and what the slicers declare about the place.
+"""Likely causes of a disagreement, from the mesh, the layers, and what the slicers declare about the place.
 
-A cause is a likely one: it names what is found at the place and known to divide slicers, not a proof.
+A cause is something found at the place that is known to make slicers disagree; it is no proof.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ SHALLOW = "shallow slope"
 UNKNOWN_CAUSE = "unknown"
 
 NEAR_DEPTHS = 3.0
-"""A flaw of the mesh explains a disagreement if it lies within so many depths (and limits) of the place."""
+"""Distance within which a flaw of the mesh explains a disagreement, over the sum of the disagreement's depth and limit."""
 
 THIN_LIMITS = 4.0
-"""A feature no deeper than so many limits is thin for the methods compared; a wall or gap has two sides."""
+"""Largest depth of a thin feature, over the limit of the methods compared; a wall or gap has two sides."""
 
 TOUCHING_SHARE = 1e-7
-"""Shells nearer to each other than this share of the part's size touch: single precision cannot part them."""
+"""Shells nearer to each other than this share of the part's size touch: single precision cannot separate them."""
 
 PROBES = 16
-"""Points on a circle around the place at which the winding number is looked at."""
+"""Points on a circle around the place at which the winding number is computed."""
 
 
 class MeshFlaws:
@@ -76,7 +76,7 @@ class MeshFlaws:
 
     @cached_property
     def _by_height(self) -> tuple[Ints, Floats, Floats, float]:
-        """Facets by lowest z, their lowest and highest z, and the tallest facet's height."""
+        """Facets sorted by lowest z, their lowest and highest z, and the height of the tallest facet."""
         z = self.part.vertices[:, 2][self.part.faces]
         low, high = z.min(axis=1), z.max(axis=1)
         order = np.argsort(low, kind="stable")
@@ -94,7 +94,7 @@ class MeshFlaws:
         """Oriented segments of the section, (n, 4) mm: x0, y0, x1, y1 with the solid on their left."""
         corners = self.part.triangles[self.crossing(height_mm)]
         above = corners[:, :, 2] > height_mm
-        # Turn each facet so that its odd corner, the one alone on its side of the plane, comes first.
+        # Rotate each facet's corners so that the one alone on its side of the plane comes first.
         alone = np.where(above.sum(axis=1) == 1, above.argmax(axis=1), (~above).argmax(axis=1))
         turned = np.take_along_axis(corners, ((alone[:, None] + np.arange(3)) % 3)[:, :, None], axis=1)
         t = (height_mm - turned[:, :1, 2]) / (turned[:, 1:, 2] - turned[:, :1, 2])
@@ -105,7 +105,7 @@ class MeshFlaws:
         return np.concatenate([start, stop], axis=1)
 
     def edge_flaw(self, x_mm: float, y_mm: float, height_mm: float, reach_mm: float) -> str:
-        """Cause whose flawed edge passes nearest to a place on a layer, within reach; or nothing."""
+        """Cause of the flawed edge nearest to a place on a layer, within reach; empty if there is none."""
         best, cause = reach_mm, ""
         for name, ends in self._flawed.items():
             if not len(ends):
@@ -123,7 +123,7 @@ class MeshFlaws:
         return cause
 
     def winding_flaw(self, x_mm: float, y_mm: float, height_mm: float, reach_mm: float) -> str:
-        """``overlapping shells`` or ``inconsistent orientation`` by the winding numbers around a place."""
+        """``overlapping shells`` or ``inconsistent orientation``, by the winding numbers around a place."""
         segments = self.section(height_mm)
         if not len(segments):
             return ""
@@ -147,12 +147,12 @@ class MeshFlaws:
 
     @cached_property
     def bodies(self) -> int:
-        """Bodies that are joined at no edge."""
+        """Number of bodies, which share no edge."""
         return int(self._body.max(initial=-1)) + 1
 
     @cached_property
     def is_open(self) -> bool:
-        """Whether the part has an edge with one facet."""
+        """Whether the part has an edge with only one facet."""
         return bool(self._edges[1][OPEN_EDGE].any())
 
     def around(self, x_mm: float, y_mm: float, height_mm: float, reach_mm: float) -> Surroundings:
@@ -183,12 +183,12 @@ class Place(NamedTuple):
 
     @property
     def known(self) -> bool:
-        """Whether there is a place in the layer."""
+        """Whether the disagreement has a place in the layer."""
         return bool(np.isfinite(self.x_mm) and np.isfinite(self.y_mm))
 
     @property
     def reach_mm(self) -> float:
-        """Within this distance a flaw of the mesh explains the disagreement."""
+        """Distance within which a flaw of the mesh explains the disagreement."""
         return NEAR_DEPTHS * (self.depth_mm + self.limit_mm) if np.isfinite(self.depth_mm) else self.limit_mm
 
 
@@ -200,8 +200,8 @@ def likely_cause(
 ) -> str:
     """Name the likeliest cause of a disagreement at a place.
 
-    What the layer's class says goes first, then what the slicers themselves declare, then flaws of the mesh
-    at the place, then open paths and surfaces, then its shape: a near-level face, a wall or gap of few limits.
+    In this order: the layer's class, what the slicers themselves declare, flaws of the mesh at the place, open paths and
+    surfaces, and the part's shape: a nearly level face, or a wall or gap only a few limits wide.
 
     Parameters
     ----------
@@ -209,8 +209,8 @@ def likely_cause(
         Settings of the layers of the two slicers, with their ``doubtful_regions`` (see
         :meth:`ebamcheck.backend.Prepared.slice`) and ``unbalanced_pixels``.
     contours
-        Gives the segments (n, 4) mm of both slicers on the layer, with the solid on their left; asked for where the
-        mesh has nothing to tell.
+        Returns the segments (n, 4) mm of both slicers on the layer, with the solid on their left; called only if the
+        mesh shows no cause.
     """
     if place.layer_class == "face-on-plane":
         return COPLANAR_FACE
@@ -234,7 +234,7 @@ def likely_cause(
 
 
 def declared_doubt(place: Place, declared: Sequence[Mapping[str, Any]]) -> str:
-    """Why one of the slicers does not trust itself within a limit of the place."""
+    """Why one of the slicers declares a place within a limit of this one doubtful; empty if none does."""
     at = np.array([place.x_mm, place.y_mm, place.height_mm])
     for settings in declared:
         for region in settings.get("doubtful_regions", ()):
@@ -245,7 +245,7 @@ def declared_doubt(place: Place, declared: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _shell_flaw(flaws: MeshFlaws, place: Place, around: Surroundings) -> str:
-    """Surfaces that cross or touch, or a winding number other than 0 or 1, around the place."""
+    """Cause in the shells around the place: they cross or touch, or a winding number is other than 0 or 1."""
     first, second = around.crossing()
     if first.size:
         same = around.body[first] == around.body[second]
@@ -258,7 +258,7 @@ def _shell_flaw(flaws: MeshFlaws, place: Place, around: Surroundings) -> str:
 
 
 def _shape(flaws: MeshFlaws, place: Place, around: Surroundings, contours: Sequence[Floats]) -> str:
-    """Shape of the part at the place that magnifies small errors, or hides between samples."""
+    """Cause in the part's shape at the place: it magnifies small errors, or is missed between samples."""
     height_error_mm = ROUNDING_SHARE * float(flaws.part.size.max(initial=0.0))
     if around.travel_per_mm() * height_error_mm >= 0.5 * place.depth_mm > 0.0:
         return SHALLOW

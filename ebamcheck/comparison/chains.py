@@ -1,4 +1,4 @@
-"""Closed rings as chains of segments, and their vertices in the order in which a sweep from below meets them."""
+"""Closed rings as monotone chains of segments, and their vertices in the order in which a rising sweep line meets them."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints, ShortInts
 
 ADVANCE, OPEN, CLOSE = 0, 1, 2
-"""Kinds of events: a chain goes on with its next segment, two chains start, or two end."""
+"""Kinds of events: a chain continues with its next segment, two chains start, or two end."""
 
 KIND, LEFT, RIGHT, LEFT_SEGMENT, RIGHT_SEGMENT = 0, 1, 2, 3, 4
-"""Columns of events: kind; the chain, or the left and the right one of two that start, or both that end; and
-the segments with which these go on upwards, -1 for none."""
+"""Columns of events: kind; the chain, or the left and right one of two that start, or both that end; and
+the segments with which these continue upwards, -1 for none."""
 
 X_LOW, Y_LOW, X_HIGH, Y_HIGH, SLOPE = 0, 1, 2, 3, 4
 """Columns of `edges`: lower and upper end, mm, and change of x with y."""

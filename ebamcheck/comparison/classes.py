@@ -1,4 +1,4 @@
-"""Layer classes: does a plane pass through vertices or faces of the part, where slicers differ by definition?"""
+"""Layer classes: whether a plane passes through vertices or faces of the part, where slicers differ by definition."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ GENERIC = "generic"
 VERTEX_ON_PLANE = "vertex-on-plane"
 FACE_ON_PLANE = "face-on-plane"
 UNKNOWN = "unknown"
-"""Class of a layer where the part is not given."""
+"""Class of a layer if no part is given."""
 
 
 def layer_classes(part: Part, heights: ArrayLike, margin_mm: float) -> NDArray[np.str_]:
@@ -24,7 +24,7 @@ def layer_classes(part: Part, heights: ArrayLike, margin_mm: float) -> NDArray[n
     heights
         (L,) absolute heights, mm.
     margin_mm
-        How near to the plane counts as on it.
+        Distance from the plane within which a vertex counts as on it.
 
     Returns
     -------
@@ -50,7 +50,7 @@ def layer_classes(part: Part, heights: ArrayLike, margin_mm: float) -> NDArray[n
         return classes
     order = np.argsort(low[flat])
     low, high = low[flat][order], high[flat][order]
-    # Least upper end among the flat facets that start at or above each place: one sweep from the top.
+    # Least upper end among the flat facets that start at or above each place, in one sweep from the top.
     least_high = np.append(np.minimum.accumulate(high[::-1])[::-1], np.inf)
     classes[least_high[np.searchsorted(low, planes - margin_mm, side="left")] <= planes + margin_mm] = (
         FACE_ON_PLANE

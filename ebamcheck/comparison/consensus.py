@@ -1,4 +1,4 @@
-"""Which slicers agree on each layer, which are outliers, and why."""
+"""Consensus: which slicers agree on each layer, which are outliers, and why."""
 
 from __future__ import annotations
 
@@ -28,23 +28,23 @@ EVERY_AGREEMENT = EvidenceRule()
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """What the comparison of all stacks found."""
+    """Result of the comparison of all stacks."""
 
     pairs: pd.DataFrame
-    """One row a pair and layer: ``a``, ``b``, the columns of :func:`ebamcheck.comparison.compare`, ``gated``,
-    ``evidence`` (an agreement of the two would count)."""
+    """One row per pair and layer: ``a``, ``b``, the columns of :func:`ebamcheck.comparison.compare`, ``gated``,
+    ``evidence`` (whether an agreement of the two counts)."""
     layers: pd.DataFrame
-    """One row a layer: ``layer``, ``height_mm``, ``class``, ``consensus`` (names joined by commas), ``verdict``,
-    ``rests_on`` (the two names of the consensus whose agreement is the narrowest)."""
+    """One row per layer: ``layer``, ``height_mm``, ``class``, ``consensus`` (names joined by commas), ``verdict``,
+    ``rests_on`` (the two names of the consensus that agree within the narrowest limit)."""
     stacks: Mapping[str, pd.DataFrame]
-    """By backend, one row a layer: ``area_mm2``, ``rings``, ``outer_rings``, ``open_paths``, ``points``."""
+    """By backend, one row per layer: ``area_mm2``, ``rings``, ``outer_rings``, ``open_paths``, ``points``."""
     findings: list[Finding]
     passed: bool
-    """At least one layer was compared, and none has an outlier, is undecided, or is empty against the part."""
+    """Whether at least one layer was compared, and none has an outlier, is undecided, or is empty although the part is not."""
     compared_layers: int
-    """Layers on which at least one gated pair that is evidence had anything to compare."""
+    """Number of layers on which at least one gated pair that is evidence had regions to compare."""
     without_weight: Mapping[str, str] = field(default_factory=dict)
-    """Backends whose agreement is no evidence, and why."""
+    """Backends whose agreement is no evidence, with the reason."""
 
 
 def compare_all(
@@ -63,32 +63,32 @@ def compare_all(
     Parameters
     ----------
     stacks
-        Layers of the same part at the same heights, by backend: in memory, or files of them.
+        Layers of the same part at the same heights, by backend, in memory or in files.
     part
         The part, for layer classes, empty layers and causes.
     bounds
         Error bound and height bound of each backend, mm.
     exact
-        Whether each backend's contours are those of the mesh up to rounding.
+        Whether each backend's contours are those of the mesh to rounding.
     rules
-        Coplanar rule of each backend; layers that are not generic are gated between ``half-open`` ones only.
+        Coplanar rule of each backend; layers that are not generic are gated only between ``half-open`` ones.
     settings
         Tolerance and plane margin; the default margin is the larger height bound of a pair.
     progress
         Called with the number of layers measured since the last call.
     borders
-        Blocks of layers (:func:`~ebamcheck.layers.heights.layer_blocks`) of which two at a time are in memory; None: all
+        Blocks of layers (:func:`~ebamcheck.layers.heights.layer_blocks`), two of which are in memory at a time; None: all
         layers at once. The result does not depend on it.
     evidence
-        Which agreements count. A disagreement always does.
+        Which agreements count. A disagreement always counts.
 
     Returns
     -------
     Comparison
-        The consensus of a layer is the largest set of backends of which every gated pair agrees and each
-        has a gated agreement with another that is evidence. Backends outside are outliers. With two such sets of the same
-        size, or none, the layer is undecided. A layer that is empty in all although facets cross its plane
-        is ``empty``; one on which no gated pair is evidence is ``not-compared``.
+        The consensus of a layer is the largest set of backends in which every gated pair agrees and each
+        backend has a gated agreement with another one that is evidence. Backends outside it are outliers. With two such
+        sets of the same size, or none, the layer is undecided. A layer that is empty in all stacks although facets cross its
+        plane is ``empty``; one on which no gated pair is evidence is ``not-compared``.
 
     Raises
     ------
@@ -168,7 +168,7 @@ def _measured(
     borders: NDArray[np.int64] | None,
 ) -> tuple[list[pd.DataFrame], list[pd.DataFrame]]:
     """Table of each pair, and figures of each stack, in one pass over the layers."""
-    # Seen from the middle of the part coordinates lose no digits to a far origin, and every block has the same one.
+    # Coordinates from the part's middle lose no digits to a far origin, and the middle is the same for every block.
     x, y, _ = part.bounds.mean(axis=0).tolist()
     tables: list[list[pd.DataFrame]] = [[] for _ in couples]
     figures: list[list[pd.DataFrame]] = [[] for _ in stacks]
@@ -194,7 +194,7 @@ def _vanished(figures: list[pd.DataFrame], part: Part, heights: NDArray[np.float
 
 
 def _compared(tables: list[pd.DataFrame], count: int) -> int:
-    """Layers on which a gated pair had a region to compare."""
+    """Number of layers on which a gated pair that is evidence had a region to compare."""
     compared = np.zeros(count, np.bool_)
     for rows in tables:
         compared |= (rows["gated"] & rows["evidence"]).to_numpy() & (
@@ -206,7 +206,7 @@ def _compared(tables: list[pd.DataFrame], count: int) -> int:
 def _verdicts(
     names: list[str], tables: list[pd.DataFrame], vanished: NDArray[np.bool_]
 ) -> tuple[list[tuple[int, ...]], list[str], list[tuple[int, ...]]]:
-    """Consensus (places in `names`), verdict, and the two that it rests on, of each layer."""
+    """Consensus (indices into `names`), verdict, and the two backends that it rests on, of each layer."""
     couples = list(combinations(range(len(names)), 2))
 
     def marks(column: str) -> NDArray[np.bool_]:
@@ -215,7 +215,7 @@ def _verdicts(
 
     gated, agrees, counts = marks("gated"), marks("agrees"), marks("evidence")
     limits = np.array([rows["limit_mm"].max() for rows in tables])
-    # Few patterns of agreement occur, so each is solved once.
+    # Few patterns of agreement occur: each is solved once.
     solved: dict[bytes, tuple[tuple[int, ...], str, tuple[int, ...]]] = {}
     found: list[tuple[tuple[int, ...], str, tuple[int, ...]]] = []
     for layer, is_vanished in enumerate(vanished):
@@ -239,7 +239,7 @@ def agreement(
 ) -> tuple[tuple[int, ...], str]:
     """Largest consistent set of one layer and its verdict, by trying every set of backends.
 
-    Of agreements those count that are evidence (`counts`; None: all); every disagreement does.
+    Only agreements that are evidence count (`counts`; None: all); every disagreement counts.
     """
     counted = np.ones_like(gated) if counts is None else counts
     friends = {c for c, g in zip(couples, gated & agrees & counted, strict=True) if g}

@@ -3,8 +3,8 @@
 The depth of a point is its distance from the contours that count; the greatest depth over a trapezoid is at
 most the least, over segments, of the greatest distance of its corners from that segment (a convex function
 is greatest at a corner), and at most the same for the mean distance from two segments. The second bound is
-exact where a trapezoid lies astride the middle line between two parallel sides, so that such ridges need no
-refining along their length.
+exact where a trapezoid lies astride the middle line between two parallel sides, so such ridges need no
+refinement along their length.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from ebamcheck.numeric.rings import Floats, Ints
 
 FINEST_DEPTH_MM = 1e-6
 FINE_SHARE = 0.01
-"""Depth about the limit is found to within this share of the limit, at least to the finest depth: it decides."""
+"""Resolution of depths near the limit, over the limit; never finer than the finest depth. These depths decide the verdict."""
 
 COARSE_SHARE = 0.05
-"""Depth that stays under the limit is found to within this share of the limit: it only informs."""
+"""Resolution of depths below the limit, over the limit. These depths are only reported."""
 
 MOST_NODES = 400_000
-"""Trapezoids looked at in one search; beyond it the upper bound is returned, which errs towards a finding."""
+"""Most trapezoids examined in one search; beyond it the upper bound is returned, which errs towards a finding."""
 
 STACK = 4096
-"""Trapezoids put aside at most in one search; a split adds few, so float64 runs out of halves before this."""
+"""Size of the stack of trapezoids in one search; a split adds few, so float64 runs out of halvings first."""
 
 MOST_PARTS = 16
 """Parts into which a trapezoid is split at once."""
@@ -40,23 +40,23 @@ OTHER = 5
 """Row of the segment of the farther contours, after those of the middle and of four corners."""
 
 THINNEST_SHARE = 2.0**-42
-"""Trapezoids thinner than this share of the largest coordinate (1000 roundings) are none: there edges coincide,
-and rounding put them in one order or the other."""
+"""Trapezoids thinner than this share of the largest coordinate (1000 roundings) are ignored: there edges coincide, and
+rounding alone decided their order."""
 
 RIDGE_SHARE = 0.75
-"""Corners are looked at where the middle is at least this deep, relative to the deepest point known: only
-near a ridge do they tighten the bound enough to pay."""
+"""Depth of a trapezoid's middle, over the greatest depth known, from which its corners are examined, too: only near a ridge do
+they tighten the bound enough to pay."""
 
 
 class Nearby(NamedTuple):
-    """What is known of the contours near a trapezoid, row by row as :func:`_look` fills it."""
+    """Segments and distances near a trapezoid; :func:`_look` fills the rows."""
 
     sides: Floats
     """(6, 4) nearest segments: of the middle, of the four corners, and of the farther contours."""
     corners: Floats
     """(6, 4) distances of the four corners from each of them, mm."""
     guess: Ints
-    """(2,) segments of either region that were found last: the next search starts there."""
+    """(2,) segment of each region that was found last: the next search starts there."""
 
 
 class Deepest(NamedTuple):

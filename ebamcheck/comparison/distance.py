@@ -1,6 +1,6 @@
 """Distances between the contours of one layer: directed Hausdorff distance and 95th percentile.
 
-Both bounds used here follow from one fact: the distance from a fixed segment is a convex function, so over
+The bounds used here follow from one fact: the distance from a fixed segment is a convex function, so over
 a piece of a contour it is greatest at an end of the piece.
 """
 
@@ -25,18 +25,18 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import EPSILON, Floats, Ints
 
 RESOLUTION_MM = 1e-7
-"""Hausdorff distances are found to within this: ten thousand times finer than the default tolerance."""
+"""Resolution of Hausdorff distances: ten thousand times finer than the default tolerance."""
 
 PERCENTILE = 0.95
 
 MOST_PASSED = 8
-"""Vertices between the nearest segments at both ends of a piece that are looked at; more are rare."""
+"""Most vertices examined between the nearest segments at both ends of a piece; more are rare."""
 
 MOST_PIECES = 200_000
-"""Pieces refined in one search at most; a count, so that results do not depend on the machine."""
+"""Most pieces refined in one search; a count, not a time, so that results do not depend on the machine."""
 
 STACK = 128
-"""Pieces put aside in one search; each halving adds one, so float64 runs out of halves first."""
+"""Size of the stack of pieces in one search; each halving adds one, so float64 runs out of halvings first."""
 
 
 class Directed(NamedTuple):
@@ -51,7 +51,7 @@ class Directed(NamedTuple):
     p95_mm: float
     """Distance that 95 % of the first outline's length does not exceed."""
     near: Ints
-    """(M,) segment of the second outline that is nearest to each sample of the first; empty where there is none."""
+    """(M,) segment of the second outline nearest to each sample of the first; empty if there is none."""
 
 
 @kernel

@@ -1,6 +1,6 @@
-"""Declared doubt: where a slicer says that its answer is off by so much, it may be, but not beside, and not by more than a cap.
+"""Declared doubt: inside a box for which a slicer declares an error bound, it may differ by that bound, up to a cap.
 
-The part counts, not the slicer that doubts: a layer that two slicers agree on thanks to a doubt is counted and told.
+A layer on which two slicers agree only thanks to a declared doubt is reported.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.numeric.rings import Floats
 
 DOUBT = "doubt_mm"
-"""Column of a pair's table: what declared doubt added to the limit of a layer that agrees by it; else 0."""
+"""Column of a pair's table: how much declared doubt added to the limit of a layer that agrees only by it; else 0."""
 
 
 class Doubt(NamedTuple):
     """One place that a slicer declares doubtful."""
 
     low: Floats
-    """(3,) mm, corners of its box."""
+    """(3,) lower corner of its box, mm; `high` is the upper one."""
     high: Floats
     bound_mm: float
-    """How far a contour may be off there."""
+    """Largest error of a contour there."""
 
 
 def doubts_of(settings: Mapping[str, Any]) -> list[Doubt]:
-    """Places that a slicer has declared with a bound; others are named as causes and change no verdict."""
+    """Places that a slicer has declared with a bound; places without one are only named as causes, and change no verdict."""
     found = []
     for place in settings.get("doubtful_regions", ()):
         bound = place.get("bound_mm")
@@ -48,14 +48,14 @@ def doubts_of(settings: Mapping[str, Any]) -> list[Doubt]:
 def allow_doubt(
     stacks: Sequence[LayerSource], pairs: Sequence[Pair], tables: Sequence[pd.DataFrame], most_mm: float
 ) -> None:
-    """Let layers agree that differ by no more than a declared doubt, within its boxes alone; `tables` are changed.
+    """Let layers agree that differ by no more than a declared doubt, and only within its boxes; changes `tables` in place.
 
     Parameters
     ----------
     stacks, pairs, tables
         All stacks, the pairs of them that were measured, and the table of each.
     most_mm
-        Cap of what a doubt may add to a limit, whatever is declared; a doubt of more changes nothing.
+        Most that a doubt may add to a limit; a larger one changes nothing.
     """
     declared = [doubts_of(stack.settings) for stack in stacks]
     readers = [Reader(stack) for stack in stacks]
@@ -78,7 +78,7 @@ def allow_doubt(
 
 
 def _agrees_beside(pair: Pair, a: Layers, b: Layers, doubts: Sequence[Doubt], added_mm: float) -> bool:
-    """Whether a layer agrees within the wider limit all over, rings among it, and within its own beside the boxes."""
+    """Whether a layer agrees within the wider limit everywhere, topology included, and within its own outside the boxes."""
     if not _agree(pair, a, b, pair.limit_mm + added_mm):
         return False
     boxes = shapely.union_all(
@@ -102,7 +102,7 @@ def _beside(layers: Layers, boxes: BaseGeometry) -> Layers:
 
 
 def doubted_layers(pairs: pd.DataFrame) -> Iterator[tuple[str, str, list[int], float, float]]:
-    """Pairs that agree on some layers by a declared doubt: names, these layers, greatest depth and what was added, mm."""
+    """Pairs that agree on some layers only by declared doubt: names, these layers, greatest depth and greatest addition, mm."""
     if DOUBT not in pairs:
         return
     for (a, b), rows in pairs[pairs[DOUBT] > 0.0].groupby(["a", "b"], sort=True):

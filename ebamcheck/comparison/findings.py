@@ -1,4 +1,4 @@
-"""What a disagreement is called: where it is, how large, against what limit, and its likely cause."""
+"""Findings: a disagreement with its place, its size, its limit and its likely cause."""
 
 from __future__ import annotations
 
@@ -17,33 +17,33 @@ class Finding:
     layer: int
     height_mm: float
     backend: str
-    """The outlier; both names count alike where the layer is undecided."""
+    """The outlier; on an undecided layer, either of the two."""
     against: str
     """The backend it was compared with, or ``part`` for a layer that came out empty."""
     metric: str
-    """``depth``, ``topology`` (rings and holes apart) or ``empty``."""
+    """``depth``, ``topology`` (numbers of outer rings and holes) or ``empty``."""
     value: float
     limit: float
     x_mm: float
     y_mm: float
     cause: str
-    """What is likely to be at fault, as a kind: ``translation``, ``open edge``, ``unknown``."""
+    """Kind of the likely cause: ``translation``, ``open edge``, ``unknown``."""
     cause_text: str = ""
-    """The cause in words, with its size and the share of the difference that it explains, where that is known."""
+    """Description of the cause, with its size and the share of the difference that it explains, if known."""
     cause_size: float | None = None
-    """Its fitted size, in `cause_unit`; None for a cause that has none."""
+    """Fitted size of the cause, in `cause_unit`; None if it has none."""
     cause_unit: str = ""
     cause_share: float | None = None
-    """Share of the difference of the two slicers that it explains, 0 .. 1."""
+    """Share of the difference between the two slicers that the cause explains, 0 .. 1."""
     remedy: str = ""
     """What to do about it, without a full stop."""
 
     @property
     def excess(self) -> float:
-        """How grave it is: the value over its limit; one that has no limit goes before all."""
+        """Severity: the value over its limit; a finding without a limit is the most severe."""
         return self.value / self.limit if self.limit > 0.0 else math.inf
 
 
 def worst_of(findings: Sequence[Finding]) -> Finding | None:
-    """The gravest finding: the largest excess, of equal ones the lowest layer; None for none."""
+    """The most severe finding: the largest excess, then the lowest layer; None if there is none."""
     return max(findings, key=lambda f: (f.excess, -f.layer), default=None)

@@ -1,4 +1,4 @@
-"""A grid over segments, and the segment nearest to a point by it."""
+"""A grid over segments, and the search in it for the segment nearest to a point."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ CELLS_PER_SEGMENT = 12
 """Grid cells per segment: few segments in a cell, and a grid that is small to build."""
 
 MOST_ENTRIES_PER_SEGMENT = 64
-"""A grid in which segments cross more cells than this on average is made coarser."""
+"""Most cells that a segment crosses on average; a finer grid is made coarser."""
 
 CELLS_AT_ENDS = 8
 """Cells that a segment passes through beside those between which it crosses a border, at most."""
@@ -24,7 +24,7 @@ class Grid(NamedTuple):
     """Segments by the square cells that they pass through."""
 
     x_mm: float
-    """Lower left corner of the grid, with `y_mm`."""
+    """x of the lower left corner of the grid; `y_mm` is its y."""
     y_mm: float
     cell_mm: float
     """Side of a cell."""

@@ -1,4 +1,4 @@
-"""Which agreements are evidence: those of two independent methods whose error bounds are narrow."""
+"""Independence: an agreement is evidence if the two methods are independent and their error bounds are narrow."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ Bounds = Mapping[str, tuple[float, float]]
 
 @dataclass(frozen=True)
 class EvidenceRule:
-    """What an agreement has to be to count.
+    """Conditions under which an agreement counts.
 
     Parameters
     ----------
     largest_error_mm, largest_height_mm
-        A method that declares a greater bound is no evidence: it agrees with too much.
+        Largest bounds of a method whose agreement is evidence: one with a greater bound agrees with too much.
     kin
-        Pairs of names that are one method: one is made from the other, or both are the same code.
+        Pairs of names that are not independent: one is derived from the other, or both are the same code.
     """
 
     largest_error_mm: float = inf
@@ -31,7 +31,7 @@ class EvidenceRule:
     kin: frozenset[frozenset[str]] = frozenset()
 
     def without_weight(self, bounds: Bounds) -> dict[str, str]:
-        """Methods whose agreement says nothing, and why in one line."""
+        """Methods whose agreement is no evidence, with the reason in one line."""
         found = {}
         for name, (error_mm, height_mm) in bounds.items():
             if not error_mm <= self.largest_error_mm:
@@ -50,14 +50,14 @@ class EvidenceRule:
 def best_pair(
     members: tuple[int, ...], count: int, good: NDArray[np.bool_], limits_mm: NDArray[np.float64]
 ) -> tuple[int, int] | None:
-    """The two methods on which a consensus rests: of the agreements in it that are evidence, the one of least limit.
+    """The two methods on which a consensus rests: those whose agreement, of all that are evidence, has the least limit.
 
     Parameters
     ----------
     members
-        Places of the methods of the consensus.
+        Indices of the methods of the consensus.
     count
-        Methods in all.
+        Number of all methods.
     good, limits_mm
         (P,) for each pair of methods, in the order of ``combinations(range(count), 2)``: whether it agrees and is
         evidence, and within how much.

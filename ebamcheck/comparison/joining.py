@@ -1,4 +1,4 @@
-"""Comparisons of consecutive parts of one stack, put together into that of the whole."""
+"""Joining of the comparisons of consecutive parts of a stack into one."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ebamcheck.comparison.findings import EMPTY, OUTLIER, UNDECIDED
 
 
 def shifted(comparison: Comparison, first: int) -> Comparison:
-    """The same comparison, its layers numbered from `first` on."""
+    """The same comparison with its layers numbered from `first`."""
     pairs = comparison.pairs
     return replace(
         comparison,
@@ -24,7 +24,7 @@ def shifted(comparison: Comparison, first: int) -> Comparison:
 
 
 def joined(comparisons: Sequence[Comparison]) -> Comparison:
-    """One comparison of several, whose layers follow each other and are numbered through.
+    """Join comparisons of consecutive layers into one, with consecutive layer numbers.
 
     Parameters
     ----------

@@ -20,7 +20,7 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 MOST_STEPS = 8
-"""Vertices passed for each segment and sample, on average at most: a run back and forth proves nothing."""
+"""Most vertices passed per segment and sample, on average: links that run back and forth prove nothing."""
 
 
 @kernel

@@ -18,7 +18,7 @@ from ebamcheck.numeric.kernels import kernel
 
 
 class Figures(NamedTuple):
-    """What is measured between two outlines; lengths in mm, areas in mm2."""
+    """Measures of two outlines; lengths in mm, areas in mm2."""
 
     area_a: float
     area_b: float
@@ -31,7 +31,7 @@ class Figures(NamedTuple):
     depth_x: float
     depth_y: float
     sound: float
-    """0 where the sweep gave up and the areas are to be found in another way."""
+    """0 if the sweep gave up, and the areas must be found in another way; else 1."""
 
 
 @kernel

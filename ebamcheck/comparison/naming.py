@@ -1,4 +1,4 @@
-"""Naming of disagreements: each with its place, its likely cause and what to do about it."""
+"""Naming of disagreements: each gets its place, its likely cause and a remedy."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Disagreement:
         self.backend, self.against = backend, against
         self.columns = columns
         self.swapped = swapped
-        """Whether the one that differs is the second of the table."""
+        """Whether the slicer that differs is the second one of the table."""
         self.layers = layers
 
     def diagnosed(
@@ -43,9 +43,9 @@ class Disagreement:
         flaws: MeshFlaws,
         origin_mm: tuple[float, float],
     ) -> tuple[Cause, ...]:
-        """Find what is systematic in it; where planes pass through vertices alone, that is what they have in common.
+        """Find its systematic causes; none where planes pass through vertices only, which is then the common cause.
 
-        Layers with open paths are left out: what they have in common is a mesh that is not closed.
+        Layers with open paths are left out: their common cause is a mesh that is not closed.
         """
         open_paths = self.columns["open_a"] + self.columns["open_b"]
         closed = [layer for layer in self.layers if not open_paths[layer]]
@@ -69,16 +69,16 @@ def named_findings(
     consensus: list[tuple[int, ...]],
     verdicts: list[str],
 ) -> Iterator[Finding]:
-    """Every disagreement on the layers that did not come out clean, in the order of layers.
+    """Every disagreement on the layers on which not all slicers agree, in the order of layers.
 
     Parameters
     ----------
     part, stacks, heights
-        What was sliced, and by whom.
+        The part, and its layers by each slicer.
     tables
         Figures of each pair of stacks, in the order of their combinations.
     consensus, verdicts
-        Members of the consensus (places in `stacks`) and verdict of each layer.
+        Members of the consensus (indices into `stacks`) and verdict of each layer.
     """
     flaws, names = MeshFlaws(part), list(stacks)
     columns = [{name: rows[name].to_numpy() for name in rows.columns} for rows in tables]
@@ -108,7 +108,7 @@ def _disagreeing(
     consensus: list[tuple[int, ...]],
     verdicts: list[str],
 ) -> Iterator[tuple[int, str, str, Columns, bool]]:
-    """Layer, slicer that differs, the one that it is held against, figures, and whether it is the second of these."""
+    """Layer, slicer that differs, the one that it is compared with, figures of the pair, and whether it is the second of it."""
     couples = list(combinations(range(len(names)), 2))
     for layer, verdict in enumerate(verdicts):
         if verdict not in (OUTLIER, UNDECIDED):
@@ -124,7 +124,7 @@ def _disagreeing(
 
 
 class _Namer:
-    """Names disagreements; reads the layers of both slicers where the mesh has nothing to tell."""
+    """Names disagreements; reads the layers of both slicers if the mesh shows no cause."""
 
     def __init__(self, flaws: MeshFlaws, stacks: Mapping[str, LayerSource]) -> None:
         self._flaws = flaws
@@ -168,7 +168,7 @@ class _Namer:
 def _empty_finding(
     flaws: MeshFlaws, names: list[str], layer: int, height_mm: float, columns: list[dict[str, NDArray[Any]]]
 ) -> Finding:
-    """Name a layer that is empty in all stacks although the part is there; the value is its area."""
+    """Name a layer that is empty in all stacks although facets of the part cross it; the value is the area."""
     x, y = flaws.place(height_mm)
     column = columns[0]
     open_paths = any(bool(c["open_a"][layer] + c["open_b"][layer] > 0) for c in columns)

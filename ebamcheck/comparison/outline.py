@@ -1,7 +1,7 @@
-"""The contours of one layer made ready for measuring: segments, a grid over them, places on them, sweep events.
+"""The contours of one layer prepared for measuring: segments, a grid over them, samples along them, sweep events.
 
-A layer is made ready once and then measured against any number of others. All outlines that are measured
-against each other share one origin, so that parts far from the origin keep their digits.
+A layer is prepared once and then measured against any number of others. All outlines that are measured
+against each other share one origin near the part, so that parts far from zero keep their digits.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ class Outline(NamedTuple):
     segments: Floats
     """(S, 4) ``x0, y0, x1, y1`` in the order of the contours; those of closed rings come first."""
     paths: Ints
-    """(P + 1,) where the segments of each path start."""
+    """(P + 1,) first segment of each path."""
     rings: int
-    """How many paths, from the first on, are closed rings; the rest are open."""
+    """Number of closed rings, which are the first paths; the rest are open."""
     grid: Grid
-    """Segments by place."""
+    """Segments by grid cell."""
     samples: Samples
-    """Places along the contours, at which distances are taken."""
+    """Places along the contours at which distances are taken."""
     chains: Chains
-    """Closed rings as a sweep from below meets them."""
+    """Closed rings in the order in which a rising sweep line meets them."""
 
 
 def outline(layers: Layers, layer: int, origin_mm: tuple[float, float]) -> Outline:
-    """Make one layer of a stack ready for measuring, in coordinates from `origin_mm`."""
+    """Prepare one layer of a stack for measuring, in coordinates from `origin_mm`."""
     r0, r1 = int(layers.layer_starts[layer]), int(layers.layer_starts[layer + 1])
     starts = layers.ring_starts[r0 : r1 + 1]
     points = layers.points[starts[0] : starts[-1]]

@@ -1,7 +1,7 @@
 """Exact areas of two regions and of their symmetric difference, by a sweep from below.
 
 Between two edges that are neighbours in the status of the sweep lies a trapezoid, wholly inside or outside
-either region (winding number > 0). See :mod:`ebamcheck.comparison.sweep_status` for how it goes on.
+either region (winding number > 0). See :mod:`ebamcheck.comparison.sweep_status` for how the sweep proceeds.
 
 It is the sweep of Bentley and Ottmann (Algorithms for reporting and counting geometric intersections, IEEE Transactions on
 Computers C-28, 1979, 643-647): crossings are looked for between neighbours alone. Their balanced tree and queue are a sorted
@@ -31,7 +31,7 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints, ShortInts
 
 MOST_CROSSINGS = 2_000_000
-"""Crossings in one sweep; beyond it the caller uses shapely instead."""
+"""Most crossings in one sweep; beyond it the caller uses shapely instead."""
 
 TAKEN_AN_EDGE = 6
 """Trapezoids that one step of the sweep takes at most for each edge of the status: an edge that moves passes
@@ -39,7 +39,7 @@ every other once at most, and three gaps change each time, as at either end of a
 
 
 class Overlap(NamedTuple):
-    """What a sweep over two outlines finds."""
+    """Result of a sweep over two outlines."""
 
     area_a_mm2: float
     area_b_mm2: float
@@ -48,11 +48,11 @@ class Overlap(NamedTuple):
     """(T, 8) trapezoids of the symmetric difference, if wanted; columns in :mod:`ebamcheck.comparison.sweep_status`.
     Segments of the second outline are numbered after those of the first."""
     sound: bool
-    """False where the crossings were too many."""
+    """False if there were too many crossings."""
 
 
 NEXT_A, NEXT_B, EDGES, CROSSINGS = 0, 1, 2, 3
-"""How far a sweep has come: events of either outline that have been met, edges of the status, and crossings passed."""
+"""State of a sweep: events passed of either outline, edges of the status, and crossings passed."""
 
 
 @kernel

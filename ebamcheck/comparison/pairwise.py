@@ -25,16 +25,16 @@ SAME_HEIGHT_MM = 1e-6
 """Heights closer than this are the same: finer than any slice file writes them."""
 
 SMALLEST_BLOCK = 16
-"""Layers to a task at least, so that starting it costs little beside it."""
+"""Fewest layers of a task, so that starting it costs little in comparison."""
 
 TASKS_A_THREAD = 32
-"""Tasks that a block of layers is cut into for each thread: it ends when the last one does, and a layer takes long."""
+"""Tasks per thread into which a block of layers is divided: small ones, so that all threads finish at about the same time."""
 
 DepthFrom = Literal["auto", "a", "b", "nearer"]
 
 
 class Pair(NamedTuple):
-    """Two stacks to be measured against each other, by their places in a list."""
+    """Two stacks to be measured against each other, by their indices in a list."""
 
     a: int
     b: int
@@ -64,9 +64,9 @@ def compare(
     a, b
         Stacks of the same part at the same heights.
     tolerance_mm, bound_a_mm, bound_b_mm
-        They agree where no point of the symmetric difference is deeper than the sum of the three.
+        The stacks agree where no point of the symmetric difference is deeper than the sum of these three.
     exact_a, exact_b
-        Whether the contours are those of the mesh up to rounding.
+        Whether the contours are those of the mesh to rounding.
     depth_from
         Contours from which depth is measured: ``"a"``, ``"b"``, the ``"nearer"`` of both at each point, or
         ``"auto"``: the exact one's, the lesser of both depths if both are exact, the nearer if neither is.
@@ -78,7 +78,7 @@ def compare(
     Returns
     -------
     pandas.DataFrame
-        One row a layer: ``layer``, ``height_mm``, ``class``; ``area_a_mm2``, ``area_b_mm2`` (winding number
+        One row per layer: ``layer``, ``height_mm``, ``class``; ``area_a_mm2``, ``area_b_mm2`` (winding number
         > 0), ``area_difference_mm2`` (a - b), ``symmetric_difference_mm2``, ``iou``; Hausdorff distances
         ``hausdorff_ab_mm`` (from a to b), ``hausdorff_ba_mm``, ``hausdorff_mm`` and 95th percentiles
         ``p95_ab_mm``, ``p95_ba_mm`` over the length of all contours, open paths included; ``depth_mm`` at
@@ -154,7 +154,7 @@ def measure_stacks(
     origin_mm: tuple[float, float],
     progress: Callable[[int], None] | None = None,
 ) -> NDArray[np.float64]:
-    """Figures of all pairs on all layers, (P, L, F) in the order of :class:`Figures`, seen from an origin."""
+    """Figures of all pairs on all layers, (P, L, F) in the order of :class:`Figures`, in coordinates from an origin."""
 
     def work(start: int, stop: int) -> NDArray[np.float64]:
         figures = measure_block(stacks, pairs, origin_mm, start, stop)
@@ -170,7 +170,7 @@ def measure_block(
 ) -> NDArray[np.float64]:
     """Figures of all pairs on layers ``start .. stop - 1``, (P, stop - start, F).
 
-    A pure function of picklable arguments; each layer is made ready once for all its pairs.
+    A pure function of picklable arguments; each layer is prepared once for all its pairs.
     """
     figures = np.empty((len(pairs), stop - start, len(Figures._fields)))
     for layer in range(start, stop):
@@ -194,7 +194,7 @@ def shared_origin(stacks: Sequence[Layers]) -> tuple[float, float]:
 
 
 def _by_shapely(a: Layers, b: Layers, layer: int, found: Figures) -> Figures:
-    """Areas and depth by shapely, where the sweep met too many crossings."""
+    """Areas and depth by shapely, for a layer on which the sweep met too many crossings."""
     region_a, region_b = region(a, layer), region(b, layer)
     difference = shapely.symmetric_difference(region_a, region_b)
     radius, x, y = 0.0, np.nan, np.nan
@@ -259,7 +259,7 @@ def table(
 def _topologies(
     a: Layers, b: Layers, limit_mm: float, rings: Mapping[str, Any], holes: Mapping[str, Any]
 ) -> NDArray[np.bool_]:
-    """Whether the topology agrees on each layer; looked into only where the plain counts differ."""
+    """Whether the topology agrees on each layer; examined only where the numbers of rings or holes differ."""
     agree: NDArray[np.bool_] = (rings["a"] == rings["b"]) & (holes["a"] == holes["b"])
     for layer in np.flatnonzero(~agree):
         agree[layer] = topologies_agree(a, b, int(layer), limit_mm)

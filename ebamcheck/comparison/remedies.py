@@ -1,4 +1,4 @@
-"""What to do about a disagreement, by its cause: a setting, another slicer, another direction, or a part to be mended."""
+"""Remedies for a disagreement, by its cause: a setting, another slicer, another direction, or a repair of the part."""
 
 from __future__ import annotations
 
@@ -45,13 +45,13 @@ REMEDIES: Mapping[str, str] = {
     systematic.DUPLICATED: SETTINGS + " for its layer height, else " + LEAVE_OUT,
     systematic.SHIFTED: SETTINGS + " for its first layer, else " + LEAVE_OUT,
 }  # fmt: skip
-"""By cause; a cause that a slicer declares in words of its own has :data:`DECLARED`."""
+"""Remedies by cause; for a cause that a slicer declares in its own words it is :data:`DECLARED`."""
 
 DECLARED = "trust {against} here and leave {backend} out (--backends), or mend the mesh at this place"
 
 
 def remedy(cause: str, backend: str, against: str) -> str:
-    """What to do about a disagreement of a slicer with another, without a full stop.
+    """Remedy for a disagreement of one slicer with another, without a full stop.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Places along contours at which distances are taken."""
+"""Samples: places along contours at which distances are taken."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
 
 PIECES = 512
-"""A contour is cut into at least this many pieces of equal length; along each the distance is taken as
-linear, which is exact while the nearest segment stays the same."""
+"""Least number of equal pieces into which a contour is divided; along each the distance is taken as
+linear, which is a good approximation while the nearest segment stays the same."""
 
 
 class Samples(NamedTuple):
-    """Both ends of every segment, and places between where segments are long; path after path.
+    """Both ends of every segment, and places between on long segments, path after path.
 
     A closed ring ends where it starts, with a sample of its own.
     """

@@ -1,4 +1,4 @@
-"""Stacks of layers as the comparison takes them: in memory, or in files that are read block by block."""
+"""Sources of layers for the comparison: stacks in memory, or files that are read block by block."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ebamcheck.layers.stack import Layers
 
 
 class LayerSource(Protocol):
-    """Anything that gives blocks of one stack: :class:`~ebamcheck.layers.stack.Layers`, or a file of them."""
+    """A source of blocks of one stack: :class:`~ebamcheck.layers.stack.Layers`, or a file of them."""
 
     def __len__(self) -> int:
         """Return the number of layers."""
@@ -33,7 +33,7 @@ class LayerSource(Protocol):
 
     @property
     def settings(self) -> Mapping[str, Any]:
-        """Settings of the slicer, and what it declared of the part."""
+        """Settings of the slicer, and what it declared about the part."""
         ...
 
     def block(self, start: int, stop: int) -> Layers:
@@ -44,9 +44,9 @@ class LayerSource(Protocol):
 def blocks_of(
     sources: Sequence[LayerSource], borders: NDArray[np.int64] | None
 ) -> Iterator[tuple[int, list[Layers]]]:
-    """First layer and stacks of one block after the other; everything at once where there are no borders.
+    """Yield the first layer and the stacks of each block; all layers at once if there are no borders.
 
-    While a block is worked on, the next one is read: no more than two of each source are in memory.
+    While a block is processed the next one is read, so no more than two of each source are in memory.
     """
     if not sources:
         return
@@ -67,7 +67,7 @@ def blocks_of(
 
 
 def contour_figures(layers: Layers) -> pd.DataFrame:
-    """Figures of each layer of one stack: area, closed rings, outer ones of them, open paths and points."""
+    """Figures of each layer of one stack: area, and numbers of closed rings, outer rings, open paths and points."""
     points = np.diff(layers.ring_starts[layers.layer_starts])
     return pd.DataFrame(
         {

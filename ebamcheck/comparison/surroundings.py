@@ -1,6 +1,6 @@
-"""What the mesh's own section looks like around one place: crossed, touching, thin, or nearly level.
+"""Surroundings of a place in the mesh's own section: crossing or touching shells, thin walls, nearly level faces.
 
-Everything here is found from the oriented segments in which the facets cut the plane of the layer.
+Everything here is derived from the oriented segments in which facets cut the plane of the layer.
 """
 
 from __future__ import annotations
@@ -13,26 +13,26 @@ from numpy.typing import NDArray
 from ebamcheck.numeric.rings import Floats, Ints
 
 MOST_SEGMENTS = 400
-"""Segments looked at, the nearest ones: pairs of them are compared."""
+"""Most segments examined, the nearest ones: all pairs of them are compared."""
 
 FACING_COS = -0.7
-"""Sides of a wall or gap run opposite ways to within about 45 degrees."""
+"""Largest cosine between the directions of the two sides of a wall or gap: opposite to within about 45 degrees."""
 
 AS_NEAR = 1.0 + 1e-6
-"""Segments are as near as the nearest one within this factor."""
+"""Factor of the least distance within which segments count as equally near."""
 
 MOST_SIDES = 8
-"""Segments that are as near and looked at; they meet in one point."""
+"""Most equally near segments examined; they meet in one point."""
 
 ROUNDING_SHARE = 2.0**-22
-"""Height error, relative to the part's size, that single precision makes at worst (four roundings)."""
+"""Largest height error by single precision, over the part's size (four roundings)."""
 
 Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """Segments near a place, those nearest first.
+    """Segments near a place, the nearest first.
 
     Parameters
     ----------
@@ -41,11 +41,11 @@ class Surroundings:
     segments
         (n, 4) ``x0, y0, x1, y1`` with the solid on their left.
     body
-        (n,) body of the facet of each.
+        (n,) body of each segment's facet.
     normals
-        (n, 3) unit normal of the facet of each.
+        (n, 3) unit normal of each segment's facet.
     distance
-        (n,) distance of each from the place, mm, ascending.
+        (n,) distance of each segment from the place, mm, ascending.
     """
 
     place: Floats
@@ -55,7 +55,7 @@ class Surroundings:
     distance: Floats
 
     def crossing(self) -> tuple[Ints, Ints]:
-        """Pairs of segments that cross inside of both."""
+        """Pairs of segments that cross in the interior of both."""
         p, q = self.segments[:, :2], self.segments[:, 2:]
         side_p = _sides(p, q, p)
         side_q = _sides(p, q, q)
@@ -70,8 +70,8 @@ class Surroundings:
     def width(self) -> tuple[float, bool]:
         """Distance between the sides of the wall or gap at the place, mm, and whether it is a wall.
 
-        The nearest segment is one side, the other is the nearest one that faces it; of several that are as near, as at
-        the mouth of a slit, the one with the nearest other side. Infinite without one.
+        One side is the nearest segment, the other the nearest one that faces it. Of several equally near segments, as at
+        the mouth of a slit, it is the one whose other side is nearest. Infinite if there is no other side.
         """
         if not len(self.segments):
             return np.inf, False
@@ -92,7 +92,7 @@ class Surroundings:
         return float(np.linalg.norm(away)), bool(left @ away > 0.0)
 
     def travel_per_mm(self) -> float:
-        """How far the contour at the place moves for each mm of height: 0 at an upright wall."""
+        """Movement of the contour at the place per mm of height: 0 at a vertical wall."""
         if not len(self.normals):
             return 0.0
         x, y, z = self.normals[0]

@@ -1,17 +1,17 @@
 """Status of a sweep over two outlines: the edges that the sweep line crosses, and the gaps between them.
 
 An edge is the part of a chain that the line crosses. The gap of an edge lies to its right, up to the next
-edge; its winding numbers stay the same from the level where the two meet as neighbours to the one where
-either ends, turns or is crossed. Only then is the trapezoid between them taken, so that a level costs what
-changes there, not what passes through it.
+edge; its winding numbers stay the same from the level where the two become neighbours to the one where
+either ends, turns or is crossed. Only then is the trapezoid between them added, so the cost of a level is that of
+the changes there, not of all edges that pass through it.
 
-Neighbours are in the right order where both go on, up to rounding: when two edges become neighbours, the
-level is found at which they cross. So an order that rounding gets wrong costs the area between edges
-that coincide within rounding, and shared edges and touching rings need no care.
+Neighbours are in the right order up to rounding: when two edges become neighbours, the level at which they cross
+is computed. If rounding gets an order wrong, the error is the area between edges that coincide within rounding;
+so shared edges and touching rings need no special care.
 
-The status is two tables with a row an edge, from left to right, and a few sums. They are handed on one by
+The status is two tables with one row per edge, from left to right, and a few sums. They are passed on one by
 one: a tuple of them would cost reference counts at every call. Row -1, the last one, and the row after the last
-edge are borders (:func:`set_borders`): what is done to the two gaps beside an edge need not ask which there are.
+edge are borders (:func:`set_borders`), so that every edge has a gap on both sides.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ PLACE = 5
 MARK_COLUMNS = 6
 
 AREA_A, AREA_B, DIFFERENCE, TRAPEZOIDS = 0, 1, 2, 3
-"""`sums`: areas so far, mm2; how many trapezoids have been written down."""
+"""Columns of `sums`: areas so far, mm2; number of trapezoids stored."""
 
 SUMS = 4
 
 BORDER_MM = 1e200
-"""x of the borders: left and right of every edge, and so that areas up to them are finite."""
+"""x of the borders: beyond every edge, yet so small that areas up to them are finite."""
 
 Y0, Y1, L0, L1, R0, R1, LEFT_SEGMENT, RIGHT_SEGMENT = 0, 1, 2, 3, 4, 5, 6, 7
 """Columns of `difference`, the trapezoids of the symmetric difference: levels, x of both sides at each, and

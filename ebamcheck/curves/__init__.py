@@ -1,4 +1,4 @@
-"""Curves: contours without corners become splines, and the error of doing so is measured."""
+"""Curves: contours become lines, arcs and splines, and how far these leave the contours and the part is measured."""
 
 from __future__ import annotations
 

@@ -18,16 +18,16 @@ from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 RAYS = 3600
-"""Rays a ring: one each tenth of a degree."""
+"""Rays per ring: one every tenth of a degree."""
 
 SAMPLES = 4000
-"""Places a ring at which the normal distance is taken, at equal steps of its length."""
+"""Places per ring at which the normal distance is taken, equally spaced along it."""
 
 CURVE_TOLERANCE_MM = 1e-5
-"""Curves are measured as polylines this near to them: far under any error that matters."""
+"""Chord error of the polylines as which curves are measured: far below any error that matters."""
 
 NO_ERROR_MM = 1e-9
-"""Errors under this are the rounding of places a metre from the origin: there is nothing to gain on them."""
+"""Errors below this are rounding of coordinates a metre from the origin: there is nothing to reduce."""
 
 SAME_HEIGHT_MM = 1e-6
 """Layers of two stacks belong together if their heights differ by no more than this."""
@@ -36,7 +36,7 @@ LAYERS_A_STEP = 32
 """Layers sampled at a time; bounds the working memory."""
 
 MEASURES = ("min", "max", "sum", "squares", "absolute")
-"""What is kept of an error along one ring, from which every figure of a layer follows."""
+"""Statistics kept of the error along one ring: enough to compute every figure of a layer."""
 
 
 class RingErrors(NamedTuple):
@@ -45,7 +45,7 @@ class RingErrors(NamedTuple):
     measured: Ints
     """(n,) ring of the measured stack."""
     reference: Ints
-    """(n,) ring of the reference that it belongs to."""
+    """(n,) ring of the reference that it is paired with."""
     polar: Floats
     """(n, 5) :data:`MEASURES` of the polar error; NaN where it is not defined."""
     normal: Floats
@@ -66,7 +66,7 @@ def contour_error(
     ``rho_measured - rho_reference`` about the centre of the reference ring's enveloping rectangle, on
     `rays` equally spaced directions; it is defined where every ray meets both rings once. The normal
     distance is taken from `samples` equally spaced places of the measured ring to the nearest point of
-    the reference ring, for holes and any other shape too. Both are positive where there is metal too much.
+    the reference ring, for holes and any other shape too. Both are positive where there is too much metal.
 
     Parameters
     ----------
@@ -75,9 +75,9 @@ def contour_error(
     reference
         A far finer tessellation of the same part, or an analytic model, cut at the same heights.
     rays, samples
-        Directions and places a ring.
+        Directions and places per ring.
     by
-        One row a layer, or one row a pair of rings.
+        One row per layer, or one row per pair of rings.
 
     Returns
     -------
@@ -126,7 +126,7 @@ def error_reduction(before: pd.DataFrame, after: pd.DataFrame) -> pd.Series:
     -------
     Series ``polar_range`` (greatest less least error), ``polar_max`` (greatest magnitude), ``polar_rms``,
     ``polar_mean_abs``, and the same of ``normal``. The polar figures are over the rows where both are
-    defined. NaN where there is nothing to compare or no error before but that of rounding.
+    defined. NaN where there is nothing to compare, or where the error before was only rounding.
 
     Notes
     -----
@@ -145,7 +145,7 @@ def error_reduction(before: pd.DataFrame, after: pd.DataFrame) -> pd.Series:
 
 
 def _totals(table: pd.DataFrame, kind: str, weight: str) -> dict[str, float]:
-    """Figures over all rows of a table of errors; a row weighs as many rings as it stands for."""
+    """Figures over all rows of a table of errors; each row is weighted by the rings that it stands for."""
     if table.empty:
         return dict.fromkeys(("range", "max", "rms", "mean_abs"), math.nan)
     weights = table[weight].to_numpy(float) if weight in table else np.ones(len(table))
@@ -215,7 +215,7 @@ def _by_layer(
 
 
 def _layer_sums(sums: Floats, layer: Ints, count: int) -> Floats:
-    """Measures of rings put together by layer; NaN for a layer without rings."""
+    """:data:`MEASURES` of the rings, combined by layer; NaN for a layer without rings."""
     result = np.zeros((count, len(MEASURES)))
     result[:, 0], result[:, 1] = np.inf, -np.inf
     np.minimum.at(result[:, 0], layer, sums[:, 0])

@@ -1,9 +1,9 @@
-"""Allowances: how far a curve may leave its contour at each place, by what the mesh says of the surface there.
+"""Allowances: how far a curve may leave its contour at each place, from what the mesh tells about the surface there.
 
-A smooth surface through the corners of a facet leaves it, at barycentric places l, by 4 sum l_i l_j s_ij, where s_ij is
-how far it leaves the edge from i to j (the error of linear interpolation of a quadric). In the layer that is more the
-flatter the surface lies. Of an exact surface the distance is known; what the turns of the mesh say of it is the limit all the
-same.
+A smooth surface through the corners of a facet leaves the facet, at barycentric coordinates l, by 4 sum l_i l_j s_ij, where
+s_ij is the sagitta over the edge from i to j (the error of linear interpolation of a quadric). Measured within the layer, that
+distance grows as the surface approaches the horizontal. The distance from an exact surface is known, but is still limited by
+the sagittas that follow from the dihedral angles of the mesh.
 """
 
 from __future__ import annotations
@@ -24,25 +24,26 @@ from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 UNEVEN = 2.0
-"""How much more than that of even curvature a place may move. A move of twice what the surface really leaves the contour
-by, to its side, is no farther from it than the contour was: this is the most that evidence can allow."""
+"""Largest allowed move, over the sagitta of even curvature. A point moved towards the surface by twice its distance is
+no farther from it than it was: this is the most that evidence can allow."""
 
 FLATTEST_SURFACE = 0.25
-"""Sine of the slope under which a move in the layer is not let grow further; see :mod:`ebamcheck.curves.lifting`."""
+"""Sine of the surface's slope below which a move in the layer grows no further; see :mod:`ebamcheck.curves.lifting`."""
 
 LEAST_LEVEL = 0.05
-"""Sine of the slope under which the distance of an exact surface in the layer is not let grow further."""
+"""Sine of the slope below which the distance of an exact surface within the layer grows no further."""
 
 ROOM = 1.5
-"""Times its distance to first order that a section of an exact surface may be from a contour."""
+"""Largest distance of an exact surface's section from the contour, over the surface's first-order distance."""
 
 OF_TURNS = 4.0
-"""Times the sagitta that the turns of the mesh tell, or the median of these, that an exact surface may stand over a facet: it
-stands at most 2.5 times as far, on regular, decimated and scattered meshes alike. The form is judged by what did not find it."""
+"""Largest distance of an exact surface from a facet, over the sagitta by the mesh's dihedral angles or over their median,
+whichever is greater. On regular, decimated and scattered meshes alike 2.5 is the most seen. The limit is independent of the
+search that found the surface."""
 
 NEIGHBOURS = 4
-"""Segments on either side whose allowance a segment of a curved side shares: that of one, by the turns at the two ends of
-its facet's edges, scatters as the mesh is irregular, while the surface goes on evenly."""
+"""Segments on either side whose allowance a segment of a curved side shares. A single allowance, from the turns at the ends
+of one facet's edges, scatters on an irregular mesh although the surface is smooth."""
 
 POINTS_A_BLOCK = 4096
 
@@ -51,14 +52,14 @@ class Allowances(NamedTuple):
     """How far curves may leave contours."""
 
     limit_mm: Floats
-    """(N, 2) from each point, and from the middle of the segment after it, mm; along the segment it is the parabola
-    through those of its start, its middle and its end."""
+    """(N, 2) limit at each point, and at the middle of the segment after it, mm; along the segment the limit is the
+    parabola through the values at its start, middle and end."""
     plane: Bools
-    """(N,) the segment after the point lies in a plane of the part."""
+    """(N,) whether the segment after the point lies in a plane of the part."""
 
 
 class _Told(NamedTuple):
-    """What a mesh tells of its surface."""
+    """What the kernels read of a mesh and of the surface that it approximates."""
 
     faces: Index
     corner_starts: Ints
@@ -82,16 +83,16 @@ class _Points(NamedTuple):
 
 
 class Allowing:
-    """Allowances of contours of one part; what they need of the mesh is found once.
+    """Computes the allowances of contours of one part; what it needs of the mesh is found once.
 
     Parameters
     ----------
     part
         The mesh that was cut.
     sagittas
-        How far its surface can leave its edges.
+        How far the surface can leave the edges of the mesh.
     exact
-        Surfaces of it that are known; none where they are not asked.
+        Exact surfaces of the part; None where they are not looked for.
     """
 
     def __init__(self, part: Part, sagittas: Sagittas, exact: ExactSurfaces | None = None) -> None:
@@ -147,8 +148,8 @@ class Allowing:
 
 
 def _share(found: Allowances, following: Ints, layers: Layers) -> None:
-    """Let places on curved sides have what their neighbourhood has, or their ring on average; points what both of their
-    segments have."""
+    """Raise each segment's limit on a curved side to the greatest nearby and to the mean of its ring, and each point's to the
+    lesser of those of its two segments."""
     preceding = np.empty_like(following)
     preceding[following] = np.arange(following.size)
     middle = found.limit_mm[:, 1]

@@ -9,7 +9,7 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats
 
 LARGEST_SPAN_RAD = math.radians(5.0)
-"""Sweep of one cubic span of an arc: it leaves the circle by less than 1e-11 of the radius."""
+"""Largest sweep of one cubic span of an arc: the span leaves the circle by less than 1e-11 of the radius."""
 
 
 class Arc(NamedTuple):

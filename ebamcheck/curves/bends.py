@@ -1,6 +1,6 @@
-"""Bends: by how much a contour turns within each of its segments, and which of them are straight.
+"""Bends: by how much a contour turns within each of its segments, and which segments are straight.
 
-The direction at a point lies between those of its two chords; where the mesh speaks for less, segments bend less.
+The direction at a point lies between those of its two chords; where the mesh supports only a smaller bend, segments bend less.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 LARGEST_TURN_RAD = np.deg2rad(60.0)
-"""A smooth edge at which the contour turns by more than this is the tip of something thin: it counts as a corner."""
+"""A smooth mesh edge at which the contour turns by more than this is the tip of a thin feature: it counts as a corner."""
 
 STRAIGHT_RATIO = 3.0
 """A straight run is this many times longer than any of the two segments on either side of it, up to a corner."""
 
 
 class Ring(NamedTuple):
-    """Points of one ring with what is known of its bends, as columns; those of :class:`OrientedContours`."""
+    """Points of one ring and the bends at them, as columns; the angles are those of :class:`OrientedContours`."""
 
     rows: Ints
     """(n,) row of each point among the contours' points."""
@@ -32,9 +32,9 @@ class Ring(NamedTuple):
     after: Floats
     """(n,) angle from the direction in which the segment after the point starts to its chord, rad."""
     corner: Bools
-    """(n,) a corner, or the end of an open path."""
+    """(n,) whether the point is a corner, or the end of an open path."""
     straight: Bools
-    """(n,) the segment after the point is a straight line."""
+    """(n,) whether the segment after the point is a straight line."""
 
 
 @kernel

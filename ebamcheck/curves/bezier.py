@@ -46,7 +46,7 @@ class BezierSpans:
 
 
 def span_counts(kind: NDArray[np.uint8], control_starts: Ints, knots: Floats, knot_starts: Ints) -> Ints:
-    """NC blocks of each piece, (P,): spans of positive length of a spline, segments of a line, one for an arc."""
+    """Number of NC blocks of each piece, (P,): non-empty knot spans of a spline, segments of a line, one for an arc."""
     counts: Ints = np.maximum(np.diff(control_starts) - 1, 0)
     counts[kind == ARC] = 1
     curved = np.flatnonzero(kind == SPLINE)
@@ -59,7 +59,7 @@ def span_counts(kind: NDArray[np.uint8], control_starts: Ints, knots: Floats, kn
 def bezier_counts(
     kind: NDArray[np.uint8], control: Floats, control_starts: Ints, knots: Floats, knot_starts: Ints
 ) -> Ints:
-    """Bezier spans of each piece, (P,): as :func:`span_counts`, but an arc has as many as make it exact."""
+    """Number of Bezier spans of each piece, (P,): as :func:`span_counts`, but an arc has several, to follow the circle."""
     counts = span_counts(kind, control_starts, knots, knot_starts)
     _count_arc_spans(kind, control, control_starts, counts)
     return counts

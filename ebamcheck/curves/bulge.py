@@ -1,4 +1,4 @@
-"""How far the spans of fitted curves leave the chords between the points that they go through."""
+"""Bulge: how far the spans of fitted curves leave the chords between the points that they interpolate."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Cleaning of contours before a fit: near, repeated and collinear points go (paper, section 3.2)."""
+"""Cleaning of contours before a fit: near, repeated and collinear points are removed (paper, section 3.2)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 RINGS_A_BLOCK = 64
-"""Fewest rings worth a thread of their own."""
+"""Fewest rings worth a thread."""
 
 
 class CleanRings(NamedTuple):
@@ -27,7 +27,7 @@ class CleanRings(NamedTuple):
 def clean(
     points: Floats, ring_starts: Ints, closed: Bools, near_point_mm: float, collinear_mm: float
 ) -> CleanRings:
-    """Leave out the points of rings that carry no shape.
+    """Remove the points of rings that carry no shape.
 
     A point goes if it repeats or lies nearer than `near_point_mm` to the last one kept. Of a run of
     points, the inner ones go if every one of them lies within `collinear_mm` of the chord that takes
@@ -40,7 +40,7 @@ def clean(
     points, ring_starts, closed
         Columns of :class:`~ebamcheck.layers.stack.Layers`: (N, 2) mm, (R + 1,), (R,).
     near_point_mm, collinear_mm
-        Tolerances; 0 leaves out only what repeats or is collinear to rounding.
+        Tolerances; 0 removes only points that repeat or are collinear to rounding.
     """
     count = ring_starts.size - 1
     sweep = np.empty(len(points), dtype=np.int64)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from ebamcheck.curves.evidence import Evidence
 
 MOST_SAMPLES = 2**31
-"""More points than this are a mistyped step, not a sampling."""
+"""Most points of a sampling: more come from a mistyped step."""
 
 
 class Piece(NamedTuple):
@@ -49,7 +49,7 @@ class Piece(NamedTuple):
 
 
 class SampledRings(NamedTuple):
-    """Points along curves, ring by ring as the curves have them."""
+    """Points along curves, ring by ring in the order of the curves."""
 
     points: Floats
     """(N, 2) mm."""
@@ -87,7 +87,7 @@ class Curves:
     part, direction, backend
         Labels of the layers that were fitted.
     evidence
-        What speaks for each ring, where the curves come from a fit in this process; files do not hold it.
+        Evidence for each ring, if the curves were fitted in this process; files do not hold it.
 
     Examples
     --------
@@ -120,7 +120,7 @@ class Curves:
         """Return the number of layers."""
         return int(self.heights.size)
 
-    # How the curves show themselves, layer by layer.
+    # Iteration, indexing and display, layer by layer.
     __iter__ = curve_items.curve_iterator
     __getitem__ = curve_items.curve_item
     __repr__ = curve_items.curves_line
@@ -192,11 +192,11 @@ class Curves:
     # -- measures ----------------------------------------------------------------------------------
 
     def block_counts(self) -> Ints:
-        """NC blocks of each piece, (P,): knot spans of a spline, segments of a line, one for an arc."""
+        """Number of NC blocks of each piece, (P,): knot spans of a spline, segments of a line, one for an arc."""
         return bezier.span_counts(self.kind, self.control_starts, self.knots, self.knot_starts)
 
     def block_count(self) -> int:
-        """NC blocks of all pieces together."""
+        """Number of NC blocks of all pieces together."""
         return int(self.block_counts().sum())
 
     def lengths(self) -> Floats:
@@ -253,7 +253,7 @@ class Curves:
         return self._as_layers(self.sampled_rings(tolerance_mm))
 
     def sampled_rings(self, tolerance_mm: float) -> SampledRings:
-        """Polylines within `tolerance_mm` of the curves, one a ring and in the order of the rings."""
+        """Polylines within `tolerance_mm` of the curves, one per ring, in the order of the rings."""
         return self._sampled(math.inf, _positive(tolerance_mm, "tolerance_mm"))
 
     def _sampled(self, step_mm: float, tolerance_mm: float) -> SampledRings:
@@ -301,7 +301,7 @@ def _positive(value: float, name: str) -> float:
 
 
 def _sample(curves: Curves, step_mm: float, tolerance_mm: float) -> SampledRings:
-    """Sample one block; an infinite step or tolerance asks for nothing."""
+    """Sample one block of layers; an infinite step or tolerance sets no limit."""
     spans = curves.bezier_spans()
     if math.isfinite(step_mm):
         chords = bezier.chords_for_step(spans.points, spans.kind, step_mm)

@@ -1,9 +1,9 @@
 """Crossings of curves: of a ring with itself, and of the rings of a layer with each other.
 
-Each span lies in the hull of its four Bezier points. Two spans whose hulls a line parts do not meet; others are halved
-until their hulls are apart or smaller than :data:`SMALLEST_MM`. So curves that are farther apart than that are never
-called crossing, and those that cross are never missed. Spans that follow each other meet where they join: as long as both
-together turn by less than half a turn they cannot meet again.
+Each span lies in the convex hull of its four Bezier points. Two spans whose hulls can be separated by a line do not meet;
+others are halved until their hulls are separate or smaller than :data:`SMALLEST_MM`. So curves farther apart than that are
+never reported as crossing, and no crossing is missed. Consecutive spans meet at their joint: while the two together turn by
+less than half a turn they cannot meet again.
 """
 
 from __future__ import annotations
@@ -18,25 +18,25 @@ from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 SMALLEST_MM = 1e-6
-"""Hulls smaller than this that are not apart touch."""
+"""Hulls that are smaller than this and still not separate count as touching."""
 
 MOST_WAITING = 256
-"""Pairs of halves that wait for their turn: two for each halving of either span, of which there are at most 60."""
+"""Size of the stack of pairs of halves still to test: two for each halving of either span; there are at most 60 halvings."""
 
 MOST_HALVINGS = 200_000
-"""Pairs looked at for two spans that lie along each other over a length: they touch."""
+"""Most pairs tested for two spans. More are needed only where they coincide over a length: they touch."""
 
 JOINT_MM = 1e-3
-"""Spans that follow each other are looked at beyond this distance from the point that they share."""
+"""Consecutive spans are tested only beyond this distance from the point that they share."""
 
 
 class Crossings(NamedTuple):
-    """Rings that cross."""
+    """Which rings cross, and where."""
 
     crossed: Bools
-    """(R,) the ring crosses or touches itself or another."""
+    """(R,) whether the ring crosses or touches itself or another."""
     at: Floats
-    """(R, 2) where it was seen first, mm; NaN for the others."""
+    """(R, 2) the crossing that was found first, mm; NaN for rings without one."""
 
 
 def crossings(curves: Curves) -> Crossings:

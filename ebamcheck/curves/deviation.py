@@ -1,4 +1,4 @@
-"""How far fitted curves and the contours that they were fitted to lie apart."""
+"""Deviation: how far fitted curves lie from the contours that they were fitted to."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ CHORDS_A_SPAN = 8
 """Chords by which a span is searched and at whose ends its distance is taken."""
 
 REFINEMENTS = 6
-"""Steps by which the nearest point is moved along the true curve; each gains several digits."""
+"""Gauss-Newton steps by which the nearest point is moved along the true curve; each gains several digits."""
 
 LAYERS_A_STEP = 64
 """Layers measured at a time; bounds the working memory."""

@@ -1,7 +1,7 @@
-"""Edges of a mesh at the points of contours that do not tell them, by geometry.
+"""Edges: the mesh edge under each contour point, by geometry, for slicers that do not return it.
 
-A layer cuts an edge of the mesh where its lower end is not above it and its upper end is. A contour point is on the edge
-whose cut is nearest to it, and within a tolerance.
+A layer cuts a mesh edge if the edge's lower end is not above the layer and its upper end is. A contour point belongs to the
+edge whose cut is nearest to it, if that is within a tolerance.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Floats, Ints
 
 LEAST_SHARE = 0.5
-"""Of a stack's points, so many must lie on edges of the part: else they are not its contours, but a raster's."""
+"""Share of a stack's points that must lie on edges of the part: with fewer, the contours were traced from a raster."""
 
 
 def with_edges(layers: Layers, part: Part, tolerance_mm: float) -> Layers | None:
-    """Layers with the edges that their points lie on; None where they are not the contours of the part.
+    """Layers with the mesh edge of each point; None if they are not contours of the part.
 
     Parameters
     ----------
     layers
-        Contours; those that tell their edges are returned as they are.
+        Contours; those that already have their edges are returned as they are.
     part
         The mesh that was cut.
     tolerance_mm
-        How far a point may be from the place where the layer cuts its edge. Others have no edge.
+        How far a point may be from the place where the layer cuts its edge. Points farther off get no edge.
     """
     if layers.edge is not None:
         return layers

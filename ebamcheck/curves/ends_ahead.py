@@ -1,8 +1,8 @@
-"""Ends ahead: what the turns straight ahead of each end of an edge tell of the surface over it, end by end.
+"""Ends ahead: the height of the surface over an edge, estimated at each end from the turns of the mesh straight ahead of it.
 
-The normals at the ends of an edge far longer than what lies ahead of it are those of a rounding there, and lift it to where
-no surface is: a flat side that runs into roundings by as much as the roundings turn, to the wrong side where they bend the
-other way. The turns ahead tell such a side from a curved one, each end for itself (:mod:`ebamcheck.curves.sagitta`).
+If an edge is far longer than the facets ahead of it, the normals at its ends may be those of a rounding there. They would lift
+a flat side that runs into roundings by as much as the roundings turn, and to the wrong side where these bend the other way. The
+turns ahead, each end on its own, distinguish such a side from a curved one (:mod:`ebamcheck.curves.sagitta`).
 """
 
 from __future__ import annotations
@@ -18,50 +18,50 @@ from ebamcheck.mesh.topology import NO_TWIN
 from ebamcheck.numeric.kernels import kernel, run_blocks
 
 Rows = NDArray[np.float32]
-"""Half of the memory of other columns: these only limit."""
+"""Half the memory of other columns: these values are only limits, for which 32 bits are enough."""
 
 FAR = 3.0
-"""An end is far from what lies ahead where the edge is this many times longer than the chord there, as a flat side beside a
-rounding is; see :data:`ebamcheck.curves.sagitta.WIDTH_RATIO`."""
+"""An end is *far* if the edge is this many times longer than the chord ahead of it, like a flat side beside a rounding; see
+:data:`ebamcheck.curves.sagitta.WIDTH_RATIO`."""
 
 VERY_FAR = 6.0
-"""An edge this many times longer than the chord ahead: an error of a turn counts for so much there that it tells little."""
+"""From this ratio of the edge to the chord ahead on, an error of the turn is magnified so much that it tells little."""
 
 MOST_OF_TYPICAL = 0.5
-"""Times the mesh's median sagitta that such an edge is lifted at most."""
+"""Largest lift of such a very long edge, over the mesh's median sagitta."""
 
 MOST_OF_TOLD = 2.0
-"""Times what a far end tells, that an edge is lifted at most: it scatters by as much where the normals are right."""
+"""Largest lift of an edge, over the height told by a far end: that height scatters by as much where the normals are right."""
 
 FEWEST_TURNS = 2
-"""A single turn ahead of both ends is a bend, and no curve."""
+"""Fewest turns ahead of both ends together: a single one is a bend, not a curve."""
 
 
 class EndsAhead(NamedTuple):
-    """What is told at the ends of the edges of half-edges (3 F, 2); none of it where the rows are empty."""
+    """Estimates at the two ends of the edge of each half-edge; arrays without rows if nothing was asked."""
 
     told: Rows
-    """How far the surface stands over the edge by one end and by the other, mm, positive to the outside; NaN at a crease."""
+    """(3 F, 2) height of the surface over the edge by each of its ends, mm, positive to the outside; NaN at a crease."""
     ratio: Rows
-    """Length of the edge over that of the chord ahead; 0 at a crease."""
+    """(3 F, 2) length of the edge over that of the chord ahead; 0 at a crease."""
     turns: NDArray[np.int8]
-    """(3 F,) turns that were met ahead of both ends; -1 where nothing was asked."""
+    """(3 F,) number of turns met ahead of both ends together; -1 where nothing was asked."""
 
 
 def nothing_asked() -> EndsAhead:
-    """Of a mesh whose edges need no such witness."""
+    """Empty result, for a mesh whose edges need no such check."""
     return EndsAhead(np.zeros((0, 2), np.float32), np.zeros((0, 2), np.float32), np.zeros(0, np.int8))
 
 
 def ends_ahead(surface: Surface, step: int = 1) -> EndsAhead:
-    """Ask the ends of the smooth edges of a mesh.
+    """Estimate the surface's height over the smooth edges of a mesh.
 
     Parameters
     ----------
     surface
-        The mesh as walks read it.
+        The mesh, in the form that walks read.
     step
-        Every so many facets are asked, with their neighbours: a sample tells of the whole mesh.
+        Take every `step`-th facet, with its neighbours: a sample stands for the whole mesh.
     """
     count = 3 * len(surface.faces)
     found = EndsAhead(

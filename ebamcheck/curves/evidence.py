@@ -1,8 +1,8 @@
 """Evidence that curves may leave their contours as they do, ring by ring.
 
-A ring of curves is accepted if no place of it is farther from its contour, nor any place of the contour from it, than
-the mesh allows there and the fit's tolerance; if a planar facet moved by no more than the rounding of its file and the
-cleaning; if it crosses neither itself nor another; and if it runs the way its contour does, inside of the same ring.
+A ring is accepted if all of these hold. Curve and contour are nowhere farther apart than the mesh allows there plus the
+tolerance of the fit. On planar facets they are no farther apart than the rounding of the file plus the cleaning. The curve
+crosses neither itself nor another. It runs in the direction of its contour and lies inside the same ring.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 CAUSES = ("", "sagitta", "plane", "crossing", "turned", "nesting")
-"""Why a ring is not accepted, by number; "" where it is."""
+"""Names of the causes for which a ring is not accepted, by number; "" for an accepted one."""
 
 ACCEPTED, SAGITTA, PLANE, CROSSING, TURNED, NESTING = range(len(CAUSES))
 
 CHORDS_A_SPAN = 4
-"""Chords of a span at whose ends its distance from the contour is taken; a span is no more than a cubic."""
+"""Chords of a span at whose ends its distance from the contour is taken: enough for a cubic."""
 
 NESTING_MM = 0.01
-"""Sampling of rings when it is asked which lies in which: they cross nowhere then, so that a point tells."""
+"""Chord error of the polylines by which nesting is found: one point of a ring tells, as nesting matters only if none cross."""
 
 RINGS_A_BLOCK = 16
 
@@ -44,24 +44,25 @@ COLUMNS = ("cause", "method", "accepted", "value_mm", "limit_mm", "at", "mean_li
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What speaks for the rings of curves, and what was done about those that nothing spoke for.
+    """Evidence for the rings of curves, and the method to which each ring without it fell back.
 
     Parameters
     ----------
     cause
-        (R,) why the ring as asked was not accepted, of :data:`CAUSES`.
+        (R,) why the ring by the requested method was not accepted, of :data:`CAUSES`.
     method
-        (R,) 0 as asked, 1 the interpolating fit by chord length, 2 the polyline of the contour.
+        (R,) 0 the requested method, 1 the interpolating fit by chord length, 2 the polyline of the contour.
     accepted
-        (R,) whether the ring as it is now is.
+        (R,) whether the ring by the method that it has now is accepted.
     value_mm, limit_mm
-        (R,) the ring as asked where it was farthest beyond what is allowed, or came nearest to it, mm.
+        (R,) distance and limit, by the requested method, at the place where the distance exceeds its limit most or, where
+        none does, comes nearest to it, mm.
     at
         (R, 2) that place, mm; NaN where there is none.
     mean_limit_mm
-        (R,) mean of what is allowed along the ring, mm.
+        (R,) mean limit along the ring, mm.
     known
-        Whether the part was known. If not, curves may leave contours by the settings alone.
+        Whether the part was known. If not, the settings alone limit how far curves may leave their contours.
     """
 
     cause: NDArray[np.uint8]
@@ -74,7 +75,7 @@ class Evidence:
     known: bool = True
 
     def of_rings(self, which: slice | Bools) -> Evidence:
-        """What is known of some rings."""
+        """Evidence of some of the rings."""
         columns: dict[str, Any] = {name: getattr(self, name)[which] for name in COLUMNS}
         return replace(self, **columns)
 
@@ -95,11 +96,11 @@ def evidence(
     curves, layers
         Curves and the contours that they were fitted to.
     allowed
-        How far they may leave each place of the contours.
+        How far the curves may leave each place of the contours.
     slack_mm
-        What the fit may leave beyond that: its tolerance, and that of the cleaning.
+        Added to that: the tolerances of the fit and of the cleaning.
     plane_slack_mm
-        The same in planes of the part.
+        Added in planes of the part, in place of `slack_mm`.
     """
     found = _distances(curves, layers, allowed, slack_mm, plane_slack_mm)
     cause = found.cause
@@ -133,7 +134,7 @@ def ring_areas(curves: Curves) -> Floats:
 
 
 def _moved_out(curves: Curves, layers: Layers) -> Bools:
-    """Rings that lie in another ring than their contour does."""
+    """Rings (R,) whose enclosing ring is not that of their contour."""
     several = np.repeat(np.diff(layers.layer_starts) > 1, np.diff(layers.layer_starts))
     moved = np.zeros(curves.closed.size, np.bool_)
     if not several.any():
@@ -178,7 +179,7 @@ def _distances(
 
 
 def _mean_limits(layers: Layers, allowed: Allowances, slack_mm: float) -> Floats:
-    """Mean of what is allowed at the middles of a ring's segments, (R,) mm, each weighed by its length."""
+    """Mean limit at the middles of a ring's segments, (R,) mm, weighted by their lengths."""
     sizes = np.diff(layers.ring_starts)
     ring = np.repeat(np.arange(sizes.size), sizes)
     following = np.arange(1, len(ring) + 1)
@@ -200,7 +201,7 @@ class _Contours(NamedTuple):
 
 
 class _Told(NamedTuple):
-    """What is told of each ring; the columns of :class:`Evidence`."""
+    """Columns of :class:`Evidence` that :func:`_measure_rings` fills."""
 
     value: Floats
     limit: Floats

@@ -1,8 +1,8 @@
 """Fallback: rings without evidence are fitted again by a more cautious method, then by the next one.
 
-From the method asked for to the interpolating fit by chord length, whose points stay on the contour; from that to the
-contour's own polyline; to that at once where points lie on the edges of a known mesh, unevenly as a rule. Where two rings
-cross both fall back.
+The requested method is followed by the interpolating fit by chord length, whose points stay on the contour, then by the
+contour's own polyline. Points on the edges of a known mesh are mostly uneven: there the polyline follows at once. If two rings
+cross, both fall back.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.rings import Bools, Ints
 
 METHODS = ("", "chord", "polyline")
-"""What a ring is fitted by after so many falls; "" is the method asked for."""
+"""Methods in the order in which a ring falls back; "" is the requested one."""
 
 POLYLINE = len(METHODS) - 1
 
 MOST_ROUNDS = 6
-"""Each ring falls twice at most; its neighbours may have to follow it."""
+"""Most rounds of falling back: a ring falls at most twice, but its neighbours may have to follow it."""
 
 
 def with_fallback(
@@ -37,16 +37,16 @@ def with_fallback(
     plane_slack_mm: float,
     chord: Callable[[Layers], Curves] | None,
 ) -> Curves:
-    """Curves whose rings are accepted, as far as there is a method by which they are.
+    """Replace the rings that are not accepted by more cautious fits, and return all with their evidence.
 
     Parameters
     ----------
     curves, layers
-        Curves as asked, and the contours that they were fitted to.
+        Curves by the requested method, and the contours that they were fitted to.
     allowed, slack_mm, plane_slack_mm
         As for :func:`ebamcheck.curves.evidence.evidence`.
     chord
-        The interpolating fit; None where it is the one that was asked for, or is not trusted.
+        The interpolating fit; None to skip it, where it is the requested one or is not trusted.
     """
     asked = found = evidence(curves, layers, allowed, slack_mm, plane_slack_mm)
     fallen = np.zeros(curves.closed.size, np.uint8)
@@ -67,7 +67,7 @@ def with_fallback(
             curves = with_rings(curves, refitted, chosen)
             fallen[chosen] = to
         found = evidence(curves, layers, allowed, slack_mm, plane_slack_mm)
-    # A polyline is the contour: what is still wrong with it was wrong with the contour, and is no matter of the fit.
+    # A polyline is the contour itself: what is still wrong with it was wrong with the contour, not with the fit.
     accepted = found.accepted | ((fallen == POLYLINE) & (found.cause != CROSSING))
     if not accepted.all():
         accepted |= ~evidence(polylines(layers), layers, allowed, slack_mm, plane_slack_mm).accepted
@@ -75,14 +75,14 @@ def with_fallback(
 
 
 def _with_causes_of(asked: Evidence, found: Evidence, which: Bools) -> Evidence:
-    """What was found at first, with the causes of rings that had to follow others since."""
+    """The evidence found at first, with the causes of the rings that have since had to follow others."""
     for name in ("cause", "value_mm", "limit_mm", "at"):
         getattr(asked, name)[which] = getattr(found, name)[which]
     return asked
 
 
 def polylines(layers: Layers) -> Curves:
-    """Contours as they are, without points that repeat or lie on the line of their neighbours."""
+    """Contours as curves, without points that repeat or lie on the line between their neighbours."""
     cleaned = clean(np.ascontiguousarray(layers.points), layers.ring_starts, layers.closed, 0.0, 0.0)
     sizes = np.diff(cleaned.starts)
     more = sizes + (layers.closed & (sizes > 0))
@@ -106,7 +106,7 @@ def polylines(layers: Layers) -> Curves:
 
 
 def rings_of(layers: Layers, which: Bools) -> Layers:
-    """The layers with some of their rings alone."""
+    """The layers with only some of their rings."""
     sizes = np.diff(layers.ring_starts)
     rows = np.repeat(which, sizes)
     counts = np.bincount(layers.ring_layer[which], minlength=len(layers))
@@ -122,7 +122,7 @@ def rings_of(layers: Layers, which: Bools) -> Layers:
 
 
 def with_rings(curves: Curves, others: Curves, which: Bools) -> Curves:
-    """Curves with some of their rings (R,) taken, in order, from others."""
+    """Curves in which the rings marked by `which` (R,) are replaced, in order, by those of `others`."""
     count = curves.closed.size
     source = np.arange(count)
     source[which] = count + np.arange(others.closed.size)
@@ -142,12 +142,13 @@ def with_rings(curves: Curves, others: Curves, which: Bools) -> Curves:
 
 
 def _put_together(starts: list[Ints]) -> Ints:
+    """Starts of several ragged columns, one after the other."""
     sizes = np.concatenate([np.diff(s) for s in starts])
     return np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
 
 
 def _chosen(starts: Ints, groups: Ints) -> tuple[Ints, Ints]:
-    """Members of some groups of a ragged column, and the starts of these groups put together."""
+    """Indices of the members of some groups of a ragged column, and the starts of the column that they make."""
     sizes = np.diff(starts)[groups]
     new_starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
     members = np.arange(new_starts[-1]) + np.repeat(starts[:-1][groups] - new_starts[:-1], sizes)

@@ -32,10 +32,10 @@ from ebamcheck.settings.config import Config
 from ebamcheck.settings.curves import CurveSettings
 
 LAYERS_A_STEP = 256
-"""Layers fitted between two reports of progress; bounds the working memory, too."""
+"""Layers fitted between two reports of progress; also bounds the working memory."""
 
 SHARE_OF_BULGE = 0.5
-"""Of the limit of the fit's gate, for a segment of a contour that was not lifted; the rest is for its cleaning."""
+"""Share of the fit gate's limit that a segment of an unlifted contour may bulge; the rest is left for the cleaning."""
 
 DEFAULTS = CurveSettings()
 
@@ -53,14 +53,14 @@ def fit(
     ``"bounded"``
         The fewest lines, arcs and cubics within `tolerance_mm` of the ``surface`` curve, joined without a kink.
     ``"surface"``
-        A cubic from each point to the next, where the points were lifted from the straight edges of the mesh to
-        the curved ones of the surface that it stands for. Creases of the mesh (`crease_angle_deg`) are the corners;
+        A cubic from each point to the next, after the points were lifted from the straight edges of the mesh to
+        the curved edges of the surface that it approximates. Creases of the mesh (`crease_angle_deg`) are the corners;
         flat facets stay exact. Needs the part, and contours that carry their edges (those of `planecut` do).
     ``"chord"``
-        As ``paper``, with steps by chord length: no spline is rounder, but one point out of line shows farther.
+        As ``paper``, with parameter steps by chord length: rounder than any other, but one point out of line has a wider effect.
     ``"paper"``
         Clamped centripetal interpolation of runs between corners of under `corner_angle_deg` (paper, section 3.2,
-        equations 5 to 10). Points lie on the chords of the mesh, and so the curve keeps their error.
+        equations 5 to 10). Its points lie on the chords of the mesh, so the curve keeps the chord error.
 
     Without part or edges ``bounded`` follows the contour itself; its corners are then those of the paper. Contours
     traced from pixels are first freed of their staircase by ``collinear_mm`` of about the pixel size.
@@ -78,12 +78,12 @@ def fit(
     part
         The mesh that was sliced, for ``surface`` and ``bounded``.
     **changes
-        Single settings in place of those in `settings`, as ``tolerance_mm=0.05``.
+        Single settings that replace those in `settings`, such as ``tolerance_mm=0.05``.
 
     Returns
     -------
     Curves
-        Curves of the same layers and rings, with what speaks for each ring.
+        Curves of the same layers and rings, with the evidence for each ring.
 
     Raises
     ------
@@ -127,7 +127,7 @@ def fit(
 
 
 def _part_of(layers: Layers, part: Part | None) -> Part | None:
-    """The part that layers were cut from: the one that is given, or else the one that they know."""
+    """The part that layers were cut from: the one given, else the mesh that the layers refer to."""
     if part is None:
         return layers.mesh
     if layers.part and layers.part != part.sha256:
@@ -140,7 +140,7 @@ def _part_of(layers: Layers, part: Part | None) -> Part | None:
 def _accepted(
     layers: Layers, method: str, settings: CurveSettings, lifting: Lifting | None, allowing: Allowing | None
 ) -> Curves:
-    """Curves of a block by a method, or by more cautious ones where the mesh does not speak for them."""
+    """Curves of a block of layers by a method, or by more cautious ones where the mesh gives no evidence for them."""
     if allowing is not None:
         allowed = allowing.of(layers)
         rounding_mm = allowing.rounding_mm
@@ -149,8 +149,8 @@ def _accepted(
         allowed = Allowances(free, np.zeros(len(layers.points), np.bool_))
         rounding_mm = 0.0
     slack_mm = settings.tolerance_mm + settings.near_point_mm + settings.collinear_mm
-    # A spline through points that lie on the edges of a mesh swings about the contour where they are uneven, and where the
-    # mesh does not speak for the lift of a ring they are: its polygon is no farther from the part than the contour.
+    # A spline through uneven points swings about the contour. Where the mesh gives no evidence for the lift of a ring, points on
+    # its edges are uneven; the ring's polygon is no farther from the part than the contour.
     on_edges = lifting is not None
     curves = with_fallback(
         METHODS[method](layers, settings, lifting),
@@ -167,12 +167,12 @@ def _accepted(
 
 @once_a_part
 def _lifting_of(part: Part, settings: CurveSettings) -> Lifting:
-    """Lifting of a part: where its layers are fitted one by one, the mesh is judged once."""
+    """Lifting of a part, kept so that the mesh is judged only once when layers are fitted one by one."""
     return Lifting(part, surface_normals(part, settings))
 
 
 def _lifting(layers: Layers, part: Part | None, method: str, settings: CurveSettings) -> Lifting | None:
-    """Lifting of the contours of a part, or None where part or edges are not known and not needed."""
+    """Lifting of the contours of a part; None if part or edges are unknown and the method does not need them."""
     if part is not None and layers.edge is not None:
         return _lifting_of(part, settings)
     if method == "surface" and len(layers.points):
@@ -240,7 +240,7 @@ def _fit_bounded(layers: Layers, settings: CurveSettings, lifting: Lifting | Non
 
 
 def _oriented(layers: Layers, settings: CurveSettings, lifting: Lifting | None) -> OrientedContours:
-    """Oriented: the lifted contours, else of the cleaned contours as they are."""
+    """Orient the lifted contours, or the cleaned ones if there is no lifting."""
     if lifting is not None:
         return orient(*lifting.lifted_rings(layers), layers.closed, settings)
     cleaned = clean(
@@ -266,7 +266,7 @@ METHODS: dict[str, _Method] = {
 """Fits by name; each takes a block of layers and returns its curves."""
 
 INTERPOLATING = ("chord", "paper")
-"""Methods whose curves go through the points of contours; they fall back to polylines at once."""
+"""Methods whose curves go through the contour points; their rings fall back to polylines at once."""
 
 LIFTED = ("bounded", "surface")
 """Methods that lift the points of contours where they can."""
@@ -284,7 +284,7 @@ def _check_finite(layers: Layers) -> None:
 
 
 def _join(blocks: list[Curves], layers: Layers, method: str, settings: CurveSettings) -> Curves:
-    """Put blocks of one stack together again, under the labels of its layers."""
+    """Join consecutive blocks of one stack, with the labels of its layers."""
 
     def starts(name: str) -> np.ndarray[Any, np.dtype[np.int64]]:
         sizes = np.concatenate([np.diff(getattr(block, name)) for block in blocks])

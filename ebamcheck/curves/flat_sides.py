@@ -1,7 +1,7 @@
-"""Flat sides of a mesh: facets in one plane, and which of them keep their plane where they meet a rounding.
+"""Flat sides of a mesh: groups of coplanar facets, and which of them keep their plane where they meet a rounding.
 
-The normal at a vertex between a flat side and a rounding lies between those of their facets, and would bend the
-flat side. Its own width tells it from a facet of the rounding.
+The estimated normal at a vertex between a flat side and a rounding lies between those of their facets, and would bend the
+flat side. A flat side is told from a facet of the rounding by its greater width.
 """
 
 from __future__ import annotations
@@ -15,10 +15,11 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats
 
 ROUNDING = 2.0**-22
-"""Distance from a plane, over the coordinates across it, that 32-bit coordinates leave of none: two of their steps."""
+"""Distance from a plane that 32-bit rounding can give a point of it, over the coordinates: two steps of these."""
 
 FLAT_RAD = 1e-3
-"""Facets of a flat side differ by less from its normal; more were joined by many small steps, and are curved."""
+"""Facets of a flat side differ by less than this from its normal; a group that differs more was joined in many small steps
+and is curved."""
 
 SEVERAL = 2**31 - 1
 """Mark of a vertex at which several flat sides would keep their planes: none does."""
@@ -28,20 +29,20 @@ WIDTH_RATIO = 3.0
 
 
 class FlatSides(NamedTuple):
-    """Facets in groups of one plane each."""
+    """Facets in coplanar groups."""
 
     groups: Index
     """(F,) group of each facet."""
     normals: Floats
-    """(G, 3) unit normal of each group, weighed by area."""
+    """(G, 3) unit normal of each group, weighted by area."""
     sizes: Floats
     """(G, 3) extents of each group's box, mm."""
     flat: Bools
-    """(G,) more than one facet, and all in one plane."""
+    """(G,) whether the group has more than one facet, all of them in one plane."""
 
 
 def flat_sides(vertices: Floats, faces: Index, facet_normals: Floats, twin: Index) -> FlatSides:
-    """Group the facets that lie in one plane with their neighbours."""
+    """Group the facets that are coplanar with their neighbours."""
     groups, count = _groups(vertices, faces, facet_normals, twin)
     return _measured(vertices, faces, facet_normals, groups, count)
 

@@ -27,7 +27,8 @@ from ebamcheck.numeric.rings import Floats, Ints
 DEGREE = 3
 
 CENTRIPETAL, CHORD_LENGTH = 0.5, 1.0
-"""Power of the chord in the parameter step (paper, equation 6; Lee 1989), and that which keeps a circle's curvature."""
+"""Power of the chord length in the parameter step: centripetal (paper, equation 6; Lee 1989), and the one that keeps the
+curvature of a circle."""
 
 BULGE_LIMIT = 0.6
 """No span leaves its chord by more than this multiple of the chord's length, at the default corner angle.
@@ -35,7 +36,7 @@ BULGE_LIMIT = 0.6
 The most found on random runs with chords of 1 um .. 100 mm and turns up to 40 degrees is 0.48."""
 
 PIECES_A_BLOCK = 256
-"""Fewest pieces worth a thread of their own."""
+"""Fewest pieces worth a thread."""
 
 
 def interpolate(runs: Runs, power: float = CENTRIPETAL) -> tuple[Floats, Ints, Floats, Ints]:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from ebamcheck.curves.columns import Curves, Piece
 
 SAMPLE_TOLERANCE_MM = 0.005
-"""Curves are drawn as polylines this near to them: far under what a screen shows of a part."""
+"""Chord error of the polylines as which curves are drawn: far below what a screen shows of a part."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -59,7 +59,7 @@ class CurveLayer:
         )
 
 
-# -- what Curves itself gets of them -----------------------------------------------------------------
+# -- methods of Curves -------------------------------------------------------------------------------
 
 
 def curve_iterator(curves: Curves) -> Iterator[CurveLayer]:

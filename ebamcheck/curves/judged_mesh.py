@@ -1,4 +1,4 @@
-"""Judged mesh: a mesh with its normals, and what it says itself of whether they may be believed."""
+"""Judged mesh: a mesh with its estimated normals, and whether the mesh itself supports them."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.numeric.rings import Bools
 
 BY_CHANCE = 0.1
-"""Strips over freely curved facets, up to which two facets of a decimated mesh lie in one plane by chance."""
+"""Ratio of strips to freely curved facets up to which the strips are facets of a decimated mesh, coplanar by chance."""
 
 MOST_ASKED = 5_000
-"""Facets of a tessellator's mesh whose edges are asked, evenly spread over it: more would tell no better of noise."""
+"""Facets of a tessellator's mesh whose edges are checked for noise, evenly spread: more would add nothing."""
 
 
 def judged_mesh(part: Part, normals: SurfaceNormals) -> SurfaceMesh:
@@ -68,16 +68,17 @@ def judged_mesh(part: Part, normals: SurfaceNormals) -> SurfaceMesh:
 
 
 def _nothing_to_tell(kind: NDArray[np.uint8]) -> Bools:
-    """Facets (F,) of which nothing is told where freely curved ones do not tell a surface: these, and the few strips beside."""
+    """Facets (F,) to leave unlifted if the freely curved ones show no surface: these, and strips that are few enough for chance."""
     free, strip = kind == FREEFORM, kind == STRIP
     by_chance = np.count_nonzero(strip) <= BY_CHANCE * np.count_nonzero(free)
     return np.asarray(free | strip if by_chance else free)
 
 
 def _with_ends(mesh: SurfaceMesh, part: Part, normals: SurfaceNormals) -> tuple[SurfaceMesh, bool]:
-    """The mesh with what lies ahead of its edges, as far as that has a say, and whether it speaks of noise.
+    """The mesh with the turns ahead of its edges, if its normals need that check, and whether they show noise.
 
-    Some edges tell of noise. All are asked where the mesh is no tessellator's; the normals of one's need no such witness.
+    A sample of edges is enough to find noise. The normals of a tessellator's mesh need no further check; on any other mesh all
+    edges are checked, and the result is kept.
     """
     in_rows = normals.offsets.is_in_rows
     surface = surface_of(part, np.cos(np.deg2rad(normals.crease_angle_deg)))

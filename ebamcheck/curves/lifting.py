@@ -1,13 +1,12 @@
-"""Lifting: contour points go from the straight edges of the mesh to the curved edges of the surface it stands for.
+"""Lifting: contour points move from the straight edges of the mesh to the curved edges of the surface that it approximates.
 
-A contour's points lie on chords of the surface, so that a curve through them keeps the chords' error. Each
-edge between two vertices is replaced by a cubic that starts and ends across the normals of the surface there
-(a Hermite edge, as in Vlachos et al. 2001, "Curved PN triangles"), and the point goes to where that cubic
-crosses the layer. The edge bends at both ends by the lesser of the two angles that the normals ask for, and not at
-all where they ask for much to different sides: so a normal spoilt by a neighbour of another curvature does not
-make it overshoot. Edges of planes and the rulings of strips do not bend. Any other bends, at each end, by no more than
-the mesh itself turns there from the edge to what lies behind: an error d of a normal lifts an edge of length l by l d / 8,
-which is much for a long edge beside fine facets.
+A contour's points lie on chords of the surface, so a curve through them keeps the chord error. Each edge between two vertices
+is therefore replaced by a cubic that is perpendicular to the surface normals at its ends (a Hermite edge, as in Vlachos et al.
+2001, "Curved PN triangles"), and the point moves to where that cubic crosses the layer. The edge bends at both ends by the
+lesser of the two angles that the normals demand, and not at all where these demand large bends to opposite sides: so a normal
+spoilt by a neighbour of another curvature does not make it overshoot. Edges of planes and the rulings of strips do not bend.
+Any other edge bends, at each end, by no more than the mesh itself turns there from the edge to the facets behind its end: an
+error d of a normal lifts an edge of length l by l d / 8, which is much for a long edge beside fine facets.
 """
 
 from __future__ import annotations
@@ -41,34 +40,34 @@ from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Floats, Ints
 
 MOST_STEPS = 60
-"""Steps towards the place of a layer on a curved edge; as many halvings bring it to rounding."""
+"""Most steps towards the place of a layer on a curved edge; as many halvings reach rounding."""
 
 SAME_PLACE = 1e-14
-"""A step along an edge, over its length, that is rounding."""
+"""Step along an edge, over its length, that counts as rounding."""
 
 FLATTEST_SURFACE = 0.25
-"""Sine of the slope under which a lift in the layer is not let grow further: the height of the curved edge over its
-chord, over this, is the farthest that a point moves."""
+"""Sine of the surface's slope below which a move in the layer grows no further: a point moves at most the height of the
+curved edge over its chord, divided by this."""
 
 LEAST_SIDEWAYS = 1e-6
-"""Horizontal part of a unit normal under which a layer has no tangent there: the surface lies flat."""
+"""Horizontal part of a unit normal below which the contour has no tangent there: the surface is level."""
 
 LARGEST_INFLECTION = np.sin(np.deg2rad(5.0))
-"""Sine of the angle up to which an edge may bend to different sides at its ends; more is a flat side between others."""
+"""Sine of the largest bends to opposite sides at the two ends of an edge; larger ones show a flat side between curved ones."""
 
 MOST_OF_TURN = 2.0
-"""An edge far longer than what lies behind its end bends there by at most this many times what a circle along it and
-through the neighbours behind would; those lie to both sides of its line, where the surface may curve otherwise."""
+"""An edge far longer than those behind its end bends there by at most this many times as much as a circle through it and
+the neighbours behind would. These lie to both sides of its line, where the surface may be curved differently."""
 
 JUMP = 4.0
-"""An edge this many times longer than those behind one of its ends is in another region than they, unless it bends as they
-do: what the normal there says of the finer side is nothing to the edge."""
+"""An edge this many times longer than those behind one of its ends belongs to another region of the surface, unless it bends
+as they do: the normal there describes the finer side, not the edge."""
 
 ALIKE = 2.0
-"""Curvatures of an edge and of what lies behind that differ by less than this factor are those of one surface."""
+"""Curvatures of an edge and of the neighbours behind its end that differ by less than this factor are those of one surface."""
 
 NOISE_LIFT = 0.5
-"""Vertices that lie s off their surface tilt a normal so that it lifts an edge by a quarter to half of s."""
+"""Lift over noise: vertices that lie s off their surface tilt a normal so that it lifts an edge by a quarter to half of s."""
 
 POINTS_A_BLOCK = 4096
 
@@ -81,7 +80,7 @@ class Lifting:
     part
         The mesh that was cut.
     normals
-        Its normals.
+        Normals of the surface that the mesh approximates.
     """
 
     def __init__(self, part: Part, normals: SurfaceNormals) -> None:
@@ -104,7 +103,7 @@ class Lifting:
         return found
 
     def lifted_rings(self, layers: Layers) -> tuple[Sides, Ints]:
-        """Lift the points of layers, and put more between them on exact surfaces; with where the rings start then."""
+        """Lift the points of layers and insert points on exact surfaces; returns them and the new starts of the rings."""
         sides = self.lift(layers)
         heights = np.repeat(layers.heights, np.diff(layers.layer_starts))
         return refined(self.exact.rows, sides, heights, layers.ring_starts, layers.closed)

@@ -14,7 +14,7 @@ MOST_LEVELS = 64
 """Depth of the largest tree that memory could hold, and so the most nodes a search has waiting."""
 
 ROUNDING = 1e-12
-"""Share by which the square of a distance may be wrong: far more than it is."""
+"""Bound on the relative error of a squared distance; the actual error is far smaller."""
 
 SEGMENTS_A_LEAF = 4
 """Segments in one leaf of the tree."""
@@ -30,9 +30,9 @@ class BoxedRing(NamedTuple):
     points: Floats
     """(n + 1, 2) ends of the n segments; a closed ring repeats its first point."""
     boxes: Floats
-    """(nodes, 4) xmin, ymin, xmax, ymax; of a node without segments, turned inside out."""
+    """(nodes, 4) xmin, ymin, xmax, ymax; inverted for a node without segments."""
     stack: Ints
-    """Room for the nodes that a search still has to see; one search at a time."""
+    """Working memory for the nodes still to visit; so one search at a time."""
 
 
 class Nearest(NamedTuple):

@@ -1,4 +1,4 @@
-"""One segment: the arc, or the cubic, over a range of a path that stays nearest to it, and whether that is near enough."""
+"""One segment: the arc or cubic nearest to a range of a path, and whether it is near enough."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats
 
 ARC_SHARE = 0.5
-"""An arc is taken where it keeps this share of the tolerance, and so is a circle and not merely near one."""
+"""Share of the tolerance within which an arc must stay: then the path is a circle, and not merely near one."""
 
 ARC_DIRECTION_RAD = 2e-3
-"""An arc may end in a direction that is off by this; what follows starts in the arc's."""
+"""Largest error of the direction in which an arc ends; the next segment starts in the arc's direction."""
 
 LARGEST_RADIUS_MM = 10_000.0
-"""Arcs of a larger radius are nearly straight, and their centres too far away to tell: they are written as cubics."""
+"""Largest radius of an arc: larger ones are nearly straight, with an ill-determined centre, and are written as cubics."""
 
 LARGEST_SWEEP_RAD = np.deg2rad(170.0)
-"""Sweep of one arc; controls take under half a turn by radius without doubt."""
+"""Largest sweep of one arc: below half a turn, an arc given to a control by its radius is unambiguous."""
 
 LARGEST_TURN_RAD = np.deg2rad(120.0)
-"""Turn of one cubic; more make loops."""
+"""Largest turn of one cubic: beyond it cubics loop."""
 
 NEWTON_STEPS = 2
-"""Steps by which parameters move towards the feet of the points, between two solutions."""
+"""Rounds in which the samples' parameters move to their foot points and the cubic is fitted again."""
 
 SAMPLES_A_SEGMENT = 4
-"""Places of each segment of the contour that the reduced curve must stay near to."""
+"""Places along each segment of the contour at which the reduced curve is checked."""
 
 CLOSED_LOOP_SHARE = 0.01
-"""A range whose ends are nearer than this share of its length is not tried as one piece."""
+"""A range whose ends are nearer to each other than this share of its length is not tried as one segment."""
 
 
 class Path(NamedTuple):
@@ -43,11 +43,11 @@ class Path(NamedTuple):
     directions: Floats
     """(n + 1, 2) unit directions at the joints."""
     samples: Floats
-    """(SAMPLES_A_SEGMENT n + 1, 2)."""
+    """(SAMPLES_A_SEGMENT n + 1, 2) points along the cubics, mm."""
     lengths: Floats
-    """(SAMPLES_A_SEGMENT n + 1,) length along the samples, mm."""
+    """(SAMPLES_A_SEGMENT n + 1,) length along the samples from the first, mm."""
     turns: Floats
-    """(n + 1,) signed turn up to each joint, rad."""
+    """(n + 1,) signed turn from the first joint to each, rad."""
 
 
 @kernel

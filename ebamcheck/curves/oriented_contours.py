@@ -1,7 +1,7 @@
 """Oriented contours: contours with a direction at every point, ready to be fitted.
 
-Corners and straight segments part a contour. In between, the direction at a point lies between those of its two
-chords, so that a curve that follows it never leaves its chord by more than the contour turns there.
+Corners and straight segments divide a contour. In between, the direction at a point lies between those of its two
+chords; so a curve in these directions deviates from a chord by no more than the contour turns there.
 """
 
 from __future__ import annotations
@@ -39,19 +39,19 @@ class OrientedContours(NamedTuple):
     starts: Ints
     """(R + 1,) first point of each ring; a closed ring's last segment goes from its last point to its first."""
     before: Floats
-    """(K,) angle by which the contour's direction at the end of the segment before the point is ahead of its chord,
-    rad; positive where it turns left."""
+    """(K,) angle from the chord of the segment before the point to the contour's direction at its end, rad; positive to the
+    left."""
     after: Floats
-    """(K,) angle by which its chord is ahead of the direction at the start of the segment after the point, rad; on a
-    circle both angles of a segment are half of the angle that it spans."""
+    """(K,) angle from the contour's direction at the start of the segment after the point to its chord, rad. On a circle
+    both angles of a segment are half of the angle that it spans."""
     corner: Bools
-    """(K,) a corner, or the end of an open path."""
+    """(K,) whether the point is a corner, or the end of an open path."""
     straight: Bools
-    """(K,) the segment after the point is a straight line."""
+    """(K,) whether the segment after the point is a straight line."""
 
 
 class _Limits(NamedTuple):
-    """Settings by which contours are oriented."""
+    """Settings of the orientation, in the units of the kernels."""
 
     near_mm: float
     largest_turn_rad: float
@@ -67,14 +67,14 @@ def orient(
     Parameters
     ----------
     sides
-        Points and directions, of which some may be unknown (NaN): they are estimated from the chords.
+        Points and directions; unknown directions (NaN) are estimated from the chords.
     ring_starts, closed
         (R + 1,), (R,) rings of the points.
     settings
         Corner angle, smallest distance of points, least length of a straight run.
     largest_bulge_mm
-        A segment that would leave its chord by more stays straight, between corners: a contour alone does not tell
-        whether it stands for a curve there.
+        A segment that would leave its chord by more stays straight, between corners: a contour alone does not show
+        whether the part is curved there.
     """
     total = len(sides.points)
     turn = float(np.deg2rad(180.0 - settings.corner_angle_deg))

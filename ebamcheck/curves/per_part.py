@@ -1,4 +1,4 @@
-"""What follows from a mesh alone is worked out once for a part of which single layers are fitted, one after the other."""
+"""Memory of what is computed from a mesh alone, for parts whose layers are fitted one after the other."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ _Key = TypeVar("_Key", bound=Hashable)
 _kept: WeakSet[Part] = WeakSet()
 
 _memories: list[WeakKeyDictionary[Part, Any]] = []
-"""What each of the functions knows, by part."""
+"""Last key and result of each decorated function, by part."""
 
 
 def keep_surface_of(part: Part) -> None:
-    """Keep what is found of the surface of a part as long as that is there: it takes some 100 bytes a facet."""
+    """Keep what is computed from a part's mesh for as long as the part exists: some 100 bytes per facet."""
     _kept.add(part)
 
 
 @contextmanager
 def surface_kept(part: Part) -> Iterator[None]:
-    """Keep what is found of the surface of a part for the moment: several fits of one stack ask for the same."""
+    """Keep what is computed from a part's mesh within the block, in which several fits need the same."""
     if part in _kept:
         yield
         return
@@ -40,9 +40,9 @@ def surface_kept(part: Part) -> Iterator[None]:
 
 
 def once_a_part(function: Callable[[Part, _Key], _Found]) -> Callable[[Part, _Key], _Found]:
-    """Keep what a function of a part and of settings returned last, for parts of which it is to be kept.
+    """Decorate a function of a part and a key, such as settings, so that its last result is kept.
 
-    Nobody may change what it returns.
+    It is kept only for parts named by :func:`keep_surface_of` or :func:`surface_kept`. Callers must not modify it.
     """
     known: WeakKeyDictionary[Part, tuple[_Key, _Found]] = WeakKeyDictionary()
     _memories.append(known)

@@ -1,9 +1,9 @@
-"""Plausible lifts: no facet stands many times farther from the surface of its mesh than the facets about it.
+"""Plausible lifts: no facet is many times farther from the surface than the facets around it.
 
-Who tessellates or decimates a part keeps to a chord error. An edge whose normals ask for many times the sagitta that the
-facets about its ends have, by their turns, is a long side that borders on a fine rounding, or one whose ends were moved:
-its normals are the rounding's, and it is left by so much less the more it asks for. Meshes of scattered points have no such
-chord error; there long edges do ask for more, by as much as what lies behind their ends bears out.
+Tessellation and decimation keep to a chord error. If the normals of an edge demand many times the sagitta that the facets about
+its ends have by their dihedral angles, it is a long side that borders on a fine rounding, whose normals it has, or its ends were
+moved. Its lift is then made smaller the more the normals demand. Meshes of scattered points keep to no chord error: there the
+long edges do need a larger lift, up to what the neighbours behind their ends confirm.
 """
 
 from __future__ import annotations
@@ -32,74 +32,74 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats
 
 OF_TYPICAL = 4.0
-"""Times the median sagitta of the mesh that a plausible lift may be."""
+"""Largest plausible lift, over the median sagitta of the mesh."""
 
 ANYWHERE = 2.0
-"""Times the median sagitta that is plausible whatever lies near: slivers have no sagitta, and stand where others do."""
+"""Lift that is plausible whatever lies near, over the median sagitta: slivers have no sagitta of their own."""
 
 OF_LARGEST_NEAR = 4.0
-"""Times the largest sagitta at that end of an edge that has less of it."""
+"""Largest plausible lift, over the largest sagitta at that end of an edge where this is smaller."""
 
 OF_MEAN_NEAR = 6.0
-"""Times the mean sagitta at that end of an edge that has more of it: flat neighbours count."""
+"""Largest plausible lift, over the mean sagitta at that end of an edge where this is greater; flat neighbours lower the mean."""
 
 ASKS_MUCH = 3.0
-"""Times the median sagitta from which an edge is asked whether what lies behind its ends is curved alike."""
+"""Lift over the median sagitta from which an edge demands much: its curvature is compared with that behind its ends."""
 
 ALIKE = 4.0
-"""Ratio of two curvatures up to which they are one surface's, of scattered points."""
+"""Largest ratio of two curvatures that still belong to one surface, on a mesh of scattered points."""
 
 SCATTERED_SHARE = 0.8
-"""Share of edges that ask for much, and lie in one curvature with what is behind both of their ends, from which a mesh is one
-of scattered points: there are under three fifths of them in decimated meshes."""
+"""A mesh is one of scattered points if at least this share of the edges that demand much are curved like their neighbours behind
+both ends; on decimated meshes the share is below three fifths."""
 
 SCATTERED_ASKED = 0.08
-"""Share of the edges that tell a bend that ask for much on a mesh of scattered points, whose edges are of all lengths: it is an
-eighth to a quarter there. Where fewer do, they stand out."""
+"""Least share of the bent edges that demand much on a mesh of scattered points. Such a mesh has edges of all lengths, and the
+share is an eighth to a quarter. Where it is less, these edges are outliers."""
 
 MOST_SCATTERED = 25.0
-"""Times the median sagitta that a plausible lift may be on a mesh of scattered points."""
+"""Largest plausible lift on a mesh of scattered points, over the median sagitta."""
 
 LEAST_ASKED = 100
-"""Edges from which such a share means something."""
+"""Fewest edges that demand much for that share to mean something."""
 
 TELLS = 0.25
-"""Times the median sagitta from which an edge tells to which side it bends."""
+"""Lift over the median sagitta from which an edge counts as bent, to a known side."""
 
 COHERENT_SHARE = 0.85
-"""Share of such edges that bend to one side at both ends, under which a mesh is rough: half do in noise, nineteen of twenty
-on surfaces, saddles among them, however meshed."""
+"""A mesh is rough if less than this share of its bent edges bend to the same side at both ends: half do in noise, nineteen of
+twenty on surfaces, saddles included, however meshed."""
 
 LEAST_TOLD = 20
-"""Edges from which that share means something: fewer do not tell a surface from what a decimation has left of one."""
+"""Fewest bent edges for that share to mean something: with fewer, a surface may be only what a decimation left of one."""
 
 LEAST_FAR = 10
-"""Edges with a far end from which it means something how many of them are borne out."""
+"""Fewest edges with a far end (:data:`ebamcheck.curves.ends_ahead.FAR`) for the share that is confirmed to mean something."""
 
 RIGHT_SHARE = 0.6
-"""Share of such edges that are borne out, under which none is believed: it is 0.6 or more on meshes of scattered points and on
-decimated ones of surfaces that are curved all over, and under 0.5 where flat sides run into roundings."""
+"""Share, by length, of such edges that the turns ahead must confirm, else none is believed. It is 0.6 or more on meshes of
+scattered points and decimated meshes of surfaces that are curved all over, and below 0.5 where flat sides run into roundings."""
 
 NOISE_SHARE = 0.7
-"""Of the length of all edges that tell a bend, that far ends contradict, from which it is noise: half at most in others."""
+"""Share, by length, of all bent edges that far ends contradict from which a mesh is noise; on others it is at most half."""
 
 LEAST_SAGITTA_MM = 1e-6
-"""Facets that turn by less do not count among those that tell the median."""
+"""Facets with a smaller sagitta are left out of the median."""
 
 
 class Sagittas(NamedTuple):
-    """How far facets stand from their surface by their turns, mm."""
+    """Sagittas of facets, by their dihedral angles, mm."""
 
     mean: Floats
-    """(V,) mean over the edges at a vertex, by their length."""
+    """(V,) mean over the edges at a vertex, weighted by their lengths."""
     largest: Floats
-    """(V,) the largest of them."""
+    """(V,) largest at a vertex."""
     typical: float
-    """Median over the facets that are of no plane, by area; infinite where nothing is known."""
+    """Median over the facets outside of planes, weighted by area; infinite where nothing is known."""
 
 
 def no_sagittas(vertex_count: int) -> Sagittas:
-    """Where nothing is known, any lift is plausible."""
+    """Sagittas of a mesh of which nothing is known: any lift is plausible."""
     return Sagittas(np.full(vertex_count, np.inf), np.full(vertex_count, np.inf), np.inf)
 
 
@@ -192,13 +192,13 @@ def plausible_share(height: float, plausible: float) -> float:
 
 
 class FarEnds(NamedTuple):
-    """What the turns ahead say of what the normals ask for, at edges that are far longer than the chords ahead of them."""
+    """Whether the turns ahead confirm the normals at edges far longer than the chords ahead of them."""
 
     are_right: bool
-    """They bear it out, as on meshes of scattered points and on decimated ones of a surface that is curved all over; a
-    tessellator's mesh has next to no such edges."""
+    """The turns confirm the normals, as on meshes of scattered points and decimated meshes of a surface that is curved all
+    over; also if there are too few such edges, as on a tessellator's mesh."""
     are_noise: bool
-    """They contradict it, at most of all edges: no surface is so."""
+    """The turns contradict the normals over most of the length of all bent edges, as on no surface."""
 
 
 def judge_far_ends(mesh: SurfaceMesh) -> FarEnds:
@@ -244,13 +244,13 @@ def _count_far(mesh: SurfaceMesh) -> tuple[int, float, float, float]:
 
 
 class Ends(NamedTuple):
-    """What the two ends of the smooth edges of a mesh's freely curved facets say of each other."""
+    """Verdicts from the bends at the two ends of the smooth edges of freely curved facets."""
 
     is_scattered: bool
-    """The mesh is one of scattered points of a smooth surface: its long edges are curved as its short ones."""
+    """The mesh is one of scattered points of a smooth surface: its long edges are curved like its short ones."""
     is_rough: bool
-    """At too many edges the surface would bend to one side at one end and to the other at the other, or too few tell: there
-    is no surface of the freely curved facets to be told."""
+    """The freely curved facets determine no surface: too many edges would bend to opposite sides at their two ends, or too few
+    are bent."""
 
 
 def judge_ends(mesh: SurfaceMesh) -> Ends:
@@ -297,7 +297,7 @@ def _count_ends(mesh: SurfaceMesh) -> tuple[int, int, int, int]:
 
 @kernel
 def _is_alike(mesh: SurfaceMesh, up: int, corner: int, chord: Vector, normal: Vector) -> bool:
-    """Whether an edge and what lies behind its end are of one curvature; so they are where nothing lies there."""
+    """Whether an edge and the neighbours behind its end are of one curvature; False where there are none."""
     found = behind(mesh, up // 3, corner, chord, normal)
     if found.reach == 0.0:
         return False

@@ -1,4 +1,4 @@
-"""Polar radius of a contour about a centre, by the exact crossing of ray and segment (paper, 5.2)."""
+"""Polar radius of a contour about a centre, by the exact crossing of ray and segment (paper, section 5.2)."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats
 
 NEAR_DIRECTIONS = 8
-"""Directions by which the first one of a segment mostly lies from that of the segment before."""
+"""Directions searched one by one: the first of a segment is rarely farther from the first of the segment before."""
 
 NEARLY_HALF_TURN_RAD = 3.1
-"""A segment that spans more than this passes so near to the centre that every ray is tried on it."""
+"""A segment that spans a larger angle passes so near to the centre that every ray is tested on it."""
 
 ANGLE_MARGIN_RAD = 1e-9
-"""Rays this far beyond the ends of a segment are tried too: angles are rounded, crossings are not."""
+"""Rays this far beyond the ends of a segment are tested too: angles are rounded, crossings are not."""
 
 
 class Rays(NamedTuple):
-    """Directions (m,) of rays in order, 0 .. 2 pi, with their cosines and sines: many rings are met by the same ones."""
+    """Sorted directions (m,) of rays, 0 .. 2 pi, with their cosines and sines, computed once for many rings."""
 
     theta: Floats
     cosine: Floats
@@ -45,7 +45,7 @@ def polar_radius(ring: ArrayLike, centre: ArrayLike, theta_rad: ArrayLike) -> Fl
 
     Returns
     -------
-    (m,) mm; NaN where a ray meets the ring never or more than once, so that no radius is defined.
+    (m,) mm; NaN where the radius is undefined, because a ray meets the ring never or more than once.
     """
     points = np.asarray(ring, dtype=np.float64).reshape(-1, 2)
     middle = np.asarray(centre, dtype=np.float64).reshape(-1)

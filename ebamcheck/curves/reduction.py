@@ -1,7 +1,7 @@
 """Reduction: the fewest lines, arcs and cubics that stay within a tolerance of a curve through many points.
 
-Each goes as far as it can, from a point and direction of the contour to another point and its direction, so that
-the pieces join without a kink. A circle stays a circle: an arc is taken where it fits twice as close as it must.
+Each goes as far as it can, from a point and direction of the contour to another point and its direction, so
+the pieces join without a kink. A circle stays a circle: an arc is taken if it fits within half of the tolerance.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 SHARE_OF_BULGE = 0.1
-"""Of the greatest distance of a ring's smooth curve from its chords, this may be given away in reducing it: the
-tolerance is that of the settings or this, so that on a coarse mesh what lifting won is not lost again."""
+"""Share of the greatest bulge of a ring's smooth curve that the reduction may give away. The tolerance is the lesser of this and
+the setting, lest what lifting gained be lost again."""
 
 LEAST_TOLERANCE_MM = 0.0005
-"""Tolerance however small the bulges are: half of the least distance of contour points."""
+"""Least tolerance, however small the bulges: half of the least distance of contour points."""
 
 
 class _Written(NamedTuple):
@@ -41,9 +41,9 @@ class _Written(NamedTuple):
     points: Floats
     """(n, 4, 2) Bezier points."""
     kind: NDArray[np.uint8]
-    """(n,)"""
+    """(n,) kind of segment."""
     corner: Bools
-    """(n,) the segment starts at a corner."""
+    """(n,) whether the segment starts at a corner."""
 
 
 def smooth_segments(contours: OrientedContours, closed: Bools) -> Segments:
@@ -52,7 +52,7 @@ def smooth_segments(contours: OrientedContours, closed: Bools) -> Segments:
 
 
 def reduced_segments(contours: OrientedContours, closed: Bools, tolerance_mm: float) -> Segments:
-    """Lines, arcs and cubics, as few as the tolerance lets be."""
+    """Lines, arcs and cubics, as few as the tolerance allows."""
     return _blocks(contours, closed, tolerance_mm)
 
 

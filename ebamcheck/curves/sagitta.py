@@ -1,14 +1,14 @@
-"""Sagittas: how far the surface that a mesh stands for can leave its edges and facets, by the mesh alone.
+"""Sagittas: how far the surface that a mesh approximates can leave its edges and facets, from the mesh alone.
 
 A chord of length l over which a curve turns by phi leaves it by l / 2 tan(phi / 4). How much of the turn between two
-chords belongs to which of them is told by what comes after: on a curve of even curvature a joint turns by half of what
+chords belongs to each of them follows from what lies beyond: on a curve of even curvature a joint turns by half of what
 both of its chords span, so that a chord spans twice the turn at its end less what the neighbour spans, and that follows
 from the joint beyond it. A flat side beside a fillet spans nothing by that; the chord of a circle all of its arc. Both
 ends of a chord tell a span, and the greater counts: a flat side spans nothing by either.
 
 For an edge of the mesh the chords are those in which a plane through the edge and across the facets cuts them: straight
-ahead over the facets beyond each end. A crease runs along the creases beyond its ends. None of this reads the normals
-by which contours are lifted: it is evidence of another kind.
+ahead over the facets beyond each end. For a crease they are the creases beyond its ends. None of this uses the normals
+by which contours are lifted, so it is independent evidence.
 """
 
 from __future__ import annotations
@@ -26,19 +26,20 @@ from ebamcheck.numeric.rings import Bools, Floats
 
 WIDTH_RATIO = 3.0
 """A chord this many times longer than its neighbour is a flat side beside a rounding; see `curves.straight_run_mm`. A chord
-that many times shorter than both of its neighbours is a rounding by itself: it takes the turns at its ends."""
+that many times shorter than both of its neighbours is a rounding of a single chord: both turns at its ends are its own."""
 
 LARGEST_SPAN_RAD = np.deg2rad(160.0)
-"""Span of a chord at most; sagittas of more mean nothing."""
+"""Largest span of a chord; the sagitta of a larger one means nothing."""
 
 LEAST_APART = 0.25
-"""Middles of chords nearer to each other than this share of a chord's length do not tell how the surface bends."""
+"""Least distance of the middles of chords, over a chord's length, from which a curvature can be taken."""
 
 FLAT_MM = 2e-5
-"""Chords whose joint lies this near to the line over both are one: what 32 bits leave of a plane some hundred mm wide."""
+"""Chords whose joint lies this near to the line over both are one: the 32-bit rounding of a plane some hundred mm wide."""
 
 UNKNOWN = -1.0
-"""Sagitta of an edge from crease to crease: inside of a facet's plane it is that of the plane's border, else 0."""
+"""Mark of an edge from crease to crease, whose ends tell nothing. Inside a plane it gets the sagitta of the plane's border,
+elsewhere 0."""
 
 EDGES_A_BLOCK = 4096
 
@@ -47,13 +48,13 @@ class Sagittas(NamedTuple):
     """How far the surface can leave the edges of a mesh, mm."""
 
     of_edge: Floats
-    """(3 F,) of the edge of each half-edge: how far a contour point on it may move."""
+    """(3 F,) sagitta of the edge of each half-edge: how far a contour point on it may move."""
     of_side: Floats
-    """(3 F,) what of that lies across the half-edge's own facet: how far the facet's points may move."""
+    """(3 F,) the part of it perpendicular to the half-edge's own facet: how far the facet's points may move."""
     plane: Bools
-    """(F,) the facet is part of a plane: of several facets that the surface does not leave, to rounding."""
+    """(F,) whether the facet is part of a plane: of several facets that the surface does not leave, to rounding."""
     rounding_mm: float
-    """What the numbers of the mesh's file leave of a plane."""
+    """Distance from a plane that the rounding of the mesh's file can give its points."""
 
 
 @once_a_part
@@ -82,12 +83,12 @@ def sagittas(part: Part, crease_angle_deg: float) -> Sagittas:
 
 
 def flat_mm(vertices: Floats) -> float:
-    """How far the joint of two chords may lie from the line over both where they are one, mm: by the file's rounding."""
+    """Largest distance of the joint of two chords from the line over both for them to be one, mm, given the file's rounding."""
     return max(FLAT_MM, 4.0 * coordinate_rounding_mm(vertices))
 
 
 def surface_of(part: Part, least_cosine: float) -> Surface:
-    """What walks over a mesh read; edges whose facets' normals have a lesser cosine are sharp."""
+    """The mesh in the form that walks read; edges are sharp if their facets' normals have a cosine below `least_cosine`."""
     vertices, faces = part.vertices, part.faces
     groups = edge_groups(faces, len(vertices))
     twin = twins(vertices, faces, groups.half_edges, groups.starts)
@@ -107,7 +108,7 @@ def surface_of(part: Part, least_cosine: float) -> Surface:
 
 
 def coordinate_rounding_mm(vertices: Floats) -> float:
-    """Greatest error that the file's numbers leave of a coordinate: of so many decimals, of 32 bits, else of 64."""
+    """Greatest rounding error of a coordinate, mm: that of the file's decimals, else of 32-bit, else of 64-bit numbers."""
     largest = float(np.abs(vertices).max(initial=0.0))
     if not np.array_equal(vertices, vertices.astype(np.float32)):
         return largest * 2.0**-53

@@ -14,19 +14,19 @@ from ebamcheck.numeric.rings import Bools, Floats, Ints
 DEGREE = 3
 
 UNEVEN = 4.0
-"""A spline ends where a knot interval would differ by more than this factor from the length of its span."""
+"""Largest ratio of a knot interval to the length of its span, either way; beyond it a spline ends and the next begins."""
 
 
 class Segments(NamedTuple):
     """Segments of rings, as columns."""
 
     points: Floats
-    """(n, 4, 2) Bezier points of a cubic; of a line its ends in the first and last place; of an arc its middle in the
-    second place, too."""
+    """(n, 4, 2) Bezier points of a cubic, mm. A line has its ends in the first and last place; an arc also its middle in the
+    second."""
     kind: NDArray[np.uint8]
     """(n,) :data:`LINE`, :data:`SPLINE` (a cubic) or :data:`ARC`."""
     corner: Bools
-    """(n,) there is a corner before the segment."""
+    """(n,) whether there is a corner before the segment."""
     ring_starts: Ints
     """(R + 1,) first segment of each ring."""
 

@@ -1,4 +1,4 @@
-"""Sides of contours: their points, and what the mesh tells of the segments that come to and leave each."""
+"""Sides: the points of contours, and what the mesh tells about the segments that end and begin at each."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from ebamcheck.mesh.topology import Index
 from ebamcheck.numeric.rings import Bools, Floats
 
 NO_PLANE = -1
-"""In place of a plane's number: the segment is in none."""
+"""Number of the plane of a segment that is in none."""
 
 NO_FORM = -1
-"""In place of the number of an exact surface, where it is not known."""
+"""Number of the exact surface of a segment that is on none."""
 
 
 class Sides(NamedTuple):
-    """Points of contours, and the directions in which a contour comes to and leaves each."""
+    """Points of contours, with the directions in which a contour enters and leaves each."""
 
     points: Floats
     """(N, 2) mm."""
@@ -26,19 +26,20 @@ class Sides(NamedTuple):
     after: Floats
     """(N, 2) unit direction on the side of the segment that begins at the point; NaN where unknown."""
     smooth: Bools
-    """(N,) the contour has no corner there."""
+    """(N,) whether the contour has no corner at the point."""
     flat: Bools
-    """(N,) the segment after the point may be a flat side: its facet has a neighbour in its plane, or is not known."""
+    """(N,) whether the segment after the point may be a flat side: its facet has a coplanar neighbour, or is unknown."""
     plane_before: Index
     """(N,) plane in which the segment that ends at the point lies; :data:`NO_PLANE` for none."""
     plane_after: Index
     """(N,) plane in which the segment that begins at the point lies."""
     rough: Bools
-    """(N,) the noise of the mesh there exceeds what a lift could win: the point was left, and so should its chords be."""
+    """(N,) whether the noise of the mesh there exceeds what a lift could gain: the point is not lifted, and its segments stay
+    chords."""
     share: Floats
-    """(N,) of what the normals ask for, that points are lifted by and segments bend by there."""
+    """(N,) share, 0 .. 1, of the lift and bend demanded by the normals that is applied at the point."""
     plausible: Floats
-    """(N,) how high the surface plausibly stands over the facets there, over the sine of their slope, mm."""
+    """(N,) plausible height of the surface over the facets there, over the sine of their slope, mm."""
     form_before: Index
     """(N,) exact surface on which the segment that ends at the point lies, whose section has its direction there;
     :data:`NO_FORM` for none."""
@@ -47,7 +48,7 @@ class Sides(NamedTuple):
 
 
 def as_they_are(points: Floats) -> Sides:
-    """Sides of points of which nothing is known but their places (N, 2)."""
+    """Sides of points (N, 2) of which nothing but their places is known."""
     count = len(points)
     unknown = np.full((count, 2), np.nan)
     return Sides(

@@ -12,15 +12,15 @@ from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 LINE, SPLINE, ARC = 0, 1, 2
-"""Kinds of piece: a polyline of its control points, a cubic B-spline, a circular arc by three of its points."""
+"""Kinds of piece: the polyline of its control points, a cubic B-spline, a circular arc through three points."""
 
 ANGLE_ROUNDING_DEG = 1e-9
-"""Angles this near to the corner angle count as equal to it, so that turning a part changes nothing."""
+"""Angles this near to the corner angle count as equal to it, so that rotating a part changes nothing."""
 
 STRAIGHT_RATIO = 3.0
 """A straight run is this many times longer than any of the two segments on either side of it.
 
-Length alone does not tell: the chords of a large radius are long too, but so are their neighbours."""
+Length alone does not decide: the chords of a large radius are long, too, but so are their neighbours."""
 
 STRAIGHT_NEIGHBOURS = 2
 """Segments on either side, up to a corner, with which a straight run is compared."""
@@ -38,7 +38,7 @@ class Runs(NamedTuple):
     kind: NDArray[np.uint8]
     """(P,) :data:`LINE` or :data:`SPLINE`."""
     periodic: Bools
-    """(P,) a closed ring without a split."""
+    """(P,) whether the run is a whole closed ring without a split."""
     tangents: Floats
     """(P, 2, 2) unit directions at the two ends of a run, NaN where they are free."""
 

@@ -1,9 +1,9 @@
 """Evidence over a whole stack of curves: layers against their neighbours, and against the mesh between them.
 
-The mean lift of a layer is what its curves enclose beyond its contours, over their length. It may differ between two
-layers by no more than what the mesh allows there: a layer that stands out was lifted the wrong way. The volume between
-two layers is that of the mesh, exactly; by the areas of both it is so up to what the contours' own areas leave of it, and
-up to what the curves may lie outside or inside of them.
+The mean lift of a layer is the area that its curves enclose beyond its contours, over their length. It may differ between two
+layers by no more than the mesh allows there: a layer that stands out was lifted the wrong way. The volume between two layers
+is known exactly from the mesh. The volume by the areas of the curves must agree with it, up to the error that the areas of the
+contours themselves make, and up to how far curves may lie outside or inside their contours.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats
 
 VOLUME_ROUNDING = 1e-9
-"""Share of a volume that is rounding of its sum."""
+"""Relative rounding error allowed in the sum of a volume."""
 
 
 class StackEvidence(NamedTuple):
@@ -30,11 +30,11 @@ class StackEvidence(NamedTuple):
     lift_mm: Floats
     """(L,) mean lift of each layer; 0 without contours."""
     allowed_mm: Floats
-    """(L,) mean of what the mesh and the tolerance allow."""
+    """(L,) mean limit along the contours, by the mesh and the tolerance."""
     jump_excess_mm: Floats
-    """(L,) by how much more than allowed the lift differs from that of the layer below; negative or 0 is within."""
+    """(L,) difference of the lift from that of the layer below, less the allowed one; 0 or less is within the limit."""
     volume_excess_mm3: Floats
-    """(L,) by how much more than allowed the volume from the layer below differs from that of the mesh."""
+    """(L,) difference between the volumes, above the layer below, by the curves and of the mesh, less the allowed one."""
 
     @property
     def accepted(self) -> bool:
@@ -52,7 +52,7 @@ def stack_evidence(curves: Curves, layers: Layers, part: Part, found: Evidence) 
     part
         The mesh that was cut.
     found
-        What speaks for the rings.
+        Evidence of the rings.
     """
     count = len(layers)
     of_ring = curves.ring_layer
@@ -75,7 +75,7 @@ def stack_evidence(curves: Curves, layers: Layers, part: Part, found: Evidence) 
 
 
 def volumes_between(part: Part, heights: Floats) -> Floats:
-    """Exact volume of a mesh between each two of increasing heights, (L - 1,) mm3."""
+    """Exact volume of a mesh between consecutive ones of increasing heights, (L - 1,) mm3."""
     volumes = np.zeros(max(len(heights) - 1, 0))
     _add_volumes(part.vertices, part.faces, np.ascontiguousarray(heights), volumes)
     return volumes

@@ -79,7 +79,7 @@ def write(curves: Curves, path: Path) -> None:
     metadata = {VERSION_KEY: VERSION.encode(), LABELS_KEY: json.dumps(labels, sort_keys=True).encode()}
     table = pa.table(columns).replace_schema_metadata(metadata)
     with replacing(path) as temporary:
-        # Coordinates hardly repeat, so a dictionary would only cost time; checksums find flipped bits.
+        # Coordinates hardly repeat: a dictionary would only cost time. Checksums find flipped bits.
         pq.write_table(
             table,
             temporary,
@@ -146,7 +146,7 @@ def _labels(schema: pa.Schema, path: Path) -> dict[str, Any]:
 
 
 def _check(curves: Curves, starts: dict[str, Ints], path: Path) -> None:
-    """Refuse columns that contradict each other before anything indexes with them."""
+    """Refuse columns that contradict each other, before they are used as indices."""
     sizes = np.diff(curves.control_starts)
     known = np.isin(curves.kind, (LINE, SPLINE, ARC))
     if not known.all():

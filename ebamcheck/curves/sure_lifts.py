@@ -1,4 +1,4 @@
-"""Sure lifts: how much of a lift is left by what the edges ahead and the bends beside tell, apart from its normals."""
+"""Sure lifts: the share of a lift that the turns ahead of an edge and the bends beside it support, apart from its normals."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ebamcheck.curves.surface_edges import SurfaceMesh
 from ebamcheck.numeric.kernels import kernel
 
 OF_ROUNDING = 4.0
-"""Times the median sagitta of the mesh up to which a bend beside a strip may be a coarse rounding's: who tessellates keeps to
+"""Largest sagitta of a bend beside a strip, over the median of the mesh, that may be a coarse rounding's: a tessellator keeps to
 one chord error."""
 
 

@@ -1,4 +1,4 @@
-"""Edges of a mesh with the normals at their ends: how they bend, and what lies behind them."""
+"""Edges of a mesh with the normals at their ends: how the edges bend, and the neighbours behind their ends."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 LEAST_CREASE = 0.1
-"""Sine of the angle between the normals on the two sides of a crease under which its direction is not known."""
+"""Sine of the angle between the normals on the two sides of a crease below which its direction is unknown."""
 
 BEHIND_COSINE = 0.3
-"""A neighbour lies behind the end of an edge where the cosine of its angle to the edge's line is greater than this."""
+"""A neighbour lies behind the end of an edge if the cosine of its angle to the edge's extension is greater than this."""
 
 Vector = tuple[float, float, float]
 
 
 class SurfaceMesh(NamedTuple):
-    """What the kernel reads of the mesh and its normals."""
+    """What kernels read of a mesh and its normals; the columns are those of the classes from which they come."""
 
     vertices: Floats
     faces: Index
@@ -52,7 +52,7 @@ class SurfaceMesh(NamedTuple):
     """(S, SIZE) exact surfaces."""
 
 
-# Three numbers at a time are tuples: an array of three costs more than what is done with it.
+# Vectors are tuples of three numbers: to allocate an array costs more than the arithmetic on it.
 
 
 @kernel
@@ -122,12 +122,12 @@ def normals_of(mesh: SurfaceMesh, half_edge: int) -> tuple[Vector, Vector]:
 
 
 class Behind(NamedTuple):
-    """What lies behind the end of an edge, in the same smooth fan."""
+    """Neighbours behind the end of an edge, in the same smooth fan."""
 
     reach: float
-    """Mean distance of the neighbours along the edge's line, mm; 0 without any."""
+    """Mean distance of the neighbours along the edge's extension, mm; 0 if there are none."""
     drop: float
-    """Mean sine of the angle by which they lie under the tangent plane."""
+    """Mean sine of the angle by which they lie below the tangent plane."""
 
 
 @kernel

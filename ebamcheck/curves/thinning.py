@@ -1,4 +1,4 @@
-"""Thinning: contour points that say nothing go, those too near to others and those inside of straight sides."""
+"""Thinning: contour points that carry no shape are removed, those too near to others and those inside straight sides."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
 
 FLAT_MM = 2e-5
-"""A smooth point this near to the chord of its neighbours, in both its place and its direction, goes: it is where a
-flat side's facets meet. What 32-bit coordinates of some hundred mm leave of a plane."""
+"""A smooth point this near to the chord of its neighbours, in place and direction, is removed: facets of one flat side meet
+there. It is the 32-bit rounding of coordinates of some hundred mm."""
 
 IN_PLANE_MM = 1e-3
-"""A point inside of a plane goes if it lies this near to the chord of its neighbours: what the decimals of a file leave, and
-the least distance of contour points. A layer that touches a level plane runs around it, and turns."""
+"""A point inside a plane is removed if it lies this near to the chord of its neighbours: the rounding of a file's decimals, and
+the least distance of contour points. Not every point in a plane is: around a level one the contour turns."""
 
 
 @kernel

@@ -1,9 +1,9 @@
-"""Normals of the surface that a mesh stands for, at its vertices and apart on the two sides of a crease.
+"""Normals of the surface that a mesh approximates, at its vertices, separately on the two sides of a crease.
 
-A *sector* is a set of corners of facets about one vertex that no crease parts: a smooth vertex has one, a
+A *sector* is a set of facet corners about one vertex that no crease separates: a smooth vertex has one, a
 vertex on a sharp edge two, the corner of a cube three. Each sector has a normal of its own: that of a flat
-side that ends there; else that of a quadric through the vertex fitted to its neighbours, where there are enough of
-them to tell one; else the mean of the facets' normals weighed by their angles.
+side that ends there; else that of a quadric through the vertex fitted to its neighbours, if there are enough to
+determine one; else the mean of the facets' normals weighted by their angles.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ COEFFICIENTS = 5
 """Of a quadric through the vertex: two slopes and three curvatures."""
 
 LEAST_PIVOT = 1e-5
-"""A pivot of the normal equations, scaled to a diagonal of 1, under which neighbours do not tell a quadric: they
+"""Least pivot of the normal equations, scaled to a unit diagonal, for neighbours that determine a quadric: below it they
 lie on one conic, or are too few."""
 
 
@@ -45,9 +45,9 @@ class SurfaceNormals(NamedTuple):
     normals: Floats
     """(S, 3) unit normals."""
     smooth: Bools
-    """(3 F,) whether the surface goes on across half-edge ``3 f + i`` without a crease."""
+    """(3 F,) whether the surface continues across half-edge ``3 f + i`` without a crease."""
     flat: Bools
-    """(F,) the facet lies in one plane with a neighbour: a strip of a cylinder, or a flat side."""
+    """(F,) whether the facet is coplanar with a neighbour: in a strip of a cylinder, or a flat side."""
     kind: NDArray[np.uint8]
     """(F,) kind of region of the facet; all :data:`FREEFORM` without regions."""
     region: Index
@@ -55,34 +55,34 @@ class SurfaceNormals(NamedTuple):
     fans: Index
     """(F, 3) smooth fan about the vertex that each corner belongs to, whatever the regions in it."""
     rough: Bools
-    """(S,) the noise of the vertices about exceeds what lifting could win there."""
+    """(S,) whether the noise of the vertices about exceeds what lifting could gain there."""
     noise: Floats
-    """(S,) what the surface about leaves of the vertices there, mm; infinite where it is not told."""
+    """(S,) residual of the fitted surface at the vertices about, mm; infinite where it is unknown."""
     with_regions: bool
     """Whether the mesh was segmented."""
     sagittas: Sagittas
-    """How far facets stand from their surface, by their turns."""
+    """How far facets are from the surface, by their dihedral angles."""
     offsets: Offsets
-    """Whether the vertices lie on the surface; nothing told without regions."""
+    """Whether the vertices lie on the surface; :data:`NOTHING_TOLD` without regions."""
     rims: Floats
-    """(G, 2) how far a surface would stand off the strip of each region if the bends at its sides were a rounding's."""
+    """(G, 2) how far a surface would stand off the strip of each region, mm, if the bends at its sides were a rounding's."""
     crease_angle_deg: float
-    """Angle by which they were estimated."""
+    """Crease angle with which the normals were estimated."""
     exact: ExactSurfaces
     """Surfaces that are known by formula; none without regions."""
 
 
 @once_a_part
 def surface_normals(part: Part, settings: CurveSettings) -> SurfaceNormals:
-    """Estimate the normals of the surface that a mesh was made from.
+    """Estimate the normals of the surface that a mesh approximates.
 
     Parameters
     ----------
     part
         The mesh.
     settings
-        With its crease angle: edges whose facets' normals differ by at least this angle are sharp; so are edges with one
-        facet, or with facets that do not run opposite ways along it. With regions, so is every bend between two planes.
+        Edges whose facets' normals differ by at least the crease angle are sharp; so are edges with only one facet, or with
+        facets that do not run in opposite directions along it. With regions, so is every bend between two planes.
     """
     groups = edge_groups(part.faces, len(part.vertices))
     twin = twins(part.vertices, part.faces, groups.half_edges, groups.starts)

@@ -11,20 +11,20 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 MOST_STEPS = 24
-"""Facets that are crossed beyond an end of an edge: flat ones count as one chord, however many they are."""
+"""Most facets crossed beyond an end of an edge; coplanar ones make one chord, however many they are."""
 
 SNAP = 0.02
-"""A walk that passes this near to a vertex, of the edge that it crosses, goes on from the vertex."""
+"""A path that passes within this share of the crossed edge of a vertex continues from the vertex."""
 
 MOST_JOINTS = 4
-"""Turns beyond an end of an edge that are looked at."""
+"""Most turns noted beyond an end of an edge."""
 
 LEAST_SHAPE = 1e-6
-"""Sixteen squared areas of a facet over its squared sum of squared sides, under which it has no circumcentre to speak of."""
+"""Least 16 A^2 / (a^2 + b^2 + c^2)^2 of a facet with area A and sides a, b, c for its circumcentre to be usable."""
 
 
 class Surface(NamedTuple):
-    """What the walks read."""
+    """What paths over a mesh read of it."""
 
     vertices: Floats
     faces: Index
@@ -37,16 +37,16 @@ class Surface(NamedTuple):
 
 
 class Way(NamedTuple):
-    """What is met straight ahead of each end of an edge."""
+    """Turns and chords met straight ahead of each end of an edge."""
 
     turns: Floats
     """(2, MOST_JOINTS) turns, the first at the end of the edge; positive towards the side that the edge bends to."""
     centres: Floats
-    """(2, MOST_JOINTS) how far ahead of the end the middle of the chord after each turn lies, mm."""
+    """(2, MOST_JOINTS) distance from the end of the edge to the middle of the chord after each turn, mm."""
     lengths: Floats
     """(2, MOST_JOINTS + 1) how far the edge itself goes on without a turn, and the chord after each turn, mm."""
     joints: Ints
-    """(2,) turns that were met."""
+    """(2,) number of turns met."""
 
 
 @kernel

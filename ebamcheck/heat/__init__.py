@@ -1,8 +1,8 @@
-"""Heat of a layer: exact in time on the layer's own outline (facts of conduction: Carslaw & Jaeger 1959).
+"""Heat of a layer and of a whole program: conduction in modes of the outline, a balance along z, and a referee model.
 
-The body is the section extruded down to its base. Its temperature rise is a sum of products of a mode of the
-outline (:mod:`~ebamcheck.heat.modes`) and one of the depth (:mod:`~ebamcheck.heat.depth`); each decays by itself, so that
-a step of any length is exact (:mod:`~ebamcheck.heat.model`).
+The modal model takes the body as the section extruded down to its base. Its temperature rise is a sum of products of a mode of
+the outline (:mod:`~ebamcheck.heat.modes`) and one of the depth (:mod:`~ebamcheck.heat.depth`; Carslaw & Jaeger 1959). Each
+decays by itself, so a time step of any length is exact (:mod:`~ebamcheck.heat.model`).
 """
 
 from __future__ import annotations
@@ -39,6 +39,6 @@ _HOMES = {
     "contour_modes": "modes",
     "depth_modes": "depth",
 }
-"""Names and where they live; they load when first used: limits and the balance ask for no modes, and these for all of SciPy."""
+"""Module of each name, loaded on first use: limits and the balance need no modes, and modes load much of SciPy."""
 
 __getattr__ = on_demand(__name__, _HOMES)

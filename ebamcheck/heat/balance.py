@@ -1,21 +1,21 @@
-"""A balance of the heat of a whole program in one dimension: a column of layers that grows on the base plate.
+"""One-dimensional heat balance of a whole program: a column of layers that grows on the base plate.
 
 Each layer has an area, an outer and an inner perimeter. Heat is conducted along z, by the tables of the material
-(conductivity, heat capacity, heat of fusion); over a section the temperature is one. It leaves by T^4:
+(conductivity, heat capacity, heat of fusion); the temperature is uniform over a section. Heat leaves by radiation (T^4):
 
 - the top, the outer sides and the ledges between layers of different outlines radiate to the chamber;
-- the walls of a channel radiate into each other, and lose heat through its open top alone. A wall at the depth z under
+- the walls of a channel radiate into each other, and lose heat only through its open top. A wall at the depth z under
   the opening sees it with the view factor (X^2 + 1/2) / sqrt(X^2 + 1) - X, X = z/D, of a ring on the wall of a cylinder
   (Howell, Catalog of Radiation Heat Transfer Configuration Factors, ring on a cylinder to its end), with the hydraulic
   diameter D = 4 area/perimeter of the channel. Reflections make the opening blacker than its walls: it radiates with
-  the emissivity 1 / (1 + (1/eps - 1) a/A) of a grey cavity of walls and floor A behind an opening a (Siegel and
-  Howell, Thermal Radiation Heat Transfer). A deep channel of one temperature thus loses what a black disc of its
-  opening does; what walls exchange along the channel is left out. A channel that is closed above loses nothing.
+  the emissivity 1 / (1 + (1/eps - 1) a/A) of a grey cavity with walls and floor of area A behind an opening of area a
+  (Siegel and Howell, Thermal Radiation Heat Transfer). A deep channel of uniform temperature thus loses as much as a black
+  disc in its opening; exchange between walls along the channel is neglected. A channel that is closed above loses nothing.
 
-A layer is laid as metal at the temperature of the chamber, all at once when the layer begins, and takes up the beam's
-heat evenly over the time of the layer. The plate is as wide as the lowest layer, and loses nothing by itself but to
-a cooled table under it. The time is stepped implicitly (two stages of second order, Newton), so that any step is
-stable, and heat put in is that stored, passed to the table and radiated to rounding.
+A layer is deposited as metal at chamber temperature, all at once when the layer begins, and absorbs the beam's
+heat evenly over the layer's time. The plate is as wide as the lowest layer; it does not radiate, and loses heat only to
+a cooled table under it. Time steps are implicit (two stages, second order, Newton), so any step is stable, and the heat
+put in equals that stored, passed to the table and radiated, to rounding.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.settings.config import Config
 
 LARGEST_CELL_MM = 2.5
-"""Cells of the column at most: heat spreads over 20 times as much while a layer of a minute is laid."""
+"""Largest height of a cell of the column: heat spreads over 20 times as far during a layer of one minute."""
 
 GROWTH = 0.05
-"""Height of a cell over its depth under the surface at most, where cells of layers below are joined: the field under a
-heated surface is as smooth as it is deep."""
+"""Largest height of a joined cell of layers below, over its depth under the surface: the temperature field below a heated
+surface is the smoother the deeper it is."""
 
 JOINED_FROM_MM = 10.0
 """Depth from which cells are joined."""
@@ -49,7 +49,7 @@ JOINED_FROM_MM = 10.0
 
 @dataclass(frozen=True)
 class LayerShape:
-    """What the balance knows of one layer: its height, metal, outer and inner perimeter, and the area of its holes."""
+    """One layer for the balance: thickness, area of metal, outer and inner perimeter, and area of its holes."""
 
     thickness_mm: float
     area_mm2: float
@@ -59,7 +59,7 @@ class LayerShape:
 
     @classmethod
     def of(cls, section: BaseGeometry, thickness_mm: float) -> LayerShape:
-        """Return the shape of a layer by its section; what is no area is left out."""
+        """Return the shape of a layer from its section; lines and points in the section are ignored."""
         parts = [part for part in shapely.get_parts(section) if part.geom_type == "Polygon"]
         holes = [shapely.Polygon(ring) for part in parts for ring in part.interiors]
         return cls(
@@ -73,14 +73,14 @@ class LayerShape:
 
 @dataclass(eq=False)
 class HeatColumn:
-    """The column at one moment of a program; it grows by :meth:`lay` and ages by :meth:`advance`.
+    """The column at one moment of a program; it grows by :meth:`lay`, and time passes by :meth:`advance`.
 
     Parameters
     ----------
     config
-        Plate, base, chamber and material.
+        Settings: plate, base, chamber and material.
     tables
-        The material; that of the settings, with all its data over temperature, if None.
+        Tables of the material; None: those of the settings' material.
     """
 
     config: Config
@@ -89,17 +89,17 @@ class HeatColumn:
     base_j: float = 0.0
     radiated_j: float = 0.0
     content: Floats = field(default_factory=lambda: np.zeros(0))
-    """(n,) heat content of the cells over that at ambient temperature, from below, J/mm^3."""
+    """(n,) heat content of the cells above that at ambient temperature, from the base up, J/mm^3."""
     warm_plate: Floats = field(default_factory=lambda: np.zeros(0))
-    """The same of the base plate before the first layer is laid, where it was preheated; empty: it is cold."""
+    """The same for the base plate before the first layer, if it was preheated; empty: it is cold."""
     _cells: Floats = field(default_factory=lambda: np.zeros((5, 0)))
     _top: int = 0
     _under: int = 0
     _fields: ColumnFields | None = None
-    """What the kernel reads of the cells; None before there are any."""
+    """The cells in the form that kernels read; None before there are any."""
 
     def __post_init__(self) -> None:
-        """Take the material of the settings where none is given."""
+        """Use the material of the settings if no tables are given."""
         if self.tables is None:
             self.tables = enthalpy_tables(self.config)
 
@@ -110,7 +110,7 @@ class HeatColumn:
 
     @property
     def edges_mm(self) -> Floats:
-        """(n + 1,) borders of the cells, counted from the base upwards."""
+        """(n + 1,) borders of the cells, as heights above the base."""
         return np.concatenate([[0.0], np.cumsum(self._cells[0])])
 
     @property
@@ -127,21 +127,21 @@ class HeatColumn:
 
     @property
     def _bare_k(self) -> float:
-        """Temperature of the base plate on which nothing stands."""
+        """Temperature of the bare base plate, before the first layer, K."""
         if not len(self.warm_plate):
             return self.config.process.ambient_temperature_k
         return self._material.temperature_of(float(self.warm_plate[-1]))
 
     @property
     def bed_k(self) -> float:
-        """Temperature of what the next bead lies on: the warmer one of the uppermost layer and that under it, K."""
+        """Temperature of the metal on which the next bead is laid, K: the warmer of the uppermost layer and the one under it."""
         if not len(self.content):
             return self._bare_k
         return max(self.surface_k, self._mean_k(self._under, self._top))
 
     @property
     def mean_rise_k(self) -> float:
-        """Mean temperature of the column over ambient, K."""
+        """Mean temperature of the column above ambient, K."""
         if not len(self.content):
             return 0.0
         rise_k = self.temperature_k - self.config.process.ambient_temperature_k
@@ -156,18 +156,18 @@ class HeatColumn:
 
     @property
     def stored_j(self) -> float:
-        """Heat in the column over that at ambient temperature."""
+        """Heat in the column above that at ambient temperature."""
         return float((self.content * self._cells[0] * self._cells[1]).sum())
 
     def copy(self) -> HeatColumn:
-        """Return the same column, to be aged by itself."""
+        """Return an independent copy of the column."""
         return HeatColumn(
             self.config, self.tables, self.absorbed_j, self.base_j, self.radiated_j,
             self.content.copy(), self.warm_plate, self._cells, self._top, self._under, self._fields,
         )  # fmt: skip
 
     def lay(self, shape: LayerShape) -> None:
-        """Lay a cold layer on top; the first one brings the plate under it."""
+        """Lay a cold layer on top; the first layer also adds the plate under it."""
         if not len(self.content):
             self._stack(LayerShape(self.config.process.base_plate_mm, shape.area_mm2, 0.0))
             if len(self.warm_plate):
@@ -176,16 +176,16 @@ class HeatColumn:
         self._stack(shape)
         joined = joined_cells(self._cells[0], self._cells[1], self._cells[4], self._under)
         self._join(joined)
-        self._see()
+        self._update_fields()
 
     def lay_plate(self, area_mm2: float) -> None:
-        """Put a bare base plate there, whose uppermost cell takes up the heat; nothing is laid on this column."""
+        """Make this the column of a bare base plate, whose uppermost cell takes up the heat; no layer may follow."""
         self._stack(LayerShape(self.config.process.base_plate_mm, area_mm2, 0.0))
         self._under = self._top = len(self.content) - 1
-        self._see()
+        self._update_fields()
 
-    def _see(self) -> None:
-        """Work out by which surface each cell radiates."""
+    def _update_fields(self) -> None:
+        """Compute the radiating surface of each cell, and the fields for the kernels."""
         size, area, outer, inner, hole = self._cells
         surface_mm2 = radiating_mm2(size, area, outer, inner, hole, self.config.material.emissivity)
         process, material = self.config.process, self._material
@@ -208,7 +208,7 @@ class HeatColumn:
         self.content = np.concatenate([self.content, np.zeros(count)])
 
     def _join(self, owner: Ints) -> None:
-        """Join the cells of one owner (n,); volumes, surfaces and heat stay what they are."""
+        """Join the cells that have the same owner (n,); volumes, surfaces and heat are kept."""
         if owner[-1] + 1 == len(owner):
             return
         size = np.bincount(owner, self._cells[0])
@@ -219,7 +219,7 @@ class HeatColumn:
         self._top, self._under = int(owner[self._top]), int(owner[self._under])
 
     def advance(self, duration_s: float, energy_j: float = 0.0) -> None:
-        """Let a time go by, in which the uppermost layer takes up heat."""
+        """Let time pass while the uppermost layer takes up heat."""
         if duration_s <= 0.0 or self._fields is None:
             return
         steps = FEW_STEPS if duration_s <= SHORT_S else STEPS
@@ -228,9 +228,9 @@ class HeatColumn:
         self._gone(gone)
 
     def wait_until(self, bed_k: float, longest_s: float) -> float:
-        """Let time go by, in steps that grow by a half, until the next bead lies on no more than `bed_k`; returns the time, s.
+        """Let time pass, in growing steps, until the metal under the next bead is no warmer than `bed_k`; returns the wait, s.
 
-        What takes longer than `longest_s` is given up after the step that comes to more.
+        The wait ends after the step that exceeds `longest_s`.
         """
         if self._fields is None:
             return 0.0 if self.bed_k <= bed_k else math.inf
@@ -241,21 +241,21 @@ class HeatColumn:
     def drive(
         self, beads: BeadTimes, limit_k: float = math.inf, longest_s: float = math.inf
     ) -> tuple[Floats, Floats]:
-        """Lay beads of the uppermost layer one after the other, each as :meth:`advance` does it, before and in its time.
+        """Heat the uppermost layer bead by bead: :meth:`advance` over the time before each bead, then over its own.
 
         Parameters
         ----------
         beads
-            Time with the beam off before each, its own time, s, and the energy that is taken up in it, J; (n,) each.
+            Time with the beam off before each bead, s, its own time, s, and the energy taken up in it, J; (n,) each.
         limit_k
-            Temperature of what a bead lies on above which it is waited for.
+            Interpass temperature: the wait before a bead ends once the metal under it is no warmer.
         longest_s
-            After a wait for one bead that is longer the rest is left out.
+            After a longer wait for one bead the remaining beads are left out.
 
         Returns
         -------
         bed_k, wait_s
-            (n,) temperature of what each bead lies on when the beam comes to it, K, and how long it is waited for, s.
+            (n,) temperature of the metal under each bead when the beam arrives, K, and the wait before it, s.
         """
         if self._fields is None:
             bed_k = np.full(len(beads[0]), self._bare_k)
@@ -266,7 +266,7 @@ class HeatColumn:
         return found
 
     def _gone(self, heat_j: Floats) -> None:
-        """Count the heat that went to the table and that was radiated, J."""
+        """Add to the heat passed to the table and to that radiated, J."""
         self.base_j += heat_j.item(0)
         self.radiated_j += heat_j.item(1)
 

@@ -28,9 +28,9 @@ class DepthModes:
     depth_mm
         Depth H from the surface to the base.
     cooled
-        Whether the base keeps its temperature; else no heat passes it.
+        Whether the base is held at its temperature; else it is insulated.
     wave_number
-        (N,) mu_n, 1/mm, rising.
+        (N,) mu_n, 1/mm, ascending.
     """
 
     depth_mm: float
@@ -66,11 +66,11 @@ def depth_modes(depth_mm: float, count: int, cooled: bool, loss_per_mm: float = 
     Parameters
     ----------
     count
-        Modes N.
+        Number of modes N.
     cooled
-        Whether the base keeps its temperature.
+        Whether the base is held at its temperature.
     loss_per_mm
-        h/k: heat lost by the surface over its temperature, and over the conductivity.
+        h/k, 1/mm: heat transfer coefficient of the surface over the conductivity.
     """
     biot = loss_per_mm * depth_mm
     low: Floats = np.asarray(np.pi * (np.arange(count) + (0.5 if cooled else 0.0)), np.float64)

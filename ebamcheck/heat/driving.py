@@ -1,7 +1,7 @@
-"""Beads of one layer, one after the other, on a heat column: each comes after a time with the beam off, and heats the layer.
+"""The beads of one layer on a heat column, in sequence: each follows a time with the beam off, and heats the layer.
 
-All of a layer are driven in one kernel: a part has tens of thousands of beads, and a step of time of each alone would wait
-for the interpreter.
+One kernel goes through all beads of a layer: a part has tens of thousands, and a call from Python for each would take longer
+than the steps themselves.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats
 
 BeadTimes = tuple[Floats, Floats, Floats]
-"""Time with the beam off before each bead, its own time, s, and the energy that the layer takes up in it, J; (n,) each."""
+"""Time with the beam off before each bead, s, its own time, s, and the energy that the layer takes up in it, J; (n,) each."""
 
 ABSORBED, BASE, RADIATED = range(3)
-"""What is counted of a column: heat taken up, gone to the table, and radiated, J."""
+"""Totals of a column, J: heat taken up, passed to the table, and radiated."""
 
 
 @kernel

@@ -1,7 +1,7 @@
-"""A material whose data change with temperature, by its heat content: temperature and conduction as tables of it.
+"""Tables of temperature and heat potential over the heat content, for a material whose data depend on temperature.
 
-With h the heat content of a volume and theta the integral of the conductivity over the temperature (Kirchhoff
-1894), conduction is dh/dt = lap theta(h), whatever the data; the heat of fusion is a part of h.
+With h the heat content per volume and theta the integral of the conductivity over temperature (Kirchhoff 1894),
+conduction is dh/dt = lap theta(h), whatever the data; the heat of fusion is part of h.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
 
 HOTTEST_K = 6000.0
-"""End of the tables: beyond any melt. Evaporation is not modelled, so that a melt may pass the boiling point."""
+"""End of the tables, beyond any melt: evaporation is not part of them, so a melt may exceed the boiling point."""
 
 STEP_K = 1.0
-"""Step of temperature in which the data are summed up."""
+"""Step of temperature for the integrals of the data."""
 
 NODES = 8192
 """Nodes of the tables over the heat content: about 1 K apart."""
@@ -27,16 +27,16 @@ NODES = 8192
 
 @dataclass(frozen=True, eq=False)
 class EnthalpyTables:
-    """Tables at even steps of the heat content h, from 0 at the ambient temperature.
+    """Tables at equal steps of the heat content h, from 0 at the ambient temperature.
 
     Parameters
     ----------
     step_j_mm3
-        Step of the heat content.
+        Step of the heat content, J/mm^3.
     temperature_k
-        (Q,) absolute temperature.
+        (Q,) absolute temperature, K.
     theta_w_mm
-        (Q,) integral of the conductivity from the ambient temperature.
+        (Q,) integral of the conductivity from the ambient temperature, W/mm.
     """
 
     step_j_mm3: float
@@ -56,11 +56,11 @@ class EnthalpyTables:
 
     def temperature(self, heat_content_j_mm3: ArrayLike) -> Floats:
         """Temperature at heat contents, K."""
-        # As np.interp over whole numbers has it, to the last bit, which makes a column of thousands of them each time.
+        # The same as np.interp, to the last bit, which would need a column of thousands of integers at every call.
         place = np.asarray(heat_content_j_mm3, np.float64) / self.step_j_mm3
         table = self.temperature_k
         inside = np.minimum(np.maximum(place, 0.0), len(table) - 1.0)
-        # A place that is no number, from a feed of 0 for instance, has no temperature: it stays none.
+        # A heat content that is NaN, as after a feed of 0, gives a temperature that is NaN.
         node = np.minimum(np.fmax(inside, 0.0).astype(np.int64), len(table) - 2)
         return np.asarray((table[node + 1] - table[node]) * (inside - node) + table[node], np.float64)
 
@@ -76,11 +76,11 @@ class EnthalpyTables:
 
 
 def enthalpy_tables(config: Config) -> EnthalpyTables:
-    """Sum up the data of the material, with its heat of fusion spread from solidus to liquidus."""
+    """Integrate the data of the material, with its heat of fusion spread from solidus to liquidus."""
     material, ambient_k = config.material, config.process.ambient_temperature_k
     capacities: Floats = np.array(material.heat_capacity_by_temperature, np.float64)
     conductivities: Floats = np.array(material.conductivity_by_temperature, np.float64)
-    # The corners of the data are among the temperatures, so that the sums over straight pieces are exact.
+    # The nodes of the data are among the temperatures, so the trapezoidal sums over linear pieces are exact.
     corners = np.concatenate(
         [capacities[:, 0], conductivities[:, 0], [material.solidus_k, material.liquidus_k]]
     )

@@ -1,4 +1,4 @@
-"""The steps of time of a heat column: conduction along it, by tables over the heat content, and radiation by T^4."""
+"""Time steps of a heat column: conduction along it, by tables over the heat content, and radiation by T^4."""
 
 from __future__ import annotations
 
@@ -11,35 +11,35 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats
 
 STEPS, FEW_STEPS, SHORT_S = 8, 4, 15.0
-"""Time steps of a layer or a wait, which grow from short ones, as the square root law of a heated surface asks; and those
-of a time as short as a bead or a move."""
+"""Time steps of a layer or a wait, growing from short ones because a heated surface follows a square root law of time; and the
+fewer steps of a time no longer than SHORT_S, such as that of a bead or a move."""
 
 NEWTON_STEPS, NEWTON_J_MM3 = 60, 1e-6
-"""Iterations of a time step at most, and the change of the heat content (0.3 mK) at which it has converged."""
+"""Most iterations of a time step, and the change of the heat content (0.3 mK) at which it has converged."""
 
 STAGE = 1.0 - math.sqrt(0.5)
-"""Share of a time step in each of its two implicit stages, which makes it of second order and damp what is fast
-(Alexander, SIAM J. Numer. Anal. 14 (1977) 1006)."""
+"""Share of a time step in each of its two implicit stages: second order and L-stable (Alexander, SIAM J. Numer. Anal. 14
+(1977) 1006)."""
 
 LARGEST_CHANGE_J_MM3 = 1.0
-"""Change of the heat content in one iteration at most, about 300 K: melting and T^4 are bent too much for more."""
+"""Largest change of the heat content in one iteration, about 300 K: melting and T^4 are too nonlinear for more."""
 
 
 class Column(NamedTuple):
-    """Cells of a heat column, from its base up, and what they are made of.
+    """Cells of a heat column, from its base up, with the tables of their material.
 
     Parameters
     ----------
     temperature, theta, table_step
-        Temperature, K, and heat potential, W/mm, over the heat content at even steps, J/mm^3.
+        Tables of temperature, K, and heat potential, W/mm, at equal steps of the heat content; that step, J/mm^3.
     size, area
-        (n,) length along the column, mm, and section of the cells, mm^2.
+        (n,) height, mm, and section, mm^2, of the cells.
     radiating
-        (n,) heat that a cell radiates over T^4 - Ta^4.
+        (n,) power that a cell radiates over T^4 - Ta^4, W/K^4.
     ambient
         Temperature of the chamber, K.
     cooled
-        Whether the base keeps the temperature of the table; else no heat passes it.
+        Whether the base is held at the temperature of the table; else it is insulated.
     """
 
     temperature: Floats
@@ -53,17 +53,17 @@ class Column(NamedTuple):
 
 
 ColumnFields = tuple[Floats, Floats, float, Floats, Floats, Floats, float, bool]
-"""The fields of a :class:`Column` as a plain tuple: of a named one numba finds the type in Python, 10 us a call."""
+"""The fields of a :class:`Column` as a plain tuple: numba types a named tuple in Python, which costs 10 us a call."""
 
 
 class _Step(NamedTuple):
-    """Columns (n,) of a time step: values with their slopes over the heat content, and the tridiagonal equations."""
+    """Columns (n,) of a time step: values with their derivatives by the heat content, and the tridiagonal equations."""
 
     volume: Floats
     apart: Floats
     """Length over section from the middle of the cell before to that of each; of the first, from the base."""
     link: Floats
-    """What passes from the cell before for a step of the potential: one over the former."""
+    """Heat flow from the cell before per difference of the potential: 1 / `apart`."""
     flow: Floats
     flow_slope: Floats
     lost: Floats

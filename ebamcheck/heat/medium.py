@@ -12,16 +12,16 @@ STEFAN_BOLTZMANN_W_M2K4 = 5.670374419e-8
 
 @dataclass(frozen=True)
 class Medium:
-    """A material of constant data.
+    """A material with constant data.
 
     Parameters
     ----------
     conductivity_w_mmk
-        Heat conductivity k.
+        Thermal conductivity k.
     heat_capacity_j_mm3k
-        Heat capacity of a volume, rho c.
+        Heat capacity per volume, rho c.
     radiation_w_mm2k
-        Heat that the surface radiates over its temperature rise; 0: none.
+        Heat flux that the surface radiates, over its temperature rise; 0: none.
     """
 
     conductivity_w_mmk: float
@@ -35,7 +35,7 @@ class Medium:
 
     @classmethod
     def of(cls, config: Config) -> Medium:
-        """Return the material of the settings, its radiation made linear at the surface temperature of the process."""
+        """Return the material of the settings, with its radiation linearised at the surface temperature of the process."""
         material, process = config.material, config.process
         warm, cold = process.surface_temperature_k, process.ambient_temperature_k
         # The secant of eps sigma (T^4 - Ta^4): exact at the surface temperature.

@@ -1,4 +1,4 @@
-"""What the wire needs to melt, and how warm the part may be: limits of power and temperature from process and material."""
+"""Limits of power and temperature: the power that melts the wire, and the interpass temperature, from process and material."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ def melting_heat_j_kg(config: Config) -> float:
 
 
 def least_power_share(config: Config, thickness_mm: float | None = None) -> float:
-    """Share of the beam's power that a layer of a thickness needs to melt; over 1: the beam is too weak for it.
+    """Share of the beam's power that is needed to melt a layer of a thickness; over 1: the beam is too weak.
 
-    The melt pool takes the wire, of which travel speed, spacing of the beads and height of the layer ask so much, and
-    the metal that is remelted with it; both are heated from the chamber's temperature, which is on the safe side. Where
-    full power is too little for that, the whole of it is needed, and less is remelted; the wire alone is the least.
+    The melt pool consists of the wire, whose amount follows from travel speed, bead spacing and layer height, and
+    the metal that is remelted with it; both are heated from the chamber's temperature, which is on the safe side. If
+    full power is too little for both, all of it is needed and less is remelted, as long as it melts the wire.
     """
     process, material = config.process, config.material
     height_mm = config.layer_height_mm if thickness_mm is None else thickness_mm
@@ -32,7 +32,7 @@ def least_power_share(config: Config, thickness_mm: float | None = None) -> floa
 
 
 def entry_limit_k(config: Config) -> float:
-    """Temperature over which no bead may be entered, absolute, K."""
+    """Absolute temperature of the metal above which no bead may begin, K."""
     process, material = config.process, config.material
     if process.interpass_limit_k is not None:
         return process.interpass_limit_k
@@ -40,7 +40,7 @@ def entry_limit_k(config: Config) -> float:
 
 
 def scheduled_share(config: Config, height_mm: float) -> float | None:
-    """Share of the power at a height over the plate by the table of the settings; None where the heat decides."""
+    """Share of the power at a height above the plate, by the table of the settings; None if the heat model decides."""
     schedule = config.process.power_schedule
     if isinstance(schedule, str):
         return None

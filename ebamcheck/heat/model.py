@@ -44,7 +44,7 @@ class HeatModel:
     medium
         Material.
     layer_mm
-        Thickness of the layer in which heat is set free, and over which its temperature is read.
+        Thickness of the layer in which heat is released, and over which its temperature is averaged.
     """
 
     plane: PlaneModes
@@ -54,13 +54,13 @@ class HeatModel:
 
     @property
     def rate(self) -> Floats:
-        """Decay r (K, N) of each amplitude, 1/s."""
+        """Decay rate r (K, N) of each amplitude, 1/s."""
         squares = np.add.outer(self.plane.eigenvalue, self.depth.wave_number**2)
         return np.asarray(self.medium.diffusivity_mm2_s * squares, np.float64)
 
     @property
     def in_layer(self) -> Floats:
-        """Mean of the depth's modes over the layer, (N,)."""
+        """Mean of the modes of the depth over the layer, (N,)."""
         return self.depth.mean_of_layer(self.layer_mm)
 
     def cold(self) -> Floats:
@@ -80,7 +80,7 @@ class HeatModel:
         return np.asarray(shapes @ (amplitudes @ self.in_layer), np.float64)
 
     def stored_j(self, amplitudes: Floats) -> float:
-        """Heat in the body over the temperature of its base."""
+        """Heat in the body above that at the temperature of its base."""
         return float(
             self.medium.heat_capacity_j_mm3k * (self.plane.integral() @ amplitudes @ self.depth.integral())
         )

@@ -1,7 +1,7 @@
-"""Modes of a section: the shapes in which heat spreads in its outline, each decaying at its own rate.
+"""Modes of a section: the shapes in which heat spreads within its outline, each decaying at its own rate.
 
-They are the eigenmodes of the Laplacian with no heat flow through the border (Neumann), from finite volumes
-on the cells of the section. A section of several regions has the modes of each: heat does not pass a gap.
+They are the eigenmodes of the Laplacian without heat flow through the border (Neumann), by finite volumes
+on the cells of the section. A section of several regions has the modes of each: no heat crosses a gap.
 """
 
 from __future__ import annotations
@@ -23,25 +23,25 @@ from ebamcheck.layers.polygons import valid_polygons
 from ebamcheck.numeric.rings import Floats, Ints
 
 CELLS_PER_WAVE = 6.0
-"""Cells in the shortest wavelength. Uncorrected, its rate would be up to 9 % low ((k h)^2 / 12)."""
+"""Cells per shortest wavelength. Uncorrected, the decay rate of that wave would be up to 9 % low ((k h)^2 / 12)."""
 
 WHOLE = 0.999
-"""Share of itself that a cell has in the section to count as whole."""
+"""Share of a cell that must lie in the section for it to count as whole."""
 
 LEAST_CELLS = 12.0
-"""Cells across the root of the area, at least: a small region is not one cell."""
+"""Least number of cells across the square root of the area, lest a small region be a single cell."""
 
 MOST_CELLS = 20_000
-"""Cells of a section at most, several times what its waves ask for: a hair, or thousands of specks, asks for far more."""
+"""Most cells of a section, several times what its waves need: a sliver, or thousands of specks, would need far more."""
 
 DENSE_CELLS = 800
-"""Regions of fewer cells are solved by divide and conquer for all modes, which is fastest there."""
+"""Regions with fewer cells are solved for all modes by divide and conquer, which is fastest there."""
 
 DENSE_SHARE = 0.05
-"""Larger ones are solved by a dense solver too where more than this share of all modes is wanted."""
+"""Larger regions are also solved by a dense solver if more than this share of all modes is wanted."""
 
 SURPLUS = 1.15
-"""Modes asked for over Weyl's estimate, so that none under the limit is missed."""
+"""Modes requested over Weyl's estimate, lest one below the limit be missed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,9 +51,9 @@ class ContourModes:
     Parameters
     ----------
     eigenvalue
-        (K,) lambda_k, 1/mm^2, rising; exactly 0 for one mode of each region.
+        (K,) lambda_k, 1/mm^2, ascending; exactly 0 for one mode of each region.
     values
-        (M, K) in the cells.
+        (M, K) values of the modes in the cells, 1/mm.
     grid
         The cells.
     """
@@ -108,9 +108,9 @@ def contour_modes(
     largest_eigenvalue
         (2 pi / wavelength)^2 of the shortest wave, 1/mm^2.
     most_modes
-        Beyond so many the limit is lowered.
+        Most modes, in effect a lower limit of the eigenvalue; one per region is always kept.
     cells_per_wave
-        Cells in the shortest wavelength.
+        Cells per shortest wavelength.
 
     Raises
     ------
@@ -123,7 +123,7 @@ def contour_modes(
         raise GeometryError("heat in a section without area: give at least one polygon")
     limit = min(largest_eigenvalue, eigenvalue_of(area, perimeter, most_modes))
     step = 2.0 * math.pi / math.sqrt(limit) / cells_per_wave
-    # As wide as cells must be for so many to hold the section and its border.
+    # Least width of cells for MOST_CELLS of them to cover the section and its border.
     least = (perimeter + math.sqrt(perimeter**2 + 4.0 * area * MOST_CELLS)) / (2.0 * MOST_CELLS)
     grid = section_grid(parts, max(min(step, math.sqrt(area) / LEAST_CELLS), least))
     count, region = csgraph.connected_components(grid.coupling, directed=False)
@@ -141,7 +141,7 @@ def contour_modes(
         values[cells, used : used + len(own)] = modes
         used += len(own)
     eigenvalue = undispersed(grid, eigenvalue, values)
-    # One mode of each region is kept, however small that is.
+    # One mode of each region is kept, however small the region is.
     rising = np.argsort(eigenvalue, kind="stable")[: max(most_modes, count)]
     rising = rising[(eigenvalue[rising] <= limit) | (eigenvalue[rising] == 0.0)]
     return ContourModes(eigenvalue[rising], np.ascontiguousarray(values[:, rising]), grid)
@@ -188,13 +188,13 @@ def _region_modes(
     elif wanted > DENSE_SHARE * size:
         eigenvalue, vectors = linalg.eigh(matrix.toarray(), subset_by_index=(0, wanted - 1))
     else:
-        # A shift just under zero keeps the matrix definite, by less than the first wave along the region, which may be
-        # a hair; the start is fixed, so that runs repeat.
+        # A shift just below zero keeps the matrix definite; it is less than the eigenvalue of the first wave along the
+        # region, which may be a sliver. The start vector is fixed, so that runs repeat.
         start = root * (1.0 + np.cos(np.arange(size)))
         eigenvalue, vectors = eigsh(matrix, wanted, sigma=-1.0 / extent_mm**2, which="LM", v0=start)
     rising = np.argsort(eigenvalue, kind="stable")
     eigenvalue, vectors = eigenvalue[rising], vectors[:, rising]
-    # The mode of rate zero is known: taking it exactly keeps the energy to the last digits.
+    # The mode of eigenvalue zero is known exactly, which conserves energy to the last digits.
     eigenvalue[0], vectors[:, 0] = 0.0, root / math.sqrt(total)
     vectors[:, 1:] -= np.outer(vectors[:, 0], vectors[:, 0] @ vectors[:, 1:])
     kept = eigenvalue <= limit

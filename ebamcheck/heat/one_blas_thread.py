@@ -1,7 +1,7 @@
-"""Linear algebra on the thread that calls it.
+"""Linear algebra on the calling thread only.
 
-Layers are spread over our own threads. Were BLAS to spread each of them over threads of its own, they would wait
-for each other by spinning: planning on a busy machine then takes ten times as long.
+Layers are spread over our own threads. If BLAS used threads of its own for each, these would wait
+for each other by spinning: planning on a busy machine would take ten times as long.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def _controller() -> ThreadpoolController:
 
 
 def _take_control() -> None:
-    """Let this thread change the limit: from 3.8 on, threadpoolctl heeds only the thread that was first to do so."""
+    """Let this thread change the limit: since 3.8, threadpoolctl obeys only the first thread that did so."""
     release = getattr(OpenBLASController, "clear_controlling_thread", None)
     if release is not None:
         release(force=True)
@@ -33,7 +33,7 @@ def _take_control() -> None:
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Hold BLAS to one thread until the last of all threads that asked for it is done."""
+    """Limit BLAS to one thread until the last of all threads within such a block leaves it."""
     global _entered, _limits
     with _LOCK:
         _entered += 1

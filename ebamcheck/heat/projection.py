@@ -1,7 +1,7 @@
 """Projection of heat onto the next layer: amplitudes of the old body's modes become those of the new one's.
 
-The new body is the old one with a cold layer on top. Both models extrude their own section, so that heat below what
-the new section no longer covers is dropped, and what it newly covers starts cold.
+The new body is the old one with a cold layer on top. Each model extrudes its own section, so heat outside the
+new section is dropped, and places outside the old section start cold.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ def carried(old: HeatModel, amplitudes: Floats, new: HeatModel) -> Floats:
     Parameters
     ----------
     old, new
-        Models over modes of contours, of the same base.
+        Models in contour modes, on the same base.
     amplitudes
         (K, N) of the old one.
 
     Returns
     -------
     array
-        (K', N') amplitudes of the new one: the best in the mean square that its modes can show.
+        (K', N') amplitudes of the new model: the least-squares approximation of the field by its modes.
     """
     if not (isinstance(old.plane, ContourModes) and isinstance(new.plane, ContourModes)):
         raise TypeError("heat is carried between modes of contours only")
@@ -38,7 +38,7 @@ def carried(old: HeatModel, amplitudes: Floats, new: HeatModel) -> Floats:
 
 
 def overlap_of_sections(old: ContourModes, new: ContourModes) -> Floats:
-    """Integrals (K', K) of new times old modes over what the sections share."""
+    """Integrals (K', K) of new times old modes over the intersection of the sections."""
     row, column = np.nonzero(new.grid.number >= 0)
     centres = new.grid.origin + (np.column_stack([column, row]) + 0.5) * new.grid.step
     return np.asarray(new.values.T @ (new.grid.area_mm2[:, None] * old.at(centres)), np.float64)
@@ -49,7 +49,7 @@ def overlap_of_depths(old: DepthModes, new: DepthModes) -> Floats:
     height = min(old.depth_mm, new.depth_mm)
     less = np.subtract.outer(new.wave_number, old.wave_number)
     more = np.add.outer(new.wave_number, old.wave_number)
-    # Half the sum or difference of two sines over their wave numbers: sinc also where these vanish.
+    # Half the sum or difference of two sines over their wave numbers; sinc is also right where these vanish.
     close, far = (height * np.sinc(wave * height / math.pi) for wave in (less, more))
     product = 0.5 * (close - far if old.cooled else close + far)
     return np.asarray(np.multiply.outer(new.scale, old.scale) * product, np.float64)

@@ -1,7 +1,7 @@
-"""A second model of the heat, which shares nothing with the modes: explicit finite differences of the heat content.
+"""The referee: a second heat model, independent of the modes, by explicit finite differences of the heat content.
 
-Whole cubes instead of cut cells, a moving beam instead of warm islands, data that change with temperature, heat of
-fusion and radiation by T^4. It is slower and coarser in space; it judges what the linear model leaves out.
+It has whole cells instead of cut ones, a moving beam instead of heated islands, data that depend on temperature, heat of
+fusion, and radiation by T^4. It is slower and coarser in space; it shows the error of what the linear model neglects.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.config import Config
 
 STABLE = 0.9
-"""Share of the longest stable time step that is taken."""
+"""Time step over the longest stable one."""
 
 HALF = 0.5
-"""Share of a cell in the section from which on it counts as whole."""
+"""Share of a cell in the section from which it counts as whole."""
 
 
 BEAM_SHARE = 0.25
@@ -35,7 +35,7 @@ BEAM_SHARE = 0.25
 
 @dataclass(frozen=True, eq=False)
 class Referee:
-    """A section extruded to its base, in cubes.
+    """A section extruded to its base, in box-shaped cells.
 
     Parameters
     ----------
@@ -44,21 +44,21 @@ class Referee:
     cell_mm
         (3,) width, depth and height of a cell.
     solid
-        (rows, columns) whether a column of cells is of metal.
+        (rows, columns) whether a vertical column of cells is metal.
     layers
-        Cells from the surface (0) down to the base.
+        Number of cells from the surface (index 0) down to the base.
     cooled
-        Whether the base keeps the ambient temperature; else no heat passes it.
+        Whether the base is held at the ambient temperature; else it is insulated.
     tables
-        The material.
+        Tables of the material.
     radiation_w_mm2k4
-        Heat that the surface radiates over T^4 - Ta^4.
+        Heat flux that the surface radiates, over T^4 - Ta^4.
     ambient_k
-        Temperature of the chamber, and of everything at first.
+        Temperature of the chamber, and initial temperature.
     sigma_mm
         Standard deviation of the beam's heat.
     boiling_j_mm3
-        Heat content at the boiling point: more than that leaves the surface as vapour.
+        Heat content at the boiling point: any excess leaves the surface as vapour.
     """
 
     origin: Floats
@@ -74,13 +74,13 @@ class Referee:
 
     @property
     def longest_step_s(self) -> float:
-        """Longest time step: a share of what keeps the scheme stable."""
+        """Longest time step: :data:`STABLE` times the longest stable one."""
         rate = 2.0 * self.tables.greatest_diffusivity_mm2_s * float((1.0 / self.cell_mm**2).sum())
         return STABLE / rate
 
     @property
     def body(self) -> Body:
-        """What the steps of time read."""
+        """The body in the form that the kernels of the time steps read."""
         return Body(
             self.tables.temperature_k,
             self.tables.theta_w_mm,
@@ -98,7 +98,7 @@ class Referee:
         return np.zeros((self.layers, *self.solid.shape))
 
     def stored_j(self, content: Floats) -> float:
-        """Heat in the body over that at ambient temperature."""
+        """Heat in the body above that at ambient temperature."""
         return float(content[:, self.solid].sum() * self.cell_mm.prod())
 
     def reading(self, islands: NDArray[np.object_]) -> tuple[Ints, Ints, Floats]:
@@ -114,18 +114,18 @@ class Referee:
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """What the referee found.
+    """Result of a simulation by the referee.
 
     Parameters
     ----------
     entry_k
-        (I,) mean temperature rise of each island over ambient when the beam enters it, NaN where it has no cell.
+        (I,) mean temperature rise above ambient of each island when the beam enters it; NaN for one without cells.
     content
         Heat content at the end, (layers, rows, columns) J/mm^3.
     absorbed_j, to_base_j, radiated_j, evaporated_j
-        Balance of energy.
+        Energy balance.
     hottest_k
-        Greatest temperature met.
+        Greatest temperature reached.
     """
 
     entry_k: Floats
@@ -138,12 +138,12 @@ class Verdict:
 
 
 def referee(section: BaseGeometry, config: Config, height_mm: float, cell_mm: float) -> Referee:
-    """Lay cubes of about the given width over a section.
+    """Lay cells of about the given width over a section.
 
     Raises
     ------
     GeometryError
-        If no cube lies in the section.
+        If no cell lies in the section.
     """
     x0, y0, x1, y1 = section.bounds
     columns, rows = max(1, round((x1 - x0) / cell_mm)), max(1, round((y1 - y0) / cell_mm))
@@ -181,7 +181,7 @@ def judged(
     entered_s: Floats,
     until_s: float,
 ) -> Verdict:
-    """Lead a beam along lines and read islands when they are entered.
+    """Move a beam along lines, and read the temperature of islands when the beam enters them.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ def judged(
     begin_s, end_s
         (V,) times at which the beam is at their ends.
     power_w
-        Power that the part takes up.
+        Absorbed power.
     islands
         (I,) polygons.
     entered_s
@@ -217,9 +217,9 @@ def judged(
 
 
 def time_steps(until_s: float, longest_s: float, entered_s: Floats) -> Floats:
-    """Times (n + 1,) from 0 to the end between which the scheme steps: even ones, and those at which islands are read.
+    """Times (n + 1,) of the steps, from 0 to the end: equally spaced ones, and those at which islands are read.
 
-    An island is read exactly when it is entered: half a step later it would hold heat of its own beam.
+    An island is read exactly when it is entered: half a step later it would hold heat from its own pass of the beam.
     """
     steps = max(1, math.ceil(until_s / longest_s))
     even = np.linspace(0.0, until_s, steps + 1)

@@ -1,4 +1,4 @@
-"""The steps of time of the referee: conduction between cubes, the moving beam, radiation, evaporation and the base."""
+"""Time steps of the referee: conduction between cells, the moving beam, radiation, evaporation and the base."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 SPREAD = 3.0
-"""Standard deviations beyond which the beam brings nothing."""
+"""Radius of the beam in standard deviations; heat beyond it is neglected."""
 
 
 @kernel
@@ -22,7 +22,7 @@ def at_content(table: Floats, step: float, content: float) -> float:
 
 
 class Body(NamedTuple):
-    """What the steps read of a :class:`~ebamcheck.heat.referee.Referee`."""
+    """The part of a :class:`~ebamcheck.heat.referee.Referee` that the kernels read."""
 
     temperature: Floats
     theta: Floats

@@ -1,7 +1,7 @@
-"""A section on a grid of cells: the exact area of each in it, and the exact open length of each face.
+"""A section on a grid of cells: the exact area of each cell inside it, and the exact open length of each face.
 
-Area and face lengths are sums over the border (Green's theorem), cell by cell; nothing is sampled, so that no
-area is lost or won and a wall thinner than a cell still conducts along itself.
+Areas and face lengths are sums over the border (Green's theorem), cell by cell. Nothing is sampled, so no
+area is lost or gained, and a wall thinner than a cell still conducts along its length.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
 
 LEAST_SHARE = 1e-6
-"""Cells and faces with less than this share of themselves in the section are left out: rounding, for heat."""
+"""Least share of a cell or face in the section; with less it is left out, as irrelevant for heat."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class SectionGrid:
     coupling: sparse.csr_array
 
     def island_shares(self, islands: NDArray[np.object_]) -> sparse.csr_array:
-        """Share of each island in each cell, (I, M): rows add up to 1."""
+        """Share of each island's area in each cell, (I, M): rows add up to 1."""
         points, (ring_starts, island_rings) = oriented_rings(islands, self.origin, self.step)
         owner, place, area = islands_in_cells(points, ring_starts, island_rings, self.number.shape)
         cell = self.number.ravel()[place]
@@ -57,7 +57,7 @@ class SectionGrid:
     def interpolation(self, points: Floats) -> sparse.csr_array:
         """Weights (P, M) of the cells around points; rows add up to 1, or 0 far outside.
 
-        Cubic (Lagrange, through 4 x 4 cells) where all of these are in the section; bilinear near its border.
+        Cubic (Lagrange, over 4 x 4 cells) if all of these are in the section; bilinear near its border.
         """
         place = (np.asarray(points, np.float64) - self.origin) / self.step - 0.5
         corner = np.floor(place).astype(np.int64)
@@ -72,7 +72,7 @@ class SectionGrid:
         total = np.ones(len(place))
         total[some] = np.add.reduceat(weight[kept], starts[:-1][some]) if some.any() else 1.0
         weight *= (1.0 / np.where(total > 0.0, total, 1.0))[:, None]
-        # From the upper right to the lower left: the sums of a product are rounded in that sequence.
+        # From the upper right to the lower left: a fixed order, as it decides how sums are rounded.
         last = np.ascontiguousarray(kept[:, ::-1])
         table = weight[:, ::-1][last], cell[:, ::-1][last], starts
         return sparse.csr_array(table, shape=(len(place), len(self.area_mm2)))
@@ -85,7 +85,7 @@ class SectionGrid:
         corner
             (P, 2) column and row of the cell to the lower left of each point.
         along
-            (W, P, 2) weights of the columns and of the rows, of which the lower left one is in the middle.
+            (W, P, 2) weights of W columns and rows, among which `corner` is the lower of the middle two.
         """
         reach = np.arange(len(along)) - (len(along) // 2 - 1)
         rows, columns = self.number.shape
@@ -98,7 +98,7 @@ class SectionGrid:
 
 
 def _lagrange(share: Floats) -> tuple[Floats, Floats]:
-    """Weights of four and of two neighbours on a line, (4, ...) and (2, ...), at shares of the middle interval."""
+    """Interpolation weights of four and of two neighbours on a line, (4, ...) and (2, ...), at shares of the middle interval."""
     u = share
     four = (
         -u * (u - 1.0) * (u - 2.0) / 6.0,
@@ -110,7 +110,7 @@ def _lagrange(share: Floats) -> tuple[Floats, Floats]:
 
 
 def section_grid(parts: Sequence[shapely.Polygon], step_mm: float) -> SectionGrid:
-    """Lay cells of about the given width over polygons that do not overlap; whole cells fill their box."""
+    """Lay cells of about the given width over polygons that do not overlap; a whole number of cells fills their box."""
     polygons = np.empty(len(parts), object)
     polygons[:] = parts
     x0, y0, x1, y1 = shapely.total_bounds(polygons)
@@ -123,7 +123,7 @@ def section_grid(parts: Sequence[shapely.Polygon], step_mm: float) -> SectionGri
     number[inside] = np.arange(np.count_nonzero(inside))
     upright = face_shares(points, ring_starts, rows, columns)
     flat = face_shares(np.ascontiguousarray(points[:, ::-1]), ring_starts, columns, rows).T
-    # Open length over the distance of the centres, across upright faces and across flat ones.
+    # Open length over the distance of the centres, across vertical faces and across horizontal ones.
     across = _pairs(number[:, :-1], number[:, 1:], np.abs(upright[:, 1:columns]) * (step[1] / step[0]))
     along = _pairs(number[:-1], number[1:], np.abs(flat[1:rows]) * (step[0] / step[1]))
     a, b, conductance = (np.concatenate(c) for c in zip(across, along, strict=True))
@@ -155,7 +155,7 @@ def oriented_rings(
 
 
 def _rows_of_one(table: sparse.csr_array) -> sparse.csr_array:
-    """Rows scaled so that each adds up to 1; those of nothing stay."""
+    """Rows scaled so that each adds up to 1; empty rows stay empty."""
     total: Floats = np.asarray(table.sum(axis=1), np.float64).ravel()
     scale = np.divide(1.0, total, out=np.zeros_like(total), where=total > 0)
     return sparse.csr_array(sparse.diags_array(scale) @ table)

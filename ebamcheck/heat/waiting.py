@@ -1,4 +1,4 @@
-"""Waits of a heat column: it ages until what the next bead lies on is cool enough."""
+"""Waits of a heat column: time passes until the metal under the next bead is cool enough (interpass temperature)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats
 
 FIRST_WAIT_S, WAIT_GROWTH = 1.0, 0.5
-"""Shortest step of a wait, and the share of the wait so far that a step is at least."""
+"""Least step of a wait, and least step over the wait so far: steps grow with the wait."""
 
 
 @kernel

@@ -1,6 +1,6 @@
-"""Layers as Arrow record batches, as they stand in files.
+"""Layers as Arrow record batches, the form in which files hold them.
 
-The table has one row a layer:
+The table has one row per layer:
 
 ====================  ======================  ======================================================
 column                type                    meaning
@@ -15,8 +15,8 @@ column                type                    meaning
 ====================  ======================  ======================================================
 
 The schema's metadata hold ``ebamcheck.layers.version`` and ``ebamcheck.layers.labels`` (JSON: part,
-direction, backend, settings). Rings stand in the canonical form of :class:`~ebamcheck.layers.stack.Layers`;
-every number comes back in the same bits.
+direction, backend, settings). Rings are in the canonical form of :class:`~ebamcheck.layers.stack.Layers`;
+numbers are restored bit for bit.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ LARGEST_LIST = 2**31 - 1
 """Arrow's lists count their items in 32 bits; a longer stack is written as several blocks."""
 
 SMALLEST_BLOCK = 65536
-"""Points that a thread copies at least: fewer do not pay for handing them over."""
+"""Fewest points worth a thread that copies them."""
 
 _NUMBERS = pa.list_(pa.list_(pa.float64()))
 _VERTICES = pa.list_(pa.list_(pa.int32()))
@@ -55,13 +55,13 @@ _REQUIRED = {
     "closed": pa.list_(pa.bool_()),
 }
 CONTOUR_COLUMNS = list(_REQUIRED)
-"""Columns without which there are no contours."""
+"""Columns that every table of contours must have."""
 
 _EDGES = {"edge_low": _VERTICES, "edge_high": _VERTICES, "edge_t": _NUMBERS}
 
 
 def to_arrow(layers: Layers) -> pa.RecordBatch:
-    """Layers as a record batch, one row a layer; offsets and edge parameters are not copied twice.
+    """Layers as a record batch, one row per layer; offsets and edge parameters are not copied twice.
 
     Raises
     ------
@@ -143,7 +143,7 @@ def from_arrow(batch: pa.RecordBatch, where: str = "record batch") -> Layers:
 
 
 def _flat(column: NDArray[Any]) -> pa.Array:
-    """An Arrow array over a column's own memory (``pa.array`` would import pandas first, for a second)."""
+    """An Arrow array over a column's own memory (``pa.array`` would first import pandas, which takes a second)."""
     if column.dtype == np.bool_:
         bits = np.packbits(column, bitorder="little")
         return pa.Array.from_buffers(pa.bool_(), column.size, [None, pa.py_buffer(bits)])
@@ -152,7 +152,7 @@ def _flat(column: NDArray[Any]) -> pa.Array:
 
 
 def _apart(pairs: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """The two columns of (N, 2) `pairs`, (N,) each, copied by all threads."""
+    """The two columns of (N, 2) `pairs`, (N,) each, copied in parallel."""
     first, second = np.empty(len(pairs), pairs.dtype), np.empty(len(pairs), pairs.dtype)
 
     def copy(start: int, stop: int) -> None:
@@ -164,15 +164,15 @@ def _apart(pairs: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
 
 
 def _own(column: pa.Array) -> NDArray[Any]:
-    """A column as a numpy array of its own: numba compiles anew for one that is read-only.
+    """A column as a writable numpy array: numba would compile kernels again for a read-only one.
 
-    (By DLPack, because pyarrow's ``to_numpy`` would import pandas first, too.)
+    (By DLPack, because pyarrow's ``to_numpy`` would import pandas, too.)
     """
     return np.from_dlpack(column).copy()
 
 
 def labels_of(schema: pa.Schema, where: str) -> dict[str, Any]:
-    """Labels in a schema's metadata, once their version is known to be ours; else raise :class:`InputError`."""
+    """Labels in a schema's metadata; raises :class:`InputError` if their version is not :data:`VERSION`."""
     metadata = schema.metadata or {}
     version = metadata.get(VERSION_KEY, b"").decode("utf-8", "replace")
     if version != VERSION:
@@ -193,7 +193,7 @@ def labels_of(schema: pa.Schema, where: str) -> dict[str, Any]:
 
 
 def _column(batch: pa.RecordBatch, name: str, kind: pa.DataType, where: str) -> Any:
-    """A column of the type it should have, without nulls."""
+    """A column, checked to have the given type and no nulls."""
     if name not in batch.schema.names:
         raise InputError(f"{where}: column {name!r} is missing; there are {', '.join(batch.schema.names)}")
     column = batch.column(name)
@@ -210,7 +210,7 @@ def column_of(batch: pa.RecordBatch, name: str, where: str) -> NDArray[Any]:
 
 
 def _offsets(column: pa.ListArray) -> Ints:
-    """Where each list starts, from 0, and where the last one ends."""
+    """Start of each list, counted from 0, and end of the last one."""
     offsets = np.from_dlpack(column.offsets).astype(np.int64)
     starts: Ints = offsets - offsets[0]
     return starts

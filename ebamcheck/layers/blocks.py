@@ -1,8 +1,8 @@
-"""Blocks of layers that are kept while a slicer is at work, so that a killed run need not cut them again.
+"""Blocks of layers that are kept while a slicer runs, so that a killed run need not cut them again.
 
-Each is a file of its own beside the file that is being written, whole or not there. They are Arrow's own format, without
-compression: to write one costs a copy in memory, and it comes back in the same bits. A slicer that cuts hardly slower
-than a block is written has its first two blocks kept only: the first takes what is loaded for it, too.
+Each is a file of its own beside the file that is being written, and appears whole or not at all. The format is Arrow's own,
+uncompressed: writing costs little more than a copy in memory, and numbers are restored bit for bit. Of a slicer that cuts
+hardly slower than a block is written, only the first two blocks are kept: the time of the first includes loading.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from ebamcheck.layers.batches import from_arrow, to_arrow
 from ebamcheck.layers.stack import Layers
 
 SUFFIX, BLOCK = ".blocks", ".arrow"
-"""Of the folder of one stack's blocks, and of one block."""
+"""Suffixes of the folder of one stack's blocks, and of the file of one block."""
 
 WORTH = 5.0
-"""A block is kept that takes this many times as long to cut as to write: so keeping costs a fifth of the slicing at most."""
+"""Least ratio of the time to cut a block to that to write it for it to be kept: keeping costs at most a fifth of the slicing."""
 
 
 class KeptBlocks:
@@ -34,7 +34,7 @@ class KeptBlocks:
     Parameters
     ----------
     file
-        Where the whole stack will lie.
+        File to which the whole stack will be written.
     part
         Hash of the part.
     backend
@@ -47,7 +47,7 @@ class KeptBlocks:
         self._write_s = 0.0
 
     def read(self, heights: NDArray[np.float64]) -> Layers | None:
-        """Return the block at these heights (L,), mm; None where it is not there, is spoilt or is of something else."""
+        """Return the block at these heights (L,), mm; None if it is missing, damaged, or of another part or slicer."""
         path = self._path(heights)
         try:
             with pa.OSFile(str(path), "rb") as file, pa.ipc.open_file(file) as reader:
@@ -58,11 +58,11 @@ class KeptBlocks:
         return layers if fits else None
 
     def is_worth(self, cut_s: float) -> bool:
-        """Whether a block that took so long to cut is better kept than cut again, by the time that the last one took."""
+        """Whether a block that took `cut_s` to cut is worth keeping, given how long the last one took to write."""
         return cut_s >= WORTH * self._write_s
 
     def write(self, layers: Layers) -> None:
-        """Keep a block; where there is no room for it, it is cut again if need be."""
+        """Keep a block; if there is no room on the disk, do nothing: it can be cut again."""
         is_first = not self.folder.is_dir()
         start = time.perf_counter()
         batch = to_arrow(layers)
@@ -88,7 +88,7 @@ class KeptBlocks:
 
 
 def count_kept(file: Path) -> int:
-    """Blocks that are kept of the stack of a file."""
+    """Number of blocks kept for the stack of a file."""
     return sum(1 for _ in _folder_of(file).glob(f"[!.]*{BLOCK}"))
 
 
@@ -97,10 +97,10 @@ def _folder_of(file: Path) -> Path:
 
 
 def kept_blocks(folder: Path) -> list[Path]:
-    """Folders of the blocks that are kept in a folder of layers."""
+    """Folders with kept blocks, in a folder of layers."""
     return list(folder.glob(f".*{SUFFIX}"))
 
 
 def resumable(folder: Path) -> list[Path]:
-    """What a run can go on with, in a folder of layers: whole stacks and kept blocks."""
+    """Files from which a run can resume, in a folder of layers: whole stacks, and folders of kept blocks."""
     return [*folder.glob("[!.]*.parquet"), *kept_blocks(folder)]

@@ -1,7 +1,7 @@
 """Kernels that bring rings into the canonical form of :class:`~ebamcheck.layers.stack.Layers`.
 
-Three steps, each for one ring or for the rings of one layer, so that a slicer may take them while the points of a
-layer still lie in the processor's cache: :func:`ring_form` finds where a ring starts and what it keeps,
+Three steps, each for one ring or for the rings of one layer, so that a slicer can do them while the points of a
+layer are still in the processor's cache: :func:`ring_form` finds the first point of a ring and the number that it keeps,
 :func:`sort_rings` orders the rings of a layer, :func:`write_pairs` and :func:`write_numbers` copy a ring's columns.
 """
 
@@ -19,7 +19,7 @@ DROPPED = -1
 """First row of a ring that is left out of the canonical form."""
 
 FEW_RINGS = 16
-"""Up to so many rings are ordered by insertion, more by merging."""
+"""Most rings that are sorted by insertion; more are sorted by merging."""
 
 
 @kernel

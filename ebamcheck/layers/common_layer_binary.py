@@ -18,7 +18,7 @@ HATCHES_SHORT, HATCHES_LONG = 131, 132
 
 
 def read_binary(gathered: Gathered) -> None:
-    """Read everything behind the header; InputError where it is cut off or unknown."""
+    """Read everything after the header; raises InputError if it is truncated or has an unknown command."""
     data, begin = gathered.data, gathered.header.end
     # Some writers end the header's last line; no command index looks like the end of a line.
     while data[begin : begin + 1] in (b"\r", b"\n"):
@@ -91,4 +91,4 @@ _BINARY_COMMANDS = {
     HATCHES_SHORT: _hatches("<2H", "<u2"),
     HATCHES_LONG: _hatches("<2i", "<f4"),
 }
-"""What reads each command of the binary form: (gathered, its start, where its data begin) -> its end."""
+"""Reader of each command of the binary form: (gathered, offset of the command, offset of its data) -> offset after it."""

@@ -1,4 +1,4 @@
-"""What a slice file of the Common Layer Interface holds, gathered command by command."""
+"""Layers and polylines of a Common Layer Interface slice file, gathered command by command."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Gathered:
         self._directions: list[int] = []
 
     def layer(self, height: float, offset: int) -> None:
-        """Begin a layer, or go on with the one before where the height is the same."""
+        """Begin a layer, or continue the previous one if the height is the same."""
         height *= self.header.units_mm
         self.commands += 1
         if not math.isfinite(height):
@@ -68,7 +68,7 @@ class Gathered:
 
     @property
     def polylines(self) -> int:
-        """Polylines so far."""
+        """Number of polylines so far."""
         return len(self._points)
 
     def layers(self) -> Layers:

@@ -17,7 +17,7 @@ HEADER_WITHIN_BYTES = 65536
 """A file whose header does not begin within this many bytes is another kind of file."""
 
 SHOWN_CHARACTERS = 40
-"""What a message quotes of a wrong value."""
+"""Characters of a wrong value that a message quotes."""
 
 _COMMENT = re.compile(rb"//.*?//", re.DOTALL)
 _COMMAND = re.compile(rb"\$\$([A-Za-z]+)\s*/?")
@@ -26,7 +26,7 @@ _USER_DATA = re.compile(rb"\$\$USERDATA\s*/\s*([^,$]*?)\s*,\s*(\d+)\s*,")
 
 @dataclass
 class Header:
-    """What the header says, and where it ends."""
+    """Values of the header, and its start and end in the file."""
 
     start: int
     end: int
@@ -38,11 +38,11 @@ class Header:
     models: dict[int, str] = field(default_factory=dict)
     labels: dict[str, Any] = field(default_factory=dict)
     polylines: int | None = None
-    """How many there are, where this program wrote the file: the format itself does not say."""
+    """Number of polylines, if this program wrote the file: the format itself does not give it."""
 
 
 def read_header(data: bytes, path: Path) -> Header:
-    """Read the header of a file, given whole; InputError where it makes no sense."""
+    """Read the header from the bytes of a whole file; raises InputError if it is invalid."""
     start = data.find(b"$$HEADERSTART", 0, HEADER_WITHIN_BYTES)
     if start < 0:
         raise InputError(f"{path}: is no Common Layer Interface file: it has no $$HEADERSTART")
@@ -74,7 +74,7 @@ def read_header(data: bytes, path: Path) -> Header:
 
 
 def _read_value(name: str, value: bytes, header: Header) -> None:
-    """Take one command of the header; raises ValueError where its value makes no sense."""
+    """Store the value of one header command; raises ValueError if it is invalid."""
     if name == "UNITS":
         header.units_mm = float(value)
         if not (math.isfinite(header.units_mm) and header.units_mm > 0.0):
@@ -97,7 +97,7 @@ def _read_value(name: str, value: bytes, header: Header) -> None:
 
 
 def _read_user_data(data: bytes, position: int, end: int, header: Header) -> int:
-    """Pass over user data, whose length stands before them; take the labels where they are ours."""
+    """Skip user data, whose length is given before them; read the labels if this program wrote them."""
     match = _USER_DATA.match(data, position)
     if match is None or match.end() + int(match[2]) > end:
         raise ValueError
@@ -117,14 +117,14 @@ def _read_user_data(data: bytes, position: int, end: int, header: Header) -> int
 
 
 def without_comments(text: bytes) -> bytes:
-    """Comments blanked out, so that every other byte keeps its place and every line its number."""
+    """Replace comments by blanks, so that every other byte keeps its offset and every line its number."""
     if b"//" not in text:
         return text
     return _COMMENT.sub(lambda match: re.sub(rb"[^\n]", b" ", match[0]), text)
 
 
 def command(text: bytes, position: int) -> tuple[str, bytes, int]:
-    """Name and argument of the command at `position`, and where the next one stands."""
+    """Name and argument of the command at `position`, and the position of the next one."""
     following = text.find(b"$$", position + 2)
     following = following if following >= 0 else len(text)
     match = _COMMAND.match(text, position, following)

@@ -1,15 +1,15 @@
 """The Common Layer Interface: slice files (``.cli``) that machines and other programs read.
 
-Version 2.0 of the format (Brite-EuRam project BE 2578), text and binary. What a file keeps:
+Version 2.0 of the format (Brite-EuRam project BE 2578), text and binary. Precision of a file:
 
 - text, written in millimetres: every coordinate in the shortest digits that read back to the same bits;
 - binary, written in its long form: coordinates and heights rounded to 32-bit floats, a relative error of
   at most 6e-8 (0.00003 mm at 500 mm).
 
-The height of a layer is the height at which it was cut. (The format speaks of the top of a layer; other
+The height of a layer is the height at which it was cut. (The format means the top of a layer; other
 programs differ in which of the two they write.) Closed contours repeat their first point, as the format
-asks. Labels of :class:`~ebamcheck.layers.stack.Layers` travel as user data and come back, with the number of
-polylines, by which a file cut off between two of them is known; cut edges do not travel.
+requires. Labels of :class:`~ebamcheck.layers.stack.Layers` are written as user data and read back, with the number of
+polylines, by which a file truncated between two of them is recognised; cut edges are not written.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ def write_cli(layers: Layers, path: str | Path, *, binary: bool = False, units_m
     Parameters
     ----------
     layers
-        Heights strictly increasing, as the format asks.
+        Layers with strictly increasing heights, as the format requires.
     path
-        The file, by custom ``.cli``.
+        The file, by convention ``.cli``.
     binary
-        The binary form: 8 bytes a point and quick to read, but rounded to 32-bit floats.
+        The binary form: 8 bytes per point and quick to read, but rounded to 32-bit floats.
     units_mm
         Length of one unit of the file's numbers, mm. With 1 the text form is exact; with another the
         division and the multiplication each round once.
@@ -74,7 +74,7 @@ def write_cli(layers: Layers, path: str | Path, *, binary: bool = False, units_m
 
 
 def _header(layers: Layers, binary: bool, units_mm: float) -> bytes:
-    """The header, always text; binary data follow its last character at once."""
+    """The header, always text; binary data follow directly after its last character."""
     lines = [
         "$$HEADERSTART",
         "$$BINARY" if binary else "$$ASCII",

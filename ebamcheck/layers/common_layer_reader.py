@@ -19,11 +19,11 @@ from ebamcheck.numeric.rings import Floats, Ints
 
 @dataclass(frozen=True)
 class SliceFile:
-    """What a slice file holds."""
+    """Content of a slice file."""
 
     layers: Layers
     hatches: Ints
-    """(L,) hatch lines of each layer; they are counted and passed over."""
+    """(L,) number of hatch lines of each layer; they are only counted."""
     models: Mapping[int, str]
     """Names of the models by their identifiers; polylines of all models are joined."""
     units_mm: float
@@ -39,14 +39,14 @@ def read_cli(path: str | Path) -> Layers:
 def read_slice_file(path: str | Path) -> SliceFile:
     """Read a slice file, text or binary, whichever its header names.
 
-    A polyline whose points run the other way than its declared direction is turned, with a warning in
-    the log: the direction says which side is solid. A layer at the height of the one before continues it.
+    A polyline whose points contradict its declared direction is reversed, with a warning in
+    the log: the direction shows which side is solid. A layer at the height of the previous one continues it.
 
     Raises
     ------
     InputError
-        If the file is missing, is no slice file, is cut off, has a wrong count, an unknown command, a
-        number that is none or not finite, or a layer below the one before; the message names the line
+        If the file is missing, is no slice file, is truncated, has a wrong count, an unknown command, an
+        invalid or infinite number, or a layer below the previous one; the message names the line
         (text) or the byte (binary).
     """
     path = Path(path)
@@ -104,7 +104,7 @@ def _read_text(gathered: Gathered) -> None:
 
 
 def _numbers(gathered: Gathered, value: bytes, position: int, least: int) -> Floats:
-    """Numbers between commas, at least so many."""
+    """Numbers separated by commas, at least `least` of them."""
     fields = value.split(b",")
     try:
         if b"_" in value:  # Python would read 1_0 as ten
@@ -127,12 +127,12 @@ def _is_number(text: bytes) -> bool:
 
 
 def _whole(number: float) -> int:
-    """The number as an integer, -1 where it is none."""
+    """The number as an integer; -1 if it is not whole."""
     return int(number) if math.isfinite(number) and number == int(number) else -1
 
 
 def _check_count(gathered: Gathered, numbers: Floats, at: int, each: int, position: int) -> None:
-    """Refuse a command whose count, `numbers[at]`, is not that of the coordinates after it."""
+    """Refuse a command whose count, `numbers[at]`, does not match the coordinates after it."""
     said, found = float(numbers[at]), (numbers.size - at - 1) / each
     if said != found:
         raise gathered.error(position, f"the count is {said:g}, but coordinates of {found:g} follow")

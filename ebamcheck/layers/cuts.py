@@ -1,4 +1,4 @@
-"""Heights at which a job cuts a part: those of its settings, which must lie in the part."""
+"""Heights at which a job cuts a part: those of its settings, checked to lie in the part."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from ebamcheck.settings.config import Config
 
 
 def cut_heights(part: Part, config: Config) -> Floats:
-    """Heights of the cuts that the settings ask for, (L,) mm.
+    """Heights of the cuts by the settings, (L,) mm.
 
     Raises
     ------
     SettingsError
-        If given heights do not rise, or one is outside of the part.
+        If given heights do not increase, or one is outside the part.
     """
     if not config.layers.heights_mm:
         return layer_heights(part, config.layer_height_mm)
@@ -29,14 +29,14 @@ def cut_heights(part: Part, config: Config) -> Floats:
 
 
 def heights_within(part: Part, heights: ArrayLike, named: str) -> Floats:
-    """Heights, all of which cut the part; `named` is where they were given.
+    """Return heights after checking that all of them cut the part; `named` tells messages where they were given.
 
-    A section is that of z = h + 0, so that a cut at the lowest point is one and a cut at the highest is empty.
+    A section is that at z = h + 0, so a cut at the lowest point is valid, and one at the highest is empty.
 
     Raises
     ------
     SettingsError
-        If one is not finite, or is outside of the part: the message tells which, and the range of the part.
+        If one is not finite, or is outside the part; the message names it, and the range of the part.
     """
     column = checked_heights(heights)
     low, high = part.bounds[:, 2].tolist()

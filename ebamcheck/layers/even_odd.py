@@ -1,4 +1,4 @@
-"""Even-odd rule for slicers that give rings no direction: solid is what an odd number of rings encloses."""
+"""Even-odd rule, for slicers whose rings have no direction: a point is solid if an odd number of rings encloses it."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ from ebamcheck.layers.stack import Layers, canonical
 from ebamcheck.numeric.rings import Ints
 
 INSIDE_RULE = "odd"
-"""What a slicer that uses this declares."""
+"""Inside rule that such a slicer declares."""
 
 
 def directed_by_nesting(layers: Layers, tolerance_mm: float, name: str) -> Layers:
-    """Turn rings so that outer ones run counter-clockwise, those within them clockwise, and so on inwards.
+    """Orient rings so that outer ones run counter-clockwise, those within them clockwise, and so on inwards.
 
     Parameters
     ----------
     layers
         Layers whose rings have any direction; open paths stay as they are.
     tolerance_mm
-        By how much rings that only touch may overlap.
+        Largest overlap of rings that only touch.
     name
-        The slicer, for messages.
+        Name of the slicer, for messages.
 
     Raises
     ------
     BackendFailed
-        If rings of a layer cross: shells overlap, and no direction of the rings tells what is solid.
+        If rings of a layer cross: then shells overlap, and nothing shows what is solid.
     """
     refuse_crossing(layers, tolerance_mm, name)
     odd = np.zeros(layers.closed.size, np.bool_)
@@ -56,7 +56,7 @@ def directed_by_nesting(layers: Layers, tolerance_mm: float, name: str) -> Layer
 
 
 def refuse_crossing(layers: Layers, tolerance_mm: float, name: str) -> None:
-    """Raise :class:`BackendFailed` where rings of a layer cross by more than a tolerance."""
+    """Raise :class:`BackendFailed` if rings of a layer cross by more than a tolerance."""
     first, second = _near_pairs(layers)
     if not first.size:
         return

@@ -1,7 +1,7 @@
 """Layers in files: the choice of a format by suffix, and Parquet written and read in blocks of layers.
 
-A Parquet file has the columns of :mod:`ebamcheck.layers.batches`, one row a layer, and one row group for each block
-of layers that was written at once. What does not fit in memory is written block by block and read in the same way.
+A Parquet file has the columns of :mod:`ebamcheck.layers.batches`, one row per layer, and one row group per block
+of layers that was written at once. A stack that does not fit in memory is written and read block by block.
 """
 
 from __future__ import annotations
@@ -83,20 +83,20 @@ def write_parquet(layers: Layers, path: str | Path) -> None:
 
 
 def write_blocks(blocks: Iterable[Layers], path: str | Path) -> int:
-    """Write consecutive blocks of one stack to a Parquet file; it appears when the last one is written.
+    """Write consecutive blocks of one stack to a Parquet file, which appears when the last one is written.
 
     Parameters
     ----------
     blocks
-        At least one; all of one slicer, all with cut edges or all without. While one is made, the one before it is
-        written by another thread, so two at a time are held.
+        At least one; all of one slicer, and all with cut edges or all without. While one is made, another thread writes
+        the previous one, so two are in memory at a time.
     path
         The file.
 
     Returns
     -------
     int
-        Layers written.
+        Number of layers written.
 
     Raises
     ------
@@ -110,7 +110,7 @@ def write_blocks(blocks: Iterable[Layers], path: str | Path) -> int:
         for block in blocks:
             batch = to_arrow(block)
             rows = len(block)
-            del block  # what is written holds columns of its own
+            del block  # the batch that is written has its own columns
             if file is None:
                 file = opened.enter_context(_writer(temporary, batch.schema))
                 aside = opened.enter_context(ThreadPoolExecutor(1))
@@ -130,7 +130,7 @@ def write_blocks(blocks: Iterable[Layers], path: str | Path) -> int:
 
 
 def _writer(path: Path, schema: pa.Schema) -> pq.ParquetWriter:
-    # Coordinates hardly repeat, so a dictionary would only cost time; checksums find flipped bits.
+    # Coordinates hardly repeat: a dictionary would only cost time. Checksums find flipped bits.
     return pq.ParquetWriter(
         path,
         schema,
@@ -142,7 +142,7 @@ def _writer(path: Path, schema: pa.Schema) -> pq.ParquetWriter:
 
 
 def read_parquet(path: str | Path) -> Layers:
-    """Read layers from Parquet, every number in the bits it was written with.
+    """Read layers from Parquet, every number bit for bit.
 
     Raises
     ------
@@ -154,7 +154,7 @@ def read_parquet(path: str | Path) -> Layers:
 
 
 class LayerFile:
-    """A stack of layers in a Parquet file, of which only the blocks that are asked for are read.
+    """A stack of layers in a Parquet file; only the requested blocks are read.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ class LayerFile:
     Raises
     ------
     InputError
-        If the file is missing, truncated, not Parquet or of another version; from every method, too, where
+        If the file is missing, truncated, not Parquet or of another version; also from every method, if
         a column is missing or its pages are damaged.
     """
 
@@ -203,7 +203,7 @@ class LayerFile:
 
     @property
     def borders(self) -> Ints:
-        """Where the blocks begin in which the layers were written, and where the last one ends."""
+        """First layer of each block that was written at once, and the number of layers."""
         return self._starts
 
     @property
@@ -213,7 +213,7 @@ class LayerFile:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Settings of the slicer, and what it declared of this part."""
+        """Settings of the slicer, and what it declared about this part."""
         return dict(self._labels["settings"])
 
     @cached_property
@@ -245,7 +245,7 @@ class LayerFile:
 
     @contextmanager
     def _readable(self) -> Iterator[None]:
-        """Say which file it is that cannot be read."""
+        """Name the file in errors of reading."""
         try:
             yield
         except (OSError, pa.ArrowException) as error:

@@ -14,17 +14,17 @@ from ebamcheck.numeric.kernels import kernel, run_blocks
 Levels = NDArray[np.int32]
 
 LARGEST_STACK = 1_000_000
-"""Layers beyond this count are a mistyped layer height, not a build."""
+"""Most layers of a stack: more come from a mistyped layer height."""
 
 LARGEST_BLOCK = 1024
-"""Layers of a block at most, however little the part has on them: rasters take memory for empty layers, too."""
+"""Most layers of a block, however small their contours: rasters need memory for empty layers, too."""
 
 SMALLEST_BLOCK = 65536
-"""Vertices or facets that a thread takes at least: fewer do not pay for handing them over."""
+"""Fewest vertices or facets worth a thread."""
 
 
 def layer_heights(part: Part, layer_height: float) -> NDArray[np.float64]:
-    """Middle heights of uniform layers from the part's lowest point up, (L,) mm.
+    """Heights of the middles of uniform layers, from the part's lowest point up, (L,) mm.
 
     The number of layers is the part's height over the layer height, rounded to the nearest, at least 1;
     layer k spans ``zmin + k h .. zmin + (k + 1) h`` and is cut at its middle.
@@ -34,12 +34,12 @@ def layer_heights(part: Part, layer_height: float) -> NDArray[np.float64]:
     part
         The part as placed.
     layer_height
-        mm.
+        Height of one layer, mm.
 
     Returns
     -------
     ndarray
-        (L,) absolute heights of the cuts, mm, rising.
+        (L,) absolute heights of the cuts, mm, ascending.
 
     Raises
     ------
@@ -67,7 +67,7 @@ def layer_heights(part: Part, layer_height: float) -> NDArray[np.float64]:
 
 
 def checked_heights(heights: ArrayLike) -> NDArray[np.float64]:
-    """Heights as a float64 column; raises :class:`SettingsError` where one is not finite."""
+    """Heights as a float64 column; raises :class:`SettingsError` if one is not finite."""
     column = np.asarray(heights, dtype=np.float64).reshape(-1)
     if not np.isfinite(column).all():
         k = int(np.flatnonzero(~np.isfinite(column))[0])
@@ -81,7 +81,7 @@ def is_rising(heights: NDArray[np.float64]) -> bool:
 
 
 def crossing_counts(part: Part, heights: ArrayLike) -> NDArray[np.int64]:
-    """Facets with ``min z <= h < max z`` at each height, (L,): those that a section at h + 0 cuts."""
+    """Number of facets with ``min z <= h < max z`` at each height, (L,): those that a section at h + 0 cuts."""
     planes = np.asarray(heights, dtype=np.float64).reshape(-1)
     order = np.argsort(planes, kind="stable")
     rising, z = planes[order], np.ascontiguousarray(part.vertices[:, 2])
@@ -121,10 +121,9 @@ def _level_changes(
 
 
 def layer_blocks(part: Part, heights: ArrayLike, most_points: int) -> NDArray[np.int64]:
-    """Borders (B + 1,) of consecutive blocks of layers, each small enough to be worked on at once.
+    """Borders (B + 1,) of consecutive blocks of layers, each small enough to be processed at once.
 
-    An exact contour has one point a facet that is cut, so the cut facets tell the memory of a block
-    before anything is sliced.
+    An exact contour has one point per cut facet, so the memory of a block is known before anything is sliced.
 
     Parameters
     ----------
@@ -133,12 +132,12 @@ def layer_blocks(part: Part, heights: ArrayLike, most_points: int) -> NDArray[np
     heights
         (L,) heights, mm.
     most_points
-        Points of a block at most; a single layer with more is a block of its own.
+        Most points of a block; a single layer with more is a block of its own.
 
     Returns
     -------
     numpy.ndarray
-        From 0 to L; ``[0, 0]`` where there is no layer.
+        From 0 to L; ``[0, 0]`` if there is no layer.
     """
     ends = np.cumsum(crossing_counts(part, heights))
     borders = [0]

@@ -1,6 +1,6 @@
 """A stack of layers, one layer and one ring at a time: small values to look at, iterate over and draw.
 
-The columns of :class:`~ebamcheck.layers.stack.Layers` are what stages work on; these are for people.
+Stages of a job work on the columns of :class:`~ebamcheck.layers.stack.Layers`; these objects are for people.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from ebamcheck.numeric.rings import Floats
 
 KIND_COLOURS = {"outer": "#0072b2", "hole": "#d55e00", "open path": "#cc79a7"}
-"""Okabe and Ito's colours, which stay apart for colour-blind eyes."""
+"""Okabe and Ito's colours, which colour-blind people can tell apart."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -146,11 +146,11 @@ def _picture(layer: Layer) -> str:
 
 
 def _outline(ring: Ring) -> Floats:
-    """Points of a ring, a closed one with its first point again at the end."""
+    """Points of a ring; a closed one repeats its first point at the end."""
     return np.vstack([ring.points, ring.points[:1]]) if ring.closed else ring.points
 
 
-# -- what Layers itself gets of them -----------------------------------------------------------------
+# -- methods of Layers -------------------------------------------------------------------------------
 
 
 def layer_iterator(layers: Layers) -> Iterator[Layer]:
@@ -178,7 +178,7 @@ def index_of(which: int, count: int) -> int:
     Raises
     ------
     SettingsError
-        If there is no such layer; it is an IndexError, too, so that Python's own loops end there.
+        If there is no such layer; it is also an IndexError, so that Python's own loops end there.
     """
     if not -count <= which < count:
         raise NoSuchLayer(f"no layer {which}: the stack has {short_text.counted(count, 'layer')}, from 0")

@@ -1,17 +1,17 @@
-"""Polygons with area in any geometry, valid ones."""
+"""The polygons with area in any shapely geometry, made valid."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    # It loads where polygons are made; most commands make none.
+    # Loaded only where polygons are made; most commands make none.
     import shapely
     from shapely.geometry.base import BaseGeometry
 
 
 def valid_polygons(geometry: BaseGeometry) -> list[shapely.Polygon]:
-    """Polygons with area in a geometry, made valid where they are not."""
+    """Polygons with area in a geometry; invalid ones are made valid."""
     import shapely
 
     if not geometry.is_valid:

@@ -1,4 +1,4 @@
-"""Layers: the contours of a whole stack, as every slicer returns them and every later stage reads them."""
+"""Layers: the contours of a whole stack, in the form that every slicer returns and every later stage reads."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from ebamcheck.numeric.kernels import run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 if TYPE_CHECKING:
-    # It loads where polygons are made; most commands make none.
+    # Loaded only where polygons are made; most commands make none.
     import shapely
     from shapely.geometry.base import BaseGeometry
 
     from ebamcheck.mesh.part import Part
 
 UP = (0.0, 0.0, 1.0)
-"""The slicing direction of a part that is not turned."""
+"""Slicing direction of a part that is not rotated."""
 
 RINGS_A_BLOCK = 256
-"""Rings that a thread brings into canonical form at least: fewer do not pay for handing them over."""
+"""Fewest rings worth a thread that brings them into canonical form."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,9 +54,9 @@ class Layers:
     closed
         (R,) false for an open path.
     edge
-        (N, 2) lower and upper mesh vertex of the edge cut at each point, -1 where there is none; or None.
+        (N, 2) lower and upper mesh vertex of the edge cut at each point, -1 for a point without one; None if unknown.
     edge_t
-        (N,) place of the point along that edge, 0 at the lower vertex, 1 at the upper one; or None.
+        (N,) parameter of the point on that edge, 0 at the lower vertex, 1 at the upper one; None if unknown.
     part
         Content hash of the part that was sliced.
     direction
@@ -64,9 +64,9 @@ class Layers:
     backend, settings
         Name and settings of the slicer.
     dropped
-        (L,) rings without area that were left out of each layer.
+        (L,) number of rings without area that were left out of each layer.
     mesh
-        The part itself, where the layers were cut from one in this process; files do not hold it.
+        The part itself, if the layers were cut from one in this process; files do not hold it.
 
     Examples
     --------
@@ -93,7 +93,7 @@ class Layers:
         if self.dropped.size != self.heights.size:
             object.__setattr__(self, "dropped", np.zeros(self.heights.size, np.int64))
 
-    # How a stack shows itself, layer by layer.
+    # Iteration, indexing and display, layer by layer.
     __iter__ = stack_items.layer_iterator
     __getitem__ = stack_items.layer_item
     __repr__ = stack_items.layers_line
@@ -148,23 +148,23 @@ class Layers:
         return self._per_layer(np.where(self.closed, self.ring_lengths, 0.0))
 
     def ring_counts(self) -> Ints:
-        """Closed rings of each layer, outer and inner together, (L,)."""
+        """Number of closed rings of each layer, outer and inner together, (L,)."""
         return self._count(self.closed)
 
     def outer_counts(self) -> Ints:
-        """Outer rings of each layer, (L,)."""
+        """Number of outer rings of each layer, (L,)."""
         return self._count(self.closed & (self.ring_areas > 0))
 
     def hole_counts(self) -> Ints:
-        """Holes of each layer, (L,)."""
+        """Number of holes of each layer, (L,)."""
         return self._count(self.closed & (self.ring_areas < 0))
 
     def open_counts(self) -> Ints:
-        """Open paths of each layer, (L,)."""
+        """Number of open paths of each layer, (L,)."""
         return self._count(~self.closed)
 
     def bounds(self) -> tuple[float, float, float, float]:
-        """Box around all points, mm: xmin, ymin, xmax, ymax; NaN where there is no point."""
+        """Box around all points, mm: xmin, ymin, xmax, ymax; NaN if there are no points."""
         if not len(self.points):
             return (np.nan, np.nan, np.nan, np.nan)
         (x0, y0), (x1, y1) = self.points.min(axis=0), self.points.max(axis=0)
@@ -183,8 +183,8 @@ class Layers:
     def polygons(self, layer: int) -> list[shapely.Polygon]:
         """Solid regions of a layer as valid shapely polygons, holes included; open paths bound none.
 
-        An outer ring is solid inside if it and the rings around it wind more than 0 times: where rounding has put an
-        outer ring into a hole with the same outline, there is nothing.
+        An outer ring is solid inside if the winding number there, by it and the rings around it, is greater than 0: so an
+        outer ring that rounding has put into a hole with the same outline gives nothing.
         """
         import shapely
 
@@ -241,11 +241,11 @@ class Layers:
         )
 
     def labelled(self, **labels: Any) -> Layers:
-        """Return the same contours under other labels (`part`, `direction`, `backend`, `settings`)."""
+        """Return the same contours with other labels (`part`, `direction`, `backend`, `settings`)."""
         return replace(self, **labels)
 
     def labels_json(self) -> str:
-        """The labels as JSON with sorted keys, as slice files carry them."""
+        """The labels as JSON with sorted keys, the form in slice files."""
         labels = {
             "part": self.part,
             "direction": list(self.direction),
@@ -268,7 +268,7 @@ def canonical(
 ) -> Layers:
     """Bring raw rings into the canonical form of :class:`Layers`, which every backend returns.
 
-    Directions are left as they are: which side is solid is what a slicer knows.
+    Directions are left as they are: only the slicer knows which side is solid.
 
     Parameters
     ----------
@@ -278,7 +278,7 @@ def canonical(
     Returns
     -------
     Layers
-        With consecutive equal points and rings without area gone; `dropped` counts the latter.
+        Without consecutive equal points and without rings that have no area; `dropped` counts the latter.
     """
     heights = np.ascontiguousarray(heights, dtype=np.float64)
     points = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 2)
@@ -323,7 +323,7 @@ def from_rings(
     open_paths: Sequence[Iterable[ArrayLike]] | None = None,
     **labels: Any,
 ) -> Layers:
-    """Build layers from lists of rings, one list a layer; for small stacks and for slice files.
+    """Build layers from lists of rings, one list per layer; for small stacks and slice files.
 
     Examples
     --------
@@ -352,7 +352,7 @@ def from_rings(
 
 
 def from_polygons(heights: ArrayLike, layers: Sequence[Iterable[BaseGeometry]], **labels: Any) -> Layers:
-    """Build layers from shapely polygons (or multi-polygons), one collection a layer."""
+    """Build layers from shapely polygons (or multi-polygons), one collection per layer."""
     import shapely
 
     stack: list[list[Floats]] = []
@@ -393,7 +393,7 @@ def concatenate(blocks: Sequence[Layers]) -> Layers:
 
 
 def _expand(starts: Ints, wanted: Ints) -> tuple[Ints, Ints]:
-    """Members of the `wanted` groups of a ragged column, and the starts of the new groups."""
+    """Indices of the members of the `wanted` groups of a ragged column, and the starts of the new groups."""
     sizes = np.diff(starts)[wanted]
     new_starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
     members = np.arange(new_starts[-1]) + np.repeat(starts[:-1][wanted] - new_starts[:-1], sizes)

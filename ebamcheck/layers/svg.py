@@ -1,7 +1,7 @@
-"""Pictures of layers as self-contained SVG: one layer, several slicers over each other, a sheet of layers.
+"""Pictures of layers as self-contained SVG: one layer, an overlay of several slicers, or a sheet of layers.
 
 Drawn with y up and one scale for both axes. Points nearer to the drawn line than
-:data:`REDUCTION_PX` pixels are left out, so that a layer of a million points stays a small picture.
+:data:`REDUCTION_PX` pixels are left out, so a layer of a million points stays a small picture.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ebamcheck.showing.colours import COLOURS, DASHES
 from ebamcheck.showing.markup import Markup, element, svg_file, text
 
 REDUCTION_PX = 0.2
-"""Distance that a drawn line may leave its points: well under what a screen shows."""
+"""Largest distance of a drawn line from its points: well below what a screen shows."""
 MARGIN_PX = 16
 TITLE_PX = 28
 """Room above the drawing for its title."""
@@ -29,7 +29,7 @@ FOOT_PX = 30
 SMALLEST_EXTENT_MM = 1e-6
 """A layer of one point is drawn as if it were this large."""
 LARGEST_HEIGHT = 4.0
-"""Height over width beyond which a tall, narrow layer is drawn at a smaller scale."""
+"""Ratio of height to width beyond which a tall, narrow layer is drawn at a smaller scale."""
 SHEET_LAYERS = 16
 
 SOLID = "#9fc3e8"
@@ -40,7 +40,7 @@ Box = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class _View:
-    """Where millimetres lie on the picture."""
+    """Map from millimetres to pixels of a picture."""
 
     box: Box
     px_per_mm: float
@@ -88,7 +88,7 @@ def layer_svg(
     title
         Text above the drawing; None: layer, height and counts.
     points
-        Mark every contour point (of the layer as it is, not of the reduced drawing).
+        Mark every contour point (of the layer, not of the reduced drawing).
 
     Returns
     -------
@@ -117,12 +117,12 @@ def overlay_svg(
     box: Box | None = None,
     title: str | None = None,
 ) -> str:
-    """Draw one layer of several slicers over each other, each in its colour and dash, with a legend.
+    """Draw one layer of several slicers on top of each other, each with its own colour and dash, and a legend.
 
     Parameters
     ----------
     stacks
-        Stacks with the same heights, by the name to show.
+        Stacks with the same heights, by name in the legend.
     layer, width_px, box, title
         As in :func:`layer_svg`; the box is by default that of all of them together.
 
@@ -183,8 +183,8 @@ def sheet_svg(layers: Layers, *, width_px: int = 1200, columns: int = 4, most: i
 
 def _region(layers: Layers, k: int, view: _View) -> list[Markup]:
     """The solid region of a layer, its rings and its open paths."""
-    # Outer rings and holes run against each other, so the nonzero rule fills what is solid, and shells
-    # that overlap stay solid where even-odd would punch a hole.
+    # Outer rings and holes have opposite directions, so the nonzero rule fills the solid, and overlapping
+    # shells stay solid where even-odd would leave a hole.
     rings = [r for r in layers.rings_of(k) if layers.closed[r]]
     data = "".join(view.path(layers.ring(r), True) for r in rings)
     parts = []
@@ -200,7 +200,7 @@ def _region(layers: Layers, k: int, view: _View) -> list[Markup]:
 
 
 def _outlines(layers: Layers, k: int, view: _View, colour: str, dash: str, rank: int) -> list[Markup]:
-    """Rings and open paths of a layer as lines; later ones are thinner, so that none hides another."""
+    """Rings and open paths of a layer as lines; those of later stacks are thinner, so that none is hidden."""
     width = max(1.0, 4.0 - 0.8 * rank)
     return [
         _path(view.path(layers.ring(r), bool(layers.closed[r])), colour, width, stroke_dasharray=dash or None)
@@ -209,7 +209,7 @@ def _outlines(layers: Layers, k: int, view: _View, colour: str, dash: str, rank:
 
 
 def _marks(layers: Layers, k: int, view: _View) -> list[Markup]:
-    """A dot at each contour point: a path of lines without length, round at their ends."""
+    """A dot at each contour point: a path of zero-length lines with round ends."""
     dots = []
     for r in layers.rings_of(k):
         points = layers.ring(r)
@@ -284,7 +284,7 @@ def _layer_box(chosen: Sequence[tuple[Layers, int]]) -> Box:
 
 
 def _widened(box: Box) -> Box:
-    """A box that has extent in both directions; that of nothing is a millimetre about the origin."""
+    """The box widened to have extent in both directions; without points, a millimetre about the origin."""
     if math.isnan(box[0]):
         return (-0.5, -0.5, 0.5, 0.5)
     x0, y0, x1, y1 = box

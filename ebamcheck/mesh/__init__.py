@@ -1,3 +1,3 @@
-"""The part: a welded triangle mesh, the files it is read from, and what is looked at before it is sliced."""
+"""The part: a welded triangle mesh, the readers of mesh files, and the inspection before slicing."""
 
 from ebamcheck.mesh.part import Part as Part

@@ -36,14 +36,14 @@ def load(path: str | Path, units: str = "mm") -> Part:
     Parameters
     ----------
     path
-        The file; its format is told by content for STL and by suffix for the others.
+        The file; STL is recognised by content, other formats by suffix.
     units
         Unit of the file's numbers: mm, cm, m, um, in or ft, or a longer name of one. Never guessed.
 
     Returns
     -------
     Part
-        Vertices equal in all bits welded, in mm.
+        The part in mm; vertices that are equal in all bits are welded.
 
     Raises
     ------
@@ -68,7 +68,7 @@ def load(path: str | Path, units: str = "mm") -> Part:
 
 def _read(path: Path, units: str, millimetres: float) -> Part:
     data = _bytes_of(path)
-    with ThreadPoolExecutor(1) as aside:  # hashing takes as long as reading does, and needs nothing of it
+    with ThreadPoolExecutor(1) as aside:  # hashing takes as long as parsing, and is independent of it
         digest = aside.submit(hashlib.sha256, data)
         part = _part_of(data, path, units, millimetres)
         return replace(part, source_sha256=digest.result().hexdigest())
@@ -103,7 +103,7 @@ def _part_of(data: bytes | memoryview, path: Path, units: str, millimetres: floa
 
 
 def extent_notes(largest_mm: float, units: str) -> list[str]:
-    """What the largest extent of a part says of the unit of its file; nothing where it is a usual one."""
+    """Warning that the unit of a file may be wrong, by the largest extent of its part; empty for a usual extent."""
     if SMALLEST_EXTENT_MM <= largest_mm <= LARGEST_EXTENT_MM:
         return []
     return [
@@ -112,7 +112,7 @@ def extent_notes(largest_mm: float, units: str) -> list[str]:
 
 
 def _bytes_of(path: Path) -> bytes | memoryview:
-    """The whole file; numpy has it in large pages, which are filled in half the time."""
+    """Read the whole file; numpy allocates large pages, which are filled in half the time."""
     with told_if_unreadable(path):
         if not path.is_file():
             return path.read_bytes()
@@ -121,7 +121,7 @@ def _bytes_of(path: Path) -> bytes | memoryview:
 
 @contextmanager
 def told_if_unreadable(path: Path) -> Iterator[None]:
-    """Turn what the system says of a mesh file that cannot be read into an :class:`InputError`."""
+    """Turn the system's errors on reading a mesh file into an :class:`InputError`."""
     try:
         yield
     except FileNotFoundError:

@@ -1,4 +1,4 @@
-"""Inspection of a part: what the input gate looks at before anything is sliced."""
+"""Inspection of a part: the figures and the verdict of the input gate, before anything is sliced."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from ebamcheck.showing import short_text
 Verdict = Literal["sound", "inside-out", "open", "inconsistent", "non-manifold", "flat"]
 
 NO_VOLUME = 1e-12
-"""Volume under this fraction of the bounding cube counts as none: far above rounding, far under any part."""
+"""Volume, over that of the bounding cube, below which a part is flat: far above rounding, far below any real part."""
 
 
 @dataclass(frozen=True)
 class Inspection:
-    """What was found on a part.
+    """Result of the inspection of a part.
 
     `verdict` is the first that applies of: ``open`` (edges with one facet), ``inconsistent`` (neighbouring
-    facets that run the same way along their edge), ``non-manifold`` (edges with an odd number of facets, or
+    facets with the same direction along their edge), ``non-manifold`` (edges with an odd number of facets, or
     whose facets do not pair), ``flat`` (no volume), ``inside-out`` (a closed body of negative volume outside
-    of any other), ``sound``.
+    any other), ``sound``.
     """
 
     name: str
@@ -69,7 +69,7 @@ class Inspection:
         )
 
     def _repr_html_(self) -> str:
-        """Show what was found in a notebook."""
+        """Show the result in a notebook."""
         shown = {
             name.replace("_", " "): value
             for name, value in self.as_dict().items()
@@ -85,13 +85,13 @@ class Inspection:
 def inspect(part: Part) -> Inspection:
     """Count the defects of a part and judge whether it has an inside.
 
-    Edges with more than two facets are counted, and refused only where their facets do not pair up in
+    Edges with more than two facets are counted, but refused only if their facets do not pair up in
     opposite directions: bodies that touch along an edge have an inside.
 
     Parameters
     ----------
     part
-        The part; where it stands does not matter.
+        The part; its position does not matter.
 
     Returns
     -------
@@ -143,16 +143,16 @@ def inspect(part: Part) -> Inspection:
 
 
 def judged(found: Inspection, unpaired: int, enclosed_mm3: float) -> tuple[Verdict, str]:
-    """Verdict on the figures of a part, and why.
+    """Verdict on the figures of a part, with the reason.
 
     Parameters
     ----------
     found
         The figures.
     unpaired
-        Edges of more than two facets that do not pair up in opposite directions.
+        Number of edges with more than two facets that do not pair up in opposite directions.
     enclosed_mm3
-        Volumes of all bodies, each without its sign.
+        Sum of the absolute volumes of all bodies.
     """
     if found.open_edges:
         return "open", (
@@ -220,7 +220,7 @@ def _bodies(count: int, half_edges: NDArray[np.int32], starts: NDArray[np.int32]
 
 
 def body_volumes(part: Part, body: NDArray[np.int32], bodies: int) -> NDArray[np.float64]:
-    """Signed volume of each body (B,), mm3, about a point of the body itself."""
+    """Signed volume of each body (B,), mm3, taken about a point of the body, which keeps rounding small."""
     if bodies == 0:
         return np.zeros(0)
     used = body >= 0
@@ -233,9 +233,9 @@ def body_volumes(part: Part, body: NDArray[np.int32], bodies: int) -> NDArray[np
 
 
 def inside_out_bodies(part: Part, body: NDArray[np.int32], volumes: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Bodies (B,) of negative volume that lie in no other body: those within one are its cavities.
+    """Bodies (B,) of negative volume that lie in no other body: those inside one are its cavities.
 
-    A cavity is told by its bounding box lying inside the box of a body of positive and larger volume.
+    A body counts as a cavity if its bounding box lies in that of a body of larger, positive volume.
     """
     negative = volumes < -NO_VOLUME * float(part.size.max(initial=0.0)) ** 3
     if not negative.any():
@@ -263,7 +263,7 @@ def outermost(
     lower: NDArray[np.float64],
     upper: NDArray[np.float64],
 ) -> NDArray[np.bool_]:
-    """Of bodies of negative volume (B,) those that are no cavity of another one, by their boxes (B, 3)."""
+    """Bodies of negative volume (B,) that are no cavity of another body, by their boxes (B, 3)."""
     result = negative.copy()
     solid = np.flatnonzero(volumes > 0)
     for b in np.flatnonzero(negative):
@@ -285,12 +285,12 @@ def _balance(
 
 
 def direction_balance(faces: NDArray[np.int32], groups: EdgeGroups) -> NDArray[np.int32]:
-    """Facets that run up each edge less those that run down it (E,): 0 where they pair."""
+    """Difference between the numbers of facets in the two directions of each edge (E,): 0 if they pair."""
     return _balance(faces, groups.half_edges, groups.starts)
 
 
 def duplicates(faces: NDArray[np.int32]) -> int:
-    """Facets that repeat the three vertices of an earlier one, whatever way they are turned."""
+    """Number of facets with the same three vertices as an earlier one, in any order."""
     if not len(faces):
         return 0
     least, greatest = faces.min(axis=1).astype(np.int64), faces.max(axis=1).astype(np.int64)
@@ -311,18 +311,18 @@ def degenerate(part: Part) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
 
 
 def fix_orientation(part: Part) -> tuple[Part, int]:
-    """Turn flipped facets and inside-out closed bodies over.
+    """Reverse flipped facets and inside-out closed bodies.
 
-    Facets are turned, body by body, until neighbours across every two-facet edge agree; then closed bodies
-    of negative volume that are no cavities are turned as a whole. An open body is never turned by the sign
-    of its volume.
+    Facets are reversed, body by body, until neighbours across every two-facet edge agree; then closed bodies
+    of negative volume that are no cavities are reversed as a whole. An open body is never reversed because of
+    the sign of its volume.
 
     Returns
     -------
     part
-        The part with facets turned; the same object where none was.
+        The part with facets reversed; the same object if none was.
     turned
-        Number of facets turned.
+        Number of facets reversed.
     """
     groups = edge_groups(part.faces, len(part.vertices))
     flip = _consistent_flips(part.faces, groups.half_edges, groups.starts)

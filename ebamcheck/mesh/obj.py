@@ -1,4 +1,4 @@
-"""Strict reader of Wavefront OBJ files: vertices and polygons; what does not fit is refused with its line."""
+"""Strict reader of Wavefront OBJ files: vertices and polygons; anything invalid is refused with its line."""
 
 from __future__ import annotations
 
@@ -11,38 +11,38 @@ from ebamcheck.errors import InputError
 from ebamcheck.mesh.polygons import checked_finite, numbers_of, polygon_corners
 
 SURFACES = (b"surf", b"curv", b"curv2", b"cstype")
-"""Words of free-form geometry, which is no mesh."""
+"""Keywords of free-form geometry, which is no mesh."""
 
 _REFERENCE = re.compile(rb"([+-]?\d{1,18})(/[+-]?\d*){0,2}")
 _KEYWORD = re.compile(rb"[A-Za-z_#][\w#]*")
 
 
 def read_obj(data: bytes, name: str) -> tuple[NDArray[np.float64], list[str]]:
-    """Read the corner points of every facet of an OBJ file; polygons are split from their first corner.
+    """Read the corner points of every facet of an OBJ file; polygons become triangle fans from their first corner.
 
     Parameters
     ----------
     data
         The whole file.
     name
-        What to call it in messages.
+        Name of the file, for messages.
 
     Returns
     -------
     triangles
         (F, 3, 3) corners in the file's unit.
     notes
-        What was odd but harmless, one line each.
+        Harmless irregularities, one line each.
 
     Raises
     ------
     InputError
         If a vertex has fewer than three numbers, a polygon fewer than three corners or a corner that is no vertex of
-        the file, a number is none or not finite, or there is no facet.
+        the file, a number is invalid or not finite, or there is no facet.
     """
     if not data:
         raise InputError(f"{name}: is empty (0 bytes)")
-    # A line that ends in a backslash goes on in the next one; the empty line keeps the count of lines.
+    # A line that ends in a backslash continues on the next one; an empty line keeps the line numbers.
     joined = re.sub(rb"\\[ \t]*(\r\n|\n|\r)", b" ", data)
     lines = joined.splitlines()
     heads = [line.split(None, 1)[:1] for line in lines]
@@ -61,7 +61,7 @@ def read_obj(data: bytes, name: str) -> tuple[NDArray[np.float64], list[str]]:
 
 
 def _refuse_others(heads: list[list[bytes]], lines: list[bytes], name: str) -> None:
-    """Refuse free-form surfaces, which would be lost, and lines that are none of this format."""
+    """Refuse free-form surfaces, which would be lost, and lines that are not in this format."""
     for k, head in enumerate(heads):
         if head and head[0] in SURFACES:
             word = head[0].decode()
@@ -71,7 +71,7 @@ def _refuse_others(heads: list[list[bytes]], lines: list[bytes], name: str) -> N
 
 
 def _vertices(lines: list[bytes], where: list[int], name: str) -> NDArray[np.float64]:
-    """Vertices (V, 3); weights and colours behind them are not read."""
+    """Vertices (V, 3); weights and colours after them are ignored."""
     rows = [lines[k].split()[1:] for k in where]
     for k, row in zip(where, rows, strict=True):
         if not 3 <= len(row) <= 8:
@@ -86,7 +86,7 @@ def _vertices(lines: list[bytes], where: list[int], name: str) -> NDArray[np.flo
 def _polygons(
     lines: list[bytes], where: list[int], before: NDArray[np.int64], count: int, name: str
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Vertices of all corners, one behind the other, and corners of each polygon."""
+    """Vertices of all corners, polygon after polygon, and number of corners of each polygon."""
     found: list[int] = []
     sizes: list[int] = []
     for k, seen in zip(where, before.tolist(), strict=True):

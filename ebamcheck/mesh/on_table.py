@@ -1,4 +1,4 @@
-"""How a part that is turned between layers stands on its table: the motion from the table to the turned part, by the mesh."""
+"""Mounting of a part that is turned between layers: the rigid motion from the table to the turned part, from the mesh."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.tilt import OnTable
 
 RIGID_MM = 1e-6
-"""How far a part may be from a turned one of the same file."""
+"""Largest residual of the motion between two parts of the same file."""
 
 SAME_MM = 1e-6
-"""How far two mountings of one part may place it apart."""
+"""Largest difference between the places of a part in two mountings that count as the same."""
 
 
 def rigid_motion(before: Part, now: Part) -> tuple[Floats, Floats]:
-    """Turn (3, 3) and shift (3,) with p @ turn + shift, which take one part to the other, by their vertices.
+    """Rotation (3, 3) and shift (3,) that take one part to the other as p @ rotation + shift, from their vertices.
 
     Raises
     ------
     InputError
-        If they are not of one file.
+        If they are not from one file.
     """
     if before.vertices.shape != now.vertices.shape:
         raise InputError(f"part {now.name!r}: is of another file than the one that was built")
@@ -43,8 +43,8 @@ def on_table(before: Part, now: Part) -> OnTable:
     Parameters
     ----------
     before, now
-        The same part as it stands on the table with all axes at 0, and as the program of the turned layer has it. A program
-        counts Z from the lowest point of either.
+        The same part on the table with all axes at 0, and in the program of the turned layer. Programs measure Z from the
+        lowest point of their part.
     """
     turn, shift = rigid_motion(before, now)
     zero = np.array([0.0, 0.0, before.bounds[0, 2]])
@@ -65,7 +65,7 @@ def on_table(before: Part, now: Part) -> OnTable:
 
 
 def apart_mm(one: OnTable, other: OnTable) -> float:
-    """How far two mountings place corners of the part apart, or its boxes differ, at most."""
+    """Greatest distance between places of the part's corners, or difference of its boxes, in two mountings, mm."""
     low, high = one.low_mm, one.high_mm
     corners = np.stack(np.meshgrid(*zip(low, high, strict=True)), axis=-1).reshape(-1, 3)
     places = [corners @ np.array(o.turn) + np.array(o.shift_mm) for o in (one, other)]

@@ -1,4 +1,4 @@
-"""The part: a welded triangle mesh in millimetres, with where it came from and how it was turned."""
+"""The part: a welded triangle mesh in millimetres, with its source and its slicing direction."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from ebamcheck.showing import short_text
 
 SMALLEST_EXTENT_MM = 1.0
 LARGEST_EXTENT_MM = 10_000.0
-"""Parts outside this range are rare enough that the unit is more likely wrong than the part."""
+"""Range of usual extents: outside it, a wrong unit is more likely than such a part."""
 
 MOST_ROWS = 8192
-"""Vertices that are turned at a time: more are spread over threads that wait for each other, which on a machine with other
-work takes a hundred times as long as the turn itself."""
+"""Vertices rotated at a time: larger products are spread by BLAS over threads that wait for each other, which on a busy machine
+takes a hundred times as long as the rotation itself."""
 
 Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A triangle mesh whose equal vertices are one.
+    """A triangle mesh in which equal vertices are merged.
 
     Parameters
     ----------
@@ -35,15 +35,15 @@ class Part:
     faces
         (F, 3) int32 rows of `vertices`, counter-clockwise seen from outside.
     name
-        What to call the part in reports.
+        Name of the part in reports.
     source, source_sha256
         File it was read from and the SHA-256 of that file's bytes; empty for a part made in memory.
     units
         Unit of the file's numbers, converted once at reading.
     direction
-        Slicing direction in the coordinates of the file; `vertices` are turned so that it points up.
+        Slicing direction in the coordinates of the file; `vertices` are rotated so that it points up.
     notes
-        What reading it has to tell.
+        Remarks from reading the file.
 
     Examples
     --------
@@ -92,7 +92,7 @@ class Part:
 
     @cached_property
     def sha256(self) -> str:
-        """Hash of the mesh itself: vertices and faces as they will be sliced."""
+        """SHA-256 of the mesh itself: vertices and faces as they will be sliced."""
         digest = hashlib.sha256(np.ascontiguousarray(self.vertices).data)
         digest.update(np.ascontiguousarray(self.faces).data)
         return digest.hexdigest()
@@ -127,15 +127,15 @@ class Part:
         return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
 
     def along(self, direction: ArrayLike) -> Part:
-        """Turn the part so that `direction` (in the coordinates of the file) points up.
+        """Rotate the part so that `direction` (in the coordinates of the file) points up.
 
-        The rotation is the shortest one that takes the direction to +z, so a part given ``(0, 0, 1)``
-        stays bit for bit as it is. A part can be turned once.
+        The rotation is the smallest one that takes the direction to +z, so with ``(0, 0, 1)``
+        the part is unchanged bit for bit. A part can be rotated once.
 
         Raises
         ------
         SettingsError
-            If the direction is zero or not finite, or the part is turned already.
+            If the direction is zero or not finite, or the part has been rotated already.
         """
         target = unit_vector(direction)
         if self.direction != (0.0, 0.0, 1.0):
@@ -144,7 +144,7 @@ class Part:
             return self
         rotation = rotation_to_z(target).T
         vertices = np.empty_like(self.vertices)
-        # Shares of about equal size: a single row would be rounded in another way.
+        # Shares of about equal size: a share of a single row would be rounded differently.
         shares = len(vertices) // MOST_ROWS + 1
         for k in range(shares):
             rows = slice(len(vertices) * k // shares, len(vertices) * (k + 1) // shares)
@@ -152,7 +152,7 @@ class Part:
         return replace(self, vertices=vertices, direction=target)
 
     def reversed(self) -> Part:
-        """Return the part with every facet turned over."""
+        """Return the part with every facet reversed."""
         return replace(self, faces=np.ascontiguousarray(self.faces[:, ::-1]))
 
 
@@ -169,7 +169,7 @@ def unit_vector(direction: ArrayLike) -> Vector:
 
 
 def rotation_to_z(direction: Vector) -> NDArray[np.float64]:
-    """Shortest rotation (3, 3) that takes a unit vector to +z (Rodrigues); half a turn about x for -z."""
+    """Smallest rotation (3, 3) that takes a unit vector to +z (Rodrigues); half a turn about x for -z."""
     x, y, z = direction
     if z < -1.0 + 1e-14:
         return np.diag([1.0, -1.0, -1.0])
@@ -178,12 +178,12 @@ def rotation_to_z(direction: Vector) -> NDArray[np.float64]:
 
 
 def from_arrays(vertices: ArrayLike, faces: ArrayLike, name: str = "part") -> Part:
-    """Make a part from arrays, as a model or a test does.
+    """Make a part from arrays, for models and tests.
 
     Raises
     ------
     InputError
-        If a coordinate is not finite or a facet names a vertex that is not there.
+        If a coordinate is not finite, or a facet refers to a vertex that does not exist.
     """
     points = np.ascontiguousarray(vertices, dtype=np.float64).reshape(-1, 3)
     index = np.ascontiguousarray(faces, dtype=np.int64).reshape(-1, 3)

@@ -1,4 +1,4 @@
-"""From the file of a part, or of a plate with several, to the part as it is built: read, mended, turned and placed."""
+"""From the file of a part, or of a plate with several, to the part as it is built: read, repaired, rotated and placed."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from ebamcheck.settings.slicing import PartSettings
 
 
 def read_part(path: str | Path, settings: PartSettings) -> tuple[Part, int]:
-    """Read the part, mend it if asked to, turn and place it; with the number of facets turned over.
+    """Read the part, repair it if requested, rotate and place it; returns it and the number of facets reversed.
 
     Raises
     ------
     InputError
         If the file cannot be read.
     SettingsError
-        If a setting makes no sense, or the settings place a plate, whose parts have places of their own.
+        If a setting is invalid, or the settings place a plate, whose parts have places of their own.
     """
     plate = is_plate(path)
     if plate and (settings.place_at_mm is not None or settings.rotate_deg):
@@ -41,14 +41,14 @@ def read_part(path: str | Path, settings: PartSettings) -> tuple[Part, int]:
 
 
 def read_reference(path: str | Path, part_path: str | Path, settings: PartSettings) -> Part:
-    """Read a finer mesh of a part, and move it as the part itself is moved, whose box is not quite the same.
+    """Read a finer mesh of a part, and move it exactly as the part is moved, although their boxes differ slightly.
 
     Raises
     ------
     InputError
         If a file cannot be read.
     SettingsError
-        If one of them is a plate.
+        If either of them is a plate.
     """
     for file in (path, part_path):
         if is_plate(file):
@@ -62,7 +62,7 @@ def read_reference(path: str | Path, part_path: str | Path, settings: PartSettin
 
 
 def source_sha256(path: str | Path) -> str:
-    """SHA-256 of what a part is read from: of its file, or of a plate's file and those of all of its parts."""
+    """SHA-256 of the source of a part: of its file, or of a plate's file and the files of all its parts."""
     return plate_sha256(Path(path)) if is_plate(path) else sha256_of_file(Path(path))
 
 

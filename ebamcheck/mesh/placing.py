@@ -1,4 +1,4 @@
-"""Where a part stands on the machine: a turn about the vertical, then a shift."""
+"""Placing of a part on the machine: a turn about the vertical, then a shift."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Placing:
     about_mm
         X and Y of the axis.
     shift_mm
-        Way along X, Y and Z.
+        Shift along X, Y and Z.
     """
 
     turn_deg: float = 0.0
@@ -35,7 +35,7 @@ class Placing:
         return self.turn_deg % 360.0 == 0.0 and self.shift_mm == (0.0, 0.0, 0.0)
 
     def moved(self, part: Part) -> Part:
-        """Part where it is built; bit for bit the same one where nothing moves."""
+        """Return the part where it is built; unchanged bit for bit if nothing moves."""
         if self.still:
             return part
         vertices = part.vertices.copy()
@@ -66,14 +66,14 @@ def cosine_and_sine(angle_deg: float) -> tuple[float, float]:
 
 
 def placing_of(part: Part, place_at_mm: tuple[float, ...] | None = None, turn_deg: float = 0.0) -> Placing:
-    """Turn a part about the middle of its box, then bring the middle of the turned box to a place.
+    """Return the placing that turns a part about the middle of its box, then moves the middle of the turned box to a place.
 
     Parameters
     ----------
     part
-        The part, its slicing direction up.
+        The part, with its slicing direction up.
     place_at_mm
-        X and Y of the middle of its box, and Z of its lowest point if there is a third; None: it is turned where it is.
+        X and Y of the middle of its box and, if there are three numbers, Z of its lowest point; None: no shift.
     turn_deg
         Counter-clockwise seen from above.
     """

@@ -1,7 +1,7 @@
-"""Several parts on one base plate, as ``plate.toml`` lists them: read, placed and kept apart, sliced as one part.
+"""Several parts on one base plate, listed in ``plate.toml``: read, placed, checked for clearance, and sliced as one part.
 
-Every part stands on the plate, its lowest point at Z 0. All of them become one mesh, whose facets are those of one part
-after the other, so that layers, islands, heat, program and gates are those of the whole plate. Such a file reads::
+Every part stands on the plate, with its lowest point at Z 0. All parts become one mesh, with the facets of one part
+after the other, so layers, islands, heat, program and gates are those of the whole plate. An example of the file::
 
     clearance_mm = 12            # between parts; 10 if left out
     [[parts]]
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 PLATE_SUFFIX = ".toml"
 
 MOST_PARTS = 10_000
-"""More parts on a plate are a mistyped number of copies."""
+"""Most parts on a plate: more come from a mistyped number of copies."""
 
 
 class PlateEntry(Section):
@@ -82,11 +82,11 @@ class Member:
     Parameters
     ----------
     name, source, sha256, units, direction
-        What it is, and the file that it was read from.
+        Name of the part, and the file from which it was read.
     place_at_mm, rotate_deg
-        Where it stands.
+        Place of the middle of its box, and its turn about the vertical.
     facets
-        First facet of it in the mesh of the plate, and the first one after it.
+        Its first facet in the mesh of the plate, and the first one after it.
     """
 
     name: str
@@ -101,13 +101,13 @@ class Member:
 
 @dataclass(frozen=True, eq=False)
 class PlatePart(Part):
-    """The mesh of a whole plate, which knows its parts."""
+    """The mesh of a whole plate, with its parts as members."""
 
     members: tuple[Member, ...] = ()
     clearance_mm: float = 0.0
 
     def member(self, member: Member) -> Part:
-        """Mesh of one part as it stands on the plate."""
+        """Mesh of one part, placed on the plate."""
         faces = self.faces[slice(*member.facets)]
         first, last = int(faces.min()), int(faces.max()) + 1
         return Part(
@@ -132,14 +132,14 @@ def load_plate(path: str | Path, units: str = "mm", direction: Vector = (0.0, 0.
     path
         The TOML file.
     units, direction
-        Of the parts that have none of their own.
+        Values for parts that have none of their own.
 
     Raises
     ------
     InputError
         If a file cannot be read.
     SettingsError
-        If the plate makes no sense, or two parts are nearer to each other than its clearance.
+        If the plate is invalid, or two parts are nearer to each other than its clearance.
     """
     path = Path(path)
     plate = read_plate(path)
@@ -150,7 +150,7 @@ def load_plate(path: str | Path, units: str = "mm", direction: Vector = (0.0, 0.
 
 
 def read_plate(path: Path) -> Plate:
-    """Read the file of a plate, and none of its parts."""
+    """Read the file of a plate, without its parts."""
     plate = checked(Plate, read_toml(path, InputError), path)
     for number, entry in enumerate(plate.parts, 1):
         if entry.copies > 1 and entry.step_mm is None:
@@ -161,7 +161,7 @@ def read_plate(path: Path) -> Plate:
 
 
 def plate_sha256(path: Path) -> str:
-    """SHA-256 over the plate's file and those of its parts: what the plate is made from."""
+    """SHA-256 of the plate's file and the files of its parts."""
     files = sorted({entry.file for entry in read_plate(path).parts})
     try:
         made = {file: sha256_of_file(path.parent / file) for file in files}
@@ -179,7 +179,7 @@ def outline(part: Part) -> BaseGeometry:
 
 
 def _placed(path: Path, plate: Plate, units: str, direction: Vector) -> Iterator[tuple[Member, Part]]:
-    """Every part of a plate where it stands; facets are counted later."""
+    """Yield every part of a plate in its place; ranges of facets are set later."""
     for entry in plate.parts:
         file = path.parent / entry.file
         if is_plate(file):
@@ -206,7 +206,7 @@ def _placed(path: Path, plate: Plate, units: str, direction: Vector) -> Iterator
 
 
 def _joined(path: Path, plate: Plate, placed: list[tuple[Member, Part]]) -> PlatePart:
-    """One mesh of all parts, each with names of its own and its range of facets."""
+    """One mesh of all parts, each with a unique name and its range of facets."""
     names = [member.name for member, _ in placed]
     if repeated := sorted({name for name in names if names.count(name) > 1}):
         raise SettingsError(f"{path}: two parts are called {repeated[0]!r}: give each a name of its own")
@@ -235,7 +235,7 @@ def _joined(path: Path, plate: Plate, placed: list[tuple[Member, Part]]) -> Plat
 
 
 def _check_apart(path: Path, part: PlatePart) -> None:
-    """Refuse parts that are nearer to each other than the clearance; names the nearest two."""
+    """Refuse parts that are nearer to each other than the clearance; the message names the nearest two."""
     import shapely
 
     outlines = np.array(part.outlines(), object)

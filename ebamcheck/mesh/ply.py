@@ -1,4 +1,4 @@
-"""Strict reader of PLY files, ASCII and binary: what the header counts is there, no more and no less, or it is refused."""
+"""Strict reader of PLY files, ASCII and binary: a file whose content does not match the counts of its header is refused."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ TYPES = {
     "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
     "double": "f8", "float64": "f8",
 }  # fmt: skip
-"""Types of numbers by their names in a header."""
+"""NumPy types by the names of types in a header."""
 
 FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 CORNERS = ("vertex_indices", "vertex_index")
 MOST_HEADER_BYTES = 1 << 16
 MOST_CORNERS = 100_000
-"""A facet of more corners is a wrong number."""
+"""Most corners of a facet: more come from a damaged file."""
 
 
 @dataclass(frozen=True)
 class Property:
-    """One property of an element: its name, its type, and that of the count where it is a list."""
+    """One property of an element: its name, its type and, for a list, the type of its count."""
 
     name: str
     kind: str
@@ -36,7 +36,7 @@ class Property:
 
 @dataclass(frozen=True)
 class Element:
-    """One kind of element, as the header tells it."""
+    """One kind of element, as the header declares it."""
 
     name: str
     count: int
@@ -44,31 +44,31 @@ class Element:
 
 
 Columns = dict[str, tuple[NDArray[np.float64], NDArray[np.int64]]]
-"""By property: its numbers one behind the other, and how many each element has."""
+"""By property: its numbers, element after element, and how many each element has."""
 
 
 def read_ply(data: bytes, name: str) -> tuple[NDArray[np.float64], list[str]]:
-    """Read the corner points of every facet of a PLY file; polygons are split from their first corner.
+    """Read the corner points of every facet of a PLY file; polygons become triangle fans from their first corner.
 
     Parameters
     ----------
     data
         The whole file.
     name
-        What to call it in messages.
+        Name of the file, for messages.
 
     Returns
     -------
     triangles
         (F, 3, 3) corners in the file's unit.
     notes
-        What was odd but harmless, one line each; none.
+        Harmless irregularities; always empty for PLY.
 
     Raises
     ------
     InputError
-        If the header is not one of PLY 1.0, the file holds more or fewer numbers than it counts, a facet has fewer
-        than three corners or one that is no vertex, or a coordinate is not finite.
+        If the header is not that of PLY 1.0, the file holds more or fewer numbers than its header declares, a facet has
+        fewer than three corners or one that is no vertex, or a coordinate is not finite.
     """
     if not data:
         raise InputError(f"{name}: is empty (0 bytes)")
@@ -107,7 +107,7 @@ def _vertices(columns: Columns, name: str) -> NDArray[np.float64]:
 
 
 def _header(data: bytes, name: str) -> tuple[str, list[Element], int]:
-    """Order of bytes (empty: ASCII), elements, and where the body starts."""
+    """Byte order (empty: ASCII), elements, and offset of the body."""
     head = data[:MOST_HEADER_BYTES]
     at = head.find(b"end_header")
     end = head.find(b"\n", at) + 1 if at >= 0 else 0
@@ -162,7 +162,7 @@ def _truncated(name: str, element: Element, what: str) -> InputError:
 
 
 def _read_ascii(body: bytes, elements: list[Element], _: str, name: str) -> dict[str, Columns]:
-    """Columns of every element, each element in a line."""
+    """Columns of every kind of element; each element is a line."""
     rows = [words for line in body.splitlines() if (words := line.split())]
     found, first = dict[str, Columns](), 0
     for element in elements:
@@ -177,7 +177,7 @@ def _read_ascii(body: bytes, elements: list[Element], _: str, name: str) -> dict
 
 
 def _ascii_columns(rows: list[list[bytes]], element: Element, name: str) -> Columns:
-    """Columns of one element from the words of its lines."""
+    """Columns of one kind of element from the words of its lines."""
     places = [0] * len(rows)
     columns: Columns = {}
     for prop in element.properties:
@@ -206,7 +206,7 @@ def _ascii_columns(rows: list[list[bytes]], element: Element, name: str) -> Colu
 
 
 def _read_binary(body: bytes, elements: list[Element], order: str, name: str) -> dict[str, Columns]:
-    """Columns of every element."""
+    """Columns of every kind of element."""
     found, at = dict[str, Columns](), 0
     for element in elements:
         columns, at = _binary_columns(body, at, element, order, name)
@@ -217,7 +217,7 @@ def _read_binary(body: bytes, elements: list[Element], order: str, name: str) ->
 
 
 def _binary_columns(body: bytes, at: int, element: Element, order: str, name: str) -> tuple[Columns, int]:
-    """Columns of one element, and where the next one starts."""
+    """Columns of one kind of element, and offset of the next kind."""
     sizes = _first_sizes(body, at, element, order)
     fields: list[tuple[str, str] | tuple[str, str, tuple[int]]] = []
     for i, prop in enumerate(element.properties):
@@ -245,12 +245,12 @@ def _binary_columns(body: bytes, at: int, element: Element, order: str, name: st
 
 
 def _least_bytes(element: Element) -> int:
-    """Bytes of an element whose lists are empty."""
+    """Size in bytes of an element whose lists are empty."""
     return sum(np.dtype(p.count_kind or p.kind).itemsize for p in element.properties)
 
 
 def _first_sizes(body: bytes, at: int, element: Element, order: str) -> list[int]:
-    """Lengths of the properties of the first element: those of all, in most files."""
+    """Lengths of the properties of the first element, which in most files are those of all."""
     sizes = []
     for prop in element.properties:
         size = 1
@@ -263,7 +263,7 @@ def _first_sizes(body: bytes, at: int, element: Element, order: str) -> list[int
 
 
 def _number(body: bytes, at: int, order: str, kind: str) -> tuple[int, int]:
-    """A whole number and where it ends; -1 behind the end of the file."""
+    """An integer and the offset after it; -1 if it lies beyond the end of the file."""
     width = np.dtype(kind).itemsize
     raw = body[at : at + width]
     if len(raw) < width:
@@ -272,7 +272,7 @@ def _number(body: bytes, at: int, order: str, kind: str) -> tuple[int, int]:
 
 
 def _mixed_columns(body: bytes, at: int, element: Element, order: str, name: str) -> tuple[Columns, int]:
-    """Columns of an element whose lists are of several lengths, one element after the other."""
+    """Columns of a kind of element whose lists differ in length, read element by element."""
     values: list[list[float]] = [[] for _ in element.properties]
     sizes: list[list[int]] = [[] for _ in element.properties]
     letters = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "f4": "f", "f8": "d"}

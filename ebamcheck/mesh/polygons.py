@@ -1,4 +1,4 @@
-"""Polygons of mesh files as triangles, and the checks that all their readers share."""
+"""Polygons of mesh files as triangles, and checks shared by the readers."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from ebamcheck.errors import InputError
 
 
 def fans(sizes: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Corners of polygons as triangles from the first corner of each.
+    """Triangle fans from the first corner of each polygon, as rows of corners.
 
     Parameters
     ----------
     sizes
-        (P,) corners of each polygon, 3 or more; the corners of all stand one behind the other.
+        (P,) number of corners of each polygon, 3 or more; corners are numbered polygon after polygon.
 
     Returns
     -------
@@ -41,7 +41,7 @@ def polygon_corners(
 
 
 def checked_finite(corners: NDArray[np.float64], name: str) -> NDArray[np.float64]:
-    """Corner points (F, 3, 3) as they are; :class:`InputError` with the place where one is not finite."""
+    """Return corner points (F, 3, 3) unchanged; raises :class:`InputError` with the place if one is not finite."""
     if not np.isfinite(corners).all():
         facet, corner, axis = np.argwhere(~np.isfinite(corners))[0]
         raise InputError(
@@ -52,7 +52,7 @@ def checked_finite(corners: NDArray[np.float64], name: str) -> NDArray[np.float6
 
 
 def numbers_of(tokens: list[bytes], where: str) -> NDArray[np.float64]:
-    """Decimal numbers; :class:`InputError` with the first that is none."""
+    """Decimal numbers from tokens; raises :class:`InputError` with the first that is none."""
     try:
         if any(b"_" in token for token in tokens):
             raise ValueError

@@ -1,7 +1,7 @@
-"""A binary STL file that is read block by block: its box and hash in one pass, then the facets of any slab of it.
+"""A binary STL file that is read block by block: its box and hash in one pass, then the facets of any slab.
 
-Nothing of the file is held but two columns of heights. It is read by plain reads, not mapped: what a process has mapped
-counts as its memory, and a file that is cut meanwhile would end it without a word.
+Only two columns of heights are kept in memory. The file is read, not memory-mapped: mapped pages count as the process's
+memory, and a file truncated meanwhile would kill the process.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from ebamcheck.mesh.stl import FACET_BYTES, FOREIGN, HEADER_BYTES, facet_corners
 from ebamcheck.settings.units import UNITS_MM, unit_named
 
 BLOCK = 1 << 18
-"""Facets that are read at once: 13 MB."""
+"""Facets read at once: 13 MB."""
 
 MOST_FACETS = 2**31 - 1
-"""Facets of a file at most: they are numbered by 32 bits."""
+"""Most facets of a file: their numbers have 32 bits."""
 
 HEAD_BYTES = 4096
-"""Of a file that is no binary STL, what is looked at to say what it is."""
+"""Bytes examined of a file that is no binary STL, to tell what it is."""
 
 Singles = NDArray[np.float32]
 Index = NDArray[np.int32]
@@ -38,7 +38,7 @@ Index = NDArray[np.int32]
 
 @dataclass(frozen=True, eq=False)
 class FacetFile:
-    """A binary STL file that was read once from end to end.
+    """A binary STL file, after a first pass over all of it.
 
     Parameters
     ----------
@@ -47,11 +47,11 @@ class FacetFile:
     low, high
         (F,) least and greatest z of each facet, in the file's unit.
     millimetres
-        Millimetres to that unit.
+        Length of that unit, mm.
     outline
-        The part without its mesh: the corners of its box, what it is called, and the hash of the file.
+        The part without its mesh: the corners of its box as vertices, its names, and the hash of the file.
     stamp
-        Size and time of the file as it was read.
+        Size and modification time of the file when it was read.
     """
 
     path: Path
@@ -66,12 +66,12 @@ class FacetFile:
         return len(self.low)
 
     def corners(self, numbers: Index) -> Singles:
-        """Corner points (N, 3, 3) of some facets, whose numbers rise, in the file's unit.
+        """Corner points (N, 3, 3) of facets by their ascending numbers, in the file's unit.
 
         Raises
         ------
         InputError
-            If the file is not what it was.
+            If the file has changed.
         """
         result = np.empty((len(numbers), 3, 3), np.float32)
         with opened(self.path) as file:
@@ -88,13 +88,13 @@ class FacetFile:
         return result
 
     def check_unchanged(self, file: BinaryIO) -> None:
-        """Refuse a file that was written to since it was read first; raises :class:`InputError`."""
+        """Raise :class:`InputError` if the file was modified since the first pass."""
         if _stamp(file) != self.stamp:
             raise InputError(f"{self.path}: was changed while it was read: start again")
 
 
 def is_binary_stl(path: Path) -> bool:
-    """Whether a file is a binary STL by its name and its size."""
+    """Whether a file is a binary STL, by its name and its size."""
     try:
         if path.suffix.lower() not in (".stl", "") or not path.is_file():
             return False
@@ -105,7 +105,7 @@ def is_binary_stl(path: Path) -> bool:
 
 
 def facet_count(path: Path) -> int:
-    """Facets that the header of a binary STL file counts."""
+    """Number of facets by the header of a binary STL file."""
     with opened(path) as file:
         return _count(file.read(HEADER_BYTES))
 
@@ -144,7 +144,7 @@ def read_once(
         low, high = np.empty(count, np.float32), np.empty(count, np.float32)
         least, greatest = np.full(3, np.inf), np.full(3, -np.inf)
         for first, block in _blocks(file, path, count):
-            # Hashing takes as long as everything else, and needs nothing of it.
+            # Hashing takes as long as everything else, and is independent of it.
             hashing = aside.submit(digest.update, block.data)
             corners = facet_corners(block, path.name, first)
             past = first + len(block)
@@ -175,13 +175,13 @@ def read_once(
 
 
 def opened(path: Path) -> BinaryIO:
-    """Open a mesh file; raises :class:`InputError` where there is none."""
+    """Open a mesh file; raises :class:`InputError` if it cannot be opened."""
     with told_if_unreadable(path):
         return path.open("rb")
 
 
 def read_facets(file: BinaryIO, path: Path, first: int, count: int) -> NDArray[np.uint16]:
-    """Bytes of consecutive facets, two by two, (F, 25); raises :class:`InputError` where the file ends before."""
+    """Consecutive facets as 16-bit words, (F, 25); raises :class:`InputError` if the file ends too early."""
     file.seek(HEADER_BYTES + FACET_BYTES * first)
     data = file.read(FACET_BYTES * count)
     if len(data) < FACET_BYTES * count:
@@ -208,7 +208,7 @@ def _expected(count: int) -> int:
 
 
 def _checked_count(head: bytes, size: int, file: BinaryIO, name: str) -> tuple[int, list[str]]:
-    """Facets of a file by its first bytes and its size, and what is odd but harmless; refuses what is no binary STL."""
+    """Number of facets by the first bytes and the size of a file, and harmless irregularities; refuses other formats."""
     count = _count(head)
     expected = _expected(count)
     if size < HEADER_BYTES or size != expected:
@@ -236,7 +236,7 @@ def _checked_count(head: bytes, size: int, file: BinaryIO, name: str) -> tuple[i
 
 
 def _refuse_others(start: bytes, name: str) -> None:
-    """Refuse what begins like a file of another format, by its name."""
+    """Refuse a file that begins like another format; the message names that."""
     if looks_like_ascii(start):
         raise InputError(
             f"{name}: is an ASCII STL: only a binary one is read in slabs: write it as binary STL, or check it whole (--slabs 1)"

@@ -1,7 +1,7 @@
-"""Inspection of a part slab by slab: every facet, edge and vertex is told of by the slab of its lowest point.
+"""Inspection of a part slab by slab: every facet, edge and vertex is counted in the slab of its lowest point.
 
-All facets at a vertex reach into the slab of that vertex, so what is told there is what the whole mesh would tell. Bodies
-are put together from their pieces in neighbouring slabs by the facets that reach into both.
+All facets at a vertex reach into the slab of that vertex, so the counts are those of the whole mesh. Bodies
+are joined from their pieces in neighbouring slabs by the facets that reach into both.
 """
 
 from __future__ import annotations
@@ -35,28 +35,28 @@ Index = NDArray[np.int32]
 
 
 class _Measured(NamedTuple):
-    """Facets of a slab, body by body (B,)."""
+    """Measures of the facets of a slab, by body."""
 
     volumes: Floats
-    """mm3, of the facets that the slab tells of, about the middle of the part's box."""
+    """(B,) mm3, of the facets counted in the slab, about the middle of the part's box."""
     lower: Floats
     upper: Floats
     """(B, 3) corners of the box of all facets."""
     flat: int
-    """Facets without area, of three vertices, that the slab tells of."""
+    """Number of facets counted in the slab that have three distinct vertices and no area."""
 
 
 @dataclass(frozen=True)
 class _Pieces:
-    """Pieces of bodies in one slab, numbered on from those of the slabs below."""
+    """Pieces of bodies in one slab; their numbers continue those of the slabs below."""
 
     volumes: Floats
-    """(P,) mm3, of the facets that the slab tells of."""
+    """(P,) mm3, of the facets counted in the slab."""
     lower: Floats
     upper: Floats
     """(P, 3) corners of their boxes."""
     is_open: Bools
-    """(P,) whether an open edge that the slab tells of is theirs."""
+    """(P,) whether they have an open edge that is counted in the slab."""
     links: Ints
     """(N, 2) pieces of the slab below and of this one that share a facet."""
 
@@ -71,7 +71,7 @@ COUNTS = (
     "degenerate_facets",
     "zero_area_facets",
 )
-"""What is counted slab by slab."""
+"""Figures that are added up over the slabs."""
 
 
 class SlabInspection:
@@ -82,7 +82,7 @@ class SlabInspection:
     outline
         The part's box and names.
     facets
-        Facets of the whole part.
+        Number of facets of the whole part.
     """
 
     def __init__(self, outline: Part, facets: int) -> None:
@@ -95,7 +95,7 @@ class SlabInspection:
         self._carried = np.zeros(0, np.int32), np.zeros(0, np.int64)
 
     def add(self, slab: Slab) -> None:
-        """Take the next slab up."""
+        """Add the next slab, from the bottom up."""
         part = slab.own
         groups = edge_groups(part.faces, len(part.vertices))
         z = np.ascontiguousarray(part.vertices[:, 2])
@@ -144,7 +144,7 @@ class SlabInspection:
         self._carried = numbers[carried[used]], pieces[carried[used]]
 
     def found(self) -> Inspection:
-        """What was found in the slabs so far."""
+        """Result for the slabs added so far."""
         volumes, lower, upper, is_open = self._bodies()
         size = self._outline.size
         negative = volumes < -NO_VOLUME * float(size.max(initial=0.0)) ** 3
@@ -171,7 +171,7 @@ class SlabInspection:
         return replace(found, verdict=verdict, why=why)
 
     def _bodies(self) -> tuple[Floats, Floats, Floats, Bools]:
-        """Volumes (B,), corners of the boxes (B, 3) twice, and whether open, of the bodies that the pieces make."""
+        """Volumes (B,), lower and upper corners of the boxes (B, 3), and whether open (B,), of the bodies."""
         if not self._known:
             return np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.bool_)
         links = np.concatenate([piece.links for piece in self._pieces])
@@ -188,12 +188,12 @@ class SlabInspection:
 
 
 def _told(slab: Slab, lowest_mm: Floats) -> Bools:
-    """Of what has its lowest points there, what this slab tells of."""
+    """Whether items with these lowest heights are counted in this slab."""
     return (lowest_mm >= slab.lower_mm) & (lowest_mm < slab.upper_mm)
 
 
 def _measured(vertices: Floats, faces: Index, body: Index, told: Bools, middle: Floats) -> _Measured:
-    """Measure the facets of a slab; bodies are -1 where a facet names a vertex twice."""
+    """Measure the facets of a slab; `body` is -1 for a facet that repeats a vertex."""
     count = int(body.max(initial=-1)) + 1
     volumes, lower, upper = np.zeros(count), np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
     flat = _measure(vertices, faces, body, told, middle, volumes, lower, upper)
@@ -236,7 +236,7 @@ def _measure(
 
 
 def _links(below: NDArray[np.int32], below_pieces: Ints, numbers: NDArray[np.int32], pieces: Ints) -> Ints:
-    """Pieces (N, 2) of two slabs that share a facet, from the numbers of their facets, which rise."""
+    """Pieces (N, 2) of two slabs that share a facet, from the ascending numbers of their facets."""
     _, first, second = np.intersect1d(below, numbers, assume_unique=True, return_indices=True)
     pairs = np.stack([below_pieces[first], pieces[second]], axis=1)
     return np.unique(pairs, axis=0) if len(pairs) else pairs.reshape(0, 2)

@@ -1,8 +1,8 @@
-"""A mesh in slabs of z: which facets reach into each slab, and a closed mesh of them that has the same sections there.
+"""A mesh in slabs of z: the facets that reach into each slab, closed to a mesh that has the same sections there.
 
-The facets of a slab are an open mesh. Where the mesh was whole, all its open edges lie beyond the slab, wholly below or
-wholly above it, and form cycles there. A cone over each, from a corner of the part's box, closes the mesh without
-coming near any height of the slab: sections there are those of the whole mesh, and every slicer takes it.
+The facets of a slab are an open mesh. If the whole mesh is closed, the open edges of the slab's mesh lie entirely below or
+above the slab, and form cycles. A cone over each cycle, from a corner of the part's box, closes the mesh without
+reaching any height of the slab: sections there are those of the whole mesh, and every slicer accepts it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 COLUMN_BLOCK = 1 << 22
-"""Facets whose heights are sorted in at once, which bounds the memory of it."""
+"""Facets processed at once, to bound the working memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,17 +33,17 @@ class Slab:
     Parameters
     ----------
     part
-        A closed mesh with the sections of the whole one at all heights of the slab, and the whole one's box.
+        A closed mesh with the sections of the whole one at all heights of the slab, and with the whole one's box.
     facets
-        Facets of `part` that are the file's own, which come first; the others are cones.
+        Number of facets of `part` that are from the file, which come first; the others are cones.
     points
-        Vertices of `part` that are the file's own; the last two are the corners of the box.
+        Number of vertices of `part` that are from the file; the last two are the corners of the box.
     numbers
-        (facets,) their numbers in the file, rising.
+        (facets,) numbers of these facets in the file, ascending.
     lower_mm, upper_mm
-        The slab: what has its lowest point at ``lower_mm <= z < upper_mm`` is told of once, by this slab.
+        The slab: an item with its lowest point at ``lower_mm <= z < upper_mm`` is counted in this slab only.
     next_from_mm
-        What reaches up to here is in the next slab, too.
+        Facets that reach up to this height are also in the next slab.
     """
 
     part: Part
@@ -56,7 +56,7 @@ class Slab:
 
     @property
     def own(self) -> Part:
-        """Open mesh of the file's own facets."""
+        """Open mesh of the facets from the file."""
         return replace(
             self.part, vertices=self.part.vertices[: self.points], faces=self.part.faces[: self.facets]
         )
@@ -75,11 +75,11 @@ class Division:
     borders_mm
         (S + 1,) z between the slabs; the outermost are infinite.
     reach_mm
-        How far beyond its borders a slab has all facets.
+        Distance beyond its borders to which a slab has all facets.
     starts, numbers
-        (S + 1,) and (N,) facets of slab k are ``numbers[starts[k]:starts[k + 1]]``, rising.
+        (S + 1,) and (N,): facets of slab k are ``numbers[starts[k]:starts[k + 1]]``, ascending.
     crossings
-        Facets that the planes of all layers cut: points of an exact contour of all of them.
+        Number of facets cut, summed over all layers: the number of points of their exact contours.
     """
 
     file: FacetFile
@@ -96,7 +96,7 @@ class Division:
 
     @property
     def most_facets(self) -> int:
-        """Facets of the largest slab."""
+        """Number of facets of the largest slab."""
         return int(np.diff(self.starts).max())
 
     def slab(self, k: int) -> Slab:
@@ -117,14 +117,14 @@ class Division:
 
 
 def closing_cones(vertices: Floats, faces: Index, lower_mm: float, upper_mm: float) -> Index:
-    """Facets that close what is open of a mesh wholly under `lower_mm` or wholly above `upper_mm`.
+    """Facets that close the open edges of a mesh entirely below `lower_mm` or above `upper_mm`.
 
     Parameters
     ----------
     vertices, faces
         The mesh, (V, 3) mm and (F, 3).
     lower_mm, upper_mm
-        Edges between or across these heights stay as they are: one that is open there is a fault of the mesh.
+        Edges between or across these heights stay as they are: an open one there is a defect of the mesh.
 
     Returns
     -------
@@ -141,7 +141,7 @@ def closing_cones(vertices: Floats, faces: Index, lower_mm: float, upper_mm: flo
     below, above = z.max(axis=0) < lower_mm, z.min(axis=0) > upper_mm
     beyond = below | above
     apex = np.where(below, len(vertices), len(vertices) + 1)
-    # As many facets the other way as there are more of one way.
+    # As many facets in the opposite direction as one direction has in excess.
     times = np.where(beyond, np.abs(balance[odd]), 0)
     rising = balance[odd] > 0
     cones = np.stack([np.where(rising, greater, lesser), np.where(rising, lesser, greater), apex], axis=1)
@@ -149,23 +149,23 @@ def closing_cones(vertices: Floats, faces: Index, lower_mm: float, upper_mm: flo
 
 
 def divided(file: FacetFile, heights: Floats, slabs: int, reach_mm: float) -> Division:
-    """Divide the layers of a part into slabs of about as much work, and deal its facets out to them.
+    """Divide the layers of a part into slabs of about equal work, and assign its facets to them.
 
     Parameters
     ----------
     file
         The part's file.
     heights
-        (L,) heights of the cuts, mm, rising.
+        (L,) heights of the cuts, mm, ascending.
     slabs
-        How many; no more than there are layers.
+        Number of slabs, at most that of layers.
     reach_mm
-        How far beyond its borders a slab is to have all facets: what slicers and comparison look at around a height.
+        Distance beyond its borders to which a slab must have all facets: as far as slicers and comparison look from a height.
     """
     begins, crossing = layer_counts(file, heights)
     layers = slab_layers(begins, crossing, min(slabs, heights.size))
     _, _, sizes = _reaching(file, heights, layers, reach_mm)
-    # Layers between two bodies go with those below: a slab without a facet is no mesh.
+    # Layers between two bodies are joined to those below: a slab without facets would be no mesh.
     layers = np.concatenate([layers[:-1][sizes > 0], layers[-1:]])
     borders, (lower, upper), sizes = _reaching(file, heights, layers, reach_mm)
     starts = np.concatenate([[0], np.cumsum(sizes)])
@@ -176,7 +176,7 @@ def divided(file: FacetFile, heights: Floats, slabs: int, reach_mm: float) -> Di
 def _reaching(
     file: FacetFile, heights: Floats, layers: Ints, reach_mm: float
 ) -> tuple[Floats, tuple[Floats, Floats], Ints]:
-    """Borders of slabs (S + 1,), from where up to where each has all facets (S,) twice, and how many these are (S,)."""
+    """Borders of slabs (S + 1,), lower and upper height between which each has all facets (S,), and their number (S,)."""
     between = 0.5 * (heights[layers[1:-1] - 1] + heights[layers[1:-1]])
     borders = np.concatenate([[-np.inf], between, [np.inf]])
     lower, upper = borders[:-1] - reach_mm, borders[1:] + reach_mm
@@ -184,7 +184,7 @@ def _reaching(
 
 
 def layer_counts(file: FacetFile, heights: Floats) -> tuple[Ints, Ints]:
-    """Facets that the planes at some heights (L,) meet first, and all that each cuts, (L,) both; z = h + 0 as ever."""
+    """Numbers of facets that begin at each height and of those cut there (at z = h + 0), (L,) each."""
     size = heights.size + 1
     first, last = np.zeros(size, np.int64), np.zeros(size, np.int64)
     for start in range(0, len(file), COLUMN_BLOCK):
@@ -195,7 +195,7 @@ def layer_counts(file: FacetFile, heights: Floats) -> tuple[Ints, Ints]:
 
 
 def slab_layers(begins: Ints, crossing: Ints, slabs: int) -> Ints:
-    """First layer of each slab, and the number of layers (S + 1,): half by their facets, half by what they cut.
+    """First layer of each slab, and the number of layers (S + 1,); work is half the facets that begin, half those cut.
 
     Examples
     --------
@@ -206,7 +206,7 @@ def slab_layers(begins: Ints, crossing: Ints, slabs: int) -> Ints:
     weight = begins / max(begins.sum(), 1) + crossing / max(crossing.sum(), 1) + 1e-9
     shares = np.cumsum(weight) / weight.sum()
     wanted = np.searchsorted(shares, np.arange(1, slabs) / slabs) + 1
-    # Every slab has a layer at least.
+    # Every slab has at least one layer.
     rising = np.maximum.accumulate(wanted - np.arange(1, slabs)) + np.arange(1, slabs)
     inner = np.minimum(rising, layers - slabs + np.arange(1, slabs))
     return np.concatenate([[0], inner, [layers]]).astype(np.int64)

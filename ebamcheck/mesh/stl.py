@@ -1,8 +1,8 @@
 """Strict reader of STL files, binary and ASCII.
 
-The kind is told by content and size: a file whose size fits its facet count is binary, whatever its
-header says. Nothing is repaired and nothing is guessed: a file that is cut, counts wrong or holds a number
-that is none is refused with the place and the value.
+The kind is decided by content and size: a file whose size fits its facet count is binary, whatever its
+header says. Nothing is repaired or guessed: a file that is truncated, has a wrong count or an invalid
+number is refused with the place and the value.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ HEADER_BYTES = 84
 FACET_BYTES = 50
 FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 NORMAL_HALVES, CORNER_HALVES = 6, 18
-"""A facet as halves of 32-bit numbers, of which the lower one comes first."""
+"""Numbers of 16-bit words in the normal and the corners of a facet; of a 32-bit number the lower word comes first."""
 EXPONENT = 0x7F80
-"""Bits of the upper half of a 32-bit number that are all set where it is NaN or infinite."""
+"""Exponent bits in the upper word of a 32-bit number: all set if it is NaN or infinite."""
 SMALLEST_BLOCK = 16384
-"""Facets that a thread takes at least: fewer do not pay for handing them over."""
+"""Fewest facets worth a thread."""
 LARGEST_FLOAT32 = float(np.finfo(np.float32).max)
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _ASCII_START = re.compile(rb"\s*solid[^\r\n]*[\r\n]\s*(facet|endsolid)\s", re.IGNORECASE)
@@ -42,7 +42,7 @@ FOREIGN = (
     (b"<", "a page or an XML file, not a mesh: was the download answered by an error page?"),
     (b"ply", "a PLY file: name it .ply"),
 )
-"""First bytes of what people save under the name .stl, and what to tell them."""
+"""First bytes of other files that people save as .stl, with what to tell them."""
 
 
 def read_triangles(data: bytes | memoryview, name: str) -> tuple[NDArray[np.float32], list[str]]:
@@ -53,15 +53,15 @@ def read_triangles(data: bytes | memoryview, name: str) -> tuple[NDArray[np.floa
     data
         The whole file.
     name
-        What to call it in messages.
+        Name of the file, for messages.
 
     Returns
     -------
     triangles
-        (F, 3, 3) corners in the file's unit, float32: STL's numbers are 32 bits wide, and an ASCII file prints
-        such numbers, so rounding to them makes vertices meet that were printed with different digits.
+        (F, 3, 3) corners in the file's unit, float32: STL's numbers have 32 bits, and an ASCII file prints
+        such numbers, so rounding to them merges vertices that were printed with different digits.
     notes
-        What was odd but harmless, one line each.
+        Harmless irregularities, one line each.
 
     Raises
     ------
@@ -109,14 +109,14 @@ def _binary(data: bytes | memoryview, count: int, name: str) -> NDArray[np.float
 
 
 def facet_corners(facets: NDArray[np.uint16], name: str, first: int = 0) -> NDArray[np.float32]:
-    """Corner points (F, 3, 3) of facets as a binary file holds them.
+    """Corner points (F, 3, 3) of facets from a binary file.
 
     Parameters
     ----------
     facets
-        (F, 25) bytes of each facet, two by two.
+        (F, 25) 16-bit words of each facet.
     name, first
-        What to call the file in messages, and the number of the first facet in it.
+        Name of the file for messages, and number of the first facet in it.
 
     Raises
     ------
@@ -151,7 +151,7 @@ def _copy_corners(facets: NDArray[np.uint16], corners: NDArray[np.uint16], start
 def looks_like_ascii(data: bytes) -> bool:
     """Whether the first line opens a solid and the next word is one that may follow in an ASCII file.
 
-    The word ``solid`` alone says nothing: many binary files carry it in their header.
+    The word ``solid`` alone is not enough: many binary files have it in their header.
     """
     text = data.removeprefix(BYTE_ORDER_MARK)
     return bool(_ASCII_START.match(text)) or (
@@ -160,9 +160,9 @@ def looks_like_ascii(data: bytes) -> bool:
 
 
 def _names_ended(data: bytes) -> bytes:
-    """An ASCII file whose facets follow the name of their solid in one line; the name's end is marked, at the same length.
+    """Mark the end of a solid's name if its facets follow on the same line; the length of the text stays the same.
 
-    A facet is told from a word of the name by the number behind ``facet normal``.
+    A facet is distinguished from a word of the name by the number after ``facet normal``.
     """
     return _SOLID_BEHIND.sub(_ended, _NAME_END.sub(_ended, data))
 

@@ -1,4 +1,4 @@
-"""Triangles as binary STL, for programs that read nothing better."""
+"""Writer of binary STL, for programs that read nothing better."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ HEADER_BYTES = 80
 
 
 def write_triangles(triangles: NDArray[np.floating], path: Path, name: str = "") -> None:
-    """Write corners (F, 3, 3), mm, rounded to the 32-bit floats of the format, with their unit normals.
+    """Write triangles, rounded to the 32-bit floats of the format, with their unit normals.
 
-    Corners that are equal stay equal, and equal parts give equal bytes. The normal of a facet without area is 0.
+    Equal corners stay equal, and equal parts give equal bytes. The normal of a facet without area is 0.
 
     Parameters
     ----------
     triangles
-        Corners.
+        (F, 3, 3) corners, mm.
     path
         File to write.
     name
@@ -32,7 +32,7 @@ def write_triangles(triangles: NDArray[np.floating], path: Path, name: str = "")
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     facets["normal"] = np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0.0)
-    # A header that begins with "solid" would make readers take the file for text.
+    # Readers would take a file whose header begins with "solid" for ASCII.
     header = f"binary STL: {name}, mm" if name else "binary STL, mm"
     with path.open("wb") as file:
         file.write(header.encode("ascii", "replace")[:HEADER_BYTES].ljust(HEADER_BYTES))

@@ -1,4 +1,4 @@
-"""Which facets meet at which edges.
+"""Topology of a mesh: the facets that meet at each edge, and the twin of each half-edge.
 
 Half-edge ``3 f + i`` is the edge from corner i to corner i + 1 of facet f, in the facet's own direction.
 """
@@ -23,7 +23,7 @@ class EdgeGroups(NamedTuple):
     half_edges: Index
     """(H,) half-edges, those of one edge next to each other; facets with a repeated corner have none."""
     starts: Index
-    """(E + 1,) first place of each edge's group in `half_edges`."""
+    """(E + 1,) index in `half_edges` of the first of each edge."""
 
 
 def edge_groups(faces: Index, vertex_count: int) -> EdgeGroups:

@@ -1,9 +1,9 @@
-"""Formats that are not read, and the way from each to one that is."""
+"""Formats that are not read, and how to convert each to one that is."""
 
 from __future__ import annotations
 
 READ = (".stl", ".obj", ".ply", ".3mf")
-"""Suffixes of the files that parts are read from."""
+"""Suffixes of the mesh files that are read."""
 
 EXPORT = (
     "export it from your CAD system as STL (binary, in mm) with a chord tolerance of 0.01 mm or less and a fine angle; "
@@ -26,7 +26,7 @@ SOLIDS = {
     "OpenCASCADE": (".brep", ".brp"),
     "DXF or DWG": (".dxf", ".dwg"),
 }
-"""Formats of surfaces and solids, by what they are called."""
+"""Suffixes of formats of surfaces and solids, by the names of the formats."""
 
 MESHES = {
     "glTF": (".gltf", ".glb"),
@@ -39,14 +39,14 @@ MESHES = {
     "VTK": (".vtp", ".vtu", ".vtk"),
     "Nastran or Abaqus": (".nas", ".bdf", ".inp"),
 }
-"""Formats of meshes that are not read."""
+"""Suffixes of mesh formats that are not read, by the names of the formats."""
 
 PROGRAMS = (".gcode", ".g", ".nc", ".mpf", ".spf", ".ngc")
-"""Suffixes of programs."""
+"""Suffixes of NC programs."""
 
 
 def how_to_read(suffix: str) -> str:
-    """Say in one line why a file of this suffix is not read, and how to get there.
+    """Say in one line why a file with this suffix is not read, and how to convert it.
 
     Examples
     --------

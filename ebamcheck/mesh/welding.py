@@ -1,7 +1,7 @@
-"""Vertices that are equal in all bits become one.
+"""Welding: vertices that are equal in all bits are merged.
 
-Corners are dealt out by a hash of their bits, so that each share fits the processor's cache and shares go to all threads:
-what it costs does not depend on the order of the file.
+Corners are partitioned by a hash of their bits, so that each share fits in the processor's cache and shares run on all threads.
+The cost does not depend on the order of the file.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from ebamcheck.numeric.kernels import kernel, run_blocks
 
 SHARE = 4096
-"""Corners of a share, about: with their table they fit the second-level cache of a core."""
+"""Approximate number of corners of a share: with their hash table they fit in the second-level cache of a core."""
 
 MOST_SHARES = 1024
-"""More streams than this are slower to write than what they save."""
+"""Most shares: writing to more streams at once costs more than it saves."""
 
 SMALLEST_BLOCK = 16384
-"""Corners that a thread takes at least: fewer do not pay for handing them over."""
+"""Fewest corners worth a thread."""
 
 EMPTY = -1
 
@@ -66,7 +66,7 @@ def _earliest(corners: Corners) -> Rows:
         sizes[start] = _choose(corners, keys, share, shares, start, stop)
 
     run_blocks(choose, count, SMALLEST_BLOCK)
-    # Within a share, rows of an earlier block stand before those of a later one.
+    # Within a share, rows of an earlier block come before those of a later one.
     by_block = np.stack([sizes[start] for start in sorted(sizes)])
     starts = np.concatenate([[0], np.cumsum(by_block.sum(axis=0))])
     places = dict(zip(sorted(sizes), starts[:-1] + np.cumsum(by_block, axis=0) - by_block, strict=True))

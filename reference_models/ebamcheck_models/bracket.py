@@ -1,4 +1,4 @@
-"""An angle bracket: two legs, fillets, two bolt holes, and a thin wall that braces the legs."""
+"""An angle bracket: two legs, fillets, two bolt holes, and a thin wall between the legs as a brace."""
 
 from __future__ import annotations
 

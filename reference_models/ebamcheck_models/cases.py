@@ -1,4 +1,4 @@
-"""Named cases: small solids on which known slicers failed, each after the report that its summary cites.
+"""Named cases: small solids on which known slicers failed, each from the report that its summary cites.
 
 Reports that come with a file are re-made here from what they say of the shape; nothing is copied.
 """

@@ -1,4 +1,4 @@
-"""Round bars that taper: cone and cylinder, upright or turned to any direction.
+"""Tapered round bars: cone and cylinder, upright or in any direction.
 
 With the plane d . p = h spanned by e1 (steepest ascent, parameter a) and the level e2 (parameter b), the
 axis distance along e1 and the height along the axis are linear in a, so that the section is
@@ -29,12 +29,12 @@ from ebamcheck_models.revolved import chords, circle_points
 from ebamcheck_models.walls import level_facets
 
 LEVEL = 1e-12
-"""Sine of the angle between direction and axis under which the section counts as a disc."""
+"""Sine of the angle between direction and axis below which the section counts as a disc."""
 
 GAUSS_POINTS = 96
 
 FIRST_STEPS, MOST_STEPS = 32, 1 << 20
-"""Chords along a conic to begin with, and at most."""
+"""First and largest number of chords along a conic."""
 
 
 @dataclass(frozen=True, eq=False)

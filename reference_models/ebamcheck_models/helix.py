@@ -1,4 +1,4 @@
-"""A block through which a channel winds as a helix; at every height the channel is a circle."""
+"""A block with a helical channel whose horizontal section is a circle at every height."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ebamcheck_models.walls import Face, Wall, WalledModel
 HALF_SIDE_MM, CORNER_MM = 40.0, 10.0
 HEIGHT_MM = 120.0
 HELIX_MM, PITCH_MM, CHANNEL_MM = 22.0, 60.0, 8.0
-"""Radius and pitch of the helix on which the centre runs, and radius of the circle about it."""
+"""Radius and pitch of the helix of the channel's centre, and radius of the channel's circle, mm."""
 
 
 def _channel() -> Outline:

@@ -1,4 +1,4 @@
-"""An impeller: a plate, a hub that narrows, seven blades that twist as they rise and sweep back.
+"""An impeller: a plate, a tapering hub, and seven twisted, backswept blades.
 
 At height z the boundary is one closed curve. With t from 0 to 2 pi, radius and angle are
 
@@ -38,12 +38,12 @@ def hub_mm(z: Array) -> Array:
 
 
 def blade_mm(z: Array) -> Array:
-    """How far blades stand out of the hub."""
+    """Height of the blades over the hub, mm."""
     return BLADE_TOP_MM + BLADE_FLARE_MM * fall(z)
 
 
 def _outline() -> Outline:
-    """One piece a blade, from gap to gap."""
+    """Outline with one piece per blade, from gap to gap."""
 
     def of(blade: int) -> Piece:
         def piece(s: Array, z: Array) -> tuple[Array, Array]:

@@ -1,4 +1,4 @@
-"""The ladder: one freeform part at eleven tolerances, from 4.4 thousand to 1.48 million facets.
+"""The ladder: one freeform part at eleven tolerances, from 4400 to 1.48 million facets.
 
 It stands in for the part of the paper that this project follows (section 5.1, figure 9), of which only
 the tolerances and file sizes are published: 0.23 .. 70.73 MB of binary STL for 1 .. 0.001 mm. Like it,
@@ -12,7 +12,7 @@ from __future__ import annotations
 from ebamcheck_models.ring_wall import Channel, RingWall, Rounding
 
 LADDER_TOLERANCES_MM = (1.0, 0.8, 0.4, 0.08, 0.06, 0.04, 0.01, 0.006, 0.004, 0.002, 0.001)
-"""The paper's tolerances; its list has 0.4 and 0.8 in swapped places against its file sizes."""
+"""The paper's tolerances; its list has 0.4 and 0.8 swapped, as its file sizes show."""
 
 LAYER_MM = 0.2
 LAYERS = 4488

@@ -1,4 +1,4 @@
-"""Parts of the size that wire electron-beam machines build: a bulkhead with pockets, and a nozzle with a flange."""
+"""Parts of the size that wire-fed electron-beam machines build: a bulkhead with pockets, and a nozzle with a flange."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ QUARTERS = 4
 
 BULKHEAD_HALF_X_MM, BULKHEAD_HALF_Y_MM = 210.0, 125.0
 FLOOR_MM, BULKHEAD_MM = 24.0, 70.0
-"""Thickness of the bulkhead under its pockets, and in all."""
+"""Thickness of the bulkhead under its pockets, and its total thickness, mm."""
 
 FLANGE_MM, NOZZLE_MM = 24.0, 260.0
 FLANGE_RADIUS_MM, EXIT_RADIUS_MM, THROAT_RADIUS_MM = 190.0, 130.0, 62.0

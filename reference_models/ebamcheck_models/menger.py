@@ -1,4 +1,4 @@
-"""Menger sponges of side 27 mm: every third of every third is bored through, one to three times."""
+"""Menger sponges of side 27 mm, of levels one to three."""
 
 from __future__ import annotations
 

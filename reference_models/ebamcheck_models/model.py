@@ -1,4 +1,4 @@
-"""What a reference model is: a solid with an exact section at every height, and meshes of it."""
+"""Base of reference models: solids with an exact section at every height, and meshes of them."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ LEAST_TOLERANCE_MM = 1e-4
 """Finest tessellation: vertices are 32-bit floats, whose steps at 500 mm are 0.00003 mm."""
 
 COARSEST_TOLERANCE_MM = 2.0
-"""Up to this tolerance no two curved walls of a model can meet; thinner walls and gaps have flat sides."""
+"""Coarsest tessellation: up to this tolerance no two curved walls of a model can meet; thinner walls and gaps have flat sides."""
 
 SECTION_TOLERANCE_MM = 1e-4
-"""Chord error of the dense rings that stand for an exact section."""
+"""Chord error of the dense rings that represent an exact section."""
 
 Floats = NDArray[np.float64]
 
@@ -30,12 +30,12 @@ class Model(PublicModel, Protocol):
 
     @property
     def mesh_volume(self) -> float:
-        """Signed volume that meshes go to, mm3: `volume`, and what overlapping shells share once more."""
+        """Limit of the signed volume of meshes, mm3: `volume`, with overlaps of shells counted once more."""
         ...
 
     @property
     def shells(self) -> int:
-        """Closed surfaces that share no vertex: bodies and closed voids."""
+        """Number of closed surfaces that share no vertex: bodies and closed voids."""
         ...
 
     @property
@@ -62,7 +62,7 @@ class TurnableModel(Model, Protocol):
 
 
 class Solid(ABC):
-    """What holds for most models: one closed surface, nothing shared, nothing touching."""
+    """Defaults that hold for most models: one closed surface, no overlaps, no touching bodies."""
 
     @property
     @abstractmethod
@@ -71,7 +71,7 @@ class Solid(ABC):
 
     @property
     def shells(self) -> int:
-        """Closed surfaces that share no vertex."""
+        """Number of closed surfaces that share no vertex."""
         return 1
 
     @property
@@ -81,7 +81,7 @@ class Solid(ABC):
 
     @property
     def mesh_volume(self) -> float:
-        """Signed volume that meshes go to, mm3."""
+        """Limit of the signed volume of meshes, mm3."""
         return self.volume
 
 
@@ -91,7 +91,7 @@ def rotation(direction: ArrayLike) -> Floats:
 
 
 def checked_tolerance(tolerance_mm: float) -> float:
-    """Return the tolerance, refused where a mesh could not keep it or would cut itself."""
+    """Return the tolerance; refuse one that a mesh could not keep, or at which it would intersect itself."""
     if not LEAST_TOLERANCE_MM <= tolerance_mm <= COARSEST_TOLERANCE_MM:
         raise SettingsError(
             f"tolerance {tolerance_mm} mm: give {LEAST_TOLERANCE_MM:g} .. {COARSEST_TOLERANCE_MM:g} mm, "

@@ -1,4 +1,4 @@
-"""Gaps and walls from 0.01 to 1 mm: what a slicer closes, joins or loses."""
+"""Gaps and walls from 0.01 to 1 mm, which slicers may close, join or lose."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PITCH_MM = 5.0
 
 
 def _planes() -> list[float]:
-    """Wide and narrow intervals in turn, beginning and ending with a wide one."""
+    """Alternating wide and narrow intervals, beginning and ending with a wide one."""
     steps = [width for narrow in WIDTHS_MM for width in (PITCH_MM, narrow)]
     return list(accumulate([*steps, PITCH_MM], initial=0.0))
 

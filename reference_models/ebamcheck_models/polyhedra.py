@@ -23,7 +23,7 @@ from ebamcheck_models.model import (
 Ints = NDArray[np.int64]
 
 JOIN_GRID_MM = 1e-9
-"""Grid on which sections of neighbouring pieces are joined: over rounding, far under any feature."""
+"""Grid on which sections of neighbouring pieces are joined: above rounding, far below any feature."""
 
 HEXAHEDRON_FACETS = np.array(
     [

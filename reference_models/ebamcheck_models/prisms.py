@@ -31,7 +31,7 @@ from ebamcheck_models.sampling import outline_samples
 from ebamcheck_models.walls import Face, Wall, WalledModel
 
 SEARCH_CELLS = 64
-"""Cells of a piece in which turning points are looked for: its curvature keeps its sign in each."""
+"""Cells of a piece in which turning points are searched: its curvature keeps its sign in each."""
 
 BISECTIONS = 60
 """Halvings after which a parameter is known to the last bit."""
@@ -39,7 +39,7 @@ BISECTIONS = 60
 GAUSS_POINTS = 32
 
 ALONG_AXIS = 1e-12
-"""Sine of the angle between direction and axis under which a plane counts as level or as upright."""
+"""Sine of the angle between direction and axis below which a plane counts as level or as vertical."""
 
 LEAST_STRETCH = 1e-3
 """Steepest plane, as cosine, for which outlines are sampled more finely to make up for stretching."""

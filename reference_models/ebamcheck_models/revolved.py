@@ -1,4 +1,4 @@
-"""Solids of revolution about z whose walls turn level: a sphere and a torus."""
+"""Solids of revolution about z whose walls become horizontal: a sphere and a torus."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from ebamcheck_models.model import (
 )
 
 LEAST_STEPS = 8
-"""Chords about a full circle at least."""
+"""Least number of chords of a full circle."""
 
 
 def chords(radius_mm: float, tolerance_mm: float) -> int:
-    """Chords about a full circle whose sagitta is within the tolerance, a multiple of 4."""
+    """Number of chords of a full circle with a sagitta within the tolerance, a multiple of 4."""
     sagitta = min(tolerance_mm / radius_mm, 1.0)
     count = math.pi / math.acos(1.0 - sagitta)
     return max(LEAST_STEPS, 4 * math.ceil(count / 4.0))

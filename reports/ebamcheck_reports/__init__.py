@@ -1,1 +1,1 @@
-"""Report writers: renderings of a run folder for people (HTML), for build servers (JUnit) and for tables (CSV)."""
+"""Report writers: a run folder rendered for people (HTML), build servers (JUnit) and spreadsheets (CSV)."""

@@ -1,4 +1,4 @@
-"""The page of a live build: heights planned, measured and corrected, what was published and verified, and what was refused."""
+"""The page of a live build: heights planned, measured and corrected, and layers published, verified and refused."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ SHORT_HASH = 12
 
 @dataclass(frozen=True, eq=False)
 class _Build:
-    """What the folder of a build holds."""
+    """Content of the folder of a build."""
 
     folder: Path
     config: Config
@@ -61,7 +61,7 @@ class _Build:
 
     @property
     def ended(self) -> dict[str, Any] | None:
-        """Entry of the end of the build; None where it goes on."""
+        """Journal entry of the end of the build; None while it goes on."""
         return next((entry for entry in self.entries if entry.get("kind") == "done"), None)
 
 

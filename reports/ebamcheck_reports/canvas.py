@@ -1,4 +1,4 @@
-"""Drawing a piece of a layer to scale: millimetres in, inline SVG out."""
+"""Canvas: draws a piece of a layer to scale, from millimetres to inline SVG."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ MARGIN_PX = 12.0
 FOOT_PX = 26.0
 """Room for the scale bar."""
 HEIGHT_LIMIT = 1.1
-"""Height over width beyond which a tall layer is drawn at a smaller scale."""
+"""Ratio of height to width beyond which a tall layer is drawn at a smaller scale."""
 REDUCTION_PX = 0.2
-"""Distance that a drawn line may leave its points."""
+"""Largest distance of a drawn line from its points."""
 LEAST_EXTENT_MM = 1e-6
 
 
 @dataclass
 class Canvas:
-    """A box of a layer, y up, one scale for both axes."""
+    """A drawing of a box of a layer, with y up and one scale for both axes."""
 
     box: Box
     width_px: float = 760.0
@@ -54,7 +54,7 @@ class Canvas:
     # -- shapes ------------------------------------------------------------------------------------
 
     def lines(self, geometry: BaseGeometry, **style: Any) -> None:
-        """Draw lines, or the borders of a region, cut to the box; regions are filled where `fill` says so."""
+        """Draw lines, or the borders of a region, clipped to the box; regions are filled if `fill` is given."""
         if geometry.is_empty:
             return
         reduced = geometry.simplify(REDUCTION_PX / self.px_per_mm, preserve_topology=False)
@@ -69,7 +69,7 @@ class Canvas:
         self._path("".join(f"M{p:.1f},{q:.1f}L{r:.1f},{s:.1f}" for p, q, r, s in rows), style)
 
     def beziers(self, points: Floats, **style: Any) -> None:
-        """Draw cubic Bezier spans (n, 4, 2), one after the other; those outside of the box are left out."""
+        """Draw consecutive cubic Bezier spans (n, 4, 2); those outside the box are left out."""
         low, high = points.min(axis=1), points.max(axis=1)
         x0, y0, x1, y1 = self._wider_box()
         seen = (low[:, 0] <= x1) & (high[:, 0] >= x0) & (low[:, 1] <= y1) & (high[:, 1] >= y0)
@@ -105,7 +105,7 @@ class Canvas:
         )
 
     def arrows(self, places: Floats, colour: str) -> None:
-        """Draw a way from place to place, an arrow head in the middle of each leg."""
+        """Draw a path from place to place, with an arrow head in the middle of each leg."""
         if len(places) < 2:
             return
         at = self.pixels(places)

@@ -16,13 +16,13 @@ from ebamcheck_reports.markup import Markup, element, join, legend
 
 WIDTH_PX, HEIGHT_PX = 960.0, 280.0
 LEFT_PX, RIGHT_PX, TOP_PX, BOTTOM_PX = 100.0, 16.0, 14.0, 56.0
-"""Room for names and figures, which print and phones write twice as large."""
+"""Room for names and figures, which are twice as large in print and on phones."""
 
 MOST_POINTS = 700
-"""Points of a drawn series: about one a pixel; of more, the least and greatest of each stretch are kept."""
+"""Most points of a drawn series, about one per pixel; of a longer one, the least and greatest of each stretch are kept."""
 
 FEW_POINTS = 60
-"""Up to so many points are marked by dots."""
+"""Most points of a series that are marked by dots."""
 
 TICKS = 5
 LIMIT = "#b3261e"
@@ -30,7 +30,7 @@ LIMIT = "#b3261e"
 
 @dataclass(frozen=True)
 class Series:
-    """One line of a chart; values that are no number leave a gap."""
+    """One line of a chart; NaN leaves a gap."""
 
     name: str
     x: ArrayLike
@@ -45,7 +45,7 @@ def line_chart(
     limit_name: str = "limit",
     from_zero: bool = False,
 ) -> Markup:
-    """Draw series over a common axis, each in its colour and dashes, with a legend below.
+    """Draw series over a common axis, each with its own colour and dashes, with a legend below.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def _axis(low: float, high: float) -> _Axis:
 
 
 def _tight(axis: _Axis, low: float, high: float) -> _Axis:
-    """Let an axis end where its data do, with the ticks between."""
+    """End an axis where its data end, with the ticks between."""
     if high <= low:
         return axis
     return _Axis(low, high, tuple(t for t in axis.ticks if low <= t <= high))

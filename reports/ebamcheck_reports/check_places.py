@@ -1,4 +1,4 @@
-"""Where failed checks of a program point: the place drawn in its layer, and the lines of the text around it."""
+"""Places of failed program checks: each drawn in its layer, with the lines of the text around it."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ from ebamcheck_reports.run_data import RunData
 WIDTH_PX, INSET_PX = 420.0, 320.0
 
 INSET_BEADS = 4.0
-"""Half the side of the inset over the width of a bead: what lies beside the place is seen, too."""
+"""Half the side of the inset over the width of a bead: wide enough to show what lies beside the place."""
 
 BEAD_WIDTH_MM = 6.0
-"""Where the settings name none."""
+"""Bead width if the settings name none."""
 
 RING_PX, PLACE = 11.0, "#b3261e"
 LINES_AROUND = 3
-"""Lines of the text that are shown before and after the one that is meant."""
+"""Lines of the text shown before and after the one in question."""
 
 PROGRAMS_KEPT = 4
-"""Files that are held as read: several checks often fail in one."""
+"""Files kept in memory after parsing: several checks often fail in one file."""
 
 
 class Place(NamedTuple):
-    """Where a check points."""
+    """Place to which a failed check points."""
 
     file: str
     line: int
@@ -83,7 +83,7 @@ def _known(place: Place) -> bool:
 
 
 def _place(run: RunData, check: Mapping[str, Any]) -> Place:
-    """What the record says of a check's place, and what the text adds: the motion of the line that it names."""
+    """Place of a check by its record, completed from the text by the motion of the line that it names."""
     file, _, line = str(check.get("where") or "").rpartition(":")
     number_of_line = int(line) if line.isdigit() else 0
     layer = check.get("layer")
@@ -108,7 +108,7 @@ def _place(run: RunData, check: Mapping[str, Any]) -> Place:
 
 
 def _layer(run: RunData, file: str, in_program: int) -> int | None:
-    """Layer of a subprogram, by the table of the program; of a program of one file, that of its motion."""
+    """Layer of a subprogram, by the program's table; for a program in a single file, the layer of the motion."""
     table = run.table("program.csv")
     if len(run.part_of("program")["files"]) > 1 and "file" in table:
         named = np.flatnonzero((table["file"] == file).to_numpy())
@@ -117,7 +117,7 @@ def _layer(run: RunData, file: str, in_program: int) -> int | None:
 
 
 def _program(run: RunData, file: str) -> NCProgram | None:
-    """Program of one file; None for the main one of several, which would read them all."""
+    """Program in a file; None for the main file of several, because all of them would be read."""
     files = [str(f["name"]) for f in run.part_of("program").get("files", [])]
     path = run.folder.program_folder / file
     if file not in files or (len(files) > 1 and file == files[0]) or not path.is_file():
@@ -125,7 +125,7 @@ def _program(run: RunData, file: str) -> NCProgram | None:
     try:
         return _read(path, run.config)
     except InputError:
-        return None  # the check that fails may be that it cannot be read
+        return None  # the check may have failed because the file cannot be read
 
 
 @lru_cache(maxsize=PROGRAMS_KEPT)
@@ -138,7 +138,7 @@ def _read(path: Path, config: Config) -> NCProgram:
 
 
 def _row(program: NCProgram, file: str, line: int) -> int | None:
-    """Motion of a line, or the first one after it."""
+    """Motion commanded by a line, or the first one after it."""
     index = next((k for k, source in enumerate(program.files) if source.name == file), -1)
     after = np.flatnonzero((program.file == index) & (program.line >= line))
     return int(after[0]) if after.size and line else None
@@ -148,7 +148,7 @@ def _row(program: NCProgram, file: str, line: int) -> int | None:
 
 
 def _pictures(run: RunData, place: Place, name: str) -> list[Markup]:
-    """The whole layer with the place ringed, and the place enlarged with the path of the text."""
+    """The whole layer with the place circled, and the place enlarged with the path of the text."""
     if not _known(place):
         return []
     bead_mm = run.setting("process", "bead_width_mm", BEAD_WIDTH_MM)
@@ -184,7 +184,7 @@ def _draw(canvas: Canvas, section: list[Any], place: Place) -> None:
 
 
 def _excerpt(run: RunData, place: Place) -> list[Markup]:
-    """Lines of the text around the one that is meant, which is marked."""
+    """Lines of the text around the one in question, which is marked."""
     path = run.folder.program_folder / place.file
     if not place.line or not place.file or not path.is_file():
         return []

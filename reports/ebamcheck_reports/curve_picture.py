@@ -18,7 +18,7 @@ CONTOUR, CURVE, CORNER, JOINT = "#d55e00", "#0072b2", "#000000", "#cc79a7"
 WIDTH_PX, INSET_PX = 720.0, 300.0
 
 SAMPLE_TOLERANCE_MM = 1e-3
-"""The worst place is looked for on polylines this near to the curves; the figures of the run are exact."""
+"""Chord error of the polylines on which the worst place is searched; the figures of the run are exact."""
 
 INSET_DEVIATIONS = 8.0
 """Half the side of the inset over the deviation."""
@@ -36,7 +36,7 @@ LEGEND = (
 def draw(
     layers: Layers, curves: Curves, layer: int, corner_angle_deg: float, title: str
 ) -> tuple[Markup, str]:
-    """Draw a layer, with the worst place enlarged where the curve leaves the contour.
+    """Draw a layer, with the place enlarged at which the curve leaves the contour most.
 
     Returns
     -------
@@ -80,7 +80,7 @@ def _canvas(
 
 
 def _joints(curves: Curves, layer: int, corner_angle_deg: float) -> tuple[Floats, Floats]:
-    """Where two pieces meet, (n, 2) each: at corners (the angle between them is under the limit), and smoothly."""
+    """Joints of pieces, (n, 2) each: those at corners (with an angle below the limit), and smooth ones."""
     sharp: list[Floats] = []
     smooth: list[Floats] = []
     for ring in curves.rings_of(layer):
@@ -100,7 +100,7 @@ def _turn_deg(a: Floats, b: Floats) -> float:
 
 
 def worst_place(layers: Layers, curves: Curves, layer: int) -> tuple[float, float, float]:
-    """Distance and place at which a layer's curves lie farthest from its contours, nearly: for drawing."""
+    """Approximate greatest distance of a layer's curves from its contours, and its place, for drawing."""
     sampled = curves.block(layer, layer + 1).sampled_rings(SAMPLE_TOLERANCE_MM)
     worst = (0.0, math.nan, math.nan)
     for n, r in enumerate(layers.rings_of(layer)):
@@ -108,7 +108,7 @@ def worst_place(layers: Layers, curves: Curves, layer: int) -> tuple[float, floa
         curve = sampled.points[sampled.ring_starts[n] : sampled.ring_starts[n + 1]]
         if len(ring) < 2 or not len(curve):
             continue
-        # Chords bulge most between samples of the contour, so the curve's points are what is looked at.
+        # A curve bulges most between the points of the contour, so the curve's points are measured.
         distance = np.asarray(shapely.distance(shapely.LineString(ring), shapely.points(curve)))
         k = int(np.argmax(distance))
         if distance[k] > worst[0]:

@@ -1,4 +1,4 @@
-"""Numbers of a run as a reader sees them."""
+"""Formatting of a run's numbers for readers."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ DIGITS = 4
 """Significant digits shown; the exact value stands beside it in the markup and in ``run.json``."""
 
 PLURALS = ("faults", "layers", "characters")
-"""Units that are counted."""
+"""Units whose figures are counts."""
 
 UNDEFINED = "not defined"
 
@@ -67,7 +67,7 @@ def percent(value: Any) -> str:
 
 
 def duration(seconds: Any) -> str:
-    """Write a time so that it can be grasped.
+    """Write a duration in a readable unit.
 
     Examples
     --------

@@ -42,7 +42,7 @@ SECTIONS: tuple[tuple[str, str, Callable[[RunData], Markup]], ...] = (
 )
 
 OF_THE_PROGRAM = ("fit", "scan", "metal", "program", "certificate")
-"""Sections that a cross-check alone has nothing for."""
+"""Sections that are left out for a cross-check alone."""
 
 
 def write(run: RunFolder) -> list[str]:
@@ -57,11 +57,11 @@ def document(run: RunData) -> str:
     """Build the whole page."""
     name = run.part_of("part")["name"]
     main = element("main", *_sections(run))
-    return page(f"ebamcheck: {name}", _header(run), main, _footer(run), element("script", _script()))
+    return page(f"ebamcheck: {name}", _header(run), main, _footer(), element("script", _script()))
 
 
 def _chapters(run: RunData) -> list[tuple[str, str, Callable[[RunData], Markup]]]:
-    """Sections that the job has something for."""
+    """Sections that apply to the job."""
     return [chapter for chapter in SECTIONS if not (run.is_check and chapter[0] in OF_THE_PROGRAM)]
 
 
@@ -94,7 +94,7 @@ def _sections(run: RunData) -> list[Markup]:
         try:
             made.append(render(run))
         except EbamcheckError as error:
-            # A file of the run that is missing or damaged costs its section, not the report.
+            # A missing or damaged file of the run costs its section, not the whole report.
             made.append(
                 section(
                     anchor, title, "This section cannot be shown.", paragraph(str(error), class_="note bad")
@@ -103,7 +103,7 @@ def _sections(run: RunData) -> list[Markup]:
     return made
 
 
-def _footer(run: RunData) -> Markup:
+def _footer() -> Markup:
     return element(
         "footer",
         paragraph("Every figure is from ", element("code", "run.json"), " in the folder of this report."),

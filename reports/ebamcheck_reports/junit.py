@@ -1,4 +1,4 @@
-"""``junit.xml`` (xunit2) for build servers: one test case a gate, a finding, a pair of backends, a check of the program, a backend.
+"""``junit.xml`` (xunit2) for build servers: a test case per gate, finding, pair of backends, program check and backend.
 
 A method that crashed, hung or was killed is an error. One that is not available or refused the part is skipped,
 as the run is too: whether enough methods are left is what the agreement gate says. A finding that is a fault is a failure;

@@ -14,7 +14,7 @@ __all__ = ["Markup", "clean"]
 
 
 def markup(value: Any) -> Markup:
-    """Escape a text, or write a number with its exact value beside it; markup stays as it is, and nothing is nothing.
+    """Escape a text, or write a number with its exact value beside it; markup stays as it is, and None becomes empty.
 
     Examples
     --------
@@ -29,7 +29,7 @@ def markup(value: Any) -> Markup:
 
 
 def join(parts: Iterable[Any], between: str = "") -> Markup:
-    """Markup of several things one after the other."""
+    """Markup of several items, joined."""
     return plain_join((markup(part) for part in parts), between)
 
 
@@ -39,7 +39,7 @@ def element(tag: str, *children: Any, **attributes: Any) -> Markup:
 
 
 def figure(value: Any, unit: str = "", text: str = "") -> Markup:
-    """Write a number with few digits, its exact value in the markup; `text` takes the place of the digits."""
+    """Write a number with few digits and its exact value in the markup; `text` replaces the digits."""
     return element("data", text or shown(value, unit), value=repr(number(value)))
 
 
@@ -99,7 +99,7 @@ def picture(svg: Markup, caption: Any, class_: str | None = None, name: str | No
 
 
 DOTS = "dots"
-"""In place of dashes: the entry of a legend stands for dots."""
+"""In place of dashes, for a legend entry of dots."""
 
 
 def legend(entries: Iterable[tuple[str, str, str]]) -> Markup:

@@ -1,4 +1,4 @@
-"""Picture of the metal that a program's text lays in one layer: its height, and the surface when the layer is done."""
+"""Picture of the metal that a program's text deposits in one layer: its height, and the surface after the layer."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ RING_PX = 9
 """Radius of the ring around a place that is named."""
 
 BARE = 0.01
-"""Share of a cell, and height of metal over that of the layer, under which it is no part of the picture."""
+"""Share of a cell in the section, and height of metal over the layer height, below which the cell is not drawn."""
 
 
 Place = tuple[float, float, str]
-"""X and Y of a place, mm, and what it is."""
+"""X and Y of a place, mm, and its name."""
 
 
 def draw(
@@ -125,7 +125,7 @@ def _outline(section: BaseGeometry, place: Callable[[Floats], Floats]) -> Markup
 
 
 def _rings(places: Sequence[Place], place: Callable[[Floats], Floats]) -> list[Markup]:
-    """Rings around places with their names beside them, on the side where there is more room."""
+    """Circles around places with their names beside them, on the side with more room."""
     found = []
     for x_mm, y_mm, name in places:
         x, y = place(np.array([[x_mm, y_mm]]))[0]

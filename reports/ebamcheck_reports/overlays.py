@@ -1,4 +1,4 @@
-"""Pictures of chosen layers: the contours of all methods over each other, and the worst place enlarged."""
+"""Pictures of chosen layers: an overlay of the contours of all methods, with the worst place enlarged."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ MOST_LAYERS = 8
 WIDTH_PX, INSET_PX = 720, 320
 
 INSET_LIMITS = 5.0
-"""Half the side of the inset over the depth or the limit, whichever is more: both are seen well."""
+"""Half the side of the inset over the depth or the limit, whichever is greater, so that both are visible."""
 
 LARGEST_INSET = 0.15
-"""Half the side of the inset over the size of the layer, at most: it enlarges a little even where the layer is tiny."""
+"""Largest half side of the inset, over the size of the layer: the inset enlarges at least a little even for a tiny layer."""
 
 MOST_BYTES = 300_000
-"""A picture larger than this is drawn at half its scale, where fewer points are seen."""
+"""Size of a picture above which it is drawn at half its scale, which needs fewer points."""
 
 
 class Place(NamedTuple):
-    """Where two methods lie farthest apart on a layer, in terms of their limit."""
+    """Place at which two methods are farthest apart on a layer, in terms of their limit."""
 
     x_mm: float
     y_mm: float
@@ -40,7 +40,7 @@ class Place(NamedTuple):
 
 
 def render(run: RunData) -> Markup:
-    """Draw the layers worth seeing."""
+    """Draw the layers that :func:`chosen_layers` selects."""
     if run.part_of("slabs"):
         count = int(run.part_of("slabs")["count"])
         return paragraph(
@@ -110,7 +110,7 @@ def _frame(run: RunData, layer: int, why: str, worst: Place | None) -> Markup:
 
 
 def _overlay(stacks: Mapping[str, Layers], title: str) -> Markup:
-    """Draw stacks of one layer over each other."""
+    """Draw an overlay of several stacks of one layer."""
     box = _box(stacks)
     svg = overlay_svg(stacks, 0, width_px=WIDTH_PX, title=title, box=box)
     if len(svg) > MOST_BYTES:

@@ -1,4 +1,4 @@
-"""Picture of the part as its layers make it: slabs seen from above at an angle, the lowest painted first."""
+"""Picture of the part as a stack of its layers: slabs seen obliquely from above, the lowest painted first."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from ebamcheck_reports.markup import Markup, element
 WIDTH_PX, HEIGHT_PX, MARGIN_PX = 420.0, 380.0, 8.0
 
 MOST_SLABS = 60
-"""Of more layers some are drawn, each as high as those up to the next."""
+"""Most slabs drawn; of more layers some are chosen, each drawn as high as all layers up to the next chosen one."""
 
 REDUCTION_PX = 0.6
-"""Distance that a drawn outline may leave its contour."""
+"""Largest distance of a drawn outline from its contour."""
 
 TURN_DEG, TILT_DEG = 28.0, 32.0
-"""The part is turned about the vertical, and looked down upon."""
+"""Direction of view: turn about the vertical, and tilt downwards."""
 
 LIGHT_DEG = 155.0
 """Where the light comes from, counter-clockwise from +X of the picture."""
@@ -71,7 +71,7 @@ def _tops(layers: Layers, chosen: Ints) -> Floats:
 
 
 class _View:
-    """Where millimetres lie on the picture."""
+    """Map from millimetres to pixels of the picture."""
 
     def __init__(self, layers: Layers, tops: Floats) -> None:
         turn, tilt = math.radians(TURN_DEG), math.radians(TILT_DEG)

@@ -1,4 +1,4 @@
-"""A run folder as the reports read it: what is missing in a run that ended early is None or empty."""
+"""A run folder in the form that reports read; parts missing in a run that ended early are None or empty."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from ebamcheck.settings.config import Config, validated
 from ebamcheck_reports.figures import number
 
 GATES = ("input", "agreement", "fit", "coverage", "deposit", "heat", "program")
-"""Gates of a run in the order in which it comes to them; a run without contours ends after the second."""
+"""Gates of a run in their order; a run without contours ends after the second."""
 
 CHECK_GATES = GATES[:2]
 """Gates of a cross-check alone."""
@@ -39,11 +39,11 @@ class RunData:
 
     @cached_property
     def manifest(self) -> dict[str, Any]:
-        """``run.json``, the truth."""
+        """The record of the run, ``run.json``, from which everything else derives."""
         return self.folder.manifest()
 
     def part_of(self, name: str) -> Mapping[str, Any]:
-        """One part of ``run.json``, empty where the run did not come so far."""
+        """One part of ``run.json``; empty if the run did not get so far."""
         found = self.manifest.get(name)
         return found if isinstance(found, dict) else {}
 
@@ -63,16 +63,16 @@ class RunData:
 
     @property
     def gates(self) -> list[Mapping[str, Any]]:
-        """Gates that the run came to."""
+        """Gates that the run reached."""
         return list(self.manifest.get("gates", []))
 
     def gate_limit(self, name: str) -> float | None:
-        """Limit of a gate; None where the run did not come to it."""
+        """Limit of a gate; None if the run did not reach it."""
         return next((number(gate["limit"]) for gate in self.gates if gate["name"] == name), None)
 
     @property
     def missing_gates(self) -> list[str]:
-        """Gates that the run did not come to."""
+        """Gates that the run did not reach."""
         reached = {gate["name"] for gate in self.gates}
         if GATES[-1] in reached:  # a run of an earlier version has fewer gates
             return []
@@ -90,22 +90,22 @@ class RunData:
 
     @property
     def disagreements(self) -> list[Mapping[str, Any]]:
-        """Where methods differ."""
+        """Findings of the comparison: disagreements between methods."""
         return list(self.part_of("comparison").get("findings", []))
 
     @property
     def findings(self) -> list[Mapping[str, Any]]:
-        """What a person has to know beside the gates; none in a run of an earlier version."""
+        """Findings that a person must know in addition to the gates; none in a run of an earlier version."""
         return list(self.manifest.get("findings", []))
 
     @property
     def statement(self) -> Statement:
-        """What is proved, and what is left to a person."""
+        """What the run proves, and what is left for people to check."""
         return statement(self.manifest)
 
     @property
     def compared(self) -> bool:
-        """Whether there was anything on any layer that two methods could be compared on."""
+        """Whether two methods could be compared on at least one layer."""
         return bool(self.part_of("comparison").get("compared_layers"))
 
     @property
@@ -115,7 +115,7 @@ class RunData:
 
     @property
     def passed(self) -> bool:
-        """Whether what was asked for came out well: the methods agree, or every gate of the program passed."""
+        """Whether the job succeeded: the methods agree, or every gate of the program passed."""
         return self.manifest["exit_code"] == 0 if self.is_check else self.validated
 
     @property
@@ -157,14 +157,14 @@ class RunData:
 
     @cached_property
     def methods(self) -> list[str]:
-        """Backends that came through."""
+        """Backends that cut the part: by their status if their layers were dropped, else those with a file of layers."""
         if self.part_of("slabs"):  # their layers are dropped
             return [name for name, record in self.backends.items() if record["status"] == "done"]
         return self.kept_methods
 
     @cached_property
     def kept_methods(self) -> list[str]:
-        """Backends whose layers are there."""
+        """Backends whose files of layers exist."""
         return [name for name in self.backends if self.folder.layers_file(name).is_file()]
 
     def layer(self, layer: int) -> dict[str, Layers]:
@@ -189,7 +189,7 @@ class RunData:
 
     @cached_property
     def plan(self) -> ScanPlan | None:
-        """How the layers are scanned."""
+        """Scan plan of the layers."""
         path = self._existing("scan.parquet")
         return ScanPlan.from_parquet(path) if path else None
 
@@ -213,11 +213,11 @@ class RunData:
 
     @property
     def middle_layer(self) -> int | None:
-        """The middle one of the layers that hold something."""
+        """The middle one of the layers that are not empty."""
         filled = self.filled_layers
         return filled[len(filled) // 2] if filled else None
 
 
 def layer_name(layer: int, height_mm: float) -> str:
-    """Name a layer as every section does."""
+    """Name of a layer, the same in every section."""
     return f"layer {layer}, z = {height_mm:.3f} mm"

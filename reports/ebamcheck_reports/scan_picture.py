@@ -15,7 +15,7 @@ from ebamcheck_reports.markup import Markup, legend
 WIDTH_PX = 880.0
 
 MOST_NUMBERS = 150
-"""Of more islands the numbers would cover the picture; colour and way remain."""
+"""Most islands that are numbered: more numbers would cover the picture; colours and path remain."""
 
 MOST_ARROWS = 600
 BEAD, LINE, WAY, THIN, SECTION = "#0072b2", "#555555", "#d81b60", "#d55e00", "#000000"

@@ -1,4 +1,4 @@
-"""Diagnosis of a disagreement: what is systematic in it over layers and rings, how large, and how much it explains."""
+"""Diagnosis of a disagreement: systematic causes over layers and rings, with their size and the share that they explain."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A systematic cause: what it is, how large, and how much of a difference it explains."""
+"""A systematic cause: its kind, its size, and the share of a difference that it explains."""
 
 from __future__ import annotations
 
@@ -30,30 +30,30 @@ KINDS = (
 
 @dataclass(frozen=True)
 class Cause:
-    """One systematic cause of the difference of a slicer from another."""
+    """One systematic cause of the difference between two slicers."""
 
     kind: str
     """One of :data:`KINDS`."""
     size: float
-    """The fitted size: mm, a factor, degrees, or how many rings or layers; of a translation its length."""
+    """Fitted size: mm, a factor, degrees, or a number of rings or layers; of a translation its length."""
     unit: str
     text: str
-    """In words, with the size: ``translation by (0.120, -0.050) mm``."""
+    """Description with the size: ``translation by (0.120, -0.050) mm``."""
     share: float
     """Share of the difference that it explains, 0 .. 1."""
     layers: frozenset[int] | None = None
-    """Layers that it is about; None: all on which the two differ."""
+    """Layers that the cause affects; None: all on which the two differ."""
     also: tuple[str, ...] = ()
-    """Other causes, in words, that explain these layers as well: of a cylinder a scale is an offset, too."""
+    """Descriptions of other causes that explain these layers as well: on a cylinder, scaling is the same as an offset."""
     vector_mm: tuple[float, float] | None = None
-    """Of a translation: along X and Y."""
+    """Translation along X and Y; None for other kinds."""
 
     def scaled(self, share: float) -> Cause:
-        """Return the same cause of a difference of which it was found in a share."""
+        """Return the same cause with its share multiplied by `share`, as it was found in that part of a difference only."""
         return replace(self, share=self.share * share)
 
     def in_words(self) -> str:
-        """The cause, what else it may be, and how much it explains.
+        """Description of the cause, of what else it may be, and of how much it explains.
 
         Examples
         --------

@@ -1,4 +1,4 @@
-"""Signed distances from contours, which need not be linked: segments with the solid on their left."""
+"""Signed distances from contours given as segments in any order, with the solid on their left."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 STEEPEST = 1e4
-"""Way of a contour for each mm of height, at most: a level facet has no such figure."""
+"""Largest movement of a contour per mm of height: at a level facet it would be infinite."""
 
 MOST_SEGMENTS = 4000
-"""Segments of which each is looked at from both sides: all others are, too."""
+"""Most segments for which the winding number on both sides is computed, which takes quadratic time."""
 
 ASIDE = 1e-6
-"""Distance aside of a segment, over its length, at which it is looked at."""
+"""Distance beside a segment, over its length, at which the winding number is computed."""
 
 
 class Contours(NamedTuple):
@@ -31,12 +31,12 @@ class Contours(NamedTuple):
 
 
 class Near(NamedTuple):
-    """Where places lie beside contours."""
+    """Distances of places from contours."""
 
     distance_mm: Floats
-    """(N,) distance from the contours, negative inside of the solid."""
+    """(N,) distance from the contours, negative inside the solid."""
     normal: Floats
-    """(N, 2) direction outward, in which the distance grows."""
+    """(N, 2) outward direction, the gradient of the distance."""
     segment: Ints
     """(N,) nearest segment."""
 
@@ -57,7 +57,7 @@ def contours_over(segments: Floats) -> Contours:
 def mesh_contours(
     flaws: MeshFlaws, height_mm: float, origin_mm: tuple[float, float]
 ) -> tuple[Contours, Floats]:
-    """Section of the mesh, and how far it moves outward at each segment for each mm of height, (S,)."""
+    """Section of the mesh, and the outward movement of each segment per mm of height, (S,)."""
     segments = np.ascontiguousarray(flaws.section(height_mm) - np.array([*origin_mm, *origin_mm]))
     a, b, c = np.moveaxis(flaws.part.triangles[flaws.crossing(height_mm)], 1, 0)
     normal = np.cross(b - a, c - a)
@@ -65,14 +65,14 @@ def mesh_contours(
     rate = -normal[:, 2] / np.maximum(flat, np.finfo(np.float64).tiny)
     rate = np.clip(np.where(flat > 0.0, rate, 0.0), -STEEPEST, STEEPEST)
     if flaws.bodies > 1 and len(segments) <= MOST_SEGMENTS:
-        # Where bodies overlap, what lies in the solid of another is no contour.
+        # Where bodies overlap, segments inside the solid of another body are no contour.
         shown = _between_solid_and_not(segments)
         segments, rate = segments[shown], rate[shown]
     return contours_over(segments), rate
 
 
 def along(contours: Contours, count: int) -> tuple[Floats, float]:
-    """Places (N, 2) at equal steps along all contours, and the length that each stands for, mm."""
+    """Places (N, 2) at equal steps along all contours, and the length that each represents, mm."""
     segments = contours.segments
     ends = segments[:, 2:] - segments[:, :2]
     extent = np.hypot(ends[:, 0], ends[:, 1])
@@ -147,7 +147,7 @@ def windings(segments: Floats, places: Floats) -> Ints:
 
 
 def _between_solid_and_not(segments: Floats) -> Bools:
-    """Whether each segment has solid on one side alone."""
+    """Whether each segment has solid on only one side."""
     middle, along_it = 0.5 * (segments[:, :2] + segments[:, 2:]), segments[:, 2:] - segments[:, :2]
     aside = ASIDE * np.column_stack([-along_it[:, 1], along_it[:, 0]])
     left, right = windings(segments, middle + aside) > 0, windings(segments, middle - aside) > 0

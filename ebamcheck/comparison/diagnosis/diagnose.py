@@ -1,4 +1,4 @@
-"""What is systematic in the difference of two slicers: causes that explain it, each with its size and its share."""
+"""Systematic causes of the difference between two slicers, each with its size and the share that it explains."""
 
 from __future__ import annotations
 
@@ -33,22 +33,22 @@ from ebamcheck.comparison.sources import LayerSource
 from ebamcheck.numeric.rings import Floats, Ints
 
 ENOUGH = 0.9
-"""A cause that explains this share of a difference needs no other beside it."""
+"""Share of a difference from which a single cause is enough."""
 
 ALL = 0.98
-"""A cause that explains this share leaves nothing to look for."""
+"""Share of a difference from which a cause leaves nothing to look for."""
 
 NAMED = 0.5
-"""Causes that explain less than this share of a difference together are none: noise has causes by chance, too."""
+"""Least share of a difference that the causes together must explain to be named: noise, too, fits some cause by chance."""
 
 LEAST = 0.1
-"""A cause beside others explains this share at least."""
+"""Least share of a difference that one cause among several must explain."""
 
 AS_WELL = 0.01
-"""Causes whose shares differ by less are not to be told apart on these layers."""
+"""Causes whose shares differ by less than this cannot be told apart on these layers."""
 
 LARGE = 1.5
-"""Sections larger or smaller than this are a matter of units."""
+"""Factor of size from which sections differ by their unit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,36 +60,36 @@ class Differing:
     heights: Floats
     """(L,) mm."""
     areas: Floats
-    """(2, L) mm2, the one that differs first."""
+    """(2, L) mm2, the slicer that differs first."""
     rings: Ints
-    """(2, L) closed rings."""
+    """(2, L) numbers of closed rings."""
 
 
 def diagnose(
     a: LayerSource, b: LayerSource, found: Differing, flaws: MeshFlaws, origin_mm: tuple[float, float]
 ) -> tuple[Cause, ...]:
-    """Find what the difference of a slicer `a` from another has in common over layers and rings.
+    """Find what the differences of slicer `a` from slicer `b` have in common over layers and rings.
 
     Parameters
     ----------
     a, b
-        Stacks of the slicer that differs, and of the one that it is held against.
+        Stacks of the slicer that differs, and of the one that it is compared with.
     found
-        Where they disagree.
+        The layers on which they disagree.
     flaws
         The mesh of the part.
     origin_mm
-        From where coordinates are taken: the middle of the part.
+        Origin of coordinates: the middle of the part.
 
     Returns
     -------
     tuple of Cause
-        The one that explains most first; none where nothing explains half of the difference. At most
-        :data:`~ebamcheck.comparison.diagnosis.sheets.MOST_SHEETS` layers are looked at.
+        The one that explains most first; empty if nothing explains half of the difference. At most
+        :data:`~ebamcheck.comparison.diagnosis.sheets.MOST_SHEETS` layers are examined.
     """
     reader_a, reader_b = Reader(a), Reader(b)
     solid = found.layers[found.rings[0, found.layers] > 0]
-    # Of a layer only its rings are counted before; their points follow from these well enough.
+    # The size of a layer is its number of rings: points are not counted before it is read.
     sheets = sample(solid, found.rings.sum(axis=0), found.heights, reader_a, reader_b, origin_mm)
     unit = _unit(sheets, flaws)
     if unit is not None:
@@ -103,7 +103,7 @@ def diagnose(
 
 
 def cause_of(causes: Sequence[Cause], layer: int) -> Cause | None:
-    """The cause that explains most of those about a layer; None for none."""
+    """The cause that explains most, of those that affect a layer; None if there is none."""
     return next((cause for cause in causes if cause.layers is None or layer in cause.layers), None)
 
 
@@ -112,7 +112,7 @@ def _step(heights: Floats) -> float:
 
 
 def _unit(sheets: Sequence[Sheet], flaws: MeshFlaws) -> Cause | None:
-    """A mistaken unit of the whole part, which changes what is cut at a height, too."""
+    """A mistaken unit of the whole part, which also changes the section at each height."""
     solid = [sheet for sheet in sheets if sheet.both_solid]
     if not solid:
         return None
@@ -126,7 +126,7 @@ def _unit(sheets: Sequence[Sheet], flaws: MeshFlaws) -> Cause | None:
 
 
 def _in_sheets(sheets: list[Sheet], flaws: MeshFlaws, step_mm: float) -> list[Cause]:
-    """Causes in rings, and in how contours lie."""
+    """Causes in whole rings, and in the position and size of contours."""
     rule = other_rule(sheets, flaws)
     if rule is not None and rule.share >= ENOUGH:
         return [rule]
@@ -140,7 +140,7 @@ def _in_sheets(sheets: list[Sheet], flaws: MeshFlaws, step_mm: float) -> list[Ca
 
 
 def _lying(sheets: list[Sheet], flaws: MeshFlaws, step_mm: float) -> list[Cause]:
-    """Causes in how the contours of the same rings lie: the plainest of those that explain about as much."""
+    """Causes in position and size of matching contours: the simplest of those that explain about as much."""
     grid = coarse_grid(sheets)
     if grid is not None and grid.share >= ENOUGH:
         return [grid]
@@ -159,7 +159,7 @@ def _lying(sheets: list[Sheet], flaws: MeshFlaws, step_mm: float) -> list[Cause]
     origin_mm = sheets[0].origin_mm
     first = _named(near[0], fits, origin_mm)
     if fewest == 1:
-        # A scale and a rotation have a translation in them: where that alone will do, they are none.
+        # Scale and rotation include a translation: if that alone is enough, they are not causes.
         other = [] if near[0].names == ("translation",) else near[1:]
         also = tuple(_named(f, fits, origin_mm)[0].text for f in other)
         first = [replace(first[0], also=also)]
@@ -174,7 +174,7 @@ def _plainness(fitted: Fitted) -> int:
 
 
 def _named(fitted: Fitted, fits: Sequence[Fitted], origin_mm: tuple[float, float]) -> list[Cause]:
-    """Name the causes of a fit; of two, the share of each is what it explains alone, the rest is the other's."""
+    """Name the causes of a fit; of two, the stronger gets the share that it explains alone, if that is over half of it."""
     alone = {f.names[0]: f.share for f in fits if len(f.names) == 1}
     names = sorted(fitted.names, key=lambda n: -alone.get(n, 0.0))
     shares = [fitted.share]

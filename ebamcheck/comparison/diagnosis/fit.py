@@ -1,8 +1,8 @@
-"""Fit of what moves a contour as a whole: offset, translation, height, scale and rotation, alone or two together.
+"""Fit of causes that move whole contours: offset, translation, height, scale and rotation, one or two at a time.
 
-The contours of the slicer that differs are taken for those of the other one, cut at another height, scaled and turned
-about the middle of the part, moved, and then set off outward. Least squares of the distances that are left between the
-two, weighted so that their sum counts and not the few largest (Gauss-Newton on reweighted residuals).
+The model: the contours of the slicer that differs are those of the other one, cut at another height, scaled and rotated
+about the middle of the part, translated, and then offset outward. The remaining distances between the two are minimised by
+iteratively reweighted least squares (Gauss-Newton), so that their sum counts and not the few largest.
 """
 
 from __future__ import annotations
@@ -30,19 +30,19 @@ PLACES = 160
 """Places along the contours of each sheet."""
 
 STEPS = 10
-"""Steps of the fit at most."""
+"""Most steps of the fit."""
 
 SETTLED = 1e-3
-"""A step smaller than this share of the parameters changes nothing any more."""
+"""Step, relative to the parameters, below which the fit has converged."""
 
 FARTHEST = 0.5
-"""Of the size of the part: a fit that goes farther is lost. What is moved so far has little in common with what it was."""
+"""Largest movement of a fit, over the size of the part; beyond it the fit is lost, as contours moved so far hardly overlap."""
 
 NESTED = 0.01
-"""A fit with more parameters explains so much more at least, or it is the one with fewer."""
+"""Least gain in the share explained for which a fit with more parameters is preferred."""
 
 PROMISING = 0.3
-"""Where no single cause explains this share, no two are tried."""
+"""Share that a single cause must explain before two together are tried."""
 
 D, TX, TY, E, TURN, DZ = range(6)
 """Parameters: offset mm, translation mm, logarithm of the scale, angle rad, height mm."""
@@ -54,7 +54,7 @@ GROUPS: dict[str, tuple[int, ...]] = {
     "scale": (E, TX, TY),
     "rotation": (TURN, TX, TY),
 }
-"""Parameters of each cause that is fitted: a scale and a rotation have a centre, which is a translation."""
+"""Parameters of each cause that is fitted: scale and rotation have a centre, which needs a translation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +68,7 @@ class Fitted:
 
 @dataclass(eq=False)
 class Seen:
-    """One sheet as the fit sees it."""
+    """One sheet, with what the fit reads of it."""
 
     sheet: Sheet
     flaws: MeshFlaws
@@ -89,11 +89,11 @@ class Seen:
 
     @cached_property
     def places_a(self) -> tuple[Floats, float]:
-        """Places along `a`, and the length of each."""
+        """Places along `a` (N, 2) mm, and the length that each represents, mm."""
         return along(self.a, PLACES)
 
     def reference(self, dz_mm: float, moving: bool) -> tuple[Contours, Floats | None]:
-        """Contours that `a` is taken for: those of `b`, or the mesh's at another height with their rates."""
+        """Contours that the model moves onto `a`: those of `b`, or the mesh's at another height, with their rates."""
         if not moving:
             return self.b, None
         if dz_mm not in self._moved:
@@ -115,7 +115,7 @@ class FieldFit:
         if not self.apart_mm2 > 0.0:
             return []
         single = sorted((self.fit((name,)) for name in GROUPS), key=lambda f: -f.share)
-        # A scale and a rotation have a translation in them: where that alone does as well, it goes on.
+        # Scale and rotation include a translation: if that alone explains as much, it is the one to go on from.
         first = min(
             (f for f in single if f.share >= single[0].share - NESTED), key=lambda f: len(GROUPS[f.names[0]])
         )
@@ -150,7 +150,7 @@ class FieldFit:
         return best
 
     def _starts(self, names: tuple[str, ...]) -> Iterator[Floats]:
-        """Where a fit may begin, too: at other heights, and at what areas and their middles say."""
+        """Further start values of a fit: other heights, and values estimated from areas and their centroids."""
         if "height" in names:
             for share in (0.5, -0.5, 1.0, -1.0):
                 start = np.zeros(6)
@@ -168,7 +168,7 @@ class FieldFit:
         yield start
 
     def _middle(self, which: str) -> tuple[Floats, float]:
-        """Middle of all solid area, from the origin, and that area."""
+        """Centroid of all solid area, from the origin, and that area."""
         total, moment = 0.0, np.zeros(2)
         for one in self.seen:
             x0, y0, x1, y1 = getattr(one, which).segments.T
@@ -221,7 +221,7 @@ class FieldFit:
         return np.concatenate(rows), np.concatenate(rests), np.concatenate(weights)
 
     def _left(self, q: Floats, moving: bool) -> float:
-        """Area between the contours and what they are taken for, mm2: distances times lengths, seen from both."""
+        """Area between the contours and the model's, mm2: distances times lengths, measured from both."""
         total = 0.0
         for one in self.seen:
             places, length = one.places_a
@@ -248,7 +248,7 @@ def scaled_section(flaws: MeshFlaws, factor: float) -> Callable[[Sheet], Contour
 
 
 def share_of(sheets: Sequence[Sheet], predicted: Callable[[Sheet], Contours]) -> float:
-    """Share of the difference that is explained where the contours that differ are these."""
+    """Share of the difference that is explained if these are the contours of the slicer that differs."""
     before = after = 0.0
     for sheet in sheets:
         a, b, guess = contours_of(sheet.outline_a), contours_of(sheet.outline_b), predicted(sheet)
@@ -260,7 +260,7 @@ def share_of(sheets: Sequence[Sheet], predicted: Callable[[Sheet], Contours]) ->
 
 
 def _gap(a: Contours, b: Contours) -> float:
-    """Distances times lengths, seen from both."""
+    """Area between two contours, mm2: distances times lengths, measured from both."""
     total = 0.0
     for one, other in ((a, b), (b, a)):
         places, length = along(one, PLACES)
@@ -276,11 +276,11 @@ def _turned(points: Floats, angle_rad: float) -> Floats:
 
 
 def _moved(points: Floats, q: Floats) -> Floats:
-    """Points of the other slicer where the one that differs has them, but for the offset."""
+    """Points of the other slicer, moved to those of the slicer that differs, except for the offset."""
     moved: Floats = math.exp(q[E]) * _turned(points, q[TURN]) + q[[TX, TY]]
     return moved
 
 
 def _moved_back(points: Floats, q: Floats) -> Floats:
-    """Points of the one that differs where the other has them, but for the offset."""
+    """Points of the slicer that differs, moved back to those of the other, except for the offset."""
     return _turned(points - q[[TX, TY]], -q[TURN]) / math.exp(q[E])

@@ -1,4 +1,4 @@
-"""Causes that lie in whole layers: dropped, duplicated, or taken from another height of the stack."""
+"""Causes in whole layers: dropped, duplicated, or taken from another height of the stack."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from ebamcheck.comparison.outline import outline
 from ebamcheck.numeric.rings import Floats, Ints
 
 FARTHEST_SHIFT = 5
-"""Layers by which a stack may be shifted and be told so."""
+"""Largest shift of a stack, in layers, that is recognised."""
 
 SAME_SHARE = 0.02
-"""Layers are the same where they differ by less than this share of what is to be explained."""
+"""Two layers are the same if they differ by less than this share of the difference to be explained."""
 
 
 def layer_causes(
     sheets: Sequence[Sheet], differing: Ints, areas: Floats, rings: Ints, b: Reader
 ) -> tuple[list[Cause], list[Sheet]]:
-    """Causes in whole layers, and the sheets that they leave.
+    """Causes in whole layers, and the sheets that these do not explain.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def layer_causes(
     share = _share(areas, rings, differing, rest)
     if not left or not rest.size:
         return causes, left
-    # Layers that stand twice are shifted ones, too: where both explain as much, they are doubled.
+    # Duplicated layers are also shifted ones: if both explain as much, they are called duplicated.
     found = [c for c in (_duplicated(left, areas, rings, rest, b), _shifted(left, areas.shape[1], b)) if c]
     if not found:
         return causes, left
@@ -54,7 +54,7 @@ def layer_causes(
 
 
 def _share(areas: Floats, rings: Ints, differing: Ints, some: Ints) -> float:
-    """Share of the solid of the layers that differ that lies in some of them."""
+    """Share of the solid area of the layers that differ that lies in some of these layers."""
 
     def weight(layers: Ints) -> float:
         return float(np.where(rings[1, layers] > 0, np.abs(areas[1, layers]), np.abs(areas[0, layers])).sum())
@@ -64,7 +64,7 @@ def _share(areas: Floats, rings: Ints, differing: Ints, some: Ints) -> float:
 
 
 def _shifted(sheets: Sequence[Sheet], count: int, b: Reader) -> Cause | None:
-    """Layers that are those of the other slicer some layers higher or lower."""
+    """Layers that equal those of the other slicer some layers higher or lower."""
     before = sum(sheet.difference_mm2 for sheet in sheets)
     best = (SAME_SHARE * before, 0)
     for shift in sorted(range(-FARTHEST_SHIFT, FARTHEST_SHIFT + 1), key=abs):
@@ -88,7 +88,7 @@ def _shifted(sheets: Sequence[Sheet], count: int, b: Reader) -> Cause | None:
 def _duplicated(
     sheets: Sequence[Sheet], areas: Floats, rings: Ints, differing: Ints, b: Reader
 ) -> Cause | None:
-    """Layers that are a neighbour again, of which the other slicer knows that it lies elsewhere."""
+    """Layers that repeat a neighbour although they do not in the other slicer's stack."""
     for step, which in ((-1, "below"), (1, "above")):
         source = _sources(areas[0], rings[0], step)
         again = differing[source[differing] != differing]

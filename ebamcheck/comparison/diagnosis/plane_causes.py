@@ -1,4 +1,4 @@
-"""Causes in the plane that no small step reaches: mirrored or turned over, another unit, another winding rule, a coarse grid."""
+"""Causes in the plane that no fit by small steps finds: mirroring, quarter turns, a unit, a winding rule, a coarse grid."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ UNITS: dict[str, float] = {
     "inches taken for centimetres": 1.0 / 2.54,
     "centimetres taken for inches": 2.54,
 }
-"""Factors by which a part is too large where its unit was mistaken."""
+"""Factors by which a part is too large if its unit was mistaken."""
 
 UNIT_SHARE = 0.005
-"""A scale this near to the factor of a unit is one."""
+"""Largest relative difference between a scale and the factor of a unit for the scale to be a mistaken unit."""
 
 TURNS: tuple[tuple[str, float, tuple[tuple[int, int], tuple[int, int]]], ...] = (
     (ROTATION, 180.0, ((-1, 0), (0, -1))),
@@ -50,7 +50,7 @@ TURNS: tuple[tuple[str, float, tuple[tuple[int, int], tuple[int, int]]], ...] = 
     (MIRROR, 45.0, ((0, 1), (1, 0))),
     (MIRROR, 135.0, ((0, -1), (-1, 0))),
 )
-"""Quarter turns by their angle, and mirrors by the direction that is turned over (x, y, or both exchanged)."""
+"""Quarter turns with their angles, and mirrors with the direction that is reversed (x, y, or both exchanged)."""
 
 MIRRORED = {0.0: "X", 90.0: "Y", 45.0: "X and Y exchanged", 135.0: "X and Y exchanged with their signs"}
 
@@ -60,29 +60,29 @@ RULES: dict[str, Callable[[Ints], Bools]] = {
     "1..1": lambda w: w == 1,
     "winding > 1": lambda w: w > 1,
 }
-"""Rules other than the house's, winding > 0."""
+"""Winding rules other than the default, winding > 0."""
 
 MOST_PIECES = 2000
-"""Pieces of the difference of a sheet at which winding numbers are looked at, the largest ones."""
+"""Most pieces of a sheet's difference at which winding numbers are computed, the largest ones."""
 
 CELLS = 23
-"""Rows and columns of places at which a rule is held against the whole section."""
+"""Rows and columns of places at which a rule is checked against the whole section."""
 
 MOST_WRONG = 0.02
-"""Share of the solid at which a rule may be wrong: places on contours."""
+"""Largest share of the solid at which a rule may be wrong, because of places on contours."""
 
 LEAST_GAP_MM = 1e-7
-"""Coordinates nearer to each other than this are one."""
+"""Coordinates nearer to each other than this are the same."""
 
 GRID_SHARE = 1e-3
-"""Of a step of the grid: how far coordinates may lie off it."""
+"""Largest distance of coordinates from a grid, over its step."""
 
 GRID_POINTS = 4
-"""Steps of a grid that have to be filled by so many different coordinates before it is one."""
+"""Fewest different coordinates that a grid must have."""
 
 
 def turned_over(sheets: Sequence[Sheet]) -> Cause | None:
-    """Mirrored or turned by a quarter or half, about whatever place."""
+    """A mirroring, or a turn by 90 or 180 degrees, about any centre."""
     before = total_mm2(sheets)
     if not before > 0.0:
         return None
@@ -115,7 +115,7 @@ def turned_over(sheets: Sequence[Sheet]) -> Cause | None:
 
 
 def wrong_unit(sheets: Sequence[Sheet], flaws: MeshFlaws) -> Cause | None:
-    """Another unit of the whole part, its height among it."""
+    """Another unit of the whole part, its height included."""
     best: Cause | None = None
     for words, factor in UNITS.items():
         share = share_of(sheets, scaled_section(flaws, factor))
@@ -125,12 +125,12 @@ def wrong_unit(sheets: Sequence[Sheet], flaws: MeshFlaws) -> Cause | None:
 
 
 def unit_cause(words: str, factor: float, share: float) -> Cause:
-    """Name a unit that was mistaken."""
+    """Make the cause for a mistaken unit."""
     return Cause(UNIT, factor, "", f"wrong unit: {words}, {factor:.6g} times too large", share)
 
 
 def unit_of(factor: float) -> str:
-    """The unit mistaken where a scale is this one; empty for none."""
+    """The mistaken unit that gives this scale; empty if there is none."""
     for words, known in UNITS.items():
         if abs(math.log(factor / known)) < UNIT_SHARE:
             return words
@@ -138,7 +138,7 @@ def unit_of(factor: float) -> str:
 
 
 def other_rule(sheets: Sequence[Sheet], flaws: MeshFlaws) -> Cause | None:
-    """Another rule of which winding numbers are solid, seen in the pieces in which both differ."""
+    """Another rule for the winding numbers that are solid, found in the pieces in which the two slicers differ."""
     whole, explained, wrong = 0.0, dict.fromkeys(RULES, 0.0), dict.fromkeys(RULES, 0.0)
     for sheet in sheets:
         pieces = overlap(sheet.outline_a, sheet.outline_b, True).difference
@@ -200,7 +200,7 @@ def coarse_grid(sheets: Sequence[Sheet]) -> Cause | None:
 
 
 def _count_elsewhere(sheet: Sheet, mesh: Contours, wrong: dict[str, float]) -> None:
-    """Add to each rule the share of the solid that it gets wrong: one holds everywhere, not where slicers differ alone."""
+    """Add to each rule the share of the solid that it gets wrong: it must hold everywhere, not only where the slicers differ."""
     if not len(mesh.segments):
         return
     ends = mesh.segments.reshape(-1, 2)
@@ -220,7 +220,7 @@ _WAYS: tuple[Callable[[Floats], Floats], ...] = (np.round, np.floor, np.ceil, np
 
 
 def _step(values: Floats) -> float:
-    """Step of the grid on which rising values lie; 0 for none."""
+    """Step of the grid on which ascending values lie; 0 if there is none."""
     gaps = np.diff(values)
     gaps = gaps[gaps > LEAST_GAP_MM]
     if gaps.size < GRID_POINTS:
@@ -230,7 +230,7 @@ def _step(values: Floats) -> float:
         rough = smallest / parts
         if rough < 2.0 * LEAST_GAP_MM:
             break
-        # The smallest gap has the digits of small numbers only; all of them together have more.
+        # The smallest gap has few significant digits; the range of all values has more.
         near = values - values[0]
         counts = np.round(near / rough)
         if not counts[-1]:
@@ -253,8 +253,8 @@ def _on_grid(values: Floats, step: float, first: float) -> bool:
 
 
 def _apart_snapped(sheet: Sheet, step: float, first: float, way: Callable[[Floats], Floats]) -> float:
-    """Area that is left between what differs and the other's contours on the grid."""
-    # A grid through zero is the rule; another one is known up to its steps.
+    """Area between the contours that differ and the other slicer's contours rounded to the grid, mm2."""
+    # Grids mostly go through zero; the offset of another one is known up to whole steps.
     shift = first - step * float(np.round(first / step))
     shift = 0.0 if abs(shift) < GRID_SHARE * step else shift
     snapped = way((sheet.b.points - shift) / step) * step + shift
@@ -273,7 +273,7 @@ def _solid(contours: Contours, places: Floats) -> Bools:
 
 
 def _middle(outlines: Sequence[Outline]) -> Floats:
-    """Middle of the solid area of all outlines, from the origin."""
+    """Centroid of the solid area of all outlines, from the origin."""
     total, moment = 0.0, np.zeros(2)
     for one in outlines:
         x0, y0, x1, y1 = contours_of(one).segments.T

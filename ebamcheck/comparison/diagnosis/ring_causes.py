@@ -1,4 +1,4 @@
-"""Causes that lie in whole rings: missing or extra ones, and those that run the wrong way round."""
+"""Causes in whole rings: missing or extra ones, and those with the wrong direction."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 LEAST_LIKENESS = 0.25
-"""Rings of two slicers are the same one where the overlap of their boxes times the ratio of their areas is over this."""
+"""Least likeness of two slicers' rings to be the same one: overlap of their boxes times ratio of their areas."""
 
 MOST_RINGS = 3000
-"""Rings of a layer over which they are not matched: every one with every other."""
+"""Most rings of a layer that are matched, as every one is compared with every other."""
 
 DEEP = 2
-"""Rings inside of a hole and deeper: their side is worked out from the nesting."""
+"""Nesting depth of a ring inside a hole: from here on a slicer derives the direction from the nesting."""
 
 
 class Matched(NamedTuple):
     """Rings of both slicers on one layer."""
 
     missing: Ints
-    """Rings of the other slicer that the one that differs has not."""
+    """Rings of the other slicer that the slicer that differs does not have."""
     extra: Ints
-    """Rings of the one that differs alone."""
+    """Rings that only the slicer that differs has."""
     turned: Ints
-    """Rings of the one that differs that run the other way round."""
+    """Rings of the slicer that differs that have the opposite direction."""
     deep: Bools
-    """Whether each of those is nested in a hole."""
+    """Whether each of the turned rings is nested in a hole."""
 
 
 def ring_causes(sheets: Sequence[Sheet], least_share: float) -> tuple[list[Cause], list[Sheet]]:
@@ -67,7 +67,7 @@ def ring_causes(sheets: Sequence[Sheet], least_share: float) -> tuple[list[Cause
 
 
 def _cause(kind: str, count: int, share: float, sheets: Sequence[Sheet], chosen: Sequence[Ints]) -> Cause:
-    """Name rings of one kind."""
+    """Make the cause for the rings of one kind."""
     concerned = [sheet.layer for sheet, rings in zip(sheets, chosen, strict=True) if rings.size]
     mean = count / len(concerned)
     text = f"{kind}: {mean:.3g} a layer"
@@ -78,7 +78,7 @@ def _cause(kind: str, count: int, share: float, sheets: Sequence[Sheet], chosen:
 
 
 def match(sheet: Sheet) -> Matched:
-    """Match the closed rings of both slicers; none are missing or extra where both would be, as after a shift."""
+    """Match the closed rings of both slicers; if some are missing and others extra, as after a shift, neither is reported."""
     a, b = sheet.a, sheet.b
     own, theirs = np.flatnonzero(a.closed), np.flatnonzero(b.closed)
     nothing = np.zeros(0, np.int64)
@@ -95,7 +95,7 @@ def match(sheet: Sheet) -> Matched:
 
 
 def _likeness(a: Layers, own: Ints, b: Layers, theirs: Ints) -> Floats:
-    """How like each ring of one is to each of the other, (A, B) 0 .. 1."""
+    """Likeness of each ring of one slicer to each of the other, (A, B) 0 .. 1."""
     box_a, box_b = a.ring_bounds[own][:, None], b.ring_bounds[theirs][None]
     low, high = np.maximum(box_a[..., :2], box_b[..., :2]), np.minimum(box_a[..., 2:], box_b[..., 2:])
     common = np.prod(np.clip(high - low, 0.0, None), axis=-1)
@@ -108,7 +108,7 @@ def _likeness(a: Layers, own: Ints, b: Layers, theirs: Ints) -> Floats:
 
 
 def _pairs(like: Floats) -> Ints:
-    """Pairs (n, 2) of rings, the likest first, each ring once."""
+    """Pairs (n, 2) of rings, the most alike first, each ring once."""
     rows, columns = np.nonzero(like >= LEAST_LIKENESS)
     order = np.argsort(-like[rows, columns], kind="stable")
     used_a, used_b = np.zeros(like.shape[0], np.bool_), np.zeros(like.shape[1], np.bool_)
@@ -122,7 +122,7 @@ def _pairs(like: Floats) -> Ints:
 
 
 def _depths(layers: Layers) -> Ints:
-    """How many rings lie around each ring, (R,)."""
+    """Number of rings around each ring, (R,)."""
     depth = np.zeros(layers.closed.size, np.int64)
     above = layers.parents.copy()
     while (above >= 0).any():
@@ -134,7 +134,7 @@ def _depths(layers: Layers) -> Ints:
 def _chosen(kind: str, sheet: Sheet, found: Matched) -> Ints:
     """Rings of one kind."""
     if kind in (ORIENTATION, NESTING):
-        # Where rings that are in no hole are turned, too, it is not the nesting.
+        # If rings outside of holes are turned as well, the nesting is not the cause.
         nested = bool(found.turned.size) and bool(found.deep.all())
         chosen: Ints = found.turned if nested == (kind == NESTING) else found.turned[:0]
         return chosen
@@ -148,7 +148,7 @@ def _chosen(kind: str, sheet: Sheet, found: Matched) -> Ints:
 
 
 def _mended(kind: str, sheet: Sheet, rings: Ints) -> Sheet:
-    """Return the sheet with these rings put right."""
+    """Return the sheet with these rings corrected."""
     a, own = sheet.a, [r for r in sheet.a.rings_of(0) if sheet.a.closed[r]]
     wrong = set(rings.tolist())
     if kind in (ORIENTATION, NESTING):

@@ -16,18 +16,18 @@ from ebamcheck.layers.stack import Layers, canonical
 from ebamcheck.numeric.rings import Floats, Ints
 
 MOST_SHEETS = 12
-"""Layers of a pair that are looked at: enough to see what they have in common."""
+"""Most layers of a pair that are examined: enough to find what they have in common."""
 
 MOST_POINTS = 300_000
-"""Points in all of them, of both slicers."""
+"""Largest total size of these layers, of both slicers together, in the measure given to :func:`sample`."""
 
 WINDOW = 32
-"""Layers that are read from a file at once."""
+"""Layers read from a file at once."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sheet:
-    """One layer of the slicer that differs and of the one that it is held against, as stacks of one layer each."""
+    """One layer of the slicer that differs and of the one that it is compared with, as stacks of one layer each."""
 
     layer: int
     height_mm: float
@@ -63,13 +63,13 @@ class Sheet:
 
 
 def apart_mm2(a: Outline, b: Outline) -> float:
-    """Area of the symmetric difference of two outlines; infinite where their crossings are too many."""
+    """Area of the symmetric difference of two outlines, mm2; infinite if they have too many crossings."""
     found = overlap(a, b, False)
     return float(found.symmetric_difference_mm2) if found.sound else np.inf
 
 
 def total_mm2(sheets: Sequence[Sheet]) -> float:
-    """Area of the difference of all sheets."""
+    """Area of the symmetric difference on all sheets, mm2."""
     return float(sum(sheet.difference_mm2 for sheet in sheets))
 
 
@@ -86,7 +86,7 @@ def one_layer(height_mm: float, rings: Sequence[ArrayLike]) -> Layers:
 
 
 def moved_points(layers: Layers, points: Floats, mirrored: bool = False) -> Layers:
-    """Same closed rings through other points, in canonical form, turned round where the map mirrors them."""
+    """The same closed rings with other points, in canonical form; reversed if the map of the points mirrors."""
     found = replace(layers, points=np.ascontiguousarray(points))
     step = -1 if mirrored else 1
     return one_layer(
@@ -116,10 +116,10 @@ class Reader:
 def sample(
     layers: Ints, points: Ints, heights: Floats, a: Reader, b: Reader, origin_mm: tuple[float, float]
 ) -> list[Sheet]:
-    """Sheets of a few of the layers on which two stacks differ, spread evenly; `points` (L,) are those of both."""
+    """Sheets of a few of the layers on which two stacks differ, spread evenly; `points` (L,) is the size of each layer."""
     if not layers.size:
         return []
-    # The largest layers first go where there is room for few.
+    # The larger the layers are, by their median, the fewer are taken.
     typical = max(float(np.median(points[layers])), 1.0)
     count = int(np.clip(MOST_POINTS / typical, 1, min(MOST_SHEETS, layers.size)))
     at = np.unique(np.round(np.linspace(0, layers.size - 1, count + 2)[1:-1]).astype(np.int64))

@@ -1,4 +1,4 @@
-"""Exact surfaces: cylinders, cones, spheres, tori and other quadrics that a mesh stands for, told from its vertices."""
+"""Exact surfaces: cylinders, cones, spheres, tori and other quadrics, recognised from the vertices of a mesh."""
 
 from ebamcheck.curves.exact.finding import ExactSurfaces, exact_surfaces, no_surfaces
 

@@ -1,7 +1,7 @@
-"""Exact surfaces of a mesh: on which facets lie whose vertices are on one form to the rounding of their file.
+"""Exact surfaces of a mesh: facets whose vertices lie on one quadric or torus, to the rounding of their file.
 
-Where a form is found, the part's surface is known between the vertices, too, however the mesh divides it: by formula, and
-not by normals that were estimated.
+Where one is found, the part's surface between the vertices is known by formula, however the mesh divides it, and need not be
+estimated from normals.
 """
 
 from __future__ import annotations
@@ -27,40 +27,39 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats
 
 FIT = 3.0
-"""Tolerances of a plane within which the vertices lie on a fitted surface; its own place and size take their share."""
+"""Tolerance of a fitted surface, over that of a plane: errors of the fitted position and size add to those of the vertices."""
 
 NO_SURFACE = -1
 
 GAP = 4.0
-"""A group that stands this many times farther off than any less far one does is a flat side whose ends lie on the surface."""
+"""A group this many times farther from the surface than the next nearer one is a flat side that only ends on the surface."""
 
 MOST_OF_TYPICAL = 25.0
-"""Times what facets of the mesh stand off as a rule that those of an exact surface may; on meshes of scattered points long ones
-do so."""
+"""Largest distance of a facet from an exact surface, over the mesh's median sagitta: long facets of scattered points are so far."""
 
 PATCHES = (48, 16)
-"""Groups about a seed that are tried."""
+"""Sizes, in groups, of the patches about a seed from which a surface is tried, in this order."""
 
 MOST_PIECES = 1000
-"""Pieces that may fail, the largest first: those of a noisy mesh are many."""
+"""Pieces that may fail before the search stops, the largest first: a noisy mesh has very many."""
 
 MOST_SEEDS = 240
-"""Seeds that may fail: a mesh of free forms alone is asked at so many places, evenly spread."""
+"""Patches that may fail before the search stops: on a mesh of free forms alone this bounds the work."""
 
 MOST_ROUNDS = 6
-"""Rounds of growth and fit for one surface; it grows no more after two or three as a rule."""
+"""Rounds of growing and fitting for one surface; it usually stops growing after two or three."""
 
 TANGENT_COSINE = np.cos(np.deg2rad(0.6))
-"""Cosine of the angle between two surfaces that touch along their border, by what the rounding of a file leaves."""
+"""Cosine of the largest angle at which two surfaces count as tangent along their border, given the rounding of a file."""
 
 TANGENT = 0.9
-"""Share of the known edges beside, along which they touch."""
+"""Of the border edges beyond which a surface is known, the least share at which the two must be tangent."""
 
 BESIDE = 0.4
-"""Share of the smooth edges of a surface's border beyond which something is known: one of two rims, about."""
+"""Least share of a surface's smooth border edges beyond which something is known: about one of two rims."""
 
 LEAST_BESIDE = 6
-"""Such edges at least."""
+"""Least number of such edges."""
 
 
 class ExactSurfaces(NamedTuple):
@@ -69,11 +68,11 @@ class ExactSurfaces(NamedTuple):
     label: Index
     """(F,) surface of each facet; :data:`NO_SURFACE` for none."""
     rows: Floats
-    """(S, SIZE) surfaces, as :mod:`ebamcheck.curves.exact.forms` has them."""
+    """(S, SIZE) surfaces, in the layout of :mod:`ebamcheck.curves.exact.forms`."""
 
 
 def no_surfaces(facet_count: int) -> ExactSurfaces:
-    """Where none is known."""
+    """Exact surfaces of a mesh on which none is known."""
     return ExactSurfaces(np.full(facet_count, NO_SURFACE, np.int32), np.zeros((0, SIZE)))
 
 
@@ -91,17 +90,19 @@ def exact_surfaces(
     across
         (3 F,) the same, at creases too.
     regions
-        Its regions.
+        Regions of the mesh.
     rims
         (G, 2) how far a surface would stand off the strip of each group, inward and outward, mm, if the bends at its sides
-        were a rounding's.
+        were those of a rounding.
     typical_mm
-        How far facets stand off the surface as a rule, by their turns.
+        Median sagitta of the mesh, from its dihedral angles.
     """
     return _Search(part, twin, across, regions, rims, typical_mm).run()
 
 
 class _Search:
+    """State of the search for exact surfaces: what is found, and the planar groups that it has taken."""
+
     def __init__(
         self, part: Part, twin: Index, across: Index, regions: Regions, rims: Floats, typical_mm: float
     ) -> None:
@@ -125,10 +126,10 @@ class _Search:
         self.rows: list[Floats] = []
         self.sagittas: list[float] = []
         self.supported = False
-        """Whether surfaces are looked for that others have to bear out."""
+        """Whether the surfaces now looked for must be confirmed by their neighbours."""
 
     def run(self) -> ExactSurfaces:
-        """Ask each smooth piece of one kind as a whole, then at places of it; then what is left between surfaces."""
+        """Try each smooth piece of one kind as a whole, then patches of it, then what is left between known surfaces."""
         self._try_each(self._pieces(np.inf), MOST_PIECES)
         self._try_each(
             (patch for piece in self._pieces(np.inf) for patch in self._patches(piece)), MOST_SEEDS
@@ -148,7 +149,7 @@ class _Search:
         return self._with_planes(label, rows)
 
     def _with_planes(self, label: Index, rows: Floats) -> ExactSurfaces:
-        """Number the planes beside surfaces, too: creases between both are sections of both."""
+        """Add the planes beside exact surfaces: a crease between the two lies on both."""
         ground = self.ground
         half = np.flatnonzero(self.across != NO_TWIN)
         beside = half[label[self.across[half] // 3] != NO_SURFACE] // 3
@@ -165,9 +166,10 @@ class _Search:
         return ExactSurfaces(label, np.concatenate(found))
 
     def _pieces(self, most: float) -> Iterator[Index]:
-        """Smooth pieces of groups of one kind that nothing has taken, the largest first.
+        """Smooth pieces of groups of one kind that no surface has taken, the largest first.
 
-        Neighbours differ in area by less than a factor: rows of a rounding are narrow, and a wall that they touch is not.
+        Neighbours in a piece differ in area by less than the factor `most`, which parts the narrow rows of a rounding from the
+        wall that they touch.
         """
         ground = self.ground
         half = np.flatnonzero(ground.twin != NO_TWIN)
@@ -187,7 +189,7 @@ class _Search:
                 yield groups
 
     def _patches(self, piece: Index) -> Iterator[Index]:
-        """Patches about seeds that are evenly spread over the area of a piece."""
+        """Patches about seeds spread evenly over the area of a piece."""
         share = np.cumsum(self.areas[piece])
         seeds = min(len(piece), 4 + int(np.sqrt(len(piece))))
         at = np.searchsorted(share, (np.arange(seeds) + 0.5) / seeds * share[-1])
@@ -199,7 +201,7 @@ class _Search:
                     yield _patch(self.ground, int(seed), self.taken, self.kind, size)
 
     def _try_each(self, pieces: Iterable[Index], most: int) -> None:
-        """Look for the surface of each of some pieces, until too many have none."""
+        """Look for the surface of each piece, until `most` of them have failed."""
         failed = 0
         for piece in pieces:
             failed += not self._try(piece)
@@ -207,7 +209,7 @@ class _Search:
                 break
 
     def _try(self, groups: Index) -> bool:
-        """Look for the surface of some groups; take all that lie on it."""
+        """Look for a surface through some groups, and take all groups that lie on it; False if there is none."""
         groups = groups[~self.taken[groups]]
         if len(groups) < 2:
             return False
@@ -223,7 +225,7 @@ class _Search:
         return False
 
     def _forms(self, groups: Index) -> Iterator[Floats]:
-        """Forms of groups by their told vertices, with their sides."""
+        """Forms fitted to the told vertices of groups (:mod:`ebamcheck.curves.exact.told`), with their sides set."""
         ground = self.ground
         facets = _facets_of(ground.starts, ground.facets, groups)
         corners = np.unique(ground.faces[facets][ground.told[facets]])
@@ -237,7 +239,10 @@ class _Search:
                 yield row
 
     def _grown(self, row: Floats, groups: Index) -> tuple[Floats, Index, float] | None:
-        """The surface with all groups that lie on it, once it grows no more; None where it does not bear them out."""
+        """Grow a surface and refit it until it takes no more groups; return surface, groups and greatest sagitta.
+
+        None where a fit or a check fails.
+        """
         sagittas = np.empty(len(self.taken))
         before = 0
         for _ in range(MOST_ROUNDS):
@@ -263,7 +268,7 @@ class _Search:
         return None
 
     def _may_be_rounding(self, row: Floats, groups: Index, sagitta: float) -> bool:
-        """Whether strips may be a coarse rounding's, whose surface stands off them as far as that of their rulings would.
+        """Whether the groups may be strips of a coarse rounding, curved across them the other way by a similar sagitta.
 
         See :func:`ebamcheck.curves.sure_lifts.sure_share`.
         """
@@ -276,7 +281,7 @@ class _Search:
         return 0.5 * sagitta < rim <= self.coarse_mm
 
     def _is_borne_out(self, row: Floats, groups: Index) -> bool:
-        """Whether surfaces and planes that go on smoothly from groups touch their surface all along."""
+        """Whether the known surfaces and planes that continue the groups smoothly are tangent to `row` along their border."""
         rows = np.array(self.rows).reshape(-1, SIZE)
         planes = self.kind == PLANE
         found = touching(self.ground, groups, self.of_group, rows, planes, row, TANGENT_COSINE)
@@ -286,14 +291,14 @@ class _Search:
 
 
 def _without_flat_sides(sagittas: Floats) -> float:
-    """How far groups may stand off that are not far beyond all lesser ones of the upper half, mm."""
+    """Largest distance of a group from the surface, mm: that below the first leap by :data:`GAP` in the upper half, if any."""
     upper = np.sort(sagittas)[len(sagittas) // 2 :]
     leaps = np.flatnonzero(upper[1:] > GAP * np.maximum(upper[:-1], 1e-9))
     return float(1.01 * upper[leaps[0]]) if leaps.size else np.inf
 
 
 def _facing(row: Floats, places: Floats, normals: Floats) -> float:
-    """Mean cosine between normals of facets and the direction in which distances from a surface grow."""
+    """Mean cosine between facet normals and the gradient of the signed distance from a surface."""
     return float(np.mean(_cosines(row, places, normals)))
 
 

@@ -1,9 +1,9 @@
 """Fits of forms to vertices: the simplest first, each by least squares of the distances.
 
-A form is told by its vertices only where they leave nothing open: one place more than it has unknowns along each of its
-two ways at least. Two rims of vertices lie on a cylinder, but on many other quadrics, too; that a cylinder runs straight from
-rim to rim is told by its strips. A sphere and other quadrics have to be the only quadric through their vertices, and no
-quadric may go through those of a torus.
+A form is accepted only if its vertices determine it, with at least one place to spare in each of its two directions. Two rims
+of vertices lie on a cylinder, but also on many other quadrics; only flat strips between them show that the surface is straight
+from rim to rim. A sphere or general quadric must be the only quadric through its vertices; through those of a torus there must
+be none.
 """
 
 from __future__ import annotations
@@ -27,34 +27,35 @@ from ebamcheck.curves.exact.least_squares import refined
 from ebamcheck.numeric.rings import Floats
 
 MOST_POINTS = 400
-"""Vertices that a fit takes at most, evenly spread; all are judged by what it finds."""
+"""Most vertices used for a fit, evenly spread; all are then checked against it."""
 
 LEAST_POINTS = 6
-"""Vertices from which a fit is tried: any five lie on a cylinder, or nearly so."""
+"""Fewest vertices for a fit: any five lie on a cylinder, or nearly so."""
 
 LEAST_RULINGS = 4
-"""Distinct rulings of a cylinder or cone: three always lie on one."""
+"""Fewest distinct rulings of a cylinder or cone: three always lie on one."""
 
 SPARE = 7
-"""Vertices beyond the unknowns of a form that no strips tell: a decimated mesh has six or eight on many a cylinder by chance."""
+"""Vertices beyond the unknowns of a form without strips: a decimated mesh has six or eight on many a cylinder by chance."""
 
 LEAST_HEIGHTS = 3
-"""Distinct heights along the axis of a cylinder or cone that is told by its vertices alone."""
+"""Fewest distinct heights along the axis of a cylinder or cone that only vertices support."""
 
 APART = 20.0
-"""Tolerances by which places differ that are distinct."""
+"""Least distance between places that count as distinct, in tolerances."""
 
 LEAST_PROFILE = 4
-"""Distinct points of a torus' profile: three always lie on one circle."""
+"""Fewest distinct points on the profile of a torus: three always lie on one circle."""
 
 CUBIC_TERMS = 20
-"""Coefficients of a cubic surface: so many vertices can tell whether they lie on others than those of a quadric."""
+"""Coefficients of a cubic surface: from this many vertices on, cubics through them can contradict the quadric."""
 
 OWN_CUBICS = 4
-"""Cubic surfaces that a quadric is a part of; were there more through some vertices, they would not bear it out."""
+"""Independent cubics that contain a given quadric (it times x, y, z or 1); if more pass through the vertices, these do not
+determine the quadric."""
 
 MOST_RADIUS = 1e3
-"""Radii over the size of what is fitted, from which it may as well be flat."""
+"""Largest radius over the size of the fitted points: beyond it they may as well be flat."""
 
 
 def told_forms(
@@ -72,13 +73,13 @@ def told_forms(
     points
         (n, 3) vertices, mm.
     places, normals
-        (m, 3) middles and unit normals of facets, to begin with.
+        (m, 3) middles and unit normals of facets, for the first guess.
     tolerance_mm
         How far a vertex may lie from its surface.
     straight
-        Whether the facets are strips, which tell that the surface is straight from rim to rim.
+        Whether all facets are strips, which show that the surface is straight from rim to rim.
     supported
-        Whether others will bear out what is found: two rims do for a cylinder or cone then, and three rings for a torus.
+        Whether neighbouring surfaces will confirm the form: then two rims are enough for a cylinder or cone, three for a torus.
 
     Yields
     ------
@@ -112,7 +113,7 @@ def told_forms(
 
 
 def _kept(row: Floats | None, points: Floats, size: float, tolerance_mm: float) -> Iterator[Floats]:
-    """The form fitted from where it is, if the points lie on it."""
+    """The form refined from its first guess, if the points lie on it."""
     if row is None or not np.isfinite(row).all():
         return
     found = refined(row, points, tolerance_mm)
@@ -124,7 +125,7 @@ def _kept(row: Floats | None, points: Floats, size: float, tolerance_mm: float) 
 
 
 class _Quadrics:
-    """Quadrics through points: how many, and the only one."""
+    """Quadrics through points: `count` independent ones; if that is 1, `only` is it, and `borne_out` if cubics confirm it."""
 
     def __init__(self, points: Floats, middle: Floats, size: float, tolerance_mm: float) -> None:
         unit = (points - middle) / size
@@ -178,12 +179,12 @@ def _sphere(points: Floats, middle: Floats) -> Floats:
 
 
 def _axis_by_normals(normals: Floats) -> Floats:
-    """The direction with which all normals make the same angle."""
+    """The unit direction with which all normals make the same angle, as nearly as can be."""
     return np.asarray(np.linalg.svd(normals - normals.mean(axis=0), full_matrices=False)[2][-1])
 
 
 def _across(axis: Floats) -> Floats:
-    """Two unit vectors (2, 3) across an axis."""
+    """Two unit vectors (2, 3) perpendicular to an axis and to each other."""
     return np.asarray(np.linalg.svd(axis[None])[2][1:])
 
 
@@ -247,7 +248,10 @@ def _circle(points: Floats) -> tuple[Floats, float]:
 
 
 def _is_ruled(row: Floats, points: Floats, tolerance_mm: float, straight: bool, supported: bool) -> bool:
-    """Whether points tell the rulings of a cylinder or cone: by two on each of them where strips do, else at three heights."""
+    """Whether points determine the rulings of a cylinder or cone: by two on each where there are strips, else by three heights.
+
+    If `supported`, two heights do.
+    """
     axis = row[OWN : OWN + 3]
     off = points - row[PLACE : PLACE + 3]
     flat = off @ _across(axis).T
@@ -264,7 +268,7 @@ def _is_ruled(row: Floats, points: Floats, tolerance_mm: float, straight: bool, 
 
 
 def _profile_points(row: Floats, points: Floats, tolerance_mm: float) -> int:
-    """Distinct points of the profile of a torus, by their angle about its tube."""
+    """Number of distinct points on the profile of a torus, by their angle about its tube."""
     axis = row[OWN : OWN + 3]
     off = points - row[PLACE : PLACE + 3]
     along = off @ axis

@@ -1,6 +1,6 @@
-"""Forms of exact surfaces as rows of numbers: signed distances from them, and the directions in which they grow.
+"""Forms of exact surfaces as rows of numbers: signed distances from them, and the gradients of these.
 
-A row holds the kind, a point of reference, what the kind needs, and last the side on which the solid does not lie.
+A row holds the kind, a reference point, the parameters of the kind, and last the sign of the side on which there is no solid.
 """
 
 from __future__ import annotations
@@ -16,20 +16,21 @@ NAMES = ("sphere", "cylinder", "cone", "torus", "quadric", "plane")
 """Kinds by number."""
 
 SIZE = 15
-"""Numbers in a row: kind, reference point (3), 10 of the kind, and the side."""
+"""Numbers in a row: kind, reference point (3), parameters of the kind (10), side."""
 
 KIND, PLACE, OWN, SIDE = 0, 1, 4, 14
-"""Places in a row.
+"""Indices within a row: of the kind, the reference point, the first parameter and the side.
 
-Of its own a sphere has its radius; a cylinder its axis (3) and radius; a cone, about its tip, its axis (3), and cosine and
-sine of its half angle; a torus its axis (3), the radius of its ring and that of its tube; a quadric, of coordinates from its
-reference point, the coefficients of x2, y2, z2, xy, xz, yz, x, y, z and 1; a plane its normal (3).
+Parameters are, of a sphere, its radius; of a cylinder, its axis (3) and radius; of a cone, whose reference point is its tip,
+its axis (3) and the cosine and sine of its half angle; of a torus, its axis (3) and the radii of its ring and its tube; of a
+quadric, in coordinates from the reference point, the coefficients of x^2, y^2, z^2, xy, xz, yz, x, y, z and 1; of a plane, its
+normal (3).
 """
 
 LEAST = 1e-300
 
 Signed = tuple[float, float, float, float]
-"""Signed distance, mm, and the unit vector in which it grows."""
+"""Signed distance, mm, and its gradient, a unit vector."""
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""Growing: from some facets of a surface to all that lie on it, group by group of the mesh's planar groups."""
+"""Growing: from some planar groups of facets on an exact surface to all connected groups that lie on it."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats
 
 FACES_ALONG = 0.7
-"""Cosine of the angle between a facet's normal and its surface's at most: 45 degrees, as the crease angle is about."""
+"""Least cosine between the normals of a facet and of its surface: some 45 degrees, about the crease angle."""
 
 LEAST_TOLD = 3
-"""Corners of a group that have to lie on a surface for certain, or two of a sliver's."""
+"""Fewest told corners of a group, all of which must lie on the surface; one less for a single facet."""
 
 
 class Ground(NamedTuple):
-    """A mesh in planar groups, as growth reads it."""
+    """A mesh and its planar groups, in the form that growth reads."""
 
     vertices: Floats
     faces: Index
     twin: Index
-    """(3 F,) half-edge across, where the surface goes on."""
+    """(3 F,) opposite half-edge where the surface continues smoothly; else -1."""
     label: Index
     """(F,) group of each facet."""
     starts: Index
@@ -33,7 +33,7 @@ class Ground(NamedTuple):
     normals: Floats
     """(G, 3) unit normals."""
     told: Bools
-    """(F, 3) corners that lie on the surface."""
+    """(F, 3) corners that lie on the surface for certain (:mod:`ebamcheck.curves.exact.told`)."""
 
 
 @kernel
@@ -188,14 +188,14 @@ def _is_beside(ground: Ground, f: int, row: Floats, largest: float, tolerance: f
 
 
 class Beside(NamedTuple):
-    """Edges at which groups of a surface go on smoothly to others."""
+    """Numbers of edges at which the groups of a surface continue smoothly into other groups."""
 
     smooth: int
-    """All of them."""
+    """All such edges."""
     known: int
     """Those beyond which lies a known surface or a plane."""
     tangent: int
-    """Those of them along which it touches the surface."""
+    """Those of the known ones at which that surface or plane is tangent to this one."""
 
 
 @kernel

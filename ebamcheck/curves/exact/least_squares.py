@@ -1,4 +1,4 @@
-"""Least squares of the distances of points from a form, by damped Gauss-Newton steps (Levenberg and Marquardt)."""
+"""Least-squares fit of a form to points by their distances, with damped Gauss-Newton steps (Levenberg and Marquardt)."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from ebamcheck.numeric.rings import Floats
 MOST_STEPS = 40
 
 LOST_STEPS = 8
-"""Steps after which a form is given up that is still far from its points."""
+"""Steps after which a form that is still far from its points is given up."""
 
 LOST = 100.0
-"""Tolerances that points may be off a form after so many steps."""
+"""Largest root mean square distance after that many steps, in tolerances."""
 
 STEP = 1e-6
-"""Of the size of the points, or rad: step of the derivatives by differences."""
+"""Step of the difference quotients: a fraction of the points' extent, or rad."""
 
 ENOUGH = 1e-13
-"""Sum of squares over the size's square at which nothing is left to gain."""
+"""Root of the sum of squared distances, over the points' extent, at which nothing is left to gain."""
 
 MOST_UNKNOWNS = 7
 

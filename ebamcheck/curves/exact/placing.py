@@ -1,4 +1,4 @@
-"""Placing: contour points of exact surfaces go onto their sections, with the directions of these."""
+"""Placing: contour points on exact surfaces move onto the surfaces' sections, and take their directions."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from ebamcheck.curves.surface_edges import SurfaceMesh, Vector
 from ebamcheck.numeric.kernels import kernel
 
 SMOOTH_COSINE = np.cos(np.deg2rad(0.5))
-"""Cosine of the angle between the directions of two sections up to which a contour goes on smoothly; more would bend a long
-segment beside a small rounding by what the place of their joint leaves open."""
+"""Least cosine between the directions of two sections at which a contour is smooth. A larger angle would let the uncertain
+place of their joint bend a long segment beside a small rounding."""
 
 
 @kernel

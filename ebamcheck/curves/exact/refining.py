@@ -1,4 +1,4 @@
-"""Refinement: points are put between those of a contour, on the section of an exact surface, where a cubic would not follow it."""
+"""Refinement: points are inserted into a contour, on the section of its exact surface, where a cubic would not follow that."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 FOLLOWED, TOO_LONG, LOST = range(3)
-"""What is told of a segment in parts."""
+"""Results for a segment divided into parts."""
 
 LARGEST_SPAN_RAD = np.deg2rad(20.0)
-"""Turn of a section up to which a cubic follows it to some 1e-5 of its length."""
+"""Largest turn of a section along one cubic, which then follows it to some 1e-5 of its length."""
 
 LEAST_SPAN_RAD = np.deg2rad(1.0)
-"""Turn of a section under which it is as good as straight."""
+"""Turn of a section below which it is as good as straight."""
 
 UNEVEN = 0.05
-"""Difference of the angles at both ends of a segment, over their sum, up to which it is as good as a circle's."""
+"""Largest difference between the angles at the two ends of a segment, over their sum, for one as good as circular."""
 
 MOST_PARTS = 32
-"""Parts that a segment is divided into at most."""
+"""Most parts into which a segment is divided."""
 
 RINGS_A_BLOCK = 16
 
@@ -30,7 +30,7 @@ RINGS_A_BLOCK = 16
 def refined(
     forms: Floats, sides: Sides, heights: Floats, ring_starts: Ints, closed: Bools
 ) -> tuple[Sides, Ints]:
-    """Contours with points put in between, and where their rings start now.
+    """Contours with points inserted on exact surfaces, and the new starts of their rings.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def refined(
     sides
         Points of the contours.
     heights
-        (R,) of the rings, mm.
+        (R,) height of each ring, mm.
     ring_starts, closed
         (R + 1,), (R,) rings of the points.
     """
@@ -59,7 +59,7 @@ def refined(
 
 
 def _following(ring_starts: Ints) -> Ints:
-    """Point after each, around its ring."""
+    """Index of the point after each point, around its ring."""
     following = np.arange(1, int(ring_starts[-1]) + 1)
     filled = np.diff(ring_starts) > 0
     following[ring_starts[1:][filled] - 1] = ring_starts[:-1][filled]

@@ -1,4 +1,4 @@
-"""Sections of exact surfaces: the place in a layer where one, or two that meet at an edge, run beside a contour's point."""
+"""Sections of exact surfaces: the place near a contour point where a layer cuts one surface, or two that meet at an edge."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats
 
 MOST_STEPS = 40
-"""Newton's steps; they double their digits, so that a few do unless the surface lies nearly level."""
+"""Most Newton steps; each doubles the digits, so a few are enough unless the surface is nearly level."""
 
 CLOSE_MM = 1e-10
 """A point this near to a surface lies on it."""
 
 LEAST_SLOPE = 0.02
-"""Horizontal part of a unit gradient under which a surface lies level in a layer: its section is not told by a point."""
+"""Horizontal part of a unit gradient below which a surface is level in the layer: a point does not determine its section."""
 
 LEAST_SINE = np.sin(np.deg2rad(5.0))
-"""Sine of the angle between the sections of two surfaces from which both tell their common point."""
+"""Least sine of the angle between the sections of two surfaces at which these determine a common point."""
 
 MOST_GROWTH = 3.0
-"""Of the distance to first order, that a point may move: a section that lies farther off is another one."""
+"""Farthest move of a point, over its first-order distance from the surface: a section farther off is another one."""
 
 Place = tuple[bool, float, float]
-"""Whether there is one; and it, mm."""
+"""Whether there is such a place, and its x and y, mm."""
 
 
 @kernel

@@ -1,8 +1,8 @@
-"""Told corners: vertices that lie on the surface which a mesh stands for, so far as facets can tell.
+"""Told corners: vertices that lie on the surface that a mesh approximates, as far as its facets can tell.
 
-A vertex inside of a flat group of facets, or at the outer border of one alone, lies in its plane: where a solid was cut from
-another by their meshes it stands as far from the surface as the facet does. So does one that lies on the line of two of its
-neighbours, which splits an edge. Only vertices at which several groups meet smoothly lie on the surface for certain.
+Only vertices at which several planar groups meet smoothly lie on the surface for certain. A vertex inside one group, or at the
+outer border of only one, lies in that group's plane, and may be as far from the surface as the facet is: Boolean operations on
+meshes leave such vertices. So may a vertex on the line between two of its neighbours, which merely splits an edge.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats
 
 STRAIGHT_COSINE = 0.99
-"""Two edges at a vertex may be one line where the cosine of the angle between them is this near to -1."""
+"""Two edges at a vertex may be one line if the cosine of the angle between them is less than minus this."""
 
 
 def told_corners(vertices: Floats, faces: Index, label: Index, sectors: Index, tolerance_mm: float) -> Bools:

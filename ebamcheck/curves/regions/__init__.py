@@ -1,4 +1,4 @@
-"""Regions of a mesh before its normals: planes, strips with straight rulings, and what is freely curved."""
+"""Regions of a mesh, found before its normals: planes, strips with straight rulings, and freely curved facets."""
 
 from ebamcheck.curves.regions.segmentation import FREEFORM as FREEFORM
 from ebamcheck.curves.regions.segmentation import PLANE as PLANE

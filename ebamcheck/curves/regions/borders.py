@@ -1,4 +1,4 @@
-"""Borders of planar groups: how far the surface turns across each, how wide the group is there, and what lies beyond."""
+"""Borders of planar groups: by how much the surface turns across each, how wide the group is there, and what lies beyond."""
 
 from __future__ import annotations
 
@@ -15,32 +15,32 @@ LIKE = 3.0
 """Strips of one tessellation differ by less than this factor in width; a flat side beside a rounding by more."""
 
 BEYOND_COSINE = 0.45
-"""A border of a group lies beyond another where it runs along it, or at the angle of an even triangle's sides at most."""
+"""Least cosine between two borders of a group for one to lie beyond the other: up to the angle of an equilateral triangle."""
 
 SUPPORTED = 5.0
-"""A turn this many times that of its like beside it stands out, and is a bend of its own."""
+"""A turn this many times the greatest one onto a like strip beside it stands out, and is a bend."""
 
 INFLECTION = 0.5
-"""Where a surface changes its side of bending, it turns by less than this share of the turns about."""
+"""At an inflection a surface turns by less than this share of the turns around it."""
 
 HALF_TURN = (0.6, 1.6)
-"""Turn from a flat side onto the first strip of a rounding, over what half of the strip's own share of the next turn is."""
+"""Range of the turn from a flat side onto the first strip of a rounding, over that strip's share of the next turn."""
 
 
 LEAST_SHARE = 0.8
-"""Of the width of the strip beside it, under which the turns do not tell a flat side from another strip."""
+"""Width over that of the strip beside it below which the turns do not distinguish a flat side from another strip."""
 
 MOST_BORDERS = 4096
-"""A group with more borders is no strip; to look through them all from each would take their square."""
+"""A group with more borders is no strip; comparing each border with all others would take quadratic time."""
 
 
 class Borders(NamedTuple):
-    """Half-edges at which two groups meet and go over into each other by less than the crease angle."""
+    """Half-edges at which two groups meet by less than the crease angle."""
 
     turn: Floats
     """(3 F,) angle between the groups' normals, rad, positive where the surface is convex; 0 off borders."""
     width: Floats
-    """(3 F,) extent of the half-edge's own group across it, mm, not followed beyond some widths of the other's."""
+    """(3 F,) extent of the half-edge's own group perpendicular to it, mm; cut short once far beyond that of the other group."""
     starts: Index
     """(G + 1,) first of each group's borders in `half_edges`."""
     half_edges: Index
@@ -50,7 +50,7 @@ class Borders(NamedTuple):
 def find_borders(
     vertices: Floats, faces: Index, twin: Index, groups: PlanarGroups, least_cosine: float
 ) -> Borders:
-    """Measure the borders of groups; `twin` loses those that are sharp by their angle or run the same way."""
+    """Measure the borders of groups; removes from `twin` those that are sharp by their angle or run in the same direction."""
     turn, width = np.zeros(twin.size), np.zeros(twin.size)
     counts = np.zeros(len(groups.normals) + 1, np.int32)
     _measure(vertices, faces, twin, groups, least_cosine, turn, width, counts)

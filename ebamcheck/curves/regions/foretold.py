@@ -1,4 +1,4 @@
-"""Places foretold: where the neighbours of a vertex say that it stands, by a cubic through them and not through it."""
+"""Predicted places: where the neighbours of a vertex put it, by a cubic fitted to them without it."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ CUBIC = 10
 """Coefficients of a cubic over the plane: height, two slopes, three curvatures, and their four changes."""
 
 SPARE = 3
-"""Neighbours beyond the coefficients from which a cubic is more than an interpolation."""
+"""Neighbours beyond the number of coefficients: with fewer, a cubic is little more than an interpolation."""
 
 MOST_NEIGHBOURS = 48
-"""Vertices taken about one; two rings of an even mesh hold 18."""
+"""Most neighbours used of a vertex; two rings of a regular mesh hold 18."""
 
 LEAST_PIVOT = 1e-6
-"""A pivot of the normal equations, scaled to a diagonal of 1, under which neighbours do not tell a cubic."""
+"""Least pivot of the normal equations, scaled to a unit diagonal, for neighbours that determine a cubic."""
 
 SOFTENING = 0.3
-"""Squared distance, in units of the first ring, to which neighbours are trusted alike."""
+"""Squared distance, in units of the first ring, within which neighbours have about the same weight."""
 
 
 class _Corners(NamedTuple):

@@ -1,9 +1,9 @@
-"""Jets: polynomials through a vertex, fitted to the vertices about it, from which its normal and the noise follow.
+"""Jets: polynomials through a vertex, fitted to the vertices about it, which give its normal and the noise.
 
-A quadric over the first ring of neighbours, and where it agrees a cubic over two, else the mean normal (Cazals, Pouget 2005,
-"Estimating differential quantities using polynomial fitting of osculating jets"). Distances are taken in units of the first
-ring's own extents along its two axes: a mesh is long where its surface is straight, and there a far neighbour says as much
-of the slope as a near one says across.
+A quadric over the first ring of neighbours or, where the two agree, a cubic over two rings; else the mean normal (Cazals, Pouget
+2005, "Estimating differential quantities using polynomial fitting of osculating jets"). Distances are in units of the first
+ring's extents along its two axes: a mesh has long facets where its surface is straight, and there a far neighbour along them
+tells as much about the slope as a near one across them.
 """
 
 from __future__ import annotations
@@ -18,53 +18,53 @@ from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Bools, Floats
 
 CUBIC, QUADRIC = 9, 5
-"""Coefficients of jets through the vertex: slopes, curvatures, and for the cubic their changes."""
+"""Coefficients of jets through the vertex: slopes, curvatures, and for the cubic the changes of these."""
 
 MOST_NEIGHBOURS = 48
-"""Vertices taken about one; two rings of an even mesh hold 18."""
+"""Most neighbours used of a vertex; two rings of a regular mesh hold 18."""
 
 SPARE = 3
-"""Neighbours beyond the coefficients from which a jet is more than an interpolation."""
+"""Neighbours beyond the number of coefficients: with fewer, a jet is little more than an interpolation."""
 
 LEAST_PIVOT = 1e-5
-"""A pivot of the normal equations, scaled to a diagonal of 1, under which neighbours do not tell a jet."""
+"""Least pivot of the normal equations, scaled to a unit diagonal, for neighbours that determine a jet."""
 
 NEAREST = 0.3
-"""Of the extent of the first ring: nearer neighbours are trusted no more than at that distance, since the rounding of
-their coordinates tilts what they say."""
+"""Distance, in extents of the first ring, within which the weight of a neighbour no longer grows: the rounding of its
+coordinates tilts the jet the more the nearer it is."""
 
 OFF_CENTRE = 0.5
-"""Of the extents of a first ring: one whose mean lies farther off is at a border."""
+"""Largest distance of the first ring's mean from the vertex, in extents of the ring; beyond it the vertex is at a border."""
 
 AGREE = 0.35
-"""Of the angle over which the facets' normals spread: two jets that differ by more know the surface badly, and the one of
-the first ring decides."""
+"""Largest angle between the normals of the two jets, over the spread of the facets' normals. If they differ by more, the surface
+is poorly determined, and the jet of the first ring is used."""
 
 LONGEST_RING = 3.0
-"""Ratio of the extents of a first ring from which the second tells nothing: what a cubic gets wrong across tilts it along,
-and long edges rise by it."""
+"""Ratio of the first ring's extents from which the second ring is not used: the cubic's error across tilts it along, which
+would lift long edges."""
 
 FLATTEST_RING = 1e-6
-"""Ratio of the extents of a first ring under which its vertices lie on a line."""
+"""Ratio of the first ring's extents below which its vertices lie on a line."""
 
 SECTORS_A_BLOCK = 512
 
 
 class Corners(NamedTuple):
-    """Which corners of facets belong to which sector, and which facets may be looked at."""
+    """The corners of facets by sector, and the facets that jets may use."""
 
     sectors: Index
-    """(F, 3)."""
+    """(F, 3) sector of each corner."""
     starts: Index
-    """(S + 1,)"""
+    """(S + 1,) first entry of each sector in `corners`."""
     corners: Index
-    """(3 F,) corners 3 f + i by sector."""
+    """Corners 3 f + i by sector."""
     seen: Bools
-    """(F,) facets that are not of a plane."""
+    """(F,) facets that jets may use: those outside of planes."""
 
 
 class Jets(NamedTuple):
-    """What jets say of each sector."""
+    """Normal and noise of each sector."""
 
     normals: Floats
     """(S, 3) unit normals."""
@@ -73,7 +73,7 @@ class Jets(NamedTuple):
 
 
 class _Frame(NamedTuple):
-    """Unit vectors: a normal, and two that span the plane across it."""
+    """Orthonormal vectors: a normal, and two that span the plane perpendicular to it."""
 
     n: Floats
     u: Floats
@@ -81,7 +81,7 @@ class _Frame(NamedTuple):
 
 
 def jets(vertices: Floats, faces: Index, corners: Corners, means: Floats, least_cosines: Floats) -> Jets:
-    """Fit jets to all sectors; the normal stays the mean where none is told or it leaves the facets' normals."""
+    """Fit jets to all sectors; the mean normal is kept where no jet is determined, or where it leaves the facets' normals."""
     found = Jets(means.copy(), np.full(len(means), np.nan))
 
     def work(first: int, last: int) -> None:

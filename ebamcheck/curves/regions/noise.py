@@ -1,4 +1,4 @@
-"""Noise of a mesh: where its vertices lie off their surface by more than a lift could win."""
+"""Noise of a mesh: whether its vertices are farther from the surface than lifting could gain."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats
 
 ROUGH = 1.5
-"""Noise over the sagitta of the edges about from which no lift wins. Vertices that lie s off their surface leave a point
-of a contour two thirds of s off; the normals that they tell lift it by about a quarter of s to a wrong place, and seem to
-ask for such sagittas where there are none."""
+"""Ratio of the noise to the sagitta of the edges about from which no lift gains anything. Vertices with an error s leave a
+contour point two thirds of s off; their normals lift it by about a quarter of s to a wrong place, and demand such sagittas even
+where there are none."""
 
 
 def rough_rows(vertices: Floats, faces: Index, found: RegionNormals) -> Bools:
-    """Rows of normals (rows,) of a part whose noise exceeds what lifting could win: all of them, or none.
+    """Rows of normals (rows,) whose noise exceeds what lifting could gain: all of a mesh, or none.
 
-    The medians over the freely curved part of the mesh decide: a single residual of few degrees of freedom says little, and
-    what noise there is was made by one scanner.
+    Medians over the freely curved facets decide: a single residual of few degrees of freedom tells little, and the noise of a
+    mesh comes from one scanner.
     """
     told = np.isfinite(found.noise)
     rough = False

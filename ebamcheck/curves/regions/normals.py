@@ -1,6 +1,6 @@
-"""Normals by region: planes keep theirs, strips take those across their rulings, and jets tell the rest.
+"""Normals by region: planes keep theirs, strips get theirs from the turns at their rulings, and jets give the others.
 
-No normal crosses the border of a plane or of a strip; what touches a plane smoothly has the plane's normal there.
+No normal is averaged across the border of a plane or strip; a surface that meets a plane smoothly has the plane's normal there.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats
 
 ALONG_COSINE = 0.9
-"""A sharp border of a strip runs along its rulings within this cosine's angle, else across them."""
+"""Least cosine between a sharp border of a strip and its rulings for the border to run along these; else it runs across them."""
 
 AGREE_COSINE = 0.996
-"""Normals of rulings that meet at one vertex say the same within 5 degrees; else the jet decides."""
+"""Least cosine between the normals of rulings that meet at a vertex, 5 degrees; if they differ more, the jet decides."""
 
 
 class RegionNormals(NamedTuple):
     """Normals at the corners of facets."""
 
     rows: Index
-    """(F, 3) row of each corner of each facet."""
+    """(F, 3) row, in `normals`, of each corner of each facet."""
     normals: Floats
     """(rows, 3) unit normals."""
     noise: Floats
-    """(rows,) what the jets leave of the vertices about, mm; NaN in planes and strips."""
+    """(rows,) residual of the jet at the vertices about, mm; NaN in planes and strips."""
     fans: Index
     """(F, 3) smooth fan of each corner."""
 
@@ -50,7 +50,7 @@ class _Mesh(NamedTuple):
 
 
 def region_normals(part: Part, twin: Index, regions: Regions) -> RegionNormals:
-    """Find the normals at all corners of facets; `twin` lacks those across creases."""
+    """Find the normals at all corners of facets; `twin` is -1 at creases."""
     vertices, faces = part.vertices, part.faces
     label, kind = regions.groups.label, regions.kind
     seen = kind[label] != PLANE

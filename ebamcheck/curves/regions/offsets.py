@@ -1,10 +1,10 @@
-"""Offsets: whether the vertices of a mesh lie on the surface that it stands for, or beyond it, where a program put them.
+"""Offsets: whether the vertices of a mesh lie on the surface that it approximates, or outside it, where a decimation put them.
 
-A lift believes that they do. Who tessellates a surface puts them there; who decimates a mesh by the planes of its facets
-puts each beyond the surface, by the more the longer its edges are, and a whole lift comes out as far outside as the contour
-was inside. Two things tell. Rows: nearly all vertices of a tessellator have six edges. And what each vertex's neighbours
-say of its place, by regression over the mesh. Where a mesh has neither rows nor enough vertices to ask, as what is left of a
-CAD solid after many collapses, nothing speaks for a lift.
+Lifting assumes that they lie on it. Tessellation puts them there. Decimation by the planes of the facets (quadric error
+metrics) puts each vertex outside the surface, farther the longer its edges are, and a whole lift then ends as far outside as
+the contour was inside. Two things decide. One is rows: nearly all vertices of a tessellator's mesh have six edges. The other is
+the place of each vertex as predicted from its neighbours, by regression over the mesh. A mesh that has neither rows nor enough
+such vertices, like a CAD solid after many edge collapses, gives no evidence for a lift.
 """
 
 from __future__ import annotations
@@ -21,71 +21,71 @@ from ebamcheck.numeric.rings import Bools, Floats
 VERTICES_A_BLOCK = 512
 
 MOST_ASKED = 20_000
-"""Vertices that are asked, evenly spread over the mesh: more would tell the offset no better."""
+"""Most vertices in the regression, evenly spread over the mesh: more would not make the offset more certain."""
 
 LEAST_INNER = 4
-"""Inner vertices from which rows mean something; a cone has its tip alone."""
+"""Fewest inner vertices for rows to mean something; a cone has only its tip."""
 
 IN_ROWS = 0.85
-"""Share of inner vertices with the edges of a row, from which a mesh is a tessellator's; collapses leave three quarters of a
-mesh that loses a third of its facets, scattered points have three tenths."""
+"""Least share of inner vertices with as many edges as in rows for a mesh to be a tessellator's. It is three quarters after edge
+collapses that remove a third of the facets, and three tenths on meshes of scattered points."""
 
 LEAST_TOLD = 100
-"""Vertices from which the regression is evidence, where there are no rows."""
+"""Fewest vertices for the regression to be evidence, where there are no rows."""
 
 LARGEST_OFFSET = 0.15
-"""Of its sagitta, by which a vertex may stand beyond the surface, error included: scattered points and collapses onto what
-is left of the vertices give -0.1 to 0, collapses to the best place for the planes about it 0.3 to 0.8."""
+"""Largest distance of a vertex outside the surface, over its sagitta, error included. Scattered points and edge collapses onto
+remaining vertices give -0.1 to 0, collapses to the point of least quadric error 0.3 to 0.8."""
 
 HALF = 0.5
-"""Of a lift that is made where vertices stand beyond the surface. The best place for the planes of the facets that went up in
-a vertex, those up to half an edge away, is half a sagitta beyond it; the facets between such vertices stand half a sagitta
-inside on average."""
+"""Share of a lift that is made where vertices lie outside the surface. The point of least quadric error for the facets that
+collapsed into a vertex, those up to half an edge away, is half a sagitta outside; the facets between such vertices are half
+a sagitta inside on average."""
 
 ERRORS = 2.0
-"""Standard errors that count as part of an offset."""
+"""Standard errors added to an offset before it is compared with its limit."""
 
 IN_LINE_COSINE = -0.999
-"""A vertex of four edges between two that lie this straight beyond each other split their edge, and is no vertex of a row."""
+"""A vertex with four edges, two of which are this straight a continuation of each other, merely splits an edge."""
 
 
 class Offsets(NamedTuple):
-    """What the inner vertices of a mesh's freely curved facets say."""
+    """Where the inner vertices of the freely curved facets lie, against the surface."""
 
     inner: int
-    """Vertices whose facets are all freely curved, and close about them; those that split an edge do not count."""
+    """Number of vertices surrounded by freely curved facets; those that split an edge do not count."""
     in_rows: float
-    """Share of them that have as many edges as the vertices of a tessellator's rows."""
+    """Share of the inner vertices that have as many edges as those of a tessellator's rows."""
     told: int
-    """Vertices of which their neighbours tell the place."""
+    """Number of vertices whose neighbours predict their place."""
     offset: float
-    """By how much of its own sagitta a vertex stands beyond the surface, by regression."""
+    """Distance of a vertex outside the surface, over its own sagitta, by regression."""
     error: float
-    """Standard error of that."""
+    """Standard error of the offset."""
 
     @property
     def is_in_rows(self) -> bool:
-        """Whether the mesh is a tessellator's; so is one with too few vertices to ask."""
+        """Whether the mesh is a tessellator's; one with too few inner vertices counts as such."""
         return self.inner < LEAST_INNER or self.in_rows >= IN_ROWS
 
     @property
     def lift_share(self) -> float:
-        """Of a lift, that there is evidence for."""
+        """Share of a lift for which there is evidence, 0 .. 1."""
         if self.is_in_rows:
             return 1.0
         if self.told < LEAST_TOLD:
             return 0.0
         if self.offset + ERRORS * self.error < -LARGEST_OFFSET:
-            return HALF  # inside of the surface, where no program puts them: their neighbours do not tell it
+            return HALF  # inside the surface, where no program puts vertices: the prediction is wrong
         return 1.0 if self.offset + ERRORS * self.error <= LARGEST_OFFSET else HALF
 
 
 NOTHING_TOLD = Offsets(0, 0.0, 0, 0.0, np.inf)
-"""Of a mesh without inner vertices, or one that is not asked."""
+"""Result for a mesh without inner vertices, or one that was not examined."""
 
 
 def vertex_offsets(vertices: Floats, faces: Index, smooth: Bools, fans: Index, free: Bools) -> Offsets:
-    """Ask the vertices of a mesh where they stand.
+    """Find whether the vertices of a mesh lie on the surface that it approximates.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """Planar groups of facets, grown from the largest facet over neighbours whose vertices lie in the group's plane.
 
-Vertices are judged, not normals: the normal of a sliver is uncertain by the rounding over its height, its vertices are not.
+Vertices are tested, not normals: rounding tilts the normal of a sliver far, but hardly moves its vertices.
 """
 
 from __future__ import annotations
@@ -14,25 +14,25 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats
 
 MOST_REACH = 10.0
-"""While a group is small its plane is uncertain far away; a vertex is taken up to this many tolerances then, and looked at
-again once the group is whole."""
+"""Largest distance, in tolerances, at which a vertex is taken while its group grows: the plane of a small group is uncertain
+far away. The vertex is tested again once the group is complete."""
 
 SURE_HEIGHT = 8.0
-"""A facet this many tolerances high has a normal that tells its sides apart: the rounding tilts it by a few degrees."""
+"""Height of a facet, in tolerances, from which its normal shows which way it faces: rounding tilts it by only a few degrees."""
 
 IN_PLANE = 2.0
-"""Tolerances that a vertex may lie from the plane of its whole group: one of its own, one of the plane's."""
+"""Largest distance, in tolerances, of a vertex from the plane of its complete group: one for itself, one for the plane."""
 
 
 class PlanarGroups(NamedTuple):
-    """Facets in groups of one plane each; a facet that shares its plane with no neighbour is a group."""
+    """Facets in coplanar groups; a facet that is coplanar with no neighbour is a group of its own."""
 
     label: Index
     """(F,) group of each facet."""
     normals: Floats
     """(G, 3) unit normal of each group, from the sum of its facets' area vectors."""
     sizes: Index
-    """(G,) facets."""
+    """(G,) number of facets."""
     areas: Floats
     """(G,) mm2."""
     starts: Index
@@ -42,7 +42,7 @@ class PlanarGroups(NamedTuple):
 
 
 def planar_groups(vertices: Floats, faces: Index, twin: Index, tolerance_mm: float) -> PlanarGroups:
-    """Group the facets that lie in one plane with their neighbours to the tolerance."""
+    """Group the facets that are coplanar with their neighbours, within the tolerance."""
     vectors = area_vectors(vertices, faces)
     areas = np.sqrt((vectors * vectors).sum(axis=1))
     order = np.argsort(-areas, kind="stable").astype(np.int32)

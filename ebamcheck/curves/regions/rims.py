@@ -1,8 +1,8 @@
 """Rims: bends at the sides of strips that may be a coarse rounding across them.
 
-A strip that is curved along itself, between two bends, may be one of a few strips of a rounding that is curved the other way
-across, as at the inner rim of a ring: a contour's two errors are of opposite sign there and partly make up for each other,
-and to mend the one alone would add to the error.
+A strip that is curved along its length, between two bends, may be one of a few strips of a rounding that is curved the other
+way across them, as at the inner rim of a ring. The contour's chord errors in the two directions have opposite signs there and
+partly cancel; correcting only one would increase the error.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats
 
 INWARD, OUTWARD = 0, 1
-"""Columns: sides to which a surface may stand off a strip."""
+"""Columns of the rims' sagittas: the side of the strip on which the surface may lie."""
 
 
 @kernel

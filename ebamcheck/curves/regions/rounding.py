@@ -12,20 +12,20 @@ from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.units import UNITS_MM
 
 LEAST_TOLERANCE_MM = 5e-5
-"""Vertices this near to a plane lie in it however finely the file is written: programs that split an edge or turn a part
-leave some 1e-5 mm, and a twentieth of the least distance of contour points is far under any chord error."""
+"""Vertices this near to a plane lie in it, however fine the numbers of the file: programs that split an edge or rotate a part
+leave some 1e-5 mm. It is a twentieth of the least distance of contour points, far below any chord error."""
 
 DECIMALS = (3, 4, 5, 6)
-"""Digits behind the point that ASCII files are written with; coarser numbers are a part's own round dimensions."""
+"""Decimal places to look for in the numbers of an ASCII file; fewer are a part's own round dimensions."""
 
 FLOAT32_STEP = 2.0**-23
-"""Step of 32-bit numbers, over the power of two under them."""
+"""Step between 32-bit floating-point numbers, over the power of two below them."""
 
 
 def plane_tolerance_mm(part: Part) -> float:
-    """How far a vertex of a plane may lie from it: twice what half a step of each coordinate moves it, mm.
+    """How far a vertex of a plane may lie from it, mm: twice as far as half a step of each coordinate moves it.
 
-    Twice, since the plane itself goes through rounded vertices.
+    Twice, because the plane itself goes through rounded vertices.
     """
     return max(LEAST_TOLERANCE_MM, float(2.0 * np.sqrt(3.0) * coordinate_error_mm(part)))
 
@@ -41,7 +41,7 @@ def coordinate_error_mm(part: Part) -> float:
 
 
 def _in_file(part: Part) -> Floats:
-    """Vertices in the coordinates and the unit of the file."""
+    """Vertices in the coordinates and unit of the file."""
     points: Floats = part.vertices / UNITS_MM[part.units]
     if part.direction != (0.0, 0.0, 1.0):
         points = points @ rotation_to_z(part.direction)
@@ -49,7 +49,7 @@ def _in_file(part: Part) -> Floats:
 
 
 def _decimals(points: Floats, half_step: float) -> int | None:
-    """Digits behind the point of all coordinates; None where they are not decimals, or are round numbers anyway."""
+    """Decimal places of all coordinates, of :data:`DECIMALS`; None if there are other ones, or if any number would fit."""
     for digits in (DECIMALS[0] - 1, *DECIMALS):
         scaled = points * 10.0**digits
         if 10.0**digits * half_step > 0.05:

@@ -1,4 +1,4 @@
-"""Segmentation of a mesh into regions: what is a plane, what a strip with straight rulings, and what is freely curved."""
+"""Segmentation of a mesh into planes, strips with straight rulings, and freely curved facets."""
 
 from __future__ import annotations
 
@@ -26,28 +26,28 @@ from ebamcheck.numeric.rings import Bools, Floats
 from ebamcheck.settings.curves import CurveSettings
 
 FREEFORM, PLANE, STRIP = 0, 1, 2
-"""Kinds of region: freely curved, flat, and flat between straight rulings across which the surface goes on turning."""
+"""Kinds of region: freely curved; flat; flat between straight rulings at which the surface continues to turn."""
 
 PROVEN = 1.5
-"""Times the sagitta of strips that are a rounding's for certain: as coarse as that, other strips of the part are no polygon."""
+"""Strips with a sagitta up to this many times that of a certain rounding of the part are a rounding, too, and no polygon."""
 
 MUCH = 0.25
-"""Of the surface of a part, from which its freely curved facets tell how coarse its mesh is; roundings of a polygon's rims
-are less."""
+"""Share of a part's surface from which its freely curved facets show how coarse the mesh is; the rounded rims of a polygon have
+less."""
 
 Kinds = NDArray[np.uint8]
 
 RULING_COSINE = 0.9
-"""Rulings of one strip differ by less than this cosine's angle, 26 degrees: those of a cone of few strips converge."""
+"""Least cosine between the rulings of one strip, 26 degrees: those of a cone of few strips converge."""
 
 
 class Regions(NamedTuple):
     """Regions of a mesh."""
 
     groups: PlanarGroups
-    """Facets in groups of one plane."""
+    """Facets in coplanar groups."""
     borders: Borders
-    """Where groups go over into each other."""
+    """Where groups meet smoothly."""
     kind: Kinds
     """(G,) kind of each group."""
     tolerance_mm: float
@@ -55,7 +55,7 @@ class Regions(NamedTuple):
 
 
 def find_regions(part: Part, twin: Index, settings: CurveSettings) -> Regions:
-    """Find the regions of a part; `twin` (3 F,) loses the half-edges at which the surface is sharp.
+    """Find the regions of a part; sets `twin` (3 F,) to -1 at the half-edges at which the surface is sharp.
 
     Parameters
     ----------
@@ -64,11 +64,11 @@ def find_regions(part: Part, twin: Index, settings: CurveSettings) -> Regions:
     twin
         Half-edge across each half-edge.
     settings
-        Edges whose planes differ by at least the crease angle are sharp. So is any edge between two planes that no third
-        strip goes on from. Strips that turn by more than the polygon angle, and leave a cylinder by more than the polygon
-        sagitta, are sides of a polygon: two rims of vertices do not tell. A flat side that such a row of strips touches
-        as the tangent plane of a rounding would is evidence for the cylinder, and so are others of the part, or freely
-        curved surfaces where they are much of it, that are as coarse.
+        Edges whose planes differ by at least the crease angle are sharp. So is any edge between two planes from which no
+        third strip continues the turn. Strips that turn by more than the polygon angle and leave a cylinder by more than the
+        polygon sagitta are sides of a polygon, as two rims of vertices do not show which is meant. Evidence for the cylinder
+        is a flat side tangent to the row of strips, or an equally coarse mesh of certain roundings, or of freely curved
+        surfaces if these are much of the part.
     """
     tolerance_mm = plane_tolerance_mm(part)
     vertices, faces = part.vertices, part.faces
@@ -140,7 +140,7 @@ def _kinds(vertices: Floats, faces: Index, twin: Index, groups: PlanarGroups, bo
 
 @kernel
 def is_link(twin: Index, label: Index, kind: Kinds, borders: Borders, h: int) -> bool:
-    """Whether a half-edge of a strip is one of its rulings: what lies beyond is no plane end, and not far narrower."""
+    """Whether a half-edge of a strip is one of its rulings: the group beyond it is another one, and not far narrower."""
     g = twin[h]
     if g == NO_TWIN or label[h // 3] == label[g // 3]:
         return False

@@ -1,7 +1,7 @@
-"""Surfaces of a part: its regions put together, with the figures of those that are known by formula.
+"""Surfaces of a part: its regions joined, with the dimensions of those that are known by formula.
 
-Facets of one exact surface are one; so are other strips that go over into each other, a ruled surface, and freely curved
-facets, a freeform patch.
+The facets of one exact surface are one surface. So are other strips that continue each other, as a ruled surface, and freely
+curved facets that are connected, as a freeform patch.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ class Surface:
     Parameters
     ----------
     kind
-        One of :data:`KINDS`; a quadric is one that has no name here, as an ellipsoid.
+        One of :data:`KINDS`; ``"quadric"`` is one without a name of its own here, such as an ellipsoid.
     facets
-        (n,) its facets.
+        (n,) indices of its facets.
     area_mm2
-        Their area.
+        Area of the facets.
     size_mm
-        Extents of its box.
+        Extents of its bounding box.
     figure
-        Its sizes: ``"radius 5 mm"``; of a freeform patch its noise: what a cubic through the vertices about leaves of each,
-        of which a part is the surface's own; empty where there is none.
+        Its dimensions, such as ``"radius 5 mm"``. Of a freeform patch its noise: the residual of a cubic through the vertices
+        about each, which is partly the surface's own shape. Empty if there is none.
     """
 
     kind: str
@@ -50,7 +50,7 @@ class Surface:
     figure: str = ""
 
     def as_dict(self) -> dict[str, Any]:
-        """All but the list of facets, for JSON."""
+        """Everything but the list of facets, for JSON."""
         return {
             "kind": self.kind,
             "facets": len(self.facets),
@@ -61,7 +61,7 @@ class Surface:
 
 
 MOST_LISTED = 40
-"""Surfaces listed one by one; the rest is counted."""
+"""Most surfaces listed one by one; the rest are only counted."""
 
 
 def table(found: list[Surface]) -> str:
@@ -140,14 +140,14 @@ def _surface(part: Part, normals: SurfaceNormals, facets: Ints) -> Surface:
 
 
 def _noise(normals: SurfaceNormals, facets: Ints) -> str:
-    """How far vertices stand off a smooth surface through their neighbours, as a median; empty where it is not told."""
+    """Median distance of vertices from a smooth surface through their neighbours, as text; empty where it is unknown."""
     noise = normals.noise[normals.sectors[facets]]
     told = noise[np.isfinite(noise)]
     return f"noise {np.median(told):.2g} mm" if told.size else ""
 
 
 def _figure(row: Floats) -> str:
-    """Sizes of an exact surface."""
+    """Dimensions of an exact surface, as text."""
     kind = int(row[KIND])
     if kind == SPHERE:
         return f"radius {row[OWN]:.6g} mm"

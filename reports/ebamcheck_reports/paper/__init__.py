@@ -1,4 +1,4 @@
-"""``ebamcheck paper``: the paper's figures and numbers, made again on stand-in parts and set beside its own.
+"""``ebamcheck paper``: the paper's figures and numbers, reproduced on stand-in parts and compared with its own.
 
 The paper: "Slicing Algorithm and Partition Scanning Strategy for 3D Printing Based on GPU Parallel Computing".
 """

@@ -1,4 +1,4 @@
-"""Figures 3 to 5: the binary image of a layer, drawn by the paper's method, and its contours."""
+"""Figures 3 to 5: the binary image of a layer by the paper's method, and its contours."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def draw(subject: Subject) -> tuple[Image, Layers, float]:
     with slicer.prepare(subject.part, settings) as prepared:
         if not isinstance(prepared, DrawsBitmaps):
             raise BackendFailed(f"backend {STENCIL!r} of this installation shows no bitmaps: update it")
-        # The image first: where slicing has let go of the graphics context, nothing would be drawn any more.
+        # The image first: slicing may release the graphics context, after which nothing can be drawn.
         image = prepared.bitmap(subject.height_mm)
         contours = prepared.slice(subject.section.heights)
     check(image, contours)
@@ -86,7 +86,7 @@ def draw(subject: Subject) -> tuple[Image, Layers, float]:
 
 
 def check(image: Image, contours: Layers) -> None:
-    """Refuse an image that is not the one from which the contours come."""
+    """Refuse an image that does not match the contours."""
     extent_px = [
         int(np.ptp(np.flatnonzero(line))) + 1 if line.any() else 0 for line in (image.any(0), image.any(1))
     ]

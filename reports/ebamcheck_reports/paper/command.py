@@ -1,4 +1,4 @@
-"""The command; what it needs loads when it runs, since every command of ebamcheck loads this module."""
+"""The command ``ebamcheck paper``; it imports when it runs, because every command of ebamcheck loads this module."""
 
 from __future__ import annotations
 

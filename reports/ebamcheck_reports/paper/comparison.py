@@ -1,4 +1,4 @@
-"""The table at the top: each figure of the paper, its value, ours, and whether the two can be compared."""
+"""The table at the top: for each figure of the paper its value, ours, and whether the two are comparable."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How much of the paper's work is done again."""
+"""Effort: how much of the paper's work is reproduced."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from ebamcheck_reports.paper.published import tolerances_by_size
 
 Note = Callable[[str], None]
-"""Called with one line about what is being done."""
+"""Callback for progress, with one line of text."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""All figures one after the other."""
+"""The job: makes all figures, one after the other."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from ebamcheck_reports.paper.subject import find_subject
 
 @dataclass(frozen=True)
 class Reproduction:
-    """What ``paper.json`` holds, and the pictures of the page by section."""
+    """Content of ``paper.json``, and the pictures of the page by section."""
 
     record: dict[str, Any]
     pictures: dict[str, list[Markup]]
 
 
 def reproduce(effort: Effort, bunny: Path | None, units: str, note: Note) -> Reproduction:
-    """Make every figure; what comes cheap and can fail on a given mesh comes first.
+    """Make every figure, beginning with the cheap ones that may fail on a given mesh.
 
     Parameters
     ----------

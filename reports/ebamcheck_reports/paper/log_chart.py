@@ -1,4 +1,4 @@
-"""Points and lines over two logarithmic axes as inline SVG."""
+"""Charts with two logarithmic axes as inline SVG."""
 
 from __future__ import annotations
 

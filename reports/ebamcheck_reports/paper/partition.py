@@ -20,7 +20,7 @@ ORDER: Final = "nearest"
 """Rotations in steps of pi/10 (equation 11), and the nearest centroid next (section 4.2)."""
 
 UNTURNED: Final = {"lattice_angle_deg": 0.0, "lattice_shift": False}
-"""The paper lays its hexagons along the rectangle, whatever the layer."""
+"""The paper aligns its hexagons with the rectangle on every layer."""
 
 
 def measure(subject: Subject) -> tuple[dict[str, Any], list[Markup]]:

@@ -1,4 +1,4 @@
-"""The part on which Figures 3 to 8 are shown, cut as the paper cuts its bunny."""
+"""Subject: the part of Figures 3 to 8, sliced as the paper slices its bunny."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from ebamcheck.slicers.slicing import slice_part
 from ebamcheck_reports.paper.published import CURVE_LAYER, LAYER_HEIGHT_MM
 
 STAND_IN, STAND_IN_TOLERANCE_MM = "blade", 0.05
-"""Model shown where no mesh is given, and how near its mesh comes to it."""
+"""Model shown if no mesh is given, and the tolerance of its mesh, mm."""
 
 AREA_STEP = 8
-"""Every how manieth layer is looked at for the greatest section."""
+"""Step between the layers that are searched for the largest section."""
 
 
 @dataclass(frozen=True, eq=False)

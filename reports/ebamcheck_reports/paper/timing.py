@@ -29,7 +29,7 @@ STL_HEADER_BYTES, STL_FACET_BYTES = 84, 50
 
 
 REPEAT_UNDER_S = 2.0
-"""A short time is taken twice and the better one kept: other work on the machine spoils it too easily."""
+"""Times shorter than this are measured twice and the lesser is kept: other work on the machine easily spoils them."""
 
 
 class Method(NamedTuple):
@@ -55,7 +55,7 @@ def measure(effort: Effort, note: Note) -> dict[str, Any]:
     model = models([LADDER])[LADDER]
     tried = methods()
     sizes = []
-    # Once before the clock counts, so that no time holds the compiling of a kernel or the start of a driver.
+    # One run without the clock, so that no time includes the compilation of a kernel or the start of a driver.
     _warm(model.tessellate(published.TOLERANCES_MM[0]), tried, effort)
     for tolerance_mm in effort.tolerances_mm:
         part = model.tessellate(tolerance_mm)
@@ -140,7 +140,7 @@ def _untimed(status: str, why: str) -> dict[str, Any]:
 def _warm(part: Part, tried: Sequence[Method], effort: Effort) -> None:
     heights = layer_heights(part, published.LAYER_HEIGHT_MM)
     for method in tried:
-        timed(part, heights, method, effort)  # one that fails is told where it is timed
+        timed(part, heights, method, effort)  # a failure is reported later, when the method is timed
 
 
 def _device(method: Method) -> str:

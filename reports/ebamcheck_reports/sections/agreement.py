@@ -1,4 +1,4 @@
-"""Agreement: how far the methods lie apart, layer by layer, and what explains a difference."""
+"""Agreement: how far apart the methods are, layer by layer, and the likely causes of differences."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def render(run: RunData) -> Markup:
 
 
 def _figures(run: RunData) -> list[Markup]:
-    """Matrix and table of the pairs; where every layer is empty they would say that all is well."""
+    """Matrix and table of the pairs; left out if every layer is empty, as they would suggest that all is well."""
     if not run.compared:
         return [
             paragraph(
@@ -147,7 +147,7 @@ def _areas(run: RunData) -> Markup:
 
 def _ratios(run: RunData) -> Markup:
     table_ = run.pair_table
-    # One line a slicer, in its style: of eight slicers there would be twenty-eight lines of pairs.
+    # One line per slicer, in its style: eight slicers would give twenty-eight lines of pairs.
     ratio = table_.assign(ratio=np.where(table_["gated"], table_["depth_mm"] / table_["limit_mm"], np.nan))
     series = []
     for name in run.methods:

@@ -1,4 +1,4 @@
-"""Certificate: what a person signs, and the hashes by which a change after it is found."""
+"""Certificate: the statement that a person signs, and the hashes that reveal a later change."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ WHAT = (
 )
 
 BLANK = "_" * 24
-"""Room to write by hand."""
+"""Blank line to fill in by hand."""
 
 
 def render(run: RunData) -> Markup:

@@ -29,13 +29,13 @@ from ebamcheck_reports.markup import (
 from ebamcheck_reports.run_data import RunData, layer_name
 
 RAYS = 1440
-"""Directions of the polar chart: four a degree."""
+"""Directions of the polar chart: four per degree."""
 
 CURVE_TOLERANCE_MM = 1e-5
-"""Curves are measured as polylines this near to them."""
+"""Chord error of the polylines as which curves are measured."""
 
 CORNER_ANGLE_DEG = 140.0
-"""Angle of a corner where the settings name none (paper, section 3.2)."""
+"""Angle of a corner if the settings name none (paper, section 3.2)."""
 
 WHAT = (
     "A contour is a chain of short straight segments, chords of the part's surface. Between its corners it is replaced by a smooth curve "

@@ -1,4 +1,4 @@
-"""The metal that the program lays, layer by layer, against that of the part."""
+"""Metal: the metal that the program deposits, layer by layer, against that of the part."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def _totals(solid: pd.DataFrame) -> Markup:
 
 
 def _worst(run: RunData, layers: pd.DataFrame) -> list[Markup]:
-    """Picture of the worst layer, its places ringed; none in a run of an earlier version."""
+    """Picture of the worst layer with its worst places circled; none for a run of an earlier version."""
     file = run.folder.path / FIELD_FILE
     if not file.is_file():
         return []

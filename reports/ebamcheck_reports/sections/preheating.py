@@ -1,4 +1,4 @@
-"""Preheating in the report: what is scanned before which layer, how warm it gets by its text, and the way of the beam."""
+"""Preheating: the scans before layers, the temperature that they reach by the program's text, and the path of the beam."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SAID = {
     "preheat evenness": "evenness",
     "preheat melting": "under the beam",
 }
-"""Checks that tell of it, and how they are called here."""
+"""Checks about preheating, with their names in this section."""
 
 
 def render(run: RunData) -> list[Markup]:

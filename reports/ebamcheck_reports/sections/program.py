@@ -66,7 +66,7 @@ def render(run: RunData) -> Markup:
 
 
 def _kinematics(run: RunData) -> list[Markup]:
-    """Feed that the axes reach along the contours, beside a program of one line a contour point."""
+    """Feed that the axes reach along the contours, compared with a program of one line per contour point."""
     paths = run.part_of("kinematics")
     if not paths:
         return []

@@ -15,10 +15,10 @@ from ebamcheck_reports.markup import Markup, element, facts, figure, join, parag
 from ebamcheck_reports.run_data import RunData, layer_name
 
 BEAD_WIDTH_MM = 6.0
-"""Width at which beads are drawn where the settings name none."""
+"""Width at which beads are drawn if the settings name none."""
 
 AMBIENT_K, SOLIDUS_K, BOILING_K = 293.15, 1877.0, 3533.0
-"""Temperature of the chamber, solidus and boiling point where the settings name none."""
+"""Temperature of the chamber, solidus and boiling point if the settings name none."""
 
 WHAT = (
     "Each section is divided into islands (hexagons, or whole walls where it is thin), which are filled with parallel beads one after the "
@@ -136,7 +136,7 @@ def _coverage(run: RunData, plan: ScanPlan) -> Markup:
 
 
 def _heat(run: RunData, plan: ScanPlan) -> list[Markup]:
-    """Temperatures of the heat model, waits and power of each layer, and what they cost, where it was asked."""
+    """Temperatures of the heat model, waits (dwell) and power of each layer, and their cost, if these were planned."""
     metrics = plan.metrics
     if "entry_max_k" not in metrics or metrics["entry_max_k"].isna().all():
         return []

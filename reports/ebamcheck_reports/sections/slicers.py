@@ -1,4 +1,4 @@
-"""Slicers: which methods cut the part, on what, with which promise, and what became of them."""
+"""Slicers: the methods that cut the part, their devices, their declared error bounds, and how they ended."""
 
 from __future__ import annotations
 
