@@ -38,3 +38,23 @@ def test_what_went_wrong_beside_is_told_where_its_result_is_asked_for():
         work = aside.submit(lost)
         with pytest.raises(InputError, match=re.escape(text)):
             work.result()
+
+
+def test_an_interrupt_tells_work_that_has_begun_and_what_waits_after_it_is_dropped():
+    ended, begun = threading.Event(), threading.Event()
+    works: list[Future] = []
+
+    def stops_when_told() -> bool:
+        begun.set()
+        return ended.wait(60.0)
+
+    def interrupted() -> None:
+        with one_beside(ended=ended) as aside:
+            works.extend([aside.submit(stops_when_told), aside.submit(lambda: "begun")])
+            assert begun.wait(60.0)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert works[0].result(timeout=0.0) is True
+    assert works[1].cancelled()

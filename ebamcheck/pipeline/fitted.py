@@ -109,7 +109,11 @@ def _other_fits(job: Job, layers: Layers, settings: CurveSettings) -> dict[str, 
     others = [name for name in METHODS if name != settings.method]
     if "surface" in others and with_edges(layers, job.part, settings.near_point_mm) is None:
         others.remove("surface")
-    return {name: fit(layers, name, settings, part=job.part) for name in others}
+    found = {}
+    for name in others:
+        job.go_on()
+        found[name] = fit(layers, name, settings, part=job.part)
+    return found
 
 
 def _figures(curves: Curves, deviation: pd.DataFrame) -> MethodFigures:
@@ -126,8 +130,12 @@ def _against_reference(
     """Errors of contours and curves against the finer tessellation (paper, section 5.2); the chosen method is first."""
     truth = slice_part(fine, layers.heights)
     layer_files.write_parquet(truth, job.folder.path / "reference.parquet")
+    job.go_on()
     before = contour_error(layers, truth)
-    of_curves = {name: contour_error(curves, truth) for name, curves in of_methods.items()}
+    of_curves = {}
+    for name, curves in of_methods.items():
+        job.go_on()
+        of_curves[name] = contour_error(curves, truth)
     after = next(iter(of_curves.values()))
     pd.concat([before.assign(of="contour"), after.assign(of="curve")]).to_csv(
         job.folder.path / "reference.csv", index=False

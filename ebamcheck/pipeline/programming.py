@@ -104,7 +104,7 @@ def make_program(
     config, layers = job.config, job.folder.read_layers(primary)
     error_bound_mm = checked.outcomes[primary].error_bound_mm
     # What asks for much arithmetic and little Python goes on beside the rest.
-    with ExitStack() as kept, one_beside() as aside:
+    with ExitStack() as kept, one_beside(job.ended) as aside:
         kept.enter_context(surface_kept(job.part))
         fit_result = fitted(job, layers, error_bound_mm)
         compared = aside.submit(beside_others, job, layers, fit_result, error_bound_mm)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import CancelledError, Executor, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from threading import Event
 from typing import Protocol
 
 from ebamcheck.findings import Finding
@@ -69,6 +70,19 @@ class Job:
     """Workers for the slicers that were spawned early; None: they are when they are needed."""
     live: bool = False
     """Whether a main program that waits between layers is written, too."""
+    ended: Event = field(default_factory=Event)
+    """Set where the run has ended by an error or an interrupt while work goes on beside it."""
+
+    def go_on(self) -> None:
+        """Leave work beside the stages where the run has ended meanwhile; to be called between its steps.
+
+        Raises
+        ------
+        CancelledError
+            Where it has: nobody asks for the result any more.
+        """
+        if self.ended.is_set():
+            raise CancelledError
 
     def add_finding(self, *findings: Finding) -> None:
         """Add what a person has to know of this job, whatever becomes of its gates."""
@@ -92,11 +106,19 @@ class Job:
 
 
 @contextmanager
-def one_beside() -> Iterator[Executor]:
-    """One thread beside this one; where the block ends with an error or an interrupt, what has not begun is dropped."""
+def one_beside(ended: Event | None = None) -> Iterator[Executor]:
+    """One thread beside this one; where the block ends with an error or an interrupt, what has not begun is dropped.
+
+    Parameters
+    ----------
+    ended
+        Set then, so that what has begun can stop.
+    """
     with ThreadPoolExecutor(1) as pool:
         try:
             yield pool
         except BaseException:
+            if ended is not None:
+                ended.set()
             pool.shutdown(wait=False, cancel_futures=True)
             raise
