@@ -244,6 +244,7 @@ def _verified(job: Job, files: ProgramFiles, made: _Made, witness: Layers, aside
         plan=made.plan,
         path=made.path,
         layers=witness,
+        beads=True,
         heat=True,
         sha256=files.sha256,
         smooth=made.smooth if config.curves.method in LIFTED else None,

@@ -113,8 +113,8 @@ def verify_program(
         The same sections with the curves that their chords stand for: the path has to lie near them where the
         chords alone leave it room.
     beads
-        Check the beads themselves, too: spacing, lines laid twice, coverage of the `layers`. For a program whose
-        plan is not known; against a plan its vectors are compared one by one.
+        Check the beads themselves, too, by the text and the `layers` alone: spacing, lines laid twice, the form of the hatch,
+        coverage, gaps, wire.
     metal
         Lay the metal of the program over the `layers`, and check its mass and where it lies.
     heat

@@ -5,6 +5,8 @@ The plan times and heats them by this rule, and the program writes them by it: t
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ebamcheck.numeric.rings import Bools, Floats, Ints
@@ -12,6 +14,14 @@ from ebamcheck.numeric.rings import Bools, Floats, Ints
 TURN_SPACINGS = 1.5
 """Lines of one island whose ends are at most this many bead spacings apart are joined with the beam on: the turn is
 part of the melt pool. 1.5, because a border at 60 degrees makes the turn 1.15 spacings long."""
+
+
+SHARPEST_TURN = -math.cos(math.radians(20.0))
+"""Cosine of the angle between a turn and a line beside it from which on the turn goes back on that line: the beam would melt its
+track again. Turns between parallel lines reach no more than -cos(26 degrees), those along a border at 60 degrees among them."""
+
+SHORTEST_MM = 0.01
+"""A line or turn that is shorter has no direction that counts."""
 
 
 def gaps_mm(start: Floats, end: Floats) -> Floats:
@@ -37,17 +47,33 @@ def follows(island: Ints, start: Floats, end: Floats, spacing_mm: float) -> Bool
     Returns
     -------
     array
-        (V,) true where the beam stays on.
+        (V,) true where the beam stays on: the turn is short, and goes back on neither line.
 
     Examples
     --------
     >>> ends = np.array([[0.0, 0.0], [9.0, 4.0], [0.0, 20.0]]), np.array([[9.0, 0.0], [0.0, 4.0], [9.0, 20.0]])
     >>> follows(np.zeros(3, np.int64), *ends, 4.32).tolist()
     [False, True, False]
+    >>> hairpin = np.array([[0.0, 0.0], [13.0, 0.1]]), np.array([[10.0, 0.0], [5.0, 0.5]])
+    >>> follows(np.zeros(2, np.int64), *hairpin, 4.32).tolist()
+    [False, False]
     """
     same = np.zeros(len(start), np.bool_)
     same[1:] = island[1:] == island[:-1]
-    return np.asarray(same & (gaps_mm(start, end) <= TURN_SPACINGS * spacing_mm), np.bool_)
+    near = gaps_mm(start, end) <= TURN_SPACINGS * spacing_mm
+    return np.asarray(same & near & ~_turns_back(start, end), np.bool_)
+
+
+def _turns_back(start: Floats, end: Floats) -> Bools:
+    """Whether the turn to each line (V,) goes back on the line before, or that line on the turn."""
+    back = np.zeros(len(start), np.bool_)
+    way, turn = end - start, start[1:] - end[:-1]
+    length, turn_mm = np.hypot(*way.T), np.hypot(*turn.T)
+    for beside in (slice(None, -1), slice(1, None)):
+        known = np.minimum(length[beside], turn_mm) > SHORTEST_MM
+        along = np.einsum("ij,ij->i", way[beside], turn)
+        back[1:] |= known & (along < SHARPEST_TURN * length[beside] * turn_mm)
+    return back
 
 
 def turns_and_jumps_mm(island: Ints, start: Floats, end: Floats, spacing_mm: float) -> tuple[Floats, Floats]:
