@@ -8,9 +8,11 @@ and are left out.
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import shapely
+from shapely.ops import substring
 
 from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
@@ -48,7 +50,7 @@ FINE, SKEW, UNEVEN, BACK = 0, 1, 2, 3
 
 def form_checks(nc: NCProgram, config: Config) -> list[Check]:
     """Check the form of all hatch beads, and that no bead crosses itself or another of its layer."""
-    return [_lines(nc, config), _crossings(nc)]
+    return [_lines(nc, config), _crossings(nc, 0.5 * config.process.bead_width_mm)]
 
 
 # -- lines to and fro -------------------------------------------------------------------------------
@@ -152,13 +154,18 @@ def _goes_to_and_fro(
 
 @kernel
 def _skew(way: Floats, length: Floats, a: int, b: int, j: int, spacing: float) -> int:
-    """First line of a bead that is neither along line j, nor along any other, nor a turn between two; -1 for none."""
+    """First line of a bead that is neither along line j, nor along any other, nor a turn between two; -1 for none.
+
+    A short last line behind a turn fills what the others left bare, and lies as that does.
+    """
     straight = True
     for i in range(a, b):
         if _parallel(way, length, j, i):
             straight = True
             continue
         turn = straight and a < i < b - 1 and length[i] <= TURN_SPACINGS * spacing + ROUNDING_MM
+        if i == b - 1 and not straight and length[i] <= TURN_SPACINGS * spacing:
+            break
         mate = False
         for k in range(a, b):
             mate = mate or (k != i and _parallel(way, length, i, k))
@@ -208,15 +215,22 @@ def form_of(first: Ints, start: Floats, way: Floats, spacing: float) -> tuple[In
 # -- crossings ----------------------------------------------------------------------------------------
 
 
-def _crossings(nc: NCProgram) -> Check:
-    """Places where the centre line of a hatch bead runs across that of a bead of its layer: metal on metal."""
+def _crossings(nc: NCProgram, pool_mm: float) -> Check:
+    """Places where a hatch bead runs across itself or another of its layer: metal on metal.
+
+    A bead that ends or turns within half its width of another one does so in the pool of that, and does not cross it.
+    """
     metal = (
         nc.deposit & (nc.kind != RAPID) & np.isfinite(nc.start).all(axis=1) & np.isfinite(nc.end).all(axis=1)
     )
     rows = np.flatnonzero(metal & (nc.layer >= 0))
+    beads = beads_of(nc)
+    bead = beads.spread(np.arange(len(beads)), len(nc))
 
     def work(start: int, stop: int) -> list[int]:
-        return [row for k in range(start, stop) for row in _crossed(nc, rows[nc.layer[rows] == k])]
+        return [
+            row for k in range(start, stop) for row in _crossed(nc, rows[nc.layer[rows] == k], bead, pool_mm)
+        ]
 
     blocks = run_blocks(work, len(nc.layer_files)) if rows.size else []
     found = sorted({row for block in blocks for row in block})
@@ -224,8 +238,8 @@ def _crossings(nc: NCProgram) -> Check:
     return count_check(CROSSINGS, faults, "no bead runs across another of its layer")
 
 
-def _crossed(nc: NCProgram, rows: Ints) -> list[int]:
-    """Later motion of each pair that crosses, hatch at least one of them."""
+def _crossed(nc: NCProgram, rows: Ints, bead: Ints, pool_mm: float) -> list[int]:
+    """Later motion of each pair that crosses, hatch at least one of them; `bead` (B,) is that of each motion."""
     owner, segments = _chords(nc, rows)
     if len(owner) < 2:
         return []
@@ -234,7 +248,33 @@ def _crossed(nc: NCProgram, rows: Ints) -> list[int]:
     one, other = shapely.STRtree(lines).query(lines[mine], predicate="crosses")
     one = mine[one]
     apart = _apart(segments[one], segments[other])
-    return [int(row) for row in owner[np.maximum(one, other)][apart]]
+    one, other = one[apart], other[apart]
+    whole: dict[int, shapely.LineString] = {}
+    for k in np.unique(bead[owner[np.concatenate([one, other])]]).tolist():
+        chords = segments[bead[owner] == k]
+        whole[k] = shapely.LineString(np.vstack([chords[:1, :2], chords[:, 2:]]))
+    ends = bead[owner[np.column_stack([one, other])]].reshape(-1, 2).tolist()
+    across = [i == j or _runs_across(whole[i], whole[j], pool_mm) for i, j in ends]
+    return [int(row) for row in owner[np.maximum(one, other)][np.array(across, np.bool_)]]
+
+
+def _runs_across(one: shapely.LineString, other: shapely.LineString, pool_mm: float) -> bool:
+    """Whether each of two beads gets farther than a pool from the other on both sides of a place where they meet."""
+    return _passes(one, other, pool_mm) and _passes(other, one, pool_mm)
+
+
+def _passes(one: shapely.LineString, other: shapely.LineString, pool_mm: float) -> bool:
+    met = shapely.points(shapely.get_coordinates(shapely.intersection(one, other)))
+    cuts = np.sort(shapely.line_locate_point(one, met))
+    away = [
+        float(
+            shapely.distance(shapely.points(shapely.get_coordinates(piece.segmentize(CHORD_MM))), other).max()
+        )
+        for low, high in pairwise([0.0, *cuts.tolist(), one.length])
+        if high > low
+        for piece in [substring(one, low, high)]
+    ]
+    return any(min(before, after) > pool_mm for before, after in pairwise(away))
 
 
 def _apart(one: Floats, other: Floats) -> Bools:
