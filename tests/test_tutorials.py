@@ -40,7 +40,7 @@ def test_first_own_part(tmp_path: Path):
     (plate,) = blocks("first-own-part.md", "toml")
     (tmp_path / "plate.toml").write_text(plate)
     lines = commands("first-own-part.md")
-    assert len(lines) == 5
+    assert len(lines) == 7
     for line in [*lines, "ebamcheck preflight --plate plate.toml"]:
         run(line, tmp_path)
 
