@@ -21,7 +21,7 @@ from ebamcheck.live.verifying import read_verified, verify_build
 def place(tmp_path_factory):
     """Folder with a run of a box, and a build of it whose layers grew a tenth too high."""
     folder = tmp_path_factory.mktemp("report")
-    write_stl(box(upper=(36, 30, 7)), folder / "box.stl")
+    write_stl(box(upper=(36, 30, 6.7)), folder / "box.stl")
     done = ebamcheck("run", "box.stl", "-o", "box.run", "--backends", FAST, cwd=folder)
     assert done.returncode == 0, done.stderr
     found = finished_run(folder / "box.run")

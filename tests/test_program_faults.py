@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 import pytest
-from nc_stack import stack
+from nc_stack import ANY_OVERHANG, stack
 from planted_faults import FAULTS, FIRST, MAIN, SECOND, planted, swapped_intervals
 
 from ebamcheck.program import verify_file, write_program
@@ -78,7 +78,7 @@ def test_a_spline_of_too_few_blocks_is_found(tmp_path):
 
 @pytest.fixture
 def program(tmp_path):
-    config = Config()
+    config = Config().changed(process=ANY_OVERHANG)
     curves, plan = stack()
     files = write_program(curves, plan, config, tmp_path / "program")
 

@@ -121,7 +121,7 @@ def test_junit_has_one_case_a_gate_finding_backend_pair_and_check(whole: RunFold
     record = whole.manifest()
     names = [(c.get("classname"), c.get("name")) for c in root.iter("testcase")]
     expected = [("ebamcheck.gate", g["name"]) for g in record["gates"]]
-    expected += [("ebamcheck.finding", f"{f['code']} {f['place']}") for f in record["findings"]]
+    expected += [("ebamcheck.finding", f"{f['code']} {f['place']}".strip()) for f in record["findings"]]
     expected += [(f"ebamcheck.backend.{b}", "slice") for b in record["backends"]]
     expected += [
         (f"ebamcheck.backend.{p['a']}", f"agrees with {p['b']}") for p in record["comparison"]["pairs"]
