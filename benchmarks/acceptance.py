@@ -41,7 +41,7 @@ PARTS = (
     "helical-channel",
     "bulkhead",
 )
-"""The nine reference parts: six that the default bead can build, three with walls thinner than it."""
+"""The nine reference parts: five that the default bead can build, one with an overhang of 15 mm, three with walls thinner than the bead."""
 
 PAIRS = {
     "contour_mm": ("contour_mm",),

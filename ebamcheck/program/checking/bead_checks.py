@@ -41,7 +41,7 @@ LEAST_GAP_LIMIT = 0.15
 
 
 def bead_checks(nc: NCProgram, config: Config, z_of: Floats, layers: Layers | None = None) -> list[Check]:
-    """Check the lines of a program whose plan is not known, and the coverage of the sections where `layers` are given.
+    """Check the beads by the text alone, and the coverage of the sections where `layers` are given.
 
     Parameters
     ----------

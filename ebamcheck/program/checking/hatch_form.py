@@ -264,6 +264,7 @@ def _runs_across(one: shapely.LineString, other: shapely.LineString, pool_mm: fl
 
 
 def _passes(one: shapely.LineString, other: shapely.LineString, pool_mm: float) -> bool:
+    """Whether one bead gets farther than a pool from the other both before and behind a place where they meet."""
     met = shapely.points(shapely.get_coordinates(shapely.intersection(one, other)))
     cuts = np.sort(shapely.line_locate_point(one, met))
     away = [

@@ -161,9 +161,8 @@ def _overhang(nc: NCProgram, config: Config) -> Check:
     for k in range(len(contours)):
         section = shapely.union_all(contours.polygons(k))
         rise = float(heights[k] - heights[k - 1]) if k else 0.0
-        if (
-            rise > 0.0 and not section.is_empty and not below.is_empty
-        ):  # A height that is not known is not above.
+        # A height that is not known is not above.
+        if rise > 0.0 and not section.is_empty and not below.is_empty:
             within = limit or math.degrees(math.atan2(width_mm, rise))
             angle, place = _reach_deg(section, below, rise)
             if angle > within:
