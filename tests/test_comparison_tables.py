@@ -108,6 +108,26 @@ def test_a_neck_counts_only_where_it_is_thick(width, agrees):
     assert rows.loc[0, "agrees"] == agrees
 
 
+def test_a_fin_may_break_into_pieces_that_are_a_little_thicker_than_it():
+    block = shapely.box(-10, -5, 0, 5)
+    whole = block.union(shapely.box(0, -0.055, 20, 0.055))
+    broken = block.union(shapely.box(9, -0.065, 14, 0.065))
+    rows = compare(from_polygons([0.0], [[whole]]), from_polygons([0.0], [[broken]]), tolerance_mm=0.06)
+    assert (rows.loc[0, "rings_a"], rows.loc[0, "rings_b"]) == (1, 2)
+    assert rows.loc[0, "agrees"]
+
+
+@pytest.mark.parametrize("width", [0.13, 0.2, 0.23, 0.5])
+def test_a_fin_thicker_than_twice_the_limit_may_not_be_gone(width):
+    block = shapely.box(-10, -5, 0, 5)
+    fin = shapely.box(2, -width / 2, 20, width / 2)
+    for lost in (block, block.union(shapely.clip_by_rect(fin, 5, -1, 9, 1))):
+        rows = compare(
+            from_polygons([0.0], [[block.union(fin)]]), from_polygons([0.0], [[lost]]), tolerance_mm=0.06
+        )
+        assert not rows.loc[0, "agrees"]
+
+
 def test_ranges_of_counts_with_thin_features():
     plate = (
         shapely.box(0, 0, 10, 10).difference(shapely.box(2, 2, 2.05, 8)).difference(shapely.box(4, 4, 6, 6))

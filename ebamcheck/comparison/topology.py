@@ -4,6 +4,10 @@ A feature thinner than twice the limit (a sliver, a neck, a slit, a pore) may ri
 not in the other. So each region is counted with its thin features and without: as it is, opened by the limit
 (thin solids gone), closed by it (thin gaps gone), and both in either order. The two agree if their ranges of
 the number of outer rings overlap, and their ranges of the number of holes too.
+
+A piece of a wedge that is just thinner than that in one region may be up to twice as thick in the other, cut off from it by
+necks that are gone. Regions that do not agree are therefore counted once more at twice the limit. No fault hides there: a
+feature thicker than ``2 r`` that one of two regions lacks has a depth of more than `r`, which has a limit of its own.
 """
 
 from __future__ import annotations
@@ -26,10 +30,26 @@ def region(layers: Layers, layer: int) -> BaseGeometry:
 
 
 def topologies_agree(a: Layers, b: Layers, layer: int, limit_mm: float) -> bool:
-    """Whether a layer's outer rings and holes agree once features thinner than ``2 limit_mm`` are set aside."""
-    outer_a, holes_a = thin_counts(region(a, layer), limit_mm)
-    outer_b, holes_b = thin_counts(region(b, layer), limit_mm)
-    return _overlap(outer_a, outer_b) and _overlap(holes_a, holes_b)
+    """Whether a layer's outer rings and holes agree once features thinner than ``2 limit_mm`` in either are set aside."""
+    return regions_agree(region(a, layer), region(b, layer), limit_mm)
+
+
+def regions_agree(a: BaseGeometry, b: BaseGeometry, limit_mm: float) -> bool:
+    """Whether two regions whose boundaries are within a limit of each other have the same outer rings and holes.
+
+    Examples
+    --------
+    >>> block = shapely.box(-9, -5, 0, 5)
+    >>> fin = block.union(shapely.box(0, -0.55, 20, 0.55))
+    >>> broken = block.union(shapely.box(10, -0.65, 14, 0.65))
+    >>> regions_agree(fin, broken, 0.6), regions_agree(fin, broken, 0.3)
+    (True, False)
+    """
+    for radius_mm in (limit_mm, 2.0 * limit_mm):
+        (outer_a, holes_a), (outer_b, holes_b) = thin_counts(a, radius_mm), thin_counts(b, radius_mm)
+        if _overlap(outer_a, outer_b) and _overlap(holes_a, holes_b):
+            return True
+    return False
 
 
 def thin_counts(solid: BaseGeometry, limit_mm: float) -> Counts:

@@ -45,6 +45,10 @@ LEAST_TURN = -math.cos(math.radians(15.0))
 """Cosine of the angle between two motions of a bead from which on it turns back on its own track. A turn of 1.5 spacings between
 lines that are two thirds of a spacing apart, the least that a plan leaves, comes to 26 degrees."""
 
+GENTLE, MANY = 0.5, 3
+"""Cosine of the angle of a joint that is a bend, not a turn, and how many of them in a row show that a bead follows a wall: a line
+that is out of its place has two."""
+
 FINE, SKEW, UNEVEN, BACK = 0, 1, 2, 3
 
 
@@ -156,23 +160,44 @@ def _goes_to_and_fro(
 def _skew(way: Floats, length: Floats, a: int, b: int, j: int, spacing: float) -> int:
     """First line of a bead that is neither along line j, nor along any other, nor a turn between two; -1 for none.
 
-    A short last line behind a turn fills what the others left bare, and lies as that does.
+    Short motions before the first line along j and behind the last one follow a wall or fill a bare spot, and lie as that
+    does; but a single one that goes half a spacing aside is a turn whose line is missing.
     """
+    longest = TURN_SPACINGS * spacing + ROUNDING_MM
+    low, high = j, j
+    for i in range(a, b):
+        if _parallel(way, length, j, i):
+            low, high = min(low, i), max(high, i)
     straight = True
     for i in range(a, b):
         if _parallel(way, length, j, i):
             straight = True
             continue
-        turn = straight and a < i < b - 1 and length[i] <= TURN_SPACINGS * spacing + ROUNDING_MM
-        if i == b - 1 and not straight and length[i] <= TURN_SPACINGS * spacing:
-            break
-        mate = False
+        short = length[i] <= longest
+        mate = straight and low < i < high and short
+        if short and not low < i < high:
+            alone = i + 1 == low == a + 1 or i == high + 1 == b - 1
+            aside = abs(way[j, 0] * way[i, 1] - way[j, 1] * way[i, 0]) / length[j]
+            mate = not alone or aside < 0.5 * spacing
         for k in range(a, b):
             mate = mate or (k != i and _parallel(way, length, i, k))
-        if not turn and not mate:
+        if not mate:
             return i
         straight = False
     return -1
+
+
+@kernel
+def _follows_wall(way: Floats, length: Floats, a: int, b: int) -> bool:
+    """Whether a bead bends gently at several joints one after the other, as along a wall."""
+    bends = 0
+    for i in range(a + 1, b):
+        along = way[i - 1, 0] * way[i, 0] + way[i - 1, 1] * way[i, 1]
+        gentle = along >= GENTLE * length[i - 1] * length[i] and not _parallel(way, length, i - 1, i)
+        bends = bends + 1 if gentle else 0
+        if bends == MANY:
+            return True
+    return False
 
 
 @kernel
@@ -182,7 +207,7 @@ def _uneven(start: Floats, way: Floats, length: Floats, a: int, b: int, j: int) 
     for i in range(a, b):
         if not _parallel(way, length, j, i):
             continue
-        if before >= 0:
+        if 0 <= before < i - 1:
             step = abs(_offset(start, way, length, j, i) - _offset(start, way, length, j, before))
             if step > 2.0 * ROUNDING_MM:
                 if pitch > 0.0 and abs(step - pitch) > 2.0 * ROUNDING_MM + PARALLEL * length[j]:
@@ -205,7 +230,7 @@ def form_of(first: Ints, start: Floats, way: Floats, spacing: float) -> tuple[In
             j = _main_line(way, length, a, b)
             if j >= 0 and _goes_to_and_fro(start, way, length, a, b, j, spacing):
                 kind, place = SKEW, _skew(way, length, a, b, j, spacing)
-                if place < 0:
+                if place < 0 or _follows_wall(way, length, a, b):
                     kind, place = UNEVEN, _uneven(start, way, length, a, b, j)
         if place >= 0:
             state[bead], at[bead] = kind, place
