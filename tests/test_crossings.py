@@ -40,3 +40,15 @@ def test_a_turn_that_goes_back_on_the_line_before_is_none(away_deg, joined):
     begin = np.array([20.0, 0.0]) + turn
     start, end = np.array([[0.0, 0.0], begin]), np.array([[20.0, 0.0], begin + np.array([0.0, 10.0])])
     assert follows(np.zeros(2, np.int64), start, end, 4.32).tolist() == [False, joined]
+
+
+@pytest.mark.parametrize(("beside_mm", "joined"), [(0.3, False), (-0.9, False), (1.2, True), (-2.0, True)])
+@pytest.mark.parametrize("driven", [1, -1])
+def test_a_turn_leads_over_no_line_of_its_island(driven, beside_mm, joined):
+    turn = np.array([[0.0, -5.0], [0.0, 0.0]]), np.array([[6.0, 1.0], [9.0, 8.0]])
+    along = np.array([[3.5, 9.0 - beside_mm], [2.5, -9.0 - beside_mm]]) + [beside_mm, 0.0]
+    start, end = np.array([turn[0][0], turn[1][0], along[0]]), np.array([turn[0][1], turn[1][1], along[1]])
+    if driven < 0:
+        start, end = end[::-1], start[::-1]
+    on = follows(np.zeros(3, np.int64), start, end, 4.32)
+    assert on[1 if driven > 0 else 2] == joined

@@ -71,6 +71,35 @@ def test_a_line_nearer_to_its_neighbour_than_the_others_is_found():
     assert form(points)[0] == UNEVEN
 
 
+TAIL = [(-1.5, -6.0), (-1.4, -5.4), (-0.3, -5.1), (1.0, -3.9), (1.7, -3.6), (0.6, -1.8)]
+"""Short motions along a wall that lead to the first line."""
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_bead_may_follow_a_wall_before_its_first_line_and_behind_its_last(turned):
+    points = [*TAIL, *to_and_fro(lines=5), (20.4, 18.2), (19.6, 19.0)]
+    assert form(points[::-1] if turned else points)[0] == FINE
+
+
+@pytest.mark.parametrize("at", [0, 1, 10, 11])
+def test_a_moved_end_of_the_first_or_last_line_is_found(at):
+    points = to_and_fro()
+    points[at] = (points[at][0], points[at][1] + 2.0)
+    assert form(points)[0] == SKEW
+
+
+@pytest.mark.parametrize("left", [slice(1, None), slice(None, -1)])
+def test_a_turn_whose_line_is_missing_is_found(left):
+    assert form(to_and_fro()[left])[0] == SKEW
+
+
+def test_strands_along_a_nearly_straight_wall_are_fine():
+    up, down = [(0.0, 0.0), (0.007, 57.0), (0.0, 58.0), (0.005, 62.0)], [(3.3, 62.0), (3.31, 58.0), (3.29, 0.0)]
+    assert form([*up, *down])[0] == FINE
+    around = [(-15.0, -8.0), (-11.0, -7.9), (-7.0, -7.0), (-3.5, -5.0), (-1.0, -2.0)]
+    assert form([*around, *up, *down])[0] == FINE
+
+
 def test_beads_along_walls_have_no_such_form():
     around = [(20 * np.cos(a), 20 * np.sin(a)) for a in np.linspace(0, 5, 40)]
     assert form(around)[0] == FINE

@@ -178,7 +178,9 @@ def _skew(way: Floats, length: Floats, a: int, b: int, j: int, spacing: float) -
         if short and not low < i < high:
             alone = i + 1 == low == a + 1 or i == high + 1 == b - 1
             aside = abs(way[j, 0] * way[i, 1] - way[j, 1] * way[i, 0]) / length[j]
-            mate = not alone or aside < 0.5 * spacing
+            if alone and aside >= 0.5 * spacing:
+                return i
+            mate = True
         for k in range(a, b):
             mate = mate or (k != i and _parallel(way, length, i, k))
         if not mate:

@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 
+from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 TURN_SPACINGS = 1.5
@@ -20,8 +21,15 @@ SHARPEST_TURN = -math.cos(math.radians(20.0))
 """Cosine of the angle between a turn and a line beside it from which on the turn goes back on that line: the beam would melt its
 track again. Turns between parallel lines reach no more than -cos(26 degrees), those along a border at 60 degrees among them."""
 
+BESIDE_SPACINGS, SHORT_SPACINGS = 0.25, 0.6
+"""The middle of a turn is at least this many spacings away from every line of its island, if the turn is longer than the second of
+them: nearer it would lay metal on metal. Between parallel lines, two thirds of a spacing apart, it is a third of one away."""
+
 SHORTEST_MM = 0.01
 """A line or turn that is shorter has no direction that counts."""
+
+TINY = 1e-300
+"""Least divisor."""
 
 
 def gaps_mm(start: Floats, end: Floats) -> Floats:
@@ -47,7 +55,7 @@ def follows(island: Ints, start: Floats, end: Floats, spacing_mm: float) -> Bool
     Returns
     -------
     array
-        (V,) true where the beam stays on: the turn is short, and goes back on neither line.
+        (V,) true where the beam stays on: the turn is short, goes back on neither line, and over no line of its island.
 
     Examples
     --------
@@ -61,7 +69,9 @@ def follows(island: Ints, start: Floats, end: Floats, spacing_mm: float) -> Bool
     same = np.zeros(len(start), np.bool_)
     same[1:] = island[1:] == island[:-1]
     near = gaps_mm(start, end) <= TURN_SPACINGS * spacing_mm
-    return np.asarray(same & near & ~_turns_back(start, end), np.bool_)
+    on = np.asarray(same & near & ~_turns_back(start, end), np.bool_)
+    _break_over_lines(on, island, np.ascontiguousarray(start), np.ascontiguousarray(end), spacing_mm)
+    return on
 
 
 def _turns_back(start: Floats, end: Floats) -> Bools:
@@ -74,6 +84,25 @@ def _turns_back(start: Floats, end: Floats) -> Bools:
         along = np.einsum("ij,ij->i", way[beside], turn)
         back[1:] |= known & (along < SHARPEST_TURN * length[beside] * turn_mm)
     return back
+
+
+@kernel
+def _break_over_lines(on: Bools, island: Ints, start: Floats, end: Floats, spacing: float) -> None:
+    """Take out of `on` (V,) the turns that lead over a line of their island."""
+    first = 0
+    for v in range(1, island.size):
+        if island[v] != island[v - 1]:
+            first = v
+        x, y = 0.5 * (end[v - 1, 0] + start[v, 0]), 0.5 * (end[v - 1, 1] + start[v, 1])
+        half = math.hypot(start[v, 0] - x, start[v, 1] - y)
+        u = first
+        while on[v] and 2.0 * half > SHORT_SPACINGS * spacing and u < island.size and island[u] == island[v]:
+            dx, dy = end[u, 0] - start[u, 0], end[u, 1] - start[u, 1]
+            along = (x - start[u, 0]) * dx + (y - start[u, 1]) * dy
+            share = min(max(along / max(dx * dx + dy * dy, TINY), 0.0), 1.0)
+            aside = math.hypot(start[u, 0] + share * dx - x, start[u, 1] + share * dy - y)
+            on[v] = aside >= BESIDE_SPACINGS * spacing
+            u += 1
 
 
 def turns_and_jumps_mm(island: Ints, start: Floats, end: Floats, spacing_mm: float) -> tuple[Floats, Floats]:
