@@ -145,3 +145,25 @@ def test_the_longest_line_of_a_wall_stays_however_short():
     for size in (0.3, 1.0, 2.5):
         (line,) = beads_of(shapely.box(0, 0, size, 0.2 * size))
         assert 0.0 < line.length < LEAST_BEAD * WIDTH
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("thick", [3.0, 5.5, 7.5])
+def test_beads_of_walls_with_uneven_points_bend_one_way(seed, thick):
+    rng = np.random.default_rng(seed)
+
+    def side(radius, count):
+        angle = np.radians([0.0, *np.sort(rng.uniform(1.0, 149.0, count)), 150.0])
+        return radius * np.column_stack([np.cos(angle), np.sin(angle)])
+
+    outer, inner = side(40.0 + thick, 90), side(40.0, 61)
+    for line in beads_of(shapely.Polygon([*outer, *inner[::-1]])):
+        way = np.diff(shapely.get_coordinates(line), axis=0)
+        away = shapely.distance(
+            shapely.points(shapely.get_coordinates(line)), shapely.MultiPoint([*outer[[0, -1]]])
+        )
+        bend = way[:-1, 0] * way[1:, 1] - way[:-1, 1] * way[1:, 0]
+        bend /= np.hypot(*way[:-1].T) * np.hypot(*way[1:].T)
+        middle = bend[away[1:-1] > 1.5 * thick]
+        assert len(middle) > 3 or line.length < 3.0 * thick
+        assert abs(np.sign(middle).sum()) == len(middle)
