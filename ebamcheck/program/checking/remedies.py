@@ -37,7 +37,7 @@ REMEDIES: Mapping[str, str] = {
             "subprograms", "unchanged", "status", "header", "readable", "order of events", "repeated blocks",
             "spline blocks", "polynomial blocks", "contours close", "layer count", "beads as planned", "hatch path",
             "contour rings", "contour path", "islands", "hatch vectors", "lines laid once", "turns",
-            "parts of hatch lines", "overlap of contours", "start of path", "wire of beads", "words of motions", "waits over the part",
+            "parts of hatch lines", "overlap of contours", "start of path", "words of motions", "waits over the part",
         ),
         AGAIN,
     ),
@@ -47,6 +47,7 @@ REMEDIES: Mapping[str, str] = {
     **dict.fromkeys(("process window", "process values", "mass balance", "power", "melting power"), WINDOW),
     **dict.fromkeys(("section", "smooth section"), FIT),
     **dict.fromkeys(("beads inside", "metal outside", "reach of metal", "holes"), COARSE),
+    "wire of beads": f"where a wall or a hole is narrower than two beads, {COARSE}; else {AGAIN}",
     **dict.fromkeys(
         (
             "coverage", "gaps", "hatch spacing", "metal", "metal of layers", "height inside", "height at edges",
