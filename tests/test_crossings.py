@@ -46,7 +46,7 @@ def test_a_turn_that_goes_back_on_the_line_before_is_none(away_deg, joined):
 @pytest.mark.parametrize("driven", [1, -1])
 def test_a_turn_leads_over_no_line_of_its_island(driven, beside_mm, joined):
     turn = np.array([[0.0, -5.0], [0.0, 0.0]]), np.array([[6.0, 1.0], [9.0, 8.0]])
-    along = np.array([[3.5, 9.0 - beside_mm], [2.5, -9.0 - beside_mm]]) + [beside_mm, 0.0]
+    along = np.array([[3.5 + beside_mm, 9.0 - beside_mm], [2.5 + beside_mm, -9.0 - beside_mm]])
     start, end = np.array([turn[0][0], turn[1][0], along[0]]), np.array([turn[0][1], turn[1][1], along[1]])
     if driven < 0:
         start, end = end[::-1], start[::-1]

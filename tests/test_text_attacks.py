@@ -94,7 +94,10 @@ def test_a_turn_whose_line_is_missing_is_found(left):
 
 
 def test_strands_along_a_nearly_straight_wall_are_fine():
-    up, down = [(0.0, 0.0), (0.007, 57.0), (0.0, 58.0), (0.005, 62.0)], [(3.3, 62.0), (3.31, 58.0), (3.29, 0.0)]
+    up, down = (
+        [(0.0, 0.0), (0.007, 57.0), (0.0, 58.0), (0.005, 62.0)],
+        [(3.3, 62.0), (3.31, 58.0), (3.29, 0.0)],
+    )
     assert form([*up, *down])[0] == FINE
     around = [(-15.0, -8.0), (-11.0, -7.9), (-7.0, -7.0), (-3.5, -5.0), (-1.0, -2.0)]
     assert form([*around, *up, *down])[0] == FINE
