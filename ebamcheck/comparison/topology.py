@@ -1,9 +1,9 @@
 """Whether two regions have the same outer rings and holes once thin features are set aside.
 
 A feature thinner than twice the limit (a sliver, a neck, a slit, a pore) may rightly be in one region and
-not in the other. So each region is counted with its thin features and without: as it is, opened by the limit
-(thin solids gone), closed by it (thin gaps gone), and both in either order. The two agree if their ranges of
-the number of outer rings overlap, and their ranges of the number of holes too.
+not in the other. So each region is counted with its thin features and without: as it is, without the pieces and holes
+that are thin throughout, opened by the limit (thin solids gone), closed by it (thin gaps gone), and both in either
+order. The two agree if their ranges of the number of outer rings overlap, and their ranges of the number of holes too.
 
 A piece of a wedge that is just thinner than that in one region may be up to twice as thick in the other, cut off from it by
 necks that are gone. Regions that do not agree are therefore counted once more at twice the limit. No fault hides there: a
@@ -60,6 +60,7 @@ def thin_counts(solid: BaseGeometry, limit_mm: float) -> Counts:
         closed = _closed(solid, limit_mm)
         variants += [opened, closed, _closed(opened, limit_mm), _closed(closed, -limit_mm)]
     counts = [_counts(variant) for variant in variants]
+    counts.append(_counts(solid, limit_mm))
     outer, holes = [c[0] for c in counts], [c[1] for c in counts]
     return range(min(outer), max(outer) + 1), range(min(holes), max(holes) + 1)
 
@@ -69,10 +70,16 @@ def _closed(solid: BaseGeometry, by_mm: float) -> BaseGeometry:
     return solid.buffer(by_mm, quad_segs=ARC_SEGMENTS).buffer(-by_mm, quad_segs=ARC_SEGMENTS)
 
 
-def _counts(solid: BaseGeometry) -> tuple[int, int]:
-    """Polygons and holes of a region."""
+def _counts(solid: BaseGeometry, thin_mm: float = 0.0) -> tuple[int, int]:
+    """Polygons and holes of a region, without those that a circle of radius `thin_mm` fits into nowhere."""
     polygons = [p for p in shapely.get_parts(solid) if p.geom_type == "Polygon" and not p.is_empty]
-    return len(polygons), sum(int(shapely.get_num_interior_rings(p)) for p in polygons)
+    holes = [shapely.Polygon(ring) for polygon in polygons for ring in polygon.interiors]
+    if thin_mm > 0.0:
+        polygons, holes = (
+            [p for p in those if not p.buffer(-thin_mm, quad_segs=ARC_SEGMENTS).is_empty]
+            for those in (polygons, holes)
+        )
+    return len(polygons), len(holes)
 
 
 def _overlap(a: range, b: range) -> bool:
