@@ -11,6 +11,7 @@ from ebamcheck.pipeline.certificate import (
     read_certificate,
     write_sealed,
 )
+from ebamcheck.pipeline.reports_again import reports_again
 from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.pipeline.signing import make_key, read_private_key, trusted_keys
 from ebamcheck.pipeline.verify import verify_run
@@ -23,6 +24,8 @@ def failed(run, **given):
 def resealed(run):
     """What a forger does who knows this code: everything that follows from the record, and all hashes, made anew."""
     manifest = RunFolder(run).manifest()
+    for name, text in reports_again(RunFolder(run)).items():
+        (run / name).write_bytes(text)
     old = read_certificate(run / CERTIFICATE)
     fields = {
         **certificate(manifest, old["software"]),

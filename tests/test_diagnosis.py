@@ -9,6 +9,7 @@ import shapely
 from ebamcheck.comparison import compare_all
 from ebamcheck.comparison.causes import MeshFlaws
 from ebamcheck.comparison.diagnosis import KINDS
+from ebamcheck.comparison.diagnosis.sheets import MOST_RINGS, MOST_SHEETS, Reader, sample
 from ebamcheck.comparison.findings import worst_of
 from ebamcheck.comparison.remedies import REMEDIES
 from ebamcheck.layers.stack import from_polygons, from_rings
@@ -254,3 +255,14 @@ def test_bodies_are_counted(parts):
 def test_reports_know_what_every_cause_means():
     words = pytest.importorskip("ebamcheck_reports.words")
     assert set(REMEDIES) <= set(words.CAUSES)
+
+
+def test_of_layers_with_many_rings_fewer_are_examined():
+    layers, heights = np.arange(40), np.arange(40.0)
+    reader = Reader(from_rings(heights, [[]] * 40))
+
+    def count(rings):
+        return len(sample(layers, np.full(40, rings), heights, reader, reader, (0.0, 0.0)))
+
+    most = MOST_RINGS // MOST_SHEETS
+    assert [count(rings) for rings in (2, most, 2 * most, MOST_RINGS)] == [MOST_SHEETS, MOST_SHEETS, 6, 1]

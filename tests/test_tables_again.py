@@ -1,7 +1,8 @@
-"""Tables of a run, of which figures were edited and all hashes made anew: they are worked out again."""
+"""Tables and reports of a run, of which figures were edited and all hashes made anew: they are worked out again."""
 
 from __future__ import annotations
 
+import json
 import shutil
 
 import pandas as pd
@@ -12,8 +13,11 @@ from slicers_here import slicers_here
 
 from benchmarks.faults.judging import reseal
 from benchmarks.faults.subjects import CONTROLS, SUBJECTS
+from ebamcheck.json_values import write_json
 from ebamcheck.pipeline import check_job, run_job
 from ebamcheck.pipeline.verify import verify_run
+from ebamcheck.program.checking import verification
+from ebamcheck.version import __version__
 
 PLAIN = CONTROLS[-1]
 
@@ -50,12 +54,15 @@ def test_of_a_sound_run_they_are_those_that_follow_and_the_others_are_named(made
         "deposit.csv",
         "events.parquet",
         "fit.csv",
+        "junit.xml",
+        "kinematics.csv",
         "layers.csv",
         "process.csv",
         "program.csv",
+        "summary.csv",
     ):
         assert name in said
-    assert {"report.html", "junit.xml", "kinematics.csv"} <= set(by_hash.split(", "))
+    assert set(by_hash.split(", ")) == {"curves.parquet", "deposit_worst.parquet", "report.html"}
 
 
 @pytest.mark.parametrize(
@@ -69,6 +76,7 @@ def test_of_a_sound_run_they_are_those_that_follow_and_the_others_are_named(made
         ("fit.csv", "lift_mm"),
         ("layers.csv", "area_mm2_planecut"),
         ("compare.csv", "area_a_mm2"),
+        ("kinematics.csv", "excess_mm3"),
     ],
 )
 def test_an_edited_figure_is_found_though_all_hashes_are_made_anew(made, tmp_path, name, column):
@@ -85,6 +93,79 @@ def test_an_edited_figure_is_found_though_all_hashes_are_made_anew(made, tmp_pat
     assert column in failed["tables"].text
 
 
+def put(path, old, new):
+    """Replace the first place of some text in a file."""
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "told"),
+    [
+        ("junit.xml", "the part is a closed solid", "the part is a solid", "a solid;"),
+        ("junit.xml", '<testcase name="input"', '<testcase name="inputs"', "inputs"),
+        ("junit.xml", 'failures="0"', 'failures="1"', 'failures="1"'),
+        ("summary.csv", ",gate,input,,,True,", ",gate,input,,,False,", "False"),
+        ("summary.csv", "closed, consistently oriented", "whatever it is", "whatever it is"),
+    ],
+)
+def test_an_edited_report_is_found_though_all_hashes_are_made_anew(made, tmp_path, name, old, new, told):
+    copy = shutil.copytree(made / "run", tmp_path / "run")
+    put(copy / name, old, new)
+    reseal(copy, "MAIN.gcode")
+    failed = {check.name: check for check in verify_run(copy, made / "cube.stl") if not check.passed}
+    assert set(failed) == {"tables"}
+    assert failed["tables"].text.startswith(f"{name}: line ")
+    assert told in failed["tables"].text.partition(", found ")[0]
+
+
+def test_a_report_of_which_lines_were_taken_out_or_that_is_none_is_found(made, tmp_path):
+    copy = shutil.copytree(made / "run", tmp_path / "run")
+    text = (copy / "summary.csv").read_text(encoding="utf-8")
+    (copy / "summary.csv").write_text("".join(text.splitlines(True)[:-1]), encoding="utf-8")
+    (copy / "junit.xml").write_bytes(b"<testsuites>")
+    reseal(copy, "MAIN.gcode")
+    said = of_tables(made, copy)["tables"]
+    assert said.value == 2.0
+    assert "junit.xml: cannot be read: " in said.text
+    assert f"summary.csv: line {text.count(chr(10))}: recorded ''" in said.text
+
+
+def test_the_layout_of_xml_does_not_count(made, tmp_path):
+    copy = shutil.copytree(made / "run", tmp_path / "run")
+    put(copy / "junit.xml", "<testsuite ", "\n\n   <testsuite ")
+    reseal(copy, "MAIN.gcode")
+    assert of_tables(made, copy)["tables"].passed
+
+
+def test_reports_of_another_version_are_not_compared_and_that_is_said(made, tmp_path):
+    copy = shutil.copytree(made / "run", tmp_path / "run")
+    put(copy / "run.json", f'"ebamcheck": "{__version__}"', '"ebamcheck": "0.0.1"')
+    reseal(copy, "MAIN.gcode")
+    said = of_tables(made, copy)["tables"]
+    assert said.passed
+    assert f"junit.xml was not compared: the run is of version 0.0.1, this is {__version__}" in said.text
+
+
+def test_a_record_of_which_no_report_can_be_made_is_told(made, tmp_path):
+    copy = shutil.copytree(made / "check", tmp_path / "check")
+    record = json.loads((copy / "run.json").read_text(encoding="utf-8"))
+    record["comparison"]["pairs"] = [7]
+    write_json(record, copy / "run.json")
+    told = of_tables(made, copy)["worked out again"]
+    assert not told.passed
+    assert "report 'junit' cannot be made from it: TypeError" in told.text
+
+
+def test_the_metal_of_a_program_is_laid_once(made, monkeypatch):
+    def again(*_, **__):
+        raise AssertionError("laid a second time")
+
+    monkeypatch.setattr(verification, "deposit", again)
+    assert all(check.passed for check in verify_run(made / "run", made / "cube.stl"))
+
+
 def test_a_row_that_was_taken_out_is_found(made, tmp_path):
     copy = shutil.copytree(made / "run", tmp_path / "run")
     pd.read_csv(copy / "deposit.csv")[:-1].to_csv(copy / "deposit.csv", index=False)
@@ -95,4 +176,5 @@ def test_a_row_that_was_taken_out_is_found(made, tmp_path):
 def test_a_cross_check_has_tables_too(made):
     checks = of_tables(made, made / "check")
     assert checks["tables"].passed
-    assert checks["tables"].text.startswith("compare.csv, compare.parquet, layers.csv are those that follow")
+    said = "compare.csv, compare.parquet, junit.xml, layers.csv, summary.csv are those that follow"
+    assert checks["tables"].text.startswith(said)

@@ -6,6 +6,7 @@ import re
 import shutil
 import traceback
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from ebamcheck.json_values import (
     write_json,
 )
 from ebamcheck.pipeline.certificate import write_certificate
+from ebamcheck.pipeline.reports_again import reports_again
 from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.pipeline.verify import verify_against_part, verify_run
 from ebamcheck.program import Check
@@ -109,6 +111,7 @@ def judged_run(ground: Ground, made: Finished, folder: Path, other_part: Path | 
     ground.text.write(copy / "program")
     if ground.forge is not None and not ground.forge_last:
         ground.forge(copy)
+        _write_reports(copy)
     reseal(copy, ground.text.main, other_part)
     if ground.forge is not None and ground.forge_last:
         ground.forge(copy)
@@ -132,6 +135,13 @@ def strip(folder: Path) -> None:
         data = path.read_bytes()
         if b"\x00" not in data:
             path.write_bytes(without_comments(data.decode("latin-1")).encode("latin-1"))
+
+
+def _write_reports(run: Path) -> None:
+    """Make reports of a record anew, where they can be made of it."""
+    with suppress(EbamcheckError):
+        for name, text in reports_again(RunFolder(run)).items():
+            (run / name).write_bytes(text)
 
 
 def reseal(run: Path, main: str, other_part: Path | None = None) -> None:

@@ -17,12 +17,9 @@ import pandas as pd
 
 from ebamcheck.comparison import Comparison, compare_all
 from ebamcheck.comparison.sources import LayerSource
-from ebamcheck.curves import LIFTED, Curves, fit
+from ebamcheck.curves import LIFTED, fit
 from ebamcheck.findings import Finding, from_record, has_fault
-from ebamcheck.json_values import (
-    plain,
-    sha256_of_json,
-)
+from ebamcheck.json_values import plain
 from ebamcheck.layers.files import LayerFile
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.inspection import inspect
@@ -39,17 +36,15 @@ from ebamcheck.pipeline.loose_limits import loose_limits
 from ebamcheck.pipeline.noticed_in_program import of_metal
 from ebamcheck.pipeline.placement import cut_heights
 from ebamcheck.pipeline.run_folder import RunFolder
-from ebamcheck.pipeline.solid_metal import with_solid
-from ebamcheck.pipeline.tables_again import of_comparison, of_program, order_of, tables_check
+from ebamcheck.pipeline.tables_again import of_comparison, order_of, tables_check
+from ebamcheck.pipeline.text_again import text_again
 from ebamcheck.plugins import registry
-from ebamcheck.program import Check, verify_file
+from ebamcheck.program import Check
 from ebamcheck.program.checking.bead_wire import NAME as WIRE_OF_BEADS
 from ebamcheck.program.checking.deposit_checks import SOLID, of_deposit
 from ebamcheck.program.checking.entry_check import NAME as ENTRY
 from ebamcheck.program.checking.hatch_form import CROSSINGS, LINES
-from ebamcheck.program.checking.header_checks import Truth
 from ebamcheck.program.toolpath.inputs import deposition_heights
-from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import outside_window, unusual_layers
 from ebamcheck.slicers.isolation import Outcome, declared_bounds
@@ -131,23 +126,8 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
         of_run = tables_check(run, manifest, tables, why_not)
         return Again(witness, tuple(made), agrees, tuple(told), exchanged=exchanged, tables=of_run)
     verdict, tables["fit.csv"] = _fitted(run, manifest, config, part)
-    plan = ScanPlan.from_parquet(run.path / "scan.parquet")
-    beads = Curves.from_parquet(run.path / "beads.parquet")
-    checks = verify_file(
-        run.program_folder / record["files"][0]["name"],
-        config=config,
-        curves=beads,
-        plan=plan,
-        layers=fresh,
-        smooth=verdict.curves.sample_tolerance(SMOOTH_MM) if config.curves.method in LIFTED else None,
-        beads=True,
-        metal=True,
-        heat=True,
-        heights=heights,
-        sha256={file["name"]: file["sha256"] for file in record["files"]},
-        truth=truth_of(manifest, config),
-    )
-    checks = with_solid(checks, part, fresh, config)
+    smooth = verdict.curves.sample_tolerance(SMOOTH_MM) if config.curves.method in LIFTED else None
+    checks, plan, of_text = text_again(run, manifest, config, part, fresh, smooth)
     z_of = deposition_heights(np.asarray(heights), config.layer_height_mm, config.base_mm)
     main = run.program_folder / record["files"][0]["name"]
     made += [
@@ -162,10 +142,9 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
     checks += entry
     checks += live_checked_again(run.path, record, config)
     told += [*noticed.of_profile(config), *of_metal(of_deposit(checks))]
-    same = record["witness"] == witness
-    if not same:
+    tables |= of_text
+    if record["witness"] != witness:
         why_not["deposit.csv"] = f"the run used sections by {record['witness']}, these are by {witness}"
-    tables |= of_program(main, beads, plan, fresh if same else None, config)
     of_run = tables_check(run, manifest, tables, why_not)
     return Again(witness, tuple(made), agrees, tuple(told), tuple(checks), exchanged, of_run)
 
@@ -204,12 +183,6 @@ def exchanged_layers(
         if not same:
             found.append(name)
     return tuple(found)
-
-
-def truth_of(manifest: Mapping[str, Any], config: Config) -> Truth:
-    """What a run's record tells of its program, against which the program's header is held."""
-    validated = bool(manifest["program"]["validated"])
-    return Truth(validated, manifest["part"]["sha256"], sha256_of_json(config.model_dump()))
 
 
 def _agreement(

@@ -1,29 +1,31 @@
-"""The tables of a finished run, worked out again: a hash shows that a file was changed, and nothing where hashes are made anew."""
+"""Tables and reports of a finished run, worked out again: a hash shows that a file was changed, and nothing where hashes are made anew."""
 
 from __future__ import annotations
 
 import io
 import re
 from collections.abc import Iterable, Mapping
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pandas as pd
 
 from ebamcheck.comparison import Comparison
-from ebamcheck.errors import EbamcheckError
+from ebamcheck.kinematics import side_by_side
 from ebamcheck.layers.stack import Layers
 from ebamcheck.pipeline.cross_check import layer_table
+from ebamcheck.pipeline.reports_again import reports_again
 from ebamcheck.pipeline.run_folder import RunFolder
-from ebamcheck.program import Check, program_summary, read_program
-from ebamcheck.program.checking.deposit import deposit
+from ebamcheck.program import Check, NCProgram, program_summary
 from ebamcheck.program.checking.matching import matched
-from ebamcheck.program.toolpath.bead_ends import planned_path
 from ebamcheck.program.toolpath.events import event_totals, process_events
-from ebamcheck.program.toolpath.inputs import CurveColumns, deposition_heights
+from ebamcheck.program.toolpath.tracks import Toolpath
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config
+from ebamcheck.version import __version__
 
 NAME = "tables"
 
@@ -34,17 +36,31 @@ NOTHING = 1e-9
 """Figures that differ by less are the same, whatever they are."""
 
 
+SHOWN = 40
+"""Characters that are told of two lines that differ, from a little before the place on."""
+
+
 def tables_check(
-    run: RunFolder, manifest: Mapping[str, Any], found: Mapping[str, pd.DataFrame], why_not: Mapping[str, str]
+    run: RunFolder,
+    manifest: Mapping[str, Any],
+    tables: Mapping[str, pd.DataFrame],
+    why_not: Mapping[str, str],
 ) -> Check:
-    """Compare the tables of a run with those that were `found`, by name of the file, and name the files of which only hashes are known.
+    """Compare tables and reports of a run with those that follow, and name the files of which only hashes are known.
 
     Parameters
     ----------
+    tables
+        Tables that were worked out, by name of the file. Reports that follow from the record alone are made here.
     why_not
         Files that could be worked out, and were not, each with the reason.
     """
-    told = sorted(name for name in found if name in manifest["files"])
+    found: dict[str, pd.DataFrame | bytes] = {**tables, **reports_again(run)}
+    why_not = dict(why_not)
+    if manifest["ebamcheck"] != __version__:
+        other = f"the run is of version {manifest['ebamcheck']}, this is {__version__}"
+        why_not |= {name: other for name, made in found.items() if isinstance(made, bytes)}
+    told = sorted(name for name in found if name not in why_not and (run.path / name).is_file())
     faults = [fault for name in told for fault in _differences(run.path / name, found[name])]
     text = "; ".join(faults[:3]) or f"{', '.join(told)} are those that follow"
     text += "".join(f"; {name} was not compared: {why}" for name, why in sorted(why_not.items()))
@@ -92,37 +108,36 @@ def of_comparison(comparison: Comparison) -> dict[str, pd.DataFrame]:
     }
 
 
-def of_program(
-    main: Path, beads: CurveColumns, plan: ScanPlan, sections: Layers | None, config: Config
-) -> dict[str, pd.DataFrame]:
-    """Tables of plan and text; that of the metal where the `sections` are those that it was held against. None where it cannot be read."""
-    path = planned_path(beads, plan, config)
+def of_plan(path: Toolpath, plan: ScanPlan, config: Config) -> dict[str, pd.DataFrame]:
+    """Tables of a plan, and of the tracks that were laid out of it."""
     events = process_events(path, plan, config)
-    found = {
+    return {
         "scan.csv": plan.metrics,
         "events.parquet": events,
         "process.csv": event_totals(events, len(path.z), config),
     }
-    try:
-        nc, _ = matched(read_program(main, config), path)
-    except EbamcheckError:  # A check of its own tells that.
-        return found
-    found["program.csv"] = program_summary(nc, config)
-    if sections is not None:
-        z_of = deposition_heights(sections.heights, config.layer_height_mm, config.base_mm)
-        found["deposit.csv"] = deposit(nc, sections, z_of, config).layers
-    return found
 
 
-def _differences(path: Path, found: pd.DataFrame) -> Iterable[str]:
-    """The first place where a recorded table is another than the one that was found, in words."""
+def of_program(nc: NCProgram, path: Toolpath, contours: Layers, config: Config) -> dict[str, pd.DataFrame]:
+    """Tables of a program that was read; `contours` are those that it was made from."""
+    nc, _ = matched(nc, path)
+    return {
+        "program.csv": program_summary(nc, config),
+        "kinematics.csv": side_by_side(nc, contours, config).reset_index(),
+    }
+
+
+def _differences(path: Path, found: pd.DataFrame | bytes) -> Iterable[str]:
+    """The first place where a recorded table or report is another than the one that was found, in words."""
     try:
+        if isinstance(found, bytes):
+            return _of_lines(path.name, _lines(path.read_bytes(), path.suffix), _lines(found, path.suffix))
         if path.suffix == ".parquet":
             recorded = pd.read_parquet(path)
         else:
             recorded = pd.read_csv(path)
             found = pd.read_csv(io.StringIO(found.to_csv(index=False)))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, ElementTree.ParseError) as error:
         return [f"{path.name}: cannot be read: {error}"]
     if list(recorded.columns) != list(found.columns) or len(recorded) != len(found):
         sizes = [f"{len(table)} rows of {len(table.columns)} columns" for table in (recorded, found)]
@@ -137,6 +152,25 @@ def _differences(path: Path, found: pd.DataFrame) -> Iterable[str]:
                 f"{path.name}: row {k + 1}, {name}: recorded {recorded[name].iloc[k]}, found {found[name].iloc[k]}"
             ]
     return []
+
+
+def _lines(data: bytes, suffix: str) -> list[str]:
+    """Lines of a report; of XML, which each version of a library indents in its own way, one a tag."""
+    text = data.decode("utf-8")
+    if suffix == ".xml":
+        return ElementTree.canonicalize(text, strip_text=True).replace("><", ">\n<").split("\n")
+    return text.split("\n")
+
+
+def _of_lines(name: str, recorded: list[str], found: list[str]) -> list[str]:
+    """The first line that differs, in words."""
+    if recorded == found:
+        return []
+    pairs = enumerate(zip_longest(recorded, found, fillvalue="nothing"), 1)
+    k, (a, b) = next((k, pair) for k, pair in pairs if pair[0] != pair[1])
+    same = next((i for i, (x, y) in enumerate(zip(a, b, strict=False)) if x != y), min(len(a), len(b)))
+    at = max(same - SHOWN // 2, 0)
+    return [f"{name}: line {k}: recorded {a[at : at + SHOWN]!r}, found {b[at : at + SHOWN]!r}"]
 
 
 def _same(recorded: pd.Series[Any], found: pd.Series[Any]) -> np.ndarray[Any, np.dtype[np.bool_]]:

@@ -29,13 +29,14 @@ from ebamcheck.pipeline.certificate_checks import (
     told_once,
 )
 from ebamcheck.pipeline.choice import witness_backend
-from ebamcheck.pipeline.gates_again import SMOOTH_MM, compared, truth_of, work_again
+from ebamcheck.pipeline.gates_again import SMOOTH_MM, compared, work_again
 from ebamcheck.pipeline.placement import cut_heights, placed_part
 from ebamcheck.pipeline.plate_record import PLATE, plate_checks
 from ebamcheck.pipeline.resumed import begins_later, entry_of_whole
 from ebamcheck.pipeline.run_folder import MANIFEST, RunFolder
 from ebamcheck.pipeline.signing import trusted_keys
 from ebamcheck.pipeline.solid_metal import with_solid
+from ebamcheck.pipeline.text_again import truth_of
 from ebamcheck.program import Check, read_program, verify_file
 from ebamcheck.program.checking.header_checks import Truth
 from ebamcheck.program.reading.motions import NCProgram

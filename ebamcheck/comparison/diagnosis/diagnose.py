@@ -89,7 +89,6 @@ def diagnose(
     """
     reader_a, reader_b = Reader(a), Reader(b)
     solid = found.layers[found.rings[0, found.layers] > 0]
-    # The size of a layer is its number of rings: points are not counted before it is read.
     sheets = sample(solid, found.rings.sum(axis=0), found.heights, reader_a, reader_b, origin_mm)
     unit = _unit(sheets, flaws)
     if unit is not None:

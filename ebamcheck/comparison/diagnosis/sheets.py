@@ -18,8 +18,8 @@ from ebamcheck.numeric.rings import Floats, Ints
 MOST_SHEETS = 12
 """Most layers of a pair that are examined: enough to find what they have in common."""
 
-MOST_POINTS = 300_000
-"""Largest total size of these layers, of both slicers together, in the measure given to :func:`sample`."""
+MOST_RINGS = 300_000
+"""Most rings of these layers, of both slicers together: fewer are taken where each has over 25,000, as specks of a raster may be."""
 
 WINDOW = 32
 """Layers read from a file at once."""
@@ -114,13 +114,13 @@ class Reader:
 
 
 def sample(
-    layers: Ints, points: Ints, heights: Floats, a: Reader, b: Reader, origin_mm: tuple[float, float]
+    layers: Ints, rings: Ints, heights: Floats, a: Reader, b: Reader, origin_mm: tuple[float, float]
 ) -> list[Sheet]:
-    """Sheets of a few of the layers on which two stacks differ, spread evenly; `points` (L,) is the size of each layer."""
+    """Sheets of a few of the layers on which two stacks differ, spread evenly; `rings` (L,) is how many each has."""
     if not layers.size:
         return []
-    # The larger the layers are, by their median, the fewer are taken.
-    typical = max(float(np.median(points[layers])), 1.0)
-    count = int(np.clip(MOST_POINTS / typical, 1, min(MOST_SHEETS, layers.size)))
+    # The more rings the layers have, by their median, the fewer are taken; points are not counted before a layer is read.
+    typical = max(float(np.median(rings[layers])), 1.0)
+    count = int(np.clip(MOST_RINGS / typical, 1, min(MOST_SHEETS, layers.size)))
     at = np.unique(np.round(np.linspace(0, layers.size - 1, count + 2)[1:-1]).astype(np.int64))
     return [Sheet(k, float(heights[k]), a.layer(k), b.layer(k), origin_mm) for k in layers[at].tolist()]

@@ -173,7 +173,7 @@ def _strip_normals(
         a = groups.label[f]
         if kind[a] != STRIP:
             continue
-        if is_link(twin, groups.label, kind, borders, h):
+        if is_link(twin, groups.label, borders, h):
             g = twin[h]
             b = groups.label[g // 3]
             if kind[b] == FREEFORM:
@@ -208,7 +208,7 @@ def _beyond(mesh: _Mesh, h: int) -> Floats:
     x, y, z = edge_direction(vertices, faces, h)
     for place in range(borders.starts[group], borders.starts[group + 1]):
         k = borders.half_edges[place]
-        if not is_link(twin, groups.label, kind, borders, k):
+        if not is_link(twin, groups.label, borders, k):
             continue
         u, v, w = edge_direction(vertices, faces, k)
         if abs(x * u + y * v + z * w) < ALONG_COSINE:
@@ -243,7 +243,7 @@ def _fill_ends(
             n = curved[sectors[f, k]].copy()
             for place in range(borders.starts[group], borders.starts[group + 1]):
                 h = borders.half_edges[place]
-                if is_link(twin, groups.label, kind, borders, h):
+                if is_link(twin, groups.label, borders, h):
                     x, y, z = edge_direction(vertices, faces, h)
                     along = n[0] * x + n[1] * y + n[2] * z
                     n[0] -= along * x

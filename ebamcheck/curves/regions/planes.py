@@ -48,7 +48,7 @@ def planar_groups(vertices: Floats, faces: Index, twin: Index, tolerance_mm: flo
     order = np.argsort(-areas, kind="stable").astype(np.int32)
     label, count = _grow(vertices, faces, twin, vectors, areas, order, tolerance_mm)
     normals, group_areas, offsets = _measured(vertices, faces, vectors, areas, label, count)
-    count = _put_out(vertices, faces, twin, label, count, normals, offsets, IN_PLANE * tolerance_mm)
+    count = _put_out(vertices, faces, label, count, normals, offsets, IN_PLANE * tolerance_mm)
     if count > len(normals):
         normals, group_areas, offsets = _measured(vertices, faces, vectors, areas, label, count)
     sizes = np.bincount(label, minlength=count).astype(np.int32)
@@ -188,7 +188,6 @@ def _measured(
 def _put_out(
     vertices: Floats,
     faces: Index,
-    twin: Index,
     label: Index,
     count: int,
     normals: Floats,

@@ -139,7 +139,7 @@ def _kinds(vertices: Floats, faces: Index, twin: Index, groups: PlanarGroups, bo
 
 
 @kernel
-def is_link(twin: Index, label: Index, kind: Kinds, borders: Borders, h: int) -> bool:
+def is_link(twin: Index, label: Index, borders: Borders, h: int) -> bool:
     """Whether a half-edge of a strip is one of its rulings: the group beyond it is another one, and not far narrower."""
     g = twin[h]
     if g == NO_TWIN or label[h // 3] == label[g // 3]:

@@ -18,7 +18,7 @@ from ebamcheck.program.checking.bead_checks import bead_checks, repeated_blocks
 from ebamcheck.program.checking.bead_end_checks import bead_end_checks
 from ebamcheck.program.checking.checks import Check
 from ebamcheck.program.checking.clearance import clearance_checks
-from ebamcheck.program.checking.deposit import deposit
+from ebamcheck.program.checking.deposit import Deposit, deposit
 from ebamcheck.program.checking.deposit_checks import deposit_checks
 from ebamcheck.program.checking.header_checks import Truth, header_checks
 from ebamcheck.program.checking.increment_check import increment_check
@@ -87,6 +87,7 @@ def verify_program(
     smooth: Layers | None = None,
     beads: bool = False,
     metal: bool = False,
+    laid: Deposit | None = None,
     heat: bool = False,
     before: HeatColumn | None = None,
     under: BaseGeometry | None = None,
@@ -117,6 +118,8 @@ def verify_program(
         coverage, gaps, wire.
     metal
         Lay the metal of the program over the `layers`, and check its mass and where it lies.
+    laid
+        That metal, where it was laid already: it is checked, and not laid a second time.
     heat
         Work out a balance of the part's heat from the times, waits and power of the text, and check each bead's entry.
     before
@@ -184,8 +187,10 @@ def verify_program(
     if layers is not None:
         most = config.curves.section_tolerance_mm if section_tolerance_mm is None else section_tolerance_mm
         checks += _section_checks(nc, layers, smooth, z_of, offset, config, most)
-        if metal:
-            checks += deposit_checks(nc, deposit(nc, layers, z_of, config), config)
+        if metal and laid is None:
+            laid = deposit(nc, layers, z_of, config)
+        if laid is not None:
+            checks += deposit_checks(nc, laid, config)
         if path is None:
             checks.append(overfill_check(nc, z_of, config, layers))
     if beads:
@@ -276,13 +281,20 @@ def verify_file(path: str | Path, *, config: Config, **given: object) -> list[Ch
 
     Takes what :func:`verify_program` takes, and the same `path` as :func:`read_program`.
     """
+    nc, readable = read_checked(path, config)
+    if nc is None:
+        return [readable]
+    return [readable, *verify_program(nc, config=config, **given)]  # type: ignore[arg-type]
+
+
+def read_checked(path: str | Path, config: Config) -> tuple[NCProgram | None, Check]:
+    """Read a program, with the check ``readable``; None, and a check that has failed, where it cannot be read."""
     try:
         nc = read_program(path, config)
     except InputError as error:
         where, _, text = str(error).partition(": ")
-        return [Check("readable", False, 1.0, 0.0, "faults", where, text)]
-    readable = Check("readable", True, 0.0, 0.0, "faults", "", f"{len(nc)} motions in {len(nc.files)} files")
-    return [readable, *verify_program(nc, config=config, **given)]  # type: ignore[arg-type]
+        return None, Check("readable", False, 1.0, 0.0, "faults", where, text)
+    return nc, Check("readable", True, 0.0, 0.0, "faults", "", f"{len(nc)} motions in {len(nc.files)} files")
 
 
 def _filled(path: Toolpath | None, layers: Layers | None, count: int) -> Bools:
