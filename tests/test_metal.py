@@ -107,6 +107,19 @@ def test_limits_hold_and_turned_sections_get_the_same_widths():
     assert widths[0][0] == pytest.approx(widths[0][1], rel=1e-6)
 
 
+@pytest.mark.parametrize("thickness", [6.5, 7.5])
+def test_a_bead_that_others_cover_gets_the_least_wire_while_they_make_up_for_the_rim(thickness):
+    target = target_of(shapely.box(0, 0, 60, thickness), 0.5, BEAD_MM)
+    middle = [(3.0, y, 57.0, y) for y in (0.5 * thickness - 1.7, 0.5 * thickness + 1.7)]
+    found, _ = laid_by([*middle, (28.0, 0.5 * thickness, 32.0, 0.5 * thickness)], 1.0, target)
+    some = found, target.share, np.where(target.share < 1.0, 0.4, 1.0), 0.25, np.full(3, 3.0)
+    free, held = balanced_widths(*some, (0.01, 20.0)), balanced_widths(*some, (1.0, 20.0))
+    assert free[2] < 1.0
+    assert held[2] == 1.0
+    assert held[:2] == pytest.approx(free[:2], rel=0.1)
+    assert found.laid(held, target.share.size, 0.25).sum() == pytest.approx(target.share.sum(), rel=1e-6)
+
+
 # -- the surface ---------------------------------------------------------------------------------------
 
 

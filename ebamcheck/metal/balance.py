@@ -54,12 +54,16 @@ def balanced_widths(
     columns = found.starts, found.cell, found.length_mm
     width = np.array(width_mm, np.float64)
     iterate(columns, share.ravel(), weight.ravel(), cell_mm2, width, limits_mm, ITERATIONS)
-    laid = found.laid(width, share.size, cell_mm2).sum()
-    if laid <= 0.0:
+    # Cells that count less, or that pools only touch, miss some of a layer: all beads lay it together, but for those at a limit,
+    # whose places ask for less, or for more, than they get.
+    free = (width > limits_mm[0]) & (width < limits_mm[1])
+    laid, by_free = (
+        found.laid(some, share.size, cell_mm2).sum() for some in (width, np.where(free, width, 0.0))
+    )
+    if by_free <= 0.0:
         return width
-    # Cells that count less, or that pools only touch, miss some of a layer: all beads lay it together.
-    missing = min(max(share.sum() / laid, LEAST_RIM), MOST_RIM)
-    return np.asarray(np.clip(width * missing, *limits_mm), np.float64)
+    missing = min(max(1.0 + (share.sum() - laid) / by_free, LEAST_RIM), MOST_RIM)
+    return np.where(free, np.clip(width * missing, *limits_mm), width)
 
 
 @kernel
