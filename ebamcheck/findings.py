@@ -36,6 +36,7 @@ CODES: Mapping[str, str] = {
     "level-within-layer": "Layers, each of one section, add to the solid or leave out of it more than the metal may be off: level faces "
     "lie within a layer.",
     "limit-widened": "Limits of the gates are set wider than the default ones.",
+    "material-data": "Data beside the name of a known material are not those of that material.",
     "mesh-oddity": "The part's file is odd in a way that does no harm, or its unit is unlikely.",
     "metal-excess": "More metal lies at a place than the layer takes.",
     "metal-missing": "Less metal lies at a place than the layer takes.",

@@ -223,6 +223,20 @@ def test_a_program_from_a_layer_on_has_its_blocks_as_they_were(control, tmp_path
         assert checks[name].passed, checks[name]
 
 
+@pytest.mark.parametrize("word", ["", "G64", "G641", "G644"])
+def test_a_profile_whose_smoothing_keeps_no_tolerance_is_found(word, tmp_path):
+    """CTOL stands in the program all the same, and the header says that the path keeps to it."""
+    machine = {"smoothing": ("SOFT", "FFWON", *word.split())}
+    found = ProgramText(SINUMERIK, tmp_path / "p", machine).failed()
+    assert "no other word keeps the path within the tolerance" in found["smoothing"].text
+
+
+@pytest.mark.parametrize("word", ["G60", "G642", "G643", "G645"])
+def test_a_profile_whose_smoothing_keeps_its_tolerance_passes(word, tmp_path):
+    machine = {"smoothing": ("SOFT", "FFWON", word)}
+    assert "smoothing" not in ProgramText(SINUMERIK, tmp_path / "p", machine).failed()
+
+
 def test_no_word_belongs_to_two_groups():
     for groups in (control(name).groups for name in CONTROLS):
         words = [word for group in groups for word in group.words]
