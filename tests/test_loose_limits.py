@@ -56,6 +56,13 @@ def test_a_window_that_is_wider_on_either_side_is_told_and_a_narrower_one_is_not
     assert list(loose_limits(Config().changed(**{section: {key: (1.1 * low, 0.9 * high)}}))) == []
 
 
+def test_increments_that_hide_power_are_told():
+    """Half a step of 40 mA is 17 % of the power, and a layer that lacks so much passes."""
+    (found,) = loose_limits(Config().changed(machine={"current_increment_ma": 40.0}))
+    assert "machine.current_increment_ma 40 (the power may be 16.7 % off for it)" in found.text
+    assert list(loose_limits(Config().changed(machine={"current_increment_ma": 1.0}))) == []
+
+
 def test_limits_of_a_preheating_are_told_where_there_is_one():
     preheat = {"over_k": 400.0, "defocus": 1.0}
     assert list(loose_limits(Config().changed(preheat=preheat))) == []

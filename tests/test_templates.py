@@ -56,8 +56,14 @@ REFUSED = {
     "a mode behind an auxiliary code": {"layer_begin": ["M77 G91"], "aux_codes": ["M77 G91"]},
     "a feed behind an auxiliary code": {"layer_end": ["M77 F9"], "aux_codes": ["M77 F9"]},
     "the end behind an auxiliary code": {"layer_end": ["M77 M30"], "aux_codes": ["M77 M30"]},
-    "an axis behind the beam": {"beam_on": ["M60 Z0"], "beam_codes": ["M60 Z0: on", "M61: off", "H1: voltage_kv", "H2: current_ma"]},
-    "a mode for the beam": {"beam_on": ["G91"], "beam_codes": ["G91: on", "M61: off", "H1: voltage_kv", "H2: current_ma"]},
+    "an axis behind the beam": {
+        "beam_on": ["M60 Z0"],
+        "beam_codes": ["M60 Z0: on", "M61: off", "H1: voltage_kv", "H2: current_ma"],
+    },
+    "a mode for the beam": {
+        "beam_on": ["G91"],
+        "beam_codes": ["G91: on", "M61: off", "H1: voltage_kv", "H2: current_ma"],
+    },
     "a tool for the wire": {"wire_start": ["H3={wire_mm_s}", "M6"], "wire_stop": ["M73"]},
     "an axis behind the wire": {"wire_start": ["H3={wire_mm_s}", "M72 X9"], "wire_stop": ["M73"]},
     "a turn of the table behind an auxiliary code": {"layer_begin": ["M77 B9"], "aux_codes": ["M77 B9"]},

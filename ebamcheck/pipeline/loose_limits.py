@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from ebamcheck.findings import Finding
+from ebamcheck.program.language.increments import power_slack_w
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.material import MaterialSettings
 from ebamcheck.settings.materials import preset
@@ -53,6 +54,9 @@ WINDOWS = (
 
 OF_PREHEATING = ("preheat.over_k", "preheat.evenness_k")
 """Limits of a preheating, where there is one."""
+
+MOST_SLACK = 0.01
+"""Share of the power that the increments of a control may change unsaid: no check of the power sees less."""
 
 TOLD = 4
 """Settings that are told by name."""
@@ -109,6 +113,14 @@ def _wider_than_derived(config: Config) -> Iterator[str]:
         yield f"process.interpass_limit_k {hottest_k:g} (of the material {melts_k:g})"
     if process.interpass_at != "bead":
         yield f"process.interpass_at {process.interpass_at} (default bead)"
+    slack = power_slack_w(config.machine, process.voltage_kv, process.current_ma) / process.power_w
+    if slack > MOST_SLACK:
+        name = next(
+            n
+            for n in ("power_increment_w", "current_increment_ma", "voltage_increment_kv")
+            if getattr(config.machine, n)
+        )
+        yield f"machine.{name} {getattr(config.machine, name):g} (the power may be {100.0 * slack:.3g} % off for it)"
     reach_deg = math.degrees(math.atan2(process.bead_width_mm, config.layer_height_mm))
     if (process.largest_overhang_deg or 0.0) > reach_deg:
         yield f"process.largest_overhang_deg {process.largest_overhang_deg:g} (by the bead's width {reach_deg:g})"

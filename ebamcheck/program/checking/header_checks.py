@@ -129,7 +129,12 @@ def _other_control(nc: NCProgram, config: Config) -> list[tuple[str, str]]:
     """A program in another language than that of the control which the settings name; they name the default one if they name none."""
     if config.machine.control in (nc.dialect, MachineSettings.model_fields["control"].default):
         return []
-    return [(f"{nc.files[0].name}:1", f"is read as one of {nc.dialect}, machine.control is {config.machine.control}")]
+    return [
+        (
+            f"{nc.files[0].name}:1",
+            f"is read as one of {nc.dialect}, machine.control is {config.machine.control}",
+        )
+    ]
 
 
 def _by(key: str) -> str:

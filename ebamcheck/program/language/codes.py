@@ -126,7 +126,9 @@ class Codes:
         # A G code may call a macro, whose arguments are A, B, C; behind any other code they are axes.
         others = NO_PARAMETERS + ("" if key[0][0] == "G" else "ABC")
         for word in key[1:]:
-            if word.partition("=")[0] in rotary or (re.fullmatch(r"[A-Z][-+.\d]*", word) and word[0] in others):
+            if word.partition("=")[0] in rotary or (
+                re.fullmatch(r"[A-Z][-+.\d]*", word) and word[0] in others
+            ):
                 wrong = word
         if wrong:
             kind = {AUXILIARY: "aux_codes", FOCUS: "set_focus"}.get(
