@@ -174,15 +174,6 @@ def test_waits_and_power_are_told_with_their_figures():
     assert not list(noticed_in_program.of_interpass(summary.assign(pause_s=0.0), full, Config()))
 
 
-def test_a_table_that_the_program_does_not_command_is_told():
-    axis = {"name": "A", "axis": (1.0, 0.0, 0.0), "point_mm": (0.0, 0.0, -50.0)}
-    turned = Config().changed(machine={"rotary": (axis,)})
-    (found,) = (f for f in noticed.of_profile(turned) if f.code == "table-as-it-stands")
-    assert (found.severity, found.place) == ("warning", "machine.rotary")
-    assert "does not command A:" in found.text
-    assert not [f for f in noticed.of_profile(Config()) if f.code == "table-as-it-stands"]
-
-
 @pytest.mark.parametrize(
     ("process", "figure", "remedy"),
     [

@@ -10,7 +10,7 @@ from parts import box
 
 from benchmarks.faults.judging import reseal
 from benchmarks.faults.subjects import SUBJECTS
-from ebamcheck.pipeline import run_job
+from ebamcheck.pipeline import noticed, run_job
 from ebamcheck.pipeline.loose_limits import WIDER_IF_GREATER, WIDER_IF_LESS, WINDOWS, loose_limits
 from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.pipeline.verify import verify_run
@@ -82,6 +82,15 @@ def test_data_of_a_known_material_that_are_not_its_own_are_told():
     assert list(loose_limits(Config().changed(material={"name": "inconel 718"}))) == []
     own = {**Config().material.model_dump(), **data, "name": "solder"}
     assert list(loose_limits(Config().changed(material=own))) == []
+
+
+def test_a_table_that_the_program_does_not_command_is_told():
+    axis = {"name": "A", "axis": (1.0, 0.0, 0.0), "point_mm": (0.0, 0.0, -50.0)}
+    turned = Config().changed(machine={"rotary": (axis,)})
+    (found,) = (f for f in noticed.of_profile(turned) if f.code == "table-as-it-stands")
+    assert (found.severity, found.place) == ("warning", "machine.rotary")
+    assert "does not command A:" in found.text
+    assert not [f for f in noticed.of_profile(Config()) if f.code == "table-as-it-stands"]
 
 
 def test_a_run_tells_it_and_a_record_that_leaves_it_out_is_found(tmp_path):
