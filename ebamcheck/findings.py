@@ -36,6 +36,7 @@ CODES: Mapping[str, str] = {
     "level-within-layer": "Layers, each of one section, add to the solid or leave out of it more than the metal may be off: level faces "
     "lie within a layer.",
     "limit-widened": "Limits of the gates are set wider than the default ones.",
+    "material-data": "Data beside the name of a known material are not those of that material.",
     "mesh-oddity": "The part's file is odd in a way that does no harm, or its unit is unlikely.",
     "metal-excess": "More metal lies at a place than the layer takes.",
     "metal-missing": "Less metal lies at a place than the layer takes.",
@@ -47,6 +48,7 @@ CODES: Mapping[str, str] = {
     "power-taper": "Power is lowered with height, and how far.",
     "process-limit": "A setting is outside of the process window; a job without a program goes on.",
     "seam-at-corner": "Contours start at corners, where metal heaps up.",
+    "table-as-it-stands": "The machine has rotary axes that the program of a part that is not turned does not command.",
     "wall-under-bead": "A wall is thinner than the least that beads can lay.",
     "wire-drawn-back": "Wire is drawn back at the end of each bead, and the program relies on the feeder to feed it forward again.",
 }

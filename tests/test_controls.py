@@ -7,7 +7,7 @@ import pytest
 from nc_stack import stack
 
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.program import read_program, write_program
+from ebamcheck.program import read_program, verify_file, write_program
 from ebamcheck.program.controls import fanuc
 from ebamcheck.program.language.control import control, controls, simulators
 from ebamcheck.settings.config import Config
@@ -87,3 +87,11 @@ def test_fanuc_comments_say_what_the_header_means(program):
     nc = read_program(files.main, config)
     assert nc.header["CONTROL"] == fanuc.CONTROL.title
     assert nc.dialect == "fanuc"
+
+
+def test_a_program_for_another_control_than_that_of_the_settings_is_found(program):
+    files, config = program
+    for name, sound in (("fanuc", True), ("linuxcnc", False), (Config().machine.control, True)):
+        settings = config.changed(machine={"control": name})
+        checks = {c.name: c for c in verify_file(files.main, config=settings)}
+        assert ("is read as one of fanuc" not in checks["header"].text) == sound, name

@@ -23,7 +23,7 @@ def text_of(config=CONFIG):
 
 
 def judged(text, config=CONFIG):
-    return handshake_check(text, "MAIN_LIVE.MPF", config)
+    return handshake_check(text, "MAIN_LIVE.MPF", config, 12.0)
 
 
 @pytest.mark.parametrize("late", ["stop", "end"])
@@ -74,6 +74,24 @@ FAULTS = {
     "ends where it should stop": ("M0\n", "M30\n"),
     "a block that nobody knows": ("GOTOB LIVE_NEXT", "GOTOC LIVE_NEXT"),
     "a jump the other way": ("GOTOB LIVE_WAIT", "GOTOF LIVE_WAIT"),
+    "the beam stands while it waits": ("LIVE_NEXT: R104=0", "LIVE_NEXT: R104=0\nN181 M60"),
+    "the wire runs before a layer": ("N310 LIVE_N", "N301 M62\nN310 LIVE_N"),
+    "the tool dives before a layer": ("N310 LIVE_N", "N301 G0 X0 Y0 Z-50\nN310 LIVE_N"),
+    "the tool moves after a layer": ("N360 R100", "N351 G0 Z500\nN360 R100"),
+    "another work offset": ("N70 G54", "N70 G55"),
+    "a work offset that changes": ("N310 LIVE_N", "N301 G55\nN310 LIVE_N"),
+    "no modes": ("N40 G17 G710 G90 G94\n", ""),
+    "a frame of before": ("N60 TRANS\n", ""),
+    "no smoothing": ("N80 SOFT FFWON G642\n", ""),
+    "a wide tolerance": ("CTOL=0.05", "CTOL=5"),
+    "no tolerance": ("N90 CTOL=0.05\n", ""),
+    "the beam of before": ("N110 M61 ; beam off\n", ""),
+    "ends under the part's top": ("G0 Z32.0", "G0 Z3.0"),
+    "rises at feed": ("G0 Z32.0", "G1 F600 Z32.0"),
+    "parks without a rise": ("N500 G0 Z32.000000\n", ""),
+    "parks elsewhere": ("G0 X0.000000", "G0 X500.000000"),
+    "the current stays": ("H2=0 ; beam", "H2=100 ; beam"),
+    "ends before its end": ("N450 M63", "N441 M2\nN450 M63"),
 }
 
 

@@ -99,6 +99,11 @@ def test_the_limit_is_that_of_the_process_the_material_or_the_solidus():
     assert entry_limit_k(off.changed(process={"interpass_limit_k": 700.0})) == 700.0
 
 
+def test_no_setting_lifts_the_limit_over_the_solidus():
+    for changes in ({"process": {"interpass_limit_k": 5000.0}}, {"material": {"interpass_limit_k": 5000.0}}):
+        assert entry_limit_k(CONFIG.changed(**changes)) == CONFIG.material.solidus_k
+
+
 def test_a_schedule_is_a_table_of_heights():
     table = CONFIG.changed(process={"power_schedule": [[0, 1], [20, 0.5]]})
     assert [scheduled_share(table, z) for z in (0.0, 10.0, 90.0)] == [1.0, 0.75, 0.5]

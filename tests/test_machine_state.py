@@ -45,6 +45,18 @@ def test_a_word_in_a_bead_that_changes_the_state_is_found(control, word, tmp_pat
     assert any(near(found[name].where, place) for name in STATE if name in found), found
 
 
+@pytest.mark.parametrize("words", ["G0 G1", "G2 G1", "G1 G1"])
+@pytest.mark.parametrize("control", CONTROLS)
+def test_two_words_of_one_group_in_a_block_are_refused(control, words, tmp_path):
+    """A control stops with an alarm in the middle of a bead, with the beam on, or takes either of them."""
+    text = ProgramText(control, tmp_path / "p")
+    name, line = text.in_bead()
+    place = text.edit(name, "G1 X", f"{words} X", begin=line)
+    found = text.failed_by_text()["readable"]
+    assert near(found.where, place, 0)
+    assert f"{words.replace(' ', ' and ')} in one block" in found.text
+
+
 @pytest.mark.parametrize("control", CONTROLS)
 def test_an_honest_program_passes(control, tmp_path):
     assert ProgramText(control, tmp_path / "p").failed() == {}
@@ -221,6 +233,20 @@ def test_a_program_from_a_layer_on_has_its_blocks_as_they_were(control, tmp_path
         "subprograms",
     ):
         assert checks[name].passed, checks[name]
+
+
+@pytest.mark.parametrize("word", ["", "G64", "G641", "G644"])
+def test_a_profile_whose_smoothing_keeps_no_tolerance_is_found(word, tmp_path):
+    """CTOL stands in the program all the same, and the header says that the path keeps to it."""
+    machine = {"smoothing": ("SOFT", "FFWON", *word.split())}
+    found = ProgramText(SINUMERIK, tmp_path / "p", machine).failed()
+    assert "no other word keeps the path within the tolerance" in found["smoothing"].text
+
+
+@pytest.mark.parametrize("word", ["G60", "G642", "G643", "G645"])
+def test_a_profile_whose_smoothing_keeps_its_tolerance_passes(word, tmp_path):
+    machine = {"smoothing": ("SOFT", "FFWON", word)}
+    assert "smoothing" not in ProgramText(SINUMERIK, tmp_path / "p", machine).failed()
 
 
 def test_no_word_belongs_to_two_groups():

@@ -169,11 +169,12 @@ def test_heights_beside_the_part_are_refused(tmp_path):
         run_job(path, tmp_path / "a.run", SETTINGS.changed(layers={"heights_mm": (2.0, 1.0)}))
 
 
-@pytest.mark.parametrize(("solidus_k", "pause_s", "told"), [(310.0, 0.0, True), (1877.0, 600.0, False)])
+@pytest.mark.parametrize(("solidus_k", "at", "told"), [(900.0, "layer", True), (1877.0, "bead", False)])
 @pytest.mark.usefixtures("cut_here")
-def test_layers_too_hot_for_the_heat_model_are_told(tmp_path, solidus_k, pause_s, told):
+def test_layers_too_hot_for_the_heat_model_are_told(tmp_path, solidus_k, at, told):
+    """The limit, which is never over the solidus, holds at the first bead of each layer alone where the settings say so."""
     listener = Listener()
-    settings = SETTINGS.changed(material={"solidus_k": solidus_k}, process={"layer_pause_s": pause_s})
+    settings = SETTINGS.changed(material={"solidus_k": solidus_k}, process={"interpass_at": at})
     result = run_job(write_stl(frame(), tmp_path / "f.stl"), tmp_path / "f.run", settings, observer=listener)
     assert result.exit_code is ExitCode.PASS
     assert listener.notes == []

@@ -249,6 +249,13 @@ def test_no_form_without_its_licence(machine, tmp_path):
     assert not {"POLY", "BSPLINE"} & words
 
 
+def test_a_part_without_a_spline_is_written_where_splines_are_asked_for(tmp_path):
+    square = np.array([(0, 0), (9, 0), (9, 9), (0, 9), (0, 0)], float)
+    curves = make_curves([1.0], [[[(square, None)]]], [True])
+    files, config = wrote(tmp_path, {"curve_form": "bspline"}, curves)
+    assert set(read_program(files.main, config).kind) <= {RAPID, STRAIGHT}
+
+
 def test_fast_knots_are_stretched(tmp_path):
     """A spline that runs 100 mm for each mm of its knots would lose its shape to their rounding."""
     curves = smooth_curves()

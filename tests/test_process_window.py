@@ -11,6 +11,7 @@ from command_line import ebamcheck, frame, write_stl
 from hypothesis import given
 from hypothesis import strategies as st
 from nc_stack import stack
+from program_text import CONTROLS, ProgramText
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.pipeline import check_job, run_job
@@ -224,3 +225,13 @@ def test_ramps_of_the_beam_are_judged_by_their_bead(tmp_path):
     assert np.nanmin(nc.power_w[nc.deposit]) < 150.0 * 10.0
     check = next(c for c in verify_program(nc, config=config) if c.name == "process window")
     assert check.passed, check
+
+
+@pytest.mark.parametrize("control", CONTROLS)
+@pytest.mark.parametrize("end", ["ramp_up_mm", "crater_fill_mm"])
+def test_wire_that_runs_on_while_the_beam_no_longer_melts_it_is_found(control, end, tmp_path):
+    """The bead has the power; the end of its ramp has a hundredth of it, and all of the wire."""
+    ramp = {end: 10.0, "ramp_power": 0.001, "ramp_steps": 10}
+    found = ProgramText(control, tmp_path / "p", process=ramp).failed()
+    assert "J/mm3 of the wire along a ramp, allowed are 10 .. 600" in found["process window"].text
+    assert "process window" not in ProgramText(control, tmp_path / "q", process={end: 10.0}).failed()

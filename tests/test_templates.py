@@ -52,6 +52,21 @@ REFUSED = {
     "a stop as an auxiliary code": {"layer_begin": ["M0"], "aux_codes": ["M0"]},
     "the beam as an auxiliary code": {"layer_begin": ["M60"], "aux_codes": ["M60"]},
     "a beam value in an auxiliary code": {"layer_begin": ["H9={power_w}"], "aux_codes": ["H9"]},
+    "an axis behind an auxiliary code": {"layer_begin": ["M77 Z0"], "aux_codes": ["M77 Z0"]},
+    "a mode behind an auxiliary code": {"layer_begin": ["M77 G91"], "aux_codes": ["M77 G91"]},
+    "a feed behind an auxiliary code": {"layer_end": ["M77 F9"], "aux_codes": ["M77 F9"]},
+    "the end behind an auxiliary code": {"layer_end": ["M77 M30"], "aux_codes": ["M77 M30"]},
+    "an axis behind the beam": {
+        "beam_on": ["M60 Z0"],
+        "beam_codes": ["M60 Z0: on", "M61: off", "H1: voltage_kv", "H2: current_ma"],
+    },
+    "a mode for the beam": {
+        "beam_on": ["G91"],
+        "beam_codes": ["G91: on", "M61: off", "H1: voltage_kv", "H2: current_ma"],
+    },
+    "a tool for the wire": {"wire_start": ["H3={wire_mm_s}", "M6"], "wire_stop": ["M73"]},
+    "an axis behind the wire": {"wire_start": ["H3={wire_mm_s}", "M72 X9"], "wire_stop": ["M73"]},
+    "a turn of the table behind an auxiliary code": {"layer_begin": ["M77 B9"], "aux_codes": ["M77 B9"]},
     "a declaration that is none": {"beam_codes": ["M60"]},
     "another code for off alone": {"beam_codes": ["M60: on", "M61: on"]},
 }

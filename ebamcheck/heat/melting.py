@@ -32,11 +32,12 @@ def least_power_share(config: Config, thickness_mm: float | None = None) -> floa
 
 
 def entry_limit_k(config: Config) -> float:
-    """Absolute temperature of the metal above which no bead may begin, K."""
+    """Absolute temperature of the metal above which no bead may begin, K: whatever is set, that at which it begins to melt at most."""
     process, material = config.process, config.material
-    if process.interpass_limit_k is not None:
-        return process.interpass_limit_k
-    return material.solidus_k if process.interpass == "off" else material.interpass_limit_k
+    limit_k = process.interpass_limit_k
+    if limit_k is None:
+        limit_k = material.solidus_k if process.interpass == "off" else material.interpass_limit_k
+    return min(limit_k, material.solidus_k)
 
 
 def scheduled_share(config: Config, height_mm: float) -> float | None:

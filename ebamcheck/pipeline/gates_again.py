@@ -140,7 +140,7 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
     entry = checked_again(run.path, record, main, z_of, config)
     made += [gates.entry_gate(check) for check in entry]
     checks += entry
-    checks += live_checked_again(run.path, record, config)
+    checks += live_checked_again(run.path, record, config, float(part.size[2]))
     told += [*noticed.of_profile(config), *of_metal(of_deposit(checks))]
     tables |= of_text
     if record["witness"] != witness:

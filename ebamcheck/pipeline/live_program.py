@@ -39,7 +39,7 @@ def write_live(
     """
     own = control(config.machine.control)
     name, text = own.load("waiting")(config, top_mm, header)
-    check: Check = own.load("handshake")(text, name, config)
+    check: Check = own.load("handshake")(text, name, config, top_mm)
     if validated and check.passed:
         text = text.replace(NOT_VALIDATED, VALIDATED, 1)
     (run / FOLDER).mkdir(exist_ok=True)
@@ -53,8 +53,8 @@ def write_live(
     }
 
 
-def live_checked_again(run: Path, record: Mapping[str, Any], config: Config) -> list[Check]:
-    """Judge the waiting main program of a run again; nothing for a run without one."""
+def live_checked_again(run: Path, record: Mapping[str, Any], config: Config, top_mm: float) -> list[Check]:
+    """Judge the waiting main program of a run again, of a part whose top is to lie at a Z; nothing for a run without one."""
     live = record.get(FOLDER)
     if live is None:
         return []
@@ -65,7 +65,7 @@ def live_checked_again(run: Path, record: Mapping[str, Any], config: Config) -> 
         return [
             Check(NAME, False, 1.0, 0.0, "faults", f"{FOLDER}/{live['name']}", f"cannot be read: {error}")
         ]
-    check: Check = control(config.machine.control).load("handshake")(text, path.name, config)
+    check: Check = control(config.machine.control).load("handshake")(text, path.name, config, top_mm)
     said = f"\n{VALIDATED}\n" in text
     if check.passed and said and not record["validated"]:
         text = "says validated, the whole program does not"

@@ -90,7 +90,7 @@ def placeholder_codes(config: Config) -> list[str]:
 
 
 def of_profile(config: Config) -> Iterator[Finding]:
-    """Codes that stand for those of the machine's maker, and what the wire feeder has to do by itself."""
+    """Codes that stand for those of the machine's maker, where a table has to stand, and what the wire feeder has to do by itself."""
     names = placeholder_codes(config)
     if names:
         yield Finding(
@@ -102,6 +102,18 @@ def of_profile(config: Config) -> Iterator[Finding]:
             0.0,
             "templates",
             "set the machine maker's codes",
+        )
+    if axes := [axis.name for axis in config.machine.rotary if config.part.on_table is None]:
+        yield Finding(
+            "warning",
+            "table-as-it-stands",
+            f"the program does not command {' and '.join(axes)}: what was proved holds while the table stands at 0, which a layer on a "
+            "turned part that was broken off may have left otherwise",
+            "machine.rotary",
+            float(len(axes)),
+            0.0,
+            "axes",
+            "bring the table to 0 before the program is started",
         )
     process = config.process
     if process.wire_retract_mm > 0.0:

@@ -105,7 +105,8 @@ class MachineSettings(Section):
     feed_max_mm_s: Speed = 50.0
     """Greatest feed that a program may command."""
     smoothing: tuple[str, ...] = ("SOFT", "FFWON", "G642")
-    """Words of the block that sets acceleration, feed-forward and corner rounding."""
+    """Words of the block that sets acceleration, feed-forward and corner rounding. One of them has to keep the path within
+    smoothing_tolerance_mm: G60, G642, G643 or G645."""
     smoothing_tolerance_mm: Annotated[float, Between(1e-6, 10.0)] = 0.05
     """Axis tolerance of G642 (CTOL): the path driven may leave the path programmed by this."""
     workpiece_directory: str = "EBAMCHECK"
@@ -120,7 +121,7 @@ class MachineSettings(Section):
     """The same of the wire, with on, off, wire_mm_s or wire_retract_mm."""
     aux_codes: tuple[str, ...] = ()
     """Other codes that templates may hold: M and H codes that move nothing and change neither beam nor wire, such as "M77"
-    or "H9". All else in a template is refused."""
+    or "H9". All else in a template is refused, and so is an axis, a mode, a feed or a tool behind a code."""
     # Templates: {power_w} {voltage_kv} {current_ma} {wire_mm_s} {wire_retract_mm} {feed_mm_min} {layer_pause_s}
     # {layer} {height_mm} are filled in; {defocus} in set_focus alone.
     beam_on: tuple[str, ...] = ("M60 ; beam on",)

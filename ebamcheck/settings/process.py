@@ -150,7 +150,8 @@ class ProcessSettings(Section):
     crater_fill_mm: Length = 0.0
     """Length at the end of a bead along which the beam falls, so that the crater is filled."""
     ramp_power: Share = 0.5
-    """Share of the full power at which a ramp begins, and at which a crater fill ends."""
+    """Share of the full power at which a ramp begins, and at which a crater fill ends. The wire runs along both: so little that it does
+    not melt is found (process.metal_energy_j_mm3)."""
     ramp_steps: Annotated[int, Between(1, 50)] = 4
     """Steps of power along a ramp."""
     ramp_up_window_s: tuple[Seconds, Seconds] | None = None

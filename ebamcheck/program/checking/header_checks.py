@@ -21,6 +21,7 @@ from ebamcheck.program.language.header import header_lines
 from ebamcheck.program.reading.motions import NCProgram, SourceFile
 from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.settings.config import Config
+from ebamcheck.settings.machine import MachineSettings
 
 FREE = ("SOFTWARE", "SETTINGS SHA-256")
 """Lines of the header that do not follow from the settings and the program's own text."""
@@ -62,7 +63,11 @@ def header_checks(
     layers = _layers(nc, None if heights is None else np.asarray(heights, np.float64), config)
     return [
         status_check(nc, truth),
-        count_check("header", [*_header(nc, config, truth), *layers], f"true{_other_settings(nc, truth)}"),
+        count_check(
+            "header",
+            [*_other_control(nc, config), *_header(nc, config, truth), *layers],
+            f"true{_other_settings(nc, truth)}",
+        ),
         _size(nc, config),
     ]
 
@@ -117,6 +122,18 @@ def _header(nc: NCProgram, config: Config, truth: Truth) -> list[tuple[str, str]
         (_line_of(nc.files[0], key), f"says {key}: {nc.header[key]}, {_by(key)} {value}")
         for key, value in wanted.items()
         if value is not None and key in nc.header and nc.header[key] != value
+    ]
+
+
+def _other_control(nc: NCProgram, config: Config) -> list[tuple[str, str]]:
+    """A program in another language than that of the control which the settings name; they name the default one if they name none."""
+    if config.machine.control in (nc.dialect, MachineSettings.model_fields["control"].default):
+        return []
+    return [
+        (
+            f"{nc.files[0].name}:1",
+            f"is read as one of {nc.dialect}, machine.control is {config.machine.control}",
+        )
     ]
 
 

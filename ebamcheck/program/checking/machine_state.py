@@ -155,6 +155,14 @@ def _tolerances(nc: NCProgram, config: Config, tolerances: list[int]) -> Iterato
     if not tolerances or nc.events.row[tolerances[0]] > 0:
         where = nc.where(0) if len(nc) else f"{nc.files[0].name}:1"
         yield where, "no tolerance of the path is set before the first motion"
+    keeps = control(nc.dialect).keeps_tolerance
+    if keeps and not set(keeps) & set(config.machine.smoothing):
+        where = nc.where(0) if len(nc) else f"{nc.files[0].name}:1"
+        said = " ".join(config.machine.smoothing) or "nothing"
+        yield (
+            where,
+            f"machine.smoothing is {said}, without {', '.join(keeps)}: no other word keeps the path within the tolerance",
+        )
     bare = control(nc.dialect).smoothing_needs_tolerance
     for i, name in enumerate(names):
         if name == bare and not _tolerance_of(nc, i):

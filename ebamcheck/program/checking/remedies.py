@@ -67,7 +67,7 @@ REMEDIES: Mapping[str, str] = {
     "feed": "set the feed within machine.feed_min_mm_s and machine.feed_max_mm_s (process.travel_speed_mm_s)",
     "travel": PLACE,
     "travel sectors": "turn the hatch (scan.first_angle_deg), or widen process.travel_sectors_deg",
-    "keep out": "move the part away from the places of process.keep_out, or turn it (part.direction)",
+    "keep-out zones": "move the part away from the places of process.keep_out, or turn it (part.direction)",
     "collision": "raise machine.safe_height_mm and machine.clearance_mm, or move what stands in the way (process.keep_out)",
     "clearance": "raise machine.safe_height_mm and machine.clearance_mm",
     "support": "build in another direction (part.direction), or support the overhang in the model",

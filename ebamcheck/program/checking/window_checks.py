@@ -18,6 +18,7 @@ def window_check(nc: NCProgram, config: Config) -> Check:
     """Each value of every motion that lays metal, their ratios, and the step of Z of every layer, within their limits.
 
     Wire speed, feed, line energy, metal over length and energy over metal by motion; volts and milliamperes where they are set.
+    A ramp belongs to its bead; but the wire runs along it, too, and what does not melt there stays in the part.
     """
     process = config.process
     rows = np.flatnonzero(nc.deposit)
@@ -29,6 +30,8 @@ def window_check(nc: NCProgram, config: Config) -> Check:
         energy = power_w / feed_mm_s
         metal_mm3_s = wire_mm2(config) * nc.wire_mm_s[laid]
         section, heat = metal_mm3_s / feed_mm_s[fed], power_w[fed] / metal_mm3_s
+        own_heat = nc.power_w[laid] / metal_mm3_s
+    ramp = nc.power_w[laid] < power_w[fed]
     least, greatest = process.wire_speed_min_mm_s, process.wire_speed_max_mm_s
     inside = rows[nc.layer[rows] >= 0]
     layers, first = np.unique(nc.layer[inside], return_index=True)
@@ -40,6 +43,7 @@ def window_check(nc: NCProgram, config: Config) -> Check:
         *_outside(rows, feed_mm_s, process.travel_window_mm_s, "mm/s along a bead"),
         *_outside(laid, section, process.bead_section_mm2, "mm2 of metal over the length of a bead"),
         *_outside(laid, heat, process.metal_energy_j_mm3, "J/mm3 of the wire that is melted"),
+        *_outside(laid[ramp], own_heat[ramp], process.metal_energy_j_mm3, "J/mm3 of the wire along a ramp"),
         *_set_values(nc, config),
         *_outside(
             inside[first][known], over_bead[known], process.layer_over_bead, "of a bead's height a layer"

@@ -37,6 +37,12 @@ BEAM_TEMPLATES = ("beam_on", "beam_off", "set_beam", "set_power")
 WIRE_TEMPLATES = ("wire_start", "wire_stop", "set_wire", "wire_retract")
 FOCUS_TEMPLATES = ("set_focus",)
 
+NO_PARAMETERS = "XYZUVWGFMNTDIJK"
+"""Letters that no code of a profile has behind it: axes and arc centres, modes and motions, feed, block number, tool."""
+
+FLOWS = ("program flow", "tool", "override", "path override")
+"""Groups whose words mean what they say on every machine; those of a spindle or a coolant may be a maker's."""
+
 _TOKEN = re.compile(
     rf"""(?:(?P<name>[A-Z][A-Z0-9_]*)\s*=\s*|(?P<letter>[A-Z])\s*)
     (?:(?P<number>{NUMBER})|\{{(?P<placeholder>[a-z_]+)(?::\.\d+f)?\}})(?![\d.{{])\s*""",
@@ -108,6 +114,30 @@ class Codes:
         self._derive(templates, FOCUS_TEMPLATES, (FOCUS,))
         for code in machine.aux_codes:
             self._meaning[self._auxiliary(code)] = AUXILIARY
+        stocked = {_key(code) for code in stock}
+        for key, meaning in self._meaning.items():
+            if key not in stocked:
+                self._refuse_other_words(key, meaning, {axis.name for axis in machine.rotary})
+
+    def _refuse_other_words(self, key: Key, meaning: str, rotary: set[str]) -> None:
+        """Refuse a code that is, or holds, a word by which the control would do something else, which no reader would see."""
+        group = group_of(self._dialect, key[0])
+        wrong = key[0] if group and (key[0][0] == "G" or group.name in FLOWS) else ""
+        # A G code may call a macro, whose arguments are A, B, C; behind any other code they are axes.
+        others = NO_PARAMETERS + ("" if key[0][0] == "G" else "ABC")
+        for word in key[1:]:
+            if word.partition("=")[0] in rotary or (
+                re.fullmatch(r"[A-Z][-+.\d]*", word) and word[0] in others
+            ):
+                wrong = word
+        if wrong:
+            kind = {AUXILIARY: "aux_codes", FOCUS: "set_focus"}.get(
+                meaning, "wire_codes" if meaning.startswith("wire") else "beam_codes"
+            )
+            raise SettingsError(
+                f"machine.{kind}: {' '.join(key)!r} cannot mean {meaning}: to the control {wrong!r} is an axis, a motion, a mode, a feed, "
+                "a tool, or the flow of the program"
+            )
 
     def _auxiliary(self, code: str) -> Key:
         """Words of an auxiliary code; refused where it is one of the control's own or of beam and wire."""

@@ -84,13 +84,16 @@ class Control:
     """How the tolerance of the path is given, as in ``CTOL=``; empty: the control knows no word for it."""
     smoothing_needs_tolerance: str = ""
     """Word that lets the path leave its corners by any distance unless a tolerance stands beside it."""
+    keeps_tolerance: tuple[str, ...] = ()
+    """Words of smoothing under which the path stays within that tolerance, of which the profile needs one. Empty: the control has no
+    others, or knows no tolerance."""
     parentheses: bool = False
     """Whether a comment stands in parentheses, and not behind a semicolon."""
     waiting: str = ""
     """``module:function`` that writes the main program that waits between layers: (settings, Z of the part's top, header) in, name
     and text of the file out. Empty: there is none for this control."""
     handshake: str = ""
-    """``module:function`` that judges its text: (text, name of the file, settings) in,
+    """``module:function`` that judges its text: (text, name of the file, settings, Z of the part's top) in,
     :class:`~ebamcheck.program.checking.checks.Check` out."""
     frames: bool = False
     """Whether its programs turn a tilt table (``machine.rotary``) for a layer, and set the frame of the turned part."""

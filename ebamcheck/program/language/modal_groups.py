@@ -7,10 +7,11 @@ plane, other units, distances from the position before) are refused by the reade
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence, Set
 from functools import cache
 
 from ebamcheck.program.language.control import Group, control
+from ebamcheck.program.language.words import WordError
 from ebamcheck.settings.machine import MachineSettings
 
 
@@ -40,3 +41,20 @@ def refusal(name: str, word: str) -> str:
     letters = word.rstrip("0123456789.+-")
     group = group_of(name, word) or group_of(name, letters)
     return f"unknown word {word!r}" + (f": {group.name} may not change in a program" if group else "")
+
+
+def checked_block(name: str, words: Sequence[str], motions: Set[str]) -> None:
+    """Refuse two words of one group in a block, `motions` among them: a control stops there, with the beam as it is, or takes either.
+
+    Raises
+    ------
+    WordError
+        That names both.
+    """
+    seen: dict[str, str] = {}
+    for word in words:
+        group = group_of(name, word)
+        kind = "motion" if word in motions else group.name if group else word
+        if kind in seen:
+            raise WordError(f"{seen[kind]} and {word} in one block: it takes one word of a group ({kind})", 0)
+        seen[kind] = word

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Set
 
-from ebamcheck.program.language.modal_groups import refusal
+from ebamcheck.program.language.modal_groups import checked_block, refusal
 from ebamcheck.program.language.words import (
     NUMBER,
     Block,
@@ -60,7 +60,7 @@ def read_gcode_block(code: str, codes: Set[str], dialect: str) -> Block:
     UnknownWord
         For a word that is not of the language of `dialect`; `codes` are the G and M words known.
     WordError
-        For a word given twice.
+        For a word given twice, or two of one modal group.
     """
     block = Block({}, {}, [])
     for found in _WORD.finditer(code):
@@ -79,4 +79,6 @@ def read_gcode_block(code: str, codes: Set[str], dialect: str) -> Block:
             raise WordError(f"{letter} stands twice in one block", column)
         else:
             block.values[letter] = float(number)
+    if len(block.codes) > 1:
+        checked_block(dialect, block.codes, MOTIONS | {"G5"})
     return block

@@ -37,6 +37,11 @@ CODES = {
 }  # fmt: skip
 
 
+KEEPS_TOLERANCE = ("G60", "G642", "G643", "G645")
+"""Exact stop, and rounding within the tolerances of the axes, which CTOL sets. G641 goes by ADIS, G644 by the dynamics of the axes, and
+G64 by neither."""
+
+
 def words(machine: MachineSettings) -> tuple[str, ...]:
     """Words that hold at every motion."""
     offsets_off = ("G40", "D0", "TRANS")
@@ -79,6 +84,7 @@ CONTROL = Control(
     words=words,
     form_lines=form_lines,
     tolerance_word=" CTOL=",
+    keeps_tolerance=KEEPS_TOLERANCE,
     frames=True,
     file_faults="ebamcheck.program.controls.sinumerik.files:file_faults",
     waiting="ebamcheck.program.controls.sinumerik.waiting:waiting_program",

@@ -1,7 +1,8 @@
 """The waiting main program judged by what it does: its text is run against doors that answer, are silent, late, or wrong.
 
 A small machine runs the text block by block: labels, jumps, assignments of R parameters and variables, waits, messages, stops,
-calls by name. What it does not know is refused. It shares no code with the writer, and asks for nothing of how the loop is
+calls by name. What it does not know is refused, and what it does beside waiting has rules of its own
+(:mod:`ebamcheck.program.controls.sinumerik.waiting_state`). It shares no code with the writer, and asks for nothing of how the loop is
 written: what counts is which layers are called, when, and what is off when the program stops.
 """
 
@@ -14,11 +15,8 @@ from typing import Any
 
 from ebamcheck.errors import InputError
 from ebamcheck.program.checking.checks import Check, count_check
-from ebamcheck.program.controls.sinumerik.control import NAME
-from ebamcheck.program.controls.sinumerik.words import read_block
-from ebamcheck.program.language.template_rules import checked_templates
+from ebamcheck.program.controls.sinumerik.waiting_state import WaitingState
 from ebamcheck.program.language.words import WordError
-from ebamcheck.program.reading.recognition import Templates
 from ebamcheck.settings.config import Config
 
 CHECK = "handshake"
@@ -61,6 +59,10 @@ class Run:
     shown: str = ""
     line: int = 0
 
+    def tell(self, faults: Iterator[str]) -> None:
+        """Note what is wrong with the block that runs."""
+        self.faults += [(self.line, what) for what in faults]
+
     def passes(self, seconds: float) -> None:
         """Let time go by: what was read or commanded before it is old then."""
         self.time_s += seconds
@@ -69,17 +71,17 @@ class Run:
         self.door(self)
 
 
-def handshake_check(text: str, file: str, config: Config) -> Check:
-    """Judge the text of a waiting main program; see :func:`scenarios` for what it has to stand."""
+def handshake_check(text: str, file: str, config: Config, top_mm: float) -> Check:
+    """Judge the text of a waiting main program of a part whose top is to lie at a Z; see :func:`scenarios` for what it has to stand."""
     try:
-        faults = [(f"{file}:{line}", what) for line, what in _faults(text, config)]
+        faults = [(f"{file}:{line}", what) for line, what in _faults(text, config, top_mm)]
     except InputError as error:
         where, _, what = str(error).partition(" ")
         faults = [(f"{file}:{where}", what)]
     return count_check(CHECK, faults, "the main program waits for released layers and for nothing else")
 
 
-def _faults(text: str, config: Config) -> Iterator[tuple[int, str]]:
+def _faults(text: str, config: Config, top_mm: float) -> Iterator[tuple[int, str]]:
     lines = text.split("\n")
     ends = [i for i, line in enumerate(lines, 1) if _BLOCK.fullmatch(line) and _code(line) == "M30"]
     if len(ends) != 1 or any(line.startswith("N") for line in lines[ends[0] :]):
@@ -89,7 +91,7 @@ def _faults(text: str, config: Config) -> Iterator[tuple[int, str]]:
         if len(line) > LONGEST_BLOCK or not line.isascii():
             yield i, f"is no block of at most {LONGEST_BLOCK} ASCII characters"
     for name, door, wanted in scenarios(config):
-        run = run_text(text, door, config)
+        run = run_text(text, door, config, top_mm=top_mm)
         yield from run.faults[:1]
         what = wanted(run)
         if what:
@@ -176,15 +178,19 @@ def _ended(run: Run) -> str:
 # -- the machine -------------------------------------------------------------------------------------
 
 
-def run_text(text: str, door: Door, config: Config, most_blocks: int | None = None) -> Run:
+def run_text(
+    text: str, door: Door, config: Config, most_blocks: int | None = None, top_mm: float = 0.0
+) -> Run:
     """Run a text to its end; one that goes on for ever after a stop, or for `most_blocks`, is left there.
+
+    `top_mm` is Z of the part's top, over which the program ends.
 
     Raises
     ------
     InputError
         For a block that is not understood, as ``LINE what``.
     """
-    templates = Templates(checked_templates(config.machine, NAME))
+    state = WaitingState(config, top_mm)
     first = config.machine.live_r
     run = Run(door, frozenset(f"R{first + k}" for k in (1, 2, 3)))
     blocks = [
@@ -200,14 +206,14 @@ def run_text(text: str, door: Door, config: Config, most_blocks: int | None = No
             return run
         run.line, _, code = blocks[at]
         try:
-            at = _step(run, code.partition(" ;")[0].rstrip(), at, labels, templates)
+            at = _step(run, code.partition(" ;")[0].rstrip(), at, labels, state)
         except (WordError, ValueError, KeyError, TypeError, IndexError) as error:
             raise InputError(f"{run.line} {code!r} is not understood: {error}") from None
     run.faults.append((run.line, f"has not ended after {most} blocks"))
     return run
 
 
-def _step(run: Run, code: str, at: int, labels: dict[str, int], templates: Templates) -> int:
+def _step(run: Run, code: str, at: int, labels: dict[str, int], state: WaitingState) -> int:
     """Run one block; return the next."""
     if jump := _JUMP.fullmatch(code):
         if jump[1] and not Expression(jump[1], run).value():
@@ -219,6 +225,7 @@ def _step(run: Run, code: str, at: int, labels: dict[str, int], templates: Templ
     if code == "STOPRE":
         run.fresh = True
     elif code in ("M0", "M30"):
+        run.tell(state.waits() if code == "M0" else state.ends())
         run.stops.append((code, run.time_s, {"beam_off", "wire_stop"} <= run.off and not run.on))
         run.passes(1.0)
     elif found := re.fullmatch(r'MSG\((?:"([^"]*)")?\)', code):
@@ -227,13 +234,16 @@ def _step(run: Run, code: str, at: int, labels: dict[str, int], templates: Templ
         seconds = float(Expression(found[2], run).value()) if found[1] else float(found[2])
         if seconds < 0.0:
             raise ValueError("waits a negative time")
+        run.tell(state.waits())
         run.passes(seconds)
     elif found := re.fullmatch(r"CALL ([A-Z_][A-Z0-9_]+)", code):
+        run.tell(state.calls())
         run.calls.append((str(run.values[found[1]]), run.time_s))
         run.passes(0.0)
     elif found := _DEF.fullmatch(code):
         run.values[found[2]] = 0 if found[1] == "INT" else ""
-    elif change := templates.find(code):
+    elif change := state.templates.find(code):
+        run.tell(state.change(change))
         for event, _ in change.actions:
             run.on |= {event} & {"beam_on", "wire_start"}
             if event in ("beam_off", "wire_stop"):
@@ -242,7 +252,7 @@ def _step(run: Run, code: str, at: int, labels: dict[str, int], templates: Templ
     elif (found := _SET.fullmatch(code)) and (re.fullmatch(r"R\d+", found[1]) or found[1] in run.values):
         run.values[found[1]] = Expression(found[2], run).value()
     else:
-        read_block(code)
+        run.tell(state.words(code))
     return at + 1
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from ebamcheck.program.controls.sinumerik.control import NAME
-from ebamcheck.program.language.modal_groups import refusal
+from ebamcheck.program.language.modal_groups import checked_block, refusal
 from ebamcheck.program.language.words import NUMBER, Block, UnknownWord, WordError
 
 _WORD = re.compile(
@@ -28,6 +28,9 @@ G_CODES = frozenset(
 )  # fmt: skip
 """Words that are read. Those that would bend the path (G18, G70, G91, G95 and others) are refused: a program has none."""
 
+MOTIONS = frozenset({"G0", "G1", "G2", "G3", "POLY", "BSPLINE"})
+"""The modal group of motions."""
+
 ALONE = ("TRANS",)
 """Words that stand by themselves in their block: without an axis, TRANS takes back every programmable frame."""
 
@@ -46,7 +49,7 @@ def read_block(code: str, rotary: tuple[str, ...] = ()) -> Block:
     UnknownWord
         For a word that is not of the language.
     WordError
-        For a word given twice or a list that is no list of numbers.
+        For a word given twice, two of one modal group, or a list that is no list of numbers.
     """
     block = Block({}, {}, [])
     for found in _WORD.finditer(code):
@@ -65,6 +68,8 @@ def read_block(code: str, rotary: tuple[str, ...] = ()) -> Block:
             _add_code(block, found["identifier"], found)
         else:
             raise UnknownWord(f"unknown word {found['bad'].split()[0]!r}", found.start("bad"))
+    if len(block.codes) > 1:
+        checked_block(NAME, block.codes, MOTIONS)
     if len(block.codes) + len(block.values) + len(block.lists) > 1:
         for word in block.codes:
             if word in ALONE:

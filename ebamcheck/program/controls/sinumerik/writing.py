@@ -188,7 +188,7 @@ def _knots(curves: CurveColumns, piece: int) -> np.ndarray[tuple[int], np.dtype[
 def _cubics(path: Toolpath, curves: CurveColumns, machine: MachineSettings, form: BlockFormat) -> list[str]:
     """Text of the cubic segments: POLY, or BSPLINE of a whole piece with the first of its segments."""
     at = np.flatnonzero(path.kind == CUBIC)
-    if machine.curve_form != "bspline":
+    if machine.curve_form != "bspline" or not at.size:
         return form.polynomials(path.bezier, path.end[at])
     text = [""] * at.size
     polynomials: list[str] = []
