@@ -379,8 +379,9 @@ def test_preheating_that_cannot_be_is_refused_with_its_setting(process, machine,
         usable_templates(config, config.machine.control)
 
 
-def test_programs_that_begin_at_a_layer_do_not_preheat(place):
-    done = ebamcheck("run", "box.stl", "-o", "no.run", "--from-layer", "2", "-c", "plate.toml", cwd=place)
+@pytest.mark.parametrize("command", ["run", "post"])
+def test_programs_that_begin_at_a_layer_do_not_preheat(place, command):
+    done = ebamcheck(command, "box.stl", "-o", "no.run", "--from-layer", "2", "-c", "plate.toml", cwd=place)
     assert done.returncode == 2
     assert "--from-layer 2: preheat.when" in done.stderr
     assert not (place / "no.run").exists()

@@ -32,7 +32,7 @@ from ebamcheck.pipeline.run_folder import MANIFEST
 from ebamcheck.program import write_program
 from ebamcheck.program.language.control import control as control_named
 from ebamcheck.program.simulators.heat_paths import SCRIPTS, case_post
-from ebamcheck.program.writing.entry import begin_at_layer
+from ebamcheck.program.writing.entry import begin_at_layer, check_entry
 from ebamcheck.scan import plan_stack
 from ebamcheck.settings.process_window import checked_window
 from ebamcheck.slicers.slicing import slice_part
@@ -139,11 +139,13 @@ def post_command(
     if (source / MANIFEST).is_file():
         config, beads, plan, sha256 = stack_of_run(source, config_file)
         checked_window(config)
+        check_entry(from_layer, config)
     elif source.is_dir():
         raise InputError(f"{source}: is no finished run folder: it has no {MANIFEST}")
     else:
         config = settings_of(config_file, units, direction, layer_height)
         checked_window(config)
+        check_entry(from_layer, config)
         placed = loaded(source, config)
         layers = slice_part(placed, within_work(placed, cut_heights(placed, config), config, yes))
         smooth = smooth_layers(fit(layers, config.curves.method, config.curves, part=placed))

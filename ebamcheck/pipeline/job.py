@@ -22,6 +22,7 @@ from ebamcheck.preflight.report import Ready, ready
 from ebamcheck.preflight.slab_work import wanted_slabs
 from ebamcheck.program.language.control import control
 from ebamcheck.program.language.templates import usable_templates
+from ebamcheck.program.writing.entry import check_entry
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import checked_window, outside_window, unusual_layers
 from ebamcheck.slicers.worker_pool import WorkerPool
@@ -107,10 +108,7 @@ def run_job(
         )
     if live:
         check_waits(config)
-    if from_layer > 1 and config.preheat.when != "off":
-        raise SettingsError(
-            f"--from-layer {from_layer}: preheat.when is {config.preheat.when!r}, which belongs to a build from the plate: set it to 'off'"
-        )
+    check_entry(from_layer, config)
     checked_window(config)
     usable_templates(config, config.machine.control)
     part = begun or ready(part_path, config, "run", yes)

@@ -11,9 +11,18 @@ from dataclasses import replace
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.program.language.files import ProgramFiles, block_count
+from ebamcheck.settings.config import Config
 
 _CALL = re.compile(r"N\d+ (\S+_L\d+)")
 _LAYER = re.compile(r"(?:; |\()LAYER: (\d+) OF (\d+)\b.*")
+
+
+def check_entry(layer: int, config: Config) -> None:
+    """Refuse to begin at a layer (from 1) of a build that preheats: the plate's preheating belongs before its first one."""
+    if layer > 1 and config.preheat.when != "off":
+        raise SettingsError(
+            f"--from-layer {layer}: preheat.when is {config.preheat.when!r}, which belongs to a build from the plate: set it to 'off'"
+        )
 
 
 def begin_at_layer(files: ProgramFiles, layer: int) -> ProgramFiles:
