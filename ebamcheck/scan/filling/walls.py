@@ -128,7 +128,7 @@ def centre_line(wall: shapely.Polygon, width_mm: float) -> list[shapely.LineStri
     segments = _weeded(corners, ridges[kept])
     if not len(segments):
         return []
-    merged = shapely.line_merge(shapely.MultiLineString(list(segments)))
+    merged = shapely.line_merge(shapely.multilinestrings(shapely.linestrings(segments)))
     branches = _without_spurs([p for p in shapely.get_parts(merged) if p.length > 0], width_mm)
     return _sorted([shapely.simplify(branch, STRAIGHTNESS * width_mm) for branch in branches])
 
