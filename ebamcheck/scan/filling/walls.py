@@ -128,7 +128,8 @@ def centre_line(wall: shapely.Polygon, width_mm: float) -> list[shapely.LineStri
     segments = _weeded(corners, ridges[kept])
     if not len(segments):
         return []
-    merged = shapely.line_merge(shapely.multilinestrings(shapely.linestrings(segments)))
+    lines = np.asarray(shapely.linestrings(segments), np.object_)
+    merged = shapely.line_merge(shapely.multilinestrings(lines.tolist()))
     branches = _without_spurs([p for p in shapely.get_parts(merged) if p.length > 0], width_mm)
     return _sorted([shapely.simplify(branch, STRAIGHTNESS * width_mm) for branch in branches])
 
