@@ -116,7 +116,7 @@ def test_islands_have_further_beads_and_each_of_them_is_entered_under_the_limit(
     assert block.plan.inner_wait_s.any()
     assert len(block.plan.further_beads()) == inner.sum()
     # Warm ones among them: they are held to the limit, not far from it.
-    assert entry_limit_k(CONFIG) - 15.0 < bed_k[inner].max() <= entry_limit_k(CONFIG)
+    assert entry_limit_k(CONFIG) - 20.0 < bed_k[inner].max() <= entry_limit_k(CONFIG)
     assert len(beads) == inner.size
 
 

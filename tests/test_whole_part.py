@@ -149,9 +149,11 @@ def test_carried_heat_changes_the_order_alone_and_makes_it_cooler():
         return cold_plan.islands_of(islands.layer) - np.searchsorted(cold_plan.island_layer, islands.layer)
 
     driven = list(scan_part(sections_of(layers), layers.heights, free, as_planned, 0))
-    planned_k = np.array([row["entry_max_k"] for row in driven])
-    # Both contain the mean of the section, which no order changes.
-    assert warm_plan.metrics["entry_max_k"].mean() < 0.95 * planned_k.mean()
+    planned_k = np.array([row["entry_max_k"] - row["body_mean_k"] for row in driven])
+    carried_k = (warm_plan.metrics["entry_max_k"] - warm_plan.metrics["body_mean_k"]).to_numpy()
+    # Over the mean of the section, which no order changes: a little in the mean, and the worst layer most.
+    assert carried_k.mean() < planned_k.mean()
+    assert carried_k.max() < 0.95 * planned_k.max()
 
 
 def test_orders_that_ask_no_heat_have_no_heat_in_their_metrics():
