@@ -80,7 +80,7 @@ def killed_and_resumed(job, folder, kills, seed):
         name = f"{k // 3}.run"
         # Every third kill begins a new run: the others hit one that goes on from what the last has left.
         killed += kill_at(
-            chance.uniform(0.2, 1.0) * seconds,
+            chance.uniform(0.1, 0.8) * seconds,
             job, "part.stl", "-o", name, "--resume",
             cwd=folder, TMPDIR=str(temporary),
         )  # fmt: skip
