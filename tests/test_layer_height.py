@@ -89,6 +89,10 @@ def test_a_run_takes_it_tells_it_and_is_verified(tmp_path):
     assert record["heights"]["count"] == 4
     assert [f["severity"] for f in record["findings"] if f["code"] == "layer-height-fitted"] == ["note"]
     assert ebamcheck("verify", "r", cwd=tmp_path).returncode == 0
+    # Elsewhere, with the part and the default settings alone, its layers are those that a run has.
+    assert ebamcheck("post", "r", "-o", "away", cwd=tmp_path).returncode == 0
+    alone = ebamcheck("verify", "away", "--part", "box.stl", "--json", cwd=tmp_path)
+    assert [check["name"] for check in json.loads(alone.stdout) if not check["passed"]] == []
 
 
 def test_a_run_that_may_not_is_shut(tmp_path):
