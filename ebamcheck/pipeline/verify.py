@@ -255,7 +255,7 @@ def _text_alone(run: RunFolder, manifest: dict[str, Any], config: Config) -> lis
         metal=True,
         heat=True,
         sha256={file["name"]: file["sha256"] for file in record["files"]},
-        truth=truth_of(manifest, config),
+        truth=truth_of(manifest),
     )
 
 
