@@ -73,6 +73,9 @@ POOL_SHARE = 1.0 / 12.0
 WIDTH_DIGITS = 4
 """Decimals of a width, mm: a hundred-thousandth of the metal."""
 
+EXACT = 1e-6
+"""Of a step of the last decimal: a limit so near to one is that one, but for rounding."""
+
 
 def width_limits_mm(config: Config, thickness_mm: float, power_share: float = 1.0) -> tuple[float, float]:
     """Least and greatest width that a bead can lay in a layer of this height: limits of the wire feed and of the pool.
@@ -149,7 +152,7 @@ def _flat(
         surface.add(target, target.share, thickness_mm)
         return division.stretches(tracks, beads.every, beads.every, nominal)
     wanted, weight = _wanted(target, surface, thickness_mm, config)
-    limits = width_limits_mm(config, thickness_mm, power_share)
+    limits = _rounded_inward(width_limits_mm(config, thickness_mm, power_share))
     width = balanced_widths(beads.footprints, wanted, weight, cell_mm2, nominal, limits)
     alike = ALIKE_MAPPED if surface.mapped else ALIKE
     first = np.flatnonzero(runs_alike(division.track(beads.every), width, alike))
@@ -163,6 +166,20 @@ def _flat(
     surface.add(target, laid * thickness_mm, thickness_mm)
     last = np.append(first[1:], beads.every.size) - 1
     return division.stretches(tracks, beads.every[first], beads.every[last], width)
+
+
+def _rounded_inward(limits_mm: tuple[float, float]) -> tuple[float, float]:
+    """Limits of widths that are still kept when a width at one of them is rounded.
+
+    Examples
+    --------
+    >>> _rounded_inward((2.27132, 4.5))
+    (2.2714, 4.5)
+    """
+    least, most = limits_mm
+    steps = 10.0**WIDTH_DIGITS
+    inward = math.ceil(least * steps - EXACT) / steps, math.floor(most * steps + EXACT) / steps
+    return inward if inward[0] <= inward[1] else limits_mm
 
 
 def _wanted(target: Target, surface: Surface, thickness_mm: float, config: Config) -> tuple[Floats, Floats]:
