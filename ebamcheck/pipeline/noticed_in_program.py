@@ -22,18 +22,17 @@ from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config
 
-LOOK = "look at that layer in deposit.csv; "
-CELLS = LOOK + HATCH
+LEAST_WIRE = "whether beads are at the least wire of the feeder (process.wire_speed_min_mm_s)"
 
 METAL: Mapping[str, tuple[str, str]] = {
     "metal outside": ("wall-under-bead", COARSE),
     "reach of metal": ("bead-out-of-section", COARSE),
     "holes": ("hole-closed", HOLE),
-    "metal": ("metal-excess", HATCH),
-    "metal of layers": ("metal-excess", CELLS),
+    "metal": ("metal-excess", f"look at the layers with the most metal in deposit.csv, and {LEAST_WIRE}"),
+    "metal of layers": ("metal-excess", f"look at that layer in deposit.csv, and {LEAST_WIRE}"),
     "height inside": ("metal-excess", "change the bead spacing, or the side of the hexagons"),
     "height at edges": ("metal-excess", "change the inset of the contour beads (scan.contour_offset_mm)"),
-    "height of layers": ("metal-excess", CELLS),
+    "height of layers": ("metal-excess", f"look at that layer in deposit.csv; {HATCH}"),
     "height of zones": (
         "metal-excess",
         "look at that place in the picture of the metal; " + HATCH,
@@ -42,6 +41,12 @@ METAL: Mapping[str, tuple[str, str]] = {
     "surface": ("metal-excess", "turn the cells and the hatch from layer to layer, or use a narrower bead"),
 }
 """Code and remedy of each check of the metal that fails."""
+
+LACKING: Mapping[str, str] = {
+    name: f"look at {what} in deposit.csv, and whether beads are at the most wire of the feeder (process.wire_speed_max_mm_s)"
+    for name, what in {"metal": "the layers with the least metal", "metal of layers": "that layer"}.items()
+}
+"""Remedies where the metal of a check lacks, other than those of one that has too much."""
 
 
 def of_metal(checks: Iterable[Check]) -> Iterator[Finding]:
@@ -54,10 +59,11 @@ def of_metal(checks: Iterable[Check]) -> Iterator[Finding]:
         lacks = code == "metal-excess" and (
             "too low" in check.text.split("(at most")[0] or _lacks(check.text)
         )
+        if lacks:
+            code, remedy = "metal-missing", LACKING.get(check.name, remedy)
         yield Finding(
-            "fault", "metal-missing" if lacks else code, check.text, check.where, check.value, check.limit,
-            check.unit, check.remedy or remedy,
-        )  # fmt: skip
+            "fault", code, check.text, check.where, check.value, check.limit, check.unit, check.remedy or remedy
+        )
 
 
 def of_checks(checks: Iterable[Check]) -> Iterator[Finding]:
