@@ -62,7 +62,14 @@ def of_metal(checks: Iterable[Check]) -> Iterator[Finding]:
         if lacks:
             code, remedy = "metal-missing", LACKING.get(check.name, remedy)
         yield Finding(
-            "fault", code, check.text, check.where, check.value, check.limit, check.unit, check.remedy or remedy
+            "fault",
+            code,
+            check.text,
+            check.where,
+            check.value,
+            check.limit,
+            check.unit,
+            check.remedy or remedy,
         )
 
 

@@ -142,7 +142,9 @@ def _outside(solid: pd.DataFrame, built: MetalBelow, alone: bool, config: Config
     # The figure is that of the whole or of the layer, whichever comes nearer to its own limit.
     layer_limit = limit * LAYER_OUTSIDE
     of_whole = not alone and whole * LAYER_OUTSIDE >= share[k]
-    worst, limit, unit = (whole, limit, "of the metal") if of_whole else (float(share[k]), layer_limit, OF_LAYER)
+    worst, limit, unit = (
+        (whole, limit, "of the metal") if of_whole else (float(share[k]), layer_limit, OF_LAYER)
+    )
     wall, remedy = _of_wall(solid, k, config) if worst > limit else ("", "")
     where = places.of(int(solid["layer"].iloc[k]))
     return Check("metal outside", worst <= limit, worst, limit, unit, where, text + wall, remedy=remedy)
@@ -161,7 +163,9 @@ def _reach(solid: pd.DataFrame, config: Config, places: _Places) -> Check:
         wall, remedy = _of_wall(solid, k, config)
     where = places.of(int(row["layer"]))
     reach_mm = float(row["reach_mm"])
-    return Check("reach of metal", reach_mm <= limit, reach_mm, limit, "mm", where, text + wall, remedy=remedy)
+    return Check(
+        "reach of metal", reach_mm <= limit, reach_mm, limit, "mm", where, text + wall, remedy=remedy
+    )
 
 
 def _of_wall(solid: pd.DataFrame, k: int, config: Config) -> tuple[str, str]:

@@ -60,7 +60,7 @@ REMEDIES: Mapping[str, str] = {
     "wire of beads": f"where a wall or a hole is narrower than two beads, {COARSE}; else {AGAIN}",
     **dict.fromkeys(
         (
-            "coverage", "gaps", "hatch spacing", "metal", "metal of layers", "height inside", "height at edges",
+            "coverage", "gaps", "hatch spacing", "hatch lines", "crossings", "metal", "metal of layers", "height inside", "height at edges",
             "height of layers", "height of zones", "surface",
         ),
         HATCH,
@@ -116,7 +116,11 @@ def told(
         place = (
             "" if layer is None or layer >= len(cut_mm) else frames(layer, cut_mm[layer], deposit_mm[layer])
         )
-        found.append(replace(check, layer=layer, place=place, remedy=check.remedy or REMEDIES.get(check.name, OTHERWISE)))
+        found.append(
+            replace(
+                check, layer=layer, place=place, remedy=check.remedy or REMEDIES.get(check.name, OTHERWISE)
+            )
+        )
     return found
 
 
