@@ -9,6 +9,7 @@ from pydantic import Field, field_validator, model_validator
 
 from ebamcheck.settings.base import Between, Section, Share, Temperature
 from ebamcheck.settings.materials import names, preset
+from ebamcheck.showing.short_text import did_you_mean
 
 Property = Annotated[float, Between(0.001, 1e6)]
 """Value of a property of a material in SI units."""
@@ -81,7 +82,7 @@ class MaterialSettings(Section):
         missing = [field for field in cls.model_fields if field not in given]
         if missing:
             raise ValueError(
-                f"unknown material {name!r}: known are {', '.join(names())}; or give all of its data, of which these are "
+                f"unknown material {name!r}{did_you_mean(name, names())}: known are {', '.join(names())}; or give all of its data, of which these are "
                 f"missing: {', '.join(missing)}"
             )
         return given
