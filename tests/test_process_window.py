@@ -253,3 +253,17 @@ def test_beads_at_the_least_wire_keep_it_when_their_width_is_rounded(tmp_path, b
     program = made.read()
     assert program.wire_mm_s[program.deposit].min() == pytest.approx(1000.0 / 60.0, rel=1e-4)
     assert window_check(program, config).passed
+
+
+@pytest.mark.parametrize(
+    "limits", [{"line_energy_j_mm": (150.0, 3000.0)}, {"current_window_ma": (30.0, 400.0)}]
+)
+def test_power_goes_down_no_further_than_the_window_allows(tmp_path, limits):
+    """Aluminium melts with less power than the window lets a bead have: the plan waits for the rest."""
+    config = Config().changed(
+        material={"name": "Al 2319"}, process={"interpass": "both", **limits}, scan={"order": "raster"}
+    )
+    program = Made(tmp_path, shapely.box(0, 0, 30, 30), config, layers=4).read()
+    power_w = program.power_w[program.deposit]
+    assert power_w.min() < 0.5 * config.process.power_w
+    assert window_check(program, config).passed

@@ -43,7 +43,8 @@ def suspicions(found: Inspection, config: Config) -> Iterator[Finding]:
             "mm",
             f"check the unit of the file (--units){_in_other_units(found, config)}",
         )
-    if round_in_inches(found.size_mm):
+    # Of a file in inches that is what one expects.
+    if config.part.units not in ("in", "ft") and round_in_inches(found.size_mm):
         inches = sizes(np.array(found.size_mm) / INCH_MM)
         yield Finding(
             "warning",
