@@ -18,6 +18,10 @@ DataPoints = Annotated[tuple[tuple[Temperature, Property], ...], Field(min_lengt
 """Temperatures and values of a material, by rising temperature; two points of one temperature make a jump."""
 
 
+OF_ANY_MATERIAL = ("name", "melt_mixing")
+"""Settings that a preset may leave out."""
+
+
 class MaterialSettings(Section):
     """The wire's material."""
 
@@ -78,6 +82,14 @@ class MaterialSettings(Section):
             return given
         found = preset(name)
         if found is not None:
+            # The defaults are those of one material: what another one leaves out is not theirs.
+            lacking = [
+                f for f in cls.model_fields if f not in {**found, **given} and f not in OF_ANY_MATERIAL
+            ]
+            if found and lacking:
+                raise ValueError(
+                    f"the preset {name!r} lacks {', '.join(lacking)}: set them, or complete the preset"
+                )
             return {**found, **given}
         missing = [field for field in cls.model_fields if field not in given]
         if missing:
