@@ -37,12 +37,12 @@ def line_energy_j_mm(config: Config) -> float:
     return config.process.power_w / config.process.travel_speed_mm_s
 
 
-def least_share_of_window(config: Config) -> float:
-    """Least share of the beam's power that the process window allows: by the line energy, and by the current.
+def least_window_share(config: Config) -> float:
+    """Share of the power under which its line energy or its current leaves the process window.
 
     Examples
     --------
-    >>> least_share_of_window(Config().changed(process={"line_energy_j_mm": (180.0, 3000.0)}))
+    >>> round(least_window_share(Config(process={"line_energy_j_mm": (180.0, 3000.0)})), 3)
     0.25
     """
     process = config.process

@@ -73,9 +73,6 @@ POOL_SHARE = 1.0 / 12.0
 WIDTH_DIGITS = 4
 """Decimals of a width, mm: a hundred-thousandth of the metal."""
 
-EXACT = 1e-6
-"""Of a step of the last decimal: a limit so near to one is that one, but for rounding."""
-
 
 def width_limits_mm(config: Config, thickness_mm: float, power_share: float = 1.0) -> tuple[float, float]:
     """Least and greatest width that a bead can lay in a layer of this height: limits of the wire feed and of the pool.
@@ -152,14 +149,14 @@ def _flat(
         surface.add(target, target.share, thickness_mm)
         return division.stretches(tracks, beads.every, beads.every, nominal)
     wanted, weight = _wanted(target, surface, thickness_mm, config)
-    limits = _rounded_inward(width_limits_mm(config, thickness_mm, power_share))
+    limits = width_limits_mm(config, thickness_mm, power_share)
     width = balanced_widths(beads.footprints, wanted, weight, cell_mm2, nominal, limits)
     alike = ALIKE_MAPPED if surface.mapped else ALIKE
     first = np.flatnonzero(runs_alike(division.track(beads.every), width, alike))
     runs = beads.footprints.joined(first)
     width = np.add.reduceat(width, first) / np.diff(np.append(first, width.size))
     width = balanced_widths(runs, wanted, weight, cell_mm2, width, limits)
-    width = np.asarray(np.round(width, WIDTH_DIGITS), np.float64)
+    width = rounded_widths(width, limits)
     of_place = width[np.searchsorted(first, beads.stretch, side="right") - 1]
     radius = 0.5 * config.process.bead_width_mm / surface.step_mm
     laid = pooled(beads.cells, of_place * beads.length_mm, radius, wanted.shape, cell_mm2)
@@ -168,18 +165,11 @@ def _flat(
     return division.stretches(tracks, beads.every[first], beads.every[last], width)
 
 
-def _rounded_inward(limits_mm: tuple[float, float]) -> tuple[float, float]:
-    """Limits of widths that are still kept when a width at one of them is rounded.
-
-    Examples
-    --------
-    >>> _rounded_inward((2.27132, 4.5))
-    (2.2714, 4.5)
-    """
-    least, most = limits_mm
-    steps = 10.0**WIDTH_DIGITS
-    inward = math.ceil(least * steps - EXACT) / steps, math.floor(most * steps + EXACT) / steps
-    return inward if inward[0] <= inward[1] else limits_mm
+def rounded_widths(width: Floats, limits: tuple[float, float]) -> Floats:
+    """Widths of so many decimals, none of which is rounded over a limit."""
+    unit = 10.0**WIDTH_DIGITS
+    least, most = math.ceil(limits[0] * unit) / unit, math.floor(limits[1] * unit) / unit
+    return np.asarray(np.clip(np.round(width, WIDTH_DIGITS), least, max(least, most)), np.float64)
 
 
 def _wanted(target: Target, surface: Surface, thickness_mm: float, config: Config) -> tuple[Floats, Floats]:
