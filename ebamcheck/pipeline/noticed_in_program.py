@@ -15,7 +15,7 @@ from ebamcheck.numeric.rings import Floats
 from ebamcheck.program.checking.checks import Check
 from ebamcheck.program.checking.deposit_checks import SOLID
 from ebamcheck.program.checking.interpass_checks import INTERPASS, within_range
-from ebamcheck.program.checking.remedies import COARSE, HATCH, HOLE, LEVELS
+from ebamcheck.program.checking.remedies import COARSE, HATCH, HOLE, LEVELS, NARROWER
 from ebamcheck.program.checking.seam_corners import seam_turns
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.toolpath.inputs import deposition_heights
@@ -30,7 +30,10 @@ METAL: Mapping[str, tuple[str, str]] = {
     "holes": ("hole-closed", HOLE),
     "metal": ("metal-excess", f"look at the layers with the most metal in deposit.csv, and {LEAST_WIRE}"),
     "metal of layers": ("metal-excess", f"look at that layer in deposit.csv, and {LEAST_WIRE}"),
-    "height inside": ("metal-excess", "change the bead spacing, or the side of the hexagons"),
+    "height inside": (
+        "metal-excess",
+        "change the spacing (process.bead_spacing), or the side of the hexagons (scan.hexagon_side_mm)",
+    ),
     "height at edges": ("metal-excess", "change the inset of the contour beads (scan.contour_offset_mm)"),
     "height of layers": ("metal-excess", f"look at that layer in deposit.csv; {HATCH}"),
     "height of zones": (
@@ -38,7 +41,10 @@ METAL: Mapping[str, tuple[str, str]] = {
         "look at that place in the picture of the metal; " + HATCH,
     ),
     SOLID: ("level-within-layer", LEVELS),
-    "surface": ("metal-excess", "turn the cells and the hatch from layer to layer, or use a narrower bead"),
+    "surface": (
+        "metal-excess",
+        f"turn the cells and the hatch from layer to layer (scan.lattice_angle_deg, scan.layer_angle_deg), or {NARROWER}",
+    ),
 }
 """Code and remedy of each check of the metal that fails."""
 

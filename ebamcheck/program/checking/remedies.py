@@ -17,10 +17,11 @@ AGAIN = (
 )
 PROFILE = "set the machine's own codes in the templates (ebamcheck config, section machine)"
 PLACE = "move the part (part.direction, the work offset), or set the machine's travel (machine.travel_max_mm)"
-COARSE = (
-    "allow for machining (process.machining_allowance_mm), use a narrower bead (process.bead_width_mm), or build in "
-    "another direction (part.direction)"
+NARROWER = (
+    "use a narrower bead (process.bead_width_mm, with layers.layer_height_mm as it is and a process.current_ma that goes with "
+    "the square of the width)"
 )
+COARSE = f"allow for machining (process.machining_allowance_mm), {NARROWER}, or build in another direction (part.direction)"
 TOO_THIN = (
     "allow for machining (process.machining_allowance_mm), make the wall thicker in the model, or build in another direction "
     "(part.direction)"
@@ -28,10 +29,7 @@ TOO_THIN = (
 """Of a wall that no bead of the process is narrow enough for."""
 FIT = "fit more closely (curves.tolerance_mm, curves.method), or export the mesh more finely"
 HATCH = "change the spacing (process.bead_spacing), the side of the cells (scan.hexagon_side_mm) or scan.gap_width"
-HOLE = (
-    "machine the hole afterwards and close it in the model, or use a narrower bead (process.bead_width_mm, with a current_ma that "
-    "goes with its square)"
-)
+HOLE = f"machine the hole afterwards and close it in the model, or {NARROWER}"
 LEVELS = (
     "choose layers.layer_height_mm so that level faces fall on borders of layers, move those faces in the model, or, for metal "
     "that is too much, allow for machining (process.machining_allowance_mm)"
