@@ -51,6 +51,9 @@ NO_SECTION = {
 CLOSED = 0.5
 """Share of a hole's area under metal from which on it counts as closed: what is left is no hole that a tool finds."""
 
+WIDTH_SHARE = 0.01
+"""Of a cell: the error of the width of a hole that is told."""
+
 
 @dataclass(frozen=True, eq=False)
 class Deposit:
@@ -241,20 +244,20 @@ def _closed_holes(section: BaseGeometry, laid: LayerField, thickness_mm: float) 
         rows, columns = cells.share.shape
         covered = (cells.share * metal[row : row + rows, column : column + columns]).sum() / cells.share.sum()
         if covered > CLOSED:
-            radius = shapely.maximum_inscribed_circle(hole)
+            radius = shapely.maximum_inscribed_circle(hole, WIDTH_SHARE * whole.step_mm)
             x_mm, y_mm = radius.coords[0]
             values = (x_mm, y_mm, 2.0 * radius.length, float(covered))
             found.append(dict(zip(HOLE_COLUMNS[1:], values, strict=True)))
     return found
 
 
-def _holes(parts: list[shapely.Polygon]) -> list[BaseGeometry]:
+def _holes(parts: list[shapely.Polygon]) -> list[shapely.MultiPolygon]:
     """What is free of each hole of the parts of a section: without the parts that stand in it, whose own holes are theirs."""
     filled = np.array([shapely.Polygon(part.exterior) for part in parts], object)
     tree = shapely.STRtree(filled)
     holes = [shapely.Polygon(ring) for part in parts for ring in part.interiors]
     free = [hole.difference(shapely.union_all(filled[tree.query(hole, "contains")])) for hole in holes]
-    return [hole for hole in free if hole.area > 0.0]
+    return [shapely.MultiPolygon(left) for left in map(valid_polygons, free) if left]
 
 
 def spread(target: Target, places: Floats, volume: Floats) -> Floats:
