@@ -8,6 +8,7 @@ import tomllib
 import pytest
 
 from ebamcheck.errors import SettingsError
+from ebamcheck.plugins.registry import plugin
 from ebamcheck.settings.config import Config, load_config
 from ebamcheck.settings.explained import explained_schema, explanations
 from ebamcheck.settings.text import as_toml
@@ -125,3 +126,16 @@ def test_an_allowance_for_machining_moves_the_contour_beads_outward() -> None:
     assert config.contour_offset_mm == pytest.approx(0.5 * config.process.bead_width_mm - 1.25)
     with pytest.raises(SettingsError, match="machining_allowance_mm 4 is over the inset"):
         Config().changed(process={"machining_allowance_mm": 4.0})
+
+
+@pytest.mark.parametrize(
+    ("given", "meant"), [("Inconel718", "Inconel 718"), ("316 L", "316L"), ("tantal", "tantalum")]
+)
+def test_an_unknown_material_is_told_the_nearest_known_one(given, meant):
+    with pytest.raises(SettingsError, match=f"unknown material '{given}' .did you mean '{meant}'"):
+        Config().changed(material={"name": given})
+
+
+def test_an_unknown_plugin_is_told_the_nearest_known_one():
+    with pytest.raises(SettingsError, match=r"'fanuk' in ebamcheck.controls .did you mean 'fanuc'"):
+        plugin("ebamcheck.controls", "fanuk")

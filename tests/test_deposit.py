@@ -35,6 +35,9 @@ PARTS = {
     "wall of one bead": shapely.box(0, 0, 100, 6),
     "far away": shapely.affinity.translate(shapely.box(0, 0, 50, 40), 700, -650),
     "two": shapely.MultiPolygon([shapely.box(0, 0, 40, 40), shapely.box(60, 0, 100, 25)]),
+    "hub in a ring": shapely.MultiPolygon(
+        [shapely.box(0, 0, 70, 70).difference(shapely.box(11, 11, 59, 59)), shapely.box(16, 16, 54, 54)]
+    ),
 }
 
 
@@ -175,6 +178,22 @@ def test_a_hole_that_closes_is_found(square):
     assert found["hole-closed"].severity == "fault"
     assert "(20.0, 30.0)" in found["hole-closed"].text
     assert found["hole-closed"].remedy
+
+
+def test_what_stands_in_a_hole_does_not_close_it(tmp_path):
+    """Metal reaches beside the hub of a ring, and most of the ring's hole is hub: the gap between them is open."""
+    made = Made(tmp_path, PARTS["hub in a ring"], layers=2)
+    thinner = made.layers.polygons(0)[0].union(made.layers.polygons(0)[1]).buffer(-1.2)
+    checks = made.checks(from_polygons(made.layers.heights, [list(thinner.geoms)] * 2))
+    assert checks["reach of metal"].value > 0.0
+    assert checks["holes"].passed
+
+
+def test_the_width_of_a_hole_is_that_of_its_widest_place(square):
+    """Of a slot it is the way across: by that a bead is chosen which leaves it open."""
+    slotted = square.layers.polygons(0)[0].difference(shapely.box(4, 8, 76, 10.5))
+    layers = from_polygons(square.layers.heights, [[slotted]] * len(square.layers))
+    assert "first one 2.5 mm wide" in square.checks(layers)["holes"].text
 
 
 @pytest.mark.parametrize(("factor", "code"), [(1.2, "metal-excess"), (0.8, "metal-missing")])
@@ -331,5 +350,5 @@ def test_beads_that_are_all_at_the_most_wire_of_the_feeder_leave_metal_out_and_t
     assert done.returncode == 1
     record = json.loads((tmp_path / "r/run.json").read_text())
     found = [finding for finding in record["findings"] if finding["severity"] == "fault"]
-    assert {finding["code"] for finding in found} == {"metal-missing"}
+    assert {finding["code"] for finding in found} == {"metal-missing", "check-failed"}
     assert any("process.wire_speed_max_mm_s" in finding["remedy"] for finding in found)

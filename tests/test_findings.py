@@ -32,10 +32,12 @@ from ebamcheck.mesh.inspection import inspect
 from ebamcheck.pipeline import noticed, noticed_in_program, run_job
 from ebamcheck.pipeline.certificate import certificate, seal, write_certificate
 from ebamcheck.pipeline.certificate_checks import run_certificate_checks
+from ebamcheck.pipeline.noticed_in_program import of_checks
 from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.pipeline.statement import APPROVAL, CODES_OF_THE_MAKER, DRY_RUN, PROVED, statement
 from ebamcheck.program import Check, read_program, write_program
 from ebamcheck.program.checking.interpass_checks import INTERPASS
+from ebamcheck.program.checking.remedies import REMEDIES
 from ebamcheck.program.checking.seam_corners import seam_turns
 from ebamcheck.settings.config import Config
 from ebamcheck_reports import html, junit, summary
@@ -315,6 +317,35 @@ def test_every_rendering_says_what_is_proved_and_what_is_left(copy):
     for name, text in rendered(copy).items():
         for clause in (*said.proved, *said.left):
             assert clause in text, (name, clause)
+
+
+def test_every_check_of_a_program_has_a_remedy_of_its_own(copy):
+    names = {check["name"] for check in copy.manifest()["program"]["checks"]}
+    assert len(names) > 50
+    assert names - set(REMEDIES) == set()
+
+
+def test_a_failed_check_is_a_finding_with_its_remedy():
+    """Those of the metal have findings of their own; without these, a program that is not validated might have no fault."""
+    check = Check(
+        "overhang", False, 80.0, 74.0, "deg", "MAIN_L0003.SPF:9", "too far", place="layer 3", remedy="turn it"
+    )
+    (found,) = of_checks(
+        [
+            check,
+            Check("overhang", True, 1.0, 74.0, "deg", "", "fine"),
+            Check("surface", False, 9, 3, "mm", "", ""),
+        ]
+    )
+    assert (found.severity, found.code, found.text) == ("fault", "check-failed", "overhang: too far")
+    assert (found.place, found.remedy) == ("MAIN_L0003.SPF:9, layer 3", "turn it")
+
+
+def test_shut_gates_are_left_to_be_opened(copy):
+    """Also where no finding is a fault: what is left is more than a look at warnings."""
+    gates = [{**g, "passed": g["name"] not in ("fit", "program")} for g in copy.manifest()["gates"]]
+    shut = statement({**copy.manifest(), "exit_code": 1, "gates": gates, "findings": []})
+    assert shut.left == ("to open the gates fit, program",)
 
 
 def test_a_gate_that_is_shut_proves_nothing(copy):

@@ -162,8 +162,13 @@ def test_a_file_in_inches_is_told_what_it_would_be(tmp_path):
     assert "in inches it would be 101.6 x 76.2 x 50.8 mm" in found["part-under-beads"]["remedy"]
     inches = ready(part, settings.changed(part={"units": "inches"}))
     assert inches.part.size == pytest.approx([101.6, 76.2, 50.8])
-    (warning,) = (c for c in inches.preflight.checks if c.level == "warning")
-    assert "round in inches" in warning.text
+    assert [c for c in inches.preflight.checks if c.level == "warning"] == []
+
+
+def test_a_file_in_metres_is_told_what_it_would_be(tmp_path):
+    part = stl(tmp_path, box((0, 0, 0), (0.05, 0.04, 0.02)))
+    remedies = [c.remedy for c in ready(part, Config()).preflight.checks if c.name == "units"]
+    assert any("in metres it would be 50 x 40 x 20 mm" in remedy for remedy in remedies)
 
 
 # -- keep-outs ---------------------------------------------------------------------------------------

@@ -7,15 +7,18 @@ import re
 
 import numpy as np
 import pytest
+import shapely
 from command_line import ebamcheck, frame, write_stl
 from hypothesis import given
 from hypothesis import strategies as st
 from nc_stack import stack
+from prism_program import Made
 from program_text import CONTROLS, ProgramText
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.pipeline import check_job, run_job
 from ebamcheck.program import read_program, verify_program, write_program
+from ebamcheck.program.checking.window_checks import window_check
 from ebamcheck.settings import process_window
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import (
@@ -235,3 +238,32 @@ def test_wire_that_runs_on_while_the_beam_no_longer_melts_it_is_found(control, e
     found = ProgramText(control, tmp_path / "p", process=ramp).failed()
     assert "J/mm3 of the wire along a ramp, allowed are 10 .. 600" in found["process window"].text
     assert "process window" not in ProgramText(control, tmp_path / "q", process={end: 10.0}).failed()
+
+
+@pytest.mark.parametrize("bead_mm", [3.9, 4.1, 5.3])
+def test_beads_at_the_least_wire_keep_it_when_their_width_is_rounded(tmp_path, bead_mm):
+    """Widths are printed with four decimals: one at the limit of the wire may not be rounded beyond it."""
+    tip = shapely.Polygon([(0, 0), (80, 0), (80, 20)])
+    config = Config().changed(
+        process={"bead_width_mm": bead_mm, "current_ma": 120.0 * (bead_mm / 6.0) ** 2, "interpass": "off"},
+        layers={"layer_height_mm": 1.676},
+        scan={"order": "raster"},
+    )
+    made = Made(tmp_path, tip, config, layers=1)
+    program = made.read()
+    assert program.wire_mm_s[program.deposit].min() == pytest.approx(1000.0 / 60.0, rel=1e-4)
+    assert window_check(program, config).passed
+
+
+@pytest.mark.parametrize(
+    "limits", [{"line_energy_j_mm": (150.0, 3000.0)}, {"current_window_ma": (30.0, 400.0)}]
+)
+def test_power_goes_down_no_further_than_the_window_allows(tmp_path, limits):
+    """Aluminium melts with less power than the window lets a bead have: the plan waits for the rest."""
+    config = Config().changed(
+        material={"name": "Al 2319"}, process={"interpass": "both", **limits}, scan={"order": "raster"}
+    )
+    program = Made(tmp_path, shapely.box(0, 0, 30, 30), config, layers=4).read()
+    power_w = program.power_w[program.deposit]
+    assert power_w.min() < 0.5 * config.process.power_w
+    assert window_check(program, config).passed

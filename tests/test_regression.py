@@ -259,6 +259,7 @@ def test_an_update_shows_the_difference_first_and_rewrites_only_what_failed(acce
     assert _regress(folder, tmp_path / "out", update_baseline="failed") is ExitCode.PASS
     text = capsys.readouterr().out
     assert text.index("volume_error_mm3 -1 ->") < text.index("baselines written")
+    assert "with --update-baseline" not in text  # it is what is being done
     assert "VANISHED" in text
     held = read_baselines(folder, ["trial-block"])
     assert held[key] == entry

@@ -31,6 +31,7 @@ app = typer.Typer(
     name="ebamcheck",
     cls=CommandGroup,
     no_args_is_help=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     epilog="Examples: ebamcheck run blade.stl -o blade.run; ebamcheck --install-completion",

@@ -88,7 +88,9 @@ def regress(
         settings=own,
     )
     _write(found, output, history or (Path(settings.history) if settings.history else output / HISTORY))
-    typer.echo(strict_json(found.record()) if as_json else "\n".join(summary(found)))
+    typer.echo(
+        strict_json(found.record()) if as_json else "\n".join(summary(found, advise=not update_baseline))
+    )
     if not update_baseline:
         return found.exit_code
     mode: UpdateMode = "all" if update_baseline == "all" else "failed"
@@ -109,12 +111,14 @@ def _check_update(update_baseline: str, own: Mapping[str, object], path: Path | 
         )
 
 
-def summary(found: Regression) -> list[str]:
-    """What a report came to, for the terminal: differences first, the counts last."""
+def summary(found: Regression, advise: bool = True) -> list[str]:
+    """What a report came to, for the terminal: differences first, then the counts, then what can be done if that is wanted."""
     lines = [line for d in found.differences if d.verdict != "same" for line in d.lines()]
     verdicts = [d.verdict for d in found.differences]
     counts = [f"{verdicts.count(v)} {v}" for v in dict.fromkeys(sorted(verdicts))]
     lines.append(f"{len(verdicts)} entries: {', '.join(counts) or 'none'}; baselines: {found.baselines}")
+    if not advise:
+        return lines
     if any(d.fails for d in found.differences):
         lines.append("accept what got worse, is new or vanished with --update-baseline=failed")
     elif not found.compared:

@@ -15,34 +15,36 @@ from ebamcheck.numeric.rings import Floats
 from ebamcheck.program.checking.checks import Check
 from ebamcheck.program.checking.deposit_checks import SOLID
 from ebamcheck.program.checking.interpass_checks import INTERPASS, within_range
-from ebamcheck.program.checking.remedies import LEVELS
+from ebamcheck.program.checking.remedies import COARSE, HATCH, HOLE, LEVELS, NARROWER
 from ebamcheck.program.checking.seam_corners import seam_turns
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config
 
-NARROWER = (
-    "allow for machining (process.machining_allowance_mm), use a narrower bead, or build in another direction"
-)
-
 LEAST_WIRE = "whether beads are at the least wire of the feeder (process.wire_speed_min_mm_s)"
 
 METAL: Mapping[str, tuple[str, str]] = {
-    "metal outside": ("wall-under-bead", NARROWER),
-    "reach of metal": ("bead-out-of-section", NARROWER),
-    "holes": ("hole-closed", "machine the hole afterwards and close it in the model, or use a narrower bead"),
+    "metal outside": ("wall-under-bead", COARSE),
+    "reach of metal": ("bead-out-of-section", COARSE),
+    "holes": ("hole-closed", HOLE),
     "metal": ("metal-excess", f"look at the layers with the most metal in deposit.csv, and {LEAST_WIRE}"),
     "metal of layers": ("metal-excess", f"look at that layer in deposit.csv, and {LEAST_WIRE}"),
-    "height inside": ("metal-excess", "change the bead spacing, or the side of the hexagons"),
+    "height inside": (
+        "metal-excess",
+        "change the spacing (process.bead_spacing), or the side of the hexagons (scan.hexagon_side_mm)",
+    ),
     "height at edges": ("metal-excess", "change the inset of the contour beads (scan.contour_offset_mm)"),
-    "height of layers": ("metal-excess", "look at that layer in deposit.csv"),
+    "height of layers": ("metal-excess", f"look at that layer in deposit.csv; {HATCH}"),
     "height of zones": (
         "metal-excess",
-        "look at that place in the picture of the metal; turn the cells, or use a narrower bead",
+        "look at that place in the picture of the metal; " + HATCH,
     ),
     SOLID: ("level-within-layer", LEVELS),
-    "surface": ("metal-excess", "turn the cells and the hatch from layer to layer, or use a narrower bead"),
+    "surface": (
+        "metal-excess",
+        f"turn the cells and the hatch from layer to layer (scan.lattice_angle_deg, scan.layer_angle_deg), or {NARROWER}",
+    ),
 }
 """Code and remedy of each check of the metal that fails."""
 
@@ -65,7 +67,27 @@ def of_metal(checks: Iterable[Check]) -> Iterator[Finding]:
         )
         if lacks:
             code, remedy = "metal-missing", LACKING.get(check.name, remedy)
-        yield Finding("fault", code, check.text, check.where, check.value, check.limit, check.unit, remedy)
+        yield Finding(
+            "fault",
+            code,
+            check.text,
+            check.where,
+            check.value,
+            check.limit,
+            check.unit,
+            check.remedy or remedy,
+        )
+
+
+def of_checks(checks: Iterable[Check]) -> Iterator[Finding]:
+    """Checks of a program that failed and of which no finding of metal or heat tells: name, place and what to do."""
+    for check in checks:
+        if not check.passed and check.name not in (*METAL, INTERPASS):
+            place = ", ".join(text for text in (check.where, check.place) if text)
+            yield Finding(
+                "fault", "check-failed", f"{check.name}: {check.text}", place, check.value, check.limit, check.unit,
+                check.remedy,
+            )  # fmt: skip
 
 
 def _lacks(text: str) -> bool:

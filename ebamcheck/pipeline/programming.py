@@ -252,6 +252,7 @@ def _verified(job: Job, files: ProgramFiles, made: _Made, witness: Layers, aside
     job.add_finding(*noticed_in_program.of_limit(checks, made.plan, config))
     checks += _weighed(job, program, witness, metal.result())
     checks = told(checks, program, made.contours.heights, config.layer_height_mm, config.base_mm)
+    job.add_finding(*noticed_in_program.of_checks(checks))
     summary = program_summary(program, config)
     summary.to_csv(job.folder.path / "program.csv", index=False)
     job.add_finding(*noticed_in_program.of_interpass(summary, made.plan, config))

@@ -52,7 +52,9 @@ def statement(manifest: Mapping[str, Any]) -> Statement:
         tuple(PROVED.get(gate["name"], gate["text"]) for gate in gates if gate["passed"] is passed)
         for passed in (False, True)
     )
-    left = [_looked_at(found)] if found else []
+    shut = [str(gate["name"]) for gate in gates if not gate["passed"]]
+    left = [f"to open the gate{'s' if len(shut) > 1 else ''} {', '.join(shut)}"] if shut else []
+    left += [_looked_at(found)] if found else []
     if manifest.get("program") and manifest["exit_code"] == 0:
         codes = any(finding["code"] == "placeholder-codes" for finding in found)
         left += [*([CODES_OF_THE_MAKER] if codes else []), DRY_RUN, APPROVAL]

@@ -23,6 +23,7 @@ from ebamcheck.plugins.processes import one_line
 from ebamcheck.plugins.stranger import StrangerSlicer, stranger
 from ebamcheck.plugins.trial import SLICER_ATTRIBUTES as SLICER_ATTRIBUTES
 from ebamcheck.plugins.trial import checked_settings, checked_slicer, lineage, probed
+from ebamcheck.showing.short_text import did_you_mean
 
 BACKENDS = "ebamcheck.backends"
 MODELS = "ebamcheck.models"
@@ -95,7 +96,10 @@ def plugin(group: str, name: str) -> Any:
     """Load one entry point; raises :class:`SettingsError` with the names there are, or why it does not load."""
     found = points(group)
     if name not in found:
-        raise SettingsError(f"unknown name {name!r} in {group}: installed are {', '.join(found) or 'none'}")
+        meant = did_you_mean(name, found)
+        raise SettingsError(
+            f"unknown name {name!r} in {group}{meant}: installed are {', '.join(found) or 'none'}"
+        )
     try:
         return load(found[name])
     except SettingsError as error:

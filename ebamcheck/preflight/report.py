@@ -20,6 +20,7 @@ from ebamcheck.preflight.sense import sense_checks
 from ebamcheck.preflight.suspicions import sizes, suspicions
 from ebamcheck.preflight.workload import Workload, work_checks, workload
 from ebamcheck.settings.config import Config
+from ebamcheck.showing.short_text import counted
 
 
 @dataclass(frozen=True)
@@ -147,7 +148,8 @@ def _checks(
 
 def _mesh(found: Inspection) -> PreflightCheck:
     """Closed, consistent, the right way out: a fault here shuts a gate, and slicing shows what comes of it."""
-    text = f"{found.facets} facets, {found.bodies} bodies: {found.verdict}, {found.why}"
+    bodies = counted(found.bodies, "body", "bodies")
+    text = f"{counted(found.facets, 'facet')}, {bodies}: {found.verdict}, {found.why}"
     if found.passed:
         return PreflightCheck("mesh", "pass", text, 0.0, 0.0, "faults")
     remedy = "mend the mesh, or --fix-orientation where facets are turned over"

@@ -41,9 +41,10 @@ def suspicions(found: Inspection, config: Config) -> Iterator[Finding]:
             largest,
             few_mm,
             "mm",
-            f"check the unit of the file (--units){_in_inches(found, config)}",
+            f"check the unit of the file (--units){_in_other_units(found, config)}",
         )
-    if round_in_inches(found.size_mm):
+    # Of a file in inches that is what one expects.
+    if config.part.units not in ("in", "ft") and round_in_inches(found.size_mm):
         inches = sizes(np.array(found.size_mm) / INCH_MM)
         yield Finding(
             "warning",
@@ -76,11 +77,13 @@ def round_in_inches(size_mm: tuple[float, float, float]) -> bool:
     return bool((size > 0.0).all()) and whole(INCH_MM / INCH_PARTS) and not whole(ROUND_MM)
 
 
-def _in_inches(found: Inspection, config: Config) -> str:
-    """What a small part would be in inches, where its numbers are read as millimetres."""
+def _in_other_units(found: Inspection, config: Config) -> str:
+    """What a small part would be in inches, or in metres where it is small in inches, too; of numbers read as millimetres."""
     if config.part.units != "mm":
         return ""
-    return f": in inches it would be {sizes(INCH_MM * np.array(found.size_mm))} mm"
+    few_mm = FEW_BEADS * config.process.bead_width_mm
+    unit, name = ("in", "inches") if INCH_MM * max(found.size_mm) >= few_mm else ("m", "metres")
+    return f": in {name} it would be {sizes(UNITS_MM[unit] * np.array(found.size_mm))} mm"
 
 
 def _beyond_travel(found: Inspection, config: Config) -> Iterator[Finding]:

@@ -6,7 +6,6 @@ file, a plate, a table of tolerances, the command line or the arguments of a fun
 
 from __future__ import annotations
 
-import difflib
 import math
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -19,6 +18,7 @@ from pydantic.fields import FieldInfo
 from ebamcheck.errors import EbamcheckError, SettingsError
 from ebamcheck.settings.selection import MachineChoice
 from ebamcheck.settings.wording import wanted
+from ebamcheck.showing.short_text import did_you_mean
 
 _Kind = TypeVar("_Kind", bound=BaseModel)
 
@@ -154,8 +154,7 @@ def _told(place: _Place, first: Mapping[str, Any]) -> str:
     given = first.get("input")
     shown = "" if isinstance(given, dict | BaseModel) else f" (given {given!r})"
     if first["type"] == "extra_forbidden":
-        near = difflib.get_close_matches(str(place.path[-1]), place.known, n=1)
-        return f"{place.told(unknown=True)}: unknown key" + (f" (did you mean {near[0]!r}?)" if near else "")
+        return f"{place.told(unknown=True)}: unknown key{did_you_mean(str(place.path[-1]), place.known)}"
     if first["type"] == "missing" and isinstance(first["loc"][-1], str):
         return f"{place.told()}: is missing: it takes {place.takes()}"
     if isinstance(given, float) and not math.isfinite(given):

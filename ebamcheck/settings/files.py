@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -19,6 +18,7 @@ from ebamcheck.settings.base import Section
 from ebamcheck.settings.config import Config, validated
 from ebamcheck.settings.explained import explanations
 from ebamcheck.settings.text import WIDTH, as_toml, told_beside, value_text
+from ebamcheck.showing.short_text import did_you_mean
 
 
 @dataclass
@@ -153,8 +153,7 @@ def _unknown(root: Mapping[str, Any]) -> list[str]:
 
 
 def _near(key: str, kind: type[Section]) -> str:
-    near = difflib.get_close_matches(key, kind.model_fields, n=1)
-    return f" (did you mean {near[0]!r}?)" if near else ""
+    return did_you_mean(key, kind.model_fields)
 
 
 def _known(root: Any) -> dict[str, Any]:

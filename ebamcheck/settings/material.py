@@ -9,12 +9,17 @@ from pydantic import Field, field_validator, model_validator
 
 from ebamcheck.settings.base import Between, Section, Share, Temperature
 from ebamcheck.settings.materials import names, preset
+from ebamcheck.showing.short_text import did_you_mean
 
 Property = Annotated[float, Between(0.001, 1e6)]
 """Value of a property of a material in SI units."""
 
 DataPoints = Annotated[tuple[tuple[Temperature, Property], ...], Field(min_length=2)]
 """Temperatures and values of a material, by rising temperature; two points of one temperature make a jump."""
+
+
+OF_ANY_MATERIAL = ("name", "melt_mixing")
+"""Settings that a preset may leave out."""
 
 
 class MaterialSettings(Section):
@@ -77,11 +82,19 @@ class MaterialSettings(Section):
             return given
         found = preset(name)
         if found is not None:
+            # The defaults are those of one material: what another one leaves out is not theirs.
+            lacking = [
+                f for f in cls.model_fields if f not in {**found, **given} and f not in OF_ANY_MATERIAL
+            ]
+            if found and lacking:
+                raise ValueError(
+                    f"the preset {name!r} lacks {', '.join(lacking)}: set them, or complete the preset"
+                )
             return {**found, **given}
         missing = [field for field in cls.model_fields if field not in given]
         if missing:
             raise ValueError(
-                f"unknown material {name!r}: known are {', '.join(names())}; or give all of its data, of which these are "
+                f"unknown material {name!r}{did_you_mean(name, names())}: known are {', '.join(names())}; or give all of its data, of which these are "
                 f"missing: {', '.join(missing)}"
             )
         return given

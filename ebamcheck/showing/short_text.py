@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Iterable, Mapping
 from html import escape
 from typing import Any
@@ -34,6 +35,18 @@ def counted(count: int, one: str, many: str = "") -> str:
     ('1 layer', '3 bodies')
     """
     return f"{count} {one if count == 1 else many or one + 's'}"
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Ask for the known name that is nearest to an unknown one; empty where none is near.
+
+    Examples
+    --------
+    >>> did_you_mean("Inconel718", ["316L", "Inconel 718"])
+    " (did you mean 'Inconel 718'?)"
+    """
+    near = difflib.get_close_matches(name, list(known), n=1)
+    return f" (did you mean {near[0]!r}?)" if near else ""
 
 
 def size(lengths_mm: Iterable[float]) -> str:

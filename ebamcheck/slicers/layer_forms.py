@@ -42,7 +42,7 @@ def form_fault(layers: object, part: Part, heights: NDArray[np.float64]) -> str:
         _label_faults(layers, part),
     ):
         for fault in faults:
-            return f"it returned layers that are none: {fault}"
+            return f"it returned layers that are not valid: {fault}"
     return ""
 
 

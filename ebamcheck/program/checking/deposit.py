@@ -51,6 +51,9 @@ NO_SECTION = {
 CLOSED = 0.5
 """Share of a hole's area under metal from which on it counts as closed: what is left is no hole that a tool finds."""
 
+WIDTH_SHARE = 0.01
+"""Of a cell: the error of the width of a hole that is told."""
+
 
 @dataclass(frozen=True, eq=False)
 class Deposit:
@@ -71,8 +74,9 @@ class Deposit:
     first_row
         (L,) first motion of each layer that lays metal, -1 without one.
     holes
-        Holes of sections of which metal covers more than :data:`CLOSED`: ``layer``, ``x_mm``, ``y_mm`` (centroid), ``width_mm``
-        (of a disc of the same area) and ``covered`` (share of the area).
+        Holes of sections of which metal covers more than :data:`CLOSED`: ``layer``, ``x_mm``, ``y_mm`` (middle of the widest
+        place), ``width_mm`` (of the greatest disc that fits in) and ``covered`` (share of the area). What stands in a hole, such
+        as a hub in a ring, is no part of it.
     fields
         Layers that were asked for, and the worst one, by their index.
     worst
@@ -234,17 +238,26 @@ def _closed_holes(section: BaseGeometry, laid: LayerField, thickness_mm: float) 
     """Holes of a section that metal covers for the most part."""
     found, whole = [], laid.target
     metal = laid.laid_mm >= FILM * thickness_mm
-    for ring in [ring for part in valid_polygons(section) for ring in part.interiors]:
-        hole = shapely.Polygon(ring)
+    for hole in _holes(valid_polygons(section)):
         cells = target_of(hole, whole.step_mm, 0.0)
         column, row = np.round((cells.origin - whole.origin) / whole.step_mm).astype(np.int64)
         rows, columns = cells.share.shape
         covered = (cells.share * metal[row : row + rows, column : column + columns]).sum() / cells.share.sum()
         if covered > CLOSED:
-            width_mm = 2.0 * math.sqrt(hole.area / math.pi)
-            values = (hole.centroid.x, hole.centroid.y, width_mm, float(covered))
+            radius = shapely.maximum_inscribed_circle(hole, WIDTH_SHARE * whole.step_mm)
+            x_mm, y_mm = radius.coords[0]
+            values = (x_mm, y_mm, 2.0 * radius.length, float(covered))
             found.append(dict(zip(HOLE_COLUMNS[1:], values, strict=True)))
     return found
+
+
+def _holes(parts: list[shapely.Polygon]) -> list[shapely.MultiPolygon]:
+    """What is free of each hole of the parts of a section: without the parts that stand in it, whose own holes are theirs."""
+    filled = np.array([shapely.Polygon(part.exterior) for part in parts], object)
+    tree = shapely.STRtree(filled)
+    holes = [shapely.Polygon(ring) for part in parts for ring in part.interiors]
+    free = [hole.difference(shapely.union_all(filled[tree.query(hole, "contains")])) for hole in holes]
+    return [shapely.MultiPolygon(left) for left in map(valid_polygons, free) if left]
 
 
 def spread(target: Target, places: Floats, volume: Floats) -> Floats:

@@ -16,10 +16,12 @@ from ebamcheck.program.checking.checks import Check
 from ebamcheck.program.checking.deposit import Deposit
 from ebamcheck.program.checking.metal_below import MetalBelow, counts, with_metal
 from ebamcheck.program.checking.metal_zones import tolerances, zone_limit, zone_off
+from ebamcheck.program.checking.remedies import COARSE, TOO_THIN
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.toolpath.thin_walls import narrow_bead
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process import ProcessSettings
+from ebamcheck.showing.short_text import counted
 
 DEPOSIT_CHECKS = (
     "metal", "metal of layers", "metal outside", "reach of metal", "holes", "height inside", "height at edges",
@@ -37,6 +39,9 @@ ends of its beads."""
 LAYER_OUTSIDE = 3.0
 """A single layer may have so many times the share of metal outside that the whole program may."""
 
+
+OF_LAYER = "of the layer's metal"
+"""Unit of a figure that is a share of the metal of a single layer."""
 
 SMALL_KG = 0.1
 """A part under this is weighed in milligrams, a heavier one in grams."""
@@ -130,15 +135,19 @@ def _outside(solid: pd.DataFrame, built: MetalBelow, alone: bool, config: Config
     whole = built.outside_mm3 / max(built.laid_mm3, 1e-9)
     share = np.divide(outside, laid, out=np.zeros_like(laid), where=laid > 0.0)
     k = int(np.argmax(share))
-    worst = max(0.0 if alone else whole, float(share[k]) / LAYER_OUTSIDE)
     text = (
         f"{100 * whole:.2f} % of the metal lies beside the part, most {100 * share[k]:.2f} % of a layer: "
         f"{_named(solid.iloc[k])}"
     )
-    if worst > limit:
-        text += _of_wall(solid, k, config)
+    # The figure is that of the whole or of the layer, whichever comes nearer to its own limit.
+    layer_limit = limit * LAYER_OUTSIDE
+    of_whole = not alone and whole * LAYER_OUTSIDE >= share[k]
+    worst, limit, unit = (
+        (whole, limit, "of the metal") if of_whole else (float(share[k]), layer_limit, OF_LAYER)
+    )
+    wall, remedy = _of_wall(solid, k, config) if worst > limit else ("", "")
     where = places.of(int(solid["layer"].iloc[k]))
-    return Check("metal outside", worst <= limit, worst, limit, "of the metal", where, text)
+    return Check("metal outside", worst <= limit, worst, limit, unit, where, text + wall, remedy=remedy)
 
 
 def _reach(solid: pd.DataFrame, config: Config, places: _Places) -> Check:
@@ -148,25 +157,27 @@ def _reach(solid: pd.DataFrame, config: Config, places: _Places) -> Check:
     if row["reach_mm"] <= 0.0:
         return Check("reach of metal", True, 0.0, limit, "mm", "", "no metal reaches beside the part")
     text = f"metal reaches {row['reach_mm']:.2f} mm beside the part: {_named(row, 'reach')}"
+    wall, remedy = "", ""
     if row["reach_mm"] > limit:
-        text += (
-            "; a wall or a hole there is narrower than the bead: allow for machining, or use a narrower bead"
-        )
-        text += _of_wall(solid, k, config)
+        text += "; a wall or a hole there is narrower than the bead"
+        wall, remedy = _of_wall(solid, k, config)
     where = places.of(int(row["layer"]))
+    reach_mm = float(row["reach_mm"])
     return Check(
-        "reach of metal", bool(row["reach_mm"] <= limit), float(row["reach_mm"]), limit, "mm", where, text
+        "reach of metal", reach_mm <= limit, reach_mm, limit, "mm", where, text + wall, remedy=remedy
     )
 
 
-def _of_wall(solid: pd.DataFrame, k: int, config: Config) -> str:
-    """What a bead takes that is as narrow as the thinnest wall of a layer, row `k`; empty where beads fit its walls."""
+def _of_wall(solid: pd.DataFrame, k: int, config: Config) -> tuple[str, str]:
+    """What a bead takes that is as narrow as the thinnest wall of a layer, row `k`, and what to do; empty where beads fit its walls."""
     row = solid.iloc[k]
     if not math.isfinite(row["wall_mm"]):
-        return ""
+        return "", ""
     thickness = float(np.diff(solid["z_mm"].to_numpy(), prepend=config.base_mm)[k])
     bead = narrow_bead(float(row["wall_mm"]), thickness, config)
-    return f"; the wall at ({row['wall_x_mm']:.1f}, {row['wall_y_mm']:.1f}) is {row['wall_mm']:.1f} mm thick: {bead}"
+    place = f"({row['wall_x_mm']:.1f}, {row['wall_y_mm']:.1f})"
+    text = f"; the thinnest wall of that layer, at {place}, is {row['wall_mm']:.1f} mm thick: {bead}"
+    return text, COARSE if bead.can_be_laid else TOO_THIN
 
 
 def _holes(found: Deposit, places: _Places) -> Check:
@@ -177,7 +188,7 @@ def _holes(found: Deposit, places: _Places) -> Check:
     first = holes.iloc[0]
     layer = int(first["layer"])
     text = (
-        f"{len(holes)} holes on {holes['layer'].nunique()} layers are closed by beads, first one {first['width_mm']:.1f} mm wide: "
+        f"{counted(len(holes), 'hole')} on {counted(holes['layer'].nunique(), 'layer')} closed by beads, first one {first['width_mm']:.1f} mm wide: "
         f"{100 * first['covered']:.0f} % of it, layer {layer + 1}, at ({first['x_mm']:.1f}, {first['y_mm']:.1f})"
     )
     return Check("holes", False, float(len(holes)), 0.0, "holes", places.of(layer), text)
@@ -228,7 +239,9 @@ def _of_zones(
     row = solid.iloc[k]
     what = {"inside": "inside", "edge": "at its edges", "zone": f"on {row[f'{zone}_mm2']:.0f} mm2"}[zone]
     text = f"a layer's metal is {row[f'{zone}_settled']:.3f} layers high {what}: {_named(row, 'zone' if zone == 'zone' else '')}"
-    return Check(name, off <= limit, off, limit, "of the height", places.of(int(row["layer"])), text)
+    wall, remedy = _of_wall(solid, k, config) if off > limit else ("", "")
+    where = places.of(int(row["layer"]))
+    return Check(name, off <= limit, off, limit, "of the height", where, text + wall, remedy=remedy)
 
 
 def _judged(solid: pd.DataFrame, zone: str, process: ProcessSettings) -> np.ndarray:

@@ -6,6 +6,8 @@ sees what every check of the house sees, and shuts the same gate.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from ebamcheck.plugins import registry
 from ebamcheck.program.checking.checks import Check
 from ebamcheck.program.reading.motions import NCProgram
@@ -25,5 +27,11 @@ def _made(name: str, nc: NCProgram, config: Config) -> list[Check]:
             raise TypeError("it returned what is no Check")
     except Exception as error:
         text = f"plugin {name!r} of {registry.CHECKS}: {type(error).__name__}: {error}"
-        return [Check(name, False, 1.0, 0.0, "", nc.files[0].name, text)]
-    return checks
+        remedy = "tell those who make the plugin, or remove it"
+        return [Check(name, False, 1.0, 0.0, "", nc.files[0].name, text, remedy=remedy)]
+    return [check if check.text else replace(check, text=_figures(check)) for check in checks]
+
+
+def _figures(check: Check) -> str:
+    """What a check found that says nothing itself."""
+    return f"{check.value:.6g} {check.unit}, the limit is {check.limit:.6g}"

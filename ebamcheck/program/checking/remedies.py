@@ -17,12 +17,19 @@ AGAIN = (
 )
 PROFILE = "set the machine's own codes in the templates (ebamcheck config, section machine)"
 PLACE = "move the part (part.direction, the work offset), or set the machine's travel (machine.travel_max_mm)"
-COARSE = (
-    "allow for machining (process.machining_allowance_mm), use a narrower bead (process.bead_width_mm), or build in "
-    "another direction (part.direction)"
+NARROWER = (
+    "use a narrower bead (process.bead_width_mm, with layers.layer_height_mm as it is and a process.current_ma that goes with "
+    "the square of the width)"
 )
+COARSE = f"allow for machining (process.machining_allowance_mm), {NARROWER}, or build in another direction (part.direction)"
+TOO_THIN = (
+    "allow for machining (process.machining_allowance_mm), make the wall thicker in the model, or build in another direction "
+    "(part.direction)"
+)
+"""Of a wall that no bead of the process is narrow enough for."""
 FIT = "fit more closely (curves.tolerance_mm, curves.method), or export the mesh more finely"
 HATCH = "change the spacing (process.bead_spacing), the side of the cells (scan.hexagon_side_mm) or scan.gap_width"
+HOLE = f"machine the hole afterwards and close it in the model, or {NARROWER}"
 LEVELS = (
     "choose layers.layer_height_mm so that level faces fall on borders of layers, move those faces in the model, or, for metal "
     "that is too much, allow for machining (process.machining_allowance_mm)"
@@ -46,11 +53,12 @@ REMEDIES: Mapping[str, str] = {
     **dict.fromkeys(("modes", "smoothing", "start state", "safe end", "beam", "wire", "wire retract"), PROFILE),
     **dict.fromkeys(("process window", "process values", "mass balance", "power", "melting power"), WINDOW),
     **dict.fromkeys(("section", "smooth section"), FIT),
-    **dict.fromkeys(("beads inside", "metal outside", "reach of metal", "holes"), COARSE),
+    **dict.fromkeys(("beads inside", "metal outside", "reach of metal"), COARSE),
+    "holes": HOLE,
     "wire of beads": f"where a wall or a hole is narrower than two beads, {COARSE}; else {AGAIN}",
     **dict.fromkeys(
         (
-            "coverage", "gaps", "hatch spacing", "metal", "metal of layers", "height inside", "height at edges",
+            "coverage", "gaps", "hatch spacing", "hatch lines", "crossings", "metal", "metal of layers", "height inside", "height at edges",
             "height of layers", "height of zones", "surface",
         ),
         HATCH,
@@ -106,7 +114,11 @@ def told(
         place = (
             "" if layer is None or layer >= len(cut_mm) else frames(layer, cut_mm[layer], deposit_mm[layer])
         )
-        found.append(replace(check, layer=layer, place=place, remedy=REMEDIES.get(check.name, OTHERWISE)))
+        found.append(
+            replace(
+                check, layer=layer, place=place, remedy=check.remedy or REMEDIES.get(check.name, OTHERWISE)
+            )
+        )
     return found
 
 

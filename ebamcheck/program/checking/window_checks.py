@@ -96,6 +96,21 @@ def _outside(rows: Ints, values: Floats, limits: tuple[float, float], what: str)
     low, high = limits
     bad = ~((values >= low * (1.0 - ROUNDING)) & (values <= high * (1.0 + ROUNDING)))
     return [
-        (int(row), f"{value:.4g} {what}, allowed are {low:.4g} .. {high:.4g}")
+        (int(row), f"{_apart(float(value), limits)} {what}, allowed are {low:.4g} .. {high:.4g}")
         for row, value in zip(rows[bad], values[bad], strict=True)
     ]
+
+
+def _apart(value: float, limits: tuple[float, float]) -> str:
+    """Write a value with four digits, or as many as tell it from its limits.
+
+    Examples
+    --------
+    >>> _apart(9.0, (16.6667, 100.0)), _apart(16.666479, (16.666667, 100.0))
+    ('9', '16.666')
+    """
+    for digits in range(4, 17):
+        text = f"{value:.{digits}g}"
+        if text not in [f"{limit:.{digits}g}" for limit in limits]:
+            break
+    return text

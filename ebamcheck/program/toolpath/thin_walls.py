@@ -58,16 +58,21 @@ class NarrowBead:
         """Least width within the process window."""
         return max(self.limits_mm.values())
 
+    @property
+    def can_be_laid(self) -> bool:
+        """Whether the process window allows it."""
+        return self.width_mm >= self.least_mm
+
     def __str__(self) -> str:
         """Say what the bead takes, or which limit stands in its way."""
-        if self.width_mm >= self.least_mm:
+        if self.can_be_laid:
             return (
                 f"a bead of {self.width_mm:.1f} mm is within the process window ({self.wire_mm_s:.1f} mm/s of wire, "
                 f"{self.power_w:.0f} W): set process.bead_width_mm {self.width_mm:.1f}, process.current_ma {self.current_ma:.1f} "
                 f"and layers.layer_height_mm {self.layer_mm:.4g}"
             )
         name = max(self.limits_mm, key=lambda key: self.limits_mm[key])
-        return f"the thinnest wall of this wire, travel speed and layer height is {self.least_mm:.1f} mm, by {name}"
+        return f"no bead of this wire, travel speed and layer height is narrower than {self.least_mm:.1f} mm, by {name}"
 
 
 def thinnest_wall(section: BaseGeometry, bead_width_mm: float) -> ThinWall | None:
