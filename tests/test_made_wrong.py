@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import shapely
-from prism_program import Made
+from prism_program import CONFIG, Made
 
+from ebamcheck.heat import melting
+from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.metal import target
+from ebamcheck.pipeline.gates import heat_gate
+from ebamcheck.program.checking.heat_again import BeadHeat, entries_k, highest_entry_k, melting_power_w
+from ebamcheck.program.checking.interpass_checks import AGAIN, INTERPASS, MELTING, heat_checks
+from ebamcheck.program.checking.text_heat import text_beads, text_bed_k, text_shapes
+from ebamcheck.program.reading.roles import by_height
+from ebamcheck.scan.heat import interpass
 from ebamcheck.settings import wire_speed
+from ebamcheck.settings.config import Config
 
 FRAME = shapely.box(0, 0, 60, 40).difference(shapely.box(24, 14, 38, 26))
 
@@ -26,3 +36,97 @@ def test_cells_with_too_little_of_the_section_are_found(monkeypatch, tmp_path):
     right = target.cell_shares
     monkeypatch.setattr(target, "cell_shares", lambda *given: 0.965 * right(*given))
     assert "metal" in Made(tmp_path, FRAME).failed()
+
+
+# -- heat --------------------------------------------------------------------------------------------
+
+WARM = CONFIG.changed(process={"interpass": "both"})
+
+
+def heat_of(made):
+    nc = by_height(made.read(), made.z)
+    return {check.name: check for check in heat_checks(nc, made.config, list(made.plan.sections))}
+
+
+def test_a_sound_program_passes_both_balances(tmp_path):
+    checks = heat_of(Made(tmp_path, FRAME, WARM))
+    assert all(checks[name].passed for name in (INTERPASS, MELTING, AGAIN))
+
+
+@pytest.mark.parametrize("share", [0.5, 0.7])
+def test_heat_that_is_lost_in_the_model_is_found(share, monkeypatch, tmp_path):
+    advance, drive = HeatColumn.advance, HeatColumn.drive
+
+    def drive_less(self, beads, *given):
+        return drive(self, (*beads[:2], share * beads[2]), *given)
+
+    monkeypatch.setattr(HeatColumn, "advance", lambda self, s, j=0.0: advance(self, s, share * j))
+    monkeypatch.setattr(HeatColumn, "drive", drive_less)
+    made = Made(tmp_path, FRAME, WARM)
+    checks = heat_of(made)
+    assert checks[INTERPASS].passed
+    assert not checks[AGAIN].passed
+    gate = heat_gate(checks.values(), made.plan.metrics, made.config)
+    assert not gate.passed
+    assert "second balance" in gate.text
+
+
+def test_a_limit_that_the_plan_takes_too_high_is_found(monkeypatch, tmp_path):
+    right = melting.entry_limit_k
+    monkeypatch.setattr(interpass, "entry_limit_k", lambda config: right(config) + 300.0)
+    assert not heat_of(Made(tmp_path, FRAME, WARM))[INTERPASS].passed
+
+
+def test_a_power_that_does_not_melt_the_wire_is_found(monkeypatch, tmp_path):
+    right = melting.least_power_share
+    monkeypatch.setattr(interpass, "least_power_share", lambda *given: 0.6 * right(*given))
+    assert not heat_of(Made(tmp_path, FRAME, WARM))[MELTING].passed
+
+
+SETTINGS = (
+    {},
+    {"process": {"interpass": "off"}},
+    {"process": {"interpass_limit_k": 500.0}},
+    {"process": {"interpass_limit_k": 5000.0}},
+    {"process": {"interpass": "off", "interpass_limit_k": 700.0}},
+    {"process": {"dilution": 0.0, "current_ma": 20.0}},
+    {"material": {"name": "Inconel 718"}},
+    {"material": {"interpass_limit_k": 5000.0}},
+)
+
+
+@pytest.mark.parametrize("changes", SETTINGS)
+def test_limits_of_plan_and_gate_are_the_same(changes):
+    config = Config().changed(**changes)
+    assert highest_entry_k(config) == melting.entry_limit_k(config)
+    for thickness_mm in (0.5, 1.6755, 3.0):
+        share = melting_power_w(config, thickness_mm) / config.process.power_w
+        assert share == pytest.approx(melting.least_power_share(config, thickness_mm), rel=1e-3)
+
+
+HEAT_PARTS = {
+    "frame": [FRAME] * 6,
+    "tower": [shapely.box(0, 0, 18, 14)] * 24,
+    "cone": [shapely.Point(0, 0).buffer(28 - 2 * k) for k in range(9)],
+    "spread": [shapely.Point(0, 0).buffer(14 + 2 * k) for k in range(6)],
+}
+
+
+@pytest.mark.parametrize("base", ["cooled", "insulated"])
+@pytest.mark.parametrize("name", HEAT_PARTS)
+def test_both_balances_find_the_same_temperatures(name, base, tmp_path):
+    config = WARM.changed(process={"base": base})
+    sections = HEAT_PARTS[name]
+    made = Made(tmp_path, sections, config, layers=len(sections))
+    nc = by_height(made.read(), made.z)
+    beads, shapes = text_beads(nc, config), text_shapes(nc, config, sections)
+    column_k, _ = text_bed_k(beads, config, shapes)
+    heat = BeadHeat(
+        beads.layer,
+        beads.move_s + beads.wait_s,
+        beads.time_s,
+        beads.energy_j * config.material.absorptivity,
+    )
+    again_k = entries_k(heat, sections, np.array([shape.thickness_mm for shape in shapes]), config)
+    # Half of what the gate lets two balances differ by.
+    assert again_k == pytest.approx(column_k, abs=0.05 * (873.0 - 293.0))

@@ -44,6 +44,7 @@ from ebamcheck.program.checking.bead_wire import NAME as WIRE_OF_BEADS
 from ebamcheck.program.checking.deposit_checks import SOLID, of_deposit
 from ebamcheck.program.checking.entry_check import NAME as ENTRY
 from ebamcheck.program.checking.hatch_form import CROSSINGS, LINES
+from ebamcheck.program.checking.interpass_checks import AGAIN
 from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import outside_window, unusual_layers
@@ -74,7 +75,8 @@ OF_TEXT_ALONE = (
     CROSSINGS,
     HANDSHAKE,
     WIRE_OF_BEADS,
-    SOLID,  # of runs of an earlier version
+    AGAIN,  # of runs of an earlier version
+    SOLID,
 )
 """Checks that are made here and not by a run, which has its plan to compare with."""
 
