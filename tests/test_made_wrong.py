@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import shapely
+from parts import box, join
 from prism_program import CONFIG, Made
 
 from ebamcheck.heat import melting
 from ebamcheck.heat.balance import HeatColumn
+from ebamcheck.layers import heights as layer_heights_of
+from ebamcheck.layers.cuts import cut_heights
+from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.metal import target
 from ebamcheck.pipeline.gates import heat_gate
+from ebamcheck.pipeline.mesh_sections import heights_check, sections_check
+from ebamcheck.plugins.model import models
 from ebamcheck.program.checking.heat_again import BeadHeat, entries_k, highest_entry_k, melting_power_w
 from ebamcheck.program.checking.interpass_checks import AGAIN, INTERPASS, MELTING, heat_checks
 from ebamcheck.program.checking.text_heat import text_beads, text_bed_k, text_shapes
@@ -18,6 +26,7 @@ from ebamcheck.program.reading.roles import by_height
 from ebamcheck.scan.heat import interpass
 from ebamcheck.settings import wire_speed
 from ebamcheck.settings.config import Config
+from ebamcheck.slicers.slicing import slice_part
 
 FRAME = shapely.box(0, 0, 60, 40).difference(shapely.box(24, 14, 38, 26))
 
@@ -130,3 +139,96 @@ def test_both_balances_find_the_same_temperatures(name, base, tmp_path):
     again_k = entries_k(heat, sections, np.array([shape.thickness_mm for shape in shapes]), config)
     # Half of what the gate lets two balances differ by.
     assert again_k == pytest.approx(column_k, abs=0.05 * (873.0 - 293.0))
+
+
+# -- sections ----------------------------------------------------------------------------------------
+
+
+def cut(part, config=None):
+    return slice_part(part, cut_heights(part, config or Config()))
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["blade", "helical-channel", "torus", "two-spheres", "menger-1", "case-touching-board", "case-prusa-4245", "tilted-plate"],
+)  # fmt: skip
+@pytest.mark.parametrize("height_mm", [0.9, 1.6755])
+def test_sections_of_sound_slicers_are_those_of_the_mesh(name, height_mm):
+    config = Config().changed(layers={"layer_height_mm": height_mm})
+    part = models()[name].tessellate(0.1)
+    layers = cut(part, config)
+    assert sections_check(part, layers, config).passed
+    assert heights_check(part, layers.heights, config).passed
+
+
+def test_holes_that_polygons_forget_are_found(monkeypatch):
+    part = models()["prism"].tessellate(0.1)
+    layers, right = cut(part), Layers.polygons
+    monkeypatch.setattr(
+        Layers, "polygons", lambda self, k: [shapely.Polygon(p.exterior) for p in right(self, k)]
+    )
+    check = sections_check(part, layers, Config())
+    assert not check.passed
+    assert check.value > Config().process.bead_width_mm / 4
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda p: shapely.affinity.translate(p, 0.8, 0.0),
+        lambda p: shapely.affinity.translate(p, 0.0, -0.8),
+        lambda p: shapely.affinity.scale(p, -1.0, 1.0),
+        lambda p: shapely.affinity.rotate(p, 90.0),
+        lambda p: p.buffer(0.8),
+        lambda p: p.buffer(-0.8),
+        lambda p: shapely.Polygon(p.exterior, list(p.interiors)[:-1]),
+        lambda _: shapely.Polygon(),
+    ],
+)
+def test_other_sections_are_found(change):
+    part = models()["prism"].tessellate(0.1)
+    layers = cut(part)
+    polygons = [[change(p) if k == 7 else p for p in layers.polygons(k)] for k in range(len(layers))]
+    check = sections_check(part, from_polygons(layers.heights, polygons), Config())
+    assert not check.passed
+    assert check.layer == 7
+
+
+def test_a_body_that_is_lost_is_found_among_those_that_overlap():
+    part = join(box((0, 0, 0), (30, 30, 10)), box((20, 20, 0), (50, 50, 10)), box((70, 0, 0), (80, 9, 10)))
+    layers = cut(part)
+    assert sections_check(part, layers, Config()).passed
+    fewer = [sorted(layers.polygons(k), key=lambda p: p.area)[1:] for k in range(len(layers))]
+    assert not sections_check(part, from_polygons(layers.heights, fewer), Config()).passed
+
+
+# -- heights -----------------------------------------------------------------------------------------
+
+TOWER = box((0, 0, 3), (20, 12, 3 + 70 * 1.6))
+SIXTEENTHS = Config().changed(layers={"layer_height_mm": 1.6})
+
+
+def test_layers_that_are_left_out_are_found():
+    cuts = cut_heights(TOWER, SIXTEENTHS)
+    assert heights_check(TOWER, cuts, SIXTEENTHS).passed
+    for wrong in (cuts[:-1], cuts[1:], np.delete(cuts, 30), cuts[::2], cuts + 0.4, 1.1 * (cuts - 3) + 3):
+        assert not heights_check(TOWER, wrong, SIXTEENTHS).passed
+
+
+@pytest.mark.parametrize("top_mm", [0.3, 1.0, 1.6, 2.3, 2.5, 4.0, 47.21])
+def test_any_height_of_a_part_has_its_layers(top_mm):
+    part = box((0, 0, 0), (20, 20, top_mm))
+    assert heights_check(part, cut_heights(part, SIXTEENTHS), SIXTEENTHS).passed
+
+
+def test_heights_that_the_user_lists_are_his():
+    config = SIXTEENTHS.changed(layers={"heights_mm": [5.0, 7.0, 8.0]})
+    assert heights_check(TOWER, cut_heights(TOWER, config), config).passed
+
+
+def test_a_mistake_in_the_heights_of_cuts_shuts_the_gate(monkeypatch):
+    monkeypatch.setattr(layer_heights_of.math, "ceil", lambda number: int(np.ceil(number)) - 1)
+    cuts = layer_heights_of.layer_heights(TOWER, 1.6)
+    monkeypatch.undo()
+    assert not heights_check(TOWER, cuts, SIXTEENTHS).passed
+    assert replace(heights_check(TOWER, cuts, SIXTEENTHS), passed=True).value == pytest.approx(0.8)

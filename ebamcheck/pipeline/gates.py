@@ -18,7 +18,7 @@ from ebamcheck.mesh.inspection import Inspection
 from ebamcheck.pipeline.fit_evidence import FitVerdict, gate_text
 from ebamcheck.pipeline.independence import not_counted, resting
 from ebamcheck.program import Check
-from ebamcheck.program.checking.deposit_checks import DEPOSIT_CHECKS, SOLID, of_deposit
+from ebamcheck.program.checking.deposit_checks import DEPOSIT_CHECKS, OF_THE_MESH, of_deposit
 from ebamcheck.program.checking.heat_again import highest_entry_k
 from ebamcheck.program.checking.interpass_checks import AGAIN, INTERPASS, MELTING, within_range
 from ebamcheck.program.checking.remedies import frames
@@ -203,7 +203,9 @@ def heat_gate(checks: Iterable[Check], metrics: pd.DataFrame, config: Config) ->
 def program_gate(checks: Iterable[Check]) -> Gate:
     """Every check of the program that was read back passed; what other gates are about is theirs."""
     made = [
-        check for check in checks if check.name not in (*DEPOSIT_CHECKS, SOLID, INTERPASS, MELTING, AGAIN)
+        check
+        for check in checks
+        if check.name not in (*DEPOSIT_CHECKS, *OF_THE_MESH, INTERPASS, MELTING, AGAIN)
     ]
     failed = [c for c in made if not c.passed]
     if not made:

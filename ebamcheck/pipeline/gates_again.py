@@ -41,7 +41,7 @@ from ebamcheck.pipeline.text_again import text_again
 from ebamcheck.plugins import registry
 from ebamcheck.program import Check
 from ebamcheck.program.checking.bead_wire import NAME as WIRE_OF_BEADS
-from ebamcheck.program.checking.deposit_checks import SOLID, of_deposit
+from ebamcheck.program.checking.deposit_checks import OF_THE_MESH, of_deposit
 from ebamcheck.program.checking.entry_check import NAME as ENTRY
 from ebamcheck.program.checking.hatch_form import CROSSINGS, LINES
 from ebamcheck.program.checking.interpass_checks import AGAIN
@@ -76,7 +76,7 @@ OF_TEXT_ALONE = (
     HANDSHAKE,
     WIRE_OF_BEADS,
     AGAIN,  # of runs of an earlier version
-    SOLID,
+    *OF_THE_MESH,
 )
 """Checks that are made here and not by a run, which has its plan to compare with."""
 

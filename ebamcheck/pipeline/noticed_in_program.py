@@ -13,9 +13,9 @@ from ebamcheck.findings import Finding, at_layer
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.program.checking.checks import Check
-from ebamcheck.program.checking.deposit_checks import SOLID
+from ebamcheck.program.checking.deposit_checks import HEIGHTS, SECTIONS, SOLID
 from ebamcheck.program.checking.interpass_checks import INTERPASS, within_range
-from ebamcheck.program.checking.remedies import LEVELS
+from ebamcheck.program.checking.remedies import LEVELS, MISTAKE
 from ebamcheck.program.checking.seam_corners import seam_turns
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.toolpath.inputs import deposition_heights
@@ -40,6 +40,8 @@ METAL: Mapping[str, tuple[str, str]] = {
         "look at that place in the picture of the metal; turn the cells, or use a narrower bead",
     ),
     SOLID: ("level-within-layer", LEVELS),
+    SECTIONS: ("sections-off-mesh", MISTAKE),
+    HEIGHTS: ("height-off-part", MISTAKE),
     "surface": ("metal-excess", "turn the cells and the hatch from layer to layer, or use a narrower bead"),
 }
 """Code and remedy of each check of the metal that fails."""

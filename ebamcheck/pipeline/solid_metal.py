@@ -18,6 +18,7 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.plates import PlatePart
 from ebamcheck.metal.layer_rule import LEVEL_MM, LayerRule, layer_rule, level_faces, section_areas
 from ebamcheck.numeric.rings import Floats
+from ebamcheck.pipeline.mesh_sections import heights_check, sections_check
 from ebamcheck.program.checking.checks import Check
 from ebamcheck.program.checking.deposit_checks import SOLID, of_deposit
 from ebamcheck.program.toolpath.inputs import deposition_heights
@@ -90,9 +91,16 @@ def solid_check(part: Part, layers: Layers, config: Config) -> Solid:
     return Solid(Check(SOLID, False, rule.share, limit, "of the part", "", text, layer), z_mm)
 
 
+def of_mesh(part: Part, layers: Layers, config: Config) -> list[Check]:
+    """Checks of the sections and heights of the layers against the mesh; parameters as of :func:`solid_check`."""
+    return [sections_check(part, layers, config), heights_check(part, np.asarray(layers.heights), config)]
+
+
 def with_solid(checks: list[Check], part: Part, layers: Layers, config: Config) -> list[Check]:
-    """Add that check to those of a program whose metal was looked at; to others it would say nothing of them."""
-    return [*checks, solid_check(part, layers, config).check] if of_deposit(checks) else checks
+    """Add the checks against the mesh to those of a program whose metal was looked at; to others they would say nothing of them."""
+    if not of_deposit(checks):
+        return checks
+    return [*checks, solid_check(part, layers, config).check, *of_mesh(part, layers, config)]
 
 
 def layer_borders(part: Part, cuts: Floats, config: Config) -> Floats:

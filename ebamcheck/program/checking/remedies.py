@@ -57,6 +57,8 @@ REMEDIES: Mapping[str, str] = {
         HATCH,
     ),
     "metal of the solid": LEVELS,
+    "sections of the mesh": MISTAKE,
+    "layers of the part": MISTAKE,
     "balance of the heat": MISTAKE,
     **dict.fromkeys(("layer pause", "interpass temperature"), COOL),
     **dict.fromkeys(("layer heights", "flat layers"), "give layers of one height (layers.layer_height_mm), then " + AGAIN),
