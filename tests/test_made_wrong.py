@@ -19,9 +19,11 @@ from ebamcheck.metal import target
 from ebamcheck.pipeline.gates import heat_gate
 from ebamcheck.pipeline.mesh_sections import heights_check, sections_check
 from ebamcheck.plugins.model import models
+from ebamcheck.program.checking import marked
 from ebamcheck.program.checking.heat_again import BeadHeat, entries_k, highest_entry_k, melting_power_w
 from ebamcheck.program.checking.interpass_checks import AGAIN, INTERPASS, MELTING, heat_checks
 from ebamcheck.program.checking.text_heat import text_beads, text_bed_k, text_shapes
+from ebamcheck.program.language import files
 from ebamcheck.program.reading.roles import by_height
 from ebamcheck.scan.heat import interpass
 from ebamcheck.settings import wire_speed
@@ -232,3 +234,38 @@ def test_a_mistake_in_the_heights_of_cuts_shuts_the_gate(monkeypatch):
     monkeypatch.undo()
     assert not heights_check(TOWER, cuts, SIXTEENTHS).passed
     assert replace(heights_check(TOWER, cuts, SIXTEENTHS), passed=True).value == pytest.approx(0.8)
+
+
+# -- after the checks --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda data, name: data[:-40],
+        lambda data, name: data + b"G1 X0 Y0\n",
+        lambda data, name: data.replace(b" F600", b" F900", 1) if "L0002" in name else data,
+        lambda data, name: data.replace(b"VALIDATED", b"NOT VALIDATED", 1) if "L0002" in name else data,
+        lambda data, name: data.replace(b"; VALIDATED\n", b"", 1),
+    ],
+)
+def test_what_changes_when_a_program_is_marked_is_found(spoil, monkeypatch, tmp_path):
+    right = files.mark_validated
+    made = Made(tmp_path, FRAME, layers=2)
+
+    def mark(given):
+        found = right(given)
+        for name in found.names:
+            path = found.folder / name
+            path.write_bytes(spoil(path.read_bytes(), name))
+        return found
+
+    monkeypatch.setattr(marked, "mark_validated", mark)
+    with pytest.raises(RuntimeError, match="more than its status"):
+        marked.marked_validated(made.files)
+
+
+@pytest.mark.parametrize("control", ["sinumerik-840d-sl", "linuxcnc", "plain-gcode", "fanuc"])
+def test_a_sound_program_of_any_control_is_marked(control, tmp_path):
+    made = Made(tmp_path, FRAME, CONFIG.changed(machine={"control": control}), layers=2)
+    assert marked.marked_validated(made.files).validated

@@ -28,9 +28,10 @@ from ebamcheck.pipeline.live_program import write_live
 from ebamcheck.pipeline.plate_record import plate_record
 from ebamcheck.pipeline.solid_metal import of_mesh, solid_check
 from ebamcheck.pipeline.work import Job, one_beside
-from ebamcheck.program import Check, mark_validated, program_summary, read_program, verify_program
+from ebamcheck.program import Check, program_summary, read_program, verify_program
 from ebamcheck.program.checking.deposit import Deposit, deposit
 from ebamcheck.program.checking.deposit_checks import deposit_checks
+from ebamcheck.program.checking.marked import marked_validated
 from ebamcheck.program.checking.matching import matched
 from ebamcheck.program.checking.metal_field import FIELD_FILE, write_field
 from ebamcheck.program.checking.remedies import told
@@ -140,7 +141,7 @@ def make_program(
     if entry is not None:
         made = (*made, gates.entry_gate(entry.check))
     if validated_so_far and all(gate.passed for gate in made) and not has_fault(job.findings):
-        files = mark_validated(files)
+        files = marked_validated(files)
         entry = entry and entry.marked_validated()
     live = None
     if job.live:
