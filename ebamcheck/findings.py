@@ -42,6 +42,7 @@ CODES: Mapping[str, str] = {
     "metal-missing": "Less metal lies at a place than the layer takes.",
     "no-evidence": "A slicer's bound is so wide that its agreement proves nothing; the run does not rest on it.",
     "part-beyond-travel": "The part is larger than the travel of the machine's axes.",
+    "part-off-file": "The part that is built has another size than in its file, or stands another way.",
     "part-round-in-inches": "The part's extents are round in inches and not in millimetres.",
     "part-under-beads": "The whole part is no larger than a few beads: its unit is unlikely.",
     "placeholder-codes": "Codes of beam and wire are those of the default profile, not the machine maker's.",

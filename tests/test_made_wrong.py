@@ -10,24 +10,32 @@ import shapely
 from parts import box, join
 from prism_program import CONFIG, Made
 
+from ebamcheck import save
 from ebamcheck.heat import melting
 from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.layers import heights as layer_heights_of
 from ebamcheck.layers.cuts import cut_heights
 from ebamcheck.layers.stack import Layers, from_polygons
+from ebamcheck.mesh import part as mesh_part
+from ebamcheck.mesh import placing
 from ebamcheck.metal import target
 from ebamcheck.pipeline.gates import heat_gate
 from ebamcheck.pipeline.mesh_sections import heights_check, sections_check
+from ebamcheck.pipeline.part_file import file_check
+from ebamcheck.pipeline.placement import placed_part
 from ebamcheck.plugins.model import models
 from ebamcheck.program.checking import marked
 from ebamcheck.program.checking.heat_again import BeadHeat, entries_k, highest_entry_k, melting_power_w
 from ebamcheck.program.checking.interpass_checks import AGAIN, INTERPASS, MELTING, heat_checks
 from ebamcheck.program.checking.text_heat import text_beads, text_bed_k, text_shapes
+from ebamcheck.program.checking.window_checks import window_check
 from ebamcheck.program.language import files
 from ebamcheck.program.reading.roles import by_height
+from ebamcheck.program.toolpath import wire
 from ebamcheck.scan.heat import interpass
-from ebamcheck.settings import wire_speed
+from ebamcheck.settings import process, wire_speed
 from ebamcheck.settings.config import Config
+from ebamcheck.settings.units import UNITS_MM
 from ebamcheck.slicers.slicing import slice_part
 
 FRAME = shapely.box(0, 0, 60, 40).difference(shapely.box(24, 14, 38, 26))
@@ -47,6 +55,24 @@ def test_cells_with_too_little_of_the_section_are_found(monkeypatch, tmp_path):
     right = target.cell_shares
     monkeypatch.setattr(target, "cell_shares", lambda *given: 0.965 * right(*given))
     assert "metal" in Made(tmp_path, FRAME).failed()
+
+
+def test_an_allowance_that_is_left_out_is_found(monkeypatch, tmp_path):
+    config, right = CONFIG.changed(process={"machining_allowance_mm": 2.0}), wire.metal_region
+    assert not Made(tmp_path / "sound", FRAME, config).failed()
+    half = config.changed(process={"machining_allowance_mm": 1.0})
+    monkeypatch.setattr(wire, "metal_region", lambda section, _: right(section, half))
+    assert "metal" in Made(tmp_path / "wrong", FRAME, config).failed()
+
+
+@pytest.mark.parametrize("factor", [0.3, 2.5])
+def test_layers_far_from_the_height_of_a_bead_are_found(factor, monkeypatch, tmp_path):
+    right = process.bead_height_mm
+    monkeypatch.setattr(process, "bead_height_mm", lambda *given: factor * right(*given))
+    config = CONFIG.changed(process={"wire_speed_min_mm_s": 0.1, "wire_speed_max_mm_s": 1000.0})
+    assert config.process.bead_height_mm == pytest.approx(factor * 1.6755, rel=1e-4)
+    check = window_check(by_height((made := Made(tmp_path, FRAME, config, layers=2)).read(), made.z), config)
+    assert "of a bead's height a layer" in check.text
 
 
 # -- heat --------------------------------------------------------------------------------------------
@@ -234,6 +260,70 @@ def test_a_mistake_in_the_heights_of_cuts_shuts_the_gate(monkeypatch):
     monkeypatch.undo()
     assert not heights_check(TOWER, cuts, SIXTEENTHS).passed
     assert replace(heights_check(TOWER, cuts, SIXTEENTHS), passed=True).value == pytest.approx(0.8)
+
+
+# -- the part of the file ----------------------------------------------------------------------------
+
+
+CORNERED = join(box((0, 0, 0), (30, 20, 10)), box((0, 0, 10), (8, 6, 25)))
+"""A part that is alike in no two directions."""
+
+
+def read(folder, settings, form="binary"):
+    config = Config().changed(part=settings)
+    part, path = CORNERED, folder / "prism.stl"
+    if form == "binary":
+        save(part, path)
+    else:
+        lines = [
+            "facet normal 0 0 0",
+            "outer loop",
+            *["vertex {:.9g} {:.9g} {:.9g}"] * 3,
+            "endloop",
+            "endfacet",
+        ]
+        every = (chr(10).join(lines).format(*facet.ravel()) for facet in part.triangles)
+        path.write_text(chr(10).join(["solid prism", *every, "endsolid prism", ""]))
+    return placed_part(path, config)[0], config
+
+
+@pytest.mark.parametrize("form", ["binary", "ascii"])
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {},
+        {"units": "in"},
+        {"units": "cm", "direction": [0.0, -1.0, 0.0]},
+        {"direction": [0.6, 0.0, 0.8], "rotate_deg": 30.0, "place_at_mm": [100.0, 50.0, 3.0]},
+        {"direction": [0.0, 0.0, -1.0]},
+    ],
+)
+def test_a_part_is_the_one_in_its_file(settings, form, tmp_path):
+    assert file_check(*read(tmp_path, settings, form)).passed
+
+
+def test_a_wrong_unit_is_found(monkeypatch, tmp_path):
+    monkeypatch.setitem(UNITS_MM, "in", 25.0)
+    check = file_check(*read(tmp_path, {"units": "in"}))
+    assert not check.passed
+    assert check.value > 0.01
+
+
+@pytest.mark.parametrize("direction", [[0.0, 1.0, 0.0], [0.6, 0.0, 0.8], [0.0, 0.0, -1.0]])
+def test_a_part_that_is_turned_the_wrong_way_is_found(direction, monkeypatch, tmp_path):
+    right = mesh_part.rotation_to_z
+    wrong = (lambda _: np.eye(3)) if direction[2] < 0 else (lambda way: right(way).T)
+    monkeypatch.setattr(mesh_part, "rotation_to_z", wrong)
+    part, config = read(tmp_path, {"direction": direction})
+    assert not file_check(part, config).passed
+
+
+def test_a_part_that_shrinks_as_it_is_placed_is_found(monkeypatch, tmp_path):
+    right = placing.Placing.moved
+    monkeypatch.setattr(
+        placing.Placing, "moved", lambda self, part: replace(right(self, part), vertices=0.98 * part.vertices)
+    )
+    assert not file_check(*read(tmp_path, {"rotate_deg": 30.0})).passed
 
 
 # -- after the checks --------------------------------------------------------------------------------

@@ -160,17 +160,18 @@ def _blocks(part: Part, heights: Floats) -> Iterator[range]:
 
 def _of_mesh(part: Part, heights: Floats, some: range, axis: int, lines: Floats) -> _Crossings:
     """Crossings of lines with the sections of facets: a facet is left by its rising edge and entered by its falling one."""
-    corners = part.vertices[part.faces]
-    z = corners[:, :, 2]
+    z = part.vertices[part.faces, 2]
     own = heights[some.start : some.stop]
     first, last = (np.searchsorted(own, side) for side in (z.min(axis=1), z.max(axis=1)))
     cut = np.flatnonzero(last > first)
     count = (last - first)[cut]
-    facet = np.repeat(cut, count)
-    layer = np.arange(facet.size) - np.repeat(np.cumsum(count) - count, count) + np.repeat(first[cut], count)
-    begin, end = np.zeros((facet.size, 2)), np.zeros((facet.size, 2))
+    corners = part.vertices[part.faces[np.repeat(cut, count)]]
+    layer = (
+        np.arange(len(corners)) - np.repeat(np.cumsum(count) - count, count) + np.repeat(first[cut], count)
+    )
+    begin, end = np.zeros((len(corners), 2)), np.zeros((len(corners), 2))
     for k in range(3):
-        p, q = corners[facet, k], corners[facet, (k + 1) % 3]
+        p, q = corners[:, k], corners[:, (k + 1) % 3]
         under, over = p[:, 2] <= own[layer], q[:, 2] <= own[layer]
         rise = np.where(under != over, q[:, 2] - p[:, 2], 1.0)
         share = ((own[layer] - p[:, 2]) / rise)[:, None]

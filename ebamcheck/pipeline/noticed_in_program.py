@@ -13,7 +13,7 @@ from ebamcheck.findings import Finding, at_layer
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.program.checking.checks import Check
-from ebamcheck.program.checking.deposit_checks import HEIGHTS, SECTIONS, SOLID
+from ebamcheck.program.checking.deposit_checks import HEIGHTS, PART_FILE, SECTIONS, SOLID
 from ebamcheck.program.checking.interpass_checks import INTERPASS, within_range
 from ebamcheck.program.checking.remedies import LEVELS, MISTAKE
 from ebamcheck.program.checking.seam_corners import seam_turns
@@ -42,6 +42,7 @@ METAL: Mapping[str, tuple[str, str]] = {
     SOLID: ("level-within-layer", LEVELS),
     SECTIONS: ("sections-off-mesh", MISTAKE),
     HEIGHTS: ("height-off-part", MISTAKE),
+    PART_FILE: ("part-off-file", MISTAKE),
     "surface": ("metal-excess", "turn the cells and the hatch from layer to layer, or use a narrower bead"),
 }
 """Code and remedy of each check of the metal that fails."""

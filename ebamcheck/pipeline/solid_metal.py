@@ -19,6 +19,7 @@ from ebamcheck.mesh.plates import PlatePart
 from ebamcheck.metal.layer_rule import LEVEL_MM, LayerRule, layer_rule, level_faces, section_areas
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline.mesh_sections import heights_check, sections_check
+from ebamcheck.pipeline.part_file import file_check
 from ebamcheck.program.checking.checks import Check
 from ebamcheck.program.checking.deposit_checks import SOLID, of_deposit
 from ebamcheck.program.toolpath.inputs import deposition_heights
@@ -93,7 +94,11 @@ def solid_check(part: Part, layers: Layers, config: Config) -> Solid:
 
 def of_mesh(part: Part, layers: Layers, config: Config) -> list[Check]:
     """Checks of the sections and heights of the layers against the mesh; parameters as of :func:`solid_check`."""
-    return [sections_check(part, layers, config), heights_check(part, np.asarray(layers.heights), config)]
+    return [
+        sections_check(part, layers, config),
+        heights_check(part, np.asarray(layers.heights), config),
+        file_check(part, config),
+    ]
 
 
 def with_solid(checks: list[Check], part: Part, layers: Layers, config: Config) -> list[Check]:

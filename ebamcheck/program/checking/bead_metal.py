@@ -1,7 +1,7 @@
-"""The metal of each motion by its text alone: section of the wire, its speed, and the feed.
+"""The metal of each motion by its text alone, and where a layer is to have metal: section of the wire, speed, feed, allowance.
 
-The section of the wire is worked out anew here, and not taken from what gives the wire of a program its speed: a mistake
-there would else be made on both sides of the balance, and every check of the metal would confirm it.
+All of it is worked out anew here, and not taken from what gives the wire of a program its speed: a mistake there would else be
+made on both sides of the balance, and every check of the metal would confirm it.
 """
 
 from __future__ import annotations
@@ -9,10 +9,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import shapely
+from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.settings.config import Config
+
+ROUND = 16
+"""Chords in a quarter turn around a corner: at an allowance of 3 mm they err by 4 um."""
 
 
 def wire_section_mm2(config: Config) -> float:
@@ -25,6 +30,25 @@ def wire_section_mm2(config: Config) -> float:
     """
     radius_mm = 0.5 * config.process.wire_diameter_mm
     return math.pi * radius_mm * radius_mm
+
+
+def wanted_region(section: BaseGeometry, config: Config) -> BaseGeometry:
+    """Region that the metal of a layer is to fill: its section, and what is left for machining around it."""
+    around_mm = config.process.machining_allowance_mm
+    return shapely.buffer(section, around_mm, quad_segs=ROUND) if around_mm > 0.0 else section
+
+
+def bead_height_mm(config: Config) -> float:
+    """Height of one bead of the set wire and feed by itself: a parabola, two thirds of its width times its height.
+
+    Examples
+    --------
+    >>> round(bead_height_mm(Config()), 3)
+    1.676
+    """
+    process = config.process
+    laid_mm2 = wire_section_mm2(config) * process.wire_speed_mm_s / process.travel_speed_mm_s
+    return 1.5 * laid_mm2 / process.bead_width_mm
 
 
 def bead_sections_mm2(nc: NCProgram, config: Config) -> Floats:

@@ -24,12 +24,11 @@ from ebamcheck.metal import Surface, Target, bead_centres, target_of
 from ebamcheck.metal.distances import border_distance
 from ebamcheck.metal.surface import FILM, HALF
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.program.checking.bead_metal import bead_sections_mm2
+from ebamcheck.program.checking.bead_metal import bead_sections_mm2, wanted_region
 from ebamcheck.program.checking.metal_field import LayerField
 from ebamcheck.program.checking.metal_zones import NO_ZONES, zone_figures, zone_limit, zone_off
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.toolpath.thin_walls import thinnest_wall
-from ebamcheck.program.toolpath.wire import metal_region
 from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process import ProcessSettings
@@ -114,7 +113,7 @@ def deposit(
     rows = np.flatnonzero(nc.deposit & nc.wire)
     index = np.searchsorted(0.5 * (z_of[1:] + z_of[:-1]), nc.end[rows, 2])
     thickness = np.diff(z_of, prepend=config.base_mm)
-    sections = [metal_region(layer_section(layers.polygons(k)), config) for k in range(len(layers))]
+    sections = [wanted_region(layer_section(layers.polygons(k)), config) for k in range(len(layers))]
     some = [s for s in sections if not s.is_empty]
     bounds = np.asarray(shapely.total_bounds(some), np.float64) if some else np.zeros(4)
     field = _Field(stands.copy() if stands else Surface(bounds, process.bead_width_mm), process)

@@ -33,7 +33,10 @@ SOLID = "metal of the solid"
 SECTIONS, HEIGHTS = "sections of the mesh", "layers of the part"
 """Names of the checks of the sections against the mesh itself, and of the heights of the layers (:mod:`ebamcheck.pipeline.mesh_sections`)."""
 
-OF_THE_MESH = (SOLID, SECTIONS, HEIGHTS)
+PART_FILE = "part of the file"
+"""Name of the check of the part against its file (:mod:`ebamcheck.pipeline.part_file`)."""
+
+OF_THE_MESH = (SOLID, SECTIONS, HEIGHTS, PART_FILE)
 """Checks of the layers against the part."""
 
 LEAST_SPOTS = 1.0

@@ -60,6 +60,7 @@ REMEDIES: Mapping[str, str] = {
     "sections of the mesh": MISTAKE,
     "layers of the part": MISTAKE,
     "balance of the heat": MISTAKE,
+    "part of the file": MISTAKE,
     **dict.fromkeys(("layer pause", "interpass temperature"), COOL),
     **dict.fromkeys(("layer heights", "flat layers"), "give layers of one height (layers.layer_height_mm), then " + AGAIN),
     **dict.fromkeys(("preheat calls", "preheat state", "preheat path", "preheat count"), AGAIN),

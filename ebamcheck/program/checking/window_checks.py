@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.program.checking.bead_metal import wire_section_mm2
+from ebamcheck.program.checking.bead_metal import bead_height_mm, wire_section_mm2
 from ebamcheck.program.checking.checks import Check, count_check
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.settings.config import Config
@@ -35,7 +35,7 @@ def window_check(nc: NCProgram, config: Config) -> Check:
     least, greatest = process.wire_speed_min_mm_s, process.wire_speed_max_mm_s
     inside = rows[nc.layer[rows] >= 0]
     layers, first = np.unique(nc.layer[inside], return_index=True)
-    over_bead = layer_steps_mm(nc, config)[layers] / process.bead_height_mm
+    over_bead = layer_steps_mm(nc, config)[layers] / bead_height_mm(config)
     known = np.isfinite(over_bead)
     faults = [
         *_outside(laid, nc.wire_mm_s[laid], (least, greatest), "mm/s of wire"),
