@@ -12,7 +12,7 @@ from prism_program import CONFIG, Made
 
 from ebamcheck import save
 from ebamcheck.heat import melting
-from ebamcheck.heat.balance import HeatColumn
+from ebamcheck.heat.balance import HeatColumn, LayerShape
 from ebamcheck.layers import heights as layer_heights_of
 from ebamcheck.layers.cuts import cut_heights
 from ebamcheck.layers.stack import Layers, from_polygons
@@ -106,6 +106,17 @@ def test_heat_that_is_lost_in_the_model_is_found(share, monkeypatch, tmp_path):
     gate = heat_gate(checks.values(), made.plan.metrics, made.config)
     assert not gate.passed
     assert "second balance" in gate.text
+
+
+def test_layers_that_the_model_takes_for_wider_are_found(monkeypatch, tmp_path):
+    right = LayerShape.of
+
+    def wider(section, thickness_mm):
+        shape = right(section, thickness_mm)
+        return replace(shape, area_mm2=2.0 * shape.area_mm2)
+
+    monkeypatch.setattr(LayerShape, "of", wider)
+    assert not heat_of(Made(tmp_path, FRAME, WARM))[AGAIN].passed
 
 
 def test_a_limit_that_the_plan_takes_too_high_is_found(monkeypatch, tmp_path):

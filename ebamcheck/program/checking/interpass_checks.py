@@ -67,6 +67,7 @@ def heat_checks(
     config: Config,
     sections: Sequence[BaseGeometry] | None,
     before: HeatColumn | None = None,
+    witness: Sequence[BaseGeometry] | None = None,
 ) -> list[Check]:
     """Check that the power of each layer melts its wire, and the temperature at which beads are entered.
 
@@ -77,6 +78,8 @@ def heat_checks(
     before
         Heat of what stands when the program begins; None: the cold plate. Of a program that begins on a part that is half
         built it has to be known: else its entries are not judged, since nothing in its text tells how warm the part is.
+    witness
+        Sections for the second balance, best by a slicer that did not make the program; None: those.
     """
     known = sections_of_text(nc, config, sections)
     beads, shapes = text_beads(nc, config), text_shapes(nc, config, known)
@@ -86,8 +89,9 @@ def heat_checks(
         _melting(nc, config, shapes),
         _entries(nc, beads, config, shapes, before, known[0] if known else None),
     ]
-    if before is None and not beads.scans and known:
-        checks.append(_again(nc, beads, known, np.array([shape.thickness_mm for shape in shapes]), config))
+    own = sections_of_text(nc, config, witness or sections)
+    if before is None and not beads.scans and own:
+        checks.append(_again(nc, beads, own, config))
     return checks
 
 
@@ -244,7 +248,6 @@ def _again(
     nc: NCProgram,
     beads: TextBeads,
     sections: Sequence[BaseGeometry],
-    heights_mm: Floats,
     config: Config,
 ) -> Check:
     """The same temperature by a second balance, against the limit and what two of them may differ by."""
@@ -255,7 +258,8 @@ def _again(
     )
     if not len(beads):
         return Check(AGAIN, True, 0.0, most_k, "K", "", "nothing is laid")
-    bed_k = entries_k(heat, sections, heights_mm, config)
+    steps = np.diff(nc.layer_heights, prepend=config.base_mm)
+    bed_k = entries_k(heat, sections, np.where(steps > 0.0, steps, config.layer_height_mm), config)
     if config.process.interpass_at == "layer":
         bed_k = np.where(beads.enters_layer, bed_k, ambient_k)
     bead = int(np.argmax(bed_k))

@@ -169,7 +169,7 @@ def verify_program(
         wait_height_check(nc, config),
     ]
     if heat:
-        checks += heat_checks(nc, config, sections, before)
+        checks += heat_checks(nc, config, sections, before, known_sections(None, layers))
     checks += preheat_checks(nc, config, sections, before, under)
     checks += tilt_checks(nc, config)
     checks += clearance_checks(nc, z_of, config, layers)
