@@ -214,12 +214,12 @@ def test_holes_that_polygons_forget_are_found(monkeypatch):
 @pytest.mark.parametrize(
     "change",
     [
-        lambda p: shapely.affinity.translate(p, 0.8, 0.0),
-        lambda p: shapely.affinity.translate(p, 0.0, -0.8),
+        lambda p: shapely.affinity.translate(p, 0.4, 0.0),
+        lambda p: shapely.affinity.translate(p, 0.0, -0.4),
         lambda p: shapely.affinity.scale(p, -1.0, 1.0),
         lambda p: shapely.affinity.rotate(p, 90.0),
-        lambda p: p.buffer(0.8),
-        lambda p: p.buffer(-0.8),
+        lambda p: p.buffer(0.4),
+        lambda p: p.buffer(-0.4),
         lambda p: shapely.Polygon(p.exterior, list(p.interiors)[:-1]),
         lambda _: shapely.Polygon(),
     ],

@@ -52,7 +52,8 @@ class _Crossings(NamedTuple):
 def sections_check(part: Part, layers: Layers, config: Config) -> Check:
     """Check sections against the mesh, along lines in X and in Y across every layer.
 
-    Metal in one and none in the other counts where it is deeper than `curves.section_tolerance_mm`: lines that graze a side tell nothing.
+    Where there is metal in one and none in the other, the border of the one lies beside that of the other: by no more than
+    `curves.section_tolerance_mm`. Lines that graze a side have long pieces whose ends lie on both.
 
     Parameters
     ----------
@@ -114,7 +115,7 @@ def heights_check(part: Part, cuts: Floats, config: Config) -> Check:
 def _different(
     part: Part, heights: Floats, sections: list[BaseGeometry], axis: int, step_mm: float, least_mm: float
 ) -> Iterator[tuple[int, tuple[float, float]]]:
-    """Middles of the pieces of lines along an axis that lie in one of mesh and sections and not in the other: layer, and place."""
+    """Ends of the pieces of lines along an axis that lie in one of mesh and sections and not in the other: layer, and place."""
     low, high = part.bounds[:, 1 - axis].tolist()
     step = max(step_mm, (high - low) / MOST_LINES)
     lines = low + (np.arange(int((high - low) / step) + 1) + OFF_GRID) * step
@@ -134,9 +135,10 @@ def _different(
         differ = inside != (_winding(drawn[order], begins) > 0)
         piece = np.diff(place, append=np.inf)
         piece[np.append(begins[1:], True)[: piece.size]] = 0.0
-        for n in np.flatnonzero(differ & (piece > 2.0 * least_mm)).tolist():
-            along, across = float(place[n] + 0.5 * piece[n]), float(lines[line[n]])
-            yield int(layer[n]), (along, across) if axis == 0 else (across, along)
+        for n in np.flatnonzero(differ & (piece > least_mm)).tolist():
+            across = float(lines[line[n]])
+            for along in (float(place[n]), float(place[n] + piece[n])):
+                yield int(layer[n]), (along, across) if axis == 0 else (across, along)
 
 
 def _winding(change: Ints, begins: Bools) -> Ints:
