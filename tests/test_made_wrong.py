@@ -283,8 +283,9 @@ CORNERED = join(box((0, 0, 0), (30, 20, 10)), box((0, 0, 10), (8, 6, 25)))
 def read(folder, settings, form="binary"):
     config = Config().changed(part=settings)
     part, path = CORNERED, folder / "prism.stl"
-    if form == "binary":
+    if form != "ascii":
         save(part, path)
+        path.write_bytes(path.read_bytes() + (b"?" if form == "trailing" else b""))
     else:
         lines = [
             "facet normal 0 0 0",
@@ -298,7 +299,7 @@ def read(folder, settings, form="binary"):
     return placed_part(path, config)[0], config
 
 
-@pytest.mark.parametrize("form", ["binary", "ascii"])
+@pytest.mark.parametrize("form", ["binary", "trailing", "ascii"])
 @pytest.mark.parametrize(
     "settings",
     [

@@ -80,9 +80,10 @@ def _facets_of(path: Path) -> Iterator[Floats]:
     with path.open("rb") as file:
         head = file.read(HEAD)
         count = int.from_bytes(head[80:84], "little")
-        if len(head) == HEAD and size == HEAD + count * FACET.itemsize:
-            while (some := np.fromfile(file, FACET, AT_ONCE)).size:
-                yield some["corners"]
+        # The reader of parts leaves out bytes behind the last facet, too.
+        if len(head) == HEAD and 0 <= size - HEAD - count * FACET.itemsize < FACET.itemsize:
+            for first in range(0, count, AT_ONCE):
+                yield np.fromfile(file, FACET, min(AT_ONCE, count - first))["corners"]
             return
         corners = np.array(VERTEX.findall(head + file.read()), np.float64)
     yield corners.reshape(-1, 3, 3)
