@@ -180,6 +180,14 @@ def test_both_balances_find_the_same_temperatures(name, base, tmp_path):
     assert again_k == pytest.approx(column_k, abs=0.05 * (873.0 - 293.0))
 
 
+def test_after_a_time_without_end_no_temperature_is_known():
+    config, section = Config(), shapely.box(0, 0, 20, 20)
+    times_s, heat_j = np.array([5.0, np.inf, 5.0, 5.0]), np.array([1e4, np.nan, 1e4, 1e4])
+    heat = BeadHeat(np.array([0, 0, 1, 1]), np.zeros(4), times_s, heat_j)
+    found = entries_k(heat, [section, section], np.array([1.6, 1.6]), config)
+    assert np.isfinite(found).tolist() == [True, True, False, False]
+
+
 # -- sections ----------------------------------------------------------------------------------------
 
 

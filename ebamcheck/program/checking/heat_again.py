@@ -152,15 +152,16 @@ class _Column:
         self._capacity = 1e-9 * material.density_kg_m3 * capacity
         self._conductivity = 1e-3 * np.interp(kelvin, *_data(material.conductivity_by_temperature))
         self._laid: list[_Shape] = []
+        self._lost = False
         self._kelvin = np.zeros(0)
         self._height = self._area = self._shining = np.zeros(0)
 
     @property
     def bed_k(self) -> float:
         """Temperature of the uppermost layer or of the one under it, whichever is warmer."""
-        if not self._laid:
-            return self._ambient
-        return float(self._kelvin[-2:].max())
+        if self._lost:
+            return math.nan
+        return float(self._kelvin[-2:].max()) if self._laid else self._ambient
 
     def lay(self, layer: int) -> None:
         """Put a cold layer on top; the first one lies on a plate as wide as it is."""
@@ -176,7 +177,9 @@ class _Column:
 
     def follow(self, time_s: float, heat_j: float) -> None:
         """Let a time go by in which the uppermost layer takes up heat."""
-        if not (time_s > 0.0 and math.isfinite(time_s)) or not self._laid:
+        # A feed of nothing never ends: what comes after it has no temperature.
+        self._lost |= not (math.isfinite(time_s) and math.isfinite(heat_j))
+        if self._lost or time_s <= 0.0 or not self._laid:
             return
         tables = self._capacity, self._conductivity
         cells = self._height, self._area, self._shining
