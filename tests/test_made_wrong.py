@@ -24,6 +24,7 @@ from ebamcheck.pipeline.mesh_sections import heights_check, sections_check
 from ebamcheck.pipeline.part_file import file_check
 from ebamcheck.pipeline.placement import placed_part
 from ebamcheck.plugins.model import models
+from ebamcheck.program import verify_program
 from ebamcheck.program.checking import marked
 from ebamcheck.program.checking.heat_again import BeadHeat, entries_k, highest_entry_k, melting_power_w
 from ebamcheck.program.checking.interpass_checks import AGAIN, INTERPASS, MELTING, heat_checks
@@ -31,7 +32,7 @@ from ebamcheck.program.checking.text_heat import text_beads, text_bed_k, text_sh
 from ebamcheck.program.checking.window_checks import window_check
 from ebamcheck.program.language import files
 from ebamcheck.program.reading.roles import by_height
-from ebamcheck.program.toolpath import wire
+from ebamcheck.program.toolpath import inputs, tracks, wire
 from ebamcheck.scan.heat import interpass
 from ebamcheck.settings import process, wire_speed
 from ebamcheck.settings.config import Config
@@ -344,6 +345,31 @@ def test_a_part_that_shrinks_as_it_is_placed_is_found(monkeypatch, tmp_path):
         placing.Placing, "moved", lambda self, part: replace(right(self, part), vertices=0.98 * part.vertices)
     )
     assert not file_check(*read(tmp_path, {"rotate_deg": 30.0})).passed
+
+
+# -- what is taken of the plan -----------------------------------------------------------------------
+
+
+def against_plan(made):
+    nc = made.read()
+    found = verify_program(nc, config=made.config, curves=made.beads, plan=made.plan, layers=made.layers)
+    return {check.name for check in found if not check.passed}
+
+
+def test_a_line_that_the_writer_does_not_take_is_found(monkeypatch, tmp_path):
+    assert "hatch vectors" not in against_plan(Made(tmp_path / "sound", FRAME))
+    right = tracks.hatch_columns
+    monkeypatch.setattr(tracks, "hatch_columns", lambda plan: tuple(column[:-1] for column in right(plan)))
+    assert "hatch vectors" in against_plan(Made(tmp_path / "wrong", FRAME))
+
+
+def test_a_power_that_the_writer_does_not_take_from_the_plan_is_found(monkeypatch, tmp_path):
+    assert "power" not in against_plan(Made(tmp_path / "sound", FRAME, WARM))
+    right = inputs.Interpass
+    monkeypatch.setattr(
+        inputs, "Interpass", lambda **given: right(**{**given, "power_share": 0.8 * given["power_share"]})
+    )
+    assert "power" in against_plan(Made(tmp_path / "wrong", FRAME, WARM))
 
 
 # -- after the checks --------------------------------------------------------------------------------
