@@ -37,8 +37,8 @@ STEPS = 12
 HOTTEST_K = 6000.0
 """End of the data; what is hotter has those of the end."""
 
-STEP_K = 0.5
-"""Step of temperature for the sum of the heat that melts."""
+SUMMED = 4000
+"""Temperatures in the sum of the heat that melts: less than a kelvin apart."""
 
 
 def highest_entry_k(config: Config) -> float:
@@ -65,8 +65,9 @@ def melting_power_w(config: Config, thickness_mm: float) -> float:
     process, material = config.process, config.material
     wire_mm3_s = process.travel_speed_mm_s * process.bead_width_mm * process.bead_spacing * thickness_mm
     kg_s = wire_mm3_s * 1e-9 * material.density_kg_m3
-    kelvin = np.arange(process.ambient_temperature_k, material.liquidus_k, STEP_K) + 0.5 * STEP_K
-    sensible = float(np.interp(kelvin, *_data(material.heat_capacity_by_temperature)).sum()) * STEP_K
+    rise_k = max(material.liquidus_k - process.ambient_temperature_k, 0.0)
+    kelvin = process.ambient_temperature_k + rise_k * (np.arange(SUMMED) + 0.5) / SUMMED
+    sensible = float(np.interp(kelvin, *_data(material.heat_capacity_by_temperature)).mean()) * rise_k
     efficiency = process.melting_efficiency * material.absorptivity
     wire_w = kg_s * (sensible + material.latent_heat_j_kg) / efficiency
     full_w, both_w = process.voltage_kv * process.current_ma, wire_w / (1.0 - process.dilution)
